@@ -534,13 +534,13 @@ def batches(at: Any) -> Named:
     )
     for solver in ("active-set", "hildreth"):
         mpc = at.published_mpc(car, solver=solver)
-        yield f"published, {solver}", numbers(at.rollout_batch(plant, mpc, steps, tunings, which=which))
+        yield f"published, {solver}", numbers(at.rollout_batch(plant, mpc, steps, tunings, scenario_indices=which))
     changes = [lane_change(at, amplitude=draw(-7, 7), speed=draw(4, 27), friction=draw(0.3, 1.0)) for _ in range(40)]
     roads = [at.RoadDrive(own_road(at), 12.0), *(at.RoadDrive(ring(at), speed) for speed in (9.0, 15.0)), *changes[:3]]
     seeds = np.arange(40)
     for profile in ("paper", "road", "production"):
         for name, controller in drivers(at, profile).items():
-            found = at.rollout_batch(plant, controller, changes, which=seeds, profile=profile, seeds=seeds)
+            found = at.rollout_batch(plant, controller, changes, scenario_indices=seeds, profile=profile, seeds=seeds)
             yield f"{profile}, {name}", numbers(found)
             found = at.rollout_batch(plant, controller, roads, profile=profile, seeds=1, threads=2)
             yield f"{profile}, {name} on roads", numbers(found)
@@ -549,7 +549,7 @@ def batches(at: Any) -> Named:
         "exactly": None, "estimated": at.FrictionWindEstimator.of(plant, "road"),
         "with errors": at.Perception(noise=0.2, bias=0.1, delay=0.5), "not": at.Perception(withheld=True),
     }  # fmt: skip
-    options = {"which": seeds, "profile": "road", "seeds": seeds}
+    options = {"scenario_indices": seeds, "profile": "road", "seeds": seeds}
     for name, known in known_as.items():
         batch = at.rollout_batch(plant, scheduled, changes, known_as=known, **options)
         yield f"friction known {name}", numbers(batch)

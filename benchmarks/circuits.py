@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import SPEED
+from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC
@@ -64,7 +64,7 @@ def drive(road: Road, car_name: str, profile: str, lateral: float, options: argp
     """A plan and its drives; failures are told with their place and speed."""
     car = load_vehicle(car_name)
     mpc, plant = MPC(car, profile=profile), DualTrack(car)
-    given = {} if options.domain else {"top_speed": SPEED.most}
+    given = {} if options.domain else {"top_speed": MAX_SPEED.most}
     if options.holds:
         from adaptrack.analysis.holdable import holdable_speed  # the checkout before has none
 
@@ -75,7 +75,8 @@ def drive(road: Road, car_name: str, profile: str, lateral: float, options: argp
     except InvalidInput as error:
         return row | {"error": str(error), "failed": len(options.seed), "lap": float("nan"), "places": []}
     found = rollout_batch(
-        plant, mpc, RoadDrive(road, plan), which=np.zeros(len(options.seed), int), seeds=np.array(options.seed),
+        plant, mpc, RoadDrive(road, plan), scenario_indices=np.zeros(len(options.seed), int),
+        seeds=np.array(options.seed),
         profile=profile, threads=1,
     )  # fmt: skip
     places = []

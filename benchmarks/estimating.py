@@ -37,7 +37,7 @@ def costs(plant: Any, mpc: Any, tuning: at.Tuning, runs: list[Any], profile: Any
     """J of each run (runs,), and which runs failed."""
     count = len(runs)
     batch = rollout_batch(
-        plant, mpc, runs, np.tile(tuning.as_array(), (count, 1)), which=np.arange(count), profile=profile,
+        plant, mpc, runs, np.tile(tuning.as_array(), (count, 1)), scenario_indices=np.arange(count), profile=profile,
         seeds=seed + np.arange(count),
     )  # fmt: skip
     failed = np.array([reason is not None for reason in batch.failed])
@@ -89,7 +89,7 @@ def grip(runs: int) -> list[dict[str, Any]]:
         tests = [weaving(acceleration, friction, float(speed)) for speed in rng.uniform(10.0, 27.0, runs)]
         failed = {}
         for name, drifts, spread in (("with", Drifts(), (0.3, 0.3)), ("without", still, (0.0, 0.0))):
-            own = KalmanFilter(KalmanFilter.of_profile(ROAD).noise, drifts, spread=spread)
+            own = KalmanFilter(KalmanFilter.from_profile(ROAD).noise, drifts, spread=spread)
             mpc = at.MPC(CAR, profile=ROAD, estimator=own)
             _, failed[name] = costs(PLANT, mpc, mpc.tuning, tests, with_bias(ROAD, BIAS), 70_000)
         found.append(

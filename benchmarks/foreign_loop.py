@@ -44,7 +44,7 @@ FILTERS = {"road, none late": ("road", 0.0), "road, 0.25 s": ("road", 0.25), "pr
 
 def tracker(profile: str, oldest: float, path: at.Road) -> at.Tracker:
     """With the filter of a profile that takes samples up to an age (s)."""
-    sensors = replace(at.KalmanFilter.of_profile(at.load_profile(profile)), oldest=oldest)
+    sensors = replace(at.KalmanFilter.from_profile(at.load_profile(profile)), oldest=oldest)
     return at.Tracker(at.MPC(CAR, profile=profile, estimator=sensors, belief=STEERING), path)
 
 

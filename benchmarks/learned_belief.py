@@ -35,9 +35,9 @@ from sklearn.preprocessing import StandardScaler
 import adaptrack as at
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import Learning, Uncertainty
-from adaptrack.core.controllers.mpc import ANSWER
-from adaptrack.core.estimators.learning import BELIEF
-from adaptrack.core.plants.contract import STATE
+from adaptrack.core.controllers.mpc import MPC_ANSWER
+from adaptrack.core.estimators.learning import BELIEF_COLUMNS
+from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch
 from adaptrack.identification.random_cars import CarRanges, random_car
 from adaptrack.paper import ANFIS
@@ -105,8 +105,10 @@ def drive(number: int, profile: Profile) -> tuple[Array, ...] | None:
     state, answer, seen = run.trace.state[0, :n], run.trace.answer[0, :n], run.trace.noted[0, :n]
     rng = np.random.default_rng((11, number))
     has_vy = math.isfinite(world.noise_vy)
-    sensors = [(state[:, STATE.yaw_rate], world.noise_yaw_rate)]
-    sensors.append((state[:, STATE.vy], world.noise_vy) if has_vy else (seen[:, 0], world.noise_lateral_acceleration))
+    sensors = [(state[:, PLANT_STATE.yaw_rate], world.noise_yaw_rate)]
+    sensors.append(
+        (state[:, PLANT_STATE.vy], world.noise_vy) if has_vy else (seen[:, 0], world.noise_lateral_acceleration)
+    )
     measured = [values + noise * rng.standard_normal(n) for values, noise in sensors]
     measured[0] += world.bias_yaw_rate * rng.uniform(-1.0, 1.0)
     v = vehicle
@@ -116,13 +118,14 @@ def drive(number: int, profile: Profile) -> tuple[Array, ...] | None:
     told = np.sqrt(v.stiffness_front * v.stiffness_rear) / v.mass
     friction = np.log(signals.friction[ends].mean(axis=1))
     truth = np.stack([np.full(len(ends), car.delay), np.full(len(ends), math.log(true / told)), friction], axis=1)
-    beliefs = answer[ends, len(ANSWER) : len(ANSWER) + len(BELIEF)]
+    beliefs = answer[ends, len(MPC_ANSWER) : len(MPC_ANSWER) + len(BELIEF_COLUMNS)]
     filters = np.stack(
-        [beliefs[:, BELIEF.belief_delay] + world.dead_time - world.steering.dead_time,
-         np.log(beliefs[:, BELIEF.belief_stiffness]), np.log(beliefs[:, BELIEF.belief_friction])], axis=1,
+        [beliefs[:, BELIEF_COLUMNS.belief_delay] + world.dead_time - world.steering.dead_time,
+         np.log(beliefs[:, BELIEF_COLUMNS.belief_stiffness]),
+         np.log(beliefs[:, BELIEF_COLUMNS.belief_friction])], axis=1,
     )  # fmt: skip
     noises = np.array([noise for _, noise in sensors])
-    command = answer[:, ANSWER.command].copy()  # not a view that keeps the whole trace
+    command = answer[:, MPC_ANSWER.command].copy()  # not a view that keeps the whole trace
     return command, signals.speed[:n], np.array(measured), noises, np.array(own), truth, filters, np.array(number)
 
 

@@ -125,7 +125,8 @@ def driven(car: RandomCar, world: Profile, mpc: at.MPC, tunings: Array) -> Array
     drives = [random_drive(FIRST + 100 * car.seed + i, SECONDS) for i in range(2 * DRIVES)]
     which = np.tile(np.arange(2 * DRIVES), len(tunings))
     run = rollout_batch(
-        at.DualTrack(car.vehicle, car.tyre), mpc, drives, np.repeat(tunings, 2 * DRIVES, axis=0), which=which,
+        at.DualTrack(car.vehicle, car.tyre), mpc, drives, np.repeat(tunings, 2 * DRIVES, axis=0),
+        scenario_indices=which,
         profile=world, seeds=which + 1000 * car.seed,
     )  # fmt: skip
     lost = np.array([reason is not None for reason in run.failed])

@@ -26,10 +26,11 @@ from numpy.typing import NDArray
 
 import adaptrack as at
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
-from adaptrack.cars.vehicle import GRAVITY, Steering, load_tyre
+from adaptrack.cars.vehicle import Steering, load_tyre
 from adaptrack.control.controllers import Learning
 from adaptrack.control.controllers.learned import WITHIN
-from adaptrack.core.estimators.learning import BELIEFS
+from adaptrack.core.estimators.learning import BELIEF_NAMES
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.batch import Batch
 from adaptrack.scenario import random_drive
 from adaptrack.scenario.profile import Profile, load_profile
@@ -93,7 +94,9 @@ def driven(car: Car, controller: Any, world: Profile, judged: int) -> Driven:
         traced=learns,
     )  # fmt: skip
     ended = float(runs.result["ended_at"][0]) if runs.failed[0] else math.nan
-    said = {name: runs.trace.answer[0, :, i - len(BELIEFS)] for i, name in enumerate(BELIEFS)} if learns else {}
+    said = (
+        {name: runs.trace.answer[0, :, i - len(BELIEF_NAMES)] for i, name in enumerate(BELIEF_NAMES)} if learns else {}
+    )
     return Driven(runs.segments[0] / segment, ended, said)
 
 

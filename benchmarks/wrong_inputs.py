@@ -229,7 +229,7 @@ def draw(seed: int) -> tuple[np.random.Generator, Body, at.Vehicle, at.Profile, 
         2.0 * vehicle.stiffness_front, 2.0 * vehicle.stiffness_rear, max(steering.lag, 0.02),
         steering.dead_time + 0.01, steering.rate, steering.limit, float(rng.uniform(-0.02, 0.02)), friction,
     )  # fmt: skip
-    sensors = replace(at.KalmanFilter.of_profile(profile), oldest=0.35)
+    sensors = replace(at.KalmanFilter.from_profile(profile), oldest=0.35)
     if rng.random() < 0.7:
         sheet = at.vehicle_from_data_sheet("sheet", min(max(vehicle.mass, 600.0), 3500.0), vehicle.wheelbase)
         mpc = at.MPC(sheet, profile=profile, estimator=sensors, belief="unknown", learning=at.Learning())

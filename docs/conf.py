@@ -36,7 +36,8 @@ autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 autodoc_type_aliases = {
-    name: name for name in ("Array", "ArrayLike", "KnownAs", "Policy", "Progress", "Segment", "SignalLike", "Variables")
+    name: name
+    for name in ("Array", "ArrayLike", "KnownAs", "Policy", "ProgressCall", "Segment", "SignalLike", "Variables")
 }
 maximum_signature_line_length = 88
 python_use_unqualified_type_names = True

@@ -90,7 +90,7 @@ def tyre(axes: Axes) -> None:
 
 def log(axes: Axes) -> None:
     """Estimates over the truth with their 90 % intervals."""
-    page = snippet("log.md")
+    page = snippet("../identify.md", "initial = car")
     found, names = page["found"], ("delay", "front axle", "rear axle")
     for i, (name, true) in enumerate(page["truth"].items()):
         each = found[name]

@@ -43,7 +43,9 @@ def main(generations=150):
     plant, drives = at.get_plant("dual-track", car), [task.drive(i, car) for i in range(len(JUDGED))]
     for name in ("pure-pursuit", "informed"):
         controller = at.get_controller(name, car, profile=profile, period=profile.period, preview=True)
-        runs = at.rollout_batch(plant, controller, drives, which=[0, 1, 2, 3], profile=profile, seeds=[7, 8, 9, 10])
+        runs = at.rollout_batch(
+            plant, controller, drives, scenario_indices=[0, 1, 2, 3], profile=profile, seeds=[7, 8, 9, 10]
+        )
         print(f"{name:24} J = {1e4 * np.exp(np.log(runs.cost(profile.move_weight)).mean()):8.2f} cm²")
     return learned
 

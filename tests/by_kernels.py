@@ -6,7 +6,7 @@ import adaptrack as at
 from adaptrack.cars.vehicle import Steering
 from adaptrack.control.controllers import informed as face
 from adaptrack.control.controllers.belief import UNKNOWN, steering_rows
-from adaptrack.core.controllers.mpc import Settings
+from adaptrack.core.controllers.mpc import MPCSettings
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.kernel import size_of
 from adaptrack.core.synthesis import filter, informed
@@ -35,7 +35,7 @@ def make_order(vehicle, options):
         options.get("uncertainty"), method,
     )  # fmt: skip
     order.learning = informed.NEVER if mode is None else informed.UNLESS_SAID
-    row = informed.Parts.new(1)
+    row = informed.InformedParts.new(1)
     default_filter = np.zeros(size_of(filter.Filter))
     filter.usual_filter(default_filter)
     row["filter"] = default_filter.view(filter.Filter.dtype)[0]
@@ -46,12 +46,12 @@ def make_parts(vehicle, options):
     """Order, parts and room for the constants of an MPC, whose numbers are not yet written."""
     order, parts = make_order(vehicle, options)
     again = np.array([parts])[0]
-    assert informed.informed_parts(order, again) == informed.FINE
+    assert informed.informed_parts(order, again) == informed.OK
     n, _, learned = informed.informed_sizes(order, again)
-    numbers = size_of(learning.Numbers) if learned else 0
+    numbers = size_of(learning.LearnerParameters) if learned else 0
     constants = informed.Constants(
-        settings=Settings.new(1), tuning=np.full(4, UNTOUCHED), model=np.full(7, UNTOUCHED),
-        states=np.full(n, -7), turning=np.full(7, UNTOUCHED), estimator=np.full(size_of(kalman.Numbers), UNTOUCHED),
-        learner=np.full(numbers, UNTOUCHED), fresh=np.full(learned, UNTOUCHED),
+        settings=MPCSettings.new(1), tuning=np.full(4, UNTOUCHED), model=np.full(7, UNTOUCHED),
+        states=np.full(n, -7), turning=np.full(7, UNTOUCHED), learner=np.full(numbers, UNTOUCHED),
+        estimator=np.full(size_of(kalman.FilterParameters), UNTOUCHED), fresh=np.full(learned, UNTOUCHED),
     )  # fmt: skip
     return order, parts, constants

@@ -26,6 +26,7 @@ import pytest
 import typer.main
 from hypothesis import HealthCheck, settings
 
+from adaptrack import cli
 from pictures import pictures
 from programs import find_program
 
@@ -81,6 +82,21 @@ def run_python() -> Callable[..., str]:
         done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=timeout, check=False)
         assert done.returncode == 0, f"{command} ended with {done.returncode}:\n{done.stderr}"
         return done.stdout
+
+    return run
+
+
+@pytest.fixture
+def run_command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """Run a command of adaptrack in 80 columns: exit code, standard output, standard error."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setenv("COLUMNS", "80")
+        monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
+        code = cli.main()
+        return (code, *capsys.readouterr())
 
     return run
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.drive.trajectory import COLUMNS, Trajectory
+from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.results import Run
 from adaptrack.results.record import DriveRecord
 from adaptrack.road import Arc, Line, Road
@@ -29,7 +29,7 @@ def made_run(road=None, *, controller="informed", amplitude=0.3, seconds=None, p
     wheels = np.arctan(car.wheelbase * place.curvature)
     values = {
         column.name: np.zeros((s.size, len(column.parts)) if column.parts else s.size, column.dtype)
-        for column in COLUMNS
+        for column in TRAJECTORY_COLUMNS
     } | {
         "t": time, "X": place.x - offset * np.sin(place.heading), "Y": place.y + offset * np.cos(place.heading),
         "psi": place.heading + turned, "vx": np.full(s.size, SPEED), "v_ref": np.full(s.size, SPEED),

@@ -18,8 +18,8 @@ _EMPTY = {
 }
 
 
-def _save_empty(figure: Figure, to: Any, **how: Any) -> None:
-    to.write(_EMPTY[how["format"]])
+def _save_empty(figure: Figure, to: Any, **options: Any) -> None:
+    to.write(_EMPTY[options["format"]])
 
 
 @contextmanager

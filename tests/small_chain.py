@@ -19,21 +19,14 @@ from adaptrack.paper import adaptation
 from adaptrack.paper.campaign_config import load_campaign
 from adaptrack.paper.learning_task import Effort, LearningTask
 
+BOX = {"speed": [8.0, 25.0], "y_ref": [-4.0, 4.0], "friction": [0.5, 1.0], "wind": [-15.0, 15.0]}
 CAMPAIGN: dict[str, Any] = {
-    "profile": "road",
-    "scenario": "lane-change",
-    "noise_seeds": [1],
-    "seed": 2,
-    "operating_points": {
-        "kind": "sobol",
-        "n": 24,
-        "seed": 2,
-        "box": {"speed": [8.0, 25.0], "y_ref": [-4.0, 4.0], "friction": [0.5, 1.0], "wind": [-15.0, 15.0]},
-    },
+    "profile": "road", "scenario": "lane-change", "noise_seeds": [1], "seed": 2,
+    "operating_points": {"kind": "sobol", "n": 24, "seed": 2, "box": BOX},
     "search": {"Np": [10, 40], "Nc": [1, 10], "Q": [1.0, 1.0], "R": [100.0, 1e5], "decades": True},
     "swarm": {"particles": 4, "generations": 2},
     "library": {"tunings": [[25, 5, 1, 1000], [30, 5, 1, 4000], [30, 8, 1, 10000], [35, 5, 1, 20000]]},
-}
+}  # fmt: skip
 EFFORT = Effort(2, 16, 8, 8, 8, 2, (8, 4, 4), 20)
 NODES = ((10, 26, 42, 60), (1, 5, 20), np.linspace(1.0, 6.0, 6))
 """Np, Nc, log10 R/Q of the guard's map."""

@@ -13,7 +13,6 @@ from scipy.interpolate import RegularGridInterpolator
 
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.statistics import geometric_mean
-from adaptrack.cars.vehicle import GRAVITY
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import (
     ENTRIES,
@@ -24,7 +23,8 @@ from adaptrack.control.scheduling import (
     load_scheduler,
     made_for,
 )
-from adaptrack.drive.metrics import PUBLISHED
+from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.paper import adaptation, evaluation, improvement, landscape, learning_task
 from adaptrack.paper.adaptation import CONTENDER_NAMES, identity_of, shipped_schedules
 from adaptrack.paper.campaign_config import list_campaigns, load_campaign
@@ -74,7 +74,7 @@ def test_a_domain_without_a_safe_constant_is_refused_before_any_run_with_the_lar
     box = {"speed": [3.0, 30.0], "y_ref": [-4.0, 4.0], "friction": [0.3, 1.0], "wind": [-15.0, 15.0]}
     changes = {"operating_points": CAMPAIGN["operating_points"] | {"box": box}, "vehicle": "midsize-sedan"}
     campaign = load_campaign(write(tmp_path, **changes))
-    monkeypatch.setattr(adaptation, "run_campaign", lambda *given, **more: pytest.fail("the campaign ran"))
+    monkeypatch.setattr(adaptation, "run_campaign", lambda *arguments, **parameters: pytest.fail("the campaign ran"))
     with short_cuts(), pytest.raises(InvalidInput, match="Narrow the box") as error:
         adaptation.adapt(campaign, tmp_path / "out", effort=EFFORT)
     low = float(re.search(r"can hold is (\S+) to 30 m/s", str(error.value))[1])
@@ -91,11 +91,11 @@ def test_no_operating_point_drive_or_noise_is_in_two_of_learning_holding_out_and
     def record(part):
         parts[part] = {"points": set(), "drives": set(), "noise": set()}
 
-        def points(plant, mpc, rows, *more, **options):
+        def points(plant, mpc, rows, *parameters, **options):
             parts[part]["points"] |= set(map(tuple, np.asarray(rows).tolist()))
             return range(len(rows))
 
-        def drives(plant, mpc, numbers, *more, **options):
+        def drives(plant, mpc, numbers, *parameters, **options):
             parts[part]["drives"] |= set(numbers)
             return numbers
 
@@ -103,10 +103,10 @@ def test_no_operating_point_drive_or_noise_is_in_two_of_learning_holding_out_and
             monkeypatch.setattr(module, "operating_point_runs", points)
             monkeypatch.setattr(module, "random_drive_runs", drives)
         monkeypatch.setattr(
-            evaluation, "compare", lambda runs, contenders, seeds, *more: parts[part]["noise"].update(seeds)
+            evaluation, "compare", lambda runs, contenders, seeds, *parameters: parts[part]["noise"].update(seeds)
         )
 
-    monkeypatch.setattr(evaluation, "find_optimum", lambda *given: np.ones((2000, 4)))
+    monkeypatch.setattr(evaluation, "find_optimum", lambda *arguments: np.ones((2000, 4)))
     constants = dict.fromkeys(("best constant", "best constant on drives", "fallback"), Constant(Tuning()))
     record("learning")
     road.training()
@@ -126,10 +126,10 @@ def test_no_operating_point_drive_or_noise_is_in_two_of_learning_holding_out_and
     parts["choice"] = {"points": set(), "drives": set(), "noise": set(evaluation.CHOICE_NOISE)}
     assert len(parts["learning"]["drives"]) == effort.drives + effort.hard_drives
     assert len(parts["learning"]["points"]) == effort.operating_points
-    for (one, first), (other, second) in itertools.combinations(parts.items(), 2):
+    for (name, first), (other, second) in itertools.combinations(parts.items(), 2):
         for kind in ("points", "drives", "noise"):
-            shared_noise = kind == "noise" and one.startswith("evaluation") and other.startswith("evaluation")
-            assert shared_noise or not first[kind] & second[kind], (one, other, kind)
+            shared_noise = kind == "noise" and name.startswith("evaluation") and other.startswith("evaluation")
+            assert shared_noise or not first[kind] & second[kind], (name, other, kind)
 
 
 def test_an_evaluation_on_operating_points_that_were_learned_from_is_refused(tmp_path):
@@ -145,10 +145,8 @@ def test_the_shipped_schedules_were_learned_with_the_constants_of_the_method():
         settings = schedule.provenance["settings"]
         method, learning = settings["method"], settings["learning"]
         assert schedule.provenance["campaign"] == campaign
-        assert (settings["seed"], tuple(learning["inputs"])) == (
-            learning_task.LEARNING_SEED,
-            learning_task.LEARNED_INPUTS,
-        )
+        assert settings["seed"] == learning_task.LEARNING_SEED
+        assert tuple(learning["inputs"]) == learning_task.LEARNED_INPUTS
         effort = Effort()
         runs, steps, shape = method["runs"], method["improvement"], method["landscape"]
         assert [learning[key] for key in ("rounds", "operating_points", "drives", "hard_drives", "rules")] == [
@@ -193,7 +191,7 @@ def test_a_resumed_adaptation_keeps_finished_schedules_and_makes_the_others_with
     (folder / "schedulers" / "look-up.json").unlink()
     other = Constant(Tuning(12, 2, 1.0, 50.0))
     replace(other, provenance={"identity": "of another campaign"}).save(folder / "schedulers" / "fallback.json")
-    monkeypatch.setattr(adaptation, "improve", lambda *given, **more: pytest.fail("it learned again"))
+    monkeypatch.setattr(adaptation, "improve", lambda *arguments, **parameters: pytest.fail("it learned again"))
     with short_cuts():
         adaptation.adapt(load_campaign(chain.file), folder, workers=1, effort=EFFORT)
     assert contents(folder) == contents(chain.folder)
@@ -203,14 +201,10 @@ def test_a_resumed_adaptation_keeps_finished_schedules_and_makes_the_others_with
         adaptation.adapt(load_campaign(chain.file), folder, workers=1, effort=EFFORT)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [{"seed": 3}, {"vehicle": "midsize-sedan"}, {"profile": "production"}, {"tyre": "passenger-car"}],
-    ids=str,
-)
-def test_everything_that_decides_a_schedule_changes_its_identity(tmp_path, monkeypatch, changes):
-    task = task_of(tmp_path)
-    identities = [identity_of(task, "nn"), identity_of(task, "anfis"), identity_of(task_of(tmp_path, **changes), "nn")]
+def test_everything_that_decides_a_schedule_changes_its_identity(tmp_path, monkeypatch):
+    task, changes = task_of(tmp_path), {"vehicle": "midsize-sedan", "profile": "production", "tyre": "passenger-car"}
+    identities = [identity_of(task, "nn"), identity_of(task, "anfis"), identity_of(task_of(tmp_path, seed=3), "nn")]
+    identities += [identity_of(task_of(tmp_path, **{key: value}), "nn") for key, value in changes.items()]
     identities.append(identity_of(replace(task, effort=EFFORT._replace(rounds=3)), "nn"))
     software = adaptation.software(task)
     for name in software:
@@ -229,10 +223,10 @@ class Bowl(RunSet):
     def __len__(self):
         return 6
 
-    def drive(self, policy, seeds, which=None):
+    def drive(self, policy, seeds, indices=None):
         Np, Nc, Q, R = policy
-        away = (Np - 35.0) / 10.0, (Nc - 8.0) / 5.0, np.log10(R / Q) - 2.0
-        return np.full((len(which), 1), np.exp(np.square(away).sum()))
+        offsets = (Np - 35.0) / 10.0, (Nc - 8.0) / 5.0, np.log10(R / Q) - 2.0
+        return np.full((len(indices), 1), np.exp(np.square(offsets).sum()))
 
 
 def test_the_best_constant_is_found_on_a_known_landscape():
@@ -272,8 +266,8 @@ def test_the_map_covers_the_box_driving_straight_and_has_less_margin_at_low_spee
     options = {}
     axes = tuple(np.array(axis) for axis in ([3.0, 5.9, 6.0, 20.0], [0.3, 1.0], [10.0, 20.0], [1.0, 2.0], [2.0, 5.0]))
 
-    def flat(plant, mpc, profile, **more):
-        options.update(more, profile=profile)
+    def flat(plant, mpc, profile, **parameters):
+        options.update(parameters, profile=profile)
         return axes, np.full([len(axis) for axis in axes], 0.5)
 
     monkeypatch.setattr(adaptation, "loop_map", flat)
@@ -311,14 +305,14 @@ def check_guard(guarded, rng):
         positions = np.column_stack([at, coordinates(tunings)])
         return table(np.clip(positions, [axis[0] for axis in axes], [axis[-1] for axis in axes]))
 
-    seen = rows[:, [SchedulingVariables._fields.index(name) for name in guarded.inputs]]
+    inputs = rows[:, [SchedulingVariables._fields.index(name) for name in guarded.inputs]]
     reach = guard.slack * np.ptp(guarded.domain, axis=1)
-    far = ((seen < guarded.domain[:, 0] - reach) | (seen > guarded.domain[:, 1] + reach)).any(axis=1)
+    is_far = ((inputs < guarded.domain[:, 0] - reach) | (inputs > guarded.domain[:, 1] + reach)).any(axis=1)
     off_reference = np.abs(rows[:, 6]) > guard.offset_limit * GRAVITY * rows[:, 2]
     fallback, untouched = (tunings == safe).all(axis=1), (tunings == bare).all(axis=1)
-    assert fallback[far | off_reference].all()
-    assert untouched[~far & ~off_reference & (peak(bare) < stability.limit - 1e-9)].all()
-    assert min(untouched.sum(), fallback.sum(), far.sum()) > 20
+    assert fallback[is_far | off_reference].all()
+    assert untouched[~is_far & ~off_reference & (peak(bare) < stability.limit - 1e-9)].all()
+    assert min(untouched.sum(), fallback.sum(), is_far.sum()) > 20
     assert peak(tunings)[~fallback].max() <= stability.limit + 1e-9
     ends = np.sort(np.stack([coordinates(bare), np.broadcast_to(coordinates(safe[None]), (len(rows), 3))]), axis=0)
     assert ((coordinates(tunings) >= ends[0] - 1e-9) & (coordinates(tunings) <= ends[1] + 1e-9)).all()
@@ -352,9 +346,9 @@ def test_on_operating_points_the_reference_is_the_optimum_and_the_table_knows_th
     entered = {}
     compare = evaluation.compare
 
-    def note(runs, contenders, *more):
+    def note(runs, contenders, *parameters):
         entered.update({contender.name: contender.policy for contender in contenders})
-        return compare(runs, contenders, *more)
+        return compare(runs, contenders, *parameters)
 
     monkeypatch.setattr(evaluation, "compare", note)
     schedules = chain.schedules | {"mine": Constant(Tuning(30, 5, 1.0, 4000.0))}
@@ -374,23 +368,24 @@ def test_on_operating_points_the_reference_is_the_optimum_and_the_table_knows_th
 def test_the_optimum_is_the_best_of_what_was_searched_on_the_noise_of_the_choice(chain):
     points = evaluation.evaluation_points(chain.task, 2, 7)
     constants = np.array([[29, 5, 1.0, 4000.0], [42, 3, 1.0, 1e4]])
-    tunings = evaluation.find_optimum(chain.task, chain.task.driven, points, 7, constants)
+    tunings = evaluation.find_optimum(chain.task, chain.task.evaluated_plant, points, 7, constants)
     objective = Objective(
-        chain.task.driven, chain.task.mpc, "lane-change", "road", evaluation.CHOICE_NOISE,
+        chain.task.evaluated_plant, chain.task.mpc, "lane-change", "road", evaluation.CHOICE_NOISE,
         failure=learning_task.FAILURE,
     )  # fmt: skip
     for point, tuning in zip(points, tunings, strict=True):
         assert objective.costs(point, [tuning])[0] <= objective.costs(point, constants).min()
     none = np.empty((0, 4))
-    one, other = (evaluation.find_optimum(chain.task, chain.task.driven, points, seed, none) for seed in (7, 8))
-    assert (one != other).any(), "the seed selects the swarms"
+    plant = chain.task.evaluated_plant
+    first, second = (evaluation.find_optimum(chain.task, plant, points, seed, none) for seed in (7, 8))
+    assert (first != second).any(), "the seed selects the swarms"
 
 
 @pytest.mark.compiled
 def test_on_drives_and_tests_the_reference_is_the_constant_that_was_tuned_on_drives(chain):
     drives = evaluate_on_drives(chain.task, some_schedules(), 2, 7)["exact"]
     tests = evaluate_on_tests(chain.task, some_schedules())
-    assert set(tests) == set(PUBLISHED)
+    assert set(tests) == set(PAPER_MSE)
     assert drives.where[:, 0].tolist() == [3_070_000.0, 3_070_001.0]
     for comparison in (drives, *tests.values()):
         assert set(comparison.contenders) == set(EVALUATED)

@@ -8,8 +8,8 @@ from benchmarks import against_release
 ANSWER = {"exit code": 0, "answer": {"rows": [{"cost": 0.25, "name": "a"}, {"cost": None, "name": "b"}], "seconds": 3}}
 
 
-def lines(other, here):
-    return list(against_release.compare(json.loads(json.dumps(other)), json.loads(json.dumps(here))))
+def lines(other, answer):
+    return list(against_release.compare(json.loads(json.dumps(other)), json.loads(json.dumps(answer))))
 
 
 def test_equal_answers_are_one_line_and_times_do_not_count():
@@ -19,9 +19,9 @@ def test_equal_answers_are_one_line_and_times_do_not_count():
 
 
 def test_a_last_digit_is_found_with_its_size():
-    (summary, found) = lines({"rows": [1.0, 2.0]}, {"rows": [1.0, 2.0 + 2**-51]})
+    (summary, difference) = lines({"rows": [1.0, 2.0]}, {"rows": [1.0, 2.0 + 2**-51]})
     assert summary.startswith("1 of 2")
-    assert found == "  /rows/*: 1 differ, by at most 4.4e-16, relative 2.2e-16"
+    assert difference == "  /rows/*: 1 differ, by at most 4.4e-16, relative 2.2e-16"
 
 
 @pytest.mark.parametrize(("old", "new"), [(1, True), (0.0, None), ("a", "b"), (0, 0.0)])
@@ -30,8 +30,8 @@ def test_values_of_another_kind_differ(old, new):
 
 
 def test_what_one_side_lacks_is_named_with_its_side():
-    (_, *found) = lines({"a": 1, "b": 2}, {"a": 1, "c": 2})
-    assert found == ["  /b: only in the other", "  /c: only in this tree"]
+    (_, *difference) = lines({"a": 1, "b": 2}, {"a": 1, "c": 2})
+    assert difference == ["  /b: only in the other", "  /c: only in this tree"]
 
 
 def test_an_answer_that_is_missing_counts_as_a_difference(tmp_path, capsys):

@@ -10,9 +10,8 @@ import sys
 
 import pytest
 
-from adaptrack import cli
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.cli.next_step import again, instead
+from adaptrack.cli.next_step import repeat_command_with, replace_option
 from adaptrack.results import answers
 from test_snippets import parse
 
@@ -20,13 +19,11 @@ pytestmark = pytest.mark.compiled
 
 
 @pytest.fixture
-def lines(monkeypatch, capsys):
+def lines(run_command):
     """What a command prints, line by line; of `--json` the object."""
 
     def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
-        cli.main()
-        out = capsys.readouterr().out
+        out = run_command(*arguments)[1]
         return json.loads(out) if "--json" in arguments else out.splitlines()
 
     return run
@@ -55,10 +52,10 @@ def test_a_drive_begins_with_how_near_it_stayed_and_ends_with_its_page(lines, tm
 
 
 def test_the_best_of_several_controllers_is_named_first(lines):
-    asked = (*DRIVE, "--controller", "pure-pursuit", "--controller", "informed")
-    rows = {row["controller"]: row for row in lines(*asked, "--json")["rows"]}
+    command = (*DRIVE, "--controller", "pure-pursuit", "--controller", "informed")
+    rows = {row["controller"]: row for row in lines(*command, "--json")["rows"]}
     assert rows["informed"]["mse"] < rows["pure-pursuit"]["mse"]
-    first = lines(*asked)[0]
+    first = lines(*command)[0]
     assert first.startswith(f"informed: {answers.length(rows['informed']['rms_error'])} RMS error, largest ")
     assert first.endswith("0 of 2 runs failed.")
 
@@ -103,18 +100,19 @@ def test_thin_margins_are_called_thin_though_the_loop_is_stable(lines):
 
 def test_a_length_is_said_in_the_unit_in_which_one_says_it():
     values = (0.0004, 0.016, 0.9, 1.25, 76.0, 2510.0, math.nan)
-    said = ["0.4 mm", "1.6 cm", "90 cm", "1.25 m", "76 m", "2.51 km", "unknown"]
-    assert list(map(answers.length, values)) == said
+    texts = ["0.4 mm", "1.6 cm", "90 cm", "1.25 m", "76 m", "2.51 km", "unknown"]
+    assert list(map(answers.length, values)) == texts
 
 
 def test_a_car_that_oversteers_says_from_which_speed_it_is_unstable():
     car = load_vehicle("midsize-sedan")
     car = car.replace(stiffness_rear=0.5 * car.stiffness_rear)
-    assert f"unstable from {car.critical_speed:.3g} m/s on" in answers.of_car(car)
+    assert f"unstable from {car.critical_speed:.3g} m/s on" in answers.car_answer(car)
 
 
-def test_a_command_line_is_made_again_with_more_words_or_another_value(monkeypatch):
+def test_a_command_line_is_repeated_with_more_words_or_another_value(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["adaptrack", "drive", "my road.csv", "--speed", "40.0"])
-    assert again("--learn") == "adaptrack drive 'my road.csv' --speed 40.0 --learn"
-    assert instead("--speed", 28.0) == "adaptrack drive 'my road.csv' --speed 28.0"
-    assert instead("--lateral-acceleration", 2) == "adaptrack drive 'my road.csv' --speed 40.0 --lateral-acceleration 2"
+    command = "adaptrack drive 'my road.csv' --speed"
+    assert repeat_command_with("--learn") == f"{command} 40.0 --learn"
+    assert replace_option("--speed", 28.0) == f"{command} 28.0"
+    assert replace_option("--lateral-acceleration", 2) == f"{command} 40.0 --lateral-acceleration 2"

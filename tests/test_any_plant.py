@@ -20,7 +20,7 @@ from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint, twin_of
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import Tuning
 from adaptrack.paper.campaign import run_campaign
-from adaptrack.paper.campaign_config import CampaignConfig, Plan
+from adaptrack.paper.campaign_config import CampaignConfig, CampaignPlan
 from adaptrack.paper.data_set import load_dataset
 from adaptrack.paper.evaluator import tuned_mpc
 from adaptrack.tuning.car import TuningEffort, tune
@@ -32,7 +32,12 @@ from adaptrack.tuning.runs import operating_point_runs
 CAR = load_vehicle("paper")
 POINTS = [[10.0, 1.0, 0.9, 5.0], [20.0, -2.0, 0.6, -10.0]]
 SMALL = TuningEffort(
-    drives=2, hard_drives=1, seconds=5.0, swarm=SwarmSettings(particles=4, generations=2), judged=4, levels=(3, 2)
+    drives=2,
+    hard_drives=1,
+    seconds=5.0,
+    swarm=SwarmSettings(particles=4, generations=2),
+    judged_drives=4,
+    levels=(3, 2),
 )
 
 
@@ -168,7 +173,7 @@ def test_a_stepped_plant_is_tuned_and_told_how_long_it_takes(kind, caplog):
 def test_a_campaign_on_a_stepped_plant_costs_what_its_objective_says(registered, tmp_path):
     config = campaign(plant="cheap", plugin=["sliding"])
     data = load_dataset(run_campaign(config, tmp_path / "out", workers=1))
-    setup = Plan.of(config).setup
+    setup = CampaignPlan.of(config).setup
     target = Objective(
         setup.plant(), tuned_mpc(setup), "lane-change", "road", noise_seeds=(1,), duration=2.0,
         failure=config.failure.rule,
@@ -178,19 +183,19 @@ def test_a_campaign_on_a_stepped_plant_costs_what_its_objective_says(registered,
 
 
 def test_the_identity_of_a_campaign_tells_plants_apart_but_not_modules_that_register_them(registered):
-    plain, slid = Plan.of(campaign()), Plan.of(campaign(plant="cheap", plugin=["sliding"]))
+    plain, slid = CampaignPlan.of(campaign()), CampaignPlan.of(campaign(plant="cheap", plugin=["sliding"]))
     assert "plant_fingerprint" not in plain.settings
     assert slid.settings["plant_fingerprint"] == fingerprint(slid.setup.plant())
-    assert plain.identity == Plan.of(campaign(plugin=["sliding"])).identity
+    assert plain.identity == CampaignPlan.of(campaign(plugin=["sliding"])).identity
     assert plain.identity != slid.identity
     assert fingerprint(Cheap(CAR)) != fingerprint(Sliding(CAR))
 
 
 def test_a_plant_that_a_worker_cannot_find_is_named_with_the_remedy():
     with pytest.raises(UnknownName, match=r"There is no plant 'cheap'.*key plugin"):
-        Plan.of(campaign(plant="cheap"))
+        CampaignPlan.of(campaign(plant="cheap"))
     with pytest.raises(UnknownName, match=r"plugin 'nowhere': there is no such module.*PYTHONPATH"):
-        Plan.of(campaign(plugin=["nowhere"]))
+        CampaignPlan.of(campaign(plugin=["nowhere"]))
 
 
 # -- the command ------------------------------------------------------------------------------------------------------
@@ -235,7 +240,7 @@ def test_runs_of_a_plant_of_ones_own_are_shared_among_threads_and_cost_the_same_
     plant = at.UserPlant(slides, {"none": 0.0}, mass=1500.0, steps=4)
     mpc = at.MPC(CAR, profile="road")
     runs = operating_point_runs(plant, mpc, [[10.0, 1.0, 0.9, w] for w in (0.0, 2.0, 4.0, 6.0, 8.0)], "road")
-    batch, indices = runs._own, np.arange(5)
+    batch, indices = runs._mpc_batch, np.arange(5)
     assert [len(chunk) for chunk in batch.chunks(indices, 2)] == [3, 2]
     assert [len(chunk) for chunk in batch.chunks(indices)] == [5]
     seeds, tunings = np.zeros(5, np.int64), np.tile(mpc.tuning.as_array(), (5, 1))

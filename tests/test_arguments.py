@@ -16,8 +16,8 @@ from numpy.testing import assert_array_equal
 
 import adaptrack as at
 from adaptrack.base import checked as checks
-from adaptrack.base.checked import real, reals, whole
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.checked import real, reals, whole_number
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.road import Line, Road, fit_road, road_through
 
 CAR = at.load_vehicle("compact-ev")
@@ -30,10 +30,10 @@ NO_NUMBERS: tuple[Any, ...] = (
 TOO_LARGE: tuple[Any, ...] = (10**400, -(10**400), 10**5000, fractions.Fraction(10**400, 3))
 
 
-def refusal(call: Any, *given: Any) -> str:
+def refusal(call: Any, *arguments: Any) -> str:
     """The sentence by which something is refused."""
     with pytest.raises(InvalidInput) as refused:
-        call(*given)
+        call(*arguments)
     return str(refused.value)
 
 
@@ -41,24 +41,24 @@ def test_what_is_no_array_of_numbers_is_refused_in_a_short_sentence() -> None:
     plant, friction = at.SingleTrack(CAR), at.FrictionWindEstimator(CAR, period=0.05)
     still, around = plant.initial_state([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), [0.9] * 4 + [0.0] * 2
     calls = {
-        "reals": lambda each: reals("numbers", each),
+        "reals": lambda value: reals("numbers", value),
         "through": road_through,
         "from_points": fit_road,
         "at": ROAD.at,
-        "project": lambda each: ROAD.project(each, 0.0),
-        "ahead": lambda each: at.RoadAhead(ROAD, 0.0, each),
+        "project": lambda value: ROAD.project(value, 0.0),
+        "ahead": lambda value: at.RoadAhead(ROAD, 0.0, value),
         "yaw_of": at.yaw_of,
         "initial_state": plant.initial_state,
-        "derivative": lambda each: plant.derivative(still, each, around),
-        "friction": lambda each: friction.step(each, 10.0, 0.0),
-        "scenario": lambda each: at.Scenario.from_arrays([0.0, 1.0], each, 10.0, 0.9),
-        "log": lambda each: at.identify({"time": each}, CAR),
+        "derivative": lambda value: plant.derivative(still, value, around),
+        "friction": lambda value: friction.step(value, 10.0, 0.0),
+        "scenario": lambda value: at.Scenario.from_arrays([0.0, 1.0], value, 10.0, 0.9),
+        "log": lambda value: at.identify({"time": value}, CAR),
     }
     for name, call in calls.items():
-        for given in (None, *NO_NUMBERS):
-            said = refusal(call, given)
-            assert len(said) < 200, name
-            assert "\n" not in said, name
+        for value in (None, *NO_NUMBERS):
+            sentence = refusal(call, value)
+            assert len(sentence) < 200, name
+            assert "\n" not in sentence, name
 
 
 CALLS = {name: getattr(at, name) for name in at.__all__ if callable(getattr(at, name))}
@@ -105,41 +105,50 @@ def test_swapped_arguments_are_named_with_what_they_must_be() -> None:
 def test_what_is_no_number_or_too_large_for_one_is_refused_in_a_short_sentence() -> None:
     tracker = at.Tracker(at.PurePursuit(CAR, period=0.05), ROAD)
     calls = {
-        "real": lambda each: real("here", "x", each),
-        "station": lambda each: at.RoadAhead(ROAD, each, [1.0]),
-        "width": lambda each: ROAD.replace(width_left=each),
-        "tracker": lambda each: tracker.step(0.0, each, 0.0, 0.0, 10.0),
+        "real": lambda value: real("here", "x", value),
+        "station": lambda value: at.RoadAhead(ROAD, value, [1.0]),
+        "width": lambda value: ROAD.replace(width_left=value),
+        "tracker": lambda value: tracker.step(0.0, value, 0.0, 0.0, 10.0),
         "driver": at.Driver,
-        "amplitude": lambda each: at.load_scenario("step", amplitude=each),
-        "constant": lambda each: at.load_scenario("step").replace(reference=each),
-        "tuning": lambda each: at.Tuning(10, 2, each, 1.0),
-        "mass": lambda each: at.identify({}, mass=each, wheelbase=2.7),
+        "amplitude": lambda value: at.load_scenario("step", amplitude=value),
+        "constant": lambda value: at.load_scenario("step").replace(reference=value),
+        "tuning": lambda value: at.Tuning(10, 2, value, 1.0),
+        "mass": lambda value: at.identify({}, mass=value, wheelbase=2.7),
     }
     for name, call in calls.items():
-        for given in (*NO_NUMBERS, *TOO_LARGE):
-            assert len(refusal(call, given)) < 400, name
-    for given in (None, *NO_NUMBERS, -(10**5000), 1.5):
-        refusal(whole, "here", "n", given)
+        for no_number in (*NO_NUMBERS, *TOO_LARGE):
+            assert len(refusal(call, no_number)) < 400, name
+    for value in (None, *NO_NUMBERS, -(10**5000), 1.5):
+        refusal(whole_number, "here", "n", value)
 
 
 def test_numbers_too_large_for_one_are_refused_where_they_must_be_finite() -> None:
-    for given in TOO_LARGE:
-        assert "finite" in refusal(at.yaw_of, [given] * 4)
-        assert "finite" in refusal(at.RoadAhead, ROAD, 0.0, [given])
-        assert "finite" in refusal(road_through, [[given, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
+    for value in TOO_LARGE:
+        assert "finite" in refusal(at.yaw_of, [value] * 4)
+        assert "finite" in refusal(at.RoadAhead, ROAD, 0.0, [value])
+        assert "finite" in refusal(road_through, [[value, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
 
 
 @pytest.mark.parametrize("make", [at.LQR, at.PurePursuit, at.MPC, at.published_mpc])
 def test_what_is_no_road_ahead_is_refused_and_moves_no_command(make: Any) -> None:
     controller = make(CAR, period=0.05)
-    for given in ("text", ROAD, 3.0, {}, [ROAD], object()):
-        assert "RoadAhead" in refusal(lambda each: controller.step([0.0] * 4, 10.0, [1.0], road=each), given)
+    for value in ("text", ROAD, 3.0, {}, [ROAD], object()):
+        assert "RoadAhead" in refusal(lambda road: controller.step([0.0] * 4, 10.0, [1.0], road=road), value)
     assert controller.angle == 0.0
 
 
 def test_numbers_of_every_kind_are_read_and_what_is_masked_is_not_a_number() -> None:
-    given = [1, 2.5, np.float32(0.5), np.int8(-3), decimal.Decimal("0.25"), fractions.Fraction(3, 4), 10**400, -(2**70)]
-    assert_array_equal(reals("x", given), [1.0, 2.5, 0.5, -3.0, 0.25, 0.75, math.inf, -(2.0**70)])
+    numbers = [
+        1,
+        2.5,
+        np.float32(0.5),
+        np.int8(-3),
+        decimal.Decimal("0.25"),
+        fractions.Fraction(3, 4),
+        10**400,
+        -(2**70),
+    ]
+    assert_array_equal(reals("x", numbers), [1.0, 2.5, 0.5, -3.0, 0.25, 0.75, math.inf, -(2.0**70)])
     assert_array_equal(reals("x", np.ma.masked_array([1.0, 2.0], [False, True])), [1.0, math.nan])
     assert reals("x", 3).shape == ()
     row = np.arange(3.0)
@@ -151,7 +160,7 @@ def test_a_value_in_a_message_is_short_whatever_it_is() -> None:
         def __repr__(self) -> str:
             raise RuntimeError
 
-    assert shown("a") == "'a'"
-    assert shown(10**5000) == "<int>"
-    assert shown(Broken()) == "<Broken>"
-    assert len(shown(list(range(1000)))) <= 80
+    assert format_value("a") == "'a'"
+    assert format_value(10**5000) == "<int>"
+    assert format_value(Broken()) == "<Broken>"
+    assert len(format_value(list(range(1000)))) <= 80

@@ -19,10 +19,10 @@ from adaptrack.cli.controllers import ControllerSettings, make_controller, make_
 from adaptrack.cli.export import ExportedController, ExportOptions
 from adaptrack.cli.options import CarAndPlant
 from adaptrack.control.controllers import MPC, BeliefState, Learning, Tuning, Uncertainty, get_controller, published_mpc
-from adaptrack.control.controllers.belief import ASSUMED, TO_LEARN
+from adaptrack.control.controllers.belief import ASSUMED_SOURCE, TO_LEARN_SOURCE
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
-from adaptrack.core.estimators.learning import BELIEF
+from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import rollout
@@ -46,7 +46,7 @@ def test_who_learns_is_told_nothing_of_the_steering_by_the_profile():
     default, unknown = (MPC(CAR, profile=profile, learning=LEARNING, belief=belief) for belief in (None, "unknown"))
     np.testing.assert_array_equal(default.learner.parameters(), unknown.learner.parameters())
     assert default.limits == unknown.limits
-    assert {default.belief.lag.source, default.belief.dead_time.source} == {TO_LEARN}
+    assert {default.belief.lag.source, default.belief.dead_time.source} == {TO_LEARN_SOURCE}
     assert default.belief.computation.source == f"profile {profile}"
     registered = get_controller("informed-learning", CAR, profile=profile)
     np.testing.assert_array_equal(registered.learner.parameters(), unknown.learner.parameters())
@@ -112,17 +112,17 @@ FROM_FILE, FROM_PROFILE, GIVEN, LEARNED = (
     ("car file paper",) * 2,
     ("profile road",) * 2,
     ("given",) * 2,
-    (TO_LEARN,) * 2,
+    (TO_LEARN_SOURCE,) * 2,
 )
 PART, NAMED = CAR.replace(steering=Steering(lag=0.1)), {"profile": "road"}
 ROWS = [
     ("`MPC(car)`, car file with lag", lambda: MPC(KNOWN), FROM_FILE, 0.0, False),
-    ("`MPC(car)`, car file without", lambda: MPC(PART), ("car file paper", TO_LEARN), 0.0, True),
+    ("`MPC(car)`, car file without", lambda: MPC(PART), ("car file paper", TO_LEARN_SOURCE), 0.0, True),
     ("`MPC(car, belief=at.Steering(lag=0.2, dead_time", lambda: MPC(KNOWN, belief=STEERING), GIVEN, 0.0, False),
     ("`MPC(car, belief=at.Steering(lag=0.2))`", lambda: MPC(KNOWN, belief=Steering(lag=0.2)),
      ("given", "car file paper"), 0.0, False),
     ('`MPC(car, belief="unknown")`', lambda: MPC(KNOWN, belief="unknown"), LEARNED, 0.0, True),
-    ("`MPC(car, learning=None)`", lambda: MPC(CAR, learning=None), (ASSUMED,) * 2, 0.0, False),
+    ("`MPC(car, learning=None)`", lambda: MPC(CAR, learning=None), (ASSUMED_SOURCE,) * 2, 0.0, False),
     ("`MPC(car, computation=0.02)`", lambda: MPC(KNOWN, computation=0.02), FROM_FILE, 0.02, False),
     ('`MPC(car, profile="road")`', lambda: MPC(CAR, **NAMED), FROM_PROFILE, 0.05, False),
     ('`MPC(car, profile="road", comp', lambda: MPC(CAR, **NAMED, computation=0.0), FROM_PROFILE, 0.0, False),
@@ -189,7 +189,9 @@ def test_the_true_steering_drives_no_worse_than_an_unknown_one():
 
     def mean_square(mpc):
         tunings = np.tile(mpc.tuning.as_array(), (3, 1))
-        runs = rollout_batch(DualTrack(car), mpc, [drive], tunings, which=[0] * 3, profile=world, seeds=np.arange(3))
+        runs = rollout_batch(
+            DualTrack(car), mpc, [drive], tunings, scenario_indices=[0] * 3, profile=world, seeds=np.arange(3)
+        )
         return runs.mse.mean()
 
     assert mean_square(MPC(car, belief=true)) <= mean_square(MPC(car))
@@ -221,7 +223,7 @@ def test_a_steering_that_follows_at_once_is_learned_without_losing_the_car():
     plant, world = DualTrack(vehicle, steering=SteeringActuator()), load_profile("road").replace(delay=0.0)
     mpc, drives = MPC(vehicle), [random_drive(5_600_000 + i, 20.0) for i in range(6)]
     tunings = np.tile(mpc.tuning.as_array(), (6, 1))
-    runs = rollout_batch(plant, mpc, drives, tunings, which=np.arange(6), profile=world, seeds=np.arange(6))
+    runs = rollout_batch(plant, mpc, drives, tunings, scenario_indices=np.arange(6), profile=world, seeds=np.arange(6))
     assert not any(runs.failed)
     assert runs.mse.max() < 0.01
 
@@ -237,7 +239,7 @@ def test_what_the_sheet_leaves_open_is_open_to_who_learns():
 def test_a_certificate_of_who_learns_is_of_how_it_begins_and_names_the_belief():
     mpc = MPC(SHEET, profile="road", learning=LEARNING)
     answer = mpc.step([0.0] * 4, 15.0, np.zeros(40))
-    assert answer.learned[BELIEF.used_caution] == mpc.first_caution > 1.0
+    assert answer.learned[BELIEF_COLUMNS.used_caution] == mpc.first_caution > 1.0
     begins = mpc.estimator.parameters(mpc.model)
     np.testing.assert_allclose(mpc._mpc.informed.estimator, begins, rtol=1e-12)
     certificate = certify(mpc.tuning, DualTrack(SHEET), mpc, "road", levels=(3, 1))

@@ -19,11 +19,11 @@ builder = pytest.importorskip("adaptrack.core.build.library", reason="what build
 llvm = pytest.importorskip("llvmlite.binding")
 
 from adaptrack.core.build import emission, numba_functions  # noqa: E402
-from adaptrack.core.build.exports import EXPORTS, archive, emit_export, shipped  # noqa: E402
+from adaptrack.core.build.exports import EXPORT_TARGETS, archive, emit_export, shipped  # noqa: E402
 from adaptrack.core.build.objects import undefined  # noqa: E402
 from adaptrack.core.build.rules import violations  # noqa: E402
 from adaptrack.core.kernel import EXPORTED, SYMBOL  # noqa: E402
-from adaptrack.core.maths.values import NAMES  # noqa: E402
+from adaptrack.core.maths.values import FUNCTION_NAMES  # noqa: E402
 
 pytestmark = pytest.mark.compiled
 
@@ -70,8 +70,8 @@ def test_who_has_just_read_the_manifest_before_still_finds_its_library(quick):
         os.utime(path, (long_ago, long_ago))
     read = library.manifest()["libraries"][library.processor()]
     builder.build()
-    assert library.whole(read).read_bytes() == b"before"
-    assert library.whole(library.manifest()["libraries"][library.processor()]).read_bytes() == b"new"
+    assert library.verified_file(read).read_bytes() == b"before"
+    assert library.verified_file(library.manifest()["libraries"][library.processor()]).read_bytes() == b"new"
     assert not left.exists()
 
 
@@ -115,8 +115,8 @@ def test_without_a_linker_the_build_says_what_to_install(monkeypatch):
 def test_what_is_built_on_a_system_holds_what_its_processor_asks_for(monkeypatch, system, machine):
     monkeypatch.setattr(library, "sys", SimpleNamespace(platform=system))
     monkeypatch.setattr(library.platform, "machine", lambda: machine)
-    assert library.processor() in builder.of_this_kind()
-    assert set(builder.of_this_kind()) <= set(builder.TARGETS)
+    assert library.processor() in builder.compatible_processors()
+    assert set(builder.compatible_processors()) <= set(builder.COMPILE_TARGETS)
 
 
 # -- rules ------------------------------------------------------------------------------------------------------------
@@ -194,7 +194,7 @@ def test_kernels_of_two_objects_call_each_other_and_give_the_bits_of_one(tmp_pat
         file.write_bytes(builder.finished(library.processor(), parts)[1])
         call = ctypes.CDLL(str(file)).adaptrack_elementary_values
         call.argtypes, call.restype = caller.signature.prototype._argtypes_, None
-        arguments, values = np.linspace(0.01, 0.99, 90).reshape(3, 30), np.zeros((len(NAMES), 30))
+        arguments, values = np.linspace(0.01, 0.99, 90).reshape(3, 30), np.zeros((len(FUNCTION_NAMES), 30))
         for i, row in enumerate(values):
             call(i, arguments.ctypes.data, *arguments.shape, row.ctypes.data, row.size)
         answers.append(values)
@@ -256,7 +256,7 @@ define double @adaptrack_kalman(double %x) {
 """
 
 
-@pytest.mark.parametrize("name", EXPORTS)
+@pytest.mark.parametrize("name", EXPORT_TARGETS)
 def test_an_object_that_calls_what_a_target_has_not_is_refused(name):
     with pytest.raises(builder.BuildError, match=f"exported for {name} calls .*cbrt"):
         emit_export(CALLS.replace("NAME", "cbrt"), name)
@@ -264,7 +264,7 @@ def test_an_object_that_calls_what_a_target_has_not_is_refused(name):
         assert undefined(emit_export(CALLS.replace("NAME", "__aeabi_l2d"), name)) == ["__aeabi_l2d"]
 
 
-@pytest.mark.parametrize("name", emission.TARGETS)
+@pytest.mark.parametrize("name", emission.COMPILE_TARGETS)
 def test_a_library_that_calls_what_it_lacks_is_refused(name):
     content = emission.emit(CALLS.replace("NAME", "cbrt"), name)
     with pytest.raises(builder.BuildError, match=f"the kernels for {name} call .*cbrt"):
@@ -273,4 +273,6 @@ def test_a_library_that_calls_what_it_lacks_is_refused(name):
 
 def test_every_kernel_that_a_program_may_call_is_there():
     there = builder.kernels_of()
-    assert not [(name, kernel) for name, export in EXPORTS.items() for kernel in export.kernels if kernel not in there]
+    assert not [
+        (name, kernel) for name, export in EXPORT_TARGETS.items() for kernel in export.kernels if kernel not in there
+    ]

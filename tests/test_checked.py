@@ -23,7 +23,7 @@ from adaptrack.base import checked as checks
 from adaptrack.base.checked import Bound, Count, Finite, Hint, Natural, NotNegative, Number, Positive, Share, checked
 from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.base.files import Record, build
-from adaptrack.base.limits import CONTROL_HORIZON, SPEED
+from adaptrack.base.limits import CONTROL_HORIZON, MAX_SPEED
 
 if TYPE_CHECKING:
     from nowhere import Elsewhere
@@ -44,7 +44,7 @@ class Box:
 def drive(
     road: Elsewhere[int],
     *,
-    speed: Annotated[Positive, "m/s", SPEED] = 1.0,
+    speed: Annotated[Positive, "m/s", MAX_SPEED] = 1.0,
     moves: Annotated[Count, CONTROL_HORIZON] = 1,
     angle: Annotated[tuple[Finite, Finite], "rad", Hint("give (low, high)")] = (0.0, 1.0),
     weights: Mapping[str, NotNegative] | None = None,
@@ -101,13 +101,13 @@ def test_no_type_takes_what_is_no_number_or_too_large_for_one(kind: Any) -> None
         return value
 
     take.__annotations__["value"] = kind
-    for given in (*NO_NUMBERS, fractions.Fraction(10**400, 3)):
-        assert refusal(lambda given=given: checked(take)(given)).endswith(".")
+    for no_number in (*NO_NUMBERS, fractions.Fraction(10**400, 3)):
+        assert refusal(lambda value=no_number: checked(take)(value)).endswith(".")
 
 
 def test_numbers_of_every_kind_arrive_as_plain_ones() -> None:
-    for given in (2, 2.0, np.float32(2.0), np.int8(2), np.float64(2.0), fractions.Fraction(2)):
-        got = drive(None, speed=given, angle=[given, given], weights={"q": given}, pause=given)
+    for number in (2, 2.0, np.float32(2.0), np.int8(2), np.float64(2.0), fractions.Fraction(2)):
+        got = drive(None, speed=number, angle=[number, number], weights={"q": number}, pause=number)
         for value in (got["speed"], *got["angle"], got["weights"]["q"], got["pause"]):
             assert type(value) is float
             assert value == 2.0
@@ -117,7 +117,7 @@ def test_numbers_of_every_kind_arrive_as_plain_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("arguments", "sentence"),
     [
         ({"speed": -1}, "drive: speed = -1 m/s: must be a finite number > 0."),
         ({"speed": 1e9}, "drive: speed = 1000000000.0 m/s: at most 100 m/s (360 km/h; faster tyres need ever finer"),
@@ -135,8 +135,8 @@ def test_numbers_of_every_kind_arrive_as_plain_ones() -> None:
         ({"pole": 1.0}, "drive: pole = 1.0: must be a finite number >= 0 and < 1."),
     ],
 )
-def test_a_refusal_names_call_argument_value_unit_and_what_is_allowed(given: dict[str, Any], said: str) -> None:
-    assert refusal(lambda: drive(None, **given)).startswith(said)
+def test_a_refusal_names_call_argument_value_unit_and_what_is_allowed(arguments: dict[str, Any], sentence: str) -> None:
+    assert refusal(lambda: drive(None, **arguments)).startswith(sentence)
 
 
 def test_objects_and_methods_are_checked_by_position_and_by_name_under_their_own_names() -> None:
@@ -173,7 +173,7 @@ def test_fields_of_files_take_the_same_types_in_the_same_words() -> None:
 
 def names_in(tree: ast.AST | None) -> set[str]:
     """The names that an expression mentions."""
-    return {each.id for each in ast.walk(tree) if isinstance(each, ast.Name)} if tree is not None else set()
+    return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} if tree is not None else set()
 
 
 def unchecked(path: Path) -> list[str]:
@@ -181,33 +181,33 @@ def unchecked(path: Path) -> list[str]:
     module = ast.parse(path.read_text(encoding="utf-8"))
     types = {
         alias.name
-        for each in module.body
-        if isinstance(each, ast.ImportFrom) and each.module == "adaptrack.base.checked"
-        for alias in each.names
+        for statement in module.body
+        if isinstance(statement, ast.ImportFrom) and statement.module == "adaptrack.base.checked"
+        for alias in statement.names
         if typing.get_origin(getattr(checks, alias.name)) is Annotated
     }
     types |= {
         target.id
-        for each in module.body
-        if isinstance(each, ast.Assign) and names_in(each.value) & types
-        for target in each.targets
+        for statement in module.body
+        if isinstance(statement, ast.Assign) and names_in(statement.value) & types
+        for target in statement.targets
         if isinstance(target, ast.Name)
     }
-    found = []
-    for each in ast.walk(module):
-        if isinstance(each, ast.FunctionDef) and each.name == "__init__" and "check_parameters" in names_in(module):
+    result = []
+    for node in ast.walk(module):
+        if isinstance(node, ast.FunctionDef) and node.name == "__init__" and "check_parameters" in names_in(module):
             continue
-        if isinstance(each, ast.FunctionDef):
-            given = [*each.args.posonlyargs, *each.args.args, *each.args.kwonlyargs]
-            annotations = [argument.annotation for argument in given]
-        elif isinstance(each, ast.ClassDef) and not any("Record" in names_in(base) for base in each.bases):
-            annotations = [line.annotation for line in each.body if isinstance(line, ast.AnnAssign)]
+        if isinstance(node, ast.FunctionDef):
+            parameters = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+            annotations = [argument.annotation for argument in parameters]
+        elif isinstance(node, ast.ClassDef) and not any("Record" in names_in(base) for base in node.bases):
+            annotations = [line.annotation for line in node.body if isinstance(line, ast.AnnAssign)]
         else:
             continue
-        held = any("checked" in names_in(decorator) for decorator in each.decorator_list)
-        if not held and any(names_in(annotation) & types for annotation in annotations):
-            found.append(f"{path.name}: {each.name}")
-    return found
+        is_checked = any("checked" in names_in(decorator) for decorator in node.decorator_list)
+        if not is_checked and any(names_in(annotation) & types for annotation in annotations):
+            result.append(f"{path.name}: {node.name}")
+    return result
 
 
 def test_every_call_whose_annotations_promise_a_check_makes_it(tmp_path: Path) -> None:

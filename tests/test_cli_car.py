@@ -3,98 +3,75 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import pytest
 
-from adaptrack import cli
 from adaptrack.cars.vehicle import list_vehicles, load_tyre, load_vehicle
 from test_tyre_file import BOOK, tir
 from test_tyre_table import table
 
 
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """(exit code, standard output, standard error) of `adaptrack car` in 80 columns."""
-
-    def run(*arguments):
-        monkeypatch.setenv("COLUMNS", "80")
-        monkeypatch.setattr(sys, "argv", ["adaptrack", "car", *map(str, arguments)])
-        code = cli.main()
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
-
-
 @pytest.mark.parametrize("name", list_vehicles())
-def test_every_shipped_car_is_shown_in_80_columns(command, name):
-    code, out, err = command(name)
+def test_every_shipped_car_is_shown_in_80_columns(run_command, name):
+    code, out, err = run_command("car", name)
     assert (code, err) == (0, "")
     assert max(map(len, out.splitlines())) <= 80
     for words in ("understeer gradient", "characteristic speed", "yaw gain at", "Domain:"):
         assert words in out
 
 
-def test_what_is_known_within_what_is_shown(command):
-    _, out, _ = command("sports-car")
+def test_what_is_known_within_what_is_shown(run_command):
+    _, out, _ = run_command("car", "sports-car")
     assert "x/÷ 1.15" in out
     assert "± 0.05 m" in out
     assert "1.07 (0.34 to 1.97)" in out
 
 
-def test_mass_and_wheelbase_make_a_car_that_loads_and_says_what_is_estimated(command, tmp_path):
+def test_mass_and_wheelbase_make_a_car_that_loads_and_says_what_is_estimated(run_command, tmp_path):
     out = tmp_path / "new" / "my-car.toml"
-    code, said, _ = command("--mass", 1500, "--wheelbase", 2.7, "--load", 75, "--lf", 1.2, "--out", out)
+    code, text, _ = run_command("car", "--mass", 1500, "--wheelbase", 2.7, "--load", 75, "--lf", 1.2, "--out", out)
     assert code == 0
-    assert "estimated" in said
+    assert "estimated" in text
     car = load_vehicle(out)
     assert (car.name, car.mass, car.lf, car.lr) == ("my-car", 1575.0, 1.2, pytest.approx(1.5))
     assert "stiffness_front" in car.estimated
     assert "lf" not in car.estimated
-    _, again, _ = command(out)
+    _, again, _ = run_command("car", out)
     assert "estimated" in again
 
 
-def test_a_tyre_file_makes_a_tyre_beside_the_car_which_believes_its_stiffness(command, tmp_path):
-    file, out = tir(tmp_path / "a.tir", BOOK), tmp_path / "mine.toml"
-    code, said, _ = command("midsize-sedan", "--tir", file, "--out", out)
+def test_a_tyre_file_makes_a_tyre_beside_the_car_and_the_pair_may_be_moved(run_command, tmp_path):
+    file, out = tir(tmp_path / "a.tir", BOOK), tmp_path / "new" / "mine.toml"
+    code, text, _ = run_command("car", "midsize-sedan", "--tir", file, "--out", out)
     assert code == 0
-    assert max(map(len, said.splitlines())) <= 80 + len(str(tmp_path))
-    assert "force off by at most" in said
-    car, tyre = load_vehicle(out), load_tyre(tmp_path / "mine-tyre.toml")
+    assert max(map(len, text.splitlines())) <= 80 + len(str(tmp_path))
+    assert "force off by at most" in text
+    car, tyre = load_vehicle(out), load_tyre(tmp_path / "new" / "mine-tyre.toml")
     assert load_tyre(car.tyre) == tyre
     assert tyre.name == "mine-tyre"
     matched = car.matched_to(tyre)
-    assert (car.stiffness_front, car.stiffness_rear) == pytest.approx(
-        (matched.stiffness_front, matched.stiffness_rear), rel=1e-4
-    )
+    assert car.stiffness_front == pytest.approx(matched.stiffness_front, rel=1e-4)
+    assert car.stiffness_rear == pytest.approx(matched.stiffness_rear, rel=1e-4)
+    (tmp_path / "new").rename(tmp_path / "moved")
+    car = load_vehicle(tmp_path / "moved" / "mine.toml")
+    assert load_tyre(car.tyre) == tyre
+    car.to_toml(tmp_path / "copy.toml")
+    assert load_tyre(load_vehicle(tmp_path / "copy.toml").tyre) == tyre
 
 
-def test_the_pair_may_be_moved_to_another_folder(command, tmp_path, monkeypatch):
-    (tmp_path / "one").mkdir()
-    monkeypatch.chdir(tmp_path)
-    command("midsize-sedan", "--tir", tir(tmp_path / "a.tir", BOOK), "--out", "one/mine.toml")
-    (tmp_path / "one").rename(tmp_path / "two")
-    car = load_vehicle("two/mine.toml")
-    assert load_tyre(car.tyre).name == "mine-tyre"
-    car.to_toml("copy.toml")
-    assert load_tyre(load_vehicle("copy.toml").tyre).name == "mine-tyre"
-
-
-def test_a_tyre_file_alone_makes_a_tyre(command, tmp_path):
-    code, _, _ = command("--tir", tir(tmp_path / "a.tir", BOOK), "--out", tmp_path / "tyre.toml")
+def test_a_tyre_file_alone_makes_a_tyre(run_command, tmp_path):
+    code, _, _ = run_command("car", "--tir", tir(tmp_path / "a.tir", BOOK), "--out", tmp_path / "tyre.toml")
     assert code == 0
     assert load_tyre(tmp_path / "tyre.toml").nominal_load == 4000.0
 
 
-def test_a_table_of_axle_forces_is_fitted_at_the_loads_of_the_car(command, tmp_path):
-    code, out, _ = command("sports-car", "--tyre-table", table(tmp_path / "axles.csv"), "--json")
-    found = json.loads(out)
+def test_a_table_of_axle_forces_is_fitted_at_the_loads_of_the_car(run_command, tmp_path):
+    code, out, _ = run_command("car", "sports-car", "--tyre-table", table(tmp_path / "axles.csv"), "--json")
+    result = json.loads(out)
     assert code == 0
-    assert found["tyre"]["deviation"] < 0.02
-    assert found["tyre"]["loads"][1] == pytest.approx(load_vehicle("sports-car").static_loads[0])
-    assert found["car"]["stiffness_front"] == pytest.approx(found["tyre"]["tyre"]["stiffness_front"], rel=1e-3)
+    assert result["tyre"]["deviation"] < 0.02
+    assert result["tyre"]["loads"][1] == pytest.approx(load_vehicle("sports-car").static_loads[0])
+    assert result["car"]["stiffness_front"] == pytest.approx(result["tyre"]["tyre"]["stiffness_front"], rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -106,18 +83,15 @@ def test_a_table_of_axle_forces_is_fitted_at_the_loads_of_the_car(command, tmp_p
         (["--lf", 1.1], "needs --mass and --wheelbase"),
         (["van", "--mass", 1500], "van: is a car already"),
         (["van", "--out", "car.json"], "--out car.json: must end in .toml"),
-        (
-            ["--mass", 3, "--wheelbase", 0.3],
-            "mass = 3.0 kg: must be a finite number >= 600 and <= 3500",
-        ),
+        (["--mass", 3, "--wheelbase", 0.3], "mass = 3.0 kg: must be a finite number >= 600 and <= 3500"),
         (["van", "--tir", "none.tir"], "none.tir"),
         (["van", "--tir", "a.tir", "--tyre-table", "b.csv"], "one tyre at a time"),
         (["--tyre-table", "b.csv"], "name a car"),
     ],
 )
-def test_bad_input_is_named_in_one_sentence(command, tmp_path, monkeypatch, arguments, message):
+def test_bad_input_is_named_in_one_sentence(run_command, tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
-    code, _, err = command(*arguments)
+    code, _, err = run_command("car", *arguments)
     assert code == 2
     assert message in err
     assert not list(tmp_path.iterdir())

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 
 import numpy as np
 import pytest
 
-from adaptrack import cli, load_scenario, load_vehicle
+from adaptrack import load_scenario, load_vehicle
 from adaptrack.base.errors import InvalidInput, UnknownName
 from adaptrack.cli.places import is_road
 from adaptrack.control.controllers import Tuning
@@ -28,18 +27,6 @@ ROW_KEYS = {
 FAILING = ["step", "-o", "friction=0.1", "-o", "speed=30", "-o", "wind=60", "-o", "duration=8"]
 
 
-@pytest.fixture
-def drive(monkeypatch, capsys):
-    """Run the command: (exit code, standard output, standard error)."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["adaptrack", "drive", *map(str, arguments)])
-        code = cli.main()
-        return code, *capsys.readouterr()
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def points(tmp_path_factory):
     """A recorded road: every 3 m, with 5 cm of noise."""
@@ -52,9 +39,9 @@ def points(tmp_path_factory):
 
 
 @pytest.mark.drawn
-def test_scenarios_have_rows_a_page_trajectories_and_where_asked_pictures(drive, tmp_path):
+def test_scenarios_have_rows_a_page_trajectories_and_where_asked_pictures(run_command, tmp_path):
     words = ["step", "sine", "--controller", "as-written", "--controller", "lqr", "-o", "duration=2.0"]
-    code, out, err = drive(*words, "--out", tmp_path / "a" / "b", "--png", "--json")
+    code, out, err = run_command("drive", *words, "--out", tmp_path / "a" / "b", "--png", "--json")
     rows = json.loads(out)["rows"]
     assert code == 0, err
     pairs = [("step", "as-written"), ("step", "lqr"), ("sine", "as-written"), ("sine", "lqr")]
@@ -66,8 +53,8 @@ def test_scenarios_have_rows_a_page_trajectories_and_where_asked_pictures(drive,
     assert names >= {"index.html", "speed.png", "sine-tracking.png", "step-as-written.parquet", "sine-lqr.parquet"}
 
 
-def test_recorded_points_are_driven_in_profile_road_to_a_page_with_a_replay(drive, points, tmp_path):
-    code, out, err = drive(points, "--vehicle", "midsize-sedan", "--out", tmp_path, "--json")
+def test_recorded_points_are_driven_in_profile_road_to_a_page_with_a_replay(run_command, points, tmp_path):
+    code, out, err = run_command("drive", points, "--vehicle", "midsize-sedan", "--out", tmp_path, "--json")
     (row,) = json.loads(out)["rows"]
     assert code == 0, err
     assert (row["profile"], row["preview"], row["failed"]) == ("road", True, None)
@@ -77,18 +64,18 @@ def test_recorded_points_are_driven_in_profile_road_to_a_page_with_a_replay(driv
     assert np.abs(Trajectory.load(tmp_path / "recorded-informed.parquet").error).max() < 0.3
 
 
-def test_a_scenarios_profile_decides_period_and_preview_unless_options_do(drive):
+def test_a_scenarios_profile_decides_period_and_preview_unless_options_do(run_command):
     for words, period, preview in (
         ([], 0.1, False),
         (["--profile", "road"], 0.05, True),
         (["--profile", "road", "--no-preview", "--period", "0.1"], 0.1, False),
     ):
-        (row,) = json.loads(drive("sine", "-o", "duration=1.0", "--json", *words)[1])["rows"]
+        (row,) = json.loads(run_command("drive", "sine", "-o", "duration=1.0", "--json", *words)[1])["rows"]
         assert (row["period"], row["preview"]) == (period, preview)
 
 
-def test_failed_runs_are_loud_with_time_reason_and_code_3_unless_allowed(drive):
-    code, out, err = drive(*FAILING, "--controller", "informed", "--controller", "standard", "--json")
+def test_failed_runs_are_loud_with_time_reason_and_code_3_unless_allowed(run_command):
+    code, out, err = run_command("drive", *FAILING, "--controller", "informed", "--controller", "standard", "--json")
     rows = json.loads(out)["rows"]
     assert code == 3
     assert rows[0]["failed"] in list(Reason)
@@ -96,16 +83,16 @@ def test_failed_runs_are_loud_with_time_reason_and_code_3_unless_allowed(drive):
     sentence = f"FAILED step, informed: at {rows[0]['failed_at']:.2f} s the vehicle {rows[0]['failed_because']}."
     assert sentence in err
     assert err.count("FAILED ") == sum(row["failed"] is not None for row in rows)
-    code, out, _ = drive(*FAILING, "--allow-failed")
+    code, out, _ = run_command("drive", *FAILING, "--allow-failed")
     assert code == 0
     assert sentence in out
     assert "\x1b" not in out
     assert "matched_to" not in out, "the tyre is the model's"
 
 
-def test_the_page_of_a_failed_run_begins_with_it(drive, tmp_path):
+def test_the_page_of_a_failed_run_begins_with_it(run_command, tmp_path):
     words = ["general-trajectory", "--profile", "road", "-o", "duration=15", "--controller", "standard"]
-    code, out, _ = drive(*words, "--out", tmp_path, "--json")
+    code, out, _ = run_command("drive", *words, "--out", tmp_path, "--json")
     (row,) = json.loads(out)["rows"]
     assert (code, row["failed"]) == (3, "off-road")
     heading = f"Failed at {row['failed_at']:.1f} s: the vehicle left the road"
@@ -114,33 +101,33 @@ def test_the_page_of_a_failed_run_begins_with_it(drive, tmp_path):
     assert re.search(rf"<h1><strong class=\"failed\">{heading}", page)
 
 
-def test_a_failed_car_whose_model_and_tyre_disagree_is_shown_the_remedy(drive, tmp_path):
+def test_a_failed_car_whose_model_and_tyre_disagree_is_shown_the_remedy(run_command, tmp_path):
     numbers = {"mass": 1500.0, "yaw_inertia": 2500.0, "lf": 1.1, "lr": 1.6, "stiffness_front": 15000.0,
                "stiffness_rear": 60000.0}  # fmt: skip
     (tmp_path / "soft.toml").write_text("".join(f"{name} = {value}\n" for name, value in numbers.items()))
     words = ["double-lane-change", "-o", "speed=27", "--profile", "road", "--vehicle", tmp_path / "soft.toml"]
-    code, out, _ = drive(*words)
+    code, out, _ = run_command("drive", *words)
     assert code == 3
     assert re.search(r"has 15000 and 60000 N/rad.* has 79\d+ and 59\d+\..*stiffness_front.*matched_to", out)
 
 
-def test_the_steering_model_is_printed_with_its_sources_and_kept_in_the_rows(drive):
+def test_the_steering_model_is_printed_with_its_sources_and_kept_in_the_rows(run_command):
     words = ["sine", "-o", "duration=1.0", "--profile", "road"]
-    _, out, _ = drive(*words, "--vehicle", "midsize-sedan")
+    _, out, _ = run_command("drive", *words, "--vehicle", "midsize-sedan")
     assert "lag 0.15 s, dead time 0 s, computation 0.05 s (profile road)" in out
     assert "rate 0.4 rad/s, limit 1.066 rad (car file midsize-sedan)" in out
     assert "The simulated steering differs" in out
-    _, out, _ = drive(*words, "--json", "--controller", "informed", "--controller", "standard")
+    _, out, _ = run_command("drive", *words, "--json", "--controller", "informed", "--controller", "standard")
     beliefs = [row["belief"] for row in json.loads(out)["rows"]]
     assert "profile road" in beliefs[0]
     assert beliefs[1] is None
 
 
-def test_files_of_scenario_car_and_scheduler_are_driven_under_their_names(drive, tmp_path):
+def test_files_of_scenario_car_and_scheduler_are_driven_under_their_names(run_command, tmp_path):
     load_scenario("sine", duration=1.0).to_toml(tmp_path / "mine.toml")
     load_vehicle("midsize-sedan").to_toml(tmp_path / "car.toml")
     Constant(Tuning(30, 5, 1.0, 4000.0), name="nn").save(tmp_path / "fast.json")
-    code, out, err = drive(
+    code, out, err = run_command("drive",
         tmp_path / "mine.toml", "--vehicle", tmp_path / "car.toml", "--scheduler", tmp_path / "fast.json",
         "--controller", "standard", "--controller", "as-written", "--json",
     )  # fmt: skip
@@ -194,7 +181,7 @@ def test_a_name_of_a_scenario_and_of_a_road_is_refused(monkeypatch):
         (["{points}", "--laps", "2"], "--closed"),
     ],
 )
-def test_options_of_the_other_kind_are_refused(drive, points, words, sentence):
-    code, out, err = drive(*(word.format(points=points) for word in words))
+def test_options_of_the_other_kind_are_refused(run_command, points, words, sentence):
+    code, out, err = run_command("drive", *(word.format(points=points) for word in words))
     assert (code, out) == (2, "")
     assert sentence in err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
@@ -12,8 +13,10 @@ import time
 import pytest
 import typer
 
-from adaptrack import cli
+from adaptrack import cli, scenario
 from adaptrack.cli import interrupt
+from adaptrack.drive import simulate
+from adaptrack.drive.trajectory import Trajectory
 
 
 def adaptrack(*arguments, prepend=None, **options):
@@ -52,32 +55,18 @@ def test_ctrl_c_during_an_import_is_one_sentence_and_exit_code_130(tmp_path, mod
     assert time.monotonic() - begun < 25.0
 
 
-def press_ctrl_c(*given, **more):
+def press_ctrl_c(*arguments, **options):
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(5.0)
     pytest.fail("Ctrl-C was not heard")
-
-
-def run(monkeypatch, capsys, *arguments):
-    monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
-    code = cli.main()
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 @pytest.mark.parametrize(
     ("command", "stopped_in", "words"),
     [
         ("drive step", "adaptrack.scenario.load_scenario", "Nothing was written"),
-        (
-            "paper train --data paper-grid --model nn --out {out}/nn.json",
-            "adaptrack.paper.data_set.load_dataset",
-            "Nothing was",
-        ),
         ("paper reproduce --out {out}", "adaptrack.paper.data_set.load_dataset", "Nothing was written"),
         ("paper adapt --out {out}", "adaptrack.paper.adaptation.adapt", "{out}: run the command again to go on"),
-        ("paper evaluate", "adaptrack.paper.campaign_config.load_campaign", "Nothing was written"),
-        ("certify road-nn", "adaptrack.control.scheduling.load_scheduler", "Nothing was written"),
         (
             "paper campaign paper-grid --out {out}",
             "adaptrack.paper.campaign.run_campaign",
@@ -85,33 +74,27 @@ def run(monkeypatch, capsys, *arguments):
         ),
     ],
 )
-def test_every_command_answers_ctrl_c_with_what_is_kept(monkeypatch, capsys, tmp_path, command, stopped_in, words):
-    import importlib
-
+def test_every_command_answers_ctrl_c_with_what_is_kept(run_command, monkeypatch, tmp_path, command, stopped_in, words):
     module, _, name = stopped_in.rpartition(".")
     monkeypatch.setattr(importlib.import_module(module), name, press_ctrl_c)
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)
-    code, out, err = run(monkeypatch, capsys, *command.format(out=tmp_path).split())
-    assert code == 130
-    assert out == ""
+    code, out, err = run_command(*command.format(out=tmp_path).split())
+    assert (code, out) == (130, "")
     assert "Traceback" not in err
     assert err.splitlines()[-1].startswith("adaptrack: interrupted. ")
     assert words.format(out=tmp_path) in err
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)) == before
+    run_command("--version")
+    assert interrupt.progress_note() == "Nothing was written.", "the next command forgets the note"
 
 
-def test_ctrl_c_between_runs_tells_which_trajectories_are_there(monkeypatch, capsys, tmp_path):
-    from adaptrack.drive.simulate import simulate as drive
-    from adaptrack.drive.trajectory import Trajectory
-
-    saved = []
+def test_ctrl_c_between_runs_tells_which_trajectories_are_there(run_command, monkeypatch, tmp_path):
+    saved, drive = [], simulate.simulate
     monkeypatch.setattr(Trajectory, "save", lambda self, path: saved.append(path))
-
-    def once(*given, **more):
-        return press_ctrl_c() if saved else drive(*given, **more)
-
-    monkeypatch.setattr(sys.modules["adaptrack.drive.simulate"], "simulate", once)
-    code, _, err = run(monkeypatch, capsys, "drive", "step", "sine", "-o", "duration=0.3", "--out", tmp_path)
+    monkeypatch.setattr(
+        simulate, "simulate", lambda *args, **options: press_ctrl_c() if saved else drive(*args, **options)
+    )
+    code, _, err = run_command("drive", "step", "sine", "-o", "duration=0.3", "--out", tmp_path)
     assert code == 130
     assert f"1 of 2 runs were finished; their trajectories are in {tmp_path}" in err
 
@@ -125,15 +108,7 @@ def test_a_thread_may_call_the_command_line(monkeypatch, capsys):
     assert codes == [0]
 
 
-def test_what_is_kept_is_forgotten_by_the_next_command(monkeypatch, capsys):
-    interrupt.kept("All is lost.")
-    run(monkeypatch, capsys, "--version")
-    assert interrupt.what_is_kept() == "Nothing was written."
-
-
-def test_ctrl_c_that_a_finalizer_swallows_is_heard_a_moment_later(monkeypatch, capsys):
-    from adaptrack import scenario
-
+def test_ctrl_c_that_a_finalizer_swallows_is_heard_a_moment_later(run_command, monkeypatch):
     class Resource:
         def __del__(self):
             os.kill(os.getpid(), signal.SIGINT)
@@ -146,34 +121,30 @@ def test_ctrl_c_that_a_finalizer_swallows_is_heard_a_moment_later(monkeypatch, c
     hook = sys.unraisablehook
     monkeypatch.setattr(cli, "REPEAT", 0.05)
     monkeypatch.setattr(scenario, "list_scenarios", release)
-    assert run(monkeypatch, capsys, "list", "scenarios") == (130, "", "adaptrack: interrupted. Nothing was written.\n")
+    assert run_command("list", "scenarios") == (130, "", "adaptrack: interrupted. Nothing was written.\n")
     assert sys.unraisablehook is hook
 
 
-def test_an_end_of_file_within_a_command_is_no_ctrl_c(monkeypatch, capsys):
-    from adaptrack import scenario
-
-    def torn(*given, **more):
+def test_an_end_of_file_within_a_command_is_no_ctrl_c(run_command, monkeypatch):
+    def torn():
         raise EOFError("Ran out of input")
 
     monkeypatch.setattr(scenario, "list_scenarios", torn)
-    with pytest.raises(typer.Abort) as found:  # a fault, with its traceback
-        run(monkeypatch, capsys, "list", "scenarios")
-    assert isinstance(found.value.__cause__, EOFError)
+    with pytest.raises(typer.Abort) as fault:  # a fault, with its traceback
+        run_command("list", "scenarios")
+    assert isinstance(fault.value.__cause__, EOFError)
 
 
-def test_no_command_asks_matplotlib_for_a_window_system(monkeypatch, capsys):
-    from adaptrack import scenario
-
-    seen = []
+def test_no_command_asks_matplotlib_for_a_window_system(run_command, monkeypatch):
+    backends = []
     monkeypatch.setenv("MPLBACKEND", "nonsense")  # the import of matplotlib would refuse it
-    monkeypatch.setattr(scenario, "list_scenarios", lambda: seen.append(os.environ.get("MPLBACKEND")) or {})
-    assert run(monkeypatch, capsys, "list", "scenarios")[0] == 0
-    assert seen == [None]
+    monkeypatch.setattr(scenario, "list_scenarios", lambda: backends.append(os.environ.get("MPLBACKEND")) or {})
+    assert run_command("list", "scenarios")[0] == 0
+    assert backends == [None]
 
 
 # -- standard output --------------------------------------------------------------------------------------------------
-COMMANDS = [["--help"], ["--version"], ["list"], ["list", "--json"], ["compare", "--help"]]
+COMMANDS = [["--help"], ["list"], ["list", "--json"]]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -198,15 +169,15 @@ def test_a_reader_that_has_gone_ends_the_command_quietly_with_exit_code_141(comm
 
 def test_a_closed_standard_output_is_one_sentence_and_exit_code_2():
     command = f"exec {sys.executable} -m adaptrack list >&-"
-    done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, timeout=60, check=False)
-    assert done.returncode == 2
-    assert done.stderr.startswith("adaptrack: standard output is closed")
-    assert len(done.stderr.splitlines()) == 1
+    process = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    assert process.returncode == 2
+    assert process.stderr.startswith("adaptrack: standard output is closed")
+    assert len(process.stderr.splitlines()) == 1
 
 
 def test_text_that_the_terminal_cannot_show_is_escaped():
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "adaptrack", "list"], capture_output=True, env=environment, timeout=60, check=False
     )
-    assert (done.returncode, done.stderr) == (0, b"")
+    assert (process.returncode, process.stderr) == (0, b"")

@@ -28,9 +28,9 @@ def run(*arguments):
 
 
 def answer(*arguments):
-    done = run(*arguments, "--json")
-    assert done.exit_code == 0, (done.output, done.exception)
-    return json.loads(done.stdout)
+    process = run(*arguments, "--json")
+    assert process.exit_code == 0, (process.output, process.exception)
+    return json.loads(process.stdout)
 
 
 @pytest.fixture(scope="module")
@@ -74,16 +74,16 @@ def test_a_drive_takes_the_tuning_back_and_warns_of_another_car(tuned):
     (row,) = answer("drive", "town", "--length", 200, "--vehicle", "midsize-sedan", "--tuning", file)["rows"]
     assert row["controller"] == "lqr, tuning"
     assert row["r"] == result["entries"]["r"]
-    done = run("drive", "town", "--length", 200, "--tuning", file, "--controller", "informed", "--json")
-    assert "found for the car 'midsize-sedan', not 'paper'" in done.stderr
-    informed = json.loads(done.stdout)["rows"][0]
+    process = run("drive", "town", "--length", 200, "--tuning", file, "--controller", "informed", "--json")
+    assert "found for the car 'midsize-sedan', not 'paper'" in process.stderr
+    informed = json.loads(process.stdout)["rows"][0]
     assert 0.0 < informed["prediction_error_half"] < informed["prediction_error_one"] < 0.5
 
 
 def test_compare_drives_all_on_the_same_roads_and_leaves_out_what_does_not_fit(tuned, tmp_path):
     _, file = tuned
-    same = ("--length", 200, "--vehicle", "midsize-sedan", "--tuning", file, "--seeds", 2)
-    result = answer("compare", *ROADS, *same, "--out", tmp_path)
+    options = ("--length", 200, "--vehicle", "midsize-sedan", "--tuning", file, "--seeds", 2)
+    result = answer("compare", *ROADS, *options, "--out", tmp_path)
     rows = {row["label"]: row for row in result["profiles"]["road"]}
     defaults = {f"{name}, default" for name in ("informed", "published", "lqr", "pure-pursuit", "stanley")}
     assert set(rows) == {*defaults, f"lqr, {file}"}
@@ -93,7 +93,7 @@ def test_compare_drives_all_on_the_same_roads_and_leaves_out_what_does_not_fit(t
         assert row["cost_low"] <= row["cost_ratio"] <= row["cost_high"]
     assert rows["informed, default"]["cost_ratio"] == 1.0
     assert f"lqr, {file}" in (tmp_path / "index.html").read_text()
-    result = answer("compare", "town", *same, "--profile", "production")
+    result = answer("compare", "town", *options, "--profile", "production")
     reasons = {cell["contender"]: cell["why"] for cell in result["left_out"]}
     assert "does not measure vy" in reasons["published"]
     assert "was found for the profile 'road', not 'production'" in reasons[str(file)]
@@ -118,9 +118,9 @@ def test_compare_drives_all_on_the_same_roads_and_leaves_out_what_does_not_fit(t
     ],
 )
 def test_a_wrong_argument_is_refused_with_the_remedy(arguments, words, tmp_path):
-    done = run(*(argument.format(out=tmp_path) for argument in arguments))
-    assert isinstance(done.exception, InvalidInput), done.output
-    assert words in str(done.exception)
+    process = run(*(argument.format(out=tmp_path) for argument in arguments))
+    assert isinstance(process.exception, InvalidInput), process.output
+    assert words in str(process.exception)
 
 
 def test_a_learned_file_of_another_car_is_refused_with_the_key_to_change(tmp_path):

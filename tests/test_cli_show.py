@@ -13,7 +13,7 @@ import time
 import pytest
 
 from adaptrack.base import progress
-from adaptrack.base.progress import Work
+from adaptrack.base.progress import TrackedWork
 from adaptrack.cli import show, train
 from adaptrack.cli.show import Column
 from adaptrack.results import certificate, compare, drive_tables
@@ -107,8 +107,8 @@ def test_json_is_strict(capsys):
 
 # -- progress ---------------------------------------------------------------------------------------------------------
 def test_without_a_terminal_progress_is_a_line_now_and_then_with_the_time_left(monkeypatch, capsys):
-    monkeypatch.setattr("adaptrack.base.progress.FIRST", 0.05)
-    monkeypatch.setattr("adaptrack.base.progress.NEXT", 0.05)
+    monkeypatch.setattr("adaptrack.base.progress.FIRST_PAUSE", 0.05)
+    monkeypatch.setattr("adaptrack.base.progress.NEXT_PAUSE", 0.05)
     with show.progress("work") as advance:
         time.sleep(0.12)
         advance("half", 1, 2)
@@ -128,7 +128,7 @@ def test_what_is_done_in_two_seconds_says_nothing(capsys):
 
 
 def test_several_pieces_of_work_count_as_one():
-    state = Work("drive", total=4)
+    state = TrackedWork("drive", total=4)
     state.update("first", 5, 10)
     assert state.share == 0.125
     state.update("first", 10, 10)
@@ -139,7 +139,7 @@ def test_several_pieces_of_work_count_as_one():
 def test_a_stage_has_its_own_time_left(monkeypatch):
     clock = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
-    state = Work("one", total=1)
+    state = TrackedWork("one", total=1)
     clock[0] = 100.0
     state.update("two", 0, 4)
     clock[0] = 110.0
@@ -179,15 +179,15 @@ def test_a_log_record_does_not_tear_the_bar_of_a_terminal():
         env=os.environ | {"TERM": "xterm", "COLUMNS": "80"},
     )  # fmt: skip
     os.close(theirs)
-    seen = b""
+    output = b""
     try:
         while chunk := os.read(ours, 4096):
-            seen += chunk
+            output += chunk
     except OSError:  # the terminal is closed when its last user ends
         pass
     out, _ = process.communicate(timeout=60)
     os.close(ours)
-    text = seen.decode()
+    text = output.decode()
     assert (process.returncode, out) == (0, "done\n")
     assert "work [/red]" in text
     assert "left" in text

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 import adaptrack as at
@@ -19,7 +20,7 @@ from adaptrack.comparison.cells import run_cell
 from adaptrack.comparison.config import (
     Cell,
     ComparisonConfig,
-    Setting,
+    ControllerSetting,
     list_comparisons,
     load_comparison,
     load_drive,
@@ -52,31 +53,31 @@ def columns(logs: dict[str, np.ndarray], failed: dict[str, np.ndarray] | None = 
         for (car, road), value in np.ndenumerate(table):
             lost = bool(failed is not None and name in failed and failed[name][car, road])
             values = (name, "default", f"car {car}", f"road {road:02d}", 0.0, math.exp(2.0 * value), float(lost))
-            for key, each in zip(rows, values, strict=True):
-                rows[key].append(each)
-    found = {name: np.array(values) for name, values in rows.items()}
-    found["rms_error"] = np.sqrt(found["cost"])
-    return found | {
-        name: found["rms_error"] for name in ("p95_error", "max_corner", "steering_rate", "acceleration", "jerk")
+            for key, entry in zip(rows, values, strict=True):
+                rows[key].append(entry)
+    result = {name: np.array(values) for name, values in rows.items()}
+    result["rms_error"] = np.sqrt(result["cost"])
+    return result | {
+        name: result["rms_error"] for name in ("p95_error", "max_corner", "steering_rate", "acceleration", "jerk")
     }
 
 
 def table(logs: dict[str, np.ndarray], failed: dict[str, np.ndarray] | None = None) -> Comparison:
-    return Comparison.of_columns(columns(logs, failed))
+    return Comparison.from_columns(columns(logs, failed))
 
 
 def test_a_ratio_that_is_the_same_everywhere_has_an_interval_of_no_width():
     logs = np.random.default_rng(0).normal(size=(4, 6))
-    found = table({"a": logs, "b": logs + math.log(2.0)}).ratio("b, default", "a, default", "rms_error")
-    assert np.allclose([found.mean, found.low, found.high], 2.0)
+    result = table({"a": logs, "b": logs + math.log(2.0)}).ratio("b, default", "a, default", "rms_error")
+    assert np.allclose([result.mean, result.low, result.high], 2.0)
 
 
 def test_the_interval_of_a_ratio_holds_the_truth_about_as_often_as_it_says():
     rng, hits = np.random.default_rng(1), 0
     for _ in range(60):
         cars, roads = rng.normal(0.0, 0.3, (8, 1)), rng.normal(0.0, 0.3, (1, 12))
-        found = ratio(np.exp(cars + roads + rng.normal(0.0, 0.3, (8, 12))), np.ones((8, 12)))
-        hits += found.low < 1.0 < found.high
+        result = ratio(np.exp(cars + roads + rng.normal(0.0, 0.3, (8, 12))), np.ones((8, 12)))
+        hits += result.low < 1.0 < result.high
     assert hits >= 51  # 85 % of 60; drawing the 96 pairs as if they were independent gives half of that
 
 
@@ -93,26 +94,26 @@ def test_only_contenders_whose_intervals_part_have_different_ranks():
 def test_a_failed_run_counts_as_far_off_as_a_run_fails_at():
     failed = np.zeros((2, 3), bool)
     failed[1, 2] = True
-    made = table({"a": np.zeros((2, 3))}, {"a": failed})
-    assert made.table("a, default", "rms_error")[1, 2] == DISTANCE
-    assert standing_rows(made)[0]["failures"] == 1
+    comparison = table({"a": np.zeros((2, 3))}, {"a": failed})
+    assert comparison.table("a, default", "rms_error")[1, 2] == DISTANCE
+    assert standing_rows(comparison)[0]["failures"] == 1
 
 
 def test_contenders_are_compared_on_the_cars_and_roads_that_both_drove():
     logs = np.log([[1.0, 2.0], [3.0, 4.0]])
     rows = columns({"a": logs, "b": logs + math.log(3.0)})
-    kept = ~((rows["contender"] == "b") & (rows["car"] == "car 1"))
-    made = Comparison.of_columns({name: values[kept] for name, values in rows.items()})
-    assert np.isclose(made.ratio("b, default", "a, default", "rms_error").mean, 3.0)
-    assert {row["label"]: row["runs"] for row in standing_rows(made)} == {"a, default": 4, "b, default": 2}
+    is_selected = ~((rows["contender"] == "b") & (rows["car"] == "car 1"))
+    comparison = Comparison.from_columns({name: values[is_selected] for name, values in rows.items()})
+    assert np.isclose(comparison.ratio("b, default", "a, default", "rms_error").mean, 3.0)
+    assert {row["label"]: row["runs"] for row in standing_rows(comparison)} == {"a, default": 4, "b, default": 2}
 
 
 def test_contenders_that_drove_nothing_in_common_have_no_ratio():
     rows = columns({"a": np.zeros((2, 2)), "b": np.zeros((2, 2))})
-    kept = (rows["contender"] == "a") == (rows["car"] == "car 0")
-    made = Comparison.of_columns({name: values[kept] for name, values in rows.items()})
+    is_selected = (rows["contender"] == "a") == (rows["car"] == "car 0")
+    comparison = Comparison.from_columns({name: values[is_selected] for name, values in rows.items()})
     with pytest.raises(InvalidInput, match="nothing in common"):
-        made.ratio("b, default", "a, default")
+        comparison.ratio("b, default", "a, default")
 
 
 # -- what is asked for ------------------------------------------------------------------------------------------------
@@ -149,10 +150,10 @@ def test_the_shipped_comparisons_can_be_loaded_and_name_what_is_there():
 
 def test_a_road_can_be_driven_faster():
     car = at.load_vehicle("paper")
-    usual, fast = (load_drive(name, car, 600.0, 10.0) for name in ("lap:1", "lap:1@6"))
-    assert isinstance(usual, RoadDrive)
+    drive, fast = (load_drive(name, car, 600.0, 10.0) for name in ("lap:1", "lap:1@6"))
+    assert isinstance(drive, RoadDrive)
     assert isinstance(fast, RoadDrive)
-    assert fast.duration < 0.9 * usual.duration
+    assert fast.duration < 0.9 * drive.duration
     assert fast.name == "lap:1@6"
 
 
@@ -178,18 +179,18 @@ def test_the_contender_from_the_data_sheet_is_told_mass_and_wheelbase_alone():
         stiffness_front=0.5 * car.stiffness_front, yaw_inertia=1.4 * car.yaw_inertia, lf=car.lf - 0.1, lr=car.lr + 0.1
     )
     slower = profile.replace(steering=profile.steering.replace(lag=0.3, dead_time=0.1))
-    settings = (Setting(car, DualTrack(car), profile), Setting(other, DualTrack(other), slower))
-    made = [each.controller("informed-from-sheet") for each in settings]
-    assert all(isinstance(each, MPC) for each in made)
-    assert made[0].belief == made[1].belief  # type: ignore[attr-defined]
-    assert made[0].model == made[1].model  # type: ignore[attr-defined]
-    assert made[0].tuning == made[1].tuning  # type: ignore[attr-defined]
+    settings = (ControllerSetting(car, DualTrack(car), profile), ControllerSetting(other, DualTrack(other), slower))
+    comparison = [setting.controller("informed-from-sheet") for setting in settings]
+    assert all(isinstance(controller, MPC) for controller in comparison)
+    assert comparison[0].belief == comparison[1].belief  # type: ignore[attr-defined]
+    assert comparison[0].model == comparison[1].model  # type: ignore[attr-defined]
+    assert comparison[0].tuning == comparison[1].tuning  # type: ignore[attr-defined]
 
 
 def test_a_scheduler_is_left_out_on_a_car_that_it_was_not_made_for():
-    found = run_cell(tiny(cars=["van"], contenders=["nn"]), Cell("nn", "van", "road"))
-    assert not found["rows"]
-    assert "was made for the car 'paper'" in found["left_out"]
+    result = run_cell(tiny(cars=["van"], contenders=["nn"]), Cell("nn", "van", "road"))
+    assert not result["rows"]
+    assert "was made for the car 'paper'" in result["left_out"]
 
 
 def test_a_contender_that_needs_a_missing_package_is_left_out_with_the_remedy(monkeypatch: pytest.MonkeyPatch):
@@ -206,29 +207,30 @@ def test_a_contender_that_needs_a_missing_package_is_left_out_with_the_remedy(mo
 # -- driven -----------------------------------------------------------------------------------------------------------
 @pytest.mark.compiled
 def test_all_contenders_drive_the_same_roads_with_the_same_noise_and_the_same_effort(tmp_path: Path):
-    made = run_comparison(tiny(), tmp_path)
-    rows = made.columns
+    comparison = run_comparison(tiny(), tmp_path)
+    rows = comparison.columns
     runs = {
-        each: sorted(zip(kept["road"].tolist(), kept["seed"].tolist(), strict=True))
-        for each in dict.fromkeys(zip(rows["contender"].tolist(), rows["tuning"].tolist(), strict=True))
-        for at in [(rows["contender"] == each[0]) & (rows["tuning"] == each[1])]
-        for kept in [{name: values[at] for name, values in rows.items()}]
+        contender: sorted(zip(is_selected["road"].tolist(), is_selected["seed"].tolist(), strict=True))
+        for contender in dict.fromkeys(zip(rows["contender"].tolist(), rows["tuning"].tolist(), strict=True))
+        for at in [(rows["contender"] == contender[0]) & (rows["tuning"] == contender[1])]
+        for is_selected in [{name: values[at] for name, values in rows.items()}]
     }
     assert len(runs) == 4  # both, with default and tuned
-    assert len({tuple(each) for each in runs.values()}) == 1
-    assert {each["loops"] for each in made.cells.values()} == {10}
+    assert len({tuple(cell) for cell in runs.values()}) == 1
+    assert {cell["loops"] for cell in comparison.cells.values()} == {10}
     assert np.isfinite(rows["rms_error"]).all()
+    assert pq.read_table(tmp_path / study.RUNS_FILE).num_rows == 2 * 2 * 2
 
 
 @pytest.mark.compiled
 def test_an_interrupted_comparison_goes_on_and_another_question_drives_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    task, driven = tiny(budget=0), []
+    task, cells = tiny(budget=0), []
 
     def counted(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
-        driven.append(cell)
-        if len(driven) == 2:
+        cells.append(cell)
+        if len(cells) == 2:
             raise KeyboardInterrupt
         return run_cell(task, cell)
 
@@ -236,35 +238,9 @@ def test_an_interrupted_comparison_goes_on_and_another_question_drives_anew(
     with pytest.raises(KeyboardInterrupt):
         run_comparison(task, tmp_path)
     first = run_comparison(task, tmp_path)
-    assert [each.contender for each in driven] == ["informed", "pure-pursuit", "pure-pursuit"]
+    assert [cell.contender for cell in cells] == ["informed", "pure-pursuit", "pure-pursuit"]
     again = run_comparison(task, tmp_path)
-    assert len(driven) == 3
-    assert json.dumps(again.cells[driven[0]], sort_keys=True) == json.dumps(first.cells[driven[0]], sort_keys=True)
+    assert len(cells) == 3
+    assert json.dumps(again.cells[cells[0]], sort_keys=True) == json.dumps(first.cells[cells[0]], sort_keys=True)
     run_comparison(tiny(budget=0, seeds=[0, 2]), tmp_path)
-    assert len(driven) == 5
-
-
-@pytest.mark.compiled
-def test_the_command_writes_a_page_and_every_run(tmp_path: Path):
-    import pyarrow.parquet as pq
-    from typer.testing import CliRunner
-
-    from adaptrack.base.files import write_toml
-    from adaptrack.cli.app import app
-
-    write_toml(
-        tmp_path / "tiny.toml", TINY | {"contenders": ["informed", "pure-pursuit", "nn"], "cars": ["paper", "van"]}
-    )
-    out = tmp_path / "out"
-    done = CliRunner().invoke(app, ["compare", "--config", str(tmp_path / "tiny.toml"), "--out", str(out), "--json"])
-    assert done.exit_code == 0, done.exception
-    result = json.loads(done.stdout)
-    rows = result["profiles"]["road"]
-    assert [row["rank"] for row in rows] == sorted(row["rank"] for row in rows)
-    assert {row["label"]: row["runs"] for row in rows}["nn"] == 2, "it was made for the paper's car"
-    assert [(cell["contender"], cell["car"]) for cell in result["left_out"]] == [("nn", "van")]
-    page = (out / "index.html").read_text()
-    headline = f"{rows[0]['label']}; 0 of {sum(row['runs'] for row in rows)} runs failed."
-    assert page.index(headline) < page.index("<table")
-    assert "was made for the car" in page
-    assert pq.read_table(out / study.TABLE).num_rows == 2 * (2 * 4 + 1)
+    assert len(cells) == 5

@@ -9,47 +9,21 @@ import numpy as np
 import pytest
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.statistics import RESAMPLES
+from adaptrack.base.statistics import BOOTSTRAP_RESAMPLES
 from adaptrack.cars.plant import SingleTrack
-from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
-from adaptrack.comparison.table import Comparison, Role, finite
-from adaptrack.control.controllers import (
-    LQR,
-    Tuning,
-    UserController,
-    get_controller,
-    published_mpc,
-    register_controller,
-)
+from adaptrack.comparison.table import Comparison, ContenderRole, finite
+from adaptrack.control.controllers import LQR, Tuning, UserController, get_controller, register_controller
 from adaptrack.control.scheduling import Constant, Guarded, Learned
 from adaptrack.core import guard
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import simulate
-from adaptrack.scenario import load_scenario
-from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.runs import RunSet, operating_point_runs
+from small_runs import CAR, HASTY, START, controller, lane_changes, run_set
 
-FAILED_COST = 25.0
-CAR = load_vehicle("paper")
-START = Tuning(29, 5, 1.0, 4000.0)
-HASTY = Tuning(30, 10, 1.0, 10.0)
-"""Steers on every bit of noise: fails."""
-
-
-def controller(**options):
-    return published_mpc(CAR, START, period=load_profile("road").period, preview=True, **options)
-
-
-def run_set(n=4, duration=3.0):
-    rng = np.random.default_rng(8)
-    runs = [
-        load_scenario("lane-change", speed=v, amplitude=y, friction=mu, gust=w, duration=duration)
-        for v, y, mu, w in rng.uniform((8.0, -4.0, 0.5, -20.0), (26.0, 4.0, 1.0, 20.0), (n, 4))
-    ]
-    return RunSet(SingleTrack(CAR), controller(), runs)
+FAILED_COST = RunSet.failure.distance**2
 
 
 class Rated(RunSet):
@@ -61,13 +35,13 @@ class Rated(RunSet):
     def __len__(self):
         return self.runs
 
-    def drive(self, policy, seeds, which=None):
+    def drive(self, policy, seeds, indices=None):
         self.seeds |= set(seeds)
-        which = np.arange(self.runs) if which is None else which
+        indices = np.arange(self.runs) if indices is None else indices
         tuning = policy.as_array() if isinstance(policy, Tuning) else np.asarray(policy, dtype=float)
-        rows = np.broadcast_to(tuning, (len(which), 4))
+        rows = np.broadcast_to(tuning, (len(indices), 4))
         return np.stack(
-            [np.array([self.cost(row, run) for row, run in zip(rows, which, strict=True)])] * len(seeds), axis=1
+            [np.array([self.cost(row, run) for row, run in zip(rows, indices, strict=True)])] * len(seeds), axis=1
         )
 
 
@@ -75,8 +49,8 @@ def bowl(ratio=3.5):
     """A cost that is lowest, 1, at Np = 35, Nc = 8 and this log10 R/Q, and the same in all runs."""
 
     def cost(row, run):
-        away = (row[0] - 35.0) / 10.0, (row[1] - 8.0) / 5.0, math.log10(row[3] / row[2]) - ratio
-        return math.exp(sum(each**2 for each in away))
+        offsets = (row[0] - 35.0) / 10.0, (row[1] - 8.0) / 5.0, math.log10(row[3] / row[2]) - ratio
+        return math.exp(sum(offset**2 for offset in offsets))
 
     return cost
 
@@ -85,7 +59,7 @@ def compared(failures=None, **regrets):
     costs = {"optimum": np.full(len(next(iter(regrets.values()))), 0.02)}
     costs |= {name: 0.02 * np.array(values, dtype=float) for name, values in regrets.items()}
     failures = failures or {name: np.zeros(len(values)) for name, values in costs.items()}
-    return Comparison.of_runs({name: {"cost": costs[name], "failed": failures[name]} for name in costs}, "optimum")
+    return Comparison.from_runs({name: {"cost": costs[name], "failed": failures[name]} for name in costs}, "optimum")
 
 
 # -- the table --------------------------------------------------------------------------------------------------------
@@ -103,19 +77,18 @@ def test_known_regrets_give_their_geometric_mean_and_percentiles():
 def test_regret_is_taken_run_by_run():
     """Not as the ratio of two means: where one is better and where the other counts."""
     costs = {"a": np.array([1.0, 4.0]), "b": np.array([4.0, 1.0])}
-    row = Comparison.of_runs({name: {"cost": each, "failed": np.zeros(2)} for name, each in costs.items()}, "a").rows()[
-        1
-    ]
+    runs = {name: {"cost": values, "failed": np.zeros(2)} for name, values in costs.items()}
+    _, row = Comparison.from_runs(runs, "a").rows()
     assert row["regret_geomean"] == pytest.approx(1.0)
     assert row["regret_worst"] == pytest.approx(4.0)
 
 
 def test_all_ratios_share_their_resamples_so_that_the_other_way_round_is_the_reciprocal(rng):
-    made = compared(nn=rng.uniform(1.0, 3.0, 50), anfis=rng.uniform(1.0, 3.0, 50))
-    one, other = made.ratio("nn", "anfis"), made.ratio("anfis", "nn")
-    assert (1.0 / other.mean, 1.0 / other.high, 1.0 / other.low) == pytest.approx(one, rel=1e-3)
-    assert compared(nn=made.costs["nn"]).rows()[1] == compared(nn=made.costs["nn"]).rows()[1]
-    assert RESAMPLES >= 1000
+    comparison = compared(nn=rng.uniform(1.0, 3.0, 50), anfis=rng.uniform(1.0, 3.0, 50))
+    ratio, other = comparison.ratio("nn", "anfis"), comparison.ratio("anfis", "nn")
+    assert (1.0 / other.mean, 1.0 / other.high, 1.0 / other.low) == pytest.approx(ratio, rel=1e-3)
+    assert compared(nn=comparison.costs["nn"]).rows()[1] == compared(nn=comparison.costs["nn"]).rows()[1]
+    assert BOOTSTRAP_RESAMPLES >= 1000
 
 
 def test_a_run_that_fails_with_any_of_its_seeds_is_one_failure():
@@ -144,42 +117,37 @@ def test_a_reference_that_is_no_contender_and_a_name_given_twice_are_refused():
 
 def test_costs_and_failures_of_a_comparison_are_those_of_the_runs():
     rated = Rated(lambda row, run: math.inf if run < 2 and row[0] > 29 else row[0] * (1.0 + run))
-    made = compare(rated, entered(a=START, b=HASTY), [5, 6], "a")
-    np.testing.assert_allclose(made.costs["a"], 29.0 * (1.0 + np.arange(6)))
-    np.testing.assert_allclose(made.costs["b"], [FAILED_COST, FAILED_COST, *(30.0 * (1.0 + np.arange(2, 6)))])
-    assert made.failures["b"].tolist() == [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]
-    assert made.regret("a").tolist() == [1.0] * 6
+    comparison = compare(rated, entered(a=START, b=HASTY), [5, 6], "a")
+    np.testing.assert_allclose(comparison.costs["a"], 29.0 * (1.0 + np.arange(6)))
+    np.testing.assert_allclose(comparison.costs["b"], [FAILED_COST, FAILED_COST, *(30.0 * (1.0 + np.arange(2, 6)))])
+    assert comparison.failures["b"].tolist() == [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]
+    assert comparison.regret("a").tolist() == [1.0] * 6
     assert rated.seeds == {5, 6}
-    assert not any(made.overall.values())
+    assert not any(comparison.overall.values())
 
 
 @pytest.mark.compiled
 def test_a_comparison_over_real_runs_counts_what_fails_and_what_the_schedules_did():
-    runs = run_set()
+    runs = run_set(lane_changes(8, 6.0))
     narrow = Learned({"Np": 29.0, "Nc": 5.0, "Q": 1.0, "R": 4000.0}, ("speed",), [[10.0, 18.0]])
-    field = {
-        "constant": START,
-        "hasty": HASTY,
-        "schedule": Constant(START),
-        "narrow": narrow,
-        "guarded": Guarded(narrow, START),
-    }
+    field = {"constant": START, "hasty": HASTY, "schedule": Constant(START), "narrow": narrow}
+    field["guarded"] = Guarded(narrow, START)
     heard = []
-    made = compare(runs, entered(**field), [3, 4], "constant", progress=lambda *at: heard.append(at))
-    np.testing.assert_array_equal(made.costs["constant"], runs.costs(START, [3, 4]))
+    comparison = compare(runs, entered(**field), [3, 4], "constant", progress=lambda *at: heard.append(at))
+    np.testing.assert_array_equal(comparison.costs["constant"], runs.costs(START, [3, 4]))
     for name in ("schedule", "narrow", "guarded"):
-        np.testing.assert_array_equal(made.costs[name], made.costs["constant"])
-    rows = {row["contender"]: row for row in made.rows()}
+        np.testing.assert_array_equal(comparison.costs[name], comparison.costs["constant"])
+    rows = {row["contender"]: row for row in comparison.rows()}
     failed = np.isinf(runs.drive(HASTY, [3, 4]))
     assert 0 < failed.any(axis=1).sum() == rows["hasty"]["failures"]
-    np.testing.assert_array_equal(made.failures["hasty"], failed.mean(axis=1))
+    np.testing.assert_array_equal(comparison.failures["hasty"], failed.mean(axis=1))
     assert rows["constant"]["regret_low"] == rows["constant"]["regret_high"] == 1.0
     outside = ((runs.variables[..., 0] < 10.0) | (runs.variables[..., 0] > 18.0)).mean()
     assert 0.2 < outside < 0.9
     assert rows["narrow"]["clipped"] == rows["guarded"]["clipped"] == pytest.approx(outside)
     assert rows["schedule"]["clipped"] == 0.0
     assert rows["guarded"]["fallback"] > 0.0
-    assert set(made.overall["guarded"]) == set(guard.COUNTS) - {"steps"}
+    assert set(comparison.overall["guarded"]) == set(guard.COUNTS) - {"steps"}
     assert heard == [(name, k, 5) for k, name in enumerate(field)]
 
 
@@ -187,25 +155,26 @@ def test_a_comparison_over_real_runs_counts_what_fails_and_what_the_schedules_di
 def test_the_search_for_the_optimum_and_the_comparison_mean_the_same_cost(rng):
     points = rng.uniform((8.0, -4.0, 0.5, -20.0), (26.0, 4.0, 1.0, 20.0), (3, 4))
     searched = Objective(SingleTrack(CAR), controller(), "lane-change", "road", (3, 4), failure=RunSet.failure)
-    driven = operating_point_runs(SingleTrack(CAR), controller(), points)
+    runs = operating_point_runs(SingleTrack(CAR), controller(), points)
     for tuning in (START.as_array(), np.array([40.0, 9.0, 1.0, 2e4])):
         costs = [searched.costs(point, tuning)[0] for point in points]
-        np.testing.assert_allclose(driven.costs(tuning, [3, 4]), costs, rtol=1e-12)
+        np.testing.assert_allclose(runs.costs(tuning, [3, 4]), costs, rtol=1e-12)
 
 
 # -- one interval for tables and sentences ----------------------------------------------------------------------------
 def test_the_interval_of_a_ratio_to_the_reference_is_that_of_the_row(rng):
-    made = compared(nn=rng.uniform(1.0, 3.0, 50), anfis=rng.uniform(1.0, 3.0, 50))
-    for row in made.rows():
-        over = made.ratio(row["contender"], "optimum")
+    comparison = compared(nn=rng.uniform(1.0, 3.0, 50), anfis=rng.uniform(1.0, 3.0, 50))
+    for row in comparison.rows():
+        over = comparison.ratio(row["contender"], "optimum")
         assert (over.mean, over.low, over.high) == tuple(row[f"regret_{key}"] for key in ("geomean", "low", "high"))
-    assert made.ratio("nn", "anfis").mean == pytest.approx(made.mean_ratio("nn", "anfis"))
-    assert made.ratio("nn", "nn") == (1.0, 1.0, 1.0)
+    assert comparison.ratio("nn", "anfis").mean == pytest.approx(comparison.mean_ratio("nn", "anfis"))
+    assert comparison.ratio("nn", "nn") == (1.0, 1.0, 1.0)
 
 
 def test_a_verdict_is_level_while_the_interval_holds_one(rng):
-    made = compared(nn=np.exp(0.5 * rng.normal(size=200)), cheap=np.full(200, 0.9), dear=np.full(200, 1.1))
-    assert [made.ratio(name, "optimum").verdict for name in ("nn", "cheap", "dear")] == ["level", "cheaper", "dearer"]
+    comparison = compared(nn=np.exp(0.5 * rng.normal(size=200)), cheap=np.full(200, 0.9), dear=np.full(200, 1.1))
+    verdicts = [comparison.ratio(name, "optimum").verdict for name in ("nn", "cheap", "dear")]
+    assert verdicts == ["level", "cheaper", "dearer"]
 
 
 # -- contenders -------------------------------------------------------------------------------------------------------
@@ -230,14 +199,14 @@ def test_who_adapts_is_told_from_the_policy():
     assert Contender("a", [[29, 5, 1, 4e3], [30, 5, 1, 4e3]]).adapts
     assert not Contender("a", [[29, 5, 1, 4e3], [30, 5, 1, 4e3]], hindsight=True).adapts
     assert not Contender("a", [29, 5, 1, 4e3]).adapts
-    assert Role().adapts
+    assert ContenderRole().adapts
 
 
 # -- other controllers ------------------------------------------------------------------------------------------------
 def proportional(situation, reference, road, tuning, parameters, memory, answer):
     """Steers by the offset and the yaw angle."""
-    wanted = tuning[0] * (reference[0] - situation[3]) - tuning[1] * situation[1]
-    answer[0] = min(max(wanted, parameters[3]), parameters[4])
+    angle = tuning[0] * (reference[0] - situation[3]) - tuning[1] * situation[1]
+    answer[0] = min(max(angle, parameters[3]), parameters[4])
 
 
 def owned(runs):
@@ -250,21 +219,17 @@ NAMES = ("lqr", "pure-pursuit", "stanley")
 
 @pytest.mark.compiled
 def test_registered_controllers_and_a_compiled_one_of_ones_own_cost_what_simulate_says():
-    runs = run_set(2, 3.0)
+    runs = run_set(lane_changes(2, 3.0))
     laws = {name: get_controller(name, CAR, profile="road", offered={"period": runs.mpc.period}) for name in NAMES}
     entered = [Contender("standard", Tuning()), *(Contender(name, law) for name, law in laws.items())]
     entered.append(Contender("mine", owned(runs)))
-    made = compare(runs, entered, [3, 4], "standard")
-    for each in entered[1:]:
-        driven = [
-            [
-                simulate(runs.plant, each.policy, scenario, profile="road", seed=seed, failure=runs.failure)
-                for seed in (3, 4)
-            ]
+    comparison = compare(runs, entered, [3, 4], "standard")
+    for name, policy in ((contender.name, contender.policy) for contender in entered[1:]):
+        costs = [
+            [compute_metrics(simulate(runs.plant, policy, scenario, profile="road", seed=seed)).cost for seed in (3, 4)]
             for scenario in runs.scenarios
         ]
-        costs = [[compute_metrics(run).cost for run in both] for both in driven]
-        np.testing.assert_allclose(made.costs[each.name], np.mean(costs, axis=1), rtol=1e-9, err_msg=each.name)
-    rows = {row["contender"]: row["controller"] for row in made.rows()}
+        np.testing.assert_allclose(comparison.costs[name], np.mean(costs, axis=1), rtol=1e-9, err_msg=name)
+    rows = {row["contender"]: row["controller"] for row in comparison.rows()}
     assert rows["mine"] == "proportional"
     assert len(set(rows.values())) == 5

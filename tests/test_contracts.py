@@ -2,7 +2,6 @@
 
 import importlib
 import inspect
-import json
 import math
 import re
 import sys
@@ -11,18 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptrack import cli
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.cars import plant as plant_module
 from adaptrack.cars.plant import SingleTrack, SteppedPlant, UserPlant, check_plant
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import (
-    MPC,
-    Tuning,
-    UserController,
-    check_controller,
-    published_mpc,
-)
+from adaptrack.control.controllers import MPC, Tuning, UserController, check_controller, published_mpc
 from adaptrack.control.estimation import Deadbeat, UserEstimator, check_estimator
 from adaptrack.control.models import SingleTrackModel, UserModel, check_model
 from adaptrack.control.scheduling import Constant
@@ -66,17 +58,17 @@ def deadbeat(speed, measured, command, a, b, parameters, memory, x, d):
 
 def proportional(situation, reference, road, tuning, parameters, memory, answer):
     """Steer by the offset and the yaw angle; count the steps in the memory."""
-    wanted = tuning[0] * (reference[0] - situation[3]) - tuning[1] * situation[1]
+    angle = tuning[0] * (reference[0] - situation[3]) - tuning[1] * situation[1]
     last = situation[5]
     memory[0] += 1.0
     least, most = max(parameters[3], last + parameters[1]), min(parameters[4], last + parameters[2])
-    answer[0] = min(max(wanted, least), most) if math.isfinite(wanted) else last
+    answer[0] = min(max(angle, least), most) if math.isfinite(angle) else last
     answer[1] = memory[0]
 
 
-def same(one, other):
+def same(run, other):
     """Whether two trajectories hold the same numbers."""
-    columns = one.columns()
+    columns = run.columns()
     return all(
         np.array_equal(columns[name], values, equal_nan=True)
         for name, values in other.columns().items()
@@ -112,14 +104,14 @@ def test_a_model_that_leaves_an_entry_unwritten_is_refused():
 # -- an estimator of one's own ----------------------------------------------------------------------------------------
 def test_increments_of_the_measured_state_are_the_deadbeat_estimator():
     model = SingleTrackModel(CAR, 0.05)
-    own = UserEstimator(deadbeat, memory_size=lambda n: n + 1, label="written out")
-    check_estimator(own, model)
+    custom = UserEstimator(deadbeat, memory_size=lambda n: n + 1, label="written out")
+    check_estimator(custom, model)
     check_estimator(Deadbeat(), model)
     tuning = Tuning(25, 5, 1.0, 2.0)
     theirs = simulate(PLANT, published_mpc(CAR, tuning, period=0.05), LANE_CHANGE)
-    ours = simulate(PLANT, MPC(CAR, tuning, period=0.05, estimator=own), LANE_CHANGE)
+    ours = simulate(PLANT, MPC(CAR, tuning, period=0.05, estimator=custom), LANE_CHANGE)
     assert np.abs(ours.command - theirs.command).max() < 1e-9
-    assert same(ours, rollout(PLANT, MPC(CAR, tuning, period=0.05, estimator=own), LANE_CHANGE))
+    assert same(ours, rollout(PLANT, MPC(CAR, tuning, period=0.05, estimator=custom), LANE_CHANGE))
 
 
 def test_the_deadbeat_estimator_refuses_a_model_with_a_state_that_is_not_measured():
@@ -132,16 +124,16 @@ def test_the_deadbeat_estimator_refuses_a_model_with_a_state_that_is_not_measure
 
 # -- a compiled controller of one's own -------------------------------------------------------------------------------
 def test_a_compiled_controller_drives_alike_from_python_and_compiled_with_named_diagnostics():
-    own = UserController(
+    custom = UserController(
         proportional, tuning={"offset_gain": 0.05, "yaw_gain": 1.0}, memory_size=1, diagnostics=("steps",),
         period=0.05, label="proportional",
     )  # fmt: skip
-    check_controller(own)
-    run = simulate(PLANT, own, LANE_CHANGE)
-    assert same(run, rollout(PLANT, own, LANE_CHANGE))
+    check_controller(custom)
+    run = simulate(PLANT, custom, LANE_CHANGE)
+    assert same(run, rollout(PLANT, custom, LANE_CHANGE))
     assert run.diagnostics["steps"].tolist() == list(range(1, len(run) + 1))
     assert set(run.tuning) == {"offset_gain", "yaw_gain"}
-    batch = rollout_batch(PLANT, own, LANE_CHANGE, [[0.05, 1.0], [0.02, 0.5]])
+    batch = rollout_batch(PLANT, custom, LANE_CHANGE, [[0.05, 1.0], [0.02, 0.5]])
     assert batch.mse[0] == pytest.approx(np.mean(run.error**2), rel=1e-12)
     assert batch.mse[1] != batch.mse[0]
 
@@ -151,9 +143,9 @@ def test_a_law_that_answers_no_number_holds_the_last_command_alike_from_python_a
         memory[0] += 1.0
         answer[0] = math.nan if memory[0] % 3.0 == 0.0 else 0.001 * memory[0]
 
-    own = UserController(fails_at_times, memory_size=1, period=0.05, label="moody")
-    run = simulate(PLANT, own, LANE_CHANGE)
-    assert same(run, rollout(PLANT, own, LANE_CHANGE))
+    custom = UserController(fails_at_times, memory_size=1, period=0.05, label="moody")
+    run = simulate(PLANT, custom, LANE_CHANGE)
+    assert same(run, rollout(PLANT, custom, LANE_CHANGE))
     assert run.held.tolist() == [(k + 1) % 3 == 0 for k in range(len(run))]
     assert (np.diff(run.command)[1::3] == 0.0).all()
     assert run.failed is None
@@ -170,30 +162,24 @@ class Bicycle(SteppedPlant):
         x, y, yaw, v, _, _ = self.motion
         rate = v * math.tan(steering) / 2.8
         middle = yaw + 0.5 * dt * rate
-        self.motion = np.array(
-            [
-                x + dt * v * math.cos(middle),
-                y + dt * v * math.sin(middle),
-                yaw + dt * rate,
-                v + dt * acceleration,
-                0,
-                rate,
-            ]
-        )
+        place = x + dt * v * math.cos(middle), y + dt * v * math.sin(middle), yaw + dt * rate
+        self.motion = np.array([*place, v + dt * acceleration, 0.0, rate])
         return self.motion
 
 
 def test_a_stepped_plant_is_admitted_and_driven():
     plant = Bicycle()
     check_plant(plant)
-    run = simulate(
-        plant, published_mpc(CAR, Tuning(30, 5, 1.0, 300.0), period=0.05, preview=True), LANE_CHANGE, profile="road"
-    )
+    mpc = published_mpc(CAR, Tuning(30, 5, 1.0, 300.0), period=0.05, preview=True)
+    run = simulate(plant, mpc, LANE_CHANGE, profile="road")
     assert run.failed is None
     assert np.abs(run.error).max() < 0.5
     assert np.allclose(run.vx, 10.0)
     with pytest.raises(InvalidInput, match="must be a Plant; simulate"):
-        rollout(plant, published_mpc(CAR, period=0.05), LANE_CHANGE)
+        rollout(plant, mpc, LANE_CHANGE)
+    late = run.command[:-2] - run.steering[1:-1]
+    assert np.abs(late).max() > 1e-4, "it steers behind the profile's actuator, with lag and delay"
+    assert np.abs(np.diff(run.steering)).max() <= 0.5 * 0.05 + 1e-9  # rad/s
 
 
 @pytest.mark.parametrize("plant", [SingleTrack(CAR), Bicycle()], ids=["compiled", "stepped"])
@@ -201,12 +187,12 @@ def test_a_tuning_drives_as_it_stands_though_the_mpc_of_the_runs_has_a_scheduler
     tuning, points = Tuning(30, 5, 1.0, 300.0), [[10.0, 1.0, 0.9, 0.0], [15.0, -1.0, 0.9, 0.0]]
     plain = published_mpc(CAR, tuning, period=0.05)
     scheduled = published_mpc(CAR, tuning, period=0.05, scheduler=Constant(Tuning(20, 3, 1.0, 3000.0)))
-    alone, beside = (operating_point_runs(plant, mpc, points, "road").drive(tuning, [3]) for mpc in (plain, scheduled))
-    np.testing.assert_array_equal(alone, beside)
+    sets = (operating_point_runs(plant, mpc, points, "road") for mpc in (plain, scheduled))
+    np.testing.assert_array_equal(*(runs.drive(tuning, [3]) for runs in sets))
 
 
 @pytest.fixture
-def plugged(monkeypatch, tmp_path):
+def plugged(run_command, monkeypatch, tmp_path):
     """Run a command with the module `bicycles` in the folder at hand, which registers the bicycle."""
     head = "import math\nimport numpy as np\nfrom adaptrack.cars.plant import SteppedPlant, register_plant\n\n"
     last = '\nregister_plant("bicycle", lambda vehicle, tyre: Bicycle())\n'
@@ -217,33 +203,23 @@ def plugged(monkeypatch, tmp_path):
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
 
     def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["adaptrack", *arguments])
         monkeypatch.delitem(sys.modules, "bicycles", raising=False)
-        return cli.main()
+        return run_command(*arguments)
 
     yield run
     sys.modules.pop("bicycles", None)
 
 
-def test_simulate_drives_a_registered_stepped_plant_and_writes_its_page(plugged, capsys):
-    scenario = ["lane-change", "-o", "amplitude=2.0", "-o", "speed=10.0", "-o", "duration=3.0", "--profile", "road"]
-    tuning = ["--np", "30", "--nc", "5", "--q", "1", "--r", "300"]
-    plant = ["--plugin", "bicycles", "--plant", "bicycle"]
-    assert plugged("drive", *scenario, *tuning, *plant, "--out", "run", "--json") == 0
-    (row,) = json.loads(capsys.readouterr().out)["rows"]
-    assert (row["plant"], row["failed"]) == ("Bicycle", None)
-    assert "Bicycle" in Path("run/index.html").read_text()
-
-
-def test_a_plant_without_a_name_a_plug_in_without_a_file_and_a_certificate_of_steps_are_refused(plugged, capsys):
-    for arguments, said in (
-        (["drive", "step", "--plant", "bicycle"], "There is no plant 'bicycle'"),
-        (["drive", "step", "--plugin", "tricycles"], "--plugin tricycles: there is no such module"),
-        (["drive", "step", "--plugin", "."], "--plugin .: there is no such module"),
-        (["certify", "road-nn", "--plugin", "bicycles", "--plant", "bicycle"], "is stepped in Python"),
+def test_a_plant_without_a_name_a_plug_in_without_a_file_and_a_certificate_of_steps_are_refused(plugged):
+    for command, words in (
+        ("drive step --plant bicycle", "There is no plant 'bicycle'"),
+        ("drive step --plugin tricycles", "--plugin tricycles: there is no such module"),
+        ("drive step --plugin .", "--plugin .: there is no such module"),
+        ("certify road-nn --plugin bicycles --plant bicycle", "is stepped in Python"),
     ):
-        assert plugged(*arguments) == 2
-        assert said in capsys.readouterr().err
+        code, _, err = plugged(*command.split())
+        assert code == 2
+        assert words in err
 
 
 @pytest.mark.parametrize(
@@ -260,20 +236,13 @@ def test_a_plant_without_a_name_a_plug_in_without_a_file_and_a_certificate_of_st
         (b"import adaptrack as at\nat.register_plant('dual-track', print)\n", "line 2: .*choose another name"),
     ],
 )
-def test_a_plugin_that_fails_is_refused_with_its_line(source, fault, plugged, capsys, monkeypatch):
+def test_a_plugin_that_fails_is_refused_with_its_line(source, fault, plugged, monkeypatch):
     Path("faulty.py").write_bytes(source)
     monkeypatch.delitem(sys.modules, "faulty", raising=False)
     importlib.invalidate_caches()
-    assert plugged("drive", "step", "--plugin", "faulty") == 2
-    assert re.search(rf"^adaptrack: plugin faulty: .*({fault}).*; correct the module\.$", capsys.readouterr().err)
-
-
-def test_a_stepped_plant_steers_behind_the_profiles_actuator():
-    plant = Bicycle()
-    run = simulate(plant, published_mpc(CAR, Tuning(30, 5, 1.0, 300.0), period=0.05), LANE_CHANGE, profile="road")
-    late = run.command[:-2] - run.steering[1:-1]
-    assert np.abs(late).max() > 1e-4  # lag and delay
-    assert np.abs(np.diff(run.steering)).max() <= 0.5 * 0.05 + 1e-9  # rad/s
+    code, _, err = plugged("drive", "step", "--plugin", "faulty")
+    assert code == 2
+    assert re.search(rf"^adaptrack: plugin faulty: .*({fault}).*; correct the module\.$", err)
 
 
 def rolling(x, u, environment, p, dx):
@@ -302,10 +271,12 @@ def test_a_compiled_plant_starts_at_its_rolling_equilibrium():
     assert plant.initial_state([0, 0, 0, 12.0, 0, 0])[6:].tolist() == pytest.approx([40.0, 40.0])
     mpc = published_mpc(CAR, Tuning(30, 5, 1.0, 5.0), period=0.05)
     still = load_scenario("step", amplitude=0.0, speed=12.0, duration=1.0)
-    slope = plant.derivative(plant.initial_state([0, 0, 0, 12.0, 0, 0]), [0.0, 0.0], [0.9, 0.9, 0.9, 0.9, 0.0, 0.0])
-    assert np.allclose(slope[3:], 0.0, atol=1e-12)  # nothing changes: it rolls
-    assert not np.allclose(wheeled(None).derivative(wheeled(None).initial_state([0, 0, 0, 12.0, 0, 0]), [0.0, 0.0],
-                                                    [0.9, 0.9, 0.9, 0.9, 0.0, 0.0])[3:], 0.0)  # fmt: skip
+    rolling_slope, locked_slope = (
+        p.derivative(p.initial_state([0, 0, 0, 12.0, 0, 0]), [0.0, 0.0], [0.9, 0.9, 0.9, 0.9, 0.0, 0.0])[3:]
+        for p in (plant, wheeled(None))
+    )
+    assert np.allclose(rolling_slope, 0.0, atol=1e-12)
+    assert not np.allclose(locked_slope, 0.0)
     assert same(simulate(plant, mpc, still), rollout(plant, mpc, still))
     run = simulate(plant, mpc, LANE_CHANGE)
     assert same(run, rollout(plant, mpc, LANE_CHANGE))

@@ -27,7 +27,7 @@ from adaptrack.control.controllers import (
     registry,
 )
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
-from adaptrack.control.controllers.lqr import SPEEDS, error_model
+from adaptrack.control.controllers.lqr import GAIN_SPEEDS, error_model
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.controllers.contract import path_at, wrapped
@@ -154,7 +154,7 @@ def applied_gain(controller: LQR, speed: float, tuning: np.ndarray | None = None
 @every_car
 def test_at_its_nodes_the_law_applies_the_gain_of_the_riccati_equation(car):
     controller = LQR(car, limits=WIDE, preview=True)
-    for speed in SPEEDS[[0, 5, 12, 20]]:
+    for speed in GAIN_SPEEDS[[0, 5, 12, 20]]:
         np.testing.assert_allclose(applied_gain(controller, speed), controller.gain_at(speed), rtol=1e-7)
 
 

@@ -42,11 +42,11 @@ def test_below_the_limit_the_plant_holds_a_circle_and_above_it_does_not(name):
         [Line(length=30.0), Clothoid(length=60.0, start_curvature=0.0, end_curvature=1 / radius),
          Arc(length=350.0, curvature=1 / radius)], name="circle", friction=0.9,
     )  # fmt: skip
-    held, lost = (
+    below, lost = (
         rollout(DualTrack(car), MPC(car, profile="road"), RoadDrive(circle, math.sqrt(share * limit * radius)),
                 profile="road")
         for share in (0.9, 1.15)
     )  # fmt: skip
-    assert held.failed is None
-    assert np.abs(held.error).max() < 0.25
+    assert below.failed is None
+    assert np.abs(below.error).max() < 0.25
     assert lost.failed is not None or np.abs(lost.error).max() > 0.5

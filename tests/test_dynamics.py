@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from adaptrack.cars.plant import DualTrack, SingleTrack
-from adaptrack.cars.vehicle import GRAVITY, SteeringActuator, Tyre, load_tyre, load_vehicle
-from adaptrack.core.plants.contract import SLOTS, STATES, vehicle_batch
+from adaptrack.cars.vehicle import SteeringActuator, Tyre, load_tyre, load_vehicle
+from adaptrack.core.plants.contract import PLANT_STATES, SLOTS, vehicle_batch
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.plants.parameters import unpack
 from inlined import entry
 from references import vehicle as reference
@@ -42,7 +43,7 @@ def inputs(command=0.0, force=0.0, acceleration=0.0, friction=0.9, wind=(0.0, 0.
 
 def moving(speed, **states):
     """A vehicle that goes straight ahead, or as `states` say by their place."""
-    x = np.zeros(STATES)
+    x = np.zeros(PLANT_STATES)
     x[3] = speed
     for place, value in states.items():
         x[int(place.removeprefix("x"))] = value
@@ -51,7 +52,7 @@ def moving(speed, **states):
 
 def slope(plant, x, u):
     """dx/dt (STATES,) as the kernel computes it."""
-    dx = np.full(STATES, np.nan)
+    dx = np.full(PLANT_STATES, np.nan)
     plant.compiled.right_hand_side(x, u, plant.packed(), dx)
     return dx
 
@@ -60,13 +61,13 @@ def ride(plant, x, u, duration, h=0.005):
     """The state (STATES,) after `duration` (s) of constant input, by RK4 with steps of h (s)."""
     batch = vehicle_batch(plant.compiled, plant.packed(), x[None, :6])
     rows = batch.block.reshape(-1, SLOTS)
-    rows[:STATES] = x[:, None]
-    rows[STATES:] = u[:, None]
+    rows[:PLANT_STATES] = x[:, None]
+    rows[PLANT_STATES:] = u[:, None]
     steps = round(duration / h)
     plant.compiled.advance(
         batch.member, batch.parameters, batch.block, batch.states, batch.work, 1, steps, duration / steps
     )
-    return rows[:STATES, 0].copy()
+    return rows[:PLANT_STATES, 0].copy()
 
 
 def mirrored(x):
@@ -79,7 +80,7 @@ def mirrored_inputs(u):
 
 
 def wild_state(rng, plant):
-    x = np.zeros(STATES)
+    x = np.zeros(PLANT_STATES)
     x[:6] = rng.uniform([-100, -50, -4, 0, -4, -1.5], [100, 50, 4, 45, 4, 1.5])
     if isinstance(plant, DualTrack):
         x[6:10] = rng.uniform(-0.4, 0.4, 4)

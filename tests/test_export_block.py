@@ -5,16 +5,16 @@ import pytest
 
 import adaptrack as at
 import exported
-from adaptrack.core.controllers.mpc_step import Step
+from adaptrack.core.controllers.mpc_step import MPCStep
 from adaptrack.core.kernel import INTERPRETED
-from adaptrack.export.block import Role, Start, pack
+from adaptrack.export.block import ArrayRole, ArrayStart, pack
 from exported import Memory
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
-ROLES = {"mpc.states": Role.FIXED, "mpc.informed.fresh": Role.FIXED, "mpc.informed.learner": Role.FIXED,
-         "mpc.parameters": Role.RENEWED, "mpc.informed.estimator": Role.RENEWED, "mpc.ws.rows": Role.RENEWED,
-         "tuning": Role.RENEWED}  # fmt: skip
-FROM = [Start("mpc.informed.learned", "mpc.informed.fresh")]
+ROLES = {"mpc.states": ArrayRole.FIXED, "mpc.informed.fresh": ArrayRole.FIXED, "mpc.informed.learner": ArrayRole.FIXED,
+         "mpc.parameters": ArrayRole.RENEWED, "mpc.informed.estimator": ArrayRole.RENEWED,
+         "mpc.ws.rows": ArrayRole.RENEWED, "tuning": ArrayRole.RENEWED}  # fmt: skip
+FROM = [ArrayStart("mpc.informed.learned", "mpc.informed.fresh")]
 RESETS = {"mpc.memory": {"speed": np.nan}}
 CAR = at.load_vehicle("midsize-sedan")
 
@@ -27,7 +27,7 @@ def folder(tmp_path_factory):
 def block_of(tuning=None, **options):
     """The block of an MPC that learns."""
     mpc = at.MPC(CAR, tuning, profile="road", **{"learning": at.Learning(), **options})
-    step = Step(mpc._mpc, mpc.functions, np.asarray(mpc._now), mpc._reference.values, mpc._requested)
+    step = MPCStep(mpc._mpc, mpc.functions, np.asarray(mpc._now), mpc._reference.values, mpc._requested)
     return pack(step, "Step", ROLES, FROM, RESETS)
 
 

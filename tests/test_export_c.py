@@ -507,7 +507,7 @@ def test_what_a_controller_has_learned_travels(library_of):
     tracker = CTracker(library_of("learning"))
     assert tracker.load(after.content) == exported.OK
     first = tracker.MARGIN + 8 + after.words["step.mpc.informed.learned"]
-    learned = mpc.learner.again(mpc._mpc.informed.learned[0])
+    learned = mpc.learner.restart_memory(mpc._mpc.informed.learned[0])
     assert tracker.raw[first : first + learned.size].tobytes() == learned.tobytes()
 
 

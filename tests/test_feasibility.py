@@ -63,7 +63,7 @@ def test_margins_are_the_worse_of_straight_and_turn_of_each_tuning(demanding):
 
 
 def test_what_no_tuning_holds_is_named_and_the_rest_is_held(demanding):
-    is_held = demanding.held
+    is_held = demanding.is_feasible
     assert not demanding.passed
     assert len(demanding.infeasible) == (~is_held).sum() > 0
     assert demanding.infeasible[-1][0] == 30.0
@@ -94,10 +94,10 @@ def test_the_published_controller_has_no_constant_for_the_whole_road_domain_of_t
     """0 of 910 constants passed in an adaptation for the sedan; a schedule could hold it."""
     published, informed = (feasibility(PLANT, mpc, "road", turn=None) for mpc in (PUBLISHED, INFORMED))
     assert published.passed
-    assert published.constant[1] != published.whole
+    assert published.constant[1] != published.requested
     assert "holds no more than 3.75 to 30 m/s" in published.verdict
     assert informed.passed
-    assert informed.constant[1] == informed.whole
+    assert informed.constant[1] == informed.requested
     assert informed.verdict.endswith("holds all of it.")
 
 

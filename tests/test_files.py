@@ -1,6 +1,7 @@
 """Files and names: what cannot be used is one clear error with its place, and no name leaves its folder."""
 
 import os
+import re
 
 import numpy as np
 import pyarrow
@@ -58,9 +59,9 @@ def test_harmless_names_stay_as_they_are_and_no_two_files_of_one_list_are_the_sa
 @given(st.text())
 @example("\ud800")
 def test_what_is_printed_holds_no_controls_and_survives_utf8(text):
-    shown = printable(text)
-    assert not any(ord(c) < 32 or c in "\x7f\u200f\u202e\u2028" for c in shown)
-    shown.encode()
+    printed = printable(text)
+    assert not any(ord(c) < 32 or c in "\x7f\u200f\u202e\u2028" for c in printed)
+    printed.encode()
     assert "\n" not in text or "\n" in printable(text, keep="\n")
     for text in ("12\u202f000 m²", "Überholspur", "名前", "ψ − π"):
         assert printable(text) == text
@@ -109,21 +110,46 @@ def test_text_is_what_utf8_and_c_strings_hold(text):
     assert is_text(text) == ("\0" not in text and text == text.encode("utf-8", "ignore").decode())
 
 
-def test_names_and_paths_that_are_no_text_are_refused():
+def test_names_that_are_no_text_and_places_that_cannot_be_used_are_refused(tmp_path):
     for name in ("a\0b", "\ud800"):
         with pytest.raises(InvalidInput, match="name"):
             load_scenario("step").replace(name=name)
-    for call in (read_toml, read_json, lambda path: write_atomically(path, b"")):
-        with pytest.raises(StorageError, match=r"a\\x00b: cannot be"):
-            call("a\0b")
+    (tmp_path / "file").write_text("")
+    for path in ("a\0b", tmp_path / "absent" / "car.toml", tmp_path / "file" / "car.toml", tmp_path):
+        for call in (read_toml, read_json, lambda path: write_atomically(path, b"")):
+            with pytest.raises(StorageError, match=rf"{re.escape(printable(str(path)))}: cannot be"):
+                call(path)
+    assert os.listdir(tmp_path) == ["file"]
 
 
-def test_a_link_is_replaced_when_asked_for(tmp_path):
+def test_a_link_is_written_through_or_replaced_as_asked(tmp_path):
     (tmp_path / "mine.txt").write_text("years of work")
     (tmp_path / "link").symlink_to(tmp_path / "mine.txt")
+    write_atomically(tmp_path / "link", b"more", through_links=True)
+    assert (tmp_path / "link").is_symlink()
     write_atomically(tmp_path / "link", b"new", through_links=False)
-    assert (tmp_path / "mine.txt").read_text() == "years of work"
+    assert (tmp_path / "mine.txt").read_text() == "more"
     assert not (tmp_path / "link").is_symlink()
+
+
+@pytest.mark.parametrize(
+    ("function", "error", "words"),
+    [
+        ("replace", OSError(28, "No space left on device"), "car.toml: cannot be written: No space left on device"),
+        ("fsync", KeyboardInterrupt("Ctrl-C"), "Ctrl-C"),
+    ],
+)
+def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, function, error, words):
+    path = tmp_path / "car.toml"
+    path.write_text("old")
+
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(os, function, fail)
+    with pytest.raises((StorageError, KeyboardInterrupt), match=words):
+        write_atomically(path, b"new")
+    assert [file.read_text() for file in tmp_path.iterdir()] == ["old"]
 
 
 # -- Parquet ----------------------------------------------------------------------------------------------------------

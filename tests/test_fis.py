@@ -72,34 +72,34 @@ def trained(seed=0, **options):
     [{}, {"membership": "bell"}, {"partition": "grid", "n_mfs": (2, 3, 1)}, {"influence": 0.3, "prune": 0.02}],
 )
 def test_a_system_that_was_written_predicts_the_same_when_read(options, tmp_path):
-    made, x = trained(**options)
-    write_fis(made, tmp_path / "a.fis")
+    estimator, x = trained(**options)
+    write_fis(estimator, tmp_path / "a.fis")
     back = read_fis(tmp_path / "a.fis")
-    np.testing.assert_allclose(back.predict(x), made.predict(x), rtol=1e-12)
-    assert (back.n_rules_, back.n_parameters_) == (made.n_rules_, made.n_parameters_)
-    np.testing.assert_array_equal(back.input_range_, made.input_range_)
+    np.testing.assert_allclose(back.predict(x), estimator.predict(x), rtol=1e-12)
+    assert (back.n_rules_, back.n_parameters_) == (estimator.n_rules_, estimator.n_parameters_)
+    np.testing.assert_array_equal(back.input_range_, estimator.input_range_)
     write_fis(back, tmp_path / "b.fis")
     written = [re.sub(r"Name='.*'", "", (tmp_path / name).read_text()) for name in ("a.fis", "b.fis")]
     assert written[0] == written[1]
 
 
 def test_names_of_the_inputs_reach_the_file_without_what_would_end_them(tmp_path):
-    made, _ = trained()
-    made.input_names_ = ["speed", "driver's\nmood", "grip"]
-    write_fis(made, tmp_path / "a.fis", name="it's")
+    estimator, _ = trained()
+    estimator.input_names_ = ["speed", "driver's\nmood", "grip"]
+    write_fis(estimator, tmp_path / "a.fis", name="it's")
     assert read_fis(tmp_path / "a.fis").input_names_ == ["speed", "driver s mood", "grip"]
 
 
 def test_a_file_in_matlabs_manner_means_what_its_equations_say(write):
-    made = read_fis(write(SAMPLE))
+    estimator = read_fis(write(SAMPLE))
     wind, grip = 3.0, 0.4
     low, high = np.exp(-((wind + 5) ** 2) / 32), np.exp(-((wind - 5) ** 2) / 32)
-    good = 1 / (1 + (0.6 / 0.5) ** 4)
-    w = np.array([low * good, 0.5 * high * good, high])
+    good_grip = 1 / (1 + (0.6 / 0.5) ** 4)
+    w = np.array([low * good_grip, 0.5 * high * good_grip, high])
     expected = w @ [0.5 * wind + 2 * grip + 10, 20, 20] / w.sum()
-    assert made.predict([[wind, grip]])[0] == pytest.approx(expected, rel=1e-14)
-    assert made.system_.rules[2, 1] == ANY
-    assert made.input_names_ == ["wind", "grip"]
+    assert estimator.predict([[wind, grip]])[0] == pytest.approx(expected, rel=1e-14)
+    assert estimator.system_.rules[2, 1] == ANY
+    assert estimator.input_names_ == ["wind", "grip"]
 
 
 @pytest.mark.parametrize(

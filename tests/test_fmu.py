@@ -17,7 +17,7 @@ import adaptrack as at
 import adaptrack.export
 from adaptrack import cli
 from adaptrack.core.kernel import Resident, direct
-from adaptrack.core.tracker.records import SAMPLE
+from adaptrack.core.tracker.records import TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_step
 from adaptrack.core.units import car as kernel
 from adaptrack.export import fmu_build
@@ -217,7 +217,7 @@ def test_a_schedule_is_given_friction_and_wind_that_are_known(folder):
         mind.step(**sample)
         tracking.tracker.sample[:] = math.nan
         for name, value in (sample | {"t": k * 0.1, "now": k * 0.1}).items():
-            tracking.tracker.sample[SAMPLE._fields.index(name)] = value
+            tracking.tracker.sample[TRACKER_SAMPLE._fields.index(name)] = value
         step()
         assert same(mind.get("command", "offset", "station"), tracking.tracker.tracked[[0, 2, 4]])
     assert len(np.unique(tracking.step.tuning)) > 1
@@ -343,7 +343,7 @@ def test_the_sources_keep_to_c99_and_to_the_types_of_the_standard(with_headers, 
     if with_headers:
         fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
         options = ["-DADAPTRACK_STANDARD_HEADERS", "-isystem", str(Path(fmpy.__file__).parent / "c-code")]
-    for source in fmu_build.SOURCES:
+    for source in fmu_build.FMU_SOURCES:
         if source.suffix == ".c":
             include = ["-I", str(SOURCES / "c"), "-I", str(SOURCES / "fmu_c")]
             outputs = ["-c", str(source), "-o", str(tmp_path / "made.o")]
@@ -354,7 +354,7 @@ def test_the_sources_keep_to_c99_and_to_the_types_of_the_standard(with_headers, 
 @pytest.mark.parametrize("system", ["linux", pytest.param("windows", marks=pytest.mark.slow)])
 def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder, tmp_path):
     platform = fmu_build.SYSTEMS[system]
-    binary = fmu_build.BUILT / f"fmu-{system}.{platform.ending}"
+    binary = fmu_build.FMU_FOLDER / f"fmu-{system}.{platform.ending}"
     if not binary.exists():
         pytest.skip(f"the binary for {system} is not built")
     wine = [] if system == "linux" else [find_program("wine64")]
@@ -370,15 +370,15 @@ def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder,
     shutil.copy(binary, tmp_path / binary.name)
     library = binary.name if wine else str(tmp_path / binary.name)
     token = f"{{{zlib.crc32(block.content):08x}}}"
-    arguments = [library, place, token, repr(unit.period), "200", str(kernel.VALUE.command)]
+    arguments = [library, place, token, repr(unit.period), "200", str(kernel.CAR_VALUE.command)]
     process = subprocess.run([*wine, str(driver), *arguments], cwd=tmp_path, capture_output=True, text=True)
     assert process.returncode == 0, process.stderr
     resident = Resident(unit.record)
     kernel.car_begin(resident)
     for k in range(200):
-        unit.record.values[kernel.VALUE.command] = (k % 41 - 20) / 512.0
+        unit.record.values[kernel.CAR_VALUE.command] = (k % 41 - 20) / 512.0
         assert kernel.car_step(resident) == 0
-    expected = unit.record.values[kernel.VALUE.measured_x : kernel.VALUE.ended]
+    expected = unit.record.values[kernel.CAR_VALUE.measured_x : kernel.CAR_VALUE.ended]
     bits = [0 if math.isnan(value) else int(np.float64(value).view(np.uint64)) for value in expected]
     assert [int(word, 16) for word in process.stdout.split()] == bits
 

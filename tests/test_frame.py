@@ -5,12 +5,12 @@ import pytest
 
 import adaptrack as at
 from adaptrack.core import frame, rollout
-from adaptrack.core.controllers.mpc import ANSWER
+from adaptrack.core.controllers.mpc import MPC_ANSWER
 from adaptrack.core.frame import FRAME
 from adaptrack.core.kernel import Resident
 from adaptrack.core.loop import OFF_ROAD, RUNNING
-from adaptrack.core.period import NOTED, Span
-from adaptrack.core.plants.contract import STATE
+from adaptrack.core.period import NOTED, RunSpan
+from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch
 from adaptrack.road import Arc, Line, Road
 from adaptrack.scenario import RoadDrive
@@ -29,7 +29,7 @@ def run_of(controller, scenario, profile="road", traced=False, scheduler=None, *
     )  # fmt: skip
     run.given.seeds[:], run.vehicles.start[:], run.tuning[:] = 3, batch.starts[0], batch.tuning
     rollout.begin(1, Resident(run))
-    return run, Span(n, 1, 0, 0.0)
+    return run, RunSpan(n, 1, 0, 0.0)
 
 
 def frames_of(run, span, pieces):
@@ -68,10 +68,13 @@ def test_the_frames_of_a_drive_in_pieces_are_its_trace_to_the_bit(name):
     rollout.rollout(span, Resident(unbroken))
     trace = unbroken.trace
     assert len(numbers) == span.periods
-    for column, expected in (("x", trace.state[0, :, STATE.x]), ("yaw_rate", trace.state[0, :, STATE.yaw_rate])):
+    for column, expected in (
+        ("x", trace.state[0, :, PLANT_STATE.x]),
+        ("yaw_rate", trace.state[0, :, PLANT_STATE.yaw_rate]),
+    ):
         assert np.array_equal(numbers[:, getattr(FRAME, column)], expected)
     assert np.array_equal(numbers[:, : len(NOTED)], trace.noted[0])
-    assert np.array_equal(numbers[:, FRAME.command], trace.answer[0, :, ANSWER.command])
+    assert np.array_equal(numbers[:, FRAME.command], trace.answer[0, :, MPC_ANSWER.command])
     assert np.array_equal(numbers[:, len(FRAME) :], trace.answer[0, :, 1:], equal_nan=True)
     assert run.result.tobytes() == unbroken.result.tobytes()
     counts = unbroken.schedule.memory
@@ -82,7 +85,7 @@ def test_the_frames_of_a_drive_in_pieces_are_its_trace_to_the_bit(name):
 def test_a_run_that_fails_ends_and_says_why():
     run, span = run_of(at.MPC(CAR, profile="road"), at.load_scenario("double-lane-change"), profile="paper")
     frames_of(run, span, [20])
-    run.vehicles.block[STATE.y * 32] += 30.0
+    run.vehicles.block[PLANT_STATE.y * 32] += 30.0
     numbers, _, _ = frames_of(run, span, [5, 5])
     assert len(numbers) == 0
     assert int(run.memory.own[0].ended) == OFF_ROAD != RUNNING
@@ -92,10 +95,10 @@ def test_a_run_that_fails_ends_and_says_why():
 def test_on_a_straight_road_the_predicted_path_is_what_is_driven():
     straight = Road.from_segments([Line(length=400.0)], name="straight")
     run, span = run_of(at.MPC(CAR, profile="paper"), RoadDrive(straight, speed=15.0), "paper")
-    run.vehicles.start[0, STATE.y] = 0.4
+    run.vehicles.start[0, PLANT_STATE.y] = 0.4
     rollout.begin(1, Resident(run))
     numbers, predicted, moves = frames_of(run, span, [120])
-    horizon, delay = int(numbers[0, len(FRAME) + ANSWER.Np - 1]), run.mpc.settings.delay
+    horizon, delay = int(numbers[0, len(FRAME) + MPC_ANSWER.Np - 1]), run.mpc.settings.delay
     at_instant = 30
     points = predicted[at_instant].reshape(-1, 2)
     expected_x = numbers[at_instant, FRAME.x] + 15.0 * run.settings.period * (np.arange(horizon) + 1.0 + delay)
@@ -103,7 +106,7 @@ def test_on_a_straight_road_the_predicted_path_is_what_is_driven():
     assert np.isnan(points[horizon:]).all()
     path = np.interp(points[:horizon, 0], numbers[:, FRAME.x], numbers[:, FRAME.y])
     assert np.abs(points[:horizon, 1] - path).max() < 0.05
-    count = int(numbers[0, len(FRAME) + ANSWER.Nc - 1])
+    count = int(numbers[0, len(FRAME) + MPC_ANSWER.Nc - 1])
     assert np.allclose(moves[:, 0], numbers[:, len(FRAME)], rtol=0.0, atol=1e-12)
     settings = run.mpc.settings
     assert (moves[:, 1:count] <= settings.move_max + 1e-9).all()
@@ -117,7 +120,7 @@ def test_on_a_circle_the_predicted_path_is_the_circle():
     points = predicted[-1].reshape(-1, 2)
     points = points[np.isfinite(points[:, 0])]
     radius = np.hypot(points[:, 0], points[:, 1] - 60.0)
-    assert len(points) == int(numbers[-1, len(FRAME) + ANSWER.Np - 1])
+    assert len(points) == int(numbers[-1, len(FRAME) + MPC_ANSWER.Np - 1])
     assert np.abs(radius - 60.0).max() < 0.05
     along = np.hypot(*np.diff(points, axis=0).T)
     assert np.allclose(along, 10.0 * run.settings.period, rtol=0.01)

@@ -9,9 +9,10 @@ from adaptrack.analysis import holdable
 from adaptrack.analysis.holdable import borne, holdable_speed, top_speed
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import GRAVITY, load_vehicle
+from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Stanley
 from adaptrack.control.controllers.learned import Learning
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed
 from adaptrack.road.holdable import HoldableSpeed, load_holdable
@@ -35,9 +36,9 @@ def coarse():
         patch.setattr(holdable, "RATIO", 1.9)
         patch.setattr(holdable, "FRICTIONS", (0.5, 1.0))
         patch.setattr(holdable, "SIDEWAYS", (0.0, 0.5))
-        holdable._kept.cache_clear()
+        holdable._cached_speeds.cache_clear()
         yield lambda mpc, profile: holdable_speed(CAR, mpc, profile)
-    holdable._kept.cache_clear()
+    holdable._cached_speeds.cache_clear()
 
 
 # -- the table --------------------------------------------------------------------------------------------------------
@@ -59,8 +60,8 @@ def test_a_bend_is_held_up_to_the_speed_at_which_not_even_coasting_is():
 
 
 def test_a_tight_bend_below_the_speeds_of_the_table_counts_with_the_lateral_acceleration_that_it_has():
-    w, held = TABLE.along([1.0 / 12.0], [0.0], [1.0])
-    assert np.interp(6.0**2, w, held[0]) == pytest.approx(float(TABLE.deceleration(10.0, 3.0, 1.0)), abs=0.02)
+    w, deceleration = TABLE.along([1.0 / 12.0], [0.0], [1.0])
+    assert np.interp(6.0**2, w, deceleration[0]) == pytest.approx(float(TABLE.deceleration(10.0, 3.0, 1.0)), abs=0.02)
 
 
 def test_a_table_is_the_same_after_its_file_and_one_with_a_hole_is_refused(tmp_path):
@@ -73,24 +74,24 @@ def test_a_table_is_the_same_after_its_file_and_one_with_a_hole_is_refused(tmp_p
 
 
 def test_the_saloon_holds_less_braking_the_faster_it_is_and_more_with_friction(coarse):
-    held = coarse(MPC(CAR, profile="production"), "production")
-    speeds = np.array(held.speeds)
-    straight = held.deceleration(speeds, 0.0, 1.0)
+    table = coarse(MPC(CAR, profile="production"), "production")
+    speeds = np.array(table.speeds)
+    straight = table.deceleration(speeds, 0.0, 1.0)
     assert straight[0] > 3.0 > straight[-1]  # the comfort's braking is held at 10 m/s and not at 60
     assert (np.diff(straight) <= 1e-9).all()
-    assert (held.deceleration(speeds, 0.0, 0.5) < straight + 1e-9).all()
-    assert held is coarse(MPC(CAR, profile="production"), "production")  # made once
+    assert (table.deceleration(speeds, 0.0, 0.5) < straight + 1e-9).all()
+    assert table is coarse(MPC(CAR, profile="production"), "production")  # made once
 
 
 def test_a_learning_controller_holds_what_it_would_at_the_slow_end_of_its_prior(coarse):
-    known = coarse(MPC(CAR, profile="road"), "road")
+    informed = coarse(MPC(CAR, profile="road"), "road")
     learning = MPC(CAR, profile="road", learning=Learning())
     slow = coarse(learning, "road")
     lag, dead_time = (high for _, high in learning.learner.ranges)
     assert f"lag {lag:.3g} s" in slow.steering
     assert dead_time > 0.1
     at = np.array([20.0, 40.0, 55.0])
-    assert (slow.deceleration(at, 0.0, 0.9) <= known.deceleration(at, 0.0, 0.9) + 1e-9).all()
+    assert (slow.deceleration(at, 0.0, 0.9) <= informed.deceleration(at, 0.0, 0.9) + 1e-9).all()
 
 
 def test_an_instability_is_borne_while_deviations_grow_by_no_more_than_the_room_that_is_left():
@@ -101,19 +102,19 @@ def test_an_instability_is_borne_while_deviations_grow_by_no_more_than_the_room_
 
 
 def test_a_bend_leaves_the_reserve_of_what_the_car_corners_with():
-    held = TABLE.replace(reserve=1.5)
-    assert float(held.deceleration(20.0, 7.5, 1.0)) == pytest.approx(0.0, abs=1e-9)
-    assert float(held.deceleration(20.0, 7.0, 1.0)) > 0.0 > float(held.deceleration(20.0, 7.6, 1.0))
+    table = TABLE.replace(reserve=1.5)
+    assert float(table.deceleration(20.0, 7.5, 1.0)) == pytest.approx(0.0, abs=1e-9)
+    assert float(table.deceleration(20.0, 7.0, 1.0)) > 0.0 > float(table.deceleration(20.0, 7.6, 1.0))
 
 
 def test_a_tuning_keeps_what_it_holds(coarse, tmp_path):
-    found = ConstantTuning(
+    tuning = ConstantTuning(
         controller="informed", vehicle=CAR.name, profile="road", period=0.05,
         tuning={"Np": 20.0, "Nc": 5.0, "Q": 1.0, "R": 10.0},
     ).holding(CAR, load_profile("road"))  # fmt: skip
-    found.to_toml(tmp_path / "own.toml")
-    assert load_tuning(tmp_path / "own.toml").holds == found.holds
-    assert found.holds is not None
+    tuning.to_toml(tmp_path / "own.toml")
+    assert load_tuning(tmp_path / "own.toml").holds == tuning.holds
+    assert tuning.holds is not None
     entries = dict.fromkeys(Stanley(CAR).tuning_names, 1.0)
     stanley = ConstantTuning(controller="stanley", vehicle=CAR.name, profile="road", period=0.05, tuning=entries)
     assert stanley.holding(CAR, load_profile("road")).holds is None
@@ -126,8 +127,8 @@ def test_a_plan_is_no_faster_and_brakes_no_harder_than_the_table_says():
     plan = plan_speed(road, CAR, comfort, top_speed=60.0, holds=TABLE)
     middle = 0.5 * (plan.s[1:] + plan.s[:-1])
     v = np.sqrt(0.5 * (plan.speed[1:] ** 2 + plan.speed[:-1] ** 2))
-    held = TABLE.deceleration(v, v**2 * road.at(middle).curvature, 0.9)
-    assert (np.maximum(-plan.acceleration, 0.0) <= np.maximum(held, 0.0) + 0.15).all()
+    allowed = TABLE.deceleration(v, v**2 * road.at(middle).curvature, 0.9)
+    assert (np.maximum(-plan.acceleration, 0.0) <= np.maximum(allowed, 0.0) + 0.15).all()
     assert (plan.at(middle) <= TABLE.speed(road.at(middle).curvature) * 1.01).all()
     assert plan.duration > plan_speed(road, CAR, comfort, top_speed=60.0).duration
 
@@ -152,14 +153,7 @@ def test_an_open_road_begins_at_a_speed_that_the_power_holds():
     assert plan.speed[0] == pytest.approx(top_speed(CAR), abs=0.5)
     assert plan.speed[0] == pytest.approx(plan.speed[-1], rel=1e-6)
     assert plan_speed(road, CAR, top_speed=100.0, start=80.0).speed[0] == pytest.approx(80.0)  # asked for
-    assert {each.limit for each in plan.stretches} == {Limit.POWER}
-
-
-def test_without_a_car_a_road_without_limit_ends_with_the_usual_domain():
-    road = Road.from_segments([Line(length=3000.0)])
-    assert plan_speed(road).speed.max() == pytest.approx(27.0)
-    closed = Road.from_segments([Arc(length=2000.0 * math.pi, curvature=1e-3)], closed=True)
-    assert plan_speed(closed, CAR).speed.max() == pytest.approx(CAR.domain.speed[1])
+    assert {stretch.limit for stretch in plan.stretches} == {Limit.POWER}
 
 
 def circle(radius, **along):

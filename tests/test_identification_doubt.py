@@ -15,7 +15,7 @@ import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli.app import app
 from adaptrack.identification.computed import without_computed
-from adaptrack.identification.consistency import Said, contradictions
+from adaptrack.identification.consistency import Moments, contradictions
 from adaptrack.identification.conventions import check_conventions, check_positions
 from adaptrack.identification.from_log import prepare
 from adaptrack.identification.log import log_of
@@ -201,13 +201,13 @@ def test_stretches_that_contradict_each_other_are_said_with_their_level() -> Non
 
 
 def test_chance_is_no_contradiction() -> None:
-    prior, rng = Said(np.zeros(3), np.ones(3)), np.random.default_rng(11)
+    prior, rng = Moments(np.zeros(3), np.ones(3)), np.random.default_rng(11)
     names = ("front", "rear", "ratio")
     said = [
-        [Said(0.05 * rng.standard_normal(3), np.full(3, 0.05**2)) for _ in range(3)] for _ in range(200)
+        [Moments(0.05 * rng.standard_normal(3), np.full(3, 0.05**2)) for _ in range(3)] for _ in range(200)
     ]  # fmt: skip
     assert sum(bool(contradictions("logs", names, prior, each)) for each in said) <= 4
-    apart = [Said(np.array([shift, 0.0, 0.0]), np.full(3, 0.05**2)) for shift in (0.0, 0.0, 1.0)]
+    apart = [Moments(np.array([shift, 0.0, 0.0]), np.full(3, 0.05**2)) for shift in (0.0, 0.0, 1.0)]
     (reason,) = contradictions("logs", names, prior, apart)
     assert "front: 1, 1, 2.7" in reason
 

@@ -22,10 +22,10 @@ from adaptrack.control.controllers import (
     informed_tuning,
     published_mpc,
 )
-from adaptrack.control.controllers.belief import ASSUMED
+from adaptrack.control.controllers.belief import ASSUMED_SOURCE
 from adaptrack.control.estimation import Deadbeat, check_estimator, get_estimator
 from adaptrack.control.kalman import SENSORS, Drifts, KalmanFilter, SensorNoise
-from adaptrack.control.models import MEASURED, PathModel, SingleTrackModel, check_model, get_model
+from adaptrack.control.models import MEASURED_STATES, PathModel, SingleTrackModel, check_model, get_model
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core.estimators.kalman import memory_of
 from adaptrack.drive.batch import rollout_batch
@@ -176,7 +176,7 @@ def test_the_filter_knows_where_the_car_will_be_when_its_next_command_begins_to_
     samples = np.full((80, 5), np.nan)
     for k in range(80):
         for i, name in enumerate(model.states):
-            samples[k, MEASURED.index(name)] = states[steps * k][i]
+            samples[k, MEASURED_STATES.index(name)] = states[steps * k][i]
     before = np.concatenate([[0.0], moves[:-1]])
     estimates = run_kernel(KalmanFilter(SensorNoise(wheel_angle=0.001)), model, np.full(80, 15.0), samples, before)
     expected = np.array([states[steps * k + late] for k in range(80)])
@@ -215,7 +215,7 @@ def test_on_its_own_model_innovations_and_errors_of_the_filter_are_as_large_as_i
         for k in range(60):
             measured = np.full(5, np.nan)
             for i, name in enumerate(model.states):
-                place = MEASURED.index(name)
+                place = MEASURED_STATES.index(name)
                 measured[place] = z[i] + (rng.normal() * noise[place] if math.isfinite(noise[place]) else math.nan)
             if k == 0:
                 textbook.step(18.0, measured, 0.0)
@@ -397,8 +397,8 @@ def test_of_a_steering_that_nobody_knows_the_slow_end_is_believed_cautiously_and
     assert set(mpc.belief.assumed) == {"lag", "dead_time", "rate", "limit"}
     assert mpc.tuning.R > informed_tuning("road").R
     assert mpc.limits.move == Limits().move  # too slow a model behind bounded moves loses the car
-    assert ASSUMED in repr(mpc)
-    assert ASSUMED in mpc.describe()["belief"]
+    assert ASSUMED_SOURCE in repr(mpc)
+    assert ASSUMED_SOURCE in mpc.describe()["belief"]
 
 
 def test_of_an_unknown_steering_neither_file_nor_profile_is_believed_but_the_sensors_are():

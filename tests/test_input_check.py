@@ -18,7 +18,7 @@ from adaptrack.control.controllers import MPC, BeliefState, Learning, Stanley
 from adaptrack.control.input_check import SENTENCES, InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.tracker import Status, Tracker
-from adaptrack.core.estimators.learning import BELIEFS
+from adaptrack.core.estimators.learning import BELIEF_NAMES
 from adaptrack.core.input_check.record import ABOUT, MISTAKES
 from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Reading, read_columns
@@ -238,7 +238,7 @@ def test_a_doubtful_belief_is_told_at_every_step_and_warned_of_once(monkeypatch,
     own = Tracker(MPC(CAR, profile="road", belief="unknown", learning=Learning()), BEND)
     monkeypatch.setattr(
         own.controller, "step", lambda *given, step=own.controller.step, **more: step(*given, **more)._replace(
-            learned=tuple(2.0 * (name == "belief_state") for name in BELIEFS)
+            learned=tuple(2.0 * (name == "belief_state") for name in BELIEF_NAMES)
         )
     )  # fmt: skip
     with caplog.at_level(logging.WARNING, logger="adaptrack"):

@@ -5,8 +5,16 @@ import pytest
 
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, load_tyre, load_vehicle
-from adaptrack.core.plants.contract import GROUP, INPUT, INPUTS, SLOTS, STATE, STATES, vehicle_batch
-from adaptrack.core.plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA
+from adaptrack.core.plants.contract import (
+    GROUP,
+    PLANT_INPUT,
+    PLANT_INPUTS,
+    PLANT_STATE,
+    PLANT_STATES,
+    SLOTS,
+    vehicle_batch,
+)
+from adaptrack.core.plants.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, MAGIC_FORMULA
 from adaptrack.core.plants.user import compile_plant
 from adaptrack.scenario.profile import load_profile
 from references import vehicle as reference
@@ -15,7 +23,7 @@ pytestmark = pytest.mark.kernels
 
 CAR = load_vehicle("paper")
 LAWS = {
-    LINEAR: load_tyre("constant-stiffness"),
+    LINEAR_TYRE: load_tyre("constant-stiffness"),
     MAGIC_FORMULA: load_tyre("magic-formula"),
     CURVED_MAGIC_FORMULA: load_tyre("passenger-car").replace(curvature=-1.0),
 }
@@ -27,7 +35,7 @@ every_law = pytest.mark.parametrize("law", LAWS, ids=("linear", "magic-formula",
 
 def crowd(rng, plant):
     """SLOTS different vehicles: rows of state and input (STATES + INPUTS, SLOTS), half of them driven by a force."""
-    rows = np.zeros((STATES + INPUTS, SLOTS))
+    rows = np.zeros((PLANT_STATES + PLANT_INPUTS, SLOTS))
     rows[:6] = rng.uniform([[-50], [-9], [-3], [0], [-2], [-1]], [[50], [9], [3], [40], [2], [1]], (6, SLOTS))
     if isinstance(plant, DualTrack):
         rows[6:10] = rng.uniform(-0.2, 0.2, (4, SLOTS))
@@ -44,7 +52,7 @@ def crowd(rng, plant):
 def advance(plant, rows, members, substeps=12, h=0.008):
     """The vehicles `members` (columns of `rows`) after some steps, in a block of their own."""
     batch = vehicle_batch(plant.compiled, plant.packed(), np.zeros((SLOTS, 6)))
-    slots = batch.block.reshape(STATES + INPUTS, SLOTS)
+    slots = batch.block.reshape(PLANT_STATES + PLANT_INPUTS, SLOTS)
     slots[:] = rows[:, members[:1]]  # whoever fills up the last group of slots
     slots[:, : len(members)] = rows[:, members]
     plant.compiled.advance(
@@ -61,7 +69,7 @@ def test_a_slot_is_the_same_to_the_last_bit_alone_and_in_any_company(plant, law,
     rows = crowd(rng, car)
     members = rng.permutation(SLOTS)[:size]
     together = advance(car, rows, members)
-    assert np.isfinite(together[:STATES]).all()
+    assert np.isfinite(together[:PLANT_STATES]).all()
     for slot in rng.permutation(size)[:4]:
         alone = advance(car, rows, members[slot : slot + 1])[:, 0]
         assert np.array_equal(alone, together[:, slot], equal_nan=True)
@@ -77,7 +85,7 @@ def test_inputs_are_held_and_slots_that_nobody_asked_for_stay(plant, rng):
     batch.block[:] = rows.ravel()
     car.compiled.advance(batch.member, batch.parameters, batch.block, batch.states, batch.work, GROUP, 3, 0.01)
     after = batch.block.reshape(rows.shape)
-    assert np.array_equal(after[STATES:], rows[STATES:], equal_nan=True)
+    assert np.array_equal(after[PLANT_STATES:], rows[PLANT_STATES:], equal_nan=True)
     assert np.array_equal(after[:, GROUP:], rows[:, GROUP:], equal_nan=True)
 
 
@@ -111,7 +119,7 @@ def custom_ride(function, parameters, steering, start, inputs, substeps, h, coun
     packed = np.array([steering.lag, steering.rate, steering.limit, *parameters])
     batch = vehicle_batch(compile_plant(function), packed, np.zeros((SLOTS, count)))
     rows = batch.block.reshape(-1, SLOTS)
-    rows[:6], rows[STATES:] = start[:6, None], inputs[:, None]
+    rows[:6], rows[PLANT_STATES:] = start[:6, None], inputs[:, None]
     batch.states[:, :6] = start[:6]
     compile_plant(function).advance(batch.member, packed, batch.block, batch.states, batch.work, 3, substeps, h)
     return rows[:, 0].copy(), batch.states
@@ -143,12 +151,14 @@ def test_a_users_own_states_are_integrated_and_see_steering_and_environment():
 def test_what_is_observed_is_the_slope_and_the_angle_of_the_wheels(plant, steering, rng):
     car = plant(CAR, steering=steering)
     batch = vehicle_batch(car.compiled, car.packed(), np.zeros((SLOTS, 6)))
-    rows = batch.block.reshape(STATES + INPUTS, SLOTS)
+    rows = batch.block.reshape(PLANT_STATES + PLANT_INPUTS, SLOTS)
     rows[:] = crowd(rng, car)
     for slot in (0, 5, SLOTS - 1):
-        angle, slope = np.full(2, np.nan), np.full(STATES, np.nan)
+        angle, slope = np.full(2, np.nan), np.full(PLANT_STATES, np.nan)
         car.compiled.observe(batch.member, batch.parameters, batch.block, batch.states, batch.work, slot, angle)
-        x, u = rows[:STATES, slot].copy(), rows[STATES:, slot].copy()
+        x, u = rows[:PLANT_STATES, slot].copy(), rows[PLANT_STATES:, slot].copy()
         car.compiled.right_hand_side(x, u, car.packed(), slope)
-        assert angle[0] == slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate] - u[INPUT.bank]
-        assert angle[1] == (x[STATE.steering] if steering is ROAD else np.clip(u[INPUT.command], -np.pi / 2, np.pi / 2))
+        assert angle[0] == slope[PLANT_STATE.vy] + x[PLANT_STATE.vx] * x[PLANT_STATE.yaw_rate] - u[PLANT_INPUT.bank]
+        assert angle[1] == (
+            x[PLANT_STATE.steering] if steering is ROAD else np.clip(u[PLANT_INPUT.command], -np.pi / 2, np.pi / 2)
+        )

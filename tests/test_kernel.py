@@ -11,12 +11,25 @@ import numpy as np
 import pytest
 
 from adaptrack.core import library
-from adaptrack.core.kernel import INTERPRETED, vector, void
+from adaptrack.core.kernel import INTERPRETED, Field, copier, defaults, record, size_of, vector, void
 from adaptrack.core.member import member
 from adaptrack.core.road import foot_about
 from adaptrack.road import Arc, Line, Road
+from inlined import entry
 
 needs_compiled = pytest.mark.skipif(INTERPRETED, reason="needs compiled kernels")
+
+
+def test_a_quantity_defines_default_bounds_and_remark_of_a_field():
+    kind = record("Kind", [Field("lag", "s", 0.5, "of the steering", "[0, 1)"), Field("pair", "", (1.0, 2.0), ""),
+                           Field("open", "", 3.0, "", "(0, inf]")])  # fmt: skip
+    assert tuple(defaults(kind)) == (0.5, (1.0, 2.0), 3.0)
+    assert size_of(kind) == 4
+    assert kind.field_settings["lag"].ends == (0.0, 1.0)
+    assert kind.field_settings["lag"].remark == "s, [0, 1), of the steering"
+    source, target = kind.new(1, lag=0.1)[0], kind.new(1)[0]
+    entry(copier(record("Copied", [kind.field_settings["lag"], kind.field_settings["open"]])))(source, target)
+    assert target.lag == 0.1
 
 
 def test_an_exported_kernel_answers_as_its_python_does():
@@ -62,7 +75,7 @@ def built(tmp_path, monkeypatch):
     """A copy of what was built, in place of it."""
     if not isinstance(library.loaded(), library.Library):
         pytest.skip("runs with the library")
-    for file in filter(Path.is_file, library.BUILT.iterdir()):
+    for file in filter(Path.is_file, library.BUILT_FOLDER.iterdir()):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     monkeypatch.setattr(library, "BUILT", tmp_path)
     return tmp_path
@@ -150,9 +163,9 @@ int main(void) {{
 @needs_compiled
 @pytest.mark.needs("gcc")
 def test_the_header_describes_the_library_to_c(built, tmp_path):
-    from adaptrack.core.controllers.mpc import Mpc, Settings
-    from adaptrack.core.plants.contract import STATE
-    from adaptrack.core.road import RoadAhead
+    from adaptrack.core.controllers.mpc import Mpc, MPCSettings
+    from adaptrack.core.plants.contract import PLANT_STATE
+    from adaptrack.core.road import RoadAheadRecord
     from adaptrack.core.swarm import place_between
 
     low, high = 0.1, 0.7
@@ -163,7 +176,7 @@ def test_the_header_describes_the_library_to_c(built, tmp_path):
         ["./program"], cwd=tmp_path, capture_output=True, text=True, check=True, env={"LD_LIBRARY_PATH": str(built)}
     )
     *sizes, place, answer, station = process.stdout.split()
-    expected = [8 * words(Mpc), 8 * words(RoadAhead), 8 * words(Settings), STATE.vx]
+    expected = [8 * words(Mpc), 8 * words(RoadAheadRecord), 8 * words(MPCSettings), PLANT_STATE.vx]
     assert [int(word) for word in [*sizes, place]] == expected
     assert float.fromhex(answer) == place_between(low, high, 0.0, 0.25)
     assert float(station) == 3.0

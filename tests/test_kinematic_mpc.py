@@ -10,7 +10,7 @@ from scipy.signal import butter, lfilter
 
 import adaptrack as at
 from adaptrack.cars.vehicle import Steering
-from adaptrack.control.controllers.kinematic_mpc import WEIGHTS, KinematicMPC, kinematic_model
+from adaptrack.control.controllers.kinematic_mpc import AUTOWARE_WEIGHTS, KinematicMPC, kinematic_model
 from adaptrack.core.controllers import kinematic_mpc as kernel
 from adaptrack.core.controllers.contract import planned_speed
 from adaptrack.road import Arc, Clothoid, Line, Road
@@ -25,7 +25,10 @@ CAR = at.load_vehicle("midsize-sedan")
 LAGGING = Steering(lag=0.2, dead_time=0.12)
 WIDE = at.Limits(move=(-1.0, 1.0), angle=(-1.0, 1.0))
 TIGHT = at.Limits(move=(-0.01, 0.008), angle=(-0.05, 0.06))
-ODD = {name: 0.3 + 0.2 * i for i, name in enumerate(WEIGHTS)} | {"steering_acceleration": 1e-4, "steering_rate": 0.02}
+ODD = {name: 0.3 + 0.2 * i for i, name in enumerate(AUTOWARE_WEIGHTS)} | {
+    "steering_acceleration": 1e-4,
+    "steering_rate": 0.02,
+}
 BENDING = Road.from_segments(
     [
         Line(length=20.0),
@@ -48,7 +51,7 @@ def test_the_dense_problem_is_the_cost_of_a_simulation(weights, rng):
     road = rng.uniform(5.0, 15.0, 5), rng.uniform(-0.03, 0.03, 5)
     problem = controller.problem(state, *road, last)
     E, K = derivatives(
-        lambda u: cost(u, state, road, (0.1, 0.05), (CAR.wheelbase, 0.2), {**WEIGHTS, **weights}, last), 5
+        lambda u: cost(u, state, road, (0.1, 0.05), (CAR.wheelbase, 0.2), {**AUTOWARE_WEIGHTS, **weights}, last), 5
     )
     np.testing.assert_allclose(problem.E, E, atol=1e-7 * np.abs(E).max())
     np.testing.assert_allclose(problem.K, K, atol=1e-7 * np.abs(E).max())

@@ -5,13 +5,11 @@ import math
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.plant import get_plant
-from adaptrack.cars.vehicle import GRAVITY, load_vehicle
-from adaptrack.cli.app import app
+from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.comparison import entry_speed as module
 from adaptrack.comparison.entry_speed import (
     TUNING_SEEDS,
@@ -33,6 +31,7 @@ from adaptrack.comparison.lane_change import (
     track_road,
 )
 from adaptrack.control.controllers import get_controller
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Line, Road
 from adaptrack.scenario.profile import load_profile
@@ -49,21 +48,20 @@ def straight(y, heading=0.0):
 
 class TestLaneChange:
     def test_the_tracks_have_the_lengths_and_widths_of_the_standard(self):
-        one, two = iso_3888_1(1.8), iso_3888_2(1.8)
-        assert (one.length, two.length) == (125.0, 61.0)
-        assert [gate.width for gate in one.gates] == pytest.approx([2.23, 2.41, 2.59])
-        assert [gate.width for gate in two.gates] == pytest.approx([2.23, 2.8, 3.0])
-        assert two.gates[1].right - two.gates[0].left == pytest.approx(1.0)
-        assert one.gates[1].right - one.gates[0].right == pytest.approx(3.5)
+        first, second = iso_3888_1(1.8), iso_3888_2(1.8)
+        assert (first.length, second.length) == (125.0, 61.0)
+        assert [gate.width for gate in first.gates] == pytest.approx([2.23, 2.41, 2.59])
+        assert [gate.width for gate in second.gates] == pytest.approx([2.23, 2.8, 3.0])
+        assert second.gates[1].right - second.gates[0].left == pytest.approx(1.0)
+        assert first.gates[1].right - first.gates[0].right == pytest.approx(3.5)
         assert iso_3888_2(2.4).gates[2].width == pytest.approx(1.3 * 2.4 + 0.25)
-        assert one.cones.shape == (12, 2)
+        assert first.cones.shape == (12, 2)
 
     def test_beside_the_middle_of_a_lane_the_margin_is_what_is_left(self):
-        assert clearance(LANE, BOX, *straight(0.0)).least == pytest.approx(0.6)
-        assert clearance(LANE, BOX, *straight(0.4)).least == pytest.approx(0.2)
-        beyond = clearance(LANE, BOX, *straight(-0.7))
-        assert beyond.least == pytest.approx(-0.1)
-        assert not beyond.clean
+        for y, margin in ((0.0, 0.6), (0.4, 0.2), (-0.7, -0.1)):
+            result = clearance(LANE, BOX, *straight(y))
+            assert result.least == pytest.approx(margin)
+            assert result.clean == (margin > 0.0)
 
     def test_a_straight_line_across_a_lane_passes_its_cones_at_their_distance_from_the_side(self):
         heading = 0.2
@@ -73,10 +71,10 @@ class TestLaneChange:
     def test_a_cone_between_the_corners_is_hit_by_the_side(self):
         short = Track("short", (Gate(0.0, 1.0, -1.5, 1.5),))  # all corners are beyond it while the car turns
         x, heading = np.array([-10.0, 0.4, 0.5, 0.6, 20.0]), math.radians(30)
-        found = clearance(short, BOX, x, np.zeros(5), np.array([0.0, 0.0, heading, 0.0, 0.0]))
+        result = clearance(short, BOX, x, np.zeros(5), np.array([0.0, 0.0, heading, 0.0, 0.0]))
         side = 1.5 * math.cos(heading) - 0.5 * math.sin(heading) - 0.9
-        assert found.least == pytest.approx(side, abs=0.01)
-        assert found.place == pytest.approx(0.5, abs=0.06)
+        assert result.least == pytest.approx(side, abs=0.01)
+        assert result.place == pytest.approx(0.5, abs=0.06)
 
     def test_a_lane_that_is_not_driven_through_has_no_margin(self):
         x, y, yaw = straight(0.0)
@@ -92,9 +90,9 @@ class TestLaneChange:
         road = track_road(track, outline, room=0.1)
         s = np.linspace(0.0, road.length, 1500)
         line = road.at(s)
-        found = clearance(track, outline, line.x, line.y, line.heading)
-        assert found.clean
-        assert min(found.margins) == pytest.approx(0.1, abs=0.04)
+        result = clearance(track, outline, line.x, line.y, line.heading)
+        assert result.clean
+        assert min(result.margins) == pytest.approx(0.1, abs=0.04)
         assert np.abs(line.curvature).max() < (0.01 if make is iso_3888_1 else 0.04)
         assert np.abs(line.heading[line.x < -1.0]).max() < 0.03  # it enters straight
         inside = (line.x > 1.0) & (line.x < track.gates[0].end - 1.0)
@@ -133,21 +131,21 @@ class TestLaneChange:
     def test_a_line_for_a_speed_leaves_more_room_the_slower_and_bends_less_the_faster(self, car):
         car = load_vehicle(car)
         track = iso_3888_2(car.outline.width)
-        found = {}
+        result = {}
         for speed in (10.0, 14.0, 20.0):
             road = driven_line(track, car, speed)
             line = road.at(np.linspace(0.0, road.length, 2000))
             slip = car.lr - car.mass * car.lf * speed**2 / (2.0 * car.stiffness_rear * car.wheelbase)
             body = clearance(track, car.outline, line.x, line.y, line.heading - slip * line.curvature)
-            found[speed] = body.least, np.abs(line.curvature).max()
-        assert found[10.0][0] > found[14.0][0] > found[20.0][0] - 0.01
-        assert found[10.0][1] > found[14.0][1]
-        assert all(0.02 < room < 0.16 for room, _ in found.values())
+            result[speed] = body.least, np.abs(line.curvature).max()
+        assert result[10.0][0] > result[14.0][0] > result[20.0][0] - 0.01
+        assert result[10.0][1] > result[14.0][1]
+        assert all(0.02 < room < 0.16 for room, _ in result.values())
 
     def test_a_bend_that_allows_it_leaves_all_the_room_asked_for(self):
         track = iso_3888_2(1.8)
-        wide = track_road(track, BOX, 0.15, bend=10.0)
-        line = wide.at(np.linspace(0.0, wide.length, 2000))
+        road = track_road(track, BOX, 0.15, bend=10.0)
+        line = road.at(np.linspace(0.0, road.length, 2000))
         assert clearance(track, BOX, line.x, line.y, line.heading).least == pytest.approx(0.15, abs=0.04)
 
     def test_a_scan_tells_the_speeds_up_to_which_all_are_clean_from_those_that_are_by_luck(self):
@@ -185,11 +183,11 @@ def driver_of(test, name):
 @pytest.mark.compiled
 class TestEntrySpeed:
     def test_the_informed_mpc_passes_at_40_km_h_and_fails_well_beyond_the_grip(self, obstacle):
-        found = entry_speed(obstacle, "informed", driver_of(obstacle, "informed"), [40 / 3.6, 80 / 3.6])
-        assert found.row["clean"] == pytest.approx(40.0)
-        assert found.row["failing"] == pytest.approx(80.0)
-        assert 0.0 < found.row["margin"] < 0.2
-        assert clearance(obstacle.track, obstacle.car.outline, *found.poses[0].T).clean
+        result = entry_speed(obstacle, "informed", driver_of(obstacle, "informed"), [40 / 3.6, 80 / 3.6])
+        assert result.row["clean"] == pytest.approx(40.0)
+        assert result.row["failing"] == pytest.approx(80.0)
+        assert 0.0 < result.row["margin"] < 0.2
+        assert clearance(obstacle.track, obstacle.car.outline, *result.poses[0].T).clean
 
     def test_many_tunings_at_once_are_driven_as_each_alone(self, obstacle):
         stanley = driver_of(obstacle, "stanley")
@@ -198,28 +196,26 @@ class TestEntrySpeed:
         alone = obstacle.drive(stanley, 12.0, tunings[17:18], (1,))
         assert np.array_equal(together[17, 1], alone[0, 0], equal_nan=True)
         slow = rollout(obstacle.plant, stanley, obstacle.entering_at(12.0), profile=obstacle.profile, seed=1)
-        own = obstacle.drive(stanley, 12.0, stanley.packed_tuning()[None], (1,))[0, 0]
-        assert np.array_equal(own[::5, 1], slow.Y)
+        default = obstacle.drive(stanley, 12.0, stanley.packed_tuning()[None], (1,))[0, 0]
+        assert np.array_equal(default[::5, 1], slow.Y)
 
     def test_a_tuning_that_was_searched_is_no_worse_than_the_own_one_where_it_was_searched(self, obstacle):
         law = driver_of(obstacle, "lqr")
         tuning, margin = tune_for_track(obstacle, "lqr", law, 12.0)
-        (own,) = obstacle.margins(law, 12.0, law.packed_tuning()[None], TUNING_SEEDS)
-        assert margin.least > own.least + 0.05
-        assert any(np.array_equal(tuning, each) for each in tunings_to_try("lqr", law))
+        (default,) = obstacle.margins(law, 12.0, law.packed_tuning()[None], TUNING_SEEDS)
+        assert margin.least > default.least + 0.05
+        assert any(np.array_equal(tuning, candidate) for candidate in tunings_to_try("lqr", law))
 
 
 @pytest.mark.compiled
-def test_the_command_gives_a_table_and_a_page(monkeypatch, tmp_path):
+def test_the_command_gives_a_table_and_a_page(run_command, monkeypatch, tmp_path):
     grid = module.LANE_CHANGES["iso3888-2"]._replace(speeds=(30.0, 35.0, 80.0), tuned_at=40.0)
     monkeypatch.setitem(module.LANE_CHANGES, "iso3888-2", grid)
     command = ["compare", "--lane-change", "iso3888-2", "--vehicle", "compact-ev", "--controller", "pure-pursuit"]
-    done = CliRunner().invoke(app, [*command, "--out", str(tmp_path)])
-    assert done.exit_code == 0, done.exception
-    assert "Clean to" in done.stdout
+    code, out, err = run_command(*command, "--out", tmp_path)
+    assert code == 0, err
+    assert "Clean to" in out
     assert (tmp_path / "compact-ev-road.png").read_bytes().startswith(b"\x89PNG")
-    rows = json.loads(CliRunner().invoke(app, [*command, "--budget", "0", "--json"]).stdout)["rows"]
-    assert [(row["vehicle"], row["controller"], row["tuned"]) for row in rows] == [
-        ("compact-ev", "pure-pursuit", False)
-    ]
-    assert len(rows[0]["margins"]) == 3
+    (row,) = json.loads(run_command(*command, "--budget", "0", "--json")[1])["rows"]
+    assert (row["vehicle"], row["controller"], row["tuned"]) == ("compact-ev", "pure-pursuit", False)
+    assert len(row["margins"]) == 3

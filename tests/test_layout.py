@@ -45,7 +45,7 @@ def counts_of(run):
     """What the sizes follow from, as a program has it that knows only how many numbers there are."""
     loop, controller, law, plan = run, run.mpc, run.law, run.schedule
     turning = controller.feed.turning
-    (row,) = rollout.Counts.new(1, tuning=run.tuning.shape[1])
+    (row,) = rollout.RunCounts.new(1, tuning=run.tuning.shape[1])
     inputs = loop.given
     for name, value in {
         "slots": len(run.tuning), "parameters": loop.vehicles.parameters.size, "states": loop.vehicles.start.shape[1],
@@ -79,9 +79,9 @@ def test_the_sizes_that_kernels_say_are_those_that_python_lays(name):
     batch = Batch(at.DualTrack(CAR), controller, [scenario, scenario], profile, known_as=known_as)
     limits = batch.mpc_settings(np.inf, np.inf, residuals=True)
     run = batch.arena(3, int(batch.substeps[0]), limits, 4, 50, batch.scheduler)
-    (settings,) = mpc.Settings.new(1, **run.mpc.settings._asdict())
+    (settings,) = mpc.MPCSettings.new(1, **run.mpc.settings._asdict())
     settings.learns, settings.curved, settings.feeds_forward = 0, 0, 0
-    table = np.full((layout.arrays_of(rollout.Run), layout.SIZES), -1)
+    table = np.full((layout.arrays_of(rollout.RunRecord), layout.SIZES), -1)
     assert rollout.sizes(settings, counts_of(run), table) == len(table)
     for row, laid in zip(table.tolist(), arrays(run), strict=True):
         assert tuple(row[: laid.ndim]) == laid.shape

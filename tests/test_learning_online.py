@@ -72,7 +72,7 @@ def test_wheels_follow_a_lag_behind_a_rate_limit_and_the_slope_is_the_derivative
 
     def turn(lag):
         hypothesis = first_hypothesis(mpc)
-        hypothesis.x[kernel.LAG] = lag
+        hypothesis.x[kernel.STEERING_LAG] = lag
         entry(kernel._steer)(hypothesis, time, rate, command)
         return hypothesis
 
@@ -92,14 +92,14 @@ def test_wheels_follow_a_lag_behind_a_rate_limit_and_the_slope_is_the_derivative
 def test_in_gentle_driving_the_prediction_is_that_of_the_path_model(speed):
     mpc = learner()
     hypothesis, angle = first_hypothesis(mpc), 1e-4
-    hypothesis.x[[kernel.VY, kernel.RATE, kernel.WIND]] = 2e-3, 1e-3, 0.0
+    hypothesis.x[[kernel.LATERAL_VELOCITY, kernel.YAW_RATE, kernel.WIND_FORCE]] = 2e-3, 1e-3, 0.0
     hypothesis.swept = angle * PERIOD
     a, inputs = PathModel(HALF, PERIOD).continuous(speed)
     block = np.zeros((3, 3))
     block[:2, :2], block[:2, 2] = a[np.ix_([0, 2], [0, 2])], inputs[[0, 2], 0]
     exact = (expm(block * PERIOD) @ [2e-3, 1e-3, angle])[:2]
     entry(kernel._predict_state)(hypothesis, speed, 0.0, numbers(mpc), np.zeros((2, 16)))
-    np.testing.assert_allclose(hypothesis.x[[kernel.VY, kernel.RATE]], exact, rtol=3e-4, atol=1e-9)
+    np.testing.assert_allclose(hypothesis.x[[kernel.LATERAL_VELOCITY, kernel.YAW_RATE]], exact, rtol=3e-4, atol=1e-9)
 
 
 def test_rows_of_the_prediction_are_its_derivatives():
@@ -108,14 +108,14 @@ def test_rows_of_the_prediction_are_its_derivatives():
 
     def after(state, change):
         hypothesis, rows = first_hypothesis(mpc), np.zeros((2, 16))
-        hypothesis.x[: kernel.LAG] = 0.01, 0.005, 0.02, 0.0003, 0.01, 0.2, 0.05, -0.1
+        hypothesis.x[: kernel.STEERING_LAG] = 0.01, 0.005, 0.02, 0.0003, 0.01, 0.2, 0.05, -0.1
         hypothesis.x[state] += change
         hypothesis.swept = 0.002 * PERIOD
         step(hypothesis, SPEED, 0.0, p, rows)
-        return hypothesis.x[[kernel.VY, kernel.RATE]], rows
+        return hypothesis.x[[kernel.LATERAL_VELOCITY, kernel.YAW_RATE]], rows
 
-    _, rows = after(kernel.VY, 0.0)
-    for state in range(kernel.LAG):
+    _, rows = after(kernel.LATERAL_VELOCITY, 0.0)
+    for state in range(kernel.STEERING_LAG):
         slopes = (after(state, 1e-5)[0] - after(state, -1e-5)[0]) / 2e-5
         # phi_1 is held while it is differentiated
         assert np.linalg.norm(rows[:, state] - slopes) < 0.1 * np.linalg.norm(slopes) + 1e-5, state
@@ -130,7 +130,7 @@ def test_a_controller_told_wrongly_finds_delay_stiffness_bias_and_noise(profile)
     noisy = world_of_profile.replace(noise_yaw_rate=2.0 * world_of_profile.noise_yaw_rate)
     run = rollout(DualTrack(CAR), mpc, random_drive(11, 60.0), profile=noisy, seed=1)
     assert run.failed is None
-    last = {name: run.diagnostics[name][-1] for name in kernel.BELIEFS}
+    last = {name: run.diagnostics[name][-1] for name in kernel.BELIEF_NAMES}
     assert last["belief_delay"] == pytest.approx(0.32, abs=0.03)
     assert last["belief_stiffness"] == pytest.approx(1.6, rel=0.15)
     assert last["belief_bias"] == pytest.approx(-0.012, abs=0.004)
@@ -199,8 +199,8 @@ def test_a_contradiction_is_said_and_returns_to_the_priors_spread_step_by_step()
     memory = kernel.memory_of(mpc._mpc.informed.learned[0], 0)
     for i in range(4):
         hypothesis = kernel.hypothesis(i, mpc.learner.kept, mpc._mpc.informed.learned[0])
-        hypothesis.covariance[kernel.STIFFNESS] = hypothesis.covariance[:, kernel.STIFFNESS] = 0.0
-        hypothesis.covariance[kernel.STIFFNESS, kernel.STIFFNESS] = 1e-4
+        hypothesis.covariance[kernel.STIFFNESS_SCALE] = hypothesis.covariance[:, kernel.STIFFNESS_SCALE] = 0.0
+        hypothesis.covariance[kernel.STIFFNESS_SCALE, kernel.STIFFNESS_SCALE] = 1e-4
     information = 2.0 * 1e-2
     memory.disagreement = 20.0
     sigmas, cautions = [], []

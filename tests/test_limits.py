@@ -9,11 +9,11 @@ from adaptrack.base import limits
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import Moves, Tuning, published_mpc
-from adaptrack.paper.campaign_config import CampaignConfig, Plan
+from adaptrack.paper.campaign_config import CampaignConfig, CampaignPlan
 from adaptrack.scenario import Scenario, load_scenario
 from small_data import small_campaign
 
-LIMITS = [value for value in vars(limits).values() if isinstance(value, limits.Limit)]
+LIMITS = [value for value in vars(limits).values() if isinstance(value, limits.RequestLimit)]
 
 
 def test_a_limit_takes_its_largest_value_and_refuses_more_by_name_with_its_reason():
@@ -25,12 +25,12 @@ def test_a_limit_takes_its_largest_value_and_refuses_more_by_name_with_its_reaso
         assert limit.reason in str(refused.value)
     for value in (10**400, 1e300, np.inf):
         with pytest.raises(InvalidInput) as refused:
-            limits.check_limit("it", value, limits.SPEED)
+            limits.check_limit("it", value, limits.MAX_SPEED)
         assert len(str(refused.value)) < 120
 
 
 @pytest.mark.parametrize(
-    ("what", "make"),
+    ("words", "make"),
     [
         ("speed", lambda: load_scenario("step", speed=1e15)),
         ("duration", lambda: load_scenario("step", duration=1e12)),
@@ -42,11 +42,11 @@ def test_a_limit_takes_its_largest_value_and_refuses_more_by_name_with_its_reaso
         ("longest_horizon", lambda: published_mpc(load_vehicle("paper"), longest_horizon=10**9)),
         ("most_moves", lambda: published_mpc(load_vehicle("paper"), most_moves=10**9)),
         ("noise_seeds", lambda: small_campaign(profile="road", noise_seeds=tuple(range(100_000)))),
-        ("landscape", lambda: Plan.of(sobol(10**6, 10_000))),
+        ("landscape", lambda: CampaignPlan.of(sobol(10**6, 10_000))),
     ],
 )
-def test_what_would_take_hours_or_all_memory_is_refused_where_it_is_said(what, make):
-    with pytest.raises(InvalidInput, match=what):
+def test_what_would_take_hours_or_all_memory_is_refused_where_it_is_said(words, make):
+    with pytest.raises(InvalidInput, match=words):
         make()
 
 

@@ -47,20 +47,15 @@ def test_times_are_read_as_recorders_write_them(tmp_path, name: str, times: Any)
     assert np.allclose(read.values["time"], TIME, rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "times",
-    [
+def test_instants_and_durations_are_times_and_a_clock_shares_their_origin(tmp_path) -> None:
+    columns = (
         pyarrow.array(DATES, pyarrow.timestamp("us", "UTC")),
         pyarrow.array(DATES, pyarrow.timestamp("ns")),
         pyarrow.array([timedelta(seconds=float(t)) for t in TIME], pyarrow.duration("ms")),
-    ],
-)
-def test_instants_and_durations_of_parquet_are_times(tmp_path, times: Any) -> None:
-    pyarrow.parquet.write_table(pyarrow.table({"time_ns": times} | SIGNALS), tmp_path / "log.parquet")
-    assert np.allclose(read_columns(tmp_path / "log.parquet", Reading()).values["time"], TIME, rtol=0.0, atol=1e-9)
-
-
-def test_arrays_of_instants_and_whole_nanoseconds_are_times_and_a_clock_shares_their_origin() -> None:
+    )
+    for times in columns:
+        pyarrow.parquet.write_table(pyarrow.table({"time_ns": times} | SIGNALS), tmp_path / "log.parquet")
+        assert np.allclose(read_columns(tmp_path / "log.parquet", Reading()).values["time"], TIME, rtol=0.0, atol=1e-9)
     dates = np.array([date.astimezone(UTC).replace(tzinfo=None) for date in DATES], dtype="datetime64[us]")
     assert np.allclose(read_columns({"time": dates} | SIGNALS, Reading()).values["time"], TIME, atol=1e-9)
     log = {"time_ns": NANOSECONDS, "imu_ns": NANOSECONDS + 10_000_000} | SIGNALS
@@ -72,12 +67,8 @@ def test_a_row_of_units_below_the_names_is_understood(tmp_path) -> None:
     degrees = {"Time": TIME, "Steering Angle": np.degrees(SIGNALS["command"]), "Speed": 3.6 * SIGNALS["speed"],
                "Yaw Rate": np.degrees(SIGNALS["yaw_rate"])}  # fmt: skip
     read = read_columns(written(tmp_path, degrees, "s,deg,km/h,deg/s"), Reading()).values
-    for signal, values in (
-        ("wheel", SIGNALS["command"]),
-        ("speed", SIGNALS["speed"]),
-        ("yaw_rate", SIGNALS["yaw_rate"]),
-    ):
-        assert np.allclose(read[signal], values)
+    for signal, column in (("wheel", "command"), ("speed", "speed"), ("yaw_rate", "yaw_rate")):
+        assert np.allclose(read[signal], SIGNALS[column])
     with pytest.raises(InvalidInput, match=r"speed is the column 'speed' in 'kn': say --units speed=m/s"):
         read_columns(written(tmp_path, {"time": TIME} | SIGNALS, "s,rad,kn,rad/s"), Reading())
 
@@ -104,12 +95,12 @@ def test_a_column_of_text_is_refused_with_its_first_cell_and_a_remedy(tmp_path) 
     "words", ["identify {} --mass 1500 --wheelbase 2.7", "shadow {} --vehicle midsize-sedan", "check-loop {}"]
 )
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "sentence"),
     [("time_ms", "0.03 s of log, 50 microseconds between samples: is the time in s?"), ("time", "--units time=ms")],
 )
-def test_times_that_are_off_by_a_thousand_are_refused(tmp_path, words: str, name: str, said: str) -> None:
+def test_times_that_are_off_by_a_thousand_are_refused(tmp_path, words: str, name: str, sentence: str) -> None:
     times = TIME if name == "time_ms" else 1000.0 * TIME
     path = written(tmp_path, {name: times} | SIGNALS)
     result = CliRunner().invoke(app, words.format(path).split())
     assert isinstance(result.exception, InvalidInput)
-    assert said in str(result.exception)
+    assert sentence in str(result.exception)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import pytest
 
-from adaptrack import cli
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC, published_mpc
@@ -34,25 +32,23 @@ def controller(schedule, car, scheduler=None):
 
 
 def test_every_shipped_scheduler_says_for_which_car_and_profile_it_was_made():
-    for name, schedule in SCHEDULERS.items():
-        assert schedule.made_for["car"] in CARS, name
-        assert schedule.made_for["profile"], name
+    assert all(schedule.made_for["car"] in CARS and schedule.made_for["profile"] for schedule in SCHEDULERS.values())
 
 
 @pytest.mark.parametrize(("name", "car"), PAIRS)
 def test_a_shipped_scheduler_meets_another_car_with_a_word_and_its_own_without(name, car, caplog):
     """The controller is built; the schedule comes to a run set; the plant is of another car than the controller."""
-    schedule, own = SCHEDULERS[name], CARS[SCHEDULERS[name].made_for["car"]]
-    profile, other = schedule.made_for["profile"], car != own.name
+    schedule, own_car = SCHEDULERS[name], CARS[SCHEDULERS[name].made_for["car"]]
+    profile, other = schedule.made_for["profile"], car != own_car.name
     mpc = controller(schedule, CARS[car], schedule)
-    words = f"was made for the car '{own.name}', not '{car}'"
+    words = f"was made for the car '{own_car.name}', not '{car}'"
     assert (words in caplog.text) == other
     assert bool(mpc.mismatches(schedule, profile)) == other
     caplog.clear()
     RunSet(DualTrack(CARS[car]), controller(schedule, CARS[car]), [SHORT], profile)._warn_of(schedule)
     assert (words in caplog.text) == other
     caplog.clear()
-    Batch(DualTrack(CARS[car]), controller(schedule, own, schedule), [SHORT], profile)
+    Batch(DualTrack(CARS[car]), controller(schedule, own_car, schedule), [SHORT], profile)
     assert (words in caplog.text) == other
 
 
@@ -76,16 +72,10 @@ def test_a_car_with_the_name_of_a_shipped_one_and_other_numbers_is_another_car(c
 
 
 # -- the certificate where a schedule or a constant meets another car -------------------------------------------------
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Run a command; few points of the certificate."""
+@pytest.fixture(autouse=True)
+def few_points(monkeypatch):
+    """Few points of the certificate."""
     monkeypatch.setattr("adaptrack.cli.new_car.LEVELS", (2, 2))
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["adaptrack", *map(str, arguments)])
-        return cli.main(), capsys.readouterr()
-
-    return run
 
 
 def drive_shortly(car, scheduler):
@@ -95,40 +85,41 @@ def drive_shortly(car, scheduler):
 
 
 @pytest.mark.compiled
-def test_simulate_refuses_a_scheduler_that_is_unstable_on_another_car_unless_that_is_allowed(command):
-    meeting = (
-        "scheduler 'road-best-constant', made for the car 'paper', on 'midsize-sedan': certificate over the domain"
-    )
-    code, said = command(*drive_shortly("midsize-sedan", "road-best-constant"))
+def test_simulate_refuses_a_scheduler_that_is_unstable_on_another_car_unless_that_is_allowed(run_command):
+    meeting = "scheduler 'road-best-constant', made for the car 'paper', on 'midsize-sedan': certificate over"
+    code, _, err = run_command(*drive_shortly("midsize-sedan", "road-best-constant"))
     assert code == 2
-    assert meeting in said.err
-    assert "Failed: the closed loop is unstable at" in said.err
-    assert "Refused: --allow-failed drives it all the same." in said.err
-    code, said = command(*drive_shortly("midsize-sedan", "road-best-constant"), "--allow-failed")
+    assert meeting in err
+    assert "Failed: the closed loop is unstable at" in err
+    assert "Refused: --allow-failed drives it all the same." in err
+    code, _, err = run_command(*drive_shortly("midsize-sedan", "road-best-constant"), "--allow-failed")
     assert code == 0
-    assert f"Warning, {meeting}" in said.err
+    assert f"Warning, {meeting}" in err
 
 
 @pytest.mark.compiled
-def test_a_stable_meeting_is_driven_with_the_verdict_and_ones_own_car_is_not_looked_at(command, monkeypatch, tmp_path):
+def test_a_stable_meeting_is_driven_with_the_verdict_and_ones_own_car_is_not_looked_at(
+    run_command, monkeypatch, tmp_path
+):
     mpc, file = MPC(load_vehicle("paper"), profile="road"), tmp_path / "cautious.json"
     replace(Constant(mpc.tuning, name="cautious"), made_for=made_for(mpc, "road")).save(file)
-    code, said = command(*drive_shortly("van", file))
+    code, _, err = run_command(*drive_shortly("van", file))
     assert code == 0
-    assert "Warning, scheduler 'cautious', made for the car 'paper', on 'van'" in said.err
-    assert "Passed: the closed loop is stable at all" in said.err
-    monkeypatch.setattr("adaptrack.analysis.certify.certify", lambda *given, **more: pytest.fail("it was looked at"))
-    code, said = command(*drive_shortly("paper", file))
+    assert "Warning, scheduler 'cautious', made for the car 'paper', on 'van'" in err
+    assert "Passed: the closed loop is stable at all" in err
+    monkeypatch.setattr(
+        "adaptrack.analysis.certify.certify", lambda *arguments, **settings: pytest.fail("it was looked at")
+    )
+    code, out, err = run_command(*drive_shortly("paper", file))
     assert code == 0
-    assert "certificate" not in said.out + said.err
+    assert "certificate" not in out + err
 
 
 @pytest.mark.compiled
-def test_drive_refuses_a_constant_that_is_unstable_on_another_car(command, tmp_path):
+def test_drive_refuses_a_constant_that_is_unstable_on_another_car(run_command, tmp_path):
     tuning = {"Np": 5, "Nc": 1, "Q": 1.0, "R": 1e-4}
-    ConstantTuning(controller="informed", vehicle="paper", profile="road", period=0.05, tuning=tuning).to_toml(
-        tmp_path / "wild.toml"
-    )
-    code, said = command("drive", "country", "--vehicle", "van", "--tuning", tmp_path / "wild.toml")
+    wild = ConstantTuning(controller="informed", vehicle="paper", profile="road", period=0.05, tuning=tuning)
+    wild.to_toml(tmp_path / "wild.toml")
+    code, _, err = run_command("drive", "country", "--vehicle", "van", "--tuning", tmp_path / "wild.toml")
     assert code == 2
-    assert "wild.toml, found for the car 'paper', on 'van': certificate over the domain of 'van': Failed" in said.err
+    assert "wild.toml, found for the car 'paper', on 'van': certificate over the domain of 'van': Failed" in err

@@ -17,7 +17,7 @@ from adaptrack.core import library
 from adaptrack.core.kernel import INTERPRETED, float64, vector, void
 from adaptrack.core.member import CFunction, member
 from adaptrack.core.plants.user import compile_plant
-from adaptrack.core.road import RoadAhead
+from adaptrack.core.road import RoadAheadRecord
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import load_scenario
@@ -84,8 +84,8 @@ def test_a_law_that_is_called_back_steers_as_the_compiled_one(compiled, monkeypa
     plant = UserPlant(linear_car, PARAMETERS, mass=1575.0)
     ours = path_of(plant, UserController(law, memory_size=1))
     monkeypatch.setattr(library, "can_compile", lambda: False)
-    function = member(law, void(vector, vector, RoadAhead, vector, vector, vector, vector))
-    assert function.in_python
+    function = member(law, void(vector, vector, RoadAheadRecord, vector, vector, vector, vector))
+    assert function.calls_python
     theirs = UserController(law, memory_size=1)
     theirs._compiled = function
     assert path_of(plant, theirs) == pytest.approx(ours, rel=1e-9, abs=1e-12)

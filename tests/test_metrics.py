@@ -14,7 +14,7 @@ from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Body, load_vehicle
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.metrics import PathRecord, compute_metrics, path_metrics, published_mse
-from adaptrack.drive.trajectory import COLUMNS, Trajectory
+from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.road import Arc, Line
 from adaptrack.road.road import Road
 
@@ -26,16 +26,16 @@ T = np.arange(0.0, 60.0, 0.05)
 def record(n=8, period=0.1, **changes):
     """A car at 10 m/s on a straight reference, nothing measured; `changes` replace arrays (scalars fill them)."""
     arrays = {}
-    for column in COLUMNS:
+    for column in TRAJECTORY_COLUMNS:
         shape = (n, len(column.parts)) if column.parts else (n,)
         arrays[column.name] = np.zeros(shape, dtype=column.dtype)
     arrays |= {"t": period * np.arange(n), "vx": np.full(n, 10.0), "step_time": np.full(n, NAN)}
-    whole = np.zeros(n, np.int64)
-    diagnostics = {"qp_status": whole, "qp_iterations": whole, "qp_residual": np.zeros(n), "at_limit": whole}
+    zeros = np.zeros(n, np.int64)
+    diagnostics = {"qp_status": zeros, "qp_iterations": zeros, "qp_residual": np.zeros(n), "at_limit": zeros}
     diagnostics |= {key: np.broadcast_to(value, (n,)) for key, value in changes.items() if key in diagnostics}
     arrays |= {key: np.broadcast_to(value, arrays[key].shape) for key, value in changes.items() if key in arrays}
-    more = {key: value for key, value in changes.items() if key not in diagnostics and key not in arrays}
-    return Trajectory(**arrays, period=period, **({"diagnostics": diagnostics} | more))
+    options = {key: value for key, value in changes.items() if key not in diagnostics and key not in arrays}
+    return Trajectory(**arrays, period=period, **({"diagnostics": diagnostics} | options))
 
 
 def test_tracking_measures_are_those_of_a_hand_calculation():
@@ -198,8 +198,8 @@ def test_on_a_road_they_are_its_projection_of_the_corners():
     foot = road.project(x, y)
     corners = BOX.corners_at(x, y, yaw)
     projected = road.project(corners[:, 0], corners[:, 1]).offset
-    found = BOX.corner_offsets(foot.offset, yaw - foot.heading, foot.curvature)
-    assert found == pytest.approx(projected, abs=1e-9)
+    offsets = BOX.corner_offsets(foot.offset, yaw - foot.heading, foot.curvature)
+    assert offsets == pytest.approx(projected, abs=1e-9)
 
 
 def test_what_a_car_file_leaves_out_is_estimated_and_named():
@@ -207,8 +207,8 @@ def test_what_a_car_file_leaves_out_is_estimated_and_named():
     assert car.outline.length == pytest.approx(1.65 * car.wheelbase)
     assert car.outline.width == pytest.approx(car.track_front + 0.24)
     assert "estimated from wheelbase and track: length, front_overhang, width" in repr(car.outline)
-    whole = car.replace(body=Body(length=4.5, width=1.7, rear_overhang=0.9)).outline
-    assert (whole.length, whole.rear, whole.estimated) == (pytest.approx(4.5), pytest.approx(1.6 + 0.9), ())
+    outline = car.replace(body=Body(length=4.5, width=1.7, rear_overhang=0.9)).outline
+    assert (outline.length, outline.rear, outline.estimated) == (pytest.approx(4.5), pytest.approx(1.6 + 0.9), ())
 
 
 def test_errors_of_arrays_are_those_of_a_hand_calculation():
@@ -248,12 +248,12 @@ def test_arrays_that_end_in_nan_have_infinite_measures():
 def test_a_run_with_an_outline_has_the_measures_of_its_arrays_before_the_first_that_is_not_finite():
     offset = np.append(0.3 * np.sin(np.arange(60.0)), [NAN] * 4)
     run = record(n=64, Y=offset)
-    whole, part = compute_metrics(run, outline=BOX), path_metrics(PathRecord.from_trajectory(run), BOX)
-    assert whole.mse == INF
+    metrics, part = compute_metrics(run, outline=BOX), path_metrics(PathRecord.from_trajectory(run), BOX)
+    assert metrics.mse == INF
     for name in ("duration", "p95_error", "max_corner", "in_lane", "reversals", "jerk_r79"):
-        assert getattr(whole, name) == getattr(part, name), name
+        assert getattr(metrics, name) == getattr(part, name), name
     assert part.steps == 60
-    assert set(compute_metrics(run).as_row()) < set(whole.as_row())
+    assert set(compute_metrics(run).as_row()) < set(metrics.as_row())
 
 
 def test_the_steering_wheel_turns_by_the_ratio():

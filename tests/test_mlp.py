@@ -78,20 +78,20 @@ def test_the_forward_pass_is_the_papers_equations(relu):
 
 def test_the_estimator_predicts_what_its_network_does():
     x, y = data()
-    made = MLP(**QUICK, random_state=0).fit(x, y)
-    np.testing.assert_array_equal(made.predict(x), made.network_.predict(x))
-    assert made.predict(x).min() >= y.min(), "the ReLU stands at the least target"
-    assert np.isfinite(made.predict(1e6 * x)).all()
+    estimator = MLP(**QUICK, random_state=0).fit(x, y)
+    np.testing.assert_array_equal(estimator.predict(x), estimator.network_.predict(x))
+    assert estimator.predict(x).min() >= y.min(), "the ReLU stands at the least target"
+    assert np.isfinite(estimator.predict(1e6 * x)).all()
 
 
 def test_dead_outputs_are_counted():
     x = np.random.default_rng(0).uniform(-1.0, 1.0, (400, 1))
     y = np.maximum(0.0, x[:, 0])  # a linear output undershoots where the target is 0
-    made = MLP((2,), epochs=100, random_state=0).fit(x, y)
-    below = replace(made.network_, relu=False).predict(x) < 0.0
+    estimator = MLP((2,), epochs=100, random_state=0).fit(x, y)
+    below = replace(estimator.network_, relu=False).predict(x) < 0.0
     assert 0.0 < below.mean() < 1.0
-    assert made.dead_share_ == below.mean()
-    assert (made.predict(x)[below] == 0.0).all()
+    assert estimator.dead_share_ == below.mean()
+    assert (estimator.predict(x)[below] == 0.0).all()
     assert MLP((2,), epochs=100, random_state=0, relu=False).fit(x, y).dead_share_ == 0.0
 
 
@@ -109,34 +109,34 @@ def test_the_papers_recipe_is_the_default():
 @pytest.mark.parametrize("solver", ["momentum", "adam", "lbfgs"])
 def test_a_smooth_function_is_learned(solver):
     x, y = data(1500)
-    made = MLP(solver=solver, epochs=300, batch_size=50, random_state=0).fit(x[:1000], y[:1000])
-    assert made.score(x[1000:], y[1000:]) > 0.95
+    estimator = MLP(solver=solver, epochs=300, batch_size=50, random_state=0).fit(x[:1000], y[:1000])
+    assert estimator.score(x[1000:], y[1000:]) > 0.95
 
 
 def test_the_unit_of_the_inputs_and_of_the_target_does_not_matter():
     x, y = data(150)
     scale, shift = np.array([1e3, 1e-2, 1.0, 5.0]), np.array([50.0, -3.0, 0.0, 7.0])
-    one = MLP(**QUICK, random_state=0).fit(x, y)
+    first = MLP(**QUICK, random_state=0).fit(x, y)
     other = MLP(**QUICK, random_state=0).fit(x * scale + shift, 40.0 * y - 9.0)
-    np.testing.assert_allclose((other.predict(x * scale + shift) + 9.0) / 40.0, one.predict(x), rtol=1e-6)
+    np.testing.assert_allclose((other.predict(x * scale + shift) + 9.0) / 40.0, first.predict(x), rtol=1e-6)
 
 
 def test_a_constant_target_is_learned_exactly():
     x, _ = data(50)
     x[:, 1] = 4.0  # and an input that never changes does no harm
-    made = MLP(**QUICK, random_state=0).fit(x, np.full(50, 7.0))
-    assert (made.predict(x) == 7.0).all()
-    assert made.dead_share_ == 0.0
+    estimator = MLP(**QUICK, random_state=0).fit(x, np.full(50, 7.0))
+    assert (estimator.predict(x) == 7.0).all()
+    assert estimator.dead_share_ == 0.0
 
 
 @pytest.mark.parametrize("solver", ["momentum", "adam", "lbfgs"])
 def test_the_same_seed_gives_the_same_bits(solver):
-    made = MLP(**QUICK, solver=solver, early_stopping=True)
-    one, again, other = (clone(made).set_params(random_state=seed).fit(*data()) for seed in (3, 3, 4))
-    for a, b, c in zip(one.network_.weights, again.network_.weights, other.network_.weights, strict=True):
+    estimator = MLP(**QUICK, solver=solver, early_stopping=True)
+    first, again, other = (clone(estimator).set_params(random_state=seed).fit(*data()) for seed in (3, 3, 4))
+    for a, b, c in zip(first.network_.weights, again.network_.weights, other.network_.weights, strict=True):
         np.testing.assert_array_equal(a, b)
         assert (a != c).any()
-    np.testing.assert_array_equal(one.history_["train_rmse"], again.history_["train_rmse"])
+    np.testing.assert_array_equal(first.history_["train_rmse"], again.history_["train_rmse"])
 
 
 def test_the_callers_threads_do_not_change_the_bits(run_python):
@@ -148,8 +148,8 @@ def test_the_callers_threads_do_not_change_the_bits(run_python):
         "        m = MLP(epochs=3, batch_size=3000, random_state=0).fit(x, x.sum(axis=1))\n"
         "    print(*(w.tobytes().hex() for w in m.network_.weights))"
     )
-    one, two = run_python(code=code).splitlines()
-    assert one == two
+    first, second = run_python(code=code).splitlines()
+    assert first == second
 
 
 # --- history and early stopping
@@ -157,26 +157,26 @@ def test_the_callers_threads_do_not_change_the_bits(run_python):
 
 def test_early_stopping_keeps_the_epoch_that_is_best_on_the_hold_out():
     x, y = noisy()
-    made = MLP(epochs=400, batch_size=20, early_stopping=True, patience=20, random_state=0).fit(x, y)
-    held = made.history_["validation_rmse"]
-    assert made.best_epoch_ == held.argmin() + 1
-    assert made.n_iter_ == len(held) == len(made.history_["train_rmse"]) == made.best_epoch_ + 20 < 400
-    _, rows = held_out("MLP", len(y), made.validation_fraction, np.random.RandomState(0))
+    estimator = MLP(epochs=400, batch_size=20, early_stopping=True, patience=20, random_state=0).fit(x, y)
+    errors = estimator.history_["validation_rmse"]
+    assert estimator.best_epoch_ == errors.argmin() + 1
+    assert estimator.n_iter_ == len(errors) == len(estimator.history_["train_rmse"]) == estimator.best_epoch_ + 20 < 400
+    _, rows = held_out("MLP", len(y), estimator.validation_fraction, np.random.RandomState(0))
     assert len(rows) == 24
-    assert rmse(y[rows], made.predict(x[rows])) == pytest.approx(held.min(), rel=1e-12)
+    assert rmse(y[rows], estimator.predict(x[rows])) == pytest.approx(errors.min(), rel=1e-12)
 
 
 # --- what is refused
 
 
-@pytest.mark.parametrize("bad", [
+@pytest.mark.parametrize("options", [
     {"hidden": ()}, {"hidden": (16, 0)}, {"hidden": (8.5,)}, {"hidden": 16}, {"solver": "sgd"}, {"learning_rate": 0.0},
     {"learning_rate": "fast"}, {"batch_size": 0}, {"epochs": 0}, {"epochs": 1.5}, {"validation_fraction": 1.0},
     {"patience": 0}, {"early_stopping": True, "validation_fraction": 0.999},
 ])  # fmt: skip
-def test_a_parameter_that_is_not_allowed_is_named(bad):
-    with pytest.raises(InvalidInput, match=rf"MLP: {list(bad)[-1]}(\[.\])? = "):
-        MLP(**bad).fit(*data(30))
+def test_a_parameter_that_is_not_allowed_is_named(options):
+    with pytest.raises(InvalidInput, match=rf"MLP: {list(options)[-1]}(\[.\])? = "):
+        MLP(**options).fit(*data(30))
 
 
 def test_training_that_diverges_says_so():

@@ -279,7 +279,7 @@ def test_what_makes_no_controller_is_refused_by_name(make, argument, values):
     ids=["pulse", "laguerre", "soft", "hildreth"],
 )
 def test_what_a_workspace_held_before_changes_no_bit(options, rng):
-    from adaptrack.core.controllers.mpc_step import Step, step
+    from adaptrack.core.controllers.mpc_step import MPCStep, step
 
     mpc = published_mpc(CAR, **options)
     settings = mpc.settings()
@@ -296,7 +296,7 @@ def test_what_a_workspace_held_before_changes_no_bit(options, rng):
             state, ahead = wild_state(rng, 0.6), rng.normal(size=1)
             for workspace in (fresh, used):
                 workspace.measured[:4] = state
-                step(Step(workspace, mpc.functions, np.array([speed, ahead.size]), ahead, tuning))
+                step(MPCStep(workspace, mpc.functions, np.array([speed, ahead.size]), ahead, tuning))
             assert np.array_equal(fresh.answer, used.answer, equal_nan=True)
 
 

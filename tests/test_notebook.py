@@ -13,7 +13,7 @@ from adaptrack.comparison.table import Comparison
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant, Learned
 from adaptrack.drive.metrics import compute_metrics
-from adaptrack.drive.trajectory import COLUMNS, Trajectory
+from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.results.notebook import run_figure
 from adaptrack.results.record import DrawnCar, DriveRecord
 from adaptrack.results.record import on_road as place_on_road
@@ -24,7 +24,9 @@ def driven(road, /, *, laps=1.0, offset=0.2, **more):
     """A run at 10 m/s, `offset` m to the left of the centre line."""
     t = 0.1 * np.arange(int(laps * road.length))
     place = road.at(10.0 * t)
-    values = {column.name: np.zeros((t.size, len(column.parts)) if column.parts else t.size) for column in COLUMNS}
+    values = {
+        column.name: np.zeros((t.size, len(column.parts)) if column.parts else t.size) for column in TRAJECTORY_COLUMNS
+    }
     values |= {
         "t": t, "X": place.x - offset * np.sin(place.heading), "Y": place.y + offset * np.cos(place.heading),
         "psi": place.heading, "vx": np.full(t.size, 10.0), "v_ref": np.full(t.size, 10.0),
@@ -115,7 +117,7 @@ def test_to_pandas_gives_a_row_an_instant_with_units(lap):
 def contenders():
     """Two contenders, of which one costs half."""
     costs = {"best constant": np.full(9, 2e-3), "mine <b>": np.full(9, 1e-3)}
-    return Comparison.of_runs(
+    return Comparison.from_runs(
         {name: {"cost": each, "failed": np.zeros(9)} for name, each in costs.items()}, "best constant"
     )
 

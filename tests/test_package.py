@@ -18,10 +18,34 @@ from adaptrack.core.library import processor, source_hashes
 HEAVY = ("numba", "llvmlite", "numpy", "scipy", "sklearn", "matplotlib", "pydantic", "pandas", "pyarrow", "typer")
 
 
-def test_importing_the_package_loads_nothing_heavy(run_python):
-    loaded = run_python(code="import sys, adaptrack; print(*sys.modules)").split()
+LIGHT = {
+    "package": ("import adaptrack", HEAVY),
+    "help": (
+        "import runpy, sys\n"
+        "sys.argv = ['adaptrack', '--help']\n"
+        "try: runpy.run_module('adaptrack', run_name='__main__')\n"
+        "except SystemExit as end: assert not end.code",
+        ("numba", "scipy", "sklearn", "matplotlib", "pandas", "pyarrow"),
+    ),
+    "car and scenario": (
+        "from adaptrack.cars.vehicle import load_vehicle; load_vehicle('paper')\n"
+        "from adaptrack.scenario import load_scenario; load_scenario('general-trajectory')",
+        ("numba", "llvmlite", "scipy", "matplotlib", "sklearn"),
+    ),
+    "controllers and the page of a run": (
+        "import adaptrack.control.controllers, adaptrack.results.page, adaptrack.results.drive, matplotlib",
+        (*(f"scipy.{part}" for part in ("optimize", "interpolate", "special", "sparse", "stats")),
+         "adaptrack.results.dataset", "sklearn", "pandas", "matplotlib.pyplot"),
+    ),
+}  # fmt: skip
+"""What is done, and the slow modules that it does not load."""
+
+
+@pytest.mark.parametrize(("code", "slow"), LIGHT.values(), ids=LIGHT)
+def test_light_work_loads_nothing_heavy(run_python, code, slow):
+    loaded = run_python(code=f"{code}\nimport sys\nprint('LOADED', *sys.modules)").rpartition("LOADED")[2].split()
     assert "adaptrack" in loaded
-    assert not set(HEAVY) & set(loaded)
+    assert not set(slow) & set(loaded)
 
 
 def test_the_kernels_need_numpy_alone(run_python):
@@ -30,7 +54,7 @@ def test_the_kernels_need_numpy_alone(run_python):
         "import importlib, sys\n"
         "from adaptrack.core import library\n"
         "files = sorted((library.PACKAGE / 'core').rglob('*.py'))\n"
-        "names = ['.'.join(each.relative_to(library.PACKAGE.parent).with_suffix('').parts) for each in files]\n"
+        "names = ['.'.join(file.relative_to(library.PACKAGE.parent).with_suffix('').parts) for file in files]\n"
         "for name in names:\n"
         "    if '.build.' not in name: importlib.import_module(name.removesuffix('.__init__'))\n"
         "print(*sys.modules)"
@@ -40,44 +64,28 @@ def test_the_kernels_need_numpy_alone(run_python):
     assert set(HEAVY) & set(loaded) == {"numpy"}
 
 
-def test_asking_for_help_loads_nothing_heavy(run_python):
-    # The compiler, the learning and the drawing libraries take seconds to import; --help must answer at once.
-    code = (
-        "import runpy, sys\n"
-        "sys.argv = ['adaptrack', '--help']\n"
-        "try: runpy.run_module('adaptrack', run_name='__main__')\n"
-        "except SystemExit as end: assert not end.code\n"
-        "print('LOADED', *sys.modules)"
-    )
-    loaded = run_python(code=code).rpartition("LOADED")[2].split()
-    assert "adaptrack.cli" in loaded
-    assert not {"numba", "scipy", "sklearn", "matplotlib", "pandas", "pyarrow"} & set(loaded)
-
-
 def test_every_public_name_resolves_to_a_documented_object():
     assert [name for name in adaptrack.__all__ if name != "__version__" and not getattr(adaptrack, name).__doc__] == []
     assert dir(adaptrack) == sorted(adaptrack.__all__)
 
 
-@pytest.mark.parametrize(("name", "meant"), [("Mpc", "MPC"), ("loadroad", "load_road"), ("Stanly", "Stanley")])
-def test_a_name_that_is_almost_public_is_corrected(name, meant):
-    with pytest.raises(AttributeError, match=rf"{name}'. Did you mean '{meant}'\?$"):
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("Mpc", r"Mpc'. Did you mean 'MPC'\?$"),
+        ("loadroad", r"loadroad'. Did you mean 'load_road'\?$"),
+        ("simulat", "no attribute 'simulat'"),
+    ],
+)
+def test_a_name_that_is_not_public_is_an_attribute_error_with_the_nearest(name, words):
+    with pytest.raises(AttributeError, match=words):
         getattr(adaptrack, name)
-
-
-def test_a_name_that_does_not_exist_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="no attribute 'simulat'"):
-        adaptrack.simulat  # noqa: B018
 
 
 def test_version_is_the_same_in_package_metadata_citation_and_changelog(project):
     citation = re.search(r"^version: \"?([\w.]+)", (project / "CITATION.cff").read_text(), re.MULTILINE)
     newest = re.search(r"^## (\d[\w.]*)", (project / "CHANGELOG.md").read_text(), re.MULTILINE)
-    assert version("adaptrack") == adaptrack.__version__
-    assert citation is not None
-    assert citation[1] == adaptrack.__version__
-    assert newest is not None
-    assert newest[1] == adaptrack.__version__
+    assert {version("adaptrack"), citation[1], newest[1]} == {adaptrack.__version__}
 
 
 def test_locks_pin_and_hash_every_declared_package(project):
@@ -94,10 +102,10 @@ def test_locks_pin_and_hash_every_declared_package(project):
 
     configuration = tomllib.loads((project / "pyproject.toml").read_text())["project"]
     optional = configuration["optional-dependencies"]
-    extra = [each for name in ("bench", "commonroad", "fmu", "gym", "link") for each in optional.pop(name)]
+    extra = itertools.chain(*(optional.pop(name) for name in ("bench", "commonroad", "fmu", "gym", "link")))
     declared = itertools.chain(configuration["dependencies"], *optional.values())
-    assert {re.match(r"[a-z0-9-]+", each)[0] for each in declared} - {"adaptrack"} <= first.keys()
-    assert {re.match(r"[a-z0-9-]+", each)[0] for each in extra} - {"adaptrack"} <= extras.keys()
+    for packages, pins in ((declared, first), (extra, extras)):
+        assert {re.match(r"[a-z0-9-]+", package)[0] for package in packages} - {"adaptrack"} <= pins.keys()
 
 
 @pytest.mark.parametrize("name", ["numba", "llvmlite"])
@@ -108,11 +116,8 @@ def test_what_the_builder_uses_private_parts_of_is_capped_at_the_minor_version_o
     declared = f"{name}>={major}.{minor},<{major}.{minor + 1}"
     assert declared in configuration["project"]["optional-dependencies"]["compile"]
     assert declared in configuration["build-system"]["requires"]
-
-
-def test_who_only_drives_installs_no_compiler(project):
-    configuration = tomllib.loads((project / "pyproject.toml").read_text())["project"]
-    assert not [each for each in configuration["dependencies"] if each.startswith(("numba", "llvmlite"))]
+    needed = configuration["project"]["dependencies"]  # who only drives installs no compiler
+    assert not [package for package in needed if package.startswith(name)]
 
 
 @pytest.mark.slow  # the kernels for every processor of this kind
@@ -126,8 +131,9 @@ def test_wheel_holds_every_module_and_data_file_and_the_libraries_of_these_sourc
         manifest = json.loads(archive.read("adaptrack/core/built/manifest.json"))
     source = project / "src"
     files = {p.relative_to(source).as_posix() for p in (source / "adaptrack").rglob("*") if p.is_file()}
-    own = processor().removesuffix("-v3").removesuffix("-v4")  # libraries for others may have been made here
-    built = {f"adaptrack/core/built/{e['file']}" for name, e in manifest["libraries"].items() if name.startswith(own)}
+    family = processor().removesuffix("-v3").removesuffix("-v4")  # libraries for others may have been made here
+    libraries = (entry["file"] for name, entry in manifest["libraries"].items() if name.startswith(family))
+    built = {f"adaptrack/core/built/{file}" for file in libraries}
     assert {name for name in files if "__pycache__" not in name and "/core/built/" not in name} | built <= packed
     assert {name for name in packed if "/core/built/kernels-" in name} == built
     assert manifest["sources"] == source_hashes()

@@ -37,20 +37,22 @@ def browser_window(request):
 # -- one file ---------------------------------------------------------------------------------------------------------
 def test_the_page_is_one_file_of_at_most_three_megabytes(page):
     text = page.read_text(encoding="utf-8")
-    assert page.stat().st_size <= page_file.LARGEST
+    assert page.stat().st_size <= page_file.MAX_PAGE_SIZE
     assert list(page.parent.iterdir()) == [page]
     assert not re.findall(r'(?:src|href)="(?!#|data:)(?!https://)[^"]', text)
     assert "default-src 'none'" in text
 
 
 def test_files_of_a_script_share_no_name():
-    pages = {path.name for path in page_file.SOURCES.glob("*.js")} - set(page_file.ENGINE)
+    pages = {path.name for path in page_file.PAGE_SOURCES.glob("*.js")} - set(page_file.ENGINE)
     for names in (pages, page_file.ENGINE):
         clashes = [
             name
             for clash in sorted(names)
             for name in re.findall(
-                r"^(?:async )?(?:function\*? |class |const |let )(\w+)", (page_file.SOURCES / clash).read_text(), re.M
+                r"^(?:async )?(?:function\*? |class |const |let )(\w+)",
+                (page_file.PAGE_SOURCES / clash).read_text(),
+                re.M,
             )
         ]
         assert sorted(name for name in set(clashes) if clashes.count(name) > 1) == []
@@ -58,7 +60,7 @@ def test_files_of_a_script_share_no_name():
 
 def test_scripts_of_the_page_can_be_read():
     node = find_program("node")
-    pages = {path.name for path in page_file.SOURCES.glob("*.js")} - set(page_file.ENGINE)
+    pages = {path.name for path in page_file.PAGE_SOURCES.glob("*.js")} - set(page_file.ENGINE)
     for script in (page_file._together(page_file.ENGINE), page_file._together(tuple(sorted(pages)))):
         subprocess.run([node, "--check", "-"], input=script, text=True, check=True)
         assert "</script" not in script

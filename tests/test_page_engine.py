@@ -15,8 +15,8 @@ from adaptrack.cars.vehicle import pack_plant
 from adaptrack.core import library, rollout
 from adaptrack.core.kernel import Resident
 from adaptrack.core.loop import SIGNAL
-from adaptrack.core.period import Span
-from adaptrack.core.plants.contract import SLOTS, STATE
+from adaptrack.core.period import RunSpan
+from adaptrack.core.plants.contract import PLANT_STATE, SLOTS
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.batch import Batch
 from adaptrack.export import page_setup
@@ -139,7 +139,7 @@ def by_python(before, touch, after):
     run = batch.arena(1, int(batch.substeps[0]), settings)
     run.given.seeds[:], run.vehicles.start[:], run.tuning[:] = TOUCHED["seed"], batch.starts[0], batch.tuning
     run = run._replace(memory=run.memory._replace(sent=np.zeros((1, 40))))  # room for a longer dead time
-    span, states = Span(int(batch.periods[0]), 1, 0, 0.0), []
+    span, states = RunSpan(int(batch.periods[0]), 1, 0, 0.0), []
     rollout.begin(1, Resident(run))
     for count in (before, after):
         for _ in range(count):
@@ -162,8 +162,8 @@ def slower(run, batch):
 
 def tuned_and_pushed(run, batch):
     run.tuning[:] = [20, 5, 1.0, 50.0]
-    run.vehicles.block[STATE.vy * SLOTS] += 0.5
-    run.vehicles.block[STATE.yaw_rate * SLOTS] -= 0.1
+    run.vehicles.block[PLANT_STATE.vy * SLOTS] += 0.5
+    run.vehicles.block[PLANT_STATE.yaw_rate * SLOTS] -= 0.1
     return run
 
 

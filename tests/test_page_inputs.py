@@ -143,8 +143,8 @@ def test_a_typed_sheet_becomes_the_car_that_python_makes_of_it():
     }
     sheet = ask([("readSheet", [typed], [])])[0]["value"]
     assert sheet == {"name": "a", "mass": 1500, "wheelbase": 2.7, "load": 75, "truck": 1, "known": {"lf": 1.2}}
-    car, within = row_of(cars.Car, mass=sheet["mass"], **sheet["known"]), row_of(cars.KnownWithin)
-    assert cars.complete_car(sheet["wheelbase"], sheet["load"], sheet["truck"], car, within) == cars.COMPLETE
+    car, within = row_of(cars.CarRow, mass=sheet["mass"], **sheet["known"]), row_of(cars.KnownWithinRow)
+    assert cars.complete_car(sheet["wheelbase"], sheet["load"], sheet["truck"], car, within) == cars.OK
     rows = [
         dict(zip(row.dtype.names, (None if x != x else x for x in row.tolist()), strict=True)) for row in (car, within)
     ]
@@ -307,9 +307,9 @@ def test_what_path_through_answers_is_said_with_the_line():
     straight = [(10.0 * k, 0.0) for k in range(6)]
     statuses = {
         "TOO_FEW": answered(straight[:3]),
-        "TOO_FAR": answered([*straight, (1e6, 0.0)]), "NOT_FINITE": answered([*straight, (math.nan, 0.0)]),
+        "POINT_TOO_FAR": answered([*straight, (1e6, 0.0)]), "POINT_NOT_FINITE": answered([*straight, (math.nan, 0.0)]),
         "TOO_SHORT": answered([(1e-4 * k, 0.0) for k in range(6)]),
-        "KINK": answered([*straight, (40.0, 0.001), (30.0, 0.0), (20.0, 0.0)]),
+        "PATH_KINK": answered([*straight, (40.0, 0.001), (30.0, 0.0), (20.0, 0.0)]),
     }  # fmt: skip
     road = {"count": 6, "lines": list(range(11, 31))}
     answers = ask([("roadFlaw", [status, place, road], []) for status, place in [(path.OK, 0), *statuses.values()]])

@@ -8,18 +8,18 @@ import pytest
 
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_setup
-from adaptrack.export.page_file import SOURCES
+from adaptrack.export.page_file import PAGE_SOURCES
 from adaptrack.export.page_setup import simulate_setup
 from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="whole drives"), pytest.mark.needs("node")]
-ROADS = {name: {"generated": page_setup.GENERATED.get(name)} for name in page_setup.ROADS}
+ROADS = {name: {"generated": page_setup.GENERATED.get(name)} for name in page_setup.PAGE_ROADS}
 FILES = ("setup.js", "touch.js", "lessons.js", "links.js", "code.js")
 
 
 def evaluate(expression, argument=None):
     """The value of an expression among the page's scripts; argument: what `asked` is in it."""
-    script = "\n".join((SOURCES / name).read_text() for name in FILES)
+    script = "\n".join((PAGE_SOURCES / name).read_text() for name in FILES)
     program = f"""
     const asked = {json.dumps(argument)}, page = {{setup: null, data: {{roads: {json.dumps(ROADS)}}}}};
     {script.replace('"use strict";', "")}

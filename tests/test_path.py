@@ -11,7 +11,7 @@ from adaptrack.core import path
 from adaptrack.core import road as kernel
 from adaptrack.road import road_through
 from adaptrack.road.ahead import pack_roads
-from adaptrack.road.table import of_pieces
+from adaptrack.road.table import points_on_pieces
 
 pytestmark = pytest.mark.kernels
 
@@ -76,7 +76,7 @@ def test_a_memory_holds_what_controllers_read_of_a_road():
 def test_a_path_far_from_the_origin_is_the_same_path():
     near, there = line_of(BENDS), line_of(BENDS + 2.0**20)
     assert np.abs(there.start - near.start).max() < 1e-6
-    assert np.abs(there.pieces[:, path.ALONG :] - near.pieces[:, path.ALONG :]).max() < 1e-6
+    assert np.abs(there.pieces[:, path.ALONG_COEFFICIENTS :] - near.pieces[:, path.ALONG_COEFFICIENTS :]).max() < 1e-6
 
 
 # -- points that count as one -----------------------------------------------------------------------------------------
@@ -148,14 +148,14 @@ def bends_with(row, value):
         (FEW[:3], path.TOO_FEW, 3),
         (np.zeros((0, 2)), path.TOO_FEW, 0),
         (np.zeros((9, 1)), path.TOO_FEW, 9),
-        (bends_with(5, math.nan), path.NOT_FINITE, 5),
-        (bends_with(5, -math.inf), path.NOT_FINITE, 5),
-        (bends_with(5, 1e9), path.TOO_FAR, 5),
-        (bends_with(5, 2e4), path.TOO_FAR, 4),
+        (bends_with(5, math.nan), path.POINT_NOT_FINITE, 5),
+        (bends_with(5, -math.inf), path.POINT_NOT_FINITE, 5),
+        (bends_with(5, 1e9), path.POINT_TOO_FAR, 5),
+        (bends_with(5, 2e4), path.POINT_TOO_FAR, 4),
         (np.repeat(BENDS[:3], 4, axis=0), path.TOO_FEW, 3),
         (np.zeros((9, 2)), path.TOO_FEW, 1),
         (1e-5 * BENDS, path.TOO_SHORT, 0),
-        ([(3.0 - abs(k), 0.0) for k in range(-3, 4)], path.KINK, 3),
+        ([(3.0 - abs(k), 0.0) for k in range(-3, 4)], path.PATH_KINK, 3),
     ],
 )
 def test_what_makes_no_path_has_a_status_and_a_place(points, status, where):
@@ -191,7 +191,7 @@ def test_any_points_have_a_status_and_paths_go_through_theirs(rng):
             line, _ = path.line_in(memory)
             assert all(np.isfinite(array).all() for array in line)
             assert (np.diff(line.start) > 0.0).all()
-            first = of_pieces(line.pieces, -np.ones(line_length))
+            first = points_on_pieces(line.pieces, -np.ones(line_length))
             gaps = np.hypot(first.x[:, np.newaxis] - points[:, 0], first.y[:, np.newaxis] - points[:, 1]).min(axis=0)
             assert gaps[:-1].max() < 1e-7
     assert {path.OK, path.TOO_FEW} < statuses

@@ -7,21 +7,22 @@ import numpy as np
 import pytest
 
 from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import GRAVITY, list_vehicles, load_vehicle
+from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.core import path
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.planning import speed as kernel
-from adaptrack.core.planning.along import Along, Route
+from adaptrack.core.planning.along import AlongRecord, Route
 from adaptrack.core.planning.cells import PLAN, plan_places
-from adaptrack.core.planning.drive import RoadDrive as Drive
+from adaptrack.core.planning.drive import RoadDriveRecord as Drive
 from adaptrack.core.planning.drive import complete_samples, drive_periods, drive_samples, drive_start
-from adaptrack.core.speed_plan import SpeedPlan
+from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.speed_plan import SpeedPlanRecord
 from adaptrack.drive.world import World
 from adaptrack.road import Along as PythonAlong
 from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
 from adaptrack.road.cornering import cornering_limit, packed
-from adaptrack.road.road import DRY
+from adaptrack.road.road import DRY_FRICTION
 from adaptrack.scenario import RoadDrive
 
 pytestmark = pytest.mark.kernels
@@ -29,12 +30,14 @@ CAR = load_vehicle("midsize-sedan")
 TURNS = np.linspace(0.0, 2.0 * math.pi, 14, endpoint=False)
 OVAL = np.stack([90.0 * np.cos(TURNS), 50.0 * np.sin(TURNS)], axis=-1)
 BENDS = np.stack([60.0 * np.linspace(0.0, 5.0, 24), 25.0 * np.sin(np.linspace(0.0, 5.0, 24))], axis=-1)
-NONE, NOWHERE = np.zeros(0), Along(np.zeros(0), np.zeros(0), 0)
-BOUNDS = kernel.Bounds(3.0, 2.0, 3.0, math.inf, 10.0, 0.9, math.nan, math.nan, math.nan, 27.0, 100.0, math.nan, 1.0)
+NONE, NOWHERE = np.zeros(0), AlongRecord(np.zeros(0), np.zeros(0), 0)
+BOUNDS = kernel.SpeedBounds(
+    3.0, 2.0, 3.0, math.inf, 10.0, 0.9, math.nan, math.nan, math.nan, 27.0, 100.0, math.nan, 1.0
+)
 
 
 def constant(value):
-    return Along(np.zeros(1), np.array([value]), 0)
+    return AlongRecord(np.zeros(1), np.array([value]), 0)
 
 
 def line_through(points, closed):
@@ -54,9 +57,9 @@ def to_plan(line, car=None, friction=0.9, bounds=BOUNDS, **along):
 
 def plan_of(planning):
     status, _, _, duration = kernel.plan_along_road(planning)
-    assert status == kernel.PLANNED
+    assert status == kernel.OK
     rows = (planning.table[row] for row in (PLAN.s, PLAN.speed, PLAN.time))
-    return SpeedPlan(*rows, duration, int(planning.route.line.numbers[1]))
+    return SpeedPlanRecord(*rows, duration, int(planning.route.line.numbers[1]))
 
 
 # -- the same from anywhere -------------------------------------------------------------------------------------------
@@ -64,7 +67,7 @@ def plan_of(planning):
 @pytest.mark.parametrize(("points", "closed"), [(OVAL, True), (BENDS, False)])
 def test_a_program_with_points_alone_gets_the_plan_and_the_drive_of_python_to_the_bit(points, closed, car):
     bounds = BOUNDS._replace(domain_speed=27.0 if car is None else car.domain.speed[1])
-    planning = to_plan(line_through(points, closed), car, friction=DRY.value[0], bounds=bounds)
+    planning = to_plan(line_through(points, closed), car, friction=DRY_FRICTION.value[0], bounds=bounds)
     plan, road = plan_of(planning), road_through(points, closed=closed)
     plan_in_python = plan_speed(road, car)
     np.testing.assert_array_equal(

@@ -7,7 +7,7 @@ import pytest
 
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.cars.plant import (
-    MOTION,
+    MOTION_STATES,
     DualTrack,
     Plant,
     SingleTrack,
@@ -19,7 +19,7 @@ from adaptrack.cars.plant import (
     register_plant,
 )
 from adaptrack.cars.vehicle import SteeringActuator, list_tyres, list_vehicles, load_vehicle
-from adaptrack.core.plants.contract import INPUT, SLOTS, STATES, place, vehicle_batch
+from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATES, SLOTS, place, vehicle_batch
 from small_cars import PARAMETERS, linear_car
 
 pytestmark = pytest.mark.kernels
@@ -74,7 +74,7 @@ def test_a_lopsided_plant_passes_when_it_says_so():
 
 def test_a_users_plant_has_its_own_states_and_parameters():
     plant = user_plant(own_states=("roll", "roll_rate"), label="rolling car", tyres="linear", steps=7)
-    assert plant.state_names == (*MOTION, "roll", "roll_rate")
+    assert plant.state_names == (*MOTION_STATES, "roll", "roll_rate")
     assert (plant.name, plant.tyre_name) == ("rolling car", "linear")
     assert plant.substeps(0.1, 50.0) == 7
     packed = plant.with_steering(SteeringActuator(lag=0.2, rate=0.4, limit=0.5)).packed()
@@ -116,8 +116,8 @@ def test_a_users_plant_is_told_the_prescribed_acceleration(steering):
     vehicles = vehicle_batch(plant.compiled, plant.packed(), plant.initial_state([0, 0, 0, 10.0, 0, 0])[None])
     place(1, vehicles.start, vehicles.block, vehicles.states)
     for acceleration, force, expected in ((2.0, 0.0, (10.4, 0.4, 0.0)), (math.nan, 7.0, (30.2, 0.2, 1.4))):
-        vehicles.block[(STATES + INPUT.acceleration) * SLOTS] = acceleration
-        vehicles.block[(STATES + INPUT.force) * SLOTS] = force
+        vehicles.block[(PLANT_STATES + PLANT_INPUT.acceleration) * SLOTS] = acceleration
+        vehicles.block[(PLANT_STATES + PLANT_INPUT.force) * SLOTS] = force
         plant.compiled.advance(
             vehicles.member, vehicles.parameters, vehicles.block, vehicles.states, vehicles.work, 1, 4, 0.05
         )
@@ -173,7 +173,7 @@ def drifting(slope, x, u, environment, calls):
 
 
 BROKEN = {
-    "its states must begin with": Altered(state_names=("Y", "X", *MOTION[2:])),
+    "its states must begin with": Altered(state_names=("Y", "X", *MOTION_STATES[2:])),
     r"packed\(\) must give one row of finite parameters": Altered(packed=lambda: np.full(34, np.nan)),
     "every derivative must be written and finite.*yaw_rate": Altered(set_entry(5, lambda slope, x, u: math.nan)),
     "x, u, environment and p must not be written to": Altered(write_to_each_argument),

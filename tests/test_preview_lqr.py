@@ -10,7 +10,7 @@ from scipy.linalg import solve_discrete_are
 
 import adaptrack as at
 from adaptrack.cars.vehicle import Steering
-from adaptrack.control.controllers.lqr import SPEEDS
+from adaptrack.control.controllers.lqr import GAIN_SPEEDS
 from adaptrack.control.controllers.preview_lqr import PreviewLQR, steady_turn
 from adaptrack.control.models import PathModel
 from adaptrack.road import Arc, Clothoid, Line, Road
@@ -78,7 +78,9 @@ def applied_gain(controller: PreviewLQR, speed: float) -> np.ndarray:
     return np.array(gain)
 
 
-@pytest.mark.parametrize(("speeds", "tolerance"), [(SPEEDS[[3, 12, 19]], 1e-7), (np.sqrt(SPEEDS[3:5].prod()), 0.02)])
+@pytest.mark.parametrize(
+    ("speeds", "tolerance"), [(GAIN_SPEEDS[[3, 12, 19]], 1e-7), (np.sqrt(GAIN_SPEEDS[3:5].prod()), 0.02)]
+)
 def test_the_law_applies_the_gains_at_the_nodes_of_its_table_and_nearly_so_between(speeds, tolerance):
     controller = make_controller()
     for speed in np.atleast_1d(speeds):
@@ -96,7 +98,7 @@ def test_weights_that_change_change_the_gains_as_weights_given_at_the_start(fact
 
 @every_lag
 def test_rolling_through_the_dead_time_is_the_optimum_with_the_commands_on_their_way_as_states(lag, rng):
-    speed, late = SPEEDS[12], 3
+    speed, late = GAIN_SPEEDS[12], 3
     controller = make_controller(lag=lag, dead_time=late * 0.05)
     A, B, _ = model_of(SEDAN, lag, speed)
     n = len(A)

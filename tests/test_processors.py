@@ -16,9 +16,9 @@ import pytest
 import adaptrack as at
 from adaptrack.core import library
 from adaptrack.core.build.objects import undefined
-from adaptrack.core.controllers.mpc_step import Step
+from adaptrack.core.controllers.mpc_step import MPCStep
 from adaptrack.core.kernel import INTERPRETED
-from adaptrack.core.maths.values import NAMES
+from adaptrack.core.maths.values import FUNCTION_NAMES
 from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.drive.batch import Batch
@@ -75,7 +75,7 @@ def elementary(rng):
     # the branch-free ones promise nothing beyond 1e5, but the same bits
     image, values = Image(), np.zeros(arguments.shape[1])
     inputs, outputs = image.put(arguments), image.put(values)
-    for number in range(len(NAMES)):
+    for number in range(len(FUNCTION_NAMES)):
         image.do(ELEMENTARY, number, inputs, values.size, outputs)
         image.do(TELL, outputs, values.size)
     return image
@@ -87,7 +87,7 @@ def mpc_steps(rng):
     mpc.step(np.zeros(4), 15.0, np.zeros(AHEAD))
     mpc.reset()
     clock, reference, image = np.array([0.0, AHEAD]), np.zeros(AHEAD), Image()
-    step = image.record(Step(mpc._mpc, mpc.functions, clock, reference, mpc._requested))
+    step = image.record(MPCStep(mpc._mpc, mpc.functions, clock, reference, mpc._requested))
     speed_now, ahead = image.put(clock), image.put(reference)
     measured, answer = image.put(mpc._mpc.measured), image.put(mpc._mpc.answer)
     inputs = np.zeros((STEPS, 1 + mpc._mpc.measured.size + AHEAD))
@@ -150,7 +150,7 @@ def synthesis(rng):
             image.do(TELL, image.put(values), values.nbytes // 8)
     car = at.load_vehicle("van")
     common = row_of(laws.Common, period=0.05, move_min=-0.1, move_max=0.1, angle_min=-0.5, angle_max=0.5)
-    tuning, gains = np.array([1.0, 100.0, 1000.0, 0.0]), np.zeros(laws.LQR)
+    tuning, gains = np.array([1.0, 100.0, 1000.0, 0.0]), np.zeros(laws.LQR_NUMBERS)
     inputs = [image.put(values) for values in (np.array([car.numbers]), np.array([common]), tuning, gains)]
     image.do(GAINS, *inputs)
     image.do(TELL, inputs[-1], gains.size)

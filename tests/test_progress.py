@@ -14,8 +14,8 @@ from adaptrack.base.progress import tells
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr(progress, "FIRST", 0.02)
-    monkeypatch.setattr(progress, "NEXT", 0.02)
+    monkeypatch.setattr(progress, "FIRST_PAUSE", 0.02)
+    monkeypatch.setattr(progress, "NEXT_PAUSE", 0.02)
 
 
 @tells("search")
@@ -30,7 +30,7 @@ def work(seconds, progress=None):
 def test_work_that_nobody_follows_leaves_log_records_with_its_share(caplog):
     with caplog.at_level(logging.WARNING, logger="adaptrack"):
         assert work(0.3) == 0.3
-    assert any(re.fullmatch(r"adaptrack: search, swarm: 25 %, (about|\d+) .*", each) for each in caplog.messages)
+    assert any(re.fullmatch(r"adaptrack: search, swarm: 25 %, (about|\d+) .*", message) for message in caplog.messages)
 
 
 def test_work_within_work_that_is_on_show_says_nothing_of_its_own(caplog):
@@ -41,27 +41,27 @@ def test_work_within_work_that_is_on_show_says_nothing_of_its_own(caplog):
 
     chain()
     assert caplog.messages
-    assert all(each.startswith("adaptrack: chain, search: ") for each in caplog.messages)
+    assert all(message.startswith("adaptrack: chain, search: ") for message in caplog.messages)
 
 
 def test_short_work_and_work_that_is_followed_leave_no_records(caplog):
     work(0.0)  # short work
     assert not caplog.messages
-    told = []
-    work(0.1, progress=lambda *each: told.append(each))
-    assert told == [("swarm", 1, 4), (2, 4)]
+    reports = []
+    work(0.1, progress=lambda *report: reports.append(report))
+    assert reports == [("swarm", 1, 4), (2, 4)]
     assert not caplog.messages
 
 
 def test_a_notebook_has_a_bar_that_ends_full(monkeypatch, caplog):
-    shown = []
+    bars = []
 
     class Handle:
         def update(self, html):
-            shown.append(html)
+            bars.append(html)
 
     def display(html, display_id):
-        shown.append(html)
+        bars.append(html)
         return Handle()
 
     ipython = types.ModuleType("IPython")
@@ -71,6 +71,6 @@ def test_a_notebook_has_a_bar_that_ends_full(monkeypatch, caplog):
     monkeypatch.setitem(sys.modules, "IPython", ipython)
     monkeypatch.setitem(sys.modules, "IPython.display", ipython.display)
     work(0.3)
-    assert '<progress value="0.250" max="1"></progress> search, swarm: 25 %' in shown[0]
-    assert 'value="1.000"' in shown[-1]
+    assert '<progress value="0.250" max="1"></progress> search, swarm: 25 %' in bars[0]
+    assert 'value="1.000"' in bars[-1]
     assert not caplog.messages

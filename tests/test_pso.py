@@ -41,7 +41,7 @@ def hilly(x):
 
 def generations(swarm_, function):
     """Each generation's positions with the state that its costs led to."""
-    while not swarm_.done:
+    while not swarm_.is_done:
         x = swarm_.ask()
         swarm_.tell(function(x))
         yield x, swarm_.state
@@ -56,20 +56,20 @@ def spaces(draw):
     """Any box, with whole, fixed and ordered dimensions."""
     dims = draw(st.integers(1, 5))
     names = [f"x{d}" for d in range(dims)]
-    whole = [draw(st.booleans()) for _ in names]
+    integer = [draw(st.booleans()) for _ in names]
     low, high = [], []
-    for is_whole in whole:
+    for is_whole in integer:
         bound = st.integers(-30, 30).map(float) if is_whole else st.floats(-1e6, 1e6)
         a, b = sorted((draw(bound), draw(bound)))
         low.append(a)
         high.append(b)
-    pairs = [(i, j) for i, j in itertools.permutations(range(dims), 2) if whole[i] == whole[j] and low[i] <= low[j]]
+    pairs = [(i, j) for i, j in itertools.permutations(range(dims), 2) if integer[i] == integer[j] and low[i] <= low[j]]
     ordered = draw(st.sampled_from([None, *pairs]))
     return SearchSpace(
         names=tuple(names),
         low=tuple(low),
         high=tuple(high),
-        whole=tuple(name for name, is_whole in zip(names, whole, strict=True) if is_whole),
+        integers=tuple(name for name, is_whole in zip(names, integer, strict=True) if is_whole),
         ordered=None if ordered is None else (names[ordered[0]], names[ordered[1]]),
         spread=draw(st.floats(1, 4)) if ordered is not None and low[ordered[0]] >= 0 else 1.0,
     )
@@ -78,8 +78,8 @@ def spaces(draw):
 # -- counted random numbers -------------------------------------------------------------------------------------------
 def test_outputs_are_those_of_splitmix64():
     # the published sequence of the generator started at 1234567
-    known = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431, 16408922859458223821]
-    assert [int(entry(random.output)(1234567, n)) for n in range(1, 6)] == known
+    outputs = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431, 16408922859458223821]
+    assert [int(entry(random.output)(1234567, n)) for n in range(1, 6)] == outputs
 
 
 def test_compiled_draws_are_those_of_plain_integers(rng):
@@ -93,7 +93,7 @@ def test_compiled_draws_are_those_of_plain_integers(rng):
 def test_uniform_draws_are_uniform_in_every_counter():
     for counter in range(5):
         counters = [[n if c == counter else 7 for c in range(5)] for n in range(4000)]
-        draws = np.array([counted_uniform(*each) for each in counters])
+        draws = np.array([counted_uniform(*counter_values) for counter_values in counters])
         assert ((draws >= 0) & (draws < 1)).all()
         assert stats.kstest(draws, "uniform").pvalue > 1e-3
         assert abs(np.corrcoef(draws[1:], draws[:-1])[0, 1]) < 4 / math.sqrt(len(draws))
@@ -106,8 +106,6 @@ def test_normal_draws_are_normal_and_apart_from_the_uniform_ones():
 
 
 # -- the paper's equations --------------------------------------------------------------------------------------------
-
-
 @given(
     st.integers(0, 200), st.integers(1, 200), st.floats(0.5, 1), st.floats(0, 0.5), st.floats(0, 50), st.floats(1, 5)
 )
@@ -127,10 +125,9 @@ def test_accelerations_follow_the_schedule_of_eq_20_over_the_papers_fifteen_gene
     assert c1 - 2.0 == pytest.approx(0.0255)  # nearly back where it began
 
 
-@pytest.mark.parametrize(("g", "range_"), [(20, 0), (21, 1), (35, 1), (36, 2), (75, 2), (76, 3), (100, 3), (0, 0)])
-def test_where_the_ranges_of_eq_20_share_an_end_the_first_wins(g, range_):
-    c1, _ = swarm.accelerations(g, 100, 0.0, 0.0, np.array([1.0, 2.0, 3.0, 4.0]))
-    assert c1 == range_ + 1
+def test_where_the_ranges_of_eq_20_share_an_end_the_first_wins():
+    numbers = [swarm.accelerations(g, 100, 0.0, 0.0, np.array([1.0, 2.0, 3.0, 4.0]))[0] for g in range(101)]
+    assert numbers == 21 * [1] + 15 * [2] + 40 * [3] + 25 * [4]
 
 
 def test_a_move_is_eq_18_with_counted_draws():
@@ -147,9 +144,9 @@ def test_a_move_is_eq_18_with_counted_draws():
             [[[counted_uniform(11, 4, g + 1, i, 2 * d + k) for k in (0, 1)] for d in range(3)] for i in range(5)]
         )
         pull = c1 * r[..., 0] * (state["best"] - x) + c2 * r[..., 1] * (state["leader"] - x)
-        wanted = np.clip(w * v + pull, -0.8, 0.8)
-        assert state["v"] == pytest.approx(wanted, rel=1e-12, abs=1e-12)
-        assert run.ask() == pytest.approx(np.clip(x + wanted, -1, 3), rel=1e-12, abs=1e-12)
+        velocity = np.clip(w * v + pull, -0.8, 0.8)
+        assert state["v"] == pytest.approx(velocity, rel=1e-12, abs=1e-12)
+        assert run.ask() == pytest.approx(np.clip(x + velocity, -1, 3), rel=1e-12, abs=1e-12)
 
 
 def test_the_classic_swarm_has_constant_coefficients():
@@ -175,7 +172,7 @@ def test_every_position_is_in_the_space_and_no_velocity_exceeds_its_clamp(space,
 
 def test_tunings_have_whole_horizons_and_nc_never_exceeds_np():
     met = False
-    for seed in range(20):
+    for seed in range(5):
         # a cost that wants a long Nc and a short Np
         for x, _ in generations(Swarm(TUNING, seed=seed), lambda x: x[:, NP] - 2.0 * x[:, NC]):
             assert (x[:, :2] == np.round(x[:, :2])).all()
@@ -187,7 +184,7 @@ def test_tunings_have_whole_horizons_and_nc_never_exceeds_np():
 
 
 def test_the_first_draw_is_uniform_and_every_whole_number_is_as_likely():
-    space = SearchSpace(names=("a", "b"), low=(-2.0, 3.0), high=(3.0, 4.0), whole=("a",))
+    space = SearchSpace(names=("a", "b"), low=(-2.0, 3.0), high=(3.0, 4.0), integers=("a",))
     first = Swarm(space, SwarmSettings(particles=6000), seed=5).ask()
     numbers, counts = np.unique(first[:, 0], return_counts=True)
     assert numbers.tolist() == [-2, -1, 0, 1, 2, 3]
@@ -198,7 +195,7 @@ def test_the_first_draw_is_uniform_and_every_whole_number_is_as_likely():
 @pytest.mark.parametrize("spread", [1.0, 1.3, 2.5, 40.0])
 def test_the_first_draw_of_a_whole_ordered_pair_is_whole_and_spread_as_far_as_the_bounds_allow(spread):
     space = SearchSpace(
-        names=("a", "b"), low=(1.0, 2.0), high=(30.0, 20.0), whole=("a", "b"), ordered=("a", "b"), spread=spread
+        names=("a", "b"), low=(1.0, 2.0), high=(30.0, 20.0), integers=("a", "b"), ordered=("a", "b"), spread=spread
     )
     first = Swarm(space, SwarmSettings(particles=500), seed=3).ask()
     assert space.contains(first).all()
@@ -207,13 +204,13 @@ def test_the_first_draw_of_a_whole_ordered_pair_is_whole_and_spread_as_far_as_th
 
 def test_a_position_is_clamped_then_rounded_to_the_nearest_then_nc_lowered_to_np():
     settings, space = SwarmSettings().packed(TUNING), TUNING.packed()
-    for given_, repaired in (
+    for position, repaired in (
         ([20.49, 3.5, 1.0, 0.05], [20, 4, 1.0, 0.05]),
         ([60.0, -2.0, 11.0, 0.0], [55, 1, 10.0, 0.001]),
         ([4.6, 9.0, 1.0, 0.05], [5, 5, 1.0, 0.05]),
         ([-3.0, 30.0, 1.0, 0.05], [1, 1, 1.0, 0.05]),
     ):
-        x = np.array(given_)
+        x = np.array(position)
         swarm.repair(settings, space, x)
         assert x.tolist() == repaired
 
@@ -234,9 +231,6 @@ def test_bests_never_get_worse_and_are_the_costs_of_their_positions():
         before = state["best_costs"]
         assert state["progress"][swarm.LEADER_COST] == before.min()
         assert np.array_equal(hilly(state["leader"][None]), [before.min()])
-    result = minimise(hilly, TUNING, seed=8)
-    assert (np.diff(result.trace) <= 0).all()
-    assert result.trace[-1] == result.cost
 
 
 def test_of_equal_costs_the_first_particle_leads_and_only_better_ones_replace_it():
@@ -254,26 +248,25 @@ def test_of_equal_costs_the_first_particle_leads_and_only_better_ones_replace_it
 
 @pytest.mark.parametrize("settings", [SwarmSettings(), SwarmSettings.classic(generations=60)], ids=["paper", "classic"])
 def test_the_swarm_converges_on_the_sphere(settings):
-    found = [minimise(sphere, box(4), settings, seed=seed) for seed in range(20)]
-    starts = np.array([run.trace[0] for run in found])
-    ends = np.array([run.cost for run in found])
+    results = [minimise(sphere, box(4), settings, seed=seed) for seed in range(20)]
+    starts = np.array([run.trace[0] for run in results])
+    ends = np.array([run.cost for run in results])
     assert (ends < starts).all()
     assert np.median(ends / starts) < 1e-3
-    assert all(run.evaluations == settings.evaluations for run in found)
+    assert all(run.evaluations == settings.evaluations for run in results)
 
 
 # -- runs that can be repeated ----------------------------------------------------------------------------------------
 def test_ask_and_tell_find_what_minimise_finds():
     run = Swarm(TUNING, seed=6, stream=2)
-    while not run.done:
+    while not run.is_done:
         assert np.array_equal(run.ask(), run.ask())
         run.tell(hilly(run.ask()))
-    whole = minimise(hilly, TUNING, seed=6, stream=2)
-    assert np.array_equal(run.best.x, whole.x)
-    assert run.best.cost == whole.cost
-    assert np.array_equal(run.trace, whole.trace)
-    assert whole.evaluations == 300
-    assert np.array_equal(whole.cost, hilly(whole.x[None])[0])
+    result = minimise(hilly, TUNING, seed=6, stream=2)
+    assert np.array_equal(run.best.x, result.x)
+    assert np.array_equal(run.trace, result.trace)
+    assert run.best.cost == result.cost == result.trace[-1] == hilly(result.x[None])[0]
+    assert result.evaluations == 300
 
 
 @exported(void(int64, int64, int64, vector, matrix, Place(swarm.Particles), vector), name="swarm_of_a_test")
@@ -297,18 +290,18 @@ def test_a_swarm_inside_compiled_code_is_the_same_to_the_last_bit():
     def added_in_order(x):
         return (x[:, 0] ** 2 + x[:, 1] ** 2) + x[:, 2] ** 2
 
-    found = minimise(added_in_order, space, settings, seed=5, stream=1)
-    assert np.array_equal(arrays.leader, found.x)
-    assert arrays.progress[swarm.LEADER_COST] == found.cost
+    results = minimise(added_in_order, space, settings, seed=5, stream=1)
+    assert np.array_equal(arrays.leader, results.x)
+    assert arrays.progress[swarm.LEADER_COST] == results.cost
 
 
 @pytest.mark.parametrize("kind", ["improved", "classic"])
 def test_a_run_put_aside_at_any_generation_goes_on_bit_identically(kind):
     settings = SwarmSettings(particles=6, generations=7, kind=kind)
     states = [state for _, state in generations(Swarm(TUNING, settings, seed=2**63 - 1, stream=12), hilly)]
-    for told in range(8):
+    for count in range(8):
         run = Swarm(TUNING, settings, seed=2**63 - 1, stream=12)
-        for _ in range(told):
+        for _ in range(count):
             run.tell(hilly(run.ask()))
         file = io.BytesIO()
         np.savez(file, **run.state)
@@ -316,12 +309,9 @@ def test_a_run_put_aside_at_any_generation_goes_on_bit_identically(kind):
         with np.load(file) as saved:
             resumed = Swarm.from_state(TUNING, settings, saved)
         assert same(resumed.state, run.state)
-        rest = [state for _, state in generations(resumed, hilly)]
-        assert all(same(a, b) for a, b in zip(rest, states[told:], strict=True))
+        states_after = [state for _, state in generations(resumed, hilly)]
+        assert all(same(a, b) for a, b in zip(states_after, states[count:], strict=True))
         assert np.array_equal(resumed.best.x, states[-1]["leader"])
-
-
-# -- invariances ------------------------------------------------------------------------------------------------------
 
 
 # -- costs that are no numbers ----------------------------------------------------------------------------------------
@@ -343,51 +333,45 @@ def test_a_swarm_that_never_sees_a_finite_cost_survives_and_says_so():
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"particles": 0}, "particles = 0: must be a whole number >= 1"),
-        ({"generations": 0}, "generations = 0"),
-        ({"generations": 1.5}, "generations = 1.5"),
-        ({"kind": "modern"}, "must be one of 'improved', 'classic'"),
-        ({"lambda2": 0.0}, "lambda2 = 0.0"),
-        ({"lambda1": math.nan}, "lambda1 = nan"),
-        ({"w_min": 1.2}, "w_min = 1.2 > w_max = 0.99"),
-        ({"c1": -1.0}, "c1 = -1.0"),
-        ({"steps": (0.0, 0.0)}, "steps"),
-        ({"velocity_clamp": 0.0}, "velocity_clamp = 0.0"),
-        ({"velocity_clamp": 1.5}, "velocity_clamp = 1.5"),
-        ({"particels": 20}, "Did you mean 'particles'"),
-    ],
-)
-def test_bad_settings_are_refused_with_the_reason(changes, words):
-    with pytest.raises(InvalidInput) as refusal:
-        SwarmSettings(**changes)
-    assert words in str(refusal.value)
+def decades(low=1.0, integers=()):
+    return SearchSpace(names=("a",), low=(low,), high=(10.0,), decades=("a",), integers=integers)
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("make", "changes", "words"),
     [
-        ({"low": (1.0, 1.0, 0.1)}, "low has 3 values for 4 names"),
-        ({"high": (55.0, 18.0, 0.05, 0.1)}, "Q: low = 0.1 > high = 0.05: the space is empty"),
-        ({"names": ("Np", "Np", "Q", "R")}, "each dimension needs a name of its own"),
-        ({"high": (55.5, 18.0, 10.0, 0.1)}, "Np: low = 1 and high = 55.5 must be whole numbers"),
-        ({"high": (55.0, 18.0, math.inf, 0.1)}, "high"),
-        ({"low": (1.0, 5.0, 0.1, 0.001)}, "Nc <= Np cannot hold where Np < 5: raise the lower bound of Np"),
-        ({"ordered": ("Nc", "Q")}, "both of whole or both of real"),
-        ({"ordered": ("Nc", "Nc")}, "give two dimensions"),
-        ({"ordered": ("Nc", "N")}, "'N' is not one of the names"),
-        ({"whole": ("nc",)}, "'nc' is not one of the names"),
-        ({"ordered": None}, "spread = 2"),
-        ({"low": (-3.0, -3.0, 0.1, 0.001)}, "not negative"),
-        ({"spread": 0.5}, "spread = 0.5"),
-        ({"low": (1.0, 1.0, -1e308, 0.001), "high": (55.0, 18.0, 1e308, 0.1)}, "not a finite number"),
+        (SwarmSettings, {"particles": 0}, "particles = 0: must be a whole number >= 1"),
+        (SwarmSettings, {"generations": 1.5}, "generations = 1.5"),
+        (SwarmSettings, {"kind": "modern"}, "must be one of 'improved', 'classic'"),
+        (SwarmSettings, {"lambda2": 0.0}, "lambda2 = 0.0"),
+        (SwarmSettings, {"lambda1": math.nan}, "lambda1 = nan"),
+        (SwarmSettings, {"w_min": 1.2}, "w_min = 1.2 > w_max = 0.99"),
+        (SwarmSettings, {"c1": -1.0}, "c1 = -1.0"),
+        (SwarmSettings, {"steps": (0.0, 0.0)}, "steps"),
+        (SwarmSettings, {"velocity_clamp": 0.0}, "velocity_clamp = 0.0"),
+        (SwarmSettings, {"velocity_clamp": 1.5}, "velocity_clamp = 1.5"),
+        (SwarmSettings, {"particels": 20}, "Did you mean 'particles'"),
+        (TUNING.replace, {"low": (1.0, 1.0, 0.1)}, "low has 3 values for 4 names"),
+        (TUNING.replace, {"high": (55.0, 18.0, 0.05, 0.1)}, "Q: low = 0.1 > high = 0.05: the space is empty"),
+        (TUNING.replace, {"names": ("Np", "Np", "Q", "R")}, "each dimension needs a name of its own"),
+        (TUNING.replace, {"high": (55.5, 18.0, 10.0, 0.1)}, "Np: low = 1 and high = 55.5 must be whole numbers"),
+        (TUNING.replace, {"high": (55.0, 18.0, math.inf, 0.1)}, "high"),
+        (TUNING.replace, {"low": (1.0, 5.0, 0.1, 0.001)}, "Nc <= Np cannot hold where Np < 5: raise the lower bound"),
+        (TUNING.replace, {"low": (-3.0, -3.0, 0.1, 0.001)}, "not negative"),
+        (TUNING.replace, {"low": (1.0, 1.0, -1e308, 0.001), "high": (55.0, 18.0, 1e308, 0.1)}, "not a finite number"),
+        (TUNING.replace, {"ordered": ("Nc", "Q")}, "both of whole or both of real"),
+        (TUNING.replace, {"ordered": ("Nc", "Nc")}, "give two dimensions"),
+        (TUNING.replace, {"ordered": ("Nc", "N")}, "'N' is not one of the names"),
+        (TUNING.replace, {"ordered": None}, "spread = 2"),
+        (TUNING.replace, {"integers": ("nc",)}, "'nc' is not one of the names"),
+        (TUNING.replace, {"spread": 0.5}, "spread = 0.5"),
+        (decades, {"low": 0.0}, "decades"),
+        (decades, {"integers": ("a",)}, "decades"),
     ],
 )
-def test_spaces_that_are_none_are_refused_with_the_reason(changes, words):
+def test_bad_settings_and_spaces_are_refused_with_the_reason(make, changes, words):
     with pytest.raises(InvalidInput) as refusal:
-        TUNING.replace(**changes)
+        make(**changes)
     assert words in str(refusal.value)
 
 
@@ -433,19 +417,13 @@ def test_settings_and_spaces_survive_a_file(record, tmp_path):
 
 def test_a_dimension_searched_by_decades_is_uniform_in_its_logarithm():
     space = SearchSpace(names=("a", "b"), low=(1e-3, -1.0), high=(1e3, 1.0), decades=("a",))
-    asked = Swarm(space, SwarmSettings(particles=4000), seed=3).ask()
-    assert space.contains(asked).all()
-    shares = np.histogram(np.log10(asked[:, 0]), bins=6, range=(-3, 3))[0] / 4000
+    draws = Swarm(space, SwarmSettings(particles=4000), seed=3).ask()
+    assert space.contains(draws).all()
+    shares = np.histogram(np.log10(draws[:, 0]), bins=6, range=(-3, 3))[0] / 4000
     assert np.abs(shares - 1 / 6).max() < 0.03
 
 
 def test_searching_by_decades_finds_a_minimum_that_lies_decades_away():
     space = SearchSpace(names=("a",), low=(1e-6,), high=(1e6,), decades=("a",))
-    found = minimise(lambda x: (np.log10(x[:, 0]) - 4.0) ** 2, space, SwarmSettings(generations=60), seed=1)
-    assert found.x[0] == pytest.approx(1e4, rel=0.05)
-
-
-@pytest.mark.parametrize(("low", "whole"), [((0.0,), ()), ((1.0,), ("a",))])
-def test_decades_need_positive_real_bounds(low, whole):
-    with pytest.raises(InvalidInput, match="decades"):
-        SearchSpace(names=("a",), low=low, high=(10.0,), decades=("a",), whole=whole)
+    results = minimise(lambda x: (np.log10(x[:, 0]) - 4.0) ** 2, space, SwarmSettings(generations=60), seed=1)
+    assert results.x[0] == pytest.approx(1e4, rel=0.05)

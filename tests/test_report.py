@@ -13,25 +13,14 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.base.result import (
-    Axis,
-    Callout,
-    Column,
-    Dots,
-    HeatMap,
-    Panel,
-    Picture,
-    Polyline,
-    Result,
-    ResultTable,
-    Scale,
-)
+from adaptrack.base.result import SERIES, Column, Panel, Picture, Result, ResultTable
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
 from adaptrack.results import draw, page, style, words, write_drive_page, write_result
-from adaptrack.results.dots import Dot, notes
+from adaptrack.results.dots import Dot, caption_notes
 from adaptrack.results.drive import Run, drive_result, group_runs
 from adaptrack.results.evaluation import shared_scale
+from adaptrack.results.marks import ColourScale, draw_heat_map, log_ticks, set_log_scale
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from pictures import pictures
 
@@ -141,7 +130,7 @@ def report(tmp_path_factory):
     """A report on both tests of the paper, three controllers each, one of them lost on one test."""
     folder = tmp_path_factory.mktemp("report") / "out"
     standard = drive()
-    shown = [
+    runs = [
         standard,
         drive("nn", scale=0.4, adapt=True),
         lost(drive("anfis", scale=0.5, adapt=True)),
@@ -149,7 +138,7 @@ def report(tmp_path_factory):
         drive("nn", "general-trajectory", scale=0.3, adapt=True, n=2000),
     ]
     with pictures(drawn=True):
-        path = write_drive_page(folder, shown, title="Both tests", command="adaptrack drive --out <here>")
+        path = write_drive_page(folder, runs, title="Both tests", command="adaptrack drive --out <here>")
     return folder, path.read_text(), standard
 
 
@@ -192,11 +181,11 @@ def test_every_tag_is_closed_and_every_id_is_unique(report):
 
 def test_the_page_of_several_runs_has_headline_failures_pictures_and_provenance(report):
     folder, text, standard = report
-    shown = Outline(text).text
+    visible_text = Outline(text).text
     assert "<title>1 of 5 runs failed · Both tests</title>" in text
     first = text[text.index("</h1>") : text.index("<nav")]
     assert first.index('class="verdict"') < first.index("<svg role") < first.index('class="introduction"')
-    assert re.search(r"Failed: Triple lane change, ANFIS-MPC, at 10\.\d s; the vehicle left the road", shown)
+    assert re.search(r"Failed: Triple lane change, ANFIS-MPC, at 10\.\d s; the vehicle left the road", visible_text)
     assert "Largest error" in first
     names = [f"{test}-{kind}.png" for test in ("general-trajectory", "triple-lane-change")
              for kind in ("conditions", "tracking")]  # fmt: skip
@@ -204,10 +193,10 @@ def test_the_page_of_several_runs_has_headline_failures_pictures_and_provenance(
     described = [svg for svg in Outline(text).all("svg") if "aria-hidden" not in svg]
     assert all(svg["role"] == "img" and len(svg["aria-label"]) > 30 for svg in described)
     for value in ("0.0318", "0.0051", "0.5896", "0.132", words.number(compute_metrics(standard).mse)):
-        assert value in shown
+        assert value in visible_text
     for entry in ("Profile paper", "Plant dual-track, constant-stiffness", '"seed": 7', "kernels"):
-        assert entry in shown
-    assert "adaptrack drive --out <here>" in shown  # escaped in the source, whole for the reader
+        assert entry in visible_text
+    assert "adaptrack drive --out <here>" in visible_text  # escaped in the source, whole for the reader
     assert "<here>" not in text
 
 
@@ -240,8 +229,8 @@ def said(answer, *pictures):
 
 def line(file):
     """A picture of a line."""
-    marks = [Polyline([0.0, 1.0], [0.0, 1.0])]
-    return Picture(file, "A line.", [Panel("Line", Axis("x"), Axis("y"), marks, "From 0 to 1.")], file=file)
+    panel = Panel("Line", lambda axes: axes.plot([0.0, 1.0], [0.0, 1.0]), "From 0 to 1.")
+    return Picture(file, "A line.", [panel], file=file)
 
 
 def test_a_failed_report_leaves_the_old_one_and_nothing_else(tmp_path, monkeypatch):
@@ -335,26 +324,23 @@ def test_legends_cover_no_curve():
 @pytest.mark.drawn
 @pytest.mark.parametrize("height", [1e-7, 1.0, 3e8])
 def test_a_title_stays_clear_of_the_factor_above_its_axis(height):
-    def draw(axes):
-        axes.plot([0.0, height])
-        axes.set_title("A title that is long enough to lie above the y axis")
-
-    figure = style.panel_figure(draw)
+    title = "A title that is long enough to lie above the y axis"
+    figure = draw.panel_figure(Panel(title, lambda axes: axes.plot([0.0, height]), ""))
     figure.dpi = 72  # that of an SVG, in which the places below are counted
     style.inline_svg(figure, "p1", "a line")
     (axes,) = figure.axes
-    title, factor = axes.get_title("left"), axes.yaxis.get_offset_text()
+    factor = axes.yaxis.get_offset_text()
     assert bool(factor.get_text()) == (height != 1.0)
-    (drawn,) = figure.findobj(lambda each: isinstance(each, Text) and each.get_text() == title)
+    (drawn,) = figure.findobj(lambda artist: isinstance(artist, Text) and artist.get_text() == title)
     assert not (factor.get_text() and drawn.get_window_extent().overlaps(factor.get_window_extent()))
 
 
 def test_a_lost_run_ends_where_it_was_lost_and_does_not_set_the_scale():
-    good, bad = drive(), lost(drive("nn"))
-    figure = figure_of(tracking_picture, {"good": good, "bad": bad})
+    run, lost_run = drive(), lost(drive("nn"))
+    figure = figure_of(tracking_picture, {"good": run, "bad": lost_run})
     error = figure.axes[1]
     assert error.get_ylim()[1] < 1.0  # the lost run reaches 5 m and more
-    ends = [line.get_xdata()[-1] for line in error.get_lines() if line.get_color() == style.SERIES[1]]
+    ends = [line.get_xdata()[-1] for line in error.get_lines() if line.get_color() == SERIES[1]]
     assert all(10.0 < end < 12.0 for end in ends)
 
 
@@ -385,10 +371,10 @@ def test_start_up_from_standstill_does_not_flatten_the_rest():
 
 def test_steps_in_which_a_safe_angle_was_held_are_marked():
     run = drive()
-    held = (run.t > 5.0) & (run.t < 6.0)
-    steering = figure_of(tracking_picture, {"x": dataclasses.replace(run, held=held)}).axes[2]
+    is_held = (run.t > 5.0) & (run.t < 6.0)
+    steering = figure_of(tracking_picture, {"x": dataclasses.replace(run, held=is_held)}).axes[2]
     (squares,) = (line for line in steering.get_lines() if line.get_marker() == "s")
-    assert squares.get_xdata().tolist() == run.t[held].tolist()
+    assert squares.get_xdata().tolist() == run.t[is_held].tolist()
     assert steering.get_title("right") == "□ held"
 
 
@@ -446,16 +432,16 @@ def test_numbers_are_written_for_readers(value, text):
     ],
 )
 def test_a_logarithmic_axis_has_round_numbers_however_short_it_is(low, high, ticks):
-    assert style.log_ticks(low, high)() == pytest.approx(ticks)
+    assert log_ticks(low, high)() == pytest.approx(ticks)
     axes = Figure().subplots()
-    style.logarithmic(axes, "y", (low, high))
+    set_log_scale(axes, "y", (low, high))
     assert axes.get_ylim() == (low, high)
     assert [label.get_text() for label in axes.get_yticklabels()] == [f"{tick:g}" for tick in ticks]
 
 
 def test_a_printed_figure_has_all_panels_and_writes_what_neighbours_share_once():
     titles = {"One": "Share (%)", "Two": "Share (%)", "Three": "Cost (m²)"}
-    panels = [Panel(title, Axis(), Axis(label), [], "") for title, label in titles.items()]
+    panels = [Panel(title, lambda axes, label=label: axes.set_ylabel(label), "") for title, label in titles.items()]
     figure = draw.print_figure(Picture("any", "", panels, columns=2))
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) One", "(b) Two", "(c) Three"]
     assert [axes.get_ylabel() for axes in figure.axes] == ["Share (%)", "", "Cost (m²)"]
@@ -464,33 +450,25 @@ def test_a_printed_figure_has_all_panels_and_writes_what_neighbours_share_once()
 
 
 def test_the_words_of_a_panel_hold_no_marks_of_mathematics():
-    panel = Panel(r"$\log_{10} R/Q$", Axis(), Axis(), [], r"Over $|y_\mathrm{ref}|$: 3 to 4.")
-    assert draw.described(panel) == "log10 R/Q. Over |y_ref|: 3 to 4."
+    panel = Panel(r"$\log_{10} R/Q$", print, r"Over $|y_\mathrm{ref}|$: 3 to 4.")
+    assert draw.describe_panel(panel) == "log10 R/Q. Over |y_ref|: 3 to 4."
 
 
 def test_the_colours_of_several_maps_span_all_their_numbers():
-    scale = shared_scale([np.array([[1.0, np.nan]]), np.array([[7.0]])], whole=True)
+    scale = shared_scale([np.array([[1.0, np.nan]]), np.array([[7.0]])], integer=True)
     assert (scale.low, scale.high) == (1.0, 7.0)
-    alike = shared_scale([np.array([[3.0]])], whole=False)
-    assert (alike.low, alike.high) == (2.5, 3.5)
+    equal_scale = shared_scale([np.array([[3.0]])], integer=False)
+    assert (equal_scale.low, equal_scale.high) == (2.5, 3.5)
 
 
 @pytest.mark.parametrize("image", [False, True])
 def test_a_heat_map_shows_its_numbers_where_they_belong(image):
-    heat = HeatMap([0.0, 10.0, 20.0], [0.3, 1.0], [[1.0, 2.0]], Scale(1.0, 2.0), image=image)
-    axes = draw.panel_figure(Panel("Map", Axis("Speed (m/s)"), Axis("Friction (–)"), [heat], "1 to 2.")).axes[0]
+    axes = Figure(layout="constrained").subplots()
+    draw_heat_map(axes, [0.0, 10.0, 20.0], [0.3, 1.0], [[1.0, 2.0]], ColourScale(1.0, 2.0), image=image)
     (drawn,) = axes.images if image else axes.collections
     assert np.ravel(drawn.get_array()).tolist() == [1.0, 2.0]
     assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 20.0), (0.3, 1.0))
     assert (drawn.norm.vmin, drawn.norm.vmax) == (1.0, 2.0)
-
-
-def test_words_apart_from_their_point_are_joined_to_it():
-    said = Callout(1.0, 2.0, "here", (1.5, 2.5), at_left=True)
-    axes = draw.panel_figure(Panel("", Axis(high=3.0), Axis(high=3.0), [Dots([1.0], [2.0]), said], "")).axes[0]
-    (words,) = axes.texts
-    assert (words.get_text(), words.xy, words.xyann) == ("here", (1.0, 2.0), (1.5, 2.5))
-    assert words.arrow_patch is not None
 
 
 def test_an_interval_has_as_many_digits_as_tell_its_ends_apart():
@@ -508,7 +486,7 @@ def test_the_full_record_can_be_read_back_from_the_page(report):
 
 def test_a_caption_explains_the_marks_that_are_drawn_and_no_others():
     dots = [Dot("a", 1.0), Dot("b", 1.1), Dot("c", 1.2)]
-    assert notes(dots) == ""
-    assert notes([*dots, Dot("d", 1.3, failed=True)]) == " Cross: failed runs."
-    assert notes([*dots, Dot("d", 99.0, failed=True)]) == " Arrow: beyond the axis."
-    assert notes([Dot(str(i), 1.0) for i in range(20)]) == " The first 14 of 20; the table has all."
+    assert caption_notes(dots) == ""
+    assert caption_notes([*dots, Dot("d", 1.3, failed=True)]) == " Cross: failed runs."
+    assert caption_notes([*dots, Dot("d", 99.0, failed=True)]) == " Arrow: beyond the axis."
+    assert caption_notes([Dot(str(i), 1.0) for i in range(20)]) == " The first 14 of 20; the table has all."

@@ -14,9 +14,9 @@ from adaptrack.results import style
 from adaptrack.results.draw import print_figure
 from adaptrack.results.drive import drive_result, write_drive_page
 from adaptrack.results.record import DrawnCar, DriveRecord
-from adaptrack.results.replay import UNITS, packed, replay_data, sampled
-from adaptrack.results.road_pictures import above_picture, outline_stations, scale_of
-from adaptrack.results.run_pictures import thinned, tracking_picture
+from adaptrack.results.replay import REPLAY_UNITS, pack_column, replay_data, sample_indices
+from adaptrack.results.road_pictures import above_picture, offset_scale, outline_stations
+from adaptrack.results.run_pictures import thin_curve, tracking_picture
 from adaptrack.road import Line, Road, generate_road
 from made_drives import PERIOD, bend, made_drive, made_run
 from pictures import pictures
@@ -58,7 +58,7 @@ def test_names_from_files_cannot_break_the_page(tmp_path):
 def test_the_replay_holds_what_was_driven_to_half_of_its_units():
     drive = made_drive(generate_road("mountain", seed=1, length=1500.0))
     (car,) = replay_data({"informed": drive})["cars"]
-    for name, unit in UNITS.items():
+    for name, unit in REPLAY_UNITS.items():
         assert np.abs(unpacked(car["columns"][name]) - getattr(drive, name)).max() <= 0.5 * unit + 1e-9
     assert car["outline"]["front"] + car["outline"]["rear"] == pytest.approx(drive.shape.outline.length)
 
@@ -73,20 +73,20 @@ def test_a_wrapped_yaw_is_replayed_without_a_turn():
 @pytest.mark.parametrize(("jump", "size"), [(0.1, 1), (30.0, 2), (1e6, 4)])
 def test_a_column_takes_the_fewest_bytes_that_hold_its_steps(jump, size):
     values = np.array([5e6, 5e6 + jump, 5e6])
-    column = packed(values, 1e-3)
+    column = pack_column(values, 1e-3)
     assert column["size"] == size
     assert unpacked(column) == pytest.approx(values, abs=1e-6)
 
 
 def test_a_jump_beyond_all_bytes_is_refused():
     with pytest.raises(InvalidInput, match="jumps by 1e\\+07"):
-        packed(np.array([0.0, 1e7]), 1e-3)
+        pack_column(np.array([0.0, 1e7]), 1e-3)
 
 
 def test_a_thinned_curve_keeps_its_peaks(rng):
     values = rng.normal(size=50_000)
     values[31_234] = 40.0
-    keep = thinned(values)
+    keep = thin_curve(values)
     assert (values[keep].min(), values[keep].max()) == (values.min(), 40.0)
     assert (keep[0], keep[-1]) == (0, values.size - 1)
 
@@ -113,7 +113,7 @@ def test_the_picture_from_above_is_to_scale_and_coloured_by_the_offset():
     style.png(figure)  # settles the layout
     small, large = figure.axes[:2]
     assert [axes.get_title("left") for axes in (small, large)] == ["(a) a", "(b) b"]
-    (strokes,) = (each for each in large.collections if each.get_array() is not None)
+    (strokes,) = (collection for collection in large.collections if collection.get_array() is not None)
     assert strokes.get_array().max() == pytest.approx(1.0, rel=0.01)
     for axes in (small, large):
         box = axes.get_window_extent()
@@ -144,15 +144,15 @@ def test_the_end_of_a_failed_drive_does_not_flatten_the_rest():
     offset[-3:] = [2.0, 4.0, 8.0]
     leaving = dataclasses.replace(run, road={**run.road, "offset": offset})
     assert print_figure(tracking_picture({"a": leaving})).axes[0].get_ylim()[1] < 1.5
-    assert scale_of([DriveRecord.from_trajectory(leaving, bend())]) == 0.5
+    assert offset_scale([DriveRecord.from_trajectory(leaving, bend())]) == 0.5
 
 
 def test_a_long_drive_is_thinned_and_replayed_at_20_hz():
     road = Road.from_segments([Line(length=2000.0)])
     drive = dataclasses.replace(made_drive(road), time=0.2 * PERIOD * np.arange(len(made_drive(road))))
-    assert sampled(drive).size == pytest.approx(len(drive) / 5, abs=2)
+    assert sample_indices(drive).size == pytest.approx(len(drive) / 5, abs=2)
     assert len(json.dumps(replay_data({"informed": drive}))) < 20_000
-    assert thinned(drive.offset, 100).size <= 102
+    assert thin_curve(drive.offset, 100).size <= 102
 
 
 def test_drives_on_different_roads_are_refused():

@@ -8,11 +8,11 @@ import re
 import numpy as np
 import pytest
 
-from adaptrack.comparison.table import Comparison, Role
+from adaptrack.comparison.table import Comparison, ContenderRole
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Guarded, Learned, StabilityMap, Table
 from adaptrack.results import evaluation, style, write_result
-from adaptrack.results.draw import described
+from adaptrack.results.draw import describe_panel, panel_figure
 from adaptrack.results.evaluation import evaluation_result, regret_maps, surfaces_picture, view_rows
 from adaptrack.results.words import number
 from pictures import pictures
@@ -32,9 +32,10 @@ def compared(factors, runs=40, reference="optimum", failed=None):
         driven[name] = {"cost": np.where(shares > 0.0, 6.25, cost), "failed": shares}
     where = rng.uniform((3.0, -7.0, 0.4, -20.0), (27.0, 7.0, 1.0, 20.0), (runs, 4))
     roles = {
-        name: Role(adapts=name not in ("best constant", "optimum"), hindsight=name == "optimum") for name in factors
+        name: ContenderRole(adapts=name not in ("best constant", "optimum"), hindsight=name == "optimum")
+        for name in factors
     }
-    return Comparison.of_runs(driven, reference, overall={"nn": {"fallback": 0.125}}, where=where, roles=roles)
+    return Comparison.from_runs(driven, reference, overall={"nn": {"fallback": 0.125}}, where=where, roles=roles)
 
 
 def schedule(tilt=(20.0, 5.0)):
@@ -117,8 +118,8 @@ def test_maps_are_drawn_where_their_cells_hold_operating_points():
     assert len(regret_maps(many).panels) == 4 * 2
     names = [picture.name for picture in evaluation_result({"operating points": {"exact": many}}, {}).pictures]
     assert names == ["verdict", "maps"]
-    heat = regret_maps(many).panels[0].marks[0]
-    assert np.asarray(heat.values).shape == (4, 4)
+    (cells,) = panel_figure(regret_maps(many).panels[0]).axes[0].collections
+    assert cells.get_array().shape == (4, 4)
 
 
 def test_surfaces_show_the_learned_tuning_without_the_guard():
@@ -127,7 +128,7 @@ def test_surfaces_show_the_learned_tuning_without_the_guard():
     guarded = Guarded(schedule(), Tuning(Np=50, Nc=2, Q=1.0, R=100.0), stability=nowhere_stable)
     assert guarded.batch([[15.0, 0.0, 0.7, 0.0]])[0, 0] == 50.0
     result = evaluation_result({"drives": VIEWS["drives"]}, {"nn": guarded})
-    Np, Nc, ratio = (described(panel) for panel in result.picture("surfaces").panels)
+    Np, Nc, ratio = (describe_panel(panel) for panel in result.picture("surfaces").panels)
     assert Np.endswith("over speed and reference change ahead: 15 to 40.")
     assert Nc.endswith("ahead: 4.")
     assert ratio.endswith("ahead: 3.5.")

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from adaptrack.base.errors import InvalidInput, UnknownName
 from adaptrack.core import road as kernel
-from adaptrack.road import KINDS, Along, Arc, Clothoid, Cubic, Line, Pose, Road, generate_road, road_through
+from adaptrack.road import ROAD_KINDS, Along, Arc, Clothoid, Cubic, Line, Pose, Road, generate_road, road_through
 from adaptrack.road.opendrive_lanes import line_at_offset
 from adaptrack.road.table import joined, placed, tabulate
 from references.road import beside, coarse_samples, end_of, exact_points, feet_by_search, figure_of_eight
@@ -41,18 +41,12 @@ def eight():
 def test_lines_arcs_and_clothoids_lie_where_closed_forms_and_quadrature_say(segment):
     (table,) = tabulate([segment])
     s = np.linspace(0.0, segment.length, 301)
-    for found, exact in zip(table.at(s), exact_points(segment, s), strict=True):
-        np.testing.assert_allclose(found, exact, rtol=0, atol=2e-9)  # Fresnel, near an arc
+    np.testing.assert_allclose(table.at(s), exact_points(segment, s), rtol=0, atol=2e-9)  # Fresnel, near an arc
     k0, k1 = segment.curvatures
+    assert np.abs(table.at(s).curvature - (k0 + (k1 - k0) * s / segment.length)).max() < 1e-14
     end = end_of(k0, (k1 - k0) / segment.length, segment.length)
     last = table.at(segment.length)
     assert (float(last.x), float(last.y)) == pytest.approx(end, abs=1e-9)
-
-
-def test_the_curvature_of_a_clothoid_is_exact(rng):
-    (table,) = tabulate([Clothoid(length=300.0, start_curvature=0.013, end_curvature=-0.047)])
-    s = rng.uniform(0.0, 300.0, 2000)
-    assert np.abs(table.at(s).curvature - (0.013 - 0.06 * s / 300.0)).max() < 1e-15
 
 
 def test_a_parametric_cubic_lies_where_its_coefficients_say_at_its_arc_length():
@@ -60,11 +54,11 @@ def test_a_parametric_cubic_lies_where_its_coefficients_say_at_its_arc_length():
     for p in np.linspace(0.0, 1.0, 23):
         speed = lambda q: math.hypot(40.0 + 10.0 * q - 24.0 * q * q, 50.0 * q - 36.0 * q * q)  # noqa: E731
         s = quad(speed, 0.0, p, epsabs=1e-13)[0]
-        found = table.at(min(s, table.length))
+        point = table.at(min(s, table.length))
         exact = (40.0 * p + 5.0 * p**2 - 8.0 * p**3, 25.0 * p**2 - 12.0 * p**3)
         bend = (40.0 + 10.0 * p - 24.0 * p * p) * (50.0 - 72.0 * p) - (50.0 * p - 36.0 * p * p) * (10.0 - 48.0 * p)
-        assert (float(found.x), float(found.y)) == pytest.approx(exact, abs=1e-9)
-        assert float(found.curvature) == pytest.approx(bend / speed(p) ** 3, abs=1e-9)
+        assert (float(point.x), float(point.y)) == pytest.approx(exact, abs=1e-9)
+        assert float(point.curvature) == pytest.approx(bend / speed(p) ** 3, abs=1e-9)
 
 
 def test_a_line_beside_a_clothoid_is_its_parallel():
@@ -115,9 +109,7 @@ def test_an_open_road_goes_on_straight_and_a_closed_one_around():
     beyond = road.at(road.length + 7.0)
     assert float(beyond.x) == pytest.approx(float(end.x + 7.0 * np.cos(end.heading)))
     assert float(beyond.curvature) == 0.0
-    assert [float(v) for v in road.at(-3.0)[:2]] == pytest.approx(
-        [5.0 - 3.0 * math.cos(1.0), -2.0 - 3.0 * math.sin(1.0)]
-    )
+    np.testing.assert_allclose(road.at(-3.0)[:2], [5.0 - 3.0 * math.cos(1.0), -2.0 - 3.0 * math.sin(1.0)])
     circle = Road.from_segments([Arc(length=40.0 * math.pi, curvature=0.05)], closed=True)
     assert circle.turn == pytest.approx(2.0 * math.pi)
     for s in (-300.0, -1.0, 17.0, 5000.0):
@@ -141,7 +133,6 @@ def test_an_open_road_goes_on_straight_and_a_closed_one_around():
         (lambda: generate_road("town", seed=-1), "seed"),
         (lambda: generate_road("town", width_left=-1.0), "> 0"),
         (lambda: road_through([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (2.0, 0.0)]), "3 points lie apart.*at least 4"),
-        (lambda: road_through([(0.0, 0.0), (1.0, 0.0)]), "n >= 4"),
         (lambda: Road.from_segments([Line(length=10.0)]).project(math.nan, 0.0), "finite"),
         (lambda: Road.from_segments([Line(length=10.0)]).along("colour", 0.0), "width_left"),
     ],
@@ -226,9 +217,9 @@ def test_a_point_without_a_foot_within_reach_is_refused_by_its_place():
 def around(road, furthest, count, rng):
     """Points up to so far from places of a road, and arc lengths up to 30 m from these places."""
     s = rng.uniform(0.0, road.length, count)
-    away, angle = furthest * np.sqrt(rng.uniform(size=count)), rng.uniform(0.0, 2.0 * math.pi, count)
+    distance, angle = furthest * np.sqrt(rng.uniform(size=count)), rng.uniform(0.0, 2.0 * math.pi, count)
     place = road.at(s)
-    return place.x + away * np.cos(angle), place.y + away * np.sin(angle), s + rng.uniform(-30.0, 30.0, count)
+    return place.x + distance * np.cos(angle), place.y + distance * np.sin(angle), s + rng.uniform(-30.0, 30.0, count)
 
 
 TIGHT = Road.from_segments(
@@ -253,7 +244,7 @@ def test_the_foot_is_the_minimum_of_distance_nearest_in_arc_length(road, rng):
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("kind", [*KINDS, "eight", "cubic", "tight", "round"])
+@pytest.mark.parametrize("kind", [*ROAD_KINDS, "eight", "cubic", "tight", "round"])
 def test_no_place_of_a_road_is_nearer_to_a_point_than_its_foot(kind, rng):
     roads = {"eight": eight(), "cubic": Road.from_segments([CUBIC, Line(length=20.0)]), "tight": TIGHT, "round": ROUND}
     road = roads[kind] if kind in roads else generate_road(kind, seed=5, length=1200.0)
@@ -298,14 +289,14 @@ def test_where_rounding_left_a_kink_the_foot_is_the_corner_or_beside_it():
 
 
 # -- generated --------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ROAD_KINDS)
 def test_a_generated_road_is_of_its_kind_and_its_seed(kind):
     road, again, other = (generate_road(kind, seed, length=1500.0) for seed in (1, 1, 2))
     assert np.array_equal(road.table.pieces, again.table.pieces)
     assert road.length != other.length
     assert 1300.0 < road.length < 4500.0
     assert road.curvature_jumps() == []
-    size = KINDS[kind]
+    size = ROAD_KINDS[kind]
     tightest = min(size.radius[0], size.tight_radius[0] or math.inf)
     assert 1.0 / np.abs(road.at(np.arange(0.0, road.length, 0.5)).curvature).max() >= tightest * (1.0 - 1e-9)
     assert road.closed is (kind == "lap")

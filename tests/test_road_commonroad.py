@@ -25,9 +25,9 @@ def lanelet(number, middle, after=(), sign=None, half=1.75):
     """A lanelet about points (x, y, heading)."""
     left = [(x - half * math.sin(h), y + half * math.cos(h)) for x, y, h in middle]
     right = [(x + half * math.sin(h), y - half * math.cos(h)) for x, y, h in middle]
-    more = "".join(f'<successor ref="{each}"/>' for each in after)
-    more += "<laneletType>urban</laneletType>" + (f'<trafficSignRef ref="{sign}"/>' if sign else "")
-    return f'<lanelet id="{number}">{bound("leftBound", left)}{bound("rightBound", right)}{more}</lanelet>'
+    children = "".join(f'<successor ref="{successor}"/>' for successor in after)
+    children += "<laneletType>urban</laneletType>" + (f'<trafficSignRef ref="{sign}"/>' if sign else "")
+    return f'<lanelet id="{number}">{bound("leftBound", left)}{bound("rightBound", right)}{children}</lanelet>'
 
 
 STRAIGHT = [(x, 0.0, 0.0) for x in np.linspace(0.0, 60.0, 7)]

@@ -10,12 +10,7 @@ import pytest
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers import (
-    LQR,
-    MPC,
-    PurePursuit,
-    Stanley,
-)
+from adaptrack.control.controllers import LQR, MPC, PurePursuit, Stanley
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.drive.batch import rollout_batch
@@ -32,12 +27,8 @@ CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR)
 
 
-def hairpin(side=1.0, start=(0.0, 0.0, 0.0)):
-    bend = Arc(length=15.0 * math.pi, curvature=side / 15)
-    return Road.from_segments([Line(length=40.0), bend, Line(length=40.0)], name="hairpin", start=start)
-
-
-HAIRPIN = hairpin()
+BEND = Arc(length=15.0 * math.pi, curvature=1 / 15)
+HAIRPIN = Road.from_segments([Line(length=40.0), BEND, Line(length=40.0)], name="hairpin")
 CIRCLE = Road.from_segments([Arc(length=100.0 * math.pi, curvature=0.02)], closed=True, name="circle")
 WINDING = generate_road("country", seed=4, length=600.0)
 LAWS = {
@@ -57,9 +48,9 @@ def test_an_arc_lies_beside_its_tangent_as_a_parabola():
 
 def test_a_clothoid_lies_beside_its_tangent_as_a_cubic():
     road = Road.from_segments([Clothoid(length=200.0, start_curvature=0.0, end_curvature=0.02)], name="clothoid")
-    found = RoadAhead(road, 0.0, [10.0]).bend(100, 10.0, 0.0, 0.05)
+    path = RoadAhead(road, 0.0, [10.0]).bend(100, 10.0, 0.0, 0.05)
     s = 0.5 * np.arange(100)
-    np.testing.assert_allclose(found, 1e-4 * s**3 / 6.0, rtol=0, atol=2e-4)  # the table of headings is 0.5 m fine
+    np.testing.assert_allclose(path, 1e-4 * s**3 / 6.0, rtol=0, atol=2e-4)  # the table of headings is 0.5 m fine
 
 
 @pytest.mark.parametrize(
@@ -92,10 +83,8 @@ def test_a_drive_follows_its_plan_and_stands_at_its_stops():
 
 @pytest.mark.compiled
 def test_a_straight_road_is_the_scenario_without_a_road():
-    mpc, test = (
-        MPC(CAR, profile="road"),
-        load_scenario("lane-change", speed=20.0, amplitude=2.0, friction=0.9, gust=0.0),
-    )
+    mpc = MPC(CAR, profile="road")
+    test = load_scenario("lane-change", speed=20.0, amplitude=2.0, friction=0.9, gust=0.0)
     straight = Road.from_segments([Line(length=300.0)], name="straight", friction=0.9)
     plain = rollout(PLANT, mpc, test, profile="road", seed=3)
     bent = rollout(PLANT, mpc, RoadDrive(straight, 20.0, reference=test.reference), profile="road", seed=3)
@@ -108,12 +97,12 @@ def test_a_straight_road_is_the_scenario_without_a_road():
 def test_both_drivers_give_the_same_run(make):
     controller = make(CAR, profile="road") if make is MPC else make(CAR, period=0.05, preview=True)
     drive = RoadDrive(HAIRPIN, 6.0)
-    one = simulate(PLANT, controller, drive, profile="road", seed=5)
+    run = simulate(PLANT, controller, drive, profile="road", seed=5)
     other = rollout(PLANT, controller, drive, profile="road", seed=5)
     for name in ("X", "Y", "psi", "command"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    for name in one.road:
-        np.testing.assert_array_equal(one.road[name], other.road[name])
+        np.testing.assert_array_equal(getattr(run, name), getattr(other, name))
+    for name in run.road:
+        np.testing.assert_array_equal(run.road[name], other.road[name])
 
 
 @pytest.mark.compiled
@@ -126,10 +115,8 @@ def test_offset_and_heading_error_are_those_of_the_projection():
 
 @pytest.mark.compiled
 def test_a_road_that_is_moved_and_mirrored_is_driven_in_the_mirror():
-    moved = Road.from_segments(
-        [Line(length=40.0), Arc(length=15.0 * math.pi, curvature=-1 / 15), Line(length=40.0)], name="moved",
-        start=Pose(x=300.0, y=-200.0, heading=2.0),
-    )  # fmt: skip
+    segments = [Line(length=40.0), BEND.replace(curvature=-1 / 15), Line(length=40.0)]
+    moved = Road.from_segments(segments, name="moved", start=Pose(x=300.0, y=-200.0, heading=2.0))
     left, right = (rollout(PLANT, MPC(CAR, profile="paper"), RoadDrive(road, 6.0)) for road in (HAIRPIN, moved))
     np.testing.assert_allclose(left.road["offset"], -right.road["offset"], rtol=0, atol=1e-7)
 
@@ -171,24 +158,13 @@ def test_the_wheels_of_a_standing_car_rest(law):
 @pytest.mark.compiled
 def test_friction_lies_at_its_place_whatever_the_time():
     """A car that starts late meets a slippery patch where it lies."""
-    patch = Road.from_segments(
-        [Line(length=200.0)], name="patch", friction=Along.through([0.0, 100.0], [0.9, 0.2], "steps")
-    )
+    friction = Along.through([0.0, 100.0], [0.9, 0.2], "steps")
+    patch = Road.from_segments([Line(length=200.0)], name="patch", friction=friction)
     run = rollout(PLANT, MPC(CAR, profile="road"), RoadDrive(patch, 15.0), profile="road")
     signals = RoadDrive(patch, 15.0).sample(0.05)
     assert signals.friction[signals.station < 99.0].min() == pytest.approx(0.9)
     assert signals.friction[signals.station > 101.0].max() == pytest.approx(0.2)
     assert run.failed is None
-
-
-@pytest.mark.compiled
-def test_a_batch_mixes_straight_and_curved_roads():
-    straight = Road.from_segments([Line(length=HAIRPIN.length)], name="straight")
-    drives = [RoadDrive(HAIRPIN, 6.0), RoadDrive(straight, 6.0)]
-    mpc = MPC(CAR, profile="road")
-    found = rollout_batch(PLANT, mpc, drives, which=[0, 1, 0], seeds=[1, 2, 3], profile="road")
-    alone = [rollout(PLANT, mpc, drives[i], profile="road", seed=s) for i, s in ((0, 1), (1, 2), (0, 3))]
-    np.testing.assert_allclose(found.mse, [np.mean(run.error**2) for run in alone], rtol=1e-12)
 
 
 # -- sets of drives ---------------------------------------------------------------------------------------------------
@@ -197,34 +173,37 @@ def drives_of_two_lengths():
 
 
 @pytest.mark.parametrize("law", ["informed", "lqr"])
-def test_a_drive_among_longer_ones_is_what_it_is_alone(law):
-    own = MPC(CAR, profile="road") if law == "informed" else LAWS[law](CAR, period=0.05, preview=True)
-    several = drives_of_two_lengths()[: 2 if law == "informed" else 3]
-    among = rollout_batch(PLANT, own, several, profile="road", seeds=7)
-    for k, each in enumerate(several):
-        alone = rollout_batch(PLANT, own, each, profile="road", seeds=7)
+def test_a_drive_among_longer_and_straight_ones_is_what_it_is_alone(law):
+    controller = MPC(CAR, profile="road") if law == "informed" else LAWS[law](CAR, period=0.05, preview=True)
+    straight = Road.from_segments([Line(length=HAIRPIN.length)], name="straight")
+    several = [*drives_of_two_lengths()[: 2 if law == "informed" else 3], RoadDrive(straight, 6.0)]
+    among = rollout_batch(PLANT, controller, several, profile="road", seeds=7)
+    for k, drive in enumerate(several):
+        alone = rollout_batch(PLANT, controller, drive, profile="road", seeds=7)
         for name in ("mse", "mean_squared_move", "max_abs_error", "steps"):
             assert getattr(among, name)[k] == getattr(alone, name)[0]
         assert among.failed[k] is None
+        run = rollout(PLANT, controller, drive, profile="road", seed=7)
+        assert among.mse[k] == pytest.approx(np.mean(run.error**2), rel=1e-12)
 
 
 def test_a_run_set_costs_drives_of_different_length_by_their_own_instants():
-    own = MPC(CAR, profile="road")
-    runs = road_runs(PLANT, own, [WINDING, HAIRPIN], profile="road")
+    mpc = MPC(CAR, profile="road")
+    runs = road_runs(PLANT, mpc, [WINDING, HAIRPIN], profile="road")
     assert runs.lengths[0] != runs.lengths[1]
-    found = runs.costs(own.tuning, [3])
-    for k, each in enumerate(runs.scenarios):
-        run = simulate(PLANT, own, each, profile="road", seed=3)
+    costs = runs.costs(mpc.tuning, [3])
+    for k, scenario in enumerate(runs.scenarios):
+        run = simulate(PLANT, mpc, scenario, profile="road", seed=3)
         exact = (run.error**2).mean() + runs.weight * (run.command_change**2).mean()
-        assert found[k] == pytest.approx(exact, rel=1e-9)
+        assert costs[k] == pytest.approx(exact, rel=1e-9)
     with pytest.raises(InvalidInput, match="equally long"):
-        runs.segments(own.tuning, 3, np.arange(2))
+        runs.segments(mpc.tuning, 3, np.arange(2))
 
 
 @pytest.mark.compiled
 def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
-    own = MPC(CAR, profile="road")
-    runs = road_runs(PLANT, own, [HAIRPIN, WINDING], profile="road")
+    mpc = MPC(CAR, profile="road")
+    runs = road_runs(PLANT, mpc, [HAIRPIN, WINDING], profile="road")
     best = tune_constant(runs, SwarmSettings(particles=8, generations=3), seed=1)
     assert runs.costs(np.tile(best.x, (2, 1)), [0]).mean() == pytest.approx(best.cost, rel=1e-9)
     assert best.cost == best.trace.min()
@@ -236,10 +215,10 @@ def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
 def test_a_law_retuned_in_a_batch_costs_what_it_costs_with_that_tuning():
     law = PurePursuit(CAR, period=0.05, preview=True)
     runs = RunSet(PLANT, MPC(CAR, profile="road"), drives_of_two_lengths()[:2], "road")
-    found = runs.drive(Retuned(law, [[0.6, 4.0], [0.4, 3.0]]), [2])[:, 0]
+    costs = runs.drive(Retuned(law, [[0.6, 4.0], [0.4, 3.0]]), [2])[:, 0]
     retuned = PurePursuit(CAR, lookahead_time=0.4, lookahead_min=3.0, period=0.05, preview=True)
-    assert found[0] == runs.drive(law, [2])[0, 0]
-    assert found[1] == runs.drive(retuned, [2])[1, 0] != runs.drive(law, [2])[1, 0]
+    assert costs[0] == runs.drive(law, [2])[0, 0]
+    assert costs[1] == runs.drive(retuned, [2])[1, 0] != runs.drive(law, [2])[1, 0]
 
 
 def test_predicted_paths_are_kept_as_the_car_then_drives():
@@ -250,8 +229,8 @@ def test_predicted_paths_are_kept_as_the_car_then_drives():
     for time, path in list(zip(paths.time, paths.points, strict=True))[:-8]:
         foretold = np.hypot(*np.diff(path, axis=0).T).sum()
         assert foretold > 1.0
-        now = np.array([np.interp(time, run.t, values) for values in (run.X, run.Y)])
+        place = np.array([np.interp(time, run.t, values) for values in (run.X, run.Y)])
         passed = np.column_stack([run.X, run.Y])[run.t > time]
         for point in path[:3]:
             assert np.hypot(*(passed - point).T).min() < 0.25
-            assert np.hypot(*(point - now)) > 0.2
+            assert np.hypot(*(point - place)) > 0.2

@@ -45,10 +45,10 @@ def test_the_stated_deviation_of_a_noisy_record_is_the_true_one(kind, spacing, n
     true = generate_road(kind, seed=4, length=1000.0)
     points = recorded(true, spacing, noise)
     road = fit_road(points, max_deviation=2.0)
-    away = [nearest_by_search(road, *point)[1] for point in points]
-    assert road.deviation == pytest.approx(max(away), abs=1e-5)
+    distances = [nearest_by_search(road, *point)[1] for point in points]
+    assert road.deviation == pytest.approx(max(distances), abs=1e-5)
     assert road.deviation < 2.0
-    assert f"point {int(np.argmax(away))}" in road.notes[-1]
+    assert f"point {int(np.argmax(distances))}" in road.notes[-1]
     assert road.closed is true.closed
     # The noise is taken for noise: the road is nearer to the truth than the record is.
     error = road.project(*true.at(np.linspace(0.05, 0.95, 100) * true.length)[:2]).offset
@@ -98,8 +98,8 @@ def test_points_in_centimetres_or_kilometres_are_asked_about_and_those_in_degree
         in_cm = fit_road(100.0 * WINDING[:300])
     assert "are x and y in metres, or in centimetres?" in caplog.text
     assert "centimetres" in in_cm.notes[0]
-    found = check_road(fit_road(WINDING / 1000.0), load_vehicle("paper"))
-    assert any("in metres, or in kilometres?" in each.text and not each.drivable for each in found)
+    findings = check_road(fit_road(WINDING / 1000.0), load_vehicle("paper"))
+    assert any("in metres, or in kilometres?" in finding.text and not finding.drivable for finding in findings)
     in_metres = fit_road(WINDING[:300])
     assert not any("metres" in note for note in in_metres.notes)
     assert not check_road(in_metres, load_vehicle("paper"))
@@ -151,27 +151,6 @@ def test_other_separators_and_columns_are_read_and_said(tmp_path):
     assert any("columns left out: t" in note for note in road.notes)
     assert any("40 repeated points" in note for note in road.notes)
     assert "in line" in road.notes[0]
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("x,y\n1,2\n", "1 lines of numbers"),
-        ("x,y\n1,2\n3,4\n5,abc\n7,8\n9,9\n", "line 4: 'abc'"),
-        ("x,y\n1,2\n3,4\n5,6,7\n7,8\n9,9\n", "line 4: 3 columns"),
-        ("1,2,3\n" * 5, "3 columns without a header"),
-        ("lat,lon\n" + "1,2\n" * 5, "convert them to x"),
-        ("xx,y\n" + "1,2\n" * 5, "'x'"),
-        ("x,y\n" + "1,2\n" * 5, "n >= 4"),
-        ("x,y,width_left [cm]\n" + "1,2,3\n" * 5, r"line 1: column 'width_left \[cm\]': must be in m; convert"),
-        ("x,y\n1,2\n3,4\n5,1e308\n7,8\n9,9\n", "line 4 has a coordinate of 1e[+]308 m"),
-    ],
-)
-def test_a_table_without_a_road_is_refused_with_its_line(tmp_path, text, words):
-    path = tmp_path / "bad.csv"
-    path.write_text(text)
-    with pytest.raises(ConfigError, match=words):
-        load_road(path)
 
 
 def raceline(path, speeds, title="vx_mps"):
@@ -267,9 +246,9 @@ def test_the_lane_offset_and_the_middle_of_a_lane_lie_beside_the_reference_line(
     ds = s[1] - 20.0
     offset = np.array([0.0, 0.0075 * ds**2 - 0.00025 * ds**3, 1.0, 1.0, 1.0])
     centre, lane = load_road(path), load_road(path, lane=-2)
-    for found, beside in ((centre, offset), (lane, offset - 3.5 - 0.5 * (3.2 + 0.001 * s))):
+    for line, distance in ((centre, offset), (lane, offset - 3.5 - 0.5 * (3.2 + 0.001 * s))):
         p = road.at(s)
-        foot = found.project(p.x - beside * np.sin(p.heading), p.y + beside * np.cos(p.heading))
+        foot = line.project(p.x - distance * np.sin(p.heading), p.y + distance * np.cos(p.heading))
         assert np.abs(foot.offset).max() < 1e-3
     arc = centre.project(*road.at(165.0)[:2])
     assert float(arc.curvature) == pytest.approx(0.02 / (1.0 - 0.02), rel=0.01)
@@ -285,8 +264,7 @@ def test_the_plan_view_is_read_exactly_bank_and_speed_limits_with_their_signs_an
     path, line = xodr(tmp_path / "a.xodr", before=speed, after=bank, origin=(4.5e5, 5.4e6))
     road, s = load_road(path), np.linspace(0.0, 190.0, 500)
     assert road.name == "r"
-    for one, other in zip(road.at(s), line.at(s), strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=5e-9)
+    np.testing.assert_allclose(road.at(s), line.at(s), rtol=0, atol=5e-9)
     assert float(road.along("bank", 50.0)) == -0.05  # falls to the right: pushes to the right
     assert road.along("speed_limit", [50.0, 150.0]).tolist() == pytest.approx([25.0, 13.4112])
 
@@ -300,55 +278,31 @@ def test_parametric_cubics_and_poly3_are_the_same_curve_where_they_say_the_same(
     length = 30.4 if span == "normalized" else 30.0
     roads = []
     for k, shape in enumerate((cubic, f'<poly3 a="0" b="{b}" c="{c}" d="0"/>')):
-        (tmp_path / f"{k}.xodr").write_text(of_shape(shape, length))
+        (tmp_path / f"{k}.xodr").write_text(one_element(shape, length))
         roads.append(load_road(tmp_path / f"{k}.xodr"))
     s = np.linspace(0.0, 29.9, 60)
-    for one, other in zip(roads[0].at(s), roads[1].at(s), strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(roads[0].at(s), roads[1].at(s), rtol=0, atol=1e-9)
     p = roads[0].at(s)
     np.testing.assert_allclose(p.y, b * p.x + c * p.x**2, atol=1e-9)
     assert "the file says" in roads[0].notes[0]
     assert roads[1].length == pytest.approx(length, abs=1e-9)
 
 
-def of_shape(shape, length=100):
+def one_element(shape, length=100):
     """The text of a file of one element."""
     place = f'<geometry s="0" x="0" y="0" hdg="0" length="{length}">'
     shape = shape.format(zero='aV="0" bV="0" cV="0" dV="0"')
     return f'<OpenDRIVE><road id="1" length="9"><planView>{place}{shape}</geometry></planView></road></OpenDRIVE>'
 
 
-@pytest.mark.parametrize(
-    ("text", "options", "words"),
-    [
-        ("<OpenDRIVE>", {}, "not XML"),
-        ("<osm/>", {}, "<osm>"),
-        ("<OpenDRIVE/>", {}, "no <road>"),
-        ('<OpenDRIVE><road id="a" length="abc"/><road id="b" length="9"/></OpenDRIVE>', {}, r"'b' \(9 m\), 'a'"),
-        ('<?xml version="1.0" encoding="foo-8"?><OpenDRIVE/>', {}, "not XML: unknown encoding: foo-8"),
-        ('<OpenDRIVE><road id="a"/></OpenDRIVE>', {"road": "c"}, "no road has the id 'c'"),
-        ('<OpenDRIVE><road id="a"/></OpenDRIVE>', {}, "planView"),
-        (of_shape('<paramPoly3 pRange="normalized" aU="0" bU="1e7" cU="0" dU="0" {zero}/>'), {}, "1e[+]07 m apart"),
-        (of_shape('<paramPoly3 pRange="arcLength" aU="0" bU="1" cU="0" dU="-5" {zero}/>'), {}, "5e[+]06 m apart"),
-        (of_shape('<poly3 a="0" b="0" c="0" d="1e300"/>'), {}, "m apart in all"),
-        (of_shape('<arc curvature="10"/>', 2000), {}, r"arc, 2000 m long: its turn = 20000: at most 10,000 rad"),
-        (of_shape('<spiral curvStart="-10" curvEnd="10"/>', 2000), {}, "its turn = 20000"),
-        (of_shape('<arc curvature="x"/>'), {}, "arc curvature='x'"),
-        (of_shape("<curl/>"), {}, "<curl>; known: line"),
-    ],
-)
-@pytest.mark.filterwarnings("error")
-def test_what_is_no_road_in_opendrive_is_refused(tmp_path, text, options, words):
-    (tmp_path / "a.xodr").write_text(text)
-    with pytest.raises(ConfigError, match=words):
-        load_road(tmp_path / "a.xodr", **options)
-
-
 def test_lanes_and_shapes_that_do_not_fit_are_named(tmp_path):
     path, _ = xodr(tmp_path / "a.xodr", LANES)
-    for lane, words in ((-3, "there is no lane -3; there are -2, -1"), (1, "run with the road")):
+    wrong_options = {"there is no lane -3; there are -2, -1": -3, "run with the road": 1}
+    for words, lane in wrong_options.items():
         with pytest.raises(ConfigError, match=words):
             load_road(path, lane=lane)
+    with pytest.raises(ConfigError, match="no road has the id 'c'"):
+        load_road(path, road="c")
     path.write_text(path.read_text().replace('hdg="0.3"', 'hdg="0.4"', 1))
     with pytest.raises(ConfigError, match="10 m apart at s = 100"):
         load_road(path)
@@ -398,10 +352,10 @@ def profile(text):
 
 
 def test_a_lane_has_its_own_speed_limit_and_without_one_that_of_the_road(tmp_path):
-    own = '<speed sOffset="0" max="30" unit="km/h"/><speed sOffset="50" max="20" unit="mph"/>'
+    lane_limits = '<speed sOffset="0" max="30" unit="km/h"/><speed sOffset="50" max="20" unit="mph"/>'
     path = straight_road(
         tmp_path / "a.xodr",
-        section(0, lane_text(-1, own), lane_text(-2)),
+        section(0, lane_text(-1, lane_limits), lane_text(-2)),
         section(100, lane_text(-1), lane_text(-2, '<speed sOffset="50" max="40"/>')),
         before='<type s="0" type="rural"><speed max="90" unit="km/h"/></type>',
     )
@@ -561,7 +515,7 @@ def test_a_lane_is_followed_where_its_link_renumbers_it_and_other_types_are_note
 
 
 # -- TOML -------------------------------------------------------------------------------------------------------------
-def made(kind, tmp_path):
+def road_of_origin(kind, tmp_path):
     if kind == "elements":
         segments = [Line(length=50.0), Clothoid(length=30.0, start_curvature=0.0, end_curvature=0.02)]
         along = {"friction": Along(s=(0.0, 60.0), value=(0.9, 0.3), kind="steps"), "bank": 0.02, "width_left": 2.5}
@@ -580,13 +534,12 @@ def made(kind, tmp_path):
 
 @pytest.mark.parametrize("kind", ["elements", "cubics", "points", "lane", "opendrive", "lap"])
 def test_a_road_of_any_origin_is_read_back_as_it_was_written(tmp_path, kind):
-    road = made(kind, tmp_path)
+    road = road_of_origin(kind, tmp_path)
     road.to_toml(tmp_path / "road.toml")
     again = load_road(tmp_path / "road.toml")
     s = np.linspace(-5.0, road.length + 5.0, 3001)
     digits = 1e-9 + 4e-16 * np.abs(road.at(0.0).y)
-    for found, true in zip(again.at(s), road.at(s), strict=True):
-        np.testing.assert_allclose(found, true, rtol=0, atol=digits)
+    np.testing.assert_allclose(again.at(s), road.at(s), rtol=0, atol=digits)
     for name in ("width_left", "width_right", "speed_limit", "friction", "bank"):
         np.testing.assert_array_equal(again.along(name, s), road.along(name, s))
     for name in ("name", "closed", "notes", "deviation"):
@@ -615,30 +568,57 @@ turned = [0.0, {{turned}}, {", ".join(10 * ["0.0"])}]
 """
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
+NO_ROADS = {
+    "bad.csv": [
+        ("x,y\n1,2\n", "1 lines of numbers"),
+        ("x,y\n1,2\n3,4\n5,abc\n7,8\n9,9\n", "line 4: 'abc'"),
+        ("x,y\n1,2\n3,4\n5,6,7\n7,8\n9,9\n", "line 4: 3 columns"),
+        ("1,2,3\n" * 5, "3 columns without a header"),
+        ("lat,lon\n" + "1,2\n" * 5, "convert them to x"),
+        ("xx,y\n" + "1,2\n" * 5, "'x'"),
+        ("x,y\n" + "1,2\n" * 5, "n >= 4"),
+        ("x,y,width_left [cm]\n" + "1,2,3\n" * 5, r"line 1: column 'width_left \[cm\]': must be in m; convert"),
+        ("x,y\n1,2\n3,4\n5,1e308\n7,8\n9,9\n", "line 4 has a coordinate of 1e[+]308 m"),
+    ],
+    "bad.xodr": [
+        ("<OpenDRIVE>", "not XML"),
+        ("<osm/>", "<osm>"),
+        ("<OpenDRIVE/>", "no <road>"),
+        ('<OpenDRIVE><road id="a" length="abc"/><road id="b" length="9"/></OpenDRIVE>', r"'b' \(9 m\), 'a'"),
+        ('<?xml version="1.0" encoding="foo-8"?><OpenDRIVE/>', "not XML: unknown encoding: foo-8"),
+        ('<OpenDRIVE><road id="a"/></OpenDRIVE>', "planView"),
+        (one_element('<paramPoly3 pRange="normalized" aU="0" bU="1e7" cU="0" dU="0" {zero}/>'), "1e[+]07 m apart"),
+        (one_element('<paramPoly3 pRange="arcLength" aU="0" bU="1" cU="0" dU="-5" {zero}/>'), "5e[+]06 m apart"),
+        (one_element('<poly3 a="0" b="0" c="0" d="1e300"/>'), "m apart in all"),
+        (one_element('<arc curvature="10"/>', 2000), r"arc, 2000 m long: its turn = 20000: at most 10,000 rad"),
+        (one_element('<spiral curvStart="-10" curvEnd="10"/>', 2000), "its turn = 20000"),
+        (one_element('<arc curvature="x"/>'), "arc curvature='x'"),
+        (one_element("<curl/>"), "<curl>; known: line"),
+    ],
+    "bad.toml": [
         ('name = "x"', "neither elements nor points"),
-        ("points = [[0, 0]]\n[[elements]]\nkind = 'line'\nlength = 3.0", "elements and points: give"),
+        ("points = [[0, 0]]\n" + LINE, "elements and points: give"),
         ("[[elements]]\nkind = 'line'\nlength = -3.0", r"elements\[0\].length = -3.0"),
         ("[[elements]]\nkind = 'lne'\nlength = 3.0", "Did you mean 'line'"),
-        ("frction = 1.0\n[[elements]]\nkind = 'line'\nlength = 3.0", "Did you mean 'friction'"),
-        (
-            "friction = 'wet'\n[[elements]]\nkind = 'line'\nlength = 3.0",
-            "friction = 'wet': must be a number, or a table",
-        ),
-        ("friction = {s = [0.0, 0.0], value = [1.0, 1.0]}\n[[elements]]\nkind = 'line'\nlength = 3.0", "must increase"),
-        ("closed = true\n[[elements]]\nkind = 'line'\nlength = 3.0", "3 m apart at the end and the start"),
-        ("max_deviation = 1.0\n[[elements]]\nkind = 'line'\nlength = 3.0", "max_deviation is for points"),
+        ("frction = 1.0\n" + LINE, "Did you mean 'friction'"),
+        ("friction = 'wet'\n" + LINE, "friction = 'wet': must be a number, or a table"),
+        ("friction = {s = [0.0, 0.0], value = [1.0, 1.0]}\n" + LINE, "must increase"),
+        ("closed = true\n" + LINE, "50 m apart at the end and the start"),
+        ("max_deviation = 1.0\n" + LINE, "max_deviation is for points"),
         (LINE + "speed_limit = 1" + "0" * 400, "speed_limit = 1000.*: must be a valid number"),
         ("points = [[0.0, 0.0], [1.0, nan], [2.0, 0.0], [3.0, 0.0]]", r"points\[1\]\[1\] = nan"),
         (PIECE.format(half="1e20", turned=0.0), r"pieces\[0\].half = 1e[+]20: must be .* <= 1e[+]06"),
         (PIECE.format(half="25.0", turned="1e308"), r"pieces\[0\].turned\[1\] = 1e[+]308"),
         ("points = [", "not valid TOML"),
     ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"), [(name, *case) for name, cases in NO_ROADS.items() for case in cases]
 )
-def test_a_file_that_is_no_road_is_refused_with_its_key(tmp_path, text, words):
-    path = tmp_path / "bad.toml"
-    path.write_text(text)
+@pytest.mark.filterwarnings("error")
+def test_a_file_that_is_no_road_is_refused_with_its_place(tmp_path, name, text, words):
+    (tmp_path / name).write_text(text)
     with pytest.raises(ConfigError, match=words):
-        load_road(path)
+        load_road(tmp_path / name)

@@ -85,14 +85,14 @@ def test_the_curve_is_the_least_of_the_sum_that_it_is_said_to_minimise(closed, s
 @pytest.mark.parametrize("kind", ["town", "lap"])
 def test_a_few_points_metres_off_the_road_are_left_out_and_named(kind, noise):
     true, points = recorded(kind, noise)
-    wrong = {150: 3.0, 300: 8.0, 301: 8.0, 302: 8.0, 450: -500.0}
-    for row, metres in wrong.items():
+    outliers = {150: 3.0, 300: 8.0, 301: 8.0, 302: 8.0, 450: -500.0}
+    for row, metres in outliers.items():
         heading = float(true.at(row * STEP).heading)
         points[row] += metres * np.array([-math.sin(heading), math.cos(heading)])
     road = fit_road(points, width_left=np.arange(float(len(points))) + 1.0)
     note = next(note for note in road.notes if "outliers" in note)
     assert note.startswith(f"5 of {len(points)} points left out")
-    assert all(f"at point {row} (" in note for row in wrong)
+    assert all(f"at point {row} (" in note for row in outliers)
     assert f"{len(points) - 5} points; largest deviation" in road.notes[-1]
     assert road.deviation < 0.01 + 6.0 * noise
     assert away(road, true) < 0.02 + 2.0 * noise
@@ -118,7 +118,7 @@ def test_a_bound_that_chose_the_smoothing_and_the_ripple_that_it_makes_are_said(
     assert bound.deviation <= 0.5
     assert any("the bound of 0.5 m on the deviation, not the noise of 0.2 m, chose" in note for note in bound.notes)
     slow, fast = plan_speed(bound, CAR), plan_speed(free, CAR)
-    ripple = next(each for each in check_road(bound, CAR, slow) if each.kind == "ripple")
+    ripple = next(finding for finding in check_road(bound, CAR, slow) if finding.kind == "ripple")
     assert ripple.drivable
     assert ripple.value < 0.5 * ripple.limit
     assert slow.duration > 2.0 * fast.duration
@@ -129,7 +129,7 @@ def test_a_bound_that_chose_the_smoothing_and_the_ripple_that_it_makes_are_said(
 def test_the_bends_of_a_road_are_no_ripple(kind):
     true, points = recorded(kind)
     for road in (true, road_through(points, closed=true.closed, speed_limit=true.speed_limit)):
-        assert "ripple" not in {each.kind for each in check_road(road, CAR, plan_speed(road, CAR))}
+        assert "ripple" not in {finding.kind for finding in check_road(road, CAR, plan_speed(road, CAR))}
 
 
 def test_a_bound_within_the_noise_that_no_curve_keeps_is_refused_with_both():

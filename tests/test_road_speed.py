@@ -2,16 +2,15 @@
 
 import json
 import math
-import sys
 
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 from scipy.sparse import csr_array, diags_array, vstack
 
-from adaptrack import cli
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import GRAVITY, Steering, load_vehicle
+from adaptrack.cars.vehicle import Steering, load_vehicle
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road import (
     Arc,
     Clothoid,
@@ -38,31 +37,20 @@ def test_a_straight_road_from_rest_to_rest_takes_the_time_of_the_trapezoid():
     assert float(plan.at(25.0)) == pytest.approx(10.0)
 
 
-def test_a_stop_is_a_stand_for_its_time():
-    road = Road.from_segments([Line(length=300.0)], speed_limit=10.0)
-    free = plan_speed(road, None, start=0.0, end=0.0)
-    stopped = plan_speed(road, None, start=0.0, end=0.0, stops=[Stop(123.4, 7.0)])
-    assert float(stopped.at(123.4)) == 0.0
-    lost = 0.5 * 10.0 / 2.0 + 0.5 * 10.0 / 3.0  # of a ramp down and one up
-    assert stopped.duration == pytest.approx(free.duration + lost + 7.0, rel=1e-4)
-    assert stopped.time[np.argmin(np.abs(stopped.s - 200.0))] == pytest.approx(
-        200.0 / 10.0 + 2.5 + lost + 7.0, rel=1e-3
-    )
-
-
 RAMPS = Comfort(accelerate=2.0, brake=2.0)
 
 
-def test_a_stop_beside_a_place_of_the_plan_costs_a_ramp_down_and_one_up():
+def test_a_stop_costs_a_ramp_down_one_up_and_its_time_also_beside_a_place_of_the_plan():
     """On roads of one piece and of many, with places every metre."""
     for road in (Road.from_segments([Line(length=300.0)], speed_limit=10.0),
                  Road.from_segments([Line(length=33.3)] * 9, speed_limit=10.0)):  # fmt: skip
         free = plan_speed(road, None, RAMPS, start=10.0)
         for excess in (0.0, 1e-14, -1e-14, 1e-10, -3e-7, 1e-4):
             for place in free.s[[60, 150, 200]]:
-                stopped = plan_speed(road, None, RAMPS, start=10.0, stops=[float(place) * (1.0 + excess)])
-                assert stopped.duration == pytest.approx(free.duration + 5.0, abs=2e-3)
-                assert (stopped.speed == 0.0).sum() == 1
+                stopped = plan_speed(road, None, RAMPS, start=10.0, stops=[Stop(float(place) * (1.0 + excess), 7.0)])
+                assert stopped.duration == pytest.approx(free.duration + 5.0 + 7.0, abs=2e-3)
+                assert stopped.time[-1] == pytest.approx(stopped.duration)
+                assert stopped.s[stopped.speed == 0.0] == pytest.approx([place], rel=2e-4)
 
 
 @pytest.mark.parametrize("gap", [1e-5, 1e-3, 0.1, 0.3, 0.7])
@@ -169,8 +157,8 @@ def test_the_time_is_that_of_a_fine_optimum_within_three_per_cent(kind):
         rows += [seam, -seam]
         most += [np.zeros(1), np.zeros(1)]
     bounds = np.stack([np.zeros(n), top], axis=-1)
-    found = linprog(-np.ones(n), A_ub=vstack(rows), b_ub=np.concatenate(most), bounds=bounds, method="highs")
-    v = np.sqrt(found.x)
+    optimum = linprog(-np.ones(n), A_ub=vstack(rows), b_ub=np.concatenate(most), bounds=bounds, method="highs")
+    v = np.sqrt(optimum.x)
     assert plan.duration == pytest.approx(float((ds / (0.5 * (v[1:] + v[:-1]))).sum()), rel=0.03)
 
 
@@ -224,15 +212,15 @@ def test_where_a_road_has_no_limit_the_domain_of_the_car_is_and_that_is_said(non
     top = CAR.domain.speed[1]
     plan = plan_speed(road, CAR)
     assert plan.speed.max() == pytest.approx(top)
-    (found,) = check_road(road, CAR, plan)
-    assert (found.kind, found.drivable, found.value) == ("domain", True, top)
-    assert "no speed limit" in found.text
+    (finding,) = check_road(road, CAR, plan)
+    assert (finding.kind, finding.drivable, finding.value) == ("domain", True, top)
+    assert "no speed limit" in finding.text
     assert plan_speed(road, None).speed.max() == pytest.approx(27.0)  # no car: the usual domain
     fast = plan_speed(road, CAR, top_speed=40.0)
     for beyond in (fast, plan_speed(road.replace(speed_limit=40.0), CAR), 40.0):  # asked for, or the road's
-        (found,) = check_road(road, CAR, beyond)
-        assert (found.kind, found.value, found.limit) == ("domain", pytest.approx(40.0, rel=1e-3), top)
-        assert "beyond the domain" in found.text
+        (finding,) = check_road(road, CAR, beyond)
+        assert (finding.kind, finding.value, finding.limit) == ("domain", pytest.approx(40.0, rel=1e-3), top)
+        assert "beyond the domain" in finding.text
 
 
 # -- checks -----------------------------------------------------------------------------------------------------------
@@ -242,26 +230,30 @@ def bent(curvature):
     return Road.from_segments([Line(length=800.0), ramp, Arc(length=4.0, curvature=curvature), back])
 
 
+def findings_by_kind(*arguments):
+    return {finding.kind: finding for finding in check_road(*arguments)}
+
+
 def test_a_bend_that_is_too_tight_or_too_fast_is_named_with_its_place():
     limited = CAR.replace(steering=Steering(limit=0.5))
     assert smallest_radius(limited) == pytest.approx(math.hypot(CAR.wheelbase / math.tan(0.5), CAR.lr))
     car = CAR.replace(steering=None)  # 30 degrees
     least = smallest_radius(car)
-    found = {each.kind: each for each in check_road(bent(0.25), car, 25.0)}
-    assert found["radius"].text == f"radius 4.0 m at s = 810 m, below this car's {least:.1f} m"
-    tight = {each.kind: each for each in check_road(bent(1.0 / (0.9 * least)), car)}["radius"]
+    radius, grip = findings_by_kind(bent(0.25), car, 25.0)["radius"], findings_by_kind(bent(0.25), car, 25.0)["grip"]
+    assert radius.text == f"radius 4.0 m at s = 810 m, below this car's {least:.1f} m"
+    tight = findings_by_kind(bent(1.0 / (0.9 * least)), car)["radius"]
     assert tight.value == pytest.approx(0.9 * least)
     assert 800.0 < tight.start < 810.0 < 814.0 < tight.end < 824.0
-    assert found["grip"].value == pytest.approx(25.0**2 / 4.0 / GRAVITY)
-    assert "16 g at 25 m/s, radius 4 m at s = 810 m" in found["grip"].text
-    assert not found["grip"].drivable
+    assert grip.value == pytest.approx(25.0**2 / 4.0 / GRAVITY)
+    assert "16 g at 25 m/s, radius 4 m at s = 810 m" in grip.text
+    assert not grip.drivable
 
 
 def test_bank_and_friction_count_for_the_grip():
     road = Road.from_segments([Arc(length=100.0, curvature=0.02)], friction=0.5)
     limit = math.sqrt(0.5 * GRAVITY / 0.02)
     assert check_road(road, CAR, 0.99 * limit) == []
-    assert [each.kind for each in check_road(road, CAR, 1.01 * limit)] == ["grip"]
+    assert list(findings_by_kind(road, CAR, 1.01 * limit)) == ["grip"]
     assert check_road(road.replace(bank=0.1), CAR, 1.05 * limit) == []
 
 
@@ -269,59 +261,47 @@ def test_steering_rate_width_edges_and_jumps_are_named():
     country = generate_road("country", seed=1, length=1000.0)
     assert check_road(country, CAR, plan_speed(country, CAR)) == []  # it suits the car
     car = CAR.replace(steering=Steering(rate=0.3))
-    needed = next(each for each in check_road(bent(0.1), car, 12.0) if each.kind == "steering-rate").value
+    needed = findings_by_kind(bent(0.1), car, 12.0)["steering-rate"].value
     assert needed == pytest.approx((CAR.wheelbase + CAR.understeer_gradient * 144.0) * 0.01 * 12.0, rel=1e-6)
     narrow = Road.from_segments([Line(length=50.0)], width_left=0.5, width_right=0.5)
-    assert [each.kind for each in check_road(narrow, CAR)] == ["width"]
-    wide = check_road(Road.from_segments([Arc(length=20.0, curvature=0.05)], width_left=25.0), CAR)
-    assert [(each.kind, each.drivable) for each in wide] == [("fold", True)]
-    sharp = check_road(Road.from_segments([Line(length=50.0), Arc(length=20.0, curvature=0.02)]), CAR)
-    assert [(each.kind, each.start, each.drivable) for each in sharp] == [("jump", 50.0, True)]
+    assert list(findings_by_kind(narrow, CAR)) == ["width"]
+    (fold,) = check_road(Road.from_segments([Arc(length=20.0, curvature=0.05)], width_left=25.0), CAR)
+    assert (fold.kind, fold.drivable) == ("fold", True)
+    (jump,) = check_road(Road.from_segments([Line(length=50.0), Arc(length=20.0, curvature=0.02)]), CAR)
+    assert (jump.kind, jump.start, jump.drivable) == ("jump", 50.0, True)
     with pytest.raises(InvalidInput, match="speed"):
         check_road(narrow, CAR, -1.0)
 
 
 # -- commands ---------------------------------------------------------------------------------------------------------
-@pytest.fixture
-def command(monkeypatch, capsys):
-    """Run `adaptrack road`: (exit code, standard output, standard error)."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["adaptrack", "road", *map(str, arguments)])
-        code = cli.main()
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
-
-
-def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(command, tmp_path):
+def test_check_tells_what_a_road_is_and_ends_with_1_when_it_cannot_be_driven(run_command, tmp_path):
     (tmp_path / "road.csv").write_text("\n".join(f"{x},0" for x in range(0, 3000, 50)))
-    code, out, _ = command("check", tmp_path / "road.csv")
+    code, out, _ = run_command("road", "check", tmp_path / "road.csv")
     assert code == 0
     assert "can be driven" in out
     assert "the road has no speed limit: the plan ends at 27 m/s" in " ".join(out.split())
     assert "largest deviation" in out
-    code, out, _ = command("check", "mountain", "--road-seed", "1", "--length", "800", "--speed", "25", "--json")
-    found = json.loads(out)
+    code, out, _ = run_command(
+        "road", "check", "mountain", "--road-seed", "1", "--length", "800", "--speed", "25", "--json"
+    )
+    answer = json.loads(out)
     assert code == 1
-    assert found["drivable"] is False
-    assert {"grip"} == {row["kind"] for row in found["rows"]}
-    assert found["fastest"] == 25.0
-    assert found["limits"]["stretches"] == []  # nothing bounds a speed that is given
-    code, out, _ = command("check", "mountain", "--road-seed", "1", "--length", "800", "--json")
-    found = json.loads(out)
-    assert found["limits"]["stretches"][-1]["end"] == found["length"]
-    assert sum(found["limits"]["shares"].values()) == pytest.approx(1.0)
-    assert "speed limit" in found["limits"]["shares"]
+    assert (answer["drivable"], answer["fastest"]) == (False, 25.0)
+    assert {"grip"} == {row["kind"] for row in answer["rows"]}
+    assert answer["limits"]["stretches"] == []  # nothing bounds a speed that is given
+    code, out, _ = run_command("road", "check", "mountain", "--road-seed", "1", "--length", "800", "--json")
+    answer = json.loads(out)
+    assert answer["limits"]["stretches"][-1]["end"] == answer["length"]
+    assert sum(answer["limits"]["shares"].values()) == pytest.approx(1.0)
+    assert "speed limit" in answer["limits"]["shares"]
 
 
-def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(command, tmp_path):
+def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(run_command, tmp_path):
     rows = [f"{30 * math.cos(a):.3f},{8 + math.sin(a):.3f},{30 * math.sin(a):.3f}" for a in np.arange(0.0, 6.28, 0.1)]
     (tmp_path / "lap.csv").write_text("# x_m,vx_mps,y_m\n" + "\n".join(rows))
     fastest = {}
     for bounds in ((), ("--lateral-acceleration", "2")):
-        code, out, _ = command("check", tmp_path / "lap.csv", "--speed-column", "vx_mps", "--json", *bounds)
+        code, out, _ = run_command("road", "check", tmp_path / "lap.csv", "--speed-column", "vx_mps", "--json", *bounds)
         assert code == 0
         fastest[bounds] = json.loads(out)["fastest"]
     assert fastest[()] == pytest.approx(9.0, abs=0.01)
@@ -329,9 +309,9 @@ def test_a_speed_column_is_driven_as_it_is_unless_an_acceleration_bounds_it(comm
 
 
 @pytest.mark.drawn
-def test_plot_writes_a_picture(command, tmp_path, monkeypatch):
+def test_plot_writes_a_picture(run_command, tmp_path, monkeypatch):
     monkeypatch.setattr("adaptrack.results.style.PNG_DPI", 20)
-    code, out, _ = command("plot", "lap", "--length", "600", "--speed", "30", "--out", tmp_path / "a.png")
+    code, out, _ = run_command("road", "plot", "lap", "--length", "600", "--speed", "30", "--out", tmp_path / "a.png")
     assert code == 0
     assert str(tmp_path / "a.png") in out
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
@@ -340,13 +320,13 @@ def test_plot_writes_a_picture(command, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["check", "contry"], "Did you mean 'country'"),
-        (["check", "country", "--speed", "5", "--lateral-acceleration", "3"], "either"),
-        (["check", "country", "--speed", "5", "--speed-column", "v"], "either --speed or --speed-column"),
-        (["plot", "country", "--vehicle", "papr"], "paper"),
+        ("check contry", "Did you mean 'country'"),
+        ("check country --speed 5 --lateral-acceleration 3", "either"),
+        ("check country --speed 5 --speed-column v", "either --speed or --speed-column"),
+        ("plot country --vehicle papr", "paper"),
     ],
 )
-def test_what_cannot_be_done_is_one_sentence(command, arguments, words):
-    code, _, err = command(*arguments)
+def test_what_cannot_be_done_is_one_sentence(run_command, arguments, words):
+    code, _, err = run_command("road", *arguments.split())
     assert code == 2
     assert words in err

@@ -15,8 +15,8 @@ from adaptrack.control.controllers import Tuning
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Guarded, Learned, SchedulingVariables, Table
 from adaptrack.core import loop
-from adaptrack.core.controllers.mpc import ANSWER
-from adaptrack.core.plants.contract import STATE
+from adaptrack.core.controllers.mpc import MPC_ANSWER
+from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.simulate import rollout, simulate
@@ -59,11 +59,11 @@ def test_the_cost_of_a_run_is_that_of_its_trajectory_and_a_segment_has_its_part(
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize("segment", [1, 7, 80, 200])
-def test_the_segments_of_a_run_add_up_to_its_cost(segment):
-    runs = run_set(segment=segment)
-    parts = runs.segments(START, 5, np.arange(len(runs)))
-    np.testing.assert_allclose(parts.sum(axis=1) / runs.periods, runs.drive(START, [5])[:, 0], rtol=1e-12)
+def test_the_segments_of_a_run_add_up_to_its_cost():
+    for segment in (1, 7, 80, 200):
+        runs = run_set(segment=segment)
+        parts = runs.segments(START, 5, np.arange(len(runs)))
+        np.testing.assert_allclose(parts.sum(axis=1) / runs.periods, runs.drive(START, [5])[:, 0], rtol=1e-12)
 
 
 @pytest.mark.compiled
@@ -88,12 +88,12 @@ def test_a_run_that_spins_has_failed_though_it_stays_on_the_road():
     options = {"speed": 15.0, "friction": 0.3, "amplitude": 4.0, "gust": 0.0, "change_time": 1.0, "duration": 6.0}
     swerve, nervous = load_scenario("lane-change", **options).replace(start_heading=0.2), Tuning(30, 10, 1.0, 1000.0)
     paths = [rollout(SingleTrack(CAR), controller(nervous), swerve, profile="road", seed=seed) for seed in range(16)]
-    sideways, away = (
-        np.array(each) for each in ([np.abs(p.vy / p.vx) for p in paths], [np.abs(p.error) for p in paths])
+    sideways, errors = (
+        np.array(values) for values in ([np.abs(p.vy / p.vx) for p in paths], [np.abs(p.error) for p in paths])
     )
     for periods, spinning in ((90, False), (100, True)):
         spun = (sideways[:, : periods + 1] > math.tan(Failure().sideslip)).any(axis=1)
-        left = (away[:, : periods + 1] > DISTANCE).any(axis=1)
+        left = (errors[:, : periods + 1] > DISTANCE).any(axis=1)
         assert (spun & ~left).any() == spinning
         shortened = run_set([swerve.with_duration(periods * load_profile("road").period)])
         failed = np.isinf(shortened.drive(nervous, range(16))[0])
@@ -102,15 +102,12 @@ def test_a_run_that_spins_has_failed_though_it_stays_on_the_road():
 
 @pytest.mark.compiled
 def test_a_failed_run_counts_as_costing_what_leaving_the_road_does():
-    scenarios = [
-        load_scenario("lane-change", speed=10.0, friction=0.6, amplitude=1.0, duration=8.0),
-        *lane_changes(1, 8.0),
-    ]
-    runs = run_set(scenarios)
-    found = runs.drive(np.stack([HASTY.as_array(), START.as_array()]), [2, 3])
-    assert np.isinf(found[0, 0])
-    assert np.isfinite(found[1]).all()
-    expected = np.where(np.isfinite(found), found, FAILED_COST).mean(axis=1)
+    hasty = load_scenario("lane-change", speed=10.0, friction=0.6, amplitude=1.0, duration=8.0)
+    runs = run_set([hasty, *lane_changes(1, 8.0)])
+    costs = runs.drive(np.stack([HASTY.as_array(), START.as_array()]), [2, 3])
+    assert np.isinf(costs[0, 0])
+    assert np.isfinite(costs[1]).all()
+    expected = np.where(np.isfinite(costs), costs, FAILED_COST).mean(axis=1)
     np.testing.assert_array_equal(runs.costs(np.stack([HASTY.as_array(), START.as_array()]), [2, 3]), expected)
     assert runs.failed_cost == FAILED_COST == DISTANCE**2
 
@@ -121,7 +118,7 @@ def test_costs_do_not_depend_on_how_runs_are_batched(monkeypatch, rng):
     runs, policy = run_set(scenarios, segment=9), by_friction()
     together = runs.drive(policy, [1, 2])
     np.testing.assert_array_equal(
-        together, np.concatenate([run_set([each]).drive(policy, [1, 2]) for each in scenarios])
+        together, np.concatenate([run_set([scenario]).drive(policy, [1, 2]) for scenario in scenarios])
     )
     order = rng.permutation(20)
     np.testing.assert_array_equal(together[order], runs.drive(policy, [1, 2], order))
@@ -136,20 +133,20 @@ def test_costs_do_not_depend_on_how_runs_are_batched(monkeypatch, rng):
 @pytest.mark.compiled
 def test_the_scheduling_variables_of_a_run_set_are_what_the_scheduler_sees():
     scenario = random_drive(11, 6.0)
-    seen = []
+    records = []
 
     def watch(variables):
-        seen.append(variables)
+        records.append(variables)
         return START
 
     simulate(SingleTrack(CAR), controller(scheduler=watch), scenario, profile="road")
     runs = run_set([scenario])
     assert runs.variables.shape == (1, 120, len(SchedulingVariables._fields))
-    known = [name for name in SchedulingVariables._fields if name != "offset"]
-    for name in known:
+    estimate = [name for name in SchedulingVariables._fields if name != "offset"]
+    for name in estimate:
         column = SchedulingVariables._fields.index(name)
         np.testing.assert_allclose(
-            runs.variables[0, :, column], [getattr(each, name) for each in seen], rtol=1e-9, atol=1e-9
+            runs.variables[0, :, column], [getattr(record, name) for record in records], rtol=1e-9, atol=1e-9
         )
     assert (runs.variables[..., SchedulingVariables._fields.index("offset")] == 0.0).all()
 
@@ -169,15 +166,17 @@ def test_the_counts_of_a_run_set_are_those_of_its_schedule():
 FRICTION, WIND = np.linspace(0.3, 0.9, 40), np.linspace(-20.0, 30.0, 40)
 
 
-@pytest.mark.parametrize(("delay", "periods"), [(0.0, 0), (0.05, 1), (1.0, 20), (5.0, 39)])
-def test_a_delay_tells_what_was_true_before_and_at_first_what_was_true_at_the_start(delay, periods):
-    for known, truth in zip(Perception(delay=delay).known(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True):
-        np.testing.assert_array_equal(known, np.concatenate((np.full(periods, truth[0]), truth[: 40 - periods])))
+def test_a_delay_tells_what_was_true_before_and_at_first_what_was_true_at_the_start():
+    for delay, periods in ((0.0, 0), (0.05, 1), (1.0, 20), (5.0, 39)):
+        for estimate, truth in zip(
+            Perception(delay=delay).perceive(FRICTION, WIND, 0.05, 0), (FRICTION, WIND), strict=True
+        ):
+            np.testing.assert_array_equal(estimate, np.concatenate((np.full(periods, truth[0]), truth[: 40 - periods])))
 
 
 def test_what_is_withheld_is_nominal_whatever_else_is_wrong():
     perception = Perception(noise=0.5, bias=0.5, delay=1.0, withheld=True, nominal_friction=0.7)
-    friction, wind = perception.known(FRICTION, WIND, 0.05, 0)
+    friction, wind = perception.perceive(FRICTION, WIND, 0.05, 0)
     assert (friction == 0.7).all()
     assert (wind == 0.0).all()
 
@@ -185,8 +184,10 @@ def test_what_is_withheld_is_nominal_whatever_else_is_wrong():
 def test_noise_is_relative_white_and_independent_for_friction_and_wind():
     friction, wind = np.full(20_000, 0.6), np.full(20_000, -12.0)
     errors = [
-        known / truth - 1.0
-        for known, truth in zip(Perception(noise=0.1).known(friction, wind, 0.05, 4), (friction, wind), strict=True)
+        estimate / truth - 1.0
+        for estimate, truth in zip(
+            Perception(noise=0.1).perceive(friction, wind, 0.05, 4), (friction, wind), strict=True
+        )
     ]
     for error in errors:
         assert error.mean() == pytest.approx(0.0, abs=0.003)
@@ -195,14 +196,10 @@ def test_noise_is_relative_white_and_independent_for_friction_and_wind():
     assert abs(np.corrcoef(*errors)[0, 1]) < 0.03
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"noise": -0.1}, {"delay": -1.0}, {"bias": math.nan}, {"nominal_friction": -0.5}, {"noise": math.inf}],
-    ids=str,
-)
-def test_a_perception_refuses_what_cannot_be(wrong):
-    with pytest.raises(InvalidInput, match=next(iter(wrong))):
-        Perception(**wrong)
+def test_a_perception_refuses_what_cannot_be():
+    for name, value in {"noise": -0.1, "delay": -1.0, "bias": math.nan, "nominal_friction": -0.5}.items():
+        with pytest.raises(InvalidInput, match=name):
+            Perception(**{name: value})
 
 
 def tunings_of(batch, schedule, seed=0):
@@ -210,7 +207,7 @@ def tunings_of(batch, schedule, seed=0):
     trace = batch.run(
         np.zeros(1, int), START.as_array()[None], np.array([seed]), 1, traced=True, scheduler=schedule
     ).trace
-    return trace.answer[0, :, ANSWER.Np : ANSWER.R + 1], trace.state[0], trace.answer[0]
+    return trace.answer[0, :, MPC_ANSWER.Np : MPC_ANSWER.R + 1], trace.state[0], trace.answer[0]
 
 
 @pytest.mark.compiled
@@ -221,15 +218,15 @@ def test_a_batch_tells_its_scheduler_what_its_perception_says_and_the_car_feels_
     scenario = random_drive(3, 4.0)
     batch = Batch(SingleTrack(CAR), controller(), [scenario], "road", known_as=perception)
     signals = scenario.sample(load_profile("road").period)
-    known = truth = signals.friction.mean(axis=1), signals.wind[:, 1]
+    estimate = truth = signals.friction.mean(axis=1), signals.wind[:, 1]
     if perception is not None:
-        known = perception.known(*truth, load_profile("road").period, 0)
+        estimate = perception.perceive(*truth, load_profile("road").period, 0)
         np.testing.assert_array_equal(
-            run_set([scenario], known_as=perception).variables[0, :, 2:4].T, np.stack(known)[:, :-1]
+            run_set([scenario], known_as=perception).variables[0, :, 2:4].T, np.stack(estimate)[:, :-1]
         )
-    given, _, _ = tunings_of(batch, by_friction())
-    np.testing.assert_allclose(given[:, 3], 1e3 + 1e4 * np.clip(known[0][:-1], 0.0, 2.0), rtol=1e-12)
-    np.testing.assert_allclose(given[:, 0], 30.0 + known[1][:-1] / 2.0, rtol=0, atol=0.5 + 1e-9)
+    tunings, _, _ = tunings_of(batch, by_friction())
+    np.testing.assert_allclose(tunings[:, 3], 1e3 + 1e4 * np.clip(estimate[0][:-1], 0.0, 2.0), rtol=1e-12)
+    np.testing.assert_allclose(tunings[:, 0], 30.0 + estimate[1][:-1] / 2.0, rtol=0, atol=0.5 + 1e-9)
     plain = Batch(SingleTrack(CAR), controller(), [scenario], "road")
     felt = slice(loop.SIGNAL.known_friction)
     np.testing.assert_array_equal(batch.samples[:, felt], plain.samples[:, felt])
@@ -251,14 +248,14 @@ def test_an_estimator_tells_the_scheduler_of_a_batch_the_same_as_from_python(pla
         known_as=FrictionWindEstimator.of(plant(CAR)),
     )  # fmt: skip
     batch = Batch(plant(CAR), controller(), [scenario], "road", known_as=estimator)
-    given, states, answers = tunings_of(batch, schedule, seed=5)
+    tunings, states, answers = tunings_of(batch, schedule, seed=5)
     estimates = np.array(estimates)
-    np.testing.assert_allclose(given[:, 3], 1e3 + 1e4 * estimates[:, 0], rtol=1e-9)
-    np.testing.assert_allclose(given[:, 0], 30.0 + estimates[:, 1] / 2.0, rtol=0, atol=0.5 + 1e-9)
+    np.testing.assert_allclose(tunings[:, 3], 1e3 + 1e4 * estimates[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(tunings[:, 0], 30.0 + estimates[:, 1] / 2.0, rtol=0, atol=0.5 + 1e-9)
     for name in ("x", "y", "yaw", "vx", "vy", "yaw_rate"):
         recorded = getattr(slow, {"x": "X", "y": "Y", "yaw": "psi"}.get(name, name))
-        np.testing.assert_allclose(states[:, getattr(STATE, name)], recorded, rtol=1e-9, atol=1e-9, err_msg=name)
-    np.testing.assert_allclose(answers[:, ANSWER.command], slow.command, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(states[:, getattr(PLANT_STATE, name)], recorded, rtol=1e-9, atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(answers[:, MPC_ANSWER.command], slow.command, rtol=0, atol=1e-9)
     assert np.ptp(estimates, axis=0).min() > 0.05
     true = scenario.sample(load_profile("road").period).friction.mean(axis=1)
     assert np.abs(estimates[:, 0] - true[:-1]).max() > 0.05, "it is not the truth that the schedule knows"
@@ -285,14 +282,14 @@ class Proportional(Controller):
 
 
 def test_a_controller_in_python_is_driven_run_by_run():
-    scenarios = [each.with_duration(1.0) for each in lane_changes(2)]
-    found = run_set(scenarios).drive(Proportional(), [3, 4])
-    assert found.shape == (2, 2)
+    scenarios = [scenario.with_duration(1.0) for scenario in lane_changes(2)]
+    costs = run_set(scenarios).drive(Proportional(), [3, 4])
+    assert costs.shape == (2, 2)
     for i, scenario in enumerate(scenarios):
         run = simulate(SingleTrack(CAR), Proportional(), scenario, profile="road", seed=4)
         expected = (run.error**2).mean() + load_profile("road").move_weight * (run.command_change**2).mean()
-        assert found[i, 1] == pytest.approx(expected, rel=1e-12)
-    assert (found != run_set(scenarios).drive(Proportional(0.1), [3, 4])).any()
+        assert costs[i, 1] == pytest.approx(expected, rel=1e-12)
+    assert (costs != run_set(scenarios).drive(Proportional(0.1), [3, 4])).any()
 
 
 @pytest.mark.compiled
@@ -316,7 +313,9 @@ class Curious(Proportional):
 
 
 def test_a_controller_in_python_knows_what_the_perception_says_in_every_run_as_compiled_ones_do():
-    runs = run_set([each.with_duration(0.5) for each in lane_changes(3)], known_as=Perception(noise=0.1, seed=4))
+    runs = run_set(
+        [scenario.with_duration(0.5) for scenario in lane_changes(3)], known_as=Perception(noise=0.1, seed=4)
+    )
     watching = Curious()
     runs.drive(watching, [1])
     np.testing.assert_array_equal(np.reshape(watching.known, (3, 10, 2)), runs.variables[..., 2:4])

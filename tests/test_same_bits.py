@@ -83,7 +83,7 @@ def test_a_drive_has_the_same_bits_in_python_compiled_and_among_others(name):
     plant = plant() if callable(plant) else plant
     run = at.simulate(plant, make(), drive, seed=7, **options)
     assert same(run, at.rollout(plant, make(), drive, seed=7, **options))
-    batch = at.rollout_batch(plant, make(), [drive], which=[0] * 3, seeds=[3, 7, 4], **options)
+    batch = at.rollout_batch(plant, make(), [drive], scenario_indices=[0] * 3, seeds=[3, 7, 4], **options)
     assert batch.steps[1] == len(run.t)
     if drive is not BEND:
         assert batch.mse[1] == pytest.approx(np.mean(run.error**2), rel=1e-12)

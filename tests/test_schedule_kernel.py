@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from adaptrack.cars.vehicle import GRAVITY
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import (
     ENTRIES,
@@ -24,6 +23,7 @@ from adaptrack.control.scheduling import (
 from adaptrack.control.scheduling.functions.sugeno import ANY
 from adaptrack.core import functions, guard
 from adaptrack.core import schedule as kernel
+from adaptrack.core.plants.forces import GRAVITY
 from small_models import line, random_network, random_sugeno, random_table, stability_map
 
 pytestmark = pytest.mark.kernels

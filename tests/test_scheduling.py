@@ -285,7 +285,7 @@ def pursuit(**options):
 def test_a_schedule_tunes_a_controller_with_other_entries(tmp_path):
     schedule = pursuit()
     check_scheduler(schedule)
-    assert not schedule.of_mpc
+    assert not schedule.tunes_mpc
     rows = np.zeros((3, 7))
     rows[:, 0] = 0.0, 12.3, 30.0
     assert schedule.batch(rows).tolist() == [[3.0], [pytest.approx(2.5 + 17.5 * 12.3 / 30.0)], [15.0]]  # not rounded
@@ -468,7 +468,7 @@ def test_alone_and_in_a_batch_a_scheduler_drives_to_the_same_bits_and_counts(kin
     ours = simulate(plant, mpc, LONG, profile="road", seed=5)
     counts = mpc.scheduler_counts
     assert same(ours, rollout(plant, mpc, LONG, profile="road", seed=5))
-    batch = rollout_batch(plant, mpc, LONG, which=[0] * 20, seeds=[5] * 20, profile="road", threads=2)
+    batch = rollout_batch(plant, mpc, LONG, scenario_indices=[0] * 20, seeds=[5] * 20, profile="road", threads=2)
     error = ours.Y - ours.y_ref
     assert not any(batch.failed)
     assert set(batch.max_abs_error) == {np.abs(error).max()}

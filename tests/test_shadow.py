@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import adaptrack as at
 from adaptrack.base.statistics import block_rms
 from adaptrack.cli.app import app
-from adaptrack.core.estimators.learning import BELIEFS, memory_of
+from adaptrack.core.estimators.learning import BELIEF_NAMES, memory_of
 from adaptrack.identification.instants import ReadLog
 from adaptrack.identification.shadow import Shadow
 from adaptrack.results.console import print_result
@@ -32,8 +32,8 @@ def driven(mpc, seed=5, profile="road", scenario=None):
     """
     rows, step = [], mpc.step
 
-    def recorded(measured, speed, *given, **more):
-        answer = step(measured, speed, *given, **more)
+    def recorded(measured, speed, *arguments, **options):
+        answer = step(measured, speed, *arguments, **options)
         if not rows:
             mpc.applied(0.0)
             answer = answer._replace(angle=0.0)
@@ -46,7 +46,7 @@ def driven(mpc, seed=5, profile="road", scenario=None):
     )
     speed, vy, _, yaw_rate, _, _, _, command, *beliefs = np.array(rows).T
     log = {"time": run.t, "speed": speed, "yaw_rate": yaw_rate, "vy": vy, "command": command}
-    return log, dict(zip(BELIEFS, beliefs, strict=False)), run
+    return log, dict(zip(BELIEF_NAMES, beliefs, strict=False)), run
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +74,10 @@ def test_the_belief_is_that_of_the_controller_that_drove_to_the_bit(drive, watch
 
 def test_learning_predicts_better_than_the_first_belief_and_the_steady_turn(watched):
     for ahead in (0.5, 1.0):
-        found = watched.of("yaw_rate", ahead)
-        assert found["first"].ours.high < 1.0
-        assert found["steady"].ours.high < 1.0
-        assert found["held"].ours.high < 1.0
+        predictions = watched.of("yaw_rate", ahead)
+        assert predictions["first"].ours.high < 1.0
+        assert predictions["steady"].ours.high < 1.0
+        assert predictions["held"].ours.high < 1.0
     assert watched.verdict == "believable"
     assert not watched.warnings
     assert abs(watched.learned.lag + watched.learned.dead_time - 0.15) < 0.03
@@ -99,33 +99,33 @@ def test_what_the_model_is_right_about_is_predicted_exactly():
     sure = at.Uncertainty(lag=0.0, dead_time=0.0, stiffness=1.0, mass=0.0)
     exact = at.Learning(balance=1.0, bias=0.0)
     steering = at.Steering(lag=0.15, dead_time=0.0)
-    found = at.shadow(log, CAR, profile="paper", belief=steering, uncertainty=sure, learning=exact).logs[0]
-    errors = {who: each.rms.value for who, each in found.of("yaw_rate", 1.0).items()}
+    shadow_log = at.shadow(log, CAR, profile="paper", belief=steering, uncertainty=sure, learning=exact).logs[0]
+    errors = {predictor: prediction.rms.value for predictor, prediction in shadow_log.of("yaw_rate", 1.0).items()}
     assert errors["first"] < 0.01 * errors["steady"]
     assert errors["first"] < 2e-4
     assert errors["learned"] < 0.2 * errors["steady"]
 
 
 def test_a_car_that_is_believed_wrongly_is_learned(drive):
-    found = at.shadow(drive[0], SOFT, computation=0.05).logs[0]
-    assert found.of("yaw_rate", 1.0)["first"].ours.high < 0.8
-    assert 1.25 < found.learned.stiffness < 2.1
+    log = at.shadow(drive[0], SOFT, computation=0.05).logs[0]
+    assert log.of("yaw_rate", 1.0)["first"].ours.high < 0.8
+    assert 1.25 < log.learned.stiffness < 2.1
 
 
 def test_a_wrong_sign_is_said_and_nothing_is_believed(drive):
     log = drive[0] | {"command": -drive[0]["command"]}
-    found = at.shadow(log, CAR)
-    assert not found.believable
-    assert "opposite signs" in found.logs[0].doubts[0]
-    assert "opposite signs" in shadow_result(found).answer
+    shadow_run = at.shadow(log, CAR)
+    assert not shadow_run.believable
+    assert "opposite signs" in shadow_run.logs[0].doubts[0]
+    assert "opposite signs" in shadow_result(shadow_run).answer
 
 
 def test_a_belief_at_its_bound_is_warned_of(drive):
     narrow = at.Uncertainty(lag=0.02, dead_time=0.0, stiffness=1.2)
-    found = at.shadow(drive[0], CAR, belief=at.Steering(lag=0.4, dead_time=0.1), uncertainty=narrow).logs[0]
-    assert "lag at the end of its range" in found.bounds
-    assert found.verdict != "believable"
-    assert any("at the end" in each.what and each.seconds > 5.0 for each in found.warnings)
+    log = at.shadow(drive[0], CAR, belief=at.Steering(lag=0.4, dead_time=0.1), uncertainty=narrow).logs[0]
+    assert "lag at the end of its range" in log.bounds
+    assert log.verdict != "believable"
+    assert any("at the end" in warning.what and warning.seconds > 5.0 for warning in log.warnings)
 
 
 def test_a_lateral_velocity_of_another_point_is_found(drive):
@@ -135,20 +135,20 @@ def test_a_lateral_velocity_of_another_point_is_found(drive):
 
 
 def test_with_a_path_offset_and_command_are_compared_and_nothing_is_steered(saved, drive):
-    found, run = saved[1], drive[2]
-    assert found.of("y", 1.0)["steady"].ours.high < 1.0
-    known = np.isfinite(found.proposed)
-    assert known.mean() > 0.9
-    assert np.sqrt(np.mean((found.proposed - found.command)[known] ** 2)) < 0.02
-    assert np.array_equal(found.command, run.command)  # the driver's, whatever was proposed
+    log, run = saved[1], drive[2]
+    assert log.of("y", 1.0)["steady"].ours.high < 1.0
+    finite = np.isfinite(log.proposed)
+    assert finite.mean() > 0.9
+    assert np.sqrt(np.mean((log.proposed - log.command)[finite] ** 2)) < 0.02
+    assert np.array_equal(log.command, run.command)  # the driver's, whatever was proposed
 
 
 def test_another_path_changes_what_is_proposed_and_not_what_is_learned(saved):
-    beside = at.road_through(np.column_stack([np.linspace(-50.0, 3000.0, 60), np.full(60, 2.0)]))
-    found = at.shadow(saved[0], CAR, path=beside).logs[0]
-    for name in BELIEFS:
-        assert np.array_equal(found.beliefs[name], saved[1].beliefs[name])
-    assert np.mean((found.proposed - saved[1].proposed)[:20]) > 0.01  # the path lies to the left
+    parallel = at.road_through(np.column_stack([np.linspace(-50.0, 3000.0, 60), np.full(60, 2.0)]))
+    log = at.shadow(saved[0], CAR, path=parallel).logs[0]
+    for name in BELIEF_NAMES:
+        assert np.array_equal(log.beliefs[name], saved[1].beliefs[name])
+    assert np.mean((log.proposed - saved[1].proposed)[:20]) > 0.01  # the path lies to the left
 
 
 def test_a_record_of_a_loop_is_a_log(drive, watched, tmp_path):
@@ -157,10 +157,10 @@ def test_a_record_of_a_loop_is_a_log(drive, watched, tmp_path):
     nothing = np.full(len(run), np.nan)
     table = log | {"acceleration": nothing, "wheel": nothing, "x": run.X, "y": run.Y, "yaw": run.psi}
     pyarrow.parquet.write_table(pyarrow.table(table), tmp_path / "loop.parquet")
-    found = at.shadow(tmp_path / "loop.parquet", CAR, computation=0.05).logs[0]
-    for name in BELIEFS:
-        assert np.array_equal(found.beliefs[name], watched.beliefs[name])
-    assert np.isfinite(found.proposed).mean() > 0.9
+    shadow_log = at.shadow(tmp_path / "loop.parquet", CAR, computation=0.05).logs[0]
+    for name in BELIEF_NAMES:
+        assert np.array_equal(shadow_log.beliefs[name], watched.beliefs[name])
+    assert np.isfinite(shadow_log.proposed).mean() > 0.9
 
 
 def test_a_dead_time_that_rounds_below_nothing_is_nothing():
@@ -191,19 +191,19 @@ def test_a_log_without_commands_and_one_with_gaps_are_gone_through(drive):
     keep[300:340] = False
     log = {name: values[keep] for name, values in drive[0].items()}
     log["wheel"] = log.pop("command")
-    found = at.shadow(log, CAR).logs[0]
-    assert np.isfinite(found.beliefs["belief_delay"]).all()
-    assert any("segments" in each for each in found.notes)
+    shadow_log = at.shadow(log, CAR).logs[0]
+    assert np.isfinite(shadow_log.beliefs["belief_delay"]).all()
+    assert any("segments" in note for note in shadow_log.notes)
 
 
 def test_intervals_hold_the_error_and_are_wider_for_errors_that_follow_each_other():
     rng = np.random.default_rng(8)
-    alike = np.repeat(rng.standard_normal(40), 25)
+    errors = np.repeat(rng.standard_normal(40), 25)
     block = np.arange(1000) // 25
-    squared = np.stack([alike**2, 4.0 * alike**2])
-    (rms, own), (_, ratio) = block_rms(squared, block)
+    squared = np.stack([errors**2, 4.0 * errors**2])
+    (rms, ratio_to_itself), (_, ratio) = block_rms(squared, block)
     assert rms.low < 1.0 < rms.high
-    assert own == (1.0, 1.0, 1.0)
+    assert ratio_to_itself == (1.0, 1.0, 1.0)
     assert ratio == pytest.approx((0.5, 0.5, 0.5))
     alone, _ = block_rms(squared, np.arange(1000))[0]
     assert rms.high - rms.low > 3.0 * (alone.high - alone.low)
@@ -220,10 +220,10 @@ def test_the_answer_comes_first_and_fits_80_columns(watched, capsys, monkeypatch
 
 
 def test_the_command_writes_a_page_and_json(saved, tmp_path):
-    given = ["shadow", str(saved[0]), "--vehicle", "midsize-sedan", "--without", "x,y,yaw", "--json"]
-    shown = CliRunner().invoke(app, [*given, "--out", str(tmp_path / "page")])
-    assert shown.exit_code == 0
-    assert json.loads(shown.stdout)["logs"][0]["verdict"] == "believable"
+    arguments = ["shadow", str(saved[0]), "--vehicle", "midsize-sedan", "--without", "x,y,yaw", "--json"]
+    result = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "page")])
+    assert result.exit_code == 0
+    assert json.loads(result.stdout)["logs"][0]["verdict"] == "believable"
     assert "In the shadow of a driver" in (tmp_path / "page" / "index.html").read_text()
 
 

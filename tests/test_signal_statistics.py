@@ -35,8 +35,8 @@ def test_the_sampling_of_the_record_hardly_matters():
 @pytest.mark.parametrize(("amplitude", "counted"), [(1.4, 0.0), (1.6, 24.0)])
 def test_a_sine_reverses_twice_a_cycle_when_it_swings_by_more_than_the_gap(amplitude, counted):
     angle = math.radians(amplitude) * np.sin(2 * np.pi * 0.2 * np.arange(0, 300, 0.05))
-    found = reversal_rate(np.arange(0, 300, 0.05), angle)  # peak to peak 2.8 and 3.2 degrees, gap 3
-    assert found == pytest.approx(counted, abs=0.3)
+    rates = reversal_rate(np.arange(0, 300, 0.05), angle)  # peak to peak 2.8 and 3.2 degrees, gap 3
+    assert rates == pytest.approx(counted, abs=0.3)
 
 
 def test_what_is_faster_than_the_filter_is_not_steering():

@@ -42,14 +42,13 @@ LONG_COMMANDS = {
 """Commands that are parsed only, by how they begin, with the time that they take on two cores."""
 
 LONG_SNIPPETS = {
-    ("adaptation.md", "improve("): "1 minute",
-    ("campaign.md", "run_campaign("): "5 minutes",
+    ("schedulers.md", "improve("): "1 minute",
+    ("schedulers.md", "run_campaign("): "5 minutes",
     ("certify.md", "loop_map("): "10 s",
-    ("identify.md", "at.identify("): "10 s, and needs a log",
-    ("models.md", 'train(load_dataset("paper-grid")'): "20 s",
-    ("plants.md", "commonroad_plant("): "needs commonroad-vehicle-models",
+    ("identify.md", 'at.identify("drive.csv"'): "10 s, and needs a log",
+    ("extending.md", "commonroad_plant("): "needs commonroad-vehicle-models",
     ("schedulers.md", "train(data"): "20 s",
-    ("shadow.md", "at.shadow("): "needs logs",
+    ("identify.md", "at.shadow("): "needs logs",
 }
 """Python blocks of which only the imports are run, by page and something that they hold."""
 
@@ -77,34 +76,34 @@ NUMBER = r"(?<![\w^.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?(?![\w^]|\.\d)"
 
 def blocks(page):
     """(language, text) of each fenced block of a page, in order; of a table below `PRINTED`, ("printed", its rows)."""
-    found = re.findall(
+    matches = re.findall(
         rf"^```(\w+)\n(.*?)^```$|^{PRINTED}\n\n((?:\|[^\n]*\n)+)", page.read_text(), re.MULTILINE | re.DOTALL
     )
-    return [("printed", table) if table else (language, text) for language, text, table in found]
+    return [("printed", table) if table else (language, text) for language, text, table in matches]
 
 
 # -- numbers ----------------------------------------------------------------------------------------------------------
 def ranges(text):
     """(low, high) of each number of a page: around it, or, of `0.2 to 0.4`, from one to the other."""
-    found = []
-    for one, other in re.findall(rf"({NUMBER})(?: to ({NUMBER}))?", text):
-        low, high = (float(each.replace(",", "")) for each in (one, other or one))
-        digits = len(one.partition("e")[0].partition(".")[2])
-        away = 0.0 if other else max(NEAR * abs(low), 0.5 * 10.0**-digits if "e" not in one else 0.0)
-        found.append((low - away, high + away))
-    return found
+    result = []
+    for first, other in re.findall(rf"({NUMBER})(?: to ({NUMBER}))?", text):
+        low, high = (float(end.replace(",", "")) for end in (first, other or first))
+        digits = len(first.partition("e")[0].partition(".")[2])
+        slack = 0.0 if other else max(NEAR * abs(low), 0.5 * 10.0**-digits if "e" not in first else 0.0)
+        result.append((low - slack, high + slack))
+    return result
 
 
 def numbers(text):
     """The numbers of what is printed."""
-    return [float(each.replace(",", "")) for each in re.findall(NUMBER, text)]
+    return [float(number.replace(",", "")) for number in re.findall(NUMBER, text)]
 
 
-def agree(said, printed):
+def agree(comment, printed):
     """Whether the numbers of a page are the first of those printed, one by one."""
-    wanted, found = ranges(said), numbers(printed)
-    return len(found) >= len(wanted) and all(
-        low <= value <= high for (low, high), value in zip(wanted, found, strict=False)
+    expected, values = ranges(comment), numbers(printed)
+    return len(values) >= len(expected) and all(
+        low <= value <= high for (low, high), value in zip(expected, values, strict=False)
     )
 
 
@@ -120,45 +119,45 @@ def said_behind(source):
 
 def check_printed(source, printed):
     """Compare the comments behind each `print` with what it printed: {last line of the call: text}."""
-    for line, said in said_behind(source).items():
-        assert agree(said, printed.get(line, "")), f"{said!r} is said, {printed.get(line)!r} is printed"
+    for line, comment in said_behind(source).items():
+        assert agree(comment, printed.get(line, "")), f"{comment!r} is said, {printed.get(line)!r} is printed"
 
 
 def check_table(table, printed):
-    """Compare the rows of a table with the lines that begin as they do."""
-    rows = [[each.strip(" `") for each in row.strip().strip("|").split("|")] for row in table.splitlines()[2:]]
+    """Compare the rows of a table with the lines whose first or second word is theirs."""
+    rows = [[part.strip(" `") for part in row.strip().strip("|").split("|")] for row in table.splitlines()[2:]]
     assert rows
     for name, *cells in rows:
-        lines = [line for line in printed.splitlines() if line.split()[:1] == [name]]
-        assert any(agree(" ".join(cells), " ".join(line.split()[1:])) for line in lines), (name, cells, lines)
+        lines = [line.split() for line in printed.splitlines() if name in line.split()[:2]]
+        printed_cells = [" ".join(line[line.index(name) + 1 :]) for line in lines]
+        assert any(agree(" ".join(cells), row) for row in printed_cells), (name, cells, printed_cells)
 
 
 def check_text(text, printed):
     """Compare lines that a page shows with those printed, `...` standing for any."""
     for line in text.splitlines():
         if line.strip() not in ("", "..."):
-            alike = [each for each in printed.splitlines() if shape(each) == shape(line)]
-            apart = line.replace(" to ", " ")  # a range that is printed is two numbers
-            assert any(agree(apart, each) for each in alike), f"{line!r} is shown; printed like it: {alike}"
+            similar = [candidate for candidate in printed.splitlines() if shape(candidate) == shape(line)]
+            pattern = line.replace(" to ", " ")  # a range that is printed is two numbers
+            assert any(agree(pattern, candidate) for candidate in similar), (
+                f"{line!r} is shown; printed like it: {similar}"
+            )
 
 
-def test_numbers_agree_within_5_percent_or_half_a_digit_or_a_range():
-    assert agree("0.0134 m, 2,064", "0.0137 2,064 ok 7")
-    assert agree("MSE 0.0010 m^2", "mse 0.001049")
-    assert agree("0.2 to 0.4", "0.39")
-    for said, printed in (("0.0009", "0.00101"), ("0.2 to 0.4", "0.41"), ("1, 2", "1"), ("16 %", "8.5 %")):
-        assert not agree(said, printed), (said, printed)
-
-
-def test_comments_behind_prints_are_compared_with_what_is_printed():
+def test_numbers_of_a_page_are_compared_within_5_percent_or_half_a_digit_or_a_range():
+    for comment, printed in (
+        ("0.0134 m, 2,064", "0.0137 2,064 ok 7"),
+        ("MSE 0.0010", "mse 0.001049"),
+        ("0.2 to 0.4", "0.39"),
+    ):
+        assert agree(comment, printed)
+    for comment, printed in (("0.0009", "0.00101"), ("0.2 to 0.4", "0.41"), ("1, 2", "1"), ("16 %", "8.5 %")):
+        assert not agree(comment, printed), (comment, printed)
     source = "x = 2.0\nprint(x)  # 2 m; twice 1\nprint(\n    x\n)  # 2.5\n"
     assert said_behind(source) == {2: "2 m", 5: "2.5"}
     check_printed(source, {2: "2.0", 5: "2.5"})
     with pytest.raises(AssertionError, match="is said"):
         check_printed(source, {2: "2.0", 5: "2.0"})
-
-
-def test_rows_of_a_table_are_compared_with_the_lines_of_their_names():
     table = "| | RMS |\n|---|---|\n| `lqr` | 0.08 |\n| `stanley` | 0.1 |\n"
     check_table(table, "lqr  0.0815 0.3\nstanley 0.0977 0.3\n")
     with pytest.raises(AssertionError):
@@ -212,6 +211,14 @@ def test_every_command_fits_the_program(page, command):
         assert " ".join(command).startswith(OTHERS)
 
 
+@pytest.mark.parametrize(
+    "line", ["drive sine --colour", "drive sine --seed sea", "drive", "tune paper --out x --runs few"]
+)
+def test_a_wrong_option_or_value_would_be_found(line):
+    with pytest.raises(Exception):  # noqa: B017, PT011 - of whatever kind the parser raises
+        parse(line.split())
+
+
 def parse(arguments):
     """Parse a command line as the program does, without running it; wrong options and values raise."""
     import typer
@@ -236,17 +243,6 @@ def test_no_command_of_this_program_stands_where_it_is_not_tested(page):
         text for language, text in blocks(page) if language != "console" and re.search(r"^\$ .*adaptrack", text, re.M)
     ]
     assert not hidden
-
-
-def test_a_wrong_option_or_value_would_be_found():
-    for wrong in (
-        ["drive", "sine", "--colour"],
-        ["drive", "sine", "--seed", "sea"],
-        ["drive"],
-        ["tune", "paper", "--out", "x", "--runs", "few"],
-    ):
-        with pytest.raises(Exception):  # noqa: B017, PT011 - of whatever kind the parser raises
-            parse(wrong)
 
 
 # -- pages ------------------------------------------------------------------------------------------------------------
@@ -326,9 +322,9 @@ def run_command(arguments, monkeypatch, capsys):
     capsys.readouterr()
     monkeypatch.setattr(sys, "argv", ["adaptrack", *arguments])
     code = cli.main()
-    told = capsys.readouterr()
-    assert code == 0, told.err
-    return told.out
+    output = capsys.readouterr()
+    assert code == 0, output.err
+    return output.out
 
 
 @pytest.mark.compiled

@@ -24,7 +24,7 @@ from adaptrack import (
     published_mpc,
 )
 from adaptrack.analysis.linearisation import (
-    Laws,
+    LinearControllers,
     Mismatch,
     Sampled,
     laws,
@@ -171,7 +171,7 @@ def lagging(pole, gain):
     """A body y(k+1) = pole y(k) + u(k) and the law u = w, w growing by -gain y: L = gain / ((z - pole)(z - 1))."""
     y = np.zeros((len(sensed()), 1))
     y[3] = 1.0
-    law = Laws(linear_estimator(published_mpc(CAR), 10.0), np.array([[0, 0, 0, -gain, gain]]))
+    law = LinearControllers(linear_estimator(published_mpc(CAR), 10.0), np.array([[0, 0, 0, -gain, gain]]))
     return Sampled(np.array([[pole]]), np.ones(1), y), law
 
 

@@ -46,14 +46,13 @@ def test_a_surface_begins_with_one_value_everywhere_and_is_what_it_runs_as(kind,
 
 
 @pytest.mark.parametrize("kind", ["level", "network", "fuzzy"])
-@pytest.mark.parametrize("effort", [1.0, 0.2])
-def test_a_fit_lowers_the_weighted_error_and_more_effort_lowers_it_more(kind, effort):
+def test_a_fit_lowers_the_weighted_error_and_more_effort_lowers_it_more(kind):
     x, target, weight = examples()
     start = every_surface(x)[kind]
-    before, after = (weighted_error(each, x, target, weight) for each in (start, start.fit(x, target, weight, effort)))
-    assert after < before
-    if effort < 1.0 and kind != "level":
-        assert weighted_error(start.fit(x, target, weight), x, target, weight) < after
+    fits = start.fit(x, target, weight), start.fit(x, target, weight, effort=0.2), start
+    most, lazy, before = (weighted_error(surface, x, target, weight) for surface in fits)
+    assert most <= lazy < before
+    assert kind == "level" or most < lazy
 
 
 @pytest.mark.parametrize("kind", ["level", "network", "fuzzy"])
@@ -63,8 +62,8 @@ def test_only_the_ratio_of_the_weights_matters_and_a_row_of_none_does_not(kind):
     scaled = start.fit(x, target, 1e-4 * weight)
     np.testing.assert_allclose(scaled.predict(x), start.fit(x, target, weight).predict(x), rtol=1e-9)
     ignored = start.fit(x, np.where(none, 1e3, target), np.where(none, 0.0, weight))
-    left_out = start.fit(x[~none], target[~none], weight[~none])
-    np.testing.assert_allclose(ignored.predict(x), left_out.predict(x), rtol=1e-9)
+    shorter = start.fit(x[~none], target[~none], weight[~none])
+    np.testing.assert_allclose(ignored.predict(x), shorter.predict(x), rtol=1e-9)
 
 
 def test_a_level_fits_the_weighted_mean():
@@ -75,24 +74,24 @@ def test_a_level_fits_the_weighted_mean():
 
 def test_a_networks_gradient_is_that_of_finite_differences(rng):
     network = random_network(rng, 3, relu=False)
-    network = replace(network, weights=tuple(0.5 * each for each in network.weights))
+    network = replace(network, weights=tuple(0.5 * array for array in network.weights))
     z, y, share = rng.uniform(size=(30, 3)), rng.normal(size=30), rng.dirichlet(np.ones(30))
     network = replace(network, low=np.zeros(3), high=np.ones(3), out_low=0.0, out_high=1.0)
-    parameters = [each.copy() for pair in zip(network.weights, network.biases, strict=True) for each in pair]
+    parameters = [array.copy() for pair in zip(network.weights, network.biases, strict=True) for array in pair]
 
     def error():
-        made = replace(network, weights=tuple(parameters[::2]), biases=tuple(parameters[1::2]))
-        return 0.5 * (share * (made.predict(z) - y) ** 2).sum()
+        changed = replace(network, weights=tuple(parameters[::2]), biases=tuple(parameters[1::2]))
+        return 0.5 * (share * (changed.predict(z) - y) ** 2).sum()
 
     gradients = module._gradients(parameters, z, y, share)
     for parameter, gradient in zip(parameters, gradients, strict=True):
         assert gradient.shape == parameter.shape
         for place in np.ndindex(parameter.shape):
-            kept, errors = parameter[place], []
+            value, errors = parameter[place], []
             for step in (1e-5, -1e-5):
-                parameter[place] = kept + step
+                parameter[place] = value + step
                 errors.append(error())
-            parameter[place] = kept
+            parameter[place] = value
             assert gradient[place] == pytest.approx((errors[0] - errors[1]) / 2e-5, rel=1e-5, abs=1e-9)
 
 
@@ -140,13 +139,8 @@ def test_an_average_has_the_mean_of_the_parameters_and_of_one_alone_it_is_itself
     fits = [first, first.fit(x, target, weight), first.fit(x, -target, weight)]
     mean = fits[0].average(fits[1:])
     if kind != "network":  # those are linear in their parameters
-        np.testing.assert_allclose(mean.predict(x), np.mean([each.predict(x) for each in fits], axis=0), atol=1e-12)
+        np.testing.assert_allclose(mean.predict(x), np.mean([fit.predict(x) for fit in fits], axis=0), atol=1e-12)
     else:
-        for i in range(3):
-            np.testing.assert_allclose(
-                mean.network.weights[i], np.mean([each.network.weights[i] for each in fits], axis=0)
-            )
-            np.testing.assert_allclose(
-                mean.network.biases[i], np.mean([each.network.biases[i] for each in fits], axis=0)
-            )
+        for layers in zip(*([*fit.network.weights, *fit.network.biases] for fit in (mean, *fits)), strict=True):
+            np.testing.assert_allclose(layers[0], np.mean(layers[1:], axis=0))
     np.testing.assert_array_equal(first.average([]).predict(x), first.predict(x))

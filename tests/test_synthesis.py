@@ -15,7 +15,7 @@ import adaptrack as at
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers.learned import Learning
 from adaptrack.core import library
-from adaptrack.core.controllers.mpc import Settings
+from adaptrack.core.controllers.mpc import MPCSettings
 from adaptrack.core.estimators import learning
 from adaptrack.core.maths.decimal import to_digits, to_places
 from adaptrack.core.plants.forces import GRAVITY
@@ -47,7 +47,7 @@ def test_numbers_are_rounded_as_they_are_printed():
 # -- a car from its mass and wheelbase --------------------------------------------------------------------------------
 def complete_car(mass=1500.0, wheelbase=2.7, load=0.0, truck=0, **values):
     """Status, car and how well it is known."""
-    row, within = row_of(car.Car, mass=mass, **values), row_of(car.KnownWithin)
+    row, within = row_of(car.CarRow, mass=mass, **values), row_of(car.KnownWithinRow)
     return car.complete_car(wheelbase, load, truck, row, within), row, within
 
 
@@ -55,13 +55,13 @@ def complete_car(mass=1500.0, wheelbase=2.7, load=0.0, truck=0, **values):
 def test_an_estimated_car_keeps_the_ratios_of_measured_ones(mass, wheelbase, truck):
     """Dynamic index, cornering coefficients, balance of loads: as published, to the digits that are printed."""
     status, row, within = complete_car(mass, wheelbase, truck=truck)
-    assert status == car.COMPLETE
+    assert status == car.OK
     assert row.lf + row.lr == pytest.approx(wheelbase, abs=1e-5)
     assert row.yaw_inertia / (mass * row.lf * row.lr) == pytest.approx(1.0 if truck else 1.09, rel=2e-3)
     front, rear = mass * GRAVITY * row.lr / wheelbase, mass * GRAVITY * row.lf / wheelbase
     assert (2 * row.stiffness_front / front, 2 * row.stiffness_rear / rear) == pytest.approx((13.8, 21.9), rel=1e-3)
     assert within.stiffness_front == within.stiffness_rear == 1.62
-    assert not any(math.isnan(row[name]) for name in car.Car._fields)
+    assert not any(math.isnan(row[name]) for name in car.CarRow._fields)
 
 
 def test_what_is_given_of_a_car_stays_and_has_no_spread():
@@ -81,30 +81,30 @@ def test_a_car_that_cannot_be_is_a_status_and_nothing_is_written():
     ]:  # fmt: skip
         code, row, within = complete_car(**values)
         assert code == status, values
-        assert {name for name in car.Car._fields if not math.isnan(row[name])} <= {"mass", "lf", "lr"}
+        assert {name for name in car.CarRow._fields if not math.isnan(row[name])} <= {"mass", "lf", "lr"}
         assert within.said == 0
 
 
 # -- belief -----------------------------------------------------------------------------------------------------------
 def test_each_number_of_the_steering_is_from_the_first_that_says_it():
     arguments, file_steering, actuator = (
-        row_of(car.Steering, lag=0.1), row_of(car.Steering, lag=0.2, dead_time=0.07),
-        row_of(car.Steering, lag=0.3, dead_time=0.3, rate=math.inf),
+        row_of(car.SteeringRow, lag=0.1), row_of(car.SteeringRow, lag=0.2, dead_time=0.07),
+        row_of(car.SteeringRow, lag=0.3, dead_time=0.3, rate=math.inf),
     )  # fmt: skip
-    result = row_of(belief.Belief)
+    result = row_of(belief.BeliefRow)
     belief.believe_steering(arguments, file_steering, actuator, 0.05, result)
     assert (result.lag, result.dead_time, result.computation, result.rate) == (0.1, 0.07, 0.05, math.inf)
     assert (result.lag_source, result.dead_time_source, result.rate_source, result.limit_source) == (
-        belief.GIVEN, belief.CAR_FILE, belief.PROFILE, belief.ASSUMED,
+        belief.GIVEN, belief.CAR_FILE, belief.PROFILE, belief.SLOW_ASSUMED,
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("computation", [0.0, 0.05, 0.1])
 @pytest.mark.parametrize("steering", [{}, {"lag": 0.1}, {"lag": 0.5}, {"dead_time": 0.1}, {"dead_time": 0.5}], ids=str)
 def test_an_unknown_delay_is_with_the_computation_time_as_long_as_published_ones(steering, computation):
-    result = row_of(belief.Belief)
+    result = row_of(belief.BeliefRow)
     belief.believe_steering(
-        row_of(car.Steering, **steering), row_of(car.Steering), row_of(car.Steering), computation, result
+        row_of(car.SteeringRow, **steering), row_of(car.SteeringRow), row_of(car.SteeringRow), computation, result
     )
     longest = max(0.4 - min(computation, 0.05) - 1e-9, sum(steering.values()))
     assert longest <= result.lag + result.dead_time <= longest + 0.05
@@ -113,7 +113,7 @@ def test_an_unknown_delay_is_with_the_computation_time_as_long_as_published_ones
 
 def test_caution_doubles_r_at_the_tolerated_delay_and_grows_with_everything():
     def caution(lag=0.0, dead_time=0.0, stiffness=1.0, mass=0.0):
-        unsure = row_of(belief.Uncertainty, lag=lag, dead_time=dead_time, stiffness=stiffness, mass=mass)
+        unsure = row_of(belief.UncertaintyRow, lag=lag, dead_time=dead_time, stiffness=stiffness, mass=mass)
         return belief.caution_of(unsure)
 
     assert caution() == 1.0
@@ -128,7 +128,7 @@ def test_caution_doubles_r_at_the_tolerated_delay_and_grows_with_everything():
 def test_horizons_and_weight_are_times_and_so_do_not_know_the_control_period(preview):
     results = {}
     for period in (0.025, 0.05, 0.1):
-        world = row_of(tuning.World, period=period, preview=preview, move_weight=0.0, noise_vy=0.1)
+        world = row_of(tuning.ControllerWorld, period=period, preview=preview, move_weight=0.0, noise_vy=0.1)
         out = np.zeros(4)
         tuning.tune_informed(world, 1.0, 1000, 200, out)
         Np, Nc, Q, R = out
@@ -140,7 +140,7 @@ def test_horizons_and_weight_are_times_and_so_do_not_know_the_control_period(pre
 def test_horizons_stay_within_their_bounds():
     out = np.zeros(4)
     for period, expected in ((1e-4, (60, 20)), (10.0, (2, 1))):
-        tuning.tune_informed(row_of(tuning.World, period=period, noise_vy=0.1), 1.0, 60, 20, out)
+        tuning.tune_informed(row_of(tuning.ControllerWorld, period=period, noise_vy=0.1), 1.0, 60, 20, out)
         assert tuple(out[:2]) == expected
 
 
@@ -156,7 +156,9 @@ def test_a_dead_time_is_whole_periods_and_a_share():
 def test_sensors_that_are_off_or_too_good_are_left_out():
     def noise(**sensors):
         result = row_of(filter.Noise)
-        filter.sensor_noise(row_of(tuning.World, **{"bias_wheel_angle": 0.0, "bias_yaw_rate": 0.0, **sensors}), result)
+        filter.sensor_noise(
+            row_of(tuning.ControllerWorld, **{"bias_wheel_angle": 0.0, "bias_yaw_rate": 0.0, **sensors}), result
+        )
         return result
 
     assert noise(noise_wheel_angle=0.01).wheel_angle == 0.01
@@ -175,11 +177,13 @@ def test_a_learner_begins_with_the_mixture_of_its_hypotheses(counts):
     hypotheses = [learning.hypothesis(i, learner.kept, memory) for i in range(n)]
     pairs = np.array(
         [
-            [hypothesis.x[learning.LAG], hypothesis.x[learning.DEAD_TIME] - learner.computation]
+            [hypothesis.x[learning.STEERING_LAG], hypothesis.x[learning.DEAD_TIME] - learner.computation]
             for hypothesis in hypotheses
         ]
     )
-    grains = np.array([hypothesis.covariance[learning.LAG, learning.LAG] for hypothesis in hypotheses])
+    grains = np.array(
+        [hypothesis.covariance[learning.STEERING_LAG, learning.STEERING_LAG] for hypothesis in hypotheses]
+    )
     believed = learning.memory_of(memory, 0).beliefs
     assert (believed.belief_lag, believed.belief_dead_time) == pytest.approx(tuple(pairs.mean(axis=0)))
     assert believed.belief_lag_sigma**2 == pytest.approx(pairs[:, 0].var() + grains.mean())
@@ -256,11 +260,13 @@ def test_a_system_that_cannot_be_steered_is_a_status():
 def test_the_gains_of_the_lqr_are_those_of_scipy():
     vehicle = load_vehicle("van")
     lqr = at.LQR(vehicle, q_e=2.0, q_heading=50.0, r=800.0, period=0.05)
-    grid = lqr.parameters()[len(laws.lqr.PARAMETERS) :].reshape(laws.SPEEDS, laws.WEIGHTS, laws.WEIGHTS, 4)
-    factors = 10.0 ** np.linspace(-2.0, 2.0, laws.WEIGHTS)
+    grid = lqr.parameters()[len(laws.lqr.PARAMETERS) :].reshape(
+        laws.GAIN_SPEED_COUNT, laws.GAIN_WEIGHTS, laws.GAIN_WEIGHTS, 4
+    )
+    factors = 10.0 ** np.linspace(-2.0, 2.0, laws.GAIN_WEIGHTS)
     for i, j, k in ((0, 4, 4), (10, 4, 4), (20, 4, 4), (10, 0, 8), (5, 8, 0)):
         a, b = np.zeros((4, 4)), np.zeros(4)
-        laws.sampled_error_model(vehicle.numbers, 0.05, np.geomspace(1.0, 60.0, laws.SPEEDS)[i], a, b)
+        laws.sampled_error_model(vehicle.numbers, 0.05, np.geomspace(1.0, 60.0, laws.GAIN_SPEED_COUNT)[i], a, b)
         Q = np.diag([2.0 / 800.0 * factors[j], 0.0, 50.0 / 800.0 * factors[k], 0.0])
         P = solve_discrete_are(a, b[:, None], Q, np.eye(1))
         np.testing.assert_allclose(grid[i, j, k], (b @ P @ a) / (1.0 + b @ P @ b), rtol=2e-6, atol=1e-9)
@@ -270,8 +276,8 @@ def test_the_gains_of_the_lqr_are_those_of_scipy():
 def constants_by_kernels(vehicle, options):
     """What the filter remembers, and all numbers of an MPC, by kernels alone."""
     order, parts, constants = make_parts(vehicle, options)
-    assert informed.informed_parts(order, parts) == informed.FINE
-    assert informed.informed_constants(order, parts, constants) == informed.FINE
+    assert informed.informed_parts(order, parts) == informed.OK
+    assert informed.informed_constants(order, parts, constants) == informed.OK
     for field in ("estimator", "model", "turning", "tuning"):
         shorter = constants._replace(**{field: getattr(constants, field)[:-1].copy()})
         assert informed.informed_constants(order, parts, shorter) == informed.MEMORY_TOO_SMALL
@@ -320,9 +326,9 @@ def test_the_papers_mpc_has_the_numbers_of_its_table():
     vehicle, room = load_vehicle("paper"), np.full(7, UNTOUCHED)
     nothing = np.zeros(0)
     constants = informed.Constants(
-        Settings.new(1), np.zeros(4), room, np.full(4, -7), nothing, nothing, nothing, nothing
+        MPCSettings.new(1), np.zeros(4), room, np.full(4, -7), nothing, nothing, nothing, nothing
     )
-    assert published.published_constants(vehicle.numbers, 0.1, constants) == informed.FINE
+    assert published.published_constants(vehicle.numbers, 0.1, constants) == informed.OK
     batch = at.published_mpc(vehicle).batch(1, at.published_mpc(vehicle).settings())
     assert constants.tuning.tolist() == [35, 8, 10.0, 0.01]
     assert constants.model[:6].tobytes() == batch.parameters.tobytes()
@@ -331,7 +337,7 @@ def test_the_papers_mpc_has_the_numbers_of_its_table():
     settings = constants.settings[0]
     assert (settings.move_max, settings.angle_max) == pytest.approx((math.radians(15.0), math.radians(30.0)))
     assert (settings.period, settings.delay, settings.informed, settings.error_max) == (0.1, 0.0, 0, math.inf)
-    assert published.published_constants(row_of(car.Car), 0.1, constants) == informed.CAR_WRONG
+    assert published.published_constants(row_of(car.CarRow), 0.1, constants) == informed.CAR_WRONG
     assert published.published_constants(vehicle.numbers, math.nan, constants) == informed.LOOP_WRONG
 
 
@@ -344,7 +350,7 @@ def test_a_program_in_c_makes_the_same_controller(tmp_path):
     if not isinstance(loaded, library.Library) or loaded.edited:
         pytest.skip("needs the library of these sources")
     program = Path(__file__).parent / "processors" / "make.c"
-    files = f"-I{library.BUILT}", str(program), str(loaded.path), "-o", str(tmp_path / "make")
+    files = f"-I{library.BUILT_FOLDER}", str(program), str(loaded.path), "-o", str(tmp_path / "make")
     subprocess.run([compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", *files, "-lm"], check=True)
     subprocess.run([str(tmp_path / "make"), str(tmp_path / "answers")], check=True)
     answers = np.fromfile(tmp_path / "answers")

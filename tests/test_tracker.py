@@ -36,7 +36,7 @@ SPOILT = {
 
 
 def informed(oldest=0.25):
-    sensors = replace(KalmanFilter.of_profile(load_profile("road")), oldest=oldest)
+    sensors = replace(KalmanFilter.from_profile(load_profile("road")), oldest=oldest)
     return MPC(CAR, profile="road", computation=0.0, estimator=sensors, belief=STEERING)
 
 

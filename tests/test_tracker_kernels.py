@@ -16,7 +16,7 @@ from adaptrack.control.tracking import packed_plan, tracking_of
 from adaptrack.core.kernel import direct
 from adaptrack.core.tracker.follow import tracker_follow
 from adaptrack.core.tracker.give import tracker_engage
-from adaptrack.core.tracker.records import HELD, NO_TIME, OK, REPEATED, TRACKED
+from adaptrack.core.tracker.records import FOLLOWING, HELD, NO_TIME, REPEATED, TRACKED
 from adaptrack.core.tracker.step import tracker_step, tracker_step_law
 from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
 from adaptrack.road.ahead import pack_roads, stacked
@@ -110,7 +110,7 @@ def test_without_a_path_the_command_is_held():
     tracking, step = compiled(MAKERS["LQR"]())
     bare = tracking._replace(tracker=tracking.tracker._replace(path=pack_roads([])))
     assert call(bare, stepper(bare), 0.0, 0.0, 0.0, 0.2, 0.0, 10.0)[TRACKED.status] == HELD
-    assert call(tracking, step, 0.1, 0.1, 0.0, 0.2, 0.0, 10.0)[TRACKED.status] == OK
+    assert call(tracking, step, 0.1, 0.1, 0.0, 0.2, 0.0, 10.0)[TRACKED.status] == FOLLOWING
 
 
 # -- where the car begins ---------------------------------------------------------------------------------------------

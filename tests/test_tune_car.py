@@ -13,9 +13,8 @@ from adaptrack.control.controllers import MPC
 from adaptrack.tuning.car import FIRST_JUDGED, FIRST_SOUGHT, TuningEffort, tune
 from adaptrack.tuning.pso import SwarmSettings
 
-SMALL = TuningEffort(
-    drives=3, hard_drives=2, seconds=10.0, swarm=SwarmSettings(particles=6, generations=3), judged=6, levels=(4, 2)
-)
+SWARM = SwarmSettings(particles=6, generations=3)
+SMALL = TuningEffort(drives=3, hard_drives=2, seconds=10.0, swarm=SWARM, judged_drives=6, levels=(4, 2))
 
 
 @pytest.fixture(scope="module")
@@ -29,9 +28,8 @@ def test_what_is_kept_is_ready_to_drive_and_passes_its_certificate(tuned):
     assert tuned.passed
     assert tuned.failed == 0
     assert tuned.domain == at.load_vehicle("van").domain
-    run = at.simulate(
-        at.DualTrack(at.load_vehicle("van")), tuned.controller, at.load_scenario("lane-change"), profile="production"
-    )
+    plant = at.DualTrack(at.load_vehicle("van"))
+    run = at.simulate(plant, tuned.controller, at.load_scenario("lane-change"), profile="production")
     assert run.failed is None
 
 
@@ -61,17 +59,17 @@ def _believed_too_fast(lag, dead_time):
 
 @pytest.mark.compiled
 def test_speeds_that_nothing_holds_are_named_and_left_out():
-    found = tune(*_believed_too_fast(0.3, 0.1), effort=SMALL, speed=(3.0, 40.0))
-    assert found.domain.speed[0] == 3.0
-    assert found.domain.speed[1] < 20.0
-    assert not found.feasibility.passed
+    result = tune(*_believed_too_fast(0.3, 0.1), effort=SMALL, speed=(3.0, 40.0))
+    assert result.domain.speed[0] == 3.0
+    assert result.domain.speed[1] < 20.0
+    assert not result.feasibility.passed
 
 
 @pytest.mark.compiled
 def test_where_the_default_fails_a_constant_that_holds_the_loop_is_tried():
-    found = tune(*_believed_too_fast(0.25, 0.05), effort=SMALL, speed=(3.0, 25.0))
-    assert np.isinf(found.costs["default"]).sum() > found.failed
-    assert found.failed == 0
+    result = tune(*_believed_too_fast(0.25, 0.05), effort=SMALL, speed=(3.0, 25.0))
+    assert np.isinf(result.costs["default"]).sum() > result.failed
+    assert result.failed == 0
 
 
 def test_a_domain_that_nothing_holds_is_refused():
@@ -79,18 +77,19 @@ def test_a_domain_that_nothing_holds_is_refused():
         tune(*_believed_too_fast(0.6, 0.2), effort=SMALL, speed=(10.0, 40.0))
 
 
-def test_nonsense_is_refused():
-    car = at.load_vehicle("paper")
-    with pytest.raises(InvalidInput, match="judged"):
-        TuningEffort(judged=1)
-    with pytest.raises(ValueError, match="lowest"):
-        tune(car, speed=(20.0, 5.0))
-    with pytest.raises(InvalidInput, match="seed"):
-        tune(car, seed=-1)
-    with pytest.raises(UnknownName, match="hovercraft"):
-        tune(car, plant="hovercraft")
-    with pytest.raises(UnknownName, match="no vehicle is named"):
-        tune("papre")
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda: TuningEffort(judged_drives=1), InvalidInput, "judged_drives"),
+        (lambda: tune("paper", speed=(20.0, 5.0)), ValueError, "lowest"),
+        (lambda: tune("paper", seed=-1), InvalidInput, "seed"),
+        (lambda: tune("paper", plant="hovercraft"), UnknownName, "hovercraft"),
+        (lambda: tune("papre"), UnknownName, "no vehicle is named"),
+    ],
+)
+def test_nonsense_is_refused(call, error, words):
+    with pytest.raises(error, match=words):
+        call()
 
 
 def test_a_search_drives_what_no_judgement_does():

@@ -10,7 +10,7 @@ from adaptrack.cars.vehicle import SteeringActuator, list_tyres, load_tyre, load
 from adaptrack.core.plants.parameters import unpack
 from adaptrack.core.plants.tyre import (
     CURVED_MAGIC_FORMULA,
-    LINEAR,
+    LINEAR_TYRE,
     MAGIC_FORMULA,
     friction_ellipse,
     lateral_force,
@@ -62,7 +62,7 @@ def friction_force(tyre, load, friction):
 def test_each_law_is_chosen_by_its_parameters():
     laws = {name: tyre_law(tyre.kind == "linear", tyre.curvature) for name, tyre in TYRES.items()}
     curved = dict.fromkeys(("small-car", "curved"), CURVED_MAGIC_FORMULA)
-    assert laws == dict.fromkeys(TYRES, MAGIC_FORMULA) | {"constant-stiffness": LINEAR} | curved
+    assert laws == dict.fromkeys(TYRES, MAGIC_FORMULA) | {"constant-stiffness": LINEAR_TYRE} | curved
 
 
 def test_the_slope_at_the_origin_is_the_cornering_stiffness(tyre, force):
@@ -93,20 +93,6 @@ def test_a_linear_tyre_is_linear_in_slip_friction_and_load():
     assert force(0.5, 2500.0, 0.5) == pytest.approx(50 * reference, rel=1e-14)
     assert force(0.01, 5000.0, 0.5) == pytest.approx(2 * reference, rel=1e-14)
     assert force(0.01, 2500.0, 1.0) == pytest.approx(2 * reference, rel=1e-14)
-
-
-def test_a_digressive_stiffness_peaks_at_its_load_ratio():
-    tyre = TYRES["passenger-car"]
-    force = compiled(tyre)
-
-    def stiffness(q):
-        return force(1e-6, q * tyre.nominal_load, 1.0) / 1e-6
-
-    assert stiffness(1.0) == pytest.approx(tyre.stiffness_front, rel=1e-6)
-    loads = np.linspace(0.05, 4.0, 800)
-    values = np.array([stiffness(q) for q in loads.tolist()])
-    assert loads[values.argmax()] == pytest.approx(tyre.digressive_load_ratio, abs=0.005)
-    assert (np.diff(values[loads < tyre.digressive_load_ratio], 2) < 0).all()  # ever less for each newton
 
 
 def test_friction_falls_with_load_by_its_sensitivity_to_a_tenth():

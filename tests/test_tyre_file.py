@@ -60,8 +60,8 @@ GRID = [(slip, load) for slip in (-0.15, 0.005, 0.03, 0.08, 0.2) for load in (15
 def test_the_force_is_that_of_the_published_equations_turned_to_the_left(tmp_path, model, p):
     scaled = "LFZO = 0.9\nLKY = 1.2\nLMUY = 0.85\nLCY = 1.05\nLEY = 0.7"
     for factors in ({}, {"lfz": 0.9, "lky": 1.2, "lmuy": 0.85, "lcy": 1.05, "ley": 0.7}):
-        more = {"SCALING_COEFFICIENTS": scaled} if factors else {}
-        tyre = read_tyre_file(tir(tmp_path / "a.tir", p, model=model, **more))
+        sections = {"SCALING_COEFFICIENTS": scaled} if factors else {}
+        tyre = read_tyre_file(tir(tmp_path / "a.tir", p, model=model, **sections))
         for slip, load in GRID:
             assert tyre.force(slip, load) == pytest.approx(-published(p, slip, load, 4000.0, **factors), rel=1e-12)
             small = 1e-7
@@ -152,10 +152,10 @@ def test_what_is_left_out_is_said(tmp_path):
         tmp_path / "a.tir", BOOK, OPERATING_CONDITIONS="INFLPRES = 200000\nNOMPRES = 220000",
         ALIGNING_COEFFICIENTS="QBZ1 = 12", LONGITUDINAL_COEFFICIENTS="PCX1 = 1.6",
     )  # fmt: skip
-    said = " ".join(read_tyre_file(file).notes)
-    assert "Ply steer and conicity, measured as a left tyre" in said
-    assert "nominal (220000), not as it is (200000)" in said
-    assert all(words in said for words in ("Camber", "aligning moment", "longitudinal slip"))
+    notes = " ".join(read_tyre_file(file).notes)
+    assert "Ply steer and conicity, measured as a left tyre" in notes
+    assert "nominal (220000), not as it is (200000)" in notes
+    assert all(words in notes for words in ("Camber", "aligning moment", "longitudinal slip"))
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from adaptrack.core.kernel import Resident
 from adaptrack.core.units import car, contract, controller
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import World
-from adaptrack.export.units import CONSTANT, INPUT, PARAMETER, car_unit, controller_unit
+from adaptrack.export.units import CONSTANT_VALUE, INPUT_VALUE, PARAMETER, car_unit, controller_unit
 
 pytestmark = pytest.mark.kernels
 CAR = at.load_vehicle("paper")
@@ -21,32 +21,32 @@ def test_a_car_and_a_closed_loop_agree_to_the_bit_at_every_instant():
     loop = ClosedLoop(World.of(PLANT, law, "production", None, None, None), STEP, 6)
     unit = car_unit(PLANT, STEP, profile="production", period=0.05)
     values, record = unit.record.values, Resident(unit.record)
-    values[car.VALUE.seed] = 6
+    values[car.CAR_VALUE.seed] = 6
     assert car.car_begin(record) == contract.OK
     signals = loop.signals
     for k in range(12):
         sample = loop.sense()
-        measured = values[car.VALUE.measured_heading_error], values[car.VALUE.measured_offset]
+        measured = values[car.CAR_VALUE.measured_heading_error], values[car.CAR_VALUE.measured_offset]
         assert np.array_equal(measured, (sample.measured[1], sample.measured[3]), equal_nan=True)
-        values[car.VALUE.command] = 0.01 * k
-        values[car.VALUE.speed], values[car.VALUE.speed_ahead] = signals.speed[k : k + 2]
-        values[car.VALUE.friction_front_left : car.VALUE.wind_x] = signals.friction[k]
-        values[car.VALUE.wind_x : car.VALUE.bank] = signals.wind[k]
+        values[car.CAR_VALUE.command] = 0.01 * k
+        values[car.CAR_VALUE.speed], values[car.CAR_VALUE.speed_ahead] = signals.speed[k : k + 2]
+        values[car.CAR_VALUE.friction_front_left : car.CAR_VALUE.wind_x] = signals.friction[k]
+        values[car.CAR_VALUE.wind_x : car.CAR_VALUE.bank] = signals.wind[k]
         assert car.car_step(record) == contract.OK
         loop.send(0.01 * k)
         loop.advance()
-    assert values[car.VALUE.time] == 12 * 0.05
+    assert values[car.CAR_VALUE.time] == 12 * 0.05
 
 
 def test_a_value_out_of_its_range_is_named_by_the_status():
     unit = car_unit(PLANT, profile="road")
     values, record = unit.record.values, Resident(unit.record)
-    values[car.VALUE.start_speed] = -1.0
-    assert car.car_begin(record) == -1 - car.VALUE.start_speed
-    values[car.VALUE.start_speed] = 10.0
+    values[car.CAR_VALUE.start_speed] = -1.0
+    assert car.car_begin(record) == -1 - car.CAR_VALUE.start_speed
+    values[car.CAR_VALUE.start_speed] = 10.0
     assert car.car_begin(record) == contract.OK
-    values[car.VALUE.wind_y] = np.nan
-    assert car.car_step(record) == -1 - car.VALUE.wind_y
+    values[car.CAR_VALUE.wind_y] = np.nan
+    assert car.car_step(record) == -1 - car.CAR_VALUE.wind_y
 
 
 def test_each_value_says_what_it_is_and_in_which_unit():
@@ -57,4 +57,4 @@ def test_each_value_says_what_it_is_and_in_which_unit():
         assert all(len(value.description) > 8 for value in unit.values)
         plain = {value.name for value in unit.values if not value.unit and value.type == 0}
         assert all(name.startswith("friction") for name in plain)
-        assert {value.role for value in unit.values} == {CONSTANT, PARAMETER, INPUT, 0}
+        assert {value.role for value in unit.values} == {CONSTANT_VALUE, PARAMETER, INPUT_VALUE, 0}

@@ -7,7 +7,7 @@ import pytest
 
 from adaptrack.core.kernel import inlined
 from adaptrack.core.maths import vectors
-from adaptrack.core.maths.vectors import WIDTH
+from adaptrack.core.maths.vectors import VECTOR_WIDTH
 from inlined import entry
 
 pytestmark = pytest.mark.kernels
@@ -51,26 +51,27 @@ def _every_operation(A, out):
 
 def test_each_operation_equals_numpy(rng):
     A = rng.normal(size=(8, 16))
-    out = np.zeros((17, WIDTH))
+    out = np.zeros((17, VECTOR_WIDTH))
     total, largest, smallest, finite, absent = _every_operation(A, out)
-    a, b, c = A[:3, :WIDTH]
-    entry = np.arange(WIDTH)
+    a, b, c = A[:3, :VECTOR_WIDTH]
+    entry = np.arange(VECTOR_WIDTH)
     expected = [
         a + b, a - b, a * b, a / b, a * b + c, np.maximum(a, b), np.minimum(a, b), np.where(a > 0, b, c),
-        np.full(WIDTH, A[1, 2]), np.full(WIDTH, A[1, 2]), np.zeros(WIDTH), np.where(entry == 3, 7.5, a), a,
+        np.full(VECTOR_WIDTH, A[1, 2]), np.full(VECTOR_WIDTH, A[1, 2]), np.zeros(VECTOR_WIDTH),
+        np.where(entry == 3, 7.5, a), a,
         np.where(entry < 3, a, 0.0), np.where(entry >= 3, a, 0.0),
         np.concatenate([A[3:5, 4], np.zeros(6)]), A[:, 8:].sum(axis=1),
     ]  # fmt: skip
     np.testing.assert_allclose(out, expected, rtol=1e-14, atol=1e-14)
     assert math.isclose(total, a.sum(), abs_tol=1e-14)
-    assert (largest, smallest, finite, absent) == (a.max(), a.min(), 5, WIDTH)
+    assert (largest, smallest, finite, absent) == (a.max(), a.min(), 5, VECTOR_WIDTH)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_an_entry_that_is_not_finite_is_noticed(value):
     ask = entry(inlined(lambda A: vectors.all_below_infinity(vectors.load(A, 0, 0))))
 
-    A = np.zeros((1, WIDTH))
+    A = np.zeros((1, VECTOR_WIDTH))
     A[0, 3] = -math.inf
     assert ask(A)
     A[0, 6] = value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import pickle
 import re
 from pathlib import Path
@@ -15,10 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from adaptrack.base.errors import AdaptrackError, ConfigError, InvalidInput, StorageError, UnknownName
+from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName
 from adaptrack.base.files import Record, build, dump_toml, read_toml, write_toml
 from adaptrack.cars.vehicle import (
-    GRAVITY,
     Steering,
     SteeringActuator,
     Tyre,
@@ -29,6 +27,7 @@ from adaptrack.cars.vehicle import (
     load_vehicle,
     pack_plant,
 )
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.synthesis.plant import stiffness_coefficients
 from adaptrack.scenario.profile import Profile
 
@@ -41,14 +40,7 @@ stiffness_front = 55e3
 stiffness_rear = 60e3
 """  # the six numbers of the prediction model are all that a file must hold
 
-PAPER_TABLE = {
-    "mass": 1575,
-    "yaw_inertia": 2875,
-    "lf": 1.2,
-    "lr": 1.6,
-    "stiffness_front": 19000,
-    "stiffness_rear": 33000,
-}
+PAPER_TABLE = dict(mass=1575, yaw_inertia=2875, lf=1.2, lr=1.6, stiffness_front=19000, stiffness_rear=33000)
 
 
 def car(**changes) -> Vehicle:
@@ -56,16 +48,8 @@ def car(**changes) -> Vehicle:
 
 
 def tyre(**changes) -> Tyre:
-    return Tyre(
-        **{
-            "name": "test",
-            "kind": "linear",
-            "stiffness_front": 8e4,
-            "stiffness_rear": 9e4,
-            "nominal_load": 4e3,
-            **changes,
-        }
-    )
+    numbers = {"stiffness_front": 8e4, "stiffness_rear": 9e4, "nominal_load": 4e3}
+    return Tyre(**({"name": "test", "kind": "linear"} | numbers | changes))
 
 
 def car_of(mass, lf, lr, index, front, rear):
@@ -105,13 +89,10 @@ class TestNamedSets:
     def test_every_named_vehicle_and_tyre_loads_and_a_model_has_the_stiffness_of_its_tyres_at_rest(self):
         assert {"paper", "midsize-sedan", "compact-ev", "van"} <= set(list_vehicles())
         assert {"magic-formula", "constant-stiffness", "passenger-car"} <= set(list_tyres())
-        for name in list_tyres():
-            assert load_tyre(name).name == name
-            assert load_tyre(name).description
-        for name in list_vehicles():
-            vehicle = load_vehicle(name)
-            assert vehicle.name == name
-            assert vehicle.description
+        for load, listed in ((load_tyre, list_tyres()), (load_vehicle, list_vehicles())):
+            assert [load(name).name for name in listed] == list(listed)
+            assert all(load(name).description for name in listed)
+        for vehicle in map(load_vehicle, list_vehicles()):
             matched = vehicle.matched_to(load_tyre(vehicle.tyre))
             stiffness = (vehicle.stiffness_front, vehicle.stiffness_rear)
             assert stiffness == pytest.approx((matched.stiffness_front, matched.stiffness_rear), rel=1e-3)
@@ -166,7 +147,7 @@ class TestNamedSets:
         ours, base, scale = load_tyre("van"), load_tyre("passenger-car"), 875 / 800
         for load in (3000.0, 5305.0, 7200.0):
             mine, theirs = ours.stiffness_at(load, load), base.stiffness_at(load / scale, load / scale)
-            assert mine == pytest.approx([scale * each for each in theirs], rel=1e-3)
+            assert mine == pytest.approx([scale * their for their in theirs], rel=1e-3)
 
 
 class TestFields:
@@ -197,10 +178,14 @@ class TestFields:
         vehicle = car(mass=np.float64(1200), lf=np.float32(1.5), lr=np.int64(1))
         assert (vehicle.mass, vehicle.lf, vehicle.lr) == (1200, 1.5, 1)
 
-    def test_sets_survive_pickling_and_json(self):
-        for record in (load_vehicle("paper"), load_tyre("passenger-car"), SteeringActuator.ideal()):
+    def test_sets_survive_their_file_pickling_and_json(self, tmp_path):
+        sets = [*map(load_vehicle, list_vehicles()), *map(load_tyre, list_tyres()), SteeringActuator.ideal()]
+        for record in sets:
             assert pickle.loads(pickle.dumps(record)) == record
             assert type(record).model_validate_json(record.model_dump_json()) == record
+            record.to_toml(tmp_path / "copy.toml")
+            name = {"name": record.name} if isinstance(record, Vehicle) else {}  # a car is named after its file
+            assert build(type(record), read_toml(tmp_path / "copy.toml") | name, "copy") == record
 
     @pytest.mark.parametrize("name", sorted(PAPER_TABLE))
     def test_the_prediction_model_takes_positive_finite_numbers_only(self, name):
@@ -231,27 +216,24 @@ class TestFields:
 
 class TestTyre:
     def test_each_law_has_the_nominal_stiffness_at_the_nominal_load_and_linear_follows_it(self):
-        assert tyre(stiffness_load="digressive", digressive_load_ratio=1.8).stiffness_at(4e3, 4e3) == pytest.approx(
-            (8e4, 9e4), rel=1e-12
-        )
+        digressive = tyre(stiffness_load="digressive", digressive_load_ratio=1.8)
+        assert digressive.stiffness_at(4e3, 4e3) == pytest.approx((8e4, 9e4), rel=1e-12)
         assert tyre(stiffness_load="constant").stiffness_at(1e3, 9e3) == (8e4, 9e4)
         assert tyre(stiffness_load="linear").stiffness_at(1e3, 8e3) == (2e4, 18e4)
 
     @given(ratio=st.floats(0.5, 5), load=st.floats(10, 2e4))
     def test_digressive_is_pacejkas_sine_and_peaks_at_its_ratio(self, ratio, load):
-        own = tyre(stiffness_load="digressive", digressive_load_ratio=ratio)
+        digressive = tyre(stiffness_load="digressive", digressive_load_ratio=ratio)
         pacejka = math.sin(2 * math.atan(load / 4e3 / ratio)) / math.sin(2 * math.atan(1 / ratio))
-        assert own.stiffness_at(load, load)[0] == pytest.approx(8e4 * pacejka, rel=1e-9)
-        assert own.stiffness_at(load, load)[0] <= own.stiffness_at(4e3 * ratio, 4e3)[0] * (1 + 1e-12)
+        assert digressive.stiffness_at(load, load)[0] == pytest.approx(8e4 * pacejka, rel=1e-9)
+        assert digressive.stiffness_at(load, load)[0] <= digressive.stiffness_at(4e3 * ratio, 4e3)[0] * (1 + 1e-12)
 
 
 class TestActuator:
-    def test_ideal_has_no_lag_and_no_rate_limit_and_reads_back(self, tmp_path):
+    def test_ideal_has_no_lag_and_no_rate_limit(self):
         ideal = SteeringActuator.ideal()
         assert (ideal.lag, ideal.rate) == (0, math.inf)
         assert ideal.limit >= math.pi / 6  # the MPC's own bound stays the tighter one
-        ideal.to_toml(tmp_path / "ideal.toml")
-        assert build(SteeringActuator, read_toml(tmp_path / "ideal.toml"), "ideal") == ideal
 
     @pytest.mark.parametrize(
         ("make", "words"),
@@ -341,26 +323,26 @@ class TestPackPlant:
             wind_angle_limit=0.33, rolling_resistance=0.014, engine_power=95e3, traction_limit=7e3,
             brake_limit=14e3, drive_front=0.61, brake_front=0.71,
         )  # fmt: skip
-        own = tyre(
+        slick = tyre(
             kind="magic-formula", stiffness_load="digressive", digressive_load_ratio=2.2, shape=1.36,
             curvature=-0.4, friction_load_sensitivity=0.17, relaxation_length=0.45,
         )  # fmt: skip
-        return vehicle, own, SteeringActuator(lag=0.15, rate=0.5, limit=0.52)
+        return vehicle, slick, SteeringActuator(lag=0.15, rate=0.5, limit=0.52)
 
     def test_each_number_reaches_its_own_slot(self):
         from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 
-        vehicle, own, actuator = self.distinct()
-        packed = pack_plant(vehicle, own, actuator)
+        vehicle, slick, actuator = self.distinct()
+        packed = pack_plant(vehicle, slick, actuator)
         assert packed.shape == (len(PLANT_PARAMETERS),)
         assert packed.dtype == np.float64
         assert packed.flags.c_contiguous
         assert len(set(packed)) >= len(packed) - 1  # nearly all distinct (0 twice: Magic Formula, s0)
         for name, value in zip(PLANT_PARAMETERS, packed, strict=True):
             if name in OTHER_SLOTS:
-                expected = OTHER_SLOTS[name](vehicle, own, actuator)
+                expected = OTHER_SLOTS[name](vehicle, slick, actuator)
             else:
-                expected = getattr(own if name in Tyre.model_fields else vehicle, name)
+                expected = getattr(slick if name in Tyre.model_fields else vehicle, name)
             assert value == expected, name
 
     @pytest.mark.parametrize("kind", ["vehicle", "tyre", "actuator"])
@@ -377,18 +359,6 @@ class TestPackPlant:
         elsewhere = {"vehicle": {"stiffness_front", "stiffness_rear"}, "actuator": {"dead_time", "bias"}}  # the loop's
         assert dead == elsewhere.get(kind, set())
 
-    def test_kernels_use_the_same_gravity(self):
-        from adaptrack.core.plants import forces
-
-        assert forces.GRAVITY == GRAVITY
-
-    def test_describing_a_car_and_a_scenario_loads_no_compiler(self, run_python):
-        loaded = run_python(
-            code="import sys; from adaptrack.cars.vehicle import load_vehicle; load_vehicle('paper');"
-            "from adaptrack.scenario import load_scenario; load_scenario('general-trajectory'); print(*sys.modules)"
-        )
-        assert not {"numba", "llvmlite", "scipy", "matplotlib", "sklearn"} & set(loaded.split())
-
 
 class TestPage:
     @pytest.fixture
@@ -401,13 +371,6 @@ class TestPage:
         rows = [line.split("|")[1] for line in section.split("\n## ")[0].splitlines() if line.startswith("| `")]
         assert set(re.findall(r"`(\w+)`", " ".join(rows))) == set(model.model_fields)
         assert all(f"**`{name}`**" in page for name in (*list_vehicles(), *list_tyres()))
-
-    def test_the_examples_of_the_page_run_one_after_the_other(self, page, run_python, tmp_path):
-        (toml,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
-        (tmp_path / "my-car.toml").write_text(toml)
-        assert load_vehicle(tmp_path / "my-car.toml").name == "my-car"
-        run_python(code="\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL)), cwd=tmp_path)
-        assert load_vehicle(tmp_path / "my-car.toml") == load_vehicle("midsize-sedan").replace(name="my-car")
 
     def test_the_refusal_shown_on_the_page_is_the_real_one(self, page, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
@@ -448,14 +411,6 @@ class TestOwnFiles:
         assert load_vehicle(path) == vehicle.replace(name="any", description=text)
         assert re.search(r"^yaw_inertia = .*  # kg m\^2", path.read_text(), re.MULTILINE)
 
-    def test_named_sets_read_back_equal(self, tmp_path):
-        for name in list_vehicles():
-            load_vehicle(name).to_toml(tmp_path / "copy.toml")
-            assert load_vehicle(tmp_path / "copy.toml") == load_vehicle(name).replace(name="copy")
-        for name in list_tyres():
-            load_tyre(name).to_toml(tmp_path / "copy.toml")
-            assert load_tyre(tmp_path / "copy.toml") == load_tyre(name)
-
     def test_a_car_may_say_what_is_known_of_its_steering(self, tmp_path):
         path = self.write(tmp_path, OWN_CAR + "[steering]\nlag = 0.2\nratio = 15\n")
         steering = load_vehicle(path).steering
@@ -468,18 +423,21 @@ class TestOwnFiles:
     @pytest.mark.parametrize(
         ("line", "message"),
         [
-            ("mas = 3.0", r"mas: unknown key. Did you mean 'mass'\?"),
             ("colour = 'red'", r"colour: unknown key. Known: 'air_density', .*'yaw_moment_slope'\."),
             ("cg_height = -0.5", r"cg_height = -0.5: must be a finite number >= 0 and <= 5 \(m, centre of gravity"),
-            ("track_front = '1.5'", r"track_front = '1.5': must be a finite number > 0 and <= 10 \(m, "),
             ("wind_angle_limit = 17", r"wind_angle_limit = 17: must be a finite number > 0 and <= 1.5708 \(rad"),
             ("tyre = 'pasenger-car'", r"tyre = 'pasenger-car': unknown tyre. Did you mean 'passenger-car'\?"),
             ("tyre = 'nowhere.toml'", r"tyre = '.*nowhere.toml': no such file"),
             ("name = ''", r"name = ''"),
             ("mass = 3", r"mine.toml.*: not valid TOML"),
             ("[steering]\nlagg = 0.2", r"steering.lagg: unknown key. Did you mean 'lag'\?"),
-            ("[steering]\ndead_time = -1", r"steering.dead_time = -1: must be a finite number >= 0 and <= 10 \(s, "),
             ("[steering]\nrate = inf", r"steering.rate = inf: must be a finite number > 0 and <= 100 \(rad/s, "),
+            ("[known_within]\nmass = 0.9", "known_within.mass = 0.9: must be a finite number >= 1"),
+            ("[known_within]\nlf = -0.1", "known_within.lf = -0.1: must be a finite number >= 0"),
+            ("[domain]\nspeed = [9.0, 4.0]", "speed = .9, 4.: need 0 < lowest"),
+            ("[domain]\nfriction = [0.0, 1.0]", "friction"),
+            ("[domain]\nlane_width = 0.0", "domain.lane_width"),
+            ("estimated = ['masses']", "'masses' is no number of a car. Did you mean 'mass'"),
         ],
     )
     def test_an_impossible_line_is_named_with_file_key_value_and_remedy(self, tmp_path, line, message):
@@ -498,12 +456,6 @@ class TestOwnFiles:
         for key in ("mas", "mass", "yaw_inertia", "lf", "lr", "tyre", "stiffness_front", "brake_front"):
             assert re.search(rf"^  {key}( = |: )", message, re.MULTILINE), key
 
-    @pytest.mark.parametrize("path", ["absent.toml", "."])
-    def test_a_file_that_cannot_be_read_is_a_storage_error(self, tmp_path, path):
-        with pytest.raises(StorageError, match="cannot be read") as caught:
-            load_vehicle(tmp_path / path)
-        assert isinstance(caught.value, AdaptrackError)
-
 
 class Step(Record):
     kind: Literal["step"] = "step"
@@ -518,7 +470,7 @@ class Table(Record):
 class Drive(BaseModel):  # a plain pydantic model will do as well
     model_config = ConfigDict(extra="forbid")
     shape: Annotated[Step | Table, Field(discriminator="kind")]
-    more: list[Step] = []
+    steps: list[Step] = []
     repeat: int | None = None
 
 
@@ -534,19 +486,15 @@ class TestTomlFiles:
             ({"shape": 3}, r"shape = 3: "),
             ({}, r"f: shape: missing"),
             ([1], r"f: expected a table of keys, got \[1\]"),
-            ({"shape": {"kind": "step", "amplitude": 1}, "more": [{"amplitude": 1}, {"amplitude": 0}]},
-             r"more\[1\].amplitude = 0: must be a finite number > 0"),
+            ({"shape": {"kind": "step", "amplitude": 1}, "steps": [{"amplitude": 1}, {"amplitude": 0}]},
+             r"steps\[1\].amplitude = 0: must be a finite number > 0"),
             ({"shape": {"kind": "step", "amplitude": 1}, "repeat": 1.5}, r"repeat = 1.5: must be a whole number"),
-            ({"shape": {"kind": "step", "amplitude": 1}, "repeet": 1}, r"repeet: unknown key. Did you mean 'repeat'"),
+            ({"shape": {"kind": "step", "amplitude": "x" * 10_000}}, r"shape.amplitude = 'xxx"),
         ],
     )  # fmt: skip
     def test_problems_in_nested_tables_are_named_by_their_place(self, data, message):
-        with pytest.raises(ConfigError, match=message):
+        with pytest.raises(ConfigError, match=message) as caught:
             build(Drive, data, "f")
-
-    def test_a_very_long_value_is_quoted_in_part(self):
-        with pytest.raises(ConfigError) as caught:
-            build(Tyre, {"kind": "x" * 10_000}, "f")
         assert len(str(caught.value)) < 2000
 
     def test_written_tables_read_back(self, tmp_path):
@@ -557,39 +505,3 @@ class TestTomlFiles:
         assert read_toml(tmp_path / "f.toml") == data
         assert "a = 1  # kg, mass\n" in (tmp_path / "f.toml").read_text()
         assert dump_toml({}) == ""
-
-    def test_a_failed_write_leaves_the_old_file_and_nothing_else(self, tmp_path, monkeypatch):
-        path = tmp_path / "car.toml"
-        car().to_toml(path)
-        before = path.read_bytes()
-
-        def fail(*_):
-            raise OSError(28, "No space left on device")
-
-        monkeypatch.setattr(os, "replace", fail)
-        with pytest.raises(StorageError, match=r"car.toml: cannot be written: No space left on device"):
-            car(mass=2000).to_toml(path)
-        assert path.read_bytes() == before
-        assert os.listdir(tmp_path) == ["car.toml"]
-
-    def test_an_interrupted_write_leaves_nothing_half_written(self, tmp_path, monkeypatch):
-        def interrupt(*_):
-            raise KeyboardInterrupt
-
-        monkeypatch.setattr(os, "fsync", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            car().to_toml(tmp_path / "car.toml")
-        assert os.listdir(tmp_path) == []
-
-    def test_a_place_that_cannot_be_written_is_a_storage_error(self, tmp_path):
-        (tmp_path / "file").write_text("")
-        for place in (tmp_path / "absent" / "car.toml", tmp_path / "file" / "car.toml", tmp_path):
-            with pytest.raises(StorageError, match="cannot be written"):
-                car().to_toml(place)
-        assert os.listdir(tmp_path) == ["file"]
-
-    def test_writing_through_a_link_keeps_the_link(self, tmp_path):
-        (tmp_path / "link.toml").symlink_to(tmp_path / "real.toml")
-        car().to_toml(tmp_path / "link.toml")
-        assert (tmp_path / "link.toml").is_symlink()
-        assert load_vehicle(tmp_path / "real.toml") == car(name="link")

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("llvmlite", reason="what builds the kernels")
 from adaptrack.core import library
 from adaptrack.core.build.emission import emit
-from adaptrack.core.build.page import CALLED, MEMBERS
+from adaptrack.core.build.page import CALLED, PAGE_MEMBERS
 from adaptrack.core.build.wasm_link import STACK, linked
 from programs import find_program
 
@@ -72,5 +72,5 @@ def test_the_module_of_the_page_has_what_the_page_calls_and_nothing_else(tmp_pat
     imports, exports = json.loads(output)
     assert imports == []
     assert sorted(exports) == sorted(
-        ["memory", "__indirect_function_table", *(f"adaptrack_{name}" for name in (*CALLED, *MEMBERS))]
+        ["memory", "__indirect_function_table", *(f"adaptrack_{name}" for name in (*CALLED, *PAGE_MEMBERS))]
     )

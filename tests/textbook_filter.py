@@ -10,10 +10,17 @@ import math
 import numpy as np
 from scipy.linalg import expm
 
-from adaptrack.cars.vehicle import GRAVITY, in_periods
+from adaptrack.cars.vehicle import split_periods
 from adaptrack.control.kalman import SENSORS
-from adaptrack.core.estimators.kalman import FAR, FAR_IN_A_ROW, FAR_TURNED, LEAST_NOISE, UNKNOWN
-from adaptrack.core.models.path import MOST_SHARE, SLOWEST
+from adaptrack.core.estimators.kalman import (
+    LEAST_NOISE,
+    MAX_OUTLIER_DISTANCE,
+    MAX_OUTLIER_TURN,
+    RESTART_OUTLIERS,
+    UNKNOWN_VARIANCE,
+)
+from adaptrack.core.models.path import MIN_SLIP_SPEED, MOST_SHARE
+from adaptrack.core.plants.forces import GRAVITY
 
 POSE = ("yaw", "y")
 
@@ -26,7 +33,7 @@ class TextbookFilter:
 
     def __init__(self, estimator, model):
         self.own, self.model, self.n, self.late = estimator, model, model.n, estimator.late(model)
-        self.whole, self.share = in_periods(model.dead_time, model.period)
+        self.whole, self.share = split_periods(model.dead_time, model.period)
         offsets = ("offset",) if estimator.noise.yaw_rate_offset > 0.0 else ()
         self.names = (*model.states, "side", "turn", *offsets)
         self.size = len(self.names)
@@ -63,7 +70,9 @@ class TextbookFilter:
             for name in ("vy", "yaw", "yaw_rate", "y")
             if math.isfinite(self.variances[name]) and math.isfinite(measured[SENSORS.index(name)])
         }
-        variances = dict.fromkeys(self.model.states, UNKNOWN) | {name: self.variances[name] for name in initial}
+        variances = dict.fromkeys(self.model.states, UNKNOWN_VARIANCE) | {
+            name: self.variances[name] for name in initial
+        }
         variances |= {"wheel_angle": settings.drifts.wheel_angle**2 * self.model.period, "offset": offset**2}
         variances |= {"side": side**2, "turn": turn**2, "yaw_rate": variances["yaw_rate"] + offset**2}
         self.z, self.P = self.row(**initial, wheel_angle=command), np.diag(self.row(**variances))
@@ -78,9 +87,9 @@ class TextbookFilter:
         """Whether position or heading have been elsewhere for so long that bounded innovations would not help."""
         y, yaw = measured[SENSORS.index("y")], measured[SENSORS.index("yaw")]
         if self.z is not None and math.isfinite(y) and math.isfinite(yaw):
-            is_far = abs(y - self.z[self.n - 1]) > FAR or abs(yaw - self.z[1]) > FAR_TURNED
+            is_far = abs(y - self.z[self.n - 1]) > MAX_OUTLIER_DISTANCE or abs(yaw - self.z[1]) > MAX_OUTLIER_TURN
             self.far = self.far + 1 if is_far else 0
-        return self.far >= FAR_IN_A_ROW
+        return self.far >= RESTART_OUTLIERS
 
     def sort_in(self, measured):
         """Give each sample to the instant at which it was taken: value, and how much earlier (s) than that."""
@@ -134,7 +143,7 @@ class TextbookFilter:
 
     def forces(self, speed, command):
         """(2,) N, of the axles in the model."""
-        v, speed, z = self.model.vehicle, max(speed, SLOWEST), dict(zip(self.names, self.z, strict=True))
+        v, speed, z = self.model.vehicle, max(speed, MIN_SLIP_SPEED), dict(zip(self.names, self.z, strict=True))
         vy, r = z["vy"], z["yaw_rate"]
         slips = np.array([z.get("wheel_angle", command) - (vy + v.lf * r) / speed, -(vy - v.lr * r) / speed])
         return 2.0 * np.array([v.stiffness_front, v.stiffness_rear]) * slips

@@ -22,7 +22,9 @@ import adaptrack as at
 from adaptrack.control.controllers import preview_lqr
 from adaptrack.drive.simulate import rollout
 
-preview_lqr.SPEEDS = preview_lqr.SPEEDS[::10]  # fewer gains: in plain Python a Riccati equation takes milliseconds
+preview_lqr.GAIN_SPEEDS = preview_lqr.GAIN_SPEEDS[
+    ::10
+]  # fewer gains: in plain Python a Riccati equation takes milliseconds
 
 
 def controllers():

@@ -198,7 +198,7 @@ def bench_rollout(conditions: int = 150, threads: int | None = None) -> dict[str
     def rate(varying: bool, workers: int) -> float:
         tests = [scenario(varying) for _ in range(conditions)]
         begun = time.perf_counter()
-        done = rollout_batch(plant, mpc, tests, tunings, which=which, threads=workers, failure=NEVER)
+        done = rollout_batch(plant, mpc, tests, tunings, scenario_indices=which, threads=workers, failure=NEVER)
         return float(done.steps.sum() / (time.perf_counter() - begun))
 
     rate(False, threads)  # warm
@@ -427,7 +427,7 @@ def _rollout_rate(controller: str, cars: int) -> float:
     law = at.get_controller(controller, car, profile="road", period=0.05, preview=True)
     begun = time.perf_counter()
     batch = rollout_batch(
-        plant, law, drive, which=np.zeros(cars, int), profile="road", seeds=np.arange(cars), threads=1
+        plant, law, drive, scenario_indices=np.zeros(cars, int), profile="road", seeds=np.arange(cars), threads=1
     )  # fmt: skip
     return float(batch.steps.sum() / (time.perf_counter() - begun))
 

@@ -14,7 +14,7 @@ from sphinx.application import Sphinx
 from sphinx.util import typing as sphinx_typing
 
 from adaptrack.base import checked
-from adaptrack.base.limits import Limit
+from adaptrack.base.limits import RequestLimit
 
 _stringify = sphinx_typing.stringify_annotation
 _SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
@@ -45,7 +45,7 @@ def _words(metadata: tuple[Any, ...]) -> list[str]:
                 for name, sign in _SIGNS
                 if getattr(bound, name, None) is not None
             ]
-        elif isinstance(each, Limit):
+        elif isinstance(each, RequestLimit):
             found.append(f"<= {each.most:,}")
     return found + [each for each in metadata if isinstance(each, str)]
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack.core.public import (
-    MOTION,
+    MOTION_STATES,
     PLANT_INPUT,
     Caller,
     PlantState,
@@ -50,7 +50,7 @@ MB_STATES = (
     "joint_front", "joint_rear",
 )  # fmt: skip
 """The multi-body model's states behind those six: rad, m and s; z downwards; joints: lateral, m."""
-_MOTION = PlantState._fields[:MOTION]
+_MOTION = PlantState._fields[:MOTION_STATES]
 OWN = columns(*_MOTION, *DRIFT_STATES)
 """Our states of the drift model, the first ones of both."""
 STD = columns("x", "y", "steering", "speed", "yaw", "yaw_rate", "sideslip", *DRIFT_STATES)

@@ -8,10 +8,11 @@ from typing import Any, Self
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import GRAVITY, Steering, Tyre, Vehicle, load_tyre
+from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, load_tyre
 from adaptrack.control.controllers.belief import Belief
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.controllers.setup import world_and_belief
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.scenario.profile import Profile
 
 LINEAR_PEAK = 1e9

@@ -8,10 +8,10 @@ from functools import cache
 from typing import Any
 
 import mppi_kernel as kernel
-from adaptrack.base.checked import checked, real, whole
+from adaptrack.base.checked import checked, real, whole_number
 from adaptrack.base.errors import InvalidInput, MissingExtra
-from adaptrack.cars.vehicle import Steering, Tyre, VehicleArgument, in_periods
-from adaptrack.control.controllers.base import DECADES, FIXED, Bounds, CompiledController
+from adaptrack.cars.vehicle import Steering, Tyre, VehicleArgument, split_periods
+from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.registry import register_controller
 from adaptrack.core.public import LAW_SIGNATURE, compiles, member
@@ -51,9 +51,9 @@ class MPPI(CompiledController):
     """
 
     # only the ratios to q_e count
-    tuning_bounds: Mapping[str, Bounds] = {
-        "temperature": DECADES, "spread": Bounds(0.1, 10.0, relative=True), "q_e": FIXED, "q_course": DECADES,
-        "r": DECADES,
+    tuning_bounds: Mapping[str, TuningBounds] = {
+        "temperature": TWO_DECADES, "spread": TuningBounds(0.1, 10.0, relative=True), "q_e": FIXED_TUNING,
+        "q_course": TWO_DECADES, "r": TWO_DECADES,
     }  # fmt: skip
 
     @checked
@@ -88,17 +88,17 @@ class MPPI(CompiledController):
                 f"{self.car.period:g} to {MOST_STAGES * self.car.period:g} s."
             )
         self.stages = round(self.horizon / self.car.period)
-        self.samples = whole("MPPI", "samples", samples)
+        self.samples = whole_number("MPPI", "samples", samples)
         if self.samples % (2 * kernel.LANES) or self.samples > MOST_SAMPLES:
             raise InvalidInput(
                 f"MPPI: samples = {samples!r}: must be a multiple of {2 * kernel.LANES}, {MOST_SAMPLES} at most."
             )
-        self.rounds = whole("MPPI", "rounds", rounds)
-        self.seed = whole("MPPI", "seed", seed, least=0)
+        self.rounds = whole_number("MPPI", "rounds", rounds)
+        self.seed = whole_number("MPPI", "seed", seed, least=0)
         if self.rounds > MOST_ROUNDS or self.seed >= 2**53:
             raise InvalidInput(f"MPPI: rounds = {rounds!r}, seed = {seed!r}: {MOST_ROUNDS} rounds, seeds below 2^53.")
         self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
-        self._dead = in_periods(self.car.belief.delay, self.car.period)
+        self._dead = split_periods(self.car.belief.delay, self.car.period)
         self.memory_size = int(kernel.memory_size(self._dead[0], self.stages, self.samples // 2))
         super().__init__(
             {"temperature": temperature, "spread": spread, "q_e": q_e, "q_course": q_course, "r": r},

@@ -26,8 +26,8 @@ from __future__ import annotations
 import math
 
 from adaptrack.core.public import (
-    COMMON,
-    SLOWEST,
+    COMMON_PARAMETERS,
+    MIN_LAW_SPEED,
     all_finite,
     clip,
     cos,
@@ -56,7 +56,7 @@ TUNING = ("temperature", "spread", "q_e", "q_course", "r")
 """lambda (m^2 s); standard deviation of the sampled steering rate (rad/s); weights of the squared offset (1), of the
 squared angle between velocity and path (m^2/rad^2) and of the squared steering rate (m^2 s^2/rad^2)."""
 PARAMETERS = (
-    *COMMON,
+    *COMMON_PARAMETERS,
     "pairs",  # of samples, a multiple of `LANES`
     "stages",  # control periods of the horizon
     "rounds",  # of sampling in a step
@@ -352,7 +352,7 @@ def mppi(situation, reference, road, tuning, parameters, memory, answer):
     memory[last] = 0.0
     wanted = effective = best = math.nan
     if all_finite(situation) and all_finite(tuning):
-        v = max(s.speed, SLOWEST)
+        v = max(s.speed, MIN_LAW_SPEED)
         curvature = path_at(reference, road, 0.0, v, p.period).curvature if p.pose_age > 0.0 else 0.0
         start = _when_it_acts(_now(s, v, curvature, p, memory), v, p, memory)
         _look_ahead(reference, road, v, p, at, memory)

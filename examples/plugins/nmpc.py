@@ -23,11 +23,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import checked, real, whole
+from adaptrack.base.checked import checked, real, whole_number
 from adaptrack.base.errors import InvalidInput, MissingExtra
-from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, VehicleArgument, in_periods
+from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, VehicleArgument, split_periods
 from adaptrack.control.controllers.base import Array, Command, Controller
-from adaptrack.control.controllers.informed import HORIZON, informed_tuning
+from adaptrack.control.controllers.informed import HORIZON_DURATION, informed_tuning
 from adaptrack.control.controllers.inputs import finite, number, road_ahead, vector
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.control.controllers.registry import register_controller
@@ -110,7 +110,7 @@ class NMPC(Controller):
         q_e: float = 1.0,
         q_course: float = 0.0,
         R: float | None = None,
-        horizon: float = HORIZON,
+        horizon: float = HORIZON_DURATION,
         iterations: int = 1,
         period: float | None = None,
         limits: LimitsArgument | None = None,
@@ -130,14 +130,14 @@ class NMPC(Controller):
                 f"NMPC: horizon = {horizon!r} s: must be from one control period to {MOST_STAGES} of them, "
                 f"{self.period:g} to {MOST_STAGES * self.period:g} s."
             )
-        self.stages, self.iterations = round(self.horizon / self.period), whole("NMPC", "iterations", iterations)
+        self.stages, self.iterations = round(self.horizon / self.period), whole_number("NMPC", "iterations", iterations)
         self.limits = self.car.limits if limits is None else limits
         if not isinstance(self.limits, Limits):
             raise InvalidInput(f"NMPC: limits = {limits!r}: must be Limits(move=(low, high), angle=(low, high)).")
         self.preview = self.car.profile.preview if preview is None else bool(preview)
-        self._dead = in_periods(self.car.belief.delay, self.period)
+        self._dead = split_periods(self.car.belief.delay, self.period)
         self._model = PathModel(self.car.vehicle, self.period, self.car.belief.lag.value, self.car.belief.delay)
-        self._filter = KalmanFilter.of_profile(self.car.profile)
+        self._filter = KalmanFilter.from_profile(self.car.profile)
         self._prepare()
         self.reset()
 
@@ -313,24 +313,24 @@ class NMPC(Controller):
         self._begun = self._begun or bool(np.isfinite(now).all())
         if not np.isfinite(now).all():
             return now, pushes
-        whole, share = self._dead
+        whole_number, share = self._dead
         here = path.curvature[0] if road is None else float(road.road.at(np.array([road.station])).curvature[0])
         p = np.array([v, here, 0.0, 0.0])
         self._predicted = self._over_a_period(now, p)
         x = now
         if share > 0.0:
-            x = self._drive(x, self._sent[whole], p, share * self.period)
-        for j in range(whole - 1, -1, -1):
+            x = self._drive(x, self._sent[whole_number], p, share * self.period)
+        for j in range(whole_number - 1, -1, -1):
             x = self._drive(x, self._sent[j], p, self.period)
         return x, pushes
 
     def _over_a_period(self, x: Array, p: Array) -> Array:
         """x a period on: in it first the older, then the newer of two commands on their way acts."""
-        whole, share = self._dead
-        if whole == 0:  # the command of this step acts soon; nobody knows it yet
+        whole_number, share = self._dead
+        if whole_number == 0:  # the command of this step acts soon; nobody knows it yet
             return self._drive(x, self._sent[0], p, self.period)
-        before = self._drive(x, self._sent[whole], p, share * self.period) if share > 0.0 else x
-        return self._drive(before, self._sent[whole - 1], p, (1.0 - share) * self.period)
+        before = self._drive(x, self._sent[whole_number], p, share * self.period) if share > 0.0 else x
+        return self._drive(before, self._sent[whole_number - 1], p, (1.0 - share) * self.period)
 
     def _drive(self, x: Array, u: float, p: Array, time: float) -> Array:
         return np.asarray(self._step(x, u, p, time)).reshape(-1)

@@ -13,7 +13,7 @@ import numpy as np
 from adaptrack import MPC, DualTrack, Learning, load_road, load_vehicle, plan_speed, published_mpc
 from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.core import library
-from adaptrack.core.controllers.mpc import ANSWER
+from adaptrack.core.controllers.mpc import MPC_ANSWER
 from adaptrack.export.c_library import export_c
 from adaptrack.export.recorded import DRIVEN_SHARE, record_drive
 from adaptrack.export.tracking import tracking_block
@@ -102,7 +102,7 @@ class Program:
         rows[:, :10] = samples
         np.concatenate([np.array([self.count], np.int64), rows.ravel().view(np.int64)]).tofile(folder / "samples")
         block = tracking_block(controller)
-        at = block.words["step.mpc.answer"] + ANSWER.qp_iterations if "step.mpc.answer" in block.words else 0
+        at = block.words["step.mpc.answer"] + MPC_ANSWER.qp_iterations if "step.mpc.answer" in block.words else 0
         self.given = ["-std=gnu11", "-O2", "-ffunction-sections", "-fdata-sections", f"-DQP_ITERATIONS={at}",
                       *[f"-I{self.made.folder}/{folder}" for folder in (".", "include", "src")], str(HERE / "board.c"),
                       *map(str, sorted((self.made.folder / "src").glob("*.c")))]  # fmt: skip

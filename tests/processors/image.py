@@ -15,7 +15,7 @@ from adaptrack.core.controllers.mpc_step import step as mpc_step
 from adaptrack.core.kernel import EXPORTED, Array, float64
 from adaptrack.core.maths.values import elementary_values
 from adaptrack.core.synthesis.informed import informed_constants, informed_parts
-from adaptrack.core.synthesis.laws import LQR, lqr_parameters
+from adaptrack.core.synthesis.laws import LQR_NUMBERS, lqr_parameters
 
 ELEMENTARY, COPY, STEP, BEGIN, DRIVE, TELL, MAKE, GAINS = range(8)
 
@@ -113,7 +113,7 @@ def run(image, library):
             parts(base + 8 * a, base + 8 * b)
             constants(base + 8 * a, base + 8 * b, base + 8 * c)
         elif operation == GAINS:
-            gains(base + 8 * a, base + 8 * b, base + 8 * c, 4, base + 8 * d, LQR)
+            gains(base + 8 * a, base + 8 * b, base + 8 * c, 4, base + 8 * d, LQR_NUMBERS)
         else:
             answers.append(memory[a : a + b].copy())
     return np.concatenate(answers)

@@ -12,9 +12,9 @@ static void say_nothing(void *record, size_t size) {
 
 int main(int count, char **names) {
     static struct adaptrack_synthesis_informed_Order order;
-    static struct adaptrack_synthesis_informed_Parts parts;
+    static struct adaptrack_synthesis_informed_InformedParts parts;
     static struct adaptrack_synthesis_informed_Constants all;
-    static struct adaptrack_controllers_mpc_Settings settings;
+    static struct adaptrack_controllers_mpc_MPCSettings settings;
     static double tuning[4], model[7], turning[7], estimator[100], learner[120], fresh[10000];
     static int64_t states[5];
     adaptrack_word sizes[3];
@@ -24,7 +24,7 @@ int main(int count, char **names) {
     say_nothing(&order.car, sizeof order.car);
     order.car.mass = 1500.0;
     if (adaptrack_complete_car(2.7, 0.0, 0, &order.car, &order.within)) return 2;
-    say_nothing(&order.given, 3 * sizeof order.given); /* nobody says anything of the steering */
+    say_nothing(&order.caller, 3 * sizeof order.caller); /* nobody says anything of the steering */
     say_nothing(&order.start, sizeof order.start);
     order.world.period = 0.05;
     order.world.computation = 0.0;

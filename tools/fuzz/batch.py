@@ -15,7 +15,7 @@ import numpy as np
 from adaptrack.control.controllers import MPC
 from adaptrack.control.estimation import NOTHING_MEASURED
 from adaptrack.control.qp import QPStatus
-from adaptrack.core.tracker.records import STANDING
+from adaptrack.core.tracker.records import STANDSTILL_SPEED
 from tools.fuzz import inputs
 from tools.fuzz.inputs import LIES, Array, Case, Rng
 from tools.fuzz.search import Failed, Found
@@ -52,10 +52,10 @@ def _good_for(good: Array) -> Array:
 
 def _broken(mpc: MPC, answers: Array, speeds: Array, states: Array, references: Array, good: Array) -> tuple[int, str]:
     """The first step at which a claim does not hold, and the claim; -1: all hold."""
-    from adaptrack.core.controllers.mpc import ANSWER
+    from adaptrack.core.controllers.mpc import MPC_ANSWER
 
-    angle, move, held = (answers[:, i] for i in (ANSWER.command, ANSWER.command_change, ANSWER.held))
-    status, residual = answers[:, ANSWER.qp_status], answers[:, ANSWER.qp_residual]
+    angle, move, held = (answers[:, i] for i in (MPC_ANSWER.command, MPC_ANSWER.command_change, MPC_ANSWER.held))
+    status, residual = answers[:, MPC_ANSWER.qp_status], answers[:, MPC_ANSWER.qp_residual]
     (least, most), (down, up) = mpc.limits.angle, mpc.limits.move
     solved = status == QPStatus.SOLVED
     needed = np.isfinite(speeds)
@@ -63,16 +63,16 @@ def _broken(mpc: MPC, answers: Array, speeds: Array, states: Array, references: 
         needed &= np.isfinite(states[:, :4]).all(axis=1)
     needed &= np.isfinite(references).any(axis=1)
     if not mpc.is_published:
-        needed |= np.abs(speeds) < STANDING
+        needed |= np.abs(speeds) < STANDSTILL_SPEED
     late = solved | (_good_for(good) < SETTLED)
     claims = {
         "the command is finite": np.isfinite(angle),
         "the command is within its limits": (angle >= least - TINY) & (angle <= most + TINY),
         "held says whether the QP was solved": (held > 0.5) == ~solved,
-        "what is solved is certified": ~solved | (residual <= CERTIFIED) | (np.abs(speeds) < STANDING),
+        "what is solved is certified": ~solved | (residual <= CERTIFIED) | (np.abs(speeds) < STANDSTILL_SPEED),
         "what is not finite is not solved": ~solved | needed,
         "what is not finite leaves the command": (status != QPStatus.NON_FINITE) | (move == 0.0),
-        "what is learned is finite": np.isfinite(answers[:, len(ANSWER) :]).all(axis=1),
+        "what is learned is finite": np.isfinite(answers[:, len(MPC_ANSWER) :]).all(axis=1),
     }
     if not mpc.limits.ahead > 0.0:
         claims["moves are within their limits"] = (move >= down - 1e-9) & (move <= up + 1e-9)

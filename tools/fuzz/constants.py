@@ -27,7 +27,7 @@ from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import LQR, MPC, Controller, Learning, PurePursuit, Stanley, published_mpc
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core.tracker.records import LawTracking, Tracking
-from adaptrack.export.block import HEADER, PRELUDE, Block
+from adaptrack.export.block import BLOCK_HEADER, PRELUDE, Block
 from adaptrack.export.bounds import numbers_of
 from adaptrack.export.c_library import KERNELS_FILE, export_c, own_target
 from adaptrack.export.tracking import tracking_block
@@ -83,8 +83,8 @@ def _change(content: bytearray, rng: np.random.Generator) -> None:
 
 def _parts(content: bytearray) -> tuple[int, int, int]:
     """Bytes at which the tables, the resets and the data of a block begin."""
-    places, links, starts, runs, resets = HEADER.unpack_from(content, PRELUDE.size)[-5:]
-    first = PRELUDE.size + HEADER.size
+    places, links, starts, runs, resets = BLOCK_HEADER.unpack_from(content, PRELUDE.size)[-5:]
+    first = PRELUDE.size + BLOCK_HEADER.size
     tables = 8 * (places + links + runs) + 12 * starts
     tables += -tables % 8
     return first, min(first + tables, len(content)), min(first + tables + 16 * resets, len(content))

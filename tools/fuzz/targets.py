@@ -22,7 +22,7 @@ from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.qp import QPStatus, get_qp_solver, kkt_residuals
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.control.tracker import Status, Tracked, Tracker
-from adaptrack.core.tracker.records import LONGEST_GAP, STANDING
+from adaptrack.core.tracker.records import LONGEST_GAP, STANDSTILL_SPEED
 from adaptrack.road import Arc, Line, Road, SpeedPlan, generate_road, plan_speed
 from tools.fuzz import inputs
 from tools.fuzz.inputs import Array, Case, Rng
@@ -181,7 +181,7 @@ class MPCTarget:
         wrong = self.steering.wrong(before, told.angle) or self._status(told, state, speed, reference)
         if wrong is None and told.status is QPStatus.SOLVED:
             self.solved += 1
-            if self.solved % CHECKED_EACH == 0 and abs(speed) >= STANDING:
+            if self.solved % CHECKED_EACH == 0 and abs(speed) >= STANDSTILL_SPEED:
                 wrong = self._certificate()
         return wrong
 
@@ -208,7 +208,7 @@ class MPCTarget:
             return f"held = {told.held} with status {status.name}"
         if status is QPStatus.NON_FINITE and told.move != 0.0 and self._within(told.angle - told.move):
             return f"NON_FINITE, and the command moved by {told.move!r} rad"
-        if status is QPStatus.SOLVED and not (told.residual <= CERTIFIED or abs(speed) < STANDING):
+        if status is QPStatus.SOLVED and not (told.residual <= CERTIFIED or abs(speed) < STANDSTILL_SPEED):
             return f"SOLVED with a residual of {told.residual!r}"
         missing = self._missing(state, speed, reference)
         if missing and status is QPStatus.SOLVED:
@@ -228,7 +228,7 @@ class MPCTarget:
             return "the speed"
         if self.published and not _finite(state[:4]):
             return "the state"
-        if not self.published and abs(speed) < STANDING:
+        if not self.published and abs(speed) < STANDSTILL_SPEED:
             return None
         if not np.isfinite(reference).any():
             return "the reference"
@@ -360,7 +360,7 @@ class TrackerTarget:
             wrong = self.steering.wrong(before, told.command)
             if wrong:
                 return wrong
-        if told.status is Status.REVERSE and not self.tracker._kernel.memory[0].speed < -STANDING:
+        if told.status is Status.REVERSE and not self.tracker._kernel.memory[0].speed < -STANDSTILL_SPEED:
             return "reverse, and the car drives forwards"
         if told.status in (Status.OK, Status.ESTIMATED, Status.END) and not all(map(math.isfinite, told[2:5])):
             return f"status {told.status.value} with {told}"  # far off the path there is no foot

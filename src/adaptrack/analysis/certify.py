@@ -8,7 +8,7 @@ and, on request, driving straight with a car that differs from the one that the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache, partial
 from typing import Any, Literal
@@ -20,20 +20,19 @@ from adaptrack.analysis.linearisation import LinearPlant, Mismatch, Turn, laws, 
 from adaptrack.analysis.stability import Margins, hard_turn, margins
 from adaptrack.base.checked import real
 from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.base.limits import SPEED, check_limit
-from adaptrack.base.progress import tells
+from adaptrack.base.limits import MAX_SPEED, check_limit
+from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Scheduler, Tuning, read_tuning
 from adaptrack.control.scheduling import VARIABLES, Constant, Schedule, SchedulingVariables
 from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
 
 OPERATING = {name: (variable.low, variable.high) for name, variable in VARIABLES.items()}
 """The operating domain, by scheduling variable; a scheduler is certified where this and its own domain overlap."""
 Driving = Literal["straight", "turn"]
-DRIVING: tuple[Driving, ...] = ("straight", "turn")
+DRIVING_CASES: tuple[Driving, ...] = ("straight", "turn")
 """Ways of driving about which the loop is linearised, in the order of tables and maps."""
 _CELL = 64  # combinations, at most, of the inputs beside speed and friction, for each pair of those
 
@@ -151,7 +150,7 @@ class Certificate:
         return [
             {"guard": guard, "unstable": unstable, **self._point(sweep, driving, i)}
             for guard, sweep in sweeps
-            for driving in DRIVING
+            for driving in DRIVING_CASES
             for i, unstable in self._worst_of_cells(getattr(sweep, driving))
         ]
 
@@ -186,7 +185,7 @@ class Certificate:
                     **_finite(extremes(getattr(self.counted, driving))),
                     "worst": self.worst_points(1, driving=driving)[0],
                 }
-                for driving in DRIVING
+                for driving in DRIVING_CASES
             },
             "mismatched": self.mismatched_rows(),
         }
@@ -232,7 +231,7 @@ def certify(
     scheduler: Scheduler | Tuning, plant: Plant, mpc: MPC, profile: str | Profile = "road", *,
     domain: Mapping[str, tuple[float, float]] | None = None, levels: tuple[int, int] = (28, 5),
     turn: Turn = hard_turn, mismatches: Sequence[Mismatch] = (),
-    progress: Progress | None = None,
+    progress: ProgressCall | None = None,
 ) -> Certificate:  # fmt: skip
     """Stability and margins of the closed loop with the scheduler's tunings over its whole operating domain.
 
@@ -307,7 +306,7 @@ def _axes(
         if not -math.inf < low <= high < math.inf or number < 1:
             raise InvalidInput(f"certify: {name}: {number} levels from {low:g} to {high:g}: need finite low <= high.")
         axes[name] = np.linspace(low, high, number if high > low else 1)
-    check_limit("certify: speed", axes["speed"][-1], SPEED)
+    check_limit("certify: speed", axes["speed"][-1], MAX_SPEED)
     if not axes["friction"][0] > 0.0:
         raise InvalidInput(f"certify: friction = {axes['friction'][0]:g}: must be positive.")
     return axes
@@ -358,7 +357,7 @@ def _as_used(tunings: Array, mpc: MPC) -> Array:
 
 
 def _sweep(
-    points: Array, tunings: list[Array], mpc: MPC, plants: Sequence[LinearPlant], progress: Progress
+    points: Array, tunings: list[Array], mpc: MPC, plants: Sequence[LinearPlant], progress: ProgressCall
 ) -> list[list[Margins]]:
     """The margins of each set of tunings around each plant; a cell and a tuning that recur are analysed once."""
     n, names = len(points), [field.name for field in fields(Margins)]

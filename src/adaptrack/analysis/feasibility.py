@@ -17,7 +17,7 @@ from adaptrack.analysis.linearisation import Mismatch, Turn, linear_plants
 from adaptrack.analysis.stability import hard_turn, margin_map, speed_nodes
 from adaptrack.base.checked import RISING, Positive, checked
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import SPEED
+from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.scenario.profile import Profile
@@ -58,7 +58,7 @@ class Feasibility:
     """modulus margin of a loop that counts as held"""
 
     @classmethod
-    def of_map(cls, axes: Sequence[Array], margins: Array, least: float = MARGIN) -> Self:
+    def from_map(cls, axes: Sequence[Array], margins: Array, least: float = MARGIN) -> Self:
         """From the margins of `stability.margin_map`; nodes with Nc > Np are left out."""
         Np, Nc, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
         tunings = np.column_stack([Np, Nc, np.ones_like(ratio), 10.0**ratio])
@@ -76,14 +76,14 @@ class Feasibility:
         return np.asarray(self.margins >= self.least - 1e-9)
 
     @property
-    def held(self) -> NDArray[np.bool_]:
+    def is_feasible(self) -> NDArray[np.bool_]:
         """(speeds, frictions) whether some tuning holds the loop there."""
         return np.asarray(self.enough.any(axis=2))
 
     @property
     def infeasible(self) -> list[tuple[float, float]]:
         """Speed (m/s) and friction where none does."""
-        return [(float(self.speeds[i]), float(self.frictions[j])) for i, j in np.argwhere(~self.held)]
+        return [(float(self.speeds[i]), float(self.frictions[j])) for i, j in np.argwhere(~self.is_feasible)]
 
     @property
     def domain(self) -> FeasibleRanges | None:
@@ -91,7 +91,7 @@ class Feasibility:
 
         Largest: with the most nodes of the grid.
         """
-        box = largest_box(self.held[:, :, None])
+        box = largest_box(self.is_feasible[:, :, None])
         return None if box is None else self._domain(box)
 
     @property
@@ -109,46 +109,47 @@ class Feasibility:
         return FeasibleRanges((float(speeds[0]), float(speeds[-1])), (float(frictions[0]), float(frictions[-1])))
 
     @property
-    def whole(self) -> FeasibleRanges:
+    def requested(self) -> FeasibleRanges:
         """The domain that was given."""
         return self._domain((slice(None), slice(None)))
 
     @property
     def passed(self) -> bool:
         """Whether every speed and friction can be held."""
-        return bool(self.held.all())
+        return bool(self.is_feasible.all())
 
     @property
     def verdict(self) -> str:
         """Summarise the speeds and frictions that no tuning can hold, and the largest domains."""
         demand = f"with a modulus margin of {self.least:g}"
         if self.domain is None:
-            return f"Infeasible: no tuning holds the loop {demand} at any point of {self.whole}."
+            return f"Infeasible: no tuning holds the loop {demand} at any point of {self.requested}."
         if self.passed:
-            first = f"Feasible: at every point of {self.whole} some tuning holds the loop {demand}."
+            first = f"Feasible: at every point of {self.requested} some tuning holds the loop {demand}."
         else:
             first = (
-                f"Infeasible: no tuning holds the loop {demand} at {len(self.infeasible)} of {self.held.size} points "
-                f"of {self.whole}: {self._infeasible_in_words()}. The largest domain that can be held is {self.domain}."
+                f"Infeasible: no tuning holds the loop {demand} at {len(self.infeasible)} of {self.is_feasible.size} "
+                f"points of {self.requested}: {self._infeasible_in_words()}. "
+                f"The largest domain that can be held is {self.domain}."
             )
         assert self.constant is not None
         tuning, domain = self.constant
-        reach = "all of it" if domain == self.whole else f"no more than {domain}"
+        reach = "all of it" if domain == self.requested else f"no more than {domain}"
         return f"{first} One constant (Np {tuning.Np}, Nc {tuning.Nc}, R/Q {tuning.R / tuning.Q:.3g}) holds {reach}."
 
     def _infeasible_in_words(self) -> str:
         """Speeds by friction, neighbours on the grid as a range."""
         return "; ".join(
-            f"{', '.join(_ranges(self.speeds, ~self.held[:, j]))} m/s on friction {mu:.3g}"
+            f"{', '.join(_ranges(self.speeds, ~self.is_feasible[:, j]))} m/s on friction {mu:.3g}"
             for j, mu in enumerate(self.frictions.tolist())
-            if not self.held[:, j].all()
+            if not self.is_feasible[:, j].all()
         )
 
     def summary(self) -> dict[str, Any]:
         """Everything but the margins of each tuning; ready for JSON."""
         best, constant = self.margins.argmax(axis=2), self.constant
         rows = [
-            {"speed": speed, "friction": friction, "held": bool(self.held[i, j]),
+            {"speed": speed, "friction": friction, "held": bool(self.is_feasible[i, j]),
              "modulus_margin": float(self.margins[i, j, best[i, j]]),
              **dict(zip(ENTRIES, self.tunings[best[i, j]].tolist(), strict=True))}
             for i, speed in enumerate(self.speeds.tolist()) for j, friction in enumerate(self.frictions.tolist())
@@ -191,7 +192,7 @@ def _range(low: float, high: float) -> str:
     return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
 
 
-_Speed = Annotated[Positive, SPEED]
+_Speed = Annotated[Positive, MAX_SPEED]
 
 
 @checked
@@ -247,7 +248,7 @@ def feasibility(
         *allowed,
     )
     margins = margin_map(mpc, linear_plants(plant, mpc.period, profile, turn, mismatches), axes, _ANGLES)
-    return Feasibility.of_map(axes, margins, margin)
+    return Feasibility.from_map(axes, margins, margin)
 
 
 def _up_to(axis: ArrayLike, most: int) -> Array:

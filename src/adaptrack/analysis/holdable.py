@@ -18,25 +18,26 @@ from adaptrack.analysis.linearisation import EstimatorAt, Steady, laws, sampled_
 from adaptrack.analysis.stability import modulus_margin
 from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import SPEED
+from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import GRAVITY, Steering, Vehicle
+from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import MPC
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.holdable import HoldableSpeed
 from adaptrack.scenario.profile import Profile, load_profile
 
-LONGEST = 10.0
+MAX_INSTABILITY_DURATION = 10.0
 """s, for which an instability counts at most: braking lasts until the speed is half."""
 DISTURBED, UNMODELLED = 1.0, 0.25
 """m/s^2, what a gust of 15 m/s from the side does to a saloon at 30 m/s; and which share of the lateral acceleration of
 a bend the model misses: together the deviation that must not grow beyond the grip meanwhile."""
-SLOWEST, RATIO = 10.0, 1.3
+MIN_TABLE_SPEED, TABLE_SPEED_RATIO = 10.0, 1.3
 """m/s, of the table, below which its values hold as well; and of one speed to the next."""
-FRICTIONS = (0.3, 0.6, 1.0)
+TABLE_FRICTIONS = (0.3, 0.6, 1.0)
 SIDEWAYS = (0.0, 0.25, 0.45, 0.65, 0.8, 0.95)
 """Lateral accelerations over the largest that the car can corner with."""
-BRAKING = (0.0, 0.17, 0.34, 0.51)
+BRAKING_SHARES = (0.0, 0.17, 0.34, 0.51)
 """Decelerations over mu g, up to the first that is not held."""
 BEYOND = -1.0
 """Margin where braking takes the car beyond its grip: there is no such turn."""
@@ -45,7 +46,11 @@ _ANGLES = np.geomspace(2e-3, np.pi, 192)  # rad per period, at which the loop ga
 
 @checked
 def holdable_speed(
-    car: Vehicle, mpc: MPC, profile: str | Profile = "road", *, longest: Annotated[Positive, "s"] = LONGEST
+    car: Vehicle,
+    mpc: MPC,
+    profile: str | Profile = "road",
+    *,
+    longest: Annotated[Positive, "s"] = MAX_INSTABILITY_DURATION,
 ) -> HoldableSpeed:
     """Up to which braking, by speed, lateral acceleration and friction, the modulus margin of the loop is enough.
 
@@ -66,7 +71,7 @@ def holdable_speed(
         For which an instability counts at most; the longer, the less of it is borne.
     """
     loop = _slow_end(mpc, load_profile(profile)) if mpc.learner is not None else (mpc, load_profile(profile))
-    return _kept(car, _Loop(*loop), longest)
+    return _cached_speeds(car, _Loop(*loop), longest)
 
 
 class _Loop:
@@ -97,18 +102,20 @@ def _slow_end(mpc: MPC, world: Profile) -> tuple[MPC, Profile]:
 
 
 @lru_cache(maxsize=16)
-def _kept(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
+def _cached_speeds(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
     mpc, world = loop.mpc, loop.world.replace(pose_age=0.0, pose_age_spread=0.0, motion_age=0.0)
     plant = DualTrack(car)
-    lowest = max(SLOWEST, mpc.speed_floor)
-    count = max(2, math.ceil(math.log(max(top_speed(car) / lowest, RATIO)) / math.log(RATIO)) + 1)
-    speeds = np.geomspace(lowest, max(top_speed(car), RATIO * lowest), count).round(2).tolist()
-    cornering = [float(cornering_limit(car, [0.0], [mu])[0]) for mu in FRICTIONS]
-    braking = np.empty((len(FRICTIONS), len(speeds), len(SIDEWAYS)))
+    lowest = max(MIN_TABLE_SPEED, mpc.speed_floor)
+    count = max(
+        2, math.ceil(math.log(max(top_speed(car) / lowest, TABLE_SPEED_RATIO)) / math.log(TABLE_SPEED_RATIO)) + 1
+    )
+    speeds = np.geomspace(lowest, max(top_speed(car), TABLE_SPEED_RATIO * lowest), count).round(2).tolist()
+    cornering = [float(cornering_limit(car, [0.0], [mu])[0]) for mu in TABLE_FRICTIONS]
+    braking = np.empty((len(TABLE_FRICTIONS), len(speeds), len(SIDEWAYS)))
     for j, speed in enumerate(speeds):
         at = EstimatorAt(mpc, speed)
-        for i, mu in enumerate(FRICTIONS):
-            lasting = [_lasting(speed, share * mu * GRAVITY, longest) for share in BRAKING]
+        for i, mu in enumerate(TABLE_FRICTIONS):
+            lasting = [_lasting(speed, share * mu * GRAVITY, longest) for share in BRAKING_SHARES]
             for k, share in enumerate(SIDEWAYS):
                 lateral = share * cornering[i]
                 margins = _margins(plant, (mpc, world), at, (speed, mu, lateral))
@@ -119,7 +126,7 @@ def _kept(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
                 braking[i, j, k] = _braking(margins, [borne(room, time, mpc.period) for time in lasting])
     return HoldableSpeed(
         vehicle=car.name, profile=world.name, steering=str(mpc.belief or ""), longest=longest,
-        reserve=DISTURBED, speeds=tuple(speeds), sideways=SIDEWAYS, frictions=FRICTIONS,
+        reserve=DISTURBED, speeds=tuple(speeds), sideways=SIDEWAYS, frictions=TABLE_FRICTIONS,
         cornering=tuple(cornering), braking=tuple(tuple(map(tuple, plane)) for plane in braking.round(4).tolist()),
     )  # fmt: skip
 
@@ -127,14 +134,14 @@ def _kept(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
 def _margins(
     plant: DualTrack, loop: tuple[MPC, Profile], at: EstimatorAt, turn: tuple[float, float, float]
 ) -> Iterator[float] | None:
-    """Modulus margin at each of `BRAKING`; turn: m/s, friction, m/s^2 sideways. None where there is no such turn."""
+    """Modulus margin at each of `BRAKING_SHARES`; turn: m/s, friction, m/s^2 sideways. None without such a turn."""
     (mpc, world), (speed, mu, lateral) = loop, turn
     try:
         first = Steady.of(plant, speed, mu, lateral)
     except InvalidInput:
         return None
     # gains follow the forces, and those the turn: braking has only begun
-    estimator = at.in_turn(first.measured(plant, mpc.period), first.steering)
+    estimator = at.with_turn_gains(first.measured(plant, mpc.period), first.steering)
     law = laws(mpc, speed, mpc.tuning.as_array(), estimator)
 
     def margin(share: float) -> float:
@@ -144,18 +151,18 @@ def _margins(
             return BEYOND
         return float(modulus_margin(sampled_about(plant, mpc.period, steady, world), law, _ANGLES)[0])
 
-    return map(margin, BRAKING)
+    return map(margin, BRAKING_SHARES)
 
 
 def _braking(margins: Iterable[float], least: Sequence[float]) -> float:
     """Deceleration over mu g at which the margin falls below the least; below 0 where it is less without braking."""
     before, holdable = 0.0, 0.0
-    for share, margin, bound in zip(BRAKING, margins, least, strict=True):
+    for share, margin, bound in zip(BRAKING_SHARES, margins, least, strict=True):
         over = margin - bound
         if over < 0.0:
             return max(over, BEYOND) if share == 0.0 else before + (share - before) * holdable / (holdable - over)
         before, holdable = share, over
-    return BRAKING[-1]
+    return BRAKING_SHARES[-1]
 
 
 def _lasting(speed: float, braking: float, longest: float) -> float:
@@ -174,7 +181,7 @@ def borne(room: float, time: float, period: float) -> float:
 
 def top_speed(car: Vehicle) -> float:
     """The highest speed (m/s) that the car's power holds on a level road."""
-    v = np.linspace(1.0, SPEED.most, 397)
+    v = np.linspace(1.0, MAX_SPEED.most, 397)
     air = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient * v**2
     holdable = np.minimum(car.traction_limit, car.engine_power / v) >= air + car.rolling_resistance * car.mass * GRAVITY
     return float(v[holdable].max(initial=1.0))

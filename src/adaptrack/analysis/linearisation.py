@@ -27,7 +27,7 @@ from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
 
-MEASURED = ("vy", "psi", "yaw_rate", "Y")
+SENSED_STATES = ("vy", "psi", "yaw_rate", "Y")
 """The states of the plant that sensors read."""
 
 _HELD = ("X", "vx", "felt_ax")  # X does not matter; speed and longitudinal load transfer are held
@@ -167,7 +167,7 @@ class Steady(NamedTuple):
         return cls(speed, friction, deceleration, *turn)
 
     def measured(self, plant: Plant, period: float) -> Array:
-        """(9,) what the sensors give in it, the turn of the path included, see `core.models.contract.MEASURED`."""
+        """(9,) what the sensors give in it, the turn of the path included, see `core.models.contract.MEASUREMENT`."""
         states = dict(zip(plant.state_names, self.state.tolist(), strict=True))
         yaw_rate = states["yaw_rate"]
         signals = {name: states[name] for name in ("vy", "yaw_rate")} | {
@@ -175,7 +175,7 @@ class Steady(NamedTuple):
             "wheel_angle": self.steering,
         }
         signals |= {"lateral_acceleration": yaw_rate * self.speed, "turned": yaw_rate * period}
-        return np.array([signals.get(name, 0.0) for name in contract.MEASURED._fields])
+        return np.array([signals.get(name, 0.0) for name in contract.MEASUREMENT._fields])
 
 
 def _linearised_at(plant: Plant, turn: Steady) -> tuple[list[str], Array, Array]:
@@ -193,7 +193,7 @@ def _linearised_at(plant: Plant, turn: Steady) -> tuple[list[str], Array, Array]
     a = matrix(_STEP)
     _refuse_jumps(plant, a, matrix(4 * _STEP), [plant.state_names[i] for i in keep])
     b = (slope(x, steering + _STEP) - slope(x, steering - _STEP)) / (2 * _STEP)
-    observed = np.array([plant.state_names[i] in MEASURED for i in keep])
+    observed = np.array([plant.state_names[i] in SENSED_STATES for i in keep])
     for _ in keep:
         observed |= (np.abs(a[observed]) > _ROUNDING * np.abs(a).max()).any(axis=0)
     part = np.flatnonzero(observed)
@@ -253,10 +253,10 @@ def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, del
     lag = steering.lag
     names, a, b = _linearised_at(plant, turn)
     flow = _with_lag(a, b, lag)
-    step = _held(flow, period, max(late, 0.0))
+    step = _hold_flow(flow, period, max(late, 0.0))
     size = len(step)
     outputs = np.zeros((len(sensed()), size))
-    outputs[range(len(MEASURED)), [names.index(name) for name in MEASURED]] = 1.0
+    outputs[range(len(SENSED_STATES)), [names.index(name) for name in SENSED_STATES]] = 1.0
     if lag > 0.0:
         outputs[sensed().index("wheel_angle"), len(b)] = 1.0
     felt = outputs[sensed().index("lateral_acceleration")]
@@ -352,7 +352,7 @@ def _with_lag(a: Array, b: Array, lag: float) -> Array:
     return flow
 
 
-def _held(flow: Array, period: float, delay: float) -> Array:
+def _hold_flow(flow: Array, period: float, delay: float) -> Array:
     """[A b] (m, m + 1) over one period of a flow whose commands act `delay` periods late; the new one stands last."""
     from scipy.linalg import expm
 
@@ -372,8 +372,8 @@ def _held(flow: Array, period: float, delay: float) -> Array:
 
 
 def sensed() -> tuple[str, ...]:
-    """Return the signals of a controller at one instant by name, see `core.models.contract.MEASURED`."""
-    return tuple(name for name in contract.MEASURED._fields if name != "turned")  # it is known, not measured
+    """Return the signals of a controller at one instant by name, see `core.models.contract.MEASUREMENT`."""
+    return tuple(name for name in contract.MEASUREMENT._fields if name != "turned")  # it is known, not measured
 
 
 def _road(friction: float) -> Array:
@@ -484,15 +484,15 @@ class EstimatorAt:
         moved = [i for i in derivatives if i < self._memory]
         moves = np.array([derivatives[i] for i in moved]).reshape(len(moved), self._memory + self.model.n + 1)
         matter = _that_matter(moves, moved, self._memory)
-        return self._of_changes(derivatives, matter), matter
+        return self._linearise_changes(derivatives, matter), matter
 
-    def _of_changes(self, derivatives: Mapping[int, Array], matter: list[int]) -> LinearEstimator:
+    def _linearise_changes(self, derivatives: Mapping[int, Array], matter: list[int]) -> LinearEstimator:
         memory, n = self._memory, self.model.n
         inputs = [*matter, *range(memory, memory + self._sensors + 1)]
         rows = np.array([derivatives[i] for i in inputs]).T[[*matter, *range(memory, memory + n + 1)]]
         return _with_last_command(rows, len(matter))
 
-    def in_turn(self, measured: Array, command: float) -> LinearEstimator:
+    def with_turn_gains(self, measured: Array, command: float) -> LinearEstimator:
         """After some time in a steady turn: of the same numbers, with the gains that the estimator then has.
 
         measured: (9,), see `Steady.measured`; command: rad. Gains count as constant: they follow the size of the
@@ -515,7 +515,7 @@ class EstimatorAt:
         ages = slice(self._memory + self._sensors - 2, self._memory + self._sensors)
         for place in range(ages.start, ages.stop):
             derivatives[place] = np.zeros_like(settled)  # how old a sample is does not change
-        return self._of_changes(derivatives, places)
+        return self._linearise_changes(derivatives, places)
 
 
 def _within(values: Array, most: float) -> bool:
@@ -568,18 +568,18 @@ def _with_last_command(rows: Array, size: int) -> LinearEstimator:
 
 
 @dataclass(frozen=True, eq=False)
-class Laws:
+class LinearControllers:
     """The linear controllers of n tunings at one speed."""
 
     estimator: LinearEstimator
     k: Array
     """(n, states + 1) feedback of each tuning, du = -k xi"""
 
-    def __getitem__(self, rows: slice) -> Laws:
-        return Laws(self.estimator, self.k[rows])
+    def __getitem__(self, rows: slice) -> LinearControllers:
+        return LinearControllers(self.estimator, self.k[rows])
 
 
-def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator | None = None) -> Laws:
+def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator | None = None) -> LinearControllers:
     """The controllers at a speed (m/s) with n tunings (n, 4) of Np, Nc, Q, R.
 
     `PredictionModel.feedback` for many tunings at once, behind the `linear_estimator`, made here unless it is given.
@@ -605,4 +605,4 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator 
         Q, R = rows[members, 2, None, None], caution * rows[members, 3, None, None]
         moves = np.linalg.solve(Q * (effect.T @ effect) + R * np.eye(effect.shape[1]), Q * (effect.T @ free[:, :Np].T))
         gains[members] = basis[0] @ moves
-    return Laws(estimator, gains)
+    return LinearControllers(estimator, gains)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.analysis.linearisation import (
-    MEASURED,
-    Laws,
+    SENSED_STATES,
+    LinearControllers,
     LinearPlant,
     Sampled,
     Turn,
@@ -28,8 +28,9 @@ from adaptrack.analysis.linearisation import (
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, twin_of
-from adaptrack.cars.vehicle import GRAVITY, Vehicle
+from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import MPC, Tuning
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ _ANGLES = np.geomspace(1e-3, np.pi, 768)  # rad per period, at which the loop ga
 
 
 # -- the loop ---------------------------------------------------------------------------------------------------------
-def loops(plant: Sampled, law: Laws, gain: float = 1.0) -> Array:
+def loops(plant: Sampled, law: LinearControllers, gain: float = 1.0) -> Array:
     """The matrices (n, m + q, m + q) that take [z, s] from one control instant to the next, for n laws.
 
     gain: a factor on every command between the controller and the steering.
@@ -55,11 +56,11 @@ def loops(plant: Sampled, law: Laws, gain: float = 1.0) -> Array:
     return matrices
 
 
-def _measured(plant: Sampled, law: Laws) -> Array:
+def _measured(plant: Sampled, law: LinearControllers) -> Array:
     """C of the plant; refused where the estimator reads what is no state of it."""
     read = np.asarray(law.estimator.e.any(axis=0) | law.estimator.d.any(axis=0))
     without = np.flatnonzero(read & ~plant.c.any(axis=1))
-    missing = [sensed()[i] for i in without.tolist() if i >= len(MEASURED)]
+    missing = [sensed()[i] for i in without.tolist() if i >= len(SENSED_STATES)]
     if missing:
         raise InvalidInput(
             f"the estimator reads {', '.join(missing)}, which is no state of the linear loop: leave that sensor out "
@@ -127,7 +128,7 @@ class Margins:
         )
 
 
-def loop_gain(plant: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Complex:
+def loop_gain(plant: Sampled, law: LinearControllers, angles: ArrayLike = _ANGLES) -> Complex:
     """The loop gain L (n, angles) of n laws at z = e^(i angle), the loop being cut at the steering command.
 
     The loop with a factor g on its commands has the characteristic equation 1 + g L(z) = 0. The controller itself knows
@@ -152,7 +153,7 @@ def _resolvent(z: Complex, a: Array, b: Array) -> Complex:
     return np.asarray(np.tensordot(u, x, 1))
 
 
-def modulus_margin(plant: Sampled, law: Laws, angles: ArrayLike = _ANGLES) -> Array:
+def modulus_margin(plant: Sampled, law: LinearControllers, angles: ArrayLike = _ANGLES) -> Array:
     """Modulus margin min |1 + L| (n,) of the loops of n laws: the distance of the loop gain from -1.
 
     It is 1/M, M the largest sensitivity |1/(1 + L)|: 0.5 is a comfortable loop, 0 the stability limit (I. D. Landau,
@@ -168,7 +169,7 @@ def _modulus_margin(gains: Complex, radius: Array) -> Array:
     return np.where(radius < 1.0, np.minimum(distance, 1.0), -10.0 * (radius - 1.0))
 
 
-def margins(plant: Sampled, law: Laws, period: float) -> Margins:
+def margins(plant: Sampled, law: LinearControllers, period: float) -> Margins:
     """Stability margins of the loops of n laws around a sampled plant; period: s.
 
     From the loop gain L on the unit circle, which an eigenvalue must cross: where g L = -1 for a factor g, where
@@ -280,13 +281,13 @@ def margin_map(mpc: MPC, plants: Sequence[LinearPlant], axes: Sequence[Array], a
         for j, mu in enumerate(axes[1].tolist()):
             for plant in plants:
                 linear_plant = plant(v, mu)
-                if plant not in sampled_plants or not _alike(linear_plant, sampled_plants[plant][0]):
+                if plant not in sampled_plants or not _are_alike(linear_plant, sampled_plants[plant][0]):
                     sampled_plants[plant] = linear_plant, modulus_margin(linear_plant, law, angles)
             least[i, j] = np.min([margin for _, margin in sampled_plants.values()], axis=0)
     return least.reshape([len(axis) for axis in axes])
 
 
-def _alike(first: Sampled, other: Sampled) -> bool:
+def _are_alike(first: Sampled, other: Sampled) -> bool:
     """Whether two bodies differ by no more than the rounding of their linearisation."""
     return bool(
         np.allclose(first.a, other.a, rtol=1e-7, atol=1e-9) and np.allclose(first.b, other.b, rtol=1e-7, atol=1e-9)

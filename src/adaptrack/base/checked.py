@@ -17,8 +17,8 @@ mark: the argument must be an object of one of its classes.
     plan_speed: road = <Vehicle van>: must be a Road.
 
 A docstring has no "Raises" section for that. Beside the type stand in an annotation: text, the unit; a `Hint`; a
-`Limit` of `adaptrack.base.limits`. What several arguments must fulfil together is checked in the body, and so is
-whatever runs once a control period, by `real`, `whole` and `reals`.
+`RequestLimit` of `adaptrack.base.limits`. What several arguments must fulfil together is checked in the body, and so is
+whatever runs once a control period, by `real`, `whole_number` and `reals`.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter, Valida
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError, core_schema
 
-from adaptrack.base.errors import InvalidInput, shown
-from adaptrack.base.limits import Limit
+from adaptrack.base.errors import InvalidInput, format_value
+from adaptrack.base.limits import RequestLimit
 
 Array = NDArray[np.float64]
 FLOAT = np.dtype(np.float64)
-Target = TypeVar("Target", bound=Callable[..., Any])
+CheckedTarget = TypeVar("CheckedTarget", bound=Callable[..., Any])
 
 
 def _as_float(value: Any) -> float:
@@ -106,16 +106,16 @@ def within(low: float, high: float) -> Any:
     return Field(ge=low, le=high)
 
 
-def checked(target: Target) -> Target:
+def checked(target: CheckedTarget) -> CheckedTarget:
     """Check the arguments of a function, a method or a dataclass by their annotations, as this module says.
 
     The annotations are read at the first call; names that only type checkers import may stand in them.
     """
     if isinstance(target, type):
-        vars_of = [vars(sys.modules[each.__module__]) for each in target.__mro__]
+        vars_of = [vars(sys.modules[parent.__module__]) for parent in target.__mro__]
         target.__init__ = _checked(target.__init__, vars_of)  # type: ignore[misc]
         return target
-    return typing.cast(Target, _checked(target, [inspect.unwrap(target).__globals__]))
+    return typing.cast(CheckedTarget, _checked(target, [inspect.unwrap(target).__globals__]))
 
 
 def check_parameters(instance: object) -> None:
@@ -130,7 +130,7 @@ def check_parameters(instance: object) -> None:
 
 @functools.cache
 def _arguments_of(kind: Any) -> dict[str, _Argument]:
-    return _arguments(kind.__init__, [vars(sys.modules[each.__module__]) for each in kind.__mro__])[1]
+    return _arguments(kind.__init__, [vars(sys.modules[parent.__module__]) for parent in kind.__mro__])[1]
 
 
 def _checked(function: Callable[..., Any], namespaces: Sequence[Mapping[str, Any]]) -> Callable[..., Any]:
@@ -143,9 +143,9 @@ def _checked(function: Callable[..., Any], namespaces: Sequence[Mapping[str, Any
         for place, argument in by_place:
             if place < len(args):
                 values[place] = argument.value(args[place], function, args)
-        for name, given in kwargs.items():
+        for name, value in kwargs.items():
             if name in by_name:
-                kwargs[name] = by_name[name].value(given, function, args)
+                kwargs[name] = by_name[name].value(value, function, args)
         return function(*values, **kwargs)
 
     return call
@@ -158,52 +158,52 @@ class _Argument(NamedTuple):
     annotation: Any
     validate: Callable[[Any], Any]
 
-    def value(self, given: Any, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+    def value(self, value: Any, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
         """Bind and check the arguments of a call; args: all positional arguments, including a method's self."""
         try:
-            return self.validate(given)
+            return self.validate(value)
         except ValidationError as error:
             names = function.__qualname__.rpartition("<locals>.")[2]
             where = type(args[0]).__name__ if names.endswith(".__init__") else names
-            raise InvalidInput(f"{where}: {self._problem(given, error)}") from None
+            raise InvalidInput(f"{where}: {self._problem(value, error)}") from None
 
-    def _problem(self, given: Any, error: ValidationError) -> str:
+    def _problem(self, value: Any, error: ValidationError) -> str:
         """Return the error text of an argument, from its name to the remedy."""
-        found = error.errors(include_url=False)[0]
+        details = error.errors(include_url=False)[0]
         name, annotation = self.name, self.annotation
-        for part in found["loc"][: -1 if found["type"] == "missing" else None]:
+        for part in details["loc"][: -1 if details["type"] == "missing" else None]:
             inner = _element(annotation, part)
             if inner is not None:
                 name, annotation = f"{name}[{part!r}]", inner
-                inside = isinstance(given, Sequence | Mapping)
-                given = typing.cast(Any, given)[part] if inside else found["input"]
+                inside = isinstance(value, Sequence | Mapping)
+                value = typing.cast(Any, value)[part] if inside else details["input"]
         field = FieldInfo.from_annotation(_without_none(annotation))
-        beside = [*field.metadata, *_metadata(_without_none(self.annotation))]
-        unit = next((f" {each}" for each in beside if isinstance(each, str) and _is_number(given)), "")
-        if found["type"] == "value_error":  # a Limit's own sentence, or that of `Reals`
-            return f"{name} = {shown(given)}{unit}: {found['ctx']['error']}"
+        metadata = [*field.metadata, *_metadata(_without_none(self.annotation))]
+        unit = next((f" {note}" for note in metadata if isinstance(note, str) and _is_number(value)), "")
+        if details["type"] == "value_error":  # a Limit's own sentence, or that of `Reals`
+            return f"{name} = {format_value(value)}{unit}: {details['ctx']['error']}"
         must = _classes_in_words(annotation) or _container(field) or allowed(field)
-        must = must or found["msg"].removeprefix("Input should be ")
+        must = must or details["msg"].removeprefix("Input should be ")
         none = " or None" if type(None) in _parts(annotation) else ""
-        hint = next((f"; {each.text}" for each in beside if isinstance(each, Hint)), "")
-        return f"{name} = {shown(given)}{unit}: must be {must}{none}{hint}."
+        hint = next((f"; {note.text}" for note in metadata if isinstance(note, Hint)), "")
+        return f"{name} = {format_value(value)}{unit}: must be {must}{none}{hint}."
 
 
 # -- by hand: what runs once a control period, rows and tables ---------------------------------------------------------
 def real(where: str, name: str, value: object) -> float:
     """`value` as a float; `InvalidInput` unless it is a number that one holds (truth values and text are none)."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be a number.")
+        raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be a number.")
     try:
         return float(value)
     except OverflowError:
-        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be finite, it is too large.") from None
+        raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be finite, it is too large.") from None
 
 
-def whole(where: str, name: str, value: object, least: int = 1) -> int:
+def whole_number(where: str, name: str, value: object, least: int = 1) -> int:
     """`value` as an int; `InvalidInput` unless it is a whole number, at least `least`."""
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
-        raise InvalidInput(f"{where}: {name} = {shown(value)}: must be a whole number, at least {least}.")
+        raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be a whole number, at least {least}.")
     return int(value)
 
 
@@ -220,17 +220,17 @@ def reals(name: str, values: Any) -> Array:
     if type(values) is np.ndarray and values.dtype is FLOAT:
         return values
     try:
-        given = np.asarray(values)
-        if given.dtype == object:  # whole numbers beyond 64 bits, decimals, fractions
-            given = np.array([_entry(value) for value in given.ravel()]).reshape(given.shape)
+        array = np.asarray(values)
+        if array.dtype == object:  # whole numbers beyond 64 bits, decimals, fractions
+            array = np.array([_entry(value) for value in array.ravel()]).reshape(array.shape)
     except Exception:  # whatever an object of others raises when it is converted to numbers
-        given = np.empty(0, dtype=str)
-    if given.dtype is FLOAT and isinstance(values, tuple | list | float):
-        return given
-    if given.dtype.kind not in "iuf":
-        raise InvalidInput(f"{name} = {shown(values)}: must be real numbers.")
+        array = np.empty(0, dtype=str)
+    if array.dtype is FLOAT and isinstance(values, tuple | list | float):
+        return array
+    if array.dtype.kind not in "iuf":
+        raise InvalidInput(f"{name} = {format_value(values)}: must be real numbers.")
     with np.errstate(over="ignore"):  # wider than float64
-        row = given.astype(np.float64)
+        row = array.astype(np.float64)
     if isinstance(values, np.ma.MaskedArray):
         row[np.ma.getmaskarray(values)] = np.nan
     return row
@@ -269,14 +269,15 @@ def _arguments(
     """The arguments that are checked, those that may be given by position with their places, and all by name."""
     annotations = inspect.get_annotations(inspect.unwrap(function), locals=_Names(namespaces), eval_str=True)
     annotations.pop("return", None)
-    named = {
+    fields = {
         name: _Argument(name, annotation, _validator(checks))
         for name, annotation in annotations.items()
         if _is_checked(checks := _with_classes(annotation)) or typing.get_origin(_without_none(annotation)) is Literal
     }
     every = inspect.signature(function).parameters.values()
-    listed = [each.name for each in every if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)]
-    return [(place, named[name]) for place, name in enumerate(listed) if name in named], named
+    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    listed = [parameter.name for parameter in every if parameter.kind in positional]
+    return [(place, fields[name]) for place, name in enumerate(listed) if name in fields], fields
 
 
 @functools.cache
@@ -331,7 +332,7 @@ def _is_checked(annotation: Any) -> bool:
 
 def _is_constrained(annotation: Any) -> bool:
     """Whether an annotation itself constrains a value."""
-    marks = (FieldInfo, BeforeValidator, _Class, Limit)
+    marks = (FieldInfo, BeforeValidator, _Class, RequestLimit)
     return any(isinstance(mark, marks) for mark in _metadata(annotation))
 
 
@@ -342,8 +343,8 @@ def _metadata(annotation: Any) -> tuple[Any, ...]:
 def _without_none(annotation: Any) -> Any:
     """The annotation of what is given, where it is given: `X` of `X | None`."""
     if typing.get_origin(annotation) in _UNIONS:
-        rest = [each for each in typing.get_args(annotation) if each is not type(None)]
-        return rest[0] if len(rest) == 1 else annotation
+        members = [member for member in typing.get_args(annotation) if member is not type(None)]
+        return members[0] if len(members) == 1 else annotation
     return annotation
 
 
@@ -381,7 +382,7 @@ def _container(field: FieldInfo) -> str:
     if kind is tuple and inner[-1] is not ...:
         return "a pair" if len(inner) == 2 else f"{len(inner)} values"
     if isinstance(kind, type) and issubclass(kind, Sequence):
-        least = next((each.min_length for each in field.metadata if hasattr(each, "min_length")), 0)
+        least = next((constraint.min_length for constraint in field.metadata if hasattr(constraint, "min_length")), 0)
         return f"a sequence of {least} or more" if least else "a sequence"
     return "a mapping of names" if isinstance(kind, type) and issubclass(kind, Mapping) else ""
 
@@ -391,7 +392,7 @@ def allowed(field: FieldInfo) -> str:
     annotation: Any = _without_none(field.annotation)
     if typing.get_origin(annotation) is Literal:
         return "one of " + ", ".join(repr(word) for word in typing.get_args(annotation))
-    infinite = any(getattr(each, "allow_inf_nan", False) for each in field.metadata)
+    infinite = any(getattr(constraint, "allow_inf_nan", False) for constraint in field.metadata)
     noun = {
         float: "a number" if infinite else "a finite number",
         int: "a whole number",
@@ -402,10 +403,10 @@ def allowed(field: FieldInfo) -> str:
         return ""
     signs = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
     bounds = [
-        f"{sign} {getattr(each, name):.6g}"
+        f"{sign} {getattr(constraint, name):.6g}"
         for name, sign in signs
-        for each in field.metadata
-        if getattr(each, name, None) is not None and abs(getattr(each, name)) < math.inf
+        for constraint in field.metadata
+        if getattr(constraint, name, None) is not None and abs(getattr(constraint, name)) < math.inf
     ]
     return " ".join([noun[annotation], " and ".join(bounds)]).strip()
 

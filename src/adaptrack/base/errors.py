@@ -40,7 +40,7 @@ class StorageError(AdaptrackError, OSError):
     """A file that cannot be read or written; nothing half-written is left behind."""
 
 
-def shown(value: object) -> str:
+def format_value(value: object) -> str:
     """A value in a message: its ``repr``, of a long one the beginning and the end, whatever the value is."""
     try:
         text = repr(value)
@@ -51,17 +51,17 @@ def shown(value: object) -> str:
     return f"{text[: LONGEST_SHOWN // 2 - 3]}...{text[-LONGEST_SHOWN // 2 :]}"  # a path ends with what matters
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+def did_you_mean(name: str, names: Iterable[str]) -> str:
     """A sentence that names the nearest known name, or lists them all: the end of an error message."""
-    known = sorted(known)
-    near = nearest(name, known)
+    names = sorted(names)
+    near = nearest(name, names)
     if near:
         return f"Did you mean {near!r}?"
-    return "Known: " + ", ".join(repr(k) for k in known) + "."
+    return "Known: " + ", ".join(repr(k) for k in names) + "."
 
 
-def nearest(name: str, known: Iterable[str]) -> str | None:
+def nearest(name: str, names: Iterable[str]) -> str | None:
     """The known name that is most like `name`, whatever its capitals; None where none is like it."""
-    by_letters = {each.casefold(): each for each in known}
+    by_letters = {candidate.casefold(): candidate for candidate in names}
     near = difflib.get_close_matches(name.casefold(), by_letters, n=1, cutoff=0.6)
     return by_letters[near[0]] if near else None

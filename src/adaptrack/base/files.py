@@ -28,7 +28,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, fi
 from pydantic.fields import FieldInfo
 
 from adaptrack.base.checked import allowed
-from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean, shown
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean, format_value
 from adaptrack.base.text import printable as printable
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -65,16 +65,16 @@ def safe_name(name: str) -> str:
 
 def safe_names(names: Iterable[str]) -> list[str]:
     """`safe_name` of each; those equal to a file system that ignores case are numbered: ``a``, ``a-2``, ``a-3``."""
-    taken: set[str] = set()
-    found = []
+    used_names: set[str] = set()
+    file_names = []
     for name in map(safe_name, names):
         numbered, n = name, 1
-        while numbered.lower() in taken:
+        while numbered.lower() in used_names:
             n += 1
             numbered = f"{name}-{n}"
-        taken.add(numbered.lower())
-        found.append(numbered)
-    return found
+        used_names.add(numbered.lower())
+        file_names.append(numbered)
+    return file_names
 
 
 def is_text(text: str) -> bool:
@@ -94,16 +94,18 @@ def check_texts(where: str, data: Any) -> None:
     while waiting:  # not recursive: the depth is what is to be found
         key, value, depth = waiting.pop()
         if depth > _DEEPEST:
-            raise ConfigError(f"{where}: {shown(key)}: more than {_DEEPEST} tables in one another; flatten them.")
+            raise ConfigError(
+                f"{where}: {format_value(key)}: more than {_DEEPEST} tables in one another; flatten them."
+            )
         if isinstance(value, Mapping):
             for name, inner in value.items():
                 if isinstance(name, str) and not is_text(name):
-                    raise ConfigError(f"{where}: key {shown(name)}: holds a NUL or half a character; rename it.")
+                    raise ConfigError(f"{where}: key {format_value(name)}: holds a NUL or half a character; rename it.")
                 waiting.append((f"{key}.{name}" if key else str(name), inner, depth + 1))
         elif isinstance(value, list | tuple):
             waiting += [(f"{key}[{i}]", inner, depth + 1) for i, inner in enumerate(value)]
         elif isinstance(value, str) and not is_text(value):
-            raise ConfigError(f"{where}: {key} = {shown(value)}: holds a NUL or half a character; remove it.")
+            raise ConfigError(f"{where}: {key} = {format_value(value)}: holds a NUL or half a character; remove it.")
 
 
 # -- configurations ---------------------------------------------------------------------------------------------------
@@ -168,13 +170,13 @@ LISTED = BeforeValidator(_tuple_of)
 
 def meanings(record: Record) -> dict[str, str]:
     """Return the description of each value in a file; of a value in a section, by "section.key"."""
-    found = {}
+    texts = {}
     for name, field in type(record).model_fields.items():
-        found[name] = field.description or ""
+        texts[name] = field.description or ""
         inner = getattr(record, name)
         if isinstance(inner, Record):
-            found |= {f"{name}.{key}": meaning for key, meaning in meanings(inner).items()}
-    return found
+            texts |= {f"{name}.{key}": meaning for key, meaning in meanings(inner).items()}
+    return texts
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -221,8 +223,8 @@ def _parsed(path: str | os.PathLike[str], language: str, parse: Callable[[str], 
         line = _line(text, position or 0)
         raise ConfigError(f"{where}, line {line}: more than {_DEEPEST} tables in one another; flatten them.") from None
     except ValueError as error:  # Python's limit on the digits of a whole number
-        found = re.search(r"[0-9][0-9_]{999,}", text)
-        line = _line(text, found.start() if found else 0)
+        digits = re.search(r"[0-9][0-9_]{999,}", text)
+        line = _line(text, digits.start() if digits else 0)
         raise ConfigError(f"{where}, line {line}: a number with too many digits: {error}.") from None
     check_texts(where, data)
     return data
@@ -269,7 +271,7 @@ def build(model_class: type[Model], data: Mapping[str, Any], where: str | os.Pat
         With all problems of `data`, each with its key, the value found and what is allowed.
     """
     if not isinstance(data, Mapping):
-        raise ConfigError(f"{os.fspath(where)}: expected a table of keys, got {shown(data)}.")
+        raise ConfigError(f"{os.fspath(where)}: expected a table of keys, got {format_value(data)}.")
     try:
         return model_class.model_validate(dict(data))
     except ValidationError as error:
@@ -313,7 +315,7 @@ def dump_toml(data: Mapping[str, Any], comments: Mapping[str, str] | None = None
 def _remarked(key: str, value: Any, remark: str) -> str:
     """A line of TOML with a remark behind its value, where there is one and it fits; a list of numbers in one line."""
     text, remark = tomli_w.dumps({key: value}).rstrip("\n"), " ".join(remark.split())
-    if remark and isinstance(value, list) and not any(isinstance(each, str | list) for each in value):
+    if remark and isinstance(value, list) and not any(isinstance(element, str | list) for element in value):
         text = re.sub(r",\n\]$", "]", text).replace("[\n    ", "[").replace("\n    ", " ")
     return f"{text}  # {remark}" if remark and "\n" not in text else text
 
@@ -367,10 +369,10 @@ class ParquetColumn(NamedTuple):
     meaning: str = ""
 
 
-def encode_parquet(kind: str, version: int, columns: Sequence[ParquetColumn], about: Mapping[str, Any]) -> bytes:
+def encode_parquet(kind: str, version: int, columns: Sequence[ParquetColumn], metadata: Mapping[str, Any]) -> bytes:
     """A Parquet file (zstd) of `columns`; the same content gives the same bytes.
 
-    kind, version: what the file says that it is; about: what it says of itself, plain JSON. A checksum of `about` and
+    kind, version: of the format; metadata: entries about the table, plain JSON. A checksum of `metadata` and
     of all names, types and numbers goes along.
     """
     import pyarrow as pa
@@ -381,10 +383,10 @@ def encode_parquet(kind: str, version: int, columns: Sequence[ParquetColumn], ab
         array = pa.array(np.ascontiguousarray(values).reshape(-1))
         if values.ndim == 2:
             array = pa.FixedSizeListArray.from_arrays(array, values.shape[1])
-        said = {"unit": unit, "meaning": meaning} if meaning else {"unit": unit}
+        field_metadata = {"unit": unit, "meaning": meaning} if meaning else {"unit": unit}
         arrays.append(array)
-        fields.append(pa.field(name, array.type, nullable=False, metadata=said))
-    text = json.dumps(dict(about), sort_keys=True)
+        fields.append(pa.field(name, array.type, nullable=False, metadata=field_metadata))
+    text = json.dumps(dict(metadata), sort_keys=True)
     proof = _checksum({column.name: column.values for column in columns}, text)
     content = io.BytesIO()
     pq.write_table(
@@ -425,24 +427,24 @@ def decode_parquet(
     except UnicodeDecodeError as error:
         raise Damaged(f"{where}: damaged: its metadata are not text.") from error
     if stored.get("format") != kind:
-        what = printable(stored.get("format", "a table of another program"))
-        raise StorageError(f"{where}: holds no {kind.removeprefix('adaptrack ')}, but {what}.")
+        file_kind = printable(stored.get("format", "a table of another program"))
+        raise StorageError(f"{where}: holds no {kind.removeprefix('adaptrack ')}, but {file_kind}.")
     if stored.get("format_version") != str(version):
         by = f" by adaptrack {stored['adaptrack']}" if "adaptrack" in stored else ""
-        given = printable(f"written{by} in format version {stored.get('format_version', '(unknown)')}")
-        raise StorageError(f"{where}: {given}, this adaptrack reads version {version}: {remedy}.")
+        origin = printable(f"written{by} in format version {stored.get('format_version', '(unknown)')}")
+        raise StorageError(f"{where}: {origin}, this adaptrack reads version {version}: {remedy}.")
     try:
         for name in required:
             if name not in table.column_names:
                 raise ValueError(f"there is no column {name!r}")
         columns = {name: _array(name, table.column(name)) for name in table.column_names}
-        about = json.loads(stored["about"])
+        metadata = json.loads(stored["about"])
         proof = stored["sha256"]
     except (KeyError, ValueError, TypeError, RecursionError) as error:
         raise Damaged(f"{where}: damaged, or edited by another program: {printable(str(error))}.") from error
     if _checksum(columns, stored["about"]) != proof:
         raise Damaged(f"{where}: damaged, or edited by another program: the checksum of its content does not fit.")
-    return columns, about
+    return columns, metadata
 
 
 def read_arrow_table(content: bytes, where: str) -> Any:
@@ -470,9 +472,9 @@ def read_arrow_table(content: bytes, where: str) -> Any:
     raise StorageError(f"{where}: holds {size:,} numbers, more than {MAX_NUMBERS:,}; leave out rows or columns.")
 
 
-def _checksum(columns: Mapping[str, NDArray[Any]], about: str) -> str:
-    """SHA-256 of every name, type and number, and of `about`."""
-    digest = hashlib.sha256(about.encode())
+def _checksum(columns: Mapping[str, NDArray[Any]], metadata: str) -> str:
+    """SHA-256 of every name, type and number, and of `metadata`."""
+    digest = hashlib.sha256(metadata.encode())
     for name, values in columns.items():
         digest.update(f"{name} {values.dtype} {values.shape}".encode())
         digest.update(np.ascontiguousarray(values).tobytes())
@@ -486,11 +488,11 @@ def _array(name: str, stored: Any) -> NDArray[Any]:
     values = stored.combine_chunks()
     if values.null_count:
         raise ValueError(f"{values.null_count} missing values in column {name!r}")
-    wide = pa.types.is_fixed_size_list(values.type)
-    array = np.asarray((values.flatten() if wide else values).to_numpy(zero_copy_only=False))
+    is_fixed_list = pa.types.is_fixed_size_list(values.type)
+    array = np.asarray((values.flatten() if is_fixed_list else values).to_numpy(zero_copy_only=False))
     if array.dtype.kind not in "biuf":
         raise ValueError(f"column {name!r} holds {array.dtype}, which are no numbers")
-    return array.reshape(len(values), -1) if wide else array
+    return array.reshape(len(values), -1) if is_fixed_list else array
 
 
 # -- what is wrong with a configuration -------------------------------------------------------------------------------
@@ -499,27 +501,29 @@ def problems(error: ValidationError, model_class: type[BaseModel], data: Mapping
     return [_problem(dict(detail), model_class, data) for detail in error.errors(include_url=False)]
 
 
-def _report(where: str, found: list[str]) -> str:
-    if len(found) == 1:
-        return f"{where}: {found[0]}"
-    return f"{where}: {len(found)} problems:" + "".join(f"\n  {sentence}" for sentence in found)
+def _report(where: str, problems: list[str]) -> str:
+    if len(problems) == 1:
+        return f"{where}: {problems[0]}"
+    return f"{where}: {len(problems)} problems:" + "".join(f"\n  {sentence}" for sentence in problems)
 
 
 def _problem(detail: dict[str, Any], model_class: type[BaseModel], data: Mapping[str, Any]) -> str:
     location: tuple[int | str, ...] = detail["loc"]
     kind: str = detail["type"]
     key = _key_in_file(location, data)
-    field, known = _walk(model_class, location)
+    field, field_names = _walk(model_class, location)
     if kind == "extra_forbidden":
-        return f"{key}: unknown key. {did_you_mean(str(location[-1]), known)}"
+        return f"{key}: unknown key. {did_you_mean(str(location[-1]), field_names)}"
     must = allowed(field) if field is not None else ""
     meaning = f" ({field.description})" if field is not None and field.description else ""
     if kind == "missing":
         return f"{key}: missing; give {must or 'a value'}{meaning}."
     if kind == "union_tag_invalid":  # "kind", which selects the shape of a table, has an unknown value
-        known = re.findall(r"'([^']*)'", detail["ctx"]["expected_tags"])
+        field_names = re.findall(r"'([^']*)'", detail["ctx"]["expected_tags"])
         selector = detail["ctx"]["discriminator"].strip("'")
-        return f"{key}.{selector} = {detail['ctx']['tag']!r}: unknown. {did_you_mean(detail['ctx']['tag'], known)}"
+        return (
+            f"{key}.{selector} = {detail['ctx']['tag']!r}: unknown. {did_you_mean(detail['ctx']['tag'], field_names)}"
+        )
     if kind == "union_tag_not_found":
         selector = detail["ctx"]["discriminator"].strip("'")
         return f"{key}.{selector}: missing; it says which shape this table describes."
@@ -527,9 +531,11 @@ def _problem(detail: dict[str, Any], model_class: type[BaseModel], data: Mapping
         sentence = str(detail["ctx"]["error"])
         if not key:
             return sentence
-        return f"{key}: {sentence}" if detail["input"] is None else f"{key} = {shown(detail['input'])}: {sentence}"
+        return (
+            f"{key}: {sentence}" if detail["input"] is None else f"{key} = {format_value(detail['input'])}: {sentence}"
+        )
     must = must or detail["msg"].removeprefix("Input should be ")
-    return f"{key or 'value'} = {shown(detail['input'])}: must be {must}{meaning}."
+    return f"{key or 'value'} = {format_value(detail['input'])}: must be {must}{meaning}."
 
 
 def _key_in_file(location: tuple[int | str, ...], data: Any) -> str:
@@ -551,20 +557,20 @@ def _walk(model_class: type[BaseModel], location: tuple[int | str, ...]) -> tupl
     """The field at `location`, if there is one, and the key names that are known beside it."""
     models: list[type[BaseModel]] = [model_class]
     field: FieldInfo | None = None
-    known: list[str] = []
+    field_names: list[str] = []
     for part in location:
-        known = [name for model in models for name in _field_names(model)]
+        field_names = [name for model in models for name in _field_names(model)]
         fields = [_field_names(model)[part] for model in models if part in _field_names(model)]
         if fields:
             field = fields[0]
-            models = [inner for each in fields for inner in _models_in(each.annotation)]
+            models = [inner for model_field in fields for inner in _models_in(model_field.annotation)]
         elif isinstance(part, int):
             field = None if models else field
         else:
             tagged = [model for model in models if part == model.__name__ or part in _literals(model)]
             models = tagged or models
             field = None
-    return field, known
+    return field, field_names
 
 
 def _field_names(model: type[BaseModel]) -> dict[Any, FieldInfo]:
@@ -596,19 +602,21 @@ def _without_none(value: Any) -> Any:
 
 
 def _is_table(value: Any) -> bool:
-    tables = isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(each, Mapping) for each in value)
+    tables = (
+        isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(element, Mapping) for element in value)
+    )
     return isinstance(value, Mapping) or tables
 
 
 def _syntax_report(where: str, language: str, text: str, message: str) -> str:
     """A syntax error with the line that holds it."""
-    found = re.search(r"(?:\(at|:) line (\d+),? column (\d+)", message)
-    if found is None:
+    position = re.search(r"(?:\(at|:) line (\d+),? column (\d+)", message)
+    if position is None:
         return f"{where}: not valid {language}: {message}."
-    number = int(found[1])
-    reason = message[: found.start()].strip()
+    number = int(position[1])
+    reason = message[: position.start()].strip()
     line = text.splitlines()[number - 1].strip() if number <= len(text.splitlines()) else ""
-    return f"{where}, line {number}, column {found[2]}: not valid {language}: {reason}: {shown(line)}."
+    return f"{where}, line {number}, column {position[2]}: not valid {language}: {reason}: {format_value(line)}."
 
 
 def is_number(cell: str) -> bool:

@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Iterable
 
 
-def content_policy(scripts: Iterable[str], script_sources: str = "", *others: str) -> str:
+def content_policy(scripts: Iterable[str], script_sources: str = "", *directives: str) -> str:
     """Content-Security-Policy of a page: only these inline scripts run, and nothing is loaded from anywhere.
 
     script_sources: further sources of scripts; others: further directives.
@@ -15,4 +15,4 @@ def content_policy(scripts: Iterable[str], script_sources: str = "", *others: st
     hashes = [f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in scripts]
     sources = " ".join([*hashes, *script_sources.split()]) or "'none'"
     always = "style-src 'unsafe-inline'; img-src data: blob:; form-action 'none'; base-uri 'none'"
-    return "; ".join(["default-src 'none'", f"script-src {sources}", *others, always])
+    return "; ".join(["default-src 'none'", f"script-src {sources}", *directives, always])

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pydantic_core.core_schema import CoreSchema
 
 
-class Limit(NamedTuple):
+class RequestLimit(NamedTuple):
     """The largest value of a request."""
 
     most: float
@@ -45,32 +45,36 @@ class Limit(NamedTuple):
 
 
 # -- a run ------------------------------------------------------------------------------------------------------------
-SPEED = Limit(100, "m/s", "360 km/h; faster tyres need ever finer integration steps")
-DURATION = Limit(100_000, "s", "a little over a day")
-PERIODS = Limit(2_000_000, "control periods", "a day at 0.05 s, 0.7 GB")
-STEPS = Limit(10_000, "steps", "5 us each in 0.05 s; a plant that needs shorter ones takes them within its step")
+MAX_SPEED = RequestLimit(100, "m/s", "360 km/h; faster tyres need ever finer integration steps")
+DURATION = RequestLimit(100_000, "s", "a little over a day")
+PERIODS = RequestLimit(2_000_000, "control periods", "a day at 0.05 s, 0.7 GB")
+MAX_STEPS = RequestLimit(
+    10_000, "steps", "5 us each in 0.05 s; a plant that needs shorter ones takes them within its step"
+)
 
 # -- a road -----------------------------------------------------------------------------------------------------------
-ROAD_LENGTH = Limit(2_000_000, "m of road", "its speed is planned at every metre: 3 GB, and some minutes")
-TURNS = Limit(10_000, "rad", "one element; each is a piece of the road, 3 MB in all")
+ROAD_LENGTH = RequestLimit(2_000_000, "m of road", "its speed is planned at every metre: 3 GB, and some minutes")
+TURNS = RequestLimit(10_000, "rad", "one element; each is a piece of the road, 3 MB in all")
 
 # -- a controller -----------------------------------------------------------------------------------------------------
-PREDICTION_HORIZON = Limit(1000, "control periods", "100 s at 0.1 s; a step then takes milliseconds")
-CONTROL_HORIZON = Limit(200, "control periods", "the time of a QP grows with the cube of the number of its moves")
-LAGUERRE_TERMS = Limit(200, "functions", CONTROL_HORIZON.reason)
+PREDICTION_HORIZON = RequestLimit(1000, "control periods", "100 s at 0.1 s; a step then takes milliseconds")
+CONTROL_HORIZON = RequestLimit(
+    200, "control periods", "the time of a QP grows with the cube of the number of its moves"
+)
+LAGUERRE_TERMS = RequestLimit(200, "functions", CONTROL_HORIZON.reason)
 
 # -- a campaign -------------------------------------------------------------------------------------------------------
-NOISE_SEEDS = Limit(1000, "noise seeds", "each multiplies the time of a campaign; 4 are usual")
-LANDSCAPE = Limit(500_000_000, "costs (operating points x tunings of the library)", "2 GB")
-WORKERS = Limit(1024, "threads", "more than the cores of any machine")
+NOISE_SEEDS = RequestLimit(1000, "noise seeds", "each multiplies the time of a campaign; 4 are usual")
+LANDSCAPE = RequestLimit(500_000_000, "costs (operating points x tunings of the library)", "2 GB")
+WORKERS = RequestLimit(1024, "threads", "more than the cores of any machine")
 
 # -- a comparison -----------------------------------------------------------------------------------------------------
-DRIVES = Limit(10_000, "random drives", "1.3 GB; further ones would be those of the next seed")
-OPERATING_POINTS = Limit(100_000, "operating points", "1.7 GB, and a search of 0.5 s on one core for each")
-SEED = Limit(10_000, "", "it numbers the drives")
+DRIVES = RequestLimit(10_000, "random drives", "1.3 GB; further ones would be those of the next seed")
+OPERATING_POINTS = RequestLimit(100_000, "operating points", "1.7 GB, and a search of 0.5 s on one core for each")
+MAX_SEED = RequestLimit(10_000, "", "it numbers the drives")
 
 
-def check_limit(what: str, value: float, limit: Limit) -> None:
+def check_limit(quantity: str, value: float, limit: RequestLimit) -> None:
     """Refuse a value above its bound.
 
     Raises
@@ -79,5 +83,5 @@ def check_limit(what: str, value: float, limit: Limit) -> None:
         "<what> = <value>: at most <most> <unit> (<reason>)."
     """
     if value > limit.most:
-        shown = str(value) if isinstance(value, int) and value < 10**15 else f"{float(min(value, 10**300)):.6g}"
-        raise InvalidInput(f"{what} = {shown}: {limit}.")
+        number = str(value) if isinstance(value, int) and value < 10**15 else f"{float(min(value, 10**300)):.6g}"
+        raise InvalidInput(f"{quantity} = {number}: {limit}.")

@@ -13,24 +13,24 @@ from typing import Any, Generic, TypeVar
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.text import printable
 
-Member = TypeVar("Member")
+MemberType = TypeVar("MemberType")
 
 
-class Registry(Generic[Member]):
+class Registry(Generic[MemberType]):
     """Factories of one kind of member. A path ``"package.module:name"`` is imported when it is first used.
 
-    what: the kind, for messages; register: the public function that adds to it; arguments: names of what every factory
-    is called with, by position.
+    member_kind: what a member is called in messages; register: the public function that adds to it; arguments: names
+    of what every factory is called with, by position.
     """
 
     def __init__(
-        self, what: str, register: str, factories: Mapping[str, Callable[..., Member] | str],
+        self, member_kind: str, register: str, factories: Mapping[str, Callable[..., MemberType] | str],
         arguments: Sequence[str] = (),
     ) -> None:  # fmt: skip
-        self.what, self.register, self.factories = what, register, dict(factories)
+        self.member_kind, self.register, self.factories = member_kind, register, dict(factories)
         self.arguments = arguments
 
-    def add(self, name: str, factory: Callable[..., Member] | str) -> None:
+    def add(self, name: str, factory: Callable[..., MemberType] | str) -> None:
         """Give a factory a name.
 
         Raises
@@ -40,9 +40,9 @@ class Registry(Generic[Member]):
             arguments.
         """
         if not name or not isinstance(name, str):
-            raise InvalidInput(f"{self.register}: the {self.what} needs a name, not {name!r}.")
+            raise InvalidInput(f"{self.register}: the {self.member_kind} needs a name, not {name!r}.")
         if name in self.factories:
-            raise InvalidInput(f"{self.register}: there is a {self.what} {name!r} already: choose another name.")
+            raise InvalidInput(f"{self.register}: there is a {self.member_kind} {name!r} already: choose another name.")
         if not callable(factory) and not (isinstance(factory, str) and factory.count(":") == 1):
             raise InvalidInput(
                 f"{self.register}: the factory of {name!r} must be callable or 'package.module:name', not {factory!r}."
@@ -51,7 +51,7 @@ class Registry(Generic[Member]):
             self._check_arguments(name, factory)
         self.factories[name] = factory
 
-    def _check_arguments(self, name: str, factory: Callable[..., Member]) -> None:
+    def _check_arguments(self, name: str, factory: Callable[..., MemberType]) -> None:
         try:
             signature = inspect.signature(factory)
         except ValueError:  # of a function in C
@@ -64,7 +64,7 @@ class Registry(Generic[Member]):
                 f"({', '.join(self.arguments)})."
             ) from None
 
-    def make(self, name: str, *arguments: Any, **options: Any) -> Member:
+    def make(self, name: str, *arguments: Any, **options: Any) -> MemberType:
         """Call the factory registered under a name.
 
         Raises
@@ -74,7 +74,7 @@ class Registry(Generic[Member]):
         """
         return self.factory(name)(*arguments, **options)
 
-    def factory(self, name: str) -> Callable[..., Member]:
+    def factory(self, name: str) -> Callable[..., MemberType]:
         """The factory of this name.
 
         Raises
@@ -82,7 +82,7 @@ class Registry(Generic[Member]):
         UnknownName
             When none has this name; the message holds the nearest that is known.
         """
-        self.known(name)
+        self.check_name(name)
         factory = self.factories[name]
         if isinstance(factory, str):
             module, attribute = factory.split(":")
@@ -90,19 +90,19 @@ class Registry(Generic[Member]):
             self._check_arguments(name, factory)
         return factory
 
-    def known(self, name: str) -> None:
-        """Refuse a name that nobody has.
+    def check_name(self, name: str) -> None:
+        """Refuse an unregistered name.
 
         Raises
         ------
         UnknownName
-            With the nearest that is known.
+            With the nearest registered name.
         """
         if not isinstance(name, str) or name not in self.factories:
-            raise UnknownName(f"There is no {self.what} {name!r}. {did_you_mean(str(name), self.factories)}")
+            raise UnknownName(f"There is no {self.member_kind} {name!r}. {did_you_mean(str(name), self.factories)}")
 
     def names(self) -> list[str]:
-        """The known names, sorted."""
+        """Return the registered names, sorted."""
         return sorted(self.factories)
 
 

@@ -1,19 +1,15 @@
-"""The answer to a question, as plain data: an answer in words, tables of named columns, notes, pictures.
+"""The answer to a question: one sentence, tables of named columns, notes, and pictures as functions that draw.
 
-A function that answers a question returns a `Result`; console, JSON, notebook and page are renderings of it in
-`adaptrack.results`. Nothing here knows how a table is printed or a picture drawn: values are numbers, words and arrays,
-colours and dashes have names.
+A function that answers a question returns a `Result`. Console, JSON, notebook and page are renderings of it in
+`adaptrack.results`. A table holds numbers and words.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+from typing import Any, Literal
 
 Row = Mapping[str, Any]
 """Column -> value: a number, words, a pair (lowest, highest), or None where there is none."""
@@ -62,28 +58,42 @@ def where(rows: Sequence[Row], columns: Iterable[str], holds: Any) -> frozenset[
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
-Colour: TypeAlias = str
-"""ink, muted, grid, or series-0 ... series-5: a page has them for light and dark."""
-Dash = Literal["solid", "dashed", "long", "dotted", "dash-dot"]
+INK = "#1d2733"
+"""Colour of text, ticks and the reference that controllers follow."""
+MUTED = "#66717e"
+"""Colour of frames and of lines in the background."""
+PALE = "#dce1e7"
+"""Colour of grid lines and of the road's surface."""
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Colours of contenders: Okabe and Ito's set, distinct with any common colour vision."""
 
-SERIES = tuple(f"series-{i}" for i in range(6))
-"""The colours of what is compared, distinct with any common colour vision."""
+Dash = Literal["solid", "dashed", "long", "dotted", "dash-dot"]
+DASHES: Mapping[Dash, Any] = {
+    "solid": "-", "dashed": (0, (4, 2)), "long": (0, (5, 1.5)), "dotted": (0, (1.5, 1.5)),
+    "dash-dot": (0, (5, 1.5, 1, 1.5)),
+}  # fmt: skip
+"""Line styles in matplotlib's notation: offset and lengths in widths of the line."""
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """How the lines of one contender are drawn, in every picture of a result."""
+    """The colour and dash of the lines of one contender, in every picture of a result."""
 
-    colour: Colour = SERIES[0]
+    colour: str = SERIES[0]
     dash: Dash = "solid"
 
+    @property
+    def look(self) -> dict[str, Any]:
+        """The stroke as keyword arguments of matplotlib's lines."""
+        return {"color": self.colour, "linestyle": DASHES[self.dash]}
 
-REFERENCE = Stroke("ink", "dashed")
-"""Of what is to be followed."""
-NEUTRAL = Stroke("ink")
-"""Of what all share (gust, friction)."""
-BACKGROUND = Stroke("muted")
-"""Of what lies under the rest."""
+
+REFERENCE_STROKE = Stroke(INK, "dashed")
+"""Stroke of the reference that controllers follow."""
+SHARED_STROKE = Stroke(INK)
+"""Stroke of signals that all runs share (gust, friction)."""
+BACKGROUND_STROKE = Stroke(MUTED)
+"""Stroke of lines behind the main curves."""
 
 _ROUNDS: tuple[Dash, ...] = ("solid", "long", "dotted")
 
@@ -97,220 +107,16 @@ def strokes(labels: Iterable[str]) -> dict[str, Stroke]:
 
 
 @dataclass(frozen=True)
-class Polyline:
-    """Points that are joined by a line."""
-
-    x: ArrayLike
-    y: ArrayLike
-    stroke: Stroke = Stroke()
-    width: float = 1.3
-    """pt"""
-    steps: Literal["", "pre", "post"] = ""
-    """Where a value holds: up to its place, or from there on; empty: joined by straight lines."""
-    markers: bool = False
-    """A dot at every point."""
-    opacity: float = 1.0
-
-
-@dataclass(frozen=True)
-class Dots:
-    """Points that stand alone."""
-
-    x: ArrayLike
-    y: ArrayLike
-    colour: Colour = SERIES[0]
-    marker: Literal["dot", "ring", "square", "cross", "heavy cross", "triangle", "arrow", "point"] = "dot"
-    size: float = 5.0
-    """pt"""
-    at_edge: bool = False
-    """Those beyond the axes are drawn at their edge."""
-    scales: bool = True
-    """Whether the axes make room for them."""
-    opacity: float = 1.0
-
-
-@dataclass(frozen=True)
-class Ribbon:
-    """The area between two curves."""
-
-    x: ArrayLike
-    low: ArrayLike
-    high: ArrayLike
-    colour: Colour = SERIES[0]
-
-
-@dataclass(frozen=True)
-class Guide:
-    """Straight lines across the whole panel."""
-
-    across: Literal["x", "y"]
-    """The axis that they cross: x stands upright, y lies."""
-    at: Sequence[float]
-    stroke: Stroke = BACKGROUND
-    width: float = 0.8
-    """pt"""
-
-
-@dataclass(frozen=True)
-class Stripe:
-    """A shaded part of an axis, across the whole panel."""
-
-    across: Literal["x", "y"]
-    low: float
-    high: float
-    colour: Colour = "muted"
-    opacity: float = 0.15
-
-
-@dataclass(frozen=True)
-class Bars:
-    """Upright bars from zero."""
-
-    edges: ArrayLike
-    """(n + 1,)"""
-    heights: ArrayLike
-    """(n,)"""
-    colour: Colour = SERIES[0]
-    fill: float = 0.9
-    """Share of the width."""
-
-
-@dataclass(frozen=True)
-class Scale:
-    """From numbers to colours, dark to bright; the bar that explains it."""
-
-    low: float
-    high: float
-    label: str = ""
-    log: bool = False
-    whole: bool = False
-    """Whether only whole numbers are written beside the bar."""
-    reversed: bool = False
-    """Whether low values are bright."""
-    colours: Literal["even", "deviation"] = "even"
-    """even: cividis, also for the colour-blind and in grey; deviation: blue, amber, red."""
-    beyond: Literal["neither", "min", "max", "both"] = "neither"
-    """Where values lie beyond the colours."""
-
-
-@dataclass(frozen=True)
-class HeatMap:
-    """A colour for each cell of a grid over two quantities."""
-
-    x_edges: ArrayLike
-    y_edges: ArrayLike
-    values: ArrayLike
-    """(y cells, x cells), NaN where there is none"""
-    scale: Scale
-    image: bool = False
-    """One image of equal cells instead of a shape for each: for a fine grid, which then stays a small file."""
-
-
-@dataclass(frozen=True)
-class ColouredLine:
-    """A line in the plane, each piece in the colour of its value."""
-
-    x: ArrayLike
-    """(n + 1,)"""
-    y: ArrayLike
-    values: ArrayLike
-    """(n,)"""
-    scale: Scale
-
-
-@dataclass(frozen=True)
-class Polygon:
-    """A closed outline: filled where it has a ground."""
-
-    x: ArrayLike
-    y: ArrayLike
-    edge: Colour = ""
-    ground: Colour = ""
-    width: float = 0.6
-    """pt, of the edge"""
-    opacity: float = 1.0
-
-
-@dataclass(frozen=True)
-class Remark:
-    """Words beside a point."""
-
-    x: float
-    y: float
-    text: str
-    offset: tuple[float, float] = (5.0, 5.0)
-    """pt, to the right and up"""
-    at_right: bool = False
-    """At the panel's right edge, level with y: for what lies beyond."""
-
-
-@dataclass(frozen=True)
-class Callout:
-    """Words that stand apart from their point, level with another height and joined to the point by a thin line."""
-
-    x: float
-    y: float
-    text: str
-    place: tuple[float, float]
-    """Where they begin, on the axes; where they end, if they stand on the left."""
-    colour: Colour = "ink"
-    at_left: bool = False
-
-
-@dataclass(frozen=True)
-class Heading:
-    """An arrow."""
-
-    start: tuple[float, float]
-    end: tuple[float, float]
-
-
-Mark: TypeAlias = (
-    Polyline | Dots | Ribbon | Guide | Stripe | Bars | HeatMap | ColouredLine | Polygon | Remark | Callout | Heading
-)
-
-
-@dataclass(frozen=True)
-class Axis:
-    """What is along an axis, and how far it goes."""
-
-    label: str = ""
-    low: float | None = None
-    """Its end; from what is drawn where left out."""
-    high: float | None = None
-    log: bool = False
-    whole: bool = False
-    """Whether only whole numbers have a tick."""
-    names: Sequence[str] = ()
-    """Words at 0, 1, 2, ... in place of numbers; downwards on the y axis."""
-    degrees: bool = False
-    """Radians, with a second scale in degrees."""
-    include: Sequence[float] = ()
-    """Values that lie on it in any case."""
-    most: float | None = None
-    """No end is farther than this from zero."""
-    margin: float | None = None
-    """Share of its length beside what is drawn."""
-
-
-@dataclass(frozen=True)
 class Panel:
-    """What is drawn on one pair of axes."""
+    """A drawing on one pair of axes."""
 
     title: str
-    x: Axis
-    y: Axis
-    marks: Sequence[Mark]
+    draw: Callable[[Any], object]
+    """Draws the curves on matplotlib's axes (`matplotlib.axes.Axes`) and sets their labels, limits and scales."""
     description: str
-    """With the title, its alternative text."""
-    remark: str = ""
-    """Small words above it, at the right."""
-    key: Sequence[tuple[str, Stroke]] = ()
-    """Names of dashes, above it at the right."""
-    to_scale: bool = False
-    """Whether both axes have the same scale."""
+    """The alternative text is the title followed by it."""
     height: float = 1.0
-    """In a picture of one column, over that of the others."""
+    """Height relative to the other panels of a picture with one column."""
 
 
 @dataclass(frozen=True)
@@ -324,24 +130,17 @@ class Picture:
     file: str = ""
     """The name of its PNG file for print; empty for none."""
     columns: int = 2
-    """of that file"""
+    """Number of columns in the PNG file."""
     row_height: float = 2.25
-    """inch, of that file"""
+    """inch, height of a row in the PNG file"""
     size: tuple[float, float] | None = None
-    """inch, on the page, of a single panel; all that are drawn alike where left out"""
-    print_panels: Sequence[Panel] | None = None
-    """Of that file, where they are others."""
-
-    @property
-    def for_print(self) -> Sequence[Panel]:
-        """The panels of the file."""
-        return self.panels if self.print_panels is None else self.print_panels
+    """inch, width and height of a panel on the page; the common size if None"""
 
 
 # -- the result -------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """An answer with what it rests on."""
+    """An answer with the numbers that support it."""
 
     kind: str
     """Which question is answered: identification, certificate, drive, ...; it names the page's template."""
@@ -352,27 +151,27 @@ class Result:
     """Everything by name, as JSON takes it: numbers, words, None, lists and mappings of these."""
     tables: Sequence[ResultTable] = ()
     notes: Sequence[str] = ()
-    """Sentences on what the reader must know beside."""
+    """Further sentences that the reader must know."""
     pictures: Sequence[Picture] = ()
     failed: bool = False
-    """Whether the answer is one that nobody wants."""
+    """Whether the answer is a failure."""
     headline: str = ""
     """The failure, to stand before the title; empty without one."""
     values: Mapping[str, Any] = field(default_factory=dict)
-    """Named numbers and words that pages tell in sentences, beside `record`."""
+    """Named numbers and words for the page's template, in addition to `record`."""
     command: str = ""
-    """The command line that makes it again."""
+    """The command line that repeats it."""
     created: str = ""
     next_step: str = ""
     """Suggestion for the next command."""
 
     def table(self, name: str) -> ResultTable:
         """A table by its name."""
-        return next(each for each in self.tables if each.name == name)
+        return next(table for table in self.tables if table.name == name)
 
     def picture(self, name: str) -> Picture:
         """A picture by its name."""
-        return next(each for each in self.pictures if each.name == name)
+        return next(picture for picture in self.pictures if picture.name == name)
 
 
 def strict(value: Any) -> Any:

@@ -8,11 +8,11 @@ from typing import Any
 _ROOM = "adaptrack.results.shown"
 
 
-def figure_of(shown: Any, *more: Any) -> Any:
+def figure_of(result: Any, *options: Any) -> Any:
     """The object as a matplotlib figure."""
-    return importlib.import_module(_ROOM).figure_of(shown, *more)
+    return importlib.import_module(_ROOM).figure_of(result, *options)
 
 
-def html_of(shown: Any) -> str:
+def html_of(result: Any) -> str:
     """Return the HTML form of an object for a notebook."""
-    return str(importlib.import_module(_ROOM).html_of(shown))
+    return str(importlib.import_module(_ROOM).html_of(result))

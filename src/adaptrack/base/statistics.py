@@ -12,7 +12,7 @@ from adaptrack.base.errors import InvalidInput
 
 Array = NDArray[np.float64]
 
-RESAMPLES, SEED = 2000, 0x9160
+BOOTSTRAP_RESAMPLES, BOOTSTRAP_SEED = 2000, 0x9160
 """Of a bootstrap."""
 
 
@@ -34,7 +34,7 @@ def geometric_mean(costs: ArrayLike) -> float:
     return float(np.exp(np.mean(np.log(costs))))
 
 
-def ratio(values: ArrayLike, others: ArrayLike) -> Ratio:
+def ratio(values: ArrayLike, references: ArrayLike) -> Ratio:
     """The geometric mean of values over others, both (n,) or (n, m), with its 95 % percentile bootstrap interval.
 
     Every axis is a level that is drawn anew in each resample, independently of the other: runs; or cars and roads,
@@ -47,7 +47,7 @@ def ratio(values: ArrayLike, others: ArrayLike) -> Ratio:
     InvalidInput
         When nothing was measured in common.
     """
-    logs = np.log(np.asarray(values, dtype=float) / np.asarray(others, dtype=float))
+    logs = np.log(np.asarray(values, dtype=float) / np.asarray(references, dtype=float))
     there = np.isfinite(logs)
     if not there.any():
         raise InvalidInput("ratio: the two were driven on nothing in common.")
@@ -68,9 +68,11 @@ def _resampled(values: Array) -> Array:
 @lru_cache(maxsize=4)
 def _weights(shape: tuple[int, ...]) -> list[Array]:
     """(RESAMPLES, n) for each axis: how often each of its n entries is drawn."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
     return [
-        rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES).astype(float) if n > 1 else np.ones((RESAMPLES, 1))
+        rng.multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAP_RESAMPLES).astype(float)
+        if n > 1
+        else np.ones((BOOTSTRAP_RESAMPLES, 1))
         for n in shape
     ]
 
@@ -87,7 +89,7 @@ def binned_geometric_mean(values: Array, x: Array, y: Array, cells: int) -> tupl
 
     Rows along y, columns along x; NaN where a cell holds none.
     """
-    x_edges, y_edges = (np.histogram_bin_edges(each, cells) for each in (x, y))
+    x_edges, y_edges = (np.histogram_bin_edges(coordinates, cells) for coordinates in (x, y))
     count = np.histogram2d(y, x, (y_edges, x_edges))[0]
     total = np.histogram2d(y, x, (y_edges, x_edges), weights=np.log(values))[0]
     mean = np.exp(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0.0))
@@ -113,12 +115,12 @@ def block_rms(squared: ArrayLike, block: ArrayLike) -> list[tuple[Interval, Rati
     values, place = np.atleast_2d(np.asarray(squared, dtype=float)), np.unique(block, return_inverse=True)[1]
     count = _resampled(np.bincount(place).astype(float))
     means = [_resampled(np.bincount(place, row).astype(float)) / count for row in values]
-    found = []
+    results = []
     for row, mean in zip(values, means, strict=True):
         over = np.divide(
             [values[0].mean(), *means[0]], [row.mean(), *mean], out=np.ones(1 + mean.size), where=mean.all()
         )
-        ends = (np.percentile(np.sqrt(each), [2.5, 97.5]).tolist() for each in (mean, over[1:]))
+        ends = (np.percentile(np.sqrt(mean_squares), [2.5, 97.5]).tolist() for mean_squares in (mean, over[1:]))
         rms, ratio = zip(np.sqrt([row.mean(), over[0]]).tolist(), ends, strict=True)
-        found.append((Interval(rms[0], *rms[1]), Ratio(ratio[0], *ratio[1])))
-    return found
+        results.append((Interval(rms[0], *rms[1]), Ratio(ratio[0], *ratio[1])))
+    return results

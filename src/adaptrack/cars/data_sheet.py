@@ -12,15 +12,13 @@ from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.synthesis import car as kernel
+from adaptrack.core.synthesis.car import MASSES, WHEELBASES
 from adaptrack.core.synthesis.rows import row_of
 
 DRIVER = 75.0
 """kg, driver in the mass in running order (Regulation (EU) No 1230/2012)."""
 DRIVER_AND_LUGGAGE = 136.0
 """kg, what opendbc (commaai) adds to a kerb mass for driver, luggage and fuel, `STD_CARGO_KG`."""
-
-MASSES, WHEELBASES = kernel.MASSES, kernel.WHEELBASES
-"""kg, m: beyond these the measurements say nothing."""
 BODY_STYLES = ("car", "truck")
 """Passenger cars; pickups, vans and sport utility vehicles."""
 _ESTIMATED = (
@@ -38,7 +36,7 @@ def vehicle_from_data_sheet(
     *,
     load: Annotated[NotNegative, "kg"] = 0.0,
     body_style: str = "car",
-    **known: Any,
+    **entries: Any,
 ) -> Vehicle:
     """A car of which little is known; every other number is estimated, marked and given a spread.
 
@@ -66,25 +64,25 @@ def vehicle_from_data_sheet(
     if body_style not in BODY_STYLES:
         hint = did_you_mean(str(body_style), BODY_STYLES)
         raise UnknownName(f"vehicle_from_data_sheet: body_style = {body_style!r}: unknown. {hint}")
-    arms = {key: real("vehicle_from_data_sheet", key, known.pop(key)) for key in ("lf", "lr") if key in known}
-    made, within = row_of(kernel.Car, mass=mass, **arms), row_of(kernel.KnownWithin)
-    status = kernel.complete_car(wheelbase, load, BODY_STYLES.index(body_style), made, within)
+    arms = {key: real("vehicle_from_data_sheet", key, entries.pop(key)) for key in ("lf", "lr") if key in entries}
+    car_row, within = row_of(kernel.CarRow, mass=mass, **arms), row_of(kernel.KnownWithinRow)
+    status = kernel.complete_car(wheelbase, load, BODY_STYLES.index(body_style), car_row, within)
     if status == kernel.TOO_MUCH_LOAD:
         raise InvalidInput(f"vehicle_from_data_sheet: load = {load:g} kg: must not be more than the car itself.")
     if status == kernel.AXLES_DISAGREE:
-        given = " and ".join(f"{key} = {value:g} m" for key, value in arms.items())
+        lengths = " and ".join(f"{key} = {value:g} m" for key, value in arms.items())
         raise InvalidInput(
-            f"vehicle_from_data_sheet: lf and lr do not make the wheelbase of {wheelbase:g} m with {given}: give one "
+            f"vehicle_from_data_sheet: lf and lr do not make the wheelbase of {wheelbase:g} m with {lengths}: give one "
             "of them, or neither."
         )
-    estimates = {key: float(made[key]) for key in _ESTIMATED}
-    known |= {key: estimates[key] for key in ("lf", "lr") if arms}
-    guessed = [key for key in estimates if key not in known]
-    spreads = {key: float(within[key]) for key in guessed if key in kernel.KnownWithin._fields and key != "lr"}
-    known.setdefault("known_within", KnownWithin(**spreads))
-    known.setdefault("description", f"estimated from {mass:g} kg and {wheelbase:g} m of wheelbase")
+    estimates = {key: float(car_row[key]) for key in _ESTIMATED}
+    entries |= {key: estimates[key] for key in ("lf", "lr") if arms}
+    guessed = [key for key in estimates if key not in entries]
+    spreads = {key: float(within[key]) for key in guessed if key in kernel.KnownWithinRow._fields and key != "lr"}
+    entries.setdefault("known_within", KnownWithin(**spreads))
+    entries.setdefault("description", f"estimated from {mass:g} kg and {wheelbase:g} m of wheelbase")
     guessed += [
         key for key, field in Vehicle.model_fields.items()
-        if field.annotation is float and key not in known and key not in estimates and key != "mass"
+        if field.annotation is float and key not in entries and key not in estimates and key != "mass"
     ]  # fmt: skip
-    return Vehicle(name=name, mass=float(made.mass), **(estimates | known), estimated=tuple(guessed))
+    return Vehicle(name=name, mass=float(car_row.mass), **(estimates | entries), estimated=tuple(guessed))

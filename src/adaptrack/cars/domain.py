@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from adaptrack.base.files import LISTED, Record
 
-MOST = {"speed": 100.0, "friction": 2.0}
+MAX_DOMAIN = {"speed": 100.0, "friction": 2.0}
 """m/s, -: the ranges of a domain end there at the latest."""
 Range = Annotated[tuple[float, float], LISTED]
 """Lowest and highest value; a list in TOML."""
@@ -31,7 +31,7 @@ class Domain(Record):
 
     @model_validator(mode="after")
     def _ranges_rise(self) -> Self:
-        for name, most in MOST.items():
+        for name, most in MAX_DOMAIN.items():
             low, high = getattr(self, name)
             if not 0.0 < low <= high <= most:
                 raise ValueError(f"{name} = [{low:g}, {high:g}]: need 0 < lowest <= highest <= {most:g}.")

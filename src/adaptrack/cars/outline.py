@@ -31,9 +31,9 @@ class Outline:
     """which of length, front_overhang and width no source gave"""
 
     def __repr__(self) -> str:
-        known = f"front={self.front:.3f} m, rear={self.rear:.3f} m, width={self.width:.3f} m"
+        dimensions = f"front={self.front:.3f} m, rear={self.rear:.3f} m, width={self.width:.3f} m"
         guess = f"; estimated from wheelbase and track: {', '.join(self.estimated)}" if self.estimated else ""
-        return f"Outline({known}{guess})"
+        return f"Outline({dimensions}{guess})"
 
     @property
     def length(self) -> float:
@@ -48,7 +48,7 @@ class Outline:
 
     def corners_at(self, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Array:
         """The corners in the world, (..., 4, 2) m, of a centre of mass at x, y (m) with a yaw angle (rad)."""
-        x, y, yaw = np.broadcast_arrays(*(reals("corners_at", each) for each in (x, y, yaw)))
+        x, y, yaw = np.broadcast_arrays(*(reals("corners_at", coordinate) for coordinate in (x, y, yaw)))
         ahead, left = self.corners.T
         sine, cosine = np.sin(yaw)[..., None], np.cos(yaw)[..., None]
         return np.stack(
@@ -63,7 +63,7 @@ class Outline:
         from the circle of curvature k is (2 b - k (a^2 + b^2))/(1 + sqrt((k a)^2 + (1 - k b)^2)): exact on straight
         lines and arcs, off by the change of curvature within half a car length elsewhere.
         """
-        e, turn, k = (reals("corner_offsets", each)[..., None] for each in (offset, heading_error, curvature))
+        e, turn, k = (reals("corner_offsets", values)[..., None] for values in (offset, heading_error, curvature))
         ahead, left = self.corners.T
         along = ahead * np.cos(turn) - left * np.sin(turn)
         across = e + ahead * np.sin(turn) + left * np.cos(turn)

@@ -23,18 +23,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Bound, Count, Positive, checked, real, reals
 from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.base.limits import STEPS, check_limit
+from adaptrack.base.limits import MAX_STEPS, check_limit
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.plants import dual_track, single_track
-from adaptrack.core.plants.contract import INPUT, INPUTS, STATES
+from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_INPUTS, PLANT_STATES
 from adaptrack.core.plants.user import compile_plant, layout_of
 from adaptrack.core.synthesis import plant as kernel
 
 Array = NDArray[np.float64]
 
-MOTION = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
+MOTION_STATES = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
 """The states that every plant begins with: m, m, rad, m/s, m/s, rad/s."""
 
 
@@ -62,7 +62,7 @@ class Plant(ABC):
     @property
     @abstractmethod
     def state_names(self) -> tuple[str, ...]:
-        """The plant's own states, beginning with `MOTION`."""
+        """The plant's own states, beginning with `MOTION_STATES`."""
 
     @property
     @abstractmethod
@@ -80,7 +80,7 @@ class Plant(ABC):
         What is not said otherwise starts at zero.
         """
         state = np.zeros(len(self.state_names))
-        state[: len(MOTION)] = _vector("motion", motion, len(MOTION))
+        state[: len(MOTION_STATES)] = _vector("motion", motion, len(MOTION_STATES))
         return state
 
     @abstractmethod
@@ -174,12 +174,12 @@ class _Car(Plant):
 
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
         n = len(self.state_names)
-        state = np.zeros(STATES)
+        state = np.zeros(PLANT_STATES)
         state[:n] = _vector("x", x, n)
-        inputs = np.zeros(INPUTS)
-        inputs[[INPUT.command, INPUT.force, INPUT.acceleration]] = _input(u)
-        inputs[INPUT.friction_front_left :] = _environment(environment)
-        slope = np.empty(STATES)
+        inputs = np.zeros(PLANT_INPUTS)
+        inputs[[PLANT_INPUT.command, PLANT_INPUT.force, PLANT_INPUT.acceleration]] = _input(u)
+        inputs[PLANT_INPUT.friction_front_left :] = _environment(environment)
+        slope = np.empty(PLANT_STATES)
         self.compiled.right_hand_side(state, inputs, self._with_ideal_steering, slope)
         return slope[:n]
 
@@ -201,7 +201,7 @@ class SingleTrack(_Car):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        return MOTION
+        return MOTION_STATES
 
 
 @final
@@ -224,7 +224,7 @@ class DualTrack(_Car):
     @property
     def state_names(self) -> tuple[str, ...]:
         slips = tuple(f"slip_{wheel}" for wheel in ("front_left", "front_right", "rear_left", "rear_right"))
-        return (*MOTION, *slips, "felt_ax", "felt_ay")
+        return (*MOTION_STATES, *slips, "felt_ax", "felt_ay")
 
 
 @final
@@ -235,7 +235,7 @@ class UserPlant(Plant):
 
     right_hand_side(x, u, environment, p, dx) writes dx/dt into dx and returns nothing. It is a
     `CFunction`, or Python: compiled where numba is installed (``adaptrack[compile]``), else called back; it may use
-    floats, loops, `math` and array elements. x: (n,) beginning with `MOTION`; u: steering angle of the front
+    floats, loops, `math` and array elements. x: (n,) beginning with `MOTION_STATES`; u: steering angle of the front
     wheels (rad), longitudinal force requested of the wheels (N), prescribed dv_x/dt (m/s^2); environment: friction
     front-left, front-right, rear-left, rear-right, wind along X and Y (m/s), pull of a banked road to the left (m/s^2);
     p: `parameters` as an array, in their order, or, where they are nested, as a record (``p.tyre.shape``). It must not
@@ -258,7 +258,7 @@ class UserPlant(Plant):
     mass: Annotated[Positive, "kg"]
     """with which the driver turns acceleration into force"""
     own_states: tuple[str, ...] = ()
-    """names of the states behind `MOTION`"""
+    """names of the states behind `MOTION_STATES`"""
     start: Callable[[Array], Any] | None = None
     """start(motion) -> the own states in equilibrium with the first six, such as speeds of rolling wheels; None: 0"""
     steps: Count = 20
@@ -280,9 +280,11 @@ class UserPlant(Plant):
 
     def __post_init__(self) -> None:
         values = flattened(self.parameters)
-        bad = [f"{key} = {value!r}" for key, value in values.items() if not _is_finite(value)]
-        if bad:
-            raise InvalidInput(f"UserPlant {self.label!r}: parameters must be finite numbers: {', '.join(bad)}.")
+        invalid_values = [f"{key} = {value!r}" for key, value in values.items() if not _is_finite(value)]
+        if invalid_values:
+            raise InvalidInput(
+                f"UserPlant {self.label!r}: parameters must be finite numbers: {', '.join(invalid_values)}."
+            )
         try:
             nested = any(isinstance(value, Mapping) for value in self.parameters.values())
             compiled = compile_plant(self.right_hand_side, layout_of(self.parameters) if nested else None)
@@ -304,7 +306,7 @@ class UserPlant(Plant):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        return (*MOTION, *self.own_states)
+        return (*MOTION_STATES, *self.own_states)
 
     @property
     def powertrain(self) -> dict[str, float]:
@@ -317,9 +319,9 @@ class UserPlant(Plant):
     def initial_state(self, motion: ArrayLike) -> Array:
         state = super().initial_state(motion)
         if self.start is not None:
-            own = np.asarray(self.start(state[: len(MOTION)].copy()), dtype=np.float64)
+            own_states = np.asarray(self.start(state[: len(MOTION_STATES)].copy()), dtype=np.float64)
             where = f"UserPlant {self.label!r}: start"
-            state[len(MOTION) :] = _vector(where, own, len(self.own_states))
+            state[len(MOTION_STATES) :] = _vector(where, own_states, len(self.own_states))
         return state
 
     def packed(self) -> Array:
@@ -398,14 +400,14 @@ def steps_in(period: float, plant: UserPlant | SteppedPlant) -> int:
     Raises
     ------
     InvalidInput
-        When that is no positive number, or they are more than `limits.STEPS`.
+        When that is no positive number, or they are more than `limits.MAX_STEPS`.
     """
     where = f"Plant {plant.name!r}"
     longest = real(where, "longest_step", plant.longest_step)
     if not longest > 0.0:
         raise InvalidInput(f"{where}: longest_step = {longest!r} s: must be positive.")
     steps = float(period) / longest
-    check_limit(f"{where}: longest_step = {longest:g} s: steps in a control period of {period:g} s", steps, STEPS)
+    check_limit(f"{where}: longest_step = {longest:g} s: steps in a control period of {period:g} s", steps, MAX_STEPS)
     return max(1, math.ceil(steps - 1e-9))
 
 
@@ -419,11 +421,11 @@ def _vector(name: str, values: ArrayLike, size: int) -> Array:
 
 def flattened(parameters: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     """Nested parameters as one table: ``{"tyre": {"shape": 1.3}}`` as ``{"tyre.shape": 1.3}``."""
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for name, value in parameters.items():
         inner = flattened(value, f"{before}{name}.") if isinstance(value, Mapping) else {f"{before}{name}": value}
-        found |= inner
-    return found
+        entries |= inner
+    return entries
 
 
 def _is_finite(value: Any) -> bool:
@@ -432,14 +434,14 @@ def _is_finite(value: Any) -> bool:
 
 def _input(values: ArrayLike) -> Array:
     """(3,); without a prescribed acceleration the force acts."""
-    given = reals("u", values)
-    return _vector("u", np.append(given, math.nan) if given.shape == (2,) else given, 3)
+    array = reals("u", values)
+    return _vector("u", np.append(array, math.nan) if array.shape == (2,) else array, 3)
 
 
 def _environment(values: ArrayLike) -> Array:
     """(7,); a bank that is left out is none."""
-    given = reals("environment", values)
-    return _vector("environment", np.append(given, 0.0) if given.shape == (6,) else given, 7)
+    array = reals("environment", values)
+    return _vector("environment", np.append(array, 0.0) if array.shape == (6,) else array, 7)
 
 
 @checked
@@ -451,7 +453,7 @@ def check_plant(
 ) -> None:
     """Test that a plant keeps the contract on which controllers and the loop rely.
 
-    At each speed (m/s), on dry friction without wind: the states begin with `MOTION`; the right-hand side writes
+    At each speed (m/s), on dry friction without wind: the states begin with `MOTION_STATES`; the right-hand side writes
     every entry, finite, without touching its arguments, and answers twice alike, under a force and under a prescribed
     acceleration; position and yaw obey kinematics, eq. (5); at zero steering the vehicle goes straight; steering to the
     left begins a turn to the left; mirrored steering gives the mirrored motion (unless `symmetric` is False: a car may
@@ -466,8 +468,8 @@ def check_plant(
     if isinstance(plant, SteppedPlant):
         _check_stepped(plant, speeds, symmetric, period)
         return
-    if plant.state_names[:6] != MOTION:
-        _break(plant, f"its states must begin with {MOTION}", f"they are {plant.state_names}")
+    if plant.state_names[:6] != MOTION_STATES:
+        _break(plant, f"its states must begin with {MOTION_STATES}", f"they are {plant.state_names}")
     if plant.packed().ndim != 1 or np.isnan(plant.packed()).any():
         _break(plant, "packed() must give one row of finite parameters", f"it gives {plant.packed()!r}")
     for speed in speeds:
@@ -493,50 +495,50 @@ def _check_derivative(plant: Plant, straight: Array) -> None:
     """The derivative straight ahead, in a turn under a force, and in a turn under a prescribed acceleration."""
     turning = straight.copy()
     turning[:6] = 3.0, -2.0, 0.1, straight[3], 0.1, 0.05
-    here = f"at {straight[3]} m/s"
+    place = f"at {straight[3]} m/s"
     for x, u in ((straight, [0.0, 0.0, math.nan]), (turning, [0.02, 300.0, math.nan]), (turning, [0.02, 0.0, 0.5])):
-        given = [np.array(values, dtype=float) for values in (x, u, _DRY)]
-        kept = [values.copy() for values in given]
+        arguments = [np.array(values, dtype=float) for values in (x, u, _DRY)]
+        copies = [values.copy() for values in arguments]
         parameters = plant.packed()
-        slope = plant.derivative(*given)
+        slope = plant.derivative(*arguments)
         if not np.isfinite(slope).all():
             missing = [name for name, value in zip(plant.state_names, slope, strict=True) if not np.isfinite(value)]
             under = "under a prescribed acceleration, u[2]" if math.isfinite(u[2]) else "under a force, u[2] being NaN"
-            _break(plant, "every derivative must be written and finite", f"not so for {missing} {here} {under}")
-        changed = zip([*given, plant.packed()], [*kept, parameters], strict=True)
+            _break(plant, "every derivative must be written and finite", f"not so for {missing} {place} {under}")
+        changed = zip([*arguments, plant.packed()], [*copies, parameters], strict=True)
         if not all(np.array_equal(a, b, equal_nan=True) for a, b in changed):
-            _break(plant, "x, u, environment and p must not be written to", here)
-        if (plant.derivative(*given) != slope).any():
-            _break(plant, "the same arguments must give the same derivative", here)
+            _break(plant, "x, u, environment and p must not be written to", place)
+        if (plant.derivative(*arguments) != slope).any():
+            _break(plant, "the same arguments must give the same derivative", place)
         expected = (
             x[3] * math.cos(x[2]) - x[4] * math.sin(x[2]),
             x[3] * math.sin(x[2]) + x[4] * math.cos(x[2]),
             x[5],
         )
         if not np.allclose(slope[:3], expected, rtol=1e-6, atol=1e-9):
-            evidence = f"{slope[:3]} instead of {expected} {here}"
+            evidence = f"{slope[:3]} instead of {expected} {place}"
             _break(plant, "position and yaw must obey kinematics, eq. (5)", evidence)
 
 
 def _check_driving(plant: Plant, straight: Array, symmetric: bool, period: float) -> None:
     """A second of driving, straight ahead and under constant steering."""
-    here = f"at {straight[3]} m/s"
+    place = f"at {straight[3]} m/s"
     if np.abs(plant.derivative(straight, [0.0, 0.0], _DRY)[4:6]).max() > 1e-6 and symmetric:
-        _break(plant, "at zero steering the vehicle must go straight", here, _LOPSIDED)
+        _break(plant, "at zero steering the vehicle must go straight", place, _LOPSIDED)
     left = _settled(plant, straight, 0.01, period, 0.05, refine=8)  # however long its own steps are
     if not plant.derivative(left, [0.01, 0.0], _DRY)[5] > 0.0:
-        _break(plant, "steering to the left (positive) must begin a turn to the left (positive yaw rate)", here)
+        _break(plant, "steering to the left (positive) must begin a turn to the left (positive yaw rate)", place)
     coarse, fine = (_settled(plant, straight, 0.02, period, 1.0, refine) for refine in (1, 2))
     if symmetric:
         right = _settled(plant, straight, -0.02, period, 1.0)
         if not np.allclose(coarse[[0, 1, 2, 4, 5]] * [1, -1, -1, -1, -1], right[[0, 1, 2, 4, 5]], atol=1e-7):
-            evidence = f"{coarse[:6]} and {right[:6]} {here}"
+            evidence = f"{coarse[:6]} and {right[:6]} {place}"
             _break(plant, "the mirrored steering must give the mirrored motion", evidence, _LOPSIDED)
     if not np.isfinite(coarse).all() or not np.allclose(coarse[:6], fine[:6], rtol=1e-3, atol=1e-3):
         _break(
             plant,
             "its steps must be small enough to integrate it",
-            f"{coarse[:6]}, with half the step {fine[:6]} {here}, {plant.substeps(period, straight[3])} steps in a "
+            f"{coarse[:6]}, with half the step {fine[:6]} {place}, {plant.substeps(period, straight[3])} steps in a "
             f"control period of {period:g} s",
             "a UserPlant takes shorter ones with steps= or longest_step=, a shorter control period is tested with "
             "check_plant(..., period=)",
@@ -560,34 +562,34 @@ def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool
     """`check_plant` for a plant that is stepped: one second of driving, straight and under constant steering."""
     dt = period / steps_in(period, plant)
 
-    def driven(speed: float, steering: float) -> Array:
+    def drive_one_second(speed: float, steering: float) -> Array:
         plant.reset(np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0]))
         for _ in range(max(1, round(1.0 / dt))):
-            given = _DRY.copy()
-            motion = np.asarray(plant.step(dt, steering, 0.0, given), dtype=np.float64)
+            environment = _DRY.copy()
+            motion = np.asarray(plant.step(dt, steering, 0.0, environment), dtype=np.float64)
             if motion.shape != (6,) or not np.isfinite(motion).all():
                 _break(plant, "step() must return six finite numbers", f"it returned {motion!r} at {speed} m/s")
-            if (given != _DRY).any():
+            if (environment != _DRY).any():
                 _break(plant, "step() must not write to its arguments", f"at {speed} m/s")
         return motion
 
     for speed in speeds:
-        here = f"at {speed} m/s"
-        straight, left, right = (driven(speed, angle) for angle in (0.0, 0.02, -0.02))
+        place = f"at {speed} m/s"
+        straight, left, right = (drive_one_second(speed, angle) for angle in (0.0, 0.02, -0.02))
         if symmetric and abs(straight[[1, 2, 4, 5]]).max() > 1e-6:
-            _break(plant, "at zero steering the vehicle must go straight", f"{straight} {here}", _LOPSIDED)
+            _break(plant, "at zero steering the vehicle must go straight", f"{straight} {place}", _LOPSIDED)
         if not abs(straight[0] - speed) < 0.2 * speed:
-            _break(plant, "position must follow the speed", f"X = {straight[0]:g} m after 1 s {here}")
+            _break(plant, "position must follow the speed", f"X = {straight[0]:g} m after 1 s {place}")
         if not left[2] > 0.0:
             _break(
-                plant, "steering to the left (positive) must begin a turn to the left", f"yaw {left[2]:g} rad {here}"
+                plant, "steering to the left (positive) must begin a turn to the left", f"yaw {left[2]:g} rad {place}"
             )
         if symmetric and not np.allclose(left * [1, -1, -1, 1, -1, -1], right, atol=1e-6):
             _break(
-                plant, "the mirrored steering must give the mirrored motion", f"{left} and {right} {here}", _LOPSIDED
+                plant, "the mirrored steering must give the mirrored motion", f"{left} and {right} {place}", _LOPSIDED
             )
-        if (driven(speed, 0.02) != left).any():
-            _break(plant, "after reset() the same steps must give the same motion", here)
+        if (drive_one_second(speed, 0.02) != left).any():
+            _break(plant, "after reset() the same steps must give the same motion", place)
 
 
 def twin_of(car: Vehicle) -> DualTrack:
@@ -595,11 +597,11 @@ def twin_of(car: Vehicle) -> DualTrack:
 
     What searches and linear analysis use in place of a plant that is `costly` or has no linear model.
     """
-    known = Tyre(
+    tyre = Tyre(
         name="as known", kind="magic-formula", stiffness_front=car.stiffness_front, stiffness_rear=car.stiffness_rear,
         nominal_load=max(car.static_loads),
     )  # fmt: skip
-    return DualTrack(car, known)
+    return DualTrack(car, tyre)
 
 
 def fingerprint(plant: Plant | SteppedPlant) -> str:
@@ -608,16 +610,16 @@ def fingerprint(plant: Plant | SteppedPlant) -> str:
     Its numbers, and the source of the module that its right-hand side or its class is defined in. What a stepped plant
     asks of another process, of a library or of its own state is not part of it.
     """
-    own = getattr(plant, "right_hand_side", type(plant))
-    module = sys.modules.get(own.__module__)
+    equations = getattr(plant, "right_hand_side", type(plant))
+    module = sys.modules.get(equations.__module__)
     try:
         source = inspect.getsource(module) if module is not None else ""
     except (OSError, TypeError):  # typed in at a prompt
-        code = getattr(own, "__code__", None)
-        source = own.__qualname__ if code is None else repr((code.co_code, code.co_names))
+        code = getattr(equations, "__code__", None)
+        source = equations.__qualname__ if code is None else repr((code.co_code, code.co_names))
     numbers = plant.packed().tolist() if isinstance(plant, Plant) else []
-    more = [repr(getattr(plant, name, None)) for name in ("steps", "longest_step", "version", "steering")]
-    parts = [plant.name, plant.tyre_name, plant.powertrain, numbers, more, source]
+    attributes = [repr(getattr(plant, name, None)) for name in ("steps", "longest_step", "version", "steering")]
+    parts = [plant.name, plant.tyre_name, plant.powertrain, numbers, attributes, source]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 

@@ -28,12 +28,12 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, did_you_mean
 from adaptrack.base.files import printable, read_bytes
-from adaptrack.cars.tyre_fit import Samples, TyreFit, fit_law, judged
+from adaptrack.cars.tyre_fit import TyreFit, TyreSamples, assess_fit, fit_law
 from adaptrack.cars.vehicle import Tyre
 
 Array = NDArray[np.float64]
 
-UNITS = {
+TYRE_FILE_UNITS = {
     "LENGTH": {"meter": 1.0, "m": 1.0, "mm": 1e-3, "millimeter": 1e-3, "cm": 0.01, "centimeter": 0.01, "km": 1e3,
                "kilometer": 1e3, "inch": 0.0254, "foot": 0.3048},
     "FORCE": {"newton": 1.0, "n": 1.0, "knewton": 1e3, "kn": 1e3, "kilonewton": 1e3, "kilogram_force": 9.80665,
@@ -44,10 +44,10 @@ UNITS = {
 """Units that a file may be in, as factors to SI."""
 SCALINGS = ("LFZO", "LCY", "LMUY", "LEY", "LKY", "LSGAL")
 REQUIRED = ("PCY1", "PDY1", "PKY1", "PKY2")
-OPTIONAL = ("PDY2", "PEY1", "PEY2", "PEY3", "PHY1", "PHY2", "PVY1", "PVY2")
+OPTIONAL_COEFFICIENTS = ("PDY2", "PEY1", "PEY2", "PEY3", "PHY1", "PHY2", "PVY1", "PVY2")
 CAMBER = ("PDY3", "PEY4", "PEY5", "PKY3", "PKY5", "PKY6", "PKY7", "PHY3", "PVY3", "PVY4")
 """Lateral coefficients of the camber angle, which the plant's wheels do not have."""
-OTHERS = {
+UNUSED_SECTIONS = {
     "LONGITUDINAL_COEFFICIENTS": "longitudinal slip", "ALIGNING_COEFFICIENTS": "aligning moment",
     "OVERTURNING_COEFFICIENTS": "overturning moment", "ROLLING_COEFFICIENTS": "rolling resistance",
     "TURNSLIP_COEFFICIENTS": "turn slip",
@@ -60,19 +60,19 @@ REMEDIES = {
     "LATERAL_COEFFICIENTS": "the lateral force is what this reads",
 }
 """Sections that must be there."""
-MODELS = {
+TYRE_MODELS = {
     **dict.fromkeys(("5", "6", "21", "51", "52", "MF-TYRE", "MF_TYRE", "MFTYRE", "MF_05", "MF52"), "MF 5.2"),
     "60": "MF 6.1", "61": "MF 6.1", "62": "MF 6.2", "PAC2002": "PAC2002",
 }  # fmt: skip
 """Formulas by FITTYP or PROPERTY_FILE_FORMAT."""
-BOUNDS = {
+COEFFICIENT_BOUNDS = {
     "PCY1": (0.5, 2.5, "the shape factor of a tyre"),
     "PDY1": (0.1, 4.0, "the friction of a tyre"),
     "PKY1": (1.5, 100.0, "the stiffness of a tyre per radian (or per degree, as [UNITS] say) over its nominal load"),
     "PKY2": (1e-6, 1e6, "the load over the nominal one at which a tyre is stiffest"),
 }
 """Sizes of coefficients, in SI, that tyres have."""
-STEEPEST = 0.21
+MAX_FITTED_SLIP = 0.21
 """rad (12 degrees), largest slip that is fitted."""
 LIGHTEST, HEAVIEST = 0.3, 1.6
 """Loads that are fitted, over the nominal one, as far as the file's own range goes."""
@@ -158,9 +158,9 @@ class TyreFile:
         low = max(self.loads[0], LIGHTEST * self.scaled_load)
         high = min(self.loads[1], HEAVIEST * self.scaled_load)
         loads = np.linspace(low, high, 25)
-        slips = np.linspace(0.0, min(self.slips, STEEPEST), 61)[1:]
-        slip, load = (each.ravel() for each in np.meshgrid(slips, loads))
-        samples = Samples(slip, load, self.force(slip, load), np.zeros(slip.size, bool))
+        slips = np.linspace(0.0, min(self.slips, MAX_FITTED_SLIP), 61)[1:]
+        slip, load = (grid.ravel() for grid in np.meshgrid(slips, loads))
+        samples = TyreSamples(slip, load, self.force(slip, load), np.zeros(slip.size, bool))
         stiffness, ratio = self._digressive(loads)
         reaches = self.relaxation_length(self.scaled_load)
         start = Tyre(
@@ -170,7 +170,7 @@ class TyreFile:
             relaxation_length=0.0 if reaches is None else float(f"{float(reaches):.3g}"),
         )  # fmt: skip
         tyre, friction, _ = fit_law(start, samples, float(self.friction(self.scaled_load)), ["load sensitivity"])
-        return judged(tyre, samples, friction, (*self.notes, *self._said(loads, reaches)))
+        return assess_fit(tyre, samples, friction, (*self.notes, *self._relaxation_note(loads, reaches)))
 
     def _digressive(self, loads: Array) -> tuple[float, float]:
         """Stiffness (N/rad) at the nominal load and the load ratio p of C sin(2 atan(q/p))."""
@@ -185,10 +185,10 @@ class TyreFile:
             return np.asarray(x[0] * (1.0 + x[1] ** -2) * q / (1.0 + (q / x[1]) ** 2) / target - 1.0)
 
         start = np.clip([self.stiffness(self.scaled_load) / 1e5, p["PKY2"]], [1e-9, 0.11], [1e3, 99.0])
-        found = least_squares(lambda x: residual(x * [1e5, 1.0]), start, bounds=([0.0, 0.1], [1e3, 100.0]))
-        return float(f"{1e5 * found.x[0]:.5g}"), float(f"{found.x[1]:.5g}")
+        solution = least_squares(lambda x: residual(x * [1e5, 1.0]), start, bounds=([0.0, 0.1], [1e3, 100.0]))
+        return float(f"{1e5 * solution.x[0]:.5g}"), float(f"{solution.x[1]:.5g}")
 
-    def _said(self, loads: Array, reaches: Array | None) -> list[str]:
+    def _relaxation_note(self, loads: Array, reaches: Array | None) -> list[str]:
         """Return the note on the relaxation length."""
         if reaches is None:
             return ["No relaxation length in the file: forces build up at once."]
@@ -219,16 +219,16 @@ def read_tyre_file(path: str | os.PathLike[str]) -> TyreFile:
 def _sections(where: str) -> dict[str, dict[str, _Value]]:
     """Values by section and key, both in capitals, without empty values, comments ($ or !) and tables without keys."""
     text = read_bytes(where).decode("latin-1").lstrip("\ufeff").removeprefix("ï»¿")
-    found: dict[str, dict[str, _Value]] = {}
+    sections: dict[str, dict[str, _Value]] = {}
     section = ""
     for number, line in enumerate(text.splitlines(), 1):
         bare = re.split(r"[$!]", line, maxsplit=1)[0].strip()
         if heading := re.fullmatch(r"\[([^\]]*)\]", bare):
             section = heading[1].strip().upper()
-            found.setdefault(section, {})
+            sections.setdefault(section, {})
         elif "=" in bare:
             key, _, value = (part.strip(" \t'\"") for part in bare.partition("="))
-            key, values = key.upper(), found.setdefault(section, {})
+            key, values = key.upper(), sections.setdefault(section, {})
             if key in values and value not in ("", values[key].text):
                 raise ConfigError(
                     f"{printable(where)}, line {number}: {key} stands in line {values[key].line} with another value: "
@@ -236,7 +236,7 @@ def _sections(where: str) -> dict[str, dict[str, _Value]]:
                 )
             if value:
                 values[key] = _Value(value, number)
-    return found
+    return sections
 
 
 class _Reader:
@@ -309,7 +309,7 @@ class _Reader:
 
     def unit(self, quantity: str) -> float:
         """The factor to SI of a quantity."""
-        value, units = self.required("UNITS", quantity), UNITS[quantity]
+        value, units = self.required("UNITS", quantity), TYRE_FILE_UNITS[quantity]
         if value.text.lower() not in units:
             hint = did_you_mean(value.text.lower(), units)
             raise self.fail(f"{quantity} = {printable(value.text)!r}: unknown unit. {hint}", value)
@@ -323,7 +323,7 @@ class _Reader:
         value = kind if kind is not None and (fit is None or kind.text.upper() == "PAC2002") else fit
         if value is None:
             value = self.required("MODEL", "FITTYP and no PROPERTY_FILE_FORMAT")
-        model = MODELS.get(re.sub(r"\.0*$", "", value.text.upper()))
+        model = TYRE_MODELS.get(re.sub(r"\.0*$", "", value.text.upper()))
         if model is None:
             raise self.fail(
                 f"tyre model {printable(value.text)!r} cannot be read; known: MF 5.2 (FITTYP 5, 6, 21, 51, 52), MF 6.1 "
@@ -335,12 +335,12 @@ class _Reader:
         """The lateral coefficients in SI: angles in them follow [UNITS]."""
         section = "LATERAL_COEFFICIENTS"
         p = {key: self.number(section, key) for key in REQUIRED}
-        p |= {key: self.number(section, key, 0.0) for key in (*OPTIONAL, *CAMBER, "PTY1", "PTY2")}
+        p |= {key: self.number(section, key, 0.0) for key in (*OPTIONAL_COEFFICIENTS, *CAMBER, "PTY1", "PTY2")}
         p["PKY4"] = (self.number(section, "PKY4", 0.0) or 2.0) if model.startswith("MF 6") else 2.0
         p |= {key: self.number("STRUCTURAL", key, 0.0) for key in ("PCFY1", "PCFY2")}
         p |= {"PKY1": p["PKY1"] / angle, "PHY1": p["PHY1"] * angle, "PHY2": p["PHY2"] * angle}
         sizes = {"PCY1": p["PCY1"], "PDY1": abs(p["PDY1"]), "PKY1": abs(p["PKY1"]), "PKY2": p["PKY2"]}
-        for key, (low, high, meaning) in BOUNDS.items():
+        for key, (low, high, meaning) in COEFFICIENT_BOUNDS.items():
             if not low <= sizes[key] <= high:
                 value = self.required(section, key)
                 raise self.fail(f"{key} = {value.text}: {meaning} is from {low:g} to {high:g} in size.", value)
@@ -393,9 +393,9 @@ class _Reader:
         if any(p[key] for key in CAMBER):
             yield "Camber is left out: the plant's wheels stand upright."
         if model.startswith("MF 6"):
-            pressure, usual = (self.number("OPERATING_CONDITIONS", key, 0.0) for key in ("INFLPRES", "NOMPRES"))
-            differs = f" ({usual:g}), not as it is ({pressure:g})" if pressure and usual and pressure != usual else ""
+            actual, nominal = (self.number("OPERATING_CONDITIONS", key, 0.0) for key in ("INFLPRES", "NOMPRES"))
+            differs = f" ({nominal:g}), not as it is ({actual:g})" if actual and nominal and actual != nominal else ""
             yield f"The inflation pressure is taken as nominal{differs}."
-        others = [words for name, words in OTHERS.items() if name in self.sections]
-        if others:
-            yield f"Not read: {', '.join(others)}."
+        unused_sections = [words for name, words in UNUSED_SECTIONS.items() if name in self.sections]
+        if unused_sections:
+            yield f"Not read: {', '.join(unused_sections)}."

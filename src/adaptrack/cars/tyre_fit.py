@@ -17,11 +17,11 @@ from adaptrack.core.synthesis.rows import row_of
 
 Array = NDArray[np.float64]
 
-SHAPES, CURVATURES, FRICTIONS = (1.0, 1.99), (-20.0, 0.99), (0.05, 3.0)
+SHAPE_BOUNDS, CURVATURE_BOUNDS, FRICTION_BOUNDS = (1.0, 1.99), (-20.0, 0.99), (0.05, 3.0)
 """Bounds of what is fitted."""
 
 
-class Samples(NamedTuple):
+class TyreSamples(NamedTuple):
     """Lateral forces of one tyre; arrays (n,)."""
 
     slip: Array
@@ -84,7 +84,7 @@ class _Fitted(NamedTuple):
 
 
 _NUMBERS = (
-    _Fitted(*SHAPES, 0.3, ""), _Fitted(*CURVATURES, 1.0, ""), _Fitted(*FRICTIONS, 0.3, ""),
+    _Fitted(*SHAPE_BOUNDS, 0.3, ""), _Fitted(*CURVATURE_BOUNDS, 1.0, ""), _Fitted(*FRICTION_BOUNDS, 0.3, ""),
     _Fitted(0.0, 1.0, 0.1, FREE[0]), _Fitted(0.3, 50.0, 1.0, FREE[1]),
     _Fitted(0.25, 4.0, 0.1, FREE[2]), _Fitted(0.25, 4.0, 0.1, FREE[2]),
     _Fitted(-0.1, 0.1, 0.005, FREE[3]), _Fitted(-0.1, 0.1, 0.005, FREE[3]),
@@ -92,7 +92,7 @@ _NUMBERS = (
 
 
 def fit_law(
-    tyre: Tyre, samples: Samples, friction: float, free: Collection[str] = ()
+    tyre: Tyre, samples: TyreSamples, friction: float, free: Collection[str] = ()
 ) -> tuple[Tyre, float, tuple[float, float]]:
     """The tyre, its friction and the offsets of the slip (rad) that are nearest to samples.
 
@@ -106,30 +106,34 @@ def fit_law(
     """
     from scipy.optimize import least_squares
 
-    low, high, scale = (np.array(each) for each in list(zip(*_NUMBERS, strict=True))[:3])
+    low, high, scale = (np.array(column) for column in list(zip(*_NUMBERS, strict=True))[:3])
     moves = np.array([not number.freed_by or number.freed_by in free for number in _NUMBERS])
     start = np.array([1.35, 0.0, friction, tyre.friction_load_sensitivity, tyre.digressive_load_ratio or 2.0,
                       1.0, 1.0, 0.0, 0.0])  # fmt: skip
     if "load sensitivity" in free:
         start[3] = 0.1
 
-    def residual(x: Array, whole: Array) -> Array:
-        whole[moves] = x
-        candidate, mu = _changed(tyre, whole)
-        slip = samples.slip - np.where(samples.rear, whole[8], whole[7])
+    def residual(x: Array, law_parameters: Array) -> Array:
+        law_parameters[moves] = x
+        candidate, mu = _changed(tyre, law_parameters)
+        slip = samples.slip - np.where(samples.rear, law_parameters[8], law_parameters[7])
         return (lateral_force(candidate, slip, samples.load, mu, samples.rear) - samples.force) / samples.load
 
     best = None
     for shape, curvature in ((1.35, -2.0), (1.35, 0.0), (1.6, 0.5), (1.2, -0.5)):
-        whole = start.copy()
-        whole[:2] = shape, curvature
-        whole = np.clip(whole, low + 1e-6, high - 1e-6)
-        found = least_squares(
-            residual, whole[moves], bounds=(low[moves], high[moves]), x_scale=scale[moves], args=(whole.copy(),)
+        parameters = start.copy()
+        parameters[:2] = shape, curvature
+        parameters = np.clip(parameters, low + 1e-6, high - 1e-6)
+        solution = least_squares(
+            residual,
+            parameters[moves],
+            bounds=(low[moves], high[moves]),
+            x_scale=scale[moves],
+            args=(parameters.copy(),),
         )
-        if np.isfinite(found.cost) and (best is None or found.cost < best[0]):
-            whole[moves] = found.x
-            best = found.cost, whole
+        if np.isfinite(solution.cost) and (best is None or solution.cost < best[0]):
+            parameters[moves] = solution.x
+            best = solution.cost, parameters
     if best is None:
         raise InvalidInput("the tyre law fits no such forces: they hold values beyond any tyre's.")
     fitted, mu = _changed(tyre, best[1])
@@ -140,8 +144,8 @@ def fit_law(
 
 def _changes(tyre: Tyre) -> list[str]:
     """The keys that a fit changes."""
-    found = ["shape", "curvature", "friction_load_sensitivity", "stiffness_front", "stiffness_rear"]
-    return found if tyre.digressive_load_ratio is None else [*found, "digressive_load_ratio"]
+    changed_names = ["shape", "curvature", "friction_load_sensitivity", "stiffness_front", "stiffness_rear"]
+    return changed_names if tyre.digressive_load_ratio is None else [*changed_names, "digressive_load_ratio"]
 
 
 def _changed(tyre: Tyre, x: Array) -> tuple[Tyre, float]:
@@ -154,7 +158,7 @@ def _changed(tyre: Tyre, x: Array) -> tuple[Tyre, float]:
     return tyre.model_copy(update={name: values[name] for name in _changes(tyre)}), float(x[2])
 
 
-def judged(tyre: Tyre, samples: Samples, friction: float, notes: tuple[str, ...] = ()) -> TyreFit:
+def assess_fit(tyre: Tyre, samples: TyreSamples, friction: float, notes: tuple[str, ...] = ()) -> TyreFit:
     """How far a tyre is from samples."""
     off = np.abs(lateral_force(tyre, samples.slip, samples.load, friction, samples.rear) - samples.force)
     q = samples.load / tyre.nominal_load

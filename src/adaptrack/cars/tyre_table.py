@@ -20,21 +20,21 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import printable, read_bytes
-from adaptrack.cars.tyre_fit import Samples, TyreFit, fit_law, judged, lateral_force
+from adaptrack.cars.tyre_fit import TyreFit, TyreSamples, assess_fit, fit_law, lateral_force
 from adaptrack.cars.vehicle import Tyre
 
 Array = NDArray[np.float64]
 
 FORCES, LOADS, SLIPS = ("force_front_N", "force_rear_N"), ("load_front_N", "load_rear_N"), ("slip_rad", "slip_deg")
-LEAST_ROWS = 5
+MIN_TABLE_ROWS = 5
 SMALL = 0.5
 """Share of the largest force over load up to which the stiffness is first taken from the slope."""
 LEAST_OFFSET = 5e-4
 """rad, a smaller one is not worth a word."""
-SATURATED = 0.8
+SATURATION_RATIO = 0.8
 """Largest force over stiffness times slip from which on a table says nothing of where its tyre saturates."""
 ASSUMED_FRICTION = 1.0
-APART = 1.1
+LOAD_LEVEL_RATIO = 1.1
 """Ratio of loads from which on they count as several."""
 
 
@@ -69,115 +69,117 @@ def tyre_from_table(
     where = os.fspath(path)
     columns = _columns(where)
     axles = [_axle(where, columns, i, loads) for i in (0, 1)]
-    samples = Samples(
+    samples = TyreSamples(
         np.concatenate([axle.slip for axle in axles]),
         np.concatenate([axle.load for axle in axles]),
         np.concatenate([axle.force for axle in axles]),
         np.concatenate([np.full(axle.slip.size, i == 1) for i, axle in enumerate(axles)]),
     )
-    several = any(axle.load.max() > APART * axle.load.min() for axle in axles)
+    several = any(axle.load.max() > LOAD_LEVEL_RATIO * axle.load.min() for axle in axles)
     start, notes = _begin(axles, name or Path(path).stem, several), []
     if not several:
         notes.append("One load for each axle: the stiffness does not depend on the load.")
     peak, free = float((np.abs(samples.force) / samples.load).max()), ["stiffness", "offsets"]
     free += ["load ratio"] if several else []
-    free += ["load sensitivity"] if samples.load.max() > APART * samples.load.min() else []
+    free += ["load sensitivity"] if samples.load.max() > LOAD_LEVEL_RATIO * samples.load.min() else []
     tyre, friction, offsets = fit_law(start, samples, peak, free)
-    for which, offset in zip(("front", "rear"), offsets, strict=True):
+    for axle_name, offset in zip(("front", "rear"), offsets, strict=True):
         if abs(offset) > LEAST_OFFSET:
-            notes.append(f"The {which} axle has no force at a slip of {offset:.4f} rad: that offset is taken out.")
+            notes.append(f"The {axle_name} axle has no force at a slip of {offset:.4f} rad: that offset is taken out.")
     samples = samples._replace(slip=samples.slip - np.where(samples.rear, offsets[1], offsets[0]))
     if not _saturates(tyre, samples):
         notes.append("The forces hardly saturate: shape and friction, 1.35 and 1, are assumed.")
         tyre, friction = tyre.replace(shape=1.35, curvature=0.0, friction_load_sensitivity=0.0), ASSUMED_FRICTION
     notes.append("No relaxation length in a table of steady forces: they build up at once.")
-    return judged(tyre, samples, friction, tuple(notes))
+    return assess_fit(tyre, samples, friction, tuple(notes))
 
 
 def _columns(where: str) -> dict[str, Array]:
     """The columns by name, an empty cell NaN."""
-    shown = printable(where)
+    source = printable(where)
     try:
         text = read_bytes(where).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise ConfigError(f"{shown}: is no text (UTF-8).") from None
+        raise ConfigError(f"{source}: is no text (UTF-8).") from None
     rows = [(number, row) for number, row in enumerate(csv.reader(io.StringIO(text)), 1) if any(map(str.strip, row))]
     rows = [(number, row) for number, row in rows if not row[0].lstrip().startswith("#")]
     if not rows:
-        raise ConfigError(f"{shown}: is empty.")
+        raise ConfigError(f"{source}: is empty.")
     names = [cell.strip() for cell in rows[0][1]]
-    known = (*SLIPS, *FORCES, *LOADS)
-    for each in names:
-        if each not in known:
-            raise ConfigError(f"{shown}: column {printable(each)!r}: unknown. {did_you_mean(each, known)}")
+    known_names = (*SLIPS, *FORCES, *LOADS)
+    for name in names:
+        if name not in known_names:
+            raise ConfigError(f"{source}: column {printable(name)!r}: unknown. {did_you_mean(name, known_names)}")
     if len(set(names)) < len(names):
-        raise ConfigError(f"{shown}: a column stands there twice.")
+        raise ConfigError(f"{source}: a column stands there twice.")
     if sum(slip in names for slip in SLIPS) != 1 or not set(FORCES) <= set(names):
-        raise ConfigError(f"{shown}: needs slip_rad or slip_deg, and {' and '.join(FORCES)}.")
+        raise ConfigError(f"{source}: needs slip_rad or slip_deg, and {' and '.join(FORCES)}.")
     if (LOADS[0] in names) != (LOADS[1] in names):
-        raise ConfigError(f"{shown}: needs {' and '.join(LOADS)}, or neither.")
+        raise ConfigError(f"{source}: needs {' and '.join(LOADS)}, or neither.")
     values = np.full((len(rows) - 1, len(names)), np.nan)
     for i, (number, row) in enumerate(rows[1:]):
         if len(row) != len(names):
-            raise ConfigError(f"{shown}, line {number}: {len(row)} cells, the head has {len(names)}.")
+            raise ConfigError(f"{source}, line {number}: {len(row)} cells, the head has {len(names)}.")
         for j, cell in enumerate(row):
             if cell.strip() or names[j] not in FORCES:
-                values[i, j] = _number(shown, number, names[j], cell)
+                values[i, j] = _number(source, number, names[j], cell)
     columns = dict(zip(names, values.T, strict=True))
     slip = np.radians(columns.pop("slip_deg")) if "slip_deg" in columns else columns.pop("slip_rad")
     if slip.size and np.abs(slip).max() > 1.0:
         raise ConfigError(
-            f"{shown}: slip of up to {np.abs(slip).max():.3g} rad: no tyre is measured there; in degrees it is column "
+            f"{source}: slip of up to {np.abs(slip).max():.3g} rad: no tyre is measured there; in degrees it is column "
             "slip_deg."
         )
     return columns | {"slip": slip}
 
 
-def _number(shown: str, line: int, column: str, cell: str) -> float:
+def _number(source: str, line: int, column: str, cell: str) -> float:
     try:
         value = float(cell)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ConfigError(f"{shown}, line {line}: {column} = {printable(cell)[:40]!r}: must be a finite number.")
+        raise ConfigError(f"{source}, line {line}: {column} = {printable(cell)[:40]!r}: must be a finite number.")
     return value
 
 
 def _axle(where: str, columns: dict[str, Array], i: int, loads: tuple[float, float] | None) -> _Axle:
     """Return the measured data of an axle, for one of its tyres."""
-    shown, force = printable(where), columns[FORCES[i]]
+    source, force = printable(where), columns[FORCES[i]]
     there = np.isfinite(force)
     slip, force = columns["slip"][there], 0.5 * force[there]
     if LOADS[i] in columns:
         load = 0.5 * columns[LOADS[i]][there]
     elif loads is None:
         raise InvalidInput(
-            f"{shown}: has no loads: add {LOADS[0]} and {LOADS[1]}, or give the static wheel loads (of a car file)."
+            f"{source}: has no loads: add {LOADS[0]} and {LOADS[1]}, or give the static wheel loads (of a car file)."
         )
     else:
         load = np.full(slip.size, float(loads[i]))
-    if slip.size < LEAST_ROWS or np.ptp(slip) < 0.01:
+    if slip.size < MIN_TABLE_ROWS or np.ptp(slip) < 0.01:
         raise ConfigError(
-            f"{shown}: {FORCES[i]}: {slip.size} rows over {np.ptp(slip) if slip.size else 0.0:.3g} rad; needs at "
-            f"least {LEAST_ROWS} over 0.01 rad."
+            f"{source}: {FORCES[i]}: {slip.size} rows over {np.ptp(slip) if slip.size else 0.0:.3g} rad; needs at "
+            f"least {MIN_TABLE_ROWS} over 0.01 rad."
         )
     if not (load > 0.0).all():
-        raise ConfigError(f"{shown}: {LOADS[i]}: every load must be positive.")
+        raise ConfigError(f"{source}: {LOADS[i]}: every load must be positive.")
     if np.sum((slip - slip.mean()) * (force - force.mean())) <= 0.0:
         raise ConfigError(
-            f"{shown}: {FORCES[i]} falls with slip: here a wheel that is turned left of its velocity has a positive "
+            f"{source}: {FORCES[i]} falls with slip: here a wheel that is turned left of its velocity has a positive "
             "slip and is pushed to the left, positive (ISO 8855 axes); change the sign of one of the columns."
         )
     if np.abs(force / load).max() > 3.0:
-        raise ConfigError(f"{shown}: {FORCES[i]} is up to {np.abs(force / load).max():.3g} times the load: wrong unit?")
+        raise ConfigError(
+            f"{source}: {FORCES[i]} is up to {np.abs(force / load).max():.3g} times the load: wrong unit?"
+        )
     return _Axle(slip, force, load)
 
 
-def _saturates(tyre: Tyre, samples: Samples) -> bool:
+def _saturates(tyre: Tyre, samples: TyreSamples) -> bool:
     """Whether the forces at large slips tell where the tyre ends."""
     slip, endless = np.abs(samples.slip), tyre.model_copy(update={"kind": "linear"})
     linear = lateral_force(endless, slip, samples.load, 1.0, samples.rear)
-    return bool((np.abs(samples.force) < SATURATED * linear)[slip > 0.5 * slip.max()].any())
+    return bool((np.abs(samples.force) < SATURATION_RATIO * linear)[slip > 0.5 * slip.max()].any())
 
 
 def _begin(axles: list[_Axle], name: str, several: bool) -> Tyre:

@@ -21,19 +21,18 @@ from adaptrack.base.shown import figure_of, html_of
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.outline import Outline
+from adaptrack.core.kernel import OK
+from adaptrack.core.plants.forces import GRAVITY as GRAVITY
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.synthesis import car
 from adaptrack.core.synthesis import plant as kernel
 from adaptrack.core.synthesis.car import INERTIAS, STIFFNESSES
-from adaptrack.core.synthesis.filter import in_periods as in_periods
+from adaptrack.core.synthesis.filter import split_periods as split_periods
 from adaptrack.core.synthesis.rows import row_of
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-GRAVITY = 9.80665
-"""Standard acceleration of free fall (m/s^2), as in the kernels."""
 
 FASTEST_RATE = 10.0
 """rad/s, of road wheels, beyond which a rate is in another unit: a model car's servo has some 10 at its own lever."""
@@ -91,8 +90,8 @@ class Tyre(Record):
 
     @field_validator("digressive_load_ratio")
     @classmethod
-    def _ratio_belongs_to_the_digressive_law(cls, ratio: float | None, others: ValidationInfo) -> float | None:
-        law = others.data.get("stiffness_load", "digressive" if ratio else "constant")
+    def _ratio_belongs_to_the_digressive_law(cls, ratio: float | None, info: ValidationInfo) -> float | None:
+        law = info.data.get("stiffness_load", "digressive" if ratio else "constant")
         if law == "digressive" and ratio is None:
             raise ValueError("a digressive stiffness needs the load ratio at which it peaks (2 for many car tyres).")
         if law != "digressive" and ratio is not None:
@@ -106,14 +105,18 @@ class Tyre(Record):
 
     @property
     def numbers(self) -> Any:
-        """Kernel record of the tyre, `core.synthesis.plant.Tyre`."""
+        """Kernel record of the tyre, `core.synthesis.plant.TyreRow`."""
         return row_of(
-            kernel.Tyre, self, linear=self.kind == "linear", stiffness_load=_LOAD_LAWS[self.stiffness_load],
+            kernel.TyreRow, self, linear=self.kind == "linear", stiffness_load=_LOAD_LAWS[self.stiffness_load],
             shape_factor=self.shape,
         )  # fmt: skip
 
 
-_LOAD_LAWS = {"constant": kernel.CONSTANT, "linear": kernel.LINEAR, "digressive": kernel.DIGRESSIVE}
+_LOAD_LAWS = {
+    "constant": kernel.CONSTANT_STIFFNESS,
+    "linear": kernel.LINEAR_STIFFNESS,
+    "digressive": kernel.DIGRESSIVE_STIFFNESS,
+}
 
 
 class SteeringActuator(Record):
@@ -135,8 +138,8 @@ class SteeringActuator(Record):
 
     @field_validator("rate")
     @classmethod
-    def _rate_acts_behind_a_lag(cls, rate: float, others: ValidationInfo) -> float:
-        if others.data.get("lag", 1.0) == 0.0 and math.isfinite(rate):
+    def _rate_acts_behind_a_lag(cls, rate: float, info: ValidationInfo) -> float:
+        if info.data.get("lag", 1.0) == 0.0 and math.isfinite(rate):
             raise ValueError("a rate limit acts on the lag: give lag > 0 (0.05 s, for instance), or rate = inf.")
         return rate
 
@@ -199,8 +202,8 @@ class Body(Record):
 
     @property
     def numbers(self) -> Any:
-        """A row of `core.synthesis.plant.Body`."""
-        return row_of(kernel.Body, self)
+        """A row of `core.synthesis.plant.BodyRow`."""
+        return row_of(kernel.BodyRow, self)
 
 
 class Vehicle(Record):
@@ -283,9 +286,9 @@ class Vehicle(Record):
 
     @field_validator("body")
     @classmethod
-    def _body_holds_both_axles(cls, body: Body | None, others: ValidationInfo) -> Body | None:
-        if body is not None and {"lf", "lr"} <= set(others.data):
-            body.overhangs(others.data["lf"] + others.data["lr"])
+    def _body_holds_both_axles(cls, body: Body | None, info: ValidationInfo) -> Body | None:
+        if body is not None and {"lf", "lr"} <= set(info.data):
+            body.overhangs(info.data["lf"] + info.data["lr"])
         return body
 
     @model_validator(mode="after")
@@ -299,7 +302,7 @@ class Vehicle(Record):
                 "is allowed). Give the mass in kg, lengths in m, the inertia in kg m^2; with another mass the inertia "
                 "changes too."
             )
-        if flaw != car.ONE_CAR:
+        if flaw != OK:
             axle, load = ("front", "rear")[flaw - car.FRONT_ODD], self.static_loads[flaw - car.FRONT_ODD]
             raise ValueError(
                 f"stiffness_{axle} = {getattr(self, f'stiffness_{axle}'):g} N/rad is {ratio:.3g} times the load of its "
@@ -311,15 +314,15 @@ class Vehicle(Record):
     @property
     def outline(self) -> Outline:
         """The body from above; what the car file does not say is estimated from wheelbase and track, and named."""
-        body, found = self.body or Body(), row_of(kernel.Outline)
-        kernel.outline_of(body.numbers, self.chassis, found)
-        known = {
+        body, row = self.body or Body(), row_of(kernel.OutlineRow)
+        kernel.outline_of(body.numbers, self.chassis, row)
+        is_specified = {
             "length": body.length is not None or None not in (body.front_overhang, body.rear_overhang),
             "front_overhang": body.front_overhang is not None or None not in (body.length, body.rear_overhang),
             "width": body.width is not None,
         }
-        front, rear, width = found.tolist()
-        return Outline(front, rear, width, tuple(name for name, given in known.items() if not given))
+        front, rear, width = row.tolist()
+        return Outline(front, rear, width, tuple(name for name, entry in is_specified.items() if not entry))
 
     @property
     def wheelbase(self) -> float:
@@ -328,8 +331,8 @@ class Vehicle(Record):
 
     @property
     def numbers(self) -> Any:
-        """Kernel record of the car for controller synthesis, `core.synthesis.car.Car`."""
-        return row_of(car.Car, self)
+        """Kernel record of the car for controller synthesis, `core.synthesis.car.CarRow`."""
+        return row_of(car.CarRow, self)
 
     @property
     def chassis(self) -> Any:
@@ -353,16 +356,16 @@ class Vehicle(Record):
     @property
     def understeer_range(self) -> tuple[float, float]:
         """Lowest and highest understeer gradient (rad s^2/m) that `known_within` leaves possible."""
-        said = self.known_within or KnownWithin()
-        found = []
+        tolerances = self.known_within or KnownWithin()
+        gradients = []
         for signs in itertools.product((-1.0, 1.0), repeat=4):
             mass, front, rear = (
-                getattr(self, name) * (getattr(said, name) or 1.0) ** sign
+                getattr(self, name) * (getattr(tolerances, name) or 1.0) ** sign
                 for name, sign in zip(("mass", "stiffness_front", "stiffness_rear"), signs, strict=False)
             )
-            lf = min(max(self.lf + signs[3] * (said.lf or 0.0), 0.0), self.wheelbase)
-            found.append(mass / self.wheelbase * ((self.wheelbase - lf) / (2 * front) - lf / (2 * rear)))
-        return min(found), max(found)
+            lf = min(max(self.lf + signs[3] * (tolerances.lf or 0.0), 0.0), self.wheelbase)
+            gradients.append(mass / self.wheelbase * ((self.wheelbase - lf) / (2 * front) - lf / (2 * rear)))
+        return min(gradients), max(gradients)
 
     @property
     def characteristic_speed(self) -> float:
@@ -431,9 +434,9 @@ def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDAr
     """The plant's parameters as one array, shape (len(PLANT_PARAMETERS),), in the order that the kernels expect."""
     import numpy as np
 
-    found = np.zeros(len(PLANT_PARAMETERS))
-    kernel.plant_parameters(vehicle.chassis, tyre.numbers, row_of(kernel.Actuator, actuator), found)
-    return found
+    parameters = np.zeros(len(PLANT_PARAMETERS))
+    kernel.plant_parameters(vehicle.chassis, tyre.numbers, row_of(kernel.Actuator, actuator), parameters)
+    return parameters
 
 
 def list_vehicles() -> list[str]:
@@ -500,9 +503,9 @@ def find_data(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
         return Path(name_or_path)
     if not isinstance(name_or_path, str):
         raise InvalidInput(f"a {folder[:-1]} is given by its name or by the path of its file, not by {name_or_path!r}.")
-    known = list_data(folder)
-    if name_or_path not in known:
-        hint = did_you_mean(name_or_path, known)
+    names = list_data(folder)
+    if name_or_path not in names:
+        hint = did_you_mean(name_or_path, names)
         raise UnknownName(f"no {folder[:-1]} is named {name_or_path!r}. {hint} A file is given by its .toml path.")
     return _DATA / folder / f"{name_or_path}.toml"
 

@@ -41,7 +41,7 @@ def main() -> int:
     """Run the command line; the exit code."""
     gc.set_threshold(COLLECT_AFTER)
     _prepare_output()
-    interrupt.kept("Nothing was written.")
+    interrupt.note_progress("Nothing was written.")
     with _noting_ctrl_c() as pressed:
         try:
             _check_surroundings()
@@ -50,7 +50,7 @@ def main() -> int:
             # An import that Ctrl-C hits may end in any exception, not only in KeyboardInterrupt.
             code = INTERRUPTED if pressed else _reported(error)
     if code == INTERRUPTED:
-        print(f"adaptrack: interrupted. {interrupt.what_is_kept()}", file=sys.stderr)
+        print(f"adaptrack: interrupted. {interrupt.progress_note()}", file=sys.stderr)
     return code
 
 

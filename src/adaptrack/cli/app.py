@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+import typer.core
 
 from adaptrack import __version__
 from adaptrack.cli import (
@@ -24,8 +25,34 @@ from adaptrack.cli import (
     tune,
 )
 
+PANELS: dict[str, tuple[str, ...]] = {
+    "Drive": ("drive",),
+    "Your car": ("car", "identify", "shadow", "check-loop", "tune"),
+    "Your road": ("road",),
+    "Compare": ("compare", "certify", "list"),
+    "Export": ("export",),
+    "The paper": ("paper",),
+}
+"""Commands by the panel of the help that shows them."""
+
+
+class PanelGroup(typer.core.TyperGroup):
+    """A group whose help lists the commands in `PANELS`."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write one section for each panel."""
+        width = max(map(len, self.commands))
+        for panel, names in PANELS.items():
+            with formatter.section(panel):
+                limit = formatter.width - formatter.current_indent - width - 2
+                formatter.write_dl(
+                    [(name.ljust(width), self.commands[name].get_short_help_str(limit)) for name in names]
+                )
+
+
 app = typer.Typer(
     name="adaptrack",
+    cls=PanelGroup,
     help="Auto-tuned, auto-adaptive model predictive control for path tracking.",
     epilog="Begin with: adaptrack drive country --out drive. Which controller, which profile, what to measure first: "
     "docs/guide.md. Exit codes: 0 done; 1 an unstable certificate, a road that cannot be driven; 2 an error; 3 a "
@@ -37,8 +64,8 @@ app = typer.Typer(
 )
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(is_requested: bool) -> None:
+    if is_requested:
         from adaptrack.core.library import description
 
         typer.echo(f"adaptrack {__version__}\n{description()}")

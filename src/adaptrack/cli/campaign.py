@@ -21,11 +21,11 @@ class CampaignOptions:
         str,
         typer.Argument(
             metavar="CAMPAIGN",
-            help="Name (paper-grid, road-sobol) or .toml file; without --out a data set: name, file or folder.",
+            help="Campaign: paper-grid, road-sobol, or a .toml file. Without --out, a data set: name, file or folder.",
         ),
     ]
     out: Annotated[
-        Path | None, Option("--out", metavar="DIR", help="Folder of the campaign; without it, nothing is computed.")
+        Path | None, Option("--out", metavar="DIR", help="Folder of the campaign; without it, nothing is tuned.")
     ] = None
     workers: options.Workers = None
     cluster: Annotated[
@@ -37,7 +37,7 @@ class CampaignOptions:
 
 @options.grouped
 def campaign(arguments: CampaignOptions) -> None:
-    """Tune the MPC at every operating point of a campaign, or describe its data set.
+    """Tune the MPC at the operating points of a campaign.
 
     With --out: run the campaign in that folder, or continue one that was interrupted, and write a page on its data set.
     Without --out: describe the data set that ships under this name, or that lies in this file or folder.
@@ -52,7 +52,7 @@ def campaign(arguments: CampaignOptions) -> None:
         result, page = dataset_result(load_dataset(arguments.name)), None
     else:
         config = load_campaign(arguments.name)
-        interrupt.kept(f"Finished parts are kept in {arguments.out}: run the command again to continue.")
+        interrupt.note_progress(f"Finished parts are kept in {arguments.out}: run the command again to continue.")
         with show.progress("campaign") as advance:
             file = run_campaign(
                 config, arguments.out, workers=arguments.workers, cluster=arguments.cluster, progress=advance

@@ -13,7 +13,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import again, command, say_next
+from adaptrack.cli.next_step import command, repeat_command_with, say_next
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class BodyStyleName(StrEnum):
     truck = "truck"
 
 
-NUMBERS = (
+PARAMETER_COLUMNS = (
     Column("key", "number"), Column("value", "value", "", 5), Column("unit", "unit"),
     Column("within", "known within"), Column("from", "from"),
 )  # fmt: skip
@@ -40,32 +40,34 @@ class CarOptions:
     """Options of `adaptrack car`."""
 
     name: Annotated[
-        str | None, typer.Argument(metavar="[CAR]", help="Name (see `list cars`) or .toml file of a car to show.")
+        str | None, typer.Argument(metavar="[CAR]", help="Car to show: see `list cars`, or a .toml file.")
     ] = None
-    mass: Annotated[
-        float | None, Option("--mass", metavar="KG", help="Of the data sheet; with --wheelbase, a new car.")
-    ] = None
-    wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Of a new car.")] = None
+    mass: Annotated[float | None, Option("--mass", metavar="KG", help="Mass of a new car; with --wheelbase.")] = None
+    wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Wheelbase of a new car.")] = None
     load: Annotated[
         float | None,
-        Option("--load", metavar="KG", help="People and luggage beside the mass: 75 a driver, 136 with luggage."),
+        Option(
+            "--load",
+            metavar="KG",
+            help="People and luggage in addition to the mass: 75 for a driver, 136 with luggage.",
+        ),
     ] = None
     body_style: Annotated[
-        BodyStyleName, Option("--body-style", help="Of a new car: car; truck for pickups, vans and SUVs.")
+        BodyStyleName, Option("--body-style", help="Body of a new car; truck: pickups, vans and SUVs.")
     ] = BodyStyleName.car
     yaw_inertia: Annotated[
-        float | None, Option("--yaw-inertia", metavar="I", hidden=True, help="If known (kg m^2).")
+        float | None, Option("--yaw-inertia", metavar="I", hidden=True, help="Yaw inertia (kg m^2), if known.")
     ] = None
     lf: Annotated[
         float | None, Option("--lf", metavar="M", hidden=True, help="Centre of gravity to front axle, if known.")
     ] = None
     stiffness_front: Annotated[
         float | None,
-        Option("--stiffness-front", metavar="C", hidden=True, help="Of one front tyre, if known (N/rad)."),
+        Option("--stiffness-front", metavar="C", hidden=True, help="Stiffness of one front tyre (N/rad), if known."),
     ] = None
     stiffness_rear: Annotated[
         float | None,
-        Option("--stiffness-rear", metavar="C", hidden=True, help="Of one rear tyre, if known (N/rad)."),
+        Option("--stiffness-rear", metavar="C", hidden=True, help="Stiffness of one rear tyre (N/rad), if known."),
     ] = None
     tir: Annotated[
         Path | None, Option("--tir", metavar="FILE", help="Tyre property file: MF 5.2, 6.1, 6.2, PAC2002.")
@@ -75,54 +77,55 @@ class CarOptions:
         Option("--tyre-table", metavar="FILE", help=".csv of axle forces: slip_rad, force_front_N, force_rear_N."),
     ] = None
     out: Annotated[
-        Path | None, Option("--out", metavar="FILE", help="The .toml file to write; a new tyre goes beside it.")
+        Path | None,
+        Option("--out", metavar="FILE", help="Car file to write (.toml); a new tyre goes into the same folder."),
     ] = None
     as_json: options.Json = False
 
     @property
-    def known(self) -> dict[str, float]:
-        """What is known of a new car beside its data sheet."""
+    def known_values(self) -> dict[str, float]:
+        """Values of a new car that are given in addition to the data sheet."""
         values = {name: getattr(self, name) for name in ("yaw_inertia", "lf", "stiffness_front", "stiffness_rear")}
         return {name: value for name, value in values.items() if value is not None}
 
 
 @options.grouped
-def car(given: CarOptions) -> None:
+def car(arguments: CarOptions) -> None:
     """Show a car, or make one.
 
     What --mass and --wheelbase leave open is estimated from published measurements, and marked. Without a car, --tir
     makes a tyre alone.
     """
-    out = given.out
+    out = arguments.out
     if out is not None and out.suffix != ".toml":
         raise InvalidInput(f"--out {out}: must end in .toml.")
-    if given.tir is not None and given.tyre_table is not None:
+    if arguments.tir is not None and arguments.tyre_table is not None:
         raise InvalidInput("--tir and --tyre-table: one tyre at a time.")
-    vehicle = _vehicle(given)
-    if vehicle is None and given.tir is None:
+    vehicle = _vehicle(arguments)
+    if vehicle is None and arguments.tir is None:
         raise InvalidInput("name a car, or give --mass and --wheelbase, or --tir.")
-    fit = _fit(given.tir, given.tyre_table, vehicle)
+    fit = _fit(arguments.tir, arguments.tyre_table, vehicle)
     written = []
     options.make_place(out)
     if fit is not None and out is not None:
-        beside = out if vehicle is None else out.with_name(f"{out.stem}-tyre.toml")
-        fit.tyre.replace(name=beside.stem).to_toml(beside)
-        written.append(beside)
+        tyre_file = out if vehicle is None else out.with_name(f"{out.stem}-tyre.toml")
+        fit.tyre.replace(name=tyre_file.stem).to_toml(tyre_file)
+        written.append(tyre_file)
     if vehicle is not None:
-        vehicle = _on(vehicle, fit, written)
+        vehicle = _with_tyre(vehicle, fit, written)
         if out is not None:
             vehicle.to_toml(out)
             written.append(out)
-    _say(vehicle, fit, written, given.as_json)
-    if vehicle is not None and not given.as_json:
-        say_next(*_next_step(given, vehicle))
+    _say(vehicle, fit, written, arguments.as_json)
+    if vehicle is not None and not arguments.as_json:
+        say_next(*_next_step(arguments, vehicle))
 
 
-def _next_step(given: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
-    """What to do with a car, and the command."""
-    if given.out is None and given.name is None:
-        return "to keep the car", again("--out", "my-car.toml")
-    file = given.out if given.out is not None else given.name
+def _next_step(arguments: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
+    """Suggest the next command for a car, with the reason."""
+    if arguments.out is None and arguments.name is None:
+        return "to keep the car", repeat_command_with("--out", "my-car.toml")
+    file = arguments.out if arguments.out is not None else arguments.name
     if vehicle.estimated:
         return "as some of it is estimated, to let a drive learn it", command(
             "drive", "country", "--vehicle", file, "--learn"
@@ -130,27 +133,27 @@ def _next_step(given: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
     return "to drive it", command("drive", "country", "--vehicle", file)
 
 
-def _vehicle(given: CarOptions) -> Vehicle | None:
+def _vehicle(arguments: CarOptions) -> Vehicle | None:
     """The car that is named, or the one of a data sheet; None where there is neither."""
     from adaptrack.cars.data_sheet import vehicle_from_data_sheet
     from adaptrack.cars.vehicle import load_vehicle
 
-    name, mass, wheelbase, load = given.name, given.mass, given.wheelbase, given.load
+    name, mass, wheelbase, load = arguments.name, arguments.mass, arguments.wheelbase, arguments.load
     if name is not None:
-        if (mass, wheelbase, load) != (None, None, None) or given.known:
+        if (mass, wheelbase, load) != (None, None, None) or arguments.known_values:
             raise InvalidInput(f"{name}: is a car already; --mass, --wheelbase and the like make a new one.")
         return load_vehicle(name)
     if mass is None and wheelbase is None:
-        if given.known or load is not None:
+        if arguments.known_values or load is not None:
             raise InvalidInput("a new car needs --mass and --wheelbase.")
         return None
     if mass is None or wheelbase is None:
         raise InvalidInput(
             f"a new car needs --mass and --wheelbase: --{'mass' if mass is None else 'wheelbase'} lacks."
         )
-    new = "new-car" if given.out is None else given.out.stem
+    new = "new-car" if arguments.out is None else arguments.out.stem
     return vehicle_from_data_sheet(
-        new, mass, wheelbase, load=load or 0.0, body_style=str(given.body_style), **given.known
+        new, mass, wheelbase, load=load or 0.0, body_style=str(arguments.body_style), **arguments.known_values
     )
 
 
@@ -167,19 +170,19 @@ def _fit(tir: Path | None, table: Path | None, vehicle: Vehicle | None) -> TyreF
     return None
 
 
-def _on(vehicle: Vehicle, fit: TyreFit | None, written: list[Path]) -> Vehicle:
+def _with_tyre(vehicle: Vehicle, fit: TyreFit | None, written: list[Path]) -> Vehicle:
     """The car on its new tyre, whose stiffness its model then believes."""
     if fit is None:
         return vehicle
     guesses = tuple(key for key in vehicle.estimated if key not in ("stiffness_front", "stiffness_rear"))
-    front, rear = (float(f"{each:.5g}") for each in fit.tyre.stiffness_at(*vehicle.static_loads))
-    found = vehicle.replace(stiffness_front=front, stiffness_rear=rear, estimated=guesses)
-    return found.replace(tyre=str(written[0])) if written else found
+    front, rear = (float(f"{stiffness:.5g}") for stiffness in fit.tyre.stiffness_at(*vehicle.static_loads))
+    changed = vehicle.replace(stiffness_front=front, stiffness_rear=rear, estimated=guesses)
+    return changed.replace(tyre=str(written[0])) if written else changed
 
 
 # -- what is said -----------------------------------------------------------------------------------------------------
 def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_json: bool) -> None:
-    from adaptrack.results.answers import of_car
+    from adaptrack.results.answers import car_answer
 
     if as_json:
         from adaptrack.export.page_inputs import page_car
@@ -195,9 +198,9 @@ def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_j
         })  # fmt: skip
         return
     if vehicle is not None:
-        show.say(of_car(vehicle))
+        show.say(car_answer(vehicle))
         title = vehicle.name if not vehicle.description else f"{vehicle.name}: {vehicle.description}"
-        show.table(title, NUMBERS, numbers(vehicle))
+        show.table(title, PARAMETER_COLUMNS, numbers(vehicle))
         show.table("Steady turns of its model", DERIVED, derived(vehicle, fit))
         domain = vehicle.domain
         show.say(
@@ -227,7 +230,7 @@ def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
     """A row for each number of a car that is known or estimated."""
     from adaptrack.cars.known_within import KnownWithin
 
-    said = vehicle.known_within or KnownWithin()
+    tolerances = vehicle.known_within or KnownWithin()
     rows = []
     for section, record in (("", vehicle), ("steering", vehicle.steering), ("body", vehicle.body)):
         for key, field in () if record is None else type(record).model_fields.items():
@@ -237,7 +240,7 @@ def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
             rows.append({
                 "key": f"{section} {key}".strip().replace("_", " "), "value": value,
                 "unit": (field.description or "").split(",")[0],
-                "within": said.clause(f"steering_{key}" if section == "steering" else key),
+                "within": tolerances.clause(f"steering_{key}" if section == "steering" else key),
                 "from": _source(vehicle, section, key),
             })  # fmt: skip
     return rows
@@ -246,14 +249,14 @@ def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
 def _source(vehicle: Vehicle, section: str, key: str) -> str:
     if key in vehicle.estimated:
         return "estimated"
-    usual = not section and type(vehicle).model_fields[key].default == getattr(vehicle, key)
-    return "default" if usual and key not in vehicle.model_fields_set else "given"
+    is_default = not section and type(vehicle).model_fields[key].default == getattr(vehicle, key)
+    return "default" if is_default and key not in vehicle.model_fields_set else "given"
 
 
 def derived(vehicle: Vehicle, fit: TyreFit | None = None) -> list[dict[str, Any]]:
-    """What follows from the numbers, a row each."""
+    """Return the quantities that follow from the car's parameters, a row each."""
     per_g = math.degrees(1.0) * 9.80665
-    low, high = (per_g * each for each in vehicle.understeer_range)
+    low, high = (per_g * gradient_end for gradient_end in vehicle.understeer_range)
     gradient = f"{per_g * vehicle.understeer_gradient:.2f}"
     if low < high:
         gradient += f" ({low:.2f} to {high:.2f})"

@@ -12,7 +12,8 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import again, command, next_line
+from adaptrack.cli.controllers import INFORMED_NAME, STANDARD_NAME
+from adaptrack.cli.next_step import command, next_line, repeat_command_with
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
@@ -25,9 +26,7 @@ if TYPE_CHECKING:
 
 UNSTABLE = 1
 """The exit code when a loop is unstable, driving straight, or a domain cannot be held."""
-INFORMED, STANDARD = "informed", "standard"
-
-BEST = (
+BEST_COLUMNS = (
     Column("held", "held"),
     Column("speed", "speed", "m/s", 3),
     Column("friction", "friction", "", 3),
@@ -45,31 +44,34 @@ class CertifyOptions:
 
     scheduler: Annotated[
         str | None,
-        typer.Argument(help="Name (see `list schedules`) or .json file; none: the controller's constant."),
+        typer.Argument(help="Schedule: see `list schedules`, or a .json file; default: the constant tuning."),
     ] = None
     controller: Annotated[
         str | None,
         Option(
             "--controller",
             metavar="NAME",
-            help="informed: the MPC that knows its steering and estimates its state [default]; standard: the paper's "
+            help="informed: MPC with a steering model [default]; standard: the paper's "
             "[default with a scheduler that was made for it].",
         ),
     ] = None
-    profile: options.Profile = "road"
+    profile: options.ProfileOption = "road"
     car: options.CarAndPlant
     speed: Annotated[
-        tuple[float, float] | None, Option("--speed", metavar="LOW HIGH", help="Lowest and highest (m/s).")
+        tuple[float, float] | None, Option("--speed", metavar="LOW HIGH", help="Lowest and highest speed (m/s).")
     ] = None
     friction: Annotated[
-        tuple[float, float] | None, Option("--friction", metavar="LOW HIGH", help="Lowest and highest.")
+        tuple[float, float] | None, Option("--friction", metavar="LOW HIGH", help="Lowest and highest friction.")
     ] = None
     mismatch: Annotated[
-        bool, Option("--mismatch", help="Also with lag 0.1 s, dead time a period, stiffness 1.6-fold, mass 30 % off.")
+        bool,
+        Option(
+            "--mismatch", help="Also with a lag error of 0.1 s, dead time of one period, stiffness x 1.6, mass 30 %."
+        ),
     ] = False
-    feasible: Annotated[
-        bool, Option("--feasible", help="Which speeds and frictions any tuning can hold, without a scheduler.")
-    ] = False
+    feasible: Annotated[bool, Option("--feasible", help="Show the speeds and frictions that some tuning can hold.")] = (
+        False
+    )
     out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page with the maps.")] = None
     as_json: options.Json = False
 
@@ -77,12 +79,12 @@ class CertifyOptions:
     def domain(self) -> dict[str, tuple[float, float]]:
         """The ends that are given."""
         ends = {"speed": self.speed, "friction": self.friction}
-        return {name: each for name, each in ends.items() if each is not None}
+        return {name: interval for name, interval in ends.items() if interval is not None}
 
 
 @options.grouped
-def certify(given: CertifyOptions) -> None:
-    """Stability and margins of a loop over its domain.
+def certify(arguments: CertifyOptions) -> None:
+    """Compute stability and margins of a loop over its domain.
 
     The verdict is on driving straight: exit code 1 when a point is unstable there. Points that are unstable in a hard
     turn are counted beside it, as a warning. With --feasible: exit code 1 when a point can be held by no tuning.
@@ -92,40 +94,40 @@ def certify(given: CertifyOptions) -> None:
     from adaptrack.results.certificate import certificate_result
     from adaptrack.scenario.profile import load_profile
 
-    scheduler, profile, out = given.scheduler, given.profile, given.out
-    car, plant = given.car.load()
+    scheduler, profile, out = arguments.scheduler, arguments.profile, arguments.out
+    car, plant = arguments.car.load()
     schedule = None if scheduler is None else load_scheduler(scheduler)
     if isinstance(plant, SteppedPlant):
         raise InvalidInput(
-            f"--plant {given.car.plant}: is stepped in Python; a certificate needs equations that it can linearise."
+            f"--plant {arguments.car.plant}: is stepped in Python; a certificate needs equations that it can linearise."
         )
-    mpc = _controller(given.controller, car, profile, schedule)
+    mpc = _controller(arguments.controller, car, profile, schedule)
     mpc.warn_of(schedule, load_profile(profile).name, plant)
-    if given.feasible:
+    if arguments.feasible:
         if scheduler is not None or out is not None:
             raise InvalidInput(
                 "--feasible: looks at every tuning and writes no page: leave out the scheduler and --out."
             )
-        _tell_feasible(plant, mpc, profile, given.domain, given.mismatch, given.as_json)
+        _tell_feasible(plant, mpc, profile, arguments.domain, arguments.mismatch, arguments.as_json)
         return
-    found = _certificate(schedule, plant, mpc, profile, given.domain, given.mismatch, out)
-    result = certificate_result(found, options.command_line(), next_line(*_next_step(given, found)))
-    show.say_result(result, given.as_json, None if out is None else _write_page(out, result))
-    if not found.passed:
-        _tell_worst(found)
+    certificate = _certificate(schedule, plant, mpc, profile, arguments.domain, arguments.mismatch, out)
+    result = certificate_result(certificate, options.command_line(), next_line(*_next_step(arguments, certificate)))
+    show.say_result(result, arguments.as_json, None if out is None else _write_page(out, result))
+    if not certificate.passed:
+        _tell_worst(certificate)
         raise typer.Exit(UNSTABLE)
 
 
-def _next_step(given: CertifyOptions, found: Certificate) -> tuple[str, str]:
-    """What to do after a certificate, and the command."""
-    car = ("--vehicle", given.car.vehicle, "--profile", given.profile)
-    if not found.passed:
+def _next_step(arguments: CertifyOptions, certificate: Certificate) -> tuple[str, str]:
+    """Suggest the next command after a certificate, with the reason."""
+    car = ("--vehicle", arguments.car.vehicle, "--profile", arguments.profile)
+    if not certificate.passed:
         return "to see which speeds and frictions any tuning can hold", command("certify", "--feasible", *car)
-    if not given.mismatch:
-        return "to see what a car that differs from its model leaves of the margins", again("--mismatch")
-    if given.out is None:
-        return "to see where the margins are thin on a page", again("--out", "certificate")
-    scheduler = () if given.scheduler is None else ("--scheduler", given.scheduler)
+    if not arguments.mismatch:
+        return "to see what a car that differs from its model leaves of the margins", repeat_command_with("--mismatch")
+    if arguments.out is None:
+        return "to see where the margins are thin on a page", repeat_command_with("--out", "certificate")
+    scheduler = () if arguments.scheduler is None else ("--scheduler", arguments.scheduler)
     return "to drive it", command("drive", "general-trajectory", *car, *scheduler)
 
 
@@ -136,13 +138,15 @@ def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule
     from adaptrack.scenario.profile import load_profile
 
     if name is None:
-        name = STANDARD if schedule is not None and is_for_published(schedule.made_for) else INFORMED
+        name = STANDARD_NAME if schedule is not None and is_for_published(schedule.made_for) else INFORMED_NAME
     longest, most = (60, 20) if schedule is None else schedule.largest
     sizes: dict[str, Any] = {"longest_horizon": max(60, longest), "most_moves": max(20, most)}
-    if name == INFORMED:
+    if name == INFORMED_NAME:
         return MPC(car, profile=profile, **sizes)
-    if name != STANDARD:
-        raise UnknownName(f"no controller to certify is named {name!r}. {did_you_mean(name, [INFORMED, STANDARD])}")
+    if name != STANDARD_NAME:
+        raise UnknownName(
+            f"no controller to certify is named {name!r}. {did_you_mean(name, [INFORMED_NAME, STANDARD_NAME])}"
+        )
     return published_mpc(car, period=load_profile(profile).period, **sizes)
 
 
@@ -168,11 +172,11 @@ def _write_page(out: Path, result: Result) -> Path:
         return write_result(out, result)
 
 
-def _tell_worst(found: Certificate) -> None:
+def _tell_worst(certificate: Certificate) -> None:
     """The verdict with the worst point, where it failed."""
-    at = max(found.worst_points(len(found.points)), key=lambda point: point["radius"] or math.inf)
+    at = max(certificate.worst_points(len(certificate.points)), key=lambda point: point["radius"] or math.inf)
     show.say_failed(
-        f"{found.verdict} The worst: {at['speed']:g} m/s on friction {at['friction']:g}, with Np = {at['Np']:g}, "
+        f"{certificate.verdict} The worst: {at['speed']:g} m/s on friction {at['friction']:g}, with Np = {at['Np']:g}, "
         f"Nc = {at['Nc']:g}, Q = {at['Q']:g}, R = {at['R']:g}: spectral radius {at['radius'] or math.inf:.4f}.",
         aside=True,
     )
@@ -181,24 +185,24 @@ def _tell_worst(found: Certificate) -> None:
 def _tell_feasible(
     plant: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]], mismatch: bool, as_json: bool
 ) -> None:
-    """What can be held; exit code 1 when something cannot."""
+    """Print which points can be held; exit code 1 if some cannot."""
     from adaptrack.analysis.feasibility import feasibility
     from adaptrack.analysis.linearisation import usual_mismatches
 
     against = usual_mismatches(mpc.period) if mismatch else ()
     with show.progress("feasible"):
-        found: Feasibility = feasibility(plant, mpc, profile, mismatches=against, **domain)  # type: ignore[arg-type]
+        result: Feasibility = feasibility(plant, mpc, profile, mismatches=against, **domain)  # type: ignore[arg-type]
     if as_json:
-        show.say_json(found.summary())
+        show.say_json(result.summary())
     else:
         from adaptrack.results.certificate import with_ratio
 
         title = "The best tuning at each speed and friction, by the modulus margin"
-        show.table(title, BEST, with_ratio(found.summary()["rows"]))
+        show.table(title, BEST_COLUMNS, with_ratio(result.summary()["rows"]))
         if mpc.belief is not None:
             show.say(f"Note: belief: {mpc.belief_at_first}.")
-    if found.passed and not as_json:
-        show.say(found.verdict)
-    if not found.passed:
-        show.say_failed(found.verdict, aside=True)
+    if result.passed and not as_json:
+        show.say(result.verdict)
+    if not result.passed:
+        show.say_failed(result.verdict, aside=True)
         raise typer.Exit(UNSTABLE)

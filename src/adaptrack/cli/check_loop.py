@@ -13,7 +13,7 @@ from adaptrack.cli import options, show
 from adaptrack.cli.columns import ColumnOptions
 from adaptrack.cli.next_step import command, say_next
 
-CONTRADICTED = 3
+EXIT_CONTRADICTED = 3
 """The exit code when inputs contradict each other."""
 
 
@@ -21,17 +21,19 @@ CONTRADICTED = 3
 class CheckLoopOptions:
     """Options of `adaptrack check-loop`."""
 
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Of Tracker(record=...), or any that `identify` reads.")]
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="Log of Tracker(record=...), or any log that `identify` reads.")
+    ]
     vehicle: Annotated[
-        str | None, Option("--vehicle", metavar="CAR", help="Name (see `list cars`) or .toml file, for sizes.")
+        str | None, Option("--vehicle", metavar="CAR", help="Car, for its sizes: see `list cars`, or a .toml file.")
     ] = None
     log_columns: ColumnOptions
     as_json: options.Json = False
 
 
 @options.grouped
-def check_loop(given: CheckLoopOptions) -> None:
-    """Report which inputs of a loop contradict each other.
+def check_loop(arguments: CheckLoopOptions) -> None:
+    """Check whether the inputs of a loop contradict each other.
 
     Sign, unit, frame and clock of time, position, yaw, speed, yaw rate, lateral velocity and acceleration, wheel angle
     and command. The exit code is 3 where some do, 2 where nothing could be compared.
@@ -42,16 +44,16 @@ def check_loop(given: CheckLoopOptions) -> None:
     from adaptrack.identification.reading import read_columns
     from adaptrack.results.check_loop import check_result
 
-    columns = read_columns(given.log, given.log_columns.reading)
-    check = check_log(columns, None if given.vehicle is None else load_vehicle(given.vehicle))
+    columns = read_columns(arguments.log, arguments.log_columns.reading)
+    check = check_log(columns, None if arguments.vehicle is None else load_vehicle(arguments.vehicle))
     if not check.contradictions and not check.compared:
         reason = check.limit or "no signal follows another."
         raise InvalidInput(
             f"log: nothing could be compared: {reason} Drive bends, and log speed with x, y and yaw, or yaw rate with "
             "the command."
         )
-    show.say_result(check_result(check, str(given.log), columns.notes), given.as_json)
+    show.say_result(check_result(check, str(arguments.log), columns.notes), arguments.as_json)
     if check.contradictions:
-        raise typer.Exit(CONTRADICTED)
-    if not given.as_json:
-        say_next("to identify the car", command("identify", given.log, "--car", given.vehicle or "CAR"))
+        raise typer.Exit(EXIT_CONTRADICTED)
+    if not arguments.as_json:
+        say_next("to identify the car", command("identify", arguments.log, "--car", arguments.vehicle or "CAR"))

@@ -16,35 +16,33 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnOptions:
-    """What the columns of a log are."""
+    """Options that assign the columns of a log to signals."""
 
     columns: Annotated[
-        list[str] | None, Option("--columns", metavar="SIGNAL=NAME,...", help="Which column is what: yaw_rate=GyroZ.")
+        list[str] | None, Option("--columns", metavar="SIGNAL=NAME,...", help="Column of a signal: yaw_rate=GyroZ.")
     ] = None
     units: Annotated[
         list[str] | None,
         Option("--units", metavar="UNITS", help="deg for all angles and rates, or speed=km/h,time=ms,command=deg."),
     ] = None
     flip: Annotated[
-        list[str] | None, Option("--flip", metavar="SIGNAL", help="Is positive to the right in the log.")
+        list[str] | None, Option("--flip", metavar="SIGNAL", help="Signal that is positive to the right in the log.")
     ] = None
     steering_ratio: Annotated[
         str | None,
         Option(
             "--steering-ratio",
             metavar="RATIO",
-            help="Logged steering angles over those of the road wheels, or fit: to be found.",
+            help="Logged steering angle over road-wheel angle; fit: estimate it.",
         ),
     ] = None
     clock: Annotated[
         list[str] | None,
-        Option("--clock", metavar="SIGNAL=NAME,...", help="Column of a signal's own times: yaw_rate=t_imu."),
+        Option("--clock", metavar="SIGNAL=NAME,...", help="Time column of a signal: yaw_rate=t_imu."),
     ] = None
     late: Annotated[
         list[str] | None,
-        Option(
-            "--late", metavar="SIGNAL=S,...", help="By how much a signal is older than its times say: yaw_rate=0.2."
-        ),
+        Option("--late", metavar="SIGNAL=S,...", help="Delay of a signal against its times: yaw_rate=0.2."),
     ] = None
 
     @property
@@ -52,10 +50,10 @@ class ColumnOptions:
         """As `identify` takes it."""
         from adaptrack.identification import Reading
 
-        columns = dict(_pair("--columns", each) for each in parts(self.columns))
-        units = dict(("", each) if "=" not in each else _pair("--units", each) for each in parts(self.units))
-        clocks = dict(_pair("--clock", each) for each in parts(self.clock))
-        late = {name: _seconds(name, each) for name, each in (_pair("--late", each) for each in parts(self.late))}
+        columns = dict(_pair("--columns", part) for part in parts(self.columns))
+        units = dict(("", part) if "=" not in part else _pair("--units", part) for part in parts(self.units))
+        clocks = dict(_pair("--clock", part) for part in parts(self.clock))
+        late = {name: _seconds(name, part) for name, part in (_pair("--late", part) for part in parts(self.late))}
         return Reading(columns, units, tuple(parts(self.flip)), _ratio(self.steering_ratio), clocks, late)
 
 
@@ -75,9 +73,9 @@ def _seconds(name: str, text: str) -> float:
         raise InvalidInput(f"--late {name}={text}: must be a number (s).") from None
 
 
-def parts(given: Sequence[str] | None) -> list[str]:
-    """What is given, also several with commas between them."""
-    return [part.strip() for each in given or () for part in each.split(",") if part.strip()]
+def parts(texts: Sequence[str] | None) -> list[str]:
+    """Split option values at their commas."""
+    return [part.strip() for text in texts or () for part in text.split(",") if part.strip()]
 
 
 def _pair(option: str, text: str) -> tuple[str, str]:

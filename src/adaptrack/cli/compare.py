@@ -13,7 +13,7 @@ from typer import Option
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.next_step import command, next_line
-from adaptrack.cli.road import ROADS
+from adaptrack.cli.road import ROADS_HELP
 
 if TYPE_CHECKING:
     from adaptrack.base.result import Result
@@ -36,28 +36,29 @@ class CompareOptions:
         list[str] | None,
         typer.Argument(
             metavar="ROAD", show_default=False,
-            help=f"Roads of the judgement: country:3, lap:1@6, random-drive:3, a scenario, {ROADS}",
+            help=f"Roads of the judgement: country:3, lap:1@6, random-drive:3, a scenario, {ROADS_HELP}",
         ),
     ] = None  # fmt: skip
     controller: Annotated[
-        list[str] | None, Option("--controller", metavar="NAME", help="See `list controllers`; several.")
+        list[str] | None, Option("--controller", metavar="NAME", help="See `list controllers`; may be repeated.")
     ] = None
     tuning: Annotated[
         list[str] | None,
-        Option("--tuning", metavar="FILE", help="Also the controller in this file of `tune`; several."),
+        Option("--tuning", metavar="FILE", help="Tuning file of `tune`; may be repeated."),
     ] = None
     vehicle: Annotated[
         list[str] | None,
-        Option("--vehicle", metavar="CAR[/PLANT]", help="See `list cars`, or a .toml file, with its plant; several."),
+        Option("--vehicle", metavar="CAR[/PLANT]", help="See `list cars`, or a .toml file; may be repeated."),
     ] = None
     profile: Annotated[
-        list[str] | None, Option("--profile", metavar="NAME", help="See `list profiles`, or a .toml file; several.")
+        list[str] | None,
+        Option("--profile", metavar="NAME", help="See `list profiles`, or a .toml file; may be repeated."),
     ] = None
     budget: Annotated[
         int | None, Option("--budget", metavar="N", min=0, help="Closed loops of each search; 0: default tunings only.")
     ] = None
     length: Annotated[
-        float | None, Option("--length", metavar="M", hidden=True, help="Of generated roads; by default 2000.")
+        float | None, Option("--length", metavar="M", hidden=True, help="Length of generated roads (m); default: 2000.")
     ] = None
     seeds: Annotated[
         int | None, Option("--seeds", metavar="N", hidden=True, min=1, max=1000, help="Noise seeds of the judgement.")
@@ -66,14 +67,14 @@ class CompareOptions:
         str | None,
         Option(
             "--config", metavar="NAME",
-            help="quick, standard, full, or a .toml file; by default roads if roads are given, otherwise quick.",
+            help="quick, standard, full, or a .toml file; default: roads with ROAD, else quick.",
         ),
     ] = None  # fmt: skip
     lane_change: Annotated[
-        LaneChangeName | None, Option("--lane-change", help="Highest clean entry speeds in this lane change, no roads.")
+        LaneChangeName | None, Option("--lane-change", help="Highest clean entry speeds in this lane change.")
     ] = None
     out: Annotated[
-        Path | None, Option("--out", metavar="FOLDER", help="Of the page and all runs; the same command continues.")
+        Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and all runs; it can be resumed.")
     ] = None
     plugin: options.Plugin = None
     as_json: options.Json = False
@@ -115,9 +116,9 @@ def _compare_on_roads(settings: CompareOptions) -> Result:
     size = f"{len(task.cells)} cells, about {loops:,} closed loops, roughly {show.duration(seconds)} of one core"
     show.say(f"adaptrack: {task.name}: {size}", aside=True)
     if settings.out is None:
-        interrupt.kept("Nothing is kept without --out.")
+        interrupt.note_progress("Nothing is kept without --out.")
     else:
-        interrupt.kept(f"Finished cells are kept; the same command with --out {settings.out} continues.")
+        interrupt.note_progress(f"Finished cells are kept; the same command with --out {settings.out} continues.")
     with show.progress("compare") as advance:
         compared = run_comparison(task, settings.out, progress=advance)
     return compare_result(compared, command=options.command_line(), next_step=next_line(*_next_step(compared)))
@@ -138,7 +139,7 @@ def _next_step(compared: Compared) -> tuple[str, str]:
     """Drive or tune the controller with the smallest error in the last profile."""
     from adaptrack.comparison.views import standing_rows
 
-    profile, comparison = list(compared.by_profile.items())[-1]
+    profile, comparison = list(compared.profile_comparisons.items())[-1]
     best = standing_rows(comparison)[0]
     where = "--controller", best["contender"], "--profile", profile
     if best["tuning"] == "tuned":

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from adaptrack.control.scheduling import Schedule
     from adaptrack.scenario.profile import Profile
 
-INFORMED, STANDARD, AS_WRITTEN, AS_RELEASED = "informed", "standard", "as-written", "as-released"
+INFORMED_NAME, STANDARD_NAME, AS_WRITTEN, AS_RELEASED = "informed", "standard", "as-written", "as-released"
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class ControllerSettings:
     car: Vehicle
     profile: Profile
     period: float
-    """s"""
+    """Control period (s)."""
     preview: bool
     tuning: dict[str, Any] = field(default_factory=dict)
     """the entries that are given, by name"""
@@ -86,9 +86,9 @@ class ControllerSettings:
         from adaptrack.control.controllers.made_for import is_for_published
 
         if self.schedule is not None:
-            return STANDARD if is_for_published(self.schedule.made_for) else INFORMED
+            return STANDARD_NAME if is_for_published(self.schedule.made_for) else INFORMED_NAME
         laguerre = self.moves is not None and self.moves.kind != "pulse"
-        return STANDARD if self.tuning or laguerre else INFORMED
+        return STANDARD_NAME if self.tuning or laguerre else INFORMED_NAME
 
     @property
     def most_moves(self) -> int:
@@ -113,11 +113,11 @@ def make_controller(name: str, settings: ControllerSettings) -> tuple[str, Contr
     from adaptrack.control.controllers import Moves, Tuning, get_controller, list_controllers, published_mpc
 
     chosen = settings.moves or Moves.pulses()
-    moves = {STANDARD: chosen, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, chosen.terms)}
+    moves = {STANDARD_NAME: chosen, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, chosen.terms)}
     registered = [other for other in list_controllers() if other not in moves]
     if name in registered:
         offered = {key: getattr(settings, key) for key in ("period", "preview", "computation")}
-        arguments = _informed_arguments(settings, chosen) if name == INFORMED else _no_schedule(name, settings)
+        arguments = _informed_arguments(settings, chosen) if name == INFORMED_NAME else _no_schedule(name, settings)
         label = settings.label if settings.schedule is not None else name
         return label, get_controller(name, settings.car, profile=settings.profile, offered=offered, **arguments)
     if name not in moves:
@@ -129,7 +129,7 @@ def make_controller(name: str, settings: ControllerSettings) -> tuple[str, Contr
     )  # fmt: skip
     if not settings.label:
         return name, mpc
-    return settings.label if name == STANDARD else f"{settings.label}-{name}", mpc
+    return settings.label if name == STANDARD_NAME else f"{settings.label}-{name}", mpc
 
 
 def _informed_arguments(settings: ControllerSettings, moves: Moves) -> dict[str, Any]:

@@ -13,8 +13,8 @@ import typer
 from typer import Option
 
 from adaptrack.cli import controllers, interrupt, options, show
-from adaptrack.cli.next_step import again, command, instead, next_line
-from adaptrack.cli.places import PlaceOptions, Places
+from adaptrack.cli.next_step import command, next_line, repeat_command_with, replace_option
+from adaptrack.cli.places import DrivenPlaces, PlaceOptions
 
 if TYPE_CHECKING:
     from adaptrack.base.result import Result, ResultTable
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from adaptrack.results import Run
     from adaptrack.road.holdable import HoldableSpeed
 
-SLOWER = 0.7
+SPEED_REDUCTION = 0.7
 """Times the speed, or the lateral acceleration, that is tried after a failure."""
 
 STIFFNESS_MISMATCH = 1.25
@@ -45,11 +45,11 @@ class DriveOptions:
         ),
     ] = None
     tuning: Annotated[
-        list[Path] | None, Option("--tuning", metavar="FILE", help="Tuning that `tune` found; may be repeated.")
+        list[Path] | None, Option("--tuning", metavar="FILE", help="Tuning file of `tune`; may be repeated.")
     ] = None
     scheduler: Annotated[
         str | None,
-        Option("--scheduler", metavar="NAME", help="Name or .json file (see `train`): retunes the MPC at every step."),
+        Option("--scheduler", metavar="NAME", help="Schedule: see `list schedules`, or a .json file of `paper train`."),
     ] = None
     car: options.CarAndPlant
     place: PlaceOptions
@@ -59,7 +59,7 @@ class DriveOptions:
 
 @options.grouped
 def drive(arguments: DriveOptions) -> None:
-    """Drive scenarios, or along a road with a planned speed.
+    """Drive scenarios, or a road with a planned speed.
 
     Along a road the speed is planned from curvature, friction and the car, unless --speed sets one. A run that leaves
     the road, spins or is not finite is printed as FAILED; the exit code is then 3.
@@ -70,7 +70,7 @@ def drive(arguments: DriveOptions) -> None:
     car, plant = arguments.car.load()
     settings.make_places()
     places = arguments.place.load(car, _held_speeds(arguments))
-    loop = Loop(car, plant, places, _make_controllers(arguments, places, car, plant))
+    loop = DrivenLoop(car, plant, places, _make_controllers(arguments, places, car, plant))
     places.warn(car)
     runs = list(_drive(settings, loop))
     rows = [measured_row(run, places) for run in runs]
@@ -85,36 +85,36 @@ def drive(arguments: DriveOptions) -> None:
     if not failed:
         controllers.save_learned(settings.learned, loop.drivers, settings.as_json)
     if failed and not settings.allow_failed:
-        raise typer.Exit(options.FAILED)
+        raise typer.Exit(options.EXIT_FAILED)
 
 
 @dataclass(frozen=True)
-class Loop:
+class DrivenLoop:
     """The car that the controllers know, the driven plant, the places, and the controllers by their labels."""
 
     car: Vehicle
     plant: Any
-    places: Places
+    places: DrivenPlaces
     drivers: Sequence[tuple[str, Controller]]
 
 
 # -- controllers and runs ---------------------------------------------------------------------------------------------
 def _make_controllers(
-    arguments: DriveOptions, places: Places, car: Vehicle, plant: Any
+    arguments: DriveOptions, places: DrivenPlaces, car: Vehicle, plant: Any
 ) -> list[tuple[str, Controller]]:
     """The controllers by their labels, those made for another car certified."""
     from adaptrack.cli.new_car import certify_meeting
     from adaptrack.control.controllers import MPC
     from adaptrack.control.scheduling import load_scheduler
 
-    world, published, named = places.profile, arguments.published, arguments.scheduler
+    world, published, scheduler = places.profile, arguments.published, arguments.scheduler
     preview = True if places.road is not None else world.preview
     settings = controllers.ControllerSettings(
         car=car, profile=world, tuning=published.tuning, moves=published.make_moves(), solver=published.solver,
         period=world.period if arguments.drive.period is None else arguments.drive.period,
         preview=preview if published.preview is None else published.preview,
-        schedule=None if named is None else load_scheduler(named),
-        label="" if named is None else Path(named).stem if named.endswith(".json") else named,
+        schedule=None if scheduler is None else load_scheduler(scheduler),
+        label="" if scheduler is None else Path(scheduler).stem if scheduler.endswith(".json") else scheduler,
         learning=controllers.make_learning(arguments.drive.learn, arguments.drive.learned),
     )  # fmt: skip
     default = [] if arguments.tuning else [settings.default_name]
@@ -135,7 +135,7 @@ def _held_speeds(arguments: DriveOptions) -> HoldableSpeed | None:
     return next((load_tuning(file).holds for file in arguments.tuning or []), None)
 
 
-def _drive(settings: options.DriveSettings, loop: Loop) -> Iterator[Run]:
+def _drive(settings: options.DriveSettings, loop: DrivenLoop) -> Iterator[Run]:
     """All drives with all controllers; a trajectory is saved as soon as it is driven."""
     from adaptrack.base.files import safe_names
     from adaptrack.drive.metrics import compute_metrics
@@ -157,13 +157,13 @@ def _drive(settings: options.DriveSettings, loop: Loop) -> Iterator[Run]:
             )  # fmt: skip
             if out is not None:
                 run.save(out / f"{file}.parquet")
-            interrupt.kept(f"{i} of {len(pairs)} runs were finished; {where}. Run the command again.")
+            interrupt.note_progress(f"{i} of {len(pairs)} runs were finished; {where}. Run the command again.")
             measures = compute_metrics(run, model=controller.model, outline=loop.car.outline)
             yield Run(run, label, measures, None if places.road is None else places.road.road, loop.car, paths)
 
 
 # -- output -----------------------------------------------------------------------------------------------------------
-def measured_row(run: Run, places: Places) -> dict[str, Any]:
+def measured_row(run: Run, places: DrivenPlaces) -> dict[str, Any]:
     """A run for --json: what was driven, `failed` (the reason, or null), `failed_at` (s), the metrics."""
     import numpy as np
 
@@ -200,7 +200,7 @@ def _say_failures(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
             )
 
 
-def _result(arguments: DriveOptions, loop: Loop, runs: Sequence[Run], rows: Sequence[dict[str, Any]]) -> Result:
+def _result(arguments: DriveOptions, loop: DrivenLoop, runs: Sequence[Run], rows: Sequence[dict[str, Any]]) -> Result:
     """The result with learned quantities, notes on speeds, steering and QPs, and the next step."""
     from adaptrack.results.drive import drive_result
     from adaptrack.results.road import limits_in_words, limits_record
@@ -236,7 +236,7 @@ def _learned_table(label: str, controller: Any) -> ResultTable:
     return ResultTable(f"{label} learned", title, columns, [row._asdict() for row in car.intervals], brief=True)
 
 
-def _steering_notes(label: str, controller: Controller, loop: Loop) -> list[str]:
+def _steering_notes(label: str, controller: Controller, loop: DrivenLoop) -> list[str]:
     """The controller's steering model, and the simulated steering where it differs."""
     belief, profile = controller.belief, loop.places.profile
     if belief is None:
@@ -254,7 +254,7 @@ def _steering_notes(label: str, controller: Controller, loop: Loop) -> list[str]
     return notes
 
 
-def _stiffness_notes(loop: Loop) -> list[str]:
+def _stiffness_notes(loop: DrivenLoop) -> list[str]:
     """The remedy where a failed car's model and its tyre disagree about the stiffness."""
     car, tyre = loop.car, getattr(loop.plant, "tyre", None)
     if tyre is None:
@@ -270,13 +270,13 @@ def _stiffness_notes(loop: Loop) -> list[str]:
     ]
 
 
-def _next_step(arguments: DriveOptions, places: Places, rows: Sequence[dict[str, Any]]) -> tuple[str, str]:
-    """What to do after the runs, and the command."""
-    away = any(row["failed"] or (row.get("in_lane") or 0.0) < 1.0 for row in rows)
-    if places.road is not None and away:
+def _next_step(arguments: DriveOptions, places: DrivenPlaces, rows: Sequence[dict[str, Any]]) -> tuple[str, str]:
+    """Suggest the next command after the runs, with the reason."""
+    is_off_lane = any(row["failed"] or (row.get("in_lane") or 0.0) < 1.0 for row in rows)
+    if places.road is not None and is_off_lane:
         return _slower(arguments, places.road)
     if arguments.drive.out is None:
-        return "to see the drive on a page", again("--out", "drive")
+        return "to see the drive on a page", repeat_command_with("--out", "drive")
     if places.road is None:
         return "to drive a road", command("drive", "country", "--vehicle", arguments.car.vehicle)
     road, setting = arguments.place.names[0], ("--profile", places.profile.name)
@@ -297,6 +297,8 @@ def _slower(arguments: DriveOptions, road: CheckedRoad) -> tuple[str, str]:
         words = (arguments.place.names[0], "--vehicle", arguments.car.vehicle, *route.words)
         return "to see the places that cannot be driven", command("road", "check", *words)
     if route.speed is not None:
-        return "to stay in the lane, drive more slowly", instead("--speed", round(SLOWER * route.speed, 1))
-    comfort = SLOWER * (3.0 if route.lateral_acceleration is None else route.lateral_acceleration)
-    return "to stay in the lane, drive more slowly", instead("--lateral-acceleration", round(comfort, 2))
+        return "to stay in the lane, drive more slowly", replace_option(
+            "--speed", round(SPEED_REDUCTION * route.speed, 1)
+        )
+    comfort = SPEED_REDUCTION * (3.0 if route.lateral_acceleration is None else route.lateral_acceleration)
+    return "to stay in the lane, drive more slowly", replace_option("--lateral-acceleration", round(comfort, 2))

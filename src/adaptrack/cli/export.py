@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from adaptrack.scenario.profile import Profile
 
 app = typer.Typer(
-    help="Controllers for C, for FMI, for a page in the browser.", no_args_is_help=True, rich_markup_mode=None
+    help="Export controllers: C library, FMUs, page for the browser.", no_args_is_help=True, rich_markup_mode=None
 )
 
 
@@ -32,26 +32,28 @@ class ExportedController:
         str | None,
         Option("--controller", metavar="NAME", help="informed [default], standard, lqr, pure-pursuit, stanley, ..."),
     ] = None
-    tuning: Annotated[Path | None, Option("--tuning", metavar="FILE", help="Tuning that `tune` found.")] = None
+    tuning: Annotated[Path | None, Option("--tuning", metavar="FILE", help="Tuning file of `tune`.")] = None
     scheduler: Annotated[
         str | None,
-        Option("--scheduler", metavar="NAME", help="Name or .json file: retunes the MPC at every step."),
+        Option("--scheduler", metavar="NAME", help="Schedule: see `list schedules`, or a .json file of `paper train`."),
     ] = None
     car: options.CarAndPlant
-    road: Annotated[str, Option("--road", metavar="ROAD", help=f"That is driven: {roads.ROADS}")] = "country"
-    road_seed: Annotated[int | None, Option("--road-seed", metavar="N", help="Generated: which road.")] = None
-    speed: Annotated[float | None, Option("--speed", metavar="V", help="Along it (m/s); by default planned.")] = None
-    profile: options.Profile = "road"
+    road: Annotated[str, Option("--road", metavar="ROAD", help=f"Road to drive: {roads.ROADS_HELP}")] = "country"
+    road_seed: Annotated[int | None, Option("--road-seed", metavar="N", help="Seed of a generated road.")] = None
+    speed: Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned.")] = (
+        None
+    )
+    profile: options.ProfileOption = "road"
     learn: Annotated[
         bool,
         Option(
             "--learn",
-            help="Let the informed controller learn; it does where the car's file tells no lag and dead time.",
+            help="Let the informed controller learn; default if the car file has no lag and dead time.",
         ),
     ] = False
-    learned: Annotated[
-        Path | None, Option("--learned", metavar="FILE", help="Learn, starting from this TOML file.")
-    ] = None
+    learned: Annotated[Path | None, Option("--learned", metavar="FILE", help="Learn; start from this TOML file.")] = (
+        None
+    )
 
     def checked_road(self, car: Vehicle, world: Profile) -> roads.CheckedRoad:
         """The road, with its speed."""
@@ -98,21 +100,19 @@ class ExportedController:
 class ExportOptions:
     """Options of `adaptrack export c`."""
 
-    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Where the library goes.")]
-    which: ExportedController
+    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for the library.")]
+    exported: ExportedController
     computation: Annotated[
         float,
-        Option("--computation", metavar="S", min=0.0, max=1.0, help="Time from a call to its command (s); default 0."),
+        Option("--computation", metavar="S", min=0.0, max=1.0, help="Time from a call to its command (s)."),
     ] = 0.0
     target: Annotated[
         list[str] | None,
-        Option("--target", metavar="NAME", help="Processor; by default this one; may be repeated."),
+        Option("--target", metavar="NAME", help="Processor; default: this one; may be repeated."),
     ] = None
     objects: Annotated[
         Path | None,
-        Option(
-            "--objects", metavar="FOLDER", help="Of the kernels for other processors: an archive of `make targets`."
-        ),
+        Option("--objects", metavar="FOLDER", help="Kernels for other processors: an archive of `make targets`."),
     ] = None
     room: Annotated[
         tuple[int, int] | None,
@@ -123,8 +123,10 @@ class ExportOptions:
 
 @app.command("c")
 @options.grouped
-def export_c(given: ExportOptions) -> None:
-    """A controller with its tracker as a C library: header, kernels, constants, and a recorded minute as proof.
+def export_c(arguments: ExportOptions) -> None:
+    """Export a controller with its tracker as a C library.
+
+    The library has a header, kernels, constants and a recorded minute that verifies it.
 
     It needs no compiler here, and there neither Python nor this package.
     """
@@ -135,27 +137,27 @@ def export_c(given: ExportOptions) -> None:
     from adaptrack.export.tracking import refuse
     from adaptrack.scenario.profile import load_profile
 
-    car, plant = given.which.car.load()
-    world = load_profile(given.which.profile)
-    controller = given.which.make(car, world, given.computation)
+    car, plant = arguments.exported.car.load()
+    world = load_profile(arguments.exported.profile)
+    controller = arguments.exported.make(car, world, arguments.computation)
     refuse(controller)
-    kernel_files(given.target or (), given.objects)
-    options.make_folder(given.out)
-    checked = given.which.checked_road(car, world)
+    kernel_files(arguments.target or (), arguments.objects)
+    options.make_folder(arguments.out)
+    checked = arguments.exported.checked_road(car, world)
     with show.progress("recorded minute"):
-        made = export(
-            controller, given.out, targets=given.target or (), road=checked.road, plan=checked.plan, plant=plant,
-            profile=world, room=given.room, objects=given.objects,
+        files = export(
+            controller, arguments.out, targets=arguments.target or (), road=checked.road, plan=checked.plan,
+            plant=plant, profile=world, room=arguments.room, objects=arguments.objects,
         )  # fmt: skip
-    if given.as_json:
-        show.say_json({**asdict(made), "folder": str(made.folder)})
+    if arguments.as_json:
+        show.say_json({**asdict(files), "folder": str(files.folder)})
         return
-    show.say(f"{controller.name} for {', '.join(made.targets)}: {made.folder}")
+    show.say(f"{controller.name} for {', '.join(files.targets)}: {files.folder}")
     show.say(
-        f"Constants {made.constants_size:,} bytes, a tracker {made.memory_size:,}, a saved state {made.state_size:,}."
+        f"Constants {files.constants_size:,} bytes, tracker {files.memory_size:,}, saved state {files.state_size:,}."
     )
     if controller.belief_at_first:
         show.say(f"It believes of the steering: {controller.belief_at_first}.")
-    if made.failed:
-        show.say(f"Warning: on the recorded drive, {made.failed}. --speed drives it more slowly, --road another road.")
-    show.say(next_line("to see that it drives as it does here", f"make -C {made.folder} check"))
+    if files.failed:
+        show.say(f"Warning: on the recorded drive, {files.failed}. --speed drives it more slowly, --road another road.")
+    show.say(next_line("to see that it drives as it does here", f"make -C {files.folder} check"))

@@ -24,18 +24,18 @@ class Interface(StrEnum):
 class FMUOptions:
     """Options of `adaptrack export fmu`."""
 
-    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Where car.fmu and controller.fmu go.")]
-    which: ExportedController
+    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for car.fmu and controller.fmu.")]
+    exported: ExportedController
     fmi: Annotated[Interface, Option("--fmi", help="Version of the interface.")] = Interface.third
     driver: Annotated[
-        bool, Option("--driver/--perfect-speed", hidden=True, help="Of the car: powertrain and driver, or exact speed.")
+        bool, Option("--driver/--perfect-speed", hidden=True, help="Car with powertrain and driver, or exact speed.")
     ] = False
     as_json: options.Json = False
 
 
 @options.grouped
-def export_fmu(given: FMUOptions) -> None:
-    """A controller with its tracker, and a car of the simulated world, as two FMUs for co-simulation.
+def export_fmu(arguments: FMUOptions) -> None:
+    """Export a controller and a car as two FMUs for co-simulation.
 
     They need neither Python nor this package, and no compiler here.
     """
@@ -45,12 +45,12 @@ def export_fmu(given: FMUOptions) -> None:
     from adaptrack.scenario import RoadDrive
     from adaptrack.scenario.profile import load_profile
 
-    car, plant = given.which.car.load()
-    world = load_profile(given.which.profile)
-    controller = given.which.make(car, world)
-    checked = given.which.checked_road(car, world)
+    car, plant = arguments.exported.car.load()
+    world = load_profile(arguments.exported.profile)
+    controller = arguments.exported.make(car, world)
+    checked = arguments.exported.checked_road(car, world)
     route = RoadDrive(checked.road, checked.plan)
-    driver = Driver() if given.driver else None
+    driver = Driver() if arguments.driver else None
     units = (
         controller_unit(
             controller, checked.road, checked.plan, speed_preview=None if driver is None else driver.preview
@@ -58,13 +58,18 @@ def export_fmu(given: FMUOptions) -> None:
         car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
     )
     systems = list(binaries())
-    options.make_folder(given.out)
-    made = [write_fmu(each, given.out / f"{each.name}.fmu", given.fmi.value) for each in units]
-    if given.as_json:
+    options.make_folder(arguments.out)
+    files = [write_fmu(unit, arguments.out / f"{unit.name}.fmu", arguments.fmi.value) for unit in units]
+    if arguments.as_json:
         show.say_json(
-            {"files": [str(each) for each in made], "fmi": given.fmi, "period": controller.period, "systems": systems}
+            {
+                "files": [str(file) for file in files],
+                "fmi": arguments.fmi,
+                "period": controller.period,
+                "systems": systems,
+            }
         )
         return
-    show.say(f"FMI {given.fmi.value}, for {' and '.join(systems)}, a step is {controller.period:g} s")
-    for unit, file in zip(units, made, strict=True):
+    show.say(f"FMI {arguments.fmi.value}, for {' and '.join(systems)}, a step is {controller.period:g} s")
+    for unit, file in zip(units, files, strict=True):
         show.say(f"{file}: {unit.title}, {file.stat().st_size:,} bytes")

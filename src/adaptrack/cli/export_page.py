@@ -16,8 +16,8 @@ from adaptrack.cli.next_step import next_line
 class PageOptions:
     """Options of `adaptrack export page`: all but the file are what the page begins with."""
 
-    out: Annotated[Path, Option("--out", metavar="FILE", help="The page, an .html file.")]
-    vehicle: options.Vehicle = "midsize-sedan"
+    out: Annotated[Path, Option("--out", metavar="FILE", help="HTML file of the page.")]
+    vehicle: options.VehicleOption = "midsize-sedan"
     road: Annotated[
         str,
         Option("--road", metavar="ROAD", help="motorway, country, town, mountain, lap, or a .csv file of x, y (m)."),
@@ -29,28 +29,30 @@ class PageOptions:
         list[str] | None,
         Option("--controller", metavar="NAME", help="informed [default], learning, published, lqr, ...; at most two."),
     ] = None
-    seed: Annotated[int, Option("--seed", hidden=True, help="Of the sensor noise.")] = 0
+    seed: Annotated[int, Option("--seed", hidden=True, help="Seed of the sensor noise.")] = 0
     as_json: options.Json = False
 
 
 @options.grouped
-def export_page(given: PageOptions) -> None:
-    """A page on which one drives: one file that needs neither Python nor a network.
+def export_page(arguments: PageOptions) -> None:
+    """Export a page on which you drive, as one HTML file.
+
+    The page needs neither Python nor a network.
 
     The kernels of this package run in it, with the same bits. What is given here it begins with; all of it can be
     changed on the page.
     """
     from adaptrack.export.page_file import export_page as export
 
-    options.make_place(given.out)
-    made = export(
-        given.out, vehicle=given.vehicle, road=given.road, speed=given.speed,
-        lateral_acceleration=given.lateral_acceleration, profile=given.profile,
-        controllers=given.controller or ["informed"], seed=given.seed,
+    options.make_place(arguments.out)
+    page = export(
+        arguments.out, vehicle=arguments.vehicle, road=arguments.road, speed=arguments.speed,
+        lateral_acceleration=arguments.lateral_acceleration, profile=arguments.profile,
+        controllers=arguments.controller or ["informed"], seed=arguments.seed,
     )  # fmt: skip
-    size = made.stat().st_size
-    if given.as_json:
-        show.say_json({"file": str(made), "bytes": size})
+    size = page.stat().st_size
+    if arguments.as_json:
+        show.say_json({"file": str(page), "bytes": size})
         return
-    show.say(f"{made}: {size:,} bytes")
-    show.say(next_line("to drive, open it in a browser", str(made)))
+    show.say(f"{page}: {size:,} bytes")
+    show.say(next_line("to drive, open it in a browser", str(page)))

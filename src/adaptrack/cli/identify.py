@@ -13,7 +13,7 @@ from typer import Option
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.columns import ColumnOptions
-from adaptrack.cli.next_step import again, command, say_next
+from adaptrack.cli.next_step import command, repeat_command_with, say_next
 
 NOT_CONSISTENT = 3
 """The exit code of an identification that contradicts itself or what was believed."""
@@ -25,33 +25,32 @@ class IdentifyOptions:
 
     logs: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG", help=".csv or .parquet, also of `drive --out`; several: of one car."),
+        typer.Argument(metavar="LOG", help="Log of the car (.csv, .parquet, from `drive --out`); several allowed."),
     ]
     car: Annotated[
         str | None,
-        Option("--car", metavar="CAR", help="What is believed of it: name (see `list cars`) or .toml file."),
+        Option("--car", metavar="CAR", help="Initial car: see `list cars`, or a .toml file."),
     ] = None
-    mass: Annotated[float | None, Option("--mass", metavar="KG", help="Where there is no --car.")] = None
-    wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Where there is no --car.")] = None
+    mass: Annotated[float | None, Option("--mass", metavar="KG", help="Mass, instead of --car.")] = None
+    wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Wheelbase, instead of --car.")] = None
     log_columns: ColumnOptions
     computation: Annotated[
         float | None,
-        Option(
-            "--computation", metavar="S", hidden=True, help="Of the dead time, what is the controller's, not the car's."
-        ),
+        Option("--computation", metavar="S", hidden=True, help="Part of the dead time that the controller causes."),
     ] = None
     out: Annotated[
-        Path | None, Option("--out", metavar="FILE", help="The car file to write (.toml); its tyre goes beside it.")
+        Path | None,
+        Option("--out", metavar="FILE", help="Car file to write (.toml); its tyre goes into the same folder."),
     ] = None
     anyway: Annotated[
-        bool, Option("--anyway", help="Write --out, with exit code 0, also when the identification is not consistent.")
+        bool, Option("--anyway", help="Write --out and exit with 0 even if the logs are inconsistent.")
     ] = False
     page: Annotated[Path | None, Option("--page", metavar="FILE", help="Page to write (.html).")] = None
     as_json: options.Json = False
 
 
 @options.grouped
-def identify(given: IdentifyOptions) -> None:
+def identify(arguments: IdentifyOptions) -> None:
     """Identify a car from a log of driving.
 
     Steering delay, tyre stiffness, offsets, noise. The log needs time, speed, yaw rate and a steering command (or a
@@ -61,42 +60,44 @@ def identify(given: IdentifyOptions) -> None:
     from adaptrack.identification import identify as fit
     from adaptrack.results.identify import identification_result, write_identification_page
 
-    out, page, as_json = given.out, given.page, given.as_json
+    out, page, as_json = arguments.out, arguments.page, arguments.as_json
     if out is not None and out.suffix != ".toml":
         raise InvalidInput(f"--out {out}: a car file ends in .toml.")
     if page is not None and page.suffix != ".html":
         raise InvalidInput(f"--page {page}: a page ends in .html.")
-    reading = given.log_columns.reading
+    reading = arguments.log_columns.reading
     options.make_place(out)
     options.make_place(page)
     with show.progress("identify") as advance:
-        found = fit(
-            list(given.logs), given.car, mass=given.mass, wheelbase=given.wheelbase, reading=reading,
-            computation=given.computation, progress=advance,
+        identified = fit(
+            list(arguments.logs), arguments.car, mass=arguments.mass, wheelbase=arguments.wheelbase, reading=reading,
+            computation=arguments.computation, progress=advance,
         )  # fmt: skip
-    show.say_result(identification_result(found), as_json)
-    for reason in found.reasons:
+    show.say_result(identification_result(identified), as_json)
+    for reason in identified.reasons:
         show.say_failed(f"not consistent: {reason}.", aside=as_json)
-    refused = not (found.consistent or given.anyway)
+    refused = not (identified.consistent or arguments.anyway)
     if out is not None and not refused:
-        found.to_toml(out, anyway=given.anyway)
+        identified.to_toml(out, anyway=arguments.anyway)
         show.say(f"Car: {out}", aside=as_json)
     elif out is not None:
         show.say(f"{out} is not written: --anyway writes it all the same.", aside=as_json)
     if page is not None:
-        show.say(f"Page: {write_identification_page(found, page, options.command_line())}", aside=as_json)
+        show.say(f"Page: {write_identification_page(identified, page, options.command_line())}", aside=as_json)
     if not as_json:
-        say_next(*_next_step(given, found.findings, refused))
+        say_next(*_next_step(arguments, identified.findings, refused))
     if refused:
         raise typer.Exit(NOT_CONSISTENT)
 
 
-def _next_step(given: IdentifyOptions, findings: Sequence[str], refused: bool) -> tuple[str, str]:
-    """What to do with a car from a log, and the command; findings: what limits it; refused: it is not consistent."""
-    if (findings or refused) and given.page is None:
-        return "to look at what does not fit", again("--page", "identified.html")
+def _next_step(arguments: IdentifyOptions, findings: Sequence[str], refused: bool) -> tuple[str, str]:
+    """Suggest the next command for an identified car; findings: what limits it; refused: not consistent."""
+    if (findings or refused) and arguments.page is None:
+        return "to look at what does not fit", repeat_command_with("--page", "identified.html")
     if refused:
-        return "to keep the car all the same", again(*([] if given.out else ["--out", "my-car.toml"]), "--anyway")
-    if given.out is None:
-        return "to keep the car", again("--out", "my-car.toml")
-    return "to drive it", command("drive", "country", "--vehicle", given.out)
+        return "to keep the car all the same", repeat_command_with(
+            *([] if arguments.out else ["--out", "my-car.toml"]), "--anyway"
+        )
+    if arguments.out is None:
+        return "to keep the car", repeat_command_with("--out", "my-car.toml")
+    return "to drive it", command("drive", "country", "--vehicle", arguments.out)

@@ -1,16 +1,16 @@
-"""What a command has finished and kept so far: what a user reads after Ctrl-C."""
+"""The note that Ctrl-C prints: the results that a command has already written."""
 
 from __future__ import annotations
 
-_kept = ""
+_note = ""
 
 
-def kept(text: str) -> None:
-    """From now on Ctrl-C answers with this: what is finished and kept, and how to go on."""
-    global _kept
-    _kept = text
+def note_progress(text: str) -> None:
+    """Set the note that Ctrl-C prints: the results that are already written, and how to go on."""
+    global _note
+    _note = text
 
 
-def what_is_kept() -> str:
-    """The sentence for Ctrl-C."""
-    return _kept
+def progress_note() -> str:
+    """The note for Ctrl-C."""
+    return _note

@@ -28,9 +28,9 @@ def _tyres() -> Descriptions:
 
 
 def _roads() -> Descriptions:
-    from adaptrack.road import KINDS
+    from adaptrack.road import ROAD_KINDS
 
-    return dict.fromkeys(KINDS, "generated; country:3 is the country road with seed 3")
+    return dict.fromkeys(ROAD_KINDS, "generated; country:3 is the country road with seed 3")
 
 
 def _scenarios() -> Descriptions:
@@ -49,8 +49,8 @@ def _profiles() -> Descriptions:
 def _controllers() -> Descriptions:
     from adaptrack.control.controllers import about_controller, list_controllers
 
-    about = {name: about_controller(name) for name in list_controllers()}
-    return {name: f"{entry.words}{'' if entry.tunable else '; fixed tuning'}" for name, entry in about.items()}
+    entries = {name: about_controller(name) for name in list_controllers()}
+    return {name: f"{entry.words}{'' if entry.tunable else '; fixed tuning'}" for name, entry in entries.items()}
 
 
 def _schedules() -> Descriptions:
@@ -90,7 +90,7 @@ def list_names(
     plugin: options.Plugin = None,
     as_json: options.Json = False,
 ) -> None:
-    """List the names of cars, roads, controllers."""
+    """List the names that the commands take."""
     options.load_plugins(plugin)
     if kind is None:
         rows = [{"kind": kind, "names": ", ".join(describe())} for kind, (describe, _) in COMMANDS.items()]

@@ -36,9 +36,9 @@ def certify_meeting(label: str, mpc: MPC, plant: Any, car: Vehicle, world: Profi
     if not isinstance(schedule, Schedule):
         return
     made_for = schedule.made_for.get("car")
-    here = [each for each in dict.fromkeys((car_of(mpc.model), car_of(plant))) if each not in (None, made_for)]
-    if made_for is not None and here:
-        clause = f"scheduler {label!r}, made for the car {made_for!r}, on {' and '.join(map(repr, here))}"
+    other_cars = [name for name in dict.fromkeys((car_of(mpc.model), car_of(plant))) if name not in (None, made_for)]
+    if made_for is not None and other_cars:
+        clause = f"scheduler {label!r}, made for the car {made_for!r}, on {' and '.join(map(repr, other_cars))}"
         judge(clause, schedule, (mpc, plant, car, world), allowed)
 
 
@@ -50,9 +50,9 @@ def judge(clause: str, tuning: Schedule | Tuning, loop: tuple[MPC, Any, Vehicle,
     InvalidInput
         As `certify_meeting`.
     """
-    found = _certificate(tuning, *loop)
-    clause = f"{clause}: certificate over the domain of {loop[2].name!r}: {found.verdict}"
-    if not found.passed and not allowed:
+    certificate = _certificate(tuning, *loop)
+    clause = f"{clause}: certificate over the domain of {loop[2].name!r}: {certificate.verdict}"
+    if not certificate.passed and not allowed:
         raise InvalidInput(f"{clause} Refused: --allow-failed drives it all the same.")
     show.say(f"Warning, {clause}", aside=True)
 

@@ -9,7 +9,7 @@ from adaptrack.cli import show
 
 
 def next_line(why: str, line: str) -> str:
-    """What to do next: why, and the command line."""
+    """Format the next command with its reason."""
     return f"Next, {why}: {line}"
 
 
@@ -23,15 +23,15 @@ def command(*words: object) -> str:
     return shlex.join(["adaptrack", *(str(word) for word in words if word is not None)])
 
 
-def again(*more: object) -> str:
+def repeat_command_with(*words: object) -> str:
     """The command line at hand with more words."""
-    return command(*sys.argv[1:], *more)
+    return command(*sys.argv[1:], *words)
 
 
-def instead(name: str, value: object) -> str:
+def replace_option(name: str, value: object) -> str:
     """The command line at hand with this value of an option, in place of the one that it has."""
     words = sys.argv[1:]
     if name in words[:-1]:
         words[words.index(name) + 1] = str(value)
         return command(*words)
-    return again(name, value)
+    return repeat_command_with(name, value)

@@ -16,7 +16,7 @@ import typer
 from typer import Option
 
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.base.limits import WORKERS, Limit, check_limit
+from adaptrack.base.limits import WORKERS, RequestLimit, check_limit
 from adaptrack.base.registry import import_plugin
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle as Car
 
 
-FAILED = 3
+EXIT_FAILED = 3
 """The exit code when a run failed."""
 
 
@@ -44,13 +44,13 @@ class ModelName(StrEnum):
 
 
 class TargetsName(StrEnum):
-    """What they learn."""
+    """Quantities that a model learns."""
 
     paper = "paper"
     ratio = "ratio"
 
 
-def at_most(limit: Limit, least: int = 1) -> Callable[[typer.CallbackParam, int | None], int | None]:
+def at_most(limit: RequestLimit, least: int = 1) -> Callable[[typer.CallbackParam, int | None], int | None]:
     """A callback that refuses a count outside its bounds by the name of its option."""
 
     def check(option: typer.CallbackParam, value: int | None) -> int | None:
@@ -64,40 +64,34 @@ def at_most(limit: Limit, least: int = 1) -> Callable[[typer.CallbackParam, int 
     return check
 
 
-Vehicle = Annotated[str, Option("--vehicle", metavar="CAR", help="Name (see `list cars`) or .toml file.")]
-Plant = Annotated[
+VehicleOption = Annotated[str, Option("--vehicle", metavar="CAR", help="Car: see `list cars`, or a .toml file.")]
+PlantOption = Annotated[
     str,
-    Option(
-        "--plant", metavar="NAME", hidden=True, help="What is driven: single-track, dual-track, or a registered plant."
-    ),
+    Option("--plant", metavar="NAME", hidden=True, help="Driven plant: single-track, dual-track, or a registered one."),
 ]
 Plugin = Annotated[
     list[str] | None,
-    Option(
-        "--plugin", metavar="MODULE", hidden=True, help="Python module to import first: what it registers has a name."
-    ),
+    Option("--plugin", metavar="MODULE", hidden=True, help="Python module to import first; it registers names."),
 ]
-Tyre = Annotated[
+TyreOption = Annotated[
     str | None,
-    Option("--tyre", metavar="TYRE", hidden=True, help="Name or .toml file; by default the vehicle's."),
+    Option("--tyre", metavar="TYRE", hidden=True, help="Tyre: see `list tyres`, or a .toml file; default: the car's."),
 ]
-Profile = Annotated[
+ProfileOption = Annotated[
     str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")
 ]
 Speed = Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned.")]
 LateralAcceleration = Annotated[
-    float | None, Option("--lateral-acceleration", metavar="A", help="Of the planned speed (m/s²), by default 3.")
+    float | None, Option("--lateral-acceleration", metavar="A", help="Limit of the planned speed (m/s²); default: 3.")
 ]
-OtherProfile = Annotated[
-    str | None, Option("--profile", metavar="NAME", help="Instead of the configuration's: road, ...")
-]
-Png = Annotated[bool, Option("--png", hidden=True, help="With --out: the pictures as PNG files for print, too.")]
+OtherProfile = Annotated[str | None, Option("--profile", metavar="NAME", help="Profile; default: the configuration's.")]
+Png = Annotated[bool, Option("--png", hidden=True, help="With --out: also write the pictures as PNG files.")]
 Json = Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")]
 Data = Annotated[
     str, Option("--data", metavar="NAME", help="Data set: paper-grid, road-sobol, a file, or the folder of a campaign.")
 ]
 Page = Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and its pictures.")]
-LearningSeed = Annotated[int, Option("--seed", min=0, help="Of the hold-out and of the first weights.")]
+LearningSeed = Annotated[int, Option("--seed", min=0, help="Seed of the hold-out and of the first weights.")]
 Workers = Annotated[
     int | None,
     Option(
@@ -105,18 +99,18 @@ Workers = Annotated[
         metavar="N",
         hidden=True,
         callback=at_most(WORKERS),
-        help="Worker processes, by default one per core.",
+        help="Worker processes; default: one per core.",
     ),
 ]
 
 
 @dataclasses.dataclass(frozen=True)
 class CarAndPlant:
-    """The car that the controller knows, and what is driven."""
+    """Options for the car of the controller and the driven plant."""
 
-    vehicle: Vehicle = "paper"
-    plant: Plant = "dual-track"
-    tyre: Tyre = None
+    vehicle: VehicleOption = "paper"
+    plant: PlantOption = "dual-track"
+    tyre: TyreOption = None
     plugin: Plugin = None
 
     def load(self) -> tuple[Car, PlantOf | SteppedPlant]:
@@ -133,14 +127,14 @@ class DriveSettings:
         bool, Option("--driver/--perfect-speed", hidden=True, help="Powertrain and driver, or exact speed.")
     ] = False
     period: Annotated[
-        float | None, Option("--period", metavar="S", hidden=True, help="Control period; by default the profile's.")
+        float | None, Option("--period", metavar="S", hidden=True, help="Control period (s); default: the profile's.")
     ] = None
     learn: Annotated[bool, Option("--learn", help="Learn delay, stiffness and bias while driving.")] = False
     learned: Annotated[
         Path | None,
-        Option("--learned", metavar="FILE", help="Learn, from and into this TOML file."),
+        Option("--learned", metavar="FILE", help="Learn; start from this TOML file and update it."),
     ] = None
-    seed: Annotated[int, Option("--seed", hidden=True, help="Of the sensor noise.")] = 0
+    seed: Annotated[int, Option("--seed", hidden=True, help="Seed of the sensor noise.")] = 0
     out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and the trajectories.")] = (
         None
     )
@@ -150,7 +144,7 @@ class DriveSettings:
         Option(
             "--allow-failed",
             hidden=True,
-            help="Exit code 0, not 3, after a failed run; drives what is unstable on this car.",
+            help="Exit code 0 after a failed run; drive also unstable loops.",
         ),
     ] = False
     as_json: Json = False
@@ -174,16 +168,16 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
             declared += _fields(hints[name])
         else:
             declared.append(_declared(name, hints[name], parameter.default))
-    if any(_is_hidden(each.annotation) for each in declared):
+    if any(_is_hidden(option.annotation) for option in declared):
         declared.append(_declared("help_all", HelpAll, False))
 
-    def run(**given: Any) -> None:
-        given.pop("help_all", None)
-        command(**{name: _taken(hint, name, given) for name, hint in hints.items() if name != "return"})
+    def run(**values: Any) -> None:
+        values.pop("help_all", None)
+        command(**{name: _read_value(hint, name, values) for name, hint in hints.items() if name != "return"})
 
     functools.update_wrapper(run, command)
     run.__signature__ = inspect.Signature(declared)  # type: ignore[attr-defined]
-    run.__annotations__ = {each.name: each.annotation for each in declared}
+    run.__annotations__ = {option.name: option.annotation for option in declared}
     return run
 
 
@@ -196,36 +190,39 @@ def _declared(name: str, hint: Any, default: Any) -> inspect.Parameter:
 def _fields(record: Any) -> list[inspect.Parameter]:
     """The options of a record, those of the records in it where these stand."""
     hints = get_type_hints(record, include_extras=True)
-    found: list[inspect.Parameter] = []
-    for each in dataclasses.fields(record):
-        inner = dataclasses.is_dataclass(hints[each.name])
-        found += _fields(hints[each.name]) if inner else [_declared(each.name, hints[each.name], each.default)]
-    return found
+    parameters: list[inspect.Parameter] = []
+    for field in dataclasses.fields(record):
+        inner = dataclasses.is_dataclass(hints[field.name])
+        parameters += _fields(hints[field.name]) if inner else [_declared(field.name, hints[field.name], field.default)]
+    return parameters
 
 
-def _taken(hint: Any, name: str, given: dict[str, Any]) -> Any:
+def _read_value(hint: Any, name: str, values: dict[str, Any]) -> Any:
     """The value of a parameter, out of those that were parsed: itself, or a record of them."""
     if not dataclasses.is_dataclass(hint):
-        return given.pop(name)
+        return values.pop(name)
     hints = get_type_hints(hint, include_extras=True)
-    return hint(**{each.name: _taken(hints[each.name], each.name, given) for each in dataclasses.fields(hint)})  # type: ignore[operator]
+    return hint(
+        **{field.name: _read_value(hints[field.name], field.name, values) for field in dataclasses.fields(hint)}
+    )  # type: ignore[operator]
 
 
 def _is_hidden(hint: Any) -> bool:
-    return any(isinstance(each, typer.models.OptionInfo) and each.hidden for each in get_args(hint))
+    return any(isinstance(part, typer.models.OptionInfo) and part.hidden for part in get_args(hint))
 
 
-def _show_all(context: typer.Context, wanted: bool) -> None:
+def _show_all(context: typer.Context, is_requested: bool) -> None:
     """The help with the options that few need."""
-    if wanted:
-        for each in context.command.params:
-            each.hidden = False  # type: ignore[attr-defined]  # of options; arguments are shown in any case
+    if is_requested:
+        for parameter in context.command.params:
+            parameter.hidden = False  # type: ignore[attr-defined]  # of options; arguments are shown in any case
         typer.echo(context.get_help())
         raise typer.Exit
 
 
 HelpAll = Annotated[
-    bool, Option("--help-all", is_eager=True, callback=_show_all, help="Show all options, also those that few need.")
+    bool,
+    Option("--help-all", is_eager=True, callback=_show_all, help="Show this message with the rarely used options."),
 ]
 
 

@@ -29,9 +29,9 @@ class AdaptOptions:
     """Options of `adaptrack paper adapt`."""
 
     campaign: Annotated[
-        str, typer.Argument(metavar="CAMPAIGN", help="Name or .toml file; its operating points are a Sobol sample.")
+        str, typer.Argument(metavar="CAMPAIGN", help="Campaign with a Sobol sample: road-sobol, or a .toml file.")
     ] = "road-sobol"
-    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder of campaign and schedules; it can be resumed.")]
+    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for campaign and schedules; it can be resumed.")]
     profile: options.OtherProfile = None
     workers: options.Workers = None
     as_json: options.Json = False
@@ -39,16 +39,20 @@ class AdaptOptions:
 
 @options.grouped
 def adapt(arguments: AdaptOptions) -> None:
-    """Run a campaign and learn its schedules: constants, look-up table, NN and ANFIS.
+    """Run a campaign and learn schedules from it.
+
+    The schedules are constants, a look-up table, networks and ANFIS.
 
     Failed runs are part of the result: they are counted, and the exit code is 0.
     """
     from adaptrack.paper.adaptation import adapt as learn
     from adaptrack.paper.campaign_config import load_campaign
 
-    campaign = load_campaign(arguments.campaign).in_profile(arguments.profile)
+    campaign = load_campaign(arguments.campaign).with_profile(arguments.profile)
     options.make_folder(arguments.out)
-    interrupt.kept(f"Finished parts and schedules are kept in {arguments.out}: run the command again to go on.")
+    interrupt.note_progress(
+        f"Finished parts and schedules are kept in {arguments.out}: run the command again to go on."
+    )
     with show.progress("adapt") as advance:
         schedules = learn(campaign, arguments.out, workers=arguments.workers, progress=advance)
     rows = [_best_round(name, schedule) for name, schedule in schedules.items() if "history" in schedule.provenance]

@@ -11,9 +11,9 @@ import typer
 from typer import Option
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import DRIVES, OPERATING_POINTS, SEED
+from adaptrack.base.limits import DRIVES, MAX_SEED, OPERATING_POINTS
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import again, next_line
+from adaptrack.cli.next_step import next_line, repeat_command_with
 
 if TYPE_CHECKING:
     from adaptrack.control.scheduling import Schedule
@@ -29,24 +29,26 @@ class EvaluateOptions:
     """Options of `adaptrack paper evaluate`."""
 
     folder: Annotated[
-        Path | None, typer.Argument(metavar="[DIR]", help="Folder of `paper adapt`; by default the shipped schedules.")
+        Path | None, typer.Argument(metavar="[DIR]", help="Folder of `paper adapt`; default: the shipped schedules.")
     ] = None
     scheduler: Annotated[
         list[str] | None,
-        Option("--scheduler", metavar="NAME", help="A further schedule: name (see `list schedulers`) or .json file."),
+        Option("--scheduler", metavar="NAME", help="Another schedule: see `list schedules`, or a .json file."),
     ] = None
     operating_points: Annotated[
         int | None,
         Option(
             "--operating-points", metavar="N", callback=options.at_most(OPERATING_POINTS),
-            help=f"New operating points, {OPERATING_POINTS.range}; {DEFAULT_POINTS} if nothing else is driven.",
+            help=f"Number of operating points, {OPERATING_POINTS.range}; {DEFAULT_POINTS} if nothing else is driven.",
         ),
     ] = None  # fmt: skip
     drives: Annotated[
         int | None,
-        Option("--drives", metavar="N", callback=options.at_most(DRIVES), help=f"Drives of 60 s, {DRIVES.range}."),
+        Option(
+            "--drives", metavar="N", callback=options.at_most(DRIVES), help=f"Number of drives of 60 s, {DRIVES.range}."
+        ),
     ] = None
-    tests: Annotated[bool, Option("--tests", help="The paper's two tests.")] = False
+    tests: Annotated[bool, Option("--tests", help="Also drive the paper's two tests.")] = False
     campaign: Annotated[
         str, Option("--campaign", metavar="NAME", hidden=True, help="Campaign of the schedules: name or .toml file.")
     ] = "road-sobol"
@@ -59,7 +61,7 @@ class EvaluateOptions:
         ),
     ] = None  # fmt: skip
     seed: Annotated[
-        int, Option("--seed", callback=options.at_most(SEED, least=0), help="Selects operating points and drives.")
+        int, Option("--seed", callback=options.at_most(MAX_SEED, least=0), help="Seed of operating points and drives.")
     ] = 7
     out: options.Page = None
     as_json: options.Json = False
@@ -67,7 +69,7 @@ class EvaluateOptions:
 
 @options.grouped
 def evaluate(arguments: EvaluateOptions) -> None:
-    """Compare schedules with the best constant, and with the optimum of each operating point.
+    """Compare schedules with the best constant and the optimum.
 
     Failed runs are part of the result: they are counted for each contender, and the exit code is 0.
     """
@@ -78,7 +80,7 @@ def evaluate(arguments: EvaluateOptions) -> None:
     from adaptrack.results.page import write_result
     from adaptrack.tuning.runs import perception
 
-    task = LearningTask.of(load_campaign(arguments.campaign).in_profile(arguments.profile))
+    task = LearningTask.of(load_campaign(arguments.campaign).with_profile(arguments.profile))
     schedules = shipped_schedules() if arguments.folder is None else read_schedules(arguments.folder)
     schedules = check_schedules(task, schedules, arguments.scheduler or [])
     for way in arguments.known_as or []:
@@ -89,7 +91,7 @@ def evaluate(arguments: EvaluateOptions) -> None:
         views = _views(arguments, task, schedules, advance)
     result = evaluation_result(views, schedules, command=options.command_line())
     if not views["drives"]:
-        step = next_line("to evaluate them on long drives", again("--drives", 200))
+        step = next_line("to evaluate them on long drives", repeat_command_with("--drives", 200))
         result = replace(result, next_step=step)
     page = None
     if arguments.out is not None:
@@ -105,10 +107,10 @@ def _views(arguments: EvaluateOptions, task: LearningTask, schedules: dict[str, 
     if points is None and drives is None and not arguments.tests:
         points = DEFAULT_POINTS
     ways = tuple(dict.fromkeys(["exact", *(arguments.known_as or [])]))
-    more: dict[str, Any] = {"known_as": ways, "progress": progress}
+    settings: dict[str, Any] = {"known_as": ways, "progress": progress}
     return {
-        "operating points": evaluate_on_operating_points(task, schedules, points, seed, **more) if points else {},
-        "drives": evaluate_on_drives(task, schedules, drives, seed, **more) if drives else {},
+        "operating points": evaluate_on_operating_points(task, schedules, points, seed, **settings) if points else {},
+        "drives": evaluate_on_drives(task, schedules, drives, seed, **settings) if drives else {},
         "tests": evaluate_on_tests(task, schedules) if arguments.tests else {},
     }
 

@@ -27,7 +27,7 @@ _ROAD_ENDINGS = (".csv", ".txt", ".toml", ".xml", ".xodr")
 
 
 @dataclass(frozen=True)
-class Places:
+class DrivenPlaces:
     """The scenarios, or the drive along a road, with their profile."""
 
     drives: Sequence[Scenario | RoadDrive]
@@ -51,13 +51,13 @@ class Places:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceOptions:
-    """What is driven: scenarios or a road, in which profile."""
+    """Scenarios or a road to drive, and the profile."""
 
     names: Annotated[
         list[str],
         typer.Argument(
             metavar="SCENARIO|ROAD...",
-            help=f"Scenarios (a name of `scenarios`, .toml, .csv), or one road: {roads.ROADS}",
+            help=f"Scenarios (see `list scenarios`, .toml, .csv), or one road: {roads.ROADS_HELP}",
         ),
     ]
     profile: Annotated[
@@ -82,7 +82,7 @@ class PlaceOptions:
         Option("--start-offset", metavar="M", hidden=True, help="Road: from the centre line, to the left (m)."),
     ] = None
 
-    def load(self, car: Vehicle, held: HoldableSpeed | None = None) -> Places:
+    def load(self, car: Vehicle, holdable: HoldableSpeed | None = None) -> DrivenPlaces:
         """The scenarios or the road; held: the speeds that the margins of a tuning hold.
 
         Raises
@@ -100,9 +100,9 @@ class PlaceOptions:
         if not along[0]:
             self._refuse(self._road_words, "a scenario", "roads; a scenario takes --option speed=20")
             chosen = scenario_options(self.option or [])
-            return Places([load_scenario(name, domain=car.domain, **chosen) for name in self.names], profile)
+            return DrivenPlaces([load_scenario(name, domain=car.domain, **chosen) for name in self.names], profile)
         self._refuse(["--option"] if self.option else [], "a road", "scenarios; a road takes --speed")
-        checked = self.route.look(self.names[0], car, profile, held)
+        checked = self.route.look(self.names[0], car, profile, holdable)
         drive = RoadDrive(
             checked.road,
             checked.plan,
@@ -110,7 +110,7 @@ class PlaceOptions:
             wind=self.wind or 0.0,
             start_offset=self.start_offset or 0.0,
         )
-        return Places([drive], profile, checked)
+        return DrivenPlaces([drive], profile, checked)
 
     @property
     def _road_words(self) -> list[str]:
@@ -134,7 +134,7 @@ def is_road(name: str) -> bool:
     InvalidInput
         When it may be both; the message has both readings.
     """
-    from adaptrack.road.generate import KINDS
+    from adaptrack.road.generate import ROAD_KINDS
     from adaptrack.scenario import list_scenarios
 
     ending = Path(name).suffix.lower()
@@ -149,12 +149,12 @@ def is_road(name: str) -> bool:
     if ending in _ROAD_ENDINGS:
         return True
     scenarios = list(list_scenarios())
-    if name in scenarios and name in KINDS:
+    if name in scenarios and name in ROAD_KINDS:
         raise InvalidInput(f"{name}: names a scenario and a kind of road; write the one you mean to a file.")
-    if name not in scenarios and name not in KINDS:
-        hint = did_you_mean(name, [*scenarios, *KINDS])
+    if name not in scenarios and name not in ROAD_KINDS:
+        hint = did_you_mean(name, [*scenarios, *ROAD_KINDS])
         raise UnknownName(f"no scenario or road is named {name!r}. {hint} A file ends in {', '.join(_ROAD_ENDINGS)}.")
-    return name in KINDS
+    return name in ROAD_KINDS
 
 
 def _toml_marks(file: Path) -> tuple[list[str], list[str]]:

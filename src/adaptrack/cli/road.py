@@ -11,7 +11,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import command, instead, next_line, say_next
+from adaptrack.cli.next_step import command, next_line, replace_option, say_next
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
@@ -19,16 +19,18 @@ if TYPE_CHECKING:
     from adaptrack.road.holdable import HoldableSpeed
     from adaptrack.scenario.profile import Profile
 
-app = typer.Typer(help="Roads: points in CSV files, OpenDRIVE, generated.", no_args_is_help=True, rich_markup_mode=None)
+app = typer.Typer(
+    help="Check and draw roads: CSV points, OpenDRIVE, generated.", no_args_is_help=True, rich_markup_mode=None
+)
 
 NOT_DRIVABLE = 1
 """The exit code when something of the road cannot be driven."""
 
-ROADS = (
+ROADS_HELP = (
     "a .csv file of x, y (m), a .toml file, OpenDRIVE (.xodr), CommonRoad (.xml), or motorway, country, town, "
     "mountain, lap."
 )
-RoadName = Annotated[str, typer.Argument(metavar="ROAD", help=f"Road: {ROADS}")]
+RoadName = Annotated[str, typer.Argument(metavar="ROAD", help=f"Road: {ROADS_HELP}")]
 
 
 @dataclass(frozen=True)
@@ -52,11 +54,11 @@ class RoadOptions:
             "--max-deviation",
             metavar="M",
             hidden=True,
-            help=".csv: largest distance from a point (m); by default what the noise of the points needs.",
+            help=".csv: largest distance from a point (m); default: from the noise of the points.",
         ),
     ] = None
     closed: Annotated[
-        bool | None, Option("--closed/--open", hidden=True, help=".csv: whether it is a lap; by default as found.")
+        bool | None, Option("--closed/--open", hidden=True, help=".csv: lap or open road; default: detected.")
     ] = None
     road_id: Annotated[
         str | None, Option("--road", metavar="ID", hidden=True, help=".xodr: which road; .xml: lanelets.")
@@ -66,11 +68,11 @@ class RoadOptions:
         Option("--lane", metavar="N", hidden=True, help=".xodr: middle of this lane, driven along the road (-1, ...)."),
     ] = None
     road_seed: Annotated[
-        int | None, Option("--road-seed", metavar="N", help="Generated: which road, by default 0.")
+        int | None, Option("--road-seed", metavar="N", help="Seed of a generated road; default: 0.")
     ] = None
-    length: Annotated[float | None, Option("--length", metavar="M", help="Generated: length (m), by default 2000.")] = (
-        None
-    )
+    length: Annotated[
+        float | None, Option("--length", metavar="M", help="Length of a generated road (m); default: 2000.")
+    ] = None
 
     margins: Annotated[
         bool | None,
@@ -83,18 +85,18 @@ class RoadOptions:
     @property
     def words(self) -> list[str]:
         """The options that are given, with their values, as one types them."""
-        found: list[str] = []
+        words: list[str] = []
         for name, value in vars(self).items():
             flag = "--road" if name == "road_id" else f"--{name.replace('_', '-')}"
             if isinstance(value, bool):
                 flag = flag if value or name != "closed" else "--open"
-                found.append(flag if value or name == "closed" else f"--no-{name}")
+                words.append(flag if value or name == "closed" else f"--no-{name}")
             elif value is not None:
-                found += [flag, str(value)]
-        return found
+                words += [flag, str(value)]
+        return words
 
     def look(
-        self, name: str, car: Vehicle, profile: str | Profile = "road", kept: HoldableSpeed | None = None
+        self, name: str, car: Vehicle, profile: str | Profile = "road", holdable: HoldableSpeed | None = None
     ) -> CheckedRoad:
         """Load a road by its name, plan the speed along it for a car, and check both.
 
@@ -112,25 +114,25 @@ class RoadOptions:
             raise InvalidInput("give either --speed or --lateral-acceleration.")
         if self.speed is not None and self.speed_column is not None:
             raise InvalidInput("give either --speed or --speed-column.")
-        known = {
+        settings = {
             "max_deviation": self.max_deviation, "closed": self.closed, "road": self.road_id, "lane": self.lane,
             "seed": self.road_seed, "length": self.length,
             "speed_column": self.speed_column,
         }  # fmt: skip
-        road = load_road(name, **{key: value for key, value in known.items() if value is not None})
+        road = load_road(name, **{key: value for key, value in settings.items() if value is not None})
         comfort = Comfort() if self.lateral_acceleration is None else Comfort(lateral=self.lateral_acceleration)
         if self.speed is not None:
             plan = constant_speed(road, self.speed)
         elif self.speed_column is not None and self.lateral_acceleration is None:
             plan = speed_limit_plan(road)
         else:
-            plan = plan_speed(road, car, comfort, holds=self._holds(car, profile, kept))
+            plan = plan_speed(road, car, comfort, holds=self._holds(car, profile, holdable))
         return CheckedRoad(road, plan, check_road(road, car, plan))
 
-    def _holds(self, car: Vehicle, profile: str | Profile, kept: HoldableSpeed | None) -> HoldableSpeed | None:
-        """What the controller's margins hold, as far as the plan is to ask."""
-        if self.margins is None or kept is not None:
-            return None if self.margins is False else kept
+    def _holds(self, car: Vehicle, profile: str | Profile, holdable: HoldableSpeed | None) -> HoldableSpeed | None:
+        """Speeds that the controller's stability margins hold, if the plan respects them."""
+        if self.margins is None or holdable is not None:
+            return None if self.margins is False else holdable
         if not self.margins:
             return None
         from adaptrack.analysis.holdable import holdable_speed
@@ -145,36 +147,36 @@ class CheckOptions:
     """Options of `adaptrack road check`."""
 
     road: RoadName
-    vehicle: options.Vehicle = "paper"
+    vehicle: options.VehicleOption = "paper"
     route: RoadOptions
     as_json: options.Json = False
 
 
 @app.command()
 @options.grouped
-def check(given: CheckOptions) -> None:
-    """Say whether a car can drive a road; exit code 1 where not."""
+def check(arguments: CheckOptions) -> None:
+    """Check whether a car can drive a road; exit code 1 if not."""
     from adaptrack.cars.vehicle import load_vehicle
     from adaptrack.results.road import road_result
 
-    checked = given.route.look(given.road, load_vehicle(given.vehicle))
+    checked = arguments.route.look(arguments.road, load_vehicle(arguments.vehicle))
     result = road_result(checked.road, checked.plan, checked.findings)
-    show.say_result(replace(result, next_step=next_line(*_next_step(given, checked))), given.as_json)
+    show.say_result(replace(result, next_step=next_line(*_next_step(arguments, checked))), arguments.as_json)
     if not checked.drivable:
         raise typer.Exit(NOT_DRIVABLE)
 
 
-def _next_step(given: CheckOptions, checked: CheckedRoad) -> tuple[str, str]:
-    """What to do with a road, and the command."""
-    route, here = given.route, ("--vehicle", given.vehicle, *given.route.words)
+def _next_step(arguments: CheckOptions, checked: CheckedRoad) -> tuple[str, str]:
+    """Suggest the next command for a road, with the reason."""
+    route, setting = arguments.route, ("--vehicle", arguments.vehicle, *arguments.route.words)
     if checked.drivable:
-        return "to drive it", command("drive", given.road, *here)
-    if all(each.drivable or each.kind in ("grip", "steering-rate") for each in checked.findings):
+        return "to drive it", command("drive", arguments.road, *setting)
+    if all(finding.drivable or finding.kind in ("grip", "steering-rate") for finding in checked.findings):
         if route.speed is not None:
-            return "to check it at lower speed", instead("--speed", round(0.7 * route.speed, 1))
+            return "to check it at lower speed", replace_option("--speed", round(0.7 * route.speed, 1))
         comfort = 3.0 if route.lateral_acceleration is None else route.lateral_acceleration
-        return "to check it at lower speed", instead("--lateral-acceleration", round(0.7 * comfort, 2))
-    return "to see the places that cannot be driven", command("road", "plot", given.road, *here)
+        return "to check it at lower speed", replace_option("--lateral-acceleration", round(0.7 * comfort, 2))
+    return "to see the places that cannot be driven", command("road", "plot", arguments.road, *setting)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,25 +184,25 @@ class PlotOptions:
     """Options of `adaptrack road plot`."""
 
     road: RoadName
-    vehicle: options.Vehicle = "paper"
+    vehicle: options.VehicleOption = "paper"
     route: RoadOptions
-    out: Annotated[Path, Option("--out", metavar="FILE", help="The picture.")] = Path("road.png")
+    out: Annotated[Path, Option("--out", metavar="FILE", help="PNG file of the picture.")] = Path("road.png")
 
 
 @app.command()
 @options.grouped
-def plot(given: PlotOptions) -> None:
+def plot(arguments: PlotOptions) -> None:
     """Draw a road from above, curvature and speed along it, as PNG."""
     from adaptrack.base.files import write_atomically
     from adaptrack.cars.vehicle import load_vehicle
     from adaptrack.results.draw import picture_png
     from adaptrack.results.road import road_picture
 
-    options.make_place(given.out)
-    checked = given.route.look(given.road, load_vehicle(given.vehicle))
-    write_atomically(given.out, picture_png(road_picture(checked.road, checked.plan, checked.findings)))
-    show.say(f"Picture: {given.out}")
-    say_next("to drive it", command("drive", given.road, "--vehicle", given.vehicle, *given.route.words))
+    options.make_place(arguments.out)
+    checked = arguments.route.look(arguments.road, load_vehicle(arguments.vehicle))
+    write_atomically(arguments.out, picture_png(road_picture(checked.road, checked.plan, checked.findings)))
+    show.say(f"Picture: {arguments.out}")
+    say_next("to drive it", command("drive", arguments.road, "--vehicle", arguments.vehicle, *arguments.route.words))
 
 
 @dataclass(frozen=True)
@@ -213,7 +215,7 @@ class CheckedRoad:
 
     @property
     def drivable(self) -> bool:
-        return all(each.drivable for each in self.findings)
+        return all(finding.drivable for finding in self.findings)
 
     def warn(self, aside: bool = True) -> None:
         """Say what of it cannot be driven, and what shaped its speed beside its bends."""

@@ -11,8 +11,8 @@ from typer import Option
 
 from adaptrack.cli import options, show
 from adaptrack.cli.columns import ColumnOptions, parts
-from adaptrack.cli.next_step import again, command, next_line
-from adaptrack.cli.options import FAILED
+from adaptrack.cli.next_step import command, next_line, repeat_command_with
+from adaptrack.cli.options import EXIT_FAILED
 
 if TYPE_CHECKING:
     from adaptrack.identification.shadow import Shadow
@@ -22,29 +22,31 @@ if TYPE_CHECKING:
 class ShadowOptions:
     """Options of `adaptrack shadow`."""
 
-    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Of one car, in their order: .csv or .parquet.")]
-    vehicle: options.Vehicle
+    log: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="Logs of one car in their order (.csv, .parquet).")
+    ]
+    vehicle: options.VehicleOption
     path: Annotated[
         str | None,
-        Option("--path", metavar="ROAD", help="That was to be followed; by default x and y of the log, smoothed."),
+        Option("--path", metavar="ROAD", help="Road to follow; default: x and y of the log, smoothed."),
     ] = None
     log_columns: ColumnOptions
     without: Annotated[
         list[str] | None,
-        Option("--without", metavar="SIGNAL,...", help="Not used: vy, acceleration, wheel, x, y, yaw."),
+        Option("--without", metavar="SIGNAL,...", help="Signals to leave out: vy, acceleration, wheel, x, y, yaw."),
     ] = None
-    profile: options.Profile = "road"
+    profile: options.ProfileOption = "road"
     computation: Annotated[
         float | None,
-        Option("--computation", metavar="S", hidden=True, help="Of the dead time in the log, the controller's own."),
+        Option("--computation", metavar="S", hidden=True, help="Part of the dead time that the controller causes."),
     ] = None
     out: options.Page = None
     as_json: options.Json = False
 
 
 @options.grouped
-def shadow(given: ShadowOptions) -> None:
-    """Run over logs of a driver and steer nothing.
+def shadow(arguments: ShadowOptions) -> None:
+    """Run the estimator over logs of a driver, without steering.
 
     What the learning controller would believe of the car, how well it predicts yaw rate and position, what it would
     have warned of. Exit code 3 when the belief is not believable.
@@ -53,25 +55,28 @@ def shadow(given: ShadowOptions) -> None:
     from adaptrack.results.page import write_result
     from adaptrack.results.shadow import shadow_result
 
-    options.make_page_folder(given.out)
-    with show.progress("shadow", len(given.log)) as advance:
-        found = run(
-            given.log, given.vehicle, path=given.path, reading=given.log_columns.reading,
-            without=parts(given.without), profile=given.profile, computation=given.computation, progress=advance,
+    options.make_page_folder(arguments.out)
+    with show.progress("shadow", len(arguments.log)) as advance:
+        report = run(
+            arguments.log, arguments.vehicle, path=arguments.path, reading=arguments.log_columns.reading,
+            without=parts(arguments.without), profile=arguments.profile, computation=arguments.computation,
+            progress=advance,
         )  # fmt: skip
-    result = shadow_result(found, options.command_line(), next_line(*_next_step(given, found)))
-    page = None if given.out is None else write_result(given.out, result)
-    show.say_result(result, given.as_json, page)
-    if not found.believable:
-        raise typer.Exit(FAILED)
+    result = shadow_result(report, options.command_line(), next_line(*_next_step(arguments, report)))
+    page = None if arguments.out is None else write_result(arguments.out, result)
+    show.say_result(result, arguments.as_json, page)
+    if not report.believable:
+        raise typer.Exit(EXIT_FAILED)
 
 
-def _next_step(given: ShadowOptions, found: Shadow) -> tuple[str, str]:
-    """What to do with what was found, and the command."""
-    if found.spoiling:
-        return "to leave out what does not fit", again("--without", ",".join(found.spoiling))
-    if given.out is None:
-        return "to see it over time", again("--out", "shadow")
-    if found.believable:
-        return "to keep the car", command("identify", given.log[0], "--car", given.vehicle, "--out", "my-car.toml")
-    return "to see what the log tells of the car", command("identify", given.log[0], "--car", given.vehicle)
+def _next_step(arguments: ShadowOptions, report: Shadow) -> tuple[str, str]:
+    """Suggest the next command after a shadow run, with the reason."""
+    if report.spoiling:
+        return "to leave out what does not fit", repeat_command_with("--without", ",".join(report.spoiling))
+    if arguments.out is None:
+        return "to see it over time", repeat_command_with("--out", "shadow")
+    if report.believable:
+        return "to keep the car", command(
+            "identify", arguments.log[0], "--car", arguments.vehicle, "--out", "my-car.toml"
+        )
+    return "to see what the log tells of the car", command("identify", arguments.log[0], "--car", arguments.vehicle)

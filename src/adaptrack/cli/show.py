@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from adaptrack.base.progress import Work, now_and_then, showing
+from adaptrack.base.progress import TrackedWork, now_and_then, showing
 from adaptrack.base.progress import duration as duration
 from adaptrack.base.result import Column, Result, ResultTable
 from adaptrack.base.text import printable as escaped
@@ -18,7 +18,7 @@ from adaptrack.results.console import print_result, print_table, say, say_failed
 
 __all__ = ["Column", "say", "say_failed"]
 
-Rows = Sequence[Mapping[str, Any]]
+TableRows = Sequence[Mapping[str, Any]]
 
 
 # -- text and tables --------------------------------------------------------------------------------------------------
@@ -44,12 +44,12 @@ def printable(text: str) -> str:
     return escaped(text, keep="\n")
 
 
-def table(title: str, columns: Sequence[Column], rows: Rows) -> None:
+def table(title: str, columns: Sequence[Column], rows: TableRows) -> None:
     """A table, see `results.console.print_table`."""
     print_table(ResultTable("", title, columns, rows))
 
 
-def listing(title: str, rows: Rows, as_json: bool) -> None:
+def listing(title: str, rows: TableRows, as_json: bool) -> None:
     """Rows that need no choice of columns."""
     if as_json:
         say_json({"rows": rows})
@@ -68,7 +68,7 @@ def progress(label: str, total: int = 1) -> Iterator[Show]:
 
     label, total: see `base.progress.Work`. Where something else is on show already, nothing is shown.
     """
-    work = Work(label, total)
+    work = TrackedWork(label, total)
     with showing(work) as alone:
         if not alone:
             yield work.update
@@ -78,7 +78,7 @@ def progress(label: str, total: int = 1) -> Iterator[Show]:
 
 
 @contextmanager
-def _bar(work: Work) -> Iterator[Show]:
+def _bar(work: TrackedWork) -> Iterator[Show]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
     from rich.text import Text
@@ -95,15 +95,15 @@ def _bar(work: Work) -> Iterator[Show]:
     with Progress(*columns, console=Console(file=sys.stderr), transient=True, redirect_stdout=False) as bar:
         task = bar.add_task(printable(work.label), total=None)  # no total: the bar only moves to and fro
 
-        def update(label: str, done: int, steps: int) -> None:
-            work.update(label, done, steps)
+        def update(label: str, steps_done: int, steps: int) -> None:
+            work.update(label, steps_done, steps)
             bar.update(task, description=printable(label), completed=work.share, total=1.0 if work.share else None)
 
         yield update
 
 
 @contextmanager
-def _lines(work: Work) -> Iterator[Show]:
+def _lines(work: TrackedWork) -> Iterator[Show]:
     over = threading.Event()
 
     def tell() -> None:

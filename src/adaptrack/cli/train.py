@@ -61,7 +61,7 @@ def train(arguments: TrainOptions) -> None:
         schedule = replace(trained_schedule(trained, dataset), made_for=purpose_of(dataset))
         check_scheduler(schedule)
     schedule.save(out)
-    interrupt.kept(f"The schedule is in {out}.")
+    interrupt.note_progress(f"The schedule is in {out}.")
     rows = trained.quality
     if arguments.as_json:
         show.say_json({"scheduler": str(out), "data": dataset.name, "model": model, "targets": targets, "rows": rows})

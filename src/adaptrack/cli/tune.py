@@ -12,13 +12,13 @@ from typer import Argument, Option
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
 from adaptrack.cli.next_step import command, next_line
-from adaptrack.cli.options import FAILED
-from adaptrack.cli.road import ROADS
+from adaptrack.cli.options import EXIT_FAILED
+from adaptrack.cli.road import ROADS_HELP
 
 if TYPE_CHECKING:
     from adaptrack.base.result import Result
 
-TUNING = "tuning.toml"
+TUNING_FILE = "tuning.toml"
 """The file of the tuning in the folder."""
 
 
@@ -26,33 +26,37 @@ TUNING = "tuning.toml"
 class TuneOptions:
     """Options of `adaptrack tune`."""
 
-    car: Annotated[str, Argument(metavar="CAR", help="Name (see `list cars`) or .toml file.")]
-    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for the tuning, and for the car's file.")]
+    car: Annotated[str, Argument(metavar="CAR", help="Car: see `list cars`, or a .toml file.")]
+    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for the tuning and the car file.")]
     road: Annotated[
         list[str] | None,
         Option(
-            "--road", metavar="ROAD", help=f"Tune on these instead of random drives: country:3, a scenario, {ROADS}"
+            "--road",
+            metavar="ROAD",
+            help=f"Tune on these roads: country:3, a scenario, {ROADS_HELP}",
         ),
     ] = None
-    profile: options.Profile = "road"
+    profile: options.ProfileOption = "road"
     speed: Annotated[
-        str | None, Option("--speed", metavar="LOW..HIGH", help="Of random drives, m/s; by default the car's domain.")
+        str | None,
+        Option("--speed", metavar="LOW..HIGH", help="Speeds of random drives (m/s); default: the car's domain."),
     ] = None
     friction: Annotated[
-        str | None, Option("--friction", metavar="LOW..HIGH", help="Of random drives; by default the car's domain.")
+        str | None,
+        Option("--friction", metavar="LOW..HIGH", help="Friction of random drives; default: the car's domain."),
     ] = None
     controller: Annotated[
         str | None,
-        Option("--controller", metavar="NAME", help="On given roads: see `list controllers`; by default informed."),
+        Option("--controller", metavar="NAME", help="With --road: see `list controllers`; default: informed."),
     ] = None
     length: Annotated[
-        float | None, Option("--length", metavar="M", hidden=True, help="Of generated roads; by default 2000.")
+        float | None, Option("--length", metavar="M", hidden=True, help="Length of generated roads (m); default: 2000.")
     ] = None
     runs: Annotated[
         int | None,
-        Option("--runs", metavar="N", min=1, help="On given roads: closed loops of the search, default 300 tunings."),
+        Option("--runs", metavar="N", min=1, help="With --road: closed loops of the search; default: 300 tunings."),
     ] = None
-    plant: options.Plant = "dual-track"
+    plant: options.PlantOption = "dual-track"
     plugin: options.Plugin = None
     as_json: options.Json = False
 
@@ -71,18 +75,18 @@ def tune(settings: TuneOptions) -> None:
     options.load_plugins(settings.plugin)
     _check_options(settings)
     options.make_folder(settings.out)
-    interrupt.kept("An interrupted search leaves nothing.")
+    interrupt.note_progress("An interrupted search leaves nothing.")
     result = _tune_on_roads(settings) if settings.road else _tune_car(settings)
     show.say_result(result, settings.as_json)
     if result.failed:
-        raise typer.Exit(FAILED)
+        raise typer.Exit(EXIT_FAILED)
 
 
 def _check_options(settings: TuneOptions) -> None:
     """Refuse a road in place of the car, and options of the other kind of search."""
-    from adaptrack.road import KINDS
+    from adaptrack.road import ROAD_KINDS
 
-    if settings.car in KINDS or Path(settings.car).suffix in (".csv", ".xodr", ".xml"):
+    if settings.car in ROAD_KINDS or Path(settings.car).suffix in (".csv", ".xodr", ".xml"):
         raise InvalidInput(
             f"tune {settings.car}: is a road; name the car first: tune CAR --road {settings.car} --out FOLDER."
         )
@@ -110,7 +114,7 @@ def _tune_car(settings: TuneOptions) -> Result:
             settings.car, settings.profile, plant=settings.plant, speed=speed, friction=friction, progress=advance
         )
     car, summary = tuned.controller.model.vehicle.replace(domain=tuned.domain), tuned.summary()
-    car_file, tuning_file = settings.out / f"{car.name}.toml", settings.out / TUNING
+    car_file, tuning_file = settings.out / f"{car.name}.toml", settings.out / TUNING_FILE
     car.to_toml(car_file)
     ConstantTuning(
         controller="informed", vehicle=car.name, profile=tuned.profile.name, period=tuned.profile.period,
@@ -124,13 +128,13 @@ def _tune_car(settings: TuneOptions) -> Result:
 def _tune_on_roads(settings: TuneOptions) -> Result:
     from adaptrack.cars.plant import get_plant
     from adaptrack.cars.vehicle import load_vehicle
-    from adaptrack.comparison.config import Setting
+    from adaptrack.comparison.config import ControllerSetting
     from adaptrack.comparison.tune_on_roads import tune_on_roads
     from adaptrack.results.tuning import tuned_roads_result
     from adaptrack.scenario.profile import load_profile
 
     car = load_vehicle(settings.car)
-    setting = Setting(car, get_plant(settings.plant, car), load_profile(settings.profile))
+    setting = ControllerSetting(car, get_plant(settings.plant, car), load_profile(settings.profile))
     name = settings.controller or "informed"
     with show.progress(f"tune {name}") as advance:
         tuned = tune_on_roads(
@@ -142,7 +146,7 @@ def _tune_on_roads(settings: TuneOptions) -> Result:
             command=options.command_line(),
             progress=advance,
         )
-    file = settings.out / TUNING
+    file = settings.out / TUNING_FILE
     tuned.file.to_toml(file)
     drive = command("drive", "ROAD", "--vehicle", settings.car, "--profile", settings.profile, "--tuning", file)
     return tuned_roads_result(tuned, str(file), next_line("drive with it", drive))

@@ -23,7 +23,7 @@ from adaptrack.comparison.compare import check_fits
 from adaptrack.comparison.config import (
     Cell,
     ComparisonConfig,
-    Setting,
+    ControllerSetting,
     about_contender,
     is_tuning_file,
     load_drive,
@@ -47,7 +47,7 @@ MAX_PARTICLES = 20
 
 
 @lru_cache(maxsize=4)
-def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[Setting, RunSet | None, RunSet]:
+def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[ControllerSetting, RunSet | None, RunSet]:
     """Setting, runs of the search (None without a budget) and runs of the judgement, shared by all controllers."""
     setting = load_setting(car, profile)
     mpc = MPC(setting.car, profile=setting.profile, preview=True)
@@ -95,13 +95,13 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     """
     begun = time.perf_counter()
     entry = about_contender(cell.contender)
-    setting, training, judged = _run_sets(task, cell.car, cell.profile)
+    setting, training, judgement = _run_sets(task, cell.car, cell.profile)
     result: dict[str, Any] = {
         "rows": [], "tunings": {}, "entry_speed": {}, "not_entered": "", "loops": 0, "left_out": "",
     }  # fmt: skip
     try:
         controller, tuning = _make_controller(task, cell, setting)
-        check_fits(Contender(cell.contender, controller), judged)
+        check_fits(Contender(cell.contender, controller), judgement)
     except (InvalidInput, MissingExtra) as error:
         return result | {"left_out": str(error), "seconds": 0.0}
     drivers = {tuning: controller}
@@ -113,8 +113,8 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
         drivers["tuned"] = controller.with_tuning(best.tuning)
     name = load_tuning(cell.contender).controller if is_tuning_file(cell.contender) else cell.contender
     for tuning, driver in drivers.items():
-        about = {"contender": name, "tuning": tuning, "car": cell.car, "profile": cell.profile}
-        result["rows"] += [about | row for row in _judge(task, judged, driver, setting.car.outline)]
+        identity = {"contender": name, "tuning": tuning, "car": cell.car, "profile": cell.profile}
+        result["rows"] += [identity | row for row in _judge(task, judgement, driver, setting.car.outline)]
         try:
             result["entry_speed"][label_of(name, tuning)] = _entry_speed(task, cell, entry, driver)
         except InvalidInput as error:
@@ -122,16 +122,16 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     return result | {"seconds": time.perf_counter() - begun}
 
 
-def _judge(task: ComparisonConfig, judged: RunSet, driver: Controller, outline: Outline) -> list[dict[str, Any]]:
+def _judge(task: ComparisonConfig, judgement: RunSet, driver: Controller, outline: Outline) -> list[dict[str, Any]]:
     """One row for each run of the judgement: road, noise seed and `MEASURES`."""
     return [
         {"road": road, "seed": seed, **{name: row[name] for name in MEASURES}}
-        for road, runs in zip(task.roads, measure_runs(judged, driver, task.seeds, outline), strict=True)
+        for road, runs in zip(task.roads, measure_runs(judgement, driver, task.seeds, outline), strict=True)
         for seed, row in zip(task.seeds, runs, strict=True)
     ]
 
 
-def _make_controller(task: ComparisonConfig, cell: Cell, setting: Setting) -> tuple[Controller, str]:
+def _make_controller(task: ComparisonConfig, cell: Cell, setting: ControllerSetting) -> tuple[Controller, str]:
     """The controller of a cell before any search, and the name of its tuning: default, scheduled, or a file.
 
     Raises
@@ -167,11 +167,11 @@ def _entry_speed(task: ComparisonConfig, cell: Cell, entry: About, driver: Contr
     track = _obstacle(cell.car, cell.profile) if task.entry_speeds and entry.compiled else None
     if track is None:
         return None
-    speed = entry_speed(track, cell.contender, driver, SPEEDS).scan.speed
+    speed = entry_speed(track, cell.contender, driver, ENTRY_SPEEDS).scan.speed
     return float(speed) if math.isfinite(speed) else 0.0
 
 
-SPEEDS = tuple((np.arange(26.0, 91.0, 2.0) / 3.6).tolist())
+ENTRY_SPEEDS = tuple((np.arange(26.0, 91.0, 2.0) / 3.6).tolist())
 """m/s, the grid of entry speeds."""
 
 

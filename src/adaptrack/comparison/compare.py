@@ -6,29 +6,28 @@ a search finds with noise of its own; all costs, the optimum's too, are then mea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.outline import Outline
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.measures import as_cells, measure_runs
-from adaptrack.comparison.table import Comparison, Role, check_names
+from adaptrack.comparison.table import Comparison, ContenderRole, check_names
 from adaptrack.control.controllers import Controller, Tuning
 from adaptrack.control.scheduling import Schedule
 from adaptrack.drive.world import World
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.runs import Retuned, RunSet
 
-Progress = Callable[[str, int, int], None]
-
 
 def compare(
     runs: RunSet, contenders: Iterable[Contender], seeds: Sequence[int], reference: str, where: ArrayLike | None = None,
-    progress: Progress | None = None, *, outline: Outline | None = None,
+    progress: ProgressCall | None = None, *, outline: Outline | None = None,
 ) -> Comparison:  # fmt: skip
     """Drive every contender over the runs with each of the noise seeds.
 
@@ -43,23 +42,23 @@ def compare(
         fit, or gives a tuning for each run.
     """
     entered = list(contenders)
-    check_names([each.name for each in entered], reference)
+    check_names([contender.name for contender in entered], reference)
     if outline is not None:
-        for each in entered:
-            check_fits(each, runs)
-    driven, overall = {}, {}
-    for k, each in enumerate(entered):
+        for contender in entered:
+            check_fits(contender, runs)
+    measured, overall = {}, {}
+    for k, contender in enumerate(entered):
         if progress is not None:
-            progress(each.name, k, len(entered))
+            progress(contender.name, k, len(entered))
         if outline is None:
-            driven[each.name], overall[each.name] = _costs(runs, each, seeds)
+            measured[contender.name], overall[contender.name] = _costs(runs, contender, seeds)
         else:
-            driven[each.name] = as_cells(measure_runs(runs, each.policy, seeds, outline))
-    one = outline is not None and len(runs) == 1
-    return Comparison.of_runs(
-        driven, reference, roads=[str(each.name) for each in getattr(runs, "scenarios", [])] or None, seeds=seeds,
-        where=where, overall=overall, failure=runs.failure, over=("seed",) if one else ("road",),
-        roles={each.name: Role(_controller(each, runs), each.adapts, each.hindsight) for each in entered},
+            measured[contender.name] = as_cells(measure_runs(runs, contender.policy, seeds, outline))
+    is_one_run = outline is not None and len(runs) == 1
+    return Comparison.from_runs(
+        measured, reference, roads=[str(drive.name) for drive in getattr(runs, "scenarios", [])] or None, seeds=seeds,
+        where=where, overall=overall, failure=runs.failure, over=("seed",) if is_one_run else ("road",),
+        roles={entry.name: ContenderRole(_controller(entry, runs), entry.adapts, entry.hindsight) for entry in entered},
     )  # fmt: skip
 
 
@@ -83,15 +82,15 @@ def _costs(
     runs: RunSet, contender: Contender, seeds: Sequence[int]
 ) -> tuple[dict[str, NDArray[Any]], dict[str, float]]:
     """Cost and failure of each run and seed, and the shares of the steps that a schedule counts."""
-    found = runs.drive(contender.policy, seeds)
-    failed = ~np.isfinite(found)
-    cells = {"cost": np.where(failed, runs.failed_cost, found), "failed": failed.astype(float)}
+    costs = runs.drive(contender.policy, seeds)
+    failed = ~np.isfinite(costs)
+    cells = {"cost": np.where(failed, runs.failed_cost, costs), "failed": failed.astype(float)}
     if not isinstance(contender.policy, Schedule):
         return cells, {}
-    total = {name: float(each.sum()) for name, each in runs.counts(contender.policy, int(seeds[0])).items()}
-    return cells, {name: each / total["steps"] for name, each in total.items() if name != "steps"}
+    total = {name: float(count.sum()) for name, count in runs.counts(contender.policy, int(seeds[0])).items()}
+    return cells, {name: count / total["steps"] for name, count in total.items() if name != "steps"}
 
 
 def _controller(contender: Contender, runs: RunSet) -> str:
-    """What drives: a controller of the contender's own, or that of the runs."""
+    """Name of the driving controller: of the contender or, without one, of the runs."""
     return contender.controller if isinstance(contender.policy, Controller) else runs.controller

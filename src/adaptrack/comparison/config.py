@@ -17,7 +17,7 @@ from adaptrack.cars.plant import Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import About, Controller, about_controller, get_controller
 from adaptrack.road import Comfort, load_road, plan_speed
-from adaptrack.road.generate import KINDS
+from adaptrack.road.generate import ROAD_KINDS
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scenario.library import list_scenarios
 from adaptrack.scenario.profile import Profile, load_profile
@@ -29,7 +29,7 @@ PERIODS_OF_A_LOOP = 1500
 """Control periods of a drive, for estimates of time."""
 
 Names = Annotated[tuple[str, ...], LISTED, Field(min_length=1)]
-Numbers = Annotated[tuple[int, ...], LISTED, Field(min_length=1)]
+SeedNumbers = Annotated[tuple[int, ...], LISTED, Field(min_length=1)]
 
 
 def is_tuning_file(contender: str) -> bool:
@@ -67,8 +67,8 @@ class ComparisonConfig(Record):
     length: float = Field(default=2000.0, ge=100, le=100_000, description="m, of generated roads")
     training_length: float = Field(default=1000.0, ge=100, le=100_000, description="m, of those of the search")
     duration: float = Field(default=60.0, ge=1, le=3600, description="s, of random drives")
-    seeds: Numbers = Field(default=(0, 1, 2, 3, 4), description="noise seeds of the judgement")
-    training_seeds: Numbers = Field(default=(1000,), description="noise seeds of the search")
+    seeds: SeedNumbers = Field(default=(0, 1, 2, 3, 4), description="noise seeds of the judgement")
+    training_seeds: SeedNumbers = Field(default=(1000,), description="noise seeds of the search")
     budget: int = Field(default=200, ge=0, description="closed loops of each search; 0: none, defaults alone")
     entry_speeds: bool = Field(default=True, description="whether ISO 3888-2 is driven")
 
@@ -161,8 +161,8 @@ def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> Com
 
 # -- cars and roads ---------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
-class Setting:
-    """What a controller is made for."""
+class ControllerSetting:
+    """Car, profile and period that a controller is made for."""
 
     car: Vehicle
     plant: Plant | SteppedPlant
@@ -180,7 +180,7 @@ class Setting:
         return get_controller(name, self.car, profile=self.profile, offered=offered)
 
 
-def load_setting(car: str, profile: str) -> Setting:
+def load_setting(car: str, profile: str) -> ControllerSetting:
     """A car by `car` or `car/plant`, in a profile.
 
     Raises
@@ -193,7 +193,7 @@ def load_setting(car: str, profile: str) -> Setting:
         raise InvalidInput(f"car {car!r}: must be a name or a .toml file, with /PLANT behind it or without.")
     vehicle = load_vehicle(parts["car"])
     plant = get_plant(parts["plant"] or "dual-track", vehicle)
-    return Setting(vehicle, plant, load_profile(profile))
+    return ControllerSetting(vehicle, plant, load_profile(profile))
 
 
 def load_drive(name: str, car: Vehicle, length: float, duration: float) -> Scenario | RoadDrive:
@@ -212,6 +212,6 @@ def load_drive(name: str, car: Vehicle, length: float, duration: float) -> Scena
         return random_drive(int(seed or 0), duration, **car.domain.drive_options)
     if where in list_scenarios():
         return load_scenario(where)
-    road = load_road(kind, seed=int(seed or 0), length=length) if kind in KINDS else load_road(where)
+    road = load_road(kind, seed=int(seed or 0), length=length) if kind in ROAD_KINDS else load_road(where)
     comfort = Comfort(lateral=float(lateral)) if lateral else Comfort()
     return RoadDrive(road, plan_speed(road, car, comfort), name=name)

@@ -38,11 +38,11 @@ from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
 
-SEEDS = (0, 1, 2)
+ENTRY_SEEDS = (0, 1, 2)
 """Of the sensor noise, for the entry speed."""
 TUNING_SEEDS = (100, 101, 102)
 """Others, for the tuning."""
-BETWEEN = 5
+POSES_PER_PERIOD = 5
 """Parts of a control period at which the place of the car is interpolated."""
 
 SEARCHED: dict[str, dict[str, tuple[float, ...]]] = {
@@ -107,8 +107,8 @@ class LaneChangeTest:
         rows = np.repeat(batch.checked_tunings(tunings), len(seeds), axis=0)
         seeded = np.tile(np.array(seeds, dtype=np.int64), len(tunings))
         outcome = batch.run(np.zeros(len(rows), np.int64), rows, seeded, 1, traced=True)
-        driven = [refined_poses(states, controller.period) for states in outcome.trace.state]
-        return np.array(driven).reshape(len(tunings), len(seeds), -1, 3)
+        poses = [refined_poses(states, controller.period) for states in outcome.trace.state]
+        return np.array(poses).reshape(len(tunings), len(seeds), -1, 3)
 
     def margins(self, controller: Controller, speed: float, tunings: Array, seeds: Sequence[int]) -> list[Clearance]:
         """The margins to the cones, of the worst seed for each tuning; arguments as for `drive`."""
@@ -128,7 +128,7 @@ def refined_poses(states: Array, period: float) -> Array:
     poses = np.stack([x, y, yaw], axis=-1)
     sine, cosine = np.sin(yaw), np.cos(yaw)
     slopes = period * np.stack([vx * cosine - vy * sine, vx * sine + vy * cosine, rate], axis=-1)
-    t = (np.arange(BETWEEN) / BETWEEN)[:, None, None]
+    t = (np.arange(POSES_PER_PERIOD) / POSES_PER_PERIOD)[:, None, None]
     before = (1.0 + 2.0 * t) * (1.0 - t) ** 2 * poses[:-1] + t * (1.0 - t) ** 2 * slopes[:-1]
     after = t**2 * (3.0 - 2.0 * t) * poses[1:] + t**2 * (t - 1.0) * slopes[1:]
     inner = np.swapaxes(before + after, 0, 1).reshape(-1, 3)
@@ -193,7 +193,7 @@ class EntrySpeed:
 
     @property
     def row(self) -> dict[str, Any]:
-        """What tables and JSON say of it; speeds in km/h, margins in m, None for none."""
+        """Row for tables and JSON; speeds in km/h, margins in m, None where there is no value."""
         margins = self.scan.clearances.get(self.scan.speed)
         lowest = self.scan.clearances[min(self.scan.clearances)]
         return {
@@ -221,7 +221,7 @@ def _kmh(speed: float) -> float | None:
 def entry_speed(
     test: LaneChangeTest, name: str, controller: Controller, speeds: Sequence[float], tuning: Array | None = None
 ) -> EntrySpeed:
-    """The highest clean entry speed of a controller, of the worst of `SEEDS`, see `scan_speeds`.
+    """The highest clean entry speed of a controller, of the worst of `ENTRY_SEEDS`, see `scan_speeds`.
 
     Parameters
     ----------
@@ -236,12 +236,12 @@ def entry_speed(
         When the speeds do not increase from above 0, or the parts do not fit each other.
     """
     row = controller.packed_tuning() if tuning is None else tuning
-    scan = scan_speeds(lambda speed: test.margins(controller, speed, row[None], SEEDS)[0], speeds)
-    shown = scan.speed if math.isfinite(scan.speed) else min(scan.clearances)
+    scan = scan_speeds(lambda speed: test.margins(controller, speed, row[None], ENTRY_SEEDS)[0], speeds)
+    drive_speed = scan.speed if math.isfinite(scan.speed) else min(scan.clearances)
     names: Sequence[str] = controller.tuning_names
     return EntrySpeed(
         test, name, tuning is not None, dict(zip(names, row.tolist(), strict=True)), scan,
-        test.drive(controller, shown, row[None], SEEDS)[0],
+        test.drive(controller, drive_speed, row[None], ENTRY_SEEDS)[0],
     )  # fmt: skip
 
 
@@ -253,7 +253,7 @@ class _Grid(NamedTuple):
     speeds: tuple[float, ...]
     """km/h, tried from the lowest up"""
     tuned_at: float
-    """km/h"""
+    """km/h, speed that the tuning was searched at"""
 
 
 LANE_CHANGES = {
@@ -261,7 +261,7 @@ LANE_CHANGES = {
     "iso3888-2": _Grid(iso_3888_2, tuple(range(24, 91)), 45.0),
 }
 """By name: the double lane change and the obstacle avoidance."""
-CONTROLLERS = ("informed", "lqr", "pure-pursuit", "stanley")
+DEFAULT_CONTROLLERS = ("informed", "lqr", "pure-pursuit", "stanley")
 """The default controllers of `compare_entry_speeds`."""
 
 
@@ -272,7 +272,7 @@ def compare_entry_speeds(
     """`entry_speed` of controllers on cars in profiles, with their default tuning and tuned for the track.
 
     lane_change: one of `LANE_CHANGES`; cars: see `load_setting`; controllers: registered names, by default
-    `CONTROLLERS`; tuned: whether those in `SEARCHED` are also tuned; progress: called with (what, done, in all).
+    `DEFAULT_CONTROLLERS`; tuned: whether those in `SEARCHED` are also tuned; progress: called with (work, done, total).
 
     Raises
     ------
@@ -282,7 +282,7 @@ def compare_entry_speeds(
     grid = LANE_CHANGES[lane_change]
     speeds = [speed / 3.6 for speed in grid.speeds]
     settings = [load_setting(car, profile) for profile in dict.fromkeys(profiles) for car in dict.fromkeys(cars)]
-    names = list(dict.fromkeys(controllers or CONTROLLERS))
+    names = list(dict.fromkeys(controllers or DEFAULT_CONTROLLERS))
     for i, setting in enumerate(settings):
         if not isinstance(setting.plant, Plant):
             raise InvalidInput(f"{setting.car.name}: a lane change needs a compiled plant, not one in Python.")

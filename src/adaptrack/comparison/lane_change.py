@@ -26,9 +26,10 @@ from scipy.sparse import csr_array, diags_array, eye_array, hstack, vstack
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import SPEED
+from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.outline import Outline
-from adaptrack.cars.vehicle import GRAVITY, Vehicle
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.metrics import LANE_WIDTH
 from adaptrack.road import Comfort, Road, SpeedPlan, fit_road
 
@@ -37,13 +38,13 @@ Pass = tuple[int, float, "Gate"]
 
 APPROACH, RUN_OUT = 60.0, 60.0
 """m, straight road before the first and behind the last cones."""
-GRID = 0.5
+LINE_SPACING = 0.5
 """m, between the points of the line through the gates."""
 SHARPNESS_LENGTH = 4.0
 """m, weight of the change of curvature against the curvature in what that line minimises."""
-CALM = 0.002
+BEND_WEIGHT = 0.002
 """Weight (1/m) of the integral of |y''| beside its largest value: the line does not weave where it need not."""
-ROOM = 0.1
+CONE_ROOM = 0.1
 """m, that it leaves between the body and the cones where it can."""
 GRIP_USE = 0.9
 """Times mu g/v^2: `bend` of a line for a speed. Measured on four cars: with more they do not follow, with less the line
@@ -56,7 +57,7 @@ ROOM_WEIGHT, EXCESS_WEIGHT = 1.0, 1e3
 """1/m^2 and 1: how much room counts against curvature (1/m) below and beyond the allowed one."""
 BEYOND_FAILING = 8
 """Speeds of a grid, one after the other, that are not clean: then no faster one is tried."""
-FINE = 0.05
+MARGIN_SPACING = 0.05
 """m, between the places at which margins are looked at."""
 
 
@@ -67,15 +68,15 @@ class Gate:
     start: float
     """m, along x"""
     end: float
-    """m"""
+    """m, along the track"""
     right: float
     """m, y of the right limit: the cones stand beyond it and touch it"""
     left: float
-    """m"""
+    """m, offset of the left cones from the track's centre line"""
 
     @property
     def width(self) -> float:
-        """m"""
+        """Width between the cones (m)."""
         return self.left - self.right
 
     @property
@@ -162,7 +163,7 @@ def _width(width: float) -> float:
 
 # -- the line ---------------------------------------------------------------------------------------------------------
 def track_road(
-    track: Track, outline: Outline, room: float = ROOM, *, bend: float = math.inf, sideslip: float = 0.0
+    track: Track, outline: Outline, room: float = CONE_ROOM, *, bend: float = math.inf, sideslip: float = 0.0
 ) -> Road:
     """A road along which the body passes all gates: the line for a controller to follow.
 
@@ -190,30 +191,32 @@ def track_road(
     """
     if not real("track_road", "bend", bend) > 0.0:
         raise InvalidInput(f"track_road: bend = {bend!r} 1/m: must be positive; inf: no bound.")
-    x = np.arange(track.gates[0].start - APPROACH, track.gates[-1].end + RUN_OUT + 0.5 * GRID, GRID)
+    x = np.arange(track.gates[0].start - APPROACH, track.gates[-1].end + RUN_OUT + 0.5 * LINE_SPACING, LINE_SPACING)
     n = x.size
     least = room if math.isinf(bend) else min(room, LEAST_ROOM)
-    beside, limits = _beside(_passes(track, outline, x), outline, n, sideslip)
+    between_cones, limits = _cone_limits(_passes(track, outline, x), outline, n, sideslip)
     bends = _bends(n)
     within = csr_array(
         ([1.0, SHARPNESS_LENGTH, -1.0], ([0, 0, 0], [2 * n, 2 * n + 1, 2 * n + 3])), shape=(1, 2 * n + 4)
     )
-    rows = vstack([bends, beside] + ([] if math.isinf(bend) else [within]))
+    rows = vstack([bends, between_cones] + ([] if math.isinf(bend) else [within]))
     limits = np.concatenate([np.zeros(bends.shape[0]), limits, [] if math.isinf(bend) else [bend]])
-    cost = np.concatenate([np.zeros(n), np.full(n, CALM * GRID), [1.0, SHARPNESS_LENGTH, -ROOM_WEIGHT, EXCESS_WEIGHT]])
-    straight = np.concatenate([np.flatnonzero(x <= track.gates[0].start), np.arange(n - round(10.0 / GRID), n)])
+    cost = np.concatenate(
+        [np.zeros(n), np.full(n, BEND_WEIGHT * LINE_SPACING), [1.0, SHARPNESS_LENGTH, -ROOM_WEIGHT, EXCESS_WEIGHT]]
+    )
+    straight = np.concatenate([np.flatnonzero(x <= track.gates[0].start), np.arange(n - round(10.0 / LINE_SPACING), n)])
     bent = np.ones(n - 2, dtype=bool)
     bent[straight[straight < n - 2]] = False
-    bounds = [(None, None)] * n + [(0.0, None if each else 0.0) for each in bent] + [(0.0, None)] * 4
+    bounds = [(None, None)] * n + [(0.0, None if is_bent else 0.0) for is_bent in bent] + [(0.0, None)] * 4
     bounds += [(least, room), (0.0, None)]
     level = csr_array(([1.0, -1.0, 1.0, -1.0], ([0, 0, 1, 1], [0, 1, n - 2, n - 1])), shape=(2, 2 * n + 4))
-    found = linprog(cost, A_ub=rows, b_ub=limits, A_eq=level, b_eq=np.zeros(2), bounds=bounds, method="highs")
-    if found.x is None:
+    optimum = linprog(cost, A_ub=rows, b_ub=limits, A_eq=level, b_eq=np.zeros(2), bounds=bounds, method="highs")
+    if optimum.x is None:
         raise InvalidInput(
             f"track_road: a body {outline.length:.2f} m long and {outline.width:.2f} m wide does not fit through "
             f"{track.name} with {least:g} m of room: ask for less room, or make the track for this car's width."
         )
-    points = np.stack([x, found.x[:n]], axis=1)
+    points = np.stack([x, optimum.x[:n]], axis=1)
     road = fit_road(points, max_deviation=0.005, closed=False, name=track.name, smoothest=True)
     return road.replace(**_widths(track, road))
 
@@ -230,16 +233,16 @@ def driven_line(track: Track, car: Vehicle, speed: float, friction: float = 0.9)
     InvalidInput
         When the speed is not positive, or the body does not fit between the cones.
     """
-    if not 0.0 < real("driven_line", "speed", speed) <= SPEED.most:
-        raise InvalidInput(f"driven_line: speed = {speed!r} m/s: must be above 0 and at most {SPEED.most:g}.")
+    if not 0.0 < real("driven_line", "speed", speed) <= MAX_SPEED.most:
+        raise InvalidInput(f"driven_line: speed = {speed!r} m/s: must be above 0 and at most {MAX_SPEED.most:g}.")
     slip = car.lr - car.mass * car.lf * speed**2 / (2.0 * car.stiffness_rear * car.wheelbase)
     return track_road(track, car.outline, MOST_ROOM, bend=GRIP_USE * friction * GRAVITY / speed**2, sideslip=slip)
 
 
 def _bends(n: int) -> csr_array:
     """A u <= 0 in u = [y (n), |y''| (n), largest |y''|, largest |y'''|, room, excess]: what bounds the bends."""
-    second = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n)) / GRID**2
-    third = diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(n - 3, n)) / GRID**3
+    second = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n)) / LINE_SPACING**2
+    third = diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(n - 3, n)) / LINE_SPACING**3
     size, none = eye_array(n - 2, n), csr_array((n - 3, n))
     largest, change = np.zeros((n - 2, 4)), np.zeros((n - 3, 4))
     largest[:, 0], change[:, 1] = -1.0, -1.0
@@ -249,12 +252,16 @@ def _bends(n: int) -> csr_array:
     return csr_array(vstack([*rows, hstack([csr_array((n - 2, n)), size, largest])]))
 
 
-def _beside(passes: Sequence[Pass], outline: Outline, n: int, sideslip: float) -> tuple[csr_array, Array]:
+def _cone_limits(passes: Sequence[Pass], outline: Outline, n: int, sideslip: float) -> tuple[csr_array, Array]:
     """A u <= b, u as in `_bends`: the body between the cones, with the room."""
     rows, limits = np.zeros((2 * len(passes), 2 * n + 4)), np.empty(2 * len(passes))
     for row, (place, ahead, gate) in enumerate(passes):
-        lean = ahead * sideslip / GRID**2
-        axis = -0.5 * ahead / GRID - lean, 1.0 + 2.0 * lean, 0.5 * ahead / GRID - lean  # y + ahead (y' - sideslip y'')
+        lean = ahead * sideslip / LINE_SPACING**2
+        axis = (
+            -0.5 * ahead / LINE_SPACING - lean,
+            1.0 + 2.0 * lean,
+            0.5 * ahead / LINE_SPACING - lean,
+        )  # y + ahead (y' - sideslip y'')
         for sign, side, at in ((1.0, gate.left, 2 * row), (-1.0, -gate.right, 2 * row + 1)):
             rows[at, place - 1 : place + 2] = sign * np.array(axis)
             rows[at, 2 * n + 2] = 1.0
@@ -267,33 +274,33 @@ def _passes(track: Track, outline: Outline, x: Array) -> list[Pass]:
 
     Both ends of the body while they are in a lane, and what is beside the cones at the lane's ends.
     """
-    found = []
+    passes = []
     for gate in track.gates:
         for k in range(1, x.size - 1):
             for ahead in (outline.front, -outline.rear):
                 if gate.start <= x[k] + ahead <= gate.end:
-                    found.append((k, ahead, gate))
+                    passes.append((k, ahead, gate))
             for cone in (gate.start, gate.end):
                 if -outline.rear < cone - x[k] < outline.front:
-                    found.append((k, float(cone - x[k]), gate))
-    return found
+                    passes.append((k, float(cone - x[k]), gate))
+    return passes
 
 
 def _widths(track: Track, road: Road) -> dict[str, tuple[list[float], list[float]]]:
     """Left and right width along the road: to the cones within the gates, 3.5 m more between them."""
-    s = np.linspace(0.0, road.length, math.ceil(road.length / GRID) + 1)
+    s = np.linspace(0.0, road.length, math.ceil(road.length / LINE_SPACING) + 1)
     line = road.at(s)
-    found: dict[str, tuple[list[float], list[float]]] = {}
+    widths: dict[str, tuple[list[float], list[float]]] = {}
     for name, sign, edge in (("width_left", 1.0, "left"), ("width_right", -1.0, "right")):
         places, values = [], []
         for gate in track.gates:
             start, end = np.interp([gate.start, gate.end], line.x, s)
             inside = np.concatenate([[start], s[(s > start + 0.01) & (s < end - 0.01)], [end]])
-            wide = np.maximum(sign * (getattr(gate, edge) - np.interp(inside, s, line.y)), 0.1)
+            width = np.maximum(sign * (getattr(gate, edge) - np.interp(inside, s, line.y)), 0.1)
             places += [start - 0.01, *inside.tolist(), end + 0.01]
-            values += [wide[0] + LANE_WIDTH, *wide.tolist(), wide[-1] + LANE_WIDTH]
-        found[name] = ([float(each) for each in places], [float(each) for each in values])
-    return found
+            values += [width[0] + LANE_WIDTH, *width.tolist(), width[-1] + LANE_WIDTH]
+        widths[name] = ([*map(float, places)], [*map(float, values)])
+    return widths
 
 
 def coasting_plan(track: Track, road: Road, car: Vehicle, speed: float) -> SpeedPlan:
@@ -313,9 +320,9 @@ def coasting_plan(track: Track, road: Road, car: Vehicle, speed: float) -> Speed
     InvalidInput
         When the speed is not positive, or the car stands before the end of the road.
     """
-    if not 0.0 < real("coasting_plan", "speed", speed) <= SPEED.most:
-        raise InvalidInput(f"coasting_plan: speed = {speed!r} m/s: must be above 0 and at most {SPEED.most:g}.")
-    s = np.linspace(0.0, road.length, math.ceil(road.length / GRID) + 1)
+    if not 0.0 < real("coasting_plan", "speed", speed) <= MAX_SPEED.most:
+        raise InvalidInput(f"coasting_plan: speed = {speed!r} m/s: must be above 0 and at most {MAX_SPEED.most:g}.")
+    s = np.linspace(0.0, road.length, math.ceil(road.length / LINE_SPACING) + 1)
     entry = float(np.interp(track.gates[0].start, road.at(s).x, s))
     drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass
     rolling = car.rolling_resistance * GRAVITY
@@ -339,7 +346,7 @@ class Clearance:
     margins: tuple[float, ...]
     """m, the least in each gate; -inf for one that was not driven through"""
     least: float
-    """m"""
+    """m, smallest clearance to a cone"""
     place: float
     """m, x of the centre of mass where it was"""
 
@@ -366,16 +373,16 @@ def clearance(track: Track, outline: Outline, x: ArrayLike, y: ArrayLike, yaw: A
     InvalidInput
         When shapes differ, or there are fewer than two places.
     """
-    places = [np.asarray(each, dtype=np.float64) for each in (x, y, yaw)]
-    if places[0].ndim != 1 or places[0].size < 2 or any(each.shape != places[0].shape for each in places):
+    places = [np.asarray(values, dtype=np.float64) for values in (x, y, yaw)]
+    if places[0].ndim != 1 or places[0].size < 2 or any(values.shape != places[0].shape for values in places):
         raise InvalidInput(
-            f"clearance: x, y, yaw have the shapes {[each.shape for each in places]}: must be (n,), n >= 2."
+            f"clearance: x, y, yaw have the shapes {[values.shape for values in places]}: must be (n,), n >= 2."
         )
     finite = np.isfinite(np.stack(places)).all(axis=0)
-    driven = int(np.argmin(finite)) if not finite.all() else finite.size
-    if driven < 2:
+    count = int(np.argmin(finite)) if not finite.all() else finite.size
+    if count < 2:
         return Clearance((-math.inf,) * len(track.gates), -math.inf, math.nan)
-    cx, cy, turn = _finely(*(each[:driven] for each in places))
+    cx, cy, turn = _finely(*(values[:count] for values in places))
     corners = outline.corners_at(cx, cy, turn)
     least = [_gate_margin(gate, outline, (cx, cy, turn), corners) for gate in track.gates]
     worst = int(np.argmin([margin for margin, _ in least]))
@@ -383,9 +390,9 @@ def clearance(track: Track, outline: Outline, x: ArrayLike, y: ArrayLike, yaw: A
 
 
 def _finely(x: Array, y: Array, yaw: Array) -> tuple[Array, Array, Array]:
-    """The line with places every `FINE`."""
+    """The line with places every `MARGIN_SPACING`."""
     gone = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-    even = np.linspace(0.0, gone[-1], max(2, math.ceil(gone[-1] / FINE) + 1))
+    even = np.linspace(0.0, gone[-1], max(2, math.ceil(gone[-1] / MARGIN_SPACING) + 1))
     return np.interp(even, gone, x), np.interp(even, gone, y), np.interp(even, gone, yaw)
 
 
@@ -415,7 +422,7 @@ def _distance_to_outline(outline: Outline, dx: Array, dy: Array, yaw: Array) -> 
     ahead = dx * np.cos(yaw) + dy * np.sin(yaw) - 0.5 * (outline.front - outline.rear)
     left = dy * np.cos(yaw) - dx * np.sin(yaw)
     beyond = np.abs(ahead) - 0.5 * outline.length, np.abs(left) - 0.5 * outline.width
-    return np.hypot(*(np.maximum(each, 0.0) for each in beyond)) + np.minimum(np.maximum(*beyond), 0.0)
+    return np.hypot(*(np.maximum(excess, 0.0) for excess in beyond)) + np.minimum(np.maximum(*beyond), 0.0)
 
 
 # -- the highest clean speed ------------------------------------------------------------------------------------------

@@ -42,14 +42,14 @@ def measure_runs(runs: RunSet, policy: Policy, seeds: Sequence[int], outline: Ou
 
 
 def _measured(run: Trajectory, record: PathRecord | None, runs: RunSet, outline: Outline) -> dict[str, Any]:
-    whole = compute_metrics(run, failure=runs.failure)
+    metrics = compute_metrics(run, failure=runs.failure)
     path = None if record is None else path_metrics(record, outline).as_row()
     return {
-        "cost": runs.failed_cost if whole.failed else whole.cost,
-        "failed": whole.failed,
-        "reason": whole.failed_reason or "",
-        "failed_at": float(whole.failed_at) if whole.failed else None,
-        **{name: None if path is None else path[kept] for name, kept in RUN.items()},
+        "cost": runs.failed_cost if metrics.failed else metrics.cost,
+        "failed": metrics.failed,
+        "reason": metrics.failed_reason or "",
+        "failed_at": float(metrics.failed_at) if metrics.failed else None,
+        **{name: None if path is None else path[key] for name, key in RUN.items()},
     }
 
 
@@ -62,4 +62,4 @@ def as_column(values: Sequence[Any]) -> NDArray[Any]:
     """Texts, or numbers with NaN for None."""
     if isinstance(values[0], str):
         return np.array(values)
-    return np.array([np.nan if each is None else each for each in values], dtype=float)
+    return np.array([np.nan if value is None else value for value in values], dtype=float)

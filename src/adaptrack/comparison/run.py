@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from adaptrack import __version__
 from adaptrack.base.errors import StorageError
 from adaptrack.base.files import ParquetColumn, encode_parquet, read_json, safe_name, write_atomically, write_json
+from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.plant import fingerprint
 from adaptrack.comparison.cells import columns, run_cell
 from adaptrack.comparison.config import Cell, ComparisonConfig, is_tuning_file, load_setting
@@ -24,12 +25,10 @@ from adaptrack.comparison.table import Comparison, label_of
 from adaptrack.core.library import kernels_hash
 from adaptrack.tuning.constant_file import load_tuning
 
-Progress = Callable[[str, int, int], None]
-
 REFERENCES = ("informed, tuned", "informed, default")
 """Labels of the preferred reference of all ratios; without them the first contender."""
-FORMAT, FORMAT_VERSION, TABLE = "adaptrack comparison", 1, "runs.parquet"
-UNITS = {
+COMPARISON_FORMAT, COMPARISON_VERSION, RUNS_FILE = "adaptrack comparison", 1, "runs.parquet"
+MEASURE_UNITS = {
     "cost": "m^2", "failed": "-", "failed_at": "s", "rms_error": "m", "p95_error": "m", "max_error": "m",
     "max_corner": "m", "steering_rate": "rad/s", "acceleration": "m/s^2", "jerk": "m/s^3", "duration": "s", "seed": "-",
 }  # fmt: skip
@@ -49,11 +48,11 @@ class Compared:
         return columns(list(self.cells.values()))
 
     @cached_property
-    def by_profile(self) -> dict[str, Comparison]:
+    def profile_comparisons(self) -> dict[str, Comparison]:
         """The table of each profile."""
         columns = self.columns
         return {
-            profile: Comparison.of_columns(
+            profile: Comparison.from_columns(
                 {name: values[columns["profile"] == profile] for name, values in columns.items()}, REFERENCES
             )
             for profile in dict.fromkeys(columns["profile"].tolist())
@@ -95,13 +94,13 @@ class Compared:
         StorageError
             When it cannot be written.
         """
-        columns = [ParquetColumn(name, UNITS.get(name, "-"), values) for name, values in self.columns.items()]
-        about = {"task": self.task.model_dump(mode="json"), "adaptrack": __version__}
-        write_atomically(path, encode_parquet(FORMAT, FORMAT_VERSION, columns, about))
+        columns = [ParquetColumn(name, MEASURE_UNITS.get(name, "-"), values) for name, values in self.columns.items()]
+        metadata = {"task": self.task.model_dump(mode="json"), "adaptrack": __version__}
+        write_atomically(path, encode_parquet(COMPARISON_FORMAT, COMPARISON_VERSION, columns, metadata))
 
 
 def run_comparison(
-    task: ComparisonConfig, out: str | os.PathLike[str] | None = None, *, progress: Progress | None = None
+    task: ComparisonConfig, out: str | os.PathLike[str] | None = None, *, progress: ProgressCall | None = None
 ) -> Compared:
     """Drive a comparison; with a folder, cells that are there with the same identity are read, not driven again.
 
@@ -113,9 +112,9 @@ def run_comparison(
         When a car, a profile, a road or the folder cannot be used.
     """
     results = {}
-    for done, cell in enumerate(task.cells):
+    for number, cell in enumerate(task.cells):
         if progress is not None:
-            progress(cell.label, done, len(task.cells))
+            progress(cell.label, number, len(task.cells))
         file = None if out is None else _CellFile.of(task, Path(out), cell)
         stored = None if file is None else file.load()
         results[cell] = run_cell(task, cell) if stored is None else stored
@@ -123,7 +122,7 @@ def run_comparison(
             file.save(results[cell])
     compared = Compared(task, results)
     if out is not None:
-        compared.save(Path(out) / TABLE)
+        compared.save(Path(out) / RUNS_FILE)
     return compared
 
 

@@ -21,13 +21,13 @@ from adaptrack.drive.failure import Failure
 
 Array = NDArray[np.float64]
 
-AXES = ("car", "road", "seed")
+CELL_AXES = ("car", "road", "seed")
 """Of the cells of one contender."""
 
 
 @dataclass(frozen=True)
-class Role:
-    """What a contender is, for tables and sentences."""
+class ContenderRole:
+    """Controller and kind of a contender, for tables."""
 
     controller: str = "mpc"
     adapts: bool = True
@@ -71,7 +71,7 @@ class Comparison:
     seeds that are not distinguished). Of runs measured in full also those of `measures.RUN`."""
     reference: str
     """the contender that ratios are taken to"""
-    roles: Mapping[str, Role] = field(default_factory=dict)
+    roles: Mapping[str, ContenderRole] = field(default_factory=dict)
     """by contender"""
     overall: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """by contender, what is measured over the steps of all its runs: shares in which a schedule's inputs were clipped,
@@ -90,54 +90,57 @@ class Comparison:
 
     # -- made of ------------------------------------------------------------------------------------------------------
     @classmethod
-    def of_runs(
-        cls, driven: Mapping[str, Mapping[str, ArrayLike]], reference: str, *, car: str = "",
+    def from_runs(
+        cls, runs: Mapping[str, Mapping[str, ArrayLike]], reference: str, *, car: str = "",
         roads: Sequence[str] | None = None, seeds: Sequence[int] | None = None, where: ArrayLike | None = None,
-        roles: Mapping[str, Role] | None = None, overall: Mapping[str, Mapping[str, float]] | None = None,
+        roles: Mapping[str, ContenderRole] | None = None, overall: Mapping[str, Mapping[str, float]] | None = None,
         over: tuple[str, ...] = ("road",), failure: Failure | None = None,
     ) -> Comparison:  # fmt: skip
-        """Of one car. driven: by contender and measure, (roads, seeds), or (roads,) of seeds not distinguished.
+        """Make a comparison on one car; runs: by contender and measure, (roads, seeds) or (roads,).
 
         roads, seeds: by default their numbers; where: by default the numbers of the roads; the rest: see the fields.
         """
-        known = {
+        arrays = {
             contender: {name: np.asarray(values) for name, values in measures.items()}
-            for contender, measures in driven.items()
+            for contender, measures in runs.items()
         }
-        names = dict.fromkeys(name for measures in known.values() for name in measures)
-        cells = {name: np.stack([np.atleast_2d(each[name].T).T for each in known.values()])[:, None] for name in names}
+        names = dict.fromkeys(name for measures in arrays.values() for name in measures)
+        cells = {
+            name: np.stack([np.atleast_2d(measures[name].T).T for measures in arrays.values()])[:, None]
+            for name in names
+        }
         n, m = cells["cost"].shape[2:]
         return cls(
-            tuple(driven), (car,), tuple(map(str, range(n) if roads is None else roads)),
+            tuple(runs), (car,), tuple(map(str, range(n) if roads is None else roads)),
             tuple(range(m) if seeds is None else map(int, seeds)), cells, reference, roles or {}, overall or {},
             np.arange(n, dtype=float)[:, None] if where is None else np.asarray(where, dtype=float), over,
             failure or Failure(),
         )  # fmt: skip
 
     @classmethod
-    def of_columns(cls, columns: Mapping[str, NDArray[Any]], preferred: Sequence[str] = ()) -> Comparison:
-        """Of runs in rows, on cars and roads. columns: (runs,): contender, tuning, car, road, seed, and the measures.
+    def from_columns(cls, columns: Mapping[str, NDArray[Any]], preferred: Sequence[str] = ()) -> Comparison:
+        """Make a comparison from rows of runs; columns: (runs,): contender, tuning, car, road, seed, measures.
 
         preferred: the first of these that drove is the reference, else the first contender.
         """
         pairs = list(zip(columns["contender"].tolist(), columns["tuning"].tolist(), strict=True))
         roles = {
-            label_of(contender, tuning): Role(contender, tuning == "scheduled", tuning=tuning)
+            label_of(contender, tuning): ContenderRole(contender, tuning == "scheduled", tuning=tuning)
             for contender, tuning in dict.fromkeys(pairs)
         }
-        named = {(role.controller, role.tuning): i for i, role in enumerate(roles.values())}
-        labels, at = {}, [np.array([named[pair] for pair in pairs])]
-        for axis in AXES:
+        positions = {(role.controller, role.tuning): i for i, role in enumerate(roles.values())}
+        labels, at = {}, [np.array([positions[pair] for pair in pairs])]
+        for axis in CELL_AXES:
             labels[axis], places = np.unique(columns[axis], return_inverse=True)
             at.append(places)
-        shape = (len(roles), *(len(labels[axis]) for axis in AXES))
+        shape = (len(roles), *(len(labels[axis]) for axis in CELL_AXES))
         cells = {}
-        for name in set(columns) - {"contender", "tuning", "profile", *AXES}:
+        for name in set(columns) - {"contender", "tuning", "profile", *CELL_AXES}:
             texts = columns[name].dtype.kind == "U"
             cells[name] = np.full(shape, "", columns[name].dtype) if texts else np.full(shape, np.nan)
             cells[name][tuple(at)] = columns[name]
-        reference = next((each for each in preferred if each in roles), next(iter(roles), ""))
-        cars, roads, seeds = (labels[axis].tolist() for axis in AXES)
+        reference = next((label for label in preferred if label in roles), next(iter(roles), ""))
+        cars, roads, seeds = (labels[axis].tolist() for axis in CELL_AXES)
         over = ("seed",) if len(cars) * len(roads) == 1 else ("car", "road")
         return cls(tuple(roles), tuple(cars), tuple(roads), tuple(map(int, seeds)), cells, reference, roles, over=over)
 
@@ -157,8 +160,8 @@ class Comparison:
                 values = np.where(self.of(name, "failed") > 0.0, self.failure.distance, values)
             there = np.isfinite(values)
             total, count = np.where(there, values, 0.0), there.astype(float)
-            for axis in reversed(range(len(AXES))):
-                if AXES[axis] not in self.over:
+            for axis in reversed(range(len(CELL_AXES))):
+                if CELL_AXES[axis] not in self.over:
                     total, count = total.sum(axis=axis), count.sum(axis=axis)
             self._tables[name, measure] = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0.0)
         return self._tables[name, measure]
@@ -192,7 +195,7 @@ class Comparison:
 
     def mean_ratio(self, name: str, other: str) -> float:
         """That of the cost without the interval."""
-        return geometric_mean(_known(self.table(name) / self.table(other)))
+        return geometric_mean(_finite_values(self.table(name) / self.table(other)))
 
     def ranks(self, measure: str = "rms_error") -> dict[str, int]:
         """1 + the number of others that are better with an interval below 1; equal ranks are level."""
@@ -202,9 +205,9 @@ class Comparison:
         }
 
     # -- who ----------------------------------------------------------------------------------------------------------
-    def role(self, name: str) -> Role:
-        """What a contender is."""
-        return self.roles.get(name, Role())
+    def role(self, name: str) -> ContenderRole:
+        """Controller and kind of a contender."""
+        return self.roles.get(name, ContenderRole())
 
     @property
     def adaptive(self) -> list[str]:
@@ -220,7 +223,7 @@ class Comparison:
         return [self._row(name) for name in self.contenders]
 
     def _row(self, name: str) -> dict[str, Any]:
-        over, costs = self.ratio(name, self.reference), _known(self.table(name))
+        over, costs = self.ratio(name, self.reference), _finite_values(self.table(name))
         return {
             "contender": name,
             "controller": self.role(name).controller,
@@ -229,7 +232,7 @@ class Comparison:
             "regret_geomean": over.mean,
             "regret_low": over.low,
             "regret_high": over.high,
-            **{f"regret_{key}": value for key, value in regret_percentiles(_known(self.regret(name))).items()},
+            **{f"regret_{key}": value for key, value in regret_percentiles(_finite_values(self.regret(name))).items()},
             "failures": int((self.table(name, "failed") > 0.0).sum()),
             **self.overall.get(name, {}),
         }
@@ -246,7 +249,7 @@ class Comparison:
         return html_of(self)
 
 
-def _known(values: Array) -> Array:
+def _finite_values(values: Array) -> Array:
     """(n,) those that are there."""
     return values[np.isfinite(values)]
 
@@ -254,7 +257,7 @@ def _known(values: Array) -> Array:
 def _plain(values: Any) -> Any:
     """Nested lists for strict JSON: NaN as None."""
     if isinstance(values, list):
-        return [_plain(each) for each in values]
+        return [_plain(value) for value in values]
     return None if isinstance(values, float) and not math.isfinite(values) else values
 
 

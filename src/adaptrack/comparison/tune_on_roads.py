@@ -9,7 +9,7 @@ from functools import partial
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.comparison.compare import compare
-from adaptrack.comparison.config import Setting, load_drive
+from adaptrack.comparison.config import ControllerSetting, load_drive
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison
 from adaptrack.control.controllers import MPC, Controller, about_controller, list_controllers
@@ -22,7 +22,7 @@ from adaptrack.tuning.spaces import search_space
 SEARCH_SEEDS = (1000, 1001)
 """Noise seeds of the search; those of every judgement count from 0."""
 JUDGEMENT_SEEDS = (0, 1, 2)
-DRIVE_DURATION = 60.0
+RANDOM_DRIVE_DURATION = 60.0
 """s of random drives."""
 
 
@@ -40,8 +40,8 @@ class TunedOnRoads:
 
 
 def tune_on_roads(
-    setting: Setting, roads: Sequence[str], controller: str, *, length: float = 2000.0, loops: int | None = None,
-    command: str = "", progress: Callable[[str, int, int], None] | None = None,
+    setting: ControllerSetting, roads: Sequence[str], controller: str, *, length: float = 2000.0,
+    loops: int | None = None, command: str = "", progress: Callable[[str, int, int], None] | None = None,
 ) -> TunedOnRoads:  # fmt: skip
     """Find the tuning of a controller with the lowest mean cost on given roads.
 
@@ -65,10 +65,10 @@ def tune_on_roads(
     InvalidInput
         When the controller has no tuning to search, or the loops are too few.
     """
-    show = progress or (lambda what, done, of: None)
+    show = progress or (lambda work, steps, of: None)
     begun = time.perf_counter()
     driver = _tunable_controller(setting, controller)
-    drives = [load_drive(name, setting.car, length, DRIVE_DURATION) for name in dict.fromkeys(roads)]
+    drives = [load_drive(name, setting.car, length, RANDOM_DRIVE_DURATION) for name in dict.fromkeys(roads)]
     runs = RunSet(
         setting.plant, MPC(setting.car, profile=setting.profile, preview=True), drives, setting.profile
     )  # fmt: skip
@@ -91,11 +91,11 @@ def tune_on_roads(
     )  # fmt: skip
 
 
-def _tunable_controller(setting: Setting, name: str) -> Controller:
+def _tunable_controller(setting: ControllerSetting, name: str) -> Controller:
     """The controller with its default tuning; refused if it has no search space."""
     if not about_controller(name).tunable:
-        others = ", ".join(other for other in list_controllers() if about_controller(other).tunable)
-        raise InvalidInput(f"--controller {name}: its tuning is fixed; tunable controllers: {others}.")
+        tunable = ", ".join(other for other in list_controllers() if about_controller(other).tunable)
+        raise InvalidInput(f"--controller {name}: its tuning is fixed; tunable controllers: {tunable}.")
     controller = setting.controller(name)
     search_space(controller)
     return controller

@@ -43,5 +43,5 @@ def _rms(values: NDArray[Any]) -> float:
     return float(np.sqrt(np.nanmean(values**2))) if np.isfinite(values).any() else float("nan")
 
 
-def _percentile(values: NDArray[Any], which: float, missing: float = float("nan")) -> float:
-    return float(np.nanpercentile(values, which)) if np.isfinite(values).any() else missing
+def _percentile(values: NDArray[Any], percent: float, missing: float = float("nan")) -> float:
+    return float(np.nanpercentile(values, percent)) if np.isfinite(values).any() else missing

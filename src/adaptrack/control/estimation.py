@@ -33,12 +33,12 @@ from adaptrack.scenario.profile import Profile, load_profile
 Array = NDArray[np.float64]
 
 NOTHING_MEASURED = np.array([math.nan] * 6 + [0.0, 0.0, 0.0])
-"""Sensors without a sample, their ages, and a path that does not turn, see `core.models.contract.MEASURED`."""
+"""Sensors without a sample, their ages, and a path that does not turn, see `core.models.contract.MEASUREMENT`."""
 LEAST_NOISE_VY, LEAST_NOISE_YAW_RATE = 0.005, 0.001
 """m/s and rad/s: with better sensors than these, the model's own errors are what limits the filter."""
 
 
-SLOWEST = 5.0
+MIN_FILTER_SPEED = 5.0
 """m/s: from this speed on a step of the filter is no longer than the time constants of the lateral motion."""
 
 
@@ -216,30 +216,30 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
     a, b, c = model.discrete(speed)
     matrix, column, places = np.ascontiguousarray(a), b[:, 0].copy(), model.measured_places()
     parameters, memory = estimator.parameters(model), np.zeros(estimator.memory_size(model))
-    x, found, d = np.zeros(model.n), np.full(model.n, np.nan), np.full(model.n, np.nan)
+    x, estimate, d = np.zeros(model.n), np.full(model.n, np.nan), np.full(model.n, np.nan)
     command = 0.0
     for k in range(steps):
         measured = NOTHING_MEASURED.copy()
         measured[places] = x
-        given = [each.copy() for each in (measured, matrix, column, parameters)]
-        estimator.function(speed, measured, command, matrix, column, parameters, memory, found, d)
+        copies = [array.copy() for array in (measured, matrix, column, parameters)]
+        estimator.function(speed, measured, command, matrix, column, parameters, memory, estimate, d)
         after = (measured, matrix, column, parameters)
-        if any(not np.array_equal(one, other, equal_nan=True) for one, other in zip(given, after, strict=True)):
+        if any(not np.array_equal(copied, other, equal_nan=True) for copied, other in zip(copies, after, strict=True)):
             fail("it must write to memory, x and d only", f"step {k}")
-        if not (np.isfinite(found).all() and np.isfinite(d).all()):
-            fail("x and d must be written and finite", f"x = {found}, d = {d} at step {k}")
+        if not (np.isfinite(estimate).all() and np.isfinite(d).all()):
+            fail("x and d must be written and finite", f"x = {estimate}, d = {d} at step {k}")
         command = 0.01 * math.sin(0.2 * k)
-        ahead = (c @ (matrix @ found + column * command + d)).item()
+        ahead = (c @ (matrix @ estimate + column * command + d)).item()
         x = matrix @ x + column * command
         if k == steps - 1 and not abs(ahead - (c @ x).item()) < 1e-3:
             fail("it must predict the model that it is driven by", f"y = {ahead:g} m instead of {(c @ x).item():g} m")
-    estimator.function(speed, NOTHING_MEASURED.copy(), command, matrix, column, parameters, memory, found, d)
-    if not (np.isfinite(found).all() and np.isfinite(d).all()):
-        fail("a measurement that is not finite must leave x and d finite", f"x = {found}, d = {d}")
+    estimator.function(speed, NOTHING_MEASURED.copy(), command, matrix, column, parameters, memory, estimate, d)
+    if not (np.isfinite(estimate).all() and np.isfinite(d).all()):
+        fail("a measurement that is not finite must leave x and d finite", f"x = {estimate}, d = {d}")
 
 
 class FrictionWindEstimate(NamedTuple):
-    """What is known of the surroundings at one control instant; deviations are standard deviations."""
+    """Estimates of friction, wind and stiffness at one control instant, with their standard deviations."""
 
     friction: float
     """coefficient of friction, the same on all wheels; the median"""
@@ -247,7 +247,7 @@ class FrictionWindEstimate(NamedTuple):
     """m/s, v_w: velocity of the air along +Y"""
     friction_std: float
     wind_std: float
-    """m/s"""
+    """standard deviation of the wind (m/s)"""
     stiffness: float
     """cornering stiffness of the tyres, over what the estimator was given"""
 
@@ -264,7 +264,7 @@ class FrictionWindEstimator:
     """
 
     _prior = friction_wind.DEFAULT_PRIOR
-    """`core.estimators.friction_wind.Prior`; an experiment replaces it in a subclass"""
+    """`core.estimators.friction_wind.FrictionWindPrior`; an experiment replaces it in a subclass"""
 
     @checked
     def __init__(
@@ -286,7 +286,7 @@ class FrictionWindEstimator:
         self.delay = bool(delay)
         self.period = period
         rate = lateral_rate(vehicle.chassis, self.tyre.numbers)
-        self.steps = math.ceil(self.period * rate / SLOWEST)
+        self.steps = math.ceil(self.period * rate / MIN_FILTER_SPEED)
         self.noise = (noise_vy, noise_yaw_rate, noise_acceleration)
         self._packed = pack_plant(self.vehicle, self.tyre, self.steering)
         self._settings = self.settings()
@@ -319,11 +319,11 @@ class FrictionWindEstimator:
         )
 
     def settings(self) -> Array:
-        """Everything but the vehicle: numbers of `core.estimators.friction_wind.Settings`."""
+        """Everything but the vehicle: numbers of `core.estimators.friction_wind.FrictionWindSettings`."""
         prior, step = self._prior, self.period / self.steps
         root, (least, most) = math.sqrt(step), prior.friction_range
         noise_vy, noise_yaw_rate, noise_acceleration = self.noise
-        row = friction_wind.Settings.new(
+        row = friction_wind.FrictionWindSettings.new(
             1, prior=prior, steps=self.steps, step=step, delay=self.delay, noise_vy=noise_vy,
             noise_yaw_rate=noise_yaw_rate, noise_acceleration=noise_acceleration, drift_vy=prior.drift_vy * root,
             drift_yaw_rate=prior.drift_yaw_rate * root, tyre_error=prior.tyre_error * root,
@@ -374,21 +374,21 @@ class FrictionWindEstimator:
 
     @property
     def estimate(self) -> FrictionWindEstimate:
-        """What the last step found."""
-        own = self._memory[0]
+        """The estimate of the last step."""
+        memory = self._memory[0]
         return FrictionWindEstimate(
-            friction=float(own.friction),
-            wind=float(own.wind),
-            friction_std=float(own.friction_std),
-            wind_std=float(own.wind_std),
-            stiffness=math.exp(own.z[friction_wind.LOG_STIFFNESS]),
+            friction=float(memory.friction),
+            wind=float(memory.wind),
+            friction_std=float(memory.friction_std),
+            wind_std=float(memory.wind_std),
+            stiffness=math.exp(memory.z[friction_wind.LOG_STIFFNESS]),
         )
 
 
 @checked
 @dataclass(frozen=True)
 class Perception:
-    """What a scheduler knows of friction and wind, when that is neither the truth nor an estimate from signals."""
+    """Friction and wind for a scheduler, with a delay, a bias and noise in place of an estimator."""
 
     noise: NotNegative = 0.0
     """standard deviation of a relative error of friction and of wind, new at every step"""
@@ -402,8 +402,8 @@ class Perception:
     seed: Natural = 0
     """of the noise: the scenario i of a batch has that of seed + i"""
 
-    def known(self, friction: Array, wind: Array, period: float, number: int) -> tuple[Array, Array]:
-        """What is known at the instants of a run, given the true friction and wind (n,) there.
+    def perceive(self, friction: Array, wind: Array, period: float, number: int) -> tuple[Array, Array]:
+        """Return the perceived friction and wind at the instants of a run, from the true ones (n,).
 
         number: of the scenario in its batch.
         """
@@ -411,8 +411,8 @@ class Perception:
             return np.full_like(friction, self.nominal_friction), np.zeros_like(wind)
         late = np.maximum(np.arange(len(friction)) - round(self.delay / period), 0)
         rng = np.random.default_rng((self.seed + number, 0x7E11))
-        known = []
+        estimates = []
         for truth in (friction, wind):
             error = 1.0 + self.bias + self.noise * rng.normal(size=len(truth))
-            known.append(truth[late] * error)
-        return np.maximum(known[0], 0.01), known[1]
+            estimates.append(truth[late] * error)
+        return np.maximum(estimates[0], 0.01), estimates[1]

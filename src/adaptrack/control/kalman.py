@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.estimation import Estimator
-from adaptrack.control.models import MEASURED, PathModel, PredictionModel
+from adaptrack.control.models import MEASURED_STATES, PathModel, PredictionModel
 from adaptrack.control.settings import RecordSettings
-from adaptrack.core.estimators.kalman import Numbers, kalman, memory_of, move_path
+from adaptrack.core.estimators.kalman import FilterParameters, kalman, memory_of, move_path
 from adaptrack.core.kernel import size_of
 from adaptrack.core.synthesis import filter as kernel
 from adaptrack.core.synthesis.rows import row_of
@@ -23,7 +23,7 @@ from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
 
-SENSORS = (*MEASURED, "lateral_acceleration")
+SENSORS = (*MEASURED_STATES, "lateral_acceleration")
 """What the filter takes in."""
 
 
@@ -34,7 +34,7 @@ class SensorNoise(RecordSettings, record=kernel.Noise):
     """
 
 
-class Drifts(RecordSettings, record=kernel.Drifts):
+class Drifts(RecordSettings, record=kernel.DriftsRow):
     """How fast the estimates of the filter may change beyond the model: standard deviations after one second.
 
     They are random walks: after t seconds the deviation is sqrt(t) times as large. The terms of the tyres tell how much
@@ -66,7 +66,7 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
 
     @classmethod
     @checked
-    def of_profile(cls, profile: Profile, drifts: Drifts | None = None) -> KalmanFilter:
+    def from_profile(cls, profile: Profile, drifts: Drifts | None = None) -> KalmanFilter:
         """For the sensors of a profile, see `core.synthesis.filter.sensor_noise`."""
         noise = row_of(kernel.Noise)
         kernel.sensor_noise(profile.numbers(profile.period), noise)
@@ -87,7 +87,7 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
         move_path(memory, self.late(model), heading, offset)
 
     def left_out(self, memory: Array) -> str | None:
-        out = int(memory_of(memory, 0).left_out)
+        out = int(memory_of(memory, 0).excluded)
         return SENSORS[out - 1] if out else None
 
     def late(self, model: PredictionModel) -> int:
@@ -96,9 +96,9 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
 
     def variances(self) -> Array:
         """(6,) of what `SENSORS` give; inf: none."""
-        found = np.empty(len(SENSORS))
-        kernel.sensor_variances(self.noise.row, found)
-        return found
+        variances = np.empty(len(SENSORS))
+        kernel.sensor_variances(self.noise.row, variances)
+        return variances
 
     @property
     def tyres(self) -> tuple[float, float]:
@@ -106,6 +106,6 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
 
     def parameters(self, model: PredictionModel) -> Array:
         assert isinstance(model, PathModel)
-        found = np.zeros(size_of(Numbers))
-        kernel.filter_numbers(self.row, model.vehicle.numbers, model.period, model.lag, model.dead_time, found)
-        return found
+        numbers = np.zeros(size_of(FilterParameters))
+        kernel.filter_numbers(self.row, model.vehicle.numbers, model.period, model.lag, model.dead_time, numbers)
+        return numbers

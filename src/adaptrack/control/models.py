@@ -26,7 +26,7 @@ from adaptrack.core.models.contract import compile_model
 
 Array = NDArray[np.float64]
 
-MEASURED = ("vy", "yaw", "yaw_rate", "y", "wheel_angle")
+MEASURED_STATES = ("vy", "yaw", "yaw_rate", "y", "wheel_angle")
 """What is measured, and what a model's states may be: m/s, rad, rad/s, m, rad."""
 
 
@@ -43,7 +43,8 @@ class PredictionModel(ABC):
     """x(k+1) = A x(k) + B u(k) + E w(k), y(k) = C x(k), re-discretised at each speed.
 
     u: steering command (rad); w: known input, curvature of the road times speed (rad/s), zero on a straight road. A
-    model says its states by the measured quantities that they are (`MEASURED`); the output is the last one, y. The
+    model says its states by the measured quantities that they are (`MEASURED_STATES`); the output is the last one, y.
+    The
     number of states is its own: nothing else knows it. `check_model` admits it.
     """
 
@@ -55,7 +56,7 @@ class PredictionModel(ABC):
     period: float
     """s, control period"""
     states: tuple[str, ...]
-    """of `MEASURED`; the last one is the output"""
+    """of `MEASURED_STATES`; the last one is the output"""
     dead_time: float = 0.0
     """s, from an instant until its command begins to act; the estimator and the controller take it out"""
 
@@ -69,7 +70,7 @@ class PredictionModel(ABC):
         """The compiled ``discretise(speed, period, parameters, a, b, e)``, see `core.models.contract`."""
 
     def turning(self) -> Array:
-        """Steering coefficients on curved roads, the first five of `core.controllers.feed_forward.Turning`; or (0,).
+        """Steering coefficients on curved roads, the first five of `core.controllers.feed_forward.TurnIn`; or (0,).
 
         Without it the moves of the MPC are counted from none, and a horizon much longer than the free moves cuts bends.
         """
@@ -86,8 +87,8 @@ class PredictionModel(ABC):
         return np.eye(self.n)[-1]
 
     def measured_places(self) -> NDArray[np.int64]:
-        """(n,) places of the states in `MEASURED`."""
-        return np.array([MEASURED.index(name) for name in self.states], dtype=np.int64)
+        """(n,) places of the states in `MEASURED_STATES`."""
+        return np.array([MEASURED_STATES.index(name) for name in self.states], dtype=np.int64)
 
     def discrete(self, speed: float) -> tuple[Array, Array, Array]:
         """Eq. (8): A_k (n, n), B (n, 1), C (1, n) over the period at a speed (m/s).
@@ -196,7 +197,7 @@ class SingleTrackModel(PredictionModel):
 
     vehicle: VehicleArgument
     period: Annotated[Positive, "s"] = 0.1
-    states = MEASURED[:4]
+    states = MEASURED_STATES[:4]
 
     @property
     def name(self) -> str:
@@ -261,17 +262,17 @@ class PathModel(PredictionModel):
         return ("vy", "yaw", "yaw_rate", *(("wheel_angle",) if self.lag > 0.0 else ()), "y")
 
     def parameters(self) -> Array:
-        known = [getattr(self.vehicle, name) for name in path.Parameters._fields if name != "lag"]
-        return np.array([*known, self.lag], dtype=float)
+        numbers = [getattr(self.vehicle, name) for name in path.Parameters._fields if name != "lag"]
+        return np.array([*numbers, self.lag], dtype=float)
 
     @property
     def function(self) -> Any:
         return path.discretise
 
     def turning(self) -> Array:
-        found = np.zeros(5)
-        path.write_turning(self.parameters(), found)
-        return found
+        parameters = np.zeros(5)
+        path.write_turning(self.parameters(), parameters)
+        return parameters
 
     def continuous(self, speed: float) -> tuple[Array, Array]:
         """A_c (n, n) and the columns (n, 4) of u, d_y, d_r and of the path's curvature times speed."""
@@ -301,9 +302,9 @@ class UserModel(PredictionModel):
     """A model of one's own: one function and its numbers. `check_model` admits it.
 
     discretise(speed, period, parameters, a, b, e) writes A (n, n), B (n,) and E (n,) over one period (s) at a speed
-    (m/s, > 0) and returns nothing; for how it is called see `UserPlant`. states: the measured quantities (`MEASURED`)
-    that its states are, the last one being y; parameters: name -> number, an array in their order; period: control
-    period (s).
+    (m/s, > 0) and returns nothing; for how it is called see `UserPlant`. states: the measured quantities
+    (`MEASURED_STATES`) that its states are, the last one being y; parameters: name -> number, an array in their order;
+    period: control period (s).
 
     Raises
     ------
@@ -325,11 +326,11 @@ class UserModel(PredictionModel):
     ) -> None:
         self.label, self.states = label, tuple(states)
         where = f"UserModel {label!r}"
-        unknown = [name for name in self.states if name not in MEASURED]
+        unknown = [name for name in self.states if name not in MEASURED_STATES]
         if unknown or len(set(self.states)) < len(self.states) or self.states[-1:] != ("y",):
             raise InvalidInput(
                 f"{where}: states = {self.states!r}: must be different ones of "
-                f"{', '.join(MEASURED)}, with y as the last."
+                f"{', '.join(MEASURED_STATES)}, with y as the last."
             )
         self.period, self.numbers = period, dict(parameters or {})
         try:
@@ -405,26 +406,26 @@ def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30
 
     n = model.n
     for speed in speeds:
-        here, given = f"at {speed:g} m/s", model.parameters()
+        place, parameters = f"at {speed:g} m/s", model.parameters()
         answers = []
         for empty in (np.nan, 7.0):
             a, b, e = np.full((n, n), empty), np.full(n, empty), np.full(n, empty)
-            model.function(float(speed), model.period, given, a, b, e)
+            model.function(float(speed), model.period, parameters, a, b, e)
             answers.append(np.column_stack([a, b, e]))
         if not np.isfinite(answers[0]).all():
-            fail("A, B and E must be written and finite", here)
+            fail("A, B and E must be written and finite", place)
         if (answers[0] != answers[1]).any():
-            fail("the same arguments must give the same matrices", here)
-        if (given != model.parameters()).any():
-            fail("the parameters must not be written to", here)
+            fail("the same arguments must give the same matrices", place)
+        if (parameters != model.parameters()).any():
+            fail("the parameters must not be written to", place)
         a, b = answers[0][:, :n], answers[0][:, n]
         if not np.allclose(a @ model.output, model.output, atol=1e-9):
-            fail("a steady shift of y must stay where it is", f"A C' = {a @ model.output} {here}")
+            fail("a steady shift of y must stay where it is", f"A C' = {a @ model.output} {place}")
         x = np.zeros(n)
         for _ in range(max(10, math.ceil(1.0 / model.period))):
             x = a @ x + b * 0.01
         if not x @ model.output > 0.0:
-            fail("steering to the left must move y to the left", f"y = {x @ model.output:g} m after 0.01 rad {here}")
+            fail("steering to the left must move y to the left", f"y = {x @ model.output:g} m after 0.01 rad {place}")
 
 
 def laguerre_basis(Np: int, terms: int, pole: float) -> Array:

@@ -13,11 +13,11 @@ from typing import TextIO
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.files import write_atomically
 
-COLUMNS = ("time", "command", "speed", "yaw_rate", "vy", "acceleration", "wheel", "x", "y", "yaw", "called", "answer",
-           "offset")  # fmt: skip
+LOG_COLUMNS = ("time", "command", "speed", "yaw_rate", "vy", "acceleration", "wheel", "x", "y", "yaw",
+               "called", "answer", "offset")  # fmt: skip
 """A row is a sample, at its own time, with the command that was in force then; behind it what the call was: its time,
 the command that it answered, the distance from the path. SI units."""
-CHUNK, LATE = 1.0, 1.0
+CHUNK, MAX_LATENESS = 1.0, 1.0
 """s, between two writes, and that a sample may be late to be put where it belongs in time."""
 _log = logging.getLogger("adaptrack")
 
@@ -41,34 +41,34 @@ class Recorder:
         self.path = Path(path)
         if self.path.suffix not in (".csv", ".parquet"):
             raise InvalidInput(f"Tracker: record = {str(path)!r}: must end in .parquet or .csv.")
-        own = self.path.suffix == ".csv"
-        self._journal = self.path if own else self.path.with_name(self.path.name + ".csv")
+        is_csv = self.path.suffix == ".csv"
+        self._journal = self.path if is_csv else self.path.with_name(self.path.name + ".csv")
         self._rows: list[tuple[float, ...]] = []
         self._commands: deque[tuple[float, float]] = deque([(-math.inf, math.nan)], maxlen=400)
         self._written = self._due = -math.inf
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            if not own and self._journal.exists():
+            if not is_csv and self._journal.exists():
                 self._journal.replace(_free(self.path))
             self._stream: TextIO | None = self._journal.open("w", encoding="utf-8", newline="\n")
-            self._stream.write(",".join(COLUMNS) + "\n")
+            self._stream.write(",".join(LOG_COLUMNS) + "\n")
             self._stream.flush()
         except OSError as error:
             raise StorageError(f"Tracker: record = {str(path)!r}: cannot be written: {error.strerror}.") from error
 
-    def add(self, t: float, now: float, values: tuple[float, ...], answer: float, offset: float) -> None:
+    def add(self, t: float, call_time: float, values: tuple[float, ...], answer: float, offset: float) -> None:
         """Take a call: time of its sample and its own (s), the sample from ``speed`` to ``yaw``, what was answered."""
-        time = t if math.isfinite(t) else now
-        if now < self._due - 10.0 * CHUNK:  # the clock was set back
+        time = t if math.isfinite(t) else call_time
+        if call_time < self._due - 10.0 * CHUNK:  # the clock was set back
             self._write(math.inf)
             self._commands.clear()
             self._written = -math.inf
-        self._commands.append((now, answer))
+        self._commands.append((call_time, answer))
         command = next((angle for since, angle in reversed(self._commands) if since <= time + 1e-6), math.nan)
-        self._rows.append((time, command, *values, now, answer, offset))
-        if not now < self._due:
-            self._due = now + CHUNK
-            self._write(now - LATE)
+        self._rows.append((time, command, *values, call_time, answer, offset))
+        if not call_time < self._due:
+            self._due = call_time + CHUNK
+            self._write(call_time - MAX_LATENESS)
 
     def _write(self, until: float) -> None:
         """Append the rows up to a time (s) in their order; what repeats a time, or comes too late, is left out."""
@@ -108,7 +108,7 @@ class Recorder:
         import pyarrow.csv
         import pyarrow.parquet
 
-        floats = pyarrow.csv.ConvertOptions(column_types=dict.fromkeys(COLUMNS, pyarrow.float64()))
+        floats = pyarrow.csv.ConvertOptions(column_types=dict.fromkeys(LOG_COLUMNS, pyarrow.float64()))
         content = io.BytesIO()
         pyarrow.parquet.write_table(pyarrow.csv.read_csv(self._journal, convert_options=floats), content)
         write_atomically(self.path, content.getvalue())
@@ -118,4 +118,4 @@ class Recorder:
 def _free(path: Path) -> Path:
     """Where what a killed loop has left is put."""
     numbers = (path.with_name(f"{path.stem}-{number}.csv") for number in range(1, 10_000))
-    return next(each for each in numbers if not each.exists())
+    return next(candidate for candidate in numbers if not candidate.exists())

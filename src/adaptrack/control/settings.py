@@ -7,10 +7,10 @@ import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, cast
 
-from pydantic import Field
+import pydantic
 
 from adaptrack.base.checked import Finite, Hint, Number, Whole, checked
-from adaptrack.core.kernel import Setting, defaults
+from adaptrack.core.kernel import Field, defaults
 
 
 class RecordSettings:
@@ -64,7 +64,7 @@ class RecordSettings:
         return cls(**{field.name: _value(field.default, row[field.name]) for field in fields(cls)})
 
 
-def _annotations(cls: type, record: Any, public: dict[str, Setting]) -> dict[str, Any]:
+def _annotations(cls: type, record: Any, public: dict[str, Field]) -> dict[str, Any]:
     """The annotations of the fields in their order."""
     declared = inspect.get_annotations(cls)
     settings = {
@@ -85,18 +85,18 @@ def _value(default: Any, entry: Any) -> Any:
     return tuple(entry.tolist()) if isinstance(default, tuple) else entry.item()
 
 
-def _is_unknown(setting: Setting) -> bool:
+def _is_unknown(setting: Field) -> bool:
     return isinstance(setting.default, float) and math.isnan(setting.default)
 
 
-def _annotation(setting: Setting) -> Any:
+def _annotation(setting: Field) -> Any:
     """The annotation by which `checked` checks a setting."""
     low, high = setting.ends
     limits: dict[str, Any] = {"ge" if setting.bounds.startswith("[") else "gt": low}
     if high < math.inf:
         limits["le" if setting.bounds.endswith("]") else "lt"] = high
     number = Whole if isinstance(setting.default, int) else Number if setting.bounds.endswith("inf]") else Finite
-    kind: Any = Annotated[number, Field(**limits)]
+    kind: Any = Annotated[number, pydantic.Field(**limits)]
     if isinstance(setting.default, tuple):
         kind = cast(Any, tuple)[(kind,) * len(setting.default)]
     marks = [mark for mark in (setting.unit, setting.hint and Hint(setting.hint)) if mark]
@@ -105,7 +105,7 @@ def _annotation(setting: Setting) -> Any:
     return kind | None if _is_unknown(setting) else kind
 
 
-def _line(setting: Setting) -> str:
+def _line(setting: Field) -> str:
     """A setting in a docstring."""
     default = None if _is_unknown(setting) else setting.default
     remark = ", ".join(text for text in (setting.unit, setting.bounds, f"default {default}") if text)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from adaptrack.core.tracker.records import STANDING
+from adaptrack.core.tracker.records import STANDSTILL_SPEED
 from adaptrack.road import SpeedPlan, Stop
 
 AT_STOP = 0.25
@@ -37,7 +37,7 @@ class SpeedTarget:
         if not self._left - RELOCATION < station < self._next.s + RELOCATION:
             self._begin(station)
         place = station + max(speed, 0.0) * period
-        stands = speed < STANDING and station >= self._next.s - AT_STOP
+        stands = speed < STANDSTILL_SPEED and station >= self._next.s - AT_STOP
         if stands or place >= self._next.s:
             self._stopping = True
             if stands and not self._since <= time:

@@ -21,20 +21,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of
 from adaptrack.control.controllers.belief import SourcedValue
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_target import SpeedTarget
 from adaptrack.control.tracking import packed_plan, tracker_of
-from adaptrack.core.estimators.learning import BELIEF
+from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.kernel import Resident
 from adaptrack.core.tracker.after import tracker_after
 from adaptrack.core.tracker.before import tracker_before
 from adaptrack.core.tracker.follow import tracker_follow
 from adaptrack.core.tracker.give import tracker_engage, tracker_give
-from adaptrack.core.tracker.records import REQUEST, UNKNOWN
+from adaptrack.core.tracker.records import NO_BELIEF, REQUEST
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.ahead import RoadAhead, stacked
 
@@ -102,7 +102,7 @@ class Timing(NamedTuple):
 
 TIMED_STEPS = 50
 """Control steps after which their times are compared with the computation time that the controller assumes."""
-TOLERANCE = 0.4
+PERIOD_TOLERANCE = 0.4
 """Control periods, difference of the two from which it is reported."""
 DOUBTFUL = {
     BeliefState.AT_BOUND: "a learned quantity is at the end of its range: the car may be another than was thought",
@@ -275,13 +275,13 @@ class Tracker:
         numbers = [t, math.nan, x, y, yaw, speed, yaw_rate, lateral_velocity, lateral_acceleration]
         numbers.append(math.nan if wheel_angle is None else wheel_angle)
         call_start = time.perf_counter()
-        given = [real("Tracker.step", "a sample", each) for each in numbers]
-        at = given[0] if now is None else real("Tracker.step", "now", now)
+        row = [real("Tracker.step", "a sample", number) for number in numbers]
+        at = row[0] if now is None else real("Tracker.step", "now", now)
         if not math.isfinite(at):
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
-        given[1] = at
+        row[1] = at
         kernel, resident = self._kernel, self._resident
-        kernel.sample[: len(given)] = given
+        kernel.sample[: len(row)] = row
         tracker_give(resident)
         self._obey()
         steps = 0
@@ -293,10 +293,12 @@ class Tracker:
         self._obey()
         tracked = self._answer(at)
         if steps:
-            self._take_times(at - given[0], time.perf_counter() - call_start)
+            self._take_times(at - row[0], time.perf_counter() - call_start)
         if self._recorder is not None and tracked.status is not Status.REPEATED:
-            taken, _, *where, forward, rate, vy, pull, angle = kernel.sample[: len(given)].tolist()
-            self._recorder.add(taken, at, (forward, rate, vy, pull, angle, *where), tracked.command, tracked.offset)
+            sample_time, _, *where, forward, rate, vy, pull, angle = kernel.sample[: len(row)].tolist()
+            self._recorder.add(
+                sample_time, at, (forward, rate, vy, pull, angle, *where), tracked.command, tracked.offset
+            )
         return tracked
 
     def _answer(self, time: float) -> Tracked:
@@ -304,7 +306,7 @@ class Tracker:
         command, status, offset, heading_error, station, belief, _, suspect = self._kernel.tracked.tolist()
         for sentence in self._check.say(int(suspect)):
             _log.warning("adaptrack: inputs contradict each other. %s", sentence)
-        state = None if belief == UNKNOWN else BeliefState(int(belief))
+        state = None if belief == NO_BELIEF else BeliefState(int(belief))
         speed, target = float(self._kernel.memory[0].speed), math.nan
         if self._target is not None:
             target = self._target.at(time, station, speed, self.period)
@@ -314,10 +316,10 @@ class Tracker:
     def _obey(self) -> None:
         """Do with the controller what the kernels ask for."""
         request = self._kernel.request
-        again, sent, another, turned, shifted, late = request.tolist()
+        again, sent, changed, turned, shifted, late = request.tolist()
         if again:
             self.controller.restart()
-        if another:
+        if changed:
             self.controller.change_path(turned, shifted)
         if sent:
             self.controller.applied(float(self._kernel.memory[0].command))
@@ -340,13 +342,13 @@ class Tracker:
     def _belief_of(self, answer: object) -> tuple[float, float]:
         """The state of the belief and which quantity is at its bound, warned of where it is doubtful."""
         if not isinstance(answer, MPCCommand) or answer.belief_state is None:
-            return UNKNOWN, UNKNOWN
+            return NO_BELIEF, NO_BELIEF
         state, bound = answer.belief_state, answer.belief_at_bound
         if state in DOUBTFUL and state not in self._doubted:
             self._doubted.add(state)
             _log.warning("adaptrack: the belief about the car is in doubt: %s%s; drive slower, see docs/learning.md.",
                          DOUBTFUL[state], f" ({bound.replace('_', ' ')})" if bound else "")  # fmt: skip
-        return float(state), answer.learned[BELIEF.belief_at_bound]
+        return float(state), answer.learned[BELIEF_COLUMNS.belief_at_bound]
 
     def _take_times(self, age: float, computation: float) -> None:
         """Take in the age of a sample (s) and the time (s) of the call; report what contradicts the controller."""
@@ -360,7 +362,7 @@ class Tracker:
 
     def _compare_computation(self, timing: Timing, assumed: SourcedValue) -> None:
         """Warn where calls take longer or shorter than the controller assumes."""
-        if abs(timing.computation - assumed.value) <= TOLERANCE * self.period:
+        if abs(timing.computation - assumed.value) <= PERIOD_TOLERANCE * self.period:
             return
         self._times_doubted = True
         _log.warning(
@@ -404,6 +406,6 @@ def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:
     """
     q = reals("yaw_of: quaternion", quaternion)
     if q.shape != (4,) or not np.isfinite(q).all() or not q.any():
-        raise InvalidInput(f"yaw_of: {shown(quaternion)}: must be four finite numbers x, y, z, w, not all 0.")
+        raise InvalidInput(f"yaw_of: {format_value(quaternion)}: must be four finite numbers x, y, z, w, not all 0.")
     x, y, z, w = q
     return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)

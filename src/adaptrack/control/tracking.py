@@ -15,7 +15,7 @@ from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.estimation import Perception
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.kalman import KalmanFilter
-from adaptrack.core.controllers.mpc_step import NOW, Step
+from adaptrack.core.controllers.mpc_step import STEP_INPUT, MPCStep
 from adaptrack.core.rollout import law_batch
 from adaptrack.core.schedule import no_schedule
 from adaptrack.core.tracker import records
@@ -25,23 +25,23 @@ from adaptrack.road.ahead import stacked
 
 
 def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: float, check: InputCheck) -> Any:
-    """A tracker around any controller before it engages (`core.tracker.records.Tracker`)."""
+    """A tracker around any controller before it engages (`core.tracker.records.TrackerRecord`)."""
     return records.tracker(_settings(controller, furthest), stacked(path), packed_plan(plan), check.check)
 
 
 def packed_plan(plan: SpeedPlan | None) -> Any:
-    """A plan of the speed as the kernels take it (`core.tracker.records.Plan`)."""
+    """A plan of the speed as the kernels take it (`core.tracker.records.PlanRecord`)."""
     both = (np.zeros(0),) * 2 if plan is None else (plan.s, plan.speed)
-    return records.Plan(*(np.ascontiguousarray(each, float) for each in both))
+    return records.PlanRecord(*(np.ascontiguousarray(column, float) for column in both))
 
 
 def _settings(controller: Any, furthest: float) -> Any:
-    """A tracker's settings, see `core.tracker.records.SETTINGS`."""
+    """A tracker's settings, see `core.tracker.records.TRACKER_SETTINGS`."""
     car, limits, period = controller.vehicle, controller.limits, float(controller.period)
     filtered = isinstance(controller, MPC) and isinstance(controller.estimator, KalmanFilter)
     low, high = (-math.inf, math.inf) if limits is None else limits.angle
-    known = car is not None
-    return records.SETTINGS.new(
+    has_car = car is not None
+    return records.TRACKER_SETTINGS.new(
         period=period,
         angle_min=max(low, -MOST_WHEEL_ANGLE),
         angle_max=min(high, MOST_WHEEL_ANGLE),
@@ -49,9 +49,9 @@ def _settings(controller: Any, furthest: float) -> Any:
         furthest=furthest,
         late=controller.estimator.late(controller.model) if filtered else 0,
         filtered=filtered,
-        drift_arm=car.lr if known else 0.0,
-        drift_load=car.mass * car.lf if known else 0.0,
-        drift_stiffness=2.0 * car.stiffness_rear * car.wheelbase if known else 1.0,
+        drift_arm=car.lr if has_car else 0.0,
+        drift_load=car.mass * car.lf if has_car else 0.0,
+        drift_stiffness=2.0 * car.stiffness_rear * car.wheelbase if has_car else 1.0,
         nominal_friction=Perception().nominal_friction,
     )
 
@@ -74,10 +74,10 @@ def tracking_of(controller: Controller, path: Road, plan: SpeedPlan | None = Non
     tracker = tracker_of(controller, path, plan, furthest, InputCheck(controller.vehicle, controller.period))
     tracker_engage(0.0, math.nan, tracker)
     if isinstance(controller, MPC):
-        if not controller.in_kernel:
+        if not controller.runs_in_kernel:
             raise InvalidInput(f"tracking_of: solver {controller.solver.name!r} is not compiled: use 'active-set'.")
         mpc = controller.batch(1, controller.settings(), curved=True)
-        step = Step(mpc, controller.functions, np.zeros(len(NOW)), np.zeros(1), tuning.copy())
+        step = MPCStep(mpc, controller.functions, np.zeros(len(STEP_INPUT)), np.zeros(1), tuning.copy())
         return records.Tracking(tracker, step, plans)
     if not isinstance(controller, CompiledController):
         raise InvalidInput(f"tracking_of: controller {controller.name!r} is not compiled.")

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from .controllers import mpc
 from .kernel import Place, exported, float64, inlined, matrix, record, rows, void
-from .loop import NOT_FINITE, RUNNING
-from .models.contract import MEASURED
+from .loop import RUNNING, STATE_NOT_FINITE
+from .models.contract import MEASUREMENT
 from .observation import ObservationSpace
-from .period import Span, after_control, before_control, begin_slot, close, move
+from .period import RunSpan, after_control, before_control, begin_slot, close, move
 from .plants.contract import place_one
-from .rollout import Run
+from .rollout import RunRecord
 
 EPISODE = record(
     "Episode",
@@ -27,13 +27,13 @@ EPISODE = record(
     integers=("last", "over", "renewed", "due"),
 )  # fmt: skip
 """Where each slot is in its run."""
-DRIVING, FAILED, ARRIVED = range(3)
+EPISODE_RUNS, EPISODE_FAILED, EPISODE_ARRIVED = range(3)
 """Whether an episode is over: by a failure, or because the run has come to its end."""
 
 Episodes = record(
     "Episodes",
     (
-        ("run", Run), ("own", rows(EPISODE)), ("measured", matrix), ("space", ObservationSpace),
+        ("run", RunRecord), ("own", rows(EPISODE)), ("measured", matrix), ("space", ObservationSpace),
         ("observations", matrix), ("move_weight", float64), ("failure_cost", float64),
     ),
 )  # fmt: skip
@@ -45,7 +45,7 @@ cost of a step (m^2/rad^2), and what each instant costs that a failed run does n
 @inlined
 def _span_of(slot, episodes):
     """Return the span of a slot's drive."""
-    return Span(episodes.own[slot].last, 1, 0, 0.0)
+    return RunSpan(episodes.own[slot].last, 1, 0, 0.0)
 
 
 @inlined
@@ -54,13 +54,13 @@ def _arrive(slot, episodes):
     episode, run = episodes.own[slot], episodes.run
     memory = run.memory.own[slot]
     before_control(slot, _span_of(slot, episodes), run)
-    if memory.ended != NOT_FINITE:
-        for j in range(len(MEASURED)):
+    if memory.ended != STATE_NOT_FINITE:
+        for j in range(len(MEASUREMENT)):
             episodes.measured[slot, j] = run.measured[j]
     if memory.ended == RUNNING and memory.instant < episode.last:
         return
     close(slot, run)
-    episode.over = ARRIVED if memory.ended == RUNNING else FAILED
+    episode.over = EPISODE_ARRIVED if memory.ended == RUNNING else EPISODE_FAILED
     episode.cost += (episode.last - memory.instant) * episodes.failure_cost
     place_one(slot, run.vehicles.start, run.vehicles.block, run.vehicles.states)
 
@@ -91,7 +91,7 @@ def move_on(episodes):
     vehicles, slots = episodes.run.vehicles, episodes.own.size
     move(slots, episodes.run)
     for slot in range(slots):
-        if episodes.own[slot].over != DRIVING:
+        if episodes.own[slot].over != EPISODE_RUNS:
             place_one(slot, vehicles.start, vehicles.block, vehicles.states)
 
 
@@ -103,7 +103,7 @@ def renew(episodes):
         episode = episodes.own[slot]
         if episode.renewed == 0:
             continue
-        episode.over, episode.renewed, episode.due, episode.cost, episode.total = DRIVING, 0, 1, 0.0, 0.0
+        episode.over, episode.renewed, episode.due, episode.cost, episode.total = EPISODE_RUNS, 0, 1, 0.0, 0.0
         episodes.observations[slot, :] = 0.0
         begin_slot(slot, run)
         mpc.forget(slot, run.mpc)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .episode import DRIVING, Episodes, depart, move_on
+from .episode import EPISODE_RUNS, Episodes, depart, move_on
 from .kernel import Place, exported, vector, void
 from .observation import write_observation
 
@@ -18,6 +18,6 @@ def write_observations(episodes):
 def steer(commands, episodes):
     """Drive a period with the commands (slots,) rad, those whose episode is over excepted."""
     for slot in range(episodes.own.size):
-        if episodes.own[slot].over == DRIVING:
+        if episodes.own[slot].over == EPISODE_RUNS:
             depart(slot, commands[slot], episodes)
     move_on(episodes)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from .episode import DRIVING, Episodes, depart, move_on
-from .estimators.learning import ANSWER, BELIEFS
+from .episode import EPISODE_RUNS, Episodes, depart, move_on
+from .estimators.learning import BELIEF_NAMES, BELIEFS_OFFSET
 from .kernel import Place, exported, void
 from .loop import look
-from .models.contract import MEASURED
+from .models.contract import MEASUREMENT
 from .observation import bounded, keep
-from .rollout import COMMON, control_slot
-from .variables import VARIABLES
+from .rollout import COMMON_ANSWER, control_slot
+from .variables import VARIABLE_COLUMNS
 
 
 @exported(void(Place(Episodes)))
@@ -19,11 +19,11 @@ def write_variables(episodes):
     for slot in range(episodes.own.size):
         row = episodes.observations[slot]
         look(slot, episodes.measured[slot], run)
-        for j in range(len(VARIABLES)):
+        for j in range(len(VARIABLE_COLUMNS)):
             keep(run.variables[j], row, j)
         if run.mpc.settings.learns > 0:
-            for j in range(len(BELIEFS)):
-                keep(run.mpc.informed.learned[slot, ANSWER + j], row, len(VARIABLES) + j)
+            for j in range(len(BELIEF_NAMES)):
+                keep(run.mpc.informed.learned[slot, BELIEFS_OFFSET + j], row, len(VARIABLE_COLUMNS) + j)
         bounded(row, episodes.space)
 
 
@@ -32,9 +32,9 @@ def control(episodes):
     """Drive a period with the tunings of the batch, those whose episode is over excepted."""
     run = episodes.run
     for slot in range(episodes.own.size):
-        if episodes.own[slot].over == DRIVING:
-            for j in range(len(MEASURED)):
+        if episodes.own[slot].over == EPISODE_RUNS:
+            for j in range(len(MEASUREMENT)):
                 run.measured[j] = episodes.measured[slot, j]
             (answer,) = control_slot(slot, run)
-            depart(slot, answer[COMMON.command], episodes)
+            depart(slot, answer[COMMON_ANSWER.command], episodes)
     move_on(episodes)

@@ -13,13 +13,13 @@ from .kernel import Place, columns, exported, inlined, int64, matrix
 from .loop import SIGNAL
 from .maths.bits import whole
 from .maths.trigonometric import cos, sin
-from .period import NOTED, Span, move, note
+from .period import NOTED, RunSpan, move, note
 from .planning.drive import instant
-from .plants.contract import INPUT, STATE, input_at, state_at
+from .plants.contract import PLANT_INPUT, PLANT_STATE, input_at, state_at
 from .road import line_of, points_ahead
-from .rollout import COMMON, Run, close_all, control_all
+from .rollout import COMMON_ANSWER, RunRecord, close_all, control_all
 
-_DRIVEN = STATE._fields[: STATE.yaw_rate + 1]
+_DRIVEN = PLANT_STATE._fields[: PLANT_STATE.yaw_rate + 1]
 FRAME = columns(
     *NOTED._fields,
     *_DRIVEN,
@@ -52,17 +52,21 @@ def _write_numbers(k, slot, run, answer, row):
     drive, block, signals = run.memory.own[slot], run.vehicles.block, run.given.signals
     scenario, sample = run.given.scenario[slot], drive.sample - 1
     note(slot, run, row[: len(NOTED)])
-    for j in range(STATE.yaw_rate + 1):
+    for j in range(PLANT_STATE.yaw_rate + 1):
         row[FRAME.x + j] = block[state_at(j, slot)]
-    row[FRAME.time], row[FRAME.command] = instant(k, run.settings.period), answer[COMMON.command]
+    row[FRAME.time], row[FRAME.command] = instant(k, run.settings.period), answer[COMMON_ANSWER.command]
     row[FRAME.error] = drive.error
     row[FRAME.y_ref] = signals[scenario, SIGNAL.y_ref, sample]
     row[FRAME.v_ref] = signals[scenario, SIGNAL.speed, sample]
     row[FRAME.speed] = drive.speed
-    front = block[input_at(INPUT.friction_front_left, slot)] + block[input_at(INPUT.friction_front_right, slot)]
-    rear = block[input_at(INPUT.friction_rear_left, slot)] + block[input_at(INPUT.friction_rear_right, slot)]
+    front = (
+        block[input_at(PLANT_INPUT.friction_front_left, slot)] + block[input_at(PLANT_INPUT.friction_front_right, slot)]
+    )
+    rear = (
+        block[input_at(PLANT_INPUT.friction_rear_left, slot)] + block[input_at(PLANT_INPUT.friction_rear_right, slot)]
+    )
     row[FRAME.friction] = 0.25 * (front + rear)
-    wind_x, wind_y = block[input_at(INPUT.wind_x, slot)], block[input_at(INPUT.wind_y, slot)]
+    wind_x, wind_y = block[input_at(PLANT_INPUT.wind_x, slot)], block[input_at(PLANT_INPUT.wind_y, slot)]
     yaw = row[FRAME.yaw]
     row[FRAME.wind] = wind_y * cos(yaw) - wind_x * sin(yaw)
     row[FRAME.guard] = _guarded(slot, run)
@@ -78,14 +82,14 @@ def _write_path(k, slot, run, points):
     """The predicted path: x and y (m) in turn; on a curved road by the offsets from it that are predicted."""
     drive, inputs, model = run.memory.own[slot], run.given, run.mpc
     scenario = inputs.scenario[slot]
-    horizon, most = whole(model.answer[slot, mpc.ANSWER.Np]), points.size // 2
+    horizon, most = whole(model.answer[slot, mpc.MPC_ANSWER.Np]), points.size // 2
     offsets = points[most : most + horizon]
     predict_outputs(slot, model, offsets)
     road = inputs.roads.of[scenario]
     if road >= 0 and model.settings.curved > 0:
         for j in range(horizon):
             offsets[j] -= model.bend[j + 1]
-    station = drive.station if road >= 0 else run.vehicles.block[state_at(STATE.x, slot)]
+    station = drive.station if road >= 0 else run.vehicles.block[state_at(PLANT_STATE.x, slot)]
     speed = max(drive.speed, model.settings.speed_floor)
     points_ahead(
         station, inputs.signals[scenario, SIGNAL.speed, k:], speed, mpc.delay_of(slot, model), model.settings.period,
@@ -98,16 +102,16 @@ def _write_path(k, slot, run, points):
 @inlined
 def _write_plan(k, slot, run, points, moves):
     """Write the planned moves of an MPC; NaN where there is no plan at this instant."""
-    if run.features.law or run.mpc.answer[slot, mpc.ANSWER.held] > 0.5:
+    if run.features.law or run.mpc.answer[slot, mpc.MPC_ANSWER.held] > 0.5:
         points[:], moves[:] = math.nan, math.nan
         return
-    count = whole(run.mpc.answer[slot, mpc.ANSWER.Nc])
+    count = whole(run.mpc.answer[slot, mpc.MPC_ANSWER.Nc])
     _write_path(k, slot, run, points)
     plan_moves(slot, run.mpc, moves[:count])
     moves[count:] = math.nan
 
 
-@exported(int64(int64, Span, Place(Run), matrix, matrix, matrix))
+@exported(int64(int64, RunSpan, Place(RunRecord), matrix, matrix, matrix))
 def drive_and_show(count, span, run, numbers, predicted, moves):
     """`rollout.roll_on` of a run of one slot, with a row for each period driven: how many.
 

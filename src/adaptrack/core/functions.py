@@ -16,27 +16,27 @@ from .maths.exponential import exp, log, log1p
 NUMBER, NETWORK, SUGENO, NEAREST, MULTILINEAR = range(5)
 """The kinds of functions; the last two are tables."""
 
-SATURATED = 700.0
+SATURATED_INPUT = 700.0
 """A neuron's input this far below zero gives 1e-304; further, the exponential would overflow."""
-FARTHEST = 1e150
+MAX_DISTANCE_WIDTHS = 1e150
 """Widths from the centre at which a distance is held, so that its square is a number."""
 NEGLIGIBLE = 50.0
 """A rule this much weaker than the strongest, by its logarithm, adds less than rounding does: e^-50 = 2e-22."""
 
-Network = record(
-    "Network", ("relu", "layers", "inputs", "widths", "out_low", "out_span", "low", "inverse_span", "neurons")
+NetworkRecord = record(
+    "NetworkRecord", ("relu", "layers", "inputs", "widths", "out_low", "out_span", "low", "inverse_span", "neurons")
 )
 """relu: of the output; layers: their number; inputs: D; widths (layers,): of the layers; low, inverse_span (D,): of the
 inputs; neurons: the weights of each neuron and then its bias, layer after layer."""
-Sugeno = record(
-    "Sugeno",
+SugenoRecord = record(
+    "SugenoRecord",
     ("inputs", "functions", "rules", "owner", "bell", "antecedents", "inverse_width", "slope", "centre", "log_weight",
      "slopes", "constant"),
 )  # fmt: skip
 """inputs, functions, rules: their numbers D, M and R; owner, bell (M,): the input of a membership function, and whether
 it is a bell; antecedents (R, D): the functions of a rule (-1: any); inverse_width, slope, centre (M,); log_weight
 (R,): of a rule; slopes (R, D), constant (R,): its consequent."""
-Table = record("Table", ("inputs", "sizes", "nodes", "values"))
+TableRecord = record("TableRecord", ("inputs", "sizes", "nodes", "values"))
 """inputs: D; sizes (D,): of the axes; nodes: of one axis after the other; values: at them, the last axis fastest."""
 
 _FUNCTION = float64(vector, int_vector, vector, vector)
@@ -52,7 +52,7 @@ def _network(integers, numbers):
     sizes, out = _net_sizes(integers), _output_scale(numbers)
     spans = 2 + sizes.inputs
     neurons = spans + sizes.inputs
-    return Network(
+    return NetworkRecord(
         sizes.relu == 1, sizes.layers, sizes.inputs, integers[3:], out.low, out.span, numbers[2:spans],
         numbers[spans:neurons], numbers[neurons:],
     )  # fmt: skip
@@ -74,7 +74,7 @@ def network(x, integers, numbers, neurons):
                 out += net.neurons[at + i] * neurons[before + i]
             at += width + 1
             if layer < net.layers - 1:
-                neurons[after + j] = 1.0 / (1.0 + exp(min(-out, SATURATED)))
+                neurons[after + j] = 1.0 / (1.0 + exp(min(-out, SATURATED_INPUT)))
         width, before = next_wide, after
     if net.relu:
         out = max(0.0, out)
@@ -89,7 +89,7 @@ def _sugeno(integers, numbers):
     weights = 3 * functions
     slopes = weights + rules
     constants = slopes + rules * inputs
-    return Sugeno(
+    return SugenoRecord(
         inputs, functions, rules, integers[owner:bell], integers[bell:antecedents],
         shaped(integers[antecedents : antecedents + rules * inputs], rules, inputs),
         numbers[:functions], numbers[functions : 2 * functions], numbers[2 * functions : weights],
@@ -100,7 +100,9 @@ def _sugeno(integers, numbers):
 @inlined
 def _log_membership(x, m, system):
     """log mu of membership function m, eq. (24)."""
-    distance = clip((x[system.owner[m]] - system.centre[m]) * system.inverse_width[m], -FARTHEST, FARTHEST)
+    distance = clip(
+        (x[system.owner[m]] - system.centre[m]) * system.inverse_width[m], -MAX_DISTANCE_WIDTHS, MAX_DISTANCE_WIDTHS
+    )
     if system.bell[m] == 0:
         return -0.5 * distance * distance
     if distance == 0.0:
@@ -148,7 +150,7 @@ def _table(integers, numbers):
     count = 0
     for d in range(inputs):
         count += sizes[d]
-    return Table(inputs, sizes, numbers[:count], numbers[count:])
+    return TableRecord(inputs, sizes, numbers[:count], numbers[count:])
 
 
 @exported(int64(float64, vector))

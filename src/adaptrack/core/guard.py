@@ -12,16 +12,16 @@ from .functions import multilinear
 from .kernel import Row, boolean, columns, exported, float64, inlined, int64, int_vector, record, vector, void
 from .maths.exact import clip, floor
 from .maths.exponential import log10, power
-from .variables import VARIABLES
+from .variables import VARIABLE_COLUMNS
 
-MOST_ENTRIES = 8
+MAX_ENTRIES = 8
 """Entries of a controller's tuning, at most."""
-NP, NC, Q, R = range(4)
+NP_ENTRY, NC_ENTRY, Q_ENTRY, R_ENTRY = range(4)
 """The MPC's entries."""
-AXES = columns("speed", "friction", "Np", "Nc", "log10_ratio")
+MAP_AXIS = columns("speed", "friction", "Np", "Nc", "log10_ratio")
 """Of the stability map."""
-MAP_AXES = len(AXES)
-STAGES = 5
+MAP_AXES = len(MAP_AXIS)
+FALLBACK_STAGES = 5
 """In how many stages a tuning gives way to the fallback."""
 
 GUARD = record(
@@ -50,7 +50,7 @@ MEMORY = record(
         *((name, int64) for name in COUNTS),
         ("left", int64),  # steps of fallback still to go
         ("holding", int64),  # whether there is a last tuning
-        ("last", (float64, MOST_ENTRIES)),  # the last tuning
+        ("last", (float64, MAX_ENTRIES)),  # the last tuning
     ],
 )
 """What a schedule remembers of a run."""
@@ -64,9 +64,12 @@ def too_near_instability(variables, tuning, guard, integers, numbers, point, wor
     """
     if guard.mapped == 0:
         return False
-    point[AXES.speed], point[AXES.friction] = variables[VARIABLES.speed], variables[VARIABLES.friction]
-    point[AXES.Np], point[AXES.Nc] = tuning[NP], tuning[NC]
-    point[AXES.log10_ratio] = log10(tuning[R] / tuning[Q]) if tuning[Q] > 0.0 else math.inf
+    point[MAP_AXIS.speed], point[MAP_AXIS.friction] = (
+        variables[VARIABLE_COLUMNS.speed],
+        variables[VARIABLE_COLUMNS.friction],
+    )
+    point[MAP_AXIS.Np], point[MAP_AXIS.Nc] = tuning[NP_ENTRY], tuning[NC_ENTRY]
+    point[MAP_AXIS.log10_ratio] = log10(tuning[R_ENTRY] / tuning[Q_ENTRY]) if tuning[Q_ENTRY] > 0.0 else math.inf
     # not <=: a value that is no number is too near
     return not multilinear(point, integers[guard.integers :], numbers[guard.numbers :], work) <= guard.limit
 
@@ -86,14 +89,14 @@ def _limit_change(guard, memory, tuning):
         bounded = clip(tuning[s], memory.last[s] - guard.rates[s], memory.last[s] + guard.rates[s])
         limited = limited or bounded != tuning[s]
         tuning[s] = floor(bounded + 0.5)
-    tuning[NC] = min(tuning[NC], tuning[NP])
-    if tuning[Q] > 0.0 and memory.last[Q] > 0.0:
+    tuning[NC_ENTRY] = min(tuning[NC_ENTRY], tuning[NP_ENTRY])
+    if tuning[Q_ENTRY] > 0.0 and memory.last[Q_ENTRY] > 0.0:
         factor = power(10.0, guard.ratio_rate)
-        last, ratio = memory.last[R] / memory.last[Q], tuning[R] / tuning[Q]
+        last, ratio = memory.last[R_ENTRY] / memory.last[Q_ENTRY], tuning[R_ENTRY] / tuning[Q_ENTRY]
         bounded = clip(ratio, last / factor, last * factor)
         if bounded != ratio:
             limited = True
-            tuning[R] = bounded * tuning[Q]
+            tuning[R_ENTRY] = bounded * tuning[Q_ENTRY]
     if limited:
         memory.rate_limited += 1
 
@@ -103,10 +106,10 @@ def _give_way(share, fallback, tuning):
     """Move a tuning a share of the way to the fallback: whole horizons, R/Q by its logarithm, Q as scheduled."""
     for s in range(2):
         tuning[s] = floor(tuning[s] + share * (fallback[s] - tuning[s]) + 0.5)
-    tuning[NC] = min(tuning[NC], tuning[NP])
-    if tuning[Q] > 0.0 and fallback[Q] > 0.0:
-        ratio = tuning[R] / tuning[Q]
-        tuning[R] = tuning[Q] * ratio * power(fallback[R] / fallback[Q] / ratio, share)
+    tuning[NC_ENTRY] = min(tuning[NC_ENTRY], tuning[NP_ENTRY])
+    if tuning[Q_ENTRY] > 0.0 and fallback[Q_ENTRY] > 0.0:
+        ratio = tuning[R_ENTRY] / tuning[Q_ENTRY]
+        tuning[R_ENTRY] = tuning[Q_ENTRY] * ratio * power(fallback[R_ENTRY] / fallback[Q_ENTRY] / ratio, share)
 
 
 @exported(
@@ -122,7 +125,7 @@ def supervise(variables, tuning, untrusted, guard, memory, integers, numbers, sc
     `multilinear`.
     """
     off_reference = guard.offset_limit < math.inf and not (
-        abs(variables[VARIABLES.offset]) <= guard.offset_limit * variables[VARIABLES.friction]
+        abs(variables[VARIABLE_COLUMNS.offset]) <= guard.offset_limit * variables[VARIABLE_COLUMNS.friction]
     )
     if untrusted:
         memory.outside += 1
@@ -139,8 +142,8 @@ def supervise(variables, tuning, untrusted, guard, memory, integers, numbers, sc
     point, work = scratch[:MAP_AXES], scratch[MAP_AXES:]
     if too_near_instability(variables, tuning, guard, integers, numbers, point, work):
         memory.unstable += 1
-        for k in range(STAGES):
-            _give_way(1.0 / (STAGES - k), guard.fallback, tuning)
+        for k in range(FALLBACK_STAGES):
+            _give_way(1.0 / (FALLBACK_STAGES - k), guard.fallback, tuning)
             if not too_near_instability(variables, tuning, guard, integers, numbers, point, work):
                 return
         _take_fallback(guard, memory, tuning)

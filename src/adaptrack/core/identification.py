@@ -56,24 +56,26 @@ Quantities = record("Quantities", (
 ))  # fmt: skip
 """A car, its sensors and what disturbs it."""
 _quantities_of = viewer(Quantities)
-ROW = columns("time", "command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "wheel", "begins", "used", "gusts")
+LOG_ROW = columns(
+    "time", "command", "speed", "yaw_rate", "vy", "acceleration", "yaw", "wheel", "begins", "used", "gusts"
+)
 """Rows of a log: s, rad, m/s, then what is measured (NaN: not), then 1 where a segment begins, and 1 where the filter
 takes the sample in (else it only predicts), and the factor on the spread of the wind's noise until the sample."""
 OUTPUT = columns("yaw_rate", "vy", "acceleration", "yaw", "wheel")
 """What is predicted. The answer has a row for each innovation, then one for each of their variances, then `FOUND`."""
 FOUND = columns("wind", "wheel_angle", "front_slip", "rear_slip")
 """m/s, rad, -, -: what the filter finds at each sample: gusts beside the mean, wheels, slips."""
-ANSWER = 2 * len(OUTPUT) + len(FOUND)
-STATE = columns("vy", "yaw_rate", "slip_front", "slip_rear", "yaw", "wind", "gust", "push")
+IDENTIFICATION_ANSWER = 2 * len(OUTPUT) + len(FOUND)
+IDENTIFICATION_STATE = columns("vy", "yaw_rate", "slip_front", "slip_rear", "yaw", "wind", "gust", "push")
 """The first four obey dv/dt = M v + n_0 + n_1 t within a step. g is the gust that the wind w follows."""
-_CAR, _MIXED, _N = 4, 6, len(STATE)
+_CAR, _MIXED, _N = 4, 6, len(IDENTIFICATION_STATE)
 _vector, _covariance, _transition = local(_N), local(_N, _N), local(_MIXED, _N)
 _square, _column = local(_CAR, _N), local(_CAR)
 FLOOR = 1e-10
 """Added to the variance of every measurement: 1e-5 of its unit, for logs of simulations without noise."""
 TYPICAL_GUST = 12.0
 """m/s, at which the load of the gusts is linearised: f(W)/W is their slope."""
-LONGEST_STEP = 0.051
+MAX_IDENTIFICATION_STEP = 0.051
 """s"""
 
 
@@ -113,8 +115,8 @@ def _move_wheels(angle, target, lag, rate, span):
 @inlined
 def _axles(q, x, angle):
     """Lateral force (N) and its slope over the state (N), front at a wheel angle (rad), and rear."""
-    load, slip_rear = q.friction * q.mass * GRAVITY / (q.lf + q.lr), x[STATE.slip_rear]
-    course = sin(angle) / cos(angle) - x[STATE.slip_front]
+    load, slip_rear = q.friction * q.mass * GRAVITY / (q.lf + q.lr), x[IDENTIFICATION_STATE.slip_rear]
+    course = sin(angle) / cos(angle) - x[IDENTIFICATION_STATE.slip_front]
     front, slope_front = _tyre(angle - atan(course), q.front, load * q.lr, q.shape_factor)
     rear, slope_rear = _tyre(atan(slip_rear), q.rear, load * q.lf, q.shape_factor)
     return front, slope_front / (1.0 + square(course)), rear, slope_rear / (1.0 + square(slip_rear))
@@ -140,31 +142,51 @@ def _start(q, k, log, x, p):
         x[i] = 0.0
         for j in range(_N):
             p[i, j] = 0.0
-    rate, yaw = log[ROW.yaw_rate, k], log[ROW.yaw, k]
-    x[STATE.yaw_rate] = rate - q.gyro_offset if rate == rate else 0.0
-    x[STATE.yaw] = yaw if yaw == yaw else 0.0
-    p[STATE.vy, STATE.vy], p[STATE.yaw_rate, STATE.yaw_rate] = 1.0, 0.05 * 0.05 + square(q.noise_yaw_rate)
-    p[STATE.slip_front, STATE.slip_front] = p[STATE.slip_rear, STATE.slip_rear] = 0.05 * 0.05
-    p[STATE.yaw, STATE.yaw] = square(q.noise_yaw) if yaw == yaw else 1e6
+    rate, yaw = log[LOG_ROW.yaw_rate, k], log[LOG_ROW.yaw, k]
+    x[IDENTIFICATION_STATE.yaw_rate] = rate - q.gyro_offset if rate == rate else 0.0
+    x[IDENTIFICATION_STATE.yaw] = yaw if yaw == yaw else 0.0
+    (
+        p[IDENTIFICATION_STATE.vy, IDENTIFICATION_STATE.vy],
+        p[IDENTIFICATION_STATE.yaw_rate, IDENTIFICATION_STATE.yaw_rate],
+    ) = 1.0, 0.05 * 0.05 + square(q.noise_yaw_rate)
+    p[IDENTIFICATION_STATE.slip_front, IDENTIFICATION_STATE.slip_front] = p[
+        IDENTIFICATION_STATE.slip_rear, IDENTIFICATION_STATE.slip_rear
+    ] = 0.05 * 0.05
+    p[IDENTIFICATION_STATE.yaw, IDENTIFICATION_STATE.yaw] = square(q.noise_yaw) if yaw == yaw else 1e6
     calm = square(q.wind_spread)
-    p[STATE.wind, STATE.wind], p[STATE.gust, STATE.gust] = calm, calm * (1.0 + q.wind_rise / q.wind_time)
-    p[STATE.wind, STATE.gust] = p[STATE.gust, STATE.wind] = calm
-    p[STATE.push, STATE.push] = square(q.push_spread)
+    p[IDENTIFICATION_STATE.wind, IDENTIFICATION_STATE.wind], p[IDENTIFICATION_STATE.gust, IDENTIFICATION_STATE.gust] = (
+        calm,
+        calm * (1.0 + q.wind_rise / q.wind_time),
+    )
+    p[IDENTIFICATION_STATE.wind, IDENTIFICATION_STATE.gust] = p[
+        IDENTIFICATION_STATE.gust, IDENTIFICATION_STATE.wind
+    ] = calm
+    p[IDENTIFICATION_STATE.push, IDENTIFICATION_STATE.push] = square(q.push_spread)
 
 
 @inlined
 def _linearise(q, speed, slope_front, slope_rear, m):
     """Write M, of the first four states about their slips."""
     sigma = max(q.relaxation, 0.01)
-    m[STATE.vy, STATE.vy] = -q.side * speed / q.mass  # relative wind
-    m[STATE.vy, STATE.yaw_rate] = (q.superelevation - 1.0) * speed
-    m[STATE.vy, STATE.slip_front], m[STATE.vy, STATE.slip_rear] = slope_front / q.mass, slope_rear / q.mass
-    m[STATE.yaw_rate, STATE.vy] = -_turning(q) * speed / q.yaw_inertia
-    m[STATE.yaw_rate, STATE.slip_front] = q.lf * slope_front / q.yaw_inertia
-    m[STATE.yaw_rate, STATE.slip_rear] = -q.lr * slope_rear / q.yaw_inertia
-    m[STATE.slip_front, STATE.vy] = m[STATE.slip_rear, STATE.vy] = -1.0 / sigma
-    m[STATE.slip_front, STATE.yaw_rate], m[STATE.slip_rear, STATE.yaw_rate] = -q.lf / sigma, q.lr / sigma
-    m[STATE.slip_front, STATE.slip_front] = m[STATE.slip_rear, STATE.slip_rear] = -speed / sigma
+    m[IDENTIFICATION_STATE.vy, IDENTIFICATION_STATE.vy] = -q.side * speed / q.mass  # relative wind
+    m[IDENTIFICATION_STATE.vy, IDENTIFICATION_STATE.yaw_rate] = (q.superelevation - 1.0) * speed
+    (
+        m[IDENTIFICATION_STATE.vy, IDENTIFICATION_STATE.slip_front],
+        m[IDENTIFICATION_STATE.vy, IDENTIFICATION_STATE.slip_rear],
+    ) = slope_front / q.mass, slope_rear / q.mass
+    m[IDENTIFICATION_STATE.yaw_rate, IDENTIFICATION_STATE.vy] = -_turning(q) * speed / q.yaw_inertia
+    m[IDENTIFICATION_STATE.yaw_rate, IDENTIFICATION_STATE.slip_front] = q.lf * slope_front / q.yaw_inertia
+    m[IDENTIFICATION_STATE.yaw_rate, IDENTIFICATION_STATE.slip_rear] = -q.lr * slope_rear / q.yaw_inertia
+    m[IDENTIFICATION_STATE.slip_front, IDENTIFICATION_STATE.vy] = m[
+        IDENTIFICATION_STATE.slip_rear, IDENTIFICATION_STATE.vy
+    ] = -1.0 / sigma
+    (
+        m[IDENTIFICATION_STATE.slip_front, IDENTIFICATION_STATE.yaw_rate],
+        m[IDENTIFICATION_STATE.slip_rear, IDENTIFICATION_STATE.yaw_rate],
+    ) = -q.lf / sigma, q.lr / sigma
+    m[IDENTIFICATION_STATE.slip_front, IDENTIFICATION_STATE.slip_front] = m[
+        IDENTIFICATION_STATE.slip_rear, IDENTIFICATION_STATE.slip_rear
+    ] = -speed / sigma
 
 
 @inlined
@@ -175,15 +197,26 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     """
     m, constant, ramp, air = _square(), _column(), _column(), _column()
     front, slope_front, rear, slope_rear = _axles(q, x, angle)
-    rest_front, rest_rear = front - slope_front * x[STATE.slip_front], rear - slope_rear * x[STATE.slip_rear]
+    rest_front, rest_rear = (
+        front - slope_front * x[IDENTIFICATION_STATE.slip_front],
+        rear - slope_rear * x[IDENTIFICATION_STATE.slip_rear],
+    )
     steady, slope = _wind(q, speed)
     _linearise(q, speed, slope_front, slope_rear, m)
-    constant[STATE.vy] = (rest_front + rest_rear + q.side * steady) / q.mass + q.push_mean
-    constant[STATE.yaw_rate] = (q.lf * rest_front - q.lr * rest_rear + _turning(q) * steady) / q.yaw_inertia
+    constant[IDENTIFICATION_STATE.vy] = (rest_front + rest_rear + q.side * steady) / q.mass + q.push_mean
+    constant[IDENTIFICATION_STATE.yaw_rate] = (
+        q.lf * rest_front - q.lr * rest_rear + _turning(q) * steady
+    ) / q.yaw_inertia
     entering = speed / max(q.relaxation, 0.01)
     tangent, turning = sin(angle) / cos(angle), turning / square(cos(angle))
-    constant[STATE.slip_front], ramp[STATE.slip_front] = entering * (tangent - 0.5 * h * turning), entering * turning
-    air[STATE.vy], air[STATE.yaw_rate] = q.side * slope / q.mass, _turning(q) * slope / q.yaw_inertia
+    constant[IDENTIFICATION_STATE.slip_front], ramp[IDENTIFICATION_STATE.slip_front] = (
+        entering * (tangent - 0.5 * h * turning),
+        entering * turning,
+    )
+    air[IDENTIFICATION_STATE.vy], air[IDENTIFICATION_STATE.yaw_rate] = (
+        q.side * slope / q.mass,
+        _turning(q) * slope / q.yaw_inertia,
+    )
 
     s0, s1, s2, s3 = _square(), _square(), _square(), _square()
     by_constant, by_ramp, by_air = _column(), _column(), _column()
@@ -198,15 +231,24 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     for i in range(_CAR):
         for j in range(_CAR):
             f[i, j] = s0[i, j]
-        f[i, STATE.wind], f[i, STATE.gust] = by_air[i] * 0.5 * (1.0 + kept_w), by_air[i] * 0.5 * rise
-        f[i, STATE.push] = s1[i, STATE.vy] * 0.5 * (1.0 + kept_d)
+        f[i, IDENTIFICATION_STATE.wind], f[i, IDENTIFICATION_STATE.gust] = (
+            by_air[i] * 0.5 * (1.0 + kept_w),
+            by_air[i] * 0.5 * rise,
+        )
+        f[i, IDENTIFICATION_STATE.push] = s1[i, IDENTIFICATION_STATE.vy] * 0.5 * (1.0 + kept_d)
         moved[i] = by_constant[i] + by_ramp[i]
     for j in range(_N):  # the yaw by the trapezoidal rule
-        f[STATE.yaw, j] = 0.5 * h * f[STATE.yaw_rate, j]
-    f[STATE.yaw, STATE.yaw_rate] += 0.5 * h
-    f[STATE.yaw, STATE.yaw], moved[STATE.yaw] = 1.0, 0.5 * h * moved[STATE.yaw_rate]
-    f[STATE.wind, STATE.wind], f[STATE.wind, STATE.gust] = kept_w, rise
-    previous[STATE.gust], previous[STATE.push] = kept_g, kept_d
+        f[IDENTIFICATION_STATE.yaw, j] = 0.5 * h * f[IDENTIFICATION_STATE.yaw_rate, j]
+    f[IDENTIFICATION_STATE.yaw, IDENTIFICATION_STATE.yaw_rate] += 0.5 * h
+    f[IDENTIFICATION_STATE.yaw, IDENTIFICATION_STATE.yaw], moved[IDENTIFICATION_STATE.yaw] = (
+        1.0,
+        0.5 * h * moved[IDENTIFICATION_STATE.yaw_rate],
+    )
+    f[IDENTIFICATION_STATE.wind, IDENTIFICATION_STATE.wind], f[IDENTIFICATION_STATE.wind, IDENTIFICATION_STATE.gust] = (
+        kept_w,
+        rise,
+    )
+    previous[IDENTIFICATION_STATE.gust], previous[IDENTIFICATION_STATE.push] = kept_g, kept_d
 
     for i in range(_MIXED):
         for j in range(_N):
@@ -216,12 +258,14 @@ def _predict(q, speed, h, angle, turning, gusts, x, p):
     carry(f, previous, p, _transition())
     # stationary covariance calm [[1, 1], [1, both]], less what is left of it
     calm, both = square(q.wind_spread * gusts), 1.0 + q.wind_rise / q.wind_time
-    p[STATE.wind, STATE.wind] += calm * (1.0 - kept_w * kept_w - rise * (2.0 * kept_w + both * rise))
-    p[STATE.gust, STATE.gust] += calm * both * (1.0 - kept_g * kept_g)
-    p[STATE.wind, STATE.gust] += calm * (1.0 - kept_g * (kept_w + both * rise))
-    p[STATE.gust, STATE.wind] += calm * (1.0 - kept_g * (kept_w + both * rise))
-    p[STATE.push, STATE.push] += square(q.push_spread) * (1.0 - kept_d * kept_d)
-    p[STATE.yaw_rate, STATE.yaw_rate] += square(q.jolt) * h
+    p[IDENTIFICATION_STATE.wind, IDENTIFICATION_STATE.wind] += calm * (
+        1.0 - kept_w * kept_w - rise * (2.0 * kept_w + both * rise)
+    )
+    p[IDENTIFICATION_STATE.gust, IDENTIFICATION_STATE.gust] += calm * both * (1.0 - kept_g * kept_g)
+    p[IDENTIFICATION_STATE.wind, IDENTIFICATION_STATE.gust] += calm * (1.0 - kept_g * (kept_w + both * rise))
+    p[IDENTIFICATION_STATE.gust, IDENTIFICATION_STATE.wind] += calm * (1.0 - kept_g * (kept_w + both * rise))
+    p[IDENTIFICATION_STATE.push, IDENTIFICATION_STATE.push] += square(q.push_spread) * (1.0 - kept_d * kept_d)
+    p[IDENTIFICATION_STATE.yaw_rate, IDENTIFICATION_STATE.yaw_rate] += square(q.jolt) * h
 
 
 @inlined
@@ -233,34 +277,36 @@ def _sense(sensor, q, speed, angle, x, h):
     for i in range(_N):
         h[i] = 0.0
     if sensor == OUTPUT.yaw_rate:
-        h[STATE.yaw_rate] = 1.0
-        return x[STATE.yaw_rate] + q.gyro_offset, q.noise_yaw_rate
+        h[IDENTIFICATION_STATE.yaw_rate] = 1.0
+        return x[IDENTIFICATION_STATE.yaw_rate] + q.gyro_offset, q.noise_yaw_rate
     if sensor == OUTPUT.vy:
-        h[STATE.vy], h[STATE.yaw_rate] = 1.0, q.vy_ahead
-        return x[STATE.vy] + q.vy_ahead * x[STATE.yaw_rate] + q.vy_turned * speed, q.noise_vy
+        h[IDENTIFICATION_STATE.vy], h[IDENTIFICATION_STATE.yaw_rate] = 1.0, q.vy_ahead
+        return x[IDENTIFICATION_STATE.vy] + q.vy_ahead * x[
+            IDENTIFICATION_STATE.yaw_rate
+        ] + q.vy_turned * speed, q.noise_vy
     if sensor == OUTPUT.yaw:
-        h[STATE.yaw] = 1.0
-        return x[STATE.yaw], q.noise_yaw
+        h[IDENTIFICATION_STATE.yaw] = 1.0
+        return x[IDENTIFICATION_STATE.yaw], q.noise_yaw
     front, slope_front, rear, slope_rear = _axles(q, x, angle)
     steady, slope = _wind(q, speed)
-    h[STATE.slip_front], h[STATE.slip_rear] = slope_front / q.mass, slope_rear / q.mass
-    h[STATE.wind] = q.side * slope / q.mass
-    force = front + rear + q.side * (steady + slope * x[STATE.wind])
+    h[IDENTIFICATION_STATE.slip_front], h[IDENTIFICATION_STATE.slip_rear] = slope_front / q.mass, slope_rear / q.mass
+    h[IDENTIFICATION_STATE.wind] = q.side * slope / q.mass
+    force = front + rear + q.side * (steady + slope * x[IDENTIFICATION_STATE.wind])
     return force / q.mass + q.acceleration_offset, q.noise_acceleration
 
 
 @inlined
 def _compare(q, k, log, angle, x, p, answer):
     """Compare the prediction with each measurement at sample k, and take it in; angle: of the wheels (rad)."""
-    h, cross, speed = _vector(), _vector(), max(log[ROW.speed, k], SLIP_SPEED_FLOOR)
+    h, cross, speed = _vector(), _vector(), max(log[LOG_ROW.speed, k], SLIP_SPEED_FLOOR)
     for sensor in range(OUTPUT.wheel):
-        measured = log[ROW.yaw_rate + sensor, k]
+        measured = log[LOG_ROW.yaw_rate + sensor, k]
         if measured != measured:
             continue
         predicted, noise = _sense(sensor, q, speed, angle, x, h)
         innovation, variance = measured - predicted, scatter(noise * noise + FLOOR, h, p, cross)
         answer[sensor, k], answer[len(OUTPUT) + sensor, k] = innovation, variance
-        if log[ROW.used, k] > 0.0:
+        if log[LOG_ROW.used, k] > 0.0:
             correct(innovation, variance, cross, x, p)
 
 
@@ -274,12 +320,12 @@ def _steer(q, log, acting, angle, dead, start, h):
     lag, rate = max(q.lag, 1e-4), q.rate
     area, moment, at = 0.0, 0.0, start
     while at < until:
-        while acting < last and log[ROW.begins, acting + 1] <= 0.0 and log[ROW.time, acting + 1] + dead <= at:
+        while acting < last and log[LOG_ROW.begins, acting + 1] <= 0.0 and log[LOG_ROW.time, acting + 1] + dead <= at:
             acting += 1
         end = until
-        if acting < last and log[ROW.begins, acting + 1] <= 0.0:
-            end = min(until, log[ROW.time, acting + 1] + dead)
-        target = q.gain * log[ROW.command, acting] + q.offset
+        if acting < last and log[LOG_ROW.begins, acting + 1] <= 0.0:
+            end = min(until, log[LOG_ROW.time, acting + 1] + dead)
+        target = q.gain * log[LOG_ROW.command, acting] + q.offset
         angle, part, first = _move_wheels(angle, target, lag, rate, end - at)
         area += part
         moment += first + (at - start) * part
@@ -291,12 +337,12 @@ def _steer(q, log, acting, angle, dead, start, h):
 def _measured(q, log, acting, at):
     """The row before a time (s), from row `acting` of its segment on, and the wheels on the straight line there."""
     last = log.shape[1] - 1
-    while acting < last and log[ROW.begins, acting + 1] <= 0.0 and log[ROW.time, acting + 1] <= at:
+    while acting < last and log[LOG_ROW.begins, acting + 1] <= 0.0 and log[LOG_ROW.time, acting + 1] <= at:
         acting += 1
-    angle = log[ROW.command, acting]
-    if acting < last and log[ROW.begins, acting + 1] <= 0.0 and at > log[ROW.time, acting]:
-        span = log[ROW.time, acting + 1] - log[ROW.time, acting]
-        angle += (at - log[ROW.time, acting]) / span * (log[ROW.command, acting + 1] - angle)
+    angle = log[LOG_ROW.command, acting]
+    if acting < last and log[LOG_ROW.begins, acting + 1] <= 0.0 and at > log[LOG_ROW.time, acting]:
+        span = log[LOG_ROW.time, acting + 1] - log[LOG_ROW.time, acting]
+        angle += (at - log[LOG_ROW.time, acting]) / span * (log[LOG_ROW.command, acting + 1] - angle)
     return acting, q.gain * angle + q.offset
 
 
@@ -304,7 +350,7 @@ def _measured(q, log, acting, at):
 def innovations(quantities, log, answer):
     """Write innovations and their variances, NaN where nothing is measured, along a log.
 
-    quantities: `Quantities`; log: rows as `ROW`, a column a sample; answer: (ANSWER, samples). Without a lag the
+    quantities: `Quantities`; log: rows as `LOG_ROW`, a column a sample; answer: (ANSWER, samples). Without a lag the
     commands are measured angles of the wheels.
     """
     q, x, p = _quantities_of(quantities, 0), _vector(), _covariance()
@@ -314,15 +360,15 @@ def innovations(quantities, log, answer):
     for k in range(samples):
         for i in range(answer.shape[0]):
             answer[i, k] = math.nan
-        time = log[ROW.time, k]
-        if log[ROW.begins, k] > 0.0:
+        time = log[LOG_ROW.time, k]
+        if log[LOG_ROW.begins, k] > 0.0:
             _start(q, k, log, x, p)
             acting = acting_here = k
-            angle = wheels_now = q.gain * log[ROW.command, k] + q.offset
+            angle = wheels_now = q.gain * log[LOG_ROW.command, k] + q.offset
         else:
-            before = log[ROW.time, k - 1]
+            before = log[LOG_ROW.time, k - 1]
             span = time - before
-            steps = max(1, whole(ceil(span / LONGEST_STEP - 1e-9)))
+            steps = max(1, whole(ceil(span / MAX_IDENTIFICATION_STEP - 1e-9)))
             h = span / steps
             for step in range(steps):
                 share, start = (step + 0.5) / steps, before + step * h
@@ -332,20 +378,20 @@ def innovations(quantities, log, answer):
                 else:
                     dead = q.dead_time + q.lateness
                     acting, angle, mean, turning = _steer(q, log, acting, angle, dead, start, h)
-                speed = log[ROW.speed, k - 1] + share * (log[ROW.speed, k] - log[ROW.speed, k - 1])
-                _predict(q, max(speed, SLIP_SPEED_FLOOR), h, mean, turning, log[ROW.gusts, k], x, p)
+                speed = log[LOG_ROW.speed, k - 1] + share * (log[LOG_ROW.speed, k] - log[LOG_ROW.speed, k - 1])
+                _predict(q, max(speed, SLIP_SPEED_FLOOR), h, mean, turning, log[LOG_ROW.gusts, k], x, p)
             if measured_angle:
-                wheels_now = q.gain * log[ROW.command, k] + q.offset
+                wheels_now = q.gain * log[LOG_ROW.command, k] + q.offset
             elif q.lateness == 0.0:
                 acting_here, wheels_now = acting, angle
             else:
                 acting_here, wheels_now, _, _ = _steer(q, log, acting_here, wheels_now, q.dead_time, before, span)
         _compare(q, k, log, angle, x, p, answer)
         count = 2 * len(OUTPUT)
-        answer[count + FOUND.wind, k], answer[count + FOUND.wheel_angle, k] = x[STATE.wind], wheels_now
-        answer[count + FOUND.front_slip, k] = x[STATE.slip_front]
-        answer[count + FOUND.rear_slip, k] = x[STATE.slip_rear]
-        measured = log[ROW.wheel, k]
+        answer[count + FOUND.wind, k], answer[count + FOUND.wheel_angle, k] = x[IDENTIFICATION_STATE.wind], wheels_now
+        answer[count + FOUND.front_slip, k] = x[IDENTIFICATION_STATE.slip_front]
+        answer[count + FOUND.rear_slip, k] = x[IDENTIFICATION_STATE.slip_rear]
+        measured = log[LOG_ROW.wheel, k]
         if measured == measured:
             answer[OUTPUT.wheel, k] = measured - wheels_now - q.wheel_offset
             answer[len(OUTPUT) + OUTPUT.wheel, k] = square(q.noise_wheel) + FLOOR

@@ -25,6 +25,8 @@ import numpy as np
 
 from . import library
 
+OK = 0
+"""Status with which a kernel reports success; each kernel numbers its failures from 1."""
 SYMBOL = "kernel."
 """Prefix of the symbol under which an exported kernel is called by other kernels, by numba's calling convention."""
 INTERPRETED = library.WAY == "interpreted"
@@ -33,7 +35,7 @@ INTERPRETED = library.WAY == "interpreted"
 
 # -- types ------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Number:
+class Scalar:
     """float64 (double in C), int64 or boolean (int64_t), void. Called, it makes a signature: ``float64(vector)``."""
 
     name: str
@@ -42,7 +44,7 @@ class Number:
     def ctypes(self) -> Any:
         return (ctypes.c_double if self.name == "float64" else ctypes.c_int64,)
 
-    def given(self, value: Any) -> tuple[Any, ...]:
+    def convert(self, value: Any) -> tuple[Any, ...]:
         return (float(value) if self.name == "float64" else int(value),)
 
     def __call__(self, *arguments: Any) -> Signature:
@@ -65,9 +67,9 @@ class Array:
 
     @cached_property
     def dtype(self) -> Any:
-        return np.dtype(self.of.name) if isinstance(self.of, Number) else self.of.dtype
+        return np.dtype(self.of.name) if isinstance(self.of, Scalar) else self.of.dtype
 
-    def given(self, value: Any) -> tuple[Any, ...]:
+    def convert(self, value: Any) -> tuple[Any, ...]:
         if not (isinstance(value, np.ndarray) and value.ndim == self.ndim and value.dtype == self.dtype):
             raise TypeError(f"{value!r}: need an array of {self.ndim} dimensions, {self.dtype}.")
         try:
@@ -85,14 +87,14 @@ class Place:
     of: Any
     ctypes = (ctypes.c_void_p,)
 
-    def given(self, value: Any) -> tuple[Any, ...]:
+    def convert(self, value: Any) -> tuple[Any, ...]:
         return (value if isinstance(value, Resident) else Resident(value),)
 
 
 class Row(Place):
     """One row of an array of a record of numbers: a kernel may write to it."""
 
-    def given(self, value: Any) -> tuple[Any, ...]:
+    def convert(self, value: Any) -> tuple[Any, ...]:
         return (value.__array_interface__["data"][0],)  # a row by itself has no `ctypes`
 
 
@@ -100,7 +102,7 @@ class Row(Place):
 class Signature:
     """Types of what a kernel returns (several: the C function writes them behind its last argument) and takes."""
 
-    returns: tuple[Number, ...]
+    returns: tuple[Scalar, ...]
     arguments: tuple[Any, ...]
 
     @cached_property
@@ -117,18 +119,18 @@ class Signature:
         return ctypes.CFUNCTYPE(None if self.returns == (void,) else self.returns[0].ctypes[0], *parameters)
 
 
-def several(*kinds: Number) -> Callable[..., Signature]:
+def several(*kinds: Scalar) -> Callable[..., Signature]:
     """For signatures of functions that return several numbers: ``several(int64, float64)(vector)``."""
     return lambda *arguments: Signature(kinds, arguments)
 
 
-float64, int64, boolean, void = map(Number, ("float64", "int64", "boolean", "void"))
+float64, int64, boolean, void = map(Scalar, ("float64", "int64", "boolean", "void"))
 vector, matrix, cube, four_dimensions = (Array(float64, ndim) for ndim in (1, 2, 3, 4))
 int_vector, int_matrix = (Array(int64, ndim) for ndim in (1, 2))
 
 
 # -- records ----------------------------------------------------------------------------------------------------------
-class Setting(NamedTuple):
+class Field(NamedTuple):
     """A field of a record, defined once: Python's settings (`control.settings`) and the C header follow from it."""
 
     name: str
@@ -159,14 +161,14 @@ class Setting(NamedTuple):
         return (float64, len(self.default)) if isinstance(self.default, tuple) else float64
 
 
-def record(name: str, fields: Collection[str | Setting | tuple[str, Any]], integers: Iterable[str] = ()) -> Any:
+def record(name: str, fields: Collection[str | Field | tuple[str, Any]], integers: Iterable[str] = ()) -> Any:
     """A record: a named tuple class whose `kinds` are the types of its fields.
 
-    A field is a name alone, of a number (float64; int64 if the name is in `integers`), a `Setting`, or a name with its
+    A field is a name alone, of a number (float64; int64 if the name is in `integers`), a `Field`, or a name with its
     type: a number, an array, another record, or (type, count) for so many in a row. A record of numbers alone can be a
     row of an array: it has a `dtype` and `new`, and `rows` is the type of an array of it.
     """
-    settings = {field.name: field for field in fields if isinstance(field, Setting)}
+    settings = {field.name: field for field in fields if isinstance(field, Field)}
     kinds = dict(_named_kind(field, integers) for field in fields)
     # It belongs to the module that asks for it: pickled, it is found again by module and name.
     module = sys._getframe(1).f_globals["__name__"]
@@ -178,7 +180,7 @@ def record(name: str, fields: Collection[str | Setting | tuple[str, Any]], integ
 
 
 def _named_kind(field: Any, integers: Iterable[str]) -> tuple[str, Any]:
-    if isinstance(field, Setting):
+    if isinstance(field, Field):
         return field.name, field.kind
     return (field, int64 if field in integers else float64) if isinstance(field, str) else field
 
@@ -199,7 +201,7 @@ def _dtype(kinds: dict[str, Any]) -> Any:
     entries: list[Any] = []
     for name, kind in kinds.items():
         kind, *count = kind if type(kind) is tuple else (kind,)
-        inner = kind.name if isinstance(kind, Number) else getattr(kind, "dtype", None)
+        inner = kind.name if isinstance(kind, Scalar) else getattr(kind, "dtype", None)
         if inner is None or isinstance(kind, Array):
             return None
         entries.append((name, inner, *([tuple(count)] if count else [])))
@@ -236,7 +238,7 @@ def viewer(kind: Any) -> Any:
     """
     if hidden := [name for name in kind._fields if hasattr(np.record, name)]:
         raise ValueError(f"{kind.__name__}: NumPy's records have {', '.join(hidden)} of their own: choose other names.")
-    return _known("view", lambda vector, place: vector[place : place + size_of(kind)].view(kind.dtype)[0], kind)
+    return _make_known("view", lambda vector, place: vector[place : place + size_of(kind)].view(kind.dtype)[0], kind)
 
 
 def unpacker(kind: Any, stride: int = 1) -> Any:
@@ -280,7 +282,7 @@ def local(*shape: int) -> Any:
 
     ``square = local(3, 3)`` in the file, ``z = square()`` in a kernel. It lies on the stack, if not in registers.
     """
-    return _known("local", lambda: np.zeros(shape), shape)
+    return _make_known("local", lambda: np.zeros(shape), shape)
 
 
 class Resident:
@@ -307,7 +309,7 @@ def _words(record: Any) -> Iterable[int]:
         elif kind is float64:
             yield from struct.unpack("q", struct.pack("d", value))
         else:
-            yield from kind.given(value)
+            yield from kind.convert(value)
 
 
 # -- functions --------------------------------------------------------------------------------------------------------
@@ -352,7 +354,7 @@ class Exported(Known):
 
     def __call__(self, *arguments: Any) -> Any:
         words = [
-            word for kind, value in zip(self.signature.types, arguments, strict=True) for word in kind.given(value)
+            word for kind, value in zip(self.signature.types, arguments, strict=True) for word in kind.convert(value)
         ]
         returns = self.signature.returns
         if len(returns) == 1:
@@ -364,14 +366,14 @@ class Exported(Known):
         return struct.unpack(layout, answers.raw)
 
     def __reduce__(self) -> Any:
-        return _named, (self.function.__module__, self.name)
+        return _import_kernel, (self.function.__module__, self.name)
 
 
 EXPORTED: dict[str, Exported] = {}
 """Every exported kernel of the modules that are imported, by its name."""
 
 
-def _named(module: str, name: str) -> Exported:
+def _import_kernel(module: str, name: str) -> Exported:
     importlib.import_module(module)
     return EXPORTED[name]
 
@@ -392,12 +394,12 @@ class Address(int):
 
 def inlined(function: Any, interpreted: Any = None) -> Any:
     """A part of the kernels that call it; interpreted: what stands for it in Python."""
-    return _known("inlined", function, interpreted=interpreted)
+    return _make_known("inlined", function, interpreted=interpreted)
 
 
 def primitive(function: Any) -> Any:
     """An operation that the compiler knows by the function's name; in Python the function that stands here."""
-    return _known("primitive", function)
+    return _make_known("primitive", function)
 
 
 def exported(signature: Signature, name: str | None = None) -> Callable[[Any], Any]:
@@ -418,10 +420,10 @@ def Caller(signature: Signature) -> Any:
     """A kernel ``call(function, *arguments)`` of a function of a signature: in compiled code an address (`address_of`),
     in Python itself. So members cross in records, ours and users' alike.
     """
-    return _known("caller", lambda function, *arguments: function(*arguments), signature)
+    return _make_known("caller", lambda function, *arguments: function(*arguments), signature)
 
 
-def _known(kind: str, function: Any, of: Any = None, interpreted: Any = None) -> Any:
+def _make_known(kind: str, function: Any, of: Any = None, interpreted: Any = None) -> Any:
     return (interpreted or function) if INTERPRETED else Known(kind, function, of, interpreted)
 
 

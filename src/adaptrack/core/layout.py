@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from .kernel import Array, Number, inlined
+from .kernel import Array, Scalar, inlined
 
 ALIGNMENT = 64
 """bytes, a cache line: loads of eight numbers then touch one, not two"""
@@ -36,7 +36,7 @@ def put(table, row, a, b=0, c=0, d=0):
 def arrays_of(kind: Any) -> int:
     """How many arrays a record has, those of records within it included."""
     kinds = kind.kinds.values()
-    return sum(1 if isinstance(k, Array) else 0 if isinstance(k, Number) else arrays_of(k) for k in kinds)
+    return sum(1 if isinstance(k, Array) else 0 if isinstance(k, Scalar) else arrays_of(k) for k in kinds)
 
 
 def room(kind: Any, sizes: Any, *counts: Any) -> Any:
@@ -53,7 +53,7 @@ def _laid(kind: Any, sizes: Iterator[list[int]]) -> Any:
         if isinstance(field_kind, Array):
             values.append(aligned(tuple(next(sizes)[: field_kind.ndim]), field_kind.dtype))
         else:
-            values.append(0 if isinstance(field_kind, Number) else _laid(field_kind, sizes))
+            values.append(0 if isinstance(field_kind, Scalar) else _laid(field_kind, sizes))
     return kind(*values)
 
 

@@ -25,8 +25,8 @@ WAY = os.environ.get("ADAPTRACK_KERNELS") or "library"
 if WAY not in WAYS:
     raise ImportError(f"ADAPTRACK_KERNELS={WAY}: need one of {', '.join(WAYS)}.")
 
-PACKAGE = Path(__file__).parents[1]
-BUILT = PACKAGE / "core" / "built"
+PACKAGE_FOLDER = Path(__file__).parents[1]
+BUILT_FOLDER = PACKAGE_FOLDER / "core" / "built"
 MANIFEST = "manifest.json"
 BUILD = "python -m adaptrack.core.build"
 COMPILER = "adaptrack.core.build.numba_functions"
@@ -44,8 +44,10 @@ class NoKernels(ImportError):
 @cache
 def source_hashes() -> dict[str, str]:
     """SHA-256 of every file that the library is made of, kernels and their builder, by its place in the package."""
-    files = sorted((PACKAGE / "core").rglob("*.py"))
-    return {file.relative_to(PACKAGE).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+    files = sorted((PACKAGE_FOLDER / "core").rglob("*.py"))
+    return {
+        file.relative_to(PACKAGE_FOLDER).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest() for file in files
+    }
 
 
 @cache
@@ -84,7 +86,7 @@ def manifest(folder: Path | None = None) -> dict[str, Any]:
     folder: also of an archive that `make targets` packs. Raises OSError where there is none, ValueError where it is
     damaged.
     """
-    path = (folder or BUILT) / MANIFEST
+    path = (folder or BUILT_FOLDER) / MANIFEST
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
@@ -110,11 +112,11 @@ def export_of(target: str, folder: Path | None = None) -> Path:
 
     Raises one of `UNUSABLE` where it is not there, is damaged or is of other kernels than these.
     """
-    folder = folder or BUILT
+    folder = folder or BUILT_FOLDER
     listed = manifest(folder)
     if listed["sources"] != source_hashes():
         raise ValueError(f"{folder}: is of other kernels than {kernels_hash()}")
-    return whole(listed["exports"][target], folder)
+    return verified_file(listed["exports"][target], folder)
 
 
 def exported(target: str) -> Path:
@@ -125,16 +127,16 @@ def exported(target: str) -> Path:
     try:
         return export_of(target)
     except UNUSABLE:
-        if not (can_compile() and os.access(PACKAGE, os.W_OK)):
+        if not (can_compile() and os.access(PACKAGE_FOLDER, os.W_OK)):
             raise
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(PACKAGE.parent), *sys.path])}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(PACKAGE_FOLDER.parent), *sys.path])}
     subprocess.run([sys.executable, "-m", *BUILD.split()[2:], "--export", target], env=environment)
     return export_of(target)
 
 
-def whole(entry: dict[str, str], folder: Path | None = None) -> Path:
+def verified_file(entry: dict[str, str], folder: Path | None = None) -> Path:
     """The file of a library of the manifest, proved to be as it was built."""
-    path = (folder or BUILT) / entry["file"]
+    path = (folder or BUILT_FOLDER) / entry["file"]
     if hashlib.sha256(path.read_bytes()).hexdigest() != entry["sha256"]:
         raise ValueError(f"{path}: is not what was built: damaged, cut short or of another build")
     return path
@@ -147,7 +149,7 @@ class Library:
         built, name = manifest(), processor()
         if name not in built["libraries"]:
             raise ValueError(f"no library for {name}")
-        self.path = whole(built["libraries"][name])
+        self.path = verified_file(built["libraries"][name])
         self.functions = ctypes.CDLL(str(self.path))
         self.kernels = built["kernels"]
         then, current = built["sources"], source_hashes()
@@ -170,7 +172,7 @@ def loaded() -> Library | str:
     """The library, or why there is none."""
     if WAY != "library":
         return f"ADAPTRACK_KERNELS={WAY}"
-    if not (BUILT / MANIFEST).exists():
+    if not (BUILT_FOLDER / MANIFEST).exists():
         return "the kernels have not been compiled"
     try:
         return Library()

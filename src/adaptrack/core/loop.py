@@ -1,6 +1,6 @@
 """The pieces of a control period: where the car is, whether its run has failed, sensors, driver, steering.
 
-`period` has them in their order. They take a slot and its run (`period.Loop`), in which they read and write by name.
+`period` has them in their order. They take a slot and its run (`period.RunLoop`), in which they read and write by name.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from .maths.exact import ceil, clip, floor
 from .maths.exponential import hypot
 from .maths.random import counted_normal, counted_uniform
 from .maths.trigonometric import atan2
-from .models.contract import MEASURED
-from .plants.contract import ENVIRONMENT, INPUT, OBSERVED, STATE, input_at, observe, state_at
+from .models.contract import MEASUREMENT
+from .plants.contract import ENVIRONMENT, OBSERVED, PLANT_INPUT, PLANT_STATE, input_at, observe, state_at
 from .plants.forces import wheel_angle
 from .road import foot_near, line_of
-from .variables import VARIABLES
+from .variables import VARIABLE_COLUMNS
 
-Settings = record(
-    "Settings",
+LoopSettings = record(
+    "LoopSettings",
     (
         "period",  # s
         "substeps",  # Runge-Kutta steps per period
@@ -47,7 +47,7 @@ Settings = record(
 )  # fmt: skip
 """The world around the controller, fixed over a run."""
 
-OWN = record(
+LOOP_MEMORY = record(
     "Own",
     (
         "instant",  # the present control instant
@@ -62,7 +62,7 @@ OWN = record(
         "error",  # m, of the offset against its reference
         "speed",  # m/s, as measured at the present instant
         "station", "heading",  # m, rad, of its foot on a curved road
-        "turned",  # rad, see `MEASURED`
+        "turned",  # rad, see `MEASUREMENT`
         "located",  # 1 once the foot is known
         "place",  # the instant at which the plan is where the car is
     ),
@@ -70,18 +70,18 @@ OWN = record(
 )  # fmt: skip
 """What the loop remembers of each slot: its scalars."""
 
-Memory = record("Memory", (("own", rows(OWN)), ("sent", matrix), ("past", cube)))
+Memory = record("Memory", (("own", rows(LOOP_MEMORY)), ("sent", matrix), ("past", cube)))
 """What the loop remembers of each slot (slots,): its scalars; commands, the latest first (slots, whole periods of dead
 time + 2); what there was to measure at the last instants, the latest first (slots, instants, SENSED), empty where all
 sensors are prompt."""
 SENSED = 6
-"""How many of `MEASURED` are measured; the others are their ages."""
+"""How many of `MEASUREMENT` are measured; the others are their ages."""
 _observed = local(len(OBSERVED))
 _JITTER, _DROPOUT, _LENGTH, _MISSING, _BIAS = range(5)  # streams of random numbers
 
-RUNNING, OFF_ROAD, SPUN, NOT_FINITE, NEVER_ARRIVED, STOPPED = range(6)
+RUNNING, OFF_ROAD, SPUN, STATE_NOT_FINITE, NEVER_ARRIVED, STOPPED = range(6)
 """Why a run ended: left its reference, spun, a state that is not finite, never came near; or too dear to go on."""
-SLOW = 1.0
+MIN_SPIN_SPEED = 1.0
 """m/s: below it sideslip is ill-defined, and a vehicle is not said to spin."""
 
 SIGNAL = columns(
@@ -102,13 +102,17 @@ def locate(slot, run):
     drive, block = run.memory.own[slot], run.vehicles.block
     signals, scenario = run.given.signals, run.given.scenario[slot]
     road = run.given.roads.of[scenario]
-    x, y, yaw = block[state_at(STATE.x, slot)], block[state_at(STATE.y, slot)], block[state_at(STATE.yaw, slot)]
+    x, y, yaw = (
+        block[state_at(PLANT_STATE.x, slot)],
+        block[state_at(PLANT_STATE.y, slot)],
+        block[state_at(PLANT_STATE.yaw, slot)],
+    )
     if road < 0:
         drive.offset, drive.heading_error = y, yaw
         return
     near = signals[scenario, SIGNAL.station, 0]
     if drive.located > 0:
-        near = drive.station + block[state_at(STATE.vx, slot)] * run.settings.period
+        near = drive.station + block[state_at(PLANT_STATE.vx, slot)] * run.settings.period
     station, offset, heading, _ = foot_near(x, y, near, line_of(road, run.given.roads))
     drive.turned = heading - drive.heading if drive.located > 0 else 0.0
     drive.station, drive.offset, drive.heading, drive.located = station, offset, heading, 1
@@ -134,13 +138,13 @@ def judge(slot, run):
     within = abs(drive.error) <= world.failure_distance
     if within:
         drive.arrived = 1
-    for row in range(STATE.yaw_rate + 1):
+    for row in range(PLANT_STATE.yaw_rate + 1):
         if not math.isfinite(block[state_at(row, slot)]):
-            return NOT_FINITE
-    if not math.isfinite(block[state_at(STATE.steering, slot)]):
-        return NOT_FINITE
-    vx, vy = block[state_at(STATE.vx, slot)], block[state_at(STATE.vy, slot)]
-    if hypot(vx, vy) >= SLOW and abs(atan2(vy, vx)) > world.failure_sideslip:
+            return STATE_NOT_FINITE
+    if not math.isfinite(block[state_at(PLANT_STATE.steering, slot)]):
+        return STATE_NOT_FINITE
+    vx, vy = block[state_at(PLANT_STATE.vx, slot)], block[state_at(PLANT_STATE.vy, slot)]
+    if hypot(vx, vy) >= MIN_SPIN_SPEED and abs(atan2(vy, vx)) > world.failure_sideslip:
         return SPUN
     if drive.arrived > 0 and not within:
         return OFF_ROAD
@@ -192,11 +196,11 @@ def _make_late(k, world, seed, past, measured):
             for j in range(SENSED):
                 past[i, j] = measured[j]
     for sensor in range(SENSED):
-        posed = sensor == MEASURED.yaw or sensor == MEASURED.y
+        posed = sensor == MEASUREMENT.yaw or sensor == MEASUREMENT.y
         instants = min((age if posed else world.motion_age) / world.period, most)
         measured[sensor] = _recall(sensor, instants, past)
-    measured[MEASURED.pose_age] = min(age, most * world.period)
-    measured[MEASURED.motion_age] = min(world.motion_age, most * world.period)
+    measured[MEASUREMENT.pose_age] = min(age, most * world.period)
+    measured[MEASUREMENT.motion_age] = min(world.motion_age, most * world.period)
 
 
 @inlined
@@ -213,7 +217,7 @@ def _leave_out(k, world, seed, drive, measured):
             span = world.dropout_most - world.dropout_least
             drive.blind_until = time + world.dropout_least + span * counted_uniform(seed, _LENGTH, k, 0, 0)
         if time < drive.blind_until:
-            measured[MEASURED.yaw], measured[MEASURED.y] = math.nan, math.nan
+            measured[MEASUREMENT.yaw], measured[MEASUREMENT.y] = math.nan, math.nan
 
 
 @inlined
@@ -224,17 +228,17 @@ def sense(slot, run):
     if world.noise_lateral_acceleration < math.inf:
         observed = _observed()
         observe(slot, run.vehicles, observed)
-        measured[MEASURED.lateral_acceleration] = observed[OBSERVED.lateral_acceleration]
-    measured[MEASURED.vy] = block[state_at(STATE.vy, slot)]
-    measured[MEASURED.yaw] = drive.heading_error
-    measured[MEASURED.yaw_rate] = block[state_at(STATE.yaw_rate, slot)]
-    measured[MEASURED.y] = drive.offset
-    measured[MEASURED.turned] = drive.turned
-    measured[MEASURED.wheel_angle] = wheel_angle(
-        block[state_at(STATE.steering, slot)], block[input_at(INPUT.command, slot)],
+        measured[MEASUREMENT.lateral_acceleration] = observed[OBSERVED.lateral_acceleration]
+    measured[MEASUREMENT.vy] = block[state_at(PLANT_STATE.vy, slot)]
+    measured[MEASUREMENT.yaw] = drive.heading_error
+    measured[MEASUREMENT.yaw_rate] = block[state_at(PLANT_STATE.yaw_rate, slot)]
+    measured[MEASUREMENT.y] = drive.offset
+    measured[MEASUREMENT.turned] = drive.turned
+    measured[MEASUREMENT.wheel_angle] = wheel_angle(
+        block[state_at(PLANT_STATE.steering, slot)], block[input_at(PLANT_INPUT.command, slot)],
         world.steering_lag, world.steering_limit,
     )  # fmt: skip
-    measured[MEASURED.pose_age], measured[MEASURED.motion_age] = 0.0, 0.0
+    measured[MEASUREMENT.pose_age], measured[MEASUREMENT.motion_age] = 0.0, 0.0
     if run.features.late:
         _make_late(k, world, seed, run.memory.past[slot], measured)
     noises = (
@@ -244,17 +248,17 @@ def sense(slot, run):
     for sensor in range(SENSED):
         measured[sensor] = _noisy(measured[sensor], noises[sensor], k, sensor, seed)
     if world.bias_yaw_rate > 0.0:
-        measured[MEASURED.yaw_rate] += _either(world.bias_yaw_rate, seed, _BIAS, MEASURED.yaw_rate)
+        measured[MEASUREMENT.yaw_rate] += _either(world.bias_yaw_rate, seed, _BIAS, MEASUREMENT.yaw_rate)
     if world.bias_wheel_angle > 0.0:
-        measured[MEASURED.wheel_angle] += _either(world.bias_wheel_angle, seed, _BIAS, MEASURED.wheel_angle)
+        measured[MEASUREMENT.wheel_angle] += _either(world.bias_wheel_angle, seed, _BIAS, MEASUREMENT.wheel_angle)
     _leave_out(k, world, seed, drive, measured)
-    speed = block[state_at(STATE.vx, slot)]
+    speed = block[state_at(PLANT_STATE.vx, slot)]
     drive.speed = speed + speed * _noisy(0.0, world.noise_speed, k, SENSED, seed) if world.noise_speed > 0.0 else speed
 
 
 @inlined
 def look(slot, measured, run):
-    """Write the scheduling variables (`VARIABLES`) of a slot; measured: see `sense`."""
+    """Write the scheduling variables (`VARIABLE_COLUMNS`) of a slot; measured: see `sense`."""
     drive, signals, scenario, variables = (
         run.memory.own[slot],
         run.given.signals,
@@ -263,13 +267,13 @@ def look(slot, measured, run):
     )
     k = drive.sample
     y_ref = signals[scenario, SIGNAL.y_ref, k]
-    variables[VARIABLES.speed] = drive.speed
-    variables[VARIABLES.y_ref] = y_ref
-    variables[VARIABLES.friction] = signals[scenario, SIGNAL.known_friction, k]
-    variables[VARIABLES.wind] = signals[scenario, SIGNAL.known_wind, k]
-    variables[VARIABLES.change] = signals[scenario, SIGNAL.change, k]
-    variables[VARIABLES.acceleration] = signals[scenario, SIGNAL.acceleration, k]
-    variables[VARIABLES.offset] = y_ref - measured[MEASURED.y]
+    variables[VARIABLE_COLUMNS.speed] = drive.speed
+    variables[VARIABLE_COLUMNS.y_ref] = y_ref
+    variables[VARIABLE_COLUMNS.friction] = signals[scenario, SIGNAL.known_friction, k]
+    variables[VARIABLE_COLUMNS.wind] = signals[scenario, SIGNAL.known_wind, k]
+    variables[VARIABLE_COLUMNS.change] = signals[scenario, SIGNAL.change, k]
+    variables[VARIABLE_COLUMNS.acceleration] = signals[scenario, SIGNAL.acceleration, k]
+    variables[VARIABLE_COLUMNS.offset] = y_ref - measured[MEASUREMENT.y]
 
 
 # -- the vehicle's side -----------------------------------------------------------------------------------------------
@@ -323,27 +327,29 @@ def actuate(slot, command, run):
     """
     drive, block, world = run.memory.own[slot], run.vehicles.block, run.settings
     signals, scenario, k = run.given.signals, run.given.scenario[slot], drive.sample
-    vx = block[state_at(STATE.vx, slot)]
-    block[input_at(INPUT.command, slot)] = _send(command, slot, world, run.memory.sent) + world.steering_bias
+    vx = block[state_at(PLANT_STATE.vx, slot)]
+    block[input_at(PLANT_INPUT.command, slot)] = _send(command, slot, world, run.memory.sent) + world.steering_bias
     drive.command = command
     if world.prescribed_speed > 0:
         _, _, samples = signals.shape
         following = signals[scenario, SIGNAL.speed, min(k + 1, samples - 1)]
         if drive.located > 0:
             following += _catch_up(following, signals[scenario, SIGNAL.station, k] - drive.station)
-        block[input_at(INPUT.force, slot)] = 0.0
-        block[input_at(INPUT.acceleration, slot)] = (following - vx) / world.period
+        block[input_at(PLANT_INPUT.force, slot)] = 0.0
+        block[input_at(PLANT_INPUT.acceleration, slot)] = (following - vx) / world.period
     else:
-        block[input_at(INPUT.force, slot)] = _drive(k, vx, signals, scenario, world, drive)
-        block[input_at(INPUT.acceleration, slot)] = math.nan
+        block[input_at(PLANT_INPUT.force, slot)] = _drive(k, vx, signals, scenario, world, drive)
+        block[input_at(PLANT_INPUT.acceleration, slot)] = math.nan
     place = drive.place if drive.located > 0 else k
     for j in range(ENVIRONMENT):
-        block[input_at(INPUT.friction_front_left + j, slot)] = signals[scenario, SIGNAL.friction_front_left + j, place]
+        block[input_at(PLANT_INPUT.friction_front_left + j, slot)] = signals[
+            scenario, SIGNAL.friction_front_left + j, place
+        ]
 
 
 @inlined
 def substeps_around_change(world):
-    """Integration steps of a period before and after the next command begins to act within it; world: `Settings`."""
+    """Integration steps of a period before and after the next command begins to act in it; world: `LoopSettings`."""
     if not world.dead_share > 0.0:
         return 0, world.substeps
     return (
@@ -357,7 +363,7 @@ def change_command(slots, run):
     """Let the next command act: with a dead time that is no whole number of periods, within a period."""
     world = run.settings
     for slot in range(slots):
-        run.vehicles.block[input_at(INPUT.command, slot)] = (
+        run.vehicles.block[input_at(PLANT_INPUT.command, slot)] = (
             run.memory.sent[slot, world.dead_whole] + world.steering_bias
         )
 

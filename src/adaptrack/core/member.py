@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from . import library
-from .kernel import INTERPRETED, Array, Exported, Number, Signature, float64, void
+from .kernel import INTERPRETED, Array, Exported, Scalar, Signature, float64, void
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def compiles() -> bool:
     return not INTERPRETED and library.can_compile()
 
 
-class Member(Exported):
+class UserFunction(Exported):
     """A user's function that kernels call.
 
     One that raises leaves NaN in the array that it had to write last, and answers NaN.
@@ -64,7 +64,7 @@ class Member(Exported):
         self.viewed = viewed
 
     @property
-    def in_python(self) -> bool:
+    def calls_python(self) -> bool:
         """Whether each call goes back to Python: one car can wait for that, a batch cannot."""
         return not isinstance(self.function, CFunction) and not compiles()
 
@@ -72,7 +72,7 @@ class Member(Exported):
     def address(self) -> int:
         if isinstance(self.function, CFunction):
             return self.function.address
-        if self.in_python:
+        if self.calls_python:
             self._callback = self.signature.prototype(_called_back(self))
             return int(ctypes.cast(self._callback, ctypes.c_void_p).value or 0)
         return int(library.compiler().compiled_now(self))
@@ -80,7 +80,7 @@ class Member(Exported):
     def __reduce__(self) -> Any:
         return member, (self.function, self.signature, self.viewed)
 
-    def __deepcopy__(self, memo: Any) -> Member:
+    def __deepcopy__(self, memo: Any) -> UserFunction:
         return self  # it never changes, and takes long to compile
 
 
@@ -94,7 +94,7 @@ def member(function: Any, signature: Signature, viewed: Any = None) -> Any:
         if isinstance(function, CFunction):
             raise TypeError("interpreted kernels cannot call C: unset ADAPTRACK_KERNELS.")
         return function if viewed is None else on_a_record(function, viewed)
-    new_member = Member(function, signature, viewed)
+    new_member = UserFunction(function, signature, viewed)
     new_member.address  # noqa: B018  (what is wrong with it is said where it is given)
     return new_member
 
@@ -104,7 +104,7 @@ def on_a_record(function: Any, viewed: Any) -> Any:
     return lambda *arguments: function(*arguments[:-2], arguments[-2].view(viewed)[0], arguments[-1])
 
 
-def _called_back(member: Member) -> Any:
+def _called_back(member: UserFunction) -> Any:
     """Return the function that C calls in place of a Python function; exceptions cannot pass through the kernels."""
     function = member.function if member.viewed is None else on_a_record(member.function, member.viewed)
     kinds = member.signature.types
@@ -135,7 +135,7 @@ def _called_back(member: Member) -> Any:
 def _values(kinds: Any, words: Iterator[Any]) -> Iterator[Any]:
     """The values of types that stand for these words: the inverse of `given`."""
     for kind in kinds:
-        if isinstance(kind, Number):
+        if isinstance(kind, Scalar):
             yield next(words)
         elif isinstance(kind, Array):
             yield _array(kind, words)

@@ -8,8 +8,8 @@ from .kernel import Place, columns, exported, inlined, record, vector, void
 from .loop import SIGNAL
 from .maths.bits import whole
 from .maths.exact import clip, floor
-from .models.contract import MEASURED
-from .period import Loop
+from .models.contract import MEASUREMENT
+from .period import RunLoop
 from .road import line_of, point_at
 
 OBSERVATION = columns(
@@ -20,7 +20,7 @@ OBSERVATION = columns(
 )  # fmt: skip
 """Columns of an observation; then, at each distance ahead, by how much (m) the reference will have moved to the left
 when the car comes there at its present speed, and the curvature (1/m) of the road there."""
-SLOWEST = 1.0
+MIN_APPROACH_SPEED = 1.0
 """m/s, the speed at least with which the car is taken to come to what lies ahead."""
 
 ObservationSpace = record("ObservationSpace", (("distances", vector), ("low", vector), ("high", vector)))
@@ -51,17 +51,17 @@ def write_observation(slot, measured, run, space, row):
     references, road = run.given.signals[scenario, SIGNAL.y_ref], run.given.roads.of[scenario]
     k, last = drive.instant, references.size - 1
     y_ref = references[k]
-    posed = math.isfinite(measured[MEASURED.y]) and math.isfinite(measured[MEASURED.yaw])
-    row[OBSERVATION.pose_age] = measured[MEASURED.pose_age] if posed else row[OBSERVATION.pose_age] + period
-    keep(measured[MEASURED.y] - y_ref, row, OBSERVATION.offset)
-    keep(measured[MEASURED.yaw], row, OBSERVATION.heading_error)
-    keep(measured[MEASURED.yaw_rate], row, OBSERVATION.yaw_rate)
-    keep(measured[MEASURED.wheel_angle], row, OBSERVATION.wheel_angle)
+    posed = math.isfinite(measured[MEASUREMENT.y]) and math.isfinite(measured[MEASUREMENT.yaw])
+    row[OBSERVATION.pose_age] = measured[MEASUREMENT.pose_age] if posed else row[OBSERVATION.pose_age] + period
+    keep(measured[MEASUREMENT.y] - y_ref, row, OBSERVATION.offset)
+    keep(measured[MEASUREMENT.yaw], row, OBSERVATION.heading_error)
+    keep(measured[MEASUREMENT.yaw_rate], row, OBSERVATION.yaw_rate)
+    keep(measured[MEASUREMENT.wheel_angle], row, OBSERVATION.wheel_angle)
     keep(drive.speed, row, OBSERVATION.speed)
     row[OBSERVATION.command] = drive.command
     count = space.distances.size
     for j in range(count):
-        instant = k + space.distances[j] / (max(row[OBSERVATION.speed], SLOWEST) * period)
+        instant = k + space.distances[j] / (max(row[OBSERVATION.speed], MIN_APPROACH_SPEED) * period)
         near = min(whole(instant), last)
         reference, following = references[near], references[min(near + 1, last)]
         row[len(OBSERVATION) + j] = reference + (instant - floor(instant)) * (following - reference) - y_ref
@@ -72,7 +72,7 @@ def write_observation(slot, measured, run, space, row):
     bounded(row, space)
 
 
-@exported(void(Place(Loop), Place(ObservationSpace), vector))
+@exported(void(Place(RunLoop), Place(ObservationSpace), vector))
 def write_one_observation(run, space, row):
     """`write_observation`, of the only slot."""
     write_observation(0, run.measured, run, space, row)

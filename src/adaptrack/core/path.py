@@ -19,67 +19,66 @@ import math
 
 import numpy as np
 
-from .kernel import boolean, exported, inlined, int64, int_vector, local, matrix, several, shaped, vector, void
+from .kernel import OK, boolean, exported, inlined, int64, int_vector, local, matrix, several, shaped, vector, void
 from .maths.bits import whole
 from .maths.exact import ceil, floor, sqrt
 from .maths.exponential import hypot
 from .maths.trigonometric import arctangent_of_ratio, atan2
 from .road import (
-    ACROSS,
-    ALONG,
+    ACROSS_COEFFICIENTS,
+    ALONG_COEFFICIENTS,
     CLOSED,
     COS,
     COUNT,
-    DEGREE,
     FIRST_HEADING,
     FIRST_PIECE,
     FIRST_START,
-    HALF,
+    HALF_LENGTH,
     HEADING,
     HEADING_SPACING,
     LAP_TURN,
     LENGTH,
+    LINE_NUMBERS,
     MOST_CURVATURE,
-    NUMBERS,
+    PIECE_COLUMNS,
+    POLYNOMIAL_DEGREE,
     SIN,
-    TURNED,
+    TURN_COEFFICIENTS,
     Centreline,
     X,
     Y,
     headings_along,
 )
 
-OK, TOO_FEW, NOT_FINITE, TOO_FAR, TOO_SHORT, KINK, TOO_SMALL = range(7)
-"""Statuses of `path_through`: a path; fewer points than `FEWEST` apart from each other; a number that is not finite; a
-coordinate beyond `FARTHEST`, or a point farther than `WIDEST` from the next one; a line shorter than `SHORTEST`; points
-that fold back on themselves; a memory that is too small."""
-FEWEST, FARTHEST, WIDEST, SHORTEST = 4, 1e8, 1e4, 0.01
+TOO_FEW, POINT_NOT_FINITE, POINT_TOO_FAR, TOO_SHORT, PATH_KINK, TOO_SMALL = range(1, 7)
+"""Statuses of `path_through`: a path; fewer points than `MIN_PATH_POINTS` apart from each other; a number that is not
+finite; a coordinate beyond `MAX_COORDINATE`, or a point farther than `WIDEST` from the next one; a line shorter than
+`MIN_PATH_LENGTH`; points that fold back on themselves; a memory that is too small."""
+MIN_PATH_POINTS, MAX_COORDINATE, WIDEST, MIN_PATH_LENGTH = 4, 1e8, 1e4, 0.01
 """Points, m, m, m."""
 GROUP_SHARE, GROUP_LENGTH = 0.1, 0.2
 """Points in a row count as one if their distance from the first is at most this share of the step on either side, and
 at most this long (m). With a tenth, a path is off a smooth curve by at most about twice the error of its points."""
 
-COLUMNS = TURNED + DEGREE + 1
-"""Of a piece."""
-SPACING = 0.5
+HEADING_INTERVAL = 0.5
 """m, at most, between the entries of a road's table of headings, from which an MPC reads what lies ahead."""
 STRAIGHTER = 1.25
 """Times the length of their polygon that a path is expected to be long at most."""
-SCRATCH = 8
+PATH_SCRATCH = 8
 """Numbers for each point that are needed while a path is made."""
 TURN = 1.0
 """rad, the largest turn of a piece: the remainder of its polynomials is then below 1e-16 of the length for an arc."""
-FIT, CURVATURE_FIT, ROUNDING = 1e-11, 1e-9, 1e-12
+FIT, CURVATURE_FIT, PIECE_ROUNDING = 1e-11, 1e-9, 1e-12
 """Largest errors of a piece: of its position, as a share of its length (or of 1 m); of its curvature, as a share of it
 (or of 0.1/m); and of its heading (rad) by rounding."""
-HALVINGS = 12
+KINK_HALVINGS = 12
 """Of the way from a point to the next, before there counts as being a kink."""
 JOINT = 1e-6
 """rad, the largest jump of the heading between two pieces, which rounding leaves."""
 NEWTON = 7
 """Steps; each squares the error, which begins within 1."""
 
-NODES = DEGREE + 1
+NODES = POLYNOMIAL_DEGREE + 1
 _GRID = 2**20
 _CHEBYSHEV = [round(-math.cos(math.pi * (k + 0.5) / NODES) * _GRID) for k in range(NODES)]  # of few digits: exact
 _PLACES = np.array([k / _GRID for k in _CHEBYSHEV] + [0.0, -1.0, -0.93, -0.55, 0.21, 0.62, 0.96, 1.0])
@@ -104,7 +103,7 @@ _at_places, _of_nodes, _three = local(_COUNT), local(NODES), local(3)
 @inlined
 def cells_of(length):
     """Between the headings of a path of some length (m)."""
-    return max(1, whole(ceil(length / SPACING)))
+    return max(1, whole(ceil(length / HEADING_INTERVAL)))
 
 
 @exported(int64(matrix, boolean))
@@ -114,29 +113,29 @@ def path_words(points, closed):
     For every step a piece, and a fourth more: enough where bends between two points are below about 1 rad.
     """
     count, length = len(points), 0.0
-    if count < FEWEST or points.shape[1] < 2:
+    if count < MIN_PATH_POINTS or points.shape[1] < 2:
         return 0
     for k in range(count if closed else count - 1):
         dx, dy = _step(points, k)
         length += hypot(dx, dy)
     cells = cells_of(STRAIGHTER * length if length <= WIDEST * count else 0.0)  # else `path_through` says what is wrong
-    return SCRATCH * count + words_of(count + count // 4 + 16, cells)
+    return PATH_SCRATCH * count + words_of(count + count // 4 + 16, cells)
 
 
 @inlined
 def words_of(count, cells):
     """The numbers of a path of so many pieces, and cells between headings."""
-    return len(NUMBERS) + COLUMNS * count + count + 1 + cells + 1
+    return len(LINE_NUMBERS) + PIECE_COLUMNS * count + count + 1 + cells + 1
 
 
 @inlined
 def line_in(memory):
     """The centre line, and the table of headings, of the path that a memory holds."""
-    first = len(NUMBERS)
+    first = len(LINE_NUMBERS)
     count, cells = whole(memory[COUNT]), cells_of(memory[LENGTH])
-    start = first + COLUMNS * count
+    start = first + PIECE_COLUMNS * count
     headings = start + count + 1
-    line = Centreline(memory[start:headings], shaped(memory[first:start], count, COLUMNS), memory[:first])
+    line = Centreline(memory[start:headings], shaped(memory[first:start], count, PIECE_COLUMNS), memory[:first])
     return line, memory[headings : headings + cells + 1]
 
 
@@ -152,18 +151,18 @@ def _step(points, k):
 def _flaw(points, closed):
     """`OK`, or the status of points that make no path, and the number of the point."""
     count = len(points)
-    if count < FEWEST or points.shape[1] < 2:
+    if count < MIN_PATH_POINTS or points.shape[1] < 2:
         return TOO_FEW, count
     for k in range(count):
         size = max(abs(points[k, 0]), abs(points[k, 1]))
         if not abs(points[k, 0]) + abs(points[k, 1]) < math.inf:
-            return NOT_FINITE, k
-        if size > FARTHEST:
-            return TOO_FAR, k
+            return POINT_NOT_FINITE, k
+        if size > MAX_COORDINATE:
+            return POINT_TOO_FAR, k
     for k in range(count if closed else count - 1):
         dx, dy = _step(points, k)
         if hypot(dx, dy) > WIDEST:
-            return TOO_FAR, k
+            return POINT_TOO_FAR, k
     return OK, 0
 
 
@@ -212,13 +211,13 @@ def points_apart(points, closed, rows):
 def _write_steps(points, closed, lengths):
     """Write the lengths (m) of the steps of points that lie apart; `OK`, or the status of those that make no path."""
     count, total = len(points), 0.0
-    if count < FEWEST:
+    if count < MIN_PATH_POINTS:
         return TOO_FEW, count
     for k in range(count if closed else count - 1):
         dx, dy = _step(points, k)
         lengths[k] = hypot(dx, dy)
         total += lengths[k]
-    return (TOO_SHORT if total < SHORTEST else OK), 0
+    return (TOO_SHORT if total < MIN_PATH_LENGTH else OK), 0
 
 
 @inlined
@@ -278,8 +277,8 @@ def _write_slopes(points, closed, lengths, upper, x, y, border):
 @inlined
 def _value(coefficients, u):
     """A polynomial at u."""
-    value = coefficients[DEGREE]
-    for k in range(DEGREE - 1, -1, -1):
+    value = coefficients[POLYNOMIAL_DEGREE]
+    for k in range(POLYNOMIAL_DEGREE - 1, -1, -1):
         value = value * u + coefficients[k]
     return value
 
@@ -317,7 +316,7 @@ def _write_places(x, y, z):
     for _ in range(NEWTON):
         for k in range(_COUNT):
             way = slope = 0.0
-            for j in range(DEGREE, -1, -1):
+            for j in range(POLYNOMIAL_DEGREE, -1, -1):
                 way = way * z[k] + rate[j] / (j + 1)
                 slope = slope * z[k] + rate[j]
             step[k] = (middle + half * _PLACES[k] - way * z[k]) / slope
@@ -361,22 +360,27 @@ def _write_piece(x1, x2, x3, y1, y2, y3, piece):
             return False
         square = ahead * ahead + aside * aside
         curvature[k] = (ahead * (2.0 * d + 6.0 * u * e) - aside * (2.0 * b + 6.0 * u * c)) / (square * sqrt(square))
-    _interpolate(along, piece[ALONG:ACROSS])
-    _interpolate(across, piece[ACROSS:TURNED])
-    _interpolate(turned, piece[TURNED:COLUMNS])
-    piece[ALONG] = piece[ACROSS] = piece[TURNED] = 0.0  # the frame is at the middle
+    _interpolate(along, piece[ALONG_COEFFICIENTS:ACROSS_COEFFICIENTS])
+    _interpolate(across, piece[ACROSS_COEFFICIENTS:TURN_COEFFICIENTS])
+    _interpolate(turned, piece[TURN_COEFFICIENTS:PIECE_COLUMNS])
+    piece[ALONG_COEFFICIENTS] = 0.0  # the frame is at the middle
+    piece[ACROSS_COEFFICIENTS] = 0.0
+    piece[TURN_COEFFICIENTS] = 0.0
     for k in range(NODES, _COUNT):
         u = _PLACES[k]
-        off_x, off_y = _value(piece[ALONG:ACROSS], u) - along[k], _value(piece[ACROSS:TURNED], u) - across[k]
+        off_x, off_y = (
+            _value(piece[ALONG_COEFFICIENTS:ACROSS_COEFFICIENTS], u) - along[k],
+            _value(piece[ACROSS_COEFFICIENTS:TURN_COEFFICIENTS], u) - across[k],
+        )
         if not off_x * off_x + off_y * off_y <= (FIT * reach) * (FIT * reach):
             return False
         bent = 0.0
-        for j in range(DEGREE, 0, -1):
-            bent = bent * u + j * piece[TURNED + j]
-        allowed = CURVATURE_FIT * (abs(curvature[k]) + 0.1) + ROUNDING / (2.0 * half)
+        for j in range(POLYNOMIAL_DEGREE, 0, -1):
+            bent = bent * u + j * piece[TURN_COEFFICIENTS + j]
+        allowed = CURVATURE_FIT * (abs(curvature[k]) + 0.1) + PIECE_ROUNDING / (2.0 * half)
         if not abs(bent / half - curvature[k]) <= allowed:
             return False
-    piece[HALF], piece[COS], piece[SIN], piece[HEADING] = half, cosine, sine, atan2(sine, cosine)
+    piece[HALF_LENGTH], piece[COS], piece[SIN], piece[HEADING] = half, cosine, sine, atan2(sine, cosine)
     piece[X], piece[Y] = m * (x1 + m * (x2 + m * x3)), m * (y1 + m * (y2 + m * y3))
     return True
 
@@ -385,7 +389,7 @@ def _write_piece(x1, x2, x3, y1, y2, y3, piece):
 @inlined
 def _heading_at(piece, u):
     """rad, of the end of a piece."""
-    return piece[HEADING] + _value(piece[TURNED:COLUMNS], u)
+    return piece[HEADING] + _value(piece[TURN_COEFFICIENTS:PIECE_COLUMNS], u)
 
 
 @inlined
@@ -424,8 +428,8 @@ def _write_step(x, y, begin_x, begin_y, end_x, end_y, pieces, first):
             w * (begin_y + p * (2.0 * y2 + 3.0 * p * y3)), w * w * (y2 + 3.0 * p * y3), w * w * w * y3, piece,
         )  # fmt: skip
         if not fits:
-            if level == HALVINGS:
-                return KINK, count
+            if level == KINK_HALVINGS:
+                return PATH_KINK, count
             part, level, w = 2 * part, level + 1, 0.5 * w
             continue
         piece[X] += p * (begin_x + p * (x2 + p * x3))
@@ -434,7 +438,7 @@ def _write_step(x, y, begin_x, begin_y, end_x, end_y, pieces, first):
             jump = _jump(pieces[count - 1], piece)
             piece[HEADING] -= _turns(jump)
             if _kinked(jump):
-                return KINK, count
+                return PATH_KINK, count
         count, part = count + 1, part + 1
         while level > 0 and part % 2 == 0:
             part, level, w = part // 2, level - 1, 2.0 * w
@@ -447,7 +451,7 @@ def write_cubics(steps, pieces, counts):
 
     steps: (n, 6) m, of each cubic the vector from its begin to its end, then its slopes at begin and end over a
     parameter from 0 to 1. The pieces lie relative to the begin of their cubic. Returns `OK` and the number of pieces;
-    or `TOO_SMALL` or `KINK`, and the number of the cubic that does not fit into `pieces` or has a cusp.
+    or `TOO_SMALL` or `PATH_KINK`, and the number of the cubic that does not fit into `pieces` or has a cusp.
     """
     total = 0
     for k in range(len(steps)):
@@ -467,9 +471,9 @@ def line_numbers(start, pieces, closed, numbers):
     last, most = len(pieces) - 1, 0.0
     for row in range(last + 1):
         slopes = 0.0
-        for j in range(1, DEGREE + 1):
-            slopes += j * abs(pieces[row, TURNED + j])
-        most = max(most, slopes / pieces[row, HALF])
+        for j in range(1, POLYNOMIAL_DEGREE + 1):
+            slopes += j * abs(pieces[row, TURN_COEFFICIENTS + j])
+        most = max(most, slopes / pieces[row, HALF_LENGTH])
     numbers[LENGTH], numbers[CLOSED], numbers[MOST_CURVATURE] = start[last + 1], 1.0 if closed else 0.0, most
     numbers[LAP_TURN] = -_turns(_jump(pieces[last], pieces[0])) if closed else 0.0
 
@@ -490,9 +494,9 @@ def path_through(points, closed, memory):
     memory then holds is to be used. The path goes through `points_apart`.
     """
     count = len(points)
-    scratch = memory.size - SCRATCH * count
-    room = min((scratch - len(NUMBERS)) // COLUMNS, (memory.size - words_of(0, 1)) // (COLUMNS + 1))
-    if count >= FEWEST and room < count:
+    scratch = memory.size - PATH_SCRATCH * count
+    room = min((scratch - len(LINE_NUMBERS)) // PIECE_COLUMNS, (memory.size - words_of(0, 1)) // (PIECE_COLUMNS + 1))
+    if count >= MIN_PATH_POINTS and room < count:
         return TOO_SMALL, 0
     status, flaw = _flaw(points, closed)
     if status != OK:
@@ -506,7 +510,7 @@ def path_through(points, closed, memory):
     if status != OK:
         return status, flaw
     _write_slopes(path_points, closed, lengths, upper, x, y, border)
-    pieces = shaped(memory[len(NUMBERS) : len(NUMBERS) + COLUMNS * room], room, COLUMNS)
+    pieces = shaped(memory[len(LINE_NUMBERS) : len(LINE_NUMBERS) + PIECE_COLUMNS * room], room, PIECE_COLUMNS)
     n_written = 0
     for k in range(count if closed else count - 1):
         after, h = k + 1 if k + 1 < count else 0, lengths[k]
@@ -518,11 +522,11 @@ def path_through(points, closed, memory):
         for row in range(first, n_written):
             pieces[row, X], pieces[row, Y] = path_points[k, 0] + pieces[row, X], path_points[k, 1] + pieces[row, Y]
     if closed and _kinked(_jump(pieces[n_written - 1], pieces[0])):
-        return KINK, 0
-    start = memory[len(NUMBERS) + COLUMNS * n_written :]
+        return PATH_KINK, 0
+    start = memory[len(LINE_NUMBERS) + PIECE_COLUMNS * n_written :]
     start[0] = 0.0
     for row in range(n_written):
-        start[row + 1] = start[row] + 2.0 * pieces[row, HALF]
+        start[row + 1] = start[row] + 2.0 * pieces[row, HALF_LENGTH]
     cells = cells_of(start[n_written])
     if words_of(n_written, cells) > memory.size:
         return TOO_SMALL, len(points) - 1

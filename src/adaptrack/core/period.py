@@ -33,12 +33,12 @@ from .kernel import (
 from .layout import put, room
 from .loop import (
     NEVER_ARRIVED,
-    NOT_FINITE,
     RUNNING,
     SIGNAL,
+    STATE_NOT_FINITE,
     STOPPED,
+    LoopSettings,
     Memory,
-    Settings,
     actuate,
     change_command,
     forget,
@@ -49,10 +49,20 @@ from .loop import (
     sense,
     substeps_around_change,
 )
-from .models.contract import MEASURED
-from .plants.contract import INPUTS, STATES, Vehicles, advance, input_at, observe, place_one, state_at, vehicle_sizes
-from .road import COLUMNS, NUMBERS, Roads
-from .variables import VARIABLES
+from .models.contract import MEASUREMENT
+from .plants.contract import (
+    PLANT_INPUTS,
+    PLANT_STATES,
+    Vehicles,
+    advance,
+    input_at,
+    observe,
+    place_one,
+    state_at,
+    vehicle_sizes,
+)
+from .road import LINE_NUMBERS, PIECE_COLUMNS, Roads
+from .variables import VARIABLE_COLUMNS
 
 FEATURES = (
     "late",  # sensors give what there was some time ago
@@ -100,8 +110,8 @@ Trace = record("Trace", (("state", cube), ("answer", cube), ("noted", cube)))
 """Of every instant: state (slots, periods, STATES), the controller's answer with the tuning as used (slots, periods,
 .), NOTED (slots, periods, NOTED)."""
 
-LOOP = (
-    ("settings", Settings),
+RUN_LOOP = (
+    ("settings", LoopSettings),
     ("features", Features),
     ("vehicles", Vehicles),
     ("given", Given),
@@ -114,16 +124,16 @@ LOOP = (
     ("segments", matrix),  # (slots, .) cost of each segment of a run
     ("trace", Trace),
 )
-Loop = record("Loop", LOOP)
-"""Runs around a controller. Kernels take it or a record that begins with the same fields, such as `rollout.Run`."""
+RunLoop = record("RunLoop", RUN_LOOP)
+"""Runs around a controller. Kernels take it or a record that begins with its fields, such as `rollout.RunRecord`."""
 
-Span = record("Span", ("periods", "slots", "segment", "weight"), integers=("periods", "slots", "segment"))
+RunSpan = record("RunSpan", ("periods", "slots", "segment", "weight"), integers=("periods", "slots", "segment"))
 """What is driven: control periods, slots in use, periods of a segment (0: none is counted), and the weight of the
 squared moves in the cost (m^2/rad^2)."""
 
 
-Counts = record(
-    "Counts",
+LoopCounts = record(
+    "LoopCounts",
     (
         "slots", "parameters", "states",  # of the plant
         "scenarios", "samples", "roads", "starts", "pieces", "headings",  # of `Given`: samples of each scenario
@@ -137,36 +147,36 @@ Counts = record(
         "perceiving_settings", "dead_whole", "past", "segments", "traced", "answers",
     ),
 )  # fmt: skip
-"""What the sizes of a `Loop` follow from."""
+"""What the sizes of a `RunLoop` follow from."""
 
 
 @inlined
 def trace_sizes(slots, traced, answers, table, row):
     """Sizes of the arrays of `Trace`, see `layout`."""
     count = slots if traced > 0 else 0
-    row = put(table, row, count, traced, STATES)
+    row = put(table, row, count, traced, PLANT_STATES)
     row = put(table, row, count, traced, answers)
     return put(table, row, count, traced, len(NOTED))
 
 
 @inlined
 def put_sizes(counts, table, row):
-    """Sizes of the arrays of a `Loop` (in `Run`, `measured` is that of the MPC), see `layout`."""
+    """Sizes of the arrays of a `RunLoop` (in `Run`, `measured` is that of the MPC), see `layout`."""
     slots = counts.slots
     row = vehicle_sizes(slots, counts.parameters, counts.states, table, row)
     row = put(table, row, counts.scenarios, len(SIGNAL), counts.samples)
     row = put(table, row, counts.scenarios)  # of
-    row = put(table, row, counts.roads, len(NUMBERS))
+    row = put(table, row, counts.roads, len(LINE_NUMBERS))
     row = put(table, row, counts.starts)
-    row = put(table, row, counts.pieces, COLUMNS)
+    row = put(table, row, counts.pieces, PIECE_COLUMNS)
     row = put(table, row, counts.headings)
     for _ in range(2):  # scenario, seeds
         row = put(table, row, slots)
     row = put(table, row, counts.perceiving)
     row = put(table, row, counts.perceiving_settings)
     row = put(table, row, slots if counts.perceiving > 0 else 0)
-    row = put(table, row, len(MEASURED))
-    row = put(table, row, len(VARIABLES))
+    row = put(table, row, len(MEASUREMENT))
+    row = put(table, row, len(VARIABLE_COLUMNS))
     row = memory_sizes(slots, counts.dead_whole, counts.past, table, row)
     for _ in range(2):  # result, ceiling
         row = put(table, row, slots)
@@ -195,7 +205,7 @@ def begin_slot(slot, run):
     result.ended, result.ended_at, result.capped, result.unsolved, result.held = RUNNING, 0.0, 0, 0, 0
     result.limited, result.iterations = 0, 0
     place_one(slot, vehicles.start, vehicles.block, vehicles.states)
-    for j in range(INPUTS):
+    for j in range(PLANT_INPUTS):
         vehicles.block[input_at(j, slot)] = 0.0
     forget(slot, run.memory)
 
@@ -212,7 +222,7 @@ def before_control(slot, span, run):
     locate(slot, run)
     if drive.instant < span.periods:
         _judge_and_count(slot, span, run)
-    if drive.ended == NOT_FINITE:
+    if drive.ended == STATE_NOT_FINITE:
         return
     sense(slot, run)
     if run.features.variables:
@@ -229,7 +239,7 @@ def _judge_and_count(slot, span, run):
     drive.error = drive.offset - run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, drive.sample]
     drive.ended = judge(slot, run)
     if run.features.traces:
-        for j in range(STATES):
+        for j in range(PLANT_STATES):
             run.trace.state[slot, k, j] = block[state_at(j, slot)]
     if drive.ended != RUNNING:
         drive.ended_at = k * run.settings.period
@@ -249,8 +259,8 @@ def _estimate_friction_and_wind(slot, run):
     friction_wind.estimate(
         slot, run.measured, drive.speed, drive.command, math.nan, knowing.parameters, knowing.settings, knowing.memory
     )
-    run.variables[VARIABLES.friction] = knowing.memory[slot].friction
-    run.variables[VARIABLES.wind] = knowing.memory[slot].wind
+    run.variables[VARIABLE_COLUMNS.friction] = knowing.memory[slot].friction
+    run.variables[VARIABLE_COLUMNS.wind] = knowing.memory[slot].wind
 
 
 # -- from the controller's command on ---------------------------------------------------------------------------------
@@ -304,37 +314,37 @@ def close(slot, run):
 
 
 # -- one run around a controller in Python ----------------------------------------------------------------------------
-@exported(void(Span, Place(Loop)))
+@exported(void(RunSpan, Place(RunLoop)))
 def sense_one(span, run):
     """`before_control` of the only slot."""
     before_control(0, span, run)
 
 
-@exported(void(float64, float64, Span, Place(Loop)))
+@exported(void(float64, float64, RunSpan, Place(RunLoop)))
 def send_one(command, change, span, run):
     """`after_control` of the only slot."""
     after_control(0, command, change, span, run)
 
 
-@exported(void(Place(Loop)))
+@exported(void(Place(RunLoop)))
 def move_one(run):
     """`move`, of the only slot."""
     move(1, run)
 
 
-@exported(void(Place(Loop)))
+@exported(void(Place(RunLoop)))
 def close_one(run):
     """`close`, of the only slot."""
     close(0, run)
 
 
-@exported(several(int64, int64)(Place(Loop)))
+@exported(several(int64, int64)(Place(RunLoop)))
 def substeps_of(run):
     """`loop.substeps_around_change`, for a plant that moves outside the kernels."""
     return substeps_around_change(run.settings)
 
 
-@exported(void(Place(Loop)))
+@exported(void(Place(RunLoop)))
 def change_command_of_one(run):
     """`loop.change_command`, of the only slot, for a plant that moves outside the kernels."""
     change_command(1, run)

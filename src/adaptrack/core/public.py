@@ -9,14 +9,14 @@ writing a kernel       `inlined`, `exported`, `Caller`, `address_of`, `member`, 
                        `size_of`, `Place`, `Resident`); `local`, `shaped`, `fma`. See `core.kernel` for the rules
 functions              the same bits on every processor: `exp`, `log`, `sin`, `atan2`, `hypot`, ...; of nine digits and
                        quicker in loops: `fast_sine`, `fast_cosine`, `fast_arctangent`, ...
-a controller           its call (`LAW_SIGNATURE`, `COMMON`, `read_situation`) and what must hold (`limited`,
+a controller           its call (`LAW_SIGNATURE`, `COMMON_PARAMETERS`, `read_situation`) and what must hold (`limited`,
                        `all_finite`), see `core.controllers.contract`
 the path ahead         `path_at`, `path_ahead`, `planned_speed`, `wrapped`, `Direction`; the linear model in path
                        coordinates, `path_model`; `node_below` in grids of gains
 quadratic programmes   `qp` (the problem and its arrays), `factorise`, `active_set`, `padded`
 counted random         `counted_uniform`, `counted_normal`: the same number for the same counters, in any order; by hand
                        `random_bits` of counters, and a `random_unit` of bits
-a plant                `MOTION` and `PlantState`, the input of a right-hand side (`PLANT_INPUT`), `wind_load`,
+a plant                `MOTION_STATES` and `PlantState`, the input of a right-hand side (`PLANT_INPUT`), `wind_load`,
                        `layout_of` parameters, `compiled_foreign` (functions of other packages)
 a control period       its two halves, between which a controller stands: `before_control` and `after_control`, then
                        `move`; whole episodes of a batch: `Episodes`, `renew`, `arrive`, `steer`, `control`; what an
@@ -26,10 +26,10 @@ a control period       its two halves, between which a controller stands: `befor
 """
 
 from .controllers.contract import (
-    COMMON,
+    COMMON_PARAMETERS,
     LAW_SIGNATURE,
-    SLOWEST,
-    STANDING,
+    MIN_LAW_SPEED,
+    STANDSTILL_SPEED,
     Direction,
     all_finite,
     limited,
@@ -40,11 +40,11 @@ from .controllers.contract import (
     wrapped,
 )
 from .controllers.lqr import node_below
-from .episode import ARRIVED, DRIVING, EPISODE, FAILED, Episodes, arrive, renew
+from .episode import EPISODE, EPISODE_ARRIVED, EPISODE_FAILED, EPISODE_RUNS, Episodes, arrive, renew
 from .episode_steer import steer, write_observations
 from .episode_tune import control, write_variables
-from .estimators.learning import ANSWER as LEARNED
-from .estimators.learning import BELIEFS
+from .estimators.learning import BELIEF_NAMES
+from .estimators.learning import BELIEFS_OFFSET as LEARNED
 from .kernel import (
     Caller,
     Place,
@@ -83,11 +83,11 @@ from .maths.trigonometric import asin, atan, atan2, cos, sin, tan
 from .maths.vectors import padded
 from .member import compiles, member
 from .models import path as path_model
-from .models.contract import MEASURED
+from .models.contract import MEASUREMENT
 from .observation import ObservationSpace, write_one_observation
 from .period import after_control, before_control, move
-from .plants.contract import MOTION, SLOTS
-from .plants.contract import State as PlantState
+from .plants.contract import MOTION_STATES, SLOTS
+from .plants.contract import PlantState as PlantState
 from .plants.forces import wind_load
 from .plants.foreign import compiled_foreign
 from .plants.user import U as PLANT_INPUT
@@ -97,20 +97,20 @@ from .qp.active_set import active_set
 from .qp.factor import factorise
 
 __all__ = [
-    "ARRIVED",
-    "BELIEFS",
-    "COMMON",
-    "DRIVING",
+    "BELIEF_NAMES",
+    "COMMON_PARAMETERS",
     "EPISODE",
-    "FAILED",
+    "EPISODE_ARRIVED",
+    "EPISODE_FAILED",
+    "EPISODE_RUNS",
     "LAW_SIGNATURE",
     "LEARNED",
-    "MEASURED",
-    "MOTION",
+    "MEASUREMENT",
+    "MIN_LAW_SPEED",
+    "MOTION_STATES",
     "PLANT_INPUT",
     "SLOTS",
-    "SLOWEST",
-    "STANDING",
+    "STANDSTILL_SPEED",
     "Caller",
     "Direction",
     "Episodes",

@@ -24,7 +24,7 @@ Centreline = record("Centreline", (("start", vector), ("pieces", matrix), ("numb
 """start: (n + 1,) m, where each piece begins, and the end; pieces: (n, columns), see the places below;
 numbers: length (m), whether closed (1 or 0), growth of the heading in a lap (rad), bound of the curvature (1/m)."""
 
-RoadAhead = record("RoadAhead", (("line", Centreline), ("station", float64), ("speeds", vector)))
+RoadAheadRecord = record("RoadAheadRecord", (("line", Centreline), ("station", float64), ("speeds", vector)))
 """A centre line, the arc length (m) of the car's foot on it, and the speeds (m/s) that are planned for the control
 instants from now on, the last one holding; a straight road has no pieces and no planned speeds."""
 
@@ -32,35 +32,35 @@ Roads = record(
     "Roads", (("of", int_vector), ("numbers", matrix), ("start", vector), ("pieces", matrix), ("headings", vector))
 )
 """Several centre lines behind each other: which of them each scenario has, -1 for a straight road (scenarios,); of
-each, `NUMBERS` (roads, .); start and pieces as in `Centreline`; the heading (rad) every spacing (m), from 0 to the
+each, `LINE_NUMBERS` (roads, .); start and pieces as in `Centreline`; the heading (rad) every spacing (m), from 0 to the
 length."""
-NUMBERS = (
+LINE_NUMBERS = (
     "length", "closed", "lap_turn", "most_curvature", "first_start", "first_piece", "count", "first_heading", "spacing",
 )  # fmt: skip
 FIRST_START, FIRST_PIECE, COUNT, FIRST_HEADING, HEADING_SPACING = range(4, 9)
 
-DEGREE = 11
-HALF, X, Y, COS, SIN, HEADING, ALONG = range(7)
-ACROSS = ALONG + DEGREE + 1
-TURNED = ACROSS + DEGREE + 1
-COLUMNS = TURNED + DEGREE + 1
+POLYNOMIAL_DEGREE = 11
+HALF_LENGTH, X, Y, COS, SIN, HEADING, ALONG_COEFFICIENTS = range(7)
+ACROSS_COEFFICIENTS = ALONG_COEFFICIENTS + POLYNOMIAL_DEGREE + 1
+TURN_COEFFICIENTS = ACROSS_COEFFICIENTS + POLYNOMIAL_DEGREE + 1
+PIECE_COLUMNS = TURN_COEFFICIENTS + POLYNOMIAL_DEGREE + 1
 """Columns of a piece: half its length (m), the point, direction and heading at its middle; then the coefficients of
 1, u, u^2, ... along and across that direction (m), and of the heading less that at the middle (rad)."""
 LENGTH, CLOSED, LAP_TURN, MOST_CURVATURE = range(4)
 
 STRIDE = 1.0
 """m, the longest step of a search: a bend of this radius is not stepped over."""
-STEPS = 400
+MAX_WALK_STEPS = 400
 """Steps of a walk downhill, so that it goes at most so many metres."""
 REACH = 400.0
 """m of arc length, within which a foot is looked for."""
-HALVINGS = 50
+STRIDE_HALVINGS = 50
 """Of a stride, in the search for the turning point of g."""
-CLOSE, ROUNDING = 1e-13, 2.0**-51
+FOOT_TOLERANCE, FOOT_ROUNDING = 1e-13, 2.0**-51
 """Tolerance of the foot: m, and as a share of the coordinates."""
-NOW = 0
+PRESENT_INSTANT = 0
 """The present control instant among those from now on."""
-FLAT, SAME = 1e-9, 1e-9
+FLAT_SLOPE, SAME_FOOT = 1e-9, 1e-9
 """A slope of g that is 0 but for rounding, as everywhere for the centre of a circle; m, and as a share of the way, the
 difference of feet that are one."""
 
@@ -86,19 +86,22 @@ def piece_below(s, start):
 @inlined
 def point_of(u, row, pieces):
     """x, y (m), heading (rad) and curvature (1/m) of a piece at u."""
-    along, across = pieces[row, ALONG + DEGREE], pieces[row, ACROSS + DEGREE]
-    turned, slope = pieces[row, TURNED + DEGREE], 0.0
-    for k in range(DEGREE - 1, -1, -1):
-        along = along * u + pieces[row, ALONG + k]
-        across = across * u + pieces[row, ACROSS + k]
+    along, across = (
+        pieces[row, ALONG_COEFFICIENTS + POLYNOMIAL_DEGREE],
+        pieces[row, ACROSS_COEFFICIENTS + POLYNOMIAL_DEGREE],
+    )
+    turned, slope = pieces[row, TURN_COEFFICIENTS + POLYNOMIAL_DEGREE], 0.0
+    for k in range(POLYNOMIAL_DEGREE - 1, -1, -1):
+        along = along * u + pieces[row, ALONG_COEFFICIENTS + k]
+        across = across * u + pieces[row, ACROSS_COEFFICIENTS + k]
         slope = slope * u + turned
-        turned = turned * u + pieces[row, TURNED + k]
+        turned = turned * u + pieces[row, TURN_COEFFICIENTS + k]
     tx, ty = pieces[row, COS], pieces[row, SIN]
     return (
         pieces[row, X] + tx * along - ty * across,
         pieces[row, Y] + ty * along + tx * across,
         pieces[row, HEADING] + turned,
-        slope / pieces[row, HALF],
+        slope / pieces[row, HALF_LENGTH],
     )
 
 
@@ -110,7 +113,7 @@ def point_at(s, road):
     inside = s - laps * length
     inside = min(max(inside, 0.0), length)
     row = piece_below(inside, road.start)
-    u = (inside - road.start[row]) / road.pieces[row, HALF] - 1.0
+    u = (inside - road.start[row]) / road.pieces[row, HALF_LENGTH] - 1.0
     x, y, heading, curvature = point_of(u, row, road.pieces)
     beyond = s - laps * length - inside
     if beyond != 0.0:
@@ -127,7 +130,7 @@ def downhill(x, y, near, low, high, road):
     """
     s, reached = near, False
     offset = heading = curvature = 0.0
-    for _ in range(STEPS):
+    for _ in range(MAX_WALK_STEPS):
         px, py, heading, curvature = point_at(s, road)
         tx, ty = cos(heading), sin(heading)
         ahead = (px - x) * tx + (py - y) * ty
@@ -136,7 +139,7 @@ def downhill(x, y, near, low, high, road):
             high = s
         else:
             low = s
-        tolerance = CLOSE + ROUNDING * (abs(s) + abs(x) + abs(y))
+        tolerance = FOOT_TOLERANCE + FOOT_ROUNDING * (abs(s) + abs(x) + abs(y))
         if abs(ahead) <= tolerance or high - low <= tolerance:
             reached = True
             break
@@ -178,7 +181,7 @@ def bracket(low, high, before, after, x, y, road):
     valley = before.g > 0.0 and after.g > 0.0 and before.slope < 0.0 < after.slope
     first, last = low, high
     if hill or valley:
-        for _ in range(HALVINGS):
+        for _ in range(STRIDE_HALVINGS):
             middle = 0.5 * (first + last)
             distance = ahead_at(middle, x, y, road)
             if hill and distance.g > 0.0:
@@ -232,8 +235,8 @@ def foot_near(x, y, near, road):
     gone = abs(s - near)
     if (abs(offset) + 2.0 * gone) * road.numbers[MOST_CURVATURE] < 1.0:
         return s, offset, heading, curvature
-    is_foot = 1.0 - curvature * offset > -FLAT
-    reach = (1.0 - SAME) * gone - SAME if is_foot else REACH
+    is_foot = 1.0 - curvature * offset > -FLAT_SLOPE
+    reach = (1.0 - SAME_FOOT) * gone - SAME_FOOT if is_foot else REACH
     other, aside, direction, bend = foot_about(x, y, near, reach, road)
     if is_foot and math.isnan(aside):
         return s, offset, heading, curvature
@@ -279,10 +282,10 @@ def nearest(x, y, yaw, across, near, road):
     first, count = _rows_about(near, road)
     for j in range(first, first + count):
         row = j if j < len(pieces) else j - len(pieces)
-        distance, middle = hypot(pieces[row, X] - x, pieces[row, Y] - y), start[row] + pieces[row, HALF]
+        distance, middle = hypot(pieces[row, X] - x, pieces[row, Y] - y), start[row] + pieces[row, HALF_LENGTH]
         if distance < least and not _is_far(middle, 0.0, near, road):
             least, station = distance, middle
-    most, best = least + 2.0 * across + CLOSE + ROUNDING * (abs(x) + abs(y) + least), math.inf
+    most, best = least + 2.0 * across + FOOT_TOLERANCE + FOOT_ROUNDING * (abs(x) + abs(y) + least), math.inf
     if road.numbers[CLOSED] < 0.5:
         for end, side in ((0.0, 1.0), (length, -1.0)):
             px, py, heading, _ = point_at(end, road)
@@ -292,7 +295,7 @@ def nearest(x, y, yaw, across, near, road):
                 station, best = end - ahead, cost
     for j in range(first, first + count):
         row = j if j < len(pieces) else j - len(pieces)
-        half, k, level = pieces[row, HALF], 0, 0
+        half, k, level = pieces[row, HALF_LENGTH], 0, 0
         if hypot(pieces[row, X] - x, pieces[row, Y] - y) - half > min(most, best):
             continue
         while True:
@@ -319,7 +322,7 @@ def nearest(x, y, yaw, across, near, road):
     if road.numbers[CLOSED] < 0.5:
         return station
     station -= floor(station / length) * length
-    return 0.0 if length - station <= SAME else station  # the seam is the road's beginning
+    return 0.0 if length - station <= SAME_FOOT else station  # the seam is the road's beginning
 
 
 @exported(void(Centreline, matrix, matrix))
@@ -350,9 +353,12 @@ def headings_along(road, headings):
     for k in range(last):
         s = k * spacing
         row = piece_below(s, road.start)
-        u, turned = (s - road.start[row]) / pieces[row, HALF] - 1.0, pieces[row, TURNED + DEGREE]
-        for j in range(DEGREE - 1, -1, -1):
-            turned = turned * u + pieces[row, TURNED + j]
+        u, turned = (
+            (s - road.start[row]) / pieces[row, HALF_LENGTH] - 1.0,
+            pieces[row, TURN_COEFFICIENTS + POLYNOMIAL_DEGREE],
+        )
+        for j in range(POLYNOMIAL_DEGREE - 1, -1, -1):
+            turned = turned * u + pieces[row, TURN_COEFFICIENTS + j]
         headings[k] = pieces[row, HEADING] + turned
     _, _, headings[last], _ = point_at(length, road)
 
@@ -392,7 +398,7 @@ def step_ahead(j, delay, period):
 def planned_speed(time, speeds, speed, period):
     """The speed (m/s) planned for some time (s) from now, shifted so that the first is `speed`; the last one holds."""
     at = min(max(whole(time / period), 0), speeds.size - 1)
-    return max(speeds[at] + (speed - speeds[NOW]), 0.0)
+    return max(speeds[at] + (speed - speeds[PRESENT_INSTANT]), 0.0)
 
 
 @inlined

@@ -32,15 +32,15 @@ from .kernel import (
 from .layout import put, room
 from .loop import RUNNING, SIGNAL
 from .maths.bits import whole
-from .models.contract import MEASURED
-from .period import LOOP, Span, after_control, before_control, begin_slot, close, move
+from .models.contract import MEASUREMENT
+from .period import RUN_LOOP, RunSpan, after_control, before_control, begin_slot, close, move
 from .plants.contract import place_one
 from .qp import problem as qp
-from .road import RoadAhead, bend_ahead, line_of
-from .schedule import Schedule, schedule, schedule_sizes
+from .road import RoadAheadRecord, bend_ahead, line_of
+from .schedule import ScheduleRecord, schedule, schedule_sizes
 
-COMMON = columns("command", "command_change", "held")
-"""Every controller's answer begins with these, as `mpc.ANSWER` does."""
+COMMON_ANSWER = columns("command", "command_change", "held")
+"""Every controller's answer begins with these, as `mpc.MPC_ANSWER` does."""
 COMMAND = 0
 """Where a control law answers its command; its diagnostics are behind."""
 
@@ -56,21 +56,21 @@ Law = record(
 ``held`` in a law's answer, 0 for none; whether the law sees the reference ahead."""
 
 _PARTS = (
-    *LOOP,
+    *RUN_LOOP,
     ("mpc", mpc.Mpc),
     ("functions", mpc.Functions),  # of the MPC
     ("law", Law),
-    ("schedule", Schedule),
+    ("schedule", ScheduleRecord),
     ("tuning", matrix),  # (slots, entries) of the controller, written by the scheduler if there is one
 )
-Run = record("Run", _PARTS)
+RunRecord = record("RunRecord", _PARTS)
 """A batch of runs with their controllers; measured: that of the MPC."""
 
 
-Counts = record(
-    "Counts",
+RunCounts = record(
+    "RunCounts",
     (
-        ("loop", period.Counts), ("mpc", mpc.Counts),
+        ("loop", period.LoopCounts), ("mpc", mpc.MPCCounts),
         "law", "law_parameters", "law_memory", "diagnostics",  # 1: a law drives; its numbers, those that it remembers
         "integers", "numbers", "scratch",  # of the schedule, see `schedule.schedule_sizes`
         "tuning",  # entries of the controller's tuning
@@ -79,8 +79,8 @@ Counts = record(
         "law", "law_parameters", "law_memory", "diagnostics", "integers", "numbers", "scratch", "tuning",
     ),
 )  # fmt: skip
-"""What the sizes of a `Run` follow from beside the settings of its MPC. One that a law drives has a small MPC all the
-same, of 4 states and 6 parameters."""
+"""What the sizes of a `RunRecord` follow from beside the settings of its MPC. One that a law drives has a small MPC all
+the same, of 4 states and 6 parameters."""
 
 
 @inlined
@@ -90,12 +90,12 @@ def law_sizes(slots, parameters, memory, diagnostics, table, row):
     row = put(table, row, slots, memory)
     row = put(table, row, len(SITUATION) if slots > 0 else 0)
     row = put(table, row, 1 + diagnostics if slots > 0 else 0)
-    return put(table, row, slots, len(COMMON) + diagnostics if slots > 0 else 0)
+    return put(table, row, slots, len(COMMON_ANSWER) + diagnostics if slots > 0 else 0)
 
 
-@exported(int64(Row(mpc.Settings), Row(Counts), int_matrix), name="run_sizes")
+@exported(int64(Row(mpc.MPCSettings), Row(RunCounts), int_matrix), name="run_sizes")
 def sizes(settings, counts, table):
-    """Write the sizes of the arrays of a `Run` and how many there are, see `layout`; complete the MPC's settings.
+    """Write the sizes of the arrays of a `RunRecord` and how many there are, see `layout`; complete the MPC's settings.
 
     The two arrays `measured`, of the loop and of the MPC, are one.
     """
@@ -131,13 +131,13 @@ def _apply_law(slot, reference, run):
     roads, scenario = run.given.roads, run.given.scenario[slot]
     speeds = run.given.signals[scenario, SIGNAL.speed]
     first = drive.instant if roads.of[scenario] >= 0 else speeds.size
-    road = RoadAhead(line_of(roads.of[scenario], roads), drive.station, speeds[first:])
+    road = RoadAheadRecord(line_of(roads.of[scenario], roads), drive.station, speeds[first:])
     no_vy = run.settings.noise_vy == math.inf  # a car without a sensor of it
     current = Situation(
-        0.0 if no_vy else measured[MEASURED.vy],
-        measured[MEASURED.yaw],
-        measured[MEASURED.yaw_rate],
-        measured[MEASURED.y],
+        0.0 if no_vy else measured[MEASUREMENT.vy],
+        measured[MEASUREMENT.yaw],
+        measured[MEASUREMENT.yaw_rate],
+        measured[MEASUREMENT.y],
         drive.speed,
         drive.command,
     )
@@ -149,10 +149,10 @@ def _apply_law(slot, reference, run):
         run.law.function, situation, ahead, road, run.tuning[slot], run.law.parameters, run.law.memory[slot], answer
     )  # fmt: skip
     usable = math.isfinite(answer[COMMAND])
-    out[COMMON.command] = answer[COMMAND] if usable else drive.command
-    out[COMMON.command_change] = out[COMMON.command] - drive.command
-    out[COMMON.held] = 1.0 if not usable or (run.law.held > 0 and answer[run.law.held] > 0.5) else 0.0
-    answered, recorded = answer[COMMAND + 1 :], out[len(COMMON) :]
+    out[COMMON_ANSWER.command] = answer[COMMAND] if usable else drive.command
+    out[COMMON_ANSWER.command_change] = out[COMMON_ANSWER.command] - drive.command
+    out[COMMON_ANSWER.held] = 1.0 if not usable or (run.law.held > 0 and answer[run.law.held] > 0.5) else 0.0
+    answered, recorded = answer[COMMAND + 1 :], out[len(COMMON_ANSWER) :]
     for i in range(recorded.size):
         recorded[i] = answered[i]
 
@@ -190,13 +190,13 @@ def control_slot(slot, run):
 def _count_answer(k, slot, answer, run):
     """Count and trace what the controller answered at instant k."""
     result = run.result[slot]
-    result.held += 1 if answer[COMMON.held] > 0.5 else 0
+    result.held += 1 if answer[COMMON_ANSWER.held] > 0.5 else 0
     if not run.features.law:
-        status = whole(answer[mpc.ANSWER.qp_status])
+        status = whole(answer[mpc.MPC_ANSWER.qp_status])
         result.capped += 1 if status == qp.CAPPED else 0
         result.unsolved += 1 if status > qp.CAPPED else 0
-        result.limited += 1 if answer[mpc.ANSWER.at_limit] > 0.5 else 0
-        result.iterations += whole(answer[mpc.ANSWER.qp_iterations])
+        result.limited += 1 if answer[mpc.MPC_ANSWER.at_limit] > 0.5 else 0
+        result.iterations += whole(answer[mpc.MPC_ANSWER.qp_iterations])
     if run.features.traces:
         row, size = run.trace.answer[slot, k], answer.size
         for j in range(size):
@@ -215,7 +215,7 @@ def _drive_slot(k, slot, span, run):
     if run.features.variables:
         schedule(slot, run.variables, run.schedule, run.tuning[slot])
     (answer,) = control_slot(slot, run)
-    after_control(slot, answer[COMMON.command], answer[COMMON.command_change], span, run)
+    after_control(slot, answer[COMMON_ANSWER.command], answer[COMMON_ANSWER.command_change], span, run)
     _count_answer(k, slot, answer, run)
 
 
@@ -230,7 +230,7 @@ def _end_slot(k, slot, span, run):
     place_one(slot, run.vehicles.start, run.vehicles.block, run.vehicles.states)
 
 
-@exported(void(int64, Place(Run)), name="begin_runs")
+@exported(void(int64, Place(RunRecord)), name="begin_runs")
 def begin(slots, run):
     """Everything as it is before the first instant, for the first `slots` slots.
 
@@ -268,7 +268,7 @@ def close_all(span, run):
             close(i, run)
 
 
-@exported(int64(int64, Span, Place(Run)))
+@exported(int64(int64, RunSpan, Place(RunRecord)))
 def roll_on(count, span, run):
     """Up to so many further periods of runs, from where `begin` or the last call left each; how many were driven.
 
@@ -283,7 +283,7 @@ def roll_on(count, span, run):
     return periods
 
 
-@exported(void(Span, Place(Run)))
+@exported(void(RunSpan, Place(RunRecord)))
 def rollout(span, run):
     """Whole runs, from what `begin` left; see `roll_on`."""
     roll_on(span.periods, span, run)

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from .functions import evaluate
-from .guard import COUNTS, GUARD, MAP_AXES, MEMORY, MOST_ENTRIES, NC, NP, supervise
+from .guard import COUNTS, GUARD, MAP_AXES, MAX_ENTRIES, MEMORY, NC_ENTRY, NP_ENTRY, supervise
 from .kernel import Place, exported, float64, inlined, int64, int_vector, matrix, record, rows, vector, void
 from .layout import put, room
 from .maths.exact import clip, floor
 from .maths.exponential import power
-from .variables import VARIABLES
+from .variables import VARIABLE_COLUMNS
 
-INPUT = record(
+SCHEDULE_INPUT = record(
     "Input",
     [
         ("place", int64),  # of the variable in VARIABLES
@@ -41,35 +41,38 @@ ENTRY = record(
         ("high", float64),
     ],
 )
-SETTINGS = record(
+SCHEDULE_SETTINGS = record(
     "Settings",
     [
         ("n_inputs", int64),  # 0: no scheduler
         ("n_entries", int64),
-        ("of_mpc", int64),  # whether the entries are Np, Nc, Q, R
-        ("inputs", (INPUT, len(VARIABLES))),
-        ("entries", (ENTRY, MOST_ENTRIES)),
+        ("tunes_mpc", int64),  # whether the entries are Np, Nc, Q, R
+        ("inputs", (SCHEDULE_INPUT, len(VARIABLE_COLUMNS))),
+        ("entries", (ENTRY, MAX_ENTRIES)),
         ("guard", GUARD),
     ],
 )
 
-Schedule = record(
-    "Schedule",
+ScheduleRecord = record(
+    "ScheduleRecord",
     (
-        ("settings", rows(SETTINGS)), ("memory", rows(MEMORY)), ("integers", int_vector), ("numbers", vector),
+        ("settings", rows(SCHEDULE_SETTINGS)), ("memory", rows(MEMORY)), ("integers", int_vector), ("numbers", vector),
         ("scratch", vector),
     ),
 )  # fmt: skip
 """settings (1,): see SETTINGS; memory (slots,): of each run, see MEMORY; integers, numbers: the packed functions."""
 _Scratch = record("_Scratch", ("x", "values", "work"))
 
-SCRATCH = len(VARIABLES) + MOST_ENTRIES + MAP_AXES
+SCHEDULE_SCRATCH = len(VARIABLE_COLUMNS) + MAX_ENTRIES + MAP_AXES
 """Reals of scratch that a schedule needs beside those of its functions."""
 
 
 @inlined
 def schedule_sizes(slots, integers, numbers, scratch, table, row):
-    """Sizes of the arrays of `Schedule`, see `layout`; scratch: of its functions and `SCRATCH` more, 0: no schedule."""
+    """Sizes of the arrays of `ScheduleRecord`, see `layout`.
+
+    scratch: of its functions and `SCHEDULE_SCRATCH` more, 0: no schedule.
+    """
     row = put(table, row, 1)
     row = put(table, row, slots if scratch > 0 else 0)
     row = put(table, row, integers)
@@ -79,7 +82,7 @@ def schedule_sizes(slots, integers, numbers, scratch, table, row):
 
 def no_schedule() -> Any:
     """Return the empty schedule of a run without a scheduler."""
-    return room(Schedule, schedule_sizes, 0, 0, 0, 0)
+    return room(ScheduleRecord, schedule_sizes, 0, 0, 0, 0)
 
 
 def counted(memory: Any) -> Any:
@@ -89,7 +92,7 @@ def counted(memory: Any) -> Any:
 
 @inlined
 def _parts(scratch):
-    inputs, entries = len(VARIABLES), MOST_ENTRIES
+    inputs, entries = len(VARIABLE_COLUMNS), MAX_ENTRIES
     return _Scratch(scratch[:inputs], scratch[inputs : inputs + entries], scratch[inputs + entries :])
 
 
@@ -121,12 +124,12 @@ def _evaluate_entries(x, plan, values, work):
         broken = broken or math.isnan(value)
         value = clip(value, entry.low, entry.high)
         values[s] = floor(value + 0.5) if entry.horizon == 1 else value
-    if settings.of_mpc == 1:
-        values[NC] = min(values[NC], values[NP])
+    if settings.tunes_mpc == 1:
+        values[NC_ENTRY] = min(values[NC_ENTRY], values[NP_ENTRY])
     return broken
 
 
-@exported(void(int64, vector, Place(Schedule), vector))
+@exported(void(int64, vector, Place(ScheduleRecord), vector))
 def schedule(slot, variables, plan, tuning):
     """Write the tuning (entries,) for the variables (see VARIABLES); of the MPC, horizons whole and Nc <= Np.
 
@@ -158,7 +161,7 @@ def schedule(slot, variables, plan, tuning):
     memory.holding = 1
 
 
-@exported(void(matrix, Place(Schedule), matrix))
+@exported(void(matrix, Place(ScheduleRecord), matrix))
 def schedule_all(variables, plan, tunings):
     """Write the tuning (n, entries) for each of many variables (n, VARIABLES), each as at the first step of a run."""
     memory = plan.memory[0]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from .kernel import Place, exported, vector, void
-from .schedule import Schedule, schedule
+from .schedule import ScheduleRecord, schedule
 
 
-@exported(void(vector, Place(Schedule), vector))
+@exported(void(vector, Place(ScheduleRecord), vector))
 def schedule_step(variables, plan, tuning):
     """`schedule.schedule` for the only slot of a schedule."""
     schedule(0, variables, plan, tuning)

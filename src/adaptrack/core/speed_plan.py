@@ -8,8 +8,8 @@ from .kernel import exported, float64, inlined, int64, record, vector, void
 from .maths.exact import floor, sqrt, square
 from .road import last_between
 
-SpeedPlan = record(
-    "SpeedPlan", (("s", vector), ("speed", vector), ("time", vector), ("duration", float64), ("closed", int64))
+SpeedPlanRecord = record(
+    "SpeedPlanRecord", (("s", vector), ("speed", vector), ("time", vector), ("duration", float64), ("closed", int64))
 )
 """A plan: m, m/s and s of arrival at its places, s in all (of a lap, where closed is 1), standing at stops included."""
 
@@ -74,7 +74,7 @@ def motion_at(time, plan):
     return s[k] + (speed[k] + 0.5 * gained) * since + laps * s[last], max(speed[k] + gained, 0.0)
 
 
-@exported(void(SpeedPlan, vector, vector, vector))
+@exported(void(SpeedPlanRecord, vector, vector, vector))
 def plan_motion(plan, times, stations, speeds):
     """Write stations (m) and speeds (m/s) at times (s), see `motion_at`."""
     for i in range(times.size):

@@ -45,13 +45,13 @@ SWARM_SETTINGS = (
 )
 (
     GENERATIONS, IMPROVED, W, W_MAX, W_MIN, LAMBDA1, LAMBDA2, C1, C2, STEP_1, STEP_2, STEP_3, STEP_4, VELOCITY_CLAMP,
-    SMALLER, LARGER, SPREAD,
+    SMALLER, LARGER, DRAW_SPREAD,
 ) = range(len(SWARM_SETTINGS))  # fmt: skip
 
 SPACE = ("low", "high", "whole", "decades")
 """The search space, (4, dims): bounds of each dimension, 1 where it holds whole numbers, and 1 where a coordinate is
 the decimal logarithm of the value that it stands for (its bounds are logarithms too)."""
-LOW, HIGH, WHOLE, DECADES = range(len(SPACE))
+LOW, HIGH, WHOLE_NUMBERS, DECIMAL_LOGARITHM = range(len(SPACE))
 
 # -- the swarm --------------------------------------------------------------------------------------------------------
 PROGRESS = (
@@ -114,13 +114,13 @@ def accelerations(g, G, c1, c2, steps):
     return c1 + alpha, c2 - alpha
 
 
-Coefficients = record("Coefficients", ("w", "c1", "c2"))
+SwarmCoefficients = record("SwarmCoefficients", ("w", "c1", "c2"))
 """Of eq. (18): inertia, cognitive and social acceleration of a generation."""
 
 
 @inlined
 def velocity(v, x, best, leader, by, r1, r2):
-    """One dimension of eq. (18): w v + c1 r1 (Pb - x) + c2 r2 (Gb - x); by: `Coefficients`."""
+    """One dimension of eq. (18): w v + c1 r1 (Pb - x) + c2 r2 (Gb - x); by: `SwarmCoefficients`."""
     return by.w * v + by.c1 * r1 * (best - x) + by.c2 * r2 * (leader - x)
 
 
@@ -138,7 +138,7 @@ def repair(settings, space, x):
     """Bring a position (dims,) into the space: clamp it, round what is whole, lower x[smaller] to x[larger]."""
     for d in range(x.size):
         x[d] = clip(x[d], space[LOW, d], space[HIGH, d])
-        if space[WHOLE, d] > 0.5:
+        if space[WHOLE_NUMBERS, d] > 0.5:
             x[d] = floor(x[d] + 0.5)
     smaller, larger = whole(settings[SMALLER]), whole(settings[LARGER])
     if smaller >= 0:
@@ -151,7 +151,7 @@ def decode(count, space, x, values):
     _, dims = x.shape
     for i in range(count):
         for d in range(dims):
-            values[i, d] = power(10.0, x[i, d]) if space[DECADES, d] > 0.5 else x[i, d]
+            values[i, d] = power(10.0, x[i, d]) if space[DECIMAL_LOGARITHM, d] > 0.5 else x[i, d]
 
 
 @exported(void(int64, int64, vector, matrix, Place(Particles)), name="begin_swarm")
@@ -169,10 +169,10 @@ def begin(seed, stream, settings, space, swarm):
             if d == smaller:
                 high = min(high, space[HIGH, larger])
             u = counted_uniform(seed, stream, 0, i, d)
-            x[d] = place_between(space[LOW, d], high, space[WHOLE, d], u)
+            x[d] = place_between(space[LOW, d], high, space[WHOLE_NUMBERS, d], u)
         if smaller >= 0:
-            integers, high = space[WHOLE, larger], space[HIGH, larger]
-            low = min(max(settings[SPREAD] * x[smaller], space[LOW, larger]), high)
+            integers, high = space[WHOLE_NUMBERS, larger], space[HIGH, larger]
+            low = min(max(settings[DRAW_SPREAD] * x[smaller], space[LOW, larger]), high)
             if integers > 0.5:
                 low = ceil(low)
             x[larger] = place_between(low, high, integers, counted_uniform(seed, stream, 0, i, larger))
@@ -221,7 +221,7 @@ def move(g, seed, stream, settings, space, swarm):
     else:
         w = settings[W]
     swarm.progress[LAST_W] = w
-    by = Coefficients(w, c1, c2)
+    by = SwarmCoefficients(w, c1, c2)
     count, dims = swarm.x.shape
     for i in range(count):
         x, v = swarm.x[i], swarm.v[i]

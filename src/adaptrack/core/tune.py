@@ -6,20 +6,20 @@ import math
 
 from .kernel import Place, exported, int64, int_vector, matrix, record, several, vector
 from .loop import RUNNING, STOPPED
-from .period import Span
-from .rollout import Run, begin, rollout
+from .period import RunSpan
+from .rollout import RunRecord, begin, rollout
 from .swarm import LEADER_COST, Particles, decode, learn, move
 from .swarm import begin as begin_swarm
 
-Trial = record("Trial", (("run", Run), ("span", Span), ("noise", int_vector)))
+Trial = record("Trial", (("run", RunRecord), ("span", RunSpan), ("noise", int_vector)))
 """What a tuning is tried on: a batch of runs, what is driven (its
 slots are the most at a time), and the noise seeds over which a cost is the mean."""
 
 Judged = record("Judged", (("tunings", matrix), ("ceilings", vector), ("costs", vector)))
 """Tunings (n, entries), the cost (n,) below which each must come out, and its cost (n,), which is written."""
 
-Search = record(
-    "Search",
+SearchRecord = record(
+    "SearchRecord",
     (
         ("seed", int64), ("stream", int64), ("settings", vector), ("space", matrix), ("swarm", Particles),
         ("judged", Judged), ("best", vector),
@@ -37,7 +37,7 @@ def evaluate(first, slots, verdicts, trial):
     ceiling any more. Returns the control steps done.
     """
     run, span, count = trial.run, trial.span, trial.noise.size
-    span = Span(span.periods, slots, span.segment, span.weight)
+    span = RunSpan(span.periods, slots, span.segment, span.weight)
     tunings, ceilings, costs = verdicts.tunings[first:], verdicts.ceilings[first:], verdicts.costs[first:]
     steps = 0
     _, entries = tunings.shape
@@ -65,7 +65,7 @@ def evaluate(first, slots, verdicts, trial):
     return steps
 
 
-@exported(several(int64, int64)(Place(Search), Place(Trial)))
+@exported(several(int64, int64)(Place(SearchRecord), Place(Trial)))
 def tune(search, trial):
     """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
 

@@ -4,5 +4,5 @@ from __future__ import annotations
 
 from .kernel import columns
 
-NAMES = ("speed", "y_ref", "friction", "wind", "change", "acceleration", "offset")
-VARIABLES = columns(*NAMES)
+VARIABLE_NAMES = ("speed", "y_ref", "friction", "wind", "change", "acceleration", "offset")
+VARIABLE_COLUMNS = columns(*VARIABLE_NAMES)

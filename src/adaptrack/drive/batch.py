@@ -75,7 +75,7 @@ def rollout_batch(
     scenarios: Scenario | RoadDrive | Sequence[Scenario | RoadDrive],
     tunings: ArrayLike | None = None,
     *,
-    which: ArrayLike | None = None,
+    scenario_indices: ArrayLike | None = None,
     profile: str | Profile = "paper",
     driver: Driver | None = None,
     seeds: ArrayLike = 0,
@@ -83,12 +83,12 @@ def rollout_batch(
     failure: Failure | None = None,
     threads: int | None = None,
 ) -> BatchResult:
-    """Many runs at once, compiled and vectorised: run i drives scenario which[i] with tunings[i] and seeds[i].
+    """Drive many runs at once, compiled: run i drives `scenarios`[`scenario_indices`[i]] with tunings[i] and seeds[i].
 
     controller: an `MPC`, or any compiled controller; tunings: (runs, entries) of its named tuning entries (Np, Nc, Q, R
     of an MPC, the horizons rounded and clamped to 1 <= Nc <= Np <= longest_horizon and most_moves); without them every
-    run has the MPC's scheduler, or the controller's tuning; which: (runs,) indices into `scenarios`, by default 0,
-    without tunings one run for each; seeds: noise seeds, one or one per run; threads: None for all cores. A run's
+    run has the MPC's scheduler, or the controller's tuning; scenario_indices: (runs,), by default 0, without tunings
+    one run for each scenario; seeds: noise seeds, one or one per run; threads: None for all cores. A run's
     result does not depend on the others, nor on the number of threads.
 
     Raises
@@ -99,18 +99,18 @@ def rollout_batch(
     several = [scenarios] if isinstance(scenarios, Scenario | RoadDrive) else scenarios
     batch = Batch(plant, controller, several, profile, driver, failure, known_as)
     if tunings is None:
-        which = np.arange(len(batch.signals)) if which is None else which
-        tunings = np.repeat(batch.tuning[None], np.size(which), axis=0)
+        scenario_indices = np.arange(len(batch.signals)) if scenario_indices is None else scenario_indices
+        tunings = np.repeat(batch.tuning[None], np.size(scenario_indices), axis=0)
     elif batch.scheduler is not None:
         raise InvalidInput("tunings: this MPC has a scheduler, which chooses them; leave them out.")
     checked = batch.checked_tunings(tunings)
     runs = len(checked)
-    index = np.zeros(runs, np.int64) if which is None else np.array(which)
+    index = np.zeros(runs, np.int64) if scenario_indices is None else np.array(scenario_indices)
     if index.dtype.kind not in "iu":
-        raise InvalidInput("which: must be whole numbers.")
+        raise InvalidInput("scenario_indices: must be whole numbers.")
     index = index.astype(np.int64)
     if index.shape != (runs,) or (runs and not (index.min() >= 0 and index.max() < len(batch.signals))):
-        raise InvalidInput(f"which: need {runs} indices into {len(batch.signals)} scenarios.")
+        raise InvalidInput(f"scenario_indices: need {runs} indices into {len(batch.signals)} scenarios.")
     seeded = np.array(seeds, dtype=np.int64)
     if seeded.shape not in ((), (runs,)):
         raise InvalidInput(f"seeds: need one, or one for each of the {runs} runs; got shape {seeded.shape}.")
@@ -227,7 +227,7 @@ class Batch:
                 f"{', '.join(slow)}: many runs need functions of one's own compiled, which numba does: python -m pip "
                 "install 'adaptrack[compile]'; without it simulate(...) and `adaptrack drive` call them in Python."
             )
-        fit = isinstance(controller, CompiledController) or (isinstance(controller, MPC) and controller.in_kernel)
+        fit = isinstance(controller, CompiledController) or (isinstance(controller, MPC) and controller.runs_in_kernel)
         scheduled = self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)
         if not (fit and scheduled and isinstance(self.world.plant, Plant)):
             raise InvalidInput(
@@ -271,7 +271,7 @@ class Batch:
         self, slots: int, steps: int, mpc_settings: Any, segments: int = 0, periods: int = 0,
         scheduler: CompiledScheduler | None = None,
     ) -> Any:  # fmt: skip
-        """The kernels' arrays for up to `slots` runs that integrate `steps` times a period (`core.rollout.Run`).
+        """The kernels' arrays for up to `slots` runs that integrate `steps` times a period (`core.rollout.RunRecord`).
 
         segments: of each run; periods: to trace, 0 for no trace.
         """
@@ -300,7 +300,7 @@ class Batch:
         )
         features = loop.features._replace(law=isinstance(controller, CompiledController))
         loop = loop._replace(features=features, measured=mpc.measured)
-        return rollout.Run(
+        return rollout.RunRecord(
             *loop,
             mpc=mpc,
             functions=functions,
@@ -334,23 +334,23 @@ class Batch:
         return float(longest), float(most)
 
     def run(
-        self, which: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int, traced: bool = False,
-        segment: int = 0, weight: float = 0.0, scheduler: CompiledScheduler | None = None,
+        self, scenario_indices: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int,
+        traced: bool = False, segment: int = 0, weight: float = 0.0, scheduler: CompiledScheduler | None = None,
     ) -> BatchRuns:  # fmt: skip
-        """Drive run i with scenario which[i], tunings[i] and seeds[i]; a scheduler begins with the tuning.
+        """Drive run i with scenario `scenario_indices`[i], tunings[i] and seeds[i]; a scheduler begins with the tuning.
 
         traced: keep what happened at every control instant, about 200 bytes for each of a run; segment: periods of a
         segment whose cost is wanted, with `weight` (m^2/rad^2) on the squared moves; 0: none.
         """
-        runs, n = len(which), int(self.periods.max())
-        plan = _Plan(which, tunings, seeds, segment, weight, n if traced else 0, scheduler)
+        runs, n = len(scenario_indices), int(self.periods.max())
+        plan = _Plan(scenario_indices, tunings, seeds, segment, weight, n if traced else 0, scheduler)
         longest = (math.inf, math.inf) if traced else self.longest(tunings, scheduler)
         settings = self.mpc_settings(*longest, residuals=traced)
         result, counts = period_kernel.RESULT.new(runs), np.zeros((len(guard_kernel.COUNTS), runs), np.int64)
         segments = np.full((runs, math.ceil(n / segment) if segment else 0), np.nan)
         traces: list[tuple[NDArray[np.int64], Any]] = []
         waiting: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
-        chunks = self.chunks(which, threads)
+        chunks = self.chunks(scenario_indices, threads)
         for chunk in chunks:
             waiting.put(chunk)
 
@@ -379,11 +379,11 @@ class Batch:
         return BatchRuns(result, _joined(traces, runs) if traces else period_kernel.no_trace(), guard_counts, segments)
 
     def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any, last: Any) -> Any:
-        """Drive the runs of one chunk; the `core.rollout.Run` that they leave.
+        """Drive the runs of one chunk; the `core.rollout.RunRecord` that they leave.
 
         last: that of a chunk before, None: none; its arrays are used again where they fit and nothing in them is kept.
         """
-        run_indices, size = plan.which[chunk], len(chunk)
+        run_indices, size = plan.scenario_indices[chunk], len(chunk)
         n = int(self.periods[run_indices[0]])
         segments = math.ceil(n / plan.segment) if plan.segment else 0
         steps, run = int(self.substeps[run_indices[0]]), last
@@ -395,7 +395,7 @@ class Batch:
         run.vehicles.start[:], run.tuning[:] = self.starts[run_indices], plan.tunings[chunk]
         place = Resident(run)
         rollout.begin(size, place)
-        rollout.rollout(period_kernel.Span(n, size, plan.segment, plan.weight), place)
+        rollout.rollout(period_kernel.RunSpan(n, size, plan.segment, plan.weight), place)
         return run
 
 
@@ -413,7 +413,7 @@ def _joined(traces: Sequence[tuple[NDArray[np.int64], Any]], runs: int) -> Any:
 class _Plan:
     """Inputs in which the runs of `Batch.run` differ."""
 
-    which: NDArray[np.int64]
+    scenario_indices: NDArray[np.int64]
     tunings: Array
     seeds: NDArray[np.int64]
     segment: int

@@ -45,18 +45,18 @@ class _SteppedVehicle:
 
     @property
     def _state(self) -> Array:
-        """`contract.STATE` of the vehicle; a view of the batch."""
-        return self.batch.block[: contract.STATES * contract.SLOTS : contract.SLOTS]
+        """`contract.PLANT_STATE` of the vehicle; a view of the batch."""
+        return self.batch.block[: contract.PLANT_STATES * contract.SLOTS : contract.SLOTS]
 
     @property
     def _input(self) -> Array:
-        """`contract.INPUT` of the vehicle; a view of the batch."""
-        return self.batch.block[contract.STATES * contract.SLOTS :: contract.SLOTS]
+        """`contract.PLANT_INPUT` of the vehicle; a view of the batch."""
+        return self.batch.block[contract.PLANT_STATES * contract.SLOTS :: contract.SLOTS]
 
     def _angle(self, time: float) -> float:
         """The front-wheel angle (rad) after a time (s) under the present command."""
         command = min(max(float(self._input[0]), -self._steering.limit), self._steering.limit)
-        angle = float(self._state[contract.STATE.steering])
+        angle = float(self._state[contract.PLANT_STATE.steering])
         if self._steering.lag <= 0.0:
             return command
         gap, limited = command - angle, 0.0
@@ -67,7 +67,7 @@ class _SteppedVehicle:
 
     def advance(self, steps: int, h: float) -> None:
         """Move on by so many steps of h (s)."""
-        names, state, demand = contract.INPUT, self._state, self._input
+        names, state, demand = contract.PLANT_INPUT, self._state, self._input
         force, acceleration = demand[names.force], demand[names.acceleration]
         target = force / self._mass if math.isnan(acceleration) else acceleration
         environment = demand[names.friction_front_left :].copy()
@@ -78,7 +78,7 @@ class _SteppedVehicle:
             if motion.shape != (6,):
                 raise InvalidInput(f"plant {self._plant.name!r}: step() gave {motion!r}: must be six numbers.")
             state[:6] = motion
-            state[contract.STATE.steering] = after if self._steering.lag > 0.0 else 0.0
+            state[contract.PLANT_STATE.steering] = after if self._steering.lag > 0.0 else 0.0
         turn = 0.5 * (before[3] * before[5] + state[3] * state[5])
         change = state[4] - before[4]
         self.batch.states[0, stepped.LATERAL_ACCELERATION] = change / (steps * h) + turn - demand[names.bank]
@@ -89,7 +89,7 @@ class Sensed:
     """Signals at a control instant."""
 
     measured: Array
-    """`core.models.contract.MEASURED`; the same array at every instant"""
+    """`core.models.contract.MEASUREMENT`; the same array at every instant"""
     speed: float
     """m/s, as measured"""
     reference: Array
@@ -124,7 +124,7 @@ class ClosedLoop:
         )  # fmt: skip
         if isinstance(world.known_as, FrictionWindEstimator):
             world.known_as.reset(self.run.perceiving.memory)
-        self.place, self._span = Resident(self.run), Resident(period_kernel.Span(n, 1, 0, 0.0))
+        self.place, self._span = Resident(self.run), Resident(period_kernel.RunSpan(n, 1, 0, 0.0))
         """the run as kernels take it"""
         self._own, self._references = self.run.memory.own, inputs.signals[0, loop_kernel.SIGNAL.y_ref]
 
@@ -167,7 +167,7 @@ class ClosedLoop:
         if math.isfinite(command):
             period_kernel.send_one(command, command - self.command, self._span, self.place)
             return True
-        self._own["ended"], self._own["ended_at"] = loop_kernel.NOT_FINITE, self.instant * self.world.period
+        self._own["ended"], self._own["ended_at"] = loop_kernel.STATE_NOT_FINITE, self.instant * self.world.period
         return False
 
     def advance(self) -> None:

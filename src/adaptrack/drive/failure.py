@@ -19,7 +19,7 @@ DISTANCE = 5.0
 SIDESLIP = math.pi / 4
 """rad, the sideslip angle beyond which a vehicle has spun; passenger cars are hard to catch beyond 10-15°."""
 
-SLOW = 1.0
+MIN_JUDGED_SPEED = 1.0
 """m/s: below it sideslip and path heading are ill-defined, and samples are not judged by them."""
 
 
@@ -90,7 +90,7 @@ def find_failure(trajectory: Trajectory, rule: Failure | None = None) -> Failed 
         inside = np.abs(trajectory.error) <= rule.distance
         outside = ~inside & (np.arange(inside.size) >= np.argmax(inside))  # argmax is 0 when it never arrives
         sideslip = np.abs(np.arctan2(trajectory.vy, trajectory.vx))
-        spinning = (np.hypot(trajectory.vx, trajectory.vy) >= SLOW) & (sideslip > rule.sideslip)
+        spinning = (np.hypot(trajectory.vx, trajectory.vy) >= MIN_JUDGED_SPEED) & (sideslip > rule.sideslip)
     left = f"left the road (more than {rule.distance:g} m from the reference)"
     never = f"never came within {rule.distance:g} m of the reference"
     clauses = {

@@ -21,7 +21,7 @@ from adaptrack.base.shown import html_of
 from adaptrack.cars.outline import Outline
 from adaptrack.control.controllers.learned import BeliefState, bounded_quantity
 from adaptrack.control.models import PredictionModel
-from adaptrack.drive.failure import SLOW, Failure, find_failure, state_is_finite
+from adaptrack.drive.failure import MIN_JUDGED_SPEED, Failure, find_failure, state_is_finite
 from adaptrack.drive.prediction import TIMES, run_prediction_error
 from adaptrack.drive.signal_statistics import (
     largest_known,
@@ -190,7 +190,7 @@ def compute_metrics(
 
     with np.errstate(invalid="ignore", over="ignore"):
         error = trajectory.error if state_is_finite(trajectory).all() else np.full(len(trajectory), np.nan)
-        heading_error = trajectory.heading_error[~(trajectory.vx < SLOW)]  # NaN speeds stay in
+        heading_error = trajectory.heading_error[~(trajectory.vx < MIN_JUDGED_SPEED)]  # NaN speeds stay in
         jerk = np.diff(trajectory.lateral_acceleration) / trajectory.period
     mse = mean_square(error)
     activity = mean_square(trajectory.command_change)
@@ -228,12 +228,12 @@ def compute_metrics(
 
 def _step_measures(trajectory: Trajectory) -> dict[str, Any]:
     """Limits, QPs, held angles and step times, by the names of `Metrics`."""
-    driven = np.isfinite(trajectory.command)
-    diagnostics = {name: values[driven] for name, values in trajectory.diagnostics.items()}
+    is_commanded = np.isfinite(trajectory.command)
+    diagnostics = {name: values[is_commanded] for name, values in trajectory.diagnostics.items()}
     limits = diagnostics.get("at_limit", _NOTHING)
     status = diagnostics.get("qp_status", _NOTHING)
     iterations = diagnostics.get("qp_iterations", _NOTHING)
-    reckoned = diagnostics.get("dead_reckoning", np.zeros(driven.sum()))
+    reckoned = diagnostics.get("dead_reckoning", np.zeros(is_commanded.sum()))
     answered = (status == _SOLVED) | (status == _CAPPED)
     step_times = trajectory.step_time[np.isfinite(trajectory.step_time)] * 1e6
     quantiles = np.percentile(step_times, [50, 99, 99.9]).tolist() if step_times.size else [math.nan] * 3
@@ -245,8 +245,8 @@ def _step_measures(trajectory: Trajectory) -> dict[str, Any]:
         "qp_solved": int(np.count_nonzero(status == _SOLVED)),
         "qp_capped": int(np.count_nonzero(status == _CAPPED)),
         "qp_failed": int(np.count_nonzero(~answered)),
-        "held": int(np.count_nonzero(trajectory.held[driven])),
-        "dead_reckoning": int(np.count_nonzero((reckoned > 0.0) & ~trajectory.held[driven])),
+        "held": int(np.count_nonzero(trajectory.held[is_commanded])),
+        "dead_reckoning": int(np.count_nonzero((reckoned > 0.0) & ~trajectory.held[is_commanded])),
         "dead_reckoning_max": largest_known(diagnostics.get("dead_reckoning", np.empty(0))),
         "qp_residual_max": largest_known(diagnostics.get("qp_residual", np.full(status.size, math.nan))[answered]),
         "qp_iterations_mean": _mean(iterations),
@@ -280,7 +280,7 @@ class PathRecord:
     wheel_angle: Array
     """rad, of the road wheels"""
     yaw_rate: Array | float = 0.0
-    """rad/s"""
+    """rad/s, of the car"""
     command: Array | float = 0.0
     """rad, requested angle of the road wheels"""
     curvature: Array | float = 0.0
@@ -310,8 +310,8 @@ class PathRecord:
             "lateral_acceleration": run.lateral_acceleration, "wheel_angle": run.steering, "yaw_rate": run.yaw_rate,
             "command": run.command, "curvature": run.road.get("curvature", np.zeros(len(run))),
         }  # fmt: skip
-        whole = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
-        end = len(run) if whole.all() else int(whole.argmin())
+        is_finite = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
+        end = len(run) if is_finite.all() else int(is_finite.argmin())
         return None if end < 2 else cls(**{name: values[:end] for name, values in columns.items()})
 
     @property
@@ -340,7 +340,7 @@ def path_metrics(
         Angle of the steering wheel over that of the road wheels, by default `STEERING_RATIO`.
     """
     with np.errstate(invalid="ignore", over="ignore"):
-        heading = record.wrapped_heading_error[~(record.speed < SLOW)]  # NaN speeds stay in
+        heading = record.wrapped_heading_error[~(record.speed < MIN_JUDGED_SPEED)]  # NaN speeds stay in
         jerk = np.diff(record.lateral_acceleration) / np.diff(record.t)
         command = np.asarray(record.command)
         command_rate = np.diff(command) / np.diff(record.t)
@@ -401,11 +401,11 @@ def belief_shares(trajectory: Trajectory) -> dict[str, Any]:
 
 def last_belief_state(trajectory: Trajectory) -> str:
     """The last state of what is learned, in words; empty where nothing is."""
-    driven = np.flatnonzero(np.isfinite(trajectory.command))
+    commanded_rows = np.flatnonzero(np.isfinite(trajectory.command))
     diagnostics = trajectory.diagnostics
-    if "belief_state" not in diagnostics or not driven.size:
+    if "belief_state" not in diagnostics or not commanded_rows.size:
         return ""
-    state, at_bound = (float(diagnostics[name][driven[-1]]) for name in ("belief_state", "belief_at_bound"))
+    state, at_bound = (float(diagnostics[name][commanded_rows[-1]]) for name in ("belief_state", "belief_at_bound"))
     return BeliefState(int(state)).words(bounded_quantity(at_bound))
 
 
@@ -419,7 +419,7 @@ class Published:
     """m², by controller."""
 
 
-PUBLISHED = {
+PAPER_MSE = {
     "triple-lane-change": Published(28.0, {"standard": 0.0318, "nn": 0.0051, "anfis": 0.0062}),
     "general-trajectory": Published(200.0, {"standard": 0.5896, "nn": 0.132, "anfis": 0.1349}),
 }
@@ -433,7 +433,7 @@ def published_mse(trajectory: Trajectory) -> float | None:
     are read from `Trajectory.meta`; ``NN-MPC`` means the controller ``nn``, and words in brackets do not count.
     """
     meta = trajectory.meta
-    published = PUBLISHED.get(trajectory.name_of("scenario"))
+    published = PAPER_MSE.get(trajectory.name_of("scenario"))
     if published is None or meta.get("profile") != "paper" or meta.get("preview"):
         return None
     if not math.isclose(trajectory.duration, published.duration, abs_tol=1.5 * trajectory.period):

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.models import PredictionModel
-from adaptrack.drive.failure import SLOW
+from adaptrack.drive.failure import MIN_JUDGED_SPEED
 from adaptrack.drive.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ def run_prediction_error(run: Trajectory, model: PredictionModel) -> dict[float,
     times = [time for time in TIMES if 1 <= round(time / model.period) < end - late]
     errors = dict.fromkeys(TIMES, math.nan)
     if times:
-        speeds = np.maximum(run.vx[:end], SLOW)
+        speeds = np.maximum(run.vx[:end], MIN_JUDGED_SPEED)
         errors |= prediction_error(
             model, states[:end], run.command[:end], speeds, curvatures=curvature[:end], times=times
         )

@@ -11,7 +11,7 @@ from adaptrack.base.errors import InvalidInput
 
 Array = NDArray[np.float64]
 
-GAP, REVERSAL_CUT_OFF, REVERSAL_ORDER = math.radians(3.0), 0.6, 2
+REVERSAL_GAP, REVERSAL_CUT_OFF, REVERSAL_ORDER = math.radians(3.0), 0.6, 2
 """Steering reversals: the gap (rad, at the steering wheel), the cut-off (Hz) and the order of the low-pass."""
 SAMPLING, COMFORT_CUT_OFF, COMFORT_ORDER, JERK_WINDOW = 100.0, 0.5, 4, 0.5
 """UN Regulation No. 79: sampling (Hz), Butterworth cut-off (Hz) and order, moving average of the jerk (s)."""
@@ -44,7 +44,9 @@ def percentile_95(values: Array) -> float:
     return float(np.percentile(np.abs(values), 95.0)) if np.isfinite(values).all() else math.inf
 
 
-def reversal_rate(t: ArrayLike, steering: ArrayLike, gap: float = GAP, cut_off: float = REVERSAL_CUT_OFF) -> float:
+def reversal_rate(
+    t: ArrayLike, steering: ArrayLike, gap: float = REVERSAL_GAP, cut_off: float = REVERSAL_CUT_OFF
+) -> float:
     """Reversals per minute of a steering-wheel angle (n,) in rad at times t (n,) in s.
 
     The angle is low-pass filtered (Butterworth of second order, forward and backward, no phase). A reversal is a pair

@@ -22,8 +22,8 @@ from adaptrack.base.checked import Hint, Natural, checked
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of
 from adaptrack.control.qp import QPStatus
-from adaptrack.core.models.contract import MEASURED
-from adaptrack.core.plants.contract import STATE
+from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, Failure
@@ -112,7 +112,7 @@ def simulate(
         if loop.ended:
             break
         if blind:
-            instant.measured[MEASURED.vy] = 0.0  # a car without a sensor of it
+            instant.measured[MEASUREMENT.vy] = 0.0  # a car without a sensor of it
         # an MPC's model or estimator may use the wheel angle
         measured = instant.measured if controller.sees_all_sensors else instant.measured[:4]
         begun = time.perf_counter()
@@ -204,7 +204,7 @@ _UNITS = {
 }  # fmt: skip
 
 
-def _named(names: tuple[str, ...], columns: Array, is_driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+def _columns_by_name(names: tuple[str, ...], columns: Array, is_driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     """The columns by name; of quantities that are whole numbers as such, the QP's status where nothing was driven
     being that of data that are not finite.
     """
@@ -239,12 +239,12 @@ def _trajectory(
     recorded = {f"{group}.{name}" for group, names in groups.items() for name in names}
     return Trajectory(
         t=signals.t[:n],
-        X=state[:, STATE.x],
-        Y=state[:, STATE.y],
-        psi=state[:, STATE.yaw],
-        vx=state[:, STATE.vx],
-        vy=state[:, STATE.vy],
-        yaw_rate=state[:, STATE.yaw_rate],
+        X=state[:, PLANT_STATE.x],
+        Y=state[:, PLANT_STATE.y],
+        psi=state[:, PLANT_STATE.yaw],
+        vx=state[:, PLANT_STATE.vx],
+        vy=state[:, PLANT_STATE.vy],
+        yaw_rate=state[:, PLANT_STATE.yaw_rate],
         steering=record.noted[:, 1],
         command=record.command[:, 0],
         command_change=record.command[:, 1],
@@ -256,8 +256,8 @@ def _trajectory(
         held=np.nan_to_num(record.command[:, 2], nan=1.0) > 0.5,
         step_time=record.times,
         period=signals.period,
-        tuning=_named(record.tuning_names, record.tuning, is_driven),
-        diagnostics=_named(record.diagnostic_names, record.diagnostics, is_driven),
+        tuning=_columns_by_name(record.tuning_names, record.tuning, is_driven),
+        diagnostics=_columns_by_name(record.diagnostic_names, record.diagnostics, is_driven),
         road=road,
         units={key: unit for key, unit in _UNITS.items() if key in recorded},
         failed=record.failed,

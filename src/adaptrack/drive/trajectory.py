@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-FORMAT = "adaptrack trajectory"
+TRAJECTORY_FORMAT = "adaptrack trajectory"
 """The word by which a Parquet file says that it holds a trajectory of ours."""
 
-FORMAT_VERSION = 2
+TRAJECTORY_FORMAT_VERSION = 2
 """Raised whenever a column is added, dropped, renamed or changes its unit."""
 
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -69,7 +69,7 @@ class StoredArray:
         return tuple(f"{self.name}_{part}" for part in self.parts) or (self.name,)
 
 
-COLUMNS = (
+TRAJECTORY_COLUMNS = (
     StoredArray("t", "s"),
     StoredArray("X", "m"),
     StoredArray("Y", "m"),
@@ -159,9 +159,9 @@ class Trajectory:
     ``dead_reckoning`` (s, for which the estimator had taken in no position; 0 where one was).
     """
     road: Mapping[str, Array] = field(default_factory=dict)
-    """Of a drive along a curved road, else empty: ``station`` (m, arc length of the car's foot on the centre line, over
-    all laps), ``offset`` (m, from the centre line, positive to the left), ``heading_error`` (rad in (−π, π], against
-    the road) and ``curvature`` (1/m, of the road there)."""
+    """Signals relative to a curved road, empty without one: ``station`` (m, arc length of the car's foot on the centre
+    line, over all laps), ``offset`` (m, from the centre line, positive to the left), ``heading_error`` (rad in (−π, π],
+    against the road) and ``curvature`` (1/m, of the road there)."""
     units: Mapping[str, str] = field(default_factory=dict)
     """The units of named arrays, such as ``{"tuning.Q": "1/m^2"}``; ``-`` where left out."""
     failed: str | None = None
@@ -175,12 +175,12 @@ class Trajectory:
         steps = np.size(self.t)
         if not steps:
             raise InvalidInput("trajectory: it must hold at least one control instant, `t` is empty.")
-        for column in COLUMNS:
+        for column in TRAJECTORY_COLUMNS:
             object.__setattr__(self, column.name, _checked(column, getattr(self, column.name), steps))
         if not (np.isfinite(self.t[0]) and np.allclose(np.diff(self.t), self.period, rtol=1e-6, atol=0.0)):
             raise InvalidInput(f"trajectory: the times `t` must be finite and one period ({self.period:g} s) apart.")
         for name in _NAMED:
-            object.__setattr__(self, name, _named(name, getattr(self, name), steps))
+            object.__setattr__(self, name, _storable_arrays(name, getattr(self, name), steps))
         object.__setattr__(self, "units", _units(self))
         if (self.failed is None) != math.isnan(self.failed_at):
             raise InvalidInput("trajectory: `failed` and `failed_at` go together: the reason and the time, or neither.")
@@ -246,7 +246,7 @@ class Trajectory:
                 f"trajectory: no control period begins in [{start:g}, {end:g}) s; "
                 f"this one covers [{self.t[0]:g}, {self.t[-1] + self.period:g}) s."
             )
-        changes: dict[str, Any] = {c.name: getattr(self, c.name)[inside] for c in COLUMNS}
+        changes: dict[str, Any] = {c.name: getattr(self, c.name)[inside] for c in TRAJECTORY_COLUMNS}
         changes |= {name: {k: values[inside] for k, values in getattr(self, name).items()} for name in _NAMED}
         if self.failed_at > changes["t"][-1] + self.period + rounding:  # not within this window
             changes |= {"failed": None, "failed_at": math.nan}
@@ -255,7 +255,7 @@ class Trajectory:
     def columns(self) -> dict[str, Array]:
         """The arrays by the names that they have in a file (``tuning.Np``), each of shape (n,)."""
         columns: dict[str, Array] = {}
-        for column in COLUMNS:
+        for column in TRAJECTORY_COLUMNS:
             values = getattr(self, column.name)
             columns |= dict(zip(column.stored_names, values.T if column.parts else (values,), strict=True))
         for name in _NAMED:
@@ -296,7 +296,7 @@ class Trajectory:
 
     def _column_units(self) -> dict[str, str]:
         """The unit of each of `columns`."""
-        return {name: column.unit for column in COLUMNS for name in column.stored_names} | dict(self.units)
+        return {name: column.unit for column in TRAJECTORY_COLUMNS for name in column.stored_names} | dict(self.units)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the trajectory as Parquet: the file appears whole or not at all.
@@ -316,7 +316,7 @@ class Trajectory:
             "failed_at": None if self.failed is None else self.failed_at,
             "meta": self.meta,
         }
-        write_atomically(path, encode_parquet(FORMAT, FORMAT_VERSION, stored, metadata))
+        write_atomically(path, encode_parquet(TRAJECTORY_FORMAT, TRAJECTORY_FORMAT_VERSION, stored, metadata))
 
     @classmethod
     @checked
@@ -328,11 +328,15 @@ class Trajectory:
         StorageError
             When the file is missing, damaged, not a trajectory, or of another format version; the message says which.
         """
-        required = [name for column in COLUMNS for name in column.stored_names]
+        required = [name for column in TRAJECTORY_COLUMNS for name in column.stored_names]
         remedy = "run the simulation again or use the release that wrote it"
-        columns, metadata = decode_parquet(read_bytes(path), path, FORMAT, FORMAT_VERSION, remedy, required)
+        columns, metadata = decode_parquet(
+            read_bytes(path), path, TRAJECTORY_FORMAT, TRAJECTORY_FORMAT_VERSION, remedy, required
+        )
         try:
-            fields: dict[str, Any] = {c.name: _joined([columns.pop(name) for name in c.stored_names]) for c in COLUMNS}
+            fields: dict[str, Any] = {
+                c.name: _joined([columns.pop(name) for name in c.stored_names]) for c in TRAJECTORY_COLUMNS
+            }
             fields |= {name: {} for name in _NAMED}
             for stored, values in columns.items():
                 name, _, key = stored.partition(".")
@@ -398,7 +402,7 @@ def _checked(column: StoredArray, values: Any, steps: int) -> Array:
     return view
 
 
-def _named(group: str, groups: Mapping[str, Any], steps: int) -> Mapping[str, Array]:
+def _storable_arrays(group: str, groups: Mapping[str, Any], steps: int) -> Mapping[str, Array]:
     """Arrays by name, each of one of the types that a file stores."""
     kinds: dict[str, Literal["real", "whole", "truth"]] = {"f": "real", "i": "whole", "u": "whole", "b": "truth"}
     arrays = {}

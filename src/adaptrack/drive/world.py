@@ -136,9 +136,9 @@ class World:
         return self.plant.substeps(self.period, top_speed)
 
     def settings(self, substeps: int) -> Any:
-        """`core.loop.Settings`; without a driver the speed follows its profile exactly."""
+        """`core.loop.LoopSettings`; without a driver the speed follows its profile exactly."""
         profile, driver, steering = self.profile, self.driver, self.steering
-        return loop_kernel.Settings(
+        return loop_kernel.LoopSettings(
             period=self.period,
             substeps=substeps,
             prescribed_speed=driver is None,
@@ -169,18 +169,18 @@ class World:
     def loop(
         self, inputs: Any, vehicles: Any, settings: Any, *, variables: bool, trace: Any = None, segments: int = 0
     ) -> Any:  # fmt: skip
-        """Runs before their first instant (`core.period.Loop`), one for each of the vehicles.
+        """Runs before their first instant (`core.period.RunLoop`), one for each of the vehicles.
 
         given: `core.period.Given`; variables: whether somebody looks at the scheduling variables; trace: as
         `core.period.traces`, None for none; segments: of each run.
         """
         past = self.remembered
         estimator = self.known_as if variables and isinstance(self.known_as, FrictionWindEstimator) else None
-        counts = period_kernel.Counts(**dict.fromkeys(period_kernel.Counts._fields, 0))
+        counts = period_kernel.LoopCounts(**dict.fromkeys(period_kernel.LoopCounts._fields, 0))
         counts = counts._replace(
             slots=len(vehicles.start), dead_whole=self.dead_periods[0], past=past, segments=segments
         )  # fmt: skip
-        loop = room(period_kernel.Loop, period_kernel.put_sizes, counts)
+        loop = room(period_kernel.RunLoop, period_kernel.put_sizes, counts)
         loop.ceiling[:] = np.nan
         return loop._replace(
             settings=settings,
@@ -209,7 +209,7 @@ class World:
         complete_samples(signals.period, rows)
         if isinstance(self.known_as, Perception):
             friction, wind = rows[SIGNAL.known_friction].copy(), rows[SIGNAL.known_wind].copy()
-            rows[SIGNAL.known_friction], rows[SIGNAL.known_wind] = self.known_as.known(
+            rows[SIGNAL.known_friction], rows[SIGNAL.known_wind] = self.known_as.perceive(
                 friction, wind, signals.period, number
             )
         return rows
@@ -245,5 +245,5 @@ def reason_of(ended: int) -> str | None:
         loop_kernel.OFF_ROAD: Reason.OFF_ROAD.value,
         loop_kernel.NEVER_ARRIVED: Reason.OFF_ROAD.value,
         loop_kernel.SPUN: Reason.SPUN.value,
-        loop_kernel.NOT_FINITE: Reason.NOT_FINITE.value,
+        loop_kernel.STATE_NOT_FINITE: Reason.NOT_FINITE.value,
     }.get(ended)

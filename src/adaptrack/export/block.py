@@ -5,13 +5,13 @@ Everything is little-endian; nothing is an address. A block is
     magic, format version, CRC-32 of all behind it, hash of the kernels, size, `Header`
     places    (word of an address, word that it points to)
     links     (word of an address, CRC-32 of the name of the function that it points to)
-    starts    (first word, count, first word of what they begin with), see `Start`
+    starts    (first word, count, first word of what they begin with), see `ArrayStart`
     runs      (first word, count) of the words that are not zero
     resets    (word, its value) when constants are replaced under way
     the words of the runs, one behind the other
 
 and describes a memory of 8-byte words: the record as `core.kernel.Resident` lays it, then its arrays, ordered by
-`Role`. `src/adaptrack_block.c` is the reader.
+`ArrayRole`. `src/adaptrack_block.c` is the reader.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.core import library
 from adaptrack.core.kernel import EXPORTED, INTERPRETED, Array, float64
 
-MAGIC, FORMAT = b"ADTRACK\0", 1
+MAGIC, BLOCK_FORMAT = b"ADTRACK\0", 1
 PRELUDE = struct.Struct("<8sII")
 """magic, format, CRC-32 of what follows"""
-HEADER = struct.Struct("<Q12I")
-ROOM = 8
+BLOCK_HEADER = struct.Struct("<Q12I")
+CACHE_LINE_WORDS = 8
 """Words: an array of so many or more begins at a multiple of it, a cache line, in a memory that begins at one."""
 BEFORE_MEMORY, BEFORE_STATE = 64, 48
 """Bytes that the C sources keep before a memory (`adaptrack_head`) and before the words of a saved state."""
@@ -42,7 +42,7 @@ LARGEST_NUMBER = 2**31
 """An int64 of a record beyond it is no count, no flag: it is an address."""
 
 
-class Role(IntEnum):
+class ArrayRole(IntEnum):
     """Treatment of an array when constants are replaced under a running controller and when its state is saved.
 
     The order is that of the memory.
@@ -56,7 +56,7 @@ class Role(IntEnum):
     """state, or what is kept from one step to the next: stays, saved"""
 
 
-class Start(NamedTuple):
+class ArrayStart(NamedTuple):
     """An array that begins as another one does: with other constants it begins anew where that one is another."""
 
     of: str
@@ -80,10 +80,10 @@ class Header(NamedTuple):
     """of the memory"""
     record: int
     """words of the record, with which the memory begins"""
-    renewed: int
-    """first word of the RENEWED arrays"""
-    kept: int
-    """first word of the KEPT arrays"""
+    first_renewed: int
+    """word of the RENEWED arrays"""
+    first_kept: int
+    """word of the KEPT arrays"""
     places: int
     links: int
     starts: int
@@ -102,7 +102,7 @@ class ArrayLayout(NamedTuple):
     """words of an entry"""
     kind: str
     """``f`` of float64, ``i`` of int64, ``V`` of rows"""
-    role: Role
+    role: ArrayRole
     values: NDArray[np.uint64]
     """the words before the first step"""
 
@@ -142,7 +142,7 @@ class Block:
     @property
     def state_size(self) -> int:
         """Bytes of it that a saved state holds."""
-        return 8 * (self.header.words - self.header.renewed)
+        return 8 * (self.header.words - self.header.first_renewed)
 
     @property
     def saved_size(self) -> int:
@@ -157,7 +157,7 @@ class _Part(NamedTuple):
     word: int
     """of its address"""
     values: NDArray[Any]
-    role: Role
+    role: ArrayRole
 
     @property
     def first(self) -> int:
@@ -178,8 +178,8 @@ class _Part(NamedTuple):
 def pack(
     record: Any,
     name: str,
-    roles: Mapping[str, Role],
-    starts: Sequence[Start] = (),
+    roles: Mapping[str, ArrayRole],
+    starts: Sequence[ArrayStart] = (),
     resets: Mapping[str, Mapping[str, float]] | None = None,
     outside: Sequence[str] = (),
 ) -> Block:
@@ -222,12 +222,12 @@ def pack(
     remainder += b"".join(struct.pack("<QQ", word, value) for word, value in changes)
     remainder += b"".join(memory[first : first + count].tobytes() for first, count in runs)
     header = Header(
-        int(library.kernels_hash()[:16], 16), PRELUDE.size + HEADER.size + len(remainder), _number(name),
-        zlib.crc32(shape), len(memory), len(laid.words), laid.first[Role.RENEWED], laid.first[Role.KEPT],
+        int(library.kernels_hash()[:16], 16), PRELUDE.size + BLOCK_HEADER.size + len(remainder), _number(name),
+        zlib.crc32(shape), len(memory), len(laid.words), laid.first[ArrayRole.RENEWED], laid.first[ArrayRole.KEPT],
         len(places), len(links), len(begins), len(runs), len(changes),
     )  # fmt: skip
-    behind = HEADER.pack(*header) + remainder
-    content = PRELUDE.pack(MAGIC, FORMAT, zlib.crc32(behind)) + behind
+    behind = BLOCK_HEADER.pack(*header) + remainder
+    content = PRELUDE.pack(MAGIC, BLOCK_FORMAT, zlib.crc32(behind)) + behind
     functions = tuple(sorted({function for _, function in laid.links}))
     if len({_number(name) for name in functions}) < len(functions):
         raise InvalidInput(f"export: two of {', '.join(functions)} have one CRC-32: rename one.")
@@ -263,7 +263,7 @@ def _runs(memory: NDArray[np.uint64]) -> list[tuple[int, int]]:
 class _Laid:
     """A record on its way into a memory."""
 
-    def __init__(self, roles: Mapping[str, Role], outside: tuple[str, ...]) -> None:
+    def __init__(self, roles: Mapping[str, ArrayRole], outside: tuple[str, ...]) -> None:
         self.words: list[int] = []
         self.numbers: dict[str, int] = {}
         self.links: list[tuple[int, str]] = []
@@ -271,7 +271,7 @@ class _Laid:
         self.outside, self._roles = outside, roles
         self.placed: list[tuple[_Part, int]] = []
         """arrays and where they lie"""
-        self.first: dict[Role, int] = {}
+        self.first: dict[ArrayRole, int] = {}
         self._parts: list[_Part] = []
         self._kernels = {kernel.address: name for name, kernel in EXPORTED.items() if "address" in vars(kernel)}
 
@@ -291,7 +291,7 @@ class _Laid:
             elif kind is float64:
                 self.words.append(_bits(float(value)))
             else:
-                self.words.append(self._whole(full, int(value)))
+                self.words.append(self._integer_word(full, int(value)))
 
     def _lay_array(self, name: str, values: NDArray[Any]) -> None:
         if name.startswith(tuple(f"{prefix}." for prefix in self.outside)) or name in self.outside:
@@ -301,11 +301,11 @@ class _Laid:
         self.shapes.append(values.shape)
         self.words += (0, *values.shape)
 
-    def _role(self, name: str) -> Role:
+    def _role(self, name: str) -> ArrayRole:
         fits = [prefix for prefix in self._roles if name == prefix or name.startswith(f"{prefix}.")]
-        return self._roles[max(fits, key=len)] if fits else Role.KEPT
+        return self._roles[max(fits, key=len)] if fits else ArrayRole.KEPT
 
-    def _whole(self, name: str, value: int) -> int:
+    def _integer_word(self, name: str, value: int) -> int:
         if value in self._kernels:
             self.links.append((len(self.words), self._kernels[value]))
             return 0
@@ -319,15 +319,15 @@ class _Laid:
         size, stretches = len(self.words), sorted(_stretches(filled), key=_order)
         self.placed = [(part, 0) for part in self._parts if not part.values.size]
         laid: list[tuple[int, NDArray[np.uint64]]] = []
-        for role in Role:
-            size += -size % ROOM
+        for role in ArrayRole:
+            size += -size % CACHE_LINE_WORDS
             self.first[role] = size
             for stretch_role, parts in stretches:
                 if stretch_role is not role:
                     continue
                 first, last = min(part.first for part in parts), max(part.last for part in parts)
                 count = (last - first) // 8
-                size += -size % ROOM if count >= ROOM else 0
+                size += -size % CACHE_LINE_WORDS if count >= CACHE_LINE_WORDS else 0
                 for part in parts:
                     self.placed.append((part, size + (part.first - first) // 8))
                     laid.append((self.placed[-1][1], np.frombuffer(part.values.tobytes(), np.uint64)))
@@ -340,12 +340,12 @@ class _Laid:
         return memory
 
 
-def _order(stretch: tuple[Role, list[_Part]]) -> int:
+def _order(stretch: tuple[ArrayRole, list[_Part]]) -> int:
     """Order the parts independently of their addresses, which differ between processes."""
     return min(part.word for part in stretch[1])
 
 
-def _stretches(parts: Sequence[_Part]) -> Iterator[tuple[Role, list[_Part]]]:
+def _stretches(parts: Sequence[_Part]) -> Iterator[tuple[ArrayRole, list[_Part]]]:
     """Arrays that overlap, together; the most lasting of their roles counts."""
     end, group = 0, list[_Part]()
     for part in sorted(parts, key=lambda part: (part.first, part.last)):

@@ -11,16 +11,16 @@ import numpy as np
 
 from adaptrack.core import functions, guard, schedule
 from adaptrack.core.controllers import lqr, mpc
-from adaptrack.core.controllers.constraints import ROWS
-from adaptrack.core.controllers.feed_forward import Turning
+from adaptrack.core.controllers.constraints import SAMPLE_ROWS
+from adaptrack.core.controllers.feed_forward import TurnIn
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.input_check.record import Settings as CheckSettings
-from adaptrack.core.kernel import Number, int64, size_of
+from adaptrack.core.kernel import Scalar, int64, size_of
 from adaptrack.core.layout import arrays_of
-from adaptrack.core.models.contract import MEASURED
-from adaptrack.core.tracker.records import MEMORY, SETTINGS, Tracking
-from adaptrack.core.variables import VARIABLES
-from adaptrack.export.block import ArrayLayout, Block, Role
+from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.tracker.records import MEMORY, TRACKER_SETTINGS, Tracking
+from adaptrack.core.variables import VARIABLE_COLUMNS
+from adaptrack.export.block import ArrayLayout, ArrayRole, Block
 
 LONGEST_LAG = 10
 """s, of a steering in constants."""
@@ -30,8 +30,8 @@ NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "residuals": _FLAG, "terms": (1, 1000), "longest_horizon": (1, 1000), "most_moves": (1, 1000), "solver": (0, 3),
     "max_sweeps": (0, 10_000), "max_changes": (0, 100_000), "period": (1e-4, 10.0), "delay": (0.0, 1000.0),
     "speed_floor": (0.01, 100.0), "late": (0, 1000), "filtered": _FLAG,
-    "n_inputs": (0, len(VARIABLES)), "n_entries": (0, guard.MOST_ENTRIES), "of_mpc": _FLAG,
-    "place": (0, len(VARIABLES) - 1), "kind": (0, functions.MULTILINEAR), "log10": _FLAG, "horizon": _FLAG,
+    "n_inputs": (0, len(VARIABLE_COLUMNS)), "n_entries": (0, guard.MAX_ENTRIES), "tunes_mpc": _FLAG,
+    "place": (0, len(VARIABLE_COLUMNS) - 1), "kind": (0, functions.MULTILINEAR), "log10": _FLAG, "horizon": _FLAG,
     "integers": _PLACE, "numbers": _PLACE, "used": _FLAG, "mapped": _FLAG, "hold": (0, 10**9),
 }  # fmt: skip
 """Bounds of numbers of the record and its rows, by name; other doubles are free, other whole numbers as exported."""
@@ -86,39 +86,40 @@ def _is_open(name: str) -> bool:
 def places(block: Block, kind: Any) -> dict[str, int]:
     """Numbers that the C source calls by name, less their prefix."""
     at = {array.name: i for i, array in enumerate(block.arrays)}
-    of_mpc = kind is Tracking
-    names = ARRAY_PLACES | (MPC_PLACES if of_mpc else LAW_PLACES)
+    tunes_mpc = kind is Tracking
+    names = ARRAY_PLACES | (MPC_PLACES if tunes_mpc else LAW_PLACES)
     numbers = {f"AT_{name.upper()}": at[array] for name, array in names.items()}
     numbers |= {
-        "ARRAYS": len(at), "LINKS": len(block.links), "RECORD_WORDS": block.header.record, "OF_MPC": int(of_mpc),
+        "ARRAYS": len(at), "LINKS": len(block.links), "RECORD_WORDS": block.header.record, "OF_MPC": int(tunes_mpc),
         "BOUNDS": len(list(_bounds(block, kind))), "INITIALS": len(list(_initials(block))),
         "EQUALS": len(list(_equals(block, kind))),
         "AT_CAR": at["tracker.check.settings"], **CHECK_PLACES,
-        **{name.upper(): _place(SETTINGS, name)
+        **{name.upper(): _place(TRACKER_SETTINGS, name)
            for name in ("drift_load", "drift_stiffness", "angle_min", "angle_max")},
-        "PERIOD_AT": _place(SETTINGS, "period"), "LATE_AT": _place(SETTINGS, "late"),
-        "SCHEDULE_N_INPUTS": _place(schedule.SETTINGS, "n_inputs"),
-        "SCHEDULE_N_ENTRIES": _place(schedule.SETTINGS, "n_entries"),
-        "SCHEDULE_OF_MPC": _place(schedule.SETTINGS, "of_mpc"),
-        "SCHEDULE_ENTRIES": _place(schedule.SETTINGS, "entries"), "ENTRY_WORDS": size_of(schedule.ENTRY),
-        "SCHEDULE_SCRATCH": schedule.SCRATCH - guard.MAP_AXES, "MAP_AXES": guard.MAP_AXES,
-        **{f"GUARD_{name.upper()}": _place(schedule.SETTINGS, "guard", name)
+        "PERIOD_AT": _place(TRACKER_SETTINGS, "period"), "LATE_AT": _place(TRACKER_SETTINGS, "late"),
+        "SCHEDULE_N_INPUTS": _place(schedule.SCHEDULE_SETTINGS, "n_inputs"),
+        "SCHEDULE_N_ENTRIES": _place(schedule.SCHEDULE_SETTINGS, "n_entries"),
+        "SCHEDULE_OF_MPC": _place(schedule.SCHEDULE_SETTINGS, "tunes_mpc"),
+        "SCHEDULE_ENTRIES": _place(schedule.SCHEDULE_SETTINGS, "entries"), "ENTRY_WORDS": size_of(schedule.ENTRY),
+        "SCHEDULE_SCRATCH": schedule.SCHEDULE_SCRATCH - guard.MAP_AXES, "MAP_AXES": guard.MAP_AXES,
+        **{f"GUARD_{name.upper()}": _place(schedule.SCHEDULE_SETTINGS, "guard", name)
            for name in ("used", "mapped", "integers", "numbers")},
         **{name: getattr(functions, name) for name in ("NUMBER", "NETWORK", "SUGENO", "MULTILINEAR")},
     }  # fmt: skip
-    return numbers | (_mpc_places(block) if of_mpc else {})
+    return numbers | (_mpc_places(block) if tunes_mpc else {})
 
 
 def _mpc_places(block: Block) -> dict[str, int]:
     return {
-        "MPC_SETTINGS": len(mpc.Settings._fields), "MPC_SETTINGS_AT": block.words["step.mpc.settings.period"],
-        "MPC_COUNTS": len(mpc.Counts._fields), "MPC_ARRAYS": arrays_of(mpc.Mpc), "MEASURED": len(MEASURED),
-        "LONGEST_LAG": LONGEST_LAG, "ROWS": ROWS,
+        "MPC_SETTINGS": len(mpc.MPCSettings._fields), "MPC_SETTINGS_AT": block.words["step.mpc.settings.period"],
+        "MPC_COUNTS": len(mpc.MPCCounts._fields), "MPC_ARRAYS": arrays_of(mpc.Mpc), "MEASURED": len(MEASUREMENT),
+        "LONGEST_LAG": LONGEST_LAG, "ROWS": SAMPLE_ROWS,
         **{f"MPC_{name.upper()}": block.words[f"step.mpc.settings.{name}"]
            for name in ("laguerre", "terms", "longest_horizon", "most_moves")},
-        "RESET_AT": _place(mpc.MEMORY, "speed"), "TURNING_LAG": _place(Turning, "lag"),
-        **{f"ESTIMATOR_{name.upper()}": _place(kalman.Numbers, name) for name in ("whole", "share", "longest", "late")},
-        **{f"LEARNER_{name.upper()}": _place(learning.Numbers, name) for name in ("kept", "hypotheses")},
+        "RESET_AT": _place(mpc.MEMORY, "speed"), "TURNING_LAG": _place(TurnIn, "lag"),
+        **{f"ESTIMATOR_{name.upper()}": _place(kalman.FilterParameters, name)
+           for name in ("periods", "share", "longest", "late")},
+        **{f"LEARNER_{name.upper()}": _place(learning.LearnerParameters, name) for name in ("commands", "hypotheses")},
         "ESTIMATES_LEAST": kalman.memory_size(0, 0),
         "ESTIMATES_LONGEST": kalman.memory_size(1, 0) - kalman.memory_size(0, 0),
         "ESTIMATES_LATE": kalman.memory_size(0, 1) - kalman.memory_size(0, 0),
@@ -160,7 +161,7 @@ def numbers_of(block: Block, kind: Any) -> Iterator[tuple[str, int]]:
     yield from ((name, word) for name, word, is_int in _numbers_of("", kind, block.words) if not is_int)
     for array in block.arrays:
         first = block.words[array.name]
-        if array.role is Role.KEPT or array.kind == "i":
+        if array.role is ArrayRole.KEPT or array.kind == "i":
             continue
         if array.kind == "f":
             yield from ((f"{array.name}[{k}]", first + k) for k in range(array.values.size))
@@ -180,12 +181,12 @@ def _bounds(block: Block, kind: Any) -> Iterator[tuple[int, int, int, float, flo
         if word not in links:
             yield len(block.arrays), word, *_bounds_of(name, number, block.record[word])
     for i, array in enumerate(block.arrays):
-        if array.kind == "V" and array.role is not Role.KEPT:
+        if array.kind == "V" and array.role is not ArrayRole.KEPT:
             for name, word, number in _fields_of(_rows_of(array.name).dtype, 0):
                 yield i, word, *_bounds_of(name, number, int(array.values[word]))
         elif array.name == MPC_PLACES["learner"]:
             for name in STEERING_TIMES:
-                yield i, _place(learning.Numbers, name), 0, 0.0, LONGEST_LAG
+                yield i, _place(learning.LearnerParameters, name), 0, 0.0, LONGEST_LAG
         elif array.name == "law.parameters" and "lqr" in block.functions:
             for word in map(lqr.PARAMETERS.index, ("speeds", "weights")):  # of its grid of gains
                 count = float(array.values.view(np.float64)[word])
@@ -198,7 +199,9 @@ def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
     Behind the last array comes the record itself.
     """
     at = {array.name: i for i, array in enumerate(block.arrays)}
-    settings = {name: _place(SETTINGS, name) for name in ("period", "angle_min", "angle_max", "move", "drift_arm")}
+    settings = {
+        name: _place(TRACKER_SETTINGS, name) for name in ("period", "angle_min", "angle_max", "move", "drift_arm")
+    }
     pairs = [("period", "tracker.check.settings", 0), ("drift_arm", "tracker.check.settings", CHECK_PLACES["CAR_LR"])]
     if kind is Tracking:
         pairs += [("period", MPC_PLACES[name], _place(part.Numbers, "period"))
@@ -217,7 +220,7 @@ def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
 
 def _rows_of(name: str) -> Any:
     """The record of an array of rows."""
-    return SETTINGS if name == "tracker.settings" else schedule.SETTINGS
+    return TRACKER_SETTINGS if name == "tracker.settings" else schedule.SCHEDULE_SETTINGS
 
 
 def _bounds_of(name: str, is_int: bool, value: int) -> tuple[int, float, float]:
@@ -230,7 +233,7 @@ def _bounds_of(name: str, is_int: bool, value: int) -> tuple[int, float, float]:
 def _numbers_of(before: str, kind: Any, words: Mapping[str, int]) -> Iterator[tuple[str, int, bool]]:
     """Name, word and whether it is whole, of every number of a record."""
     for name, field in kind.kinds.items():
-        if isinstance(field, Number):
+        if isinstance(field, Scalar):
             yield name, words[f"{before}{name}"], field == int64
         elif hasattr(field, "kinds"):
             yield from _numbers_of(f"{before}{name}.", field, words)
@@ -253,7 +256,7 @@ def _initials(block: Block) -> Iterator[tuple[int, int, int]]:
     """Array, word and value of every word of the state that is not zero at first; value 0: the period."""
     between = _place(MEMORY, "between")
     for i, array in enumerate(block.arrays):
-        if array.role is Role.KEPT and array.name != MPC_PLACES["learned"]:
+        if array.role is ArrayRole.KEPT and array.name != MPC_PLACES["learned"]:
             for word in np.flatnonzero(array.values):
                 period = array.name == "tracker.memory" and word == between
                 yield i, int(word), 0 if period else int(array.values[word])

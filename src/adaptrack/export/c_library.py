@@ -21,7 +21,7 @@ from adaptrack.control.controllers import MPC, Controller
 from adaptrack.core import library, path, road
 from adaptrack.core.input_check.record import MISTAKES
 from adaptrack.core.kernel import Array as KernelArray
-from adaptrack.core.tracker.records import SAMPLE, TRACKED, LawTracking, Tracker, Tracking
+from adaptrack.core.tracker.records import TRACKED, TRACKER_SAMPLE, LawTracking, TrackerRecord, Tracking
 from adaptrack.export import bounds
 from adaptrack.export.block import Block
 from adaptrack.export.recorded import Recorded, record_drive
@@ -29,7 +29,7 @@ from adaptrack.export.tracking import Room, refuse, step_kernel, tracking_block
 from adaptrack.road import Road, SpeedPlan, load_road, plan_speed
 from adaptrack.scenario.profile import Profile, load_profile
 
-SOURCES = Path(__file__).parent / "c"
+C_SOURCES = Path(__file__).parent / "c"
 FOLDERS = {
     "include": ("adaptrack.h", "adaptrack.hpp", "adaptrack_error.h"),
     "src": ("adaptrack.c", "adaptrack_block.c", "adaptrack_block.h", "adaptrack_bounds.c", "adaptrack_bounds.h"),
@@ -38,12 +38,12 @@ FOLDERS = {
 """Where the files that are the same for all go."""
 KERNELS_FILE = "adaptrack_kernels.o"
 CONSTANTS_FILE = "constants.bin"
-MOST_POINTS = 100_000
+MAX_C_POINTS = 100_000
 """Of a path or a plan."""
 
 
 @dataclass(frozen=True)
-class Exported:
+class CExport:
     """Files and sizes of an export to C."""
 
     folder: Path
@@ -73,7 +73,7 @@ def export_c(
     furthest: float = 10.0,
     room: Room | None = None,
     objects: str | os.PathLike[str] | None = None,
-) -> Exported:
+) -> CExport:
     """Write a C library of a controller with its tracker: header, compiled kernels, constants, sources around them, and
     a recorded minute that shows that it drives as it does here.
 
@@ -119,7 +119,7 @@ def export_c(
         _write(target / place, content)
     for file_name, file in files.items():
         _write(target / "lib" / file_name / KERNELS_FILE, file.read_bytes())
-    return Exported(
+    return CExport(
         target, tuple(files), len(block.content), block.laid_size, block.saved_size, len(recorded.samples),
         recorded.failed,
     )  # fmt: skip
@@ -132,7 +132,7 @@ def list_targets(objects: str | os.PathLike[str] | None = None) -> list[str]:
 
 
 def _exports(objects: str | os.PathLike[str] | None) -> dict[str, Any]:
-    folder = library.BUILT if objects is None else Path(objects)
+    folder = library.BUILT_FOLDER if objects is None else Path(objects)
     try:
         return dict(library.manifest(folder)["exports"])
     except library.UNUSABLE:
@@ -153,7 +153,7 @@ def kernel_files(targets: Sequence[str], objects: str | os.PathLike[str] | None 
     InvalidInput
         When one is not at hand, or is of other kernels.
     """
-    folder = library.BUILT if objects is None else Path(objects)
+    folder = library.BUILT_FOLDER if objects is None else Path(objects)
     paths = {}
     for name in dict.fromkeys(targets or [own_target()]):
         try:
@@ -182,7 +182,7 @@ def _texts(
     texts = {}
     for folder, names in FOLDERS.items():
         for name in names:
-            texts[f"{folder}/{name}"] = _filled((SOURCES / name).read_text(encoding="utf-8"), words)
+            texts[f"{folder}/{name}"] = _filled((C_SOURCES / name).read_text(encoding="utf-8"), words)
     kind = Tracking if isinstance(controller, MPC) else LawTracking
     texts["include/adaptrack_config.h"] = _config(controller, block)
     texts["src/adaptrack_parts.h"] = _parts_header(block, kind)
@@ -214,7 +214,7 @@ def _config(controller: Controller, block: Block) -> str:
 #define ADAPTRACK_SIZE {block.laid_size} /* bytes of a tracker with these constants */
 #define ADAPTRACK_STATE_SIZE {block.saved_size} /* bytes of its saved state */
 #define ADAPTRACK_CONSTANTS_SIZE {len(block.content)} /* bytes */
-#define ADAPTRACK_MOST_POINTS {MOST_POINTS} /* of a path, and of a plan */
+#define ADAPTRACK_MOST_POINTS {MAX_C_POINTS} /* of a path, and of a plan */
 
 /* Bits of adaptrack_answer.suspect: what an input seems to be. */
 {suspects}
@@ -236,7 +236,7 @@ def _printable(text: str) -> str:
 
 def _parts_header(block: Block, kind: Any) -> str:
     """Places in records and rows, as the kernels' own files have them."""
-    words = dict(_words("", Tracker, 0))
+    words = dict(_words("", TrackerRecord, 0))
     shared = dict(_words("", Tracking, 0)), dict(_words("", LawTracking, 0))
     assert all(places[f"tracker_{name}"] == at for places in shared for name, at in words.items())
     lines = [
@@ -244,13 +244,13 @@ def _parts_header(block: Block, kind: Any) -> str:
     ]
     lines += [f"    ADAPTRACK_PATH_END = {words['plan_speed'] + 2},"]
     lines += [f"    ADAPTRACK_{name.upper()}_AT = {words[name]}," for name in ("sample", "tracked")]
-    lines += [f"    ADAPTRACK_SAMPLE_{name.upper()} = {i}," for i, name in enumerate(SAMPLE._fields)]
+    lines += [f"    ADAPTRACK_SAMPLE_{name.upper()} = {i}," for i, name in enumerate(TRACKER_SAMPLE._fields)]
     lines += [f"    ADAPTRACK_TRACKED_{name.upper()} = {i}," for i, name in enumerate(TRACKED._fields)]
     lines += [
         f"    ADAPTRACK_ROAD_LENGTH = {road.LENGTH},",
         f"    ADAPTRACK_ROAD_SPACING = {road.HEADING_SPACING},",
-        f"    ADAPTRACK_ROAD_NUMBERS = {len(road.NUMBERS)},",
-        f"    ADAPTRACK_PIECE_COLUMNS = {path.COLUMNS},",
+        f"    ADAPTRACK_ROAD_NUMBERS = {len(road.LINE_NUMBERS)},",
+        f"    ADAPTRACK_PIECE_COLUMNS = {road.PIECE_COLUMNS},",
         f"    ADAPTRACK_PATH_TOO_SMALL = {path.TOO_SMALL},",
     ]
     numbers = bounds.places(block, kind)
@@ -352,7 +352,7 @@ static const double adaptrack_recorded_plan_s[] = {{ /* m */
 static const double adaptrack_recorded_plan_speed[] = {{ /* m/s */
     {_numbers(recorded.plan.speed)}}};
 /* For each call the bits of an adaptrack_sample, then the CRC-32 of what Python answered. */
-static const uint64_t adaptrack_recorded[][{len(SAMPLE) + 1}] = {{
+static const uint64_t adaptrack_recorded[][{len(TRACKER_SAMPLE) + 1}] = {{
     {{{sets}}}}};
 """
 
@@ -369,7 +369,7 @@ def _canonical(values: Any) -> list[int]:
 
 
 def fingerprint(answer: Any) -> int:
-    """CRC-32 of an answer, a row of `recorded.ANSWER`, as main.c makes it."""
+    """CRC-32 of an answer, a row of `recorded.ANSWER_COLUMNS`, as main.c makes it."""
     return zlib.crc32(struct.pack(f"<{len(answer)}Q", *_canonical(answer)))
 
 

@@ -27,14 +27,14 @@ from adaptrack.drive.world import Driver
 from adaptrack.export import fmu_build
 from adaptrack.export.block import Block, pack
 from adaptrack.export.units import (
-    CONSTANT,
-    INPUT,
+    CONSTANT_VALUE,
+    INPUT_VALUE,
     PARAMETER,
     REAL,
     TRUTH,
-    WHOLE,
+    WHOLE_VALUE,
     Unit,
-    Value,
+    UnitValue,
     car_unit,
     controller_unit,
 )
@@ -46,8 +46,8 @@ _BASE_UNITS = {
     "s": {"s": 1}, "m": {"m": 1}, "rad": {"rad": 1}, "m/s": {"m": 1, "s": -1}, "m/s^2": {"m": 1, "s": -2},
     "rad/s": {"rad": 1, "s": -1}, "1/m": {"m": -1},
 }  # fmt: skip
-_TYPES = {"2.0": {REAL: "Real", WHOLE: "Integer", TRUTH: "Boolean"},
-          "3.0": {REAL: "Float64", WHOLE: "Int64", TRUTH: "Boolean"}}  # fmt: skip
+_TYPES = {"2.0": {REAL: "Real", WHOLE_VALUE: "Integer", TRUTH: "Boolean"},
+          "3.0": {REAL: "Float64", WHOLE_VALUE: "Int64", TRUTH: "Boolean"}}  # fmt: skip
 REMEDY = f"run: python -m {fmu_build.__name__}"
 _LARGEST_INTEGER = 2.0**31 - 1
 _DATE = (1980, 1, 1, 0, 0, 0)
@@ -108,7 +108,7 @@ def write_fmu(unit: Unit, path: str | os.PathLike[str], version: Literal["2.0", 
         "modelDescription.xml": description(unit, token, version),
         "resources/constants.bin": block.content,
         **dict(_binaries(name, version)),
-        **{f"sources/{source.name}": source.read_bytes() for source in fmu_build.SOURCES},
+        **{f"sources/{source.name}": source.read_bytes() for source in fmu_build.FMU_SOURCES},
         "sources/units.c": fmu_build.units_header().encode(),
         "documentation/index.html": _page(unit).encode(),
         "documentation/licenses/license.txt": fmu_build.LICENSE.read_bytes(),
@@ -132,7 +132,7 @@ def constants(unit: Unit) -> Block:
         When it holds a function that is none of the package's.
     """
     block = pack(unit.record, type(unit.record).__name__, unit.roles)
-    missing = [function for function in block.functions if function not in fmu_build.MEMBERS]
+    missing = [function for function in block.functions if function not in fmu_build.UNIT_MEMBERS]
     if missing:
         raise InvalidInput(
             f"export fmu: {', '.join(missing)}: not among the kernels of an FMU; a plant is single-track or dual-track."
@@ -144,7 +144,7 @@ def _binaries(name: str, version: str) -> Iterator[tuple[str, bytes]]:
     """Places and contents of the shared libraries."""
     for system, entry in binaries().items():
         system_binaries = fmu_build.SYSTEMS[system]
-        content = (fmu_build.BUILT / f"fmu-{system}.{system_binaries.ending}").read_bytes()
+        content = (fmu_build.FMU_FOLDER / f"fmu-{system}.{system_binaries.ending}").read_bytes()
         if hashlib.sha256(content).hexdigest() != entry["sha256"]:
             raise InvalidInput(f"export fmu: fmu-{system}.{system_binaries.ending} is damaged; {REMEDY}")
         yield f"binaries/{system_binaries.folders[VERSIONS.index(version)]}/{name}.{system_binaries.ending}", content
@@ -212,24 +212,24 @@ def _units(definitions: ET.Element, unit: Unit) -> None:
         ET.SubElement(element, "BaseUnit", {base: str(power) for base, power in _BASE_UNITS[name].items()})
 
 
-def _variable(variables: ET.Element, reference: int, value: Value, version: str) -> None:
+def _variable(variables: ET.Element, reference: int, value: UnitValue, version: str) -> None:
     """One variable. What is an output does not depend on an input of the same instant."""
     second = version == "2.0"
     causality, variability = {
-        CONSTANT: ("independent", "continuous") if reference == 0 else ("local", "constant"),
-        PARAMETER: ("parameter", "fixed"), INPUT: ("input", "discrete"), 0: ("output", "discrete"),
+        CONSTANT_VALUE: ("independent", "continuous") if reference == 0 else ("local", "constant"),
+        PARAMETER: ("parameter", "fixed"), INPUT_VALUE: ("input", "discrete"), 0: ("output", "discrete"),
     }[value.role]  # fmt: skip
     common = {"name": value.name, "valueReference": str(reference), "causality": causality, "variability": variability}
     if value.description:
         common["description"] = value.description
     attributes: dict[str, str] = {"unit": value.unit} if value.unit else {}
-    if value.type != TRUTH and value.role in (PARAMETER, INPUT):
+    if value.type != TRUTH and value.role in (PARAMETER, INPUT_VALUE):
         limits = {
             "min": value.least,
-            "max": min(value.most, _LARGEST_INTEGER) if second and value.type == WHOLE else value.most,
+            "max": min(value.most, _LARGEST_INTEGER) if second and value.type == WHOLE_VALUE else value.most,
         }
         attributes |= {name: _text(limit, value) for name, limit in limits.items() if math.isfinite(limit)}
-    if value.role in (PARAMETER, INPUT) or causality == "local":
+    if value.role in (PARAMETER, INPUT_VALUE) or causality == "local":
         attributes["start"] = _text(value.start, value)
         if causality == "local":
             common["initial"] = "exact"
@@ -242,17 +242,17 @@ def _variable(variables: ET.Element, reference: int, value: Value, version: str)
         ET.SubElement(variables, kind, common | attributes)
 
 
-def _text(number: float, value: Value) -> str:
+def _text(number: float, value: UnitValue) -> str:
     if value.type == TRUTH:
         return "true" if number else "false"
-    return str(int(number)) if value.type == WHOLE else repr(float(number))
+    return str(int(number)) if value.type == WHOLE_VALUE else repr(float(number))
 
 
 def _page(unit: Unit) -> str:
     """``documentation/index.html``: the values in a table."""
     from html import escape
 
-    roles = {CONSTANT: "constant", PARAMETER: "parameter", INPUT: "input", 0: "output"}
+    roles = {CONSTANT_VALUE: "constant", PARAMETER: "parameter", INPUT_VALUE: "input", 0: "output"}
     rows = "\n".join(
         f"<tr><td>{value.name}</td><td>{roles[value.role]}</td><td>{escape(value.unit)}</td>"
         f"<td>{escape(value.description)}</td></tr>"

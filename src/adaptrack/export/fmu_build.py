@@ -1,8 +1,8 @@
 """The binaries of FMUs, made before an FMU is exported: kernels, the C layer of the interface, and nothing of Python.
 
-``python -m adaptrack.export.fmu_build`` writes one shared library for each system into `BUILT`. It holds all units and
-both versions of the interface; which unit an FMU is, its constants say. So `adaptrack export fmu` copies it, and in a
-checkout makes it first where it is missing.
+``python -m adaptrack.export.fmu_build`` writes one shared library for each system into `FMU_FOLDER`. It holds all units
+and both versions of the interface; which unit an FMU is, its constants say. So `adaptrack export fmu` copies it, and in
+a checkout makes it first where it is missing.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from typing import Any
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import write_atomically
 from adaptrack.core import library
-from adaptrack.core.build.units import PLANTS, UNITS
+from adaptrack.core.build.units import PLANTS, UNIT_KERNELS
 
 HERE = Path(__file__).parent
-BUILT = HERE / "built"
-MANIFEST = "fmu.json"
-SOURCES = (
+FMU_FOLDER = HERE / "built"
+FMU_MANIFEST = "fmu.json"
+FMU_SOURCES = (
     *(HERE / "fmu_c" / name for name in ("fmu.c", "fmi2.c", "fmi3.c", "fmu.h")),
     *(HERE / "c" / name for name in ("adaptrack_block.c", "adaptrack_block.h", "adaptrack_error.h")),
 )
 LICENSE = HERE / "c" / "LICENSE"
-MEMBERS = (
+UNIT_MEMBERS = (
     "stanley", "pure_pursuit", "lqr", "discretise_single_track", "discretise_path", "kalman", "learn_car", "believe",
     *PLANTS,
 )  # fmt: skip
@@ -67,18 +67,20 @@ SYSTEMS = {
         ("-Wl,--gc-sections",),
     ),
 }  # fmt: skip
-EXPORTS = "{ global: fmi2*; fmi3*; local: *; };\n"
+FMU_VERSION_SCRIPT = "{ global: fmi2*; fmi3*; local: *; };\n"
 
 
 def units_header() -> str:
     """``units.h``: the kernels of the units as a table, and the hash by which constants know them."""
-    declared = "".join(f"extern void adaptrack_{member}(void);\n" for member in MEMBERS)
-    declared += "".join(f"extern int64_t adaptrack_{kernel}(void *);\n" for pair in UNITS.values() for kernel in pair)
-    rows = "".join(f"    {{{zlib.crc32(member.encode()):#x}u, adaptrack_{member}}},\n" for member in MEMBERS)
+    declared = "".join(f"extern void adaptrack_{member}(void);\n" for member in UNIT_MEMBERS)
+    declared += "".join(
+        f"extern int64_t adaptrack_{kernel}(void *);\n" for pair in UNIT_KERNELS.values() for kernel in pair
+    )
+    rows = "".join(f"    {{{zlib.crc32(member.encode()):#x}u, adaptrack_{member}}},\n" for member in UNIT_MEMBERS)
     units = "".join(
         f"    {{{{{int(library.kernels_hash(), 16):#x}u, {zlib.crc32(name.encode()):#x}u, MEMBERS, "
         f"sizeof MEMBERS / sizeof *MEMBERS, 0}}, adaptrack_{begin}, adaptrack_{step}}},\n"
-        for name, (begin, step) in UNITS.items()
+        for name, (begin, step) in UNIT_KERNELS.items()
     )
     return (
         f'/* Written by adaptrack.export.fmu_build. */\n#include "fmu.h"\n\n{declared}\n'
@@ -107,12 +109,12 @@ def linked(system: System, kernels: bytes, command: list[str]) -> bytes:
     """
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
-        for source in SOURCES:
+        for source in FMU_SOURCES:
             shutil.copy(source, work)
         (work / "units.c").write_text(units_header())
         (work / "kernels.o").write_bytes(kernels)
-        (work / "exports").write_text(EXPORTS)
-        names = [source.name for source in SOURCES if source.suffix == ".c"]
+        (work / "exports").write_text(FMU_VERSION_SCRIPT)
+        names = [source.name for source in FMU_SOURCES if source.suffix == ".c"]
         options = [option.format(exports="exports") for option in system.options]
         if "ziglang" in command:  # without a library it has no headers of one either
             options = [option for option in options if option != "-nostdlib"]
@@ -137,7 +139,7 @@ def linked(system: System, kernels: bytes, command: list[str]) -> bytes:
 def manifest() -> dict[str, Any] | None:
     """Return what was built of these kernels and C sources; None where there is nothing or something older."""
     try:
-        content = json.loads((BUILT / MANIFEST).read_text(encoding="utf-8"))
+        content = json.loads((FMU_FOLDER / FMU_MANIFEST).read_text(encoding="utf-8"))
         current = content["kernels"] == library.kernels_hash() and content["sources"] == sources_hash()
         entries = {name: {"sha256": str(entry["sha256"])} for name, entry in content["binaries"].items()}
     except (*library.UNUSABLE, RecursionError):
@@ -150,7 +152,7 @@ def build() -> None:
 
     The kernels for this system are compiled where they are missing.
     """
-    BUILT.mkdir(exist_ok=True)
+    FMU_FOLDER.mkdir(exist_ok=True)
     binaries: dict[str, Any] = {}
     native = "windows" if sys.platform == "win32" else "linux"
     for name, system in SYSTEMS.items():
@@ -164,13 +166,13 @@ def build() -> None:
             _say(f"no C compiler: install {' or '.join(system.compilers)}, or the package ziglang", name)
             continue
         content = linked(system, kernels.read_bytes(), command)
-        write_atomically(BUILT / f"fmu-{name}.{system.ending}", content)
+        write_atomically(FMU_FOLDER / f"fmu-{name}.{system.ending}", content)
         binaries[name] = {"sha256": hashlib.sha256(content).hexdigest()}
         _say(f"{len(content) // 1000} kB, by {command[0]}", name)
     if not binaries:
         return
     manifest = {"kernels": library.kernels_hash(), "sources": sources_hash(), "binaries": binaries}
-    write_atomically(BUILT / MANIFEST, json.dumps(manifest, indent=1).encode())
+    write_atomically(FMU_FOLDER / FMU_MANIFEST, json.dumps(manifest, indent=1).encode())
 
 
 def _say(text: str, name: str) -> None:
@@ -179,7 +181,7 @@ def _say(text: str, name: str) -> None:
 
 def sources_hash() -> str:
     """SHA-256 of the C sources."""
-    return hashlib.sha256(b"".join(source.read_bytes() for source in SOURCES)).hexdigest()
+    return hashlib.sha256(b"".join(source.read_bytes() for source in FMU_SOURCES)).hexdigest()
 
 
 if __name__ == "__main__":

@@ -10,16 +10,16 @@ program lays rows in its memory (`numbers by name`), copies into them what is na
    `synthesis.car.KnownWithin`; ``complete_car(wheelbase, load, truck, car, within)``. Every other number has its
    default; the tyre is that of the default. From a file: `Car` is a copy by name, `KnownWithin` a copy of the section
    ``known_within`` with ``said = 1``, or all NaN with ``said = 0`` where there is none; ``car_flaw(car)`` must answer
-   `ONE_CAR`.
+   `OK`.
 2. `synthesis.plant.Chassis`, `Tyre` (``linear`` and ``stiffness_load`` are numbers: the places of the words in
    `page_inputs.car_fields`; ``shape_factor`` is the file's ``shape``), `Body`: copies by name.
-   ``outline_of(body, chassis, outline)`` must answer `HOLDS`.
+   ``outline_of(body, chassis, outline)`` must answer `OK`.
 
 **A world.** The profile's `world_numbers`.
 
 1. ``plant_parameters(chassis, tyre, actuator, parameters)``; ``plant_law(tyre)`` chooses among ``plants`` which
    functions the `plants.contract.Vehicles` hold.
-2. ``plant_substeps(chassis, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `core.loop.Settings`;
+2. ``plant_substeps(chassis, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `core.loop.LoopSettings`;
    ``dead_periods(delay, actuator.dead_time, period)`` -> ``dead_whole``, ``dead_share``. The rest of Settings are
    copies: of ``settings``, of the actuator (``steering_lag``, ``steering_limit``, ``steering_bias``), of the chassis
    (``mass``, ``engine_power``, ``traction_limit``, ``brake_limit``) and of the domain (``failure_distance``).
@@ -32,10 +32,10 @@ When the truth changes while it drives, 1 and 2 are called again with a changed 
 
 1. Into the row of `synthesis.informed.Order`: ``car`` and ``within`` of the car; ``file``: lag, dead_time, rate and
    limit of the section ``steering``, NaN where it has none; ``given``: what a caller believes of lag and dead time.
-2. ``usual_filter`` writes the numbers of ``parts.filter``; ``informed_parts(order, parts)`` must answer `FINE`.
+2. ``usual_filter`` writes the numbers of ``parts.filter``; ``informed_parts(order, parts)`` must answer `OK`.
 3. ``informed_sizes(order, parts)``: states, numbers of the filter's memory, of the learner's.
 4. ``settings`` of `controller_numbers` in a row of `controllers.mpc.Settings`; ``informed_constants(order, parts,
-   constants)`` must answer `FINE`. It writes tuning, model, turning, estimator, learner and fresh of the `Mpc`. A
+   constants)`` must answer `OK`. It writes tuning, model, turning, estimator, learner and fresh of the `Mpc`. A
    tuning of the caller's then takes the place of ``tuning``. ``longest_horizon`` and ``most_moves`` are those of
    ``settings``, or Np and Nc where these are larger.
 5. ``learns`` is ``settings.learns``; on a road ``curved`` and ``feeds_forward`` are 1. ``functions`` names the members.
@@ -64,27 +64,27 @@ from adaptrack.core.synthesis import laws
 from adaptrack.drive.world import World
 from adaptrack.scenario.profile import Profile, load_profile
 
-INFORMED = ("informed", "learning")
+INFORMED_KINDS = ("informed", "learning")
 MADE_BY = {
     "pure-pursuit": (PurePursuit, laws.pure_pursuit_parameters, laws.PURSUIT),
     "stanley": (Stanley, laws.stanley_parameters, laws.STANLEY),
-    "lqr": (LQR, laws.lqr_parameters, laws.LQR),
+    "lqr": (LQR, laws.lqr_parameters, laws.LQR_NUMBERS),
 }
 """Laws by kind: the controller, the kernel that makes its parameters, and how many these are."""
-OF_THE_CAR, OF_THE_DRIVE = ("car", "within", "given", "file"), ("substeps", "dead_whole", "dead_share")
+CAR_FIELDS, DRIVE_FIELDS = ("car", "within", "given", "file"), ("substeps", "dead_whole", "dead_share")
 
 
 def world_numbers(profile: str | Profile) -> dict[str, Any]:
     """A profile for a program without Python, see the module.
 
-    ``period`` (s), ``delay`` (periods), ``actuator`` (`synthesis.plant.Actuator`), ``settings`` (`core.loop.Settings`,
-    all that is not of car or drive), ``remembered`` (instants whose samples are kept) and ``plants``, the names of the
-    functions for each answer of ``plant_law``.
+    ``period`` (s), ``delay`` (periods), ``actuator`` (`synthesis.plant.Actuator`), ``settings``
+    (`core.loop.LoopSettings`, all that is not of car or drive), ``remembered`` (instants whose samples are kept) and
+    ``plants``, the names of the functions for each answer of ``plant_law``.
     """
     profile_world, car = load_profile(profile), _any_car()
     world = World.of(DualTrack(car), MPC(car, profile=profile_world), profile_world, None, None, None)
     settings = world.settings(1)._asdict()
-    theirs = (*OF_THE_DRIVE, "failure_distance", *(key for key in settings if key.startswith("steering_")))
+    theirs = (*DRIVE_FIELDS, "failure_distance", *(key for key in settings if key.startswith("steering_")))
     for key in (*theirs, *world.plant.powertrain):
         del settings[key]
     plants = [
@@ -97,7 +97,7 @@ def world_numbers(profile: str | Profile) -> dict[str, Any]:
 
 
 def controller_numbers(kind: str, profile: str | Profile, preview: bool | None = None) -> dict[str, Any]:
-    """A controller of a kind (`INFORMED`, ``published``, `MADE_BY`) for a program without Python, see the module.
+    """A controller of a kind (`INFORMED_KINDS`, ``published``, `MADE_BY`) for a program without Python, see the module.
 
     preview: whether the reference is known ahead; None: as the profile says.
     """
@@ -108,17 +108,17 @@ def controller_numbers(kind: str, profile: str | Profile, preview: bool | None =
     car = _any_car()
     if kind == "published":
         mpc = published_mpc(car, period=world.period, preview=preview)
-        return {"settings": _others(mpc, _WRITTEN), "functions": _functions(mpc)}
-    if kind not in INFORMED:
-        kinds = (*INFORMED, "published", *MADE_BY)
+        return {"settings": _other_settings(mpc, _WRITTEN), "functions": _functions(mpc)}
+    if kind not in INFORMED_KINDS:
+        kinds = (*INFORMED_KINDS, "published", *MADE_BY)
         raise UnknownName(f"no kind of controller is named {kind!r}. {did_you_mean(kind, kinds)}")
     learning: Any = Learning() if kind == "learning" else "auto"
     order, *_ = order_of(car, world, (None, None, learning), None, None, preview)
     mpc = MPC(car, profile=world, learning=learning, preview=preview)
     left = _row(order)
-    for part in OF_THE_CAR:
+    for part in CAR_FIELDS:
         del left[part]
-    return {"order": left, "settings": _others(mpc, (*_WRITTEN, "preview")), "functions": _functions(mpc)}
+    return {"order": left, "settings": _other_settings(mpc, (*_WRITTEN, "preview")), "functions": _functions(mpc)}
 
 
 _WRITTEN = (
@@ -133,7 +133,7 @@ def _any_car() -> Vehicle:
     return load_vehicle("paper")
 
 
-def _others(mpc: MPC, written: tuple[str, ...]) -> dict[str, Any]:
+def _other_settings(mpc: MPC, written: tuple[str, ...]) -> dict[str, Any]:
     return {key: value for key, value in mpc.settings()._asdict().items() if key not in written}
 
 

@@ -11,52 +11,52 @@ from typing import Any
 import numpy as np
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, SPEED
+from adaptrack.base.limits import CONTROL_HORIZON, MAX_SPEED, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_vehicle
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core import path, path_parts, road, rollout  # noqa: F401 (kernels that the page calls)
 from adaptrack.core.build.page import CALLED
 from adaptrack.core.controllers import mpc
-from adaptrack.core.controllers.feed_forward import Turning
+from adaptrack.core.controllers.feed_forward import TurnIn
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.frame import FRAME
 from adaptrack.core.kernel import size_of
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.models import path as path_model
 from adaptrack.core.models import single_track
-from adaptrack.core.models.contract import MEASURED
-from adaptrack.core.period import Span
+from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.period import RunSpan
 from adaptrack.core.planning import along, drive, speed
 from adaptrack.core.planning.cells import PLAN
-from adaptrack.core.plants.contract import INPUT, SLOTS, STATE, STATES
+from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, PLANT_STATES, SLOTS
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.schedule import no_schedule
 from adaptrack.core.synthesis import car, laws, plant, published  # noqa: F401
-from adaptrack.core.synthesis.informed import Constants, Order, Parts
+from adaptrack.core.synthesis.informed import Constants, InformedParts, Order
 from adaptrack.export.page_controllers import controller_numbers, world_numbers
 from adaptrack.export.page_inputs import car_fields, page_car, plain
 from adaptrack.export.page_layout import calls, image, layouts, packed
-from adaptrack.export.page_setup import GENERATED, ROADS, TESTS, controller_of, page_road
+from adaptrack.export.page_setup import GENERATED, PAGE_ROADS, PAPER_ROADS, controller_of, page_road
 from adaptrack.road import Comfort, Line, Road
 from adaptrack.road.ahead import pack_roads
-from adaptrack.road.speed import SPACING
+from adaptrack.road.speed import PLAN_SPACING
 from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 RECORDS = (
-    rollout.Run, rollout.Counts, Span, road.Centreline, along.Along, speed.Planning, drive.RoadDrive, Order, Parts,
-    Constants, laws.Common, car.Car, car.KnownWithin, car.Steering, plant.Chassis, plant.Tyre, plant.Actuator,
-    plant.Body, plant.Outline,
+    rollout.RunRecord, rollout.RunCounts, RunSpan, road.Centreline, along.AlongRecord, speed.Planning,
+    drive.RoadDriveRecord, Order, InformedParts, Constants, laws.Common, car.CarRow, car.KnownWithinRow,
+    car.SteeringRow, plant.Chassis, plant.TyreRow, plant.Actuator, plant.BodyRow, plant.OutlineRow,
 )  # fmt: skip
 """What the engine lays into memory."""
-KINDS = {
+CONTROLLER_KINDS = {
     "informed": "knows its car", "learning": "learns its car", "published": "the paper's",
     "published-nn": "the paper's, scheduled by networks", "published-anfis": "the paper's, scheduled by ANFIS",
     "pure-pursuit": "pure pursuit", "stanley": "Stanley", "lqr": "LQR",
 }  # fmt: skip
 """Controllers of the page, and what they are."""
-BOUNDS = {
+INPUT_BOUNDS = {
     "lag": (0.0, 1.0), "dead_time": (0.0, 1.0), "bias": (-0.1, 0.1), "noise": (0.0, 20.0), "friction": (0.05, 1.5),
     "wind": (-40.0, 40.0), "vy": (-10.0, 10.0), "yaw_rate": (-3.0, 3.0), "angle": (-0.3, 0.3), "duration": (0.0, 10.0),
     "constant": (1.0, 60.0), "lateral": (0.5, 12.0), "road_length": (10.0, 100_000.0),
@@ -69,35 +69,42 @@ LONGEST_DEAD_TIME = 1.2
 def page_data() -> dict[str, Any]:
     """All of it."""
     return plain({
-        "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(), "bounds": BOUNDS, "words": _words(),
+        "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(), "bounds": INPUT_BOUNDS,
+        "words": _words(),
         "cars": {name: page_car(load_vehicle(name)) for name in list_vehicles()}, "inputs": car_fields(),
         "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
-        "frame": list(FRAME._fields), "answer": list(mpc.ANSWER._fields), "beliefs": list(learning.BELIEFS),
+        "frame": list(FRAME._fields), "answer": list(mpc.MPC_ANSWER._fields), "beliefs": list(learning.BELIEF_NAMES),
         "no_schedule": image(no_schedule()),
         "profiles": {name: world_numbers(name) for name in list_profiles()},
-        "controllers": {kind: {name: _controller(kind, name) for name in list_profiles()} for kind in KINDS},
+        "controllers": {kind: {name: _controller(kind, name) for name in list_profiles()} for kind in CONTROLLER_KINDS},
         "schedules": {name: image(load_scheduler(name).plan(1)) for name in ("road-nn", "road-anfis")},
-        "roads": {name: _road(name) for name in ROADS}, "tests": {name: _test(name) for name in TESTS},
-        "places": {"signal": SIGNAL._asdict(), "state": STATE._asdict(), "input": INPUT._asdict(),
-                   "plan": PLAN._asdict(), "slots": SLOTS, "states": STATES},
+        "roads": {name: _road(name) for name in PAGE_ROADS}, "tests": {name: _test(name) for name in PAPER_ROADS},
+        "places": {"signal": SIGNAL._asdict(), "state": PLANT_STATE._asdict(), "input": PLANT_INPUT._asdict(),
+                   "plan": PLAN._asdict(), "slots": SLOTS, "states": PLANT_STATES},
     })  # fmt: skip
 
 
 def _sizes() -> dict[str, int]:
     return {
-        "parameters": len(PLANT_PARAMETERS), "own_states": len(STATE) - 1, "measured": len(MEASURED),
-        "road_numbers": len(road.NUMBERS), "piece": path.COLUMNS, "signals": len(SIGNAL), "plan": len(PLAN),
+        "parameters": len(PLANT_PARAMETERS), "own_states": len(PLANT_STATE) - 1, "measured": len(MEASUREMENT),
+        "road_numbers": len(road.LINE_NUMBERS), "piece": road.PIECE_COLUMNS, "signals": len(SIGNAL), "plan": len(PLAN),
         "model": size_of(path_model.Parameters), "published_model": size_of(single_track.Parameters),
-        "published_states": len(single_track.STATE), "turning": size_of(Turning),
-        "turning_lag": Turning._fields.index("lag"), "estimator": size_of(kalman.Numbers),
-        "learner": size_of(learning.Numbers), "most_Np": min(150, int(PREDICTION_HORIZON.most)),
+        "published_states": len(single_track.SINGLE_TRACK_STATE), "turning": size_of(TurnIn),
+        "turning_lag": TurnIn._fields.index("lag"), "estimator": size_of(kalman.FilterParameters),
+        "learner": size_of(learning.LearnerParameters), "most_Np": min(150, int(PREDICTION_HORIZON.most)),
         "most_Nc": min(40, int(CONTROL_HORIZON.most)),
     }  # fmt: skip
 
 
 def _comfort() -> dict[str, float]:
-    """Bounds of a speed plan besides road and car (`core.planning.speed.Bounds`)."""
-    defaults = {"start": math.nan, "end": math.nan, "top_speed": math.nan, "no_limit": SPEED.most, "spacing": SPACING}
+    """Bounds of a speed plan besides road and car (`core.planning.speed.SpeedBounds`)."""
+    defaults = {
+        "start": math.nan,
+        "end": math.nan,
+        "top_speed": math.nan,
+        "no_limit": MAX_SPEED.most,
+        "spacing": PLAN_SPACING,
+    }
     return {**Comfort().model_dump(), **defaults}
 
 
@@ -128,7 +135,8 @@ def _controller(kind: str, profile: str) -> dict[str, Any]:
         controller_numbers(plain, profile),
     )
     return {
-        **numbers, "words": KINDS[kind], "schedule": f"road-{scheduled}" if base == "published" and scheduled else None,
+        **numbers, "words": CONTROLLER_KINDS[kind],
+        "schedule": f"road-{scheduled}" if base == "published" and scheduled else None,
         "diagnostics": list(controller.diagnostic_names), "tuning_names": list(controller.tuning_names),
         "usual": dict(zip(controller.tuning_names, controller.packed_tuning().tolist(), strict=True)),
     }  # fmt: skip

@@ -25,19 +25,19 @@ from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_y
 from adaptrack.base.files import write_atomically
 from adaptrack.base.html import content_policy
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
-from adaptrack.export.page_data import KINDS, page_data
+from adaptrack.export.page_data import CONTROLLER_KINDS, page_data
 from adaptrack.export.page_inputs import page_car
 from adaptrack.export.page_kernels import page_kernels
-from adaptrack.export.page_setup import ROADS
+from adaptrack.export.page_setup import PAGE_ROADS
 from adaptrack.road.points import read_points
 from adaptrack.scenario.profile import list_profiles
 
-SOURCES = Path(__file__).parent / "page"
+PAGE_SOURCES = Path(__file__).parent / "page"
 ENGINE = ("memory.js", "inputs.js", "makers.js", "engine.js")
 """Files of the worker, in the order in which they stand in its script; all other scripts are the page's."""
-FIRST, LAST = ("start.js",), ("app.js",)
+FIRST_SCRIPTS, LAST_SCRIPTS = ("start.js",), ("app.js",)
 """Of the page's: they stand before and behind the others."""
-LARGEST = 3_000_000
+MAX_PAGE_SIZE = 3_000_000
 """bytes of a page"""
 
 
@@ -112,9 +112,11 @@ def export_page(
         "car": _car(vehicle),
         "road": _road(road),
         "speed": {"lateral": lateral_acceleration or 3.0} if speed is None else {"constant": speed},
-        "profile": _known("profile", profile, list_profiles()),
+        "profile": _check_name("profile", profile, list_profiles()),
         "seed": seed,
-        "controllers": [{"kind": _known("controller", controller, KINDS)} for controller in controllers],
+        "controllers": [
+            {"kind": _check_name("controller", controller, CONTROLLER_KINDS)} for controller in controllers
+        ],
     }
     return write_page(file, setup)
 
@@ -129,7 +131,7 @@ def _car(vehicle: str | os.PathLike[str] | Vehicle) -> dict[str, Any]:
 def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
     if isinstance(road, str | os.PathLike):
         if os.path.splitext(road)[1].lower() not in (".csv", ".txt"):
-            return {"name": _known("road", os.fspath(road), ROADS)}
+            return {"name": _check_name("road", os.fspath(road), PAGE_ROADS)}
         read = read_points(road)
         points, name, closed = read.points, Path(road).stem, None
     else:
@@ -139,7 +141,7 @@ def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
     return {"points": points.tolist(), "closed": bool(closed), "name": name}
 
 
-def _known(kind: str, name: str, names: Iterable[str]) -> str:
+def _check_name(kind: str, name: str, names: Iterable[str]) -> str:
     if name not in names:
         raise UnknownName(f"export_page: the page has no {kind} {name!r}. {did_you_mean(name, names)}")
     return name
@@ -153,8 +155,8 @@ def page_parts() -> PageParts:
     InvalidInput
         Where the kernels for WebAssembly are not there.
     """
-    remaining = {path.name for path in SOURCES.glob("*.js")} - {*ENGINE, *FIRST, *LAST}
-    page = (*FIRST, *sorted(remaining), *LAST)
+    remaining = {path.name for path in PAGE_SOURCES.glob("*.js")} - {*ENGINE, *FIRST_SCRIPTS, *LAST_SCRIPTS}
+    page = (*FIRST_SCRIPTS, *sorted(remaining), *LAST_SCRIPTS)
     css = _text("viewer.css") + _text("page.css")
     with _quiet():
         data = page_data()
@@ -216,7 +218,7 @@ def policy(parts: PageParts) -> str:
 
 
 def _text(name: str) -> str:
-    return (SOURCES / name).read_text(encoding="utf-8")
+    return (PAGE_SOURCES / name).read_text(encoding="utf-8")
 
 
 def _together(names: tuple[str, ...]) -> str:

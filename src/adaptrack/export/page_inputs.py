@@ -15,12 +15,13 @@ from pydantic.fields import FieldInfo
 from adaptrack.base.checked import allowed
 from adaptrack.base.files import Record
 from adaptrack.cars import data_sheet
-from adaptrack.cars.domain import MOST, Domain
+from adaptrack.cars.domain import MAX_DOMAIN, Domain
 from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.vehicle import Body, Steering, Tyre, Vehicle, load_tyre
 from adaptrack.core import path
+from adaptrack.core.kernel import OK
 from adaptrack.core.synthesis import car, plant
-from adaptrack.road.points import COLUMN_UNITS, COLUMNS, DEGREES, NAME, WITHOUT_HEADER
+from adaptrack.road.points import COLUMN_UNITS, DEGREE_COLUMNS, NAME, POINT_COLUMNS, WITHOUT_HEADER
 
 SECTIONS: dict[str, type[Record]] = {
     "": Vehicle,
@@ -31,7 +32,7 @@ SECTIONS: dict[str, type[Record]] = {
     "tyre": Tyre,
 }
 """Sections of a car file, and the tyre's own file."""
-MOST_POINTS = 20_000
+MAX_PAGE_POINTS = 20_000
 DRIVE = {
     "time": "time", "command": "command", "wheel": "wheel_angle", "speed": "vx", "yaw_rate": "yaw_rate", "vy": "vy",
     "acceleration": "lateral_acceleration", "yaw": "yaw", "x": "x", "y": "y",
@@ -39,11 +40,11 @@ DRIVE = {
 """Columns of a drive's CSV, as `identify` and `shadow` call them (SI units), and of a page's frames."""
 ANSWERS = {
     "complete_car": {name: getattr(car, name) for name in (
-        "COMPLETE", "MASS_OUTSIDE", "WHEELBASE_OUTSIDE", "TOO_MUCH_LOAD", "AXLES_DISAGREE")},
-    "car_flaw": {"ONE_CAR": car.ONE_CAR},
-    "overhangs": {"HOLDS": plant.HOLDS},
+        "OK", "MASS_OUTSIDE", "WHEELBASE_OUTSIDE", "TOO_MUCH_LOAD", "AXLES_DISAGREE")},
+    "car_flaw": {"OK": OK},
+    "overhangs": {"OK": OK},
     "path_through": {name: getattr(path, name) for name in (
-        "OK", "TOO_FEW", "NOT_FINITE", "TOO_FAR", "TOO_SHORT", "KINK", "TOO_SMALL")},
+        "OK", "TOO_FEW", "POINT_NOT_FINITE", "POINT_TOO_FAR", "TOO_SHORT", "PATH_KINK", "TOO_SMALL")},
 }  # fmt: skip
 """What these kernels answer, by name."""
 _BOUNDS = ("gt", "ge", "lt", "le")
@@ -65,17 +66,17 @@ def car_fields() -> dict[str, Any]:
                 for name, kind in SECTIONS.items()}  # fmt: skip
     return {
         "sections": sections,
-        "most": MOST,
+        "most": MAX_DOMAIN,
         "tyre": _tyre(load_tyre(Vehicle.model_fields["tyre"].default)),
         "sheet": {
-            "mass": list(data_sheet.MASSES), "wheelbase": list(data_sheet.WHEELBASES),
+            "mass": list(car.MASSES), "wheelbase": list(car.WHEELBASES),
             "body_styles": list(data_sheet.BODY_STYLES),
         },
         "points": {
-            "columns": {name: list(COLUMNS[name]) for name in ("x", "y")}, "degrees": list(DEGREES), "name": NAME,
-            "units": COLUMN_UNITS["x"], "without_header": WITHOUT_HEADER,
-            "fewest": path.FEWEST, "most": MOST_POINTS, "farthest": path.FARTHEST, "widest": path.WIDEST,
-            "shortest": path.SHORTEST,
+            "columns": {name: list(POINT_COLUMNS[name]) for name in ("x", "y")}, "degrees": list(DEGREE_COLUMNS),
+            "name": NAME, "units": COLUMN_UNITS["x"], "without_header": WITHOUT_HEADER,
+            "fewest": path.MIN_PATH_POINTS, "most": MAX_PAGE_POINTS, "farthest": path.MAX_COORDINATE,
+            "widest": path.WIDEST, "shortest": path.MIN_PATH_LENGTH,
         },
         "drive": DRIVE,
         "answers": ANSWERS,
@@ -109,9 +110,9 @@ def plain(value: Any) -> Any:
 
 
 def tyre_numbers(tyre: Tyre) -> dict[str, Any]:
-    """A row of `core.synthesis.plant.Tyre` by name; None for NaN."""
+    """A row of `core.synthesis.plant.TyreRow` by name; None for NaN."""
     row = tyre.numbers
-    return {name: None if math.isnan(row[name]) else row[name].item() for name in plant.Tyre._fields}
+    return {name: None if math.isnan(row[name]) else row[name].item() for name in plant.TyreRow._fields}
 
 
 def _is_section(field: FieldInfo) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core import library
 
-PAGE = "wasm32-page"
+PAGE_TARGET = "wasm32-page"
 """The name of what is exported for pages."""
 
 
@@ -18,8 +18,8 @@ def page_kernels() -> bytes:
         When it is not there and cannot be compiled.
     """
     try:
-        return library.exported(PAGE).read_bytes()
+        return library.exported(PAGE_TARGET).read_bytes()
     except library.UNUSABLE as error:
         raise InvalidInput(
-            f"the kernels for WebAssembly are not there ({error}): run {library.BUILD} --export {PAGE}."
+            f"the kernels for WebAssembly are not there ({error}): run {library.BUILD} --export {PAGE_TARGET}."
         ) from None

@@ -18,15 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.core.kernel import EXPORTED, Array, Number, float64, int64
+from adaptrack.core.kernel import EXPORTED, Array, Scalar, float64, int64
 
-PACKAGE = "adaptrack.core."
+CORE_PACKAGE = "adaptrack.core."
 _LETTERS = {"float64": "f", "int64": "i", "boolean": "i", "void": ""}
 
 
 def name_of(kind: Any) -> str:
-    """A record by its file and its name: "loop.Settings"."""
-    return f"{kind.__module__.removeprefix(PACKAGE)}.{kind.__name__}"
+    """A record by its file and its name: "loop.LoopSettings"."""
+    return f"{kind.__module__.removeprefix(CORE_PACKAGE)}.{kind.__name__}"
 
 
 def layouts(kinds: Iterable[Any]) -> dict[str, Any]:
@@ -56,13 +56,13 @@ def _field(kind: Any, records: dict[str, Any]) -> tuple[str, Any, int]:
     if isinstance(kind, tuple):
         of, *shape = kind
         count = math.prod(shape)
-        if isinstance(of, Number):
+        if isinstance(of, Scalar):
             return "W", count, count
         return "S", [name_of(of), count], count * _add(of, records)
-    if isinstance(kind, Number):
+    if isinstance(kind, Scalar):
         return _LETTERS[kind.name], None, 1
     if isinstance(kind, Array):
-        if isinstance(kind.of, Number):
+        if isinstance(kind.of, Scalar):
             return _LETTERS[kind.of.name].upper(), kind.ndim, 1 + kind.ndim
         _add(kind.of, records)
         return "R", name_of(kind.of), 2
@@ -76,7 +76,7 @@ def calls(names: Iterable[str]) -> dict[str, list[str]]:
 
 def _call(signature: Any) -> list[str]:
     letters = "".join(
-        _LETTERS[kind.name] if isinstance(kind, Number) else str(kind.ndim) if isinstance(kind, Array) else "r"
+        _LETTERS[kind.name] if isinstance(kind, Scalar) else str(kind.ndim) if isinstance(kind, Array) else "r"
         for kind in signature.types
     )
     return [letters, "".join(_LETTERS[kind.name] for kind in signature.returns)]
@@ -103,7 +103,7 @@ def _value(kind: Any, value: Any, functions: dict[int, str]) -> Any:
     if isinstance(kind, Array):
         if not value.tobytes().strip(b"\0"):
             return {"shape": list(value.shape)}
-        if isinstance(kind.of, Number):
+        if isinstance(kind.of, Scalar):
             return packed(value)
         return {"words": base64.b64encode(np.ascontiguousarray(value).tobytes()).decode(), "shape": list(value.shape)}
     if kind == int64 and value in functions:

@@ -3,7 +3,7 @@
 A setup is plain data for JSON:
 
     car          {name} of ours | {sheet: {mass, wheelbase, ...}} | {file: a car file as the page has read it}
-    road         {name} of `ROADS` | {points: [[x, y], ...], closed, name} | {test} of `TESTS`
+    road         {name} of `PAGE_ROADS` | {points: [[x, y], ...], closed, name} | {test} of `PAPER_ROADS`
     speed        {constant: m/s} | {lateral: m/s^2}, planned; a test has its own
     profile      name; what the controllers are made for
     truth        {lag, dead_time, bias, noise, friction, wind} where the world differs, else null; noise: a factor
@@ -34,9 +34,9 @@ from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, pl
 from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile, load_profile
 
-AN_HOUR = 3600.0
+CLOSED_ROAD_DURATION = 3600.0
 """s, for which a closed road is driven."""
-TESTS = ("triple-lane-change", "general-trajectory")
+PAPER_ROADS = ("triple-lane-change", "general-trajectory")
 """The paper's."""
 
 
@@ -50,7 +50,7 @@ def _oval() -> Road:
 
 GENERATED = {"mountain": 1500.0, "country": 2500.0, "town": 1200.0, "motorway": 4000.0, "lap": 1500.0}
 """Kinds of `generate_road` and how long (m) they are on the page."""
-ROADS = (*GENERATED, "oval")
+PAGE_ROADS = (*GENERATED, "oval")
 """The ready-made roads: level, of one width and speed limit each."""
 
 
@@ -105,7 +105,7 @@ def drive_of(setup: Mapping[str, Any], car: Vehicle) -> RoadDrive | Scenario:
     road, speed = road_of(road_setup), setup["speed"]
     plan = speed["constant"] if "constant" in speed else plan_speed(road, car, Comfort(lateral=speed["lateral"]))
     drive = RoadDrive(road if friction is None else road.replace(friction=friction), plan, wind=wind or 0.0)
-    return drive.replace(laps=max(1, math.floor(AN_HOUR / drive.duration))) if road.closed else drive
+    return drive.replace(laps=max(1, math.floor(CLOSED_ROAD_DURATION / drive.duration))) if road.closed else drive
 
 
 def world_of(profile: Profile, truth: Mapping[str, Any]) -> Profile:

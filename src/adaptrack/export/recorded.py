@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
-from adaptrack.core.models.contract import MEASURED
-from adaptrack.core.tracker.records import SAMPLE as CALL
+from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.tracker.records import TRACKED
+from adaptrack.core.tracker.records import TRACKER_SAMPLE as CALL
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.simulate import simulate
 from adaptrack.export.tracking import Twin
@@ -32,13 +32,13 @@ from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
-SPACING = 5.0
+RECORDED_SPACING = 5.0
 """m, between the points of the path: what a planner would send."""
-AHEAD = 10.0
+RECORDED_LOOKAHEAD = 10.0
 """s, at the highest speed, that the path goes on behind the end of the record."""
-SAMPLE = CALL._fields
+SAMPLE_COLUMNS = CALL._fields
 """Columns of `Recorded.samples`."""
-ANSWER = TRACKED._fields
+ANSWER_COLUMNS = TRACKED._fields
 """Columns of `Recorded.answers`."""
 DRIVEN_SHARE = 0.4
 """Share of the record that the controller drives."""
@@ -110,7 +110,7 @@ class Recorded:
     points: Array
     """(n, 2) m"""
     plan: SpeedPlan
-    """every `SPACING`; of it the tracker knows place and speed"""
+    """every `RECORDED_SPACING`; of it the tracker knows place and speed"""
     samples: Array
     """(calls, SAMPLE)"""
     answers: Array
@@ -133,7 +133,8 @@ def record_drive(
 ) -> Recorded:
     """Drive the beginning of a road with a controller behind a tracker, then `STRETCHES`; keep what went in and out.
 
-    The road is driven through points `SPACING` apart, at a speed planned as `plan` is; profile: of the sensors;
+    The road is driven through points `RECORDED_SPACING` apart, at a speed planned as `plan` is; profile: of the
+    sensors;
     furthest: m, from the path, as of the exported tracker. A command takes effect a period after its sample if the
     controller assumes such a computation time, else at once.
 
@@ -142,7 +143,7 @@ def record_drive(
     InvalidInput
         When the controller cannot be tracked, or the drive ends before its first instant.
     """
-    length = min(road.length, float(plan.speed.max()) * (DRIVEN_SHARE * seconds + AHEAD))
+    length = min(road.length, float(plan.speed.max()) * (DRIVEN_SHARE * seconds + RECORDED_LOOKAHEAD))
     points = _points(road, length)
     path = road_through(points, name=road.name)
     points = np.concatenate([points, _bends(path, _tightest(controller))])
@@ -207,9 +208,9 @@ def _wild(
 def _extended(plan: SpeedPlan, length: float) -> SpeedPlan:
     """The speed at fewer places, and slow in the bends up to a length (m)."""
     last = float(plan.s[-1])
-    s = np.linspace(0.0, last, max(2, math.ceil(last / SPACING)))
+    s = np.linspace(0.0, last, max(2, math.ceil(last / RECORDED_SPACING)))
     return replace(
-        plan, s=np.array([*s, last + SPACING, length]), speed=np.array([*plan.at(s), BEND_SPEED, BEND_SPEED])
+        plan, s=np.array([*s, last + RECORDED_SPACING, length]), speed=np.array([*plan.at(s), BEND_SPEED, BEND_SPEED])
     )
 
 
@@ -221,7 +222,7 @@ def _tightest(controller: Controller) -> float:
 
 def _points(road: Road, length: float) -> Array:
     """Points of the beginning of a road."""
-    along = road.at(np.linspace(0.0, length, max(4, math.ceil(length / SPACING)) + 1))
+    along = road.at(np.linspace(0.0, length, max(4, math.ceil(length / RECORDED_SPACING)) + 1))
     return np.stack([along.x, along.y], axis=-1)
 
 
@@ -254,14 +255,14 @@ class _Driver(Controller):
     ) -> float:
         time, measured = self._instant * self.period, np.asarray(state, dtype=float)
         assert road is not None
-        age = float(measured[MEASURED.pose_age])
+        age = float(measured[MEASUREMENT.pose_age])
         age = age if math.isfinite(age) else 0.0
         foot = road.road.at(road.station - age * speed)
-        offset, yaw = float(measured[MEASURED.y]), float(foot.heading) + float(measured[MEASURED.yaw])
+        offset, yaw = float(measured[MEASUREMENT.y]), float(foot.heading) + float(measured[MEASUREMENT.yaw])
         x, y = float(foot.x) - offset * math.sin(foot.heading), float(foot.y) + offset * math.cos(foot.heading)
-        signals = [float(measured[i]) for i in (MEASURED.yaw_rate, MEASURED.vy, MEASURED.lateral_acceleration)]
+        signals = [float(measured[i]) for i in (MEASUREMENT.yaw_rate, MEASUREMENT.vy, MEASUREMENT.lateral_acceleration)]
         sample = np.full(len(CALL), math.nan)
-        sample[: CALL.friction] = time - age, time, x, y, yaw, speed, *signals, measured[MEASURED.wheel_angle]
+        sample[: CALL.friction] = time - age, time, x, y, yaw, speed, *signals, measured[MEASUREMENT.wheel_angle]
         self._instant += 1
         return self.call(sample) if time < self._seconds else 0.0
 

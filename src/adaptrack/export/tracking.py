@@ -16,33 +16,33 @@ from adaptrack.control.tracking import tracking_of
 from adaptrack.core.kernel import direct
 from adaptrack.core.tracker.records import LawTracking, Tracking
 from adaptrack.core.tracker.step import tracker_step, tracker_step_law
-from adaptrack.export.block import Block, Role, Start, pack
+from adaptrack.export.block import ArrayRole, ArrayStart, Block, pack
 from adaptrack.road import Road, SpeedPlan
 
 ROLES = {
-    "tracker.settings": Role.FIXED,
-    "tracker.check.settings": Role.FIXED,
-    "scheduling.schedule.settings": Role.FIXED,
-    "scheduling.schedule.integers": Role.FIXED,
-    "scheduling.schedule.numbers": Role.FIXED,
-    "scheduling.first": Role.FIXED,
+    "tracker.settings": ArrayRole.FIXED,
+    "tracker.check.settings": ArrayRole.FIXED,
+    "scheduling.schedule.settings": ArrayRole.FIXED,
+    "scheduling.schedule.integers": ArrayRole.FIXED,
+    "scheduling.schedule.numbers": ArrayRole.FIXED,
+    "scheduling.first": ArrayRole.FIXED,
     # of an MPC
-    "step.mpc.states": Role.FIXED,
-    "step.mpc.informed.fresh": Role.FIXED,
-    "step.mpc.informed.learner": Role.FIXED,
-    "step.mpc.ws.moves": Role.FIXED,
-    "step.mpc.model": Role.RENEWED,
-    "step.mpc.parameters": Role.RENEWED,
-    "step.mpc.feed.turning": Role.RENEWED,
-    "step.mpc.informed.estimator": Role.RENEWED,
-    "step.mpc.ws.rows": Role.RENEWED,
-    "step.tuning": Role.RENEWED,
+    "step.mpc.states": ArrayRole.FIXED,
+    "step.mpc.informed.fresh": ArrayRole.FIXED,
+    "step.mpc.informed.learner": ArrayRole.FIXED,
+    "step.mpc.ws.moves": ArrayRole.FIXED,
+    "step.mpc.model": ArrayRole.RENEWED,
+    "step.mpc.parameters": ArrayRole.RENEWED,
+    "step.mpc.feed.turning": ArrayRole.RENEWED,
+    "step.mpc.informed.estimator": ArrayRole.RENEWED,
+    "step.mpc.ws.rows": ArrayRole.RENEWED,
+    "step.tuning": ArrayRole.RENEWED,
     # of a law
-    "law.parameters": Role.FIXED,
-    "tuning": Role.RENEWED,
+    "law.parameters": ArrayRole.FIXED,
+    "tuning": ArrayRole.RENEWED,
 }
 """Of `Tracking` and `LawTracking`; all else is kept."""
-STARTS = (Start("step.mpc.informed.learned", "step.mpc.informed.fresh"),)
+STARTS = (ArrayStart("step.mpc.informed.learned", "step.mpc.informed.fresh"),)
 RESETS = {"step.mpc.memory": {"speed": math.nan}}
 """The model, and all that follows from it, is formed anew."""
 OUTSIDE = ("tracker.path", "tracker.plan")
@@ -75,7 +75,7 @@ def refuse(controller: Any) -> None:
         raise InvalidInput(
             f"export: scheduler {scheduler!r} of {name!r} is Python: give one of a file (save_scheduler)."
         )
-    if isinstance(controller, MPC) and not controller.in_kernel:
+    if isinstance(controller, MPC) and not controller.runs_in_kernel:
         raise InvalidInput(f"export: QP solver {controller.solver.name!r} of {name!r} is Python's: use 'active-set'.")
 
 
@@ -151,7 +151,7 @@ def _with_learned(controller: MPC, settings: Any) -> Any:
     """The MPC under some settings."""
     mpc = controller.batch(1, settings, curved=True)
     if controller.learner is not None:
-        learned = controller.learner.again(controller._mpc.informed.learned[0])
+        learned = controller.learner.restart_memory(controller._mpc.informed.learned[0])
         mpc.informed.fresh[:] = learned
         mpc.informed.learned[0] = learned
     return mpc

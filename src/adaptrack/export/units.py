@@ -22,23 +22,23 @@ from adaptrack.core.plants.contract import place, vehicle_batch
 from adaptrack.core.units import car, controller
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.world import Driver, World
-from adaptrack.export.block import Role
+from adaptrack.export.block import ArrayRole
 from adaptrack.export.tracking import ROLES, refuse, small_record_of
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile, load_profile
 
-REAL, WHOLE, TRUTH, PARAMETER, INPUT, CONSTANT = 0, 1, 2, 4, 8, 16
+REAL, WHOLE_VALUE, TRUTH, PARAMETER, INPUT_VALUE, CONSTANT_VALUE = 0, 1, 2, 4, 8, 16
 """What a value is, as `fmu.h` numbers it: its type and its role; an output without one."""
-LARGEST_SEED = 2.0**53
-FASTEST = 70.0
+MAX_FMU_SEED = 2.0**53
+MAX_FREE_SPEED = 70.0
 """m/s, to which a car is integrated where no drive says how fast it goes."""
 _UNIT = re.compile(r"(?P<unit>1/m|m/s\^2|m/s|rad/s|rad|m|s|-|true)(?P<end>[,:] |$)")
 
 
 @dataclass(frozen=True)
-class Value:
+class UnitValue:
     """One of the numbers of a unit; its place is its reference."""
 
     name: str
@@ -53,12 +53,12 @@ class Value:
 
     @property
     def type(self) -> int:
-        """`REAL`, `WHOLE` or `TRUTH`."""
+        """`REAL`, `WHOLE_VALUE` or `TRUTH`."""
         return self.kind & 3
 
     @property
     def role(self) -> int:
-        """`PARAMETER`, `INPUT`, `CONSTANT`, or 0 of an output."""
+        """`PARAMETER`, `INPUT_VALUE`, `CONSTANT_VALUE`, or 0 of an output."""
         return self.kind & ~3
 
 
@@ -69,9 +69,9 @@ class Unit:
     name: str
     title: str
     record: Any
-    values: tuple[Value, ...]
+    values: tuple[UnitValue, ...]
     """beginning with the constants"""
-    roles: Mapping[str, Role]
+    roles: Mapping[str, ArrayRole]
     """of the record's arrays, see `block.pack`"""
 
     @property
@@ -83,7 +83,8 @@ class Unit:
 def described(module: str, groups: Mapping[int, tuple[str, ...]], starts: Mapping[str, tuple[float, ...]]) -> Any:
     """The values of a unit in the words of its kernel's file; whole numbers are those that say nothing of a unit.
 
-    groups: names of the constants, parameters, inputs and outputs by their role (`CONSTANT`, `PARAMETER`, `INPUT`, 0);
+    groups: names of the constants, parameters, inputs and outputs by their role (`CONSTANT_VALUE`, `PARAMETER`,
+    `INPUT_VALUE`, 0);
     given: start, least and most where they are not 0 and no limit.
     """
     words = {name: text for _, fields in remarks(module).values() for name, text in fields.items()}
@@ -92,10 +93,10 @@ def described(module: str, groups: Mapping[int, tuple[str, ...]], starts: Mappin
         for name in names:
             match = _UNIT.match(words.get(name, ""))
             unit = match["unit"] if match else ""
-            kind = TRUTH if unit == "true" else REAL if match else WHOLE
+            kind = TRUTH if unit == "true" else REAL if match else WHOLE_VALUE
             text = words.get(name, "")[match.end() if match and unit != "true" else 0 :]
             variables.append(
-                Value(name, kind | role, "" if unit in ("-", "true") else unit, text, *starts.get(name, ()))
+                UnitValue(name, kind | role, "" if unit in ("-", "true") else unit, text, *starts.get(name, ()))
             )
     return tuple(variables)
 
@@ -121,7 +122,7 @@ def car_unit(
     world = _world(plant, profile, driver, period)
     road = getattr(route, "road", None)
     if route is None:
-        pose, speed, fastest = (0.0, 0.0, 0.0), 20.0, FASTEST
+        pose, speed, fastest = (0.0, 0.0, 0.0), 20.0, MAX_FREE_SPEED
     else:
         signals = route.sample(world.period)
         pose, speed, fastest = route.start_pose(), float(signals.speed[0]), float(signals.speed.max())
@@ -137,21 +138,26 @@ def car_unit(
     )
     loop = world.loop(inputs, vehicles, world.settings(world.substeps(fastest)), variables=False)
     starts = {
-        "period": (world.period,), "speed_preview": (ahead,), "seed": (0.0, 0.0, LARGEST_SEED),
+        "period": (world.period,), "speed_preview": (ahead,), "seed": (0.0, 0.0, MAX_FMU_SEED),
         "parallel_exchange": (0.0, 0.0, 1.0), "start_speed": (speed, 0.0, 100.0), "command": (0.0, -math.pi, math.pi),
         "speed": (speed, 0.0, 100.0), "speed_ahead": (speed, 0.0, 100.0), "on_plan": (0.0, 0.0, 1.0),
         **dict(zip(("start_x", "start_y", "start_yaw"), ((coordinate, -1e8, 1e8) for coordinate in pose), strict=True)),
         "start_station": (0.0, -1e8, 1e8), "plan_station": (0.0, -1e8, 1e8), "bank": (0.0, -10.0, 10.0),
-        **{name: (0.9, 1e-3, 3.0) for name in car.INPUTS if name.startswith("friction")},
+        **{name: (0.9, 1e-3, 3.0) for name in car.CAR_INPUTS if name.startswith("friction")},
         **{name: (0.0, -100.0, 100.0) for name in ("wind_x", "wind_y")},
     }  # fmt: skip
-    groups = {CONSTANT: car.CONSTANTS, PARAMETER: car.PARAMETERS, INPUT: car.INPUTS, 0: car.OUTPUTS}
+    groups = {
+        CONSTANT_VALUE: car.CAR_CONSTANTS,
+        PARAMETER: car.PARAMETERS,
+        INPUT_VALUE: car.CAR_INPUTS,
+        0: car.CAR_OUTPUTS,
+    }
     values = described(car.__name__, groups, starts)
     past = loop.memory.past.shape[1]
-    record = car.Car(*_columns(values), past=np.zeros(past), loop=loop)
+    record = car.CarUnit(*_columns(values), past=np.zeros(past), loop=loop)
     title = f"car {(getattr(plant, 'vehicle', None) or plant).name}, {plant.name}, profile {world.profile.name}"
-    roles = dict.fromkeys(("loop.vehicles.parameters", "loop.given.roads"), Role.FIXED)
-    return Unit("car", title, record, values, FIXED | roles)
+    roles = dict.fromkeys(("loop.vehicles.parameters", "loop.given.roads"), ArrayRole.FIXED)
+    return Unit("car", title, record, values, FIXED_ROLES | roles)
 
 
 @checked
@@ -185,22 +191,22 @@ def controller_unit(
         **dict.fromkeys(("planned_speed", "planned_speed_ahead"), (first,)),
     }  # fmt: skip
     groups = {
-        CONSTANT: controller.CONSTANTS, PARAMETER: controller.PARAMETERS, INPUT: controller.INPUTS,
-        0: controller.OUTPUTS,
+        CONSTANT_VALUE: controller.STEERING_CONSTANTS, PARAMETER: controller.PARAMETERS,
+        INPUT_VALUE: controller.STEERING_INPUTS, 0: controller.STEERING_OUTPUTS,
     }  # fmt: skip
     values = described(controller.__name__, groups, starts)
-    kind = controller.Steering if isinstance(built_controller, MPC) else controller.LawSteering
+    kind = controller.SteeringUnit if isinstance(built_controller, MPC) else controller.LawSteeringUnit
     roles = {f"tracking.{name}": role for name, role in ROLES.items()}
-    roles |= dict.fromkeys(("tracking.tracker.path", "tracking.tracker.plan"), Role.FIXED)
+    roles |= dict.fromkeys(("tracking.tracker.path", "tracking.tracker.plan"), ArrayRole.FIXED)
     title = f"controller {built_controller.name} on {path.name}"
-    return Unit("controller", title, kind(*_columns(values), tracking=tracking), values, FIXED | roles)
+    return Unit("controller", title, kind(*_columns(values), tracking=tracking), values, FIXED_ROLES | roles)
 
 
-FIXED = dict.fromkeys(("kinds", "least", "most"), Role.FIXED)
+FIXED_ROLES = dict.fromkeys(("kinds", "least", "most"), ArrayRole.FIXED)
 """Of every unit."""
 
 
-def _columns(values: tuple[Value, ...]) -> tuple[NDArray[Any], ...]:
+def _columns(values: tuple[UnitValue, ...]) -> tuple[NDArray[Any], ...]:
     """Values, kinds, least and most as the kernels read them."""
     kinds = np.array([value.kind for value in values], np.int64)
     return (np.array([value.start for value in values]), kinds, np.array([value.least for value in values]),

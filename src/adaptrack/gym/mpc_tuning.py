@@ -8,14 +8,14 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import whole
-from adaptrack.core.public import BELIEFS
+from adaptrack.base.checked import whole_number
+from adaptrack.core.public import BELIEF_NAMES
 from adaptrack.gym.driven import Driven, needs_reset
-from adaptrack.gym.spaces import STATE, Tunings, box, checked_action, first_belief, make_mpc, variables_within
+from adaptrack.gym.spaces import BELIEF_STATE, Tunings, box, checked_action, first_belief, make_mpc, variables_within
 from adaptrack.gym.task import Task
 
 Array = NDArray[np.float64]
-EVERY = 10
+TUNING_PERIODS = 10
 """Control periods between two tunings."""
 
 
@@ -87,10 +87,10 @@ class MPCTuningEnv(gymnasium.Env):
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
 
     def __init__(
-        self, *, controller: str = "informed", every: int = EVERY, render_mode: str | None = None, **task: Any
+        self, *, controller: str = "informed", every: int = TUNING_PERIODS, render_mode: str | None = None, **task: Any
     ) -> None:
         self.task, self.controller, self.render_mode = Task(**task), controller, render_mode
-        self.every = whole("MPCTuning", "every", every)
+        self.every = whole_number("MPCTuning", "every", every)
         vehicle, _, profile = self.task.known_car()
         mpc = make_mpc(controller, vehicle, profile)
         within = variables_within(mpc)
@@ -128,7 +128,7 @@ class MPCTuningEnv(gymnasium.Env):
     @property
     def _belief_info(self) -> dict[str, Any]:
         """Return the learned quantities for ``info``."""
-        return {} if self._mpc.learner is None else {STATE: int(self._belief[BELIEFS.index(STATE)])}
+        return {} if self._mpc.learner is None else {BELIEF_STATE: int(self._belief[BELIEF_NAMES.index(BELIEF_STATE)])}
 
     def _observe(self, drive: Driven) -> Array:
         inputs = np.array([*drive.sensed.variables, *self._belief])

@@ -14,31 +14,31 @@ from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.control.controllers import MPC, Learning, published_mpc
 from adaptrack.control.controllers.setup import LoopSetup
-from adaptrack.core.public import BELIEFS, LEARNED
+from adaptrack.core.public import BELIEF_NAMES, LEARNED
 from adaptrack.gym.task import Task
 
 Array = NDArray[np.float64]
 
-FARTHEST = 100.0
+CLIP_DISTANCE = 100.0
 """m, to which offsets and the reference ahead are clipped."""
 OBSERVED_WITHIN = {
-    "offset": (-FARTHEST, FARTHEST), "heading_error": (-math.pi, math.pi), "yaw_rate": (-10.0, 10.0),
+    "offset": (-CLIP_DISTANCE, CLIP_DISTANCE), "heading_error": (-math.pi, math.pi), "yaw_rate": (-10.0, 10.0),
     "speed": (0.0, 100.0), "wheel_angle": (-math.pi / 2, math.pi / 2), "command": (-math.pi / 2, math.pi / 2),
     "pose_age": (0.0, 600.0),
 }  # fmt: skip
 """Bounds of what sensors give, `core.observation.OBSERVATION`."""
-AHEAD_WITHIN, CURVATURE_WITHIN = (-FARTHEST, FARTHEST), (-1.0, 1.0)
+AHEAD_WITHIN, CURVATURE_WITHIN = (-CLIP_DISTANCE, CLIP_DISTANCE), (-1.0, 1.0)
 """m, 1/m"""
 VARIABLES_WITHIN = {
     "speed": (0.0, 100.0), "y_ref": (-1000.0, 1000.0), "friction": (0.0, 2.0), "wind": (-100.0, 100.0),
-    "change": (0.0, 1000.0), "acceleration": (0.0, 100.0), "offset": (-FARTHEST, FARTHEST),
+    "change": (0.0, 1000.0), "acceleration": (0.0, 100.0), "offset": (-CLIP_DISTANCE, CLIP_DISTANCE),
 }  # fmt: skip
 BELIEF_WITHIN = {"belief_lag": (0.0, 10.0), "belief_delay": (0.0, 10.0)}
 """s, lag of the steering and time until a command begins to act, as the controller believes them."""
 LEARNED_WITHIN = (-100.0, 100.0)
-STATE = "belief_state"
+BELIEF_STATE = "belief_state"
 """Of what is learned, and what ``info`` calls it."""
-DECADES = 2.0
+RATIO_DECADES = 2.0
 """By which log10 R/Q may lie to either side of the controller's own."""
 DISTANCES = (0.0, 5.0, 10.0, 20.0, 40.0)
 """m, at which one looks ahead."""
@@ -93,11 +93,11 @@ def checked_action(action: Any, space: spaces.Box) -> Array:
 
 
 # -- the MPC that is tuned --------------------------------------------------------------------------------------------
-CONTROLLERS = ("informed", "informed-learning", "as-written")
+ENVIRONMENT_CONTROLLERS = ("informed", "informed-learning", "as-written")
 
 
 def make_mpc(kind: str, vehicle: Any, profile: Any, scheduler: Any = None) -> MPC:
-    """The MPC of a car in a profile, by its name among `CONTROLLERS`; it knows the road ahead.
+    """The MPC of a car in a profile, by its name among `ENVIRONMENT_CONTROLLERS`; it knows the road ahead.
 
     Raises
     ------
@@ -107,8 +107,8 @@ def make_mpc(kind: str, vehicle: Any, profile: Any, scheduler: Any = None) -> MP
     arguments: dict[str, Any] = {"period": profile.period, "preview": True, "scheduler": scheduler}
     if kind == "as-written":
         return published_mpc(vehicle, **arguments)
-    if kind not in CONTROLLERS:
-        raise UnknownName(f"no controller to tune is named {kind!r}. {did_you_mean(kind, CONTROLLERS)}")
+    if kind not in ENVIRONMENT_CONTROLLERS:
+        raise UnknownName(f"no controller to tune is named {kind!r}. {did_you_mean(kind, ENVIRONMENT_CONTROLLERS)}")
     return MPC(vehicle, profile=profile, learning=Learning() if kind == "informed-learning" else None, **arguments)
 
 
@@ -117,8 +117,8 @@ class Tunings:
 
     def __init__(self, mpc: MPC) -> None:
         log_ratio = math.log10(mpc.tuning.R / mpc.tuning.Q)
-        self.low = np.array([1.0, 1.0, log_ratio - DECADES])
-        self.high = np.array([mpc.longest_horizon, mpc.most_moves, log_ratio + DECADES])
+        self.low = np.array([1.0, 1.0, log_ratio - RATIO_DECADES])
+        self.high = np.array([mpc.longest_horizon, mpc.most_moves, log_ratio + RATIO_DECADES])
         self.box = box([(-1.0, 1.0)] * 3)
 
     def of(self, actions: Array) -> Array:
@@ -148,12 +148,12 @@ class Tunings:
 def variables_within(mpc: MPC) -> dict[str, tuple[float, float]]:
     """By name, the bounds of what an agent that tunes observes: scheduling variables, then what the MPC believes."""
     if mpc.learner is not None:
-        return {**VARIABLES_WITHIN, **dict.fromkeys(BELIEFS, LEARNED_WITHIN)}
+        return {**VARIABLES_WITHIN, **dict.fromkeys(BELIEF_NAMES, LEARNED_WITHIN)}
     return {**VARIABLES_WITHIN, **(BELIEF_WITHIN if mpc.belief is not None else {})}
 
 
 def first_belief(mpc: MPC) -> tuple[float, ...]:
     """Initial belief of an MPC, which follows the scheduling variables in an observation."""
     if mpc.learner is not None:
-        return tuple(mpc.learner.fresh()[LEARNED : LEARNED + len(BELIEFS)].tolist())
+        return tuple(mpc.learner.fresh()[LEARNED : LEARNED + len(BELIEF_NAMES)].tolist())
     return () if mpc.belief is None else (mpc.belief.lag.value, mpc.belief.delay)

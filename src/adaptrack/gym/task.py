@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.checked import real, whole
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.checked import real, whole_number
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.config import load_drive, load_setting
@@ -22,7 +22,7 @@ from adaptrack.identification.random_cars import BASES
 from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile, load_profile
 
-SEEDS = 2**31
+SEED_LIMIT = 2**31
 """Seeds of noise and cars are drawn below it."""
 CHOICES = ("noise_seed", "car_seed", "road")
 """What ``reset(options={...})`` may choose for an episode."""
@@ -136,14 +136,14 @@ class Task:
         for name, value in chosen.items():
             if name not in drawn:
                 raise InvalidInput(f"reset: options: {name!r}: this environment does not draw one.")
-            drawn[name] = whole("reset: options", name, value, least=0)
+            drawn[name] = whole_number("reset: options", name, value, least=0)
             if drawn[name] >= self._most()[name]:
                 raise InvalidInput(f"reset: options: {name} = {value!r}: must be below {self._most()[name]}.")
         return self._episode(drawn)
 
     def _most(self) -> dict[str, int]:
-        cars = {"car_seed": SEEDS} if self.randomised else {}
-        return {"road": len(self.roads), **cars, "noise_seed": SEEDS}
+        cars = {"car_seed": SEED_LIMIT} if self.randomised else {}
+        return {"road": len(self.roads), **cars, "noise_seed": SEED_LIMIT}
 
     def _episode(self, drawn: dict[str, int]) -> Episode:
         road_index, seed, noise = drawn["road"], drawn.get("car_seed"), drawn["noise_seed"]
@@ -167,8 +167,8 @@ class Task:
         vehicle = getattr(car, "vehicle", None)
         if not isinstance(car, Plant | SteppedPlant) or not isinstance(vehicle, Vehicle):
             raise InvalidInput(
-                f"car = {shown(car)}: must be a name, a file, a Vehicle, or a plant whose `vehicle` is one, such as "
-                "UserPlant(..., vehicle=load_vehicle(name)): the speed along the road is planned for it."
+                f"car = {format_value(car)}: must be a name, a file, a Vehicle, or a plant whose `vehicle` is one, "
+                "such as UserPlant(..., vehicle=load_vehicle(name)): the speed along the road is planned for it."
             )
         return vehicle, car, self.world
 

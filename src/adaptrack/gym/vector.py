@@ -14,16 +14,16 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import whole
+from adaptrack.base.checked import whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.core.public import (
-    ARRIVED,
-    DRIVING,
     EPISODE,
-    FAILED,
-    MEASURED,
+    EPISODE_ARRIVED,
+    EPISODE_FAILED,
+    EPISODE_RUNS,
+    MEASUREMENT,
     SLOTS,
     Episodes,
     ObservationSpace,
@@ -37,10 +37,10 @@ from adaptrack.core.public import (
 )
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.world import reason_of
-from adaptrack.gym.mpc_tuning import EVERY
+from adaptrack.gym.mpc_tuning import TUNING_PERIODS
 from adaptrack.gym.spaces import (
+    BELIEF_STATE,
     DISTANCES,
-    STATE,
     Tunings,
     box,
     checked_action,
@@ -57,7 +57,7 @@ from adaptrack.gym.task import Episode, Outside, Task
 Array = NDArray[np.float64]
 
 
-class Block(NamedTuple):
+class CarBlock(NamedTuple):
     """Cars that are driven together, and where they stand among all."""
 
     slots: slice
@@ -76,8 +76,8 @@ class _VectorEnv(VectorEnv):
     }  # fmt: skip
 
     def __init__(self, num_envs: int, threads: int, task: Task) -> None:
-        self.num_envs, self.task = whole("num_envs", "num_envs", num_envs), task
-        self.threads = whole("vector environment", "threads", threads)
+        self.num_envs, self.task = whole_number("num_envs", "num_envs", num_envs), task
+        self.threads = whole_number("vector environment", "threads", threads)
         if isinstance(task.known_as, FrictionWindEstimator):
             raise InvalidInput("known_as: a FrictionWindEstimator needs Python at every step: one car at a time.")
         self._set_spaces()
@@ -86,7 +86,7 @@ class _VectorEnv(VectorEnv):
         self._own = EPISODE.new(self.num_envs)
         self._observed = np.zeros((self.num_envs, len(self.names)))
         self._rngs: list[np.random.Generator] = []
-        self._blocks: list[Block] = []
+        self._blocks: list[CarBlock] = []
         self._pool = self._new_pool()
 
     def _new_pool(self) -> ThreadPoolExecutor | None:
@@ -100,7 +100,7 @@ class _VectorEnv(VectorEnv):
         self._pool = self._new_pool()
         self._blocks = [self._attached(block) for block in self._blocks]
 
-    def _attached(self, block: Block) -> Block:
+    def _attached(self, block: CarBlock) -> CarBlock:
         """A block of a copy, its episodes and observations again rows of the environment's arrays."""
         own_states, observations = self._own[block.slots], self._observed[block.slots]
         episodes = block.episodes._replace(own=own_states, observations=observations)
@@ -122,11 +122,11 @@ class _VectorEnv(VectorEnv):
         """Take in what is to be done."""
 
     @abstractmethod
-    def _drive(self, block: Block) -> None:
+    def _drive(self, block: CarBlock) -> None:
         """Drive a block."""
 
     @abstractmethod
-    def _look(self, block: Block) -> None:
+    def _look(self, block: CarBlock) -> None:
         """Write the observations of a block."""
 
     def reset(
@@ -145,7 +145,7 @@ class _VectorEnv(VectorEnv):
                     raise InvalidInput(f"reset: seed: need one, or one for each of {self.num_envs} cars.")
                 self._rngs = [gymnasium.utils.seeding.np_random(seed)[0] for seed in seeds]
         infos = self._begin(np.arange(self.num_envs), options)
-        self._each(self._look)
+        self._apply_to_blocks(self._look)
         return self._observed.copy(), infos | self._belief_info
 
     def step(self, actions: Any) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
@@ -153,33 +153,39 @@ class _VectorEnv(VectorEnv):
         if not self._blocks:
             raise gymnasium.error.ResetNeeded("call reset() first: no run has begun.")
         self._take(checked_action(actions, self.action_space))  # type: ignore[arg-type]
-        waiting = np.flatnonzero(self._own["over"] != DRIVING)
+        waiting = np.flatnonzero(self._own["over"] != EPISODE_RUNS)
         self._own["cost"] = 0.0
-        self._each(self._drive)
+        self._apply_to_blocks(self._drive)
         self._own["total"] += self._own["cost"]
         rewards = -self._own["cost"]
         over = self._own["over"].copy()
-        over[waiting] = DRIVING
+        over[waiting] = EPISODE_RUNS
         infos = self._begin(waiting, None) if waiting.size else {}
-        self._each(self._look)
+        self._apply_to_blocks(self._look)
         if over.any():
             self._say_how(np.flatnonzero(over), infos)
-        return self._observed.copy(), rewards, over == FAILED, over == ARRIVED, infos | self._belief_info
+        return (
+            self._observed.copy(),
+            rewards,
+            over == EPISODE_FAILED,
+            over == EPISODE_ARRIVED,
+            infos | self._belief_info,
+        )
 
     @property
     def _belief_info(self) -> dict[str, Any]:
         """Return the learned quantities of each car's controller for ``infos``."""
-        if STATE not in self.names:
+        if BELIEF_STATE not in self.names:
             return {}
-        states = self._observed[:, self.names.index(STATE)].astype(np.int64)
-        return {STATE: states, f"_{STATE}": np.ones(self.num_envs, bool)}
+        states = self._observed[:, self.names.index(BELIEF_STATE)].astype(np.int64)
+        return {BELIEF_STATE: states, f"_{BELIEF_STATE}": np.ones(self.num_envs, bool)}
 
     def close_extras(self) -> None:
         """Let the threads go."""
         if self._pool is not None:
             self._pool.shutdown()
 
-    def _each(self, work: Callable[[Block], None]) -> None:
+    def _apply_to_blocks(self, work: Callable[[CarBlock], None]) -> None:
         """Do the same to every block."""
         if self._pool is None or len(self._blocks) == 1:
             for block in self._blocks:
@@ -208,12 +214,12 @@ class _VectorEnv(VectorEnv):
             infos = self._add_info(infos, episode.info, car)
         return infos
 
-    def _first_blocks(self, episode: Episode) -> list[Block]:
+    def _first_blocks(self, episode: Episode) -> list[CarBlock]:
         size = 1 if self.task.randomised else SLOTS
         slots = [slice(i, min(i + size, self.num_envs)) for i in range(0, self.num_envs, size)]
         return [self._block(slot, episode) for slot in slots]
 
-    def _block(self, slots: slice, episode: Episode) -> Block:
+    def _block(self, slots: slice, episode: Episode) -> CarBlock:
         """A block of cars of an episode's kind; what it measures lies in the arrays of the environment."""
         task = self.task
         roads = range(len(task.roads))
@@ -227,14 +233,14 @@ class _VectorEnv(VectorEnv):
         run = batch.arena(size, int(batch.substeps.max()), settings)
         world = batch.world
         episodes = Episodes(
-            run, self._own[slots], np.zeros((size, len(MEASURED))),
+            run, self._own[slots], np.zeros((size, len(MEASUREMENT))),
             ObservationSpace(self._distances, space.low.copy(), space.high.copy()),  # type: ignore[attr-defined]
             self._observed[slots],
             world.profile.move_weight, task.cost_of_failure(world.failure.distance),
         )  # fmt: skip
-        return Block(slots, batch, episodes, Resident(episodes))
+        return CarBlock(slots, batch, episodes, Resident(episodes))
 
-    def _place(self, block: Block, car: int, episode: Episode) -> None:
+    def _place(self, block: CarBlock, car: int, episode: Episode) -> None:
         """Mark a car as renewed in its block, at the start of its episode."""
         slot, run = car - block.slots.start, block.episodes.run
         road = 0 if self.task.randomised else episode.road
@@ -299,11 +305,11 @@ class PathTrackingVectorEnv(_VectorEnv):
     def _take(self, actions: Array) -> None:
         self._commands[:] = actions[:, 0]
 
-    def _drive(self, block: Block) -> None:
+    def _drive(self, block: CarBlock) -> None:
         steer(self._commands[block.slots], block.resident)
         arrive(block.resident)
 
-    def _look(self, block: Block) -> None:
+    def _look(self, block: CarBlock) -> None:
         write_observations(block.resident)
 
 
@@ -319,9 +325,15 @@ class MPCTuningVectorEnv(_VectorEnv):
     """
 
     def __init__(
-        self, num_envs: int = 64, *, threads: int = 1, controller: str = "informed", every: int = EVERY, **task: Any
+        self,
+        num_envs: int = 64,
+        *,
+        threads: int = 1,
+        controller: str = "informed",
+        every: int = TUNING_PERIODS,
+        **task: Any,
     ) -> None:
-        self.controller, self.every = controller, whole("MPCTuning", "every", every)
+        self.controller, self.every = controller, whole_number("MPCTuning", "every", every)
         super().__init__(num_envs, threads, Task(**task))
 
     def _set_spaces(self) -> None:
@@ -348,10 +360,10 @@ class MPCTuningVectorEnv(_VectorEnv):
         for block in self._blocks:
             block.episodes.run.tuning[:] = tunings[block.slots]
 
-    def _drive(self, block: Block) -> None:
+    def _drive(self, block: CarBlock) -> None:
         for _ in range(self.every):
             control(block.resident)
             arrive(block.resident)
 
-    def _look(self, block: Block) -> None:
+    def _look(self, block: CarBlock) -> None:
         write_variables(block.resident)

@@ -16,15 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from adaptrack.cars.vehicle import GRAVITY, Vehicle
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.identification.identified import Estimate
 from adaptrack.identification.quantities import degrees_per_g
 
 Array = NDArray[np.float64]
 
-FARTHEST = 3.0
+MAX_PRIOR_DEVIATIONS = 3.0
 """Standard deviations of the prior, beyond which an estimate is not of such a car."""
-LEVEL = 0.01
+FALSE_ALARM_RATE = 0.01
 """Of a false alarm over all quantities that are compared (Bonferroni)."""
 MODEL_ERRORS: Mapping[str, float] = {
     "delay": 0.015, "lag": 0.03, "dead_time": 0.03, "understeer_gradient": 0.0003, "front": 0.12, "rear": 0.12,
@@ -33,53 +34,53 @@ MODEL_ERRORS: Mapping[str, float] = {
 """Quantities of the car, which stretches and logs share, and the standard deviation that the model's errors add to
 each: delays in s, K in rad s^2/m (0.17 deg/g), of the logarithm for the others."""
 _ABSOLUTE = ("delay", "lag", "dead_time", "understeer_gradient")
-INFORMED = 0.8
+MAX_SPREAD_LEFT = 0.8
 """Share of the prior's spread that must at most be left where a stretch or log has a say."""
-AXLE_PLACE, GRADIENTS, STIFFNESS = (0.3, 0.7), (-1.0, 8.0), (1.5, 100.0)
+AXLE_PLACE_RANGE, UNDERSTEER_RANGE, AXLE_STIFFNESS_RANGE = (0.3, 0.7), (-1.0, 8.0), (1.5, 100.0)
 """Of cars on four wheels: l_f over the wheelbase; understeer gradient, deg/g; cornering stiffness of an axle over its
 load, 1/rad."""
 
 
-class Said(NamedTuple):
+class Moments(NamedTuple):
     """Estimates of the reported quantities from one stretch or log; logarithms of positive quantities, (m,) each."""
 
     mean: Array
     variance: Array
 
 
-def beyond_belief(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
+def implausible_estimates(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
     """Estimates that lie outside what was believed, or what any car has, in words."""
-    said = []
-    for each in estimates.values():
-        if abs(each.shift) > FARTHEST and not each.name.startswith(("noise", "gyro")):
-            said.append(
-                f"{each.name} {each.value:.3g} {each.unit} lies {abs(each.shift):.1f} standard deviations from what "
-                f"was believed ({each.before[0]:.3g} to {each.before[1]:.3g})"
+    messages = []
+    for estimate in estimates.values():
+        if abs(estimate.shift) > MAX_PRIOR_DEVIATIONS and not estimate.name.startswith(("noise", "gyro")):
+            messages.append(
+                f"{estimate.name} {estimate.value:.3g} {estimate.unit} lies {abs(estimate.shift):.1f} "
+                f"standard deviations from what was believed ({estimate.before[0]:.3g} to {estimate.before[1]:.3g})"
             )
-    return said + _beyond_physics(estimates, car)
+    return messages + _unphysical_quantities(estimates, car)
 
 
-def _beyond_physics(found: Mapping[str, Estimate], car: Vehicle) -> list[str]:
+def _unphysical_quantities(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
     """Return the quantities outside physical bounds; a car file may still hold an unusual car."""
-    wheelbase, lf = car.wheelbase, found["lf"].value
+    wheelbase, lf = car.wheelbase, estimates["lf"].value
     lr = max(wheelbase - lf, 1e-3)
     load = car.mass * GRAVITY / wheelbase
     rows = (
-        ("lf", "l_f over the wheelbase", "", 1.0 / wheelbase, AXLE_PLACE),
-        ("understeer_gradient", "understeer gradient", " deg/g", degrees_per_g(1.0), GRADIENTS),
-        ("front", "stiffness of the front axle over its load", "/rad", 1.0 / (load * lr), STIFFNESS),
-        ("rear", "stiffness of the rear axle over its load", "/rad", 1.0 / (load * lf), STIFFNESS),
+        ("lf", "l_f over the wheelbase", "", 1.0 / wheelbase, AXLE_PLACE_RANGE),
+        ("understeer_gradient", "understeer gradient", " deg/g", degrees_per_g(1.0), UNDERSTEER_RANGE),
+        ("front", "stiffness of the front axle over its load", "/rad", 1.0 / (load * lr), AXLE_STIFFNESS_RANGE),
+        ("rear", "stiffness of the rear axle over its load", "/rad", 1.0 / (load * lf), AXLE_STIFFNESS_RANGE),
     )
     return [
-        f"{what} {scale * found[name].value:.3g}{unit}: no car has less than {low:g} or more than {high:g}"
-        for name, what, unit, scale, (low, high) in rows
-        if not low <= scale * found[name].value <= high
-        and not found[name].before[0] <= found[name].value <= found[name].before[1]
+        f"{label} {scale * estimates[name].value:.3g}{unit}: no car has less than {low:g} or more than {high:g}"
+        for name, label, unit, scale, (low, high) in rows
+        if not low <= scale * estimates[name].value <= high
+        and not estimates[name].before[0] <= estimates[name].value <= estimates[name].before[1]
     ]
 
 
-def contradictions(what: str, names: Sequence[str], prior: Said, said: Sequence[Said]) -> list[str]:
-    """Quantities in which stretches or logs (``what``) contradict each other, in words.
+def contradictions(subject: str, names: Sequence[str], prior: Moments, statements: Sequence[Moments]) -> list[str]:
+    """Quantities in which stretches or logs (``subject``) contradict each other, in words.
 
     names: of the m quantities; those of `MODEL_ERRORS` are compared.
     """
@@ -87,11 +88,14 @@ def contradictions(what: str, names: Sequence[str], prior: Said, said: Sequence[
     for i, name in enumerate(names):
         if name not in MODEL_ERRORS:
             continue
-        freed = [_freed(prior.mean[i], prior.variance[i], each.mean[i], each.variance[i]) for each in said]
+        freed = [
+            _freed(prior.mean[i], prior.variance[i], statement.mean[i], statement.variance[i])
+            for statement in statements
+        ]
         informed = [(value, variance) for value, variance in freed if math.isfinite(variance)]
         if len(informed) > 1:
             tests.append((name, np.array(informed).T))
-    found = []
+    messages = []
     for name, (values, variances) in tests:
         positive = name != "understeer_gradient"
         error = MODEL_ERRORS[name]
@@ -99,19 +103,20 @@ def contradictions(what: str, names: Sequence[str], prior: Said, said: Sequence[
             error /= math.exp(float(np.mean(values)))
         weights = 1.0 / (variances + error**2)
         scatter = float(np.sum(weights * (values - np.sum(weights * values) / weights.sum()) ** 2))
-        if chi2.sf(scatter, values.size - 1) < LEVEL / len(tests):
-            each = ", ".join(_written(name, value) for value in values)
-            found.append(
-                f"{what} contradict each other on {name}: {each} (chi-square {scatter:.0f} with {values.size - 1} "
-                f"degrees of freedom; {chi2.isf(LEVEL / len(tests), values.size - 1):.0f} is met by chance in "
-                f"{100 * LEVEL:g} % of logs)"
+        freedom, rate = values.size - 1, FALSE_ALARM_RATE / len(tests)
+        if chi2.sf(scatter, freedom) < rate:
+            numbers = ", ".join(_written(name, value) for value in values)
+            messages.append(
+                f"{subject} contradict each other on {name}: {numbers} (chi-square {scatter:.0f} "
+                f"with {freedom} degrees of freedom; {chi2.isf(rate, freedom):.0f} is met by chance in "
+                f"{100 * FALSE_ALARM_RATE:g} % of logs)"
             )
-    return found
+    return messages
 
 
 def _freed(prior: float, prior_variance: float, mean: float, variance: float) -> tuple[float, float]:
     """Mean and variance of what was said without the prior; an infinite variance where next to nothing was."""
-    if not 0.0 < variance < INFORMED**2 * prior_variance:
+    if not 0.0 < variance < MAX_SPREAD_LEFT**2 * prior_variance:
         return mean, math.inf
     precision = 1.0 / variance - 1.0 / prior_variance
     return (mean / variance - prior / prior_variance) / precision, 1.0 / precision

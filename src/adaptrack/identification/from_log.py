@@ -19,7 +19,7 @@ from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.computed import without_computed
-from adaptrack.identification.consistency import Said, beyond_belief, contradictions
+from adaptrack.identification.consistency import Moments, contradictions, implausible_estimates
 from adaptrack.identification.conventions import check_conventions, check_positions, guessed_ratio
 from adaptrack.identification.identified import Estimate, Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood
@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 
 NORMAL_90 = 1.6448536269514722
 """Half width of a 90 % interval in standard errors."""
-BLOCK, EVERY = 10.0, 4
+VALIDATION_BLOCK, HELD_OUT_EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
 RATIO_SPREAD = (0.3, 0.1)
 """Of the logarithm of a steering ratio that is to be found: guessed from the log, or said by the car's file."""
@@ -82,7 +82,7 @@ def identify(
     mass: Annotated[Finite, within(1.0, 1e5), "kg"] | None = None,
     wheelbase: Annotated[Finite, within(0.1, 20.0), "m"] | None = None,
     reading: Reading | None = None,
-    known: Mapping[str, Prior] | None = None,
+    priors: Mapping[str, Prior] | None = None,
     computation: Annotated[NotNegative, Field(lt=1.0), "s"] | None = None,
     progress: ProgressCall | None = None,
 ) -> Identification:
@@ -116,13 +116,13 @@ def identify(
         When the log lacks a signal, is too short, is hardly steered, or its signs or units do not fit together; the
         message names the option that mends it.
     """
-    believed, beliefs, curve = _believed(car, mass, wheelbase, known)
+    believed, beliefs, curve = _believed(car, mass, wheelbase, priors)
     sources = [log] if isinstance(log, str | os.PathLike | Mapping) else list(log)
     if not sources:
         raise InvalidInput("identify: no log.")
-    read = [read_columns(each, reading or Reading()) for each in sources]
+    read = [read_columns(source, reading or Reading()) for source in sources]
     if computation is not None:
-        read = [replace(each, computation=computation) for each in read]
+        read = [replace(columns, computation=computation) for columns in read]
     show: ProgressCall = progress or (lambda *_: None)
     fits = _fits(read, believed, beliefs, show)
     alone: list[Identification] = []
@@ -134,16 +134,18 @@ def identify(
 
 def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prior], show: ProgressCall) -> list[Fit]:
     """Each log by itself; ratios that are to be found are measured from one guess."""
-    own = [dict(beliefs) for _ in read]
-    prepared = [_prepared(columns, believed, each) for columns, each in zip(read, own, strict=True)]
-    unknown = [each.log.ratio for each, columns in zip(prepared, read, strict=True) if columns.ratio_unknown]
+    log_beliefs = [dict(beliefs) for _ in read]
+    prepared = [_prepared(columns, believed, belief) for columns, belief in zip(read, log_beliefs, strict=True)]
+    unknown = [fit.log.ratio for fit, columns in zip(prepared, read, strict=True) if columns.ratio_unknown]
     if len(unknown) > 1:
         common = float(np.median(unknown))
-        prepared = [_prepared(columns, believed, each, common) for columns, each in zip(read, own, strict=True)]
+        prepared = [
+            _prepared(columns, believed, belief, common) for columns, belief in zip(read, log_beliefs, strict=True)
+        ]
     fits: list[Fit] = []
-    for likelihood, columns, each in zip(prepared, read, own, strict=True):
+    for likelihood, columns, belief in zip(prepared, read, log_beliefs, strict=True):
         show("fit", len(fits), len(read))
-        fits.append(Fit(likelihood, *optimum(likelihood), columns, each))
+        fits.append(Fit(likelihood, *optimum(likelihood), columns, belief))
     return fits
 
 
@@ -153,12 +155,12 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
     log, car = likelihood.log, likelihood.car
     estimates, jacobian = _estimates(likelihood, z, covariance)
     validation, series = _validated(likelihood, z, log, car, beliefs)
-    kept, against, open_ratio = _ratio(fit, estimates)
-    reasons = beyond_belief(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
+    usable, against, open_ratio = _ratio(fit, estimates)
+    reasons = implausible_estimates(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
     limits = _rivals_sentence(likelihood, z, rivals) + findings(log, estimates, validation) + open_ratio
-    rows = [i for i, name in enumerate(estimates) if name in kept]
+    rows = [i for i, name in enumerate(estimates) if name in usable]
     return Identification(
-        kept, (jacobian @ covariance @ jacobian.T)[np.ix_(rows, rows)], validation, limits, log, car, curve,
+        usable, (jacobian @ covariance @ jacobian.T)[np.ix_(rows, rows)], validation, limits, log, car, curve,
         columns.computation, series, tuple(reasons),
     )  # fmt: skip
 
@@ -167,17 +169,19 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
     """Identify one car from several logs; quantities of a single log stay with that log."""
     main = max(range(len(fits)), key=lambda i: (len(shared_by(fits[i].likelihood)), alone[i].log.driven))
     likelihood, first = fits[main].likelihood, alone[main]
-    reasons = contradictions("logs", *_said_by(fits, fits[main]))
-    own = [
-        f"log {i + 1}: {why}" for i, each in enumerate(alone) for why in each.reasons if not why.startswith(OPEN)
+    reasons = contradictions("logs", *_moments_of_fits(fits, fits[main]))
+    log_reasons = [
+        f"log {i + 1}: {why}" for i, single in enumerate(alone) for why in single.reasons if not why.startswith(OPEN)
     ]  # fmt: skip
-    joint = combined(fits, agree=not (reasons or own))
+    joint = combined(fits, agree=not (reasons or log_reasons))
     estimates, jacobian = _estimates(likelihood, *joint[main])
-    known = [i for i, each in enumerate(alone) if "ratio" in each.estimates]
-    shared = {name: each for name, each in estimates.items() if name in SHARED and (name != "ratio" or known)}
+    ratio_logs = [i for i, identification in enumerate(alone) if "ratio" in identification.estimates]
+    shared = {
+        name: estimate for name, estimate in estimates.items() if name in SHARED and (name != "ratio" or ratio_logs)
+    }
     rows = [i for i, name in enumerate(estimates) if name in shared]
-    open_ratio = [why for why in first.reasons if why.startswith(OPEN)] if not known else []
-    reasons = [*(reasons or beyond_belief(shared, first.believed)), *own, *open_ratio]
+    open_ratio = [why for why in first.reasons if why.startswith(OPEN)] if not ratio_logs else []
+    reasons = [*(reasons or implausible_estimates(shared, first.believed)), *log_reasons, *open_ratio]
     return replace(
         first, estimates=shared, covariance=(jacobian @ joint[main][1] @ jacobian.T)[np.ix_(rows, rows)],
         findings=findings(first.log, estimates, first.validation), computation=max(e.computation for e in alone),
@@ -191,11 +195,11 @@ def _ratio(fit: Fit, estimates: dict[str, Estimate]) -> tuple[dict[str, Estimate
     if "ratio" not in estimates:
         against, open_ratio = judged(log, gain_of(fit.likelihood, fit.z))
         return estimates, [against] if against else [], (open_ratio,) if open_ratio else ()
-    known, said = of_found(log, estimates["ratio"])
+    is_known, message = of_found(log, estimates["ratio"])
     guessed = fit.beliefs["gain"].spread == RATIO_SPREAD[0]
-    if known or not guessed:
-        return estimates, [], (said,) if said else ()
-    return {name: each for name, each in estimates.items() if name != "ratio"}, [said], ()
+    if is_known or not guessed:
+        return estimates, [], (message,) if message else ()
+    return {name: estimate for name, estimate in estimates.items() if name != "ratio"}, [message], ()
 
 
 def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior], ratio: float | None = None) -> Likelihood:
@@ -208,9 +212,9 @@ def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior], ra
     cleaned = shorten_log(log_of(values, believed.wheelbase, columns.notes + computed, columns.commanded))
     cleaned = replace(cleaned, ratio=columns.ratio)
     if columns.ratio_unknown:
-        known = believed.steering.ratio if believed.steering is not None else None
-        ratio = known or ratio or guessed_ratio(cleaned, believed.wheelbase)
-        beliefs["gain"] = Prior(1.0, RATIO_SPREAD[known is not None])
+        car_ratio = believed.steering.ratio if believed.steering is not None else None
+        ratio = car_ratio or ratio or guessed_ratio(cleaned, believed.wheelbase)
+        beliefs["gain"] = Prior(1.0, RATIO_SPREAD[car_ratio is not None])
         cleaned = replace(cleaned, command=cleaned.command / ratio, ratio=ratio)
     check_conventions(cleaned, believed.wheelbase)
     beliefs |= _noises(cleaned)
@@ -229,19 +233,19 @@ def reported(likelihood: Likelihood, z: Array, covariance: Array) -> dict[str, E
 
 def _believed(
     car: str | os.PathLike[str] | Vehicle | None, mass: float | None, wheelbase: float | None,
-    known: Mapping[str, Prior] | None,
+    priors: Mapping[str, Prior] | None,
 ) -> tuple[Vehicle, dict[str, Prior], Tyre]:  # fmt: skip
     """The car before the log, beliefs about it, and the tyre whose curve it has."""
     if car is not None:
         if mass is not None or wheelbase is not None:
             raise InvalidInput("identify: either a car, or mass and wheelbase.")
         vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
-        return vehicle, beliefs_of(vehicle, known), load_tyre(vehicle.tyre)
+        return vehicle, beliefs_of(vehicle, priors), load_tyre(vehicle.tyre)
     if mass is None or wheelbase is None:
         raise InvalidInput("identify: give --car, or --mass (kg) and --wheelbase (m): no log tells them.")
     vehicle, rough = plain_car(mass, wheelbase)
     curve = load_tyre(vehicle.tyre).replace(nominal_load=0.5 * sum(vehicle.static_loads))
-    return vehicle, beliefs_of(vehicle, rough | dict(known or {})), curve
+    return vehicle, beliefs_of(vehicle, rough | dict(priors or {})), curve
 
 
 def _noises(log: Log) -> dict[str, Prior]:
@@ -325,8 +329,8 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
     )  # fmt: skip
     for name in also:
         if name in free:
-            each = QUANTITIES[INDEX[name]]
-            rows.append((name, each.unit, each.meaning, each.kind == "positive", _value(name)))
+            quantity = QUANTITIES[INDEX[name]]
+            rows.append((name, quantity.unit, quantity.meaning, quantity.kind == "positive", _value(name)))
     return rows
 
 
@@ -360,7 +364,7 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
             value = math.exp(centre[i]) if positive else float(centre[i])
             wider[i] = corrected(name, spread[i], value, positive, prior[i], likelihood.log.tightest) / spread[i]
     spread *= wider
-    found = {}
+    estimates = {}
     for i, (name, unit, meaning, positive, _) in enumerate(rows):
         ends = [centre[i] - NORMAL_90 * spread[i], centre[i] + NORMAL_90 * spread[i]]
         before = [first[i] - NORMAL_90 * prior[i], first[i] + NORMAL_90 * prior[i]]
@@ -370,11 +374,11 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
             ends, before = [math.exp(e) for e in ends], [math.exp(min(e, 700.0)) for e in before]
         left = float(spread[i] / prior[i]) if prior[i] > 0.0 else 0.0
         shift = float((centre[i] - first[i]) / prior[i]) if prior[i] > 0.0 else 0.0
-        found[name] = Estimate(
+        estimates[name] = Estimate(
             name, unit, meaning, value, error, float(ends[0]), float(ends[1]), (float(before[0]), float(before[1])),
             left, shift,
         )  # fmt: skip
-    return found, wider[:, None] * jacobian
+    return estimates, wider[:, None] * jacobian
 
 
 def _rivals_sentence(likelihood: Likelihood, z: Array, rivals: Sequence[Array]) -> tuple[str, ...]:
@@ -390,33 +394,33 @@ def _rivals_sentence(likelihood: Likelihood, z: Array, rivals: Sequence[Array]) 
 
 
 # -- consistency ------------------------------------------------------------------------------------------------------
-def _stretches(fit: Fit) -> tuple[list[str], Said, list[Said]]:
+def _stretches(fit: Fit) -> tuple[list[str], Moments, list[Moments]]:
     """Names of the reported quantities, prior, and what thirds of a log say, each fitted from the whole log's point."""
     log, parts = fit.likelihood.log, []
     ends = np.linspace(0, log.samples, THIRDS + 1).astype(int)
     for first, last in pairwise(ends) if log.driven >= LEAST_THIRDS else ():
-        each = fit.likelihood.part(slice(first, last))
-        z, at = each.fit(fit.z, NEARLY)
-        parts.append(fit._replace(likelihood=each, z=z, covariance=each.covariance(at)))
-    return _said_by(parts, fit)
+        part = fit.likelihood.part(slice(first, last))
+        z, at = part.fit(fit.z, NEARLY)
+        parts.append(fit._replace(likelihood=part, z=z, covariance=part.covariance(at)))
+    return _moments_of_fits(parts, fit)
 
 
-def _said_by(fits: Sequence[Fit], main: Fit) -> tuple[list[str], Said, list[Said]]:
+def _moments_of_fits(fits: Sequence[Fit], main: Fit) -> tuple[list[str], Moments, list[Moments]]:
     """Names of the quantities that a main fit reports, prior, and what each fit says of them."""
     rows = _reported(main.likelihood)
-    prior, said = _prior(main, rows), []
+    prior, statements = _prior(main, rows), []
     for fit in fits:
-        own = _reported(fit.likelihood)
-        mine, place = _said(fit, own), {row[0]: i for i, row in enumerate(own)}
+        likelihood_rows = _reported(fit.likelihood)
+        mine, place = _moments(fit, likelihood_rows), {row[0]: i for i, row in enumerate(likelihood_rows)}
         mean, variance = prior.mean.copy(), prior.variance.copy()
         for i, (name, *_) in enumerate(rows):
             if name in place:
                 mean[i], variance[i] = mine.mean[place[name]], mine.variance[place[name]]
-        said.append(Said(mean, variance))
-    return [row[0] for row in rows], prior, said
+        statements.append(Moments(mean, variance))
+    return [row[0] for row in rows], prior, statements
 
 
-def _said(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
+def _moments(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Moments:
     """Mean and variance of the reported quantities, errors corrected."""
     jacobian = _slopes(fit.likelihood, rows, fit.z)
     mean = _values(fit.likelihood, rows, fit.z)
@@ -425,15 +429,15 @@ def _said(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
     for i, (name, _, _, positive, _) in enumerate(rows):
         value = math.exp(mean[i]) if positive else float(mean[i])
         spread[i] = corrected(name, spread[i], value, positive, before[i], fit.likelihood.log.tightest)
-    return Said(mean, spread**2)
+    return Moments(mean, spread**2)
 
 
-def _prior(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Said:
+def _prior(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Moments:
     """Prior of the reported quantities, linearised at the fit."""
     likelihood = fit.likelihood
     jacobian = _slopes(likelihood, rows, fit.z)
     mean = _values(likelihood, rows, fit.z) - jacobian @ fit.z[likelihood.free]
-    return Said(mean, np.sum(jacobian**2, axis=1))
+    return Moments(mean, np.sum(jacobian**2, axis=1))
 
 
 # -- validation -------------------------------------------------------------------------------------------------------
@@ -441,32 +445,33 @@ def _validated(
     likelihood: Likelihood, z: Array, log: Log, car: Vehicle, beliefs: Mapping[str, Prior]
 ) -> tuple[Validation, Series]:
     """A second fit without every fourth stretch, which predicts them."""
-    held = np.floor((log.time - log.time[0]) / BLOCK).astype(np.int64) % EVERY == EVERY - 1
+    block = np.floor((log.time - log.time[0]) / VALIDATION_BLOCK).astype(np.int64)
+    is_held_out = block % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
 
     def errors(at: Array, used: Array) -> tuple[Array, Array]:
-        each = Likelihood(log, car, beliefs, used)
-        each.take_gusts(likelihood)
-        e, s = each.innovations(at)
+        fold = Likelihood(log, car, beliefs, used)
+        fold.take_gusts(likelihood)
+        e, s = fold.innovations(at)
         return e[0], s[0]
 
-    blind = np.where(held, 0.0, 1.0)
+    blind = np.where(is_held_out, 0.0, 1.0)
     fit = Likelihood(log, car, beliefs, blind)
     fit.take_gusts(likelihood)
     there, _ = fit.fit(z, NEARLY)
     stepped, blindly = errors(there, np.ones(log.samples))[0], errors(there, blind)[0]
     e, s = errors(z, np.ones(log.samples))
     normal = e / np.sqrt(s)
-    known = normal[np.isfinite(normal)]
-    lags = tuple(float(np.mean(known[k:] * known[:-k]) / np.mean(known**2)) for k in range(1, 6))
-    measured = held & np.isfinite(log.yaw_rate)
+    finite = normal[np.isfinite(normal)]
+    lags = tuple(float(np.mean(finite[k:] * finite[:-k]) / np.mean(finite**2)) for k in range(1, 6))
+    measured = is_held_out & np.isfinite(log.yaw_rate)
     validation = Validation(
         _explained(log.yaw_rate[measured], stepped[measured]),
         _explained(log.yaw_rate[measured], blindly[measured]),
-        float(log.period * held.sum()), lags,
+        float(log.period * is_held_out.sum()), lags,
     )  # fmt: skip
-    wheels = likelihood.found(z)["wheel_angle"]
+    wheels = likelihood.filter_results(z)["wheel_angle"]
     simulated = log.yaw_rate - errors(z, log.begins.astype(np.float64))[0]
-    return validation, Series(log.time, log.yaw_rate, simulated, normal, held, wheels)
+    return validation, Series(log.time, log.yaw_rate, simulated, normal, is_held_out, wheels)
 
 
 def _explained(measured: Array, errors: Array) -> float:

@@ -111,7 +111,7 @@ class Identification:
     @property
     def car(self) -> Vehicle:
         """The car as the log has it: stiffness, l_f, steering; the rest, such as the yaw inertia, as believed."""
-        value = {name: each.value for name, each in self.estimates.items()}
+        value = {name: estimate.value for name, estimate in self.estimates.items()}
         steering = self.believed.steering or Steering()
         if self.log.commanded:
             dead_time = max(value["dead_time"] - self.computation, 0.0)
@@ -142,18 +142,18 @@ class Identification:
     def known_within(self) -> KnownWithin:
         """The 90 % intervals of what the log says, and what was known of the car before: for its file."""
         before = self.car.known_within or KnownWithin()
-        found = {
-            name: max(each.high / each.value, each.value / each.low)
-            for name, each in ((key, self.estimates[of]) for key, of in FACTORS.items())
-            if each.low > 0.0
+        factors = {
+            name: max(estimate.high / estimate.value, estimate.value / estimate.low)
+            for name, estimate in ((key, self.estimates[of]) for key, of in FACTORS.items())
+            if estimate.low > 0.0
         }
         if self.log.commanded:
             for name in _MARGINS:
-                each = self.estimates[name.removeprefix("steering_")]
-                found[name] = max(each.high - each.value, each.value - each.low)
+                delay = self.estimates[name.removeprefix("steering_")]
+                factors[name] = max(delay.high - delay.value, delay.value - delay.low)
         if "ratio" in self.estimates:
-            found["steering_ratio"] = self.estimates["ratio"].high / self.estimates["ratio"].value
-        limits = {name: min(value, 1.0 if name in _MARGINS else 10.0) for name, value in found.items()}
+            factors["steering_ratio"] = self.estimates["ratio"].high / self.estimates["ratio"].value
+        limits = {name: min(value, 1.0 if name in _MARGINS else 10.0) for name, value in factors.items()}
         return before.replace(**{name: float(f"{value:.4g}") for name, value in limits.items()})
 
     def to_toml(self, path: str | os.PathLike[str], anyway: bool = False) -> None:
@@ -174,19 +174,19 @@ class Identification:
                 f"{os.fspath(path)}: not written, the identification is not consistent: {'; '.join(self.reasons)}. "
                 "anyway=True (--anyway) writes it all the same."
             )
-        known, path = self.known_within(), Path(path)
-        beside = path.with_name(f"{path.stem}-tyre.toml")
-        said = f"{self.tyre_curve.name}, scaled to the axles of {path.stem}"
-        self.tyre.replace(name=beside.stem, description=said).to_toml(beside)
+        tolerances, path = self.known_within(), Path(path)
+        tyre_path = path.with_name(f"{path.stem}-tyre.toml")
+        tyre_name = f"{self.tyre_curve.name}, scaled to the axles of {path.stem}"
+        self.tyre.replace(name=tyre_path.stem, description=tyre_name).to_toml(tyre_path)
         car = self.car.replace(
-            name=path.stem, description="Identified from a log", tyre=str(beside), known_within=known,
+            name=path.stem, description="Identified from a log", tyre=str(tyre_path), known_within=tolerances,
             estimated=tuple(name for name in self.car.estimated if name not in FACTORS),
         )  # fmt: skip
-        values = car.model_dump() | {"tyre": beside.name}
+        values = car.model_dump() | {"tyre": tyre_path.name}
         meanings = {name: field.description or "" for name, field in Vehicle.model_fields.items()}
         head = ["# Identified from a log; 90 % intervals:"]
-        for each in self.estimates.values():
-            head.append(f"# {each.name}: {each.low:.4g} to {each.high:.4g} {each.unit}")
+        for estimate in self.estimates.values():
+            head.append(f"# {estimate.name}: {estimate.low:.4g} to {estimate.high:.4g} {estimate.unit}")
         if self.computation:
             head.append(f"# steering.dead_time is without {self.computation:g} s of the controller's computation")
         head += [f"# not consistent: {reason}" for reason in self.reasons]
@@ -198,11 +198,11 @@ class Identification:
         return {
             "estimates": {
                 name: {
-                    "value": each.value, "unit": each.unit, "standard_error": each.standard_error, "low": each.low,
-                    "high": each.high, "before": list(each.before), "spread_left": each.spread_left,
-                    "shift": each.shift,
+                    "value": estimate.value, "unit": estimate.unit, "standard_error": estimate.standard_error,
+                    "low": estimate.low, "high": estimate.high, "before": list(estimate.before),
+                    "spread_left": estimate.spread_left, "shift": estimate.shift,
                 }
-                for name, each in self.estimates.items()
+                for name, estimate in self.estimates.items()
             },
             "validation": {
                 "one_step_vaf": self.validation.one_step, "simulated_vaf": self.validation.simulated,
@@ -216,5 +216,5 @@ class Identification:
                 "segments": self.log.segments, "notes": list(self.log.notes),
             },
             "computation": self.computation,
-            "alone": [each.to_dict() for each in self.alone],
+            "alone": [identification.to_dict() for identification in self.alone],
         }  # fmt: skip

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import AdaptrackError, InvalidInput
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.core.models.contract import MEASURED
-from adaptrack.core.tracker.records import ACROSS
+from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.tracker.records import ACROSS_PENALTY
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.identification.log import LEAST_GAP, Log, log_of
 from adaptrack.identification.reading import Columns, Reading, read_columns
@@ -56,18 +56,18 @@ class ReadLog:
         """s, median between samples"""
         return round(self.log.period, 4)
 
-    def has(self, name: str) -> bool:
+    def has_signal(self, name: str) -> bool:
         """Whether a signal is logged."""
         return bool(np.isfinite(self.columns.values.get(name, np.nan)).any())
 
     def without(self, names: Sequence[str]) -> ReadLog:
         """Return a copy without signals."""
         blank = np.full(self.log.samples, math.nan)
-        kept = {name: values for name, values in self.columns.values.items() if name not in names}
+        remaining = {name: values for name, values in self.columns.values.items() if name not in names}
         gone: dict[str, Any] = {name: blank for name in names if name in ("vy", "acceleration", "wheel", "yaw")}
-        return replace(self, columns=replace(self.columns, values=kept), log=replace(self.log, **gone))
+        return replace(self, columns=replace(self.columns, values=remaining), log=replace(self.log, **gone))
 
-    def segments(self, period: float, path: Road | None) -> Iterator[Samples]:
+    def segments(self, period: float, path: Road | None) -> Iterator[InstantSamples]:
         """Each piece between gaps and halts at the control instants."""
         log, first = self.log, np.flatnonzero(self.log.begins)
         raw = [self.columns.values.get(name, np.zeros(0)) for name in ("time", "x", "y")]
@@ -75,20 +75,20 @@ class ReadLog:
             t = log.time[i:j]
             grid = t[0] + period * np.arange(math.floor((t[-1] - t[0]) / period + ON_GRID) + 1)
             speed, yaw, *motion = (
-                _at(grid, t, values[i:j], period)
+                _sample_at(grid, t, values[i:j], period)
                 for values in (log.speed, log.yaw, log.vy, log.yaw_rate, log.wheel, log.acceleration)
             )
-            measured = np.zeros((grid.size, len(MEASURED)))
-            measured[:, [MEASURED.yaw, MEASURED.y]] = math.nan
+            measured = np.zeros((grid.size, len(MEASUREMENT)))
+            measured[:, [MEASUREMENT.yaw, MEASUREMENT.y]] = math.nan
             for name, values in zip(("vy", "yaw_rate", "wheel_angle", "lateral_acceleration"), motion, strict=True):
-                measured[:, getattr(MEASURED, name)] = values
+                measured[:, getattr(MEASUREMENT, name)] = values
             command = log.command[i:j][np.searchsorted(t, grid + ON_GRID * period, side="right") - 1]
             before = self.before if i == 0 and self.before is not None else float(command[0])
-            made = Samples(grid, speed, command, before, measured)
+            samples = InstantSamples(grid, speed, command, before, measured)
             if raw[1].size and raw[2].size:
-                x, y = (_at(grid, raw[0], values, period) for values in raw[1:])
-                made = made.along(_driven(x, y, speed) if path is None else path, (x, y, yaw))
-            yield made
+                x, y = (_sample_at(grid, raw[0], values, period) for values in raw[1:])
+                samples = samples.along(_smoothed_path(x, y, speed) if path is None else path, (x, y, yaw))
+            yield samples
 
 
 def _trajectory(source: str | os.PathLike[str]) -> Trajectory | None:
@@ -99,23 +99,23 @@ def _trajectory(source: str | os.PathLike[str]) -> Trajectory | None:
         return None
 
 
-def _at(grid: Array, time: Array, values: Array, period: float) -> Array:
+def _sample_at(grid: Array, time: Array, values: Array, period: float) -> Array:
     """Values at instants: the sample of an instant, else on the line between its neighbours; NaN in holes."""
-    known = np.isfinite(time) & np.isfinite(values)
-    known[known] = np.diff(np.maximum.accumulate(time[known]), prepend=-np.inf) > 0.0
-    t, v = time[known], values[known]
+    is_finite = np.isfinite(time) & np.isfinite(values)
+    is_finite[is_finite] = np.diff(np.maximum.accumulate(time[is_finite]), prepend=-np.inf) > 0.0
+    t, v = time[is_finite], values[is_finite]
     if t.size < 2:
         return np.full(grid.size, math.nan)
     after = np.clip(np.searchsorted(t, grid - ON_GRID * period), 1, t.size - 1)
-    found = np.interp(grid, t, v, math.nan, math.nan)
-    found[t[after] - t[after - 1] > max(3.0 * float(np.median(np.diff(t))), LEAST_GAP)] = math.nan
+    resampled = np.interp(grid, t, v, math.nan, math.nan)
+    resampled[t[after] - t[after - 1] > max(3.0 * float(np.median(np.diff(t))), LEAST_GAP)] = math.nan
     for near in (after - 1, after):
         there = np.abs(t[near] - grid) <= ON_GRID * period
-        found[there] = v[near[there]]
-    return found
+        resampled[there] = v[near[there]]
+    return resampled
 
 
-def _driven(x: Array, y: Array, speed: Array) -> Road | None:
+def _smoothed_path(x: Array, y: Array, speed: Array) -> Road | None:
     """The path that was driven, smoothed; None where it is too short."""
     points = np.column_stack([x, y])[np.isfinite(x) & np.isfinite(y)]
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
@@ -127,7 +127,7 @@ def _driven(x: Array, y: Array, speed: Array) -> Road | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class InstantSamples:
     """n control instants in a row."""
 
     time: Array
@@ -137,12 +137,12 @@ class Samples:
     before: float
     """rad, the command before the first"""
     measured: Array
-    """(n, .) by `MEASURED`; yaw and y against the path"""
+    """(n, .) by `MEASUREMENT`; yaw and y against the path"""
     path: Road | None = None
     station: Array | None = None
     """(n,) m, of the feet on the path"""
 
-    def along(self, path: Road | None, place: tuple[Array, Array, Array]) -> Samples:
+    def along(self, path: Road | None, place: tuple[Array, Array, Array]) -> InstantSamples:
         """Return a copy with the path added; place: x, y (m), yaw (rad), (n,) each."""
         x, y, yaw = place
         begin = int(np.argmax(np.isfinite(x + y)))
@@ -150,15 +150,15 @@ class Samples:
             return self
         measured, station, period = self.measured.copy(), np.zeros(x.size), float(self.time[1] - self.time[0])
         course = np.where(np.isfinite(yaw), yaw, np.arctan2(np.gradient(y), np.gradient(x)))
-        near = foot_of_car(path, x[begin], y[begin], float(np.nan_to_num(course[begin])), ACROSS)
+        near = foot_of_car(path, x[begin], y[begin], float(np.nan_to_num(course[begin])), ACROSS_PENALTY)
         for k in range(x.size):
             foot = foot_near(path, x[k], y[k], near)
             if math.isfinite(foot.offset):
-                near, measured[k, MEASURED.y] = float(foot.s), float(foot.offset)
-                measured[k, MEASURED.yaw] = math.remainder(yaw[k] - float(foot.heading), 2.0 * math.pi)
+                near, measured[k, MEASUREMENT.y] = float(foot.s), float(foot.offset)
+                measured[k, MEASUREMENT.yaw] = math.remainder(yaw[k] - float(foot.heading), 2.0 * math.pi)
             station[k], near = near, near + self.speed[k] * period
         heading = path.at(station).heading
-        measured[:, MEASURED.turned] = np.diff(heading, prepend=heading[0])
+        measured[:, MEASUREMENT.turned] = np.diff(heading, prepend=heading[0])
         return replace(self, measured=measured, path=path, station=station)
 
     def left(self, k: int) -> float:

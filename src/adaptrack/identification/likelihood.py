@@ -26,8 +26,8 @@ from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SH
 
 Array = NDArray[np.float64]
 
-OUTPUTS = ("yaw_rate", "vy", "acceleration", "yaw", "wheel")
-STEP, MOST_STEPS, ENOUGH, NEARLY = 1e-4, 25, 0.02, 0.5
+MEASURED_OUTPUTS = ("yaw_rate", "vy", "acceleration", "yaw", "wheel")
+DIFFERENCE_STEP, MOST_STEPS, ENOUGH, NEARLY = 1e-4, 25, 0.02, 0.5
 """Of the differences, in spreads; iterations; fall of the objective at which they end, and nearly."""
 SETTLING = 1.0
 """s at the beginning of each segment whose innovations do not count: commands before it are unknown."""
@@ -48,23 +48,23 @@ class Likelihood:
         """used: (n,) 1 where a sample is taken in and counts; all when left out."""
         self._kernel = kernel
         self.log, self.car = log, car
-        self.median = np.array([beliefs[each.name].median for each in QUANTITIES])
-        self.spread = np.array([beliefs[each.name].spread for each in QUANTITIES])
-        rows = np.zeros((len(kernel.ROW), log.samples))
-        for name in ("time", "command", "speed", *OUTPUTS):
-            rows[kernel.ROW._fields.index(name)] = getattr(log, name)
+        self.median = np.array([beliefs[quantity.name].median for quantity in QUANTITIES])
+        self.spread = np.array([beliefs[quantity.name].spread for quantity in QUANTITIES])
+        rows = np.zeros((len(kernel.LOG_ROW), log.samples))
+        for name in ("time", "command", "speed", *MEASURED_OUTPUTS):
+            rows[kernel.LOG_ROW._fields.index(name)] = getattr(log, name)
         if not log.commanded:
-            rows[kernel.ROW.command] = _smoothed(log)
-        rows[kernel.ROW.begins] = log.begins
-        rows[kernel.ROW.used] = 1.0 if used is None else used
+            rows[kernel.LOG_ROW.command] = _smoothed(log)
+        rows[kernel.LOG_ROW.begins] = log.begins
+        rows[kernel.LOG_ROW.used] = 1.0 if used is None else used
         self._rows = rows
-        self._answer = np.empty((kernel.ANSWER, log.samples))
-        rows[kernel.ROW.gusts] = 1.0
-        present = np.array([np.isfinite(getattr(log, name)).any() for name in OUTPUTS])
-        self.present = {name: bool(here) for name, here in zip(OUTPUTS, present, strict=True)}
+        self._answer = np.empty((kernel.IDENTIFICATION_ANSWER, log.samples))
+        rows[kernel.LOG_ROW.gusts] = 1.0
+        present = np.array([np.isfinite(getattr(log, name)).any() for name in MEASURED_OUTPUTS])
+        self.present = {name: bool(is_present) for name, is_present in zip(MEASURED_OUTPUTS, present, strict=True)}
         settled = log.time - log.time[np.maximum.accumulate(np.where(log.begins, np.arange(log.samples), 0))]
-        counts = (rows[kernel.ROW.used] > 0.0) & (settled >= SETTLING)
-        measured = np.isfinite(rows[kernel.ROW.yaw_rate : kernel.ROW.yaw_rate + len(OUTPUTS)])
+        counts = (rows[kernel.LOG_ROW.used] > 0.0) & (settled >= SETTLING)
+        measured = np.isfinite(rows[kernel.LOG_ROW.yaw_rate : kernel.LOG_ROW.yaw_rate + len(MEASURED_OUTPUTS)])
         self.counts = measured & counts
         self.free = np.flatnonzero((self.spread > 0.0) & self._has_a_say())
 
@@ -82,7 +82,7 @@ class Likelihood:
             silent |= {"delay", "lag_share", "rate"}
         elif not self.present["wheel"]:
             silent |= {"lateness"}
-        return np.array([each.name not in silent for each in QUANTITIES])
+        return np.array([quantity.name not in silent for quantity in QUANTITIES])
 
     def values(self, z: Array) -> Array:
         """The quantities at a point z, in the order of `QUANTITIES`."""
@@ -104,22 +104,23 @@ class Likelihood:
             "wind_angle_limit": car.wind_angle_limit,
             "push_time": PUSH_TIME, "wind_rise": value["wind_smoothness"] * value["wind_time"],
         }  # fmt: skip
-        named = value | derived
-        return np.array([named[name] for name in self._kernel.Quantities._fields])
+        values_by_name = value | derived
+        return np.array([values_by_name[name] for name in self._kernel.Quantities._fields])
 
     def innovations(self, z: Array) -> tuple[Array, Array]:
-        """All innovations and variances, each (len(OUTPUTS), n), NaN where nothing is measured."""
+        """All innovations and variances, each (len(MEASURED_OUTPUTS), n), NaN where nothing is measured."""
         self._kernel.innovations(self.packed(self.values(z)), self._rows, self._answer)
-        return self._answer[: len(OUTPUTS)].copy(), self._answer[len(OUTPUTS) : 2 * len(OUTPUTS)].copy()
+        count = len(MEASURED_OUTPUTS)
+        return self._answer[:count].copy(), self._answer[count : 2 * count].copy()
 
-    def found(self, z: Array) -> dict[str, Array]:
+    def filter_results(self, z: Array) -> dict[str, Array]:
         """Filter results at each sample, by the names of the kernel's `FOUND`."""
         self.innovations(z)
-        return dict(zip(self._kernel.FOUND._fields, self._answer[2 * len(OUTPUTS) :].copy(), strict=True))
+        return dict(zip(self._kernel.FOUND._fields, self._answer[2 * len(MEASURED_OUTPUTS) :].copy(), strict=True))
 
     def take_gusts(self, other: Likelihood) -> None:
         """Let the spread of the wind's noise be that of another likelihood of the same log."""
-        self._rows[self._kernel.ROW.gusts] = other._rows[self._kernel.ROW.gusts]
+        self._rows[self._kernel.LOG_ROW.gusts] = other._rows[self._kernel.LOG_ROW.gusts]
         self.median, self.spread, self.free = other.median.copy(), other.spread.copy(), other.free.copy()
 
     def widen_gusts(self, z: Array) -> Array:
@@ -136,27 +137,27 @@ class Likelihood:
 
     def follow_gusts(self, z: Array) -> None:
         """Let the spread of the wind's noise follow how much the wind changes along the log."""
-        wind, time, begins = self.found(z)["wind"], self.log.time, self.log.begins
+        wind, time, begins = self.filter_results(z)["wind"], self.log.time, self.log.begins
         change = np.zeros_like(wind)
         change[1:] = np.where(begins[1:], 0.0, np.diff(wind) / np.maximum(np.diff(time), 1e-6))
         power = _window_mean(time, change**2, GUST_WINDOW)
         level = power / max(float(np.mean(power)), 1e-12)
-        self._rows[self._kernel.ROW.gusts] = np.sqrt(np.maximum(level, LEAST_GUSTS))
+        self._rows[self._kernel.LOG_ROW.gusts] = np.sqrt(np.maximum(level, LEAST_GUSTS))
 
     @property
     def beliefs(self) -> dict[str, Prior]:
         """Current prior of every quantity."""
         pairs = zip(self.median, self.spread, strict=True)
-        return {each.name: Prior(*map(float, pair)) for each, pair in zip(QUANTITIES, pairs, strict=True)}
+        return {quantity.name: Prior(*map(float, pair)) for quantity, pair in zip(QUANTITIES, pairs, strict=True)}
 
     def part(self, rows: slice) -> Likelihood:
         """The likelihood of a stretch of the log, with the beliefs and gusts that are here."""
         begins = self.log.begins[rows].copy()
         begins[0] = True
-        signals = {name: getattr(self.log, name)[rows] for name in ("time", "command", "speed", *OUTPUTS)}
-        each = Likelihood(replace(self.log, begins=begins, **signals), self.car, self.beliefs)
-        each._rows[self._kernel.ROW.gusts] = self._rows[self._kernel.ROW.gusts, rows]
-        return each
+        signals = {name: getattr(self.log, name)[rows] for name in ("time", "command", "speed", *MEASURED_OUTPUTS)}
+        part = Likelihood(replace(self.log, begins=begins, **signals), self.car, self.beliefs)
+        part._rows[self._kernel.LOG_ROW.gusts] = self._rows[self._kernel.LOG_ROW.gusts, rows]
+        return part
 
     def counted(self, z: Array) -> tuple[Array, Array]:
         """Innovations and variances that count, flat."""
@@ -173,9 +174,9 @@ class Likelihood:
         de, ds = np.empty((self.free.size, e.size)), np.empty((self.free.size, e.size))
         for i, place in enumerate(self.free):
             there = z.copy()
-            there[place] += STEP
+            there[place] += DIFFERENCE_STEP
             e_up, s_up = self.counted(there)
-            de[i], ds[i] = (e_up - e) / STEP, (s_up - s) / STEP
+            de[i], ds[i] = (e_up - e) / DIFFERENCE_STEP, (s_up - s) / DIFFERENCE_STEP
         with np.errstate(all="ignore"):  # what comes of it is looked at
             scores = de * (e / s) + ds * ((1.0 - e**2 / s) / (2.0 * s))
             by_error, by_size = de / np.sqrt(s), ds / (np.sqrt(2.0) * s)
@@ -189,23 +190,23 @@ class Likelihood:
 
     def fit(self, z: Array, enough: float = ENOUGH) -> tuple[Array, Scored]:
         """The most likely point from a start, and what is known there."""
-        now, damping = self.scored(z), 1e-3
+        current, damping = self.scored(z), 1e-3
         for _ in range(MOST_STEPS):
             moved = z.copy()
-            scaled = now.information + damping * np.diag(np.diag(now.information))
-            moved[self.free] -= np.clip(np.linalg.solve(scaled, now.gradient), -1.5, 1.5)
+            scaled = current.information + damping * np.diag(np.diag(current.information))
+            moved[self.free] -= np.clip(np.linalg.solve(scaled, current.gradient), -1.5, 1.5)
             there = self.objective(moved)
-            if there < now.objective:
-                fell = now.objective - there
+            if there < current.objective:
+                fell = current.objective - there
                 z, damping = moved, max(0.2 * damping, 1e-6)
-                now = self.scored(z)
+                current = self.scored(z)
                 if fell < enough:
                     break
             else:
                 damping = max(10.0 * damping, 1e-3)
                 if damping > 1e6:
                     break
-        return z, now
+        return z, current
 
     def covariance(self, at: Scored) -> Array:
         """Covariance of z where it is free: the inverse information, wider where stretches of the log disagree.
@@ -219,9 +220,9 @@ class Likelihood:
         stretch = np.broadcast_to(np.floor(self.log.time / STRETCH).astype(np.int64), self.counts.shape)[self.counts]
         scatter = inverse @ inverse  # of the prior
         for number in np.unique(stretch):
-            here = stretch == number
-            its = _squares(at.by_error[:, here]) + _squares(at.by_size[:, here])
-            moved = np.linalg.solve(at.information - its, at.scores[:, here].sum(axis=1))
+            rows = stretch == number
+            its = _squares(at.by_error[:, rows]) + _squares(at.by_size[:, rows])
+            moved = np.linalg.solve(at.information - its, at.scores[:, rows].sum(axis=1))
             scatter += np.outer(moved, moved)
         variance = np.clip(np.diag(scatter), np.diag(inverse), 1.0)
         widened = np.sqrt(variance / np.diag(inverse))

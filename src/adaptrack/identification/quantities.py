@@ -15,7 +15,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.cars.vehicle import GRAVITY, Vehicle, load_tyre
+from adaptrack.cars.vehicle import Vehicle, load_tyre
+from adaptrack.core.plants.forces import GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -73,8 +74,8 @@ QUANTITIES = (
     Quantity("vy_turned", "rad", "real", "turn of that sensor"),
 )
 """All, in the order of the fit."""
-INDEX = {each.name: i for i, each in enumerate(QUANTITIES)}
-_KINDS = np.array([("positive", "real", "share").index(each.kind) for each in QUANTITIES])
+INDEX = {quantity.name: i for i, quantity in enumerate(QUANTITIES)}
+_KINDS = np.array([("positive", "real", "share").index(quantity.kind) for quantity in QUANTITIES])
 
 AXLE_OVER_LOAD = 11.0
 """1/rad, cornering stiffness of an axle over its load where nothing is known of the tyres."""
@@ -109,10 +110,10 @@ def values_of(z: Array, median: Array, spread: Array) -> Array:
     )  # fmt: skip
 
 
-def beliefs_of(car: Vehicle, known: Mapping[str, Prior] | None = None) -> dict[str, Prior]:
+def beliefs_of(car: Vehicle, priors: Mapping[str, Prior] | None = None) -> dict[str, Prior]:
     """Return the prior of every quantity: body values from the car file, tyre values around it.
 
-    known: replaces entries; a car file that says how well it knows its numbers is read here.
+    priors: replaces entries; a car file that says how well it knows its numbers is read here.
     """
     tyre = load_tyre(car.tyre)
     beliefs = dict(DISTURBANCES)
@@ -129,7 +130,7 @@ def beliefs_of(car: Vehicle, known: Mapping[str, Prior] | None = None) -> dict[s
         beliefs["lag_share"] = Prior(min(max(steering.lag / delay, 0.1), 0.9), 1.5)
     if steering is not None and steering.rate is not None:
         beliefs["rate"] = Prior(steering.rate, 0.3)
-    return beliefs | dict(known or {})
+    return beliefs | dict(priors or {})
 
 
 def plain_car(mass: float, wheelbase: float) -> tuple[Vehicle, dict[str, Prior]]:
@@ -145,11 +146,11 @@ def plain_car(mass: float, wheelbase: float) -> tuple[Vehicle, dict[str, Prior]]
         yaw_inertia=mass * lf * lr, lf=lf, lr=lr, stiffness_front=front, stiffness_rear=rear,
     )  # fmt: skip
     spread = 0.03 / (0.45 * 0.55)
-    known = {
+    values = {
         "front_share": Prior(0.45, spread), "yaw_inertia": Prior(mass * lf * lr, 0.15),
         "front": Prior(2.0 * front, 0.8), "rear": Prior(2.0 * rear, 0.8), "relaxation": Prior(0.25, 0.7),
     }  # fmt: skip
-    return car, known
+    return car, values
 
 
 def understeer(front: float, rear: float, mass: float, wheelbase: float, front_share: float) -> float:

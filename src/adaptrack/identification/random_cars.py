@@ -95,9 +95,9 @@ def random_car(
     car = load_vehicle(base)
     tyre = load_tyre(car.tyre)
     mass, stiffness, ratio, noise = (
-        factor(each) for each in (ranges.mass, ranges.stiffness, ranges.front_to_rear, ranges.noise)
+        factor(interval) for interval in (ranges.mass, ranges.stiffness, ranges.front_to_rear, ranges.noise)
     )
-    lag, dead_time, bias = (float(rng.uniform(*each)) for each in (ranges.lag, ranges.dead_time, ranges.bias))
+    lag, dead_time, bias = (float(rng.uniform(*interval)) for interval in (ranges.lag, ranges.dead_time, ranges.bias))
     tyre = tyre.replace(
         name=f"{tyre.name}-{seed}",
         stiffness_front=tyre.stiffness_front * stiffness * math.sqrt(ratio),

@@ -140,10 +140,10 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
     """
     where = "log" if isinstance(source, Mapping) else os.fspath(source)
     table = _table_from_arrays(source) if isinstance(source, Mapping) else load_table(Path(source))
-    found, notes = _named(table.columns, reading, where)
-    origin = _read_times(table, found.get("time"), reading, where)
+    mapping, notes = _assign_columns(table.columns, reading, where)
+    origin = _read_times(table, mapping.get("time"), reading, where)
     values = {}
-    for signal, column in found.items():
+    for signal, column in mapping.items():
         unit, factor = _unit(signal, column, reading, table.units)
         sign = -1.0 if signal in reading.flip or (signal == "steering_wheel" and "wheel" in reading.flip) else 1.0
         cells = table.columns[column]
@@ -160,11 +160,11 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
         if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m") or sign < 0.0:
             notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
     _on_one_clock(values, _clocks(table, reading, origin), reading.late, notes)
-    commanded, unknown = _at_road_wheels(values, found, reading.steering_ratio, notes)
+    commanded, unknown = _at_road_wheels(values, mapping, reading.steering_ratio, notes)
     if "time" in values:
         values["time"] = values["time"] - values["time"][np.isfinite(values["time"])][:1].sum()
-    given = reading.steering_ratio
-    ratio = float(given) if isinstance(given, int | float) else 1.0
+    stated_ratio = reading.steering_ratio
+    ratio = float(stated_ratio) if isinstance(stated_ratio, int | float) else 1.0
     return Columns(values, tuple(notes), where, table.computation, commanded, unknown, ratio)
 
 
@@ -222,7 +222,7 @@ def _on_one_clock(
     time = values.get("time")
     if time is None:
         return
-    for signal in [each for each in values if each != "time"]:
+    for signal in [name for name in values if name != "time"]:
         clock = clocks.get(signal, time)
         if values[signal].size != clock.size:
             raise InvalidInput(
@@ -231,8 +231,10 @@ def _on_one_clock(
             )
         if signal in clocks or signal in late:
             values[signal] = _resampled(signal, time, clock - late.get(signal, 0.0), values[signal])
-            own = "at the times of its own clock" if signal in clocks else f"{late[signal]:g} s earlier than stamped"
-            notes.append(f"{signal} is read {own}")
+            clock_note = (
+                "at the times of its own clock" if signal in clocks else f"{late[signal]:g} s earlier than stamped"
+            )
+            notes.append(f"{signal} is read {clock_note}")
 
 
 def _resampled(signal: str, time: Array, clock: Array, values: Array) -> Array:
@@ -241,9 +243,9 @@ def _resampled(signal: str, time: Array, clock: Array, values: Array) -> Array:
     A signal slower than the log's times has a value only at that which is nearest to each of its samples, but the
     speed, which the model needs everywhere. NaN where no sample is near.
     """
-    known = np.isfinite(clock) & np.isfinite(values)
-    clock, first = np.unique(clock[known], return_index=True)
-    values = values[known][first]
+    is_finite = np.isfinite(clock) & np.isfinite(values)
+    clock, first = np.unique(clock[is_finite], return_index=True)
+    values = values[is_finite][first]
     out = np.full(time.size, np.nan)
     ask = np.isfinite(time)
     if clock.size < 2:
@@ -256,19 +258,19 @@ def _resampled(signal: str, time: Array, clock: Array, values: Array) -> Array:
     before = np.clip(np.searchsorted(clock, at + 1e-9, side="right") - 1, 0, clock.size - 1)
     after = np.minimum(before + 1, clock.size - 1)
     if signal == "command":
-        near, taken = (at + 1e-9 >= clock[before]) & (at - clock[before] <= hole), values[before]
+        near, samples = (at + 1e-9 >= clock[before]) & (at - clock[before] <= hole), values[before]
     else:
         near = (at >= clock[0]) & (at <= clock[-1]) & (clock[after] - clock[before] <= hole)
-        taken = np.interp(at, clock, values)
+        samples = np.interp(at, clock, values)
         if signal != "speed" and period > 1.5 * float(np.median(np.diff(at))):
             nearest = np.clip(np.searchsorted(0.5 * (at[1:] + at[:-1]), clock), 0, at.size - 1)
             near &= np.isin(np.arange(at.size), nearest)
-    out[ask] = np.where(near, taken, np.nan)
+    out[ask] = np.where(near, samples, np.nan)
     return out
 
 
 def _at_road_wheels(
-    values: dict[str, Array], found: Mapping[str, str], ratio: float | Literal["fit"] | None, notes: list[str]
+    values: dict[str, Array], mapping: Mapping[str, str], ratio: float | Literal["fit"] | None, notes: list[str]
 ) -> tuple[bool, bool]:  # fmt: skip
     """Turn steering angles into those of the road wheels; whether there is a command, whether its ratio is unknown.
 
@@ -287,7 +289,7 @@ def _at_road_wheels(
     if "command" in values:
         if turned is not None:
             notes.append("the angle of the steering wheel is left out beside a command: --steering-ratio R uses it")
-        return True, ratio == "fit" or bool(_AT_STEERING_WHEEL.search(_plain(found["command"])[0]))
+        return True, ratio == "fit" or bool(_AT_STEERING_WHEEL.search(_plain(mapping["command"])[0]))
     if turned is None:
         return True, False
     values["command"] = turned
@@ -309,28 +311,28 @@ def _plain(column: str) -> tuple[str, str]:
     return name, ""
 
 
-def _named(table: Mapping[str, CellArray], reading: Reading, where: str) -> tuple[dict[str, str], list[str]]:
+def _assign_columns(table: Mapping[str, CellArray], reading: Reading, where: str) -> tuple[dict[str, str], list[str]]:
     """Signal -> column: those that are given, then those whose name is known."""
-    found: dict[str, str] = {}
+    mapping: dict[str, str] = {}
     for signal, column in reading.columns.items():
         if column not in table:
             raise InvalidInput(f"{where}: has no column {column!r}. {did_you_mean(column, table)}")
-        found[signal] = column
+        mapping[signal] = column
     notes: list[str] = []
     plain = {column: _plain(column)[0] for column in table}
     for signal, names in ALIASES.items():
-        if signal in found:
+        if signal in mapping:
             continue
         for name in names:
-            match = [c for c in table if plain[c] == name and c not in found.values()]
+            match = [c for c in table if plain[c] == name and c not in mapping.values()]
             if match:
-                found[signal] = match[0]
+                mapping[signal] = match[0]
                 if match[0] != signal:
                     notes.append(f"guessed: {signal} is the column {match[0]!r}")
                 break
-    if "wheel" in found and "steering_wheel" not in found and _AT_STEERING_WHEEL.search(plain[found["wheel"]]):
-        found["steering_wheel"] = found.pop("wheel")
-    return found, notes
+    if "wheel" in mapping and "steering_wheel" not in mapping and _AT_STEERING_WHEEL.search(plain[mapping["wheel"]]):
+        mapping["steering_wheel"] = mapping.pop("wheel")
+    return mapping, notes
 
 
 def _dimension(signal: str) -> str:
@@ -343,19 +345,19 @@ def _unit(signal: str, column: str, reading: Reading, row: Mapping[str, str]) ->
     """The unit of a column and its factor to SI: as requested, else in its name, else in the row of units."""
     dimension = _dimension(signal)
     units = _UNITS[dimension]
-    named = reading.units.get(signal)
-    if named is None and signal == "steering_wheel":
-        named = reading.units.get("wheel")
-    if named is None and "" in reading.units and dimension in ("angle", "yaw_rate"):
-        named = reading.units[""] + ("/s" if signal == "yaw_rate" else "")
-    if named is None:
-        named = _plain(column)[1] or _unit_from_row(signal, column, row.get(column, ""))
-        if dimension == "yaw_rate" and named in ("deg", "rad"):
-            named += "/s"
+    stated_unit = reading.units.get(signal)
+    if stated_unit is None and signal == "steering_wheel":
+        stated_unit = reading.units.get("wheel")
+    if stated_unit is None and "" in reading.units and dimension in ("angle", "yaw_rate"):
+        stated_unit = reading.units[""] + ("/s" if signal == "yaw_rate" else "")
+    if stated_unit is None:
+        stated_unit = _plain(column)[1] or _unit_from_row(signal, column, row.get(column, ""))
+        if dimension == "yaw_rate" and stated_unit in ("deg", "rad"):
+            stated_unit += "/s"
         elif dimension == "angle":  # degs: degrees
-            named = named.removesuffix("/s")
-    named = _SHORT.get(named, named)
-    unit = named if named in units else next(iter(units))
+            stated_unit = stated_unit.removesuffix("/s")
+    stated_unit = _SHORT.get(stated_unit, stated_unit)
+    unit = stated_unit if stated_unit in units else next(iter(units))
     return unit, units[unit]
 
 

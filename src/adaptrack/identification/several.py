@@ -22,7 +22,9 @@ from adaptrack.identification.quantities import QUANTITIES
 
 Array = NDArray[np.float64]
 
-OF_THE_CAR = ("delay", "lag_share", "rate", "gain", "front", "rear", "mass", "yaw_inertia", "front_share", "relaxation")
+CAR_QUANTITIES = (
+    "delay", "lag_share", "rate", "gain", "front", "rear", "mass", "yaw_inertia", "front_share", "relaxation",
+)  # fmt: skip
 """Quantities that logs of one car share."""
 
 
@@ -39,7 +41,7 @@ class Fitted(Protocol):
 
 def shared_by(likelihood: Likelihood) -> list[int]:
     """Entries of z that belong to the car and are free."""
-    return [int(i) for i in likelihood.free if QUANTITIES[i].name in OF_THE_CAR]
+    return [int(i) for i in likelihood.free if QUANTITIES[i].name in CAR_QUANTITIES]
 
 
 def combined(fits: Sequence[Fitted], agree: bool) -> list[tuple[Array, Array]]:
@@ -48,52 +50,53 @@ def combined(fits: Sequence[Fitted], agree: bool) -> list[tuple[Array, Array]]:
     agree: whether they do; those that do not are granted the scatter of their means as an error of their own (random
     effects; R. DerSimonian and N. Laird, Controlled Clinical Trials 7 (1986) 177-188).
     """
-    posteriors = [(each.z, each.covariance) for each in fits] if agree else _parted(fits)
+    posteriors = [(fit.z, fit.covariance) for fit in fits] if agree else _parted(fits)
     mean, information = _added(fits, posteriors)
-    return [_given(each, *posterior, mean, information) for each, posterior in zip(fits, posteriors, strict=True)]
+    return [_condition(fit, *posterior, mean, information) for fit, posterior in zip(fits, posteriors, strict=True)]
 
 
 def _parted(fits: Sequence[Fitted]) -> list[tuple[Array, Array]]:
     """Posteriors wider by the scatter of the logs' means."""
-    means = np.full((len(fits), len(OF_THE_CAR)), np.nan)
-    for row, each in zip(means, fits, strict=True):
-        rows, places = _places(each.likelihood)
-        row[places] = each.z[each.likelihood.free][rows]
-    known = np.isfinite(means)
-    scatter = np.where(known, means - np.where(known, means, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 0.0)
-    between = (scatter**2).sum(axis=0) / np.maximum(known.sum(axis=0) - 1, 1)
+    means = np.full((len(fits), len(CAR_QUANTITIES)), np.nan)
+    for row, fit in zip(means, fits, strict=True):
+        rows, places = _places(fit.likelihood)
+        row[places] = fit.z[fit.likelihood.free][rows]
+    is_known = np.isfinite(means)
+    mean = np.where(is_known, means, 0.0).sum(axis=0) / np.maximum(is_known.sum(axis=0), 1)
+    scatter = np.where(is_known, means - mean, 0.0)
+    between = (scatter**2).sum(axis=0) / np.maximum(is_known.sum(axis=0) - 1, 1)
     wider = []
-    for each in fits:
-        rows, places = _places(each.likelihood)
-        covariance = each.covariance.copy()
+    for fit in fits:
+        rows, places = _places(fit.likelihood)
+        covariance = fit.covariance.copy()
         covariance[rows, rows] += between[places]
-        wider.append((each.z, covariance))
+        wider.append((fit.z, covariance))
     return wider
 
 
 def _places(likelihood: Likelihood) -> tuple[list[int], list[int]]:
-    """Rows of the shared entries among the free ones, and among `OF_THE_CAR`."""
+    """Rows of the shared entries among the free ones, and among `CAR_QUANTITIES`."""
     shared = shared_by(likelihood)
     names = [QUANTITIES[i].name for i in shared]
-    return list(np.searchsorted(likelihood.free, shared)), [OF_THE_CAR.index(name) for name in names]
+    return list(np.searchsorted(likelihood.free, shared)), [CAR_QUANTITIES.index(name) for name in names]
 
 
 def _added(fits: Sequence[Fitted], posteriors: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Mean and information of `OF_THE_CAR` given all logs."""
-    information, toward = np.eye(len(OF_THE_CAR)), np.zeros(len(OF_THE_CAR))
-    for each, (z, covariance) in zip(fits, posteriors, strict=True):
-        rows, places = _places(each.likelihood)
+    """Mean and information of `CAR_QUANTITIES` given all logs."""
+    information, toward = np.eye(len(CAR_QUANTITIES)), np.zeros(len(CAR_QUANTITIES))
+    for fit, (z, covariance) in zip(fits, posteriors, strict=True):
+        rows, places = _places(fit.likelihood)
         precision = np.linalg.inv(covariance[np.ix_(rows, rows)])
         values, vectors = np.linalg.eigh(precision - np.eye(len(rows)))
         added = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        mean = z[each.likelihood.free][rows]
+        mean = z[fit.likelihood.free][rows]
         freed = np.linalg.pinv(added, hermitian=True) @ (precision @ mean)
         information[np.ix_(places, places)] += added
         toward[places] += added @ freed
     return np.asarray(np.linalg.solve(information, toward), dtype=np.float64), information
 
 
-def _given(
+def _condition(
     fit: Fitted, z: Array, covariance: Array, mean: Array, information: Array
 ) -> tuple[Array, Array]:  # fmt: skip
     """A log's point and covariance, where the shared entries are as all logs have them."""

@@ -23,24 +23,24 @@ from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel
 from adaptrack.core.estimators import kalman
 from adaptrack.core.estimators import learning as kernel
-from adaptrack.core.models.contract import MEASURED
-from adaptrack.core.models.path import STATES, discretise_disturbed
+from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.models.path import PATH_STATES, discretise_disturbed
 from adaptrack.drive.prediction import TIMES
-from adaptrack.identification.instants import Samples
+from adaptrack.identification.instants import InstantSamples
 
 Array = NDArray[np.float64]
-Places = NDArray[np.int64]
+InstantIndices = NDArray[np.int64]
 Predicted = dict[tuple[str, str, float], Array]
 """(predictor, quantity, s ahead) -> (n,), at the instants that it is for; NaN where nothing was predicted"""
 
 PREDICTORS = ("learned", "held", "first", "steady")
-QUANTITIES = ("yaw_rate", "y")
-EVERY = 0.1
+PREDICTED_QUANTITIES = ("yaw_rate", "y")
+PREDICTION_SPACING = 0.1
 """s, at least, between the instants from which is predicted."""
-_STATE, _N = kalman.STATE, len(kalman.STATE)
+_STATE, _N = kalman.FILTER_STATE, len(kalman.FILTER_STATE)
 _MODEL = slice(_N + 1, _N + 8)
 _WHOLE, _SHARE, _BIAS, LEFT_OUT = range(_N + 8, _N + 12)
-"""Places in `Observer.now`, behind the states of the filter and the saturation."""
+"""Places in `Observer.state_row`, behind the states of the filter and the saturation."""
 
 
 class Observer:
@@ -59,7 +59,7 @@ class Observer:
 
     def restart(self) -> None:
         """Before the first sample of a drive; what was learned stays."""
-        self.memory, self.known = np.zeros(self.size), self.learner.again(self.known)
+        self.memory, self.known = np.zeros(self.size), self.learner.restart_memory(self.known)
 
     def take(self, speed: float, measured: Array, command: float) -> None:
         """An instant: speed (m/s), what is measured, the command (rad) that was applied since the last one.
@@ -67,8 +67,8 @@ class Observer:
         As `core.controllers.informed` lets a controller take it.
         """
         if self.learns:
-            left_out = int(kalman.memory_of(self.memory, 0).left_out)
-            kernel.learn(speed, measured, command, left_out, self.learning, self.known)
+            omitted = int(kalman.memory_of(self.memory, 0).excluded)
+            kernel.learn(speed, measured, command, omitted, self.learning, self.known)
             if not np.isfinite(self.beliefs).all():
                 self.known = self.learner.fresh()
             kernel.believe(self.learning, self.known, self.car, self.filter, self.memory)
@@ -78,57 +78,63 @@ class Observer:
     @property
     def beliefs(self) -> Array:
         """By `BELIEFS`."""
-        return self.known[kernel.ANSWER : kernel.ANSWER + len(kernel.BELIEFS)]
+        return self.known[kernel.BELIEFS_OFFSET : kernel.BELIEFS_OFFSET + len(kernel.BELIEF_NAMES)]
 
-    def now(self) -> Array:
-        """What is predicted from: z, saturation, the model, dead time in periods, bias; then the sensor left out."""
+    def state_row(self) -> Array:
+        """Return z, saturation, the model, dead time in periods, bias and the number of the omitted sensor."""
         m, p = kalman.memory_of(self.memory, 0), kalman.parameters_of(self.filter, 0)
-        return np.array([*m.z, m.saturation, *self.car, p.whole, p.share, p.bias, m.left_out])
+        return np.array([*m.z, m.saturation, *self.car, p.periods, p.share, p.bias, m.excluded])
 
 
-def predicted(samples: Samples, ours: Array, first: Array, mpc: MPC, tell: Callable[[float], None]) -> Predicted:
-    """From every `EVERY` s of a segment; ours, first: (n, .) of `Observer.now`, with and without learning.
+def predicted(samples: InstantSamples, ours: Array, first: Array, mpc: MPC, tell: Callable[[float], None]) -> Predicted:
+    """Predict from every `PREDICTION_SPACING` s of a segment.
 
-    tell: takes the share of the work on the segment that is done, of which this is the second half.
+    ours, first: (n, .) of `Observer.state_row`, with and without learning; tell: takes the share of the work on
+    the segment that is done, of which this is the second half.
     """
     n, period, steps = samples.time.size, mpc.period, {round(ahead / mpc.period): ahead for ahead in TIMES}
-    start = np.arange(0, max(n - max(steps), 0), math.ceil(EVERY / period - 1e-6))
-    now = {"learned": ours[start], "first": first[start]}
-    z = {name: now["learned" if name in ("learned", "held") else "first"][:, :_N].copy() for name in PREDICTORS}
-    for name, each in now.items():
-        z[name][:, _STATE.side] += each[:, _N]  # what tyres pull less in the bend at hand
+    start = np.arange(0, max(n - max(steps), 0), math.ceil(PREDICTION_SPACING / period - 1e-6))
+    starts = {"learned": ours[start], "first": first[start]}
+    z = {name: starts["learned" if name in ("learned", "held") else "first"][:, :_N].copy() for name in PREDICTORS}
+    for name, observed in starts.items():
+        z[name][:, _STATE.side] += observed[:, _N]  # what tyres pull less in the bend at hand
     z["steady"][:, _STATE.offset] = 0.0
-    found = {(name, what, ahead): np.full(n, math.nan) for name in z for what in QUANTITIES for ahead in TIMES}
+    predictions = {
+        (name, quantity, ahead): np.full(n, math.nan)
+        for name in z
+        for quantity in PREDICTED_QUANTITIES
+        for ahead in TIMES
+    }
     for j in range(max(steps)):
         tell(0.5 + 0.5 * j / max(steps))
         k = start + j
-        for name, each in now.items():
-            _roll(z[name], samples, k, each, period)
+        for name, observed in starts.items():
+            _roll(z[name], samples, k, observed, period)
         _turn_steadily(z["steady"], samples.speed[k], z["first"][:, _STATE.wheel_angle], mpc.vehicle)
         for name in ("held", "steady"):
             _carry(z[name], samples, k, period)
         for name, state in z.items() if j + 1 in steps else ():
-            found[name, "yaw_rate", steps[j + 1]][k + 1] = state[:, _STATE.yaw_rate] + state[:, _STATE.offset]
-            found[name, "y", steps[j + 1]][k + 1] = state[:, _STATE.y] if samples.path is not None else math.nan
-    return found
+            predictions[name, "yaw_rate", steps[j + 1]][k + 1] = state[:, _STATE.yaw_rate] + state[:, _STATE.offset]
+            predictions[name, "y", steps[j + 1]][k + 1] = state[:, _STATE.y] if samples.path is not None else math.nan
+    return predictions
 
 
-def _roll(z: Array, samples: Samples, k: Places, now: Array, period: float) -> None:
+def _roll(z: Array, samples: InstantSamples, k: InstantIndices, rows: Array, period: float) -> None:
     """Move states z (m, .) from the instants k (m,) on by a period, with the commands that act behind the dead time."""
-    f, b, u = np.zeros((k.size, STATES, _N)), np.zeros((k.size, _N)), samples.command
+    f, b, u = np.zeros((k.size, PATH_STATES, _N)), np.zeros((k.size, _N)), samples.command
     for i, speed in enumerate(samples.speed[k].tolist()):
-        discretise_disturbed(speed, period, now[i, _MODEL], f[i], b[i])
-    newer, share = k - now[:, _WHOLE].astype(np.int64), now[:, _SHARE]
-    command = (1.0 - share) * u[np.maximum(newer, 0)] + share * u[np.maximum(newer - 1, 0)] + now[:, _BIAS]
-    z[:, :STATES] = np.einsum("kij,kj->ki", f, z) + b[:, :STATES] * command[:, None]
-    turned = samples.measured[k + 1, MEASURED.turned]
+        discretise_disturbed(speed, period, rows[i, _MODEL], f[i], b[i])
+    newer, share = k - rows[:, _WHOLE].astype(np.int64), rows[:, _SHARE]
+    command = (1.0 - share) * u[np.maximum(newer, 0)] + share * u[np.maximum(newer - 1, 0)] + rows[:, _BIAS]
+    z[:, :PATH_STATES] = np.einsum("kij,kj->ki", f, z) + b[:, :PATH_STATES] * command[:, None]
+    turned = samples.measured[k + 1, MEASUREMENT.turned]
     z[:, _STATE.yaw] -= turned
     z[:, _STATE.y] -= 0.5 * samples.speed[k] * period * turned
 
 
-def _carry(z: Array, samples: Samples, k: Places, period: float) -> None:
-    """The same of heading and offset alone, by the lateral velocity and the yaw rate in z."""
-    turned = period * z[:, _STATE.yaw_rate] - samples.measured[k + 1, MEASURED.turned]
+def _carry(z: Array, samples: InstantSamples, k: InstantIndices, period: float) -> None:
+    """Move heading and offset alone on by a period, with the lateral velocity and the yaw rate in z."""
+    turned = period * z[:, _STATE.yaw_rate] - samples.measured[k + 1, MEASUREMENT.turned]
     z[:, _STATE.y] += period * (z[:, _STATE.vy] + samples.speed[k] * (z[:, _STATE.yaw] + 0.5 * turned))
     z[:, _STATE.yaw] += turned
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import read_arrow_table, read_bytes
-from adaptrack.drive.trajectory import FORMAT, Trajectory
+from adaptrack.drive.trajectory import TRAJECTORY_FORMAT, Trajectory
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ def parse_instants(text: CellArray) -> CellArray:
 
 def _parquet(path: Path, content: bytes) -> LogTable:
     table = read_arrow_table(content, str(path))
-    if any(FORMAT.encode() in value for value in (table.schema.metadata or {}).values()):
+    if any(TRAJECTORY_FORMAT.encode() in value for value in (table.schema.metadata or {}).values()):
         run = Trajectory.load(path)
         names = {"time": run.t, "command": run.command, "speed": run.vx, "yaw_rate": run.yaw_rate,
                  "wheel": run.steering, "acceleration": run.lateral_acceleration}  # fmt: skip

@@ -15,4 +15,4 @@ from .improvement import improve as improve
 from .mlp import MLP as MLP
 from .partition import subtractive_clustering as subtractive_clustering
 from .schedules import trained_schedule as trained_schedule
-from .training import TARGETS as TARGETS, Trained as Trained, train as train
+from .training import TARGET_SLOTS as TARGET_SLOTS, Trained as Trained, train as train

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -23,6 +23,7 @@ from adaptrack.analysis.feasibility import Feasibility
 from adaptrack.analysis.stability import loop_map
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.base.progress import ProgressCall
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import (
     Constant,
@@ -41,7 +42,7 @@ from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.improvement import Learnable, Surfaces, Training, improve
 from adaptrack.paper.landscape import LEARNED_OUTPUTS
 from adaptrack.paper.learning_task import LEARNED_INPUTS, LEARNING_SEED, START, Effort, LearningTask
-from adaptrack.paper.operating_points import NAMES
+from adaptrack.paper.operating_points import POINT_NAMES
 from adaptrack.paper.surfaces import FuzzySurface, NetworkSurface
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.pso import SearchSpace, SwarmSettings, minimise
@@ -50,8 +51,6 @@ from adaptrack.tuning.runs import Indices, RunSet
 Array = NDArray[np.float64]
 Schedules = Mapping[str, Schedule]
 """By contender, see `CONTENDER_NAMES`; schedules of other origin by another name."""
-Progress = Callable[[str, int, int], None]
-"""Called with the name of the work, the steps done and their number."""
 
 CONTENDER_NAMES = ("fallback", "best constant", "best constant on drives", "look-up", "nn", "anfis")
 """The schedules of an adaptation, in the order in which they are made: a domain without a fallback is refused first."""
@@ -64,7 +63,7 @@ CONSTANT_RUNS = 512
 CONSTANT_NOISE = 700_000 + LEARNING_SEED
 CONSTANT_SPACE = SearchSpace(
     names=("Np", "Nc", "R"), low=(10.0, 1.0, 10.0), high=(60.0, 18.0, 1e6),
-    whole=("Np", "Nc"), decades=("R",), ordered=("Nc", "Np"), spread=2.0,
+    integers=("Np", "Nc"), decades=("R",), ordered=("Nc", "Np"), spread=2.0,
 )  # fmt: skip
 
 # The fallback of the guard: a constant that is slow and steady
@@ -104,7 +103,7 @@ networks failed in 35 without the offset limit and in 8 with 0.06 s^2, at the sa
 @checked
 def adapt(
     campaign: CampaignConfig, out: str | os.PathLike[str], *, workers: int | None = None, effort: Effort | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCall | None = None,
 ) -> dict[str, Schedule]:  # fmt: skip
     """Run a campaign and learn its schedules in a folder, or resume there; by contender, see `CONTENDER_NAMES`.
 
@@ -118,7 +117,7 @@ def adapt(
         When the folder cannot be written, or holds something damaged.
     """
     folder, task = Path(out), LearningTask.of(campaign, effort)
-    makers = Makers(task, folder / "campaign", workers, progress or (lambda work, done, total: None))
+    makers = Makers(task, folder / "campaign", workers, progress or (lambda work, steps, total: None))
     schedules: dict[str, Schedule] = {}
     for contender in CONTENDER_NAMES:
         file = folder / "schedulers" / f"{contender.replace(' ', '-')}.json"
@@ -179,7 +178,7 @@ def _save_schedule(schedule: Schedule, file: Path, task: LearningTask, identity:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(f"{file.parent}: cannot be made: {error.strerror or error}.") from error
-    twin = ", learned on its twin" if task.driven.costly else ""
+    twin = ", learned on its twin" if task.evaluated_plant.costly else ""
     purpose = made_for(task.mpc, task.profile)
     purpose |= {"plant": f"{task.plan.config.plant}{twin}", "tyre": task.plant.tyre_name}
     record = {"identity": identity, "campaign": task.plan.identity, "effort": task.effort._asdict()}
@@ -196,7 +195,7 @@ class Makers:
     folder: Path
     """of the campaign"""
     workers: int | None
-    show: Progress
+    show: ProgressCall
 
     def make(self, contender: str, schedules: Schedules) -> Schedule:
         """The schedule of a contender; schedules: those before it in `CONTENDER_NAMES`."""
@@ -239,7 +238,7 @@ class Makers:
         start = Learnable(self._first_surfaces(model), LEARNED_INPUTS, self.task.domain, model)
         improvement = improve(
             start, self.training, self.held_out, rounds=self.task.effort.rounds, seed=LEARNING_SEED, safe=safe,
-            progress=lambda done, total: self.show(model, done, total),
+            progress=lambda steps, total: self.show(model, steps, total),
         )  # fmt: skip
         guarded = Guarded(improvement.schedule, safe, stability=self.stability, **GUARD_OPTIONS)
         return replace(guarded, provenance={"history": improvement.history})
@@ -273,10 +272,10 @@ def as_tuning(row: ArrayLike) -> Tuning:
 def best_constant(runs: RunSet, tunings: int = Effort().constant_tunings) -> Array:
     """(4,) the tuning with the lowest mean log cost over `CONSTANT_RUNS` of the runs, by a swarm of so many tunings."""
     rng = np.random.default_rng((LEARNING_SEED, 0xC057))
-    which = np.sort(rng.choice(len(runs), min(CONSTANT_RUNS, len(runs)), replace=False))
+    indices = np.sort(rng.choice(len(runs), min(CONSTANT_RUNS, len(runs)), replace=False))
 
     def cost(tuning: ArrayLike) -> float:
-        return float(np.log(runs.costs(tuning, [CONSTANT_NOISE], which)).mean())
+        return float(np.log(runs.costs(tuning, [CONSTANT_NOISE], indices)).mean())
 
     def costs(positions: Array) -> Array:
         return np.array([cost([Np, Nc, 1.0, R]) for Np, Nc, R in np.atleast_2d(positions)])
@@ -297,8 +296,8 @@ def safe_constant(runs: RunSet, stability: StabilityMap) -> Tuning:
 
     def judge(rows: Array, count: int) -> tuple[Indices, Array]:
         """Failures and mean log cost of each tuning, on the first `count` runs."""
-        which = np.arange(min(count, len(runs)))
-        costs = np.stack([runs.drive(row, [FALLBACK_NOISE], which)[:, 0] for row in rows])
+        indices = np.arange(min(count, len(runs)))
+        costs = np.stack([runs.drive(row, [FALLBACK_NOISE], indices)[:, 0] for row in rows])
         return np.isinf(costs).sum(axis=1), np.log(np.minimum(costs, runs.failed_cost)).mean(axis=1)
 
     candidates = safe_candidates(stability)
@@ -316,14 +315,14 @@ def safe_candidates(stability: StabilityMap) -> Array:
     InvalidInput
         When there is none, with the largest domain that one of them holds.
     """
-    loops = Feasibility.of_map(stability.table.axes, 1.0 - stability.table.values, FALLBACK_MARGIN)
+    loops = Feasibility.from_map(stability.table.axes, 1.0 - stability.table.values, FALLBACK_MARGIN)
     loops = loops.among(loops.tunings[:, 3] >= 10.0**FALLBACK_RATIO)
-    far = loops.enough.all(axis=(0, 1))
-    if far.any():
-        return loops.tunings[far]
+    is_safe = loops.enough.all(axis=(0, 1))
+    if is_safe.any():
+        return loops.tunings[is_safe]
     message = (
         f"no constant tuning keeps the loop away from instability (modulus margin {loops.least:g}) over the whole "
-        f"domain of {loops.whole}"
+        f"domain of {loops.requested}"
     )
     if loops.constant is None:
         raise InvalidInput(f"{message}, nor at any point of it: choose another car or profile.")
@@ -354,7 +353,7 @@ def neighbour_lookup(dataset: DataSet, nodes: Mapping[str, ArrayLike]) -> Schedu
     operating points; distances are in ranges of the data.
     """
     axes = {name: np.asarray(values, dtype=float) for name, values in nodes.items()}
-    points = dataset.operating_points[:, [NAMES.index(name) for name in axes]]
+    points = dataset.operating_points[:, [POINT_NAMES.index(name) for name in axes]]
     ranges = np.ptp(points, axis=0)
     grid = np.stack(np.meshgrid(*axes.values(), indexing="ij"), axis=-1)
     _, neighbours = cKDTree(points / ranges).query(

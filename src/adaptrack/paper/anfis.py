@@ -28,9 +28,9 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from adaptrack.base.checked import Count, Natural, NotNegative, Positive, check_parameters
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.sugeno import (
-    CENTRE,
-    SLOPE,
-    WIDTH,
+    BELL_CENTRE,
+    BELL_SLOPE,
+    BELL_WIDTH,
     Sugeno,
     bell_exponent,
     distance,
@@ -44,9 +44,9 @@ NARROWEST = 0.01
 """Least width that training gives a membership function, in half ranges of its input."""
 SLOPES = (0.5, 10.0)
 """Least and largest slope that training gives a bell; below the least its derivative is unbounded at the centre."""
-FASTER, SLOWER = 1.1, 0.9
+STEP_INCREASE, STEP_DECREASE = 1.1, 0.9
 """Factors of the step after four drops of the error, and after two oscillations (Jang 1993)."""
-BLOCK = 8192
+PREDICTED_ROWS = 8192
 """Rows that are predicted at once."""
 
 
@@ -61,15 +61,15 @@ def least_squares(a: Array, y: Array, penalty: float) -> Array:
 
     Solved by Cholesky in the smaller of the two dimensions, with one step of refinement against the data.
     """
-    wide = a.shape[1] > a.shape[0]
-    gram = a @ a.T if wide else a.T @ a
+    is_wide = a.shape[1] > a.shape[0]
+    gram = a @ a.T if is_wide else a.T @ a
     gram[np.diag_indices_from(gram)] += penalty
     try:
         factor = linalg.cho_factor(gram, overwrite_a=True)
     except linalg.LinAlgError:  # the penalty vanishes in rounding: the slow and sure way
         root = math.sqrt(penalty) * np.eye(a.shape[1])
         return np.linalg.lstsq(np.vstack((a, root)), np.concatenate((y, np.zeros(a.shape[1]))), rcond=None)[0]
-    if wide:
+    if is_wide:
         dual = linalg.cho_solve(factor, y)
         dual += linalg.cho_solve(factor, y - a @ (a.T @ dual) - penalty * dual)
         return a.T @ dual
@@ -123,19 +123,19 @@ def premise_gradient(system: Sugeno, x: Array, y: Array, weight: Array | None = 
         asks[np.arange(system.n_rules), functions] = 1.0
     by_log_mu = by_log_w @ asks[:, :-1]
 
-    apart = distance(x, system)
-    width, bell = system.premises[:, WIDTH], system.bell
-    inwards = apart.copy()  # -d(log mu)/d(distance)
-    by_slope = np.zeros_like(apart)
+    distances = distance(x, system)
+    width, bell = system.premises[:, BELL_WIDTH], system.bell
+    inwards = distances.copy()  # -d(log mu)/d(distance)
+    by_slope = np.zeros_like(distances)
     if bell.any():
-        t, slope = apart[:, bell], system.premises[bell, SLOPE]
+        t, slope = distances[:, bell], system.premises[bell, BELL_SLOPE]
         outside = expit(bell_exponent(t, slope))  # 1 - mu
-        away = np.where(t == 0.0, 1.0, t)
-        inwards[:, bell] = np.where(t == 0.0, 0.0, 2.0 * slope * outside / away)
-        by_slope[:, bell] = np.where(t == 0.0, 0.0, -2.0 * outside * np.log(np.abs(away)))
+        nonzero = np.where(t == 0.0, 1.0, t)
+        inwards[:, bell] = np.where(t == 0.0, 0.0, 2.0 * slope * outside / nonzero)
+        by_slope[:, bell] = np.where(t == 0.0, 0.0, -2.0 * outside * np.log(np.abs(nonzero)))
     return np.column_stack(
         (
-            (by_log_mu * inwards * apart).sum(axis=0) / width,
+            (by_log_mu * inwards * distances).sum(axis=0) / width,
             (by_log_mu * by_slope).sum(axis=0),
             (by_log_mu * inwards).sum(axis=0) / width,
         )
@@ -149,9 +149,9 @@ def adapt_step(step: float, errors: list[float]) -> float:
     """
     drops = [after < before for before, after in pairwise(errors[-5:])]
     if drops == [True, True, True, True]:
-        factor = FASTER
+        factor = STEP_INCREASE
     elif drops in ([True, False, True, False], [False, True, False, True]):
-        factor = SLOWER
+        factor = STEP_DECREASE
     else:
         return step
     del errors[:-1]
@@ -166,7 +166,7 @@ class _Rows(NamedTuple):
     weight: Array | None = None
 
     def rmse(self, system: Sugeno) -> float:
-        """Of a system's output here."""
+        """Root mean square error of a system's output on these rows."""
         return math.sqrt(float(mean((system.predict(self.z) - self.v) ** 2, self.weight)))
 
 
@@ -194,10 +194,10 @@ class _Scaling(NamedTuple):
         return _Scaling(-self.middle / self.half, 1.0 / self.half, -self.mean / self.spread, 1.0 / self.spread)
 
     def unscale(self, system: Sugeno) -> Sugeno:
-        """The same system for inputs x and output y, given the one for z and v."""
+        """Return the system for inputs x and output y, from the system for z and v."""
         premises = system.premises.copy()
-        premises[:, WIDTH] *= self.half[system.owner]
-        premises[:, CENTRE] = premises[:, CENTRE] * self.half[system.owner] + self.middle[system.owner]
+        premises[:, BELL_WIDTH] *= self.half[system.owner]
+        premises[:, BELL_CENTRE] = premises[:, BELL_CENTRE] * self.half[system.owner] + self.middle[system.owner]
         slopes = system.consequents[:, :-1] / self.half
         constant = (system.consequents[:, -1] - slopes @ self.middle) * self.spread + self.mean
         return replace(system, premises=premises, consequents=np.column_stack((slopes * self.spread, constant)))
@@ -296,14 +296,14 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         cls, system: Sugeno, input_range: ArrayLike, output_range: ArrayLike, input_names: Sequence[str] | None = None
     ) -> Self:
         """A fitted estimator around a given system; ranges as in `input_range_` (D, 2) and `output_range_` (2,)."""
-        made = cls()
-        made.system_ = system
-        made.input_range_ = np.asarray(input_range, dtype=np.float64).reshape(system.n_inputs, 2)
-        made.output_range_ = np.asarray(output_range, dtype=np.float64).reshape(2)
-        made.input_names_ = list(input_names) if input_names is not None else _numbered(system.n_inputs)
-        made.n_features_in_ = system.n_inputs
-        made.history_, made.best_epoch_, made.n_iter_ = {"train_rmse": np.empty(0), "step": np.empty(0)}, 0, 0
-        return made
+        model = cls()
+        model.system_ = system
+        model.input_range_ = np.asarray(input_range, dtype=np.float64).reshape(system.n_inputs, 2)
+        model.output_range_ = np.asarray(output_range, dtype=np.float64).reshape(2)
+        model.input_names_ = list(input_names) if input_names is not None else _numbered(system.n_inputs)
+        model.n_features_in_ = system.n_inputs
+        model.history_, model.best_epoch_, model.n_iter_ = {"train_rmse": np.empty(0), "step": np.empty(0)}, 0, 0
+        return model
 
     @property
     def n_rules_(self) -> int:
@@ -325,19 +325,19 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         target = np.asarray(target, dtype=np.float64)
         weight = row_weights("ANFIS", sample_weight, x)
         if weight is not None:
-            x, target, weight = (each[weight > 0.0] for each in (x, target, weight))
+            x, target, weight = (array[weight > 0.0] for array in (x, target, weight))
         self.input_range_ = np.column_stack((x.min(axis=0), x.max(axis=0)))
         self.output_range_ = np.array([target.min(), target.max()])
         self.input_names_ = list(getattr(self, "feature_names_in_", _numbered(x.shape[1])))
-        train, held = np.arange(len(target)), np.arange(0)
+        train, checked = np.arange(len(target)), np.arange(0)
         if self.early_stopping:
-            train, held = held_out(
+            train, checked = held_out(
                 "ANFIS", len(target), self.validation_fraction, check_random_state(self.random_state)
             )
-        own, others = part(weight, train), part(weight, held)
-        scaling = _Scaling.of(x[train], target[train], own)
+        train_weight, check_weight = part(weight, train), part(weight, checked)
+        scaling = _Scaling.of(x[train], target[train], train_weight)
         z, v = scaling.scale(x, target)
-        rows, checks = _Rows(z[train], v[train], own), _Rows(z[held], v[held], others)
+        rows, checks = _Rows(z[train], v[train], train_weight), _Rows(z[checked], v[checked], check_weight)
         system, history = self._train(self._prune(self._start(rows), rows), rows, checks)
         lean = self._prune(system, rows)
         if lean is not system:
@@ -345,7 +345,7 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.system_ = scaling.unscale(system)
         self.history_ = {name: np.array(values) * scaling.spread for name, values in history.items() if values}
         self.history_["step"] /= scaling.spread
-        decisive = self.history_["validation_rmse" if held.size else "train_rmse"]
+        decisive = self.history_["validation_rmse" if checked.size else "train_rmse"]
         self.best_epoch_, self.n_iter_ = int(np.argmin(decisive)), len(decisive) - 1
         return self
 
@@ -353,7 +353,7 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """(n,) output of the system at the inputs X (n, D)."""
         check_is_fitted(self, "system_")
         x = validate_data(self, X, dtype=np.float64, reset=False)
-        blocks = [self.system_.predict(x[start : start + BLOCK]) for start in range(0, len(x), BLOCK)]
+        blocks = [self.system_.predict(x[start : start + PREDICTED_ROWS]) for start in range(0, len(x), PREDICTED_ROWS)]
         return np.concatenate(blocks)
 
     def pruned(self, X: ArrayLike, y: ArrayLike, share: float) -> ANFIS:
@@ -385,21 +385,21 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """The system that the partition gives, its consequents still zero."""
         z = rows.z
         if self.partition == "grid":
-            made = partitions.grid(z, self.n_mfs)
+            partition = partitions.grid(z, self.n_mfs)
         else:
-            made = partitions.scatter(
+            partition = partitions.scatter(
                 z, rows.v, self.influence, self.squash, self.accept, self.reject, weight=rows.weight
             )
         bell = self.membership == "bell"  # as wide at half its height as the Gaussian
-        width = made.sigma * math.sqrt(2.0 * math.log(2.0)) if bell else made.sigma
+        width = partition.sigma * math.sqrt(2.0 * math.log(2.0)) if bell else partition.sigma
         slope = np.full(len(width), 2.0 if bell else 1.0)
         return Sugeno(
-            owner=made.owner,
+            owner=partition.owner,
             bell=np.full(len(width), bell),
-            premises=np.column_stack((width, slope, made.centre)),
-            rules=made.rules,
-            consequents=np.zeros((len(made.rules), z.shape[1] + 1)),
-            weights=np.ones(len(made.rules)),
+            premises=np.column_stack((width, slope, partition.centre)),
+            rules=partition.rules,
+            consequents=np.zeros((len(partition.rules), z.shape[1] + 1)),
+            weights=np.ones(len(partition.rules)),
         )
 
     def _prune(self, system: Sugeno, rows: _Rows) -> Sugeno:
@@ -407,8 +407,8 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if self.prune == 0.0:
             return system
         mass = mean(system.strengths(rows.z), rows.weight)
-        kept = mass >= min(self.prune, float(mass.max()))
-        return system if kept.all() else system.keep(kept)
+        is_strong = mass >= min(self.prune, float(mass.max()))
+        return system if is_strong.all() else system.keep(is_strong)
 
     def _conclude(self, system: Sugeno, rows: _Rows) -> Sugeno:
         """The system with the consequents that are best for its premises."""
@@ -423,20 +423,20 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             theta = least_squares(a, v, penalty)
         return replace(system, consequents=theta.reshape(system.consequents.shape))
 
-    def _train(self, system: Sugeno, rows: _Rows, held: _Rows) -> tuple[Sugeno, dict[str, list[float]]]:
+    def _train(self, system: Sugeno, rows: _Rows, checks: _Rows) -> tuple[Sugeno, dict[str, list[float]]]:
         """The best system of all epochs, and the history: least squares forwards, gradient backwards."""
         history: dict[str, list[float]] = {"train_rmse": [], "validation_rmse": [], "step": []}
-        decisive = history["validation_rmse" if len(held.z) else "train_rmse"]
+        decisive = history["validation_rmse" if len(checks.z) else "train_rmse"]
         best, best_epoch, step, recent = system, 0, float(self.step), []
         for epoch in range(self.epochs + 1):
             system = self._conclude(system, rows)
             history["train_rmse"].append(rows.rmse(system))
-            if len(held.z):
-                history["validation_rmse"].append(held.rmse(system))
+            if len(checks.z):
+                history["validation_rmse"].append(checks.rmse(system))
             history["step"].append(step)
             if epoch == 0 or decisive[epoch] < decisive[best_epoch]:
                 best, best_epoch = system, epoch
-            if epoch == self.epochs or (len(held.z) and epoch - best_epoch >= self.patience):
+            if epoch == self.epochs or (len(checks.z) and epoch - best_epoch >= self.patience):
                 break
             recent.append(history["train_rmse"][-1])
             step = adapt_step(step, recent)
@@ -454,6 +454,6 @@ def _numbered(inputs: int) -> list[str]:
 
 def _moved(system: Sugeno, change: Array) -> Sugeno:
     premises = system.premises + change
-    premises[:, WIDTH] = np.maximum(premises[:, WIDTH], NARROWEST)
-    premises[:, SLOPE] = np.clip(premises[:, SLOPE], *SLOPES)
+    premises[:, BELL_WIDTH] = np.maximum(premises[:, BELL_WIDTH], NARROWEST)
+    premises[:, BELL_SLOPE] = np.clip(premises[:, BELL_SLOPE], *SLOPES)
     return replace(system, premises=premises)

@@ -35,7 +35,7 @@ from adaptrack.base.files import Damaged
 from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.core.library import kernels_hash
-from adaptrack.paper.campaign_config import STANDARD, CampaignConfig, Plan, Setup
+from adaptrack.paper.campaign_config import STANDARD_ROW, CampaignConfig, CampaignPlan, Setup
 from adaptrack.paper.cluster import dask_client
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.evaluator import campaign_objective
@@ -50,7 +50,7 @@ Map = Callable[..., Iterable["TunedPoint"]]
 # -- one operating point ----------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class TuningTask:
-    """What all operating points of a campaign share; it travels to the workers."""
+    """Settings that all operating points of a campaign share; pickled for the workers."""
 
     setup: Setup
     software: tuple[tuple[str, str], ...]
@@ -96,8 +96,8 @@ def tune_point(task: TuningTask, stream: int, point: Array) -> TunedPoint:
     """
     config = task.setup.config
     objective, library = objective_and_library(task)
-    is_standard = (library == np.array(STANDARD)).all(axis=1)
-    tunings = library if is_standard.any() else np.vstack([library, STANDARD])
+    is_standard = (library == np.array(STANDARD_ROW)).all(axis=1)
+    tunings = library if is_standard.any() else np.vstack([library, STANDARD_ROW])
     best = objective.tune(point.tolist(), config.swarm, config.seed, stream, config.search.space())
     costs = objective.landscape(point.tolist(), tunings)
     standard = int(np.argmax(is_standard)) if is_standard.any() else -1
@@ -109,7 +109,7 @@ def tune_point(task: TuningTask, stream: int, point: Array) -> TunedPoint:
 class CampaignParts:
     """The part files of a campaign, each with the hashes of settings and kernels in its metadata."""
 
-    plan: Plan
+    plan: CampaignPlan
     folder: Path
     provenance: Mapping[str, Any]
     """name, versions of the software, settings and identity (the hash of the settings)"""
@@ -232,7 +232,7 @@ def run_campaign(
     """
     if workers is not None and cluster is not None:
         raise InvalidInput("workers and cluster: give one of them; a cluster has its own workers.")
-    plan = Plan.of(config)
+    plan = CampaignPlan.of(config)
     versions = software_versions(plan.setup)
     provenance = {"name": config.name, "versions": versions, "settings": plan.settings, "identity": plan.identity}
     parts = CampaignParts(plan, Path(out), provenance)

@@ -31,21 +31,21 @@ from adaptrack.drive.failure import DISTANCE, SIDESLIP, Failure
 from adaptrack.paper.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.scenario.profile import list_profiles, load_profile
 from adaptrack.tuning.pso import SwarmSettings
-from adaptrack.tuning.spaces import Pair, Search, as_tuples
+from adaptrack.tuning.spaces import Pair, SearchBounds, as_tuples
 
 Array = NDArray[np.float64]
 
 _log = logging.getLogger("adaptrack")
 
-LARGEST_SEED = 2**63 - 1
-STANDARD = tuple(Tuning().as_array().tolist())
+MAX_CAMPAIGN_SEED = 2**63 - 1
+STANDARD_ROW = tuple(Tuning().as_array().tolist())
 """The paper's table: Np 35, Nc 8, Q 10, R 0.01."""
 
 _DATA = SHIPPED / "campaigns"
 
 
 Levels = Annotated[tuple[float, ...], BeforeValidator(as_tuples), Field(min_length=1)]
-Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
+Seed = Annotated[int, Field(ge=0, le=MAX_CAMPAIGN_SEED)]
 
 
 # -- operating points ------------------------------------------------------------------------------------------------
@@ -131,12 +131,12 @@ class TuningLibrary(Record):
             raise ValueError("size and seed have no use beside explicit tunings: leave them out.")
         return self
 
-    def rows(self, search: Search) -> Array:
+    def rows(self, search: SearchBounds) -> Array:
         """The tunings, (T, 4) of Np, Nc, Q, R; the first is the paper's table, unless they are explicit."""
         return np.array(self.tunings) if self.tunings else spread_tunings(self.size, search, self.seed)
 
 
-def spread_tunings(size: int, search: Search, seed: int = 0) -> Array:
+def spread_tunings(size: int, search: SearchBounds, seed: int = 0) -> Array:
     """`size` tunings that cover a search space evenly, (size, 4) of Np, Nc, Q, R; the first is the paper's table.
 
     The others are a scrambled Sobol sequence in (Np, Nc, log R/Q). Only R/Q changes the control law, so Q and R of each
@@ -149,7 +149,7 @@ def spread_tunings(size: int, search: Search, seed: int = 0) -> Array:
     (q_low, q_high), (r_low, r_high) = np.log(search.Q), np.log(search.R)
     ratio = (r_low - q_high) + u[:, 2] * ((r_high - q_low) - (r_low - q_high))
     q = (np.maximum(q_low, r_low - ratio) + np.minimum(q_high, r_high - ratio)) / 2.0
-    return np.vstack([STANDARD, np.column_stack([Np, Nc, np.exp(q), np.exp(q + ratio)])])
+    return np.vstack([STANDARD_ROW, np.column_stack([Np, Nc, np.exp(q), np.exp(q + ratio)])])
 
 
 # -- failure ----------------------------------------------------------------------------------------------------------
@@ -201,7 +201,7 @@ class CampaignConfig(Record):
     chunk: int = Field(default=32, ge=1, le=100_000, description="points per chunk: what a kill can cost at most")
     operating_points: OperatingPoints = Field(description="where to tune")
     failure: FailureRule = Field(default_factory=FailureRule, description="when a run has failed")
-    search: Search = Field(default_factory=Search, description="bounds of the tunings")
+    search: SearchBounds = Field(default_factory=SearchBounds, description="bounds of the tunings")
     swarm: SwarmSettings = Field(default_factory=SwarmSettings, description="how a swarm searches")
     library: TuningLibrary = Field(
         default_factory=TuningLibrary, description="tunings whose cost is found at every operating point"
@@ -233,8 +233,8 @@ class CampaignConfig(Record):
         """Whether the profile has sensor noise."""
         return any(load_profile(self.profile).noise)
 
-    def in_profile(self, profile: str | None = None) -> Self:
-        """The same campaign in a profile, None: its own; the name contains the other profile."""
+    def with_profile(self, profile: str | None = None) -> Self:
+        """Return a copy of the campaign in a profile, whose name it appends; None keeps its profile."""
         if profile in (None, self.profile):
             return self
         values = {key: value for key, value in self if key in self.model_fields_set}
@@ -298,7 +298,7 @@ class Setup:
     """Everything that decides the cost of a tuning: what a worker needs to build the objective."""
 
     config: CampaignConfig
-    """settled"""
+    """the campaign with its optional values filled in"""
     vehicle: Vehicle
     tyre: Tyre
 
@@ -314,7 +314,7 @@ class Setup:
 
     @property
     def searched_on(self) -> Plant | SteppedPlant:
-        """What is tuned and learned on: the campaign's plant, or the car's twin where that one is costly."""
+        """The plant for tuning and learning: the campaign's, or its car's twin if that one is costly."""
         plant = self.plant()
         return twin_of(self.vehicle) if plant.costly else plant
 
@@ -357,7 +357,7 @@ def _announce(module: str) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class CampaignPlan:
     """A campaign ready to run: its files read, its operating points and tunings counted.
 
     Raises

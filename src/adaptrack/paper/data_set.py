@@ -25,12 +25,12 @@ from adaptrack.base.files import (
 )
 from adaptrack.base.shown import figure_of, html_of
 from adaptrack.paper import operating_points as points
-from adaptrack.paper.operating_points import NAMES, check_operating_points, fold
+from adaptrack.paper.operating_points import POINT_NAMES, check_operating_points, fold
 
 Array = NDArray[Any]
 
 DATA_SET_FORMAT = "adaptrack data set"
-FORMAT_VERSION = 1
+DATA_SET_VERSION = 1
 """Raised whenever a column or an entry is added, dropped, renamed or changes its unit."""
 
 _DATA = SHIPPED / "datasets"
@@ -53,7 +53,7 @@ DATA_SET_COLUMNS = (
     TunedColumn(
         "stream", "-", "int64", "number of the operating point; its random numbers depend on seed and stream only"
     ),
-    *(TunedColumn(column.name, column.unit, "float64", column.meaning) for column in points.COLUMNS),
+    *(TunedColumn(column.name, column.unit, "float64", column.meaning) for column in points.POINT_COLUMNS),
     TunedColumn("Np", "-", "int64", "prediction horizon of the best tuning found, control periods"),
     TunedColumn("Nc", "-", "int64", "control horizon of the best tuning found, control periods"),
     TunedColumn("Q", "1/m^2", "float64", "weight of the tracking error of the best tuning found"),
@@ -151,7 +151,7 @@ class DataSet:
 
     @property
     def name(self) -> str:
-        """What its campaign was called."""
+        """Name of its campaign."""
         return str(self.provenance.get("name", "unnamed"))
 
     @property
@@ -216,7 +216,7 @@ class DataSet:
         StorageError
             When that fails; an older file at `path` is then untouched.
         """
-        values = dict(zip(NAMES, self.operating_points.T, strict=True))
+        values = dict(zip(POINT_NAMES, self.operating_points.T, strict=True))
         values |= dict(zip(_TUNING, self.tunings.T, strict=True)) | {name: getattr(self, name) for name in _WHOLE}
         values |= {"r_over_q": self.ratios, "cost": self.costs, "standard_cost": self.standard_costs}
         values |= {"trace": self.traces, "landscape": self.landscape}
@@ -225,7 +225,7 @@ class DataSet:
             for name, unit, dtype, meaning, _ in DATA_SET_COLUMNS
         ]
         metadata = {**self.provenance, "library": self.library.tolist()}
-        write_atomically(path, encode_parquet(DATA_SET_FORMAT, FORMAT_VERSION, columns, metadata))
+        write_atomically(path, encode_parquet(DATA_SET_FORMAT, DATA_SET_VERSION, columns, metadata))
 
     @classmethod
     @checked
@@ -239,14 +239,14 @@ class DataSet:
         """
         remedy = "run its campaign again, or use the release that wrote it"
         names = [column.name for column in DATA_SET_COLUMNS]
-        columns, metadata = decode_parquet(read_bytes(path), path, DATA_SET_FORMAT, FORMAT_VERSION, remedy, names)
+        columns, metadata = decode_parquet(read_bytes(path), path, DATA_SET_FORMAT, DATA_SET_VERSION, remedy, names)
         try:
             for name, _, dtype, _, ndim in DATA_SET_COLUMNS:
                 if columns[name].dtype != np.dtype(dtype) or columns[name].ndim != ndim:
                     raise ValueError(f"column {name!r} holds {columns[name].dtype}, not {dtype}")
             library = np.array(metadata.pop("library"), dtype=np.float64)
             return cls(
-                operating_points=np.column_stack([columns[name] for name in NAMES]),
+                operating_points=np.column_stack([columns[name] for name in POINT_NAMES]),
                 tunings=np.column_stack([columns[name] for name in _TUNING]),
                 costs=columns["cost"],
                 standard_costs=columns["standard_cost"],

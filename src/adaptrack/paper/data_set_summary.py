@@ -9,22 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.paper.data_set import DataSet
-from adaptrack.paper.operating_points import COLUMNS
+from adaptrack.paper.operating_points import POINT_COLUMNS
 
 Array = NDArray[np.float64]
 
-TARGETS = ("Np", "Nc", "log Q", "log R", "log R/Q")
+SUMMARY_TARGETS = ("Np", "Nc", "log Q", "log R", "log R/Q")
 """Parts of the best tuning; logarithms are natural."""
 NEAR_BEST = (0.05, 0.2)
 """Tunings whose cost is at most this share above the best count as near it."""
-SETTINGS = ("profile", "scenario", "duration", "plant", "move_weight", "noise_seeds")
+SUMMARY_SETTINGS = ("profile", "scenario", "duration", "plant", "move_weight", "noise_seeds")
 """Settings of the campaign that the summary repeats."""
 
 
 def best_tunings(dataset: DataSet) -> dict[str, Array]:
-    """(n,) of each of `TARGETS`."""
+    """(n,) of each of `SUMMARY_TARGETS`."""
     Np, Nc, Q, R = dataset.tunings.T
-    return dict(zip(TARGETS, (Np, Nc, np.log(Q), np.log(R), np.log(R / Q)), strict=True))
+    return dict(zip(SUMMARY_TARGETS, (Np, Nc, np.log(Q), np.log(R), np.log(R / Q)), strict=True))
 
 
 def flatness(dataset: DataSet, within: float) -> Array:
@@ -50,7 +50,7 @@ def describe(dataset: DataSet) -> dict[str, Any]:
         "operating_points": len(dataset),
         "computed": len(rows),
         "library": len(dataset.library),
-        **{key: settings.get(key) for key in SETTINGS},
+        **{key: settings.get(key) for key in SUMMARY_SETTINGS},
         "vehicle": _name(settings.get("vehicle")),
         "tyre": _name(settings.get("tyre")),
         "evaluations": int(rows.evaluations.sum()),
@@ -66,7 +66,7 @@ def describe(dataset: DataSet) -> dict[str, Any]:
                 "highest": float(values.max()),
                 "levels": int(np.unique(values).size),
             }
-            for column, values in zip(COLUMNS, dataset.operating_points.T, strict=True)
+            for column, values in zip(POINT_COLUMNS, dataset.operating_points.T, strict=True)
         ],
         "optimum": [
             {"target": name, **_quantiles(values), "at_a_bound": _share_at_bounds(values, bounds.get(name))}
@@ -82,7 +82,7 @@ def describe(dataset: DataSet) -> dict[str, Any]:
 
 
 def _costs(rows: DataSet) -> dict[str, float | int | None]:
-    """What the standard tuning, the swarm's best and the library cost against each other, and how many failed."""
+    """Compare the costs of the standard tuning, the swarm's best and the library; count failures."""
     comparable = rows.comparable
     gain = rows.standard_costs[comparable] / rows.costs[comparable]
     positive = np.isfinite(rows.best_costs) & (rows.best_costs > 0.0)
@@ -118,7 +118,7 @@ def _search_bounds(search: Mapping[str, Any] | None) -> dict[str, tuple[float, f
         return {}
     (q_low, q_high), (r_low, r_high) = np.log(search["Q"]), np.log(search["R"])
     pairs = (search["Np"], search["Nc"], (q_low, q_high), (r_low, r_high), (r_low - q_high, r_high - q_low))
-    return {name: (float(low), float(high)) for name, (low, high) in zip(TARGETS, pairs, strict=True)}
+    return {name: (float(low), float(high)) for name, (low, high) in zip(SUMMARY_TARGETS, pairs, strict=True)}
 
 
 def _share_at_bounds(values: Array, bounds: tuple[float, float] | None) -> float | None:

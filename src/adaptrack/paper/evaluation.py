@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison
-from adaptrack.drive.metrics import PUBLISHED
-from adaptrack.paper.adaptation import ANYWHERE, Progress, Schedules
+from adaptrack.drive.metrics import PAPER_MSE
+from adaptrack.paper.adaptation import ANYWHERE, Schedules
 from adaptrack.paper.learning_task import FAILURE, HELD_OUT_POINTS, SEGMENT, TRAINING_POINTS, LearningTask
 from adaptrack.paper.operating_points import sobol
 from adaptrack.tuning.objective import Objective
@@ -34,7 +35,7 @@ EVALUATION_SEED = 7
 """Default of the evaluations: it selects the operating points and drives."""
 FIRST_POINTS, FIRST_DRIVE, DRIVE_BLOCK = 10_000, 3_000_000, 10_000
 """Sobol seed and number of the first drive of the evaluation with seed 0, and drives for each seed."""
-DRIVE_DURATION = 60.0
+EVALUATED_DURATION = 60.0
 """s, of a drive"""
 EVALUATION_NOISE = tuple(range(900_001, 900_009))
 """Noise seeds of every evaluation; drives take the first."""
@@ -46,7 +47,7 @@ CHOICE_NOISE = tuple(range(810_001, 810_009))
 
 def evaluate_on_operating_points(
     task: LearningTask, schedules: Schedules, count: int, seed: int = EVALUATION_SEED, *,
-    known_as: Sequence[str] = ("exact",), progress: Progress | None = None,
+    known_as: Sequence[str] = ("exact",), progress: ProgressCall | None = None,
 ) -> dict[str, Comparison]:  # fmt: skip
     """On `count` Sobol points of the campaign's box, for each way of knowing friction and wind (see `perception`).
 
@@ -59,7 +60,7 @@ def evaluate_on_operating_points(
     """
     points = evaluation_points(task, count, seed)
     contenders = _point_contenders(schedules, points)
-    reference, plant = BEST_CONSTANT, task.driven
+    reference, plant = BEST_CONSTANT, task.evaluated_plant
     if not isinstance(plant, SteppedPlant) and not plant.costly:
         constants = np.array([schedules[name](ANYWHERE) for name in (BEST_CONSTANT, "fallback")])
         tunings = find_optimum(task, plant, points, seed, constants, progress)
@@ -69,13 +70,15 @@ def evaluate_on_operating_points(
     for name in known_as:
         knowledge = perception(name, task.estimated, task.profile)
         runs = operating_point_runs(plant, task.mpc, points, task.profile, known_as=knowledge, failure=FAILURE)
-        comparisons[name] = compare(runs, _driven(contenders, name), EVALUATION_NOISE, reference, points, progress)
+        comparisons[name] = compare(
+            runs, _select_contenders(contenders, name), EVALUATION_NOISE, reference, points, progress
+        )
     return comparisons
 
 
 def evaluate_on_drives(
     task: LearningTask, schedules: Schedules, count: int, seed: int = EVALUATION_SEED, *,
-    known_as: Sequence[str] = ("exact",), progress: Progress | None = None,
+    known_as: Sequence[str] = ("exact",), progress: ProgressCall | None = None,
 ) -> dict[str, Comparison]:  # fmt: skip
     """On `count` random drives, for each way of knowing friction and wind; the reference is the best constant."""
     numbers = evaluation_drives(count, seed)
@@ -84,12 +87,12 @@ def evaluate_on_drives(
     comparisons = {}
     for name in known_as:
         runs = random_drive_runs(
-            task.driven, task.mpc, numbers, DRIVE_DURATION, task.profile, roads=roads, segment_seconds=SEGMENT,
-            known_as=perception(name, task.estimated, task.profile), failure=FAILURE,
+            task.evaluated_plant, task.mpc, numbers, EVALUATED_DURATION, task.profile, roads=roads,
+            segment_seconds=SEGMENT, known_as=perception(name, task.estimated, task.profile), failure=FAILURE,
         )  # fmt: skip
         where = np.array(numbers, dtype=float)[:, None]
         comparisons[name] = compare(
-            runs, _driven(contenders, name), EVALUATION_NOISE[:1], BEST_CONSTANT, where, progress
+            runs, _select_contenders(contenders, name), EVALUATION_NOISE[:1], BEST_CONSTANT, where, progress
         )
     return comparisons
 
@@ -97,8 +100,8 @@ def evaluate_on_drives(
 def evaluate_on_tests(task: LearningTask, schedules: Schedules) -> dict[str, Comparison]:
     """On the paper's two tests, in the campaign's profile; the reference is the best constant."""
     comparisons = {}
-    for name in PUBLISHED:
-        runs = paper_test_runs(task.driven, task.mpc, name, task.profile, failure=FAILURE)
+    for name in PAPER_MSE:
+        runs = paper_test_runs(task.evaluated_plant, task.mpc, name, task.profile, failure=FAILURE)
         comparisons[name] = compare(
             runs, _moving_contenders(schedules), EVALUATION_NOISE, BEST_CONSTANT, np.zeros((1, 1))
         )
@@ -141,13 +144,13 @@ def _moving_contenders(schedules: Schedules) -> list[Contender]:
     ]  # fmt: skip
 
 
-def _driven(contenders: Sequence[Contender], known_as: str) -> list[Contender]:
+def _select_contenders(contenders: Sequence[Contender], known_as: str) -> list[Contender]:
     """All contenders where friction and wind are known exactly, otherwise `PERCEIVING`."""
     return [contender for contender in contenders if known_as == "exact" or contender.name in PERCEIVING]
 
 
 def find_optimum(
-    task: LearningTask, plant: Plant, points: Array, seed: int, constants: Array, progress: Progress | None = None
+    task: LearningTask, plant: Plant, points: Array, seed: int, constants: Array, progress: ProgressCall | None = None
 ) -> Array:
     """(n, 4) the best tuning of each operating point (n, 4).
 

@@ -18,7 +18,7 @@ import numpy as np
 from adaptrack.base.checked import Count, checked
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError
 from adaptrack.base.files import write_atomically
-from adaptrack.control.scheduling.functions.sugeno import ANY, SLOPE, WIDTH, Sugeno
+from adaptrack.control.scheduling.functions.sugeno import ANY, BELL_SLOPE, BELL_WIDTH, Sugeno
 from adaptrack.paper.anfis import ANFIS
 
 _FUNCTION = re.compile(r"'([^']*)'\s*:\s*'([^']*)'\s*,\s*\[([^\]]*)\]\s*")
@@ -96,11 +96,11 @@ def _text(estimator: ANFIS, name: str) -> str:
     ]
     number = np.zeros(len(system.owner) + 1, dtype=np.intp)  # within its input, from 1; the last one is what ANY finds
     for i, variable in enumerate(estimator.input_names_):
-        own = np.flatnonzero(system.owner == i)
-        number[own] = np.arange(1, len(own) + 1)
+        members = np.flatnonzero(system.owner == i)
+        number[members] = np.arange(1, len(members) + 1)
         lines += ["", f"[Input{i + 1}]", f"Name='{_plain(variable)}'", f"Range={_list(estimator.input_range_[i])}"]
-        lines.append(f"NumMFs={len(own)}")
-        for j, function in enumerate(own, start=1):
+        lines.append(f"NumMFs={len(members)}")
+        for j, function in enumerate(members, start=1):
             bell = bool(system.bell[function])
             numbers = system.premises[function, [0, 1, 2] if bell else [0, 2]]
             lines.append(f"MF{j}='in{i + 1}mf{j}':'{'gbellmf' if bell else 'gaussmf'}',{_list(numbers)}")
@@ -171,7 +171,7 @@ class _Reader:
                 weights.append(weight)
         if not any(weights):
             self.fail(system.line, f"no rule with a weight above zero concludes on output {output}.")
-        made = Sugeno(
+        system_read = Sugeno(
             owner=np.repeat(np.arange(inputs), [len(variable.functions) for variable in variables]),
             bell=np.array([bell for bell, _ in premises], dtype=bool),
             premises=np.array([numbers for _, numbers in premises], dtype=np.float64).reshape(-1, 3),
@@ -180,7 +180,7 @@ class _Reader:
             weights=np.array(weights),
         )
         names = [variable.name or f"in{i + 1}" for i, variable in enumerate(variables)]
-        return ANFIS.from_system(made, [variable.range for variable in variables], answer.range, names)
+        return ANFIS.from_system(system_read, [variable.range for variable in variables], answer.range, names)
 
     def _divide(self, text: str) -> None:
         """Into sections, their keys, and the rules."""
@@ -233,15 +233,15 @@ class _Reader:
         return int(value.text)
 
     def numbers(self, text: str, line: int) -> list[float]:
-        found = []
+        values = []
         for word in text.replace(",", " ").split():
             try:
-                found.append(float(word))
+                values.append(float(word))
             except ValueError:
                 self.fail(line, f"{word!r} is not a number.")
-        if not all(map(math.isfinite, found)):
+        if not all(map(math.isfinite, values)):
             self.fail(line, f"[{text}]: every number must be finite.")
-        return found
+        return values
 
     def _supported(self, system: _Section) -> None:
         for key, allowed in (("Type", "sugeno"), ("AndMethod", "prod"), ("DefuzzMethod", "wtaver")):
@@ -255,12 +255,12 @@ class _Reader:
     def variable(self, name: str) -> _Variable:
         """An input or an output: its range and functions."""
         section = self.section(name)
-        given = self.value(section, "Range")
-        if not (given.text.startswith("[") and given.text.endswith("]")):
-            self.fail(given.line, f"Range = {given.text}: must read [low high].")
-        limits = self.numbers(given.text[1:-1], given.line)
+        limits_text = self.value(section, "Range")
+        if not (limits_text.text.startswith("[") and limits_text.text.endswith("]")):
+            self.fail(limits_text.line, f"Range = {limits_text.text}: must read [low high].")
+        limits = self.numbers(limits_text.text[1:-1], limits_text.line)
         if len(limits) != 2 or limits[0] > limits[1]:
-            self.fail(given.line, f"Range = {given.text}: must be two numbers, the lower one first.")
+            self.fail(limits_text.line, f"Range = {limits_text.text}: must be two numbers, the lower one first.")
         functions = []
         for j in range(self.count(section, "NumMFs")):
             value = self.value(section, f"MF{j + 1}")
@@ -283,8 +283,8 @@ class _Reader:
             self.fail(line, f"'{kind}' needs {_NUMBERS[kind]} numbers, found {len(numbers)}.")
         bell = kind == "gbellmf"
         premise = numbers if bell else [numbers[0], 1.0, numbers[1]]
-        premise[WIDTH] = abs(premise[WIDTH])  # only its square counts, or its magnitude
-        if premise[WIDTH] == 0.0 or premise[SLOPE] <= 0.0:
+        premise[BELL_WIDTH] = abs(premise[BELL_WIDTH])  # only its square counts, or its magnitude
+        if premise[BELL_WIDTH] == 0.0 or premise[BELL_SLOPE] <= 0.0:
             self.fail(line, f"'{kind}' with {numbers}: the width must not be 0, the slope must be above 0.")
         return bell, premise
 
@@ -309,8 +309,8 @@ class _Reader:
         except ValueError:
             self.fail(value.line, f"{value.text!r}: functions are given by whole numbers.")
         if len(antecedents) != len(variables) or len(concluded) != outputs:
-            found = f"found {len(antecedents)} and {len(concluded)}"
-            self.fail(value.line, f"a rule needs {len(variables)} input and {outputs} output functions, {found}.")
+            counts = f"found {len(antecedents)} and {len(concluded)}"
+            self.fail(value.line, f"a rule needs {len(variables)} input and {outputs} output functions, {counts}.")
         if min(*antecedents, *concluded) < 0:
             self.fail(value.line, "a negative number (NOT) is not supported.")
         for i, (number, variable) in enumerate(zip(antecedents, variables, strict=True), start=1):

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import whole
+from adaptrack.base.checked import whole_number
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import tells
 from adaptrack.control.controllers import Tuning
@@ -114,8 +114,8 @@ def _draw_runs(rng: np.random.Generator, runs: int, count: int, failed: set[int]
     """Runs of a round: some that failed before, and others at random."""
     count = min(count, runs)
     revisited = rng.permutation(sorted(failed))[: count // REVISITED].astype(np.int64)
-    others = np.setdiff1d(np.arange(runs), revisited)
-    return np.sort(np.concatenate([revisited, rng.choice(others, count - len(revisited), replace=False)]))
+    untried = np.setdiff1d(np.arange(runs), revisited)
+    return np.sort(np.concatenate([revisited, rng.choice(untried, count - len(revisited), replace=False)]))
 
 
 @dataclass(eq=False)
@@ -143,8 +143,8 @@ class _Course:
 
     def averaged(self) -> Surfaces:
         """The surfaces with the mean of the parameters of the latest rounds."""
-        others = self.latest[:-1]
-        return {slot: self.surfaces[slot].average([surfaces[slot] for surfaces in others]) for slot in LEARNED_OUTPUTS}
+        earlier = self.latest[:-1]
+        return {slot: self.surfaces[slot].average([surfaces[slot] for surfaces in earlier]) for slot in LEARNED_OUTPUTS}
 
     def note_score(self, schedule: Schedule, surfaces: Surfaces, entry: dict[str, float]) -> None:
         """Note a score, and its schedule if it is the best."""
@@ -177,7 +177,7 @@ class _Learner:
         if "offset" in start.inputs:
             raise InvalidInput("improve: the input 'offset' depends on the driving itself: leave it out.")
         for _, count in training:
-            whole("improve", "count", count)
+            whole_number("improve", "count", count)
         goal = None if safe is None else np.array([safe.Np, safe.Nc, math.log10(safe.R / safe.Q)])
         columns = [SchedulingVariables._fields.index(name) for name in start.inputs]
         return cls(tuple(start.inputs), columns, start.domain, goal, start.name)
@@ -216,8 +216,8 @@ class _Learner:
 
         rescue = self._rescue(surfaces, functions)
         parts = [
-            explore_landscape(runs, shifted, noise, which, rescue)
-            for (runs, _), which in zip(training, drawn, strict=True)
+            explore_landscape(runs, shifted, noise, indices, rescue)
+            for (runs, _), indices in zip(training, drawn, strict=True)
         ]
         return WeightedMoves(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 

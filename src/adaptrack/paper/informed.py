@@ -24,7 +24,7 @@ from adaptrack.scenario.profile import Profile, load_profile
 Row = dict[str, Any]
 
 PROFILES = ("paper", "road")
-SEEDS = range(10)
+REPRODUCE_SEEDS = range(10)
 """Noise seeds, in a profile with sensor noise."""
 ROAD_CONSTANT = Tuning(28, 6, 1.0, 3476.378659166587)
 """The best constant tuning of the paper's MPC on random drives in profile `road`."""
@@ -66,11 +66,16 @@ def _rows(tests: tuple[str, ...], schedules: Mapping[str, Schedule], moves: Move
     car = load_vehicle("paper")
     plant = DualTrack(car, "magic-formula")
     for profile in map(load_profile, PROFILES):
-        seeds = np.array(SEEDS if any(profile.noise) else SEEDS[:1])
+        seeds = np.array(REPRODUCE_SEEDS if any(profile.noise) else REPRODUCE_SEEDS[:1])
         for test in tests:
             for name, mpc in controllers(car, profile, schedules, moves).items():
                 runs = rollout_batch(
-                    plant, mpc, load_scenario(test), which=np.zeros(len(seeds), int), profile=profile, seeds=seeds
+                    plant,
+                    mpc,
+                    load_scenario(test),
+                    scenario_indices=np.zeros(len(seeds), int),
+                    profile=profile,
+                    seeds=seeds,
                 )
                 ended = np.array([reason is None for reason in runs.failed])
                 yield {

@@ -77,7 +77,7 @@ def preferred_moves(base: Array, up: Array, down: Array, share: Array) -> tuple[
 
 
 def explore_landscape(
-    runs: RunSet, schedule: Callable[[Array], Schedule], seed: int, which: Indices, rescue: Rescue | None = None
+    runs: RunSet, schedule: Callable[[Array], Schedule], seed: int, indices: Indices, rescue: Rescue | None = None
 ) -> WeightedMoves:
     """Drive some runs with every output shifted up and down, and return the moves that lower their cost.
 
@@ -92,7 +92,7 @@ def explore_landscape(
         raise InvalidInput("runs with estimated friction and wind cannot be learned from: use the exact values.")
 
     def costs(shift: Array) -> Array:
-        return runs.segments(schedule(shift), seed, which)
+        return runs.segments(schedule(shift), seed, indices)
 
     base = costs(np.zeros(3))
     scale = _run_costs(base, runs)
@@ -104,10 +104,10 @@ def explore_landscape(
     share = np.clip(np.nan_to_num(relative), 0.0, 1.0) + MIN_SHARE
     moves, weights = preferred_moves(relative.ravel(), up.reshape(-1, 3), down.reshape(-1, 3), share.ravel())
     segments = WeightedMoves(base, moves.reshape(*base.shape, 3), weights.reshape(*base.shape, 3))
-    shares = np.zeros(base.shape) if rescue is None else _rescue_shares(runs, base, rescue, seed, which)
-    parts = [_sample_segment(runs, i, which, segments, shares[:, i], rescue) for i in range(base.shape[1])]
+    shares = np.zeros(base.shape) if rescue is None else _rescue_shares(runs, base, rescue, seed, indices)
+    parts = [_sample_segment(runs, i, indices, segments, shares[:, i], rescue) for i in range(base.shape[1])]
     variables, moves, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    return WeightedMoves(variables, moves, weights / len(which))
+    return WeightedMoves(variables, moves, weights / len(indices))
 
 
 def _run_costs(base: Array, runs: RunSet) -> Array:
@@ -123,11 +123,11 @@ def _relative(costs: Array, scale: Array) -> Array:
 
 
 def _sample_segment(
-    runs: RunSet, i: int, which: Indices, segments: WeightedMoves, shares: Array, rescue: Rescue | None
+    runs: RunSet, i: int, indices: Indices, segments: WeightedMoves, shares: Array, rescue: Rescue | None
 ) -> WeightedMoves:
     """Assign the moves of segment i of each run to the scheduling variables in it and shortly before it."""
     first = max(0, i * runs.segment - runs.before)
-    samples = runs.variables[which, first : (i + 1) * runs.segment : runs.stride]
+    samples = runs.variables[indices, first : (i + 1) * runs.segment : runs.stride]
     count = samples.shape[1]
     variables = samples.reshape(-1, samples.shape[2])
     moves = np.repeat(segments.moves[:, i], count, axis=0)
@@ -140,14 +140,14 @@ def _sample_segment(
     return WeightedMoves(variables, moves, weights)
 
 
-def _rescue_shares(runs: RunSet, base: Array, rescue: Rescue, seed: int, which: Indices) -> Array:
+def _rescue_shares(runs: RunSet, base: Array, rescue: Rescue, seed: int, indices: Indices) -> Array:
     """(runs, segments) smallest share of the way that saves a failed run, in the segments up to its failure."""
     shares = np.zeros(base.shape)
     failed = np.flatnonzero(np.isinf(base).any(axis=1))
     for share in RESCUE_SHARES:
         if not failed.size:
             break
-        rescued = np.isfinite(runs.segments(rescue.schedule(share), seed, which[failed])).all(axis=1)
+        rescued = np.isfinite(runs.segments(rescue.schedule(share), seed, indices[failed])).all(axis=1)
         for i in failed[rescued]:
             last = int(np.argmax(np.isinf(base[i])))
             shares[i, max(0, last - SEGMENTS_BEFORE_FAILURE) : last + 1] = share

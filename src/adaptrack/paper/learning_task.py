@@ -16,7 +16,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.drive.failure import Failure
-from adaptrack.paper.campaign_config import CampaignConfig, Plan, Sobol
+from adaptrack.paper.campaign_config import CampaignConfig, CampaignPlan, Sobol
 from adaptrack.paper.evaluator import tuned_mpc
 from adaptrack.paper.improvement import LEARNING_ROUNDS, Training
 from adaptrack.paper.operating_points import sobol
@@ -69,7 +69,7 @@ class Effort(NamedTuple):
 class LearningTask:
     """Car, plant and controller for which schedules are learned and evaluated."""
 
-    plan: Plan
+    plan: CampaignPlan
     """of the campaign"""
     plant: Plant | SteppedPlant
     """plant to learn on: the campaign's, or the car's twin if that one is costly"""
@@ -96,12 +96,12 @@ class LearningTask:
                 'give operating_points the kind "sobol".'
             )
         _check_runs(campaign)
-        plan = Plan.of(campaign)
+        plan = CampaignPlan.of(campaign)
         setup = plan.setup
         return cls(plan, setup.searched_on, tuned_mpc(setup, START), dict(points.box), effort or Effort())
 
     @property
-    def driven(self) -> Plant | SteppedPlant:
+    def evaluated_plant(self) -> Plant | SteppedPlant:
         """The plant of evaluations: the campaign's."""
         return self.plan.setup.plant()
 
@@ -163,11 +163,11 @@ class LearningTask:
 
 
 def _check_runs(campaign: CampaignConfig) -> None:
-    usual = campaign.replace(scenario="lane-change", duration=None, move_weight=None).settled()
+    default = campaign.replace(scenario="lane-change", duration=None, move_weight=None).settled()
     settled = campaign.settled()
     for key in ("scenario", "duration", "move_weight"):
-        if getattr(settled, key) != getattr(usual, key):
+        if getattr(settled, key) != getattr(default, key):
             raise InvalidInput(
-                f"campaign {campaign.name!r}: {key} = {getattr(settled, key)!r}: must be {getattr(usual, key)!r}, as "
+                f"campaign {campaign.name!r}: {key} = {getattr(settled, key)!r}: must be {getattr(default, key)!r}, as "
                 "in the runs from which schedules learn."
             )

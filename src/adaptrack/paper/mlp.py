@@ -31,11 +31,11 @@ from adaptrack.paper.samples import held_out, mean, part, row_weights
 
 Array = NDArray[np.float64]
 
-SOLVERS = {"momentum": "sgd", "adam": "adam", "lbfgs": "lbfgs"}
+MLP_SOLVERS = {"momentum": "sgd", "adam": "adam", "lbfgs": "lbfgs"}
 """Our names, and scikit-learn's."""
 LEARNING_RATES = {"momentum": 0.5, "adam": 0.01, "lbfgs": 1.0}
 """Fast and still steady over 1000 epochs of batches of 200 rows; of no meaning for "lbfgs"."""
-ROUND = 50
+LBFGS_ROUND = 50
 """Iterations of "lbfgs" after which its error is looked at."""
 FLATTEST = 1e-6
 """Where "lbfgs" stops: largest derivative of half the mean squared error of the scaled target."""
@@ -49,7 +49,7 @@ class _Rows(NamedTuple):
     weight: Array | None
 
     def rmse(self, network: Network) -> float:
-        """Of a network's output here."""
+        """Root mean square error of a network's output on these rows."""
         return math.sqrt(float(mean((network.predict(self.x) - self.y) ** 2, self.weight)))
 
 
@@ -134,19 +134,19 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         target = np.asarray(target, dtype=np.float64)
         weight = row_weights("MLP", sample_weight, x)
         if weight is not None:
-            x, target, weight = (each[weight > 0.0] for each in (x, target, weight))
+            x, target, weight = (array[weight > 0.0] for array in (x, target, weight))
         rng = check_random_state(self.random_state)
-        train, held = np.arange(len(target)), np.arange(0)
+        train, checked = np.arange(len(target)), np.arange(0)
         if self.early_stopping:
-            train, held = held_out("MLP", len(target), self.validation_fraction, rng)
+            train, checked = held_out("MLP", len(target), self.validation_fraction, rng)
         scales = _scales(x[train], target[train], self.relu)
         with threadpool_limits(limits=1), np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is the recipe
             warnings.filterwarnings("error", "Training interrupted by user")  # else Ctrl-C would end an epoch only
             rows = _Rows(x[train], target[train], part(weight, train))
-            checks = _Rows(x[held], target[held], part(weight, held))
+            checks = _Rows(x[checked], target[checked], part(weight, checked))
             self.network_, self.history_ = self._train(scales, rows, checks, rng)
-        decisive = self.history_["validation_rmse" if held.size else "train_rmse"]
+        decisive = self.history_["validation_rmse" if checked.size else "train_rmse"]
         self.best_epoch_ = int(self.history_["epoch"][np.argmin(decisive)])
         self.n_iter_ = int(self.history_["epoch"][-1])
         linear = replace(self.network_, relu=False)
@@ -161,14 +161,14 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             return self.network_.predict(x)
 
     def _learner(self, rows: int, rng: np.random.RandomState) -> MLPRegressor:
-        given = self.learning_rate
+        learning_rate = self.learning_rate
         return MLPRegressor(
             hidden_layer_sizes=tuple(self.hidden),
             activation="logistic",
-            solver=SOLVERS[self.solver],
+            solver=MLP_SOLVERS[self.solver],
             alpha=0.0,
             batch_size=min(self.batch_size, rows),
-            learning_rate_init=LEARNING_RATES[self.solver] if given is None else given,
+            learning_rate_init=LEARNING_RATES[self.solver] if learning_rate is None else learning_rate,
             momentum=0.9,
             nesterovs_momentum=False,
             tol=FLATTEST,
@@ -177,18 +177,18 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         )
 
     def _train(
-        self, scales: Network, rows: _Rows, held: _Rows, rng: np.random.RandomState
+        self, scales: Network, rows: _Rows, checks: _Rows, rng: np.random.RandomState
     ) -> tuple[Network, dict[str, Array]]:
         """The best network of all epochs, and the history; `scales` is a network of which only the scales are used."""
         x, y, weight = rows
         z = (x - scales.low) / (scales.high - scales.low)
         v = (y - scales.out_low) / ((scales.out_high - scales.out_low) or 1.0)
         learner = self._learner(len(y), rng)
-        stride, further = (ROUND, learner.fit) if self.solver == "lbfgs" else (1, learner.partial_fit)
+        stride, further = (LBFGS_ROUND, learner.fit) if self.solver == "lbfgs" else (1, learner.partial_fit)
         history: dict[str, list[float]] = {"epoch": [], "train_rmse": [], "validation_rmse": []}
-        decisive = history["validation_rmse" if len(held.y) else "train_rmse"]
+        decisive = history["validation_rmse" if len(checks.y) else "train_rmse"]
         epoch, best_epoch, lowest, best = 0, 0, math.inf, scales
-        while epoch < self.epochs and (epoch - best_epoch < self.patience or not len(held.y)):
+        while epoch < self.epochs and (epoch - best_epoch < self.patience or not len(checks.y)):
             learner.max_iter = min(stride, self.epochs - epoch)
             try:
                 further(z, v, weight)
@@ -198,13 +198,13 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 raise KeyboardInterrupt from None
             epoch += learner.n_iter_
             weights, biases = (
-                tuple(each.copy() for each in layers) for layers in (learner.coefs_, learner.intercepts_)
+                tuple(array.copy() for array in layers) for layers in (learner.coefs_, learner.intercepts_)
             )
             network = replace(scales, weights=weights, biases=biases)
             history["epoch"].append(epoch)
             history["train_rmse"].append(rows.rmse(network))
-            if len(held.y):
-                history["validation_rmse"].append(held.rmse(network))
+            if len(checks.y):
+                history["validation_rmse"].append(checks.rmse(network))
             if decisive[-1] < lowest:
                 lowest, best_epoch, best = decisive[-1], epoch, network
             if learner.n_iter_ < learner.max_iter:

@@ -1,7 +1,7 @@
 """Operating points as rows (speed, y_ref, friction, wind): grids, Sobol samples, left-right twins.
 
 The paper's section III varies the operating point of a run. Here it is a row of an array of shape (n, 4), float64;
-`COLUMNS` names and explains the columns. The number of a row is the point's number.
+`POINT_COLUMNS` names and explains the columns. The number of a row is the point's number.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from adaptrack.base.checked import Count, Natural, checked
 from adaptrack.base.errors import InvalidInput
 
 Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
+IntegerArray = NDArray[np.int64]
 
 
 class Coordinate(NamedTuple):
@@ -33,7 +33,7 @@ class Coordinate(NamedTuple):
     meaning: str
 
 
-COLUMNS = (
+POINT_COLUMNS = (
     Coordinate("speed", "m/s", 1.0, 100.0, "forward speed"),
     Coordinate("y_ref", "m", -1000.0, 1000.0, "lateral reference, from y = 0; positive to the left"),
     Coordinate("friction", "-", 0.05, 2.0, "friction of road and tyre"),
@@ -41,7 +41,7 @@ COLUMNS = (
 )
 """The columns of every array of operating points."""
 
-NAMES = tuple(column.name for column in COLUMNS)
+POINT_NAMES = tuple(column.name for column in POINT_COLUMNS)
 
 PAPER_GRID: dict[str, tuple[float, ...]] = {
     "y_ref": (-14.0, -10.0, -6.0, -2.0, 2.0, 5.0, 8.0, 11.0, 14.0),
@@ -56,7 +56,7 @@ MAX_POINTS = 10_000_000
 
 
 def check_operating_points(points: ArrayLike) -> Array:
-    """`points` as an array of shape (n, 4), columns as in `COLUMNS`.
+    """`points` as an array of shape (n, 4), columns as in `POINT_COLUMNS`.
 
     Raises
     ------
@@ -66,12 +66,12 @@ def check_operating_points(points: ArrayLike) -> Array:
     try:
         rows = np.array(points, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InvalidInput(f"operating points: need numbers, rows of {', '.join(NAMES)}.") from None
-    if rows.ndim != 2 or rows.shape[1] != len(COLUMNS) or not len(rows):
+        raise InvalidInput(f"operating points: need numbers, rows of {', '.join(POINT_NAMES)}.") from None
+    if rows.ndim != 2 or rows.shape[1] != len(POINT_COLUMNS) or not len(rows):
         raise InvalidInput(
-            f"operating points: need rows of {', '.join(NAMES)}, at least one; got the shape {rows.shape}."
+            f"operating points: need rows of {', '.join(POINT_NAMES)}, at least one; got the shape {rows.shape}."
         )
-    for column, values in zip(COLUMNS, rows.T, strict=True):
+    for column, values in zip(POINT_COLUMNS, rows.T, strict=True):
         invalid = ~((values >= column.low) & (values <= column.high))  # NaN is invalid, too
         if invalid.any():
             first = int(np.flatnonzero(invalid)[0])
@@ -106,7 +106,7 @@ def grid(*, speed: Sequence[float], y_ref: Sequence[float], friction: Sequence[f
     if math.prod(axis.size for axis in levels.values()) > MAX_POINTS:
         raise InvalidInput(f"grid: more than {MAX_POINTS:,} operating points; use fewer levels.")
     mesh = dict(zip(levels, np.meshgrid(*levels.values(), indexing="ij"), strict=True))
-    return check_operating_points(np.column_stack([mesh[name].ravel() for name in NAMES]))
+    return check_operating_points(np.column_stack([mesh[name].ravel() for name in POINT_NAMES]))
 
 
 def paper_grid() -> Array:
@@ -115,21 +115,21 @@ def paper_grid() -> Array:
 
 
 def check_box(box: Mapping[str, Sequence[float]]) -> Array:
-    """A box of operating points as an array (4, 2) of lowest and highest value, rows as in `COLUMNS`.
+    """A box of operating points as an array (4, 2) of lowest and highest value, rows as in `POINT_COLUMNS`.
 
     Raises
     ------
     InvalidInput
         Unless it has one pair low <= high for each of speed, y_ref, friction and wind, within what makes sense.
     """
-    if set(box) != set(NAMES):
-        missing, unknown = sorted(set(NAMES) - set(box)), sorted(set(box) - set(NAMES))
+    if set(box) != set(POINT_NAMES):
+        missing, unknown = sorted(set(POINT_NAMES) - set(box)), sorted(set(box) - set(POINT_NAMES))
         difference = "; ".join(
             f"{word} {', '.join(names)}" for word, names in (("missing:", missing), ("unknown:", unknown)) if names
         )
-        raise InvalidInput(f"box: need a pair [low, high] for each of {', '.join(NAMES)}; {difference}.")
-    bounds = np.empty((len(COLUMNS), 2))
-    for row, column in zip(bounds, COLUMNS, strict=True):
+        raise InvalidInput(f"box: need a pair [low, high] for each of {', '.join(POINT_NAMES)}; {difference}.")
+    bounds = np.empty((len(POINT_COLUMNS), 2))
+    for row, column in zip(bounds, POINT_COLUMNS, strict=True):
         pair = box[column.name]
         if len(pair) != 2:
             raise InvalidInput(f"box: {column.name} = {list(pair)!r}: need a pair [low, high].")
@@ -159,7 +159,9 @@ def sobol(n: Annotated[Count, Field(le=MAX_POINTS)], box: Mapping[str, Sequence[
         For an empty box, or one that makes no sense.
     """
     bounds = check_box(box)
-    return check_operating_points(bounds[:, 0] + unit_sobol(n, len(COLUMNS), seed) * (bounds[:, 1] - bounds[:, 0]))
+    return check_operating_points(
+        bounds[:, 0] + unit_sobol(n, len(POINT_COLUMNS), seed) * (bounds[:, 1] - bounds[:, 0])
+    )
 
 
 @checked
@@ -184,11 +186,11 @@ def mirrored(points: ArrayLike) -> Array:
 class Fold(NamedTuple):
     """Operating points of which one may stand for another, see `fold`."""
 
-    representatives: Whole
+    representatives: IntegerArray
     """(m,) numbers of the operating points to compute, ascending"""
-    family: Whole
+    family: IntegerArray
     """(n,) operating point i is represented by `representatives[family[i]]`"""
-    sign: Whole
+    sign: IntegerArray
     """(n,) 1 when it equals its representative, -1 when it is the mirror image"""
 
 
@@ -218,7 +220,7 @@ def canonical(points: ArrayLike) -> Array:
 
 
 def _canonical(rows: Array, images: Array) -> Array:
-    y_ref, wind = rows[:, NAMES.index("y_ref")], rows[:, NAMES.index("wind")]
+    y_ref, wind = rows[:, POINT_NAMES.index("y_ref")], rows[:, POINT_NAMES.index("wind")]
     left = (y_ref > 0.0) | ((y_ref == 0.0) & (wind >= 0.0))
     return np.where(left[:, np.newaxis], rows, images)
 

@@ -13,22 +13,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import Positive, Share, checked, whole
+from adaptrack.base.checked import Positive, Share, checked, whole_number
 from adaptrack.base.errors import InvalidInput
 
 Array = NDArray[np.float64]
-Integers = NDArray[np.intp]
+RuleIndices = NDArray[np.intp]
 
 MOST_GRID_RULES = 20_000
 """A grid with more rules than this is refused: its consequents would not fit in memory."""
-BLOCK = 512
+DISTANCE_ROWS = 512
 """Rows whose distances to all others are held at once."""
 TIE = 1e-9
 """Potentials that differ relatively by less are equal: rounding must not choose between them."""
 
 
 class Clusters(NamedTuple):
-    """What subtractive clustering finds."""
+    """Result of subtractive clustering."""
 
     centres: Array
     """(k, dims) points of the data, the densest first"""
@@ -39,13 +39,13 @@ class Clusters(NamedTuple):
 class Partition(NamedTuple):
     """M membership functions and R rules over D inputs."""
 
-    owner: Integers
+    owner: RuleIndices
     """(M,) the input that each function reads"""
     centre: Array
     """(M,) in the unit of that input"""
     sigma: Array
     """(M,) width of a Gaussian there, in the unit of that input"""
-    rules: Integers
+    rules: RuleIndices
     """(R, D) which function each rule asks of each input"""
 
 
@@ -133,7 +133,7 @@ def grid(x: Array, n_mfs: int | Sequence[int]) -> Partition:
     sizes = list(n_mfs) if isinstance(n_mfs, Sequence | np.ndarray) else [n_mfs] * dims
     if len(sizes) != dims:
         raise InvalidInput(f"grid: n_mfs = {n_mfs!r}: {len(sizes)} numbers for {dims} inputs; give one per input.")
-    sizes = [whole("grid", "n_mfs", size) for size in sizes]
+    sizes = [whole_number("grid", "n_mfs", size) for size in sizes]
     if math.prod(sizes) > MOST_GRID_RULES:
         raise InvalidInput(
             f"grid: {' x '.join(map(str, sizes))} functions make {math.prod(sizes)} rules, at most {MOST_GRID_RULES} "
@@ -160,8 +160,8 @@ def _potential(unit: Array, influence: float, weight: Array | None) -> Array:
     """(n,) how many points are near each point, near ones counting more."""
     potential = np.empty(len(unit))
     squares = (unit**2).sum(axis=1)
-    for start in range(0, len(unit), BLOCK):
-        rows = slice(start, start + BLOCK)
+    for start in range(0, len(unit), DISTANCE_ROWS):
+        rows = slice(start, start + DISTANCE_ROWS)
         distance = squares[rows, np.newaxis] + squares - 2.0 * unit[rows] @ unit.T
         near = np.exp(-4.0 / influence**2 * np.maximum(distance, 0.0))
         potential[rows] = near.sum(axis=1) if weight is None else near @ weight

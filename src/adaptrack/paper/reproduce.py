@@ -30,12 +30,12 @@ from adaptrack.control.controllers import MPC, Moves, Tuning, published_mpc
 from adaptrack.control.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import Failure
-from adaptrack.drive.metrics import PUBLISHED, compute_metrics, published_mse
+from adaptrack.drive.metrics import PAPER_MSE, compute_metrics, published_mse
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.informed import drive_informed
-from adaptrack.paper.operating_points import NAMES
+from adaptrack.paper.operating_points import POINT_NAMES
 from adaptrack.paper.schedules import search_bounds, trained_schedule
 from adaptrack.paper.training import train
 from adaptrack.scenario import Scenario, load_scenario
@@ -43,18 +43,18 @@ from adaptrack.scenario import Scenario, load_scenario
 Array = NDArray[np.float64]
 Row = dict[str, Any]
 
-TESTS = tuple(PUBLISHED)
+PAPER_TESTS = tuple(PAPER_MSE)
 """The scenarios for which the paper gives mean square errors."""
 
 DRIVEN_ON = Failure(distance=1000.0, sideslip=math.inf)
 """The paper's runs end only where nothing is left to drive; whether one failed is judged afterwards, as everywhere."""
 
-LEARNED = ("nn", "anfis")
+LEARNED_MODELS = ("nn", "anfis")
 
-TABLE = Tuning()
+PAPER_TABLE = Tuning()
 """The paper's table, 35/8/10/0.01."""
 
-SLOW, FAST, PULSES = Moves.laguerre(0.95), Moves.laguerre(0.75), Moves.pulses()
+STANDARD_MOVES, ADAPTIVE_MOVES, PULSE_MOVES = Moves.laguerre(0.95), Moves.laguerre(0.75), Moves.pulses()
 """What the authors' standard and adaptive controllers move by, and eq. (10)."""
 
 CLAMPS: Mapping[str, Mapping[str, tuple[float, float]]] = {
@@ -68,7 +68,7 @@ EXPERIMENT_STAGES = (
     "driving the informed controller", "timing steps",
 )  # fmt: skip
 
-QUICK: Mapping[str, Mapping[str, Any]] = {"nn": {"epochs": 100}, "anfis": {"epochs": 5}}
+QUICK_OPTIONS: Mapping[str, Mapping[str, Any]] = {"nn": {"epochs": 100}, "anfis": {"epochs": 5}}
 QUICK_ROWS = 1500
 """A quick run trains for fewer epochs, and on fewer operating points."""
 
@@ -99,7 +99,7 @@ class PaperController:
 
     name: str
     moves: Moves
-    tuning: Tuning = TABLE
+    tuning: Tuning = PAPER_TABLE
     schedule: Schedule | None = None
     stands_for: str = ""
     """the controller of the paper that it repeats: standard, nn or anfis; empty for none"""
@@ -172,10 +172,10 @@ def best_of_library(dataset: DataSet) -> BestConstant:
     One that fails on fewer of them always comes first.
     """
     landscape = dataset.landscape.astype(np.float64)
-    driven = np.isfinite(landscape)
+    is_finite = np.isfinite(landscape)
     with np.errstate(divide="ignore"):
-        mean_log = np.where(driven, np.log(landscape), 0.0).sum(axis=0) / np.maximum(driven.sum(axis=0), 1)
-    best = int(np.lexsort((mean_log, -driven.sum(axis=0)))[0])
+        mean_log = np.where(is_finite, np.log(landscape), 0.0).sum(axis=0) / np.maximum(is_finite.sum(axis=0), 1)
+    best = int(np.lexsort((mean_log, -is_finite.sum(axis=0)))[0])
     Np, Nc, Q, R = dataset.library[best].tolist()
     costs = np.column_stack((landscape[:, best], dataset.standard_costs, dataset.costs))
     cost, standard, swarm = np.exp(np.log(costs[np.isfinite(costs).all(axis=1)]).mean(axis=0)).tolist()
@@ -185,7 +185,7 @@ def best_of_library(dataset: DataSet) -> BestConstant:
         cost=cost,
         standard_cost=standard,
         swarm_cost=swarm,
-        failed=int((~driven[:, best]).sum()),
+        failed=int((~is_finite[:, best]).sum()),
         candidates=len(dataset.library),
         runs=computed * len(dataset.library),
         swarm_runs=int(dataset.evaluations[dataset.computed].sum()),
@@ -209,7 +209,7 @@ def grid_lookup(dataset: DataSet) -> Schedule:
         )
     tunings = np.empty((*sizes, len(ENTRIES)))
     tunings[places] = dataset.tunings
-    return Lookup(dict(zip(NAMES, nodes, strict=True)), tunings)
+    return Lookup(dict(zip(POINT_NAMES, nodes, strict=True)), tunings)
 
 
 # -- the experiment ---------------------------------------------------------------------------------------------------
@@ -219,8 +219,8 @@ def reproduce(
 ) -> Reproduction:
     """Train both models on a data set, drive both tests with every controller, split the gain into its parts.
 
-    dataset: by default `paper-grid`; its operating points must fill a grid; quick: train less, see `QUICK`; seed: of
-    the hold-out and of the models; progress: called with the stage, the stages done and the number of stages.
+    dataset: by default `paper-grid`; its operating points must fill a grid; quick: train less, see `QUICK_OPTIONS`;
+    seed: of the hold-out and of the models; progress: called with (stage, stages done, stages).
 
     Raises
     ------
@@ -234,14 +234,14 @@ def reproduce(
     source = learning_rows(dataset, seed) if quick else dataset
     enter = partial(_enter, progress)
     free, learning = {}, []
-    for stage, model in enumerate(LEARNED):
+    for stage, model in enumerate(LEARNED_MODELS):
         enter(stage)
-        trained = train(source, model, "paper", seed=seed, **(QUICK[model] if quick else {}))
+        trained = train(source, model, "paper", seed=seed, **(QUICK_OPTIONS[model] if quick else {}))
         free[model] = trained_schedule(trained, dataset)
         learning += trained.quality
     training_seconds = time.perf_counter() - begun
     clamped = {model: _within(schedule, CLAMPS[model]) for model, schedule in free.items()}
-    scenarios = [load_scenario(name) for name in TESTS]
+    scenarios = [load_scenario(name) for name in PAPER_TESTS]
     released, same_moves = configurations(constant.tuning, table, clamped, free)
     enter(2)
     rows = drive_all((released, same_moves), scenarios)
@@ -249,7 +249,7 @@ def reproduce(
     parts = ablation(released.plant, scenarios, constant.tuning, clamped, dataset.library)
     swapped = swaps(same_moves.plant, scenarios, constant.tuning)
     enter(4)
-    informed = drive_informed(TESTS, clamped, FAST)
+    informed = drive_informed(PAPER_TESTS, clamped, ADAPTIVE_MOVES)
     enter(5)
     runs = timed_runs(released, scenarios)
     return Reproduction(
@@ -326,22 +326,25 @@ def configurations(
         "released",
         SingleTrack(car, "constant-stiffness"),
         (
-            PaperController("standard-as-released", SLOW, stands_for="standard"),
-            PaperController("standard-as-written", PULSES),
-            PaperController("best-constant", FAST, constant),
-            PaperController("lookup", FAST, schedule=table),
-            *(PaperController(model, FAST, schedule=clamped[model], stands_for=model) for model in LEARNED),
+            PaperController("standard-as-released", STANDARD_MOVES, stands_for="standard"),
+            PaperController("standard-as-written", PULSE_MOVES),
+            PaperController("best-constant", ADAPTIVE_MOVES, constant),
+            PaperController("lookup", ADAPTIVE_MOVES, schedule=table),
+            *(
+                PaperController(model, ADAPTIVE_MOVES, schedule=clamped[model], stands_for=model)
+                for model in LEARNED_MODELS
+            ),
         ),
     )
     same_moves = Configuration(
         "same-moves",
         DualTrack(car, "magic-formula"),
         (
-            PaperController("standard-as-released", SLOW),
-            PaperController("standard-as-written", PULSES, stands_for="standard"),
-            PaperController("best-constant", PULSES, constant),
-            PaperController("lookup", PULSES, schedule=table),
-            *(PaperController(model, PULSES, schedule=free[model], stands_for=model) for model in LEARNED),
+            PaperController("standard-as-released", STANDARD_MOVES),
+            PaperController("standard-as-written", PULSE_MOVES, stands_for="standard"),
+            PaperController("best-constant", PULSE_MOVES, constant),
+            PaperController("lookup", PULSE_MOVES, schedule=table),
+            *(PaperController(model, PULSE_MOVES, schedule=free[model], stands_for=model) for model in LEARNED_MODELS),
         ),
     )
     return released, same_moves
@@ -404,7 +407,7 @@ def ablation(
     """
     rows: list[Row] = []
     for scenario in scenarios:
-        for moves in (SLOW, FAST, PULSES):
+        for moves in (STANDARD_MOVES, ADAPTIVE_MOVES, PULSE_MOVES):
             controllers = [
                 PaperController("table-constant", moves),
                 PaperController("best-constant", moves, constant),
@@ -444,11 +447,11 @@ def ablation(
 
 def swaps(plant: Plant, scenarios: Iterable[Scenario], constant: Tuning) -> list[Row]:
     """Which number of `constant` makes it track unlike the paper's table, see `Reproduction.swaps`."""
-    ratio, best = TABLE.R / TABLE.Q, constant.R / constant.Q
+    ratio, best = PAPER_TABLE.R / PAPER_TABLE.Q, constant.R / constant.Q
     changes = {
-        "Np": (TABLE.Np, constant.Np, dataclasses.replace(TABLE, Np=max(constant.Np, TABLE.Nc))),
-        "Nc": (TABLE.Nc, constant.Nc, dataclasses.replace(TABLE, Nc=min(constant.Nc, TABLE.Np))),
-        "R/Q": (ratio, best, dataclasses.replace(TABLE, R=best * TABLE.Q)),
+        "Np": (PAPER_TABLE.Np, constant.Np, dataclasses.replace(PAPER_TABLE, Np=max(constant.Np, PAPER_TABLE.Nc))),
+        "Nc": (PAPER_TABLE.Nc, constant.Nc, dataclasses.replace(PAPER_TABLE, Nc=min(constant.Nc, PAPER_TABLE.Np))),
+        "R/Q": (ratio, best, dataclasses.replace(PAPER_TABLE, R=best * PAPER_TABLE.Q)),
     }
     return [
         {
@@ -456,7 +459,7 @@ def swaps(plant: Plant, scenarios: Iterable[Scenario], constant: Tuning) -> list
             "changed": name,
             "table": table,
             "constant": value,
-            "mse": _finite(compute_metrics(drive(plant, PaperController(name, PULSES, tuning), scenario)).mse),
+            "mse": _finite(compute_metrics(drive(plant, PaperController(name, PULSE_MOVES, tuning), scenario)).mse),
         }
         for scenario in scenarios
         for name, (table, value, tuning) in changes.items()
@@ -470,11 +473,11 @@ def shares(ablation: Sequence[Row]) -> list[Row]:
     adaptation first. Each factor is the geometric mean of what its step brings on the two ways; so pole times
     adaptation is the gain, and the shares of its logarithm add up to one.
     """
-    slow, fast = describe_moves(SLOW), describe_moves(FAST)
+    slow, fast = describe_moves(STANDARD_MOVES), describe_moves(ADAPTIVE_MOVES)
     rows: list[Row] = []
     for scenario in dict.fromkeys(row["scenario"] for row in ablation):
         mse = {(row["moves"], row["controller"]): row["mse"] for row in ablation if row["scenario"] == scenario}
-        for name in LEARNED:
+        for name in LEARNED_MODELS:
             corners = [mse[slow, "table-constant"], mse[fast, "table-constant"], mse[slow, name], mse[fast, name]]
             row: Row = {"scenario": scenario, "controller": name}
             if any(not corner for corner in corners):  # a run that ended early has no MSE

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from adaptrack.control.scheduling.functions import Function, Network, Number, Sugeno
-from adaptrack.control.scheduling.functions.sugeno import SLOPE, WIDTH
+from adaptrack.control.scheduling.functions.sugeno import BELL_SLOPE, BELL_WIDTH
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class Surface(ABC):
         """
 
     @abstractmethod
-    def average(self, others: Sequence[Self]) -> Self:
+    def average(self, surfaces: Sequence[Self]) -> Self:
         """The surface with the mean of the parameters of this one and others."""
 
     @abstractmethod
@@ -57,7 +57,7 @@ class Surface(ABC):
 
 @dataclass(frozen=True)
 class Level(Surface):
-    """The same value everywhere."""
+    """A surface with one value everywhere."""
 
     value: float
 
@@ -67,8 +67,8 @@ class Level(Surface):
     def fit(self, x: Array, target: Array, weight: Array, effort: float = 1.0) -> Self:
         return replace(self, value=float(np.average(target, weights=weight)))
 
-    def average(self, others: Sequence[Self]) -> Self:
-        return replace(self, value=float(np.mean([self.value, *(each.value for each in others)])))
+    def average(self, surfaces: Sequence[Self]) -> Self:
+        return replace(self, value=float(np.mean([self.value, *(surface.value for surface in surfaces)])))
 
     def function(self) -> Number:
         return Number(self.value)
@@ -89,10 +89,10 @@ class NetworkSurface(Surface):
         rng = np.random.default_rng(seed)
         widths = [len(domain), *HIDDEN_NEURONS, 1]
         weights, biases = [], []
-        for layer, (wide, out) in enumerate(itertools.pairwise(widths)):
+        for layer, (size, out) in enumerate(itertools.pairwise(widths)):
             last = layer == len(widths) - 2
             reach = 8.0 if layer == 0 else 3.0  # over inputs 0..1, then over neurons 0..1
-            weights.append(np.zeros((wide, out)) if last else rng.normal(size=(wide, out)) * reach / math.sqrt(wide))
+            weights.append(np.zeros((size, out)) if last else rng.normal(size=(size, out)) * reach / math.sqrt(size))
             biases.append(np.zeros(out) if last else rng.normal(size=out) * 1.5 - weights[-1].sum(axis=0) / 2.0)
         network = Network(domain[:, 0], domain[:, 1], tuple(weights), tuple(biases), value, value + span, relu=False)
         return cls(network)
@@ -105,7 +105,7 @@ class NetworkSurface(Surface):
         z = (x - net.low) / (net.high - net.low)
         y = (target - net.out_low) / (net.out_high - net.out_low)
         share = weight / weight.sum()
-        parameters = [each.copy() for pair in zip(net.weights, net.biases, strict=True) for each in pair]
+        parameters = [array.copy() for pair in zip(net.weights, net.biases, strict=True) for array in pair]
         first, second = [0.0 * p for p in parameters], [0.0 * p for p in parameters]
         for epoch in range(1, ADAM_EPOCHS + 1):
             gradients = _gradients(parameters, z, y, share)
@@ -116,8 +116,8 @@ class NetworkSurface(Surface):
                 p -= rate * (m / (1.0 - 0.9**epoch)) / (np.sqrt(v / (1.0 - 0.99**epoch)) + 1e-10)
         return replace(self, network=replace(net, weights=tuple(parameters[::2]), biases=tuple(parameters[1::2])))
 
-    def average(self, others: Sequence[Self]) -> Self:
-        nets = [self.network, *(each.network for each in others)]
+    def average(self, surfaces: Sequence[Self]) -> Self:
+        nets = [self.network, *(surface.network for surface in surfaces)]
         weights, biases = (
             tuple(np.mean(layer, axis=0) for layer in zip(*parts, strict=True))
             for parts in ([net.weights for net in nets], [net.biases for net in nets])
@@ -129,7 +129,7 @@ class NetworkSurface(Surface):
 
 
 def _gradients(parameters: list[Array], z: Array, y: Array, share: Array) -> list[Array]:
-    """Of half the weighted mean square of a sigmoid network's error, by its weights and biases in turn."""
+    """Gradients of half the weighted mean square error of a sigmoid network, by weights and biases in turn."""
     layers = [z]
     for k in range(0, len(parameters) - 2, 2):
         layers.append(expit(layers[-1] @ parameters[k] + parameters[k + 1]))
@@ -168,8 +168,8 @@ class FuzzySurface(Surface):
         near = distances[:, 1 : min(RULE_NEIGHBOURS + 1, rules)].mean(axis=1) if rules > 1 else np.ones(1)
         inputs = rows.shape[1]
         premises = np.empty((rules * inputs, 3))
-        premises[:, WIDTH] = (near[:, None] * half * RULE_WIDTH).ravel()
-        premises[:, SLOPE] = 1.0
+        premises[:, BELL_WIDTH] = (near[:, None] * half * RULE_WIDTH).ravel()
+        premises[:, BELL_SLOPE] = 1.0
         premises[:, 2] = (centres * half + low).ravel()
         consequents = np.zeros((rules, inputs + 1))
         consequents[:, -1] = value
@@ -184,7 +184,7 @@ class FuzzySurface(Surface):
         return cls(system, half)
 
     def level(self, value: float) -> FuzzySurface:
-        """The same rules with the output `value` everywhere."""
+        """Return these rules with the output `value` everywhere."""
         consequents = np.zeros_like(self.system.consequents)
         consequents[:, -1] = value
         return replace(self, system=replace(self.system, consequents=consequents))
@@ -203,8 +203,8 @@ class FuzzySurface(Surface):
         moved = change.reshape(self.system.consequents.shape) / np.append(self.scale, 1.0)
         return replace(self, system=replace(self.system, consequents=self.system.consequents + moved))
 
-    def average(self, others: Sequence[Self]) -> Self:
-        consequents = np.mean([self.system.consequents, *(each.system.consequents for each in others)], axis=0)
+    def average(self, surfaces: Sequence[Self]) -> Self:
+        consequents = np.mean([self.system.consequents, *(surface.system.consequents for surface in surfaces)], axis=0)
         return replace(self, system=replace(self.system, consequents=consequents))
 
     def function(self) -> Sugeno:

@@ -23,16 +23,16 @@ from adaptrack.control.scheduling.functions.sugeno import Sugeno
 from adaptrack.paper.anfis import ANFIS
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.mlp import MLP
-from adaptrack.paper.operating_points import NAMES, canonical, fold
+from adaptrack.paper.operating_points import POINT_NAMES, canonical, fold
 
 Array = NDArray[np.float64]
 
-MODELS: dict[str, type[MLP] | type[ANFIS]] = {"nn": MLP, "anfis": ANFIS}
+MODEL_CLASSES: dict[str, type[MLP] | type[ANFIS]] = {"nn": MLP, "anfis": ANFIS}
 
 TREES = 150
 """Boosted trees at most, see `ceiling`."""
 
-TARGETS = {"paper": ("Np", "Nc", "Q", "R"), "ratio": ("Np", "Nc", "log10_ratio")}
+TARGET_SLOTS = {"paper": ("Np", "Nc", "Q", "R"), "ratio": ("Np", "Nc", "log10_ratio")}
 """The slots that are learned: of "paper" each number of the tuning as it is. Only R/Q changes the control law, so that
 "ratio" learns its decimal logarithm instead of both."""
 
@@ -44,7 +44,7 @@ class Trained:
     model: str
     """"nn" or "anfis\""""
     targets: str
-    """"paper" or "ratio", see `TARGETS`"""
+    """"paper" or "ratio", see `TARGET_SLOTS`"""
     inputs: tuple[str, ...]
     """the D columns of an operating point that the models see, in this order"""
     estimators: Mapping[str, MLP | ANFIS]
@@ -60,8 +60,8 @@ class Trained:
 
     @property
     def functions(self) -> dict[str, Network | Sugeno]:
-        """What runs, by slot."""
-        return {slot: _size_and_function(made)[1] for slot, made in self.estimators.items()}
+        """The trained functions by slot: networks or Sugeno systems."""
+        return {slot: _size_and_function(estimator)[1] for slot, estimator in self.estimators.items()}
 
 
 @tells("train")
@@ -72,7 +72,7 @@ def train(
 ) -> Trained:  # fmt: skip
     """Learn the best tuning of each operating point from a data set, one model per slot.
 
-    model: "nn" for networks, "anfis" for fuzzy systems; targets: see `TARGETS`; holdout: share of the operating
+    model: "nn" for networks, "anfis" for fuzzy systems; targets: see `TARGET_SLOTS`; holdout: share of the operating
     points that is held out; seed: of the hold-out and of the models; progress: called with (what is learned, steps
     done, steps), two steps a slot; options: parameters of `MLP` or `ANFIS`, whose defaults are the paper's. Operating
     points where the run failed with every tuning teach nothing and are left out.
@@ -85,29 +85,33 @@ def train(
     InvalidInput
         For an unknown model, target or option, an option that is not allowed, or too few points for a hold-out.
     """
-    for what, given, known in (("model", model, MODELS), ("targets", targets, TARGETS)):
-        if given not in known:
-            raise InvalidInput(f"train: {what} = {given!r}: must be one of {tuple(known)}.")
-    parameters = MODELS[model]().get_params()
+    for argument, name, choices in (("model", model, MODEL_CLASSES), ("targets", targets, TARGET_SLOTS)):
+        if name not in choices:
+            raise InvalidInput(f"train: {argument} = {name!r}: must be one of {tuple(choices)}.")
+    parameters = MODEL_CLASSES[model]().get_params()
     for name in options.keys() - parameters.keys():
-        raise InvalidInput(f"train: {MODELS[model].__name__} has no option {name!r}. {did_you_mean(name, parameters)}")
+        raise InvalidInput(
+            f"train: {MODEL_CLASSES[model].__name__} has no option {name!r}. {did_you_mean(name, parameters)}"
+        )
     options = {"random_state": seed, **options}
 
-    learned, held = dataset.rows(np.isfinite(dataset.costs)).split(holdout, seed)
+    learned, holdout_rows = dataset.rows(np.isfinite(dataset.costs)).split(holdout, seed)
     estimators: dict[str, MLP | ANFIS] = {}
     quality = []
-    for number, slot in enumerate(TARGETS[targets]):
+    for number, slot in enumerate(TARGET_SLOTS[targets]):
         if progress is not None:
-            progress(slot, 2 * number, 2 * len(TARGETS[targets]))
-        y, y_held = target(learned, slot), target(held, slot)
+            progress(slot, 2 * number, 2 * len(TARGET_SLOTS[targets]))
+        y, y_held = target(learned, slot), target(holdout_rows, slot)
         start = time.perf_counter()
         with threadpool_limits(1):  # the matrices are small: more threads only wait for each other
-            estimators[slot] = MODELS[model](**options).fit(learned.operating_points, y)
+            estimators[slot] = MODEL_CLASSES[model](**options).fit(learned.operating_points, y)
         seconds = time.perf_counter() - start
-        r2, rmse = score(y_held, estimators[slot].predict(held.operating_points))
+        r2, rmse = score(y_held, estimators[slot].predict(holdout_rows.operating_points))
         if progress is not None:
-            progress(f"{slot} by trees", 2 * number + 1, 2 * len(TARGETS[targets]))
-        best_r2, best_rmse = score(y_held, ceiling(learned.operating_points, y, held.operating_points, y_held, seed))
+            progress(f"{slot} by trees", 2 * number + 1, 2 * len(TARGET_SLOTS[targets]))
+        best_r2, best_rmse = score(
+            y_held, ceiling(learned.operating_points, y, holdout_rows.operating_points, y_held, seed)
+        )
         quality.append({
             "slot": slot, "model": model, "r2": r2, "rmse": rmse, "ceiling_r2": best_r2, "ceiling_rmse": best_rmse,
             "n_train": len(y), "n_holdout": len(y_held), "seconds": seconds, **_size_and_function(estimators[slot])[0],
@@ -115,7 +119,7 @@ def train(
     return Trained(
         model=model,
         targets=targets,
-        inputs=NAMES,
+        inputs=POINT_NAMES,
         estimators=estimators,
         domain=np.column_stack((learned.operating_points.min(axis=0), learned.operating_points.max(axis=0))),
         quality=quality,
@@ -129,18 +133,18 @@ def train(
     )
 
 
-def _size_and_function(made: MLP | ANFIS) -> tuple[dict[str, Any], Network | Sugeno]:
-    if isinstance(made, MLP):
-        network = made.network_
-        return {"parameters": network.n_parameters, "rules": None, "dead_share": float(made.dead_share_)}, network
-    return {"parameters": made.n_parameters_, "rules": made.n_rules_, "dead_share": None}, made.system_
+def _size_and_function(estimator: MLP | ANFIS) -> tuple[dict[str, Any], Network | Sugeno]:
+    if isinstance(estimator, MLP):
+        network = estimator.network_
+        return {"parameters": network.n_parameters, "rules": None, "dead_share": float(estimator.dead_share_)}, network
+    return {"parameters": estimator.n_parameters_, "rules": estimator.n_rules_, "dead_share": None}, estimator.system_
 
 
 def target(dataset: DataSet, slot: str) -> Array:
-    """(n,) what a slot should be on each operating point, see `TARGETS`."""
+    """(n,) what a slot should be on each operating point, see `TARGET_SLOTS`."""
     if slot == "log10_ratio":
         return np.log10(dataset.ratios)
-    return dataset.tunings[:, TARGETS["paper"].index(slot)]
+    return dataset.tunings[:, TARGET_SLOTS["paper"].index(slot)]
 
 
 def score(y: Array, predicted: Array) -> tuple[float, float]:

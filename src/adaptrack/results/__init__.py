@@ -2,13 +2,14 @@
 
 * `console` prints the answer, the brief tables, the notes and the next step; `json` writes the record.
 * `page` writes the page of a result by the template of its kind (`templates/`).
-* `draw` makes figures from pictures, which are plain data; `style` says how every picture looks.
-* `identify`, `shadow`, `road`, `certificate`, `drive`, `reproduce`, `dataset`, `comparison`, `road_comparison` and
-  `side_by_side` make results of what the rooms below found; `run_pictures`, `road_pictures` and `learned_picture` show
-  runs, `drive_tables` their measures; `answers`, `comparison_answers` and `comparison_words` sentences.
-* `notebook` is what objects show of themselves there, `shown` which form belongs to which type.
+* `draw` lays out the figures of a picture, `marks` draws curves, maps and scales on axes, `style` sets fonts and
+  colours and writes PNG and SVG.
+* `drive`, `compare`, `evaluation`, `lane_change`, `tuning`, `identify`, `shadow`, `check_loop`, `road`, `certificate`,
+  `dataset` and `reproduce` make results from objects of the other rooms. `run_pictures`, `road_pictures` and
+  `learned_picture` show runs, `drive_tables` their measures; `answers` holds sentences, `words` formats numbers.
+* `notebook` shows objects in a notebook, `shown` registers which form belongs to which type.
 
-The public names are loaded when they are first used: a page loads what it shows, not what other pages do.
+The public names are loaded when they are first used.
 """
 
 from __future__ import annotations

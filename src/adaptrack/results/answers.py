@@ -6,23 +6,19 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from adaptrack.cars.vehicle import GRAVITY
+from adaptrack.core.plants.forces import GRAVITY
 
 if TYPE_CHECKING:
     from adaptrack.analysis.certify import Certificate
     from adaptrack.cars.vehicle import Vehicle
 
-Row = Mapping[str, Any]
-
-MOST_NAMED = 4
-"""Contenders that an answer names beside the best."""
 THIN_MODULUS = 0.25
-"""-, of the modulus margin, below which it is called thin: textbooks ask for 0.5 and more."""
+"""-, modulus margin below which an answer calls it thin; textbooks ask for at least 0.5"""
 
 
 # -- words ------------------------------------------------------------------------------------------------------------
 def length(metres: float) -> str:
-    """A length in the unit in which one says it, to two or three digits."""
+    """Write a length in mm, cm, m or km, to two or three digits."""
     if not math.isfinite(metres):
         return "unknown"
     if metres < 0.01:
@@ -33,37 +29,37 @@ def length(metres: float) -> str:
 
 
 # -- roads ------------------------------------------------------------------------------------------------------------
-def of_road(summary: Mapping[str, Any], barred: int) -> str:
-    """Whether a road can be driven, how long it is, how fast; barred: places that cannot."""
+def road_answer(summary: Mapping[str, Any], barred: int) -> str:
+    """Drivability, length, bends and speeds of a road; barred: number of places that cannot be driven."""
     radius = summary["smallest_radius"]
     bends = "straight" if radius is None else f"tightest radius {length(radius)}"
     speeds = " to ".join(dict.fromkeys(f"{summary[end]:.3g}" for end in ("slowest", "fastest"))) + " m/s"
-    about = f"{length(summary['length'])}, {bends}, {speeds}, {summary['duration']:.0f} s"
+    description = f"{length(summary['length'])}, {bends}, {speeds}, {summary['duration']:.0f} s"
     if barred:
-        return f"The road cannot be driven at {barred} {'place' if barred == 1 else 'places'} ({about})."
-    return f"The road can be driven: {about}."
+        return f"The road cannot be driven at {barred} {'place' if barred == 1 else 'places'} ({description})."
+    return f"The road can be driven: {description}."
 
 
 # -- certificates -----------------------------------------------------------------------------------------------------
-def of_certificate(found: Certificate) -> str:
-    """The verdict; before it, where the loop is stable, whether its margins are thin, driving straight."""
-    if not found.passed:
-        return found.verdict
-    (worst,), delay = found.worst_points(1), float(found.counted.straight.delay.min())
+def certificate_answer(certificate: Certificate) -> str:
+    """The verdict; for a stable loop preceded by its smallest margins when driving straight."""
+    if not certificate.passed:
+        return certificate.verdict
+    (worst,), delay = certificate.worst_points(1), float(certificate.counted.straight.delay.min())
     modulus, at = worst["modulus_margin"], f"at {worst['speed']:.3g} m/s on friction {worst['friction']:.2g}"
     thin = []
-    if delay < found.period:
-        thin.append(f"{1000.0 * delay:.0f} ms of delay, where a control period is {1000.0 * found.period:.0f} ms")
+    if delay < certificate.period:
+        thin.append(f"{1000.0 * delay:.0f} ms of delay, where a control period is {1000.0 * certificate.period:.0f} ms")
     if modulus < THIN_MODULUS:
         thin.append(f"a modulus margin of {modulus:.2g} {at}, where 0.5 is usual")
     if thin:
-        return f"Stable, but with thin margins: {' and '.join(thin)}. {found.verdict}"
-    return f"Stable; the smallest modulus margin is {modulus:.2g}, {at}. {found.verdict}"
+        return f"Stable, but with thin margins: {' and '.join(thin)}. {certificate.verdict}"
+    return f"Stable; the smallest modulus margin is {modulus:.2g}, {at}. {certificate.verdict}"
 
 
 # -- cars -------------------------------------------------------------------------------------------------------------
-def of_car(vehicle: Vehicle) -> str:
-    """What a car is like to steer, and how much of it is estimated."""
+def car_answer(vehicle: Vehicle) -> str:
+    """Mass, wheelbase and understeer gradient of a car, and the number of estimated values."""
     gradient = math.degrees(1.0) * GRAVITY * vehicle.understeer_gradient
     kind = f"understeers by {gradient:.2g} °/g"
     if gradient < 0.0:

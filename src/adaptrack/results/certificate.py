@@ -5,48 +5,44 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.analysis.certify import DRIVING, Certificate, Driving, Sweep, extremes
+from adaptrack.analysis.certify import DRIVING_CASES, Certificate, Driving, Sweep, extremes
 from adaptrack.analysis.stability import Margins
 from adaptrack.base.result import (
-    NEUTRAL,
     SERIES,
-    Axis,
+    SHARED_STROKE,
     Column,
-    Dots,
-    Guide,
-    HeatMap,
     Panel,
     Picture,
-    Polyline,
     Result,
     ResultTable,
-    Ribbon,
     Row,
-    Scale,
     Stroke,
     where,
 )
 from adaptrack.control.scheduling import SchedulingVariables
-from adaptrack.results.answers import of_certificate
-from adaptrack.results.maps import edges_around
-from adaptrack.results.words import INPUTS, number
+from adaptrack.results.answers import certificate_answer
+from adaptrack.results.marks import ColourScale, draw_dots, draw_heat_map, draw_ribbon, edges_around
+from adaptrack.results.words import INPUT_LABELS, number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 
 _WORST = 8
-"""Points of the page's table of the worst, for each way of driving."""
+"""Number of worst points in the page's table, for driving straight and for the hard turn."""
 _STROKES: dict[Driving, Stroke] = {"straight": Stroke(SERIES[0]), "turn": Stroke(SERIES[1], "long")}
 _NAMES: dict[Driving, str] = {"straight": "Driving straight", "turn": "In a hard turn"}
 _TITLES: dict[Driving, str] = {
     "straight": "driving straight (the verdict)", "turn": "in a hard turn (no verdict)"
 }  # fmt: skip
 
-MARGINS = (
+MARGIN_COLUMNS = (
     Column("name", "Scheduler"),
     Column("points", "Points"),
     Column("unstable", "Unstable"),
@@ -56,7 +52,7 @@ MARGINS = (
     Column("delay", "Least delay margin", "ms", show=3),
     Column("modulus_margin", "Least modulus margin", show=3),
 )
-CONSOLE = (
+CERTIFICATE_COLUMNS = (
     Column("driving", "driving"),
     Column("guard", "guard"),
     Column("speed", "speed", "m/s", 3),
@@ -68,43 +64,48 @@ CONSOLE = (
     Column("delay", "delay", "s", 3),
     Column("modulus_margin", "modulus\nmargin", "", 3),
 )
-MISMATCHED = (Column("mismatch", "the car has"), Column("unstable", "unstable", "", "whole"), *CONSOLE[2:])
+MISMATCH_COLUMNS = (
+    Column("mismatch", "the car has"),
+    Column("unstable", "unstable", "", "whole"),
+    *CERTIFICATE_COLUMNS[2:],
+)
 
-_RADIUS = Scale(0.8, 1.02, "Spectral radius (–)", reversed=True)
-_MODULUS = Scale(0.0, 1.0, "Modulus margin (–)")
-_UP = Scale(1.0, 20.0, "Gain margin up (factor)", log=True)
-_DOWN = Scale(0.0, 1.0, "Gain margin down (factor)", reversed=True)
-_DELAY = Scale(1.0, 1000.0, "Delay margin (ms)", log=True)
+_RADIUS = ColourScale(0.8, 1.02, "Spectral radius (–)", reversed=True)
+_MODULUS = ColourScale(0.0, 1.0, "Modulus margin (–)")
+_UP = ColourScale(1.0, 20.0, "Gain margin up (factor)", log=True)
+_DOWN = ColourScale(0.0, 1.0, "Gain margin down (factor)", reversed=True)
+_DELAY = ColourScale(1.0, 1000.0, "Delay margin (ms)", log=True)
 
 
-def certificate_result(found: Certificate, command: str = "", next_step: str = "") -> Result:
+def certificate_result(certificate: Certificate, command: str = "", next_step: str = "") -> Result:
     """A certificate as a result; its record holds the summary and every point.
 
     command: the command line that makes it again; next_step: what to do next, with the command.
     """
-    sweeps = _sweeps(found)
-    worst, turn = extremes(found.counted.straight), int(found.counted.unstable_in_turn.sum())
+    sweeps = _sweeps(certificate)
+    worst, turn = extremes(certificate.counted.straight), int(certificate.counted.unstable_in_turn.sum())
     maps = [
-        _margin_maps(found, f"{file}{'-turn' * (driving == 'turn')}", f"{name}, {_NAMES[driving].lower()}",
+        _margin_maps(certificate, f"{file}{'-turn' * (driving == 'turn')}", f"{name}, {_NAMES[driving].lower()}",
                      getattr(sweep, driving))
-        for (name, sweep), file in zip(sweeps, ("margins", "margins-bare"), strict=False) for driving in DRIVING
+        for (name, sweep), file in zip(sweeps, ("margins", "margins-bare"), strict=False) for driving in DRIVING_CASES
     ]  # fmt: skip
-    mismatched = found.mismatched or {}
+    mismatched = certificate.mismatched or {}
     return Result(
         kind="certificate",
-        title=f"Certificate of {found.scheduler}: {found.plant}, profile {found.profile}",
-        answer=of_certificate(found),
-        record={**found.summary(), "rows": found.rows()},
-        tables=[*_console_tables(found), *_margin_tables(found), _worst(found)],
-        notes=[f"belief: {found.belief}."] if found.belief else [],
-        pictures=[_modulus(found, worst["modulus_margin"]), *maps, _tunings(found)],
-        failed=not found.passed,
+        title=f"Certificate of {certificate.scheduler}: {certificate.plant}, profile {certificate.profile}",
+        answer=certificate_answer(certificate),
+        record={**certificate.summary(), "rows": certificate.rows()},
+        tables=[*_console_tables(certificate), *_margin_tables(certificate), _worst(certificate)],
+        notes=[f"belief: {certificate.belief}."] if certificate.belief else [],
+        pictures=[_modulus(certificate, worst["modulus_margin"]), *maps, _tunings(certificate)],
+        failed=not certificate.passed,
         values={
-            "found": found, "points": len(found.points), "unstable": int(found.counted.unstable.sum()), "worst": worst,
-            "turn": turn, "maps": [each.name for each in maps], "mismatched": len(mismatched),
+            "found": certificate, "points": len(certificate.points),
+            "unstable": int(certificate.counted.unstable.sum()), "worst": worst,
+            "turn": turn, "maps": [picture.name for picture in maps], "mismatched": len(mismatched),
             "unstable_cars": sum(bool((margins.radius >= 1.0).any()) for margins in mismatched.values()),
-            "unguarded": None if found.guarded is None else int(found.bare.unstable.sum()),
-            "fallback": None if found.guarded is None else float(found.fallback.mean()),
+            "unguarded": None if certificate.guarded is None else int(certificate.bare.unstable.sum()),
+            "fallback": None if certificate.guarded is None else float(certificate.fallback.mean()),
         },
         command=command,
         next_step=next_step,
@@ -112,43 +113,45 @@ def certificate_result(found: Certificate, command: str = "", next_step: str = "
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
-def _sweeps(found: Certificate) -> list[tuple[str, Sweep]]:
-    if found.guarded is None:
-        return [("Without a guard", found.bare)]
-    return [("With the guard", found.guarded), ("Without the guard", found.bare)]
+def _sweeps(certificate: Certificate) -> list[tuple[str, Sweep]]:
+    if certificate.guarded is None:
+        return [("Without a guard", certificate.bare)]
+    return [("With the guard", certificate.guarded), ("Without the guard", certificate.bare)]
 
 
 def with_ratio(points: Sequence[Row]) -> list[dict[str, Any]]:
-    """Points with R/Q, which alone acts on the control law; None where Q is 0."""
+    """Add R/Q to points, the only part of Q and R that acts on the control law; None if Q is 0."""
     return [{**point, "ratio": point["R"] / point["Q"] if point["Q"] else None} for point in points]
 
 
-def _console_tables(found: Certificate) -> list[ResultTable]:
+def _console_tables(certificate: Certificate) -> list[ResultTable]:
     """The points with the smallest modulus margin, for each way of driving, with the guard and without."""
-    sweeps = [(found.guarded is not None, found.counted)]
-    sweeps += [(False, found.bare)] if found.guarded is not None else []
+    sweeps = [(certificate.guarded is not None, certificate.counted)]
+    sweeps += [(False, certificate.bare)] if certificate.guarded is not None else []
     tables = []
-    for driving in DRIVING:
-        points = [{"guard": on, **point} for on, sweep in sweeps for point in found.worst_points(5, sweep, driving)]
-        title = f"{found.scheduler}, {_TITLES[driving]}: the points nearest to instability"
-        tables.append(ResultTable(f"nearest_{driving}", title, CONSOLE, with_ratio(points), brief=True))
-    if found.mismatched:
-        title = f"{found.scheduler}, driving straight with another car: the points nearest to instability"
-        rows = with_ratio(found.mismatched_rows())
-        tables.append(ResultTable("nearest_mismatched", title, MISMATCHED, rows, brief=True))
+    for driving in DRIVING_CASES:
+        points = [
+            {"guard": on, **point} for on, sweep in sweeps for point in certificate.worst_points(5, sweep, driving)
+        ]
+        title = f"{certificate.scheduler}, {_TITLES[driving]}: the points nearest to instability"
+        tables.append(ResultTable(f"nearest_{driving}", title, CERTIFICATE_COLUMNS, with_ratio(points), brief=True))
+    if certificate.mismatched:
+        title = f"{certificate.scheduler}, driving straight with another car: the points nearest to instability"
+        rows = with_ratio(certificate.mismatched_rows())
+        tables.append(ResultTable("nearest_mismatched", title, MISMATCH_COLUMNS, rows, brief=True))
     return tables
 
 
-def _margin_tables(found: Certificate) -> list[ResultTable]:
+def _margin_tables(certificate: Certificate) -> list[ResultTable]:
     rows = [
         _extremes(name, getattr(sweep, driving)) | {"driving": _NAMES[driving]}
-        for driving in DRIVING for name, sweep in _sweeps(found)
+        for driving in DRIVING_CASES for name, sweep in _sweeps(certificate)
     ]  # fmt: skip
     title = "The worst of every margin, over all points"
-    tables = [ResultTable("margins", title, MARGINS, rows, group="driving", alert=_unstable(rows))]
-    if found.mismatched:
-        cars = [_extremes(name, margins) for name, margins in found.mismatched.items()]
-        columns = (Column("name", "True car"), *MARGINS[1:])
+    tables = [ResultTable("margins", title, MARGIN_COLUMNS, rows, group="driving", alert=_unstable(rows))]
+    if certificate.mismatched:
+        cars = [_extremes(name, margins) for name, margins in certificate.mismatched.items()]
+        columns = (Column("name", "True car"), *MARGIN_COLUMNS[1:])
         tables.append(ResultTable("mismatched", title, columns, cars, alert=_unstable(cars)))
     return tables
 
@@ -163,16 +166,16 @@ def _unstable(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
     return where(rows, ["unstable", "radius"], lambda row: row["unstable"] > 0)
 
 
-def _worst(found: Certificate) -> ResultTable:
+def _worst(certificate: Certificate) -> ResultTable:
     names = SchedulingVariables._fields
     varied = [
-        name for name in INPUTS
-        if name not in ("speed", "friction") and np.ptp(found.points[:, names.index(name)]) > 0.0
+        name for name in INPUT_LABELS
+        if name not in ("speed", "friction") and np.ptp(certificate.points[:, names.index(name)]) > 0.0
     ]  # fmt: skip
     columns = [
         Column("speed", "Speed", "m/s", 3),
         Column("friction", "Friction", "", 3),
-        *(Column(name, *INPUTS[name], 3) for name in varied),
+        *(Column(name, *INPUT_LABELS[name], 3) for name in varied),
         Column("Np", "Np"),
         Column("Nc", "Nc"),
         Column("ratio", "R/Q", "m²/rad²", 3),
@@ -184,9 +187,9 @@ def _worst(found: Certificate) -> ResultTable:
     ]
     rows = [
         _point(point) | {"part": f"{name}, {_NAMES[driving].lower()}"}
-        for name, sweep in _sweeps(found)
-        for driving in DRIVING
-        for point in found.worst_points(_WORST, sweep, driving)
+        for name, sweep in _sweeps(certificate)
+        for driving in DRIVING_CASES
+        for point in certificate.worst_points(_WORST, sweep, driving)
     ]
     unstable = where(rows, ["radius"], lambda row: row["radius"] >= 1.0)
     return ResultTable(
@@ -203,19 +206,20 @@ def _point(point: Row) -> dict[str, Any]:
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
-def _modulus(found: Certificate, least: float) -> Picture:
-    marks: list[Any] = []
-    for driving, stroke in _STROKES.items():
-        margin = found.cells(getattr(found.counted, driving).modulus_margin).reshape(len(found.speeds), -1)
-        low, high = margin.min(axis=1), margin.max(axis=1)
-        marks += [
-            Ribbon(found.speeds, low, high, stroke.colour),
-            Polyline(found.speeds, low, stroke, markers=len(found.speeds) < 12),
-        ]
-    panel = Panel(
-        "Modulus margin over the speed", Axis("Speed (m/s)"), Axis("Modulus margin (–)"),
-        [*marks, Guide("y", [0.0], NEUTRAL, 0.9)], f"Driving straight at least {number(least)}.",
-    )  # fmt: skip
+def _modulus(certificate: Certificate, least: float) -> Picture:
+    def draw(axes: Axes) -> None:
+        dots: dict[str, Any] = {"marker": "o", "markersize": 3.5} if len(certificate.speeds) < 12 else {}
+        for driving, stroke in _STROKES.items():
+            margin = certificate.cells(getattr(certificate.counted, driving).modulus_margin).reshape(
+                len(certificate.speeds), -1
+            )
+            low, high = margin.min(axis=1), margin.max(axis=1)
+            draw_ribbon(axes, certificate.speeds, low, high, stroke.colour)
+            axes.plot(certificate.speeds, low, **stroke.look, **dots)
+        axes.axhline(0.0, linewidth=0.9, **SHARED_STROKE.look)
+        axes.set(xlabel="Speed (m/s)", ylabel="Modulus margin (–)")
+
+    panel = Panel("Modulus margin over the speed", draw, f"Driving straight at least {number(least)}.")
     caption = (
         "Smallest distance of the loop gain from −1; unstable below 0. Line: the least of all frictions and other "
         "scheduling variables; band: up to the largest."
@@ -223,47 +227,48 @@ def _modulus(found: Certificate, least: float) -> Picture:
     return Picture("modulus", caption, [panel], [(_NAMES[driving], stroke) for driving, stroke in _STROKES.items()])
 
 
-def _margin_maps(found: Certificate, name: str, title: str, margins: Margins) -> Picture:
+def _margin_maps(certificate: Certificate, name: str, title: str, margins: Margins) -> Picture:
     """The maps of one way of driving; a cross marks a cell with an unstable point."""
-    bad = np.asarray(found.cells(margins.radius >= 1.0).max(axis=2))
-    drawn = [
-        (_RADIUS, found.cells(margins.radius).max(axis=2)),
-        (_MODULUS, found.cells(margins.modulus_margin).min(axis=2)),
-        (_UP, found.cells(margins.gain_up).min(axis=2)),
-        (_DOWN, found.cells(margins.gain_down).max(axis=2)),
-        (_DELAY, 1000.0 * found.cells(margins.delay).min(axis=2)),
+    unstable = np.asarray(certificate.cells(margins.radius >= 1.0).max(axis=2))
+    maps = [
+        (_RADIUS, certificate.cells(margins.radius).max(axis=2)),
+        (_MODULUS, certificate.cells(margins.modulus_margin).min(axis=2)),
+        (_UP, certificate.cells(margins.gain_up).min(axis=2)),
+        (_DOWN, certificate.cells(margins.gain_down).max(axis=2)),
+        (_DELAY, 1000.0 * certificate.cells(margins.delay).min(axis=2)),
     ]
-    panels = [_map(found, _around(scale, values), values, bad) for scale, values in drawn]
-    crosses = " A cross marks a cell with an unstable point." if bad.any() else ""
+    panels = [_map(certificate, _narrow_scale(scale, values), values, unstable) for scale, values in maps]
+    crosses = " A cross marks a cell with an unstable point." if unstable.any() else ""
     caption = (
         f"{title}. The worst over all other scheduling variables; dark is bad, on a scale of each map's own.{crosses}"
     )
     return Picture(name, caption, panels, file=f"{name}.png", columns=3, row_height=2.0)
 
 
-def _tunings(found: Certificate) -> Picture:
-    Np, Nc, Q, R = found.counted.tunings.T
+def _tunings(certificate: Certificate) -> Picture:
+    Np, Nc, Q, R = certificate.counted.tunings.T
     with np.errstate(divide="ignore"):
         ratio = np.log10(R) - np.log10(Q)
     panels = []
-    for symbol, values, whole in (("$N_p$ (periods)", Np, True), ("$N_c$ (periods)", Nc, True),
+    for symbol, values, integer in (("$N_p$ (periods)", Np, True), ("$N_c$ (periods)", Nc, True),
                                   (r"$\log_{10} R/Q$ (R/Q in m²/rad²)", ratio, False)):  # fmt: skip
-        cells = np.median(found.cells(values), axis=2)
+        cells = np.median(certificate.cells(values), axis=2)
         finite = cells[np.isfinite(cells)]
         low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
-        middle, span = (low + high) / 2.0, max(high - low, 2.0 if whole else 0.2)
-        panels.append(_map(found, Scale(middle - span / 2.0, middle + span / 2.0, symbol, whole=whole), cells))
+        middle, span = (low + high) / 2.0, max(high - low, 2.0 if integer else 0.2)
+        scale = ColourScale(middle - span / 2.0, middle + span / 2.0, symbol, integer=integer)
+        panels.append(_map(certificate, scale, cells))
     caption = "The scheduler's tuning: median over all other scheduling variables."
-    if found.guarded is not None:
-        share = 100.0 * found.cells(found.fallback).mean(axis=2)
-        panels.append(_map(found, Scale(0.0, 100.0, "On the fallback (%)"), share))
+    if certificate.guarded is not None:
+        share = 100.0 * certificate.cells(certificate.fallback).mean(axis=2)
+        panels.append(_map(certificate, ColourScale(0.0, 100.0, "On the fallback (%)"), share))
         caption = f"{caption[:-1]}, the guard's fallback included where it acts; and how often it does."
     return Picture("tunings", caption, panels, file="tunings.png", columns=len(panels) if len(panels) < 4 else 2,
                    row_height=2.0)  # fmt: skip
 
 
-def _around(scale: Scale, values: Array) -> Scale:
-    """Colours that tell these values apart: from their 2nd to their 98th percentile, within the scale's bounds."""
+def _narrow_scale(scale: ColourScale, values: Array) -> ColourScale:
+    """Narrow a scale to the 2nd to 98th percentile of the values, within its bounds."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return scale
@@ -274,19 +279,22 @@ def _around(scale: Scale, values: Array) -> Scale:
     return replace(scale, low=float(low), high=float(high))
 
 
-def _map(found: Certificate, scale: Scale, values: Array, unstable: NDArray[np.bool_] | None = None) -> Panel:
-    """values, unstable: (speeds, frictions)."""
+def _map(
+    certificate: Certificate, scale: ColourScale, values: Array, unstable: NDArray[np.bool_] | None = None
+) -> Panel:
+    """A map of values over speed and friction, crossed where unstable; both (speeds, frictions)."""
     low, high = float(values.min()), float(values.max())
     slack = 1e-9 * (scale.high - scale.low)
     below, above = low < scale.low - slack, high > scale.high + slack
     beyond = "both" if below and above else "min" if below else "max" if above else "neither"
-    cells = HeatMap(
-        edges_around(found.speeds), edges_around(found.frictions), np.clip(values, scale.low, scale.high).T,
-        replace(scale, label="", beyond=beyond),  # type: ignore[arg-type]
-    )  # fmt: skip
-    i, j = np.nonzero(np.zeros(values.shape, bool) if unstable is None else unstable)
-    crosses = Dots(found.speeds[i], found.frictions[j], SERIES[1], "cross", 4.5, scales=False)
-    return Panel(
-        scale.label, Axis("Speed (m/s)"), Axis("Friction (–)"), [cells, crosses],
-        f"{number(low)} to {number(high)}.",
-    )  # fmt: skip
+    bar = replace(scale, label="", beyond=beyond)  # type: ignore[arg-type]
+
+    def draw(axes: Axes) -> None:
+        cells = np.clip(values, scale.low, scale.high).T
+        draw_heat_map(axes, edges_around(certificate.speeds), edges_around(certificate.frictions), cells, bar)
+        i, j = np.nonzero(np.zeros(values.shape, bool) if unstable is None else unstable)
+        crosses = certificate.speeds[i], certificate.frictions[j]
+        draw_dots(axes, *crosses, SERIES[1], "cross", 4.5, scalex=False, scaley=False)
+        axes.set(xlabel="Speed (m/s)", ylabel="Friction (–)")
+
+    return Panel(scale.label, draw, f"{number(low)} to {number(high)}.")

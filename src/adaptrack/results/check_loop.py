@@ -5,7 +5,7 @@ from __future__ import annotations
 from adaptrack.base.result import Column, Result, ResultTable
 from adaptrack.identification.loop_check import LEAST, LoopCheck
 
-COLUMNS = (
+INPUT_CHECK_COLUMNS = (
     Column("compared", "compared"),
     Column("seconds", "for", "s", meaning="of driving in which both could be compared"),
     Column("verdict", "verdict"),
@@ -18,8 +18,8 @@ def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = (), comman
         _row(finding.compared, finding.seconds, bool(finding.label), finding.seconds > LEAST)
         for finding in check.findings
     ] + [
-        _row(whole.compared, check.seconds if whole.clear else 0.0, bool(whole.contradiction), whole.clear)
-        for whole in check.agreements
+        _row(agreement.compared, check.seconds * agreement.clear, bool(agreement.contradiction), agreement.clear)
+        for agreement in check.agreements
     ]  # fmt: skip
     sliding = (f"The car slid for {check.sliding:.1f} s.",) if check.sliding else ()
     answer = f"No contradiction, in {check.compared} of {len(rows)} comparisons; the others lack a column or bends."
@@ -31,7 +31,7 @@ def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = (), comman
         answer=answer,
         record={"log": log, "seconds": check.seconds, "sliding": check.sliding,
                 "contradictions": list(check.contradictions), "compared": rows},
-        tables=[ResultTable("console", f"{check.seconds:.0f} s of {log}", COLUMNS, rows, brief=True)],
+        tables=[ResultTable("console", f"{check.seconds:.0f} s of {log}", INPUT_CHECK_COLUMNS, rows, brief=True)],
         notes=[*check.contradictions[1:], *(f"{note}." for note in notes), *sliding],
         failed=bool(check.contradictions),
         command=command,

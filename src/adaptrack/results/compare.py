@@ -5,35 +5,25 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adaptrack.base.result import (
-    SERIES,
-    Axis,
-    Callout,
-    Column,
-    Dots,
-    Mark,
-    Panel,
-    Picture,
-    Polyline,
-    Result,
-    ResultTable,
-    Row,
-    Stroke,
-    where,
-)
+from adaptrack.base.result import MUTED, SERIES, Column, Panel, Picture, Result, ResultTable, Row, where
 from adaptrack.comparison.config import about_contender
 from adaptrack.comparison.run import Compared
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import standing_rows
 from adaptrack.control.controllers import about_controller
-from adaptrack.results.dots import Dot, dots_panel, notes
+from adaptrack.results.dots import Dot, caption_notes, dots_panel
+from adaptrack.results.marks import draw_dots, name_rows, set_log_scale
 from adaptrack.results.words import counted, data_text, number, span
 
-OURS, PAPER, OTHERS = SERIES[0], SERIES[1], "muted"
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_OURS, _PAPERS_COLOUR, _OTHERS = SERIES[0], SERIES[1], MUTED
 """Colours of our controllers, the paper's, and all others."""
 COLOURS = "Blue: ours; orange: the paper's; grey: others."
 _PAPERS = ("as-written", "as-released", "nn", "anfis", "published")
@@ -42,7 +32,7 @@ _ROW = 0.19
 MAX_FAILED_RUNS = 10
 """Failed runs in the table on console and page."""
 
-CONTENDERS = (
+CONTENDER_COLUMNS = (
     Column("label", "Contender"),
     Column("rank", "Rank"),
     Column("rms_ratio", "RMS error", "ratio", 3),
@@ -58,12 +48,12 @@ CONTENDERS = (
     Column("failures", "Failed", "runs"),
     Column("runs", "Of", "runs"),
 )
-BEST = {
+BEST_VALUES = {
     **dict.fromkeys(("rms_ratio", "cost_ratio", "rms_error", "p95_error", "max_corner", "failures"), min),
     "entry_speed": max,
 }
 """The function that picks the best value of a column."""
-CONSOLE = (
+RANKING_COLUMNS = (
     Column("label", "contender"),
     Column("rank", "rank"),
     Column("rms", "RMS e\nratio, 95 %"),
@@ -72,7 +62,7 @@ CONSOLE = (
     Column("failed", "failed"),
     Column("entry_speed", "3888-2", "km/h", "whole"),
 )
-FAILED_RUNS = (
+FAILED_RUN_COLUMNS = (
     Column("label", "Contender"),
     Column("car", "Car"),
     Column("profile", "Profile"),
@@ -102,7 +92,7 @@ def compare_result(compared: Compared, *, command: str = "", next_step: str = ""
 
     command: the command line that makes it again; next_step: what to do next, with the command.
     """
-    comparisons, task = compared.by_profile, compared.task
+    comparisons, task = compared.profile_comparisons, compared.task
     rows = {profile: profile_rows(compared, profile) for profile in comparisons}
     last = list(comparisons)[-1]
     cars = counted(len(set(compared.columns["car"])), "car")
@@ -135,15 +125,15 @@ def headline(profile: str, rows: Sequence[Row]) -> str:
     return f"Profile {profile}: {best}; {number(failed)} of {number(runs)} runs failed."
 
 
-def colour_of(contender: str) -> str:
+def contender_colour(contender: str) -> str:
     """The colour of a controller in every picture of the page."""
-    return PAPER if contender in _PAPERS else OURS if about_controller(contender).ours else OTHERS
+    return _PAPERS_COLOUR if contender in _PAPERS else _OURS if about_controller(contender).ours else _OTHERS
 
 
 def profile_rows(compared: Compared, profile: str) -> list[dict[str, Any]]:
     """The rows of a profile, see `views.standing_rows`, with the mean entry speed over the cars (km/h)."""
     speeds, rows = compared.entry_speeds(profile), []
-    for row in standing_rows(compared.by_profile[profile]):
+    for row in standing_rows(compared.profile_comparisons[profile]):
         by_car = speeds.get(row["label"], {})
         rows.append({**row, "entry_speed": 3.6 * sum(by_car.values()) / len(by_car) if by_car else None})
     return rows
@@ -165,21 +155,27 @@ def _record(compared: Compared, rows: Mapping[str, Sequence[Row]]) -> dict[str, 
 # -- tables -----------------------------------------------------------------------------------------------------------
 def contender_table(profile: str, rows: Sequence[Row]) -> ResultTable:
     """All contenders in a profile, for the page; columns without a value are left out."""
-    shown = [
+    table_rows = [
         {**row, "rms_interval": (row["rms_low"], row["rms_high"]), "cost_interval": (row["cost_low"], row["cost_high"])}
         for row in rows
     ]
-    columns = [column for column in CONTENDERS if any(row[column.name] is not None for row in shown)]
-    failed = where(shown, ["failures"], lambda row: row["failures"] > 0)
+    columns = [column for column in CONTENDER_COLUMNS if any(row[column.name] is not None for row in table_rows)]
+    failed = where(table_rows, ["failures"], lambda row: row["failures"] > 0)
     return ResultTable(
-        profile, f"Contenders in profile {profile}", columns, shown, _NOTE, best=_best_cells(shown), alert=failed
+        profile,
+        f"Contenders in profile {profile}",
+        columns,
+        table_rows,
+        _NOTE,
+        best=_best_cells(table_rows),
+        alert=failed,
     )
 
 
 def _best_cells(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
     """(row, column) of the best values, in columns that tell the contenders apart."""
     cells = set()
-    for name, best in BEST.items():
+    for name, best in BEST_VALUES.items():
         values = [row[name] for row in rows if row[name] is not None]
         if values and min(values) < max(values):
             cells |= {(i, name) for i, row in enumerate(rows) if row[name] == best(values)}
@@ -188,25 +184,25 @@ def _best_cells(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
 
 def console_table(profile: str, rows: Sequence[Row], comparison: Comparison) -> ResultTable:
     """All contenders in a profile, for the console."""
-    shown = [
+    table_rows = [
         {
             "entry_speed": None, **row, "failed": f"{row['failures']}/{row['runs']}",
             "rms": f"{row['rms_ratio']:.3g} [{row['rms_low']:.2g}-{row['rms_high']:.2g}]",
         }
         for row in rows
     ]  # fmt: skip
-    columns = [column for column in CONSOLE if any(row[column.name] is not None for row in shown)]
+    columns = [column for column in RANKING_COLUMNS if any(row[column.name] is not None for row in table_rows)]
     numbers = (len(comparison.cars), "car"), (len(comparison.roads), "road"), (len(comparison.seeds), "noise seed")
     size = ", ".join(counted(n, noun) for n, noun in numbers)
     title = f"{profile}: {size}; ratio to {comparison.reference}"
-    return ResultTable(f"console {profile}", title, columns, shown, brief=True)
+    return ResultTable(f"console {profile}", title, columns, table_rows, brief=True)
 
 
 def _failures_by_car(compared: Compared) -> ResultTable:
     """Failed runs of each contender with each car."""
     cars = list(dict.fromkeys(compared.columns["car"].tolist()))
     rows, runs_of_car = [], dict[str, list[int]]()
-    for profile, table in compared.by_profile.items():
+    for profile, table in compared.profile_comparisons.items():
         for contender in table.contenders:
             row: dict[str, Any] = {"label": contender, "profile": f"Profile {profile}"}
             for car in cars:
@@ -228,8 +224,12 @@ def _failed_runs_table(compared: Compared) -> list[ResultTable]:
     """The first failed runs; none if no run failed."""
     runs = compared.failed_runs
     note = f"The first {MAX_FAILED_RUNS} of {number(len(runs))}; --json has all." if len(runs) > MAX_FAILED_RUNS else ""
-    shown = runs[:MAX_FAILED_RUNS]
-    return [ResultTable("failed runs", "Failed runs", FAILED_RUNS, shown, note, brief=True)] if shown else []
+    table_rows = runs[:MAX_FAILED_RUNS]
+    return (
+        [ResultTable("failed runs", "Failed runs", FAILED_RUN_COLUMNS, table_rows, note, brief=True)]
+        if table_rows
+        else []
+    )
 
 
 def _left_out_table(compared: Compared) -> list[ResultTable]:
@@ -248,14 +248,14 @@ def _left_out_table(compared: Compared) -> list[ResultTable]:
 def _ratios(profile: str, rows: Sequence[Row], reference: str) -> Picture:
     """A dot and its interval for each contender, the best first."""
     dots = [
-        Dot(row["label"], row["rms_ratio"], row["rms_low"], row["rms_high"], colour_of(row["contender"]),
+        Dot(row["label"], row["rms_ratio"], row["rms_low"], row["rms_high"], contender_colour(row["contender"]),
             row["failures"] > 0)
         for row in rows
     ]  # fmt: skip
     label = f"RMS error / that of {reference}"
     caption = f"Profile {profile}: {label}, with 95 % intervals. {COLOURS}"
     panel, size = dots_panel(dots, data_text(label), label, level=1.0)
-    return Picture("verdict", caption + notes(dots), [panel], (), "ratios.png", 1, size[1], size)
+    return Picture("verdict", caption + caption_notes(dots), [panel], (), "ratios.png", 1, size[1], size)
 
 
 def _work(rows: Mapping[str, Sequence[Row]]) -> Picture:
@@ -269,20 +269,23 @@ def _work(rows: Mapping[str, Sequence[Row]]) -> Picture:
 
 def _work_panel(profile: str, ranking: Sequence[Row]) -> Panel:
     rows = [row for row in ranking if row["tuning"] != "default"] or ranking
-    rates, errors = [row["steering_rate"] for row in rows], [row["rms_error"] for row in rows]
-    marks: list[Mark] = []
-    for row, rate, error, height in zip(rows, rates, errors, _label_heights(errors), strict=True):
-        colour, at_left = colour_of(row["contender"]), rate > max(rates) / 1.5  # far right: named on its left
-        place = (rate / 1.06 if at_left else 1.06 * rate, height)
-        marks += [
-            Dots([rate], [error], colour),
-            Callout(rate, error, data_text(row["contender"]), place, colour, at_left),
-        ]
     words = [f"{row['contender']}: {number(row['rms_error'])} m, {number(row['steering_rate'])} rad/s" for row in rows]
-    return Panel(
-        f"Profile {profile}", Axis("Steering rate (rad/s)", 0.8 * min(rates), 1.6 * max(rates), log=True),
-        Axis("RMS error (m)", 0.8 * min(errors), 1.6 * max(errors), log=True), marks, f"{'; '.join(words)}.",
-    )  # fmt: skip
+    return Panel(f"Profile {profile}", partial(_draw_work, rows=rows), f"{'; '.join(words)}.")
+
+
+def _draw_work(axes: Axes, rows: Sequence[Row]) -> None:
+    rates, errors = [row["steering_rate"] for row in rows], [row["rms_error"] for row in rows]
+    for row, rate, error, height in zip(rows, rates, errors, _label_heights(errors), strict=True):
+        colour, at_left = contender_colour(row["contender"]), rate > max(rates) / 1.5  # far right: named on its left
+        draw_dots(axes, [rate], [error], colour)
+        axes.annotate(
+            data_text(row["contender"]), (rate, error), (rate / 1.06 if at_left else 1.06 * rate, height),
+            ha="right" if at_left else "left", va="center", fontsize=6.5, color=colour,
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkB": 2},
+        )  # fmt: skip
+    axes.set(xlabel="Steering rate (rad/s)", ylabel="RMS error (m)")
+    set_log_scale(axes, "x", (0.8 * min(rates), 1.6 * max(rates)))
+    set_log_scale(axes, "y", (0.8 * min(errors), 1.6 * max(errors)))
 
 
 def _label_heights(values: Sequence[float]) -> list[float]:
@@ -297,10 +300,10 @@ def _label_heights(values: Sequence[float]) -> list[float]:
 
 
 def _entry_speeds(compared: Compared) -> list[Picture]:
-    speeds = {profile: compared.entry_speeds(profile) for profile in compared.by_profile}
+    speeds = {profile: compared.entry_speeds(profile) for profile in compared.profile_comparisons}
     panels = [
         _entry_panel(table, profile, speeds[profile])
-        for profile, table in compared.by_profile.items()
+        for profile, table in compared.profile_comparisons.items()
         if speeds[profile]
     ]
     caption = (
@@ -312,18 +315,18 @@ def _entry_speeds(compared: Compared) -> list[Picture]:
 
 
 def _entry_panel(table: Comparison, profile: str, speeds: Mapping[str, Mapping[str, float]]) -> Panel:
-    rows = sorted(speeds.items(), key=lambda row: -float(np.mean(list(row[1].values()))))
-    marks: list[Mark] = []
-    for place, (contender, cars) in enumerate(rows):
-        values, colour = 3.6 * np.array(list(cars.values())), colour_of(table.role(contender).controller)
-        mean = float(values.mean())
-        marks.append(Dots(values, np.full(len(values), place), colour, size=3.5, opacity=0.6))
-        marks.append(Polyline([mean, mean], [place - 0.35, place + 0.35], Stroke(colour), 2.0))
-    fastest = 3.6 * max(max(cars.values()) for _, cars in rows) or 1.0
-    best, cars = rows[0]
-    return Panel(
-        "", Axis(f"Entry speed (km/h), profile {profile}", -0.02 * fastest, 1.04 * fastest),
-        Axis(names=[data_text(contender) for contender, _ in rows]), marks,
-        f"Entry speeds in profile {profile}; highest mean: {best}, {number(3.6 * float(np.mean(list(cars.values()))))} "
-        "km/h.",
-    )  # fmt: skip
+    rows = [(contender, 3.6 * np.array(list(cars.values()))) for contender, cars in speeds.items()]
+    rows.sort(key=lambda row: -float(np.mean(row[1])))
+
+    def draw(axes: Axes) -> None:
+        for place, (contender, values) in enumerate(rows):
+            colour, mean = contender_colour(table.role(contender).controller), float(values.mean())
+            draw_dots(axes, values, np.full(len(values), place), colour, size=3.5, alpha=0.6)
+            axes.plot([mean, mean], [place - 0.35, place + 0.35], color=colour, linewidth=2.0)
+        fastest = max(float(values.max()) for _, values in rows) or 1.0
+        axes.set(xlabel=f"Entry speed (km/h), profile {profile}", xlim=(-0.02 * fastest, 1.04 * fastest))
+        name_rows(axes, [data_text(contender) for contender, _ in rows])
+
+    best, values = rows[0]
+    mean = number(float(values.mean()))
+    return Panel("", draw, f"Entry speeds in profile {profile}; highest mean: {best}, {mean} km/h.")

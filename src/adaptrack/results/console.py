@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-WIDE = 140
-"""Columns of text where standard output is no terminal; every table of numbers fits 80."""
+PLAIN_WIDTH = 140
+"""Width in letters if standard output is not a terminal; every table of numbers fits 80."""
 _NAME, _WRAPPED = 40, 16
-"""Letters of a column of names that stay whole; least of one of text at the end of a line, which may wrap."""
+"""Letters: longest name that is not wrapped; least width of a last column of text, which may wrap."""
 
 
 def print_result(result: Result, page: Path | None = None) -> None:
-    """The answer, the tables that are brief, the notes, where its page is, what to do next."""
+    """Print the answer, the brief tables, the notes, the path of the page and the next step."""
     say(result.answer)
     print_tables(result.tables)
     for note in result.notes:
@@ -35,7 +35,7 @@ def print_result(result: Result, page: Path | None = None) -> None:
 
 
 def print_tables(tables: Sequence[ResultTable]) -> None:
-    """Those of the tables that are brief, with what is noted below them."""
+    """Print the brief tables, each with its note below."""
     for table in tables:
         if table.brief and table.rows:
             print_table(table)
@@ -44,12 +44,12 @@ def print_tables(tables: Sequence[ResultTable]) -> None:
 
 
 def say(text: str, aside: bool = False) -> None:
-    """A line on standard output; aside: on standard error, where standard output is for JSON."""
+    """Print a line on standard output; aside: on standard error, because standard output is for JSON."""
     print(printable(text, keep="\n"), file=sys.stderr if aside else sys.stdout)
 
 
 def say_failed(text: str, aside: bool = False) -> None:
-    """A line that begins with the word FAILED: red on a terminal with colours, plain anywhere else."""
+    """Print a line that begins with FAILED, in red on a terminal with colours."""
     from rich.text import Text
 
     line = Text.assemble(("FAILED", "bold red"), " ", printable(text, keep="\n"))
@@ -57,11 +57,11 @@ def say_failed(text: str, aside: bool = False) -> None:
 
 
 def written(value: Any, column: Column) -> str:
-    """A table's entry: "-" for nothing."""
+    """Format an entry of a table; "-" for None."""
     if value is None:
         return "-"
     if isinstance(value, tuple):
-        return " to ".join(written(each, column) for each in value)
+        return " to ".join(written(end, column) for end in value)
     if column.show == "percent":
         return f"{100.0 * value:.0f}"
     if column.show == "whole":
@@ -72,7 +72,7 @@ def written(value: Any, column: Column) -> str:
 
 
 def print_table(table: ResultTable) -> None:
-    """A table with a line of titles and units; numbers stand to the right.
+    """Print a table with a line of titles and units; numbers are aligned to the right.
 
     Columns that are too many for the width go below, beside the names again: no number is cut or left out.
     """
@@ -90,25 +90,25 @@ def _grid(columns: Sequence[Column], rows: Sequence[Row]) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    made = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    grid = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for column in columns:
-        known = [row[column.name] for row in rows if row[column.name] is not None]
-        numbers = all(isinstance(value, int | float) for value in known)
-        least = min(_NAME, max(map(len, map(str, known)), default=0)) if column is columns[0] else None
-        made.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left", min_width=least)
+        values = [row[column.name] for row in rows if row[column.name] is not None]
+        numbers = all(isinstance(value, int | float) for value in values)
+        least = min(_NAME, max(map(len, map(str, values)), default=0)) if column is columns[0] else None
+        grid.add_column(_heading(column), overflow="fold", justify="right" if numbers else "left", min_width=least)
     for row in rows:
-        made.add_row(*(Text(written(row[column.name], column)) for column in columns))
-    return made
+        grid.add_row(*(Text(written(row[column.name], column)) for column in columns))
+    return grid
 
 
 def _parts(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[list[Column]]:
-    """The columns of each table, the first of all in each: as many as fit, or one at least."""
-    names, *others = columns
+    """Split columns into tables that fit the width; each begins with the first column and has at least one more."""
+    names, *value_columns = columns
     first = min(_NAME, _needed(names, rows))
     parts: list[list[Column]] = [[names]]
     used = first
-    for i, column in enumerate(others):
-        last = i == len(others) - 1 and len(parts) == 1  # text at the end of a line may wrap
+    for i, column in enumerate(value_columns):
+        last = i == len(value_columns) - 1 and len(parts) == 1  # text at the end of a line may wrap
         needed = min(_needed(column, rows), _WRAPPED if last and _is_text(column, rows) else _NAME) + 2
         if used + needed > width and len(parts[-1]) > 1:
             parts.append([names])
@@ -119,7 +119,7 @@ def _parts(columns: Sequence[Column], rows: Sequence[Row], width: int) -> list[l
 
 
 def _needed(column: Column, rows: Sequence[Row]) -> int:
-    """Letters of the widest line."""
+    """The width of a column in letters."""
     return max(map(len, [*_heading(column).plain.split("\n"), *(written(row[column.name], column) for row in rows)]))
 
 
@@ -134,10 +134,10 @@ def _heading(column: Column) -> Text:
 
 
 def _console(aside: bool = False) -> Console:
-    """Where rich text goes; with NO_COLOR set it writes no escape codes at all, where rich alone keeps bold."""
+    """The console for rich text; with NO_COLOR set it writes no escape codes, while rich alone would keep bold."""
     from rich.console import Console
 
     colours: Literal["auto"] | None = None if os.environ.get("NO_COLOR") else "auto"
     stream = sys.stderr if aside else sys.stdout
-    width = None if stream.isatty() or "COLUMNS" in os.environ else WIDE
+    width = None if stream.isatty() or "COLUMNS" in os.environ else PLAIN_WIDTH
     return Console(file=stream, width=width, color_system=colours, highlight=False)

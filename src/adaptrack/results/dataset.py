@@ -13,30 +13,33 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import (
-    REFERENCE,
-    Axis,
-    Bars,
+    BACKGROUND_STROKE,
+    REFERENCE_STROKE,
     Column,
-    Guide,
-    HeatMap,
     Panel,
     Picture,
-    Polyline,
     Result,
     ResultTable,
-    Ribbon,
     Row,
-    Scale,
     Stroke,
 )
-from adaptrack.paper.campaign_config import STANDARD
+from adaptrack.paper.campaign_config import STANDARD_ROW
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.data_set_summary import describe
-from adaptrack.results.maps import edges_around
+from adaptrack.results.marks import (
+    ColourScale,
+    draw_bars,
+    draw_heat_map,
+    draw_ribbon,
+    edges_around,
+    include_y,
+    set_log_scale,
+)
 from adaptrack.results.notebook import html
 from adaptrack.results.words import number, span
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
@@ -44,39 +47,39 @@ Array = NDArray[np.float64]
 BINS = 12
 """Bins along an axis whose values are not levels."""
 MAX_LEVELS = 15
-"""Up to this many distinct values are levels, each with a bin of its own."""
+"""Largest number of distinct values that each get a bin."""
 BARS = 28
 
-QUANTILES = (
+QUANTILE_COLUMNS = (
     Column("lowest", "Lowest", show=3),
     Column("p10", "P10", show=3),
     Column("p50", "Median", show=3),
     Column("p90", "P90", show=3),
     Column("highest", "Highest", show=3),
 )
-RANGES = (
+RANGE_COLUMNS = (
     Column("quantity", "Quantity"),
     Column("unit", "Unit"),
     Column("lowest", "Lowest", show=3),
     Column("highest", "Highest", show=3),
     Column("levels", "Distinct values"),
 )
-OPTIMUM = (Column("target", "Target"), *QUANTILES, Column("at_a_bound", "At a bound", "%", "percent"))
-FLATNESS = (
+OPTIMUM_COLUMNS = (Column("target", "Target"), *QUANTILE_COLUMNS, Column("at_a_bound", "At a bound", "%", "percent"))
+FLATNESS_COLUMNS = (
     Column("within", "Within", "% of best", "percent"),
-    *(Column(column.name, column.title, "%", "percent") for column in QUANTILES),
+    *(Column(column.name, column.title, "%", "percent") for column in QUANTILE_COLUMNS),
 )
 
 
 @dataclass(frozen=True)
 class TuningTarget:
-    """A part of the best tuning, as pictures show it."""
+    """A number of the best tuning, with its values for a picture."""
 
     label: str
     values: Array
-    """(n,)"""
+    """(n,) value of each operating point"""
     standard: float
-    whole: bool = False
+    integer: bool = False
 
 
 def dataset_result(dataset: DataSet) -> Result:
@@ -97,7 +100,7 @@ def dataset_result(dataset: DataSet) -> Result:
 
 
 def _pictures(dataset: DataSet) -> list[Picture]:
-    """Gain, optimum and its spread; none where every run failed."""
+    """Pictures of gain, optimum and spread; none if every run failed."""
     rows = _searched(dataset)
     if rows is None:
         return []
@@ -138,7 +141,7 @@ def dataset_html(dataset: DataSet) -> str:
     """A data set in a notebook."""
     searched = dataset.rows(dataset.computed)
     rows = {
-        "Operating points": f"{number(len(dataset))}, of which swarms searched {number(len(searched))}",
+        "Operating points": f"{number(len(dataset))}, of which {number(len(searched))} searched by swarms",
         "Library": f"{number(len(dataset.library))} tunings",
         **dict(zip(("Speed", "Lateral reference", "Friction", "Side wind"), map(span, dataset.operating_points.T),
                    strict=True)),
@@ -154,25 +157,25 @@ def _tables(summary: dict[str, Any]) -> list[ResultTable]:
     scalars = {key: value for key, value in summary.items() if not isinstance(value, dict | list)}
     optimum = [_without_logarithm(row) for row in summary["optimum"]]
     return [
-        ResultTable("data set", "Data set", names, _named(scalars), brief=True),
-        ResultTable("costs", "Costs", names, _named(summary["costs"]), brief=True),
-        ResultTable("ranges", "Ranges of the operating points", RANGES, summary["ranges"], brief=True,
+        ResultTable("data set", "Data set", names, _named_rows(scalars), brief=True),
+        ResultTable("costs", "Costs", names, _named_rows(summary["costs"]), brief=True),
+        ResultTable("ranges", "Ranges of the operating points", RANGE_COLUMNS, summary["ranges"], brief=True,
                     note="Positive is to the left, also for wind."),
-        ResultTable("optimum", "The best tunings", OPTIMUM, optimum, brief=True,
+        ResultTable("optimum", "The best tunings", OPTIMUM_COLUMNS, optimum, brief=True,
                     note="Np, Nc in control periods, Q in 1/m², R in 1/rad²."),
-        ResultTable("flatness", "Share of the library whose cost is near the best", FLATNESS, summary["flatness"],
-                    brief=True),
+        ResultTable("flatness", "Share of the library whose cost is near the best", FLATNESS_COLUMNS,
+                    summary["flatness"], brief=True),
     ]  # fmt: skip
 
 
-def _named(values: dict[str, Any]) -> list[Row]:
+def _named_rows(values: dict[str, Any]) -> list[Row]:
     return [{"name": name.replace("_", " "), "value": value} for name, value in values.items()]
 
 
 def _without_logarithm(row: Row) -> Row:
     if not row["target"].startswith("log "):
         return row
-    values = {column.name: row[column.name] for column in QUANTILES}
+    values = {column.name: row[column.name] for column in QUANTILE_COLUMNS}
     linear = {name: None if value is None else float(np.exp(value)) for name, value in values.items()}
     return {**row, **linear, "target": row["target"].removeprefix("log ")}
 
@@ -180,42 +183,51 @@ def _without_logarithm(row: Row) -> Row:
 # -- panels -----------------------------------------------------------------------------------------------------------
 def targets(rows: DataSet) -> list[TuningTarget]:
     """Horizons and R/Q of the best tunings."""
-    Np, Nc, Q, R = STANDARD
+    Np, Nc, Q, R = STANDARD_ROW
     return [
-        TuningTarget("$N_p$ (periods)", rows.tunings[:, 0], Np, whole=True),
-        TuningTarget("$N_c$ (periods)", rows.tunings[:, 1], Nc, whole=True),
+        TuningTarget("$N_p$ (periods)", rows.tunings[:, 0], Np, integer=True),
+        TuningTarget("$N_c$ (periods)", rows.tunings[:, 1], Nc, integer=True),
         TuningTarget(r"$\log_{10} R/Q$ (m²/rad²)", np.log10(rows.ratios), float(np.log10(R / Q))),
     ]
 
 
 def histogram(target: TuningTarget) -> Panel:
-    """How often each value of a target is the best."""
+    """A histogram of the best values of a target."""
     values = np.append(target.values, target.standard)
     low, high = float(values.min()), float(values.max())
-    if target.whole:
+    if target.integer:
         edges = np.arange(low - 0.5, high + 1.0, max(1, round((high - low) / BARS)))
     else:
         edges = np.linspace(low, high + 1e-9, BARS + 1)
     counts, _ = np.histogram(target.values, edges)
-    return Panel(
-        target.label, Axis(target.label, margin=0.03), Axis("Operating points (%)"),
-        [Bars(edges, 100.0 * counts / target.values.size), Guide("x", [target.standard], REFERENCE, 1.0)],
-        f"Share of the operating points in percent; values {span(target.values)}.",
-    )  # fmt: skip
+
+    def draw(axes: Axes) -> None:
+        draw_bars(axes, edges, 100.0 * counts / target.values.size)
+        axes.axvline(target.standard, linewidth=1.0, **REFERENCE_STROKE.look)
+        axes.set(xlabel=target.label, ylabel="Operating points (%)")
+        axes.margins(x=0.03)
+
+    return Panel(target.label, draw, f"Share of the operating points in percent; values {span(target.values)}.")
 
 
 def gain_panel(rows: DataSet) -> Panel:
     """Cost of the standard tuning over the cost of the swarm's best, by speed."""
     speed, gain = rows.operating_points[:, 0], rows.standard_costs / rows.costs
     bins = _bin_numbers(speed, _bin_edges(speed))
-    by_bin = [bins == number for number in np.unique(bins)]
+    by_bin = [bins == chosen for chosen in np.unique(bins)]
     middles = [float(np.median(speed[members])) for members in by_bin]
     low, median, high = np.array([np.quantile(gain[members], (0.25, 0.5, 0.75)) for members in by_bin]).T
-    return Panel(
-        "Standard over best", Axis("Speed (m/s)", margin=0.02), Axis("Cost ratio (–)", log=True, include=[1.0]),
-        [Guide("y", [1.0], width=0.7), Ribbon(middles, low, high), Polyline(middles, median, Stroke(), markers=True)],
-        f"Cost of the standard tuning over the swarm's best, by speed: medians {span(median)}.",
-    )  # fmt: skip
+
+    def draw(axes: Axes) -> None:
+        axes.axhline(1.0, linewidth=0.7, **BACKGROUND_STROKE.look)
+        draw_ribbon(axes, middles, low, high)
+        axes.plot(middles, median, **Stroke().look, marker="o", markersize=3.5)
+        axes.set(xlabel="Speed (m/s)", ylabel="Cost ratio (–)")
+        axes.margins(x=0.02)
+        set_log_scale(axes, "y", include_y(axes, 1.0))
+
+    description = f"Cost of the standard tuning over the swarm's best, by speed: medians {span(median)}."
+    return Panel("Standard over best", draw, description)
 
 
 def optimum_maps(rows: DataSet) -> list[Panel]:
@@ -235,9 +247,13 @@ def _map(rows: DataSet, target: TuningTarget, label: str, values: Array) -> Pane
     for line, column in set(zip(lines.tolist(), columns.tolist(), strict=True)):
         medians[line, column] = np.median(target.values[(lines == line) & (columns == column)])
     low, high = float(target.values.min()), float(target.values.max())
-    scale = Scale(low, high if high > low else low + 1.0, whole=target.whole)
-    heat = HeatMap(x_edges, y_edges, medians, scale)
-    return Panel(target.label, Axis("Speed (m/s)"), Axis(label), [heat], f"Medians {span(medians)}.")
+    scale = ColourScale(low, high if high > low else low + 1.0, integer=target.integer)
+
+    def draw(axes: Axes) -> None:
+        draw_heat_map(axes, x_edges, y_edges, medians, scale)
+        axes.set(xlabel="Speed (m/s)", ylabel=label)
+
+    return Panel(target.label, draw, f"Medians {span(medians)}.")
 
 
 def _bin_edges(values: Array) -> Array:

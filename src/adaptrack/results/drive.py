@@ -15,7 +15,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import safe_names
 from adaptrack.base.result import Picture, Result, Row, Stroke, strokes
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.drive.failure import DISTANCE, SLOW
+from adaptrack.drive.failure import DISTANCE, MIN_JUDGED_SPEED
 from adaptrack.drive.metrics import Metrics, compute_metrics
 from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
@@ -27,13 +27,13 @@ from adaptrack.results.drive_tables import (
     scenario_tables,
 )
 from adaptrack.results.learned_picture import learned_picture, learned_quantities
-from adaptrack.results.record import PASSENGER_CAR, DrawnCar, DriveRecord, on_road
+from adaptrack.results.record import DEFAULT_DRAWN_CAR, DrawnCar, DriveRecord, on_road
 from adaptrack.results.road_pictures import above_picture
 from adaptrack.results.run_pictures import (
     CREEPING,
-    as_lines,
     conditions_picture,
     error_panel,
+    prepare_runs,
     speed_picture,
     tracking_picture,
 )
@@ -70,15 +70,15 @@ class Run:
 
     trajectory: Trajectory
     label: str = ""
-    """Its name in legends and tables; the controller's name when left out."""
+    """Name in legends and tables; the controller's name if empty."""
     metrics: Metrics | None = None
-    """Its measures; computed when left out."""
+    """Measures of the run; computed if None."""
     road: Road | None = None
-    """The road that it was driven on: the page then has the road from above and a replay."""
-    car: Vehicle | DrawnCar = PASSENGER_CAR
+    """The road of the drive: the page then has the road from above and a replay."""
+    car: Vehicle | DrawnCar = DEFAULT_DRAWN_CAR
     """The car that is drawn on the road."""
     predicted: PredictedPaths | None = None
-    """The paths that `simulate` kept: the replay draws them."""
+    """The paths that `simulate` recorded, for the replay."""
 
 
 def drive_result(
@@ -105,15 +105,15 @@ def drive_result(
     if not runs:
         raise InvalidInput("report: at least one run is needed.")
     scenarios = group_runs([run if isinstance(run, Run) else Run(run) for run in runs])
-    shown = [run for group in scenarios.values() for run in group]
-    line_styles = strokes(run.label for run in shown)
+    labelled_runs = [run for group in scenarios.values() for run in group]
+    line_styles = strokes(run.label for run in labelled_runs)
     stems = dict(zip(scenarios, safe_names(map(slug, scenarios)), strict=True))
-    failed = [_failure(run) for run in shown if run.metrics.failed]
-    first = shown[0].trajectory
+    failed = [_failure(run) for run in labelled_runs if run.metrics.failed]
+    first = labelled_runs[0].trajectory
     return Result(
         kind="drive",
         title=title or _title(scenarios),
-        answer=_answer(shown),
+        answer=_answer(labelled_runs),
         record={"rows": list(rows)},
         tables=[
             overview_table(scenarios),
@@ -122,15 +122,15 @@ def drive_result(
         ],
         pictures=_pictures(scenarios, stems, line_styles),
         failed=bool(failed),
-        headline=_failure_headline(failed, len(shown)),
+        headline=_failure_headline(failed, len(labelled_runs)),
         values={
             "scenarios": [_section(name, group, stems[name]) for name, group in scenarios.items()],
-            "failed_runs": failed, "shown": shown, "records": _records(shown),
-            "limits": {"slow": SLOW, "distance": DISTANCE, "creeping": CREEPING,
+            "failed_runs": failed, "shown": labelled_runs, "records": _records(labelled_runs),
+            "limits": {"slow": MIN_JUDGED_SPEED, "distance": DISTANCE, "creeping": CREEPING,
                        "road_weight": load_profile("road").move_weight},
         },
         command=command,
-        created=max(str(run.trajectory.meta.get("created", "")) for run in shown),
+        created=max(str(run.trajectory.meta.get("created", "")) for run in labelled_runs),
     )  # fmt: skip
 
 
@@ -178,14 +178,14 @@ def _labelled(runs: Sequence[Run]) -> list[Shown]:
     """The runs of one scenario under distinct labels."""
     labels = [legible(run.label) or controller_name(run.trajectory.name_of("controller")) for run in runs]
     return [
-        _shown(f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label, run)
+        _prepare_run(f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label, run)
         for i, (label, run) in enumerate(zip(labels, runs, strict=True))
     ]
 
 
-def _shown(label: str, run: Run) -> Shown:
+def _prepare_run(label: str, run: Run) -> Shown:
     trajectory = run.trajectory if run.road is None else on_road(run.trajectory, run.road)
-    outline = None if run.car is PASSENGER_CAR else run.car.outline
+    outline = None if run.car is DEFAULT_DRAWN_CAR else run.car.outline
     metrics = run.metrics or compute_metrics(trajectory, outline=outline)
     drive = None if run.road is None else DriveRecord.from_trajectory(trajectory, run.road, run.car, run.predicted)
     return Shown(label, trajectory, metrics, drive)
@@ -193,28 +193,28 @@ def _shown(label: str, run: Run) -> Shown:
 
 # -- headlines --------------------------------------------------------------------------------------------------------
 def _title(scenarios: Mapping[str, Sequence[Shown]]) -> str:
-    """Scenarios and controllers, as long as there are few of them."""
+    """The names of scenarios and controllers, or their number if there are many."""
     labels = dict.fromkeys(run.label for group in scenarios.values() for run in group)
     return f"{few([title_of(name) for name in scenarios], 'scenario')}: {few(labels, 'controller')}"
 
 
-def _answer(shown: Sequence[Shown]) -> str:
+def _answer(runs: Sequence[Shown]) -> str:
     """The smallest RMS error with its largest error; for several scenarios the largest error of all."""
-    completed = [run for run in shown if not run.metrics.failed]
-    failed = f"{len(shown) - len(completed)} of {len(shown)} runs failed."
+    completed = [run for run in runs if not run.metrics.failed]
+    failed = f"{len(runs) - len(completed)} of {len(runs)} runs failed."
     if not completed:
         return failed
     best = min(completed, key=lambda run: run.metrics.mse)
     errors = f"{length(best.metrics.rms_error)} RMS error, largest {length(best.metrics.max_abs_error)}."
-    if len(shown) == 1:
+    if len(runs) == 1:
         return errors
-    if len({run.trajectory.name_of("scenario") for run in shown}) > 1:
+    if len({run.trajectory.name_of("scenario") for run in runs}) > 1:
         return f"Largest error {length(max(run.metrics.max_abs_error for run in completed))}. {failed}"
     return f"{best.label}: {errors} {failed}"
 
 
 def _failure(run: Shown) -> dict[str, str]:
-    """A failed run: its name, when and why."""
+    """Name, time and reason of a failed run."""
     where = "" if run.drive is None else f", at s = {number(float(run.drive.station[-1]), 4)} m"
     name = f"{title_of(run.trajectory.name_of('scenario'))}, {run.label}"
     return {"name": name, "at": f"{run.metrics.failed_at:.1f} s{where}", "because": run.metrics.failed_because}
@@ -228,8 +228,8 @@ def _failure_headline(failed: Sequence[Mapping[str, str]], runs: int) -> str:
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
-def _drives(shown: Sequence[Shown]) -> dict[str, DriveRecord]:
-    return {run.label: run.drive for run in shown if run.drive is not None}
+def _drives(runs: Sequence[Shown]) -> dict[str, DriveRecord]:
+    return {run.label: run.drive for run in runs if run.drive is not None}
 
 
 def _pictures(
@@ -239,7 +239,7 @@ def _pictures(
     groups = {name: {run.label: run.trajectory for run in group} for name, group in scenarios.items()}
     drives = _drives([run for group in scenarios.values() for run in group])
     first = next(iter(groups.values()))
-    error = replace(error_panel(as_lines(first, line_styles)), title="")
+    error = replace(error_panel(prepare_runs(first, line_styles)), title="")
     key = [(label, line_styles[label]) for label in first] if len(first) > 1 else []
     pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key)]
     if not any(run.road for runs in groups.values() for run in runs.values()):
@@ -296,9 +296,9 @@ def _section(name: str, group: Sequence[Shown], stem: str) -> dict[str, Any]:
     return {"name": name, "title": title_of(name), "conditions": list(conditions.items()), "stem": stem}
 
 
-def _records(shown: Sequence[Shown]) -> str:
+def _records(runs: Sequence[Shown]) -> str:
     """The full provenance of every run as JSON: scenario, profile, plant, car, controller, versions, ..."""
     records = {
-        f"{i}. {run.label}, {run.trajectory.name_of('scenario')}": run.trajectory.meta for i, run in enumerate(shown, 1)
+        f"{i}. {run.label}, {run.trajectory.name_of('scenario')}": run.trajectory.meta for i, run in enumerate(runs, 1)
     }
     return json.dumps(records, indent=1, ensure_ascii=False)

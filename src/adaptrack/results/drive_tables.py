@@ -26,13 +26,13 @@ class Shown:
     trajectory: Trajectory
     metrics: Metrics
     drive: DriveRecord | None = None
-    """beside its road, for the road from above and the replay"""
+    """the run along its road, for the road from above and the replay"""
 
 
 _CONTROLLER = Column("label", "Controller")
 _BOLD = "Bold: the smallest, among the runs that did not fail."
 
-TRACKING = (
+TRACKING_COLUMNS = (
     Column("mse", "MSE", "m²", 3),
     Column("paper", "Paper", "m²", "given"),
     Column("ratio", "Ours", "/ paper", 3),
@@ -43,7 +43,7 @@ TRACKING = (
     Column("in_lane", "In lane", "% of time", "percent"),
     Column("outcome", "Failed"),
 )
-EFFORT = (
+EFFORT_COLUMNS = (
     _CONTROLLER,
     Column("heading_rms", "Heading RMS", "rad (°)", "degrees"),
     Column("heading_max", "Heading max", "rad (°)", "degrees"),
@@ -56,7 +56,7 @@ EFFORT = (
     Column("jerk_r79", "Jerk R79", "m/s³", 3),
     Column("cost", "Cost J", "m²", 3),
 )
-SOLVER = (
+SOLVER_COLUMNS = (
     _CONTROLLER,
     Column("at_change_limit", "Δu limit", "% of steps", "percent"),
     Column("at_angle_limit", "u limit", "% of steps", "percent"),
@@ -76,12 +76,12 @@ SOLVER = (
     Column("step_us_p999", "Step p99.9", "µs", 3),
     Column("step_us_max", "Step max", "µs", 3),
 )
-OPTIONAL = (
+OPTIONAL_COLUMNS = (
     "paper", "ratio", "p95_error", "max_corner_error", "in_lane", "reversals", "jerk_r79", "dead_reckoning",
     "dead_reckoning_max", "prediction_error_half", "prediction_error_one",
 )  # fmt: skip
-"""Columns that are left out where no run has a value."""
-BELIEF = (
+"""Columns that are omitted if no run has a value."""
+BELIEF_STATE_COLUMNS = (
     _CONTROLLER,
     Column("belief_learning", "Learning", "%", "percent"),
     Column("belief_settled", "Settled", "%", "percent"),
@@ -89,7 +89,7 @@ BELIEF = (
     Column("belief_contradictory", "Contradictory", "%", "percent"),
     Column("belief_state", "At the end"),
 )
-CONSOLE = (
+DRIVE_COLUMNS = (
     Column("scenario", "driven"),
     Column("controller", "controller"),
     Column("rms_error", "RMS e", "m", 3),
@@ -102,7 +102,7 @@ _TROUBLES = ("qp_capped", "qp_failed", "held")
 """Counts that should be zero."""
 
 
-def rows_of(runs: Sequence[Shown]) -> list[dict[str, Any]]:
+def run_rows(runs: Sequence[Shown]) -> list[dict[str, Any]]:
     """A row for each run of a scenario: its measures, its tuning and the paper's error."""
     errors = [run.metrics.mse for run in runs if not run.metrics.failed]
     smallest = min(errors) if errors and len(runs) > 1 else None
@@ -118,36 +118,38 @@ def _row(run: Shown) -> dict[str, Any]:
         "label": run.label, "paper": paper, "ratio": None if paper is None else metrics.mse / paper,
         "dead_reckoning": metrics.dead_reckoning or None,
         "outcome": f"at {metrics.failed_at:.1f} s" if metrics.failed else "no",
-        "tuning": {name: _range(_driven(run.trajectory, name)) for name in run.trajectory.tuning},
+        "tuning": {name: _range(_driven_values(run.trajectory, name)) for name in run.trajectory.tuning},
     }  # fmt: skip
 
 
 def scenario_tables(name: str, runs: Sequence[Shown]) -> list[ResultTable]:
     """Tracking, effort, solver and belief of the runs of one scenario or road; the tables are named after it."""
     entries = _entries(runs)
-    rows = [row | {f"tuning {key}": row["tuning"].get(key) for key in entries} for row in rows_of(runs)]
+    rows = [row | {f"tuning {key}": row["tuning"].get(key) for key in entries} for row in run_rows(runs)]
     bold = where(rows, ["mse", "rms_error"], lambda row: row["best"])
     failed = where(rows, ["outcome"], lambda row: row["failed"])
-    tracking = [_CONTROLLER, *_with_values(TRACKING, rows)]
+    tracking = [_CONTROLLER, *_with_values(TRACKING_COLUMNS, rows)]
     tracking += [Column(f"tuning {key}", key, unit, "given") for key, unit in entries.items()]
     troubles = [where(rows, [key], lambda row, key=key: bool(row[key])) for key in _TROUBLES]
     tables = [
         ResultTable(f"{name} tracking", "Tracking", tracking, rows, _BOLD if bold else "", best=bold, alert=failed),
-        ResultTable(f"{name} effort", "Heading, effort and comfort", _with_values(EFFORT, rows), rows),
-        ResultTable(f"{name} solver", "Limits, solver and time", _with_values(SOLVER, rows), rows,
+        ResultTable(f"{name} effort", "Heading, effort and comfort", _with_values(EFFORT_COLUMNS, rows), rows),
+        ResultTable(f"{name} solver", "Limits, solver and time", _with_values(SOLVER_COLUMNS, rows), rows,
                     "A dash: not measured.", alert=frozenset().union(*troubles)),
     ]  # fmt: skip
     learners = [row for row in rows if row["belief_state"]]
     if learners:
         title = "State of the learned quantities, share of the time"
-        tables.append(ResultTable(f"{name} belief", title, BELIEF, learners))
+        tables.append(ResultTable(f"{name} belief", title, BELIEF_STATE_COLUMNS, learners))
     return tables
 
 
 def _with_values(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:
     """The columns without those that are optional and have no value."""
     return [
-        column for column in columns if column.name not in OPTIONAL or any(_exists(row[column.name]) for row in rows)
+        column
+        for column in columns
+        if column.name not in OPTIONAL_COLUMNS or any(_exists(row[column.name]) for row in rows)
     ]
 
 
@@ -162,7 +164,7 @@ def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:
     columns, best, failed = [_CONTROLLER], set(), set()
     for name, runs in scenarios.items():
         mse, paper = f"mse {name}", f"paper {name}"
-        measured = {row["label"]: row for row in rows_of(runs)}
+        measured = {row["label"]: row for row in run_rows(runs)}
         columns.append(Column(mse, title_of(name), "MSE, m²", 3))
         if any(row["paper"] is not None for row in measured.values()):
             columns.append(Column(paper, "Paper", "m²", "given"))
@@ -179,26 +181,26 @@ def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:
 
 def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
     """The table that the console prints; rows: the measures of each run, with `scenario` and `controller`."""
-    empty = dict.fromkeys(column.name for column in CONSOLE)  # a run of one instant has no measures of its path
-    shown = [{**empty, **row, "result": "failed" if row["failed"] else "ok"} for row in rows]
-    return ResultTable("console", title, CONSOLE, shown, brief=True)
+    empty = dict.fromkeys(column.name for column in DRIVE_COLUMNS)  # a run of one instant has no measures of its path
+    table_rows = [{**empty, **row, "result": "failed" if row["failed"] else "ok"} for row in rows]
+    return ResultTable("console", title, DRIVE_COLUMNS, table_rows, brief=True)
 
 
-def _entries(shown: Iterable[Shown]) -> dict[str, str]:
+def _entries(runs: Iterable[Shown]) -> dict[str, str]:
     """The tuning entries of the runs and their units, as a reader writes them."""
     powers = str.maketrans("-23", "–²³")
-    units = {name: run.trajectory.units[f"tuning.{name}"] for run in shown for name in run.trajectory.tuning}
+    units = {name: run.trajectory.units[f"tuning.{name}"] for run in runs for name in run.trajectory.tuning}
     return {name: "" if unit == "-" else unit.replace("^", "").translate(powers) for name, unit in units.items()}
 
 
-def _driven(run: Trajectory, name: str) -> NDArray[Any]:
-    """A tuning entry of the run, as long as it was driven."""
+def _driven_values(run: Trajectory, name: str) -> NDArray[Any]:
+    """The finite values of a tuning entry while the controller acted."""
     values = np.asarray(run.tuning.get(name, np.full(len(run), np.nan)), dtype=float)[np.isfinite(run.command)]
     return values[np.isfinite(values)]
 
 
 def _range(values: NDArray[Any]) -> float | tuple[float, float] | None:
-    """One value where it stayed, the range where it was adapted; whole numbers as such."""
+    """The value of a constant entry or the range of an adapted one; whole numbers as int."""
     if not values.size:
         return None
     low, high = (int(end) if end.is_integer() else end for end in (float(values.min()), float(values.max())))

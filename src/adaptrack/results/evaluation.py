@@ -5,18 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.result import Axis, Column, HeatMap, Panel, Picture, Result, ResultTable, Row, Scale, where
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, where
 from adaptrack.base.statistics import binned_geometric_mean
 from adaptrack.comparison.table import Comparison, finite
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 from adaptrack.paper.evaluation import BEST_CONSTANT, POINT_OPTIMUM
 from adaptrack.results.comparison_pictures import ratios_picture
-from adaptrack.results.words import INPUTS, counted, data_text, number, plain, span, title_of
+from adaptrack.results.marks import ColourScale, draw_heat_map
+from adaptrack.results.words import INPUT_LABELS, counted, data_text, number, plain, span, title_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 Views = Mapping[str, Mapping[str, Comparison]]
@@ -45,7 +50,7 @@ CEILING = 10.0
 CELL_POINTS, MIN_CELLS, MAX_CELLS = 6, 4, 12
 """Operating points that a cell of a map holds on average, and the number of cells along an axis."""
 SURFACE_NODES = (64, 44)
-"""Of a learned surface, along its axes."""
+"""Number of nodes of a learned surface along its two axes."""
 OUTPUT_LABELS = (("$N_p$", "periods"), ("$N_c$", "periods"), (r"$\log_{10} R/Q$", "R/Q in m²/rad²"))
 
 
@@ -65,9 +70,11 @@ def evaluation_result(views: Views, schedules: Mapping[str, Schedule], *, comman
         answer=headline(comparison, NOUNS[view]),
         record={"rows": view_rows(views)},
         tables=[_table(name, comparisons) for name, comparisons in views.items() if comparisons],
-        pictures=[ratios_picture(comparison, label_of), *maps, *([surfaces_picture(learned)] if learned else [])],
+        pictures=[
+            ratios_picture(comparison, contender_label), *maps, *([surfaces_picture(learned)] if learned else [])
+        ],
         values={
-            "runs": counted(_runs(comparison), NOUNS[view]), "reference": label_of(comparison.reference),
+            "runs": counted(_runs(comparison), NOUNS[view]), "reference": contender_label(comparison.reference),
             "views": [name for name in views if views[name]], "failed_cost": f"{comparison.failure.distance**2:g}",
         },
         command=command,
@@ -80,12 +87,12 @@ def headline(comparison: Comparison, noun: str) -> str:
     best = min(comparison.adaptive, key=lambda name: comparison.mean_ratio(name, BEST_CONSTANT), default=BEST_CONSTANT)
     ratio = comparison.ratio(best, BEST_CONSTANT)
     return (
-        f"{label_of(best)}: {number(ratio.mean)} times the cost of the best constant on {runs} "
+        f"{contender_label(best)}: {number(ratio.mean)} times the cost of the best constant on {runs} "
         f"(95 % interval {number(ratio.low)} to {number(ratio.high)})."
     )
 
 
-def label_of(contender: str) -> str:
+def contender_label(contender: str) -> str:
     """The label of a contender in tables and pictures."""
     return CONTENDER_LABELS.get(contender, contender)
 
@@ -122,7 +129,7 @@ def _table(view: str, comparisons: Mapping[str, Comparison]) -> ResultTable:
     several = "group" if len(comparisons) > 1 else ""
     first = next(iter(comparisons.values()))
     runs = "the paper's two" if view == "tests" else counted(_runs(first), NOUNS[view])
-    title = f"{title_of(view)}: {runs}, regret to {label_of(first.reference).lower()}"
+    title = f"{title_of(view)}: {runs}, regret to {contender_label(first.reference).lower()}"
     failed = where(rows, ["failures"], lambda row: row["failures"] > 0)
     return ResultTable(view, title, columns, rows, "", several, frozenset(best), failed, brief=True)
 
@@ -132,7 +139,7 @@ def _row(comparison: Comparison, row: Row, group: str) -> dict[str, Any]:
     single = contender == comparison.reference or row["runs"] == 1
     interval = None if single else (row["regret_low"], row["regret_high"])
     return {
-        **row, "label": label_of(contender), "group": title_of(group), "interval": interval,
+        **row, "label": contender_label(contender), "group": title_of(group), "interval": interval,
         "hindsight": comparison.role(contender).hindsight, "fallback": row.get("fallback"),
     }  # fmt: skip
 
@@ -147,24 +154,25 @@ def lowest(rows: Sequence[Row], columns: Sequence[str]) -> set[tuple[int, str]]:
 def regret_maps(comparison: Comparison) -> Picture:
     """The regret of the main contenders over speed and friction, and over speed and the lateral reference."""
     speed, y_ref, friction = comparison.where[:, 0], np.abs(comparison.where[:, 1]), comparison.where[:, 2]
-    axes = {"friction": (friction, "Friction (–)"), "lateral reference": (y_ref, r"$|y_\mathrm{ref}|$ (m)")}
+    quantities = {"friction": (friction, "Friction (–)"), "lateral reference": (y_ref, r"$|y_\mathrm{ref}|$ (m)")}
     contenders = [name for name in MAPPED if name in comparison.contenders and name != comparison.reference]
-    cells = int(np.clip(math.sqrt(len(speed) / CELL_POINTS), MIN_CELLS, MAX_CELLS))
+    count = int(np.clip(math.sqrt(len(speed) / CELL_POINTS), MIN_CELLS, MAX_CELLS))
     maps = {
-        (name, axis): binned_geometric_mean(comparison.regret(name), speed, y, cells)
+        (name, quantity): binned_geometric_mean(comparison.regret(name), speed, values, count)
         for name in contenders
-        for axis, (y, _) in axes.items()
+        for quantity, (values, _) in quantities.items()
     }
     means = np.concatenate([values.ravel() for _, _, values in maps.values()])
     low, high = min(1.0, float(np.nanmin(means))), float(np.nanmax(means))
     beyond = "max" if high > CEILING else "neither"
-    scale = Scale(low, max(min(high, CEILING), 1.2 * low), log=True, beyond=beyond)  # type: ignore[arg-type]
+    scale = ColourScale(low, max(min(high, CEILING), 1.2 * low), log=True, beyond=beyond)  # type: ignore[arg-type]
     panels = [
         Panel(
-            data_text(label_of(name)), Axis("Speed (m/s)"), Axis(axes[axis][1]), [HeatMap(x, y, values, scale)],
-            f"Geometric mean regret over speed and {axis}: {span(values)}.",
+            data_text(contender_label(name)),
+            partial(_draw_map, cells=cells, label=quantities[quantity][1], scale=scale),
+            f"Geometric mean regret over speed and {quantity}: {span(cells[2])}.",
         )
-        for (name, axis), (x, y, values) in maps.items()
+        for (name, quantity), cells in maps.items()
     ]  # fmt: skip
     caption = (
         "Regret over the domain: geometric mean of the operating points in a cell. All maps share one logarithmic "
@@ -178,14 +186,14 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
     surfaces = {name: _surface(schedule) for name, schedule in schedules.items()}
     panels = []
     for k, (symbol, unit) in enumerate(OUTPUT_LABELS):
-        scale = shared_scale([surface[..., k] for surface in surfaces.values()], whole=k < 2)
+        scale = shared_scale([surface[..., k] for surface in surfaces.values()], integer=k < 2)
         for name, schedule in schedules.items():
-            label, input_unit = INPUTS[schedule.inputs[1]]
-            values = surfaces[name][..., k]
-            heat = HeatMap(schedule.domain[0], schedule.domain[1], values, scale, image=True)
+            label, input_unit = INPUT_LABELS[schedule.inputs[1]]
+            cells = schedule.domain[0], schedule.domain[1], surfaces[name][..., k]
             panels.append(Panel(
-                f"{data_text(label_of(name))}: {symbol} ({unit})", Axis("Speed (m/s)"), Axis(f"{label} ({input_unit})"),
-                [heat], f"{plain(symbol)} over speed and {label.lower()}: {span(values)}.",
+                f"{data_text(contender_label(name))}: {symbol} ({unit})",
+                partial(_draw_map, cells=cells, label=f"{label} ({input_unit})", scale=scale, image=True),
+                f"{plain(symbol)} over speed and {label.lower()}: {span(cells[2])}.",
             ))  # fmt: skip
     caption = (
         "The learned tuning over speed and the reference ahead, with the other inputs in the middle of their domain "
@@ -195,11 +203,20 @@ def surfaces_picture(schedules: Mapping[str, Schedule]) -> Picture:
     return Picture("surfaces", caption, panels, file="surfaces.png", columns=columns, row_height=2.1)
 
 
-def shared_scale(values: Sequence[Array], whole: bool) -> Scale:
-    """From the lowest to the highest of all values; half a unit on either side where they are one number."""
+def _draw_map(
+    axes: Axes, cells: tuple[Array, Array, Array], label: str, scale: ColourScale, image: bool = False
+) -> None:
+    """Draw values over speed and another quantity; cells: edges along both, and the values."""
+    draw_heat_map(axes, *cells, scale, image=image)
+    axes.set(xlabel="Speed (m/s)", ylabel=label)
+
+
+def shared_scale(values: Sequence[Array], integer: bool) -> ColourScale:
+    """A scale from the lowest to the highest value, with half a unit on either side if all are equal."""
     everything = np.concatenate([part.ravel() for part in values])
     low, high = float(np.nanmin(everything)), float(np.nanmax(everything))
-    return Scale(low, high, whole=whole) if high > low else Scale(low - 0.5, high + 0.5, whole=whole)
+    margin = 0.0 if high > low else 0.5
+    return ColourScale(low - margin, high + margin, integer=integer)
 
 
 def _surface(schedule: Schedule) -> Array:

@@ -1,41 +1,39 @@
-"""The result of an identification: how well the car is known, measured against simulated, what was excited."""
+"""The result of an identification: estimates, residuals, and the excitation of the log."""
 
 from __future__ import annotations
 
 import math
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adaptrack.base.files import write_atomically
 from adaptrack.base.result import (
-    BACKGROUND,
-    REFERENCE,
+    MUTED,
     SERIES,
-    Axis,
-    Bars,
     Column,
-    Dots,
-    Guide,
-    HeatMap,
     Panel,
     Picture,
-    Polyline,
     Result,
     ResultTable,
     Row,
-    Scale,
     Stroke,
     where,
 )
 from adaptrack.identification import Estimate, Identification
 from adaptrack.identification.quantities import degrees_per_g
+from adaptrack.results.marks import ColourScale, draw_bars, draw_dots, draw_heat_map
+from adaptrack.results.run_pictures import turning_part
 from adaptrack.results.words import capital, number
 
-MEASURED, SIMULATED = Stroke(SERIES[0]), Stroke(SERIES[1])
-SHOWN = 30.0
-"""s of the log that the first picture shows: those with the most turning."""
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_MEASURED, _SIMULATED, _BOUND = Stroke(SERIES[0]), Stroke(SERIES[1]), Stroke(MUTED, "dashed")
+_SECONDS = 30.0
+"""s, length of the part of the log in the first picture"""
 _UNITS = {"N/rad": ("kN/rad", 1e-3), "rad": ("°", 180.0 / math.pi), "rad s^2/m": ("°/g", degrees_per_g(1.0)),
           "kg m^2": ("kg m²", 1.0), "m/s^2": ("m/s²", 1.0), "-": ("", 1.0)}  # fmt: skip
 _NAMES = {
@@ -45,7 +43,7 @@ _NAMES = {
 }  # fmt: skip
 _FIRST = ("delay", "understeer_gradient", "front", "rear", "offset")
 
-CONSOLE = (
+ESTIMATE_COLUMNS = (
     Column("quantity", "quantity"),
     Column("value", "value"),
     Column("low", "90 % from"),
@@ -53,51 +51,52 @@ CONSOLE = (
     Column("unit", "unit"),
     Column("before", "believed before"),
 )
-PAGE = (
+QUANTITY_COLUMNS = (
     Column("label", "Quantity"),
     Column("unit", "Unit"),
     Column("value", "Value", show=3),
     Column("interval", "90 % interval", show=3),
     Column("before", "Believed before", show=3),
-    Column("says", "The log says"),
+    Column("says", "Information in the log"),
     Column("meaning", "Meaning"),
 )
 
 
-def identification_result(found: Identification, command: str = "") -> Result:
+def identification_result(identification: Identification, command: str = "") -> Result:
     """An identification as a result; its record is that of `Identification.to_dict`."""
-    log, checked = found.log, found.validation
+    log, checked = identification.log, identification.validation
     simulated = f"{100 * checked.simulated:.1f} % simulated from the command"
     explained = f"{100 * checked.one_step:.1f} % of the yaw rate's variance is explained one step ahead"
+    logs = f"{len(identification.alone)} logs" if identification.alone else "a log"
     return Result(
         kind="identification",
-        title=f"A car from {f'{len(found.alone)} logs' if found.alone else 'a log'}: {found.believed.name}",
-        answer=f"{_first(found)}; on {checked.held_out:.0f} s held out {explained}, {simulated}.",
-        record=found.to_dict(),
-        tables=_tables(found),
-        notes=[f"{capital(each)}." for each in (*log.notes, *found.findings)],
-        pictures=[_measured_and_simulated(found), _residuals(found), _excited(found)],
-        failed=not (found.consistent and checked.simulated > 0.5),
-        headline="" if found.consistent else "Not consistent",
+        title=f"A car from {logs}: {identification.believed.name}",
+        answer=f"{_first(identification)}; on {checked.held_out:.0f} s held out {explained}, {simulated}.",
+        record=identification.to_dict(),
+        tables=_tables(identification),
+        notes=[f"{capital(sentence)}." for sentence in (*log.notes, *identification.findings)],
+        pictures=[_measured_and_simulated(identification), _residuals(identification), _excited(identification)],
+        failed=not (identification.consistent and checked.simulated > 0.5),
+        headline="" if identification.consistent else "Not consistent",
         values={
-            "checked": checked, "log": log, "believed": found.believed, "rate": 1.0 / log.period,
-            "findings": [f"{capital(each)}." for each in found.findings],
-            "reasons": [f"{capital(each)}." for each in found.reasons],
-            "first": [_in_units(found[name]) for name in _FIRST if name in found.estimates],
+            "checked": checked, "log": log, "believed": identification.believed, "rate": 1.0 / log.period,
+            "findings": [f"{capital(finding)}." for finding in identification.findings],
+            "reasons": [f"{capital(reason)}." for reason in identification.reasons],
+            "first": [_convert_units(identification[name]) for name in _FIRST if name in identification.estimates],
         },
         command=command,
     )  # fmt: skip
 
 
-def _first(found: Identification) -> str:
+def _first(identification: Identification) -> str:
     """Return the most important estimates as a headline."""
-    shown = [_in_units(found[name]) for name in _FIRST[:2] if name in found.estimates]
-    said = [f"{each['label'].lower()} {each['value']:.3g} ± {each['half']:.2g} {each['unit']}" for each in shown]
-    return capital(", ".join(said)) if said else "Nothing was found of delay and understeer"
+    rows = [_convert_units(identification[name]) for name in _FIRST[:2] if name in identification.estimates]
+    words = [f"{row['label'].lower()} {row['value']:.3g} ± {row['half']:.2g} {row['unit']}" for row in rows]
+    return capital(", ".join(words)) if words else "Nothing was found of delay and understeer"
 
 
-def write_identification_page(found: Identification, path: str | os.PathLike[str], command: str = "") -> Path:
-    """Write the page as one file; its path.
+def write_identification_page(identification: Identification, path: str | os.PathLike[str], command: str = "") -> Path:
+    """Write the page as one file and return its path.
 
     Raises
     ------
@@ -106,58 +105,64 @@ def write_identification_page(found: Identification, path: str | os.PathLike[str
     """
     from adaptrack.results.page import render_result
 
-    write_atomically(path, render_result(identification_result(found, command)).encode())
+    write_atomically(path, render_result(identification_result(identification, command)).encode())
     return Path(path)
 
 
-def _in_units(each: Estimate) -> Row:
-    """An estimate in the units that a reader has."""
-    unit, factor = _UNITS.get(each.unit, (each.unit, 1.0))
+def _convert_units(estimate: Estimate) -> Row:
+    """Convert an estimate to the units of the page."""
+    unit, factor = _UNITS.get(estimate.unit, (estimate.unit, 1.0))
     return {
-        "label": capital(_NAMES.get(each.name, each.name.replace("_", " "))),
+        "label": capital(_NAMES.get(estimate.name, estimate.name.replace("_", " "))),
         "unit": unit,
-        "value": each.value * factor,
-        "interval": (each.low * factor, each.high * factor),
-        "half": 0.5 * (each.high - each.low) * factor,
-        "before": (each.before[0] * factor, each.before[1] * factor),
-        "says": "much" if each.spread_left < 0.2 else "some" if each.spread_left < 0.7 else "next to nothing",
-        "meaning": each.meaning,
+        "value": estimate.value * factor,
+        "interval": (estimate.low * factor, estimate.high * factor),
+        "half": 0.5 * (estimate.high - estimate.low) * factor,
+        "before": (estimate.before[0] * factor, estimate.before[1] * factor),
+        "says": "much" if estimate.spread_left < 0.2 else "some" if estimate.spread_left < 0.7 else "little",
+        "meaning": estimate.meaning,
     }
 
 
-def _tables(found: Identification) -> list[ResultTable]:
-    log = found.log
-    known = [each for each in found.estimates.values() if each.spread_left > 0.0]  # the others stay as believed
+def _tables(identification: Identification) -> list[ResultTable]:
+    log = identification.log
+    estimates = [
+        estimate for estimate in identification.estimates.values() if estimate.spread_left > 0.0
+    ]  # the others stay as believed
     plain = [
         {
-            "quantity": each.name.replace("_", " "), "value": each.value, "low": each.low, "high": each.high,
-            "unit": each.unit, "before": f"{each.before[0]:.3g} to {each.before[1]:.3g}",
+            "quantity": estimate.name.replace("_", " "), "value": estimate.value, "low": estimate.low,
+            "high": estimate.high, "unit": estimate.unit,
+            "before": f"{estimate.before[0]:.3g} to {estimate.before[1]:.3g}",
         }
-        for each in known
+        for estimate in estimates
     ]  # fmt: skip
-    rows = [_in_units(each) for each in known]
+    rows = [_convert_units(estimate) for estimate in estimates]
     title = f"{log.driven:.0f} s of driving, {log.samples} samples at {1.0 / log.period:.0f} Hz"
     return [
-        ResultTable("console", title, CONSOLE, plain, brief=True),
+        ResultTable("console", title, ESTIMATE_COLUMNS, plain, brief=True),
         ResultTable(
-            "quantities", "Quantities with their 90 % intervals", PAGE, rows,
+            "quantities", "Quantities with their 90 % intervals", QUANTITY_COLUMNS, rows,
             best=where(rows, ["value"], lambda row: True),
         ),
-        *_of_each_log(found),
+        *_log_tables(identification),
     ]  # fmt: skip
 
 
-def _of_each_log(found: Identification) -> list[ResultTable]:
+def _log_tables(identification: Identification) -> list[ResultTable]:
     """Table of the estimates from each single log."""
     rows: list[Row] = []
-    for name in found.estimates:
-        own = [each.estimates.get(name) for each in found.alone]
-        intervals = [(each.low, each.high) if each and 0.0 < each.spread_left < 1.0 else None for each in own]
+    for name in identification.estimates:
+        estimates = [log_identification.estimates.get(name) for log_identification in identification.alone]
+        intervals = [
+            (estimate.low, estimate.high) if estimate and 0.0 < estimate.spread_left < 1.0 else None
+            for estimate in estimates
+        ]
         if any(intervals):
             each_log = {f"log_{i + 1}": interval for i, interval in enumerate(intervals)}
-            rows.append({"quantity": name.replace("_", " "), "unit": found[name].unit} | each_log)
-    columns = [Column(f"log_{i + 1}", f"Log {i + 1}", show=3) for i in range(len(found.alone))]
-    if not found.alone:
+            rows.append({"quantity": name.replace("_", " "), "unit": identification[name].unit} | each_log)
+    columns = [Column(f"log_{i + 1}", f"Log {i + 1}", show=3) for i in range(len(identification.alone))]
+    if not identification.alone:
         return []
     title = "90 % intervals of each log by itself"
     return [
@@ -165,68 +170,70 @@ def _of_each_log(found: Identification) -> list[ResultTable]:
     ]  # fmt: skip
 
 
-def _measured_and_simulated(found: Identification) -> Picture:
-    series = found.series
-    turning = np.nan_to_num(series.measured) ** 2
-    total = np.concatenate([[0.0], np.cumsum(turning)])
-    ends = np.searchsorted(series.time, series.time + SHOWN, side="right")
-    first = int(np.argmax(total[ends] - total[np.arange(turning.size)]))
-    part = slice(first, int(ends[first]))
-    panel = Panel(
-        "Yaw rate", Axis("Time (s)"), Axis("Yaw rate (rad/s)"),
-        [
-            Polyline(series.time[part], series.measured[part], MEASURED, width=0.9),
-            Polyline(series.time[part], series.simulated[part], SIMULATED),
-        ],
-        "Measured and simulated from the command alone, in the stretch with most turning.",
-    )  # fmt: skip
+def _measured_and_simulated(identification: Identification) -> Picture:
+    series = identification.series
+    part = turning_part(series.time, series.measured, _SECONDS)
+
+    def draw(axes: Axes) -> None:
+        axes.plot(series.time[part], series.measured[part], **_MEASURED.look, linewidth=0.9)
+        axes.plot(series.time[part], series.simulated[part], **_SIMULATED.look)
+        axes.set(xlabel="Time (s)", ylabel="Yaw rate (rad/s)")
+
+    panel = Panel("Yaw rate", draw, "Measured and simulated from the command alone, in the stretch with most turning.")
     caption = (
-        f"The {SHOWN:.0f} s with the most turning. Simulated from the command alone, without wind: what differs slowly "
-        "is wind and road."
+        f"The {_SECONDS:.0f} s with the most turning. Simulated from the command alone, without wind: what differs "
+        "slowly is wind and road."
     )
-    return Picture("yaw_rate", caption, [panel], [("measured", MEASURED), ("simulated", SIMULATED)])
+    return Picture("yaw_rate", caption, [panel], [("measured", _MEASURED), ("simulated", _SIMULATED)])
 
 
-def _residuals(found: Identification) -> Picture:
-    series, correlation = found.series, found.validation.autocorrelation
-    dashed = Stroke(BACKGROUND.colour, REFERENCE.dash)
+def _residuals(identification: Identification) -> Picture:
+    series, correlation = identification.series, identification.validation.autocorrelation
     bound = 2.0 / math.sqrt(max(int(np.isfinite(series.innovations).sum()), 1))
+
+    def draw_errors(axes: Axes) -> None:
+        draw_dots(axes, series.time, series.innovations, marker=".", size=1.2)
+        _draw_bounds(axes, 2.0)
+        axes.set(xlabel="Time (s)", ylabel="Error / its σ")
+
+    def draw_correlation(axes: Axes) -> None:
+        draw_bars(axes, np.arange(len(correlation) + 1) + 0.5, correlation, fill=0.6)
+        _draw_bounds(axes, bound)
+        axes.set(xlabel="Lag (samples)", ylabel="Autocorrelation", ylim=(-0.3, 0.3))
+
     panels = [
-        Panel(
-            "One-step errors", Axis("Time (s)"), Axis("Error / its σ"),
-            [Dots(series.time, series.innovations, marker="point", size=1.2), Guide("y", (-2.0, 2.0), dashed)],
-            "Errors of the yaw rate over their standard deviation.",
-        ),
-        Panel(
-            "Are they white?", Axis("Lag (samples)"), Axis("Autocorrelation", -0.3, 0.3),
-            [
-                Bars(np.arange(len(correlation) + 1) + 0.5, correlation, fill=0.6),
-                Guide("y", (-bound, bound), dashed),
-            ],
-            "Autocorrelation at lags 1 to 5 with the bounds of white noise.",
-        ),
-    ]  # fmt: skip
+        Panel("One-step errors", draw_errors, "Errors of the yaw rate over their standard deviation."),
+        Panel("Are they white?", draw_correlation, "Autocorrelation at lags 1 to 5 with the bounds of white noise."),
+    ]
     return Picture(
         "residuals", "One step ahead, in standard deviations; dashed: ±2σ, and the bounds of white noise.", panels
     )
 
 
-def _excited(found: Identification) -> Picture:
-    log, angle = found.log, np.degrees(found.series.wheel_angle)
+def _draw_bounds(axes: Axes, bound: float) -> None:
+    for level in (-bound, bound):
+        axes.axhline(level, linewidth=0.8, **_BOUND.look)
+
+
+def _excited(identification: Identification) -> Picture:
+    log, angle = identification.log, np.degrees(identification.series.wheel_angle)
     most = max(float(np.percentile(np.abs(angle), 99.5)), 0.1)
-    seconds, x, y = np.histogram2d(log.speed, np.clip(angle, -most, most), bins=(24, 25))
-    seconds = np.where(seconds > 0.0, seconds * log.period, np.nan)
-    scale = Scale(float(np.nanmin(seconds)), float(np.nanmax(seconds)), "Time (s)", log=True)
+    counts, speeds, angles = np.histogram2d(log.speed, np.clip(angle, -most, most), bins=(24, 25))
+    seconds = np.where(counts > 0.0, counts * log.period, np.nan)
+    scale = ColourScale(float(np.nanmin(seconds)), float(np.nanmax(seconds)), "Time (s)", log=True)
+
+    def draw_time(axes: Axes) -> None:
+        draw_heat_map(axes, speeds, angles, seconds.T, scale)
+        axes.set(xlabel="Speed (m/s)", ylabel="Wheel angle (°)")
+
+    def draw_acceleration(axes: Axes) -> None:
+        draw_dots(axes, log.speed, log.speed * log.yaw_rate, marker=".", size=1.2)
+        axes.set(xlabel="Speed (m/s)", ylabel="Speed × yaw rate (m/s²)")
+
+    longest = f"How long the log was at each speed and wheel angle, up to {number(scale.high)} s."
     panels = [
-        Panel(
-            "Speed and steering", Axis("Speed (m/s)"), Axis("Wheel angle (°)"), [HeatMap(x, y, seconds.T, scale)],
-            f"How long the log was at each speed and wheel angle, up to {number(scale.high)} s.",
-        ),
-        Panel(
-            "Lateral acceleration", Axis("Speed (m/s)"), Axis("Speed × yaw rate (m/s²)"),
-            [Dots(log.speed, log.speed * log.yaw_rate, marker="point", size=1.2)],
-            "Speed times yaw rate over the speed.",
-        ),
-    ]  # fmt: skip
+        Panel("Speed and steering", draw_time, longest),
+        Panel("Lateral acceleration", draw_acceleration, "Speed times yaw rate over the speed."),
+    ]
     caption = "Where the log has been: stiffness shows in steering at speed, the delay in quick steering anywhere."
     return Picture("excited", caption, panels)

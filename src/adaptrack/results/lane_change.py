@@ -3,34 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from adaptrack.base.files import safe_names
-from adaptrack.base.result import (
-    BACKGROUND,
-    SERIES,
-    Axis,
-    Column,
-    Dots,
-    Mark,
-    Panel,
-    Picture,
-    Polygon,
-    Polyline,
-    Result,
-    ResultTable,
-    Stroke,
-)
+from adaptrack.base.result import BACKGROUND_STROKE, INK, SERIES, Column, Panel, Picture, Result, ResultTable
 from adaptrack.comparison.entry_speed import LANE_CHANGES, EntrySpeed
+from adaptrack.results.marks import draw_dots
 from adaptrack.results.words import data_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 TITLES = {
     "iso3888-1": "Double lane change, after ISO 3888-1",
     "iso3888-2": "Obstacle avoidance, after ISO 3888-2",
 }
-COLUMNS = (
+LANE_CHANGE_COLUMNS = (
     Column("vehicle", "Car"),
     Column("profile", "Profile"),
     Column("controller", "Controller"),
@@ -44,12 +35,12 @@ _NOTE = (
     "three noise seeds counts. Tuned: the best of a small search at one speed, with other seeds. Friction 0.9."
 )
 
-BEFORE, BEHIND = 12.0, 14.0
+ROAD_BEFORE, ROAD_BEHIND = 12.0, 14.0
 """m, of road shown before the first and behind the last cones."""
-BETWEEN = 6.0
+OUTLINE_DISTANCE = 6.0
 """m, between the outlines that are drawn."""
 _CORNERS = ((2, SERIES[2], 1.6), (3, SERIES[2], 1.6), (0, SERIES[0], 0.7), (1, SERIES[0], 0.7))
-"""Of the outline, with colour and width [pt]: the rear ones, then the front ones over them."""
+"""Corners of the outline with colour and width (pt): the rear ones, then the front ones over them."""
 
 
 def lane_change_result(name: str, runs: Sequence[EntrySpeed], *, command: str = "", next_step: str = "") -> Result:
@@ -76,13 +67,13 @@ def lane_change_result(name: str, runs: Sequence[EntrySpeed], *, command: str = 
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> ResultTable:
-    """A line for each car, profile and controller: default tuning, and tuned."""
-    shown = ("clean", "highest_clean")
+    """A row for each car, profile and controller, with default and tuned speeds."""
+    speeds = ("clean", "highest_clean")
     lines: dict[tuple[str, ...], dict[str, Any]] = {}
     for row in rows:
-        about = {key: row[key] for key in ("vehicle", "profile", "controller")}
-        line = lines.setdefault(tuple(about.values()), about | {f"tuned_{key}": None for key in shown})
-        line |= {f"tuned_{key}" if row["tuned"] else key: row[key] for key in shown}
+        names = {key: row[key] for key in ("vehicle", "profile", "controller")}
+        line = lines.setdefault(tuple(names.values()), names | {f"tuned_{key}": None for key in speeds})
+        line |= {f"tuned_{key}" if row["tuned"] else key: row[key] for key in speeds}
     table, best = list(lines.values()), set()
     for i, line in enumerate(table):
         rivals = [
@@ -90,7 +81,7 @@ def _table(rows: Sequence[dict[str, Any]]) -> ResultTable:
         ]
         fastest = max(other[key] or 0.0 for other in rivals for key in ("clean", "tuned_clean"))
         best |= {(i, key) for key in ("clean", "tuned_clean") if line[key] == fastest}
-    columns = COLUMNS if any(row["tuned"] for row in rows) else COLUMNS[:5]
+    columns = LANE_CHANGE_COLUMNS if any(row["tuned"] for row in rows) else LANE_CHANGE_COLUMNS[:5]
     return ResultTable("speeds", "Entry speeds", columns, table, _NOTE, best=frozenset(best), brief=True)
 
 
@@ -105,7 +96,7 @@ def _fastest_runs(runs: Sequence[EntrySpeed]) -> list[EntrySpeed]:
 
 
 def lane_change_picture(runs: Sequence[EntrySpeed], file: str) -> Picture:
-    """A panel for each controller on one track: cones, lanes, the corners of all seeds, the outline now and then.
+    """A panel for each controller on one track: cones, lanes, paths of the corners for all seeds, some outlines.
 
     The speed shown is the highest up to which all drives are clean; where none is clean, the lowest of the grid.
     """
@@ -114,37 +105,29 @@ def lane_change_picture(runs: Sequence[EntrySpeed], file: str) -> Picture:
 
 
 def _panel(run: EntrySpeed) -> Panel:
-    gates = run.test.track.gates
-    start, end = gates[0].start - BEFORE, gates[-1].end + BEHIND
-    low, high = min(gate.right for gate in gates), max(gate.left for gate in gates)
     title = _title(run)
-    return Panel(
-        data_text(title), Axis("x (m)", start, end), Axis("y (m)", low - 0.8, high + 0.8), _marks(run, start, end),
-        f"What the corners of the car swept: {title}.",
-    )  # fmt: skip
+    return Panel(data_text(title), partial(_draw_run, run=run), f"What the corners of the car swept: {title}.")
 
 
-def _marks(run: EntrySpeed, start: float, end: float) -> list[Mark]:
+def _draw_run(axes: Axes, run: EntrySpeed) -> None:
     track, outline = run.test.track, run.test.car.outline
-    marks: list[Mark] = [
-        Polyline([gate.start, gate.end], [side, side], BACKGROUND, 0.7)
-        for gate in track.gates for side in (gate.right, gate.left)
-    ]  # fmt: skip
-    marks.append(Dots(track.cones[:, 0], track.cones[:, 1], SERIES[1], "triangle", 4.0))
+    start, end = track.gates[0].start - ROAD_BEFORE, track.gates[-1].end + ROAD_BEHIND
+    for gate in track.gates:
+        for side in (gate.right, gate.left):
+            axes.plot([gate.start, gate.end], [side, side], **BACKGROUND_STROKE.look, linewidth=0.7)
+    draw_dots(axes, track.cones[:, 0], track.cones[:, 1], SERIES[1], "^", 4.0)
     for poses in run.poses:
         corners = outline.corners_at(*poses.T)
-        marks += [
-            Polyline(corners[:, corner, 0], corners[:, corner, 1], Stroke(colour), width)
-            for corner, colour, width in _CORNERS
-        ]
+        for corner, colour, width in _CORNERS:
+            axes.plot(corners[:, corner, 0], corners[:, corner, 1], color=colour, linewidth=width)
     first = run.poses[0]
     finite = first[np.isfinite(first).all(axis=1)]
-    for x in np.arange(start, end, BETWEEN):
-        place = finite[int(np.argmin(np.abs(finite[:, 0] - x)))]
-        front_left, front_right, rear_left, rear_right = outline.corners_at(*place)
-        corners = np.array([front_left, front_right, rear_right, rear_left])
-        marks.append(Polygon(corners[:, 0], corners[:, 1], "ink", width=0.4, opacity=0.5))
-    return marks
+    for x in np.arange(start, end, OUTLINE_DISTANCE):
+        pose = finite[int(np.argmin(np.abs(finite[:, 0] - x)))]
+        corners = outline.corners_at(*pose)[[0, 1, 3, 2]]
+        axes.fill(*corners.T, edgecolor=INK, facecolor="none", linewidth=0.4, alpha=0.5, zorder=1)
+    low, high = min(gate.right for gate in track.gates), max(gate.left for gate in track.gates)
+    axes.set(xlabel="x (m)", xlim=(start, end), ylabel="y (m)", ylim=(low - 0.8, high + 0.8))
 
 
 def _title(run: EntrySpeed) -> str:

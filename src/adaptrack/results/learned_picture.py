@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.result import REFERENCE, Axis, Mark, Panel, Picture, Polyline, Ribbon, Stroke
+from adaptrack.base.result import REFERENCE_STROKE, Panel, Picture, Stroke
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.results.run_pictures import Array, DrawnRun, Runs, as_lines, thinned
+from adaptrack.results.marks import draw_ribbon
+from adaptrack.results.run_pictures import Array, DrawnRun, Runs, prepare_runs, thin_curve
 
-LEARNED = {
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+LEARNED_QUANTITIES = {
     "delay": ("Lag and dead time", "Delay (s)", "s"), "lag": ("Steering lag", "Lag (s)", "s"),
     "stiffness": ("Stiffness over mass, of the model's", "Factor (–)", ""),
     "bias": ("Steering bias", "Bias (rad)", "rad"), "bank": ("Pull of the bank", "Pull (m/s²)", "m/s²"),
@@ -29,10 +34,11 @@ class Learnt(NamedTuple):
 
     mean: Array
     low: Array
-    """one standard deviation below"""
+    """mean less one standard deviation"""
     high: Array
+    """mean plus one standard deviation"""
     truth: Array | None = None
-    """in simulation"""
+    """true value; None outside simulation"""
 
 
 def learned_quantities(run: Trajectory) -> dict[str, Learnt]:
@@ -61,32 +67,27 @@ def learned_picture(runs: Runs, line_styles: Mapping[str, Stroke] | None = None,
     InvalidInput
         When no controller has learned.
     """
-    lines = as_lines(runs, line_styles)
+    lines = prepare_runs(runs, line_styles)
     learned = {line.label: learned_quantities(line.run) for line in lines}
     learners = [line for line in lines if learned[line.label]]
     if not learners:
         raise InvalidInput("a picture of learned quantities needs a controller that learns: MPC(car, learning=...).")
-    panels = [
-        Panel(
-            title, Axis("Time (s)"), Axis(label),
-            [mark for line in learners for mark in _learned_marks(line, learned[line.label][quantity])],
-            "; ".join(f"{line.label}: {learned[line.label][quantity].mean[-1]:.3g} {unit} in the end"
-                      for line in learners),
-        )
-        for quantity, (title, label, unit) in LEARNED.items()
-    ]  # fmt: skip
+    panels = []
+    for quantity, (title, label, unit) in LEARNED_QUANTITIES.items():
+        curves = [(line, learned[line.label][quantity]) for line in learners]
+        ends = [f"{line.label}: {learnt.mean[-1]:.3g} {unit} in the end" for line, learnt in curves]
+        panels.append(Panel(title, partial(_draw_learned, curves=curves, label=label), "; ".join(ends)))
     caption = "Learned while driving. Band: one standard deviation to either side; dashed: the simulated truth."
-    key = [*((line.label, line.stroke) for line in learners), ("Truth", REFERENCE)]
+    key = [*((line.label, line.stroke) for line in learners), ("Truth", REFERENCE_STROKE)]
     return Picture(name, caption, panels, key, f"{name}.png", row_height=1.9)
 
 
-def _learned_marks(line: DrawnRun, learnt: Learnt) -> list[Mark]:
-    keep = thinned(learnt.mean)
-    time = line.run.t[keep]
-    marks: list[Mark] = [
-        Ribbon(time, learnt.low[keep], learnt.high[keep], line.stroke.colour),
-        Polyline(time, learnt.mean[keep], line.stroke),
-    ]
-    if learnt.truth is not None:
-        marks.append(Polyline(line.run.t, learnt.truth, REFERENCE, 1.0))
-    return marks
+def _draw_learned(axes: Axes, curves: Sequence[tuple[DrawnRun, Learnt]], label: str) -> None:
+    for line, learnt in curves:
+        keep = thin_curve(learnt.mean)
+        time = line.run.t[keep]
+        draw_ribbon(axes, time, learnt.low[keep], learnt.high[keep], line.stroke.colour)
+        axes.plot(time, learnt.mean[keep], **line.stroke.look)
+        if learnt.truth is not None:
+            axes.plot(line.run.t, learnt.truth, **REFERENCE_STROKE.look, linewidth=1.0)
+    axes.set(xlabel="Time (s)", ylabel=label)

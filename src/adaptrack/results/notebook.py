@@ -1,29 +1,27 @@
-"""What objects show of themselves in a notebook: their numbers in HTML, and a picture."""
+"""Objects in a notebook: their numbers in HTML, and a picture."""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from markupsafe import escape
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from adaptrack.base.result import (
-    BACKGROUND,
-    NEUTRAL,
+    BACKGROUND_STROKE,
+    MUTED,
+    PALE,
     SERIES,
-    Axis,
-    Dots,
-    Mark,
+    SHARED_STROKE,
     Panel,
     Picture,
-    Polygon,
-    Polyline,
-    Remark,
     Stroke,
     strokes,
 )
@@ -33,10 +31,19 @@ from adaptrack.drive.metrics import Metrics, compute_metrics
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results import style
 from adaptrack.results.draw import panel_figure, print_figure
+from adaptrack.results.marks import draw_dots, set_log_scale, write_beside
 from adaptrack.results.record import DrawnCar, DriveRecord, on_road
 from adaptrack.results.road_pictures import above_picture
 from adaptrack.results.run_pictures import tracking_picture
-from adaptrack.results.words import INPUTS, controller_name, data_text, legible, number, ratio_with_interval, title_of
+from adaptrack.results.words import (
+    INPUT_LABELS,
+    controller_name,
+    data_text,
+    legible,
+    number,
+    ratio_with_interval,
+    title_of,
+)
 from adaptrack.road import Road
 
 Array = NDArray[np.float64]
@@ -62,12 +69,12 @@ def run_figure(run: Trajectory, road: Road | None = None) -> Figure:
 def run_html(run: Trajectory) -> str:
     """Name, measures and picture of a run, with nothing from outside."""
     title = f"{title_of(run.name_of('scenario'))}, {controller_name(run.name_of('controller'))}"
-    about = {"Duration": f"{number(run.duration)} s, {number(len(run))} control periods of {run.period:g} s"}
-    return html(title, about | _measures(compute_metrics(run)), run_figure(run), f"{title}: signals over time")
+    duration = {"Duration": f"{number(run.duration)} s, {number(len(run))} control periods of {run.period:g} s"}
+    return html(title, duration | _measures(compute_metrics(run)), run_figure(run), f"{title}: signals over time")
 
 
 def metrics_html(metrics: Metrics) -> str:
-    """The measures of a run that one looks at first, and all behind a fold."""
+    """The main measures of a run, and all measures behind a fold."""
     every = {name.replace("_", " "): written(value) for name, value in metrics.as_row().items()}
     title = f"Measures of {number(metrics.steps)} control periods"
     return html(title, _measures(metrics)) + f"<details><summary>All measures</summary>{html('', every)}</details>"
@@ -76,56 +83,66 @@ def metrics_html(metrics: Metrics) -> str:
 def vehicle_html(car: Vehicle) -> str:
     """A car's numbers with their units, and the car from above."""
     fields = type(car).model_fields
-    known = {name: getattr(car, name) for name in fields}
+    values = {name: getattr(car, name) for name in fields}
     rows = {
         name.replace("_", " "): f"{number(float(value), 4)} {(fields[name].description or '').partition(',')[0]}"
-        for name, value in known.items() if isinstance(value, float | int) and not isinstance(value, bool)
+        for name, value in values.items() if isinstance(value, float | int) and not isinstance(value, bool)
     }  # fmt: skip
     return html(f"{car.name}: {car.description}", rows, vehicle_figure(car), f"{car.name} from above")
 
 
 def vehicle_figure(car: Vehicle) -> Figure:
     """The car from above to scale: body, wheels, centre of mass, axles."""
+    title = data_text(f"{car.name}, {number(car.mass)} kg")
+    return panel_figure(Panel(title, partial(_draw_vehicle, car=car), f"{car.name} from above."), (5.2, 2.6))
+
+
+def _draw_vehicle(axes: Axes, car: Vehicle) -> None:
     outline, shape = car.outline.corners[[0, 1, 3, 2]], DrawnCar.of(car)
-    marks: list[Mark] = [Polygon(outline[:, 0], outline[:, 1], "muted", "grid", 1.0)]
+    axes.fill(*outline.T, edgecolor=MUTED, facecolor=PALE, linewidth=1.0, zorder=1)
     for x, track in ((shape.lf, shape.track_front), (-shape.lr, shape.track_rear)):
         sides = (-track / 2, track / 2)
-        marks.append(Polyline([x, x], sides, BACKGROUND, 1.0))
-        marks += [Polyline([x - 0.32, x + 0.32], [y, y], NEUTRAL, 5.0) for y in sides]
-    marks += [Dots([0.0], [0.0], SERIES[1], size=6.0), Remark(0.0, 0.0, "centre of mass", (6.0, 5.0))]
-    panel = Panel(
-        data_text(f"{car.name}, {number(car.mass)} kg"), Axis("x (m), forward", margin=0.06),
-        Axis("y (m), left", margin=0.06), marks, f"{car.name} from above.", to_scale=True,
-    )  # fmt: skip
-    return panel_figure(panel, (5.2, 2.6))
+        axes.plot([x, x], sides, **BACKGROUND_STROKE.look, linewidth=1.0)
+        for y in sides:
+            axes.plot([x - 0.32, x + 0.32], [y, y], **SHARED_STROKE.look, linewidth=5.0)
+    draw_dots(axes, [0.0], [0.0], SERIES[1], size=6.0)
+    write_beside(axes, 0.0, 0.0, "centre of mass", (6.0, 5.0))
+    axes.set(xlabel="x (m), forward", ylabel="y (m), left")
+    axes.margins(0.06)
+    axes.set_aspect("equal", adjustable="datalim")
 
 
 def schedule_figure(schedule: Schedule) -> Figure:
     """Each tuning entry over the first input, for three values of the second; the others in the middle of theirs."""
     low, high = schedule.domain.T
-    first, others = schedule.inputs[0], schedule.inputs[1:2]
-    levels = np.linspace(low[1], high[1], 3) if others else np.zeros(1)
+    first, second = schedule.inputs[0], schedule.inputs[1:2]
+    levels = np.linspace(low[1], high[1], 3) if second else np.zeros(1)
     x = np.linspace(low[0], high[0], 200)
-    label, unit = INPUTS[first]
-    own = strokes(f"{INPUTS[name][0]} {number(float(at))}" for name in others for at in levels)
+    label, unit = INPUT_LABELS[first]
+    level_strokes = strokes(f"{INPUT_LABELS[name][0]} {number(float(level))}" for name in second for level in levels)
     tunings = []
     for level in levels:
         points = np.tile((low + high) / 2.0, (x.size, 1))
         points[:, 0] = x
-        if others:
+        if second:
             points[:, 1] = level
         tunings.append(schedule.batch(_variables(schedule, points)))
+
+    def draw(axes: Axes, k: int, log: bool) -> None:
+        for tuning, stroke in zip(tunings, list(level_strokes.values()) or [Stroke()], strict=True):
+            axes.plot(x, tuning[:, k], **stroke.look)
+        axes.set_xlabel(f"{label} ({unit})")
+        if log:
+            set_log_scale(axes, "y")
+
     panels = [
         Panel(
-            data_text(name), Axis(f"{label} ({unit})"),
-            Axis(log=schedule.tuning[name].log10 or name in ("Q", "R")),
-            [Polyline(x, tuning[:, k], stroke)
-             for tuning, stroke in zip(tunings, list(own.values()) or [Stroke()], strict=True)],
+            data_text(name), partial(draw, k=k, log=schedule.tuning[name].log10 or name in ("Q", "R")),
             f"{name} over the {label.lower()}.",
         )
         for k, name in enumerate(schedule.entries)
     ]  # fmt: skip
-    return print_figure(Picture("schedule", "", panels, list(own.items()), row_height=2.1))
+    return print_figure(Picture("schedule", "", panels, list(level_strokes.items()), row_height=2.1))
 
 
 def _variables(schedule: Schedule, points: Array) -> Array:
@@ -137,14 +154,13 @@ def _variables(schedule: Schedule, points: Array) -> Array:
 
 def schedule_html(schedule: Schedule) -> str:
     """Inputs with their domain, entries with their bounds, and the tuning in pictures."""
-    rows = {
-        f"Input {INPUTS[name][0].lower()}": f"{number(float(low))} to {number(float(high))} {INPUTS[name][1]}"
-        for name, (low, high) in zip(schedule.inputs, schedule.domain, strict=True)
-    }
-    rows |= {
-        f"Entry {name}": f"{number(float(each.low))} to {number(float(each.high))}, by {type(each.function).__name__}"
-        for name, each in schedule.tuning.items()
-    }
+    rows = {}
+    for name, (low, high) in zip(schedule.inputs, schedule.domain, strict=True):
+        label, unit = INPUT_LABELS[name]
+        rows[f"Input {label.lower()}"] = f"{number(float(low))} to {number(float(high))} {unit}"
+    for name, entry in schedule.tuning.items():
+        bounds = f"{number(float(entry.low))} to {number(float(entry.high))}"
+        rows[f"Entry {name}"] = f"{bounds}, by {type(entry.function).__name__}"
     rows["Guard"] = "none" if schedule.guard is None else "yes"
     return html(schedule.name, rows, schedule_figure(schedule), f"The tuning of {schedule.name}")
 
@@ -175,7 +191,7 @@ def html(title: str, rows: Mapping[str, str], figure: Figure | None = None, desc
 
 
 def _measures(metrics: Metrics) -> dict[str, str]:
-    """The measures that one looks at first."""
+    """The main measures of a run."""
     rows = {
         "RMS error": f"{number(metrics.rms_error)} m",
         "Largest |error|": f"{number(metrics.max_abs_error)} m",
@@ -188,6 +204,6 @@ def _measures(metrics: Metrics) -> dict[str, str]:
 
 
 def written(value: Any) -> str:
-    """A number as readers write it, other values as they are."""
-    known = isinstance(value, float | int) and not isinstance(value, bool)
-    return number(value) if known or value is None else str(value)
+    """Write a number as readers do; other values unchanged."""
+    is_number = isinstance(value, float | int) and not isinstance(value, bool)
+    return number(value) if is_number or value is None else str(value)

@@ -18,7 +18,7 @@ from markupsafe import Markup
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.html import content_policy
-from adaptrack.base.result import Column, Panel, Result, ResultTable, Stroke
+from adaptrack.base.result import DASHES, Column, Panel, Result, ResultTable, Stroke
 from adaptrack.base.text import printable
 from adaptrack.results import draw, style
 from adaptrack.results.words import (
@@ -35,7 +35,7 @@ from adaptrack.results.words import (
     title_of,
 )
 
-PAGE = "index.html"
+PAGE_FILE = "index.html"
 """The name of the page in its folder."""
 
 
@@ -69,8 +69,8 @@ def write_result(
             raise InvalidInput(f"report: {picture.file!r} is not a name for a PNG file, or is used twice on this page.")
         files[picture.file] = draw.picture_png(picture) if png else b""
     page = render_result(result, png=png, embedded=embedded).encode()
-    _write_files(Path(out_dir), (files if png else {}) | {PAGE: page})
-    return Path(out_dir) / PAGE
+    _write_files(Path(out_dir), (files if png else {}) | {PAGE_FILE: page})
+    return Path(out_dir) / PAGE_FILE
 
 
 def render_result(result: Result, *, png: bool = False, embedded: Mapping[str, Markup] | None = None) -> str:
@@ -82,7 +82,8 @@ def render_result(result: Result, *, png: bool = False, embedded: Mapping[str, M
         result=result, record=result.record, v=result.values, title=result.title, failed=result.headline,
         created=clock(result.created), version=__version__, png=png, titles=[],
         policy=Markup(content_policy(scripts)),
-        pictures={each.name: each for each in result.pictures}, tables={each.name: each for each in result.tables},
+        pictures={picture.name: picture for picture in result.pictures},
+        tables={table.name: table for table in result.tables},
         **(embedded or {}),
     )  # fmt: skip
 
@@ -101,11 +102,11 @@ def _environment() -> jinja2.Environment:
 
     def inline(panel: Panel, size: tuple[float, float] | None = None) -> Markup:
         figure = draw.panel_figure(panel, size)
-        return Markup(style.inline_svg(figure, f"p{next(counter)}", draw.described(panel)))
+        return Markup(style.inline_svg(figure, f"p{next(counter)}", draw.describe_panel(panel)))
 
     environment.filters |= {
         "inline": inline, "anchor": slug,
-        "entry": entry, "words": _in_words, "colour": lambda stroke: style.themed(style.hex_of(stroke.colour)),
+        "entry": entry, "words": _holds_words, "colour": lambda stroke: style.themed(stroke.colour),
         "dashes": _dashes,
         "number": number, "percent": percent, "listed": listed, "counted": counted, "capital": capital,
         "title_of": title_of, "span": span, "few": few,
@@ -113,21 +114,21 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
-def _in_words(table: ResultTable, column: Column) -> bool:
-    """Whether a column holds words: they stand to the left."""
+def _holds_words(table: ResultTable, column: Column) -> bool:
+    """Whether a column holds words, which are aligned to the left."""
     return any(isinstance(row[column.name], str) for row in table.rows) and not any(
         isinstance(row[column.name], int | float) for row in table.rows
     )
 
 
 def _printable(value: Any) -> Any:
-    """Names are data: what no page can hold is shown as an escape (the template escapes the rest)."""
+    """Replace characters of a name that no page can hold by escapes (the template escapes the rest)."""
     return printable(value, keep="\n\t") if type(value) is str else value
 
 
 def _dashes(stroke: Stroke) -> str:
     """The SVG dash pattern of a stroke 2 wide; empty for a solid line."""
-    pattern = style.DASHES[stroke.dash]
+    pattern = DASHES[stroke.dash]
     return "" if pattern == "-" else " ".join(f"{2 * length:g}" for length in pattern[1])
 
 

@@ -1,4 +1,4 @@
-"""A run beside its road, as the road from above and the replay show it: pose, offset, steering, speed."""
+"""A run along its road for the road from above and the replay: pose, offset, steering, speed."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ class DrawnCar:
     lr: float
     """m, centre of mass to rear axle"""
     track_front: float
-    """m"""
+    """m, between the front wheels"""
     track_rear: float
-    """m"""
+    """m, between the rear wheels"""
 
     def __post_init__(self) -> None:
         for name in ("lf", "lr", "track_front", "track_rear"):
@@ -54,8 +54,8 @@ class DrawnCar:
         return cls(car.outline, car.lf, car.lr, car.track_front, car.track_rear)
 
 
-PASSENGER_CAR = DrawnCar(Outline(2.15, 2.3, 1.8, ("length", "front_overhang", "width")), 1.3, 1.4, 1.55, 1.55)
-"""What is drawn where no car is given."""
+DEFAULT_DRAWN_CAR = DrawnCar(Outline(2.15, 2.3, 1.8, ("length", "front_overhang", "width")), 1.3, 1.4, 1.55, 1.55)
+"""The car that is drawn if none is specified."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,11 +67,11 @@ class DriveRecord:
     time: Array
     """s, growing"""
     station: Array
-    """m, arc length of the foot; over the laps of a closed road it goes on growing"""
+    """m, arc length of the foot; it keeps growing over the laps of a closed road"""
     x: Array
     """m, of the centre of mass"""
     y: Array
-    """m, likewise"""
+    """m, of the centre of mass"""
     yaw: Array
     """rad; wrapped or not"""
     speed: Array
@@ -81,25 +81,25 @@ class DriveRecord:
     steering: Array
     """rad, angle of the front wheels"""
     command: Array
-    """rad, angle that the controller asks for"""
+    """rad, steering command of the controller"""
     planned_speed: Array
-    """m/s"""
+    """m/s, reference of the speed"""
     failed: str = ""
-    """Why the drive failed, to complete "the vehicle ..."; empty for one that did not."""
+    """Reason of the failure, to complete "the vehicle ..."; empty if the drive did not fail."""
     failed_at: float = math.nan
-    """s; NaN for a drive that did not."""
+    """s, time of the failure; NaN if the drive did not fail"""
     predicted: PredictedPaths | None = None
-    """the paths that the controller predicted; None where none were kept"""
+    """the paths that the controller predicted; None if they were not recorded"""
 
     @classmethod
     def from_trajectory(
         cls,
         run: Trajectory,
         road: Road,
-        car: Vehicle | DrawnCar = PASSENGER_CAR,
+        car: Vehicle | DrawnCar = DEFAULT_DRAWN_CAR,
         predicted: PredictedPaths | None = None,
     ) -> Self:
-        """A recorded run beside its road, cut at the first instant that is not finite.
+        """A recorded run along its road, cut at the first instant that is not finite.
 
         Where the run knows its road (`Trajectory.road`) that is taken; otherwise its positions are
         projected onto the road, each from the foot of the one before it.
@@ -121,8 +121,8 @@ class DriveRecord:
             "time": run.t, "station": run.road["station"], "x": run.X, "y": run.Y, "yaw": run.psi, "speed": run.vx,
             "offset": run.road["offset"], "steering": run.steering, "command": run.command, "planned_speed": run.v_ref,
         }  # fmt: skip
-        whole = np.isfinite(np.stack(list(signals.values()))).all(axis=0)
-        end = int(whole.argmin()) if not whole.all() else len(run)
+        finite = np.isfinite(np.stack(list(signals.values()))).all(axis=0)
+        end = int(finite.argmin()) if not finite.all() else len(run)
         if end < 2:
             raise InvalidInput("a drive along a road must have at least two instants with finite numbers.")
         failed = find_failure(run)

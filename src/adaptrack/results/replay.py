@@ -18,21 +18,21 @@ from markupsafe import Markup
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.text import printable
 from adaptrack.drive.predicted import PredictedPaths
-from adaptrack.results.draw import shades
+from adaptrack.results.marks import deviation_colours
 from adaptrack.results.record import Array, DriveRecord
-from adaptrack.results.road_pictures import Drives, outline_stations, road_span, scale_of
+from adaptrack.results.road_pictures import Drives, offset_scale, outline_stations, road_span
 from adaptrack.road import Road
 
 PERIOD = 0.05
 """s, between the samples of a replay, which joins them by straight lines; a record may be denser."""
 
-UNITS = {
+REPLAY_UNITS = {
     "time": 1e-3, "station": 1e-2, "x": 1e-3, "y": 1e-3, "yaw": 1e-4, "speed": 1e-2, "offset": 1e-3, "steering": 1e-4,
     "command": 1e-4, "planned_speed": 1e-2,
 }  # fmt: skip
 """The columns of a replay and the units to which they are rounded (s, m, rad, m/s)."""
 
-AHEAD = 1e-2
+PREDICTED_UNIT = 1e-2
 """m, to which predicted points are rounded."""
 
 SHADES = 9
@@ -40,7 +40,7 @@ SHADES = 9
 
 SCRIPTS = ("history.js", "transport.js", "viewer.js", "plots.js")
 STYLE = "viewer.css"
-"""Of `adaptrack/export/page`: what draws a drive, there and here."""
+"""Files of `adaptrack/export/page` that draw a drive on both pages."""
 
 
 def replay(drives: Drives) -> Markup:
@@ -58,10 +58,10 @@ def replay(drives: Drives) -> Markup:
     template = environment.get_template("replay.html.j2")
     data = replay_data(drives)
     # JSON inside an element: "<" could end it, an escape cannot
-    packed = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    json_text = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return Markup(
         template.render(
-            data=Markup(packed),
+            data=Markup(json_text),
             script=Markup("\n".join([*map(_shared, SCRIPTS), _text("adaptrack.results", "templates", "replay.js")])),
             style=Markup(_shared(STYLE)),
             names=[car["name"] for car in data["cars"]],
@@ -75,17 +75,25 @@ def replay(drives: Drives) -> Markup:
 
 def replay_data(drives: Drives) -> dict[str, Any]:
     """Return the data of the replay: the road's edges, the colour scale, and each car with outline and columns."""
-    shown = list(drives.values())
+    records = list(drives.values())
     return {
-        "road": _road(shown[0].road, road_span(shown)),
-        "top": scale_of(shown),
-        "shades": shades(SHADES),
-        "period": round(float(np.median(np.diff(shown[0].time[sampled(shown[0])]))), 6),
+        "road": _road(records[0].road, road_span(records)),
+        "top": offset_scale(records),
+        "shades": _shades(),
+        "period": round(float(np.median(np.diff(records[0].time[sample_indices(records[0])]))), 6),
         "cars": [_car(label, drive) for label, drive in drives.items()],
     }
 
 
-def packed(values: Array, unit: float) -> dict[str, Any]:
+def _shades() -> list[str]:
+    """The colours of the trail in CSS's notation, from no deviation to the largest."""
+    from matplotlib.colors import to_hex
+
+    colours = deviation_colours()
+    return [to_hex(colours(share)) for share in np.linspace(0.0, 1.0, SHADES)]
+
+
+def pack_column(values: Array, unit: float) -> dict[str, Any]:
     """A column as its first value and the first differences, in whole units, little-endian, in 1, 2 or 4 bytes each.
 
     Raises
@@ -93,16 +101,16 @@ def packed(values: Array, unit: float) -> dict[str, Any]:
     InvalidInput
         When a difference does not fit.
     """
-    whole = np.rint(values / unit).astype(np.int64)
-    steps = np.diff(whole, prepend=whole[:1])
+    units = np.rint(values / unit).astype(np.int64)
+    steps = np.diff(units, prepend=units[:1])
     size = next((n for n in (1, 2, 4) if np.abs(steps).max() < 2 ** (8 * n - 1)), None)
     if size is None:
         raise InvalidInput(f"replay: a signal jumps by {np.abs(steps).max() * unit:.3g} from one sample to the next.")
     coded = base64.b64encode(steps.astype(f"<i{size}").tobytes()).decode()
-    return {"first": int(whole[0]), "unit": unit, "size": size, "bytes": coded}
+    return {"first": int(units[0]), "unit": unit, "size": size, "bytes": coded}
 
 
-def sampled(drive: DriveRecord) -> np.ndarray:
+def sample_indices(drive: DriveRecord) -> np.ndarray:
     """The indices of the instants that the replay holds: the first of each `PERIOD`, and the last of all."""
     due = np.floor((drive.time - drive.time[0]) / PERIOD + 1e-6)
     return np.unique([*np.flatnonzero(np.diff(due, prepend=-1.0) > 0.0), len(drive) - 1])
@@ -123,12 +131,12 @@ def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
     lines = {"x": points.x, "y": points.y, "left_x": left[:, 0], "left_y": left[:, 1]} | {
         "right_x": right[:, 0], "right_y": right[:, 1],
     }  # fmt: skip
-    return {"name": road.name, "closed": road.closed} | {name: packed(line, 1e-2) for name, line in lines.items()}
+    return {"name": road.name, "closed": road.closed} | {name: pack_column(line, 1e-2) for name, line in lines.items()}
 
 
 def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
-    keep = sampled(drive)
-    columns = {name: getattr(drive, name)[keep] for name in UNITS}
+    keep = sample_indices(drive)
+    columns = {name: getattr(drive, name)[keep] for name in REPLAY_UNITS}
     columns["yaw"] = np.unwrap(drive.yaw)[keep]
     shape = drive.shape
     return {
@@ -138,23 +146,26 @@ def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
             "front": shape.outline.front, "rear": shape.outline.rear, "width": shape.outline.width,
             "lf": shape.lf, "lr": shape.lr, "track_front": shape.track_front, "track_rear": shape.track_rear,
         },
-        "columns": {name: packed(values, UNITS[name]) for name, values in columns.items()},
+        "columns": {name: pack_column(values, REPLAY_UNITS[name]) for name, values in columns.items()},
         "predicted": None if drive.predicted is None else _predicted(drive.predicted, drive, keep),
     }  # fmt: skip
 
 
 def _predicted(paths: PredictedPaths, drive: DriveRecord, keep: np.ndarray) -> dict[str, Any] | None:
-    """Predicted paths in the car's axes, from the last sample at or before each: their numbers change slowly then."""
-    whole = np.isfinite(paths.points).all(axis=(1, 2)) & (paths.time <= drive.time[-1] + 1e-9)
+    """Predicted paths in the car's axes, from the last sample at or before each, where their numbers change slowly."""
+    usable = np.isfinite(paths.points).all(axis=(1, 2)) & (paths.time <= drive.time[-1] + 1e-9)
     at, rows = np.unique(
-        np.searchsorted(drive.time[keep], paths.time[whole] + 1e-9, side="right") - 1, return_index=True
+        np.searchsorted(drive.time[keep], paths.time[usable] + 1e-9, side="right") - 1, return_index=True
     )  # fmt: skip
     if not at.size or at[0] < 0:
         return None
-    now = keep[at]
-    gap = paths.points[whole][rows] - np.stack([drive.x[now], drive.y[now]], axis=-1)[:, None]
-    c, s = np.cos(drive.yaw[now])[:, None], np.sin(drive.yaw[now])[:, None]
+    instants = keep[at]
+    gap = paths.points[usable][rows] - np.stack([drive.x[instants], drive.y[instants]], axis=-1)[:, None]
+    c, s = np.cos(drive.yaw[instants])[:, None], np.sin(drive.yaw[instants])[:, None]
     ahead, left = c * gap[..., 0] + s * gap[..., 1], c * gap[..., 1] - s * gap[..., 0]
-    points = [{"ahead": packed(a, AHEAD), "left": packed(b, AHEAD)} for a, b in zip(ahead.T, left.T, strict=True)]
+    points = [
+        {"ahead": pack_column(a, PREDICTED_UNIT), "left": pack_column(b, PREDICTED_UNIT)}
+        for a, b in zip(ahead.T, left.T, strict=True)
+    ]
     every = int(np.median(np.diff(at))) if at.size > 1 else 1
-    return {"at": packed(at, 1), "every": every, "points": points}
+    return {"at": pack_column(at, 1), "every": every, "points": points}

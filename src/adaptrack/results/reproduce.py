@@ -7,18 +7,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from adaptrack.base.result import Column, Picture, Result, ResultTable, strokes
+from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, strokes
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.paper.reproduce import TESTS, Reproduction
+from adaptrack.paper.reproduce import PAPER_TESTS, Reproduction
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from adaptrack.results.words import number, title_of
-
-Row = Mapping[str, Any]
 
 MSE_TOLERANCE = 0.25
 """A mean square error counts as reproduced when it differs from the paper's by at most this share."""
 
-NAMES = {
+CONTROLLER_TITLES = {
     "standard": "Standard MPC",
     "standard-as-released": "Standard MPC as released",
     "standard-as-written": "Standard MPC as written",
@@ -32,19 +30,19 @@ NAMES = {
     "road-nn": "Guarded NN-MPC, learned in road",
     "informed": "Informed MPC",
 }
-MOVES = {"laguerre 0.95": "Laguerre 0.95", "laguerre 0.75": "Laguerre 0.75", "pulse": "pulses"}
+MOVE_TITLES = {"laguerre 0.95": "Laguerre 0.95", "laguerre 0.75": "Laguerre 0.75", "pulse": "pulses"}
 CONFIGURATIONS = {"released": "As released", "same-moves": "The same moves for all"}
 FIGURES = {"triple-lane-change": (7, 8), "general-trajectory": (9, 10)}
 """Numbers of the paper's figures on the conditions and on the tracking of each test."""
 
-PUBLISHED_ERRORS = (
+PUBLISHED_COLUMNS = (
     Column("name", "Test and controller"),
     Column("mse", "Ours", "m²", 3),
     Column("paper_mse", "Paper", "m²", "given"),
     Column("ratio", "Ours", "/ paper", 3),
 )
 BOLD = "Bold: the smallest error of its column that did not fail."
-LEARNING = (
+LEARNING_COLUMNS = (
     Column("slot", "Target"),
     Column("r2", "R²", "hold-out", 3),
     Column("ceiling_r2", "R²", "ceiling", 3),
@@ -54,7 +52,7 @@ LEARNING = (
     Column("parameters", "Parameters"),
     Column("seconds", "Training", "s", 3),
 )
-SHARES = (
+SHARE_COLUMNS = (
     Column("name", "Controller"),
     Column("gain", "Gain", "factor", 3),
     Column("pole", "by the pole", "factor", 3),
@@ -103,9 +101,12 @@ def reproduction_result(reproduction: Reproduction, command: str = "") -> Result
 # -- the paper's figures ----------------------------------------------------------------------------------------------
 def _paper_figures(labelled: Sequence[tuple[str, Trajectory]]) -> Iterable[Picture]:
     """Figures 6 to 10 in their order."""
-    runs = {test: {NAMES[name]: run for name, run in labelled if run.name_of("scenario") == test} for test in TESTS}
-    colours = strokes(NAMES[name] for name, _ in labelled)
-    speeds = {f"({letter}) {title_of(test)}": runs[test] for letter, test in zip("ab", TESTS, strict=True)}
+    runs = {
+        test: {CONTROLLER_TITLES[name]: run for name, run in labelled if run.name_of("scenario") == test}
+        for test in PAPER_TESTS
+    }
+    colours = strokes(CONTROLLER_TITLES[name] for name, _ in labelled)
+    speeds = {f"({letter}) {title_of(test)}": runs[test] for letter, test in zip("ab", PAPER_TESTS, strict=True)}
     yield replace(
         speed_picture(speeds, colours, "Figure 6. Speed: profile (dashed) and driven."),
         name="figure-6", file="figure-6.png",
@@ -137,9 +138,9 @@ def errors_table(
                 failed.add((i, column))
             elif run["mse"] == min(rival["mse"] for rival in rivals if _competes(rival)):
                 best.add((i, column))
-    shown = [{key: _error(value) if isinstance(value, Mapping) else value for key, value in row.items()}
+    table_rows = [{key: _error(value) if isinstance(value, Mapping) else value for key, value in row.items()}
              for row in rows]  # fmt: skip
-    return ResultTable(name, title, columns, shown, note, group, frozenset(best), frozenset(failed))
+    return ResultTable(name, title, columns, table_rows, note, group, frozenset(best), frozenset(failed))
 
 
 def _competes(run: Row) -> bool:
@@ -147,7 +148,7 @@ def _competes(run: Row) -> bool:
 
 
 def _error(run: Row) -> Any:
-    """The mean square error of a run, or that it failed, or how many of several runs failed."""
+    """The mean square error of a run, or the text "failed" with the number of failed runs."""
     if not run["failed"]:
         return run["mse"]
     return f"failed, {run['failed']} of {run['runs']}" if run.get("runs", 1) > 1 else "failed"
@@ -155,21 +156,21 @@ def _error(run: Row) -> Any:
 
 def _published_table(published: Sequence[Row]) -> ResultTable:
     """The paper's six mean square errors beside ours."""
-    names = [NAMES[run["controller"]].removesuffix(" as released") for run in published]
+    names = [CONTROLLER_TITLES[run["controller"]].removesuffix(" as released") for run in published]
     rows = [{**run, "name": f"{title_of(run['scenario'])}, {name}"} for run, name in zip(published, names, strict=True)]
-    return ResultTable("published", "Mean square tracking errors", PUBLISHED_ERRORS, rows, brief=True)
+    return ResultTable("published", "Mean square tracking errors", PUBLISHED_COLUMNS, rows, brief=True)
 
 
 def _configuration_table(rows: Sequence[Row], configuration: str) -> ResultTable:
     columns = [Column("name", "Controller"), Column("moves", "Moves")]
-    for test in TESTS:
+    for test in PAPER_TESTS:
         columns += [Column(f"blind {test}", title_of(test), "MSE, m²", 3),
                     Column(f"preview {test}", "with preview", "MSE, m²", 3)]  # fmt: skip
     by_controller: dict[str, dict[str, Any]] = {}
     for preview, word in ((False, "blind"), (True, "preview")):
         for run in _select(rows, configuration, preview):
             row = by_controller.setdefault(
-                run["controller"], {"name": NAMES[run["controller"]], "moves": MOVES[run["moves"]]}
+                run["controller"], {"name": CONTROLLER_TITLES[run["controller"]], "moves": MOVE_TITLES[run["moves"]]}
             )
             row[f"{word} {run['scenario']}"] = run
     return errors_table(configuration, CONFIGURATIONS[configuration], columns, list(by_controller.values()), BOLD)
@@ -177,12 +178,12 @@ def _configuration_table(rows: Sequence[Row], configuration: str) -> ResultTable
 
 def _ablation_table(reproduction: Reproduction) -> ResultTable:
     moves = list(dict.fromkeys(run["moves"] for run in reproduction.ablation))
-    columns = [Column("name", "Tuning"), *(Column(f"mse {name}", MOVES[name], "MSE, m²", 3) for name in moves)]
+    columns = [Column("name", "Tuning"), *(Column(f"mse {name}", MOVE_TITLES[name], "MSE, m²", 3) for name in moves)]
     candidates = reproduction.constant.candidates
-    columns += [Column(f"better {name}", MOVES[name], f"better of {candidates}") for name in moves]
+    columns += [Column(f"better {name}", MOVE_TITLES[name], f"better of {candidates}") for name in moves]
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     for run in reproduction.ablation:
-        names = {"name": NAMES[run["controller"]], "test": title_of(run["scenario"])}
+        names = {"name": CONTROLLER_TITLES[run["controller"]], "test": title_of(run["scenario"])}
         row = rows.setdefault((run["scenario"], run["controller"]), names)
         better = None if run["controller"] == "best-in-hindsight" else run["constants_better"]
         row |= {f"mse {run['moves']}": run, f"better {run['moves']}": better}
@@ -195,7 +196,7 @@ def _ablation_table(reproduction: Reproduction) -> ResultTable:
 
 def _shares_table(shares: Sequence[Row]) -> ResultTable:
     rows = [
-        {**row, "name": NAMES[row["controller"]], "test": title_of(row["scenario"]),
+        {**row, "name": CONTROLLER_TITLES[row["controller"]], "test": title_of(row["scenario"]),
          "pole_percent": _percent(row["pole_share"]), "adaptation_percent": _percent(row["adaptation_share"])}
         for row in shares
     ]  # fmt: skip
@@ -204,7 +205,7 @@ def _shares_table(shares: Sequence[Row]) -> ResultTable:
         "The two steps, pole and adaptation, can be taken in either order; each factor is the geometric mean of both. "
         "A factor below 1 makes tracking worse."
     )
-    return ResultTable("shares", "The gain over the standard MPC, split", SHARES, rows, note, "test")
+    return ResultTable("shares", "The gain over the standard MPC, split", SHARE_COLUMNS, rows, note, "test")
 
 
 def _percent(share: float | None) -> int | None:
@@ -216,25 +217,25 @@ def _swaps_table(reproduction: Reproduction) -> ResultTable:
     blind = {(run["controller"], run["scenario"]): run["mse"] for run in _select(reproduction.rows, "same-moves")}
 
     def ends(controller: str, name: str) -> dict[str, Any]:
-        return {"name": NAMES[name], **{test: blind[controller, test] for test in TESTS}}
+        return {"name": CONTROLLER_TITLES[name], **{test: blind[controller, test] for test in PAPER_TESTS}}
 
     changed: dict[str, dict[str, Any]] = {}
     for swap in reproduction.swaps:
         name = f"with {swap['changed']} = {number(swap['constant'])} instead of {number(swap['table'])}"
         changed.setdefault(name, {"name": name})[swap["scenario"]] = swap["mse"]
     rows = [ends("standard-as-written", "table-constant"), *changed.values(), ends("best-constant", "best-constant")]
-    columns = [Column("name", "Tuning"), *(Column(test, title_of(test), "MSE, m²", 3) for test in TESTS)]
+    columns = [Column("name", "Tuning"), *(Column(test, title_of(test), "MSE, m²", 3) for test in PAPER_TESTS)]
     return ResultTable("swaps", "From the table's constant to the best of the data, same moves", columns, rows)
 
 
 def _informed_table(runs: Sequence[Row]) -> ResultTable:
     columns = [Column("name", "Controller")]
-    for test in TESTS:
+    for test in PAPER_TESTS:
         columns += [Column(f"mse {test}", title_of(test), "MSE, m²", 3),
                     Column(f"rate {test}", "Steering", "RMS, rad/s", 3)]  # fmt: skip
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     for run in runs:
-        names = {"name": NAMES[run["controller"]], "profile": f"Profile {run['profile']}"}
+        names = {"name": CONTROLLER_TITLES[run["controller"]], "profile": f"Profile {run['profile']}"}
         row = rows.setdefault((run["profile"], run["controller"]), names)
         row |= {f"mse {run['scenario']}": run, f"rate {run['scenario']}": run["rms_rate"]}
     note = "Steering: rate of the command. In road: means over ten noise seeds, of the runs that did not fail."
@@ -245,8 +246,8 @@ def _learning_tables(reproduction: Reproduction) -> list[ResultTable]:
     inputs = [key for key in reproduction.domain[0] if key != "scenario"]
     return [
         ResultTable(
-            "learning", "The learned functions", LEARNING,
-            [{**row, "name": NAMES[row["model"]]} for row in reproduction.learning],
+            "learning", "The learned functions", LEARNING_COLUMNS,
+            [{**row, "name": CONTROLLER_TITLES[row["model"]]} for row in reproduction.learning],
             "R² and RMSE on held-out operating points; ceiling: boosted trees on the same rows; dead: rows at which "
             "the ReLU holds the output at the target's lowest value.", "name",
         ),

@@ -1,67 +1,66 @@
-"""The result of looking at a road: what it is, what of it cannot be driven, and how it looks from above."""
+"""The result of a road check: summary, places that cannot be driven, and the road from above."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from adaptrack.base.result import (
-    BACKGROUND,
-    REFERENCE,
+    BACKGROUND_STROKE,
+    INK,
+    MUTED,
     SERIES,
-    Axis,
-    ColouredLine,
     Column,
-    Dots,
-    Heading,
-    Mark,
     Panel,
     Picture,
-    Polyline,
     Result,
     ResultTable,
-    Scale,
-    Stripe,
     Stroke,
 )
-from adaptrack.results.answers import of_road
+from adaptrack.results.answers import road_answer
+from adaptrack.results.marks import ColourScale, draw_coloured_line, draw_dots
 from adaptrack.results.words import data_text
 from adaptrack.road import Finding, Road, SpeedPlan
 
-SAMPLES = 4000
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+LINE_POINTS = 4000
 """Points of the drawn line."""
 
-SUMMARY = (Column("what", "what"), Column("value", "value"))
-LIMITS = (
+SUMMARY_COLUMNS = (Column("what", "what"), Column("value", "value"))
+LIMIT_COLUMNS = (
     Column("limit", "limit"), Column("share", "of the road", "%"), Column("from", "longest from", "m"),
     Column("to", "to", "m"),
 )  # fmt: skip
-PLACES = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "what"))
+PLACE_COLUMNS = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "what"))
 
 
 def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -> Result:
     """Return a road, its planned speed and the parts that cannot be driven as a result."""
-    barred = [each for each in findings if not each.drivable]
+    barred = [finding for finding in findings if not finding.drivable]
     summary = _summary(road, plan)
-    about = [{"what": key.replace("_", " "), "value": value} for key, value in summary.items() if key != "road"]
-    tables = [ResultTable("summary", road.name, SUMMARY, about, brief=True)]
-    tables.append(ResultTable("limits", "What bounds the speed", LIMITS, _longest(plan), brief=True))
+    summary_rows = [{"what": key.replace("_", " "), "value": value} for key, value in summary.items() if key != "road"]
+    tables = [ResultTable("summary", road.name, SUMMARY_COLUMNS, summary_rows, brief=True)]
+    tables.append(ResultTable("limits", "What bounds the speed", LIMIT_COLUMNS, _longest(plan), brief=True))
     for name, title, drivable in (("barred", "What cannot be driven", False), ("notes", "Notes", True)):
         places = [
-            {"from": each.start, "to": each.end, "what": each.text} for each in findings if each.drivable is drivable
+            {"from": finding.start, "to": finding.end, "what": finding.text}
+            for finding in findings
+            if finding.drivable is drivable
         ]
-        tables += [ResultTable(name, title, PLACES, places, brief=True)]
+        tables += [ResultTable(name, title, PLACE_COLUMNS, places, brief=True)]
     return Result(
         kind="road",
         title=road.name,
-        answer=of_road(summary, len(barred)),
+        answer=road_answer(summary, len(barred)),
         record={
             **summary, "drivable": not barred, "notes": list(road.notes), "limits": limits_record(plan),
-            "rows": [asdict(each) for each in findings],
+            "rows": [asdict(finding) for finding in findings],
         },
         tables=tables,
         notes=road.notes,
@@ -74,23 +73,26 @@ def limits_record(plan: SpeedPlan) -> dict[str, Any]:
     """Return the shares and stretches of the bounds of a planned speed, from start to end; for JSON."""
     return {
         "shares": {limit.value: share for limit, share in plan.shares.items()},
-        "stretches": [{"limit": each.limit.value, "start": each.start, "end": each.end} for each in plan.stretches],
+        "stretches": [
+            {"limit": stretch.limit.value, "start": stretch.start, "end": stretch.end} for stretch in plan.stretches
+        ],
     }
 
 
 def _longest(plan: SpeedPlan) -> list[dict[str, Any]]:
-    """The share of each limit, and its longest stretch."""
+    """A row for each limit of the speed, with its share and its longest stretch."""
     rows = []
     for limit, share in plan.shares.items():
-        longest = max((each for each in plan.stretches if each.limit == limit), key=lambda each: each.end - each.start)
+        stretches = [stretch for stretch in plan.stretches if stretch.limit == limit]
+        longest = max(stretches, key=lambda stretch: stretch.end - stretch.start)
         rows.append({"limit": limit.value, "share": round(100.0 * share, 1), "from": longest.start, "to": longest.end})
     return rows
 
 
 def limits_in_words(plan: SpeedPlan) -> str:
-    """Which limits bind on which share of the road; empty where the speed was not planned."""
-    named = ", ".join(f"{limit} {100 * share:.0f} %" for limit, share in plan.shares.items() if share >= 0.005)
-    return f"Speed limited by: {named} of the road." if named else ""
+    """The limits of the speed with their shares of the road; empty if the speed was not planned."""
+    limits = ", ".join(f"{limit} {100 * share:.0f} %" for limit, share in plan.shares.items() if share >= 0.005)
+    return f"Speed limited by: {limits} of the road." if limits else ""
 
 
 def _summary(road: Road, plan: SpeedPlan) -> dict[str, Any]:
@@ -110,38 +112,50 @@ def _summary(road: Road, plan: SpeedPlan) -> dict[str, Any]:
 
 def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -> Picture:
     """From above, coloured by the speed, with curvature and speed along it; places that cannot be driven are marked."""
-    s = np.linspace(0.0, road.length, SAMPLES)
-    barred = [each for each in findings if not each.drivable]
-    marked: list[Mark] = [
-        Stripe("x", each.start, max(each.end, each.start + 0.003 * road.length), SERIES[1], 0.3) for each in barred
-    ]
-    station = Axis("Along the road (m)", 0.0, road.length)
-    speed: list[Mark] = [Polyline(s, plan.at(s)), *marked]
-    if road.speed_limit is not None:
-        speed.insert(1, Polyline(s, road.along("speed_limit", s), Stroke(BACKGROUND.colour, REFERENCE.dash)))
+    s = np.linspace(0.0, road.length, LINE_POINTS)
+    barred = [finding for finding in findings if not finding.drivable]
+
+    def draw_curvature(axes: Axes) -> None:
+        axes.plot(s, road.at(s).curvature, **Stroke().look)
+        label_station(axes, "Curvature (1/m)")
+
+    def draw_speed(axes: Axes) -> None:
+        axes.plot(s, plan.at(s), **Stroke().look)
+        if road.speed_limit is not None:
+            axes.plot(s, road.along("speed_limit", s), **Stroke(MUTED, "dashed").look)
+        label_station(axes, "Speed (m/s)")
+        axes.set_ylim(bottom=0.0)
+
+    def label_station(axes: Axes, label: str) -> None:
+        for finding in barred:
+            end = max(finding.end, finding.start + 0.003 * road.length)
+            axes.axvspan(finding.start, end, color=SERIES[1], alpha=0.3, linewidth=0.0)
+        axes.set(xlabel="Along the road (m)", xlim=(0.0, road.length), ylabel=label)
+
     lap = "lap of " if road.closed else ""
     title = data_text(f"{road.name}: {lap}{road.length:.0f} m, {plan.duration:.0f} s")
     panels = [
-        Panel(title, Axis("x (m)"), Axis("y (m)"), _from_above(road, plan, s, barred), "The road from above.",
-              to_scale=True, height=4.0),
-        Panel("Curvature", station, Axis("Curvature (1/m)"), [Polyline(s, road.at(s).curvature), *marked],
-              "Curvature along the road."),
-        Panel("Speed", station, Axis("Speed (m/s)", low=0.0), speed, "Planned speed along the road."),
-    ]  # fmt: skip
+        Panel(title, lambda axes: _draw_from_above(axes, road, plan, s, barred), "The road from above.", height=4.0),
+        Panel("Curvature", draw_curvature, "Curvature along the road."),
+        Panel("Speed", draw_speed, "Planned speed along the road."),
+    ]
     caption = "The road from above, coloured by the planned speed; curvature and speed along it."
     return Picture("road", caption, panels, file="road.png", columns=1, row_height=1.25)
 
 
-def _from_above(road: Road, plan: SpeedPlan, s: np.ndarray, barred: Sequence[Finding]) -> list[Mark]:
+def _draw_from_above(axes: Axes, road: Road, plan: SpeedPlan, s: np.ndarray, barred: Sequence[Finding]) -> None:
     points, speed = road.at(s), plan.at(s)
-    scale = Scale(float(speed.min()), max(float(speed.max()), float(speed.min()) + 0.1), "Speed (m/s)")
-    places = [road.at(0.5 * (each.start + each.end)) for each in barred]
-    ahead = 0.03 * math.hypot(float(np.ptp(points.x)), float(np.ptp(points.y)))
+    for edge in road.edges(s):
+        axes.plot(*edge.T, **BACKGROUND_STROKE.look, linewidth=0.5)
+    slowest, fastest = float(speed.min()), float(speed.max())
+    scale = ColourScale(slowest, max(fastest, slowest + 0.1), "Speed (m/s)")
+    draw_coloured_line(axes, points.x, points.y, speed[:-1], scale)
+    places = [road.at(0.5 * (finding.start + finding.end)) for finding in barred]
+    draw_dots(axes, [float(place.x) for place in places], [float(place.y) for place in places], SERIES[1], "cross", 8.0)
+    arrow = 0.03 * math.hypot(float(np.ptp(points.x)), float(np.ptp(points.y)))
     start = road.at(0.0)
     x, y, heading = float(start.x), float(start.y), float(start.heading)
-    return [
-        *(Polyline(edge[:, 0], edge[:, 1], BACKGROUND, width=0.5) for edge in road.edges(s)),
-        ColouredLine(points.x, points.y, speed[:-1], scale),
-        Dots([float(each.x) for each in places], [float(each.y) for each in places], SERIES[1], "cross", 8.0),
-        Heading((x, y), (x + ahead * math.cos(heading), y + ahead * math.sin(heading))),
-    ]
+    tip = x + arrow * math.cos(heading), y + arrow * math.sin(heading)
+    axes.annotate("", tip, (x, y), arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 1.5})
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+    axes.set_aspect("equal", adjustable="datalim")

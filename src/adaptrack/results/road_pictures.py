@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.result import (
-    BACKGROUND,
-    Axis,
-    ColouredLine,
-    Dots,
-    Mark,
-    Panel,
-    Picture,
-    Polygon,
-    Polyline,
-    Remark,
-    Scale,
-)
+from adaptrack.base.result import BACKGROUND_STROKE, INK, PALE, Panel, Picture
+from adaptrack.results.marks import ColourScale, draw_coloured_line, draw_dots, write_beside
 from adaptrack.results.record import Array, DriveRecord
 from adaptrack.results.words import data_text, span
 from adaptrack.road import Road
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Drives = Mapping[str, DriveRecord]
 """Label -> drive, in the order of the legend."""
@@ -31,7 +25,7 @@ Drives = Mapping[str, DriveRecord]
 PIECES = 1500
 """Pieces of the coloured line."""
 
-SAGITTA, LONGEST = 0.01, 20.0
+SAGITTA, LONGEST_CHORD = 0.01, 20.0
 """m: largest distance of a drawn edge's chord from its arc, and the longest chord."""
 
 ON_PAGE, IN_COLUMNS, IN_PRINT = (5.2, 4.0), (2.7, 4.0), (7.2, 5.0)
@@ -52,8 +46,8 @@ def check_one_road(drives: Sequence[DriveRecord]) -> None:
         raise InvalidInput("drives on one page must share their road: give all of them the same Road object.")
 
 
-def scale_of(drives: Sequence[DriveRecord]) -> float:
-    """m, the |e| at the end of the colours: a round number above every drive's 95th percentile, at least 0.05."""
+def offset_scale(drives: Sequence[DriveRecord]) -> float:
+    """The |e| (m) at the end of the colours: a round number above every drive's 95th percentile, at least 0.05."""
     high = max(0.05, *(drive.p95_offset for drive in drives))
     decade = 10.0 ** math.floor(math.log10(high))
     return next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= high * (1.0 - 1e-9))
@@ -65,7 +59,7 @@ def outline_stations(road: Road, start: float, end: float) -> Array:
     Chords of an arc of curvature kappa that lie within `SAGITTA` of it are sqrt(8 SAGITTA/kappa) long.
     """
     s = np.linspace(start, end, max(3, math.ceil(end - start) + 1))
-    density = np.maximum(np.sqrt(np.abs(road.at(s).curvature) / (8.0 * SAGITTA)), 1.0 / LONGEST)
+    density = np.maximum(np.sqrt(np.abs(road.at(s).curvature) / (8.0 * SAGITTA)), 1.0 / LONGEST_CHORD)
     count = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(s))])
     evenly = np.interp(np.linspace(0.0, count[-1], max(3, math.ceil(count[-1]) + 1)), count, s)
     changes = np.array([*road.width_left.s, *road.width_right.s])
@@ -73,7 +67,7 @@ def outline_stations(road: Road, start: float, end: float) -> Array:
 
 
 def road_span(drives: Sequence[DriveRecord]) -> tuple[float, float]:
-    """m, m: the part of the road to draw; for an open one with what was driven beyond its ends."""
+    """Start and end (m) of the drawn part of the road, including drives beyond the ends of an open one."""
     road = drives[0].road
     if road.closed:
         return 0.0, road.length
@@ -89,16 +83,15 @@ def above_picture(drives: Drives) -> Picture:
     InvalidInput
         As `check_one_road`.
     """
-    shown, alone = list(drives.values()), len(drives) == 1
-    check_one_road(shown)
-    ends, high = road_span(shown), scale_of(shown)
-    beyond = max(drive.max_offset for drive in shown) > high
-    scale = Scale(0.0, high, "|e| (m)", colours="deviation", beyond="max" if beyond else "neither")
+    records, alone = list(drives.values()), len(drives) == 1
+    check_one_road(records)
+    ends, high = road_span(records), offset_scale(records)
+    beyond = max(drive.max_offset for drive in records) > high
+    scale = ColourScale(0.0, high, "|e| (m)", deviation=True, beyond="max" if beyond else "neither")
     panels = [
         Panel(
-            "" if alone else data_text(label), Axis("x (m)"), Axis("y (m)"), _marks(drive, scale, ends),
+            "" if alone else data_text(label), partial(_draw_from_above, drive=drive, scale=scale, ends=ends),
             f"The road from above with the driven line. {label}: |e| up to {span(np.array([drive.max_offset]))} m.",
-            to_scale=True,
         )
         for label, drive in drives.items()
     ]  # fmt: skip
@@ -110,8 +103,8 @@ def above_picture(drives: Drives) -> Picture:
     columns = 1 if alone else 2
     return Picture(
         "above", caption, panels, file="above.png", columns=columns,
-        row_height=_row_height(shown, IN_PRINT[0] / columns, IN_PRINT[1]),
-        size=(width, _row_height(shown, width, tallest)),
+        row_height=_row_height(records, IN_PRINT[0] / columns, IN_PRINT[1]),
+        size=(width, _row_height(records, width, tallest)),
     )  # fmt: skip
 
 
@@ -119,24 +112,25 @@ def _row_height(drives: Sequence[DriveRecord], width: float, tallest: float) -> 
     """inch, of a panel of that width (inch) that the road fills, within bounds."""
     road = drives[0].road
     points = road.at(outline_stations(road, *road_span(drives)))
-    wide, high = (float(np.ptp(values)) for values in points[:2])
-    return min(max(0.75 * width * high / max(wide, 1.0) + 0.8, 0.45 * width), tallest)
+    x_range, y_range = (float(np.ptp(values)) for values in points[:2])
+    return min(max(0.75 * width * y_range / max(x_range, 1.0) + 0.8, 0.45 * width), tallest)
 
 
-def _marks(drive: DriveRecord, scale: Scale, ends: tuple[float, float]) -> list[Mark]:
+def _draw_from_above(axes: Axes, drive: DriveRecord, scale: ColourScale, ends: tuple[float, float]) -> None:
     left, right = drive.road.edges(outline_stations(drive.road, *ends))
     surface = np.concatenate([left, right[::-1]])
+    axes.fill(*surface.T, facecolor=PALE, edgecolor="none", linewidth=0.6, zorder=1)
+    for edge in (left, right):
+        axes.plot(*edge.T, **BACKGROUND_STROKE.look, linewidth=0.6)
     pick = np.unique(np.linspace(0, len(drive) - 1, PIECES + 1).astype(int))
     worst = np.maximum.reduceat(np.abs(drive.offset), pick[:-1])
+    draw_coloured_line(axes, drive.x[pick], drive.y[pick], worst, scale)
     x, y = float(drive.x[0]), float(drive.y[0])
-    marks: list[Mark] = [
-        Polygon(surface[:, 0], surface[:, 1], ground="grid"),
-        *(Polyline(edge[:, 0], edge[:, 1], BACKGROUND, width=0.6) for edge in (left, right)),
-        ColouredLine(drive.x[pick], drive.y[pick], worst, scale),
-        Dots([x], [y], "ink", size=4.0),
-        Remark(x, y, "start"),
-    ]
+    draw_dots(axes, [x], [y], INK, size=4.0)
+    write_beside(axes, x, y, "start")
     if drive.failed:
         x, y = float(drive.x[-1]), float(drive.y[-1])
-        marks += [Dots([x], [y], "ink", "cross", 8.0), Remark(x, y, "failed", (6.0, -10.0))]
-    return marks
+        draw_dots(axes, [x], [y], INK, "cross", 8.0)
+        write_beside(axes, x, y, "failed", (6.0, -10.0))
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+    axes.set_aspect("equal", adjustable="datalim")

@@ -4,56 +4,65 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import (
-    BACKGROUND,
-    NEUTRAL,
-    REFERENCE,
-    Axis,
+    BACKGROUND_STROKE,
+    INK,
+    REFERENCE_STROKE,
+    SHARED_STROKE,
     Dash,
-    Dots,
-    Guide,
-    Mark,
     Panel,
     Picture,
-    Polyline,
     Stroke,
     strokes,
 )
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.trajectory import Trajectory
+from adaptrack.results.marks import (
+    add_degrees,
+    add_line_key,
+    draw_dots,
+    include_y,
+    set_log_scale,
+    set_whole_ticks,
+    write_remark,
+)
 from adaptrack.results.words import data_text, plain, span
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[Any]
 Runs = Mapping[str, Trajectory]
 """Label -> run, in the order of the legend."""
-Value = Callable[[Trajectory], Array]
-Key = list[tuple[str, Stroke]]
+RunSignal = Callable[[Trajectory], Array]
+"""A function that returns a signal of a run."""
 
 _WHEELS = ("front left", "front right", "rear left", "rear right")
 CREEPING = 3.0
-"""m/s, the lowest speed of the paper's operating domain; a panel may cut what happens below it."""
+"""m/s, lowest speed of the paper's operating domain; a panel may cut off slower driving"""
 
 CURVE_POINTS = 2400
-"""Instants of a curve: more are thinned to the smallest and the largest of each of half as many parts."""
+"""Instants of a curve: more are thin_curve to the smallest and the largest of each of half as many parts."""
 
 
 @dataclass(frozen=True)
 class DrawnRun:
-    """One run, ready to be drawn: cut where it failed."""
+    """A run for a picture, cut at its failure."""
 
     label: str
     run: Trajectory
     stroke: Stroke
     failed: bool
     end: float
-    """s, when the scenario ends, whether or not the run got there."""
+    """s, end of the scenario, also for a run that failed before"""
 
     @property
     def x(self) -> Array:
@@ -64,7 +73,7 @@ class DrawnRun:
 Lines = Sequence[DrawnRun]
 
 
-def as_lines(runs: Runs, line_styles: Mapping[str, Stroke] | None = None) -> list[DrawnRun]:
+def prepare_runs(runs: Runs, line_styles: Mapping[str, Stroke] | None = None) -> list[DrawnRun]:
     """The runs with their strokes, those that failed cut at the instant of the failure.
 
     Raises
@@ -93,38 +102,45 @@ def _last_drawn(run: Trajectory, failed: int) -> float:
 
 
 # -- panels -----------------------------------------------------------------------------------------------------------
-def _panel(
-    title: str, up: Axis, lines: Lines, value: Value, marks: Sequence[Mark], remark: str = "",
-    key: Sequence[tuple[str, Stroke]] = (),
-) -> Panel:  # fmt: skip
-    """A panel over time or station; value: the quantity whose range its alternative text has."""
+def _panel(title: str, label: str, lines: Lines, value: RunSignal, draw: Callable[[Axes], None]) -> Panel:
+    """A panel over time or station; value: the quantity whose ranges stand in the alternative text."""
     along = any(line.run.road for line in lines)
+
+    def draw_over(axes: Axes) -> None:
+        axes.set(xlabel="Station s (m)" if along else "Time (s)", xlim=_station(lines) if along else _time(lines))
+        axes.set(ylabel=label)
+        draw(axes)
+
     ranges = "; ".join(f"{line.label}: {span(value(line.run))}" for line in lines)
-    description = f"{plain(up.label)}, over {'the station' if along else 'time'}. {ranges}."
-    return Panel(title, _station(lines) if along else _time(lines), up, marks, description, remark, key)
+    description = f"{plain(label)}, over {'the station' if along else 'time'}. {ranges}."
+    return Panel(title, draw_over, description)
 
 
-def _time(lines: Lines) -> Axis:
-    return Axis("Time (s)", float(min(line.run.t[0] for line in lines)), max(line.end for line in lines))
+def _time(lines: Lines) -> tuple[float, float]:
+    return float(min(line.run.t[0] for line in lines)), max(line.end for line in lines)
 
 
-def _station(lines: Lines) -> Axis:
+def _station(lines: Lines) -> tuple[float, float]:
     low = float(min(np.nanmin(line.x, initial=np.inf) for line in lines))
     high = max(low + 1.0, float(max(np.nanmax(line.x, initial=-np.inf) for line in lines)))
-    return Axis("Station s (m)", low, high + 0.04 * (high - low))  # room for the whole last number
+    return low, high + 0.04 * (high - low)  # room for the whole last number
 
 
 def speed_panel(lines: Lines, title: str = "Speed") -> Panel:
-    """The speed reference (dashed), and the speeds that were driven."""
+    """The speed reference (dashed), and the driven speeds."""
 
     def speed(run: Trajectory) -> Array:
         return run.vx
 
-    forward = all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines)
-    marks = [*(_curve(line, line.run.vx) for line in lines), _shared(lines, lambda run: run.v_ref, REFERENCE)]
-    return _panel(
-        title, Axis("Speed (m/s)", low=0.0 if forward else None), lines, speed, [*marks, *_crosses(lines, speed)]
-    )
+    def draw(axes: Axes) -> None:
+        for line in lines:
+            _draw_curve(axes, line, line.run.vx)
+        _draw_shared(axes, lines, lambda run: run.v_ref, REFERENCE_STROKE)
+        if all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines):
+            axes.set_ylim(bottom=0.0)
+        _draw_crosses(axes, lines, speed)
+
+    return _panel(title, "Speed (m/s)", lines, speed, draw)
 
 
 def tracking_panels(lines: Lines) -> list[Panel]:
@@ -134,19 +150,12 @@ def tracking_panels(lines: Lines) -> list[Panel]:
             "Lateral acceleration", "Lateral acc. (m/s²)", lines, lambda run: run.lateral_acceleration
         )
         return [error_panel(lines), _steering(lines), speed_panel(lines), acceleration]
-    low, high, start = _frame(lines, lambda run: run.Y)
-    position = [
-        *(_curve(line, line.run.Y) for line in lines),
-        _shared(lines, lambda run: run.y_ref, REFERENCE),
-        *_crosses(lines, lambda run: run.Y),
-    ]
     return [
-        _panel("Trajectory tracking", Axis("Lateral position (m)", low, high), lines, lambda run: run.Y, position,
-               start),
+        _signal("Trajectory tracking", "Lateral position (m)", lines, lambda run: run.Y, lambda run: run.y_ref),
         error_panel(lines),
         _steering(lines),
         _signal("Yaw rate", "Yaw rate (rad/s)", lines, lambda run: run.yaw_rate),
-    ]  # fmt: skip
+    ]
 
 
 def error_panel(lines: Lines) -> Panel:
@@ -155,28 +164,43 @@ def error_panel(lines: Lines) -> Panel:
 
 
 def _signal(
-    title: str, label: str, lines: Lines, value: Value, before: Sequence[Mark] = (), after: Sequence[Mark] = (),
-    remark: str = "", degrees: bool = False,
-) -> Panel:  # fmt: skip
-    """One curve per run around a zero line."""
-    low, high, start = _frame(lines, value)
-    curves = [_curve(line, value(line.run)) for line in lines]
-    marks = [*before, Guide("y", [0.0], width=0.7), *curves, *after, *_crosses(lines, value)]
-    remark = ",  ".join(filter(None, (start, remark)))
-    return _panel(title, Axis(label, low, high, degrees=degrees), lines, value, marks, remark)
+    title: str, label: str, lines: Lines, value: RunSignal, reference: RunSignal | None = None, remark: str = ""
+) -> Panel:
+    """One curve per run with the reference or else a zero line."""
+    limits, start = _frame(lines, value)
+
+    def draw(axes: Axes) -> None:
+        if reference is None:
+            axes.axhline(0.0, linewidth=0.7, **BACKGROUND_STROKE.look)
+        for line in lines:
+            _draw_curve(axes, line, value(line.run))
+        if reference is not None:
+            _draw_shared(axes, lines, reference, REFERENCE_STROKE)
+        if limits:
+            axes.set_ylim(limits)
+        _draw_crosses(axes, lines, value)
+        write_remark(axes, ",  ".join(filter(None, (start, remark))))
+
+    return _panel(title, label, lines, value, draw)
 
 
 def _steering(lines: Lines) -> Panel:
-    """The angle of the wheels, of one run with the command behind it; degrees at the right."""
-    command: list[Mark] = []
-    if len(lines) == 1:
-        command = [_curve(lines[0], lines[0].run.command, BACKGROUND, 0.8, steps=True)]
-    held: list[Mark] = [
-        Dots(line.x[line.run.held], line.run.steering[line.run.held], line.stroke.colour, "square", 3.0)
-        for line in lines if line.run.held.any()
-    ]  # fmt: skip
-    remark = "□ held" if held else ""
-    return _signal("Steering", "Wheel angle (rad)", lines, lambda run: run.steering, command, held, remark, True)
+    """The angle of the wheels, for a single run with its command; squares mark held angles, degrees at the right."""
+    holding = [line for line in lines if line.run.held.any()]
+    remark = "□ held" if holding else ""
+    signal = _signal("Steering", "Wheel angle (rad)", lines, lambda run: run.steering, remark=remark)
+
+    def draw(axes: Axes) -> None:
+        if len(lines) == 1:
+            command = lines[0].run.command
+            _draw_curve(axes, lines[0], command, BACKGROUND_STROKE, linewidth=0.8, drawstyle="steps-post")
+        for line in holding:
+            is_held = line.run.held
+            draw_dots(axes, line.x[is_held], line.run.steering[is_held], line.stroke.colour, "square", 3.0)
+        signal.draw(axes)
+        add_degrees(axes)
+
+    return replace(signal, draw=draw)
 
 
 def condition_panels(lines: Lines) -> list[Panel]:
@@ -190,54 +214,71 @@ def condition_panels(lines: Lines) -> list[Panel]:
     for name, run in adapted.items():
         if name not in ("Np", "Nc", "Q", "R"):
             label = data_text(f"{name} ({run.units[f'tuning.{name}'].replace('-', '–')})")
-            marks = _tuned_curves(lines, name)
-            panels.append(_panel(data_text(name), Axis(label), lines, tuned(name), marks))
+            draw = partial(_draw_tuning, lines=lines, name=name)
+            panels.append(_panel(data_text(name), label, lines, tuning_signal(name), draw))
     return panels
 
 
 def _gust(lines: Lines) -> Panel:
-    longitudinal = Stroke("ink", "dashed")
-    marks: list[Mark] = [Guide("y", [0.0], width=0.7), _shared(lines, lambda run: run.wind[:, 1])]
-    key: Key = []
-    if any(line.run.wind[:, 0].any() for line in lines):
-        marks.append(_shared(lines, lambda run: run.wind[:, 0], longitudinal))
-        key = [("lateral", NEUTRAL), ("longitudinal", longitudinal)]
-    return _panel("Lateral gust", Axis("Wind speed (m/s)"), lines, lambda run: run.wind[:, 1], marks, key=key)
+    longitudinal = Stroke(INK, "dashed")
+
+    def draw(axes: Axes) -> None:
+        axes.axhline(0.0, linewidth=0.7, **BACKGROUND_STROKE.look)
+        _draw_shared(axes, lines, lambda run: run.wind[:, 1])
+        if any(line.run.wind[:, 0].any() for line in lines):
+            _draw_shared(axes, lines, lambda run: run.wind[:, 0], longitudinal)
+            add_line_key(axes, [("lateral", SHARED_STROKE), ("longitudinal", longitudinal)])
+
+    return _panel("Lateral gust", "Wind speed (m/s)", lines, lambda run: run.wind[:, 1], draw)
 
 
 def _friction(lines: Lines) -> Panel:
-    wheels = _distinct_wheels(lines)
     dashes: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dash-dot")
-    marks: list[Mark] = []
-    for dash, (wheel, _) in zip(dashes, wheels, strict=False):
-        marks.append(_shared(lines, lambda run, wheel=wheel: run.friction[:, wheel], Stroke("ink", dash)))  # type: ignore[misc]
-    key = [(name, Stroke("ink", dash)) for dash, (_, name) in zip(dashes, wheels, strict=False)]
-    up = Axis("Friction coefficient (–)", include=(0.45, 1.0))
-    return _panel("Road friction", up, lines, lambda run: run.friction, marks, key=key if len(wheels) > 1 else ())
+    wheels = [
+        (wheel, name, Stroke(INK, dash)) for dash, (wheel, name) in zip(dashes, _distinct_wheels(lines), strict=False)
+    ]
+
+    def draw(axes: Axes) -> None:
+        for wheel, _, stroke in wheels:
+            _draw_shared(axes, lines, lambda run, wheel=wheel: run.friction[:, wheel], stroke)  # type: ignore[misc]
+        include_y(axes, 0.45, 1.0)
+        if len(wheels) > 1:
+            add_line_key(axes, [(name, stroke) for _, name, stroke in wheels])
+
+    return _panel("Road friction", "Friction coefficient (–)", lines, lambda run: run.friction, draw)
 
 
 def _horizons(lines: Lines) -> Panel:
     top = 1.08 * max(float(line.run.tuning["Np"].max()) for line in lines if "Np" in line.run.tuning)
-    marks = [*_tuned_curves(lines, "Np"), *_tuned_curves(lines, "Nc", "dotted")]
-    key = [("$N_p$", NEUTRAL), ("$N_c$", Stroke("ink", "dotted"))]
-    up = Axis("Control periods (–)", 0.0, top, whole=True)
-    return _panel("Horizons", up, lines, tuned("Nc", "Np"), marks, key=key)
+
+    def draw(axes: Axes) -> None:
+        _draw_tuning(axes, lines, "Np")
+        _draw_tuning(axes, lines, "Nc", "dotted")
+        axes.set_ylim(0.0, top)
+        set_whole_ticks(axes)
+        add_line_key(axes, [("$N_p$", SHARED_STROKE), ("$N_c$", Stroke(INK, "dotted"))])
+
+    return _panel("Horizons", "Control periods (–)", lines, tuning_signal("Nc", "Np"), draw)
 
 
 def _weights(lines: Lines) -> Panel:
-    weights = np.concatenate([tuned("Q", "R")(line.run).ravel() for line in lines])
+    weights = np.concatenate([tuning_signal("Q", "R")(line.run).ravel() for line in lines])
     positive = weights[weights > 0.0]
-    low, high = None, None
+    limits = None
     if positive.size:
-        low = float(10.0 ** np.floor(np.log10(positive.min()) - 0.1))
-        high = float(10.0 ** np.ceil(np.log10(positive.max()) + 0.1))
-    marks = [*_tuned_curves(lines, "Q"), *_tuned_curves(lines, "R", "dotted")]
-    key = [("$Q$", NEUTRAL), ("$R$", Stroke("ink", "dotted"))]
-    up = Axis("$Q$ (1/m²), $R$ (1/rad²)", low, high, log=True)
-    return _panel("Weights", up, lines, tuned("Q", "R"), marks, key=key)
+        low, high = np.floor(np.log10(positive.min()) - 0.1), np.ceil(np.log10(positive.max()) + 0.1)
+        limits = float(10.0**low), float(10.0**high)
+
+    def draw(axes: Axes) -> None:
+        _draw_tuning(axes, lines, "Q")
+        _draw_tuning(axes, lines, "R", "dotted")
+        set_log_scale(axes, "y", limits)
+        add_line_key(axes, [("$Q$", SHARED_STROKE), ("$R$", Stroke(INK, "dotted"))])
+
+    return _panel("Weights", "$Q$ (1/m²), $R$ (1/rad²)", lines, tuning_signal("Q", "R"), draw)
 
 
-def tuned(*names: str) -> Value:
+def tuning_signal(*names: str) -> RunSignal:
     """A function that returns tuning entries of a run, (n,) or (names, n); NaN where its controller has none."""
 
     def values(run: Trajectory) -> Array:
@@ -248,15 +289,13 @@ def tuned(*names: str) -> Value:
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------
-def _curve(
-    line: DrawnRun, values: Array, stroke: Stroke | None = None, width: float = 1.3, steps: bool = False
-) -> Polyline:
-    """A signal of a run over its horizontal axis."""
-    keep = thinned(values)
-    return Polyline(line.x[keep], values[keep], stroke or line.stroke, width, "post" if steps else "")
+def _draw_curve(axes: Axes, line: DrawnRun, values: Array, stroke: Stroke | None = None, **look: Any) -> None:
+    """Draw a signal of a run over its horizontal axis."""
+    keep = thin_curve(values)
+    axes.plot(line.x[keep], values[keep], **(stroke or line.stroke).look, **look)
 
 
-def thinned(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
+def thin_curve(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
     """The indices of a curve to draw: all, or the smallest and the largest of each of `most`/2 parts, and the ends."""
     if values.size <= most:
         return np.arange(values.size)
@@ -266,30 +305,38 @@ def thinned(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
     return np.unique([0, *extremes, values.size - 1])
 
 
-def _tuned_curves(lines: Lines, name: str, dash: Dash = "solid") -> list[Mark]:
-    """A tuning entry of all runs that have it, as steps."""
-    return [
-        _curve(line, line.run.tuning[name], Stroke(line.stroke.colour, dash), steps=True)
-        for line in lines if name in line.run.tuning
-    ]  # fmt: skip
+def turning_part(time: Array, yaw_rate: Array, seconds: float) -> slice:
+    """The part of a log of a given length (s) with the most turning."""
+    total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(yaw_rate) ** 2)])
+    ends = np.searchsorted(time, time + seconds, side="right")
+    first = int(np.argmax(total[ends] - total[np.arange(time.size)]))
+    return slice(first, int(ends[first]))
 
 
-def _crosses(lines: Lines, value: Value) -> list[Mark]:
-    """A cross where a failed run ends, at the edge of the frame when it left that too."""
-    marks: list[Mark] = []
-    for line in (line for line in lines if line.failed):
+def _draw_shared(axes: Axes, lines: Lines, value: RunSignal, stroke: Stroke = SHARED_STROKE) -> None:
+    """Draw a signal of the scenario, which all runs share, from the longest run."""
+    longest = max(lines, key=lambda line: len(line.run))
+    _draw_curve(axes, longest, value(longest.run), stroke, linewidth=1.0)
+
+
+def _draw_tuning(axes: Axes, lines: Lines, name: str, dash: Dash = "solid") -> None:
+    """Draw a tuning entry of all runs that have it, as steps."""
+    for line in lines:
+        if name in line.run.tuning:
+            stroke = Stroke(line.stroke.colour, dash)
+            _draw_curve(axes, line, line.run.tuning[name], stroke, drawstyle="steps-post")
+
+
+def _draw_crosses(axes: Axes, lines: Lines, value: RunSignal) -> None:
+    """Draw a cross where a failed run ends, at the edge of the frame if it left the frame."""
+    for line in lines:
         values = value(line.run)
         finite = np.flatnonzero(np.isfinite(values))
-        if finite.size:
+        if line.failed and finite.size:
             last = finite[-1]
-            marks.append(Dots([line.x[last]], [values[last]], line.stroke.colour, "cross", 6.0, at_edge=True))
-    return marks
-
-
-def _shared(lines: Lines, value: Value, stroke: Stroke = NEUTRAL) -> Mark:
-    """A signal of the scenario, which all runs share, from the longest run."""
-    longest = max(lines, key=lambda line: len(line.run))
-    return _curve(longest, value(longest.run), stroke, 1.0)
+            x, y = np.clip(line.x[last], *axes.get_xlim()), np.clip(values[last], *axes.get_ylim())
+            look: dict[str, Any] = {"color": line.stroke.colour, "markersize": 6.0, "markeredgewidth": 1.8}
+            axes.plot([x], [y], "x", scalex=False, scaley=False, clip_on=False, **look)
 
 
 def _distinct_wheels(lines: Lines) -> list[tuple[int, str]]:
@@ -306,8 +353,8 @@ def _distinct_wheels(lines: Lines) -> list[tuple[int, str]]:
     return list(enumerate(_WHEELS))
 
 
-def _frame(lines: Lines, value: Value) -> tuple[float | None, float | None, str]:
-    """The ends of an axis by the runs that did not fail, at driving speed; a remark on the range before that.
+def _frame(lines: Lines, value: RunSignal) -> tuple[tuple[float, float] | None, str]:
+    """The limits of an axis by the runs that did not fail, at driving speed; a remark on the range before that.
 
     A start from standstill may need wild steering for a second or two. Where that would flatten all the rest, it
     leaves the frame, and a line above the panel says how far it goes. A run that failed does not set the frame; where
@@ -319,15 +366,15 @@ def _frame(lines: Lines, value: Value) -> tuple[float | None, float | None, str]
     everything = _extent(np.concatenate([value(run) for run in framed]))
     driving = _extent(np.concatenate([value(run)[run.vx >= CREEPING] for run in framed]))
     if everything is None:
-        return None, None, ""
+        return None, ""
     remark, (low, high) = "", everything
     if driving is not None and 3.0 * (driving[1] - driving[0]) < high - low:
         remark = f"start: {span(np.array(everything), 2)}"
         low, high = driving
     elif not any(line.failed for line in lines):
-        return None, None, ""
+        return None, ""
     margin = 0.2 * max(high - low, 1e-6)
-    return low - margin, high + margin, remark
+    return (low - margin, high + margin), remark
 
 
 def _extent(values: Array) -> tuple[float, float] | None:
@@ -341,9 +388,9 @@ def speed_picture(
 ) -> Picture:
     """Fig. 6: the speed profile of each scenario (dashed), and the speeds that were driven."""
     line_styles = line_styles or strokes(label for runs in scenarios.values() for label in runs)
-    lines = {name: as_lines(runs, line_styles) for name, runs in scenarios.items()}
+    lines = {name: prepare_runs(runs, line_styles) for name, runs in scenarios.items()}
     panels = [speed_panel(group, data_text(name)) for name, group in lines.items()]
-    key = {"Profile": REFERENCE} | {line.label: line.stroke for group in lines.values() for line in group}
+    key = {"Profile": REFERENCE_STROKE} | {line.label: line.stroke for group in lines.values() for line in group}
     return Picture("speed", caption, panels, list(key.items()), "speed.png", row_height=2.3)
 
 
@@ -351,8 +398,8 @@ def tracking_picture(
     runs: Runs, line_styles: Mapping[str, Stroke] | None = None, name: str = "tracking", caption: str = ""
 ) -> Picture:
     """Figs. 8 and 10: `tracking_panels`, over time, or over the station along a road."""
-    lines = as_lines(runs, line_styles)
-    key = [("Reference", REFERENCE), *((line.label, line.stroke) for line in lines)]
+    lines = prepare_runs(runs, line_styles)
+    key = [("Reference", REFERENCE_STROKE), *((line.label, line.stroke) for line in lines)]
     columns = 1 if any(run.road for run in runs.values()) else 2
     return Picture(
         name, caption, tracking_panels(lines), key, f"{name}.png", columns, row_height=1.7 if columns == 1 else 2.25
@@ -363,6 +410,6 @@ def conditions_picture(
     runs: Runs, line_styles: Mapping[str, Stroke] | None = None, name: str = "conditions", caption: str = ""
 ) -> Picture:
     """Figs. 7 and 9: gust, friction, horizons Nc and Np, weights Q and R, as far as the runs have them."""
-    lines = as_lines(runs, line_styles)
+    lines = prepare_runs(runs, line_styles)
     key = [(line.label, line.stroke) for line in lines]
     return Picture(name, caption, condition_panels(lines), key, f"{name}.png")

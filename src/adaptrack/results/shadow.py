@@ -1,27 +1,22 @@
-"""The result of shadow mode: what is believed on each log, how well the car is predicted, what is warned of."""
+"""The result of shadow mode: learned car, accuracy of the predictions and warnings for each log."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from adaptrack.base.result import (
-    BACKGROUND,
-    REFERENCE,
-    Axis,
+    BACKGROUND_STROKE,
+    REFERENCE_STROKE,
     Column,
-    Dots,
-    Guide,
-    Mark,
     Panel,
     Picture,
-    Polyline,
     Result,
     ResultTable,
-    Ribbon,
     strokes,
     where,
 )
@@ -29,22 +24,26 @@ from adaptrack.control.controllers.learned import WITHIN
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
 from adaptrack.identification.shadow_predictions import PREDICTORS
-from adaptrack.results.learned_picture import LEARNED
-from adaptrack.results.run_pictures import thinned
+from adaptrack.results.learned_picture import LEARNED_QUANTITIES
+from adaptrack.results.marks import add_degrees, draw_dots, draw_ribbon
+from adaptrack.results.run_pictures import thin_curve, turning_part
 from adaptrack.results.words import capital, listed, number
 
-NAMES = {"learned": "learned", "held": "held", "first": "first belief", "steady": "steady turn"}
-SENTENCES = NAMES | {"learned": "learned model", "held": "held yaw rate"}
-STROKES = strokes(PREDICTORS)
-SHOWN = 15.0
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PREDICTOR_LABELS = {"learned": "learned", "held": "held", "first": "first belief", "steady": "steady turn"}
+PREDICTOR_NAMES = PREDICTOR_LABELS | {"learned": "learned model", "held": "held yaw rate"}
+PREDICTOR_STROKES = strokes(PREDICTORS)
+SHOWN_SECONDS = 15.0
 """s of the log that are drawn: those with the most turning."""
-BELIEFS = {name: LEARNED[name] for name in ("delay", "lag", "stiffness", "bias")}
-BELIEFS["balance"] = ("Front over rear stiffness, of the model's", "Factor (–)", "")
-QUANTITIES = ("lag", "dead time", "delay", "stiffness", "front/rear", "bias")
-"""Of `LearnedCar.intervals`."""
+BELIEF_LABELS = {name: LEARNED_QUANTITIES[name] for name in ("delay", "lag", "stiffness", "bias")}
+BELIEF_LABELS["balance"] = ("Front over rear stiffness, of the model's", "Factor (–)", "")
+BELIEF_NAMES = ("lag", "dead time", "delay", "stiffness", "front/rear", "bias")
+"""Names of the rows of `LearnedCar.intervals`."""
 SOON, LATER = TIMES
 
-PREDICTED = (
+PREDICTION_COLUMNS = (
     Column("name", "predicted by"),
     Column("soon", f"{SOON:g} s", "rad/s", 3),
     Column("later", f"{LATER:g} s", "rad/s", 3),
@@ -53,7 +52,7 @@ PREDICTED = (
     Column("fastest", "fastest", "rad/s", 3, f"{LATER:g} s ahead, in the third of the log with the fastest steering"),
     Column("y", "offset", "m", 3, f"from the path, {LATER:g} s ahead"),
 )
-BELIEVED = (
+BELIEF_COLUMNS = (
     Column("name", "believed"),
     Column("value", "value", show=3),
     Column("interval", "90 %", show=3),
@@ -62,68 +61,68 @@ BELIEVED = (
 )
 
 
-def shadow_result(found: Shadow, command: str = "", next_step: str = "") -> Result:
+def shadow_result(shadow: Shadow, command: str = "", next_step: str = "") -> Result:
     """Return the logs of shadow mode as a result."""
-    several = len(found.logs) > 1
+    several = len(shadow.logs) > 1
     return Result(
         kind="shadow",
-        title=f"In the shadow of a driver: {found.car.name}",
-        answer="\n".join(_answer(each, several) for each in found.logs),
-        record=_record(found),
-        tables=[table for each in found.logs for table in _tables(each, f", {each.source}" if several else "")],
-        notes=_notes(found),
-        pictures=[_predicted(found.logs), _believed(found.logs), *_commands(found.logs)],
-        failed=not found.believable,
-        headline="" if found.believable else "Not believable",
+        title=f"In the shadow of a driver: {shadow.car.name}",
+        answer="\n".join(_answer(log, several) for log in shadow.logs),
+        record=_record(shadow),
+        tables=[table for log in shadow.logs for table in _tables(log, f", {log.source}" if several else "")],
+        notes=_notes(shadow),
+        pictures=[_predicted(shadow.logs), _believed(shadow.logs), *_commands(shadow.logs)],
+        failed=not shadow.believable,
+        headline="" if shadow.believable else "Not believable",
         command=command,
         next_step=next_step,
     )
 
 
-def _answer(log: ShadowLog, named: bool) -> str:
-    """Whether the belief is to be believed, and which predictor is best."""
+def _answer(log: ShadowLog, with_source: bool) -> str:
+    """The verdict on the belief, and the best predictor."""
     why = "; ".join(log.doubts or log.bounds)
     delay, half = log.learned.lag + log.learned.dead_time, WITHIN * log.learned.delay_sigma
-    said = f"The belief (delay {number(delay)} ± {number(half, 2)} s) is {log.verdict}{f': {why}' if why else ''}."
-    return f"{f'{log.source}: ' if named else ''}{said}\n{_winner(log)}"
+    belief = f"The belief (delay {number(delay)} ± {number(half, 2)} s) is {log.verdict}{f': {why}' if why else ''}."
+    return f"{f'{log.source}: ' if with_source else ''}{belief}\n{_winner(log)}"
 
 
 def _winner(log: ShadowLog) -> str:
-    """Who predicts the yaw rate best, and how the learned model compares."""
-    found = log.of("yaw_rate", LATER)
-    if not found:
+    """The best predictor of the yaw rate, and the error of the learned model."""
+    predictions = log.of("yaw_rate", LATER)
+    if not predictions:
         return "It is too short to compare predictions."
-    ours = found["learned"]
-    best, *others = sorted(found.values(), key=lambda each: each.rms.value)
-    other = others[0] if best is ours else best
+    ours = predictions["learned"]
+    best, *rivals = sorted(predictions.values(), key=lambda prediction: prediction.rms.value)
+    other = rivals[0] if best is ours else best
     over = f"{number(other.ours.mean, 2)} [{number(other.ours.low, 2)}, {number(other.ours.high, 2)}]"
     error = f"{number(ours.rms.value)} rad/s [{number(ours.rms.low)}, {number(ours.rms.high)}]"
-    winner = SENTENCES[best.predictor]
+    winner = PREDICTOR_NAMES[best.predictor]
     sure = "" if other.ours.verdict != "level" else ", level with it"
     return (
         f"Yaw rate {LATER:g} s ahead: the {winner} predicts it best.\nThe learned model errs by {error} RMS,\n"
-        f"{over} times the {SENTENCES[other.predictor]}{sure}."
+        f"{over} times the {PREDICTOR_NAMES[other.predictor]}{sure}."
     )
 
 
-def _warned(each: Warned, log: ShadowLog) -> str:
-    """Return the warnings in words."""
-    if math.isnan(each.seconds):
-        return f"{each.what} (the whole log)"
-    return f"{each.what} ({each.seconds:.0f} of {log.time[-1]:.0f} s, from {each.first:.0f} s on)"
+def _warning_text(warning: Warned, log: ShadowLog) -> str:
+    """A warning with its duration."""
+    if math.isnan(warning.seconds):
+        return f"{warning.what} (the whole log)"
+    return f"{warning.what} ({warning.seconds:.0f} of {log.time[-1]:.0f} s, from {warning.first:.0f} s on)"
 
 
-def _notes(found: Shadow) -> list[str]:
+def _notes(shadow: Shadow) -> list[str]:
     """Return the notes for the reader."""
-    several = len(found.logs) > 1
+    several = len(shadow.logs) > 1
     notes = []
-    for log in found.logs:
-        warned = "; ".join(_warned(each, log) for each in log.warnings)
-        for each in (capital("; ".join(log.notes)), warned and f"It would have warned of: {warned}"):
-            notes += [f"{f'{log.source}: ' if several else ''}{each}."] if each else []
-    if found.spoiling:
+    for log in shadow.logs:
+        warned = "; ".join(_warning_text(warning, log) for warning in log.warnings)
+        for sentence in (capital("; ".join(log.notes)), warned and f"It would have warned of: {warned}"):
+            notes += [f"{f'{log.source}: ' if several else ''}{sentence}."] if sentence else []
+    if shadow.spoiling:
         notes.append(
-            f"Without {listed(found.spoiling)} less is amiss: they contradict the other signals, or are not those of "
+            f"Without {listed(shadow.spoiling)} less is amiss: they contradict the other signals, or are not those of "
             "the centre of gravity."
         )
     if several:
@@ -131,113 +130,123 @@ def _notes(found: Shadow) -> list[str]:
     return [*notes, "Nothing was steered: a command is one step from where the driver had brought the car."]
 
 
-def _record(found: Shadow) -> dict[str, Any]:
+def _record(shadow: Shadow) -> dict[str, Any]:
     logs = [
         {
             "log": log.source, "verdict": log.verdict, "doubts": list(log.doubts), "bounds": list(log.bounds),
             "notes": list(log.notes),
-            "warnings": [each._asdict() for each in log.warnings], "learned": log.learned.model_dump(),
+            "warnings": [warning._asdict() for warning in log.warnings], "learned": log.learned.model_dump(),
             "predictions": [
-                {**each._asdict(), "rms": each.rms._asdict(), "ours": each.ours._asdict()} for each in log.predictions
+                {**prediction._asdict(), "rms": prediction.rms._asdict(), "ours": prediction.ours._asdict()}
+                for prediction in log.predictions
             ],
         }
-        for log in found.logs
+        for log in shadow.logs
     ]  # fmt: skip
-    return {"vehicle": found.car.name, "period": found.period, "spoiling": list(found.spoiling), "logs": logs}
+    return {"vehicle": shadow.car.name, "period": shadow.period, "spoiling": list(shadow.spoiling), "logs": logs}
 
 
 def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
-    """Who predicted how well; what is believed in the end."""
+    """Tables of the prediction errors and of the final belief."""
     soon, later = (log.of("yaw_rate", ahead) for ahead in TIMES)
     fastest, y = log.of("yaw_rate", LATER, "fastest"), log.of("y", LATER)
     rows: list[dict[str, Any]] = [
         {
-            "name": NAMES[name], "soon": soon[name].rms.value, "later": each.rms.value, "interval": each.rms[1:],
-            "ours": None if name == "learned" else each.ours[1:], "fastest": fastest[name].rms.value,
-            "y": y[name].rms.value if y else None,
+            "name": PREDICTOR_LABELS[name], "soon": soon[name].rms.value, "later": prediction.rms.value,
+            "interval": prediction.rms[1:], "ours": None if name == "learned" else prediction.ours[1:],
+            "fastest": fastest[name].rms.value, "y": y[name].rms.value if y else None,
         }
-        for name, each in later.items()
+        for name, prediction in later.items()
     ]  # fmt: skip
     least = [
-        where(rows, [name], lambda row, name=name: row[name] == min(each[name] for each in rows))
+        where(rows, [name], lambda row, name=name: row[name] == min(other[name] for other in rows))
         for name in ("soon", "later", "fastest", *(("y",) if y else ()))
     ]
     believed = [
-        {"name": name, "value": each.value, "interval": (each.low, each.high), "before": (old.low, old.high),
-         "unit": each.unit}
-        for name, each, old in zip(QUANTITIES, log.learned.intervals, log.before.intervals, strict=True)
+        {"name": name, "value": interval.value, "interval": (interval.low, interval.high),
+         "before": (old.low, old.high), "unit": interval.unit}
+        for name, interval, old in zip(BELIEF_NAMES, log.learned.intervals, log.before.intervals, strict=True)
     ]  # fmt: skip
     title = f"RMS errors of yaw rate{' and offset' if y else ''}{suffix}"
-    columns = PREDICTED if y else PREDICTED[:-1]
+    columns = PREDICTION_COLUMNS if y else PREDICTION_COLUMNS[:-1]
     return [
         ResultTable(f"predicted{suffix}", title, columns, rows, best=frozenset().union(*least), brief=True),
-        ResultTable(f"believed{suffix}", f"The belief in the end{suffix}", BELIEVED, believed, brief=True),
+        ResultTable(f"believed{suffix}", f"The belief in the end{suffix}", BELIEF_COLUMNS, believed, brief=True),
     ]
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
-def _stretch(log: ShadowLog) -> slice:
-    """The `SHOWN` s with the most turning."""
-    total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(log.measured["yaw_rate"]) ** 2)])
-    ends = np.searchsorted(log.time, log.time + SHOWN, side="right")
-    first = int(np.argmax(total[ends] - total[np.arange(log.time.size)]))
-    return slice(first, int(ends[first]))
-
-
 def _picture(name: str, caption: str, panels: Sequence[Panel], key: Any = ()) -> Picture:
-    """Wide panels, one below the other."""
+    """A picture of wide panels, one below the other."""
     return Picture(name, caption, panels, key, file=f"{name}.png", columns=1, row_height=2.4)
 
 
 def _predicted(logs: Sequence[ShadowLog]) -> Picture:
-    """Yaw rate as measured, and as predicted."""
-    panels = []
-    for log in logs:
-        part = _stretch(log)
-        marks: list[Mark] = [Polyline(log.time[part], log.measured["yaw_rate"][part], REFERENCE, 1.0)]
-        for name in PREDICTORS:
-            values = log.predicted[name, "yaw_rate", LATER][part]
-            known = np.isfinite(values)
-            marks.insert(0, Polyline(log.time[part][known], values[known], STROKES[name], 1.0))
-        panels.append(Panel(log.source, Axis("Time (s)"), Axis("Yaw rate (rad/s)"), marks, _winner(log)))
-    key = [*((capital(SENTENCES[name]), STROKES[name]) for name in PREDICTORS), ("Measured", REFERENCE)]
+    """A picture of measured and predicted yaw rate."""
+    panels = [Panel(log.source, partial(_draw_predicted, log=log), _winner(log)) for log in logs]
+    key = [
+        *((capital(PREDICTOR_NAMES[name]), PREDICTOR_STROKES[name]) for name in PREDICTORS),
+        ("Measured", REFERENCE_STROKE),
+    ]
     caption = (
-        f"Yaw rate predicted {LATER:g} s before, with the commands that followed. The {SHOWN:.0f} s that turn most."
+        f"Yaw rate predicted {LATER:g} s before, with the commands that followed. The {SHOWN_SECONDS:.0f} s with the "
+        "most turning."
     )
     return _picture("predicted", caption, panels, key)
 
 
+def _draw_predicted(axes: Axes, log: ShadowLog) -> None:
+    part = turning_part(log.time, log.measured["yaw_rate"], SHOWN_SECONDS)
+    for name in reversed(PREDICTORS):
+        values = log.predicted[name, "yaw_rate", LATER][part]
+        finite = np.isfinite(values)
+        axes.plot(log.time[part][finite], values[finite], **PREDICTOR_STROKES[name].look, linewidth=1.0)
+    axes.plot(log.time[part], log.measured["yaw_rate"][part], **REFERENCE_STROKE.look, linewidth=1.0)
+    axes.set(xlabel="Time (s)", ylabel="Yaw rate (rad/s)")
+
+
 def _believed(logs: Sequence[ShadowLog]) -> Picture:
-    """The belief over time, one log after the other."""
-    begins, own = np.concatenate([[0.0], np.cumsum([log.time[-1] for log in logs])]), STROKES["learned"]
-    panels = []
-    for name, (title, label, unit) in BELIEFS.items():
-        marks: list[Mark] = [Guide("x", begins[1:-1].tolist())] if len(logs) > 1 else []
-        for log, begin in zip(logs, begins[:-1], strict=True):
-            keep = thinned(log.beliefs[f"belief_{name}"])
-            mean, sigma = (log.beliefs[f"belief_{name}{end}"][keep] for end in ("", "_sigma"))
-            factor, spread = (
-                (np.exp(WITHIN * sigma), 0.0) if name in ("stiffness", "balance") else (1.0, WITHIN * sigma)
-            )
-            time = begin + log.time[keep]
-            ribbon = Ribbon(time, mean / factor - spread, mean * factor + spread, own.colour)
-            marks += [ribbon, Polyline(time, mean, own)]
-        panels.append(Panel(title, Axis("Time (s)"), Axis(label), marks, f"{mean[-1]:.3g} {unit} in the end."))
+    """A picture of the belief over time, one log after the other."""
+    panels = [
+        Panel(
+            title, partial(_draw_believed, logs=logs, name=name, label=label),
+            f"{logs[-1].beliefs[f'belief_{name}'][-1]:.3g} {unit} in the end.",
+        )
+        for name, (title, label, unit) in BELIEF_LABELS.items()
+    ]  # fmt: skip
     return Picture("believed", "What is believed of the car. Band: 90 %.", panels, file="believed.png", row_height=1.9)
 
 
+def _draw_believed(axes: Axes, logs: Sequence[ShadowLog], name: str, label: str) -> None:
+    starts, stroke = np.concatenate([[0.0], np.cumsum([log.time[-1] for log in logs])]), PREDICTOR_STROKES["learned"]
+    for start in starts[1:-1]:
+        axes.axvline(start, linewidth=0.8, **BACKGROUND_STROKE.look)
+    for log, start in zip(logs, starts[:-1], strict=True):
+        keep = thin_curve(log.beliefs[f"belief_{name}"])
+        mean, sigma = (log.beliefs[f"belief_{name}{end}"][keep] for end in ("", "_sigma"))
+        logarithmic = name in ("stiffness", "balance")
+        factor, spread = (np.exp(WITHIN * sigma), 0.0) if logarithmic else (1.0, WITHIN * sigma)
+        time = start + log.time[keep]
+        draw_ribbon(axes, time, mean / factor - spread, mean * factor + spread, stroke.colour)
+        axes.plot(time, mean, **stroke.look)
+    axes.set(xlabel="Time (s)", ylabel=label)
+
+
 def _commands(logs: Sequence[ShadowLog]) -> list[Picture]:
-    """The controller's command beside the driver's; none without a path."""
+    """A picture of the commands of driver and controller; none without a path."""
     panels = []
     for log in logs:
-        part, apart = _stretch(log), (log.proposed - log.command)[np.isfinite(log.proposed)]
-        if apart.size:
-            marks: list[Mark] = [
-                Polyline(log.time[part], log.command[part], BACKGROUND),
-                Dots(log.time[part], log.proposed[part], size=1.6, marker="point"),
-            ]
-            said = f"{number(float(np.sqrt(np.mean(apart**2))))} rad apart (RMS of the whole log)."
-            up = Axis("Angle (rad)", degrees=True)
-            panels.append(Panel(log.source, Axis("Time (s)"), up, marks, said))
+        difference = (log.proposed - log.command)[np.isfinite(log.proposed)]
+        if difference.size:
+            description = f"{number(float(np.sqrt(np.mean(difference**2))))} rad apart (RMS of the whole log)."
+            panels.append(Panel(log.source, partial(_draw_commands, log=log), description))
     caption = "Command of the driver (line), and of the controller at that instant (points): one step, no drive."
     return [_picture("commands", caption, panels)] if panels else []
+
+
+def _draw_commands(axes: Axes, log: ShadowLog) -> None:
+    part = turning_part(log.time, log.measured["yaw_rate"], SHOWN_SECONDS)
+    axes.plot(log.time[part], log.command[part], **BACKGROUND_STROKE.look)
+    draw_dots(axes, log.time[part], log.proposed[part], marker=".", size=1.6)
+    axes.set(xlabel="Time (s)", ylabel="Angle (rad)")
+    add_degrees(axes)

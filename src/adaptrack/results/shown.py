@@ -1,4 +1,4 @@
-"""Which figure and which notebook form belongs to which type (`base.shown`)."""
+"""Figure and notebook form of each type (`base.shown`)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from adaptrack.results.notebook import (
 
 
 @singledispatch
-def figure_of(shown: Any, *more: Any) -> Figure:
+def figure_of(value: Any, *arguments: Any) -> Figure:
     """The object as a figure.
 
     Raises
@@ -36,11 +36,11 @@ def figure_of(shown: Any, *more: Any) -> Figure:
     TypeError
         When nothing draws its type.
     """
-    raise TypeError(f"{type(shown).__name__} has no figure.")
+    raise TypeError(f"{type(value).__name__} has no figure.")
 
 
 @singledispatch
-def html_of(shown: Any) -> str:
+def html_of(value: Any) -> str:
     """The object in a notebook.
 
     Raises
@@ -48,7 +48,7 @@ def html_of(shown: Any) -> str:
     TypeError
         When no form is known for its type.
     """
-    raise TypeError(f"{type(shown).__name__} has no form for notebooks.")
+    raise TypeError(f"{type(value).__name__} has no form for notebooks.")
 
 
 for _kind, _figure, _html in (
@@ -64,5 +64,5 @@ html_of.register(Metrics, metrics_html)
 
 
 @html_of.register(Comparison)
-def _(shown: Comparison) -> str:
-    return comparison_html(repr(shown)[1:-1], shown.rows(), figure_of(shown))
+def _(comparison: Comparison) -> str:
+    return comparison_html(repr(comparison)[1:-1], comparison.rows(), figure_of(comparison))

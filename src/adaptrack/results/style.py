@@ -1,48 +1,36 @@
-"""How every picture looks: colours, type, grid; and how a figure becomes PNG or SVG. No pyplot, no global state."""
+"""The style of all pictures: fonts, lines, grid; figures as PNG or SVG. No pyplot, no global state."""
 
 from __future__ import annotations
 
 import io
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import Any
 
 import matplotlib as mpl
-import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+from matplotlib.ticker import AutoLocator, MaxNLocator
 
-from adaptrack.base.result import Colour, Dash, Stroke
+from adaptrack.base.result import INK, MUTED, PALE, SERIES, Stroke
 from adaptrack.base.text import printable
-from adaptrack.results.words import data_text as data_text
+from adaptrack.results.marks import TICK_STEPS
+from adaptrack.results.words import data_text
 
-INK = "#1d2733"
-"""Text, ticks, and the reference that controllers follow."""
-
-MUTED = "#66717e"
-"""Frames, and what stands in the background."""
-
-GRID = "#dce1e7"
-"""Grid lines."""
-
-SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""One colour per controller: Okabe and Ito's set, distinguished with any common colour vision (tested)."""
-
-_THEME = {INK: "ink", MUTED: "muted", GRID: "grid"} | {colour: f"series-{i}" for i, colour in enumerate(SERIES)}
+_THEME = {INK: "ink", MUTED: "muted", PALE: "grid"} | {colour: f"series-{i}" for i, colour in enumerate(SERIES)}
 """The CSS variable behind each colour that a page may redefine."""
 
 _THEMED = re.compile("|".join(_THEME), re.IGNORECASE)
 
 PAGE_WIDTH = 7.2
-"""inch, of a full figure: the text width of a two-column paper."""
+"""inch, width of a full figure: the text width of a two-column paper"""
 
 PANEL_SIZE = (4.5, 2.55)
-"""inch, of a panel on the page."""
+"""inch, width and height of a panel on the page"""
 
 PNG_DPI = 200
 """Dots per inch of the PNG files."""
@@ -69,7 +57,7 @@ RC: Any = {
     "axes.ymargin": 0.08,
     "axes.formatter.limits": (-4, 5),
     "axes.prop_cycle": cycler(color=SERIES),
-    "grid.color": GRID,
+    "grid.color": PALE,
     "grid.linewidth": 0.6,
     "xtick.color": MUTED,
     "ytick.color": MUTED,
@@ -102,31 +90,12 @@ RC: Any = {
 """The settings that differ from matplotlib's own."""
 
 FONTS = "DejaVu Sans, Verdana, Geneva, sans-serif"
-"""Of the text in pictures on pages: what they were laid out with, and others that are as wide."""
-
-ROUND = (1, 2, 5, 10)
-"""Steps between the ticks of an axis, times a power of ten: whole numbers stay whole."""
-
-PLAIN = FuncFormatter(lambda value, _: f"{value:g}".replace("-", "−"))
-"""Writes the numbers of an axis as readers do, not as powers of ten."""
-
-
-_HEX = {"ink": INK, "muted": MUTED, "grid": GRID} | {f"series-{i}": colour for i, colour in enumerate(SERIES)}
-DASHES: Mapping[Dash, Any] = {
-    "solid": "-", "dashed": (0, (4, 2)), "long": (0, (5, 1.5)), "dotted": (0, (1.5, 1.5)),
-    "dash-dot": (0, (5, 1.5, 1, 1.5)),
-}  # fmt: skip
-"""Line styles as matplotlib takes them, in widths of the line."""
-
-
-def hex_of(colour: Colour) -> str:
-    """A colour by its name; one in CSS's notation as it is."""
-    return _HEX.get(colour, colour)
+"""Fonts of the text in pictures on pages: the one of the layout, and others that are as wide."""
 
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """matplotlib's defaults with `RC` on top, whatever the user's own settings are, for the length of a block."""
+    """Use matplotlib's defaults with `RC` on top within a block, whatever the user's settings are."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(RC)
@@ -140,82 +109,18 @@ class ShownFigure(Figure):
         return png(self)
 
 
-def panel_figure(draw: Callable[[Axes], None]) -> Figure:
-    """A figure of one panel, for the page; axes and labels of all such figures align."""
-    width, height = PANEL_SIZE
-    left, right, bottom, top = 0.74, 0.1, 0.45, 0.28  # inch
-    box = {"left": left / width, "right": 1 - right / width, "bottom": bottom / height, "top": 1 - top / height}
-    with styled(), mpl.rc_context({"figure.constrained_layout.use": False}):
-        figure = Figure(figsize=PANEL_SIZE)
-        axes = figure.subplots(gridspec_kw=box)
-        draw(axes)
-        axes.yaxis.set_label_coords(-0.6 / (width - left - right), 0.5)
-    return figure
-
-
 def legend_above(figure: Figure, key: Sequence[tuple[str, Stroke]]) -> None:
-    """A legend in rows above all panels, where it covers nothing."""
+    """Add a legend in rows above all panels."""
     key = [(data_text(label), stroke) for label, stroke in key]
-    handles = [
-        Line2D([], [], color=hex_of(stroke.colour), linestyle=DASHES[stroke.dash], linewidth=1.6, label=label)
-        for label, stroke in key
-    ]
+    handles = [Line2D([], [], **stroke.look, linewidth=1.6, label=label) for label, stroke in key]
 
     def width(columns: int) -> int:
-        """In letters; a legend is filled column by column."""
+        """The width of the legend in letters; it is filled column by column."""
         rows = -(-len(key) // columns)
         return sum(9 + max(len(label) for label, _ in key[i : i + rows]) for i in range(0, len(key), rows))
 
     columns = next((n for n in (5, 4, 3) if width(n) <= 105), 2)
     figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), columns))
-
-
-def line_key(axes: Axes, entries: Iterable[tuple[str, Stroke]]) -> None:
-    """A key of line styles in ink, at the right above the panel, level with its title."""
-    handles = [
-        Line2D([], [], color=INK, linestyle=DASHES[stroke.dash], label=name, linewidth=1.2) for name, stroke in entries
-    ]
-    axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.015), ncols=len(handles), columnspacing=1.2)
-
-
-def log_ticks(low: float, high: float) -> FixedLocator:
-    """Round numbers on a logarithmic axis, more of them where it is short."""
-    if high <= 2.0 * low:
-        ticks = np.asarray(MaxNLocator(nbins=5, steps=ROUND).tick_values(low, high))
-    else:
-        many, few, fewest = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0), (1.0, 2.0, 5.0), (1.0,)
-        decades = np.log10(high / low)
-        decade = many if decades < 1.5 else few if decades < 3.5 else fewest
-        powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
-        ticks = np.outer(powers, decade).ravel()
-    return FixedLocator(ticks[(ticks >= 0.999 * low) & (ticks <= 1.001 * high)].tolist())
-
-
-def logarithmic(axes: Axes, which: Literal["x", "y"], limits: tuple[float, float] | None = None) -> None:
-    """Make an axis logarithmic, with numbers that can be read also where it spans less than a decade.
-
-    limits: its ends; those that its curves ask for when left out. Very small and very large numbers are written as
-    powers of ten.
-    """
-    axes.set(**{f"{which}scale": "log"})
-    axis = axes.xaxis if which == "x" else axes.yaxis
-    low, high = limits or axis.get_view_interval()
-    axes.set(**{f"{which}lim": (low, high)})
-    axis.set_major_locator(log_ticks(low, high))
-    axis.set_minor_locator(NullLocator())
-    if low >= 1e-4 and high < 1e6:
-        axis.set_major_formatter(PLAIN)
-
-
-def degrees_at_the_right(axes: Axes) -> None:
-    """A second scale for angles in radians, once the panel is drawn."""
-    figure = axes.get_figure()
-    if figure is not None and figure.get_layout_engine() is None:  # room for it
-        box = axes.get_position()
-        axes.set_position((box.x0, box.y0, 0.9 * box.width, box.height))
-    beside = axes.secondary_yaxis("right", functions=(np.degrees, np.radians))
-    beside.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=ROUND))
-    beside.set_ylabel("(°)", labelpad=1.0)
 
 
 def png(figure: Figure) -> bytes:
@@ -225,17 +130,17 @@ def png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def _save(figure: Figure, to: io.BytesIO | io.StringIO, **how: Any) -> None:
+def _save(figure: Figure, to: io.BytesIO | io.StringIO, **options: Any) -> None:
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
             if type(axis.get_major_locator()) is AutoLocator:
-                axis.set_major_locator(MaxNLocator("auto", steps=ROUND))
+                axis.set_major_locator(MaxNLocator("auto", steps=TICK_STEPS))
     with styled(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing")  # a name in a script that the font does not have
         if figure.get_layout_engine() is None:  # otherwise the ticks are not yet what they will be
             for axes in figure.axes:
                 _settle_titles(axes)
-        figure.savefig(to, **how)
+        figure.savefig(to, **options)
 
 
 def _settle_titles(axes: Axes) -> None:
@@ -268,7 +173,7 @@ def inline_svg(figure: Figure, prefix: str, description: str) -> str:
 
 
 def _tag(text: str, prefix: str) -> str:
-    """A tag of matplotlib's SVG as a page has it: ids apart from other pictures', themed colours, the page's fonts."""
+    """Adapt a tag of matplotlib's SVG to a page: unique ids, themed colours, the page's fonts."""
     text = re.sub(r'\s(?:xmlns(?::\w+)?|version)="[^"]*"', "", text)
     text = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', text)
     text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", text)

@@ -20,8 +20,8 @@ CAR_COLUMNS = (
     Column("cost", "cost J", "m²", 3),
     Column("failed", "failed\ndrives"),
 )
-SURE = "The search replaces the default only if it is better with 95 % confidence and fails no more often."
-STAND_IN = "The plant has no linear model: the certificate is that of the car in the controller's file."
+ACCEPTANCE_NOTE = "The search replaces the default only if it is better with 95 % confidence and fails no more often."
+STAND_IN_NOTE = "The plant has no linear model: the certificate is that of the car in the controller's file."
 
 
 def tuned_car_result(tuned: TunedCar, files: Mapping[str, str], next_step: str) -> Result:
@@ -36,14 +36,16 @@ def tuned_car_result(tuned: TunedCar, files: Mapping[str, str], next_step: str) 
     ]  # fmt: skip
     notes = [f"Certificate: {tuned.certificate.verdict}"]
     notes += [] if tuned.feasibility.passed else [tuned.feasibility.verdict]
-    notes += [] if tuned.certificate.plant == tuned.plant else [STAND_IN]
+    notes += [] if tuned.certificate.plant == tuned.plant else [STAND_IN_NOTE]
     notes += [f"Steering model of the controller: {tuned.controller.belief_at_first}."]
     return Result(
         kind="tuned-car",
         title=f"Tuning of {tuned.controller.model.vehicle.name}",
         answer=tuned.headline,
         record={**record, **files},
-        tables=[ResultTable("tunings", f"{record['drives']} unseen drives", CAR_COLUMNS, rows, SURE, brief=True)],
+        tables=[
+            ResultTable("tunings", f"{record['drives']} unseen drives", CAR_COLUMNS, rows, ACCEPTANCE_NOTE, brief=True)
+        ],
         notes=[*notes, *(f"{name.replace('_', ' ')}: {path}" for name, path in files.items())],
         failed=not tuned.passed,
         next_step=next_step,

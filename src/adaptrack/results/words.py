@@ -1,4 +1,4 @@
-"""Numbers, names and settings as a reader says them."""
+"""Numbers and names, formatted for readers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from adaptrack.control.scheduling.variables import VARIABLES
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _THIN_SPACE = "\u202f"
 
-INPUTS = {name: (variable.label, variable.unit) for name, variable in VARIABLES.items()}
+INPUT_LABELS = {name: (variable.label, variable.unit) for name, variable in VARIABLES.items()}
 """The label and unit of each scheduling variable."""
 
 
@@ -42,11 +42,11 @@ def number(value: float | int | None, digits: int = 3) -> str:
 
 
 def entry(value: Any, column: Column) -> str:
-    """A value of a table as a page has it."""
+    """Format a value of a table for a page."""
     if isinstance(value, tuple):
-        ends = [entry(each, column) for each in value]
+        ends = [entry(end, column) for end in value]
         if isinstance(column.show, int) and len(set(ends)) < len(set(value)):  # as many digits as tell them apart
-            ends = [number(each, column.show + 1) for each in value]
+            ends = [number(end, column.show + 1) for end in value]
         return " to ".join(ends)
     if isinstance(value, bool):
         return "yes" if value else "no"
@@ -87,7 +87,7 @@ def percent(share: float) -> str:
 
 
 def span(values: NDArray[Any], digits: int = 3, to: str = " to ") -> str:
-    """One value where all agree, else "lowest to highest"."""
+    """The common value of all, or "lowest to highest"."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return "–"
@@ -96,18 +96,18 @@ def span(values: NDArray[Any], digits: int = 3, to: str = " to ") -> str:
 
 
 def listed(words: Sequence[str]) -> str:
-    """Words in a row: a; a and b; a, b and c."""
+    """Join words as a list: a; a and b; a, b and c."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def few(names: Iterable[str], noun: str, most: int = 3) -> str:
-    """For a title: the names where they are few, else how many."""
-    known = list(names)
-    return listed(known) if 0 < len(known) <= most else counted(len(known), noun)
+    """For a title: up to `most` names as a list, or else their number."""
+    shown_names = list(names)
+    return listed(shown_names) if 0 < len(shown_names) <= most else counted(len(shown_names), noun)
 
 
 def counted(n: int, noun: str) -> str:
-    """So many of something: 1 drive, 300 drives."""
+    """A number with its noun: 1 drive, 300 drives."""
     return f"{number(n)} {noun}{'' if n == 1 else 's'}"
 
 
@@ -117,23 +117,23 @@ def lettered(i: int, title: str = "") -> str:
 
 
 def plain(label: str) -> str:
-    """A label of a figure without its marks for mathematics."""
+    """Remove the mathematical markup from a label of a figure."""
     return re.sub(r"\\mathrm\{(\w+)\}|\$", r"\1", label).replace(r"\log_{10}", "log10")
 
 
 def legible(name: str, longest: int = 80) -> str:
-    """A name, whatever it holds, as it can stand on a page: printable, and cut where it is too long."""
+    """Make any name printable, and cut it if it is too long."""
     text = printable(name[: longest + 1])
     return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
 def data_text(text: str) -> str:
-    """A name out of the data for a picture: shown as it is, never read as mathematics, cut where it is too long."""
+    """Escape a name from data for a picture, so that it is not read as mathematics; cut if it is too long."""
     return legible(text).replace("$", r"\$")
 
 
 def capital(text: str) -> str:
-    """With a capital letter at its beginning."""
+    """Make the first letter a capital."""
     return text[:1].upper() + text[1:]
 
 
@@ -145,9 +145,9 @@ def title_of(name: str) -> str:
 
 def controller_name(name: str) -> str:
     """A controller's name as a label: as the paper writes it, where the paper has it."""
-    known = {"standard": "Standard MPC", "nn": "NN-MPC", "anfis": "ANFIS-MPC"}
+    paper_names = {"standard": "Standard MPC", "nn": "NN-MPC", "anfis": "ANFIS-MPC"}
     name = legible(name)
-    return known.get(name) or name[:1].upper() + name[1:] or "Controller"
+    return paper_names.get(name) or name[:1].upper() + name[1:] or "Controller"
 
 
 def clock(moment: str) -> str:
@@ -163,21 +163,3 @@ def clock(moment: str) -> str:
 def slug(text: str) -> str:
     """`text` as a file name or an anchor: lower-case words joined by hyphens."""
     return re.sub(r"[^\w]+", "-", text.lower()).strip("-") or "part"
-
-
-def describe(value: Any) -> str:
-    """An entry of a run's provenance; of a long parameter record only the name."""
-    if value is None or value == "":
-        return "not recorded"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, dict):
-        name = str(value.get("name", value.get("kind", "")))
-        rest = {key: entry for key, entry in value.items() if key not in ("name", "kind") and entry is not None}
-        if name and (not rest or len(rest) > 6):
-            return name
-        inside = ", ".join(f"{key} {describe(entry)}" for key, entry in rest.items())
-        return f"{name} ({inside})" if name else inside
-    if isinstance(value, list):
-        return ", ".join(describe(entry) for entry in value)
-    return f"{value:g}" if isinstance(value, float) else str(value)

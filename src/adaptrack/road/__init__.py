@@ -3,7 +3,7 @@
 from adaptrack.road.along import Along
 from adaptrack.road.check import Finding, check_road, smallest_radius
 from adaptrack.road.fit import fit_road, road_through, smooth_road
-from adaptrack.road.generate import KINDS, generate_road
+from adaptrack.road.generate import ROAD_KINDS, generate_road
 from adaptrack.road.load import load_road
 from adaptrack.road.opendrive import read_opendrive
 from adaptrack.road.road import Jump, Projection, Road
@@ -11,7 +11,7 @@ from adaptrack.road.segments import Arc, Clothoid, Cubic, Line, Points, Pose
 from adaptrack.road.speed import Comfort, SpeedPlan, Stop, plan_speed
 
 __all__ = [
-    "KINDS",
+    "ROAD_KINDS",
     "Along",
     "Arc",
     "Clothoid",

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack.base.checked import real, reals
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.core import road as kernel
 from adaptrack.core.path import cells_of
 from adaptrack.road.road import Projection, Road
@@ -20,30 +20,30 @@ from adaptrack.road.segments import Array
 
 def pack_roads(roads: Sequence[Road | None]) -> Any:
     """The roads of scenarios, None for a straight one, as `core.road.Roads`; equal ones are kept once."""
-    kept: list[Road] = []
+    packed: list[Road] = []
     of = np.full(len(roads), -1, np.int64)
     for i, road in enumerate(roads):
         if road is None:
             continue
-        known = [k for k, each in enumerate(kept) if each is road]
-        if not known:
-            kept.append(road)
-        of[i] = known[0] if known else len(kept) - 1
-    numbers = np.zeros((len(kept), len(kernel.NUMBERS)))
+        indices = [k for k, packed_road in enumerate(packed) if packed_road is road]
+        if not indices:
+            packed.append(road)
+        of[i] = indices[0] if indices else len(packed) - 1
+    numbers = np.zeros((len(packed), len(kernel.LINE_NUMBERS)))
     parts: tuple[list[Array], list[Array], list[Array]] = [], [], []
     places = np.zeros(3)
-    for k, road in enumerate(kept):
+    for k, road in enumerate(packed):
         line, cells = road.packed(), cells_of(road.length)
-        own = line.start, line.pieces, np.empty(cells + 1)
-        kernel.headings_along(line, own[2])
-        numbers[k] = (*line.numbers, places[0], places[1], len(own[1]), places[2], road.length / cells)
-        places += [each.shape[0] for each in own]
-        for found, each in zip(parts, own, strict=True):
-            found.append(each)
-    none = np.zeros(0), np.zeros((0, kernel.COLUMNS)), np.zeros(0)
+        tables = line.start, line.pieces, np.empty(cells + 1)
+        kernel.headings_along(line, tables[2])
+        numbers[k] = (*line.numbers, places[0], places[1], len(tables[1]), places[2], road.length / cells)
+        places += [table.shape[0] for table in tables]
+        for part, table in zip(parts, tables, strict=True):
+            part.append(table)
+    none = np.zeros(0), np.zeros((0, kernel.PIECE_COLUMNS)), np.zeros(0)
     joined = (
-        found[0] if len(found) == 1 else np.concatenate([empty, *found])
-        for empty, found in zip(none, parts, strict=True)
+        part[0] if len(part) == 1 else np.concatenate([empty, *part])
+        for empty, part in zip(none, parts, strict=True)
     )  # fmt: skip
     return kernel.Roads(of, numbers, *joined)
 
@@ -87,7 +87,7 @@ class RoadAhead:
 
     def __post_init__(self) -> None:
         if not isinstance(self.road, Road):
-            raise InvalidInput(f"RoadAhead: road = {shown(self.road)}: must be a Road.")
+            raise InvalidInput(f"RoadAhead: road = {format_value(self.road)}: must be a Road.")
         station, speeds = real("RoadAhead", "station", self.station), np.atleast_1d(reals("speeds", self.speeds))
         if not math.isfinite(station):
             raise InvalidInput(f"RoadAhead: station = {self.station!r} m: must be finite.")
@@ -98,30 +98,30 @@ class RoadAhead:
 
     @property
     def packed(self) -> Any:
-        """The centre line, the foot and the speeds, `core.road.RoadAhead`."""
-        return kernel.RoadAhead(self.road.packed(), self.station, self.speeds)
+        """The centre line, the foot and the speeds, `core.road.RoadAheadRecord`."""
+        return kernel.RoadAheadRecord(self.road.packed(), self.station, self.speeds)
 
     def bend(self, count: int, speed: float, delay: float, period: float) -> Array:
         """(count,) m, how far the road lies to the left of its tangent here: after `delay` periods, then every period.
 
         speed: m/s, of the model; delay: in periods; period: s; see `core.road.bend_ahead`.
         """
-        found = np.zeros(count)
-        kernel.bend_of(self.station, self.speeds, speed, delay, period, 0, stacked(self.road), found)
-        return found
+        curvatures = np.zeros(count)
+        kernel.bend_of(self.station, self.speeds, speed, delay, period, 0, stacked(self.road), curvatures)
+        return curvatures
 
     def points(self, offsets: Array, speed: float, delay: float, period: float) -> Array:
         """(n, 2) m, where a car will be at so many offsets (n,) m from the road: 1, 2, ... periods after the delay.
 
         Other arguments as for `bend`.
         """
-        found = np.zeros(2 * len(offsets))
-        kernel.points_ahead(self.station, self.speeds, speed, delay, period, self.road.packed(), offsets, found)
-        return found.reshape(-1, 2)
+        coordinates = np.zeros(2 * len(offsets))
+        kernel.points_ahead(self.station, self.speeds, speed, delay, period, self.road.packed(), offsets, coordinates)
+        return coordinates.reshape(-1, 2)
 
 
 @cache
 def straight() -> Any:
-    """`core.road.RoadAhead` of a straight road."""
-    line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.COLUMNS)), np.zeros(0))
-    return kernel.RoadAhead(line, 0.0, np.zeros(0))
+    """`core.road.RoadAheadRecord` of a straight road."""
+    line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.PIECE_COLUMNS)), np.zeros(0))
+    return kernel.RoadAheadRecord(line, 0.0, np.zeros(0))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
 from adaptrack.base.checked import real, reals
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.base.files import Record
 from adaptrack.core.planning import along as kernel
 from adaptrack.road.segments import Array
@@ -48,32 +48,32 @@ class Along(Record):
     def through(cls, s: ArrayLike, value: ArrayLike, kind: Literal["linear", "steps"] = "linear") -> Self:
         """Through samples; of a level stretch only the ends are kept."""
         s, value = reals("Along: s", s), reals("Along: value", value)
-        kept = np.ones(s.size, dtype=bool)
+        is_kept = np.ones(s.size, dtype=bool)
         if kind == "steps":
-            kept[1:] = value[1:] != value[:-1]
+            is_kept[1:] = value[1:] != value[:-1]
         elif s.size > 2:
-            kept[1:-1] = (value[:-2] != value[1:-1]) | (value[1:-1] != value[2:])
-        return cls(s=tuple(s[kept].tolist()), value=tuple(value[kept].tolist()), kind=kind)
+            is_kept[1:-1] = (value[:-2] != value[1:-1]) | (value[1:-1] != value[2:])
+        return cls(s=tuple(s[is_kept].tolist()), value=tuple(value[is_kept].tolist()), kind=kind)
 
     def packed(self) -> Any:
         """The record that `adaptrack.core.planning` reads."""
-        return kernel.Along(np.array(self.s), np.array(self.value), int(self.kind == "steps"))
+        return kernel.AlongRecord(np.array(self.s), np.array(self.value), int(self.kind == "steps"))
 
     def at(self, s: ArrayLike) -> Array:
         """The values at the arc lengths `s` (m), in the shape of `s`."""
-        given = reals("Along.at: s", s)
-        found = given.flatten()
-        kernel.along_values(self.packed(), found)
-        return np.asarray(found.reshape(given.shape)[()])
+        stations = reals("Along.at: s", s)
+        values = stations.flatten()
+        kernel.along_values(self.packed(), values)
+        return np.asarray(values.reshape(stations.shape)[()])
 
     def least(self, start: ArrayLike, end: ArrayLike) -> Array:
         """The smallest value between arc lengths `start` and `end`, (n,) each: at the ends and at what lies between."""
         ends = np.stack(np.broadcast_arrays(np.atleast_1d(start), np.atleast_1d(end))).astype(np.float64)
-        found = np.empty(ends.shape[1])
-        kernel.along_least(self.packed(), ends[0], ends[1], found)
-        return found
+        minima = np.empty(ends.shape[1])
+        kernel.along_least(self.packed(), ends[0], ends[1], minima)
+        return minima
 
-    def within(self, allowed: Callable[[Array], NDArray[np.bool_]], what: str) -> None:
+    def within(self, allowed: Callable[[Array], NDArray[np.bool_]], rule: str) -> None:
         """Refuse values that are not allowed.
 
         Raises
@@ -81,9 +81,9 @@ class Along(Record):
         InvalidInput
             "<where> = <value>: must be <what>."
         """
-        bad = np.flatnonzero(~allowed(np.array(self.value)))
-        if bad.size:
-            raise InvalidInput(f"{self.value[bad[0]]!r} at s = {self.s[bad[0]]:.6g} m: must be {what}.")
+        violations = np.flatnonzero(~allowed(np.array(self.value)))
+        if violations.size:
+            raise InvalidInput(f"{self.value[violations[0]]!r} at s = {self.s[violations[0]]:.6g} m: must be {rule}.")
 
 
 def as_along(name: str, value: Along | float | tuple[ArrayLike, ArrayLike]) -> Along:
@@ -98,23 +98,24 @@ def as_along(name: str, value: Along | float | tuple[ArrayLike, ArrayLike]) -> A
         return value
     try:
         if isinstance(value, tuple) and len(value) == 2:
-            s, values = (tuple(reals(name, each).ravel().tolist()) for each in value)
+            s, values = (tuple(reals(name, column).ravel().tolist()) for column in value)
             return Along(s=s, value=values)
         return Along.constant(real("Along", name, value))
     except InvalidInput as error:
         raise InvalidInput(
-            f"{name} = {shown(value)}: must be a number, a pair (arc lengths, values) or an Along: {error}"
+            f"{name} = {format_value(value)}: must be a number, a pair (arc lengths, values) or an Along: {error}"
         ) from None
 
 
 NO_LIMIT = 1000.0
 """m/s, the speed limit where none is posted."""
-ALONG = ("width_left", "width_right", "speed_limit", "friction", "bank")
+ALONG_QUANTITIES = ("width_left", "width_right", "speed_limit", "friction", "bank")
 """What lies along a road."""
 
 
 def alongs(values: dict[str, Any]) -> dict[str, Any]:
     """The values with every quantity along the road as an `Along`."""
     return {
-        name: as_along(name, value) if name in ALONG and value is not None else value for name, value in values.items()
+        name: as_along(name, value) if name in ALONG_QUANTITIES and value is not None else value
+        for name, value in values.items()
     }

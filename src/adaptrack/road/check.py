@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import GRAVITY, Vehicle
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.road.road import Road
-from adaptrack.road.speed import FLAT, SpeedPlan, unlimited
+from adaptrack.road.speed import STRAIGHT_CURVATURE, SpeedPlan, unlimited
 
-SPACING = 0.5
+CHECK_SPACING = 0.5
 """m, between the places that are looked at, beside those where the shape changes."""
 SPEAKING_JUMP = 1e-3
 """1/m, from which on a jump of curvature is reported: 3 mrad at the wheels of a car."""
@@ -32,14 +33,14 @@ SLOWED, FELT = 0.9, 0.25
 """Times the speed that the line without ripple allows, below which a plan is slowed; and the share of what is allowed
 sideways that a swing must ask for."""
 
-Kind = Literal["radius", "grip", "steering-rate", "width", "fold", "jump", "ripple", "domain"]
+FindingKind = Literal["radius", "grip", "steering-rate", "width", "fold", "jump", "ripple", "domain"]
 
 
 @dataclass(frozen=True)
 class Finding:
     """Something about a road that a car, or its driver, must know."""
 
-    kind: Kind
+    kind: FindingKind
     start: float
     """Start station (m)."""
     end: float
@@ -81,19 +82,19 @@ def check_road(road: Road, car: Vehicle, speed: SpeedPlan | float | None = None)
     ):
         raise InvalidInput(f"check_road: speed = {speed!r} m/s: must be > 0.")
     places = _Places(road, speed)
-    found = [*_radius(places, car), *_width(places, car), *_fold(places), *_jumps(road, car)]
+    findings = [*_radius(places, car), *_width(places, car), *_fold(places), *_jumps(road, car)]
     if speed is not None:
-        found += [*_grip(places, car), *_steering_rate(places, car), *_domain(places, car)]
+        findings += [*_grip(places, car), *_steering_rate(places, car), *_domain(places, car)]
     if isinstance(speed, SpeedPlan):
-        found += [*_ripple(road, speed)]
-    return sorted(found, key=lambda each: (each.drivable, each.start))
+        findings += [*_ripple(road, speed)]
+    return sorted(findings, key=lambda finding: (finding.drivable, finding.start))
 
 
 class _Places:
     """The road at many places; where the shape changes, on both sides."""
 
     def __init__(self, road: Road, speed: SpeedPlan | float | None) -> None:
-        even = np.linspace(0.0, road.length, max(2, math.ceil(road.length / SPACING)) + 1)
+        even = np.linspace(0.0, road.length, max(2, math.ceil(road.length / CHECK_SPACING)) + 1)
         joints = road.table.start
         s = np.concatenate([even, joints[:-1], joints[1:]])
         sides = np.concatenate([np.ones(even.size), np.ones(joints.size - 1), -np.ones(joints.size - 1)])
@@ -200,16 +201,16 @@ def _jumps(road: Road, car: Vehicle) -> Iterator[Finding]:
 def _domain(places: _Places, car: Vehicle) -> Iterator[Finding]:
     """Where a car is faster than its domain, and where that ends its plan because the road has no limit."""
     top = car.domain.speed[1]
-    beyond, held = places.speed > top * (1.0 + 1e-9), places.speed > top * (1.0 - 1e-9)
-    held &= ~beyond & places.planned & unlimited(places.road.along("speed_limit", places.s))
+    beyond, is_at_top = places.speed > top * (1.0 + 1e-9), places.speed > top * (1.0 - 1e-9)
+    is_at_top &= ~beyond & places.planned & unlimited(places.road.along("speed_limit", places.s))
     for stretch in places.stretches(beyond):
         fastest = float(places.speed[stretch].max())
         yield _finding(
             places, stretch, "domain", fastest, top, True,
             f"{fastest:.3g} m/s, beyond the domain of car {car.name!r}, which ends at {top:.3g} m/s",
         )  # fmt: skip
-    if held.any():
-        index = np.flatnonzero(held)
+    if is_at_top.any():
+        index = np.flatnonzero(is_at_top)
         yield _finding(
             places, slice(int(index[0]), int(index[-1]) + 1), "domain", top, top, True,
             f"the road has no speed limit: the plan ends at {top:.3g} m/s, with the domain of car {car.name!r}",
@@ -218,23 +219,23 @@ def _domain(places: _Places, car: Vehicle) -> Iterator[Finding]:
 
 def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
     """Where the curvature swings to and fro, moves the line by no more than noise would, and slows the plan."""
-    s = np.linspace(0.0, road.length, max(2, math.ceil(road.length / SPACING)) + 1)
+    s = np.linspace(0.0, road.length, max(2, math.ceil(road.length / CHECK_SPACING)) + 1)
     heading, curvature = road.at(s)[2:]
-    moving = np.flatnonzero(np.abs(np.diff(curvature)) > FLAT)
+    moving = np.flatnonzero(np.abs(np.diff(curvature)) > STRAIGHT_CURVATURE)
     turns = moving[1:][np.diff(np.sign(np.diff(curvature)[moving])) != 0.0]  # from one extremum to the next a swing
     if turns.size <= SWINGS:
         return
     half, swing, first = np.diff(s[turns]), 0.5 * np.abs(np.diff(curvature[turns])), s[turns[:-1]]
     speed = np.minimum(plan.at(first), plan.at(s[turns[1:]]))
     allowed = np.minimum(plan.comfort.lateral, plan.comfort.grip_share * road.along("friction", first) * GRAVITY)
-    straight = np.maximum(np.abs(np.diff(heading[turns])) / half, FLAT)
+    straight = np.maximum(np.abs(np.diff(heading[turns])) / half, STRAIGHT_CURVATURE)
     calm = np.minimum(np.sqrt(allowed / straight), np.minimum(road.along("speed_limit", first), plan.speed.max()))
     felt = np.maximum(speed**2 * swing / allowed, 2.0 * speed**3 * swing / half / plan.comfort.lateral_jerk) > FELT
     small = swing * (half / math.pi) ** 2 < max(RIPPLE, 0.5 * road.deviation)
     rows = np.flatnonzero(small & felt & (speed < SLOWED * calm))
-    found = [row for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if row.size >= SWINGS]
-    if found:
-        rows = np.concatenate(found)
+    swings = [row for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if row.size >= SWINGS]
+    if swings:
+        rows = np.concatenate(swings)
         worst = rows[speed[rows].argmin()]
         yield Finding(
             "ripple", float(first[rows[0]]), float(s[turns[rows[-1] + 1]]), float(speed[worst]), float(calm[worst]),
@@ -247,7 +248,7 @@ def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
 
 
 def _finding(
-    places: _Places, stretch: slice, kind: Kind, value: float, limit: float, drivable: bool, text: str
+    places: _Places, stretch: slice, kind: FindingKind, value: float, limit: float, drivable: bool, text: str
 ) -> Finding:
     s = places.s[stretch]
     return Finding(kind, float(s[0]), float(s[-1]), float(value), float(limit), text, drivable)

@@ -18,7 +18,7 @@ import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import printable, read_bytes
-from adaptrack.core.path import FEWEST
+from adaptrack.core.path import MIN_PATH_POINTS
 from adaptrack.road.along import NO_LIMIT
 from adaptrack.road.fit import fit_road
 from adaptrack.road.road import Road
@@ -49,15 +49,15 @@ def read_commonroad(
     """
     where = os.fspath(path)
     network = _network(where, read_bytes(path))
-    known = {int(lanelet.lanelet_id): lanelet for lanelet in network.lanelets}
-    chain = [known[each] for each in _chain(where, known, _wanted(where, road))]
+    lanelets = {int(lanelet.lanelet_id): lanelet for lanelet in network.lanelets}
+    chain = [lanelets[number] for number in _chain(where, lanelets, _lanelet_numbers(where, road))]
     points, values = _middle(chain, [_limit(network, lanelet) for lanelet in chain])
     try:
-        made = fit_road(points, **({"name": Path(path).stem, **values} | options))
+        fitted_road = fit_road(points, **({"name": Path(path).stem, **values} | options))
     except InvalidInput as error:
         raise ConfigError(f"{where}: {str(error).removeprefix('fit_road: ')}") from None
     numbers = ", ".join(str(lanelet.lanelet_id) for lanelet in chain)
-    return made.replace(notes=(f"lanelets {numbers}", *made.notes))
+    return fitted_road.replace(notes=(f"lanelets {numbers}", *fitted_road.notes))
 
 
 def _network(where: str, content: bytes) -> Any:
@@ -82,7 +82,7 @@ def _network(where: str, content: bytes) -> Any:
     return network
 
 
-def _wanted(where: str, road: str | int | Sequence[int] | None) -> list[int]:
+def _lanelet_numbers(where: str, road: str | int | Sequence[int] | None) -> list[int]:
     if road is None:
         return []
     parts = road.split(",") if isinstance(road, str) else [road] if isinstance(road, int) else list(road)
@@ -94,24 +94,24 @@ def _wanted(where: str, road: str | int | Sequence[int] | None) -> list[int]:
         ) from None
 
 
-def _chain(where: str, known: dict[int, Any], wanted: list[int]) -> list[int]:
+def _chain(where: str, lanelets: dict[int, Any], numbers: list[int]) -> list[int]:
     """The ids of the lanelets in their order."""
-    if not wanted:
-        if len(known) > 1:
-            some = ", ".join(map(str, list(known)[:8]))
-            raise ConfigError(f"{where}: {len(known)} lanelets; say which by their ids, in order: {some}, ...")
-        wanted = list(known)
-    for each in wanted:
-        if each not in known:
-            raise ConfigError(f"{where}: no lanelet is {each}. {did_you_mean(str(each), list(map(str, known)))}")
-    for one, other in itertools.pairwise(wanted):
-        if other not in known[one].successor:
-            follow = ", ".join(map(str, known[one].successor)) or "none"
-            raise ConfigError(f"{where}: lanelet {other} does not follow {one}; its successors: {follow}.")
-    if len(wanted) == 1:
-        while len(known[wanted[-1]].successor) == 1 and known[wanted[-1]].successor[0] not in wanted:
-            wanted = [*wanted, int(known[wanted[-1]].successor[0])]
-    return wanted
+    if not numbers:
+        if len(lanelets) > 1:
+            some = ", ".join(map(str, list(lanelets)[:8]))
+            raise ConfigError(f"{where}: {len(lanelets)} lanelets; say which by their ids, in order: {some}, ...")
+        numbers = list(lanelets)
+    for number in numbers:
+        if number not in lanelets:
+            raise ConfigError(f"{where}: no lanelet is {number}. {did_you_mean(str(number), list(map(str, lanelets)))}")
+    for predecessor, other in itertools.pairwise(numbers):
+        if other not in lanelets[predecessor].successor:
+            follow = ", ".join(map(str, lanelets[predecessor].successor)) or "none"
+            raise ConfigError(f"{where}: lanelet {other} does not follow {predecessor}; its successors: {follow}.")
+    if len(numbers) == 1:
+        while len(lanelets[numbers[-1]].successor) == 1 and lanelets[numbers[-1]].successor[0] not in numbers:
+            numbers = [*numbers, int(lanelets[numbers[-1]].successor[0])]
+    return numbers
 
 
 def _middle(chain: list[Any], limits: list[float | None]) -> tuple[Array, dict[str, Array]]:
@@ -119,32 +119,34 @@ def _middle(chain: list[Any], limits: list[float | None]) -> tuple[Array, dict[s
 
     Where one lanelet ends and the next begins the lower of their limits counts.
     """
-    said = [NO_LIMIT if limit is None else limit for limit in limits]
+    speed_limits = [NO_LIMIT if limit is None else limit for limit in limits]
     rows = []
     for k, lanelet in enumerate(chain):
-        left, right = (np.asarray(each, float)[:, :2] for each in (lanelet.left_vertices, lanelet.right_vertices))
+        left, right = (
+            np.asarray(vertices, float)[:, :2] for vertices in (lanelet.left_vertices, lanelet.right_vertices)
+        )
         half = 0.5 * np.hypot(*(left - right).T)
-        limit = np.full(half.shape, said[k])
-        limit[0] = min(said[max(k - 1, 0)], said[k])
-        own = np.column_stack([0.5 * (left + right), half, limit])
-        rows.append(own if lanelet is chain[-1] else own[:-1])
+        limit = np.full(half.shape, speed_limits[k])
+        limit[0] = min(speed_limits[max(k - 1, 0)], speed_limits[k])
+        lane_rows = np.column_stack([0.5 * (left + right), half, limit])
+        rows.append(lane_rows if lanelet is chain[-1] else lane_rows[:-1])
     table = np.concatenate(rows)
-    while len(table) < FEWEST:  # a short straight lanelet
+    while len(table) < MIN_PATH_POINTS:  # a short straight lanelet
         table = np.insert(table, range(1, len(table)), 0.5 * (table[1:] + table[:-1]), axis=0)
     x, y, width, limit = table.T.copy()
     values = {"width_left": width, "width_right": width.copy()}
-    if any(each is not None for each in limits):
+    if any(speed_limit is not None for speed_limit in limits):
         values["speed_limit"] = limit
     return np.column_stack([x, y]), values
 
 
 def _limit(network: Any, lanelet: Any) -> float | None:
     """The lowest limit (m/s) of a lanelet's traffic signs, in any country's numbers."""
-    signs = [network.find_traffic_sign_by_id(each) for each in lanelet.traffic_signs]
+    signs = [network.find_traffic_sign_by_id(sign) for sign in lanelet.traffic_signs]
     elements = [element for sign in signs if sign is not None for element in sign.traffic_sign_elements]
-    found = [
-        float(each.additional_values[0])
-        for each in elements
-        if each.traffic_sign_element_id.name == "MAX_SPEED" and each.additional_values
+    speeds = [
+        float(element.additional_values[0])
+        for element in elements
+        if element.traffic_sign_element_id.name == "MAX_SPEED" and element.additional_values
     ]
-    return min(found, default=None)
+    return min(speeds, default=None)

@@ -15,8 +15,8 @@ from adaptrack.road.segments import Array
 
 def steering_limit(car: Vehicle) -> float:
     """rad, of the road wheels; where the car file does not say, the limit of the paper's table."""
-    known = car.steering.limit if car.steering is not None else None
-    return STEERING_LIMIT if known is None else known
+    limit = car.steering.limit if car.steering is not None else None
+    return STEERING_LIMIT if limit is None else limit
 
 
 def cornering_limit(car: Vehicle, curvature: ArrayLike, friction: ArrayLike) -> Array:
@@ -25,13 +25,13 @@ def cornering_limit(car: Vehicle, curvature: ArrayLike, friction: ArrayLike) -> 
     curvature: (n,) 1/m; friction: (n,). The limit is 0 where the wheels cannot be turned far enough even at a crawl.
     """
     bends, frictions = np.broadcast_arrays(np.asarray(curvature, float), np.asarray(friction, float))
-    found = np.empty(bends.shape)
+    accelerations = np.empty(bends.shape)
     for mu in np.unique(frictions):
-        here = frictions == mu
-        limits = bends[here]
+        rows = frictions == mu
+        limits = bends[rows]
         kernel.cornering_along(*_limits(car, float(mu)), limits)
-        found[here] = limits
-    return found
+        accelerations[rows] = limits
+    return accelerations
 
 
 @lru_cache(maxsize=64)

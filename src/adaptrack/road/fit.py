@@ -23,11 +23,12 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core import path
-from adaptrack.core.path import FEWEST, WIDEST
+from adaptrack.core.kernel import OK
+from adaptrack.core.path import MIN_PATH_POINTS, WIDEST
 from adaptrack.core.road import MOST_CURVATURE, project_all
-from adaptrack.road.along import ALONG, Along, alongs
+from adaptrack.road.along import ALONG_QUANTITIES, Along, alongs
 from adaptrack.road.road import Road
-from adaptrack.road.segments import FARTHEST, Array, Cubic, Pose
+from adaptrack.road.segments import MAX_COORDINATE, Array, Cubic, Pose
 from adaptrack.road.smoothing import Smoother
 from adaptrack.road.table import Pieces, cubic_line, placed
 
@@ -35,17 +36,17 @@ _log = logging.getLogger("adaptrack")
 
 MAX_DEVIATION = 0.5
 """m, allowed at least unless another is given."""
-NOISES = 6.0
+MAX_NOISE_DEVIATIONS = 6.0
 """Standard deviations of the noise that are allowed, unless a distance is given."""
 SPARSE = 50.0
 """m, the usual distance of two points in a row from which on a note asks whether they are in metres."""
-SHORTEST = 1.0
+MIN_ROAD_LENGTH = 1.0
 """m, the shortest road that is fitted."""
 FITS = 3
 """How often the points find their places along the curve anew."""
 SHORTEST_KNOTS = 0.5
 """m, the least distance of the knots to begin with: denser points are averaged by the fit."""
-REFINEMENTS = 3
+KNOT_REFINEMENTS = 3
 """How often the knots are put at half the distance when the curve cannot come as near as requested."""
 LENGTHS, COARSE = 28, 3
 """Smoothing lengths that cross-validation compares, and the step in which it begins to."""
@@ -53,7 +54,7 @@ ROUNDS = 3
 """How often outliers are looked for."""
 LEAP = 3.0
 """Times the usual step, to points off the road; and times the way past them, there and back."""
-CALM = 6.0
+MIN_ROBUST_SMOOTHING = 6.0
 """Steps, the shortest smoothing length of a curve that does not follow outliers."""
 MEASURABLE = 1.0 / 3.0
 """Parameters for each point, up to which what is left of the points is their noise."""
@@ -61,7 +62,7 @@ IN_A_ROW, SHARE = 5, 0.02
 """The most outliers in a row, and of all points."""
 BESIDE, MET = 2, 4.0
 """Points on each side of outliers that the curve without these must meet, within so many standard deviations."""
-MOST_NAMED = 5
+MAX_NAMED_POINTS = 5
 """Points that a note names."""
 FOLD = 8.0
 """rad from one knot to the next, if the tightest bend went on so far, at which a curve has a cusp or a loop."""
@@ -104,7 +105,7 @@ def fit_road(
     InvalidInput
         When points are too few, not finite, all the same or too far apart, or no curve comes as near as requested.
     """
-    points = _check_points("fit_road", points, SHORTEST)
+    points = _check_points("fit_road", points, MIN_ROAD_LENGTH)
     count, lap, notes = _find_lap(points, closed)
     record = _Record(points[:count], np.arange(count), points[:count].mean(axis=0), lap)
     if smoothest:
@@ -113,7 +114,9 @@ def fit_road(
         estimate, outliers = _cross_validated(record, max_deviation is None)
     bound = max_deviation
     if bound is None:
-        bound = MAX_DEVIATION if math.isnan(estimate.noise) else max(MAX_DEVIATION, NOISES * estimate.noise)
+        bound = (
+            MAX_DEVIATION if math.isnan(estimate.noise) else max(MAX_DEVIATION, MAX_NOISE_DEVIATIONS * estimate.noise)
+        )
     fit = _bounded_fit(estimate, bound)
     road, rows = _road(fit, record), estimate.record.rows
     s = np.interp(record.rows, rows, fit.along)
@@ -154,7 +157,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     InvalidInput
         When points are too few, not finite, or fold back on themselves.
     """
-    points = _check_points("road_through", points, path.SHORTEST)
+    points = _check_points("road_through", points, path.MIN_PATH_LENGTH)
     size = path.path_words(points, closed)
     while True:
         memory = np.empty(size)
@@ -162,7 +165,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
         if status != path.TOO_SMALL:
             break
         size *= 2
-    if status != path.OK:
+    if status != OK:
         raise InvalidInput(f"road_through: {_FLAWS[status].format(place, WIDEST)}")
     line, _ = path.line_in(memory)
     table = Pieces(line.start.copy(), line.pieces.copy())
@@ -189,9 +192,10 @@ def _repetition_notes(points: Array, closed: bool) -> tuple[str, ...]:
 
 _FLAWS = {
     path.TOO_FEW: "{} points lie apart from each other: at least 4 are needed.",
-    path.TOO_FAR: "point {} is more than {:g} m from the next one; correct or leave out the one that is wrong.",
+    path.POINT_TOO_FAR: "point {} is more than {:g} m from the next one; correct or leave out the one that is wrong.",
     path.TOO_SHORT: "the points are too near one another; are x and y in metres?",
-    path.KINK: "the points fold back on themselves behind point {}: no smooth road goes through them; use fit_road.",
+    path.PATH_KINK: "the points fold back on themselves behind point {}: "
+    "no smooth road goes through them; use fit_road.",
 }
 """Messages on points that `_check_points` lets pass."""
 
@@ -214,7 +218,7 @@ def smooth_road(road: Road, max_deviation: float = 0.1, spacing: float = 1.0) ->
         smoothest=True,
     )  # fmt: skip
     stretch = fitted.length / road.length
-    moved: dict[str, Any] = {name: _stretch(getattr(road, name), stretch) for name in ALONG}
+    moved: dict[str, Any] = {name: _stretch(getattr(road, name), stretch) for name in ALONG_QUANTITIES}
     return replace(fitted, **moved)
 
 
@@ -224,8 +228,10 @@ def _stretch(along: Along | None, factor: float) -> Along | None:
 
 def _check_points(where: str, points: ArrayLike, shortest: float) -> Array:
     points = reals(f"{where}: points", points).copy()
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < FEWEST:
-        raise InvalidInput(f"{where}: points have shape {points.shape}; give (n, 2) with n >= {FEWEST}, x and y in m.")
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < MIN_PATH_POINTS:
+        raise InvalidInput(
+            f"{where}: points have shape {points.shape}; give (n, 2) with n >= {MIN_PATH_POINTS}, x and y in m."
+        )
     if not np.isfinite(points).all():
         row = int(np.argwhere(~np.isfinite(points))[0, 0])
         raise InvalidInput(f"{where}: point {row} is not finite; leave it out.")
@@ -236,9 +242,9 @@ def _check_points(where: str, points: ArrayLike, shortest: float) -> Array:
 def _check_distances(where: str, points: Array, shortest: float) -> None:
     """Refuse what is no record of a road in metres."""
     row, column = np.unravel_index(np.abs(points).argmax(), points.shape)
-    if abs(points[row, column]) > FARTHEST:
+    if abs(points[row, column]) > MAX_COORDINATE:
         raise InvalidInput(
-            f"{where}: point {row} has a coordinate of {points[row, column]:.3g} m: at most {FARTHEST:g} m are "
+            f"{where}: point {row} has a coordinate of {points[row, column]:.3g} m: at most {MAX_COORDINATE:g} m are "
             "allowed; correct it or leave it out."
         )
     steps = np.hypot(*np.diff(points, axis=0).T)
@@ -298,8 +304,8 @@ def _outlier_notes(road: Road, points: Array, s: Array, outliers: NDArray[np.boo
 
 
 def _first_few(texts: list[str]) -> str:
-    rest = [f"{len(texts) - MOST_NAMED} more"] if len(texts) > MOST_NAMED else []
-    return ", ".join([*texts[:MOST_NAMED], *rest])
+    remainder = [f"{len(texts) - MAX_NAMED_POINTS} more"] if len(texts) > MAX_NAMED_POINTS else []
+    return ", ".join([*texts[:MAX_NAMED_POINTS], *remainder])
 
 
 def _sort_by_arc_length(s: Array, values: Array, road: Road) -> tuple[Array, Array]:
@@ -364,11 +370,15 @@ def _find_lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]
         return len(points), False, []
     count = len(points)
     if first.size:  # the point before the start
-        beside = (points[first] - points[0]) @ start / np.hypot(*start)
-        before = first[beside < -1e-3 * spacing]
+        advance = (points[first] - points[0]) @ start / np.hypot(*start)
+        before = first[advance < -1e-3 * spacing]
         count = int(before[-1]) + 1 if before.size else int(first[0])
-    rest = float(s[-1] - s[count - 1])
-    excess = [f"the record goes on for {rest:.0f} m beyond its start: left out"] if rest > 2.0 * near else []
+    remaining_length = float(s[-1] - s[count - 1])
+    excess = (
+        [f"the record goes on for {remaining_length:.0f} m beyond its start: left out"]
+        if remaining_length > 2.0 * near
+        else []
+    )
     return count, True, ["a closed lap", *excess]
 
 
@@ -388,7 +398,7 @@ class _Fit(NamedTuple):
 
     @property
     def deviation(self) -> float:
-        """m"""
+        """Deviation of the line from the points (m)."""
         return float(self.distances.max())
 
 
@@ -416,10 +426,10 @@ def _cross_validated(record: _Record, robust: bool) -> tuple[_Estimate, NDArray[
         return estimate, outliers
     for _ in range(ROUNDS):
         distances, noise = _robust_distances(estimate, record, outliers)
-        far = distances > max(MAX_DEVIATION, NOISES * noise)
-        if (far == outliers).all() or far.mean() > SHARE:
+        is_outlier = distances > max(MAX_DEVIATION, MAX_NOISE_DEVIATIONS * noise)
+        if (is_outlier == outliers).all() or is_outlier.mean() > SHARE:
             break
-        outliers = far
+        outliers = is_outlier
         estimate = _estimate(record.without(outliers))
     lonely = _isolated(outliers, *_robust_distances(estimate, record, outliers))
     return (estimate if (lonely == outliers).all() else _estimate(record.without(lonely))), lonely
@@ -440,7 +450,7 @@ def _find_spikes(points: Array) -> NDArray[np.bool_]:
 def _robust_distances(estimate: _Estimate, record: _Record, out: NDArray[np.bool_]) -> tuple[Array, float]:
     """(n,) m, the distances of all points from a curve that is too smooth to follow a few, and the noise about it."""
     places = np.interp(record.rows, estimate.record.rows, estimate.smoother.places)
-    scale = max(float(estimate.scales[estimate.best]), CALM * estimate.smoother.spacing)
+    scale = max(float(estimate.scales[estimate.best]), MIN_ROBUST_SMOOTHING * estimate.smoother.spacing)
     scales = [scale, *estimate.scales[estimate.scales > scale]]
     fit = _first_fit(estimate.smoother, scales, record.points - record.origin, places)
     return fit.distances, _noise(fit.distances[~out], estimate.smoother.score(fit.scale).used)
@@ -457,9 +467,9 @@ def _isolated(out: NDArray[np.bool_], distances: Array, noise: float) -> NDArray
     rows = np.flatnonzero(out)
     for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
         if 0 < row.size <= IN_A_ROW:
-            beside = np.arange(max(row[0] - BESIDE, 0), min(row[-1] + BESIDE + 1, out.size))
-            beside = beside[~out[beside]]
-            lonely[row] = (distances[beside] <= MET * max(noise, MAX_DEVIATION / NOISES)).all()
+            neighbours = np.arange(max(row[0] - BESIDE, 0), min(row[-1] + BESIDE + 1, out.size))
+            neighbours = neighbours[~out[neighbours]]
+            lonely[row] = (distances[neighbours] <= MET * max(noise, MAX_DEVIATION / MAX_NOISE_DEVIATIONS)).all()
     return lonely
 
 
@@ -536,7 +546,7 @@ def _bounded_fit(estimate: _Estimate, bound: float) -> _Fit:
     """The curve of the longest smoothing length, up to the one that the noise asks for, that keeps a bound."""
     smoother, scales, best = estimate.smoother, estimate.scales, estimate.best
     nearest, worst = float(estimate.distances.max()), int(estimate.distances.argmax())
-    for refinement in range(REFINEMENTS + 1):
+    for refinement in range(KNOT_REFINEMENTS + 1):
         if refinement:
             longest = scales[best]
             smoother = smoother.finer()

@@ -26,7 +26,7 @@ from adaptrack.road.segments import Arc, Array, Clothoid, Line, Pose, heading_in
 Element = Line | Arc | Clothoid
 
 
-class Kind(NamedTuple):
+class RoadKind(NamedTuple):
     """Recipe of a kind of road; ranges (least, most) of radii and lengths are drawn on a logarithmic scale."""
 
     speed: float
@@ -51,25 +51,27 @@ class Kind(NamedTuple):
     """m, of the lane"""
 
 
-KINDS = {
-    "motorway": Kind(36.0, (900.0, 4000.0), (0.1, 0.6), (150.0, 1200.0), acceleration=1.5, jerk=0.5, half_width=1.875),
-    "country": Kind(25.0, (120.0, 700.0), (0.2, 1.3), (40.0, 500.0), half_width=1.75),
-    "town": Kind(
+ROAD_KINDS = {
+    "motorway": RoadKind(
+        36.0, (900.0, 4000.0), (0.1, 0.6), (150.0, 1200.0), acceleration=1.5, jerk=0.5, half_width=1.875
+    ),
+    "country": RoadKind(25.0, (120.0, 700.0), (0.2, 1.3), (40.0, 500.0), half_width=1.75),
+    "town": RoadKind(
         13.9, (40.0, 200.0), (0.1, 0.5), (40.0, 200.0), tight=0.6, tight_radius=(9.0, 16.0),
         tight_angle=(0.5 * math.pi, 0.5 * math.pi), jerk=2.0, half_width=1.625,
     ),
-    "mountain": Kind(
+    "mountain": RoadKind(
         16.7, (30.0, 130.0), (0.3, 1.5), (15.0, 120.0), tight=0.25, tight_radius=(10.0, 15.0),
         tight_angle=(2.6, 3.3), acceleration=3.5, jerk=1.5, half_width=1.75,
     ),
-    "lap": Kind(
+    "lap": RoadKind(
         25.0, (60.0, 200.0), (0.3, 0.9), (10.0, 80.0), tight_radius=(15.0, 15.0), tight_angle=(math.pi, math.pi),
         acceleration=4.0, jerk=2.0, half_width=3.0,
     ),
 }  # fmt: skip
 """The kinds of roads that can be generated. A lap is closed: two hairpins of 15 m and weaving between them."""
 
-LONGEST = 100_000.0
+MAX_GENERATED_LENGTH = 100_000.0
 """m"""
 ATTEMPTS = 100
 """Draws from which the first road that keeps off itself is taken."""
@@ -77,13 +79,16 @@ DRAWN_WHOLE = 5_000.0
 """m, up to which open roads are drawn whole."""
 TRIES, DRAWS = 12, 50_000
 """Bends that are drawn for one place before the last ones are given up, and in all."""
-APART = 4.0
+MIN_CLEARANCE = 4.0
 """Least distance between parts of a road, in half widths of its lane, where they are not neighbours."""
 
 
 @checked
 def generate_road(
-    kind: str, seed: Natural = 0, length: Annotated[Finite, within(100.0, LONGEST), "m"] = 2000.0, **along: Any
+    kind: str,
+    seed: Natural = 0,
+    length: Annotated[Finite, within(100.0, MAX_GENERATED_LENGTH), "m"] = 2000.0,
+    **along: Any,
 ) -> Road:
     """A road of a kind: "motorway", "country", "town", "mountain", or "lap" (closed).
 
@@ -106,16 +111,16 @@ def generate_road(
     InvalidInput
         For so long a lap that none was found that keeps off itself.
     """
-    if kind not in KINDS:
-        raise UnknownName(f"no kind of road is named {kind!r}. {did_you_mean(str(kind), KINDS)}")
-    sizes = KINDS[kind]
+    if kind not in ROAD_KINDS:
+        raise UnknownName(f"no kind of road is named {kind!r}. {did_you_mean(str(kind), ROAD_KINDS)}")
+    sizes = ROAD_KINDS[kind]
     values = {"speed_limit": sizes.speed, "width_left": sizes.half_width, "width_right": sizes.half_width} | along
     whole_draws = ATTEMPTS if kind == "lap" or length <= DRAWN_WHOLE else 0
     for attempt in range(whole_draws):
         rng = _random(kind, seed, attempt)
         segments = _lap(rng, sizes, length) if kind == "lap" else _open(rng, sizes, length)
         road = Road.from_segments(segments, closed=kind == "lap", name=f"{kind}-{seed}", **values)
-        if not _touches_itself(road, APART * sizes.half_width):
+        if not _touches_itself(road, MIN_CLEARANCE * sizes.half_width):
             return road
     if kind != "lap":
         grown = _grown(_random(kind, seed, whole_draws), sizes, length)
@@ -128,22 +133,22 @@ def generate_road(
 
 
 def _random(kind: str, seed: int, attempt: int) -> np.random.Generator:
-    return np.random.Generator(np.random.PCG64([list(KINDS).index(kind), seed, attempt]))
+    return np.random.Generator(np.random.PCG64([list(ROAD_KINDS).index(kind), seed, attempt]))
 
 
-def _open(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
+def _open(rng: np.random.Generator, kind: RoadKind, length: float) -> list[Element]:
     """Straight lines and bends."""
-    made: list[Element] = [Line(length=_even(rng, kind.straight))]
-    driven, heading = made[0].length, 0.0
-    while driven < length:
+    elements: list[Element] = [Line(length=_even(rng, kind.straight))]
+    distance, heading = elements[0].length, 0.0
+    while distance < length:
         bend, angle = _next_bend(rng, kind, heading)
-        made += bend
-        driven += sum(each.length for each in bend)
+        elements += bend
+        distance += sum(element.length for element in bend)
         heading += angle
-    return made
+    return elements
 
 
-def _next_bend(rng: np.random.Generator, kind: Kind, heading: float) -> tuple[list[Element], float]:
+def _next_bend(rng: np.random.Generator, kind: RoadKind, heading: float) -> tuple[list[Element], float]:
     """A bend with the straight line behind it, and its angle (rad).
 
     The farther off the road heads (rad), the likelier a bend turns back.
@@ -156,9 +161,9 @@ def _next_bend(rng: np.random.Generator, kind: Kind, heading: float) -> tuple[li
     return [*bend, Line(length=_even(rng, kind.straight))], angle
 
 
-def _grown(rng: np.random.Generator, kind: Kind, length: float) -> list[Element] | None:
+def _grown(rng: np.random.Generator, kind: RoadKind, length: float) -> list[Element] | None:
     """As `_open`, each bend of which keeps off those before it; None when no road is found."""
-    road = _Growing(APART * kind.half_width)
+    road = _Growing(MIN_CLEARANCE * kind.half_width)
     road.accepts([Line(length=_even(rng, kind.straight))])
     failed, given_up, longest = 0, 1, 0.0
     for _ in range(DRAWS):
@@ -191,7 +196,7 @@ class _Part(NamedTuple):
 class _Growing:
     """An open road while it grows."""
 
-    apart: float
+    clearance: float
     """m, by which parts that are not neighbours keep off each other"""
     parts: list[_Part] = field(default_factory=list)
     length: float = 0.0
@@ -204,46 +209,46 @@ class _Growing:
     def accepts(self, elements: list[Element]) -> bool:
         """Add a bend if it keeps off the road, itself included; tell whether it did."""
         part = self._laid(elements)
-        low, high = part.points.min(axis=0) - self.apart, part.points.max(axis=0) + self.apart
+        low, high = part.points.min(axis=0) - self.clearance, part.points.max(axis=0) + self.clearance
         for other in [*self.parts, part]:
             if (other.points.min(axis=0) > high).any() or (other.points.max(axis=0) < low).any():
                 continue
-            apart = np.hypot(*(part.points[:, np.newaxis] - other.points).transpose(2, 0, 1))
+            distances = np.hypot(*(part.points[:, np.newaxis] - other.points).transpose(2, 0, 1))
             along = np.abs(part.s[:, np.newaxis] - other.s)
-            if ((apart <= self.apart) & (along > _neighbours(self.apart))).any():
+            if ((distances <= self.clearance) & (along > _neighbours(self.clearance))).any():
                 return False
         self.parts.append(part)
-        self.length += sum(each.length for each in elements)
+        self.length += sum(element.length for element in elements)
         return True
 
     def give_up(self, count: int) -> None:
         """Take the last bends away, never the first line."""
         for part in self.parts[max(1, len(self.parts) - count) :]:
-            self.length -= sum(each.length for each in part.elements)
+            self.length -= sum(element.length for element in part.elements)
         del self.parts[max(1, len(self.parts) - count) :]
 
     def _laid(self, elements: list[Element]) -> _Part:
-        here, begun, s, points = self.end, self.length, [], []
+        pose, begun, s, points = self.end, self.length, [], []
         for element in elements:
-            places = np.linspace(0.0, element.length, math.ceil(element.length / (0.25 * self.apart)) + 1)
+            places = np.linspace(0.0, element.length, math.ceil(element.length / (0.25 * self.clearance)) + 1)
             first, last = element.curvatures
             line = heading_integral(first, (last - first) / element.length, places)
-            line = here.x + 1j * here.y + np.exp(1j * here.heading) * line
+            line = pose.x + 1j * pose.y + np.exp(1j * pose.heading) * line
             s.append(begun + places)
             points.append(np.stack([line.real, line.imag], axis=-1))
             turn = 0.5 * (first + last) * element.length
-            here = Pose(float(line[-1].real), float(line[-1].imag), here.heading + turn)
+            pose = Pose(float(line[-1].real), float(line[-1].imag), pose.heading + turn)
             begun += element.length
-        return _Part(elements, np.concatenate(s), np.concatenate(points), here)
+        return _Part(elements, np.concatenate(s), np.concatenate(points), pose)
 
 
-def _lap(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
+def _lap(rng: np.random.Generator, kind: RoadKind, length: float) -> list[Element]:
     """Half a lap that turns by pi, twice: the second half is the first turned by pi, so the lap is closed.
 
     Each weave turns to one side and back, twice as far to the other side and back; the hairpin is what turns the half.
     """
     half: list[Element] = [Line(length=_even(rng, kind.straight))]
-    while sum(each.length for each in half) < 0.5 * length - 150.0:
+    while sum(element.length for element in half) < 0.5 * length - 150.0:
         angle = float(rng.uniform(*kind.angle)) * (1.0 if rng.random() < 0.5 else -1.0)
         radius = _even(rng, kind.radius)
         for turn in (angle, -2.0 * angle, angle):
@@ -252,16 +257,16 @@ def _lap(rng: np.random.Generator, kind: Kind, length: float) -> list[Element]:
     return [*half, *_bend(kind, math.pi, _even(rng, kind.tight_radius))] * 2
 
 
-def _bend(kind: Kind, angle: float, radius: float) -> list[Element]:
+def _bend(kind: RoadKind, angle: float, radius: float) -> list[Element]:
     """Clothoid, arc, clothoid that turn by `angle` (rad); without the arc where the clothoids take all of it."""
     v = min(kind.speed, math.sqrt(kind.acceleration * radius))
     length = min(max(v**3 / (radius * kind.jerk), radius / 9.0), radius)
     length = min(length, radius * abs(angle))
     curvature = math.copysign(1.0 / radius, angle)
-    rest = abs(angle) * radius - length
+    arc_length = abs(angle) * radius - length
     into = Clothoid(length=length, start_curvature=0.0, end_curvature=curvature)
     out = Clothoid(length=length, start_curvature=curvature, end_curvature=0.0)
-    return [into, Arc(length=rest, curvature=curvature), out] if rest > 1e-6 * radius else [into, out]
+    return [into, Arc(length=arc_length, curvature=curvature), out] if arc_length > 1e-6 * radius else [into, out]
 
 
 def _even(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
@@ -269,20 +274,20 @@ def _even(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
     return float(np.exp(rng.uniform(math.log(bounds[0]), math.log(bounds[1]))))
 
 
-def _touches_itself(road: Road, apart: float) -> bool:
-    """Whether two places that are no neighbours are nearer than `apart` (m)."""
+def _touches_itself(road: Road, clearance: float) -> bool:
+    """Whether two places that are no neighbours are nearer than `clearance` (m)."""
     from scipy.spatial import cKDTree
 
-    step = 0.25 * apart
+    step = 0.25 * clearance
     s = np.arange(0.0, road.length, step)
     points = road.at(s)
-    pairs = cKDTree(np.stack([points.x, points.y], axis=-1)).query_pairs(apart, output_type="ndarray")
+    pairs = cKDTree(np.stack([points.x, points.y], axis=-1)).query_pairs(clearance, output_type="ndarray")
     along = np.abs(s[pairs[:, 0]] - s[pairs[:, 1]])
     if road.closed:
         along = np.minimum(along, road.length - along)
-    return bool((along > _neighbours(apart)).any())
+    return bool((along > _neighbours(clearance)).any())
 
 
-def _neighbours(apart: float) -> float:
-    """m along the road, up to which places may be nearer than `apart`: four times that, a half turn and more."""
-    return max(4.0 * apart, 0.5 * math.pi * apart + 1.0)
+def _neighbours(clearance: float) -> float:
+    """m along the road, up to which places may be nearer than `clearance`: four times that, a half turn and more."""
+    return max(4.0 * clearance, 0.5 * math.pi * clearance + 1.0)

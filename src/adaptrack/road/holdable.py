@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from adaptrack.base.files import LISTED, Record, build, read_toml
-from adaptrack.cars.vehicle import GRAVITY
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road.segments import Array
 
 _Axis = Annotated[tuple[float, ...], LISTED, Field(min_length=2)]
 _Row = Annotated[tuple[float, ...], LISTED]
 _Plane = Annotated[tuple[_Row, ...], LISTED]
-SPEEDS = 96
+BEND_SPEEDS = 96
 """Speeds at which a bend is looked at."""
-STEEP = 3.0
+MAX_BRAKING_SLOPE = 3.0
 """By which braking falls with the lateral acceleration where the reserve of the cornering begins."""
 
 
@@ -68,25 +68,25 @@ class HoldableSpeed(Record):
 
         speed: m/s; lateral: m/s^2, that the tyres feel; friction: -; of shapes that fit each other.
         """
-        v, a, mu = np.broadcast_arrays(*(np.asarray(each, float) for each in (speed, np.abs(lateral), friction)))
+        v, a, mu = np.broadcast_arrays(*(np.asarray(values, float) for values in (speed, np.abs(lateral), friction)))
         most = np.interp(mu, self.frictions, self.cornering)
         (i, p), (j, q), (k, r) = (
             _place(axis, x) for axis, x in ((self.frictions, mu), (self.speeds, v), (self.sideways, a / most))
         )
-        found = np.zeros(v.shape)
+        decelerations = np.zeros(v.shape)
         for di, wi in ((0, 1.0 - p), (1, p)):
             for dj, wj in ((0, 1.0 - q), (1, q)):
                 for dk, wk in ((0, 1.0 - r), (1, r)):
-                    found += wi * wj * wk * self._table[i + di, j + dj, k + dk]
-        return np.minimum(found * mu * GRAVITY, STEEP * (most - self.reserve - a))
+                    decelerations += wi * wj * wk * self._table[i + di, j + dj, k + dk]
+        return np.minimum(decelerations * mu * GRAVITY, MAX_BRAKING_SLOPE * (most - self.reserve - a))
 
     def along(self, curvature: ArrayLike, bank: ArrayLike, friction: ArrayLike) -> tuple[Array, Array]:
         """Squared speeds (m,), and at each of them the deceleration (n, m) that is held at n places.
 
         curvature: (n,) 1/m; bank: (n,) rad; friction: (n,). No more is held at a higher speed than at a lower one.
         """
-        k, tilt, mu = (np.atleast_1d(np.asarray(each, float))[:, None] for each in (curvature, bank, friction))
-        w = np.linspace(0.0, self.speeds[-1], SPEEDS) ** 2
+        k, tilt, mu = (np.atleast_1d(np.asarray(values, float))[:, None] for values in (curvature, bank, friction))
+        w = np.linspace(0.0, self.speeds[-1], BEND_SPEEDS) ** 2
         felt = w * k - GRAVITY * np.sin(tilt)
         return w, np.minimum.accumulate(self.deceleration(np.sqrt(w), felt, mu), axis=1)
 
@@ -95,18 +95,20 @@ class HoldableSpeed(Record):
 
         curvature: (n,) 1/m; bank: (n,) rad, positive where gravity pushes to the left; friction: (n,).
         """
-        each = np.broadcast_arrays(*(np.atleast_1d(np.asarray(one, float)) for one in (curvature, bank, friction)))
-        return np.sqrt(highest(*self.along(*each)))
+        conditions = np.broadcast_arrays(
+            *(np.atleast_1d(np.asarray(values, float)) for values in (curvature, bank, friction))
+        )
+        return np.sqrt(highest(*self.along(*conditions)))
 
 
-def highest(w: Array, held: Array) -> Array:
-    """(n,) squared speed up to which a deceleration `held` (n, m), falling with w (m,), is not below zero."""
-    first = np.argmax(held < 0.0, axis=1)
-    row = np.arange(len(held))
+def highest(w: Array, deceleration: Array) -> Array:
+    """(n,) squared speed up to which a `deceleration` (n, m), falling with w (m,), is not below zero."""
+    first = np.argmax(deceleration < 0.0, axis=1)
+    row = np.arange(len(deceleration))
     before = np.maximum(first - 1, 0)
-    fall = np.maximum(held[row, before] - held[row, first], 1e-12)
-    crossing = w[before] + (w[first] - w[before]) * np.clip(held[row, before] / fall, 0.0, 1.0)
-    return np.where((held >= 0.0).all(axis=1), np.inf, crossing)
+    fall = np.maximum(deceleration[row, before] - deceleration[row, first], 1e-12)
+    crossing = w[before] + (w[first] - w[before]) * np.clip(deceleration[row, before] / fall, 0.0, 1.0)
+    return np.where((deceleration >= 0.0).all(axis=1), np.inf, crossing)
 
 
 def _place(axis: tuple[float, ...], x: Array) -> tuple[np.ndarray, Array]:

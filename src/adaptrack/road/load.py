@@ -13,10 +13,10 @@ import numpy as np
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import build, read_toml
-from adaptrack.road.along import ALONG, alongs
+from adaptrack.road.along import ALONG_QUANTITIES, alongs
 from adaptrack.road.commonroad import read_commonroad
 from adaptrack.road.fit import MAX_DEVIATION, fit_road
-from adaptrack.road.generate import KINDS, generate_road
+from adaptrack.road.generate import ROAD_KINDS, generate_road
 from adaptrack.road.opendrive import read_opendrive
 from adaptrack.road.points import road_from_csv
 from adaptrack.road.road import Road
@@ -40,10 +40,10 @@ def road_from_toml(path: str | os.PathLike[str], **along: Any) -> Road:
     """
     where = os.fspath(path)
     file = build(RoadFile, _tuples(read_toml(path)), where)
-    values = {key: getattr(file, key) for key in ALONG if getattr(file, key) is not None}
+    values = {key: getattr(file, key) for key in ALONG_QUANTITIES if getattr(file, key) is not None}
     values |= {"name": file.name or Path(path).stem} | along
     try:
-        return _made(file, values)
+        return _build_road(file, values)
     except InvalidInput as error:
         raise ConfigError(f"{where}: {error}") from None
 
@@ -55,16 +55,16 @@ def _tuples(data: Any) -> Any:
     return tuple(map(_tuples, data)) if isinstance(data, list) else data
 
 
-def _made(file: RoadFile, values: dict[str, Any]) -> Road:
+def _build_road(file: RoadFile, values: dict[str, Any]) -> Road:
     if file.points:
         bound = MAX_DEVIATION if file.max_deviation is None else file.max_deviation
         return fit_road(np.array(file.points), closed=file.closed, max_deviation=bound, **values)
     closed = bool(file.closed)
     if file.elements:
-        made = Road.from_segments(file.elements, closed=closed, **values)
+        road = Road.from_segments(file.elements, closed=closed, **values)
     else:
-        made = Road(table=table_of(file.pieces or ()), closed=closed, **alongs(values))
-    return made.replace(notes=file.notes, deviation=file.deviation)
+        road = Road(table=table_of(file.pieces or ()), closed=closed, **alongs(values))
+    return road.replace(notes=file.notes, deviation=file.deviation)
 
 
 _READERS: dict[str, Callable[..., Road]] = {
@@ -101,9 +101,9 @@ def load_road(name_or_path: str | os.PathLike[str], **options: Any) -> Road:
     """
     text = os.fspath(name_or_path)
     ending = os.path.splitext(text)[1].lower()
-    if ending not in _READERS and text not in KINDS:
-        known = did_you_mean(text, KINDS)
-        raise UnknownName(f"no road is named {text!r}. {known} A file ends in {', '.join(_READERS)}.")
+    if ending not in _READERS and text not in ROAD_KINDS:
+        suggestion = did_you_mean(text, ROAD_KINDS)
+        raise UnknownName(f"no road is named {text!r}. {suggestion} A file ends in {', '.join(_READERS)}.")
     read: Callable[..., Road] = _READERS.get(ending, generate_road)
     for name in options:
         _check_option(text, name, read)
@@ -123,7 +123,7 @@ def _check_option(text: str, name: str, read: Callable[..., Road]) -> None:
 
 def _options(read: Callable[..., Road]) -> set[str]:
     """The options of a function that makes a road."""
-    names = set(list(inspect.signature(read).parameters)[1:-1]) | set(ALONG)
+    names = set(list(inspect.signature(read).parameters)[1:-1]) | set(ALONG_QUANTITIES)
     if read in (road_from_csv, read_commonroad):
         names |= set(list(inspect.signature(fit_road).parameters)[1:-1])
     return names if read is generate_road else names | {"name"}

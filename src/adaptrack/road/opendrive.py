@@ -23,8 +23,8 @@ from adaptrack.base.files import is_number, printable, read_bytes
 from adaptrack.core.road import X, Y
 from adaptrack.road.along import Along, alongs
 from adaptrack.road.opendrive_lanes import Lanes, Stations, bank_of, line_at_offset, number_of, speed_limit
-from adaptrack.road.road import GAP, KINK, Road
-from adaptrack.road.segments import SHORTEST, Arc, Array, Clothoid, Cubic, Line, Pose, Segment
+from adaptrack.road.road import MAX_JOINT_GAP, MAX_JOINT_KINK, Road
+from adaptrack.road.segments import MIN_ELEMENT_LENGTH, Arc, Array, Clothoid, Cubic, Line, Pose, Segment
 from adaptrack.road.table import Pieces, joined, placed, tabulate
 
 READ = {
@@ -59,7 +59,7 @@ READ = {
     "lane/speed": "sOffset max unit",
 }
 """Parent and element, and the attributes of the element: those that are read, and labels that change nothing."""
-TOLERANCE = 0.1
+MAX_CLOSED_GAP = 0.1
 """m, the largest gap between elements that is closed."""
 
 
@@ -121,20 +121,20 @@ def _root(where: str, content: bytes) -> Element:
     return root
 
 
-def _road(where: str, root: Element, wanted: str | int | None) -> Element:
+def _road(where: str, root: Element, road_id: str | int | None) -> Element:
     roads = {str(element.get("id")): element for element in root.findall("road")}
     if not roads:
         raise ConfigError(f"{where}: there is no <road> in it.")
-    if wanted is None:
+    if road_id is None:
         if len(roads) > 1:
             stated = {name: _stated_length(element) for name, element in roads.items()}
             longest = sorted(stated, key=lambda name: -stated[name])[:8]
-            named = ", ".join(f"{printable(name)!r} ({stated[name]:.0f} m)" for name in longest)
-            raise ConfigError(f"{where}: {len(roads)} roads; say which one by its id. The longest: {named}.")
+            examples = ", ".join(f"{printable(name)!r} ({stated[name]:.0f} m)" for name in longest)
+            raise ConfigError(f"{where}: {len(roads)} roads; say which one by its id. The longest: {examples}.")
         return next(iter(roads.values()))
-    if str(wanted) not in roads:
-        raise ConfigError(f"{where}: no road has the id {str(wanted)!r}. {did_you_mean(str(wanted), roads)}")
-    return roads[str(wanted)]
+    if str(road_id) not in roads:
+        raise ConfigError(f"{where}: no road has the id {str(road_id)!r}. {did_you_mean(str(road_id), roads)}")
+    return roads[str(road_id)]
 
 
 def _stated_length(element: Element) -> float:
@@ -194,7 +194,7 @@ def _on_line(along: Along, base_s: Array, s: Array) -> Along:
 def _shapes(where: str, road: Element) -> tuple[list[Element], list[str]]:
     """The <geometry> elements in their order, without those of length 0, and notes of these."""
     shapes = sorted(road.findall("planView/geometry"), key=lambda shape: number_of(where, shape, "s"))
-    empty = [shape for shape in shapes if 0.0 <= number_of(where, shape, "length") < SHORTEST]
+    empty = [shape for shape in shapes if 0.0 <= number_of(where, shape, "length") < MIN_ELEMENT_LENGTH]
     shapes = [shape for shape in shapes if shape not in empty]
     if not shapes:
         raise ConfigError(f"{where}: it has no <planView> with a <geometry> longer than 0.")
@@ -203,14 +203,14 @@ def _shapes(where: str, road: Element) -> tuple[list[Element], list[str]]:
 
 
 def _close_gaps(table: Pieces, notes: list[str]) -> tuple[Pieces, NDArray[np.complex128]]:
-    """Close the gaps from `GAP` to `TOLERANCE`, and note them; with the shift of each piece (m, x + i y).
+    """Close the gaps from `MAX_JOINT_GAP` to `MAX_CLOSED_GAP`, note them; with the shift of each piece (m, x + i y).
 
     The pieces behind a gap are moved. On a lap, the distance by which the end then misses the start is shared out
     among all joints.
     """
     first, last = (points.x + 1j * points.y for points in table.ends())
-    gaps, lap = np.roll(first, -1) - last, _meets_itself(table, TOLERANCE)
-    closable = (np.abs(gaps) > GAP) & (np.abs(gaps) <= TOLERANCE)
+    gaps, lap = np.roll(first, -1) - last, _meets_itself(table, MAX_CLOSED_GAP)
+    closable = (np.abs(gaps) > MAX_JOINT_GAP) & (np.abs(gaps) <= MAX_CLOSED_GAP)
     closable[-1] &= lap
     shifts = -np.concatenate([[0.0], np.cumsum(np.where(closable, gaps, 0.0))[:-1]])
     if not closable.any():
@@ -228,12 +228,12 @@ def _close_gaps(table: Pieces, notes: list[str]) -> tuple[Pieces, NDArray[np.com
     return Pieces(table.start, pieces), shifts
 
 
-def _meets_itself(table: Pieces, gap: float = GAP) -> bool:
+def _meets_itself(table: Pieces, gap: float = MAX_JOINT_GAP) -> bool:
     """Whether the line ends within `gap` (m) of its start, in the same direction."""
     first, last = table.at(0.0), table.at(table.length)
     turn = float(last.heading - first.heading) / (2.0 * math.pi)
-    apart = math.hypot(float(last.x - first.x), float(last.y - first.y))
-    return apart <= gap <= 0.1 * table.length and abs(turn - round(turn)) * 2.0 * math.pi <= KINK
+    distance = math.hypot(float(last.x - first.x), float(last.y - first.y))
+    return distance <= gap <= 0.1 * table.length and abs(turn - round(turn)) * 2.0 * math.pi <= MAX_JOINT_KINK
 
 
 # -- shapes -----------------------------------------------------------------------------------------------------------
@@ -241,9 +241,9 @@ def _segment(where: str, shape: Element) -> Segment:
     length = number_of(where, shape, "length")
     kind = next((child for child in shape if child.tag in _READERS), None)
     if kind is None:
-        found = ", ".join(f"<{child.tag}>" for child in shape) or "nothing"
+        tags = ", ".join(f"<{child.tag}>" for child in shape) or "nothing"
         raise ConfigError(
-            f"{where}: <geometry> at s = {shape.get('s')} holds {printable(found)}; known: {', '.join(_READERS)}."
+            f"{where}: <geometry> at s = {shape.get('s')} holds {printable(tags)}; known: {', '.join(_READERS)}."
         )
     return _READERS[kind.tag](where, kind, length)
 

@@ -17,14 +17,14 @@ import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.base.files import printable
-from adaptrack.core.road import HALF
+from adaptrack.core.road import HALF_LENGTH
 from adaptrack.road.along import NO_LIMIT, Along
 from adaptrack.road.segments import Array
-from adaptrack.road.table import Pieces, cubic_line, of_pieces
+from adaptrack.road.table import Pieces, cubic_line, points_on_pieces
 
 Cubics = list[tuple[float, Array]]
 """Arc lengths at which cubics begin (m), each with its coefficients."""
-Laws = tuple[list[float], Array]
+CubicLaws = tuple[list[float], Array]
 """Where cubics in the arc length begin (m), and their coefficients (m, 4)."""
 
 SPEED_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
@@ -32,9 +32,9 @@ HALF_TRACK = 0.75
 """m, to both sides of the line: the bank is the mean slope of the surface between."""
 SIDES = ("both", "left", "right")
 """To which a crossfall belongs."""
-SAMPLES = 2.0
+SAMPLE_SPACING = 2.0
 """m, between the samples of widths and bank, between which straight lines are drawn."""
-STEP, SHORTEST_SAMPLE = 0.5, 1e-4
+OFFSET_STEP, SHORTEST_SAMPLE = 0.5, 1e-4
 """m, most and least between the samples of a line at an offset."""
 DRIVEN = ("driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bidirectional")
 """Types of lanes that count to the width of a road."""
@@ -148,9 +148,9 @@ class Lanes:
             lanes = {int(number_of(self._where, lane, "id")): self._lane(lane, s) for lane in section.iter("lane")}
             single = section.get("singleSide", "false").lower() in ("true", "1")
             for side, sign in zip(sides, (1, -1), strict=True):
-                beside_ = {number: lane for number, lane in lanes.items() if number * sign > 0}
-                if beside_ or not single:
-                    side[start] = beside_
+                side_lanes = {number: lane for number, lane in lanes.items() if number * sign > 0}
+                if side_lanes or not single:
+                    side[start] = side_lanes
         left, right = (
             [
                 _Stretch(start, end, lanes)
@@ -218,7 +218,7 @@ class Lanes:
     # ---- distances and widths
 
     @cached_property
-    def line(self) -> Laws | None:
+    def line(self) -> CubicLaws | None:
         """The distance of the line from the reference line; None where it is always 0."""
         if self._path is None:
             return self._combined([(1.0, self._offset)]) if any(law.any() for _, law in self._offset) else None
@@ -242,7 +242,7 @@ class Lanes:
             raise ConfigError(f"{self._where}: lane {number} has a <border>, which is not read; give it a <width>.")
         return width or [(stretch.start, np.zeros(4))]
 
-    def _combined(self, summed: Sequence[tuple[float, Cubics]]) -> Laws:
+    def _combined(self, summed: Sequence[tuple[float, Cubics]]) -> CubicLaws:
         """The weighted sum of piecewise cubics."""
         starts = sorted({0.0, *(s for _, laws in summed for s, _ in laws)})
         starts = [s for k, s in enumerate(starts) if k == 0 or s > starts[k - 1] + 1e-9]
@@ -319,10 +319,10 @@ def _runs_with_road(number: int, lane: _Lane, rule: str) -> bool:
 
 
 def _samples(start: float, end: float) -> Array:
-    return np.linspace(start, end, max(1, math.ceil((end - start) / SAMPLES)) + 1)
+    return np.linspace(start, end, max(1, math.ceil((end - start) / SAMPLE_SPACING)) + 1)
 
 
-def _law_values(laws: Laws, s: Array) -> Array:
+def _law_values(laws: CubicLaws, s: Array) -> Array:
     """Piecewise cubics at arc lengths."""
     starts, rows = np.array(laws[0]), laws[1]
     row = np.maximum(np.searchsorted(starts, s, "right") - 1, 0)
@@ -347,7 +347,7 @@ def _shifted(c: Array, b: float | Array) -> Array:
 def line_at_offset(base: Pieces, starts: Sequence[float], rows: Array) -> tuple[Pieces, Array, Array]:
     """The line at a lateral offset from another, and the arc lengths (m) of its samples on the base and on itself.
 
-    Through samples at most `STEP` apart, and at the joints of base and offset, goes a cubic with their directions.
+    A cubic with their directions goes through samples at most `OFFSET_STEP` apart and at the joints of both lines.
 
     Parameters
     ----------
@@ -359,7 +359,7 @@ def line_at_offset(base: Pieces, starts: Sequence[float], rows: Array) -> tuple[
     InvalidInput
         Where the line passes the centre of curvature of its base.
     """
-    s = np.unique(np.concatenate([base.start, starts, np.arange(0.0, base.length, STEP)]))
+    s = np.unique(np.concatenate([base.start, starts, np.arange(0.0, base.length, OFFSET_STEP)]))
     s = s[(s >= 0.0) & (s <= base.length)]
     s = s[np.append(True, np.diff(s) > SHORTEST_SAMPLE)]  # editors leave elements of micrometres
     s[-1] = base.length
@@ -368,7 +368,7 @@ def line_at_offset(base: Pieces, starts: Sequence[float], rows: Array) -> tuple[
     law = np.maximum(np.searchsorted(starts, middle, "right") - 1, 0)
     ends = []
     for end in (s[:-1], s[1:]):
-        points = of_pieces(base.pieces[piece], (end - base.start[piece]) / base.pieces[piece, HALF] - 1.0)
+        points = points_on_pieces(base.pieces[piece], (end - base.start[piece]) / base.pieces[piece, HALF_LENGTH] - 1.0)
         offset, slope = _shifted(rows[law].T, end - np.array(starts)[law])[:2]
         ahead, normal = 1.0 - offset * points.curvature, 1j * np.exp(1j * points.heading)
         for k in np.flatnonzero(~(ahead > 0.0))[:1]:

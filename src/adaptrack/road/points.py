@@ -13,13 +13,13 @@ import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import is_number, printable, read_bytes
-from adaptrack.base.limits import SPEED
-from adaptrack.core.path import FEWEST
+from adaptrack.base.limits import MAX_SPEED
+from adaptrack.core.path import MIN_PATH_POINTS
 from adaptrack.road.fit import fit_road
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
 
-COLUMNS = {
+POINT_COLUMNS = {
     "x": ("x", "x_m", "pos_x", "x_ref_m"),
     "y": ("y", "y_m", "pos_y", "y_ref_m"),
     "width_right": ("width_right", "w_tr_right_m", "width_right_m"),
@@ -44,7 +44,7 @@ NAME = r"[A-Za-z_\u00c0-\uffff][^\s:=]*(?: [^\s:=]+){0,2}"
 FOREIGN_SPEED = r"km|kph|mph|mile|knot|fps"
 """Parts of the name of a speed column that is not in m/s."""
 
-DEGREES = ("lat", "lon", "latitude", "longitude", "lng")
+DEGREE_COLUMNS = ("lat", "lon", "latitude", "longitude", "lng")
 WITHOUT_HEADER = {2: ("x", "y"), 4: ("x", "y", "width_right", "width_left")}
 """The columns of a file without a header, by their number."""
 
@@ -85,10 +85,10 @@ def road_from_csv(path: str | os.PathLike[str], *, speed_column: str | None = No
     try:
         road = fit_road(table.points, **({"name": Path(path).stem, **table.along} | options))
     except InvalidInput as error:
-        message = re.sub(r"point (\d+)", lambda found: f"line {table.lines[int(found[1])]}", str(error))
+        message = re.sub(r"point (\d+)", lambda match: f"line {table.lines[int(match[1])]}", str(error))
         raise ConfigError(f"{os.fspath(path)}: {message.removeprefix('fit_road: ')}") from None
     notes = [
-        re.sub(r"at point (\d+)", lambda found: f"in line {table.lines[int(found[1])]}", text) for text in road.notes
+        re.sub(r"at point (\d+)", lambda match: f"in line {table.lines[int(match[1])]}", text) for text in road.notes
     ]
     return road.replace(notes=(*notes, *table.notes))
 
@@ -97,8 +97,8 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
     """The points of a CSV file, one per line, in the order in which they are driven; x and y in m.
 
     Cells are separated by ``;``, tabs, ``,`` or blanks; except in files with commas between cells, the decimal mark may
-    be a comma. The first line may be a header (`COLUMNS`), and so may a line behind ``#`` above the numbers whose cells
-    are names; of several the last that names x and y. A header without x and y is refused. Without a header, two
+    be a comma. The first line may be a header (`POINT_COLUMNS`), and so may a line behind ``#`` above the numbers whose
+    cells are names; of several the last that names x and y. A header without x and y is refused. Without a header, two
     columns are x, y and four x, y, width to the right, width to the left. Repeated points are left out.
 
     Parameters
@@ -115,14 +115,16 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
     """
     where = os.fspath(path)
     header, rows = _split(where, _text(path))
-    if len(rows) < FEWEST:
-        raise ConfigError(f"{where}: {len(rows)} lines of numbers; a road needs at least {FEWEST} points.")
+    if len(rows) < MIN_PATH_POINTS:
+        raise ConfigError(f"{where}: {len(rows)} lines of numbers; a road needs at least {MIN_PATH_POINTS} points.")
     names = _names(header, len(rows[0][1]), speed_column)
     numbers = np.empty((len(rows), len(names)))
     for k, (line, cells) in enumerate(rows):
         if len(cells) != len(names):
             raise ConfigError(f"{where}, line {line}: {len(cells)} columns, where {len(names)} are expected.")
-        numbers[k] = [_number(where, line, cell, wanted=bool(name)) for cell, name in zip(cells, names, strict=True)]
+        numbers[k] = [
+            _number(where, line, cell, is_required=bool(name)) for cell, name in zip(cells, names, strict=True)
+        ]
     columns = {name: numbers[:, k] for k, name in enumerate(names) if name}
     if speed_column is not None:
         _check_speeds(where, speed_column, columns["speed_limit"], [line for line, _ in rows])
@@ -131,7 +133,7 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
     return PointsFile(
         points[moved],
         {name: values[moved] for name, values in columns.items()},
-        tuple(line for (line, _), kept in zip(rows, moved, strict=True) if kept),
+        tuple(line for (line, _), is_kept in zip(rows, moved, strict=True) if is_kept),
         _notes(header.titles, names, int((~moved).sum())),
     )
 
@@ -144,9 +146,9 @@ def _text(path: str | os.PathLike[str]) -> str:
 
 
 def _notes(titles: Sequence[str], names: Sequence[str], repeated: int) -> tuple[str, ...]:
-    left_out = [title for title, name in zip(titles, names, strict=False) if not name]
-    said = [f"columns left out: {printable(', '.join(left_out))}"] if left_out else []
-    return (*said, f"{repeated} repeated points left out") if repeated else tuple(said)
+    omitted = [title for title, name in zip(titles, names, strict=False) if not name]
+    notes = [f"columns left out: {printable(', '.join(omitted))}"] if omitted else []
+    return (*notes, f"{repeated} repeated points left out") if repeated else tuple(notes)
 
 
 def _split(where: str, text: str) -> tuple[_Header, list[tuple[int, list[str]]]]:
@@ -207,7 +209,7 @@ def _plain(title: str) -> str:
 
 def _column_of(title: str) -> str | None:
     """The quantity that a column's title names."""
-    return next((name for name, titles in COLUMNS.items() if _plain(title) in titles), None)
+    return next((name for name, titles in POINT_COLUMNS.items() if _plain(title) in titles), None)
 
 
 def _names(header: _Header, count: int, speed_column: str | None) -> list[str]:
@@ -217,11 +219,11 @@ def _names(header: _Header, count: int, speed_column: str | None) -> list[str]:
         if count not in WITHOUT_HEADER or speed_column is not None:
             raise ConfigError(
                 f"{where}: {count} columns without a header; give x,y or x,y,width_right,width_left, or name them: "
-                f"{', '.join(COLUMNS)}."
+                f"{', '.join(POINT_COLUMNS)}."
             )
         return list(WITHOUT_HEADER[count])
     names = [_column_of(title) or "" for title in titles]
-    if {_plain(title) for title in titles} & set(DEGREES):
+    if {_plain(title) for title in titles} & set(DEGREE_COLUMNS):
         raise ConfigError(f"{where}: latitude and longitude; convert them to x (east) and y (north) in m first.")
     if speed_column is not None:
         names = ["" if name == "speed_limit" else name for name in names]
@@ -260,15 +262,15 @@ def _check_unit(where: str, title: str, name: str) -> None:
 
 def _check_speeds(where: str, column: str, speeds: Array, lines: Sequence[int]) -> None:
     """Refuse speeds that no car drives."""
-    for k in np.flatnonzero(~((speeds > 0.0) & (speeds <= SPEED.most)))[:1]:
+    for k in np.flatnonzero(~((speeds > 0.0) & (speeds <= MAX_SPEED.most)))[:1]:
         raise ConfigError(
-            f"{where}, line {lines[k]}: {column} = {speeds[k]:g}: must be > 0 and at most {SPEED.most:g} m/s; "
+            f"{where}, line {lines[k]}: {column} = {speeds[k]:g}: must be > 0 and at most {MAX_SPEED.most:g} m/s; "
             "correct or remove the line."
         )
 
 
-def _number(where: str, line: int, cell: str, wanted: bool) -> float:
-    if not wanted:
+def _number(where: str, line: int, cell: str, is_required: bool) -> float:
+    if not is_required:
         return 0.0
     if not _is_number(cell) or not math.isfinite(float(cell.replace(",", "."))):
         raise ConfigError(

@@ -18,21 +18,21 @@ from adaptrack.base.limits import ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
 from adaptrack.core.planning import along as along_kernel
 from adaptrack.core.road import X, Y
-from adaptrack.road.along import ALONG, Along, alongs
-from adaptrack.road.segments import FARTHEST, Array, Points, Pose, Segment
+from adaptrack.road.along import ALONG_QUANTITIES, Along, alongs
+from adaptrack.road.segments import MAX_COORDINATE, Array, Points, Pose, Segment
 from adaptrack.road.table import Pieces, sequence, tabulate
 from adaptrack.road.toml import write_road
 
-GAP, KINK = 0.01, 0.01
+MAX_JOINT_GAP, MAX_JOINT_KINK = 0.01, 0.01
 """Largest step of the position (m) and of the heading (rad) where elements meet: rounding in files, not geometry."""
 JUMP = 1e-4
 """1/m, a change of curvature at one place that counts as a jump; a line through samples has smaller ones."""
 HALF_LANE = Along.constant(1.75)
 """m, half of a lane of 3.5 m: the width to each side where nothing is said."""
-DRY, LEVEL = Along.constant(0.9), Along.constant(0.0)
+DRY_FRICTION, LEVEL_BANK = Along.constant(0.9), Along.constant(0.0)
 """Friction, as in the scenarios, and bank where nothing is said."""
 AT_ORIGIN = Pose()
-_NO_LIMIT = along_kernel.Along(np.zeros(0), np.zeros(0), 0)
+_NO_LIMIT = along_kernel.AlongRecord(np.zeros(0), np.zeros(0), 0)
 
 
 class Jump(NamedTuple):
@@ -85,9 +85,9 @@ class Road:
     """m, from the centre line to the right edge"""
     speed_limit: Along | None = None
     """Speed limit along the road (m/s)."""
-    friction: Along = DRY
+    friction: Along = DRY_FRICTION
     """coefficient of all wheels"""
-    bank: Along = LEVEL
+    bank: Along = LEVEL_BANK
     """rad, positive where gravity pushes to the left"""
     notes: tuple[str, ...] = ()
     """Sentences of its reader on deviations and unused parts."""
@@ -99,10 +99,10 @@ class Road:
     def __post_init__(self) -> None:
         check_limit(f"road {self.name!r}: length", self.length, ROAD_LENGTH)
         farthest = float(np.abs(self.table.pieces[:, [X, Y]]).max())
-        if not farthest <= FARTHEST:
+        if not farthest <= MAX_COORDINATE:
             raise InvalidInput(
-                f"road {self.name!r}: it has a coordinate of {farthest:.3g} m: at most {FARTHEST:g} m are allowed; "
-                "correct it, or move the origin."
+                f"road {self.name!r}: it has a coordinate of {farthest:.3g} m: at most {MAX_COORDINATE:g} m are "
+                "allowed; correct it, or move the origin."
             )
         self._check_joints()
         positive = (self.width_left, "width_left"), (self.width_right, "width_right"), (self.friction, "friction")
@@ -124,11 +124,14 @@ class Road:
         turn = first.heading[after] - last.heading
         kink = np.abs(turn - 2.0 * np.pi * np.round(turn / (2.0 * np.pi)))
         gap = np.hypot(first.x[after] - last.x, first.y[after] - last.y)
-        for wrong, what, unit in ((gap > GAP, gap, "m apart"), (kink > KINK, kink, "rad of kink")):
-            for k in np.flatnonzero(wrong[:count])[:1]:
+        for is_broken, size, unit in (
+            (gap > MAX_JOINT_GAP, gap, "m apart"),
+            (kink > MAX_JOINT_KINK, kink, "rad of kink"),
+        ):
+            for k in np.flatnonzero(is_broken[:count])[:1]:
                 where = "the end and the start" if k == after.size - 1 else f"s = {self.table.start[k + 1]:.2f} m"
                 raise InvalidInput(
-                    f"road {self.name!r}: {what[k]:.3g} {unit} at {where}; the centre line must be one curve without "
+                    f"road {self.name!r}: {size[k]:.3g} {unit} at {where}; the centre line must be one curve without "
                     "kinks. Correct the elements, or fit a road to sampled points with fit_road."
                 )
 
@@ -186,7 +189,7 @@ class Road:
         """
         write_road(
             path, name=self.name, closed=self.closed, deviation=self.deviation, notes=self.notes,
-            along={key: getattr(self, key) for key in ALONG}, elements=self.elements, table=self.table,
+            along={key: getattr(self, key) for key in ALONG_QUANTITIES}, elements=self.elements, table=self.table,
         )  # fmt: skip
 
     # ---- geometry
@@ -227,8 +230,8 @@ class Road:
         InvalidInput
             For another name.
         """
-        if name not in ALONG:
-            raise InvalidInput(f"Road.along: {name!r}: must be one of {', '.join(ALONG)}.")
+        if name not in ALONG_QUANTITIES:
+            raise InvalidInput(f"Road.along: {name!r}: must be one of {', '.join(ALONG_QUANTITIES)}.")
         values: Along | None = getattr(self, name)
         s = reals("Road.along: s", s)
         if values is None:
@@ -248,8 +251,8 @@ class Road:
         first, last = self.table.ends()
         after = np.roll(first.curvature, -1)
         count = after.size if self.closed else after.size - 1
-        found = np.flatnonzero(np.abs(after - last.curvature)[:count] > least)
-        return [Jump(float(self.table.start[k + 1]), float(last.curvature[k]), float(after[k])) for k in found]
+        jumps = np.flatnonzero(np.abs(after - last.curvature)[:count] > least)
+        return [Jump(float(self.table.start[k + 1]), float(last.curvature[k]), float(after[k])) for k in jumps]
 
     def project(self, x: ArrayLike, y: ArrayLike, near: ArrayLike | None = None) -> Projection:
         """The feet of points on the centre line.
@@ -273,12 +276,14 @@ class Road:
         InvalidInput
             When a coordinate is not a finite number, shapes do not fit, or there is no foot within 400 m of `near`.
         """
-        given = [reals("Road.project: a coordinate", each) for each in (x, y, np.nan if near is None else near)]
+        coordinates = [
+            reals("Road.project: a coordinate", coordinate) for coordinate in (x, y, np.nan if near is None else near)
+        ]
         try:
-            wanted = np.broadcast_arrays(*given)
+            columns = np.broadcast_arrays(*coordinates)
         except ValueError:
             raise InvalidInput("Road.project: x, y and near must have one shape.") from None
-        rows = np.stack([each.ravel() for each in wanted], axis=-1)
+        rows = np.stack([column.ravel() for column in columns], axis=-1)
         if not np.isfinite(rows[:, : 2 if near is None else 3]).all():
             raise InvalidInput("Road.project: x, y and near must be finite; leave missing samples out.")
         feet = np.empty((len(rows), 4))
@@ -289,7 +294,7 @@ class Road:
                 f"Road.project: the point ({px:.6g}, {py:.6g}) has no foot within {kernel.REACH:g} m of near = {s:.6g} "
                 "m along the road. Give the arc length of its last foot, or leave near out."
             )
-        shape = wanted[0].shape
+        shape = columns[0].shape
         return Projection(*(feet[:, k].reshape(shape) for k in range(4)))
 
     def packed(self) -> Any:

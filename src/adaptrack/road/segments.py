@@ -17,11 +17,11 @@ from pydantic import Field, model_validator
 from adaptrack.base.files import Record
 
 Array = NDArray[np.float64]
-SHORTEST, LONGEST = 1e-15, 1e6
+MIN_ELEMENT_LENGTH, MAX_ELEMENT_LENGTH = 1e-15, 1e6
 """m, of one element."""
-Length = Annotated[float, Field(ge=SHORTEST, le=LONGEST, description="m, along the centre line")]
+Length = Annotated[float, Field(ge=MIN_ELEMENT_LENGTH, le=MAX_ELEMENT_LENGTH, description="m, along the centre line")]
 Curvature = Annotated[float, Field(ge=-10.0, le=10.0, description="1/m, positive to the left")]
-FARTHEST = 1e8
+MAX_COORDINATE = 1e8
 """m, the largest coordinate: all digits down to a micrometre."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -120,8 +120,10 @@ class Cubic(Placed):
         p = self.end
         slopes = [(b, b + c * p, b + 2.0 * c * p + 3.0 * d * p * p) for _, b, c, d in (self.x, self.y)]
         reach = sum(p * math.hypot(dx, dy) / 3.0 for dx, dy in zip(*slopes, strict=True))  # of its three sides
-        if not reach <= LONGEST:
-            raise ValueError(f"its control points are {reach:.3g} m apart in all: at most {LONGEST:g} m are allowed.")
+        if not reach <= MAX_ELEMENT_LENGTH:
+            raise ValueError(
+                f"its control points are {reach:.3g} m apart in all: at most {MAX_ELEMENT_LENGTH:g} m are allowed."
+            )
         return self
 
     @property

@@ -24,7 +24,7 @@ from adaptrack.road.segments import Array
 
 KNOTS = 10.0
 """In a smoothing length, at most."""
-CAUTION = 1.4
+PARAMETER_PENALTY = 1.4
 """Factor on the number of parameters in cross-validation."""
 EXACT_TRACE = 500
 """Up to so many parameters their number in use is computed exactly, else from random signs."""
@@ -56,7 +56,7 @@ class Smoother:
         self._system: _System | None = None
 
     def finer(self) -> Smoother:
-        """The same with knots at half the distance."""
+        """Return a smoother with knots at half the distance."""
         return Smoother(self.points, self.places, self.length, self.closed, 0.5 * self.spacing)
 
     def _system_at(self, scale: float) -> tuple[_System, Array]:
@@ -80,7 +80,7 @@ class Smoother:
         n = len(self.points)
         residual = self.points - system.basis @ scipy.linalg.cho_solve_banded((factor, False), system.right)
         used = self._trace(system, factor)
-        left = n - CAUTION * used
+        left = n - PARAMETER_PENALTY * used
         return Score(n * float((residual**2).sum()) / left**2 if left > 0.0 else math.inf, used)
 
     def _trace(self, system: _System, factor: Array) -> float:
@@ -91,8 +91,8 @@ class Smoother:
         n = len(self.points)
         probes = max(2, round(PROBES / n))
         signs = np.random.default_rng(1).choice([-1.0, 1.0], (n, probes))
-        found = basis @ scipy.linalg.cho_solve_banded((factor, False), basis.T @ signs)
-        return float((signs * found).sum() / probes)
+        solution = basis @ scipy.linalg.cho_solve_banded((factor, False), basis.T @ signs)
+        return float((signs * solution).sum() / probes)
 
 
 class _System:
@@ -126,13 +126,13 @@ class _System:
     def _squared(self, columns: NDArray[np.int64], values: Array) -> Array:
         """A^T A of a matrix with four entries in each row, as the upper bands that LAPACK reads."""
         bands = np.zeros((self._width + 1) * self.size)
-        for one in range(4):
+        for row in range(4):
             for other in range(4):
-                i, j = columns[:, one], columns[:, other]
+                i, j = columns[:, row], columns[:, other]
                 upper = i <= j
                 place = (self._width - (j - i)) * self.size + j
-                found = values[:, one] * values[:, other]
-                bands += np.bincount(place[upper], weights=found[upper], minlength=bands.size)
+                products = values[:, row] * values[:, other]
+                bands += np.bincount(place[upper], weights=products[upper], minlength=bands.size)
         return bands.reshape(self._width + 1, self.size)
 
     def factor(self, weight: float) -> Array:

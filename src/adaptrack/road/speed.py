@@ -19,19 +19,19 @@ from pydantic import Field
 from adaptrack.base.checked import Finite, NotNegative, Positive, checked, reals, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record
-from adaptrack.base.limits import SPEED
+from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core import speed_plan as plan_kernel
 from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.cells import PLAN, plan_places
-from adaptrack.core.planning.speed import FLAT as FLAT
+from adaptrack.core.planning.speed import STRAIGHT_CURVATURE as STRAIGHT_CURVATURE
 from adaptrack.road.cornering import cornering_limit, packed, steering_limit
 from adaptrack.road.holdable import HoldableSpeed, highest
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
 
-SPACING = 1.0
+PLAN_SPACING = 1.0
 """m, between the places at which the speed is planned, by default."""
 
 
@@ -48,7 +48,7 @@ class Comfort(Record):
     grip_share: float = Field(default=0.9, gt=0.0, le=1.0, description="-, of the friction that may be used")
 
 
-USUAL = Comfort()
+DEFAULT_COMFORT = Comfort()
 """As most are driven."""
 
 
@@ -70,7 +70,7 @@ class Limit(StrEnum):
     JERK = "jerk"
 
 
-_LIMITS = tuple(Limit[name.upper()] for name in kernel.LIMIT._fields)
+_LIMITS = tuple(Limit[name.upper()] for name in kernel.SPEED_LIMIT._fields)
 
 
 class Stretch(NamedTuple):
@@ -124,10 +124,10 @@ class SpeedPlan:
     @property
     def shares(self) -> dict[Limit, float]:
         """Which share of the road each limit binds, the largest first."""
-        found: dict[Limit, float] = {}
-        for each in self.stretches:
-            found[each.limit] = found.get(each.limit, 0.0) + (each.end - each.start) / float(self.s[-1])
-        return dict(sorted(found.items(), key=lambda item: -item[1]))
+        shares: dict[Limit, float] = {}
+        for stretch in self.stretches:
+            shares[stretch.limit] = shares.get(stretch.limit, 0.0) + (stretch.end - stretch.start) / float(self.s[-1])
+        return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
     @property
     def stops(self) -> list[Stop]:
@@ -148,10 +148,10 @@ class SpeedPlan:
     def at(self, s: ArrayLike) -> Array:
         """The speed (m/s) at the arc lengths `s`: lap after lap, or constant beyond the ends of an open road."""
         place = reals("SpeedPlan.at: s", s)
-        found = place.flatten()
+        values = place.flatten()
         s, speed = np.ascontiguousarray(self.s), np.ascontiguousarray(self.speed)
-        plan_kernel.planned_speeds(float(s[-1]) if self.closed else 0.0, s, speed, found)
-        return np.asarray(found.reshape(place.shape)[()])
+        plan_kernel.planned_speeds(float(s[-1]) if self.closed else 0.0, s, speed, values)
+        return np.asarray(values.reshape(place.shape)[()])
 
     def motion(self, time: ArrayLike) -> tuple[Array, Array]:
         """Station (m) and speed (m/s) at times (s) from the start: lap after lap, or at the end of an open road."""
@@ -162,21 +162,21 @@ class SpeedPlan:
 
     def packed(self) -> Any:
         """The plan as the record that `adaptrack.core` reads; read-only."""
-        rows = (np.ascontiguousarray(each) for each in (self.s, self.speed, self.time))
-        return plan_kernel.SpeedPlan(*rows, self.duration, int(self.closed))
+        rows = (np.ascontiguousarray(column) for column in (self.s, self.speed, self.time))
+        return plan_kernel.SpeedPlanRecord(*rows, self.duration, int(self.closed))
 
 
 @checked
 def plan_speed(
     road: Road,
     car: Vehicle | None = None,
-    comfort: Comfort = USUAL,
+    comfort: Comfort = DEFAULT_COMFORT,
     *,
     start: Annotated[NotNegative, "m/s"] | None = None,
     end: Annotated[NotNegative, "m/s"] | None = None,
     stops: Sequence[Stop | float] = (),
-    top_speed: Annotated[Positive, "m/s", SPEED] | None = None,
-    spacing: Annotated[Finite, within(0.01, 100.0), "m"] = SPACING,
+    top_speed: Annotated[Positive, "m/s", MAX_SPEED] | None = None,
+    spacing: Annotated[Finite, within(0.01, 100.0), "m"] = PLAN_SPACING,
     holds: HoldableSpeed | None = None,
 ) -> SpeedPlan:
     """The fastest speed along a road; `SpeedPlan.stretches` say what bounds it where.
@@ -226,11 +226,11 @@ def plan_speed(
 
 def unlimited(limit: Array) -> NDArray[np.bool_]:
     """Where a speed limit (m/s) is none: files write it as a speed that no car has."""
-    return limit > SPEED.most
+    return limit > MAX_SPEED.most
 
 
 @checked
-def constant_speed(road: Road, speed: Annotated[Positive, "m/s", SPEED]) -> SpeedPlan:
+def constant_speed(road: Road, speed: Annotated[Positive, "m/s", MAX_SPEED]) -> SpeedPlan:
     """One speed all along a road, whatever its limits."""
     planning = _planning(road, _bounds(Comfort(), None), None, ())
     return _plan(planning.table, kernel.plan_constant(speed, planning), road.closed, Comfort())
@@ -255,16 +255,16 @@ def speed_limit_plan(road: Road) -> SpeedPlan:
 
 def _bounds(
     comfort: Comfort, car: Vehicle | None, start: float | None = None, end: float | None = None,
-    top_speed: float | None = None, spacing: float = SPACING,
+    top_speed: float | None = None, spacing: float = PLAN_SPACING,
 ) -> Any:  # fmt: skip
     """Return the bounds of a plan besides road and powertrain, for the kernels."""
-    return kernel.Bounds(
+    return kernel.SpeedBounds(
         **comfort.model_dump(),
         start=math.nan if start is None else start,
         end=math.nan if end is None else end,
         top_speed=math.nan if top_speed is None else top_speed,
         domain_speed=(Domain() if car is None else car.domain).speed[1],
-        no_limit=SPEED.most,
+        no_limit=MAX_SPEED.most,
         steering_limit=math.nan if car is None else steering_limit(car),
         spacing=spacing,
     )
@@ -290,9 +290,9 @@ def _with_cells(planning: Any, car: Vehicle | None, holds: HoldableSpeed | None)
         table[PLAN.cornering] = cornering_limit(car, curvature, friction)
     if holds is None:
         return planning
-    held_at, held = holds.along(curvature, bank, friction)
-    table[PLAN.margins] = highest(held_at, held)
-    return planning._replace(held_at=held_at, held=np.ascontiguousarray(held))
+    held_at, deceleration = holds.along(curvature, bank, friction)
+    table[PLAN.margins] = highest(held_at, deceleration)
+    return planning._replace(held_at=held_at, held=np.ascontiguousarray(deceleration))
 
 
 def _refuse(planning: Any, status: int, k: int, value: float) -> None:
@@ -310,8 +310,8 @@ def _refuse(planning: Any, status: int, k: int, value: float) -> None:
         )
     if status in (kernel.START_TOO_FAST, kernel.END_TOO_FAST):
         name = "start" if status == kernel.START_TOO_FAST else "end"
-        wanted = getattr(planning.bounds, name)
-        raise InvalidInput(f"plan_speed: {name} = {wanted!r} m/s: must be at most {value:.4g} there.")
+        bound = getattr(planning.bounds, name)
+        raise InvalidInput(f"plan_speed: {name} = {bound!r} m/s: must be at most {value:.4g} there.")
     if status == kernel.CANNOT_BRAKE:
         raise InvalidInput(
             f"plan_speed: start = {planning.bounds.start:g} m/s: a car cannot brake in time; start at {value:.4g} m/s "
@@ -358,9 +358,9 @@ def _soften(planning: Any, closed: bool) -> None:
     low = np.zeros(n)
     low[0] = 0.0 if math.isnan(start) else fastest[0] * (1.0 - 1e-9)
     below, most, ends = sparse.vstack(rows), np.concatenate(bounds), np.stack([low, fastest], axis=-1)
-    found = scipy.optimize.linprog(-worth, A_ub=below, b_ub=most, bounds=ends, method="highs")
-    if found.x is None:
+    solution = scipy.optimize.linprog(-worth, A_ub=below, b_ub=most, bounds=ends, method="highs")
+    if solution.x is None:
         raise InvalidInput(
             f"plan_speed: no speed keeps a jerk of {jerk:g} m/s^3 from this start: allow more, or start slower."
         )
-    fastest[:] = np.minimum(found.x, fastest)
+    fastest[:] = np.minimum(solution.x, fastest)

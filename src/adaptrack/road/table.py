@@ -17,11 +17,25 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import TURNS, check_limit
-from adaptrack.core.path import COLUMNS, OK, TOO_SMALL, TURN, line_numbers, write_cubics
-from adaptrack.core.road import ACROSS, ALONG, COS, DEGREE, HALF, HEADING, SIN, TURNED, Centreline, X, Y
+from adaptrack.core.kernel import OK
+from adaptrack.core.path import TOO_SMALL, TURN, line_numbers, write_cubics
+from adaptrack.core.road import (
+    ACROSS_COEFFICIENTS,
+    ALONG_COEFFICIENTS,
+    COS,
+    HALF_LENGTH,
+    HEADING,
+    PIECE_COLUMNS,
+    POLYNOMIAL_DEGREE,
+    SIN,
+    TURN_COEFFICIENTS,
+    Centreline,
+    X,
+    Y,
+)
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Points, Pose, Segment, heading_integral
 
-_U = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))[::-1]
+_U = np.cos(np.pi * (np.arange(POLYNOMIAL_DEGREE + 1) + 0.5) / (POLYNOMIAL_DEGREE + 1))[::-1]
 _TO_COEFFICIENTS = np.linalg.inv(np.vander(_U, increasing=True))
 
 
@@ -35,7 +49,7 @@ class Pieces(NamedTuple):
 
     @property
     def length(self) -> float:
-        """m"""
+        """Length of the line (m)."""
         return float(self.start[-1])
 
     def packed(self, closed: bool) -> Any:
@@ -54,25 +68,25 @@ class Pieces(NamedTuple):
         after, before = np.searchsorted(self.start, s, "right"), np.searchsorted(self.start, s, "left")
         index = np.clip(np.where(side < 0.0, before, after) - 1, 0, len(self.pieces) - 1)
         piece = self.pieces[index]
-        half = piece[..., HALF]
-        return of_pieces(piece, (s - self.start[index]) / half - 1.0)
+        half = piece[..., HALF_LENGTH]
+        return points_on_pieces(piece, (s - self.start[index]) / half - 1.0)
 
     def ends(self) -> tuple[Points, Points]:
         """The points at the start and at the end of every piece."""
-        one = np.ones(len(self.pieces))
-        return of_pieces(self.pieces, -one), of_pieces(self.pieces, one)
+        ones = np.ones(len(self.pieces))
+        return points_on_pieces(self.pieces, -ones), points_on_pieces(self.pieces, ones)
 
 
-def of_pieces(piece: Array, u: Array) -> Points:
+def points_on_pieces(piece: Array, u: Array) -> Points:
     """The points of pieces, (..., COLUMNS), at u, (...)."""
-    along = _polynomial(piece[..., ALONG:ACROSS], u)
-    across = _polynomial(piece[..., ACROSS:TURNED], u)
+    along = _polynomial(piece[..., ALONG_COEFFICIENTS:ACROSS_COEFFICIENTS], u)
+    across = _polynomial(piece[..., ACROSS_COEFFICIENTS:TURN_COEFFICIENTS], u)
     cos, sin = piece[..., COS], piece[..., SIN]
     return Points(
         piece[..., X] + cos * along - sin * across,
         piece[..., Y] + sin * along + cos * across,
-        piece[..., HEADING] + _polynomial(piece[..., TURNED:COLUMNS], u),
-        _polynomial(polyder(piece[..., TURNED:COLUMNS], axis=-1), u) / piece[..., HALF],
+        piece[..., HEADING] + _polynomial(piece[..., TURN_COEFFICIENTS:PIECE_COLUMNS], u),
+        _polynomial(polyder(piece[..., TURN_COEFFICIENTS:PIECE_COLUMNS], axis=-1), u) / piece[..., HALF_LENGTH],
     )
 
 
@@ -106,12 +120,12 @@ def _natural(segment: Line | Arc | Clothoid) -> Pieces:
     half = 0.5 * np.diff(start)
     sharpness = (k_end - k0) / segment.length
     curvature = k0 + sharpness * (start[:-1] + half)
-    pieces = np.zeros((count, COLUMNS))
-    pieces[:, HALF] = half
-    pieces[:, TURNED + 1] = curvature * half
-    pieces[:, TURNED + 2] = 0.5 * sharpness * half**2
+    pieces = np.zeros((count, PIECE_COLUMNS))
+    pieces[:, HALF_LENGTH] = half
+    pieces[:, TURN_COEFFICIENTS + 1] = curvature * half
+    pieces[:, TURN_COEFFICIENTS + 2] = 0.5 * sharpness * half**2
     if isinstance(segment, Line):
-        pieces[:, ALONG + 1] = half
+        pieces[:, ALONG_COEFFICIENTS + 1] = half
     else:
         place = heading_integral(curvature[:, np.newaxis], sharpness, half[:, np.newaxis] * _U)
         _set_positions(pieces, place)
@@ -120,18 +134,18 @@ def _natural(segment: Line | Arc | Clothoid) -> Pieces:
 
 def _set_positions(pieces: Array, place: NDArray[np.complex128]) -> None:
     """The polynomials through positions, along + i across, at the nodes."""
-    pieces[:, ALONG:ACROSS] = place.real @ _TO_COEFFICIENTS.T
-    pieces[:, ACROSS:TURNED] = place.imag @ _TO_COEFFICIENTS.T
-    pieces[:, [ALONG, ACROSS]] = 0.0  # the frame is at the middle
+    pieces[:, ALONG_COEFFICIENTS:ACROSS_COEFFICIENTS] = place.real @ _TO_COEFFICIENTS.T
+    pieces[:, ACROSS_COEFFICIENTS:TURN_COEFFICIENTS] = place.imag @ _TO_COEFFICIENTS.T
+    pieces[:, [ALONG_COEFFICIENTS, ACROSS_COEFFICIENTS]] = 0.0  # the frame is at the middle
 
 
 def _chained(start: Array, pieces: Array) -> Pieces:
     """Pieces of which each begins where, and as, the one before it ends; the first at the origin along x."""
-    turns = _polynomial(pieces[:, TURNED:COLUMNS], np.array([[-1.0], [1.0]]))
+    turns = _polynomial(pieces[:, TURN_COEFFICIENTS:PIECE_COLUMNS], np.array([[-1.0], [1.0]]))
     ends = np.cumsum(turns[1] - turns[0])
     pieces[:, HEADING] = np.concatenate([[0.0], ends[:-1]]) - turns[0]
     pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
-    first, last = of_pieces(pieces, np.full(len(pieces), -1.0)), of_pieces(pieces, np.ones(len(pieces)))
+    first, last = points_on_pieces(pieces, np.full(len(pieces), -1.0)), points_on_pieces(pieces, np.ones(len(pieces)))
     for column, begins, stops in ((X, first.x, last.x), (Y, first.y, last.y)):
         pieces[:, column] = np.concatenate([[0.0], np.cumsum(stops - begins)[:-1]]) - begins
     return Pieces(start, pieces)
@@ -164,7 +178,7 @@ def _cubic_pieces(powers: Array) -> tuple[Array, NDArray[np.int64]]:
     status = TOO_SMALL
     while status == TOO_SMALL:
         room *= 2
-        pieces = np.empty((room, COLUMNS))
+        pieces = np.empty((room, PIECE_COLUMNS))
         status, last = write_cubics(steps, pieces, counts)
     if status != OK:
         raise InvalidInput(
@@ -177,7 +191,7 @@ def _cubic_pieces(powers: Array) -> tuple[Array, NDArray[np.int64]]:
 
 def end_to_end(pieces: Array) -> Pieces:
     """The pieces (n, COLUMNS) one after the other."""
-    return Pieces(np.concatenate([[0.0], np.cumsum(2.0 * pieces[:, HALF])]), pieces)
+    return Pieces(np.concatenate([[0.0], np.cumsum(2.0 * pieces[:, HALF_LENGTH])]), pieces)
 
 
 # -- put together -----------------------------------------------------------------------------------------------------
@@ -197,25 +211,25 @@ def joined(tables: Sequence[Pieces]) -> Pieces:
     pieces = np.concatenate([table.pieces for table in tables])
     lengths = np.concatenate([np.diff(table.start) for table in tables])
     start = np.concatenate([[0.0], np.cumsum(lengths)])
-    turns = _polynomial(pieces[:, TURNED:COLUMNS], np.array([[-1.0], [1.0]]))
+    turns = _polynomial(pieces[:, TURN_COEFFICIENTS:PIECE_COLUMNS], np.array([[-1.0], [1.0]]))
     gaps = (pieces[1:, HEADING] + turns[0, 1:]) - (pieces[:-1, HEADING] + turns[1, :-1])
-    whole = np.cumsum(np.round(gaps / (2.0 * np.pi)))
-    pieces[1:, HEADING] -= 2.0 * np.pi * whole
+    full_turns = np.cumsum(np.round(gaps / (2.0 * np.pi)))
+    pieces[1:, HEADING] -= 2.0 * np.pi * full_turns
     return Pieces(start, pieces)
 
 
 def sequence(tables: Sequence[Pieces], start: Pose, poses: Sequence[Pose | None] | None = None) -> Pieces:
     """Tables in their own frames, laid end to end from a pose; one with a pose in `poses` has its origin there."""
-    laid, here = [], start
+    laid, pose = [], start
     for k, table in enumerate(tables):
         first, last = (Pose(*(float(value) for value in point[:3])) for point in _both_ends(table))
-        turn = here.heading - first.heading
+        turn = pose.heading - first.heading
         x, y = _turned(first, turn)
-        origin = (poses[k] if poses else None) or Pose(here.x - x, here.y - y, turn)
+        origin = (poses[k] if poses else None) or Pose(pose.x - x, pose.y - y, turn)
         turn = origin.heading
         laid.append(placed(table, origin))
         x, y = _turned(last, turn)
-        here = Pose(origin.x + x, origin.y + y, turn + last.heading)
+        pose = Pose(origin.x + x, origin.y + y, turn + last.heading)
     return joined(laid)
 
 

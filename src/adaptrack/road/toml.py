@@ -31,11 +31,21 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.files import Record, write_toml
-from adaptrack.core.path import COLUMNS
-from adaptrack.core.road import ACROSS, COS, DEGREE, HALF, HEADING, SIN, TURNED, X, Y
-from adaptrack.core.road import ALONG as ALONG_PIECE
+from adaptrack.core.road import (
+    ACROSS_COEFFICIENTS,
+    COS,
+    HALF_LENGTH,
+    HEADING,
+    PIECE_COLUMNS,
+    POLYNOMIAL_DEGREE,
+    SIN,
+    TURN_COEFFICIENTS,
+    X,
+    Y,
+)
+from adaptrack.core.road import ALONG_COEFFICIENTS as ALONG_PIECE
 from adaptrack.road.along import Along
-from adaptrack.road.segments import FARTHEST, LONGEST, SHORTEST, Segment
+from adaptrack.road.segments import MAX_COORDINATE, MAX_ELEMENT_LENGTH, MIN_ELEMENT_LENGTH, Segment
 from adaptrack.road.table import Pieces, end_to_end
 
 
@@ -48,25 +58,29 @@ def _quantity(value: Any) -> Any:
     return value
 
 
-Quantity = Annotated[Along, BeforeValidator(_quantity)]
-Coefficients = Annotated[
-    tuple[Annotated[float, Field(ge=-LONGEST, le=LONGEST)], ...],
-    Field(min_length=DEGREE + 1, max_length=DEGREE + 1, description="of 1, u, u^2, ..., -1 <= u <= 1 along the piece"),
+AlongValue = Annotated[Along, BeforeValidator(_quantity)]
+PieceCoefficients = Annotated[
+    tuple[Annotated[float, Field(ge=-MAX_ELEMENT_LENGTH, le=MAX_ELEMENT_LENGTH)], ...],
+    Field(
+        min_length=POLYNOMIAL_DEGREE + 1,
+        max_length=POLYNOMIAL_DEGREE + 1,
+        description="of 1, u, u^2, ..., -1 <= u <= 1 along the piece",
+    ),
 ]
 
 
 class Piece(Record):
     """A piece of a centre line that is no element, see `adaptrack.road.table`."""
 
-    half: float = Field(ge=SHORTEST, le=LONGEST, description="m, half of its length")
-    x: float = Field(ge=-FARTHEST, le=FARTHEST, description="m, at its middle")
-    y: float = Field(ge=-FARTHEST, le=FARTHEST, description="m")
-    heading: float = Field(ge=-LONGEST, le=LONGEST, description="rad, at its middle")
-    along: Coefficients
+    half: float = Field(ge=MIN_ELEMENT_LENGTH, le=MAX_ELEMENT_LENGTH, description="m, half of its length")
+    x: float = Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, description="m, at its middle")
+    y: float = Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, description="m")
+    heading: float = Field(ge=-MAX_ELEMENT_LENGTH, le=MAX_ELEMENT_LENGTH, description="rad, at its middle")
+    along: PieceCoefficients
     """Coefficients along the road (m)."""
-    across: Coefficients
+    across: PieceCoefficients
     """Coefficients across the road (m)."""
-    turned: Coefficients
+    turned: PieceCoefficients
     """rad, the heading less that at the middle"""
 
 
@@ -78,31 +92,31 @@ class RoadFile(Record):
     deviation: float = Field(default=0.0, ge=0.0, description="m, from the points that it was fitted to")
     notes: tuple[str, ...] = Field(default=(), description="what its first reader had to say")
     max_deviation: float | None = Field(default=None, gt=0.0, description="m, of points from the curve near them")
-    width_left: Quantity | None = Field(default=None, description="m, from the centre line to the left edge")
-    width_right: Quantity | None = Field(default=None, description="m, to the right edge")
-    speed_limit: Quantity | None = Field(default=None, description="m/s")
-    friction: Quantity | None = Field(default=None, description="coefficient of all wheels")
-    bank: Quantity | None = Field(default=None, description="rad, positive where gravity pushes to the left")
+    width_left: AlongValue | None = Field(default=None, description="m, from the centre line to the left edge")
+    width_right: AlongValue | None = Field(default=None, description="m, to the right edge")
+    speed_limit: AlongValue | None = Field(default=None, description="m/s")
+    friction: AlongValue | None = Field(default=None, description="coefficient of all wheels")
+    bank: AlongValue | None = Field(default=None, description="rad, positive where gravity pushes to the left")
     points: tuple[tuple[float, float], ...] | None = Field(default=None, description="x, y (m), as they are driven")
     elements: tuple[Segment, ...] | None = None
     pieces: tuple[Piece, ...] | None = None
 
     @model_validator(mode="after")
     def _says_one_line(self) -> Self:
-        given = [name for name in ("elements", "points", "pieces") if getattr(self, name)]
-        if len(given) != 1:
-            stated = " and ".join(given) or "neither elements nor points"
+        line_kinds = [name for name in ("elements", "points", "pieces") if getattr(self, name)]
+        if len(line_kinds) != 1:
+            stated = " and ".join(line_kinds) or "neither elements nor points"
             raise ValueError(f"{stated}: give the centre line once, as [[elements]] or as points.")
         if self.max_deviation is not None and self.points is None:
             raise ValueError("max_deviation is for points; remove it.")
         return self
 
 
-def table_of(found: Sequence[Piece]) -> Pieces:
+def table_of(road_pieces: Sequence[Piece]) -> Pieces:
     """The table of pieces one behind the other."""
-    pieces = np.zeros((len(found), COLUMNS))
-    for row, piece in zip(pieces, found, strict=True):
-        row[[HALF, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
+    pieces = np.zeros((len(road_pieces), PIECE_COLUMNS))
+    for row, piece in zip(pieces, road_pieces, strict=True):
+        row[[HALF_LENGTH, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
         row[ALONG_PIECE:] = (*piece.along, *piece.across, *piece.turned)
     pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
     return end_to_end(pieces)
@@ -131,8 +145,12 @@ def _plain(along: Along) -> Any:
 
 
 def _piece(row: Any) -> dict[str, Any]:
-    bounds = {"along": (ALONG_PIECE, ACROSS), "across": (ACROSS, TURNED), "turned": (TURNED, COLUMNS)}
-    place = {"half": HALF, "x": X, "y": Y, "heading": HEADING}
+    bounds = {
+        "along": (ALONG_PIECE, ACROSS_COEFFICIENTS),
+        "across": (ACROSS_COEFFICIENTS, TURN_COEFFICIENTS),
+        "turned": (TURN_COEFFICIENTS, PIECE_COLUMNS),
+    }
+    place = {"half": HALF_LENGTH, "x": X, "y": Y, "heading": HEADING}
     return {name: float(row[column]) for name, column in place.items()} | {
         name: row[first:last].tolist() for name, (first, last) in bounds.items()
     }

@@ -5,7 +5,7 @@ from adaptrack.scenario.drives import random_drive
 from adaptrack.scenario.library import list_scenarios, load_scenario, scenario_options
 from adaptrack.scenario.scenario import CONTROL_PERIOD, Scenario
 from adaptrack.scenario.shapes import (
-    SHAPES,
+    SHAPE_TYPES,
     Constant,
     Gust,
     Knots,
@@ -22,7 +22,7 @@ from adaptrack.scenario.surroundings import Patch, Wind
 
 __all__ = [
     "CONTROL_PERIOD",
-    "SHAPES",
+    "SHAPE_TYPES",
     "Constant",
     "Gust",
     "Knots",

@@ -118,7 +118,7 @@ class RoadDrive:
         t = instants(count, period)
         wind = self.wind.at(t)
         samples = np.empty((len(SIGNAL), count + 1))
-        drive = kernel.RoadDrive(
+        drive = kernel.RoadDriveRecord(
             self.road.route(), self.plan.packed(), period, self._offset.at(t), wind[:, 0].copy(), wind[:, 1].copy()
         )
         kernel.drive_along_road(drive, samples)

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import RISING, Hint, Natural, NotNegative, Positive, checked
 from adaptrack.cars.domain import Domain
-from adaptrack.cars.vehicle import GRAVITY
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Constant, Gust, Knots, LaneChange, Shape, Step, Sum
 from adaptrack.scenario.signals import HIGHEST_FRICTION
@@ -30,7 +30,7 @@ DESCRIPTION = "Mixed driving: changing speed and friction, curves, lane changes,
 LONGEST_DRIVE = 86_400.0
 """s"""
 
-TRACTION, BRAKING = 2.0, 3.0
+MAX_TRACTION, MAX_BRAKING = 2.0, 3.0
 """Largest acceleration and deceleration along the road, m/s^2."""
 
 GRIP_ALONG = 0.5
@@ -39,7 +39,7 @@ GRIP_ALONG = 0.5
 DRY_SHARE = 0.25
 """Share of the drives whose friction keeps to the highest 30 % of its range."""
 
-USUAL = Domain()
+PASSENGER_CAR_DOMAIN = Domain()
 """Speeds, friction, wind and lanes of the roads that passenger cars drive."""
 
 CHANGE_WIDTH = (2.0, 12.0)
@@ -71,12 +71,12 @@ def random_drive(
     seed: Natural,
     duration: Annotated[Positive, Field(le=LONGEST_DRIVE), "s"] = 60.0,
     *,
-    speed: Annotated[tuple[Positive, Positive], RISING, "m/s"] = USUAL.speed,
-    friction: Annotated[tuple[_Friction, _Friction], RISING] = USUAL.friction,
-    wind: Annotated[NotNegative, "m/s"] = USUAL.wind,
+    speed: Annotated[tuple[Positive, Positive], RISING, "m/s"] = PASSENGER_CAR_DOMAIN.speed,
+    friction: Annotated[tuple[_Friction, _Friction], RISING] = PASSENGER_CAR_DOMAIN.friction,
+    wind: Annotated[NotNegative, "m/s"] = PASSENGER_CAR_DOMAIN.wind,
     demand: Annotated[tuple[_PositiveShare, _PositiveShare], RISING] = (0.1, 0.35),
     heading: Annotated[Positive, Field(le=0.5), "rad", Hint("a small angle")] = 0.25,
-    lane_width: Annotated[Positive, "m"] = USUAL.lane_width,
+    lane_width: Annotated[Positive, "m"] = PASSENGER_CAR_DOMAIN.lane_width,
 ) -> Scenario:
     """Mixed driving: changing speed and friction, curves, lane changes, wind and gusts.
 
@@ -109,7 +109,7 @@ def random_drive(
     A car's own ranges: ``random_drive(7, **car.domain.drive_options)``.
     """
     options: dict[str, Any] = {"speed": speed, "friction": friction, "wind": wind, "demand": demand, "heading": heading}
-    if lane_width != USUAL.lane_width:
+    if lane_width != PASSENGER_CAR_DOMAIN.lane_width:
         options["lane_width"] = lane_width
     drive = _Drive(seed, duration, demand, (heading, lane_width))
     drawn_friction, drawn_speed = drive.draw_friction(*friction), drive.draw_speed(*speed)
@@ -152,13 +152,13 @@ class _Drive:
         rng = self.random(_FRICTION)
         if rng.random() < DRY_SHARE:
             low = high - 0.3 * (high - low)
-        now = _between(rng, low, high)
-        terms: list[Shape] = [Constant(value=now)]
+        level = _between(rng, low, high)
+        terms: list[Shape] = [Constant(value=level)]
         start = _between(rng, 2.0, 14.0)
         while start < self.duration:
             then = _between(rng, low, high)
-            terms.append(Step(after=round(then - now, 6), time=start))
-            now, start = then, round(start + _between(rng, 4.0, 16.0), 2)
+            terms.append(Step(after=round(then - level, 6), time=start))
+            level, start = then, round(start + _between(rng, 4.0, 16.0), 2)
         steps = Sum(terms=tuple(terms))
         self.friction[:] = steps.at(self.t)
         return steps
@@ -166,15 +166,15 @@ class _Drive:
     def draw_speed(self, low: float, high: float) -> Shape:
         """Level stretches, joined by cubics."""
         rng = self.random(_SPEED)
-        now = _between(rng, low, high)
-        t, start, points = 0.0, _between(rng, 1.0, 6.0), [(0.0, now)]
+        speed = _between(rng, low, high)
+        t, start, points = 0.0, _between(rng, 1.0, 6.0), [(0.0, speed)]
         while start < self.duration:
             then, strength = _between(rng, low, high), rng.uniform(0.5, 1.0)
-            most = strength * (TRACTION if then > now else BRAKING)
-            t = round(start + _shortest(self.speed_time, 2.0, math.inf, start, abs(then - now), most), 2)
-            points += [(start, now), (t, then)]
-            now, start = then, round(t + _between(rng, 1.0, 6.0), 2)
-        curve = Knots(points=(*points, (t + 1.0, now)), method="pchip")
+            most = strength * (MAX_TRACTION if then > speed else MAX_BRAKING)
+            t = round(start + _shortest(self.speed_time, 2.0, math.inf, start, abs(then - speed), most), 2)
+            points += [(start, speed), (t, then)]
+            speed, start = then, round(t + _between(rng, 1.0, 6.0), 2)
+        curve = Knots(points=(*points, (t + 1.0, speed)), method="pchip")
         self.speed[:] = curve.at(self.t)
         return curve
 
@@ -258,6 +258,6 @@ def _shortest(needed: Callable[..., float], least: float, most: float, *argument
     What is ``needed(time, *arguments)`` grows with the time, for a longer manoeuvre meets lower friction.
     """
     span = least
-    while span <= most and (wanted := needed(span, *arguments)) > span:
-        span = math.ceil(100.0 * wanted) / 100.0 if wanted < most else math.inf
+    while span <= most and (needed_span := needed(span, *arguments)) > span:
+        span = math.ceil(100.0 * needed_span) / 100.0 if needed_span < most else math.inf
     return span

@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 
 from adaptrack.base.checked import checked, real
-from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, shown
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, format_value
 from adaptrack.base.files import SHIPPED, read_toml
 from adaptrack.cars.domain import Domain
-from adaptrack.cars.vehicle import GRAVITY
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.scenario import drives
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Gust, LaneChange, Shape, Sine, as_shape
 from adaptrack.scenario.surroundings import as_friction
 
-STEEPEST = 0.25
+MAX_ROAD_HEADING = 0.25
 """rad, heading of a road that the small angles of the prediction model still describe."""
 
 SignalLike = Shape | Mapping[str, Any] | float
@@ -114,7 +114,7 @@ def lane_change(
         change_time = max(
             2.0,
             math.sqrt(QUINTIC_PEAK * abs(amplitude) / (0.35 * lowest * GRAVITY)),
-            QUINTIC_SLOPE * abs(amplitude) / (STEEPEST * slowest),
+            QUINTIC_SLOPE * abs(amplitude) / (MAX_ROAD_HEADING * slowest),
         )
     return Scenario(
         name="lane-change",
@@ -157,15 +157,15 @@ def double_lane_change(
     """
     if not _is_number(speed) or not speed > 0.0:
         raise InvalidInput(f"speed = {speed!r}: the double lane change needs one number > 0 m/s: lengths become times.")
-    entry, away, beside, back, end = (length / speed for length in (15.0, 30.0, 25.0, 25.0, 30.0))
+    entry, departure, second_lane, back, end = (length / speed for length in (15.0, 30.0, 25.0, 25.0, 30.0))
     out = approach + entry
-    home = out + away + beside
+    home = out + departure + second_lane
     return Scenario(
         name="double-lane-change",
         description=DESCRIPTIONS["double-lane-change"],
         source="Section lengths and lane offset of ISO 3888-1 (passenger cars, double lane change); quintic centre.",
         duration=home + back + end + 2.0 if duration is None else duration,
-        reference=LaneChange(amplitude=amplitude, start=out, duration=away)
+        reference=LaneChange(amplitude=amplitude, start=out, duration=departure)
         + LaneChange(amplitude=-amplitude, start=home, duration=back),
         speed=speed,
         friction=friction,
@@ -283,23 +283,23 @@ def load_scenario(name_or_path: str | os.PathLike[str], *, domain: Domain | None
     """
     options = {key: value for key, value in options.items() if value is not None}
     name, files = os.fspath(name_or_path), _files()
-    own = scenario_options(name)
+    own_options = scenario_options(name)
     for key in options:
-        if key not in own and key not in COMMON_OPTIONS:
-            known = [*own, *COMMON_OPTIONS]
-            raise UnknownName(f"scenario {name!r} has no option {key!r}. {did_you_mean(key, known)}")
+        if key not in own_options and key not in COMMON_OPTIONS:
+            option_names = [*own_options, *COMMON_OPTIONS]
+            raise UnknownName(f"scenario {name!r} has no option {key!r}. {did_you_mean(key, option_names)}")
         if key not in COMMON_OPTIONS:
             if not _is_number(options[key]):
-                raise InvalidInput(f"{key} = {shown(options[key])}: must be a finite number.")
+                raise InvalidInput(f"{key} = {format_value(options[key])}: must be a finite number.")
             options[key] = float(options[key])
     if not isinstance(options.get("mirrored", False), bool):
         raise InvalidInput(f"mirrored = {options['mirrored']!r}: must be true or false.")
     if "window" in options and "duration" in options:
         raise InvalidInput("give either a window or a duration.")
     if name in _MANOEUVRES:
-        chosen = {key: options.pop(key) for key in own if key in options}
+        chosen = {key: options.pop(key) for key in own_options if key in options}
         if name == "random-drive" and domain is not None:
-            scenario = _random_drive(**(own | chosen), domain=domain)
+            scenario = _random_drive(**(own_options | chosen), domain=domain)
         else:
             scenario = _MANOEUVRES[name](**chosen)
     elif name in files:
@@ -309,8 +309,10 @@ def load_scenario(name_or_path: str | os.PathLike[str], *, domain: Domain | None
     elif name.lower().endswith(".toml"):
         scenario = Scenario.from_toml(name)
     else:
-        known = [*files, *_MANOEUVRES]
-        raise UnknownName(f"unknown scenario {name!r}. {did_you_mean(name, known)} Or give a .toml or .csv file.")
+        option_names = [*files, *_MANOEUVRES]
+        raise UnknownName(
+            f"unknown scenario {name!r}. {did_you_mean(name, option_names)} Or give a .toml or .csv file."
+        )
     window, mirrored = options.pop("window", None), options.pop("mirrored", False)
     scenario = scenario.replace(**options) if options else scenario
     scenario = scenario.with_window(window) if window else scenario

@@ -13,7 +13,7 @@ from pydantic import Field, field_validator, model_validator
 from adaptrack.base.files import Record, build, read_toml
 from adaptrack.cars.vehicle import SteeringActuator, find_data, list_data
 from adaptrack.core.synthesis.rows import row_of
-from adaptrack.core.synthesis.tuning import World
+from adaptrack.core.synthesis.tuning import ControllerWorld
 
 
 def _noise(description: str) -> Any:
@@ -113,9 +113,13 @@ class Profile(Record):
         return self.delay * self.period + self.steering.dead_time
 
     def numbers(self, period: float) -> Any:
-        """Kernel record of the profile for a controller of this control period (s), `core.synthesis.tuning.World`."""
+        """Record `core.synthesis.tuning.ControllerWorld` for a controller of this control period (s)."""
         return row_of(
-            World, self, period=period, computation=self.delay * period, move_weight=self.move_weight * self.period**2
+            ControllerWorld,
+            self,
+            period=period,
+            computation=self.delay * period,
+            move_weight=self.move_weight * self.period**2,
         )
 
     @property

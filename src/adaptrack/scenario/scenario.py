@@ -83,9 +83,9 @@ class Scenario(Record):
     def friction_at(self, t: ArrayLike) -> Array:
         """Friction coefficients (..., 4) of front-left, front-right, rear-left, rear-right at the times `t` (s)."""
         t = np.asarray(t, dtype=np.float64)
-        given = [shape.at(t) for shape in self.friction]
-        wheels = {1: (0, 0, 0, 0), 2: (0, 1, 0, 1), 4: (0, 1, 2, 3)}[len(given)]
-        friction = np.stack([given[k] for k in wheels], axis=-1)
+        frictions = [shape.at(t) for shape in self.friction]
+        wheels = {1: (0, 0, 0, 0), 2: (0, 1, 0, 1), 4: (0, 1, 2, 3)}[len(frictions)]
+        friction = np.stack([frictions[k] for k in wheels], axis=-1)
         for patch in self.friction_patches:
             inside = (t >= patch.start) & (t < patch.end)
             for wheel in WHEELS[patch.wheels]:
@@ -149,14 +149,14 @@ class Scenario(Record):
         )
 
     def with_duration(self, duration: float) -> Scenario:
-        """The same signals over another time (s) from the start; after their last knot they are held."""
+        """Return the scenario with another duration (s); signals hold their value after the last knot."""
         return self.replace(duration=duration)
 
     def with_window(self, name: str) -> Scenario:
-        """The same signals over one of the durations named in `windows`."""
+        """Return the scenario with one of the durations named in `windows`."""
         if name not in self.windows:
-            known = did_you_mean(str(name), self.windows) if self.windows else "It names none: give a duration."
-            raise InvalidInput(f"scenario {self.name!r} has no window {name!r}. {known}")
+            hint = did_you_mean(str(name), self.windows) if self.windows else "It names none: give a duration."
+            raise InvalidInput(f"scenario {self.name!r} has no window {name!r}. {hint}")
         return self.replace(duration=self.windows[name])
 
     # ---- from and to arrays and files
@@ -251,7 +251,7 @@ class Scenario(Record):
     @classmethod
     @checked
     def from_toml(cls, path: str | os.PathLike[str]) -> Scenario:
-        """The scenario that a TOML file describes (docs/scenarios.md); its name is the file's, unless it says another.
+        """The scenario that a TOML file describes (docs/driving.md); its name is the file's, unless it says another.
 
         Raises
         ------
@@ -305,6 +305,6 @@ def _columns(
         return [Constant(value=float(array))]
     columns = array[:, np.newaxis] if array.ndim == 1 else array
     if columns.ndim != 2 or columns.shape[0] != times.size or columns.shape[1] not in widths:
-        wanted = ", ".join(f"({times.size}, {width})" if width > 1 else f"({times.size},)" for width in widths)
-        raise InvalidInput(f"{name} has shape {array.shape}; with {times.size} times it must be {wanted}.")
+        shapes = ", ".join(f"({times.size}, {width})" if width > 1 else f"({times.size},)" for width in widths)
+        raise InvalidInput(f"{name} has shape {array.shape}; with {times.size} times it must be {shapes}.")
     return [Knots(points=as_tuples(np.stack([times, column], axis=-1)), method=method) for column in columns.T]

@@ -31,7 +31,7 @@ Method = Literal["linear", "pchip", "cubic"]
 """What lies between the points of `Knots`."""
 
 Time = Annotated[float, Field(description="s")]
-Span = Annotated[float, Field(gt=0.0, description="s")]
+PositiveTime = Annotated[float, Field(gt=0.0, description="s")]
 Frequency = Annotated[float, Field(ge=0.0, description="Hz")]
 
 
@@ -50,14 +50,14 @@ class Shape(Record):
         """The value at the times `t` (s), in the shape of `t`; at a jump, the value after it."""
 
     def scaled(self, factor: float) -> Self:
-        """The same function of time, multiplied by `factor`."""
+        """Return the function of time multiplied by `factor`."""
         return self.replace(**{name: _product(factor, getattr(self, name)) for name in self.linear_in})
 
     def table(self) -> Any:
         """The shape as a scenario file holds it; `as_shape` reads it back."""
         fields = type(self).model_fields
-        given = {name: getattr(self, name) for name in fields if getattr(self, name) != fields[name].default}
-        return {"shape": self.kind} | {name: _lists(value) for name, value in given.items()}
+        entries = {name: getattr(self, name) for name in fields if getattr(self, name) != fields[name].default}
+        return {"shape": self.kind} | {name: _lists(value) for name, value in entries.items()}
 
     def __add__(self, other: Shape | float) -> Sum:
         return Sum(terms=(self, as_shape(other)))
@@ -79,10 +79,10 @@ def as_shape(value: Any) -> Shape:
         raise InvalidInput("give a number, or a table such as { shape = 'step', after = 2.0, time = 1.0 }.")
     kind = value.get("shape")
     if kind is None:
-        raise InvalidInput(f"the table has no key 'shape'; give one of {', '.join(map(repr, SHAPES))}.")
-    if kind not in SHAPES:
-        raise UnknownName(f"unknown shape {kind!r}. {did_you_mean(str(kind), SHAPES)}")
-    return build(SHAPES[kind], {key: each for key, each in value.items() if key != "shape"}, f"shape {kind!r}")
+        raise InvalidInput(f"the table has no key 'shape'; give one of {', '.join(map(repr, SHAPE_TYPES))}.")
+    if kind not in SHAPE_TYPES:
+        raise UnknownName(f"unknown shape {kind!r}. {did_you_mean(str(kind), SHAPE_TYPES)}")
+    return build(SHAPE_TYPES[kind], {key: entry for key, entry in value.items() if key != "shape"}, f"shape {kind!r}")
 
 
 Signal = Annotated[Shape, BeforeValidator(as_shape)]
@@ -93,7 +93,7 @@ def as_tuples(value: Any) -> Any:
     """Lists and arrays as tuples, all the way down: what a frozen record holds."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
-    return tuple(as_tuples(each) for each in value) if isinstance(value, list | tuple) else value
+    return tuple(as_tuples(element) for element in value) if isinstance(value, list | tuple) else value
 
 
 class Constant(Shape):
@@ -176,7 +176,7 @@ class Knots(Shape):
         )
 
     def scaled(self, factor: float) -> Self:
-        """The same curve with every value multiplied by `factor`."""
+        """Return the curve with every value multiplied by `factor`."""
         return self.replace(points=tuple((t, _product(factor, value)) for t, value in self.points))
 
 
@@ -212,7 +212,7 @@ class LaneChange(Shape):
 
     amplitude: float
     start: Time
-    duration: Span
+    duration: PositiveTime
 
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
@@ -226,7 +226,7 @@ class TanhSteps(Shape):
     kind = "tanh-steps"
 
     steps: Annotated[
-        tuple[tuple[float, float, Span], ...],
+        tuple[tuple[float, float, PositiveTime], ...],
         BeforeValidator(as_tuples),
         Field(min_length=1, description="[A, t0, tau]"),
     ]
@@ -238,7 +238,7 @@ class TanhSteps(Shape):
         return (0.5 * amplitude * (1.0 + np.tanh(place))).sum(axis=-1)
 
     def scaled(self, factor: float) -> Self:
-        """The same steps with every height multiplied by `factor`."""
+        """Return the steps with every height multiplied by `factor`."""
         return self.replace(steps=tuple((_product(factor, height), t0, tau) for height, t0, tau in self.steps))
 
 
@@ -271,7 +271,7 @@ class Gust(Shape):
 
     peak: float
     start: Time
-    duration: Span
+    duration: PositiveTime
 
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
@@ -282,7 +282,7 @@ class Gust(Shape):
 def _as_terms(value: Any) -> Any:
     if not isinstance(value, list | tuple):
         raise InvalidInput("give a list of shapes.")
-    return tuple(as_shape(each) for each in value)
+    return tuple(as_shape(term) for term in value)
 
 
 class Sum(Shape):
@@ -305,7 +305,7 @@ class Sum(Shape):
         return {"shape": self.kind, "terms": [term.table() for term in self.terms]}
 
 
-SHAPES: dict[str, type[Shape]] = {
+SHAPE_TYPES: dict[str, type[Shape]] = {
     shape.kind: shape for shape in (Constant, Knots, Step, LaneChange, TanhSteps, Sine, Gust, Sum)
 }
 """The shapes by their names in scenario files."""
@@ -321,7 +321,7 @@ def _product(factor: float, value: float) -> float:
 
 
 def _lists(value: Any) -> Any:
-    return [_lists(each) for each in value] if isinstance(value, tuple) else value
+    return [_lists(element) for element in value] if isinstance(value, tuple) else value
 
 
 def _natural_slopes(step: Array, secant: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import SPEED
+from adaptrack.base.limits import MAX_SPEED
 from adaptrack.core.planning.drive import bank_pull, drive_instants
 from adaptrack.scenario.shapes import Array
 
@@ -68,15 +68,15 @@ class Signals:
             k = int(drift.argmax())
             raise InvalidInput(f"t[{k}] = {float(self.t[k])!r} s; it must be {k} periods of {self.period!r} s.")
         self._refuse(self.speed < 0.0, "speed", "must be >= 0 m/s")
-        self._refuse(self.speed > SPEED.most, "speed", f"must be at most {SPEED.most} m/s ({SPEED.reason})")
+        self._refuse(self.speed > MAX_SPEED.most, "speed", f"must be at most {MAX_SPEED.most} m/s ({MAX_SPEED.reason})")
         self._refuse(self.friction <= 0.0, "friction", "must be > 0")
         self._refuse(self.friction > HIGHEST_FRICTION, "friction", "must be a coefficient such as 0.8, at most 3")
         self._refuse(np.abs(self.bank) > STEEPEST_BANK, "bank", f"must be within +-{STEEPEST_BANK} rad")
 
-    def _refuse(self, wrong: np.ndarray, name: str, rule: str) -> None:
+    def _refuse(self, violations: np.ndarray, name: str, rule: str) -> None:
         """Raise for the first sample that is `wrong`."""
-        if wrong.any():
-            first = tuple(np.argwhere(wrong)[0])
+        if violations.any():
+            first = tuple(np.argwhere(violations)[0])
             value = float(getattr(self, name)[first])
             where = f"sample {first[0]}" if name == "t" else f"t = {float(self.t[first[0]]):g} s"
             raise InvalidInput(f"{name} is {value!r} at {where}: {rule}.")

@@ -72,7 +72,7 @@ def as_friction(value: Any) -> tuple[Shape, ...]:
         return (as_shape(value),)
     if len(value) not in (1, 2, 4):
         raise InvalidInput("give one value, [left, right], or [front-left, front-right, rear-left, rear-right].")
-    return tuple(as_shape(each) for each in value)
+    return tuple(as_shape(shape) for shape in value)
 
 
 class Patch(Record):
@@ -101,4 +101,4 @@ def as_patches(value: Any) -> tuple[Patch, ...]:
     """The patches that a list of tables means."""
     if not isinstance(value, list | tuple):
         raise InvalidInput("give a list of patches.")
-    return tuple(each if isinstance(each, Patch) else build(Patch, each, "patch") for each in value)
+    return tuple(patch if isinstance(patch, Patch) else build(Patch, patch, "patch") for patch in value)

@@ -37,10 +37,10 @@ def _check_header(header: list[str]) -> None:
     ways = [names for names in FRICTION_COLUMNS if set(names) & set(header)]
     if len(ways) > 1:
         raise InvalidInput(f"the friction is given twice, by {ways[0][0]!r} and by {ways[1][0]!r}; keep one of them.")
-    wanted = ["t", "y_ref", "speed", *(ways or FRICTION_COLUMNS)[0], "wind_y"]
-    missing = [name for name in wanted if name not in header]
+    expected = ["t", "y_ref", "speed", *(ways or FRICTION_COLUMNS)[0], "wind_y"]
+    missing = [name for name in expected if name not in header]
     if missing:
-        raise InvalidInput(f"column {missing[0]!r} is missing; the columns must be {', '.join(wanted)}.")
+        raise InvalidInput(f"column {missing[0]!r} is missing; the columns must be {', '.join(expected)}.")
 
 
 def read_scenario_table(path: str | os.PathLike[str]) -> dict[str, Array]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,9 +13,9 @@ from numpy.typing import NDArray
 from adaptrack.analysis.certify import Certificate, certify
 from adaptrack.analysis.feasibility import Feasibility, feasibility
 from adaptrack.analysis.stability import linear_twin
-from adaptrack.base.checked import checked, whole
+from adaptrack.base.checked import checked, whole_number
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.progress import tells
+from adaptrack.base.progress import ProgressCall, tells
 from adaptrack.base.statistics import Ratio, geometric_mean, ratio
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of
@@ -28,10 +27,9 @@ from adaptrack.drive.failure import Failure
 from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.pso import Swarm, SwarmSettings
 from adaptrack.tuning.runs import RunSet, random_drive_runs
-from adaptrack.tuning.spaces import Search
+from adaptrack.tuning.spaces import SearchBounds
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
 _log = logging.getLogger("adaptrack")
 
 FIRST_SOUGHT, FIRST_JUDGED = 13_000_000, 13_500_000
@@ -59,14 +57,14 @@ class TuningEffort:
     seconds: float = 30.0
     """of each of these"""
     swarm: SwarmSettings = field(default_factory=lambda: SwarmSettings(particles=12, generations=8))
-    judged: int = 48
+    judged_drives: int = 48
     """drives of 60 s that nothing was sought on"""
     levels: tuple[int, int] = (14, 3)
     """of speed and friction, of the certificate"""
 
     def __post_init__(self) -> None:
-        for name, least in (("drives", 1), ("hard_drives", 1), ("judged", 4)):
-            whole("TuningEffort", name, getattr(self, name), least=least)
+        for name, least in (("drives", 1), ("hard_drives", 1), ("judged_drives", 4)):
+            whole_number("TuningEffort", name, getattr(self, name), least=least)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +88,7 @@ class TunedCar:
     certificate: Certificate
     """of the tuning that is kept, over the domain; of a plant without a linear model, see `stability.linear_twin`"""
     plant: str
-    """what was driven"""
+    """name of the driven plant"""
     costly: bool
     """whether only the unseen drives were on the plant, see `Plant.costly`"""
     seconds: float
@@ -154,7 +152,7 @@ def tune(
     car: Vehicle | str, profile: str | Profile = "road", *, plant: Plant | SteppedPlant | str | None = None,
     speed: tuple[float, float] | None = None, friction: tuple[float, float] | None = None,
     uncertainty: Uncertainty | None = None, estimator: KalmanFilter | None = None, effort: TuningEffort | None = None,
-    seed: int = 0, progress: Progress | None = None,
+    seed: int = 0, progress: ProgressCall | None = None,
 ) -> TunedCar:  # fmt: skip
     """The constant tuning with which the controller that knows its car drives it best, checked.
 
@@ -188,28 +186,28 @@ def tune(
     UnknownName
         When no car or plant has this name.
     """
-    began, show = time.perf_counter(), progress or (lambda what, done, of: None)
+    began, show = time.perf_counter(), progress or (lambda work, steps, of: None)
     effort = effort or TuningEffort()
-    seed = whole("tune", "seed", seed, least=0)
-    car, driven = _car_and_plant(car, plant)
+    seed = whole_number("tune", "seed", seed, least=0)
+    car, driven_plant = _car_and_plant(car, plant)
     world = load_profile(profile)
     mpc = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator)
     limits = {name: limit for name, limit in (("speed", speed), ("friction", friction)) if limit is not None}
     requested = Domain(**{**car.domain.model_dump(), **limits})
     show("which speeds can be held", 0, 1)
-    linear = linear_twin(driven, car, requested)
+    linear = linear_twin(driven_plant, car, requested)
     holdable = feasibility(linear, mpc, world.prompt, speed=requested.speed, friction=requested.friction, turn=None)
     if holdable.constant is None:
         raise InvalidInput(f"tune: {holdable.verdict}")
-    constant, held = holdable.constant
-    domain = requested.replace(**held._asdict()) if held != holdable.whole else requested
+    constant, holdable_domain = holdable.constant
+    domain = requested.replace(**holdable_domain._asdict()) if holdable_domain != holdable.requested else requested
     default = mpc.tuning
-    bench = _Bench(driven, mpc, world, domain)
+    bench = _Bench(driven_plant, mpc, world, domain)
     runs = _search_runs(bench.on_twin(), effort, seed)
     bench.warn_of_time(effort)
     searched = _search_tuning(runs, [default, constant], effort.swarm, seed, show)
     show("unseen drives", 0, 1)
-    numbers = range(FIRST_JUDGED + 1000 * seed, FIRST_JUDGED + 1000 * seed + effort.judged)
+    numbers = range(FIRST_JUDGED + 1000 * seed, FIRST_JUDGED + 1000 * seed + effort.judged_drives)
     unseen = bench.drives(numbers, 60.0)
     costs = {"default": unseen.drive(default, [NOISE_JUDGED])[:, 0]}
     costs["sought"] = costs["default"] if searched == default else unseen.drive(searched, [NOISE_JUDGED])[:, 0]
@@ -224,8 +222,8 @@ def tune(
     controller = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator, tuning=tuning)
     seconds = time.perf_counter() - began
     return TunedCar(
-        controller, world, domain, holdable, default, searched, costs, gain, certificate, driven.name, driven.costly,
-        seconds,
+        controller, world, domain, holdable, default, searched, costs, gain, certificate, driven_plant.name,
+        driven_plant.costly, seconds,
     )  # fmt: skip
 
 
@@ -234,13 +232,13 @@ def _car_and_plant(
 ) -> tuple[Vehicle, Plant | SteppedPlant]:
     """The car that the controller believes in, and what is driven."""
     believed = car if isinstance(car, Vehicle) else load_vehicle(car)
-    driven = "dual-track" if plant is None else plant
-    return believed, get_plant(driven, believed) if isinstance(driven, str) else driven
+    driven_plant = "dual-track" if plant is None else plant
+    return believed, get_plant(driven_plant, believed) if isinstance(driven_plant, str) else driven_plant
 
 
 @dataclass(frozen=True, eq=False)
 class _Bench:
-    """What is driven, by which controller, in which world and domain."""
+    """Plant, controller, profile and domain of the drives."""
 
     plant: Plant | SteppedPlant
     mpc: MPC
@@ -255,7 +253,7 @@ class _Bench:
         )
 
     def on_twin(self) -> _Bench:
-        """The same for a search: with the car's twin where the plant is costly."""
+        """Return the bench for a search: with the car's twin if the plant is costly."""
         car = self.mpc.model.vehicle
         return replace(self, plant=twin_of(car)) if self.plant.costly else self
 
@@ -268,7 +266,7 @@ class _Bench:
         runs.drive(self.mpc.tuning, [NOISE_SOUGHT])
         per_second = (time.perf_counter() - began) / seconds
         tunings = 0 if self.plant.costly else effort.swarm.particles * effort.swarm.generations + 2
-        simulated = tunings * (effort.drives + effort.hard_drives) * effort.seconds + 2 * effort.judged * 60.0
+        simulated = tunings * (effort.drives + effort.hard_drives) * effort.seconds + 2 * effort.judged_drives * 60.0
         _log.warning(
             "adaptrack: plant %r is stepped in Python: %.3g h of driving one after the other, about %.2g min.",
             self.plant.name, simulated / 3600.0, simulated * per_second / 60.0,
@@ -288,21 +286,21 @@ def _search_runs(bench: _Bench, effort: TuningEffort, seed: int) -> list[RunSet]
 
 
 def _search_tuning(
-    training: list[RunSet], candidates: list[Tuning], swarm: SwarmSettings, seed: int, show: Progress
+    training: list[RunSet], candidates: list[Tuning], swarm: SwarmSettings, seed: int, show: ProgressCall
 ) -> Tuning:
     """The tuning with the lowest mean log cost over the run sets: found about the first candidate, or a candidate."""
     default = candidates[0]
-    search = Swarm(Search.around(default).space(), swarm, seed=seed)
+    search = Swarm(SearchBounds.around(default).space(), swarm, seed=seed)
 
     def costs(tunings: Array) -> Array:
         total = np.zeros(len(tunings))
         for runs in training:
-            which = np.tile(np.arange(len(runs)), len(tunings))
-            values = runs.costs(np.repeat(tunings, len(runs), axis=0), [NOISE_SOUGHT], which)
+            indices = np.tile(np.arange(len(runs)), len(tunings))
+            values = runs.costs(np.repeat(tunings, len(runs), axis=0), [NOISE_SOUGHT], indices)
             total += np.log(values).reshape(len(tunings), len(runs)).mean(axis=1)
         return total
 
-    while not search.done:
+    while not search.is_done:
         show("search", search.generation, search.settings.generations)
         search.tell(costs(search.ask()))
     best, rows = search.result(), np.array([tuning.as_array() for tuning in candidates])

@@ -42,12 +42,12 @@ def tune_constant(
     """
     if not noise_seeds:
         raise InvalidInput("tune_constant: noise_seeds: give at least one.")
-    driven = runs.mpc if controller is None else controller
-    search = Swarm(space or search_space(driven), swarm, seed=seed)
-    while not search.done:
+    tuned = runs.mpc if controller is None else controller
+    search = Swarm(space or search_space(tuned), swarm, seed=seed)
+    while not search.is_done:
         if progress is not None:
             progress(search.generation, search.settings.generations)
-        search.tell(mean_costs(runs, driven, search.ask(), noise_seeds))
+        search.tell(mean_costs(runs, tuned, search.ask(), noise_seeds))
     return search.result()
 
 
@@ -76,22 +76,22 @@ def seek_constant(
 ) -> Sought:  # fmt: skip
     """`tune_constant` in the controller's `search_space`, held against its own tuning on the same runs and noise."""
     space = search_space(controller)
-    found = tune_constant(
+    result = tune_constant(
         runs, swarm, noise_seeds=noise_seeds, seed=seed, controller=controller, space=space, progress=progress
     )
-    own = controller.packed_tuning()
-    before = float(mean_costs(runs, controller, own[None], noise_seeds)[0])
-    better = found.cost < before
+    default = controller.packed_tuning()
+    before = float(mean_costs(runs, controller, default[None], noise_seeds)[0])
+    better = result.cost < before
     return Sought(
-        tuning=dict(zip(space.names, (found.x if better else own).tolist(), strict=True)),
-        default=dict(zip(space.names, own.tolist(), strict=True)),
-        cost=min(found.cost, before),
+        tuning=dict(zip(space.names, (result.x if better else default).tolist(), strict=True)),
+        default=dict(zip(space.names, default.tolist(), strict=True)),
+        cost=min(result.cost, before),
         default_cost=before,
-        at_bounds=at_bounds(space, found.x) if better else [],
+        at_bounds=at_bounds(space, result.x) if better else [],
     )
 
 
-def swarm_within(runs: int, each: int) -> SwarmSettings:
+def swarm_within(runs: int, runs_per_tuning: int) -> SwarmSettings:
     """A swarm of up to 20 particles that spends at most so many closed-loop runs; a tuning takes `each` of them.
 
     Raises
@@ -99,11 +99,11 @@ def swarm_within(runs: int, each: int) -> SwarmSettings:
     InvalidInput
         When they are too few for ten tunings.
     """
-    tunings = runs // each
+    tunings = runs // runs_per_tuning
     if tunings < LEAST_TUNINGS:
         raise InvalidInput(
-            f"{runs:,} runs are too few: a tuning takes {each} (roads times noise seeds); give at least "
-            f"{LEAST_TUNINGS * each:,}."
+            f"{runs:,} runs are too few: a tuning takes {runs_per_tuning} (roads times noise seeds); give at least "
+            f"{LEAST_TUNINGS * runs_per_tuning:,}."
         )
     particles = min(SwarmSettings().particles, tunings)
     return SwarmSettings(particles=particles, generations=tunings // particles)
@@ -113,6 +113,6 @@ def mean_costs(
     runs: RunSet, controller: Controller, tunings: NDArray[np.float64], noise_seeds: Sequence[int]
 ) -> NDArray[np.float64]:
     """(tunings,) m^2, mean cost over a set of runs and noise seeds with each of the tunings (tunings, entries)."""
-    which = np.tile(np.arange(len(runs)), len(tunings))
-    found = runs.costs(Retuned(controller, np.repeat(tunings, len(runs), axis=0)), noise_seeds, which)
-    return found.reshape(len(tunings), len(runs)).mean(axis=1)
+    indices = np.tile(np.arange(len(runs)), len(tunings))
+    costs = runs.costs(Retuned(controller, np.repeat(tunings, len(runs), axis=0)), noise_seeds, indices)
+    return costs.reshape(len(tunings), len(runs)).mean(axis=1)

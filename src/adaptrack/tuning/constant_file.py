@@ -55,14 +55,14 @@ class ConstantTuning(Record):
             When the entries are not those of the controller, or their values make none.
         """
         offered = {"period": period, "preview": preview, "computation": computation}
-        own = get_controller(self.controller, car, profile=profile, offered=offered)
-        if set(self.tuning) != set(own.tuning_names):
-            given, names = ", ".join(self.tuning), ", ".join(own.tuning_names)
-            raise InvalidInput(f"tuning of {self.controller!r}: entries {given}: must be {names}.")
-        return own.with_tuning(self.tuning)
+        controller = get_controller(self.controller, car, profile=profile, offered=offered)
+        if set(self.tuning) != set(controller.tuning_names):
+            entries, names = ", ".join(self.tuning), ", ".join(controller.tuning_names)
+            raise InvalidInput(f"tuning of {self.controller!r}: entries {entries}: must be {names}.")
+        return controller.with_tuning(self.tuning)
 
     def holding(self, car: Vehicle, profile: Profile) -> ConstantTuning:
-        """The same with `holds`, of a controller that can be analysed: an `MPC` (some seconds)."""
+        """Return the file with `holds`, for a controller that can be analysed: an `MPC` (some seconds)."""
         controller = self.make(car, profile, self.period, profile.preview)
         if not isinstance(controller, MPC) or controller.scheduler is not None:
             return self
@@ -74,14 +74,14 @@ class ConstantTuning(Record):
 
     def mismatches(self, car: str, profile: str, period: float) -> list[str]:
         """A clause for each of car, profile and period that is another than the file names."""
-        found = [
-            f"was found for the {what} {named!r}, not {here!r}"
-            for what, named, here in (("car", self.vehicle, car), ("profile", self.profile, profile))
-            if named != here
+        clauses = [
+            f"was found for the {key} {file_name!r}, not {name!r}"
+            for key, file_name, name in (("car", self.vehicle, car), ("profile", self.profile, profile))
+            if file_name != name
         ]
         if self.period != period:
-            found.append(f"was found for a control period of {self.period:g} s, not {period:g} s")
-        return found
+            clauses.append(f"was found for a control period of {self.period:g} s, not {period:g} s")
+        return clauses
 
 
 def load_tuning(path: str | os.PathLike[str]) -> ConstantTuning:

@@ -20,7 +20,7 @@ from adaptrack.control.controllers import MPC
 from adaptrack.core import swarm as rules
 from adaptrack.core import tune as kernels
 from adaptrack.core.kernel import Resident
-from adaptrack.core.period import Span
+from adaptrack.core.period import RunSpan
 from adaptrack.core.plants.contract import SLOTS
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.failure import Failure
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """What a swarm found on one operating point."""
+    """Result of a swarm on one operating point."""
 
     tuning: Array
     """(4,) Np, Nc, Q, R"""
@@ -102,10 +102,10 @@ class Objective:
             return self._simulated_costs(point, rows)
         costs = np.empty(len(rows))
         run, trial = self._trial(point, min(len(rows), SLOTS), rows[:, 0].max(), rows[:, 1].max())
-        judged = kernels.Judged(np.ascontiguousarray(rows), np.full(len(rows), np.inf), costs)
+        evaluation = kernels.Judged(np.ascontiguousarray(rows), np.full(len(rows), np.inf), costs)
         for first in range(0, len(rows), SLOTS):
             run.mpc.memory["speed"] = np.nan  # nothing is formed yet
-            kernels.evaluate(first, min(SLOTS, len(rows) - first), judged, trial)
+            kernels.evaluate(first, min(SLOTS, len(rows) - first), evaluation, trial)
         return costs
 
     landscape = costs
@@ -125,9 +125,9 @@ class Objective:
             return self._searched(point, Swarm(space, swarm, seed=seed, stream=stream))
         slots, count = min(swarm.particles, SLOTS), swarm.particles
         _, trial = self._trial(point, slots, space.high[0], space.high[1])
-        judged = kernels.Judged(np.zeros((count, 4)), np.empty(count), np.empty(count))
-        search = kernels.Search(
-            seed, stream, swarm.packed(space), space.packed(), rules.particles(count, 4), judged,
+        evaluation = kernels.Judged(np.zeros((count, 4)), np.empty(count), np.empty(count))
+        search = kernels.SearchRecord(
+            seed, stream, swarm.packed(space), space.packed(), rules.particles(count, 4), evaluation,
             np.empty(swarm.generations),
         )  # fmt: skip
         evaluations, steps = kernels.tune(search, trial)
@@ -145,11 +145,11 @@ class Objective:
 
     def _searched(self, point: ArrayLike, swarm: Swarm) -> Tuned:
         """`tune` by `costs`: the same answer, every run driven to its end."""
-        while not swarm.done:
+        while not swarm.is_done:
             swarm.tell(self.costs(point, swarm.ask()))
-        found, runs = swarm.result(), swarm.settings.evaluations * len(self.noise_seeds)
+        result, runs = swarm.result(), swarm.settings.evaluations * len(self.noise_seeds)
         steps = runs * self.scenario(point).sample(self.mpc.period).n
-        return Tuned(found.x, found.cost, found.trace, found.evaluations, steps)
+        return Tuned(result.x, result.cost, result.trace, result.evaluations, steps)
 
     def _trial(self, point: ArrayLike, slots: int, longest: float, most: float) -> tuple[Any, Any]:
         """`core.tune.Trial` for up to `slots` tunings with horizons up to these; before it, its runs."""
@@ -158,5 +158,5 @@ class Objective:
         run = batch.arena(slots, int(batch.substeps[0]), batch.mpc_settings(longest, most, residuals=False))
         run.vehicles.start[:] = batch.starts
         noise = np.array(self.noise_seeds, dtype=np.int64)
-        span = Span(batch.signals[0].n, slots, 0, self.weight)
+        span = RunSpan(batch.signals[0].n, slots, 0, self.weight)
         return run, Resident(kernels.Trial(run, span, noise))

@@ -5,7 +5,7 @@
 or, when the costs come from elsewhere, one generation at a time:
 
     swarm = Swarm(space, settings, seed=1)
-    while not swarm.done:
+    while not swarm.is_done:
         swarm.tell(evaluate(swarm.ask()))
 
 The algorithm itself stands in `adaptrack.core.swarm`; this module gives it validated settings and a state that can
@@ -46,7 +46,7 @@ class SearchSpace(Record):
     names: Annotated[tuple[str, ...], LISTED] = Field(min_length=1, description="of the dimensions")
     low: Annotated[tuple[float, ...], LISTED] = Field(description="lower bound of each dimension")
     high: Annotated[tuple[float, ...], LISTED] = Field(description="upper bound of each dimension")
-    whole: Annotated[tuple[str, ...], LISTED] = Field(
+    integers: Annotated[tuple[str, ...], LISTED] = Field(
         default=(), description="names of the dimensions that hold whole numbers"
     )
     decades: Annotated[tuple[str, ...], LISTED] = Field(
@@ -68,7 +68,7 @@ class SearchSpace(Record):
                 raise ValueError(
                     f"{key} has {len(getattr(self, key))} values for {self.dims} names: give one for each."
                 )
-        for word in (*self.whole, *self.decades, *(self.ordered or ())):
+        for word in (*self.integers, *self.decades, *(self.ordered or ())):
             if word not in self.names:
                 raise ValueError(f"{word!r} is not one of the names, {list(self.names)}.")
         for name, low, high in zip(self.names, self.low, self.high, strict=True):
@@ -76,13 +76,13 @@ class SearchSpace(Record):
                 raise ValueError(f"{name}: low = {low:g} > high = {high:g}: the space is empty.")
             if name in self.decades and not low > 0.0:
                 raise ValueError(f"{name}: low = {low:g} must be positive to be searched by decades.")
-            if name in self.decades and name in (*self.whole, *(self.ordered or ())):
+            if name in self.decades and name in (*self.integers, *(self.ordered or ())):
                 raise ValueError(f"{name}: cannot be searched by decades and be whole or ordered.")
             if not math.isfinite(high - low):
                 raise ValueError(f"{name}: the range from {low:g} to {high:g} is not a finite number.")
-            if name in self.whole and not (low.is_integer() and high.is_integer()):
+            if name in self.integers and not (low.is_integer() and high.is_integer()):
                 raise ValueError(f"{name}: low = {low:g} and high = {high:g} must be whole numbers, as it is.")
-            if name in self.whole and max(abs(low), abs(high)) > _LARGEST_WHOLE:
+            if name in self.integers and max(abs(low), abs(high)) > _LARGEST_WHOLE:
                 raise ValueError(f"{name}: whole numbers beyond 2^53 cannot be distinguished.")
         if self.ordered is None:
             if self.spread != 1.0:
@@ -90,7 +90,7 @@ class SearchSpace(Record):
             return self
         smaller, larger = self.ordered
         i, j = self.names.index(smaller), self.names.index(larger)
-        if i == j or (smaller in self.whole) != (larger in self.whole):
+        if i == j or (smaller in self.integers) != (larger in self.integers):
             raise ValueError(
                 f"ordered = {list(self.ordered)}: give two dimensions, both of whole or both of real numbers."
             )
@@ -110,7 +110,7 @@ class SearchSpace(Record):
             names=("Np", "Nc", "Q", "R"),
             low=(1.0, 1.0, 0.1, 0.001),
             high=(55.0, 18.0, 10.0, 0.1),
-            whole=("Np", "Nc"),
+            integers=("Np", "Nc"),
             ordered=("Nc", "Np"),
             spread=2.0,
         )
@@ -127,25 +127,25 @@ class SearchSpace(Record):
             [
                 [f(low) for f, low in zip(scale, self.low, strict=True)],
                 [f(high) for f, high in zip(scale, self.high, strict=True)],
-                [float(name in self.whole) for name in self.names],
+                [float(name in self.integers) for name in self.names],
                 [float(name in self.decades) for name in self.names],
             ]
         )
 
     def values(self, x: Array) -> Array:
-        """What positions of the swarm, (..., dims), stand for: powers of ten where it searches by decades."""
+        """Decode positions of the swarm (..., dims): powers of ten where it searches by decades."""
         rows = np.ascontiguousarray(x, dtype=float).reshape(-1, self.dims)
-        found = np.empty_like(rows)
-        decode(len(rows), self.packed(), rows, found)
-        return found.reshape(x.shape)
+        values = np.empty_like(rows)
+        decode(len(rows), self.packed(), rows, values)
+        return values.reshape(x.shape)
 
     def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
         """Whether each position of x (..., dims) lies in the box, holds whole numbers where it must, and is ordered."""
         x = np.asarray(x, dtype=float)
         low, high = np.array(self.low), np.array(self.high)
-        whole = self.packed()[2]
+        is_integer = self.packed()[2]
         slack = np.array([1e-12 if name in self.decades else 0.0 for name in self.names])  # 10**log10(x) is x nearly
-        inside = ((x >= low * (1 - slack)) & (x <= high * (1 + slack)) & ((whole < 0.5) | (x == np.round(x)))).all(
+        inside = ((x >= low * (1 - slack)) & (x <= high * (1 + slack)) & ((is_integer < 0.5) | (x == np.round(x)))).all(
             axis=-1
         )
         if self.ordered is not None:
@@ -230,14 +230,14 @@ class Best(NamedTuple):
     """The best position so far."""
 
     x: Array
-    """(dims,)"""
+    """(dims,) the best position"""
     cost: float
     """inf before the first finite cost"""
 
 
 @dataclass(frozen=True, eq=False)
 class SwarmResult:
-    """What a finished run found."""
+    """Result of a swarm."""
 
     x: Array
     """(dims,) best position"""
@@ -274,7 +274,7 @@ class Swarm:
         kernel.begin(self.seed, self.stream, self._settings, self._space, self._swarm)
 
     @property
-    def done(self) -> bool:
+    def is_done(self) -> bool:
         """Whether the costs of all generations are known."""
         return self.generation >= self.settings.generations
 
@@ -324,7 +324,7 @@ class Swarm:
         self.generation += 1
 
     def result(self) -> SwarmResult:
-        """What has been found so far, usually when done."""
+        """Return the best result so far, usually when the swarm is done."""
         return SwarmResult(*self.best, self.trace, self.settings.particles * self.generation)
 
     @property
@@ -366,7 +366,7 @@ class Swarm:
         return swarm
 
     def _refuse_when_done(self) -> None:
-        if self.done:
+        if self.is_done:
             raise InvalidInput(f"The swarm is done: it has the costs of all {self.settings.generations} generations.")
 
 
@@ -389,6 +389,6 @@ def minimise(
         When `function` does not give one number per particle, or as for `Swarm`.
     """
     swarm = Swarm(space, settings, seed=seed, stream=stream)
-    while not swarm.done:
+    while not swarm.is_done:
         swarm.tell(function(swarm.ask()))
     return swarm.result()

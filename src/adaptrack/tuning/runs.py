@@ -31,12 +31,12 @@ from adaptrack.control.scheduling import Schedule
 from adaptrack.core.loop import SIGNAL
 from adaptrack.drive.batch import Batch, called_back, sampled
 from adaptrack.drive.failure import Failure
-from adaptrack.drive.metrics import PUBLISHED
+from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.drive.simulate import rollouts, simulate
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.drive.world import KnownAs, World
 from adaptrack.road import Comfort, Road, plan_speed
-from adaptrack.road.speed import USUAL
+from adaptrack.road.speed import DEFAULT_COMFORT
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -67,14 +67,14 @@ PERCEPTIONS: dict[str, Perception] = {
 
 
 class Outcome(NamedTuple):
-    """Of runs with one noise seed."""
+    """Results of the runs with one noise seed."""
 
     costs: Array
     """(runs,) m^2, J; inf where the run failed"""
     segments: Array
     """(runs, segments) m^2, see `RunSet.segments`; (runs, 0) where they were not requested"""
     counts: dict[str, NDArray[np.int64]]
-    """what the schedule counted, (runs,) by name; empty without one"""
+    """schedule counters by name, (runs,); empty without a schedule"""
 
 
 class RunSet:
@@ -88,7 +88,7 @@ class RunSet:
     known_as: KnownAs = None
     failure = Failure()
     controller = "mpc"
-    """what tables call the MPC whose tuning is chosen: "informed" for one that knows its car"""
+    """name of the tuned MPC in tables: "informed" for an MPC with a belief"""
     _latest: Batch | None = None
 
     def __init__(
@@ -101,7 +101,7 @@ class RunSet:
         self.controller = "mpc" if mpc.belief is None else "informed"
         self.weight = load_profile(profile).move_weight
         self.signals, samples = sampled(World.of(plant, mpc, profile, None, known_as, failure), self.scenarios)
-        self.lengths = np.array([each.n for each in self.signals])
+        self.lengths = np.array([signals.n for signals in self.signals])
         """(runs,) control periods"""
         self.periods = int(self.lengths.max())
         self.segment, self.before, self.stride = segment or self.periods, before, stride
@@ -110,7 +110,7 @@ class RunSet:
         A run that is shorter goes on with its last row."""
 
     @cached_property
-    def _own(self) -> Batch:
+    def _mpc_batch(self) -> Batch:
         """The batch of the MPC."""
         return self._batch(self.mpc)
 
@@ -132,21 +132,21 @@ class RunSet:
         """m^2, what a failed run counts as costing: the square of the distance at which it leaves the road."""
         return self.failure.distance**2
 
-    def drive(self, policy: Policy, seeds: Sequence[int], which: Indices | None = None) -> Array:
+    def drive(self, policy: Policy, seeds: Sequence[int], indices: Indices | None = None) -> Array:
         """(runs, seeds) m^2, J of each run of `which` with each noise seed; inf where it failed.
 
         Of a policy (runs, 4), row i drives the run which[i].
         """
-        which = np.arange(len(self)) if which is None else which
+        indices = np.arange(len(self)) if indices is None else indices
         if not self._compiles(policy):
-            rows = list(enumerate(which.tolist()))
+            rows = list(enumerate(indices.tolist()))
             return np.array([[self._simulated_cost(policy, k, i, int(seed)) for seed in seeds] for k, i in rows])
-        return np.stack([self._run(policy, int(seed), which).costs for seed in seeds], axis=1)
+        return np.stack([self._run(policy, int(seed), indices).costs for seed in seeds], axis=1)
 
-    def costs(self, policy: Policy, seeds: Sequence[int], which: Indices | None = None) -> Array:
+    def costs(self, policy: Policy, seeds: Sequence[int], indices: Indices | None = None) -> Array:
         """(runs,) m^2, mean of J over the noise seeds; a failed run counts as `failed_cost`."""
-        found = self.drive(policy, seeds, which)
-        return np.where(np.isfinite(found), found, self.failed_cost).mean(axis=1)
+        costs = self.drive(policy, seeds, indices)
+        return np.where(np.isfinite(costs), costs, self.failed_cost).mean(axis=1)
 
     def trajectories(self, policy: Schedule | Tuning | Controller, seeds: Sequence[int]) -> list[list[Trajectory]]:
         """Each run (outer list) with each noise seed (inner list): what `drive` gives the costs of."""
@@ -154,7 +154,7 @@ class RunSet:
             return rollouts(self._batch(self.controller_of(policy, 0)), [int(seed) for seed in seeds])
         return [[self._simulated(policy, i, i, int(seed)) for seed in seeds] for i in range(len(self))]
 
-    def segments(self, policy: Policy, seed: int, which: Indices) -> Array:
+    def segments(self, policy: Policy, seed: int, indices: Indices) -> Array:
         """(runs, segments) m^2, cost of each segment (sum); inf in the one where a run failed, NaN after it.
 
         Raises
@@ -165,23 +165,23 @@ class RunSet:
         if (self.lengths != self.periods).any():
             raise InvalidInput("runs: segments of the cost need runs that last equally long.")
         if not self._compiles(policy):
-            return np.array([self._simulated_segments(policy, k, i, seed) for k, i in enumerate(which.tolist())])
-        return self._run(policy, seed, which, segmented=True).segments
+            return np.array([self._simulated_segments(policy, k, i, seed) for k, i in enumerate(indices.tolist())])
+        return self._run(policy, seed, indices, segmented=True).segments
 
     def counts(self, schedule: Schedule, seed: int) -> dict[str, NDArray[np.int64]]:
         """(runs,) how many steps a schedule counted of each kind, by name: "steps", "clipped", ..."""
         if self._compiles(schedule):
             return self._run(schedule, seed, np.arange(len(self))).counts
-        found = []
+        counts = []
         for i in range(len(self)):
             mpc = self.controller_of(schedule, i)
             self._simulated_cost(mpc, i, i, seed)
-            found.append(mpc.scheduler_counts)
-        return {name: np.array([each[name] for each in found]) for name in found[0]}
+            counts.append(mpc.scheduler_counts)
+        return {name: np.array([count[name] for count in counts]) for name in counts[0]}
 
-    def _run(self, policy: Policy, seed: int, which: Indices, segmented: bool = False) -> Outcome:
-        own = policy.controller if isinstance(policy, Retuned) else policy
-        batch = self._batch_of(own) if _is_controller(own) else self._own
+    def _run(self, policy: Policy, seed: int, indices: Indices, segmented: bool = False) -> Outcome:
+        controller = policy.controller if isinstance(policy, Retuned) else policy
+        batch = self._batch_of(controller) if _is_controller(controller) else self._mpc_batch
         tuning, scheduler = batch.tuning, batch.scheduler
         if isinstance(policy, Schedule):
             self._warn_of(policy)
@@ -189,13 +189,13 @@ class RunSet:
         elif not _is_controller(policy):
             scheduler = None
             tuning = _rows(policy)
-        found = batch.run(
-            which, np.broadcast_to(tuning, (len(which), tuning.shape[-1])).copy(),
-            np.full(len(which), seed, np.int64), os.cpu_count() or 1,
+        outcome = batch.run(
+            indices, np.broadcast_to(tuning, (len(indices), tuning.shape[-1])).copy(),
+            np.full(len(indices), seed, np.int64), os.cpu_count() or 1,
             segment=self.segment if segmented else 0, weight=self.weight, scheduler=scheduler,
         )  # fmt: skip
-        costs = (found.result["squared_error"] + self.weight * found.result["squared_move"]) / self.lengths[which]
-        return Outcome(np.where(found.failed, np.inf, costs), found.segments, found.counts)
+        costs = (outcome.result["squared_error"] + self.weight * outcome.result["squared_move"]) / self.lengths[indices]
+        return Outcome(np.where(outcome.failed, np.inf, costs), outcome.segments, outcome.counts)
 
     def _warn_of(self, schedule: Schedule) -> None:
         self.mpc.warn_of(schedule, load_profile(self.profile).name, self.plant)
@@ -208,7 +208,7 @@ class RunSet:
         return not _is_controller(policy) or _compiles(policy)
 
     def controller_of(self, policy: Policy, k: int = 0) -> Controller:
-        """What drives the k-th of the runs: a controller itself, or the MPC with a schedule or its k-th tuning."""
+        """Return the controller of the k-th run: the policy itself, or the MPC with a schedule or its k-th tuning."""
         if _is_controller(policy):
             return policy
         if isinstance(policy, Schedule):
@@ -217,12 +217,12 @@ class RunSet:
             mpc.scheduler = policy
             mpc.reset()
             return mpc
-        own = policy.controller if isinstance(policy, Retuned) else self.mpc
-        row = dict(zip(own.tuning_names, _row(policy, k).tolist(), strict=True))
-        if isinstance(own, MPC):
-            row["Np"] = min(max(round(row["Np"]), 1), own.longest_horizon)
-            row["Nc"] = min(max(round(row["Nc"]), 1), row["Np"], own.most_moves)
-        return own.with_tuning(row)
+        controller = policy.controller if isinstance(policy, Retuned) else self.mpc
+        row = dict(zip(controller.tuning_names, _row(policy, k).tolist(), strict=True))
+        if isinstance(controller, MPC):
+            row["Np"] = min(max(round(row["Np"]), 1), controller.longest_horizon)
+            row["Nc"] = min(max(round(row["Nc"]), 1), row["Np"], controller.most_moves)
+        return controller.with_tuning(row)
 
     def _simulated_cost(self, policy: Policy, k: int, i: int, seed: int) -> float:
         run = self._simulated(policy, k, i, seed)
@@ -233,12 +233,12 @@ class RunSet:
     def _simulated_segments(self, policy: Policy, k: int, i: int, seed: int) -> Array:
         """(segments,) m^2 of one run, as `core.period` counts them."""
         run = self._simulated(policy, k, i, seed)
-        each = run.error**2 + self.weight * run.command_change**2
-        found = np.add.reduceat(each, np.arange(0, self.periods, self.segment))
+        step_costs = run.error**2 + self.weight * run.command_change**2
+        segments = np.add.reduceat(step_costs, np.arange(0, self.periods, self.segment))
         if run.failed is not None:
             first = max(round(run.failed_at / run.period) - 1, 0) // self.segment
-            found[first], found[first + 1 :] = math.inf, math.nan
-        return found
+            segments[first], segments[first + 1 :] = math.inf, math.nan
+        return segments
 
     def _simulated(self, policy: Policy, k: int, i: int, seed: int) -> Trajectory:
         controller, known_as = self.controller_of(policy, k), self.known_as
@@ -252,8 +252,8 @@ class RunSet:
 
 def _rows(policy: Policy) -> Array:
     """The tunings of a policy that gives some."""
-    given = policy.tunings if isinstance(policy, Retuned) else policy
-    return given.as_array() if isinstance(given, Tuning) else np.asarray(given, dtype=float)
+    tunings = policy.tunings if isinstance(policy, Retuned) else policy
+    return tunings.as_array() if isinstance(tunings, Tuning) else np.asarray(tunings, dtype=float)
 
 
 def _row(policy: Policy, k: int) -> Array:
@@ -271,11 +271,11 @@ def _compiles(controller: Controller) -> bool:
     if isinstance(controller, CompiledController):
         return True
     scheduled = isinstance(controller, MPC) and not isinstance(controller.scheduler, Schedule | None)
-    return isinstance(controller, MPC) and controller.in_kernel and not scheduled
+    return isinstance(controller, MPC) and controller.runs_in_kernel and not scheduled
 
 
 def _scheduling_variables(samples: Array) -> Array:
-    """What a scheduler looks at in every period of each run, with an offset of zero."""
+    """Return the scheduler's inputs in every period of each run, with an offset of zero."""
     rows = samples[:, :, :-1]
     names = ("speed", "y_ref", "known_friction", "known_wind", "change", "acceleration")
     columns = [rows[:, getattr(SIGNAL, name)] for name in names]
@@ -311,14 +311,14 @@ def random_drive_runs(
 
     duration: s; roads: other options of `random_drive`, by default the domain of the plant's car; options: of `RunSet`.
     """
-    own = getattr(getattr(plant, "vehicle", None), "domain", Domain()).drive_options
-    drives = [random_drive(number, duration, **(own | dict(roads or {}))) for number in numbers]
+    domain = getattr(getattr(plant, "vehicle", None), "domain", Domain()).drive_options
+    drives = [random_drive(number, duration, **(domain | dict(roads or {}))) for number in numbers]
     segment = round(segment_seconds / mpc.period)
     return RunSet(plant, mpc, drives, profile, **{"segment": segment, "before": segment, **options})
 
 
 def road_runs(
-    plant: SingleTrack | DualTrack, mpc: MPC, roads: Iterable[Road], comfort: Comfort = USUAL,
+    plant: SingleTrack | DualTrack, mpc: MPC, roads: Iterable[Road], comfort: Comfort = DEFAULT_COMFORT,
     profile: str | Profile = "road", **options: Any,
 ) -> RunSet:  # fmt: skip
     """One drive along each road, at the speed that `plan_speed` gives the plant's vehicle.
@@ -344,8 +344,8 @@ def paper_test_runs(
     InvalidInput
         When it is neither.
     """
-    if name not in PUBLISHED:
-        raise InvalidInput(f"test = {name!r}: must be one of {', '.join(PUBLISHED)}.")
+    if name not in PAPER_MSE:
+        raise InvalidInput(f"test = {name!r}: must be one of {', '.join(PAPER_MSE)}.")
     return RunSet(plant, mpc, [load_scenario(name)], profile, **options)
 
 

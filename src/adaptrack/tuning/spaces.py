@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record
-from adaptrack.control.controllers import MPC, Bounds, Controller, Tuning
+from adaptrack.control.controllers import MPC, Controller, Tuning, TuningBounds
 from adaptrack.tuning.pso import SearchSpace
 
 
@@ -23,7 +23,7 @@ def as_tuples(value: Any) -> Any:
 Pair = Annotated[tuple[float, float], BeforeValidator(as_tuples)]
 
 
-class Search(Record):
+class SearchBounds(Record):
     """Bounds of the tunings; the defaults are those of the authors' programs. Horizons are whole, and Nc <= Np."""
 
     Np: Annotated[tuple[int, int], BeforeValidator(as_tuples)] = Field(default=(1, 55), description="control periods")
@@ -56,20 +56,20 @@ class Search(Record):
         return cls(Np=(5, Np), Nc=(1, Nc), Q=(1.0, 1.0), R=(1e-3 * ratio, 1e3 * ratio), decades=True)
 
     def space(self) -> SearchSpace:
-        """The same for the swarm, whose first draw has Np >= 2 Nc as in the authors' programs."""
-        bounds = [tuple(float(each) for each in pair) for pair in (self.Np, self.Nc, self.Q, self.R)]
+        """Return the search space for the swarm, whose first draw has Np >= 2 Nc as in the authors' programs."""
+        bounds = [tuple(float(end) for end in pair) for pair in (self.Np, self.Nc, self.Q, self.R)]
         return SearchSpace(
             names=("Np", "Nc", "Q", "R"),
             low=tuple(low for low, _ in bounds),
             high=tuple(high for _, high in bounds),
-            whole=("Np", "Nc"),
+            integers=("Np", "Nc"),
             decades=("Q", "R") if self.decades else (),
             ordered=("Nc", "Np"),
             spread=2.0,
         )
 
 
-PUBLISHED = Search(Np=(5, 60), Nc=(1, 18), Q=(1.0, 1.0), R=(1e-3, 1e7), decades=True)
+PUBLISHED_BOUNDS = SearchBounds(Np=(5, 60), Nc=(1, 18), Q=(1.0, 1.0), R=(1e-3, 1e7), decades=True)
 """Of the paper's controller, whose best R/Q (m^2/rad^2) depends on the car: its table has 0.001, a car with lag, noise
 and delay wants thousands, on a fast road more than 1e5."""
 
@@ -89,16 +89,16 @@ def _near(value: float, end: float) -> bool:
 def is_tunable(controller: Controller) -> bool:
     """Whether there is a space in which its constant is sought: it has no scheduler, and says where."""
     bounds = controller.tuning_bounds
-    named = bool(bounds) and set(bounds) == set(controller.tuning_names)
-    return controller.scheduler is None and (named or isinstance(controller, MPC))
+    is_complete = bool(bounds) and set(bounds) == set(controller.tuning_names)
+    return controller.scheduler is None and (is_complete or isinstance(controller, MPC))
 
 
 def search_space(controller: Controller) -> SearchSpace:
     """The space in which `tune_constant` seeks the tuning of a controller; relative bounds are searched by decades.
 
-    An MPC's is `Search.around` its own tuning: Np 5-60, Nc 1-18, Q = 1, R/Q three decades to either side; the paper's
-    controller has `PUBLISHED`. On roads with preview the best Nc is often 18: up to 36 the cost falls by 0.2 % more. Of
-    any other controller it is what its `tuning_bounds` say.
+    The space of an MPC is `SearchBounds.around` its tuning: Np 5-60, Nc 1-18, Q = 1, R/Q three decades to either side.
+    The space of the paper's controller is `PUBLISHED_BOUNDS`, of any other controller its `tuning_bounds`. On roads
+    with preview the best Nc is often 18: up to 36 the cost falls by 0.2 % more.
 
     Raises
     ------
@@ -106,17 +106,17 @@ def search_space(controller: Controller) -> SearchSpace:
         For a controller that says none: give `tune_constant` a space.
     """
     if isinstance(controller, MPC):
-        return (PUBLISHED if controller.is_published else Search.around(controller.tuning)).space()
+        return (PUBLISHED_BOUNDS if controller.is_published else SearchBounds.around(controller.tuning)).space()
     if not is_tunable(controller):
         raise InvalidInput(
             f"the controller {controller.name!r} has no search space: set `tuning_bounds` on its class, (low, high) "
             "for each name in `tuning`; or, in Python, call tune_constant(..., space=SearchSpace(...))."
         )
-    own, bounds = controller.tuning, {name: Bounds(*each) for name, each in controller.tuning_bounds.items()}
-    scale = {name: own[name] if each.relative else 1.0 for name, each in bounds.items()}
+    tuning, bounds = controller.tuning, {name: TuningBounds(*pair) for name, pair in controller.tuning_bounds.items()}
+    scale = {name: tuning[name] if limits.relative else 1.0 for name, limits in bounds.items()}
     return SearchSpace(
         names=controller.tuning_names,
         low=tuple(bounds[name].low * scale[name] for name in controller.tuning_names),
         high=tuple(bounds[name].high * scale[name] for name in controller.tuning_names),
-        decades=tuple(name for name in controller.tuning_names if bounds[name].relative and own[name] > 0.0),
+        decades=tuple(name for name in controller.tuning_names if bounds[name].relative and tuning[name] > 0.0),
     )

@@ -113,7 +113,7 @@ class Follower:
 
     def controller(self) -> at.MPC:
         """A new controller of this car."""
-        sensors = replace(at.KalmanFilter.of_profile(self.profile), oldest=self.parameters.oldest_sample)
+        sensors = replace(at.KalmanFilter.from_profile(self.profile), oldest=self.parameters.oldest_sample)
         return at.MPC(self.car, profile=self.profile, computation=self.parameters.command_delay, estimator=sensors)
 
     def warm_up(self) -> None:

@@ -1,6 +1,6 @@
 """Controllers: what `simulate` drives with. One file each; `check_controller` tells whether one keeps the contract."""
 
-from adaptrack.control.controllers.base import Bounds, Command, CompiledController, Controller, command_of
+from adaptrack.control.controllers.base import Command, CompiledController, Controller, TuningBounds, command_of
 from adaptrack.control.controllers.belief import Belief, Uncertainty
 from adaptrack.control.controllers.check import check_controller
 from adaptrack.control.controllers.informed import informed_tuning
@@ -28,7 +28,6 @@ __all__ = [
     "About",
     "Belief",
     "BeliefState",
-    "Bounds",
     "Command",
     "CompiledController",
     "CompiledScheduler",
@@ -42,6 +41,7 @@ __all__ = [
     "Scheduler",
     "Stanley",
     "Tuning",
+    "TuningBounds",
     "Uncertainty",
     "UserController",
     "about_controller",

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Positive, checked, real
-from adaptrack.base.errors import ContractError, InvalidInput, shown
+from adaptrack.base.errors import ContractError, InvalidInput, format_value
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.core.synthesis import laws
-from adaptrack.core.synthesis.car import Steering as SteeringRow
+from adaptrack.core.synthesis.car import SteeringRow as SteeringRow
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.road.ahead import RoadAhead, straight
 
@@ -57,7 +57,8 @@ def command_of(answer: Any, before: float) -> Command:
         angle = float(getattr(answer, "angle", answer))
     except (TypeError, ValueError):
         raise ContractError(
-            f"step() returned {shown(answer)}: it must return the steering angle (rad), or an answer with an `angle`."
+            f"step() returned {format_value(answer)}: it must return the steering angle (rad), or an answer with "
+            "an `angle`."
         ) from None
     return Command(
         angle, float(getattr(answer, "move", angle - before)), bool(getattr(answer, "held", False)),
@@ -65,7 +66,7 @@ def command_of(answer: Any, before: float) -> Command:
     )  # fmt: skip
 
 
-class Bounds(NamedTuple):
+class TuningBounds(NamedTuple):
     """Within which a tuning entry is sought."""
 
     low: float
@@ -74,9 +75,9 @@ class Bounds(NamedTuple):
     """low and high are factors on the controller's own value; else they are values"""
 
 
-DECADES = Bounds(0.01, 100.0, relative=True)
+TWO_DECADES = TuningBounds(0.01, 100.0, relative=True)
 """Two decades to either side of the controller's own value."""
-FIXED = Bounds(1.0, 1.0, relative=True)
+FIXED_TUNING = TuningBounds(1.0, 1.0, relative=True)
 
 
 class Controller(ABC):
@@ -102,8 +103,8 @@ class Controller(ABC):
     """Numbers by name that may be tuned; of an MPC its `Tuning`."""
     tuning_names: tuple[str, ...] = ()
     """Their names; by default those of the class's `tuning_bounds`."""
-    tuning_bounds: Mapping[str, Bounds | tuple[float, float]] = MappingProxyType({})
-    """Where each of them is sought, (low, high) or `Bounds`; empty: nothing is."""
+    tuning_bounds: Mapping[str, TuningBounds | tuple[float, float]] = MappingProxyType({})
+    """Where each of them is sought, (low, high) or `TuningBounds`; empty: nothing is."""
     diagnostic_names: tuple[str, ...] = ()
     """Names of the diagnostics that accompany the command."""
     vehicle: Any = None
@@ -113,7 +114,7 @@ class Controller(ABC):
     sees_road: bool = True
     """Whether `step` has the argument `road`; without it a controller steers along roads by offset and heading."""
     sees_all_sensors: bool = False
-    """Whether `step` is given all that is measured (`core.models.contract.MEASURED`), not four numbers only."""
+    """Whether `step` is given all that is measured (`core.models.contract.MEASUREMENT`), not four numbers only."""
     scheduler: Any = None
     """Scheduler that changes the tuning while driving; None without one."""
     model: Any = None
@@ -137,8 +138,8 @@ class Controller(ABC):
     @property
     def belief_at_first(self) -> str:
         """The belief about the steering before the first step, for tables; empty where there is none."""
-        known = "" if self.belief is None else str(self.belief)
-        return f"{known}; {self.learns}" if known and self.learner is not None else known
+        belief = "" if self.belief is None else str(self.belief)
+        return f"{belief}; {self.learns}" if belief and self.learner is not None else belief
 
     @property
     def scheduler_counts(self) -> dict[str, int]:
@@ -195,11 +196,11 @@ class Controller(ABC):
         InvalidInput
             When it makes no such controller.
         """
-        found = {name: real(type(self).__name__, name, tuning[name]) for name in self.tuning_names}
-        for name, value in found.items():
+        entries = {name: real(type(self).__name__, name, tuning[name]) for name in self.tuning_names}
+        for name, value in entries.items():
             if not math.isfinite(value):
                 raise InvalidInput(f"{type(self).__name__}: {name} = {value!r}: must be finite.")
-        return found
+        return entries
 
     def with_tuning(self, tuning: Mapping[str, float]) -> Self:
         """A controller of its own, at its start, with these tuning entries (by name) in place of its own.
@@ -211,10 +212,10 @@ class Controller(ABC):
         InvalidInput
             For an entry that it does not have, or numbers that make no such controller.
         """
-        made = copy.deepcopy(self)
-        made.tuning = self.check_tuning(self._entries(tuning))
-        made.reset()
-        return made
+        controller = copy.deepcopy(self)
+        controller.tuning = self.check_tuning(self._entries(tuning))
+        controller.reset()
+        return controller
 
     def _entries(self, tuning: Mapping[str, float]) -> dict[str, float]:
         """All tuning entries, some of them changed."""
@@ -266,19 +267,19 @@ class CompiledController(Controller):
 
     @abstractmethod
     def own_parameters(self) -> Sequence[float] | Array:
-        """Return the law's parameters that follow `core.controllers.contract.COMMON`."""
+        """Return the law's parameters that follow `core.controllers.contract.COMMON_PARAMETERS`."""
 
     def parameters(self) -> Array:
         """The law's constant numbers."""
         return np.array([self.period, *self.limits.move, *self.limits.angle, *self.own_parameters()], dtype=float)
 
-    def _made_by(self, kernel: Any, size: int, *more: Any) -> Array:
+    def _made_by(self, kernel: Any, size: int, *arguments: Any) -> Array:
         """Return the parameters that a kernel of `core.synthesis.laws` computes; size: of all parameters."""
         (low, high), (least, most) = self.limits.move, self.limits.angle
         common = row_of(laws.Common, period=self.period, move_min=low, move_max=high, angle_min=least, angle_max=most)
-        found = np.zeros(size)
-        kernel(self.vehicle.numbers, common, *more, found)
-        return found[len(laws.Common._fields) :]
+        parameters = np.zeros(size)
+        kernel(self.vehicle.numbers, common, *arguments, parameters)
+        return parameters[len(laws.Common._fields) :]
 
     def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
         """The tuning as finite numbers by name, none of them negative; see `Controller.check_tuning`."""
@@ -286,11 +287,11 @@ class CompiledController(Controller):
         for name in self.positive:
             if not 0.0 < real(where, name, tuning[name]) < math.inf:
                 raise InvalidInput(f"{where}: {name} = {tuning[name]!r}: must be finite and positive.")
-        found = super().check_tuning(tuning)
-        for name, value in found.items():
+        entries = super().check_tuning(tuning)
+        for name, value in entries.items():
             if value < 0.0:
                 raise InvalidInput(f"{where}: {name} = {value!r}: must be finite and not negative.")
-        return found
+        return entries
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""
@@ -348,12 +349,12 @@ class CompiledController(Controller):
         curved = road_ahead(road)
         path = straight() if curved is None else curved.packed
         self.function(situation, ahead, path, self._tuning, self._parameters, self._memory, self._answer)
-        angle, *said = self._answer.tolist()
-        diagnostics = dict(zip(self.diagnostic_names, said, strict=True))
-        held = not math.isfinite(angle) or diagnostics.get("held", 0.0) > 0.5
+        angle, *values = self._answer.tolist()
+        diagnostics = dict(zip(self.diagnostic_names, values, strict=True))
+        is_held = not math.isfinite(angle) or diagnostics.get("held", 0.0) > 0.5
         angle = angle if math.isfinite(angle) else self._angle
         move, self._angle = angle - self._angle, angle
-        return Command(angle, move, held, tuple(self.tuning.values()), diagnostics)
+        return Command(angle, move, is_held, tuple(self.tuning.values()), diagnostics)
 
     def __repr__(self) -> str:
         car = getattr(getattr(self, "vehicle", None), "name", "a car")

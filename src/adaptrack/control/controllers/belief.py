@@ -10,13 +10,13 @@ from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.settings import RecordSettings
 from adaptrack.core.synthesis import belief as kernel
-from adaptrack.core.synthesis.car import Steering as SteeringRow
+from adaptrack.core.synthesis.car import SteeringRow as SteeringRow
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.scenario.profile import Profile
 
-ASSUMED = "not given; a slow published value is assumed"
+ASSUMED_SOURCE = "not given; a slow published value is assumed"
 """Source of a value that neither the caller, nor the car file, nor a profile gives."""
-TO_LEARN = "not given; learning starts at the published median"
+TO_LEARN_SOURCE = "not given; learning starts at the published median"
 """Source of an unknown lag or dead time of a controller that learns."""
 DEFAULT = "default"
 """Source of a computation time that neither the caller nor a profile specifies: 0 s."""
@@ -26,7 +26,7 @@ UNKNOWN: Literal["unknown"] = "unknown"
 """As `belief`: ignore what the car file and the profile say about the steering."""
 _NAMES = {"lag": "s", "dead_time": "s", "computation": "s", "rate": "rad/s", "limit": "rad"}
 _STEERING = ("lag", "dead_time", "rate", "limit")
-_SOURCES = {ASSUMED: kernel.ASSUMED, TO_LEARN: kernel.TO_LEARN}
+_SOURCES = {ASSUMED_SOURCE: kernel.SLOW_ASSUMED, TO_LEARN_SOURCE: kernel.MEDIAN_TO_LEARN}
 
 
 def car_file(vehicle: Vehicle) -> str:
@@ -34,7 +34,7 @@ def car_file(vehicle: Vehicle) -> str:
     return f"car file {vehicle.name}"
 
 
-class Uncertainty(RecordSettings, record=kernel.Uncertainty):
+class Uncertainty(RecordSettings, record=kernel.UncertaintyRow):
     """How far the assumed car may be wrong, to either side.
 
     A delay that is assumed too short loses the car, one that is assumed too long costs little. So the controller
@@ -78,7 +78,7 @@ class Belief:
     @property
     def assumed(self) -> tuple[str, ...]:
         """The names of the unknown entries."""
-        return tuple(name for name in _NAMES if getattr(self, name).source in (ASSUMED, TO_LEARN))
+        return tuple(name for name in _NAMES if getattr(self, name).source in (ASSUMED_SOURCE, TO_LEARN_SOURCE))
 
     @property
     def is_cautious(self) -> bool:
@@ -87,15 +87,15 @@ class Belief:
 
     @property
     def row(self) -> Any:
-        """A row of `core.synthesis.belief.Belief`, whose sources tell what is assumed."""
-        row = row_of(kernel.Belief, **{name: getattr(self, name).value for name in _NAMES})
+        """A row of `core.synthesis.belief.BeliefRow`, whose sources tell what is assumed."""
+        row = row_of(kernel.BeliefRow, **{name: getattr(self, name).value for name in _NAMES})
         for name in _STEERING:
             row[f"{name}_source"] = _SOURCES.get(getattr(self, name).source, kernel.GIVEN)
         return row
 
     def bounds(self, period: float) -> Limits:
         """Limits on the command at a control period (s), see `core.synthesis.belief.bound_commands`."""
-        bounds = row_of(kernel.Bounds)
+        bounds = row_of(kernel.CommandBounds)
         kernel.bound_commands(self.row, period, bounds)
         return limits_of(bounds)
 
@@ -112,51 +112,56 @@ GivenSteering = Steering | Literal["unknown"] | None
 """A caller's steering; None: that of the car file, then that of the profile unless it is learned."""
 
 
-def assumed_computation(seconds: float | None, profile: Profile, period: float, named: bool) -> SourcedValue:
+def assumed_computation(seconds: float | None, profile: Profile, period: float, uses_actuator: bool) -> SourcedValue:
     """Computation time (s) of a controller: the caller's, that of a named profile, or 0.
 
-    seconds: the caller's, None if not specified; period: control period (s); named: whether the caller named the
-    profile.
+    seconds: the caller's, None if not specified; period: control period (s); uses_actuator: whether
+    the caller named the profile.
     """
     if seconds is not None:
         return SourcedValue(float(seconds), "given")
-    return SourcedValue(profile.delay * period, f"profile {profile.name}") if named else SourcedValue(0.0, DEFAULT)
+    return (
+        SourcedValue(profile.delay * period, f"profile {profile.name}") if uses_actuator else SourcedValue(0.0, DEFAULT)
+    )
 
 
 def belief_about_steering(
-    vehicle: Vehicle, given: GivenSteering, profile: Profile, computation: SourcedValue, named: bool
+    vehicle: Vehicle, steering: GivenSteering, profile: Profile, computation: SourcedValue, uses_actuator: bool
 ) -> Belief:
-    """The belief about a car's steering: each number from its first source, `ASSUMED` where it has none.
+    """The belief about a car's steering: each number from its first source, `ASSUMED_SOURCE` where it has none.
 
-    The sources are `given` (the caller's), the car file and the profile, in this order; `UNKNOWN`: none of them;
-    computation: `assumed_computation`; named: whether the profile's actuator counts: not where only its sensors are
-    taken by default, nor for a controller that learns, for which a profile is the simulated world.
+    The sources are `steering` (the caller's), the car file and the profile, in this order; `UNKNOWN`: none of them;
+    computation: `assumed_computation`; uses_actuator: whether the profile's actuator counts: not where only its sensors
+    are taken by default, nor for a controller that learns, for which a profile is the simulated world.
     """
-    row = row_of(kernel.Belief)
-    kernel.believe_steering(*steering_rows(vehicle, given, profile, named), computation.value, row)
+    row = row_of(kernel.BeliefRow)
+    kernel.believe_steering(*steering_rows(vehicle, steering, profile, uses_actuator), computation.value, row)
     return belief_of(row, vehicle, profile, computation)
 
 
-def steering_rows(vehicle: Vehicle, given: GivenSteering, profile: Profile, named: bool) -> tuple[Any, Any, Any]:
-    """The steering of the caller, of the car file and of the profile: rows of `core.synthesis.car.Steering`."""
-    if given == UNKNOWN:
+def steering_rows(
+    vehicle: Vehicle, steering: GivenSteering, profile: Profile, uses_actuator: bool
+) -> tuple[Any, Any, Any]:
+    """The steering of the caller, of the car file and of the profile: rows of `core.synthesis.car.SteeringRow`."""
+    if steering == UNKNOWN:
         return row_of(SteeringRow), row_of(SteeringRow), row_of(SteeringRow)
     limit = min(profile.steering.limit, kernel.ANGLE)
-    actuator = row_of(SteeringRow, profile.steering, limit=limit) if named else row_of(SteeringRow)
-    return row_of(SteeringRow, given), row_of(SteeringRow, vehicle.steering), actuator
+    actuator = row_of(SteeringRow, profile.steering, limit=limit) if uses_actuator else row_of(SteeringRow)
+    return row_of(SteeringRow, steering), row_of(SteeringRow, vehicle.steering), actuator
 
 
 def belief_of(row: Any, vehicle: Vehicle, profile: Profile, computation: SourcedValue, seconds: float = 0.0) -> Belief:
-    """The belief of a row of `core.synthesis.belief.Belief`; seconds: duration of the drives that taught it."""
+    """The belief of a row of `core.synthesis.belief.BeliefRow`; seconds: duration of the drives that taught it."""
     sources = {
         kernel.GIVEN: "given", kernel.CAR_FILE: car_file(vehicle), kernel.PROFILE: f"profile {profile.name}",
-        kernel.LEARNED: f"learned before, in {seconds:.0f} s", **{code: source for source, code in _SOURCES.items()},
+        kernel.FROM_EARLIER_DRIVE: f"learned before, in {seconds:.0f} s",
+        **{code: source for source, code in _SOURCES.items()},
     }  # fmt: skip
     steering = {name: SourcedValue(float(row[name]), sources[int(row[f"{name}_source"])]) for name in _STEERING}
     return Belief(**steering, computation=computation)
 
 
 def limits_of(bounds: Any) -> Limits:
-    """The limits of a row of `core.synthesis.belief.Bounds`."""
+    """The limits of a row of `core.synthesis.belief.CommandBounds`."""
     move, ahead, angle = bounds.tolist()
     return Limits(move=(-move, move), ahead=ahead, angle=(-angle, angle))

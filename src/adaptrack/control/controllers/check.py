@@ -14,11 +14,11 @@ from adaptrack.control.controllers.base import Array, Controller, command_of
 from adaptrack.road import Arc, Line, Road
 from adaptrack.road.ahead import RoadAhead
 
-SPEEDS = (1.0, 5.0, 15.0, 30.0)
+CHECK_SPEEDS = (1.0, 5.0, 15.0, 30.0)
 """m/s, at which a controller is called."""
-STEPS = 5
+CHECK_STEPS = 5
 """Steps of each drive that is put to it."""
-NEAR = 1e-9
+COMMAND_TOLERANCE = 1e-9
 """rad, within which commands are the same, and limits kept."""
 BAD = (math.nan, math.inf, -math.inf, 1e300, -1e300)
 """What a broken sensor may say."""
@@ -50,10 +50,12 @@ def check_controller(controller: Controller, symmetric: bool = True, variables: 
     ask = _Asking(controller, variables)
     for drive in _drives():
         first = ask.drive(drive)
-        ask.same(first, ask.drive(drive), "after `reset` it must answer as before")
+        ask.expect_equal(first, ask.drive(drive), "after `reset` it must answer as before")
         if symmetric:
             mirrored = ask.drive([(-state, speed, -reference) for state, speed, reference in drive])
-            ask.same([-angle for angle in first], mirrored, "the mirrored situation must give the mirrored command")
+            ask.expect_equal(
+                [-angle for angle in first], mirrored, "the mirrored situation must give the mirrored command"
+            )
     if controller.sees_road:
         ask.drive_bend()
     for question in _broken():
@@ -111,41 +113,50 @@ class _Asking:
     def step(self, question: Question, **road: RoadAhead) -> float:
         """The command (rad) of one step, tested; `InvalidInput` passes."""
         state, speed, reference = question
-        given = state.copy(), reference.copy()
-        for array in given:
+        arrays = state.copy(), reference.copy()
+        for array in arrays:
             array.flags.writeable = False
         variables = None if self.variables is None else self.variables(state, speed, reference)
-        shown = f"state {np.round(state, 6).tolist()}, speed {speed:g} m/s, reference {reference[:3].tolist()}..."
+        question_text = (
+            f"state {np.round(state, 6).tolist()}, speed {speed:g} m/s, reference {reference[:3].tolist()}..."
+        )
         try:
-            answer = self.controller.step(given[0], speed, given[1], variables, **road)
+            answer = self.controller.step(arrays[0], speed, arrays[1], variables, **road)
             angle, move, *_ = command_of(answer, self.last)
         except InvalidInput:
             raise
         except Exception as error:
             self.fail(
                 "a step, also with read-only arrays, must raise nothing but InvalidInput",
-                f"{type(error).__name__} ({error}) at {shown}",
+                f"{type(error).__name__} ({error}) at {question_text}",
             )
-        same = np.array_equal(given[0], state, equal_nan=True) and np.array_equal(given[1], reference, equal_nan=True)
-        if not same:
-            self.fail("it must not write to its arguments", f"it did at {shown}")
+        unchanged = np.array_equal(arrays[0], state, equal_nan=True) and np.array_equal(
+            arrays[1], reference, equal_nan=True
+        )
+        if not unchanged:
+            self.fail("it must not write to its arguments", f"it did at {question_text}")
         if not (math.isfinite(angle) and math.isfinite(move)):
-            self.fail("a command must be finite", f"angle {angle!r} rad, move {move!r} rad at {shown}")
-        if abs(move - (angle - self.last)) > NEAR:
+            self.fail("a command must be finite", f"angle {angle!r} rad, move {move!r} rad at {question_text}")
+        if abs(move - (angle - self.last)) > COMMAND_TOLERANCE:
             self.fail(
-                "`move` must be the change of `angle`", f"{move!r} instead of {angle - self.last!r} rad at {shown}"
+                "`move` must be the change of `angle`",
+                f"{move!r} instead of {angle - self.last!r} rad at {question_text}",
             )
-        if not self.angle[0] - NEAR <= angle <= self.angle[1] + NEAR:
-            self.fail("a command must keep the limits on the angle", f"{angle!r} rad, limits {self.angle} at {shown}")
-        if not self.move[0] - NEAR <= move <= self.move[1] + NEAR:
-            self.fail("a command must keep the limits on the move", f"{move!r} rad, limits {self.move} at {shown}")
+        if not self.angle[0] - COMMAND_TOLERANCE <= angle <= self.angle[1] + COMMAND_TOLERANCE:
+            self.fail(
+                "a command must keep the limits on the angle", f"{angle!r} rad, limits {self.angle} at {question_text}"
+            )
+        if not self.move[0] - COMMAND_TOLERANCE <= move <= self.move[1] + COMMAND_TOLERANCE:
+            self.fail(
+                "a command must keep the limits on the move", f"{move!r} rad, limits {self.move} at {question_text}"
+            )
         self.last = angle
         return angle
 
-    def same(self, commands: list[float], others: list[float], clause: str) -> None:
-        apart = float(np.abs(np.subtract(commands, others)).max())
-        if apart > NEAR:
-            self.fail(clause, f"{commands} against {others} rad")
+    def expect_equal(self, commands: list[float], expected: list[float], clause: str) -> None:
+        difference = float(np.abs(np.subtract(commands, expected)).max())
+        if difference > COMMAND_TOLERANCE:
+            self.fail(clause, f"{commands} against {expected} rad")
 
     def survives(self, question: Question) -> None:
         """A sane step, a broken one, a sane one again."""
@@ -165,24 +176,24 @@ def _drives() -> Iterator[list[Question]]:
     """Sane situations: each a few steps of a drive at one speed, on a straight and through a change of lane."""
     random = np.random.default_rng(0)
     ahead = np.arange(80.0)
-    for speed in SPEEDS:
+    for speed in CHECK_SPEEDS:
         for offset, height in ((0.0, 0.0), (0.3, 0.0), (0.0, 3.5), (-1.0, 3.5)):
             path = height * 0.5 * (1.0 - np.cos(np.pi * np.clip((ahead - 5.0) / 40.0, 0.0, 1.0)))
-            state = random.normal((0.0, 0.0, 0.0, offset), (0.1, 0.02, 0.02, 0.1), (STEPS, 4))
-            yield [(state[k], speed, path[k:]) for k in range(STEPS)]
+            state = random.normal((0.0, 0.0, 0.0, offset), (0.1, 0.02, 0.02, 0.1), (CHECK_STEPS, 4))
+            yield [(state[k], speed, path[k:]) for k in range(CHECK_STEPS)]
 
 
 def _broken() -> Iterator[Question]:
     """One number after the other that no sensor should give."""
-    for bad in BAD:
+    for number in BAD:
         for place in range(4):
             state = np.zeros(4)
-            state[place] = bad
+            state[place] = number
             yield state, 15.0, np.zeros(50)
-        yield np.zeros(4), bad, np.zeros(50)
+        yield np.zeros(4), number, np.zeros(50)
         for place in (0, 1, 49):
             reference = np.zeros(50)
-            reference[place] = bad
+            reference[place] = number
             yield np.zeros(4), 15.0, reference
     yield np.zeros(4), 0.0, np.zeros(50)
     yield np.zeros(4), -3.0, np.zeros(50)

@@ -31,10 +31,10 @@ from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel, PredictionModel
 from adaptrack.core.estimators.learning_method import MAX_HYPOTHESES
 from adaptrack.core.synthesis import informed as kernel
-from adaptrack.core.synthesis.car import KnownWithin
-from adaptrack.core.synthesis.learner import Start
+from adaptrack.core.synthesis.car import KnownWithinRow
+from adaptrack.core.synthesis.learner import LearnerStart
 from adaptrack.core.synthesis.rows import row_of
-from adaptrack.core.synthesis.tuning import HORIZON as HORIZON
+from adaptrack.core.synthesis.tuning import HORIZON_DURATION as HORIZON_DURATION
 from adaptrack.core.synthesis.tuning import tune_informed
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -86,8 +86,8 @@ def _tuning(entries: NDArray[np.float64]) -> Tuning:
     return Tuning(int(Np), int(Nc), Q, R)
 
 
-class Parts(NamedTuple):
-    """What an MPC is made of, in addition to its vehicle, its moves and its solver."""
+class MPCParts(NamedTuple):
+    """The parts of an MPC: tuning, model, estimator, limits and what it learns."""
 
     tuning: Tuning
     model: PredictionModel
@@ -102,29 +102,31 @@ class Parts(NamedTuple):
 
 
 def informed_parts(
-    vehicle: Vehicle, profile: str | Profile | None, given: tuple[GivenSteering, Uncertainty | None, GivenLearning],
+    vehicle: Vehicle, profile: str | Profile | None, knowledge: tuple[GivenSteering, Uncertainty | None, GivenLearning],
     period: float | None, estimator: KalmanFilter | None, preview: bool | None = None, computation: float | None = None,
-) -> Parts:  # fmt: skip
-    """The parts of an MPC that knows its car; arguments as for `MPC`, given: belief, uncertainty and learning.
+) -> MPCParts:  # fmt: skip
+    """The parts of an MPC that knows its car; arguments as for `MPC`, knowledge: belief, uncertainty and learning.
 
     Raises
     ------
     InvalidInput
         For arguments that make no controller.
     """
-    order, world, method, computation_time = order_of(vehicle, profile, given, period, estimator, preview, computation)
+    order, world, method, computation_time = order_of(
+        vehicle, profile, knowledge, period, estimator, preview, computation
+    )
     car, step = vehicle, float(order.world.period)
-    rows = kernel.Parts.new(1)
+    rows = kernel.InformedParts.new(1)
     rows["filter"] = (KalmanFilter() if estimator is None else estimator).row
     parts = rows[0]
-    if wrong := kernel.informed_parts(order, parts):
-        raise InvalidInput(f"MPC: {_WRONG[wrong]}")
+    if flaw := kernel.informed_parts(order, parts):
+        raise InvalidInput(f"MPC: {_WRONG[flaw]}")
     filtering = KalmanFilter.from_row(parts.filter)
     learner = Learner(method, car, filtering, parts.learner) if parts.learns else None
     seconds = 0.0 if method.start is None else method.start.seconds
     belief = belief_of(parts.belief, car, world, computation_time, seconds)
     learns = "" if learner is None else f": {_learned_ranges(learner)}"
-    return Parts(
+    return MPCParts(
         tuning=_tuning(parts.tuning),
         model=PathModel(car if learner is None else learner.car, step, float(parts.lag), float(parts.dead_time)),
         estimator=filtering,
@@ -132,12 +134,12 @@ def informed_parts(
         preview=world.preview,
         belief=belief,
         learner=learner,
-        learns=f"{'learns' if parts.learns else 'does not learn'}, {_learning_reason(order, given[2])}{learns}",
+        learns=f"{'learns' if parts.learns else 'does not learn'}, {_learning_reason(order, knowledge[2])}{learns}",
     )
 
 
 def order_of(
-    vehicle: Vehicle, profile: str | Profile | None, given: tuple[GivenSteering, Uncertainty | None, GivenLearning],
+    vehicle: Vehicle, profile: str | Profile | None, knowledge: tuple[GivenSteering, Uncertainty | None, GivenLearning],
     period: float | None, estimator: KalmanFilter | None, preview: bool | None = None, computation: float | None = None,
 ) -> tuple[Any, Profile, Learning, SourcedValue]:  # fmt: skip
     """A row of `core.synthesis.informed.Order`, its profile, the method of learning, and the computation time (s).
@@ -147,15 +149,15 @@ def order_of(
     car, world = vehicle, load_profile(DEFAULT_PROFILE if profile is None else profile)
     world = world.replace(preview=True) if preview else world  # a reference that is known ahead is tuned for
     step = _check_period(world.period if period is None else period)
-    steering, uncertainty, learning = given
+    steering, uncertainty, learning = knowledge
     if learning is not None:
         _check_same_car(car, learning)
     method = DEFAULT_LEARNING if learning is None or learning == AUTO else learning
-    named = profile is not None and not isinstance(learning, Learning)
-    computation_time = assumed_computation(computation, world, step, named=profile is not None)
+    uses_actuator = profile is not None and not isinstance(learning, Learning)
+    computation_time = assumed_computation(computation, world, step, uses_actuator=profile is not None)
     loop = world.numbers(step)
     loop.computation = computation_time.value
-    order = _order(car, loop, steering_rows(car, steering, world, named), uncertainty, method)
+    order = _order(car, loop, steering_rows(car, steering, world, uses_actuator), uncertainty, method)
     order.learning = kernel.NEVER if learning is None else kernel.UNLESS_SAID if learning == AUTO else kernel.ALWAYS
     order.filter_given = estimator is not None
     return order, world, method, computation_time
@@ -167,11 +169,11 @@ def _order(
     """A row of `core.synthesis.informed.Order`."""
     rows = kernel.Order.new(1, unsure_given=uncertainty is not None)
     rows["car"], rows["world"] = car.numbers, world
-    rows["within"] = row_of(KnownWithin, car.known_within, said=car.known_within is not None)
-    rows["given"], rows["file"], rows["actuator"] = steering
+    rows["within"] = row_of(KnownWithinRow, car.known_within, is_given=car.known_within is not None)
+    rows["caller"], rows["file"], rows["actuator"] = steering
     rows["unsure"] = (uncertainty or Uncertainty()).row
     rows["longest_horizon"], rows["most_moves"] = _MOST
-    rows["method"], rows["start"] = method.row, row_of(Start, method.start)
+    rows["method"], rows["start"] = method.row, row_of(LearnerStart, method.start)
     return rows[0]
 
 
@@ -189,7 +191,7 @@ def _learning_reason(order: Any, learning: GivenLearning) -> str:
     """Why a controller learns or not."""
     if learning != AUTO:
         return "as given"
-    sources = (order.given, order.file, order.actuator)
+    sources = (order.caller, order.file, order.actuator)
     unknown = [name for name in ("lag", "dead_time") if all(math.isnan(steering[name]) for steering in sources)]
     return f"unknown {' and '.join(unknown).replace('_', ' ')}" if unknown else "known lag and dead time"
 
@@ -200,5 +202,5 @@ def _learned_ranges(learner: Learner) -> str:
     factor = math.exp(learner.stiffness)
     first = f"lag {short:.3g} to {long:.3g} s, dead time {soon:.3g} to {late:.3g} s"
     (least, most), (_, latest) = learner.limits
-    more = "" if learner.limits == learner.ranges else f" (not beyond {least:.3g} to {most:.3g} s and {latest:.3g} s)"
-    return f"{first}{more}, stiffness x or / {factor:.3g}"
+    limits = "" if learner.limits == learner.ranges else f" (not beyond {least:.3g} to {most:.3g} s and {latest:.3g} s)"
+    return f"{first}{limits}, stiffness x or / {factor:.3g}"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray
 
 from adaptrack.base.checked import FLOAT, Array, reals
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.road.ahead import RoadAhead
 
 MOST_WHEEL_ANGLE, MOST_CHANGE = 0.5 * np.pi, 1e3
@@ -61,17 +61,17 @@ class KernelInput:
         self._longest = values.size if sizes is None else max(sizes)
         self._parts: dict[Any, Array] = {}
 
-    def take(self, given: Any) -> int:
+    def take(self, numbers: Any) -> int:
         """Copy a row; how many numbers of it are read. Raises as `vector`."""
-        if type(given) is ndarray and given.dtype is FLOAT:
-            part = self._parts.get(given.shape)
+        if type(numbers) is ndarray and numbers.dtype is FLOAT:
+            part = self._parts.get(numbers.shape)
             if part is not None:  # a row of this shape has been checked before
-                part[...] = given
+                part[...] = numbers
                 return len(part)
-            if self._sizes is None and given.ndim == 1 and given.size > self._longest:
-                self.values[...] = given[: self._longest]
+            if self._sizes is None and numbers.ndim == 1 and numbers.size > self._longest:
+                self.values[...] = numbers[: self._longest]
                 return self._longest
-        row = _row(self._name, given, self._sizes, self._longest)
+        row = _row(self._name, numbers, self._sizes, self._longest)
         part = self._parts[row.shape] = self.values[: row.size]
         part[...] = row
         return len(part)
@@ -89,7 +89,7 @@ def number(name: str, value: Any) -> float:
         return value
     row = reals(name, value)
     if row.shape != ():
-        raise InvalidInput(f"{name} = {shown(value)}: must be one number.")
+        raise InvalidInput(f"{name} = {format_value(value)}: must be one number.")
     return float(row)
 
 
@@ -101,10 +101,10 @@ def finite(name: str, value: Any) -> float:
     InvalidInput
         When it is none.
     """
-    given = number(name, value)
-    if not np.isfinite(given):
-        raise InvalidInput(f"{name} = {shown(value)}: must be finite.")
-    return given
+    result = number(name, value)
+    if not np.isfinite(result):
+        raise InvalidInput(f"{name} = {format_value(value)}: must be finite.")
+    return result
 
 
 def wheel_angle(name: str, value: Any) -> float:
@@ -115,10 +115,12 @@ def wheel_angle(name: str, value: Any) -> float:
     InvalidInput
         When it is none.
     """
-    given = finite(name, value)
-    if abs(given) > MOST_WHEEL_ANGLE:
-        raise InvalidInput(f"{name} = {shown(value)} rad: no road wheel turns by more than {MOST_WHEEL_ANGLE:.4g} rad.")
-    return given
+    angle = finite(name, value)
+    if abs(angle) > MOST_WHEEL_ANGLE:
+        raise InvalidInput(
+            f"{name} = {format_value(value)} rad: no road wheel turns by more than {MOST_WHEEL_ANGLE:.4g} rad."
+        )
+    return angle
 
 
 def change_of_path(heading: Any, offset: Any) -> tuple[float, float]:
@@ -131,13 +133,15 @@ def change_of_path(heading: Any, offset: Any) -> tuple[float, float]:
     """
     turned, shifted = finite("change_path: heading", heading), finite("change_path: offset", offset)
     if max(abs(turned), abs(shifted)) >= MOST_CHANGE:
-        said = f"{shown(heading)} rad, {shown(offset)} m"
-        raise InvalidInput(f"change_path: {said}: too far from the path before; reset instead.")
+        change = f"{format_value(heading)} rad, {format_value(offset)} m"
+        raise InvalidInput(f"change_path: {change}: too far from the path before; reset instead.")
     return turned, shifted
 
 
 def road_ahead(value: Any) -> RoadAhead | None:
     """The road ahead of a car, None where it is straight; `InvalidInput` for anything else."""
     if not (value is None or isinstance(value, RoadAhead)):
-        raise InvalidInput(f"road = {shown(value)}: must be RoadAhead(road, station, speeds), or None: straight.")
+        raise InvalidInput(
+            f"road = {format_value(value)}: must be RoadAhead(road, station, speeds), or None: straight."
+        )
     return value

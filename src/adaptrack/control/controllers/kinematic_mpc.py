@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.checked import checked, real, whole
+from adaptrack.base.checked import checked, real, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, VehicleArgument
-from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
+from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.qp import QP
 from adaptrack.core.controllers import kinematic_mpc as kernel
 from adaptrack.scenario.profile import Profile
 
-WEIGHTS = {
+AUTOWARE_WEIGHTS = {
     "lateral_error": 1.0,
     "heading_error": 0.0,
     "heading_error_v2": 0.3,
@@ -33,7 +33,7 @@ WEIGHTS = {
 """As Autoware ships them (`lateral_controller_defaults.param.yaml`); units in `core.controllers.kinematic_mpc`."""
 CUTOFF = 3.0
 """Hz, of the filter on the command, likewise."""
-STAGES, STEP = 50, 0.1
+AUTOWARE_STAGES, AUTOWARE_STAGE_LENGTH = 50, 0.1
 """Stages of the horizon and the length (s) of one, likewise."""
 MOST_STAGES = 100
 
@@ -43,14 +43,14 @@ class KinematicMPC(CompiledController):
 
     The states are the errors of the rear axle and the wheel angle, linearised about the curvature of each stage; the
     measured pose is rolled through the commands on their way. Equations and cost: `core.controllers.kinematic_mpc`;
-    what is Autoware's and what is left out: docs/peers.md. Autoware Universe, *MPC Lateral Controller* and *Model
+    what is Autoware's and what is left out: docs/worth.md. Autoware Universe, *MPC Lateral Controller* and *Model
     predictive control algorithm* (documentation of `autoware_mpc_lateral_controller`); J. M. Snider, *Automatic
     Steering Methods for Autonomous Automobile Path Tracking*, CMU-RI-TR-09-08, 2009, section 2.2.
 
-    weights: by name, see `WEIGHTS`, those not given as Autoware ships them; cutoff: Hz, of the second-order Butterworth
-    filter on the command, 0 for none; stages, step (s): the horizon. profile, belief, computation (s): what it knows of
-    steering, sensors and loop, as for `MPC`; period (s), preview, limits: by default the profile's, and those of the
-    belief. It does not use the lateral velocity or the yaw rate.
+    weights: by name, see `AUTOWARE_WEIGHTS`, those not given as Autoware ships them; cutoff: Hz, of the second-order
+    Butterworth filter on the command, 0 for none; stages, step (s): the horizon. profile, belief, computation (s): what
+    it knows of steering, sensors and loop, as for `MPC`; period (s), preview, limits: by default the profile's, and
+    those of the belief. It does not use the lateral velocity or the yaw rate.
 
     Raises
     ------
@@ -60,10 +60,10 @@ class KinematicMPC(CompiledController):
     """
 
     # of its weights only the ratios to that of the lateral error count
-    tuning_bounds: Mapping[str, Bounds] = {
-        **dict.fromkeys(("lateral_error", "heading_error", "steering_rate", "steering_acceleration"), FIXED),
-        **dict.fromkeys(("heading_error_v2", "steering", "steering_v2", "lateral_jerk"), DECADES),
-        **dict.fromkeys(("terminal_lateral_error", "terminal_heading_error", "cutoff"), FIXED),
+    tuning_bounds: Mapping[str, TuningBounds] = {
+        **dict.fromkeys(("lateral_error", "heading_error", "steering_rate", "steering_acceleration"), FIXED_TUNING),
+        **dict.fromkeys(("heading_error_v2", "steering", "steering_v2", "lateral_jerk"), TWO_DECADES),
+        **dict.fromkeys(("terminal_lateral_error", "terminal_heading_error", "cutoff"), FIXED_TUNING),
     }
 
     @checked
@@ -72,8 +72,8 @@ class KinematicMPC(CompiledController):
         vehicle: VehicleArgument,
         *,
         cutoff: float = CUTOFF,
-        stages: int = STAGES,
-        step: float = STEP,
+        stages: int = AUTOWARE_STAGES,
+        step: float = AUTOWARE_STAGE_LENGTH,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
         computation: float | None = None,
@@ -85,26 +85,26 @@ class KinematicMPC(CompiledController):
         self.vehicle = vehicle
         setup = LoopSetup.of("KinematicMPC", vehicle, profile, belief, period, preview, limits, computation)
         self.belief, self.pose_age = setup.belief, setup.pose_age
-        self.stages = whole("KinematicMPC", "stages", stages)
+        self.stages = whole_number("KinematicMPC", "stages", stages)
         if not 1 <= self.stages <= MOST_STAGES:
             raise InvalidInput(f"KinematicMPC: stages = {stages!r}: must be from 1 to {MOST_STAGES}.")
         self.step_length = real("KinematicMPC", "step", step)
         if not 0.0 < self.step_length < math.inf:
             raise InvalidInput(f"KinematicMPC: step = {step!r} s: must be positive and finite.")
         tuning = {**_all_weights(weights), "cutoff": cutoff}
-        self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
+        self.tuning_names, self.diagnostic_names = kernel.KINEMATIC_TUNING, kernel.KINEMATIC_DIAGNOSTICS
         behind = (self.pose_age + self.belief.delay) / setup.period
         self.memory_size = kernel.memory_size(self.stages, behind)
         super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
 
     def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
         """See `Controller.check_tuning`; one of the weights of the steering must be positive."""
-        found = super().check_tuning(tuning)
-        if not found["steering"] + found["steering_v2"] > 0.0:
+        entries = super().check_tuning(tuning)
+        if not entries["steering"] + entries["steering_v2"] > 0.0:
             raise InvalidInput(
                 "KinematicMPC: steering, steering_v2: one of them must be positive, so that H is definite."
             )
-        return found
+        return entries
 
     @property
     def name(self) -> str:
@@ -115,8 +115,8 @@ class KinematicMPC(CompiledController):
         return kernel.kinematic_mpc
 
     def own_parameters(self) -> Array:
-        car, known = self.vehicle, self.belief
-        head = (car.wheelbase, car.lr, known.lag.value, known.delay, self.pose_age, self.stages, self.step_length)
+        car, belief = self.vehicle, self.belief
+        head = (car.wheelbase, car.lr, belief.lag.value, belief.delay, self.pose_age, self.stages, self.step_length)
         return np.concatenate([head, kernel.limit_rows(self.stages).reshape(-1)])
 
     def problem(
@@ -155,12 +155,12 @@ class KinematicMPC(CompiledController):
     def _changes(self, speeds: Array, before: float, earlier: float) -> list[tuple[Array, Array, Array]]:
         """First and second differences of the inputs over time, D u + d, and their weights: D, d, weights."""
         n, t, h = self.stages, self.tuning, self.step_length
-        each = np.full(n, h)
-        each[0] = self.period  # the first input comes a control period after the last one
-        rate, constant = (np.eye(n) - np.eye(n, k=-1)) / each[:, None], np.zeros(n)
+        durations = np.full(n, h)
+        durations[0] = self.period  # the first input comes a control period after the last one
+        rate, constant = (np.eye(n) - np.eye(n, k=-1)) / durations[:, None], np.zeros(n)
         constant[0] = -before / self.period
-        bend = (rate - np.vstack([np.zeros(n), rate[:-1]])) / each[:, None]
-        bent = (constant - np.concatenate([[(before - earlier) / self.period], constant[:-1]])) / each
+        bend = (rate - np.vstack([np.zeros(n), rate[:-1]])) / durations[:, None]
+        bent = (constant - np.concatenate([[(before - earlier) / self.period], constant[:-1]])) / durations
         weights = np.full(n, t["steering_rate"])
         weights[1:] += t["lateral_jerk"] * speeds[:-1] ** 2
         return [(rate, constant, weights), (bend, bent, np.full(n, t["steering_acceleration"]))]
@@ -207,8 +207,10 @@ def kinematic_model(
     return A, B, w, steady
 
 
-def _all_weights(given: Mapping[str, float]) -> dict[str, float]:
-    unknown = [name for name in given if name not in WEIGHTS]
+def _all_weights(weights: Mapping[str, float]) -> dict[str, float]:
+    unknown = [name for name in weights if name not in AUTOWARE_WEIGHTS]
     if unknown:
-        raise InvalidInput(f"KinematicMPC: {', '.join(unknown)}: no weight of it; known are {', '.join(WEIGHTS)}.")
-    return {**WEIGHTS, **given}
+        raise InvalidInput(
+            f"KinematicMPC: {', '.join(unknown)}: no weight of it; known are {', '.join(AUTOWARE_WEIGHTS)}."
+        )
+    return {**AUTOWARE_WEIGHTS, **weights}

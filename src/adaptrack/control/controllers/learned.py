@@ -19,21 +19,21 @@ from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.settings import RecordSettings
 from adaptrack.core.estimators import learning as kernel
-from adaptrack.core.estimators.learning import Numbers, memory_of
+from adaptrack.core.estimators.learning import LearnerParameters, memory_of
 from adaptrack.core.estimators.learning_method import LearningMethod
 from adaptrack.core.kernel import size_of
 from adaptrack.core.synthesis import learner as synthesis
 
 Array = NDArray[np.float64]
 
-UNKNOWN_CAR, MIDDLE, LEAST_LAG = Uncertainty(*synthesis.UNKNOWN_CAR), synthesis.MIDDLE, synthesis.LEAST_LAG
-"""Default uncertainty of a car; published median of lag and dead time, and the shortest lag (s)."""
+UNKNOWN_CAR = Uncertainty(*synthesis.UNKNOWN_CAR_ROW)
+"""Default uncertainty of a car."""
 
 
 class BeliefState(IntEnum):
     """States of the belief; one at a time, the last that applies (`core.estimators.learning`)."""
 
-    LEARNING = kernel.LEARNING
+    LEARNING = kernel.LEARNING_BELIEF
     """the delay or the stiffness is not yet known well"""
     SETTLED = kernel.SETTLED_BELIEF
     AT_BOUND = kernel.AT_BOUND
@@ -142,12 +142,12 @@ class Ranges(NamedTuple):
 class Learner:
     """`Learning` of a car: the numbers of the compiled learner.
 
-    car: as in its file; sensing: the filter, with its sensors; row: of `core.synthesis.learner.Learner`.
+    car: as in its file; sensing: the filter, with its sensors; row: of `core.synthesis.learner.LearnerRow`.
     """
 
     def __init__(self, learning: Learning, car: Vehicle, sensing: KalmanFilter, row: Any) -> None:
         self.learning, self.sensing = learning, sensing
-        self._row = np.array([row], synthesis.Learner.dtype)
+        self._row = np.array([row], synthesis.LearnerRow.dtype)
         self.period, self.computation = float(row.period), float(row.computation)
         delays = row.lag, row.dead_time
         self.ranges = Ranges(*((float(delay.low), float(delay.high)) for delay in delays))
@@ -155,12 +155,12 @@ class Learner:
         self.limits = Ranges(*((float(delay.least), float(delay.most)) for delay in delays))
         """never left"""
         self.stiffness, self.stiffness_spread = float(row.stiffness), float(row.stiffness_spread)
-        self.longest, self.kept = float(row.longest), int(row.kept)
+        self.longest, self.commands = float(row.longest), int(row.commands)
         self.car = car.replace(lf=float(row.car.lf), lr=float(row.car.lr))
 
     def parameters(self) -> Array:
-        """As `core.estimators.learning.Numbers` has them."""
-        numbers = np.zeros(size_of(Numbers))
+        """As `core.estimators.learning.LearnerParameters` has them."""
+        numbers = np.zeros(size_of(LearnerParameters))
         synthesis.learner_numbers(self._row[0], self.sensing.row, numbers)
         return numbers
 
@@ -194,7 +194,7 @@ class Learner:
             values |= {"stiffness": math.sqrt(front * rear), "balance": front / rear}
         return {**values, "delay": steering.lag + steering.dead_time}
 
-    def again(self, memory: Array) -> Array:
+    def restart_memory(self, memory: Array) -> Array:
         """A memory before the first step of another drive."""
         fresh = memory.copy()
         kernel.begin_again(fresh)
@@ -203,7 +203,7 @@ class Learner:
     def learned(self, memory: Array) -> LearnedCar:
         """The learned car of a memory."""
         m, start = memory_of(memory, 0), self.learning.start
-        names = [name for name in LearnedCar.model_fields if f"belief_{name}" in kernel.BELIEFS]
+        names = [name for name in LearnedCar.model_fields if f"belief_{name}" in kernel.BELIEF_NAMES]
         values: dict[str, Any] = {name: float(m.beliefs[f"belief_{name}"]) for name in names}
         values["dead_time"] = max(values["dead_time"], 0.0)  # less the computation it may round below
         values["at_bound"] = ("", *kernel.QUANTITIES_BOUNDED)[int(m.beliefs.belief_at_bound)]

@@ -13,11 +13,11 @@ from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import (
-    DECADES,
-    FIXED,
+    FIXED_TUNING,
+    TWO_DECADES,
     Array,
-    Bounds,
     CompiledController,
+    TuningBounds,
     steering_delay,
 )
 from adaptrack.control.controllers.limits import LimitsArgument
@@ -25,9 +25,9 @@ from adaptrack.core.controllers import lqr as kernel
 from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.rows import row_of
 
-SPEEDS = np.geomspace(laws.SLOWEST, laws.FASTEST, laws.SPEEDS)
+GAIN_SPEEDS = np.geomspace(laws.MIN_GAIN_SPEED, laws.MAX_GAIN_SPEED, laws.GAIN_SPEED_COUNT)
 """m/s, where gains are computed; between them they are interpolated over log v."""
-WEIGHT_FACTORS = 10.0 ** np.linspace(-laws.DECADES, laws.DECADES, laws.WEIGHTS)
+WEIGHT_FACTORS = 10.0 ** np.linspace(-laws.GAIN_DECADES, laws.GAIN_DECADES, laws.GAIN_WEIGHTS)
 """Of q_e/r and q_heading/r, about the controller's own: where gains are computed for weights that change."""
 _FAR_APART = "LQR: no gain for weights (over r) so far apart: bring q_e, q_heading and r nearer."
 
@@ -50,11 +50,11 @@ class LQR(CompiledController):
 
     # only the ratios to r count; gains are tabulated over two decades to either side of its own
     positive: ClassVar[tuple[str, ...]] = ("q_e", "q_heading", "r")
-    tuning_bounds: Mapping[str, Bounds] = {
-        "q_e": DECADES,
-        "q_heading": DECADES,
-        "r": FIXED,
-        "preview_time": Bounds(0.0, 0.6),
+    tuning_bounds: Mapping[str, TuningBounds] = {
+        "q_e": TWO_DECADES,
+        "q_heading": TWO_DECADES,
+        "r": FIXED_TUNING,
+        "preview_time": TuningBounds(0.0, 0.6),
     }
 
     @checked
@@ -71,7 +71,7 @@ class LQR(CompiledController):
         preview: bool = False,
     ) -> None:
         self.vehicle = vehicle
-        self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
+        self.tuning_names, self.diagnostic_names = kernel.LQR_TUNING, kernel.LQR_DIAGNOSTICS
         self.memory_size = kernel.MEMORY
         tuning = {
             "q_e": q_e,
@@ -137,21 +137,21 @@ def riccati(A: ArrayLike, B: ArrayLike, Q: ArrayLike) -> Array:
     """
     (a, b), q = _models(A, B), np.ascontiguousarray(Q, dtype=float)
     n = b.shape[-1]
-    found, work = np.empty(a.shape), np.empty(7 * n * n)
+    solution, work = np.empty(a.shape), np.empty(7 * n * n)
     with np.errstate(all="ignore"):  # of the interpreted kernel: what overflows is answered by a status
         for i in np.ndindex(b.shape[:-1]):
-            if laws.riccati(a[i], b[i], q[i], found[i], work) == 0:
+            if laws.riccati(a[i], b[i], q[i], solution[i], work) == 0:
                 raise InvalidInput(_FAR_APART)
-    return found
+    return solution
 
 
 def feedback(A: ArrayLike, B: ArrayLike, P: Array) -> Array:
     """The gains (..., n), (1 + B'PB)^-1 B'PA."""
     a, b = _models(A, B)
-    found = np.empty(b.shape)
+    gains = np.empty(b.shape)
     for i in np.ndindex(b.shape[:-1]):
-        laws.lqr_feedback(a[i], b[i], P[i], found[i])
-    return found
+        laws.lqr_feedback(a[i], b[i], P[i], gains[i])
+    return gains
 
 
 def _models(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
@@ -160,8 +160,8 @@ def _models(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=64)
 def _parameters(vehicle: Vehicle, period: float, tuning: tuple[float, ...]) -> Array:
-    """Return the law's parameters that follow `core.controllers.contract.COMMON`."""
-    found = np.zeros(laws.LQR)
-    if laws.lqr_parameters(vehicle.numbers, row_of(laws.Common, period=period), np.array(tuning), found) == 0:
+    """Return the law's parameters that follow `core.controllers.contract.COMMON_PARAMETERS`."""
+    parameters = np.zeros(laws.LQR_NUMBERS)
+    if laws.lqr_parameters(vehicle.numbers, row_of(laws.Common, period=period), np.array(tuning), parameters) == 0:
         raise InvalidInput(_FAR_APART)
-    return found[len(laws.Common._fields) :]
+    return parameters[len(laws.Common._fields) :]

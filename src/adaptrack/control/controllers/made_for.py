@@ -25,8 +25,8 @@ def car_of(part: Any) -> str | None:
     if vehicle.name not in list_vehicles():
         return vehicle.name
     shipped = _shipped(vehicle.name)
-    same = all(getattr(vehicle, key) == getattr(shipped, key) for key in _MODEL)
-    return vehicle.name if same else f"{vehicle.name} with other numbers"
+    is_shipped = all(getattr(vehicle, key) == getattr(shipped, key) for key in _MODEL)
+    return vehicle.name if is_shipped else f"{vehicle.name} with other numbers"
 
 
 @cache
@@ -34,27 +34,29 @@ def _shipped(name: str) -> Vehicle:
     return load_vehicle(name)
 
 
-def mismatches(made_for: Any, model: str, car: str | None, profile: str | None, driven: str | None = None) -> list[str]:
+def mismatches(
+    made_for: Any, model: str, car: str | None, profile: str | None, plant_car: str | None = None
+) -> list[str]:
     """A sentence with its remedy for each of controller, car and profile that is another than the file names.
 
     made_for: of a schedule, see `scheduling.files.made_for`; what it does not tell is not compared. model:
-    `MPC.kind_of_model`; car, profile: their names (`car_of`), None where they are not known; driven: the car of the
+    `MPC.kind_of_model`; car, profile: their names (`car_of`), None where they are not known; plant_car: the car of the
     plant, where it is known.
     """
-    named = made_for if isinstance(made_for, Mapping) else {}
-    expected, found = _model_of(named), []
+    names = made_for if isinstance(made_for, Mapping) else {}
+    expected, sentences = _model_of(names), []
     if expected not in (None, model):
         published = "use it with the published MPC (`adaptrack paper evaluate`, in Python published_mpc(...))"
         remedy = published if expected == INCREMENTAL else "learn it on this one"
-        found.append(f"tunes an MPC whose model is {model!r}, not {expected!r}, for which it was made: {remedy}")
-    cars = dict.fromkeys(each for each in (car, driven) if each is not None)
-    for what, here in (*(("car", each) for each in cars), ("profile", profile)):
-        if here is not None and named.get(what) not in (None, here):
-            found.append(
-                f"was made for the {what} {named[what]!r}, not {here!r}: leave it out, or make one for it "
+        sentences.append(f"tunes an MPC whose model is {model!r}, not {expected!r}, for which it was made: {remedy}")
+    cars = dict.fromkeys(name for name in (car, plant_car) if name is not None)
+    for kind, actual in (*(("car", name) for name in cars), ("profile", profile)):
+        if actual is not None and names.get(kind) not in (None, actual):
+            sentences.append(
+                f"was made for the {kind} {names[kind]!r}, not {actual!r}: leave it out, or make one for it "
                 "(`adaptrack paper adapt`)"
             )
-    return found
+    return sentences
 
 
 def is_for_published(made_for: Any) -> bool:
@@ -64,5 +66,5 @@ def is_for_published(made_for: Any) -> bool:
 
 def _model_of(made_for: Any) -> Any:
     """Return the file's entry for the tuned model, whatever its type."""
-    named = made_for.get("controller") if isinstance(made_for, Mapping) else None
-    return named.get("model") if isinstance(named, Mapping) else None
+    controller = made_for.get("controller") if isinstance(made_for, Mapping) else None
+    return controller.get("model") if isinstance(controller, Mapping) else None

@@ -24,7 +24,7 @@ from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import MOST_COMPUTATION, GivenSteering, Uncertainty
-from adaptrack.control.controllers.informed import AUTO, Parts, informed_parts
+from adaptrack.control.controllers.informed import AUTO, MPCParts, informed_parts
 from adaptrack.control.controllers.inputs import KernelInput, change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.learned import BeliefState, LearnedCar, Learning, bounded_quantity
 from adaptrack.control.controllers.limits import Limits, LimitsArgument, Moves
@@ -37,13 +37,13 @@ from adaptrack.control.qp import QP, QPSolver, QPStatus, get_qp_solver
 from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.control.qp.hildreth import Hildreth
 from adaptrack.core.controllers import mpc as kernel
-from adaptrack.core.controllers.mpc_step import Step, form_qp, step
+from adaptrack.core.controllers.mpc_step import MPCStep, form_qp, step
 from adaptrack.core.controllers.receding import apply_move, predict_outputs
-from adaptrack.core.estimators.learning import BELIEF, BELIEFS, memory_of
+from adaptrack.core.estimators.learning import BELIEF_COLUMNS, BELIEF_NAMES, memory_of
 from adaptrack.core.guard import COUNTS
 from adaptrack.core.kernel import Resident, direct
 from adaptrack.core.schedule_step import schedule_step
-from adaptrack.core.variables import NAMES
+from adaptrack.core.variables import VARIABLE_NAMES
 from adaptrack.road.ahead import RoadAhead
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -53,10 +53,10 @@ _STATUSES = {float(status): status for status in QPStatus}
 _AT_LIMIT = {float(sum_of): sum_of for sum_of in range(8)}
 """`MPCCommand.status` and `MPCCommand.at_limit` by what a kernel answers"""
 _ANSWER = 12
-"""Numbers of `core.controllers.mpc.ANSWER`; what is learned follows."""
+"""Numbers of `core.controllers.mpc.MPC_ANSWER`; what is learned follows."""
 _DIAGNOSTICS = ("qp_status", "qp_iterations", "qp_residual", "at_limit", "dead_reckoning")
 _STATE_SIZES = (4, 5, 6, 7, 8, 9)
-"""with or without wheel angle, lateral acceleration, ages and the path's turn (`core.models.contract.MEASURED`)"""
+"""with or without wheel angle, lateral acceleration, ages and the path's turn (`core.models.contract.MEASUREMENT`)"""
 _NOT_CARRIED = (
     "_lock", "_measured", "_answer", "_learned", "_state", "_reference", "_now", "_resident", "_resident_plan", "_step",
     "_schedule_step", "functions",
@@ -113,33 +113,35 @@ class MPCCommand(NamedTuple):
     dead_reckoning: float = 0.0
     """s, for which no position has been taken in: the command rests on the estimate; 0 where the state is measured"""
     learned: tuple[float, ...] = ()
-    """Learned quantities, in the order of `core.estimators.learning.BELIEFS`."""
+    """Learned quantities, in the order of `core.estimators.learning.BELIEF_NAMES`."""
 
     @property
     def diagnostics(self) -> tuple[float, ...]:
         """In the order of `MPC.diagnostic_names`."""
-        own = float(self.status), float(self.iterations), self.residual, float(self.at_limit), self.dead_reckoning
-        return (*own, *self.learned)
+        figures = float(self.status), float(self.iterations), self.residual, float(self.at_limit), self.dead_reckoning
+        return (*figures, *self.learned)
 
     @property
     def belief_state(self) -> BeliefState | None:
         """How far what is learned can be trusted; None where nothing is."""
-        return BeliefState(int(self.learned[BELIEF.belief_state])) if self.learned else None
+        return BeliefState(int(self.learned[BELIEF_COLUMNS.belief_state])) if self.learned else None
 
     @property
     def belief_at_bound(self) -> str | None:
         """The quantity whose belief is at the end of its range, as `QUANTITIES_BOUNDED` names it; None: none."""
-        return bounded_quantity(self.learned[BELIEF.belief_at_bound]) if self.learned else None
+        return bounded_quantity(self.learned[BELIEF_COLUMNS.belief_at_bound]) if self.learned else None
 
 
 def _given_parts(
     vehicle: Vehicle, model: PredictionModel | None, estimator: Estimator | None, period: float | None
-) -> Parts:
+) -> MPCParts:
     """A model or an estimator of the caller's, the rest as in the paper."""
-    own = SingleTrackModel(vehicle, 0.1 if period is None else period) if model is None else model
-    if period not in (None, own.period):
-        raise InvalidInput(f"MPC: period = {period!r} s, but the model's is {own.period!r} s: give both alike.")
-    return Parts(Tuning(), own, Deadbeat() if estimator is None else estimator, Limits(), preview=False)
+    prediction_model = SingleTrackModel(vehicle, 0.1 if period is None else period) if model is None else model
+    if period not in (None, prediction_model.period):
+        raise InvalidInput(
+            f"MPC: period = {period!r} s, but the model's is {prediction_model.period!r} s: give both alike."
+        )
+    return MPCParts(Tuning(), prediction_model, Deadbeat() if estimator is None else estimator, Limits(), preview=False)
 
 
 class MPC(Controller):
@@ -262,7 +264,7 @@ class MPC(Controller):
         """Names of the diagnostics of a step: of the QP and of the learned quantities."""
         if self.learner is None:
             return _DIAGNOSTICS
-        return (*_DIAGNOSTICS, *BELIEFS)
+        return (*_DIAGNOSTICS, *BELIEF_NAMES)
 
     @property
     def first_caution(self) -> float:
@@ -310,21 +312,21 @@ class MPC(Controller):
     def __repr__(self) -> str:
         car, tuning = getattr(self.model, "vehicle", None), self.tuning
         numbers = f"{tuning.Np}/{tuning.Nc}/{tuning.Q:g}/{tuning.R:g}"
-        known = f"; {self.learns}; steering: {self.belief}" if self.belief is not None else ""
-        return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{known}>"
+        belief = f"; {self.learns}; steering: {self.belief}" if self.belief is not None else ""
+        return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{belief}>"
 
     @property
-    def in_kernel(self) -> bool:
+    def runs_in_kernel(self) -> bool:
         """Whether the kernels solve the QP, rather than a back-end called from Python."""
         return isinstance(self.solver, ActiveSet | Hildreth)
 
     def settings(self, longest: float = math.inf, most: float = math.inf, residuals: bool = True) -> Any:
-        """Everything but model and tuning as the kernels expect it (`core.controllers.mpc.Settings`).
+        """Everything but model and tuning as the kernels expect it (`core.controllers.mpc.MPCSettings`).
 
         longest, most: horizons for which a smaller workspace is enough; residuals: whether each step computes its KKT
         residual.
         """
-        solver, sweeps, tolerance = kernel.ACTIVE_SET, 1, 0.0
+        solver, sweeps, tolerance = kernel.EXACT_ONLY, 1, 0.0
         if isinstance(self.solver, Hildreth):
             solver = {
                 "exact": kernel.HILDRETH_THEN_EXACT,
@@ -374,17 +376,17 @@ class MPC(Controller):
         )  # fmt: skip
 
     def _turning(self) -> Array:
-        """Rows that compute the moves on a curved road, `core.controllers.feed_forward.Turning`; or (0,)."""
-        known = self.model.turning()
-        return np.concatenate([known, self.estimator.tyres]) if known.size else known
+        """Rows that compute the moves on a curved road, `core.controllers.feed_forward.TurnIn`; or (0,)."""
+        parameters = self.model.turning()
+        return np.concatenate([parameters, self.estimator.tyres]) if parameters.size else parameters
 
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""
         self._mpc = self.batch(1, self.settings())
         self._requested = self.tuning.as_array()
         self._plan = self.scheduler.plan(1) if isinstance(self.scheduler, CompiledScheduler) else None
-        self._names = NAMES
-        self._variables = np.zeros(len(NAMES))
+        self._names = VARIABLE_NAMES
+        self._variables = np.zeros(len(VARIABLE_NAMES))
         self._speed, self._without_speed = math.nan, 0
         self._raised = 0
         self._load()
@@ -397,18 +399,18 @@ class MPC(Controller):
         """See `Controller.with_tuning`; the horizons are rounded, and a scheduler has nothing to say any more."""
         entries = self._entries(tuning)
         constant = Tuning(round(entries["Np"]), round(entries["Nc"]), entries["Q"], entries["R"])
-        made = copy.copy(self)
-        made.scheduler, made.tuning = None, constant
-        made._set_sizes(max(self.longest_horizon, constant.Np), max(self.most_moves, constant.Nc))
-        made.reset()
-        return made
+        controller = copy.copy(self)
+        controller.scheduler, controller.tuning = None, constant
+        controller._set_sizes(max(self.longest_horizon, constant.Np), max(self.most_moves, constant.Nc))
+        controller.reset()
+        return controller
 
     def restart(self) -> None:
         """Forget the past, but not what has been learned of the car: for another drive of it."""
         before = self._mpc.informed.learned
         self.reset()
         if self.learner is not None:
-            self._mpc.informed.learned[:] = self.learner.again(before[0])
+            self._mpc.informed.learned[:] = self.learner.restart_memory(before[0])
 
     def _load(self) -> None:
         """Restore the parts that a copy lacks: the lock, addresses, compiled functions."""
@@ -418,7 +420,7 @@ class MPC(Controller):
         self._state = KernelInput("state", self._measured, _STATE_SIZES)
         self._known = 0  # of the state, in the last step
         self._reference = KernelInput("reference", np.zeros(self._furthest))
-        self._now: Any = np.zeros(2).data  # `core.controllers.mpc_step.NOW`
+        self._now: Any = np.zeros(2).data  # `core.controllers.mpc_step.STEP_INPUT`
         self._curved = bool(self._mpc.settings.curved)
         self._resident = Resident(self._mpc)
         self._resident_plan = None if self._plan is None else Resident(self._plan)
@@ -448,11 +450,11 @@ class MPC(Controller):
 
     def warn_of(self, scheduler: Any, profile: str | None = None, plant: Any = None) -> None:
         """Log what a scheduler was made for and does not find here, each once per controller."""
-        for each in self.mismatches(scheduler, profile, plant):
-            said = f"scheduler {getattr(scheduler, 'name', '')!r} {each}"
-            if said not in self._said:
-                self._said.add(said)
-                _log.warning("adaptrack: %s.", said)
+        for mismatch in self.mismatches(scheduler, profile, plant):
+            sentence = f"scheduler {getattr(scheduler, 'name', '')!r} {mismatch}"
+            if sentence not in self._said:
+                self._said.add(sentence)
+                _log.warning("adaptrack: %s.", sentence)
 
     @property
     def kind_of_model(self) -> str:
@@ -570,9 +572,9 @@ class MPC(Controller):
 
     def _compiled_step(self) -> Callable[[], None]:
         """The step behind the arguments, compiled on first use."""
-        if self.in_kernel:
-            given = Step(self._mpc, self.functions, np.asarray(self._now), self._reference.values, self._requested)
-            self._step = direct(step, given)
+        if self.runs_in_kernel:
+            record = MPCStep(self._mpc, self.functions, np.asarray(self._now), self._reference.values, self._requested)
+            self._step = direct(step, record)
         else:
             self._step = self._step_through
         return self._step
@@ -596,10 +598,10 @@ class MPC(Controller):
 
     def solved_problem(self) -> tuple[QP, Array]:
         """The QP of the last step, which was solved at a speed above standstill, and its solution x (n,)."""
-        own, ws = self._mpc.memory[0], self._mpc.ws
+        memory, ws = self._mpc.memory[0], self._mpc.ws
         limited = any(map(math.isfinite, self.limits.output))
-        n = int(own.planned) + limited
-        qp = self._qp(n, 4 * int(own.Nc) + (2 * int(own.Np) if limited else 0))
+        n = int(memory.planned) + limited
+        qp = self._qp(n, 4 * int(memory.Nc) + (2 * int(memory.Np) if limited else 0))
         return qp, ws.solution[:n].copy()
 
     def _twin(self) -> Self:
@@ -622,18 +624,18 @@ class MPC(Controller):
         road: RoadAhead | None,
     ) -> None:
         """Take in what a step is given; the reference and the speed as the kernels want them."""
-        known, now = self._state.take(state), self._now
-        now[1] = self._reference.take(reference)
+        n_states, inputs = self._state.take(state), self._now
+        inputs[1] = self._reference.take(reference)
         if type(speed) is not float:
             speed = number("speed", speed)
         if isfinite(speed):
             self._speed, self._without_speed = speed, 0
         else:
             speed = self._last_speed()
-        now[0] = speed
-        if known != self._known:
-            self._measured[known:] = NOTHING_MEASURED[known:]
-            self._known = known
+        inputs[0] = speed
+        if n_states != self._known:
+            self._measured[n_states:] = NOTHING_MEASURED[n_states:]
+            self._known = n_states
         if road is not None or self._curved:
             self._look_along(road_ahead(road), speed)
         if self.scheduler is not None:
@@ -661,13 +663,13 @@ class MPC(Controller):
         if self._resident_plan is None:
             self._ask(variables)
             return
-        given, own = self._given(variables), self._variables
-        if given.size < own.size:
-            own[given.size :] = 0.0
-        own[: given.size] = given
-        self._schedule_step(own, self._resident_plan, self._requested)
+        numbers, values = self._variable_numbers(variables), self._variables
+        if numbers.size < values.size:
+            values[numbers.size :] = 0.0
+        values[: numbers.size] = numbers
+        self._schedule_step(values, self._resident_plan, self._requested)
 
-    def _given(self, variables: Sequence[float]) -> Array:
+    def _variable_numbers(self, variables: Sequence[float]) -> Array:
         """The variables as numbers; the last three may be left out."""
         count = self._variables.size
         try:
@@ -701,8 +703,8 @@ class MPC(Controller):
     def _form(self) -> tuple[int, int, int]:
         speed, count = self._now.tolist()
         ahead = self._reference.values[: int(count)]
-        found: tuple[int, int, int] = form_qp(0, speed, ahead, self._requested, self._resident, self.functions)
-        return found
+        sizes: tuple[int, int, int] = form_qp(0, speed, ahead, self._requested, self._resident, self.functions)
+        return sizes
 
     def _qp(self, n: int, m: int) -> QP:
         ws = self._mpc.ws
@@ -728,13 +730,13 @@ class MPC(Controller):
         apply_move(0, int(status), iterations, n, m, self._resident)
 
     def _command(self) -> MPCCommand:
-        angle, move, held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned = self._answer.tolist()
+        angle, move, is_held, Np, Nc, Q, R, status, iterations, residual, at_limit, reckoned = self._answer.tolist()
         learned = () if self.learner is None else tuple(self._learned.tolist())
-        made = (
-            angle, move, held > 0.5, (Np, Nc, Q, R), _STATUSES[status], int(iterations), residual, _AT_LIMIT[at_limit],
-            reckoned, learned,
+        fields = (
+            angle, move, is_held > 0.5, (Np, Nc, Q, R), _STATUSES[status], int(iterations), residual,
+            _AT_LIMIT[at_limit], reckoned, learned,
         )  # fmt: skip
-        return _new(MPCCommand, made)
+        return _new(MPCCommand, fields)
 
     def describe(self) -> dict[str, Any]:
         """The controller's configuration, for provenance."""

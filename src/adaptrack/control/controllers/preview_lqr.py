@@ -13,15 +13,15 @@ from numpy.typing import ArrayLike
 from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle, VehicleArgument
-from adaptrack.control.controllers.base import DECADES, FIXED, Array, Bounds, CompiledController
+from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
-from adaptrack.control.controllers.lqr import SPEEDS, WEIGHT_FACTORS, feedback, riccati
+from adaptrack.control.controllers.lqr import GAIN_SPEEDS, WEIGHT_FACTORS, feedback, riccati
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.models import PathModel
 from adaptrack.core.controllers import preview_lqr as kernel
 from adaptrack.scenario.profile import Profile
 
-PREVIEW = 3.0
+CURVATURE_PREVIEW = 3.0
 """s, how far ahead of the end of the dead time the curvature counts."""
 
 
@@ -45,10 +45,10 @@ class PreviewLQR(CompiledController):
     """
 
     positive: ClassVar[tuple[str, ...]] = ("q_e", "q_heading", "r")
-    tuning_bounds: Mapping[str, Bounds] = {
-        "q_e": DECADES,
-        "q_heading": DECADES,
-        "r": FIXED,
+    tuning_bounds: Mapping[str, TuningBounds] = {
+        "q_e": TWO_DECADES,
+        "q_heading": TWO_DECADES,
+        "r": FIXED_TUNING,
     }  # only the ratios to r count
 
     @checked
@@ -59,7 +59,7 @@ class PreviewLQR(CompiledController):
         q_e: float = 1.0,
         q_heading: float = 100.0,
         r: float = 100.0,
-        ahead: float = PREVIEW,
+        ahead: float = CURVATURE_PREVIEW,
         profile: str | Profile | None = None,
         belief: Steering | None = None,
         computation: float | None = None,
@@ -73,7 +73,7 @@ class PreviewLQR(CompiledController):
         if not setup.period <= real("PreviewLQR", "ahead", ahead) <= 10.0:
             raise InvalidInput(f"PreviewLQR: ahead = {ahead!r} s: must be from a control period to 10.")
         self.previewed = round(ahead / setup.period)
-        self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
+        self.tuning_names, self.diagnostic_names = kernel.PREVIEW_TUNING, kernel.PREVIEW_DIAGNOSTICS
         self._model = PathModel(vehicle, setup.period, self.belief.lag.value)
         behind = self.belief.delay / setup.period
         self.memory_size = kernel.memory_size(self._model.n, self.previewed, behind)
@@ -89,12 +89,13 @@ class PreviewLQR(CompiledController):
         return kernel.preview_lqr
 
     def own_parameters(self) -> Array:
-        car, t, known = self.vehicle, self.tuning, self.belief
+        car, t, belief = self.vehicle, self.tuning, self.belief
         e, heading, steps = t["q_e"] / t["r"], t["q_heading"] / t["r"], np.log(WEIGHT_FACTORS)
         head = (
             car.wheelbase, car.lr, car.understeer_gradient,
-            car.mass * car.lf / (2.0 * car.stiffness_rear * car.wheelbase), known.lag.value, known.delay, self.pose_age,
-            self.previewed, math.log(SPEEDS[0]), math.log(SPEEDS[-1] / SPEEDS[0]) / (len(SPEEDS) - 1), len(SPEEDS),
+            car.mass * car.lf / (2.0 * car.stiffness_rear * car.wheelbase),
+            belief.lag.value, belief.delay, self.pose_age, self.previewed, math.log(GAIN_SPEEDS[0]),
+            math.log(GAIN_SPEEDS[-1] / GAIN_SPEEDS[0]) / (len(GAIN_SPEEDS) - 1), len(GAIN_SPEEDS),
             math.log(e) + steps[0], math.log(heading) + steps[0], steps[1] - steps[0], len(steps),
         )  # fmt: skip
         grid = _grid(self._model, self.previewed, e, heading)
@@ -139,23 +140,23 @@ def preview_gains(A: Array, B: Array, X: Array, q_e: ArrayLike, q_heading: Array
     P = riccati(A, B, Q)
     K = feedback(A, B, P)
     closed = A - B[..., :, None] * K[..., None, :]
-    found = np.empty((*K.shape[:-1], K.shape[-1] + count))
-    found[..., : K.shape[-1]] = -K
-    whole = 1.0 + np.einsum("...i,...ij,...j->...", B, P, B)
+    gains = np.empty((*K.shape[:-1], K.shape[-1] + count))
+    gains[..., : K.shape[-1]] = -K
+    denominator = 1.0 + np.einsum("...i,...ij,...j->...", B, P, B)
     later = np.einsum("...ij,...j->...i", P, X)
     for j in range(count):
-        found[..., K.shape[-1] + j] = np.einsum("...i,...i->...", B, later) / whole
+        gains[..., K.shape[-1] + j] = np.einsum("...i,...i->...", B, later) / denominator
         later = np.einsum("...ji,...j->...i", closed, later)
-    return found
+    return gains
 
 
 @lru_cache(maxsize=64)
 def _grid(model: PathModel, previewed: int, q_e: float, q_heading: float) -> Array:
     """Gains (speeds, weights, weights, n + previewed)."""
     k, n = len(WEIGHT_FACTORS), model.n
-    found = [model.discrete(speed) for speed in SPEEDS]
-    turns = [steady_turn(model.vehicle, speed, n)[0] for speed in SPEEDS]
-    A = np.broadcast_to(np.array([A for A, _, _ in found])[:, None, None], (len(SPEEDS), k, k, n, n))
-    B = np.broadcast_to(np.array([B[:, 0] for _, B, _ in found])[:, None, None], (len(SPEEDS), k, k, n))
+    models = [model.discrete(speed) for speed in GAIN_SPEEDS]
+    turns = [steady_turn(model.vehicle, speed, n)[0] for speed in GAIN_SPEEDS]
+    A = np.broadcast_to(np.array([A for A, _, _ in models])[:, None, None], (len(GAIN_SPEEDS), k, k, n, n))
+    B = np.broadcast_to(np.array([B[:, 0] for _, B, _ in models])[:, None, None], (len(GAIN_SPEEDS), k, k, n))
     X = np.broadcast_to(np.array(turns)[:, None, None], B.shape)
     return preview_gains(A, B, X, q_e * WEIGHT_FACTORS[:, None], q_heading * WEIGHT_FACTORS, previewed)

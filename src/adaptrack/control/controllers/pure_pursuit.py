@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from adaptrack.base.checked import Hint, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import VehicleArgument
-from adaptrack.control.controllers.base import Array, Bounds, CompiledController
+from adaptrack.control.controllers.base import Array, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.core.controllers import pure_pursuit as kernel
 from adaptrack.core.synthesis import laws
@@ -27,7 +27,10 @@ class PurePursuit(CompiledController):
     Arguments: see `CompiledController`.
     """
 
-    tuning_bounds: Mapping[str, Bounds] = {"lookahead_time": Bounds(0.1, 1.5), "lookahead_min": Bounds(1.0, 10.0)}
+    tuning_bounds: Mapping[str, TuningBounds] = {
+        "lookahead_time": TuningBounds(0.1, 1.5),
+        "lookahead_min": TuningBounds(1.0, 10.0),
+    }
 
     @checked
     def __init__(
@@ -41,7 +44,7 @@ class PurePursuit(CompiledController):
         preview: bool = False,
     ) -> None:
         self.vehicle = vehicle
-        self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
+        self.tuning_names, self.diagnostic_names = kernel.PURSUIT_TUNING, kernel.PURSUIT_DIAGNOSTICS
         self.memory_size = kernel.MEMORY
         tuning = {"lookahead_time": lookahead_time, "lookahead_min": lookahead_min}
         super().__init__(tuning, period=period, limits=limits, preview=preview)

@@ -35,10 +35,10 @@ class About:
 
 _SHIPPED: dict[str, tuple[str, About]] = {
     "informed": ("control.controllers.mpc:MPC", About("MPC that knows its car", ours=True)),
-    "informed-learning": ("control.variants:learning", About("the same, learning while it drives", ours=True)),
+    "informed-learning": ("control.variants:learning", About("informed MPC, learning while it drives", ours=True)),
     "informed-from-sheet": (
         "control.variants:learning_from_sheet",
-        About("the same, with nothing known but mass and wheelbase, learning while it drives", ours=True),
+        About("informed MPC from mass and wheelbase, learning while it drives", ours=True),
     ),
     "as-written": ("control.controllers.published:published_mpc", About("MPC of the paper, as written")),
     "as-released": (
@@ -51,7 +51,7 @@ _SHIPPED: dict[str, tuple[str, About]] = {
         "control.variants:published",
         About("MPC of the paper, with its best constant on drives", tunable=False),
     ),
-    "published, road-nn": ("control.variants:published_nn", About("the same, scheduled by networks", tunable=False)),
+    "published-nn": ("control.variants:published_nn", About("published MPC, scheduled by networks", tunable=False)),
     "pure-pursuit": ("control.controllers.pure_pursuit:PurePursuit", About("pure pursuit")),
     "stanley": ("control.controllers.stanley:Stanley", About("Stanley, with dead time")),
     "lqr": ("control.controllers.lqr:LQR", About("LQR with curvature feed-forward")),
@@ -61,7 +61,7 @@ _SHIPPED: dict[str, tuple[str, About]] = {
         About("kinematic MPC with lag and dead time, Autoware's formulation"),
     ),
 }
-_about: dict[str, About] = {name: about for name, (_, about) in _SHIPPED.items()}
+_descriptions: dict[str, About] = {name: description for name, (_, description) in _SHIPPED.items()}
 _registry: Registry[Controller] = Registry(
     "controller", "register_controller", {name: f"adaptrack.{place}" for name, (place, _) in _SHIPPED.items()},
     ("vehicle",),
@@ -83,7 +83,7 @@ def register_controller(name: str, factory: Factory | str, *, words: str = "", c
         For a name that is taken or empty, or a factory that takes no vehicle.
     """
     _registry.add(name, factory)
-    _about[name] = About(words) if compiled else About(words, compiled=False, step_time=SLOW_STEP)
+    _descriptions[name] = About(words) if compiled else About(words, compiled=False, step_time=SLOW_STEP)
 
 
 @checked
@@ -106,13 +106,13 @@ def get_controller(
         When no controller has this name; the message holds the nearest that is known.
     """
     factory = _registry.factory(name)
-    taken = inspect.signature(factory).parameters
-    if profile is not None and "profile" in taken:
+    parameters = inspect.signature(factory).parameters
+    if profile is not None and "profile" in parameters:
         options["profile"] = profile
-    anything = any(each.kind is each.VAR_KEYWORD for each in taken.values())
+    anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
     values = {key: value for key, value in (offered or {}).items() if value is not None}
-    more = {key: value for key, value in values.items() if key in taken or anything}
-    return factory(vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle), **more, **options)
+    arguments = {key: value for key, value in values.items() if key in parameters or anything}
+    return factory(vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle), **arguments, **options)
 
 
 def about_controller(name: str) -> About:
@@ -123,8 +123,8 @@ def about_controller(name: str) -> About:
     UnknownName
         When no controller has this name; the message holds the nearest that is known.
     """
-    _registry.known(name)
-    return _about[name]
+    _registry.check_name(name)
+    return _descriptions[name]
 
 
 def list_controllers() -> list[str]:

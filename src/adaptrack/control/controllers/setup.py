@@ -32,8 +32,8 @@ def world_and_belief(
     seconds = None if computation is None else real(where, "computation", computation)
     if seconds is not None and not 0.0 <= seconds <= MOST_COMPUTATION:
         raise InvalidInput(f"{where}: computation = {seconds!r} s: must be from 0 to {MOST_COMPUTATION:g}.")
-    computation_time = assumed_computation(seconds, world, step, named=profile is not None)
-    return world, step, belief_about_steering(car, belief, world, computation_time, named=profile is not None)
+    computation_time = assumed_computation(seconds, world, step, uses_actuator=profile is not None)
+    return world, step, belief_about_steering(car, belief, world, computation_time, uses_actuator=profile is not None)
 
 
 class LoopSetup(NamedTuple):
@@ -61,11 +61,11 @@ class LoopSetup(NamedTuple):
         InvalidInput
             For a belief that is no `Steering`, or a period or computation time out of range.
         """
-        world, step, known = world_and_belief(where, vehicle, profile, belief, period, computation)
+        world, step, assumed = world_and_belief(where, vehicle, profile, belief, period, computation)
         return cls(
-            belief=known,
+            belief=assumed,
             pose_age=world.pose_age if profile is not None else 0.0,
             period=step,
             preview=world.preview if preview is None else bool(preview),
-            limits=known.bounds(step) if limits is None else limits,
+            limits=assumed.bounds(step) if limits is None else limits,
         )

@@ -7,7 +7,7 @@ from typing import Any
 
 from adaptrack.base.checked import checked
 from adaptrack.cars.vehicle import VehicleArgument
-from adaptrack.control.controllers.base import Array, Bounds, CompiledController, steering_delay
+from adaptrack.control.controllers.base import Array, CompiledController, TuningBounds, steering_delay
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.core.controllers import stanley as kernel
 from adaptrack.core.synthesis import laws
@@ -30,11 +30,11 @@ class Stanley(CompiledController):
     (0.2 s where nothing is known); the rest: see `CompiledController`.
     """
 
-    tuning_bounds: Mapping[str, Bounds] = {
-        "gain": Bounds(0.1, 10.0, relative=True),
-        "softening": Bounds(0.1, 10.0, relative=True),
-        "yaw_rate_gain": Bounds(0.0, 0.3),
-        "dead_time": Bounds(0.0, 0.6),
+    tuning_bounds: Mapping[str, TuningBounds] = {
+        "gain": TuningBounds(0.1, 10.0, relative=True),
+        "softening": TuningBounds(0.1, 10.0, relative=True),
+        "yaw_rate_gain": TuningBounds(0.0, 0.3),
+        "dead_time": TuningBounds(0.0, 0.6),
     }
 
     @checked
@@ -51,7 +51,7 @@ class Stanley(CompiledController):
         preview: bool = False,
     ) -> None:
         self.vehicle = vehicle
-        self.tuning_names, self.diagnostic_names = kernel.TUNING, kernel.DIAGNOSTICS
+        self.tuning_names, self.diagnostic_names = kernel.STANLEY_TUNING, kernel.STANLEY_DIAGNOSTICS
         self.memory_size = kernel.MEMORY
         tuning = {
             "gain": gain,

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import real, whole
+from adaptrack.base.checked import real, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
-from adaptrack.core.synthesis.tuning import TABLE
+from adaptrack.core.synthesis.tuning import PAPER_TUNING
 
 Array = NDArray[np.float64]
 
@@ -31,18 +31,18 @@ class Tuning:
         Unless 1 <= Nc <= Np are integers, Q >= 0 and R > 0 are finite.
     """
 
-    Np: int = TABLE.Np
+    Np: int = PAPER_TUNING.Np
     """prediction horizon (control periods)"""
-    Nc: int = TABLE.Nc
+    Nc: int = PAPER_TUNING.Nc
     """control horizon (control periods)"""
-    Q: float = TABLE.Q
+    Q: float = PAPER_TUNING.Q
     """1/m^2, weight of the tracking error"""
-    R: float = TABLE.R
+    R: float = PAPER_TUNING.R
     """1/rad^2, weight of the moves; only R/Q changes the control law"""
 
     def __post_init__(self) -> None:
         for name in ("Np", "Nc"):
-            object.__setattr__(self, name, whole("Tuning", name, getattr(self, name)))
+            object.__setattr__(self, name, whole_number("Tuning", name, getattr(self, name)))
         for name in ("Q", "R"):
             object.__setattr__(self, name, real("Tuning", name, getattr(self, name)))
         check_limit("Tuning: Np", self.Np, PREDICTION_HORIZON)
@@ -67,9 +67,9 @@ def read_tuning(answer: Any, entries: Sequence[str] = ENTRIES) -> tuple[float, .
     InvalidInput
         When the answer is anything else: None, text, too few or too many numbers, NaN, infinity.
     """
-    given = answer.as_array() if hasattr(answer, "as_array") else answer
+    entry_values = answer.as_array() if hasattr(answer, "as_array") else answer
     try:
-        values = tuple(given)
+        values = tuple(entry_values)
     except TypeError:
         values = ()
     if len(values) != len(entries):

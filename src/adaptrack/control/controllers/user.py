@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, final
 
-from adaptrack.base.checked import checked, real, whole
+from adaptrack.base.checked import checked, real, whole_number
 from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.control.controllers.base import DECADES, Bounds, CompiledController
+from adaptrack.control.controllers.base import TWO_DECADES, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.core.controllers.contract import compile_law
 from adaptrack.core.member import MemberFunction
@@ -54,15 +54,17 @@ class UserController(CompiledController):
         self.law, self.label = law, label
         where = f"UserController {label!r}"
         self.constants = {name: real(where, name, value) for name, value in (parameters or {}).items()}
-        bad = [f"{name} = {value!r}" for name, value in self.constants.items() if not math.isfinite(value)]
-        if bad:
-            raise InvalidInput(f"{where}: parameters must be finite numbers: {', '.join(bad)}.")
-        self.memory_size = whole(where, "memory_size", memory_size, least=0)
+        faulty = [f"{name} = {value!r}" for name, value in self.constants.items() if not math.isfinite(value)]
+        if faulty:
+            raise InvalidInput(f"{where}: parameters must be finite numbers: {', '.join(faulty)}.")
+        self.memory_size = whole_number(where, "memory_size", memory_size, least=0)
         self.tuning_names, self.diagnostic_names = tuple(tuning or {}), tuple(diagnostics)
         if bounds and set(bounds) - set(self.tuning_names):
             raise InvalidInput(f"{where}: bounds of {', '.join(bounds)}: must be of {', '.join(self.tuning_names)}.")
-        self.tuning_bounds = dict.fromkeys(self.tuning_names, DECADES)
-        self.tuning_bounds |= {name: Bounds(float(ends[0]), float(ends[1])) for name, ends in (bounds or {}).items()}
+        self.tuning_bounds = dict.fromkeys(self.tuning_names, TWO_DECADES)
+        self.tuning_bounds |= {
+            name: TuningBounds(float(ends[0]), float(ends[1])) for name, ends in (bounds or {}).items()
+        }
         try:
             self._compiled = compile_law(law)
         except Exception as error:

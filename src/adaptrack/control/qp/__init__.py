@@ -15,7 +15,7 @@ from adaptrack.control.qp.hildreth import Hildreth
 from adaptrack.control.qp.problem import QP, Attempt, QPStatus, Residuals, Solution, kkt_residuals
 from adaptrack.control.qp.solver import QPSolver
 
-SOLVERS: dict[str, type[QPSolver]] = {ActiveSet.name: ActiveSet, Hildreth.name: Hildreth}
+QP_SOLVERS: dict[str, type[QPSolver]] = {ActiveSet.name: ActiveSet, Hildreth.name: Hildreth}
 
 
 @checked
@@ -24,9 +24,9 @@ def get_qp_solver(name: str = ActiveSet.name, **options: Any) -> QPSolver:
 
     Raises `UnknownName`, with the nearest name.
     """
-    if name not in SOLVERS:
-        raise UnknownName(f"There is no QP solver {name!r}. {did_you_mean(name, SOLVERS)}")
-    return SOLVERS[name](**options)
+    if name not in QP_SOLVERS:
+        raise UnknownName(f"There is no QP solver {name!r}. {did_you_mean(name, QP_SOLVERS)}")
+    return QP_SOLVERS[name](**options)
 
 
 __all__ = [

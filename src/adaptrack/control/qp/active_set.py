@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from adaptrack.base.checked import whole
+from adaptrack.base.checked import whole_number
 from adaptrack.control.qp.kernel import Workspace
 from adaptrack.control.qp.problem import QP, Attempt, Solution
-from adaptrack.control.qp.solver import EXACT, QPSolver
+from adaptrack.control.qp.solver import EXACT_SOLVER, QPSolver
 
 
 class ActiveSet(QPSolver):
@@ -19,11 +19,13 @@ class ActiveSet(QPSolver):
     that finishes what others leave uncertified; its own such answers leave nothing to apply.
     """
 
-    name: ClassVar[str] = EXACT
+    name: ClassVar[str] = EXACT_SOLVER
 
     def __init__(self, max_iterations: int | None = None) -> None:
         super().__init__(on_uncertified="hold")
-        self.max_iterations = None if max_iterations is None else whole("ActiveSet", "max_iterations", max_iterations)
+        self.max_iterations = (
+            None if max_iterations is None else whole_number("ActiveSet", "max_iterations", max_iterations)
+        )
         self._workspace = Workspace()
 
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:

@@ -42,7 +42,7 @@ class Workspace:
         self._E, self._Mt = aligned((n, width)), aligned((n, depth))
         self._K, self._gamma = aligned((width,)), aligned((depth,))
         self._inverses = aligned(inverses)
-        self.solution = kernels.Solution(aligned((width,)), aligned((depth,)))
+        self.solution = kernels.SolutionRecord(aligned((width,)), aligned((depth,)))
         self.scratch = kernels.Scratch(aligned(work), aligned(rows), aligned((index,), np.int64))
 
     def solve_exactly(self, qp: QP, warm_start: Solution | None = None, max_iterations: int | None = None) -> Attempt:

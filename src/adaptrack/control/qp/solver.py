@@ -13,10 +13,10 @@ from adaptrack.control.qp.problem import QP, Array, Attempt, QPStatus, Residuals
 
 ACCEPTED = 1e-6
 """A solver's "solved" is believed when no scaled residual exceeds this; else the answer is not certified."""
-NEAR = 1e-4
+MAX_NEWTON_STEP = 1e-4
 """... and when a Newton step moves x by no more than this (rad): at cond(E) ~ 1e11 small residuals prove little."""
 
-EXACT = "active-set"
+EXACT_SOLVER = "active-set"
 """The solver that finishes what others leave: `Workspace.solve_exactly` under its name."""
 
 OnUncertified = Literal["exact", "apply", "hold"]
@@ -65,7 +65,7 @@ class QPSolver(ABC):
         return self._solution(qp, attempt, self.name)
 
     def _tested(self, qp: QP, attempt: Attempt) -> Attempt:
-        """Return the attempt; its status is CAPPED where `ACCEPTED` or `NEAR` contradict "solved"."""
+        """Return the attempt; its status is CAPPED where `ACCEPTED` or `MAX_NEWTON_STEP` contradict "solved"."""
         if attempt.status is not QPStatus.SOLVED or attempt.certified:
             return attempt
         if (
@@ -76,7 +76,7 @@ class QPSolver(ABC):
             return attempt._replace(status=QPStatus.CAPPED, x=None)
         worst = kkt_residuals(qp, attempt.x, attempt.lam).worst
         newton_step = newton_distance(qp, attempt.x, attempt.lam)
-        if worst <= ACCEPTED and newton_step <= NEAR:
+        if worst <= ACCEPTED and newton_step <= MAX_NEWTON_STEP:
             return attempt
         message = (
             f"{self.name} reported a solution whose optimality conditions miss by {worst:.1e} "
@@ -92,7 +92,7 @@ class QPSolver(ABC):
         why = attempt.message or f"{self.name} ended with {attempt.status.name} after {attempt.iterations} iterations."
         message = f"{why} Not certified: the exact method finished. {exact.message or exact.status.sentence}"
         exact = exact._replace(iterations=attempt.iterations + exact.iterations, message=message)
-        return self._solution(qp, exact, EXACT)
+        return self._solution(qp, exact, EXACT_SOLVER)
 
     def _solution(self, qp: QP, attempt: Attempt, finished_by: str) -> Solution:
         """The answer with its residuals, and NaN where there is nothing to apply."""

@@ -77,10 +77,10 @@ def _check_functions(schedule: Schedule, rows: Array) -> None:
         entry = schedule.tuning[name]
         expected = entry.function.predict(x)
         expected = np.clip(10.0**expected if entry.log10 else expected, entry.low, entry.high)
-        if schedule.of_mpc and name == "Nc":
+        if schedule.tunes_mpc and name == "Nc":
             expected = np.minimum(expected, planned[:, 0])
         off = np.abs(planned[:, i] - expected)
-        rounded = schedule.of_mpc and name in HORIZONS
+        rounded = schedule.tunes_mpc and name in HORIZONS
         differs = off > (0.5 + 1e-9 if rounded else 1e-9 * np.abs(expected))  # at .5 rounding may go either way
         if differs.any():
             k = int(np.argmax(differs))

@@ -11,7 +11,7 @@ from typing import Any
 from adaptrack.base.errors import StorageError
 from adaptrack.base.files import write_atomically
 
-FORMAT, VERSION = "adaptrack-scheduler", 2
+SCHEDULER_FORMAT, VERSION = "adaptrack-scheduler", 2
 
 
 def write_document(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
@@ -26,7 +26,7 @@ def write_document(path: str | os.PathLike[str], content: dict[str, Any]) -> Non
     """
     text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     file = {
-        "format": FORMAT,
+        "format": SCHEDULER_FORMAT,
         "version": VERSION,
         "sha256": hashlib.sha256(text.encode()).hexdigest(),
         "content": content,
@@ -50,8 +50,8 @@ def read_document(path: Path) -> Any:
         file = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise StorageError(f"{path}: not a scheduler file, or damaged: {error}. Train or copy it again.") from None
-    if not isinstance(file, dict) or file.get("format") != FORMAT:
-        raise StorageError(f"{path}: not a scheduler file: its format is not {FORMAT!r}.")
+    if not isinstance(file, dict) or file.get("format") != SCHEDULER_FORMAT:
+        raise StorageError(f"{path}: not a scheduler file: its format is not {SCHEDULER_FORMAT!r}.")
     if file.get("version") != VERSION:
         raise StorageError(
             f"{path}: version {file.get('version')!r} of the scheduler format; this program reads {VERSION}. "

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Self
 
 from adaptrack.base.checked import Count, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import GRAVITY
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling.functions import Pool, Table, load_function, save_function
+from adaptrack.core.plants.forces import GRAVITY
 
 
 @checked

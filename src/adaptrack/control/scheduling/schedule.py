@@ -29,15 +29,15 @@ from adaptrack.control.scheduling.guard import Guard, StabilityMap
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables, complete
 from adaptrack.core import guard as guard_kernel
 from adaptrack.core import schedule as kernel
-from adaptrack.core.variables import NAMES
+from adaptrack.core.variables import VARIABLE_NAMES
 
 Array = NDArray[np.float64]
 
 HORIZONS = ("Np", "Nc")
 """Entries of the MPC that are whole numbers."""
-BOUNDS: dict[str, tuple[float, float]] = {"Np": (1, 60), "Nc": (1, 20), "Q": (1e-6, 1e9), "R": (1e-9, 1e9)}
+ENTRY_BOUNDS: dict[str, tuple[float, float]] = {"Np": (1, 60), "Nc": (1, 20), "Q": (1e-6, 1e9), "R": (1e-9, 1e9)}
 """Bounds of the entries of the MPC, where no others are given."""
-LONGEST = 1000
+MAX_HORIZON = 1000
 """The longest horizon that a schedule may ask for: a controller makes room for it."""
 MOST_ENTRIES = 8
 """Entries of a controller's tuning, at most."""
@@ -105,11 +105,11 @@ class Schedule:
         object.__setattr__(self, "domain", np.asarray(self.domain, dtype=np.float64))
         self._check_inputs()
         self._check_entries()
-        if self.guard is not None and not self.of_mpc:
+        if self.guard is not None and not self.tunes_mpc:
             raise InvalidInput("schedule: only the MPC's entries can be guarded.")
-        if max(self.largest) > LONGEST:
+        if max(self.largest) > MAX_HORIZON:
             raise InvalidInput(
-                f"schedule: asks for horizons of up to {max(self.largest)} steps, at most {LONGEST} may be."
+                f"schedule: asks for horizons of up to {max(self.largest)} steps, at most {MAX_HORIZON} may be."
             )
         if not isinstance(self.name, str) or not all(
             isinstance(record, Mapping) for record in (self.provenance, self.made_for)
@@ -142,24 +142,26 @@ class Schedule:
                     f"schedule: the function of {name} has {reads} inputs, the schedule {len(self.inputs)}."
                 )
             least = -math.inf
-            if self.of_mpc:
+            if self.tunes_mpc:
                 least = 1.0 if name in HORIZONS else 0.0
             finite = math.isfinite(entry.low) and math.isfinite(entry.high)
-            if not (finite and least <= entry.low <= entry.high) or (self.of_mpc and name == "R" and entry.low <= 0.0):
+            if not (finite and least <= entry.low <= entry.high) or (
+                self.tunes_mpc and name == "R" and entry.low <= 0.0
+            ):
                 raise InvalidInput(
                     f"schedule: bounds of {name} are ({entry.low!r}, {entry.high!r}): need finite low <= high"
-                    f"{', those of R positive, of horizons at least 1' if self.of_mpc else ''}."
+                    f"{', those of R positive, of horizons at least 1' if self.tunes_mpc else ''}."
                 )
 
     @property
-    def of_mpc(self) -> bool:
+    def tunes_mpc(self) -> bool:
         """True if the schedule tunes the MPC, whose rules for horizons and weights then hold."""
         return self.entries == ENTRIES
 
     @property
     def largest(self) -> tuple[int, int]:
         """The longest Np and Nc that it can ask for; 0 of a schedule for another controller."""
-        if not self.of_mpc:
+        if not self.tunes_mpc:
             return 0, 0
         highest = [self.tuning[name].high for name in HORIZONS]
         if self.guard is not None:
@@ -179,9 +181,11 @@ class Schedule:
         return html_of(self)
 
     def plan(self, slots: int) -> Any:
-        """The schedule as the kernels read it (`core.schedule.Schedule`), with a fresh memory for `slots` runs."""
+        """The schedule for the kernels (`core.schedule.ScheduleRecord`), with a fresh memory for `slots` runs."""
         settings, integers, numbers, scratch = self._packed()
-        return kernel.Schedule(settings, np.zeros(slots, guard_kernel.MEMORY), integers, numbers, np.zeros(scratch))
+        return kernel.ScheduleRecord(
+            settings, np.zeros(slots, guard_kernel.MEMORY), integers, numbers, np.zeros(scratch)
+        )
 
     def __call__(self, variables: SchedulingVariables) -> tuple[float, ...]:
         """The tuning for some scheduling variables, as at the first step of a run; (Np, Nc, Q, R) of the MPC.
@@ -280,23 +284,28 @@ class Schedule:
 
 
 def _pack(schedule: Schedule) -> tuple[Any, NDArray[np.int64], Array, int]:
-    array = np.zeros(1, kernel.SETTINGS)
+    array = np.zeros(1, kernel.SCHEDULE_SETTINGS)
     settings, pool = array[0], Pool()
-    settings.n_inputs, settings.n_entries, settings.of_mpc = (
+    settings.n_inputs, settings.n_entries, settings.tunes_mpc = (
         len(schedule.inputs),
         len(schedule.entries),
-        schedule.of_mpc,
+        schedule.tunes_mpc,
     )
     for row, name, (low, high) in zip(settings.inputs, schedule.inputs, schedule.domain.tolist(), strict=False):
-        row.place, row.low, row.high = NAMES.index(name), low, high
+        row.place, row.low, row.high = VARIABLE_NAMES.index(name), low, high
     for row, name in zip(settings.entries, schedule.entries, strict=False):
         entry = schedule.tuning[name]
         row.kind = pool.add(entry.function, row)
-        row.log10, row.horizon = entry.log10, schedule.of_mpc and name in HORIZONS
+        row.log10, row.horizon = entry.log10, schedule.tunes_mpc and name in HORIZONS
         row.low, row.high = entry.low, entry.high
     if schedule.guard is not None:
         schedule.guard.pack(settings.guard, pool)
-    return array, np.array(pool.integers, np.int64), np.array(pool.numbers, np.float64), pool.scratch + kernel.SCRATCH
+    return (
+        array,
+        np.array(pool.integers, np.int64),
+        np.array(pool.numbers, np.float64),
+        pool.scratch + kernel.SCHEDULE_SCRATCH,
+    )
 
 
 @checked
@@ -328,15 +337,15 @@ def Lookup(
     axes: the nodes of each input, by name; tunings: (len(axis 1), len(axis 2), ..., 4) of Np, Nc, Q, R.
     """
     nodes = {key: np.asarray(values, dtype=np.float64) for key, values in axes.items()}
-    given = np.asarray(tunings, dtype=np.float64)
+    nodal_tunings = np.asarray(tunings, dtype=np.float64)
     shape = tuple(len(values) for values in nodes.values())
-    if given.shape != (*shape, 4):
-        raise InvalidInput(f"Lookup: tunings must have the shape {(*shape, 4)}, they have {given.shape}.")
-    if not np.isfinite(given).all() or (given <= 0.0).any():
+    if nodal_tunings.shape != (*shape, 4):
+        raise InvalidInput(f"Lookup: tunings must have the shape {(*shape, 4)}, they have {nodal_tunings.shape}.")
+    if not np.isfinite(nodal_tunings).all() or (nodal_tunings <= 0.0).any():
         raise InvalidInput("Lookup: every Np, Nc, Q, R must be finite and positive.")
     entries = {}
     for i, entry in enumerate(ENTRIES):
-        values = given[..., i]
+        values = nodal_tunings[..., i]
         log10 = entry in ("Q", "R") and method == "multilinear"
         table = Table(tuple(nodes.values()), np.log10(values) if log10 else values, method)
         entries[entry] = Entry(table, float(values.min()), float(values.max()), log10)
@@ -353,10 +362,10 @@ def Learned(
     """Learned functions for the entries of the MPC's tuning.
 
     functions: by entry; `log10_ratio` in place of R is the logarithm of R/Q, Q then being a number (1 when left out);
-    inputs, domain: see `Schedule`; bounds: (low, high) of each entry's value, `BOUNDS` where left out.
+    inputs, domain: see `Schedule`; bounds: (low, high) of each entry's value, `ENTRY_BOUNDS` where left out.
     """
     entry_functions = dict(functions)
-    bounds = {**BOUNDS, **(bounds or {})}
+    bounds = {**ENTRY_BOUNDS, **(bounds or {})}
     decades = "log10_ratio" in entry_functions
     if decades:
         if "R" in entry_functions:

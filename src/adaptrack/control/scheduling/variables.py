@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import real
-from adaptrack.base.errors import InvalidInput, shown
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers.inputs import vector
 from adaptrack.core.planning.drive import LOOK_AHEAD as LOOK_AHEAD
 from adaptrack.core.planning.drive import reference_ahead
@@ -80,7 +80,7 @@ def complete(variables: Sequence[float]) -> SchedulingVariables:
         return SchedulingVariables(*[real("scheduling variables", "value", value) for value in variables])
     except (TypeError, ValueError):
         raise InvalidInput(
-            f"scheduling variables {shown(variables)}: need {len(VARIABLES)} numbers, {', '.join(VARIABLES)}; "
+            f"scheduling variables {format_value(variables)}: need {len(VARIABLES)} numbers, {', '.join(VARIABLES)}; "
             "the last three may be left out."
         ) from None
 

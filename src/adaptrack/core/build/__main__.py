@@ -17,14 +17,14 @@ from .. import library
 if __name__ == "__main__":
     library.source_hashes()  # of the sources before they are imported
     from .emission import BuildError
-    from .exports import EXPORTS, archive
+    from .exports import EXPORT_TARGETS, archive
     from .library import build
 
     arguments, _, folder = " ".join(sys.argv[1:]).partition("--archive")
     arguments, _, exports = arguments.partition("--export")
     try:
         names = [argument for argument in arguments.split() if argument != "--portable"]
-        build(names, "--portable" in arguments, list(EXPORTS) if "all" in exports.split() else exports.split())
+        build(names, "--portable" in arguments, list(EXPORT_TARGETS) if "all" in exports.split() else exports.split())
         if folder:
             print(archive(Path(folder.strip())))
     except (BuildError, OSError) as error:

@@ -18,7 +18,7 @@ class BuildError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Target:
+class CompileTarget:
     """A processor, as LLVM names it.
 
     lacks: of `SOFT` what it has no instruction for, so that LLVM calls C's function of that name.
@@ -35,19 +35,21 @@ class Target:
         return self.triple.endswith("linux-gnu") and not self.lacks
 
 
-TARGETS = {
-    "x86-64": Target("x86_64-unknown-linux-gnu", "x86-64", lacks=("fma", "floor", "ceil")),
-    "x86-64-v3": Target("x86_64-unknown-linux-gnu", "x86-64-v3"),
-    "x86-64-v4": Target("x86_64-unknown-linux-gnu", "x86-64-v4", "-prefer-256-bit"),  # eight floats in one register
-    "aarch64": Target("aarch64-unknown-linux-gnu"),
-    "riscv64": Target("riscv64-unknown-linux-gnu", "generic-rv64", "+m,+a,+f,+d"),
-    "wasm32": Target("wasm32-unknown-unknown", "", "+simd128,+bulk-memory,-relaxed-simd", lacks=("fma",)),
-    "windows-x86-64": Target("x86_64-pc-windows-msvc", "x86-64", lacks=("fma", "floor", "ceil")),
-    "windows-x86-64-v3": Target("x86_64-pc-windows-msvc", "x86-64-v3"),
-    "windows-x86-64-v4": Target("x86_64-pc-windows-msvc", "x86-64-v4", "-prefer-256-bit"),
-    "macos-aarch64": Target("arm64-apple-macosx11.0.0", "apple-m1"),
-    "macos-x86-64": Target("x86_64-apple-macosx11.0.0", "x86-64", lacks=("fma", "floor", "ceil")),
-    "macos-x86-64-v3": Target("x86_64-apple-macosx11.0.0", "x86-64-v3"),
+COMPILE_TARGETS = {
+    "x86-64": CompileTarget("x86_64-unknown-linux-gnu", "x86-64", lacks=("fma", "floor", "ceil")),
+    "x86-64-v3": CompileTarget("x86_64-unknown-linux-gnu", "x86-64-v3"),
+    "x86-64-v4": CompileTarget(
+        "x86_64-unknown-linux-gnu", "x86-64-v4", "-prefer-256-bit"
+    ),  # eight floats in one register
+    "aarch64": CompileTarget("aarch64-unknown-linux-gnu"),
+    "riscv64": CompileTarget("riscv64-unknown-linux-gnu", "generic-rv64", "+m,+a,+f,+d"),
+    "wasm32": CompileTarget("wasm32-unknown-unknown", "", "+simd128,+bulk-memory,-relaxed-simd", lacks=("fma",)),
+    "windows-x86-64": CompileTarget("x86_64-pc-windows-msvc", "x86-64", lacks=("fma", "floor", "ceil")),
+    "windows-x86-64-v3": CompileTarget("x86_64-pc-windows-msvc", "x86-64-v3"),
+    "windows-x86-64-v4": CompileTarget("x86_64-pc-windows-msvc", "x86-64-v4", "-prefer-256-bit"),
+    "macos-aarch64": CompileTarget("arm64-apple-macosx11.0.0", "apple-m1"),
+    "macos-x86-64": CompileTarget("x86_64-apple-macosx11.0.0", "x86-64", lacks=("fma", "floor", "ceil")),
+    "macos-x86-64-v3": CompileTarget("x86_64-apple-macosx11.0.0", "x86-64-v3"),
 }
 SOFT = {"fma": 3, "floor": 1, "ceil": 1, "sqrt": 1}
 """Functions of C's library that the kernels have themselves, exactly, as ``soft_NAME``; how many floats each takes."""
@@ -81,7 +83,7 @@ define internal <8 x double> @soft_fma8(<8 x double> %a, <8 x double> %b, <8 x d
 """The kernel of this name, on values instead of arrays."""
 
 
-def with_soft(text: str, target: Target, linkage: str, inlined: bool = False) -> str:
+def with_soft(text: str, target: CompileTarget, linkage: str, inlined: bool = False) -> str:
     """A module with C's functions that a target lacks, from the kernels' own; linkage: of these.
 
     Where there is floating-point arithmetic, LLVM's multiply-add becomes a call of ours before anything is optimised;
@@ -107,7 +109,7 @@ def with_soft(text: str, target: Target, linkage: str, inlined: bool = False) ->
     return text
 
 
-def retargeted(text: str, target: Target, reloc: str = "pic") -> tuple[Any, str]:
+def retargeted(text: str, target: CompileTarget, reloc: str = "pic") -> tuple[Any, str]:
     """LLVM's machine of a target, and the text of a module for it."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
@@ -142,7 +144,7 @@ def emit(text: str, name: str) -> bytes:
     No function of C's is called: "no-builtins" keeps loops from becoming calls of memcpy and its like, and what the
     target lacks comes from `SOFT`.
     """
-    target = TARGETS[name]
+    target = COMPILE_TARGETS[name]
     machine, text = retargeted(text, target, "static" if target.triple.startswith("wasm") else "pic")
     text = with_soft(text, target, "hidden")
     if "windows" in target.triple:

@@ -22,10 +22,10 @@ import llvmlite.binding as llvm
 
 from .. import library
 from . import page
-from .emission import SOFT, TARGETS, WINDOWS, BuildError, Target, optimised, retargeted, with_soft
+from .emission import COMPILE_TARGETS, SOFT, WINDOWS, BuildError, CompileTarget, optimised, retargeted, with_soft
 from .objects import undefined
 from .rules import plain
-from .units import PLANTS, UNITS
+from .units import PLANTS, UNIT_KERNELS
 from .wasm_link import linked
 
 KERNELS = (
@@ -42,18 +42,18 @@ KERNELS = (
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportTarget:
     """How a target is exported.
 
     compact: built for size; calls: functions that every compiler for it brings along, by the run-time ABI's names;
-    kernels: those that are global; whole: a module, made for speed, not an object.
+    kernels: those that are global; is_module: a module, made for speed, not an object.
     """
 
-    target: Target
+    target: CompileTarget
     compact: bool = False
     calls: tuple[str, ...] = ()
     kernels: tuple[str, ...] = KERNELS
-    whole: bool = False
+    is_module: bool = False
 
 
 _WHOLE_NUMBERS = ("__aeabi_d2lz", "__aeabi_l2d", "__aeabi_ul2d", "__aeabi_ldivmod", "__aeabi_uldivmod")
@@ -65,32 +65,34 @@ _DOUBLES = (
 )  # fmt: skip
 """IEEE arithmetic in software (Run-time ABI for the Arm Architecture, section 5.1)."""
 
-_FMUS = {name: (*KERNELS, *PLANTS, *sum(UNITS.values(), ())) for name in ("x86-64-v3", "windows-x86-64-v3")}
+_FMUS = {name: (*KERNELS, *PLANTS, *sum(UNIT_KERNELS.values(), ())) for name in ("x86-64-v3", "windows-x86-64-v3")}
 """The targets that FMUs have a binary for, and what these call."""
 _HOSTED = ("x86-64", "x86-64-v3", "aarch64", "riscv64", "wasm32", "windows-x86-64", "windows-x86-64-v3",
            "macos-aarch64", "macos-x86-64", "macos-x86-64-v3")  # fmt: skip
 
 
-def _exported(name: str) -> Exported:
-    target = TARGETS[name]
+def _exported(name: str) -> ExportTarget:
+    target = COMPILE_TARGETS[name]
     if "windows" in name:  # the same ABI, but a function that needs a large stack asks for it by a name we may choose
         target = replace(target, triple="x86_64-pc-windows-gnu")
-    return Exported(target, kernels=_FMUS.get(name, KERNELS))
+    return ExportTarget(target, kernels=_FMUS.get(name, KERNELS))
 
 
-EXPORTS = {
+EXPORT_TARGETS = {
     **{name: _exported(name) for name in _HOSTED},
-    "wasm32-page": Exported(TARGETS["wasm32"], kernels=(*page.CALLED, *page.MEMBERS), whole=True),
-    "cortex-m7": Exported(Target("thumbv7em-unknown-none-eabihf", "cortex-m7"), True, _WHOLE_NUMBERS),
-    "cortex-m33": Exported(
-        Target("thumbv8m.main-unknown-none-eabi", "cortex-m33", "-fpregs", tuple(SOFT)), True, _WHOLE_NUMBERS + _DOUBLES
+    "wasm32-page": ExportTarget(COMPILE_TARGETS["wasm32"], kernels=(*page.CALLED, *page.PAGE_MEMBERS), is_module=True),
+    "cortex-m7": ExportTarget(CompileTarget("thumbv7em-unknown-none-eabihf", "cortex-m7"), True, _WHOLE_NUMBERS),
+    "cortex-m33": ExportTarget(
+        CompileTarget("thumbv8m.main-unknown-none-eabi", "cortex-m33", "-fpregs", tuple(SOFT)),
+        True,
+        _WHOLE_NUMBERS + _DOUBLES,
     ),
 }
 
 
 def shipped(processors: list[str]) -> list[str]:
     """Return what a wheel with the libraries of these processors has for other programs."""
-    objects = [name for name in EXPORTS if name in processors or f"{name.removesuffix('-v3')}-v4" in processors]
+    objects = [name for name in EXPORT_TARGETS if name in processors or f"{name.removesuffix('-v3')}-v4" in processors]
     return [*objects, "wasm32", "wasm32-page"]
 
 
@@ -103,10 +105,10 @@ def archive(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{stem}.tar.gz"
     listed = library.manifest()
-    entries = {name: listed["exports"][name] for name in EXPORTS if name in listed["exports"]}
-    files = {entry["file"]: library.whole(entry).read_bytes() for entry in entries.values()}
+    entries = {name: listed["exports"][name] for name in EXPORT_TARGETS if name in listed["exports"]}
+    files = {entry["file"]: library.verified_file(entry).read_bytes() for entry in entries.values()}
     files[library.MANIFEST] = json.dumps({"sources": listed["sources"], "exports": entries}, indent=1).encode()
-    files["LICENSE"] = (library.PACKAGE.parents[1] / "LICENSE").read_bytes()
+    files["LICENSE"] = (library.PACKAGE_FOLDER.parents[1] / "LICENSE").read_bytes()
     with gzip.GzipFile(path, "wb", mtime=0) as packed, tarfile.open(fileobj=packed, mode="w") as tar:
         for name, content in sorted(files.items()):
             entry = tarfile.TarInfo(f"{stem}/{name}")
@@ -120,29 +122,29 @@ def emit_export(text: str, name: str) -> bytes:
 
     Raises BuildError where it calls what it may not.
     """
-    chosen = EXPORTS[name]
+    chosen = EXPORT_TARGETS[name]
     target = chosen.target
     machine, text = retargeted(text, target, "pic" if _hosted(target) else "static")
-    module = _of_these(text, chosen, machine)
+    module = _select_kernels(text, chosen, machine)
     optimised(module, machine, speed=2 if chosen.compact else 3, vectors=not chosen.compact)
-    content = bytes(machine.emit_object(llvm.parse_assembly(_in_sections(str(module), target))))
+    content = bytes(machine.emit_object(llvm.parse_assembly(_split_sections(str(module), target))))
     left = [symbol for symbol in undefined(content) if symbol not in chosen.calls]
     if left:
         raise BuildError(f"what is exported for {name} calls {', '.join(left)}: allow it by name, or replace it.")
-    return linked(content) if chosen.whole else content
+    return linked(content) if chosen.is_module else content
 
 
-def _hosted(target: Target) -> bool:
+def _hosted(target: CompileTarget) -> bool:
     return not re.search("none|wasm", target.triple)
 
 
-def _of_these(text: str, chosen: Exported, machine: Any) -> Any:
+def _select_kernels(text: str, chosen: ExportTarget, machine: Any) -> Any:
     """The module of the kernels and what they call, ready to be optimised."""
     target = chosen.target
     if chosen.compact:
         text = text.replace(" alwaysinline", " nounwind")
     text = re.sub(r"^ +store ptr @\.const\.picklebuf\S+, ", "  store ptr null, ", text, flags=re.MULTILINE)
-    text = with_soft(text, target, "internal", inlined=chosen.whole)
+    text = with_soft(text, target, "internal", inlined=chosen.is_module)
     if target.lacks:
         kept_symbols = ", ".join(f"ptr @{symbol}" for symbol in target.lacks)
         text += f"@llvm.compiler.used = appending global [{len(target.lacks)} x ptr] [{kept_symbols}]"
@@ -165,7 +167,7 @@ def _of_these(text: str, chosen: Exported, machine: Any) -> Any:
     return module
 
 
-def _in_sections(text: str, target: Target) -> str:
+def _split_sections(text: str, target: CompileTarget) -> str:
     """A module with a section for each function and constant; for WebAssembly and macOS they are apart as they are."""
     if re.search("wasm|macosx", target.triple):
         return text

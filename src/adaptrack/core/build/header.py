@@ -12,10 +12,10 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
-from ..kernel import Array, Exported, Number, Place, Row
+from ..kernel import Array, Exported, Place, Row, Scalar
 
 PREFIX = "adaptrack_"
-BEGINNING = """\
+HEADER_BEGINNING = """\
 /* adaptrack: the kernels as C functions. Written by adaptrack.core.build from their sources.
 
    Units are SI, angles in rad; axes and signs are those of ISO 8855 (x forward, y left, angles positive to the left).
@@ -34,7 +34,7 @@ typedef union { double number; int64_t whole; } adaptrack_word;
 extern "C" {
 #endif
 """
-END = """
+HEADER_END = """
 #ifdef __cplusplus
 }
 #endif
@@ -52,7 +52,7 @@ def header(kernels: Iterable[Exported]) -> str:
     files = {entry.function.__module__ for entry in ordered} | {entry.__module__ for entry in records}
     modules = dict.fromkeys(sorted(files))
     places = [text for module in modules for text in _enumerations(module)]
-    return "\n".join([BEGINNING, *places, *records.values(), *map(_prototype, ordered), END])
+    return "\n".join([HEADER_BEGINNING, *places, *records.values(), *map(_prototype, ordered), HEADER_END])
 
 
 # -- what the sources say ---------------------------------------------------------------------------------------------
@@ -138,7 +138,7 @@ def _struct(kind: Any) -> str:
 def _collect(kind: Any, records: dict[Any, str]) -> None:
     """Write the structs that a type needs, those within it first."""
     kind = kind.of if isinstance(kind, Array | Row | Place) else kind[0] if type(kind) is tuple else kind
-    if isinstance(kind, Number) or kind in records:
+    if isinstance(kind, Scalar) or kind in records:
         return
     for field_kind in kind.kinds.values():
         _collect(field_kind, records)
@@ -151,7 +151,7 @@ def _collect(kind: Any, records: dict[Any, str]) -> None:
 
 
 def _type(kind: Any) -> str:
-    if isinstance(kind, Number):
+    if isinstance(kind, Scalar):
         return "double" if kind.name == "float64" else "int64_t"
     return _struct(kind)
 
@@ -167,7 +167,7 @@ def _field(name: str, kind: Any) -> str:
 def _prototype(kernel: Exported) -> str:
     arguments = []
     for name, kind in zip(inspect.signature(kernel.function).parameters, kernel.signature.types, strict=True):
-        if isinstance(kind, Number):
+        if isinstance(kind, Scalar):
             arguments.append(f"{_type(kind)} {name}")
         elif isinstance(kind, Array):
             arguments += [f"{_type(kind.of)} *{name}", *(f"int64_t {name}_{i}" for i in range(kind.ndim))]

@@ -31,19 +31,19 @@ from typing import Any
 
 from .. import library
 from ..kernel import EXPORTED, SYMBOL
-from .emission import TARGETS, BuildError, Target, emit_files, joined
+from .emission import COMPILE_TARGETS, BuildError, CompileTarget, emit_files, joined
 from .header import header
 from .objects import undefined
 from .rules import violations
 from .sources import sources_of
 from .wasm_link import linked
 
-HEADER = "adaptrack.h"
+HEADER_FILE = "adaptrack.h"
 CACHE = "cache"
 """Folder beside the library for modules in bitcode and objects, each named by the hash of what it is made of."""
-AN_HOUR = 3600.0
+FOREIGN_LIBRARY_AGE = 3600.0
 """s, for which a library is left alone that this build has not made: another build may have."""
-A_DAY = 24.0 * AN_HOUR
+A_DAY = 24.0 * FOREIGN_LIBRARY_AGE
 """s, after which a file of the cache is deleted that no build has used."""
 
 
@@ -57,7 +57,7 @@ class _Stages:
     def __init__(self) -> None:
         self._begin = time.monotonic()
 
-    def done(self, text: str) -> None:
+    def report(self, text: str) -> None:
         time_now = time.monotonic()
         _say(f"  {time_now - self._begin:5.1f} s  {text}")
         self._begin = time_now
@@ -77,7 +77,7 @@ def _hash(*parts: object) -> str:
 
 def _cached(name: str) -> Path | None:
     """Return a file of the cache, marked as used just now, or None where it is not there."""
-    path = library.BUILT / CACHE / name
+    path = library.BUILT_FOLDER / CACHE / name
     try:
         os.utime(path)
     except OSError:
@@ -90,13 +90,13 @@ def modules(kernels: Mapping[str, Any], stages: _Stages) -> list[Path]:
 
     Raises BuildError for kernels that break one of the `rules`.
     """
-    (library.BUILT / CACHE).mkdir(parents=True, exist_ok=True)
+    (library.BUILT_FOLDER / CACHE).mkdir(parents=True, exist_ok=True)
     by_source = defaultdict(list)
     for kernel in kernels.values():
         by_source[Path(kernel.function.__code__.co_filename)].append(kernel)
     paths, compiled, broken = [], 0, []
     for source, kernels_of_source in sorted(by_source.items()):
-        place = source.relative_to(library.PACKAGE)
+        place = source.relative_to(library.PACKAGE_FOLDER)
         hashes = [library.source_hashes()[name] for name in [*sources_of(source), "core/build/rules.py"]]
         name = f"{'-'.join(place.with_suffix('').parts)}-{_hash(version('numba'), version('llvmlite'), *hashes)}.bc"
         path = _cached(name)
@@ -105,14 +105,14 @@ def modules(kernels: Mapping[str, Any], stages: _Stages) -> list[Path]:
 
             module = module_of(kernels_of_source)
             broken += violations(str(module))
-            path = library.BUILT / CACHE / name
+            path = library.BUILT_FOLDER / CACHE / name
             if not broken:
                 _put(path, module.as_bitcode())
             compiled += 1
         paths.append(path)
     if broken:
         raise BuildError("\n".join(broken))
-    stages.done(f"{len(kernels)} kernels in {len(paths)} files, of which {compiled} were compiled by numba")
+    stages.report(f"{len(kernels)} kernels in {len(paths)} files, of which {compiled} were compiled by numba")
     return paths
 
 
@@ -120,14 +120,14 @@ def _objects(paths: list[Path], target: str) -> dict[str, list[Path]]:
     """Return the modules of which each object of a library is made, by the name of the object's file in the cache."""
     groups = defaultdict(list)
     for path in paths:
-        folder = path.name.rsplit("-", 2)[0] if TARGETS[target].has_parts else "all"
+        folder = path.name.rsplit("-", 2)[0] if COMPILE_TARGETS[target].has_parts else "all"
         groups[folder].append(path)
     emitter = library.source_hashes()["core/build/emission.py"]
     return {f"{folder}-{_hash(emitter, version('llvmlite'), target, *(path.name for path in group))}.{target}.o": group
             for folder, group in groups.items()}  # fmt: skip
 
 
-def linker(target: Target) -> list[str] | None:
+def linker(target: CompileTarget) -> list[str] | None:
     """The command that makes a library of an object of a target, None where no such linker is installed."""
     if "windows" in target.triple:
         names, options = ["lld-link"], ["/dll", "/noentry", "/nodefaultlib", "/brepro"]
@@ -173,11 +173,11 @@ def finished(name: str, objects: list[bytes]) -> tuple[str, bytes]:
         )
     if name == "wasm32":
         return "wasm", linked(objects[0])
-    command = linker(TARGETS[name])
+    command = linker(COMPILE_TARGETS[name])
     if command is not None:
         ending = {"windows": "dll", "macos": "dylib"}.get(name.split("-")[0], "so")
         return ending, link(objects, command)
-    if name in of_this_kind():
+    if name in compatible_processors():
         raise BuildError("no linker: install binutils or lld, or the package ziglang (pip install ziglang).")
     if len(objects) > 1:
         raise BuildError(f"no linker for {name}: install lld, or the package ziglang (pip install ziglang).")
@@ -198,10 +198,10 @@ def _put(path: Path, content: bytes) -> None:
         raise
 
 
-def of_this_kind() -> list[str]:
+def compatible_processors() -> list[str]:
     """The names of all that a processor of this machine's kind may ask for when the library is loaded."""
     name = library.processor()
-    return [target for target in TARGETS if target.split("-v")[0] == name.split("-v")[0]] or [name]
+    return [target for target in COMPILE_TARGETS if target.split("-v")[0] == name.split("-v")[0]] or [name]
 
 
 def _listed(section: str) -> dict[str, dict[str, str]]:
@@ -218,7 +218,7 @@ def _built(section: str = "libraries") -> dict[str, dict[str, str]]:
         if library.manifest()["sources"] == library.source_hashes():
             for name, entry in _listed(section).items():
                 with suppress(*library.UNUSABLE):
-                    library.whole(entry)
+                    library.verified_file(entry)
                     current[name] = entry
     return current
 
@@ -226,31 +226,31 @@ def _built(section: str = "libraries") -> dict[str, dict[str, str]]:
 @contextmanager
 def _one_at_a_time() -> Iterator[None]:
     """Let a build wait for another one that runs: it may make what this one wants. A killed one lets go."""
-    library.BUILT.mkdir(exist_ok=True)
+    library.BUILT_FOLDER.mkdir(exist_ok=True)
     try:
         import fcntl
     except ImportError:  # on Windows builds may run side by side
         yield
         return
-    with (library.BUILT / "lock").open("w") as lock:
+    with (library.BUILT_FOLDER / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
 
 def build(names: Iterable[str] = (), portable: bool = False, exports: Iterable[str] = ()) -> None:
-    """Compile all kernels into `library.BUILT`, for this processor and for further ones (names of `TARGETS`).
+    """Compile all kernels into `library.BUILT_FOLDER` for this processor and further ones (of `COMPILE_TARGETS`).
 
-    portable: for all processors of this machine's kind, as a wheel needs them; exports: names of `exports.EXPORTS`, for
-    which the object file is made that other programs take in.
+    portable: for all processors of this machine's kind, as a wheel needs them; exports: names of
+    `exports.EXPORT_TARGETS`, for which the object file is made that other programs take in.
 
     Raises BuildError, also for kernels that break one of the `rules`.
     """
-    from .exports import EXPORTS, shipped
+    from .exports import EXPORT_TARGETS, shipped
 
-    processors = of_this_kind() if portable else [library.processor()]
+    processors = compatible_processors() if portable else [library.processor()]
     requested: dict[str, tuple[dict[str, Any], list[str]]] = {
-        "libraries": (TARGETS, [*processors, *names]),
-        "exports": (EXPORTS, [*(shipped(processors) if portable else ()), *exports]),
+        "libraries": (COMPILE_TARGETS, [*processors, *names]),
+        "exports": (EXPORT_TARGETS, [*(shipped(processors) if portable else ()), *exports]),
     }
     with _one_at_a_time():
         _build(requested)
@@ -261,7 +261,7 @@ def _build(requested: Mapping[str, tuple[Mapping[str, Any], list[str]]]) -> None
     jobs = [(section, name) for section, (_, names) in requested.items() for name in dict.fromkeys(names)
             if name not in _built(section)]  # fmt: skip
     if not jobs:
-        _say(f"The kernels are compiled already: {library.BUILT}")
+        _say(f"The kernels are compiled already: {library.BUILT_FOLDER}")
         return
     unknown = [
         f"{name} ({', '.join(requested[section][0])})" for section, name in jobs if name not in requested[section][0]
@@ -277,9 +277,9 @@ def _build(requested: Mapping[str, tuple[Mapping[str, Any], list[str]]]) -> None
     results: dict[str, dict[str, dict[str, str]]] = {section: {} for section in requested}
     for section, name in jobs:
         stem, ending, content = _emitted(section, name, paths)
-        results[section][name] = _kept(stem, ending, content)
-        stages.done(f"{results[section][name]['file']}: {len(content) // 1000} kB")
-    _put(library.BUILT / HEADER, header(kernels.values()).encode())
+        results[section][name] = _write_library(stem, ending, content)
+        stages.report(f"{results[section][name]['file']}: {len(content) // 1000} kB")
+    _put(library.BUILT_FOLDER / HEADER_FILE, header(kernels.values()).encode())
     sources = {name: sources_of(Path(kernel.function.__code__.co_filename)) for name, kernel in kernels.items()}
     results = {
         section: _built(section) | entries for section, entries in results.items()
@@ -289,19 +289,23 @@ def _build(requested: Mapping[str, tuple[Mapping[str, Any], list[str]]]) -> None
         entry["file"] for section in results for entry in [*results[section].values(), *_listed(section).values()]
     }
     manifest = {"sources": library.source_hashes(), **results, "kernels": sources}
-    _put(library.BUILT / library.MANIFEST, json.dumps(manifest, indent=1).encode())
-    for pattern, age in {"kernels-*": AN_HOUR, "export-*": AN_HOUR, f"{CACHE}/*": A_DAY}.items():
-        for path in library.BUILT.glob(pattern):
+    _put(library.BUILT_FOLDER / library.MANIFEST, json.dumps(manifest, indent=1).encode())
+    for pattern, age in {
+        "kernels-*": FOREIGN_LIBRARY_AGE,
+        "export-*": FOREIGN_LIBRARY_AGE,
+        f"{CACHE}/*": A_DAY,
+    }.items():
+        for path in library.BUILT_FOLDER.glob(pattern):
             if path.name not in in_use and time.time() - path.stat().st_mtime > age:
                 path.unlink(missing_ok=True)
 
 
 def _emitted(section: str, name: str, paths: list[Path]) -> tuple[str, str, bytes]:
     """Return the beginning of the file's name, its ending and the content of a library or an export."""
-    from .exports import EXPORTS, emit_export
+    from .exports import EXPORT_TARGETS, emit_export
 
     if section == "exports":
-        return f"export-{name}", "wasm" if EXPORTS[name].whole else "o", emit_export(joined(paths), name)
+        return f"export-{name}", "wasm" if EXPORT_TARGETS[name].is_module else "o", emit_export(joined(paths), name)
     groups = _objects(paths, name)
     missing = {file: group for file, group in groups.items() if _cached(file) is None}
     if len(missing) > 1:
@@ -310,14 +314,14 @@ def _emitted(section: str, name: str, paths: list[Path]) -> tuple[str, str, byte
     else:
         contents = [emit_files(group, name, len(groups) == 1) for group in missing.values()]
     for file, content in zip(missing, contents, strict=True):
-        _put(library.BUILT / CACHE / file, content)
-    ending, content = finished(name, [(library.BUILT / CACHE / file).read_bytes() for file in groups])
+        _put(library.BUILT_FOLDER / CACHE / file, content)
+    ending, content = finished(name, [(library.BUILT_FOLDER / CACHE / file).read_bytes() for file in groups])
     return f"kernels-{name}", ending, content
 
 
-def _kept(stem: str, ending: str, content: bytes) -> dict[str, str]:
+def _write_library(stem: str, ending: str, content: bytes) -> dict[str, str]:
     """Write what was made; its entry of the manifest. Another build at the same time has its own name."""
     digest = hashlib.sha256(content).hexdigest()
-    path = library.BUILT / f"{stem}-{digest[:12]}.{ending}"
+    path = library.BUILT_FOLDER / f"{stem}-{digest[:12]}.{ending}"
     _put(path, content)
     return {"file": path.name, "sha256": digest}

@@ -19,7 +19,7 @@ from numba.core.registry import CPUDispatcher, cpu_target
 from numba.extending import intrinsic
 
 from ..kernel import EXPORTED, SYMBOL
-from ..member import Member
+from ..member import UserFunction
 from . import operations
 from .numba_types import WORD, c_types, from_c, numba_type, to_c
 
@@ -72,7 +72,7 @@ def _linked(parts: Iterable[Any]) -> Any:
 def _parsed(module: Any, kernel: Any) -> Any:
     """Parse a module; an exported kernel of the package that it defines or calls gets its symbol."""
     parsed = llvm.parse_assembly(str(module))
-    if kernel is not None and not isinstance(kernel, Member):
+    if kernel is not None and not isinstance(kernel, UserFunction):
         parsed.get_function(compiled(kernel).fndesc.mangled_name).name = SYMBOL + kernel.name
     return parsed
 
@@ -138,11 +138,11 @@ class _Inlined(CPUDispatcher):  # type: ignore[misc]
 def type_of(callee: Any) -> Any:
     """Numba's type of what kernels may call."""
     if callee.kind == "exported":
-        return types.Dispatcher(_dispatcher(callee)) if isinstance(callee, Member) else _type_of_exported(callee)
+        return types.Dispatcher(_dispatcher(callee)) if isinstance(callee, UserFunction) else _type_of_exported(callee)
     if callee.kind == "primitive":
         return _function_type(getattr(operations, callee.function.__name__))
     if callee.kind == "caller":
-        return _of_caller(callee.of)
+        return _caller_type(callee.of)
     if callee.kind == "view":
         return _function_type(operations.view(numba.from_dtype(callee.of.dtype)))
     if callee.kind == "local":
@@ -170,7 +170,7 @@ def _dispatcher(kernel: Any) -> Any:
     """An exported kernel, compiled for its signature and no other; a member for what it takes, whatever it returns."""
     signature = numba_signature(kernel.signature)
     with _front_end():
-        if isinstance(kernel, Member):
+        if isinstance(kernel, UserFunction):
             dispatcher = plain(_viewing(kernel))
             dispatcher.compile(signature.args)
         else:
@@ -235,7 +235,7 @@ def c_module(kernel: Any, name: str) -> Any:
     inner = context.declare_function(module, result.fndesc)
     return_type = result.signature.return_type  # a member's is what its function returns
     status, returned = context.call_conv.call_function(builder, inner, return_type, numba_types.args, values)
-    if isinstance(kernel, Member):
+    if isinstance(kernel, UserFunction):
         returned = _answer(context, builder, numba_types, return_type, status, returned, values)
     if len(signature.returns) > 1:
         for i in range(len(signature.returns)):
@@ -309,7 +309,7 @@ def _intrinsic(typed: Any, names: list[str]) -> Any:
     return intrinsic(scope["call"])
 
 
-def _of_caller(signature: Any) -> Any:
+def _caller_type(signature: Any) -> Any:
     """Numba's type of a call of a C function by its address."""
     caller_signature = numba_signature(signature)
 

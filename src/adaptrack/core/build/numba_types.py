@@ -14,7 +14,7 @@ from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, lower_cast, lower_getattr_generic, models, register_model
 
-from ..kernel import Array, Number, Place, Row
+from ..kernel import Array, Place, Row, Scalar
 
 WORD = ir.IntType(64)
 
@@ -22,10 +22,10 @@ WORD = ir.IntType(64)
 @cache
 def numba_type(kind: Any) -> Any:
     """Numba's type for one of ours; a record is handed over whole."""
-    if isinstance(kind, Number):
+    if isinstance(kind, Scalar):
         return getattr(types, kind.name)
     if isinstance(kind, Array):
-        entry = numba_type(kind.of) if isinstance(kind.of, Number) else numba.from_dtype(kind.of.dtype)
+        entry = numba_type(kind.of) if isinstance(kind.of, Scalar) else numba.from_dtype(kind.of.dtype)
         return types.Array(entry, kind.ndim, "C")
     if isinstance(kind, Row):
         return numba.from_dtype(kind.of.dtype)
@@ -171,7 +171,7 @@ def array(context, builder, kind, data, sizes):
 # -- C ----------------------------------------------------------------------------------------------------------------
 def c_types(kind: Any) -> list[Any]:
     """Return the C types of an argument."""
-    if isinstance(kind, Number):
+    if isinstance(kind, Scalar):
         return [ir.DoubleType() if kind.name == "float64" else WORD]
     pointer = ir.IntType(8).as_pointer()
     return [pointer, *[WORD] * kind.ndim] if isinstance(kind, Array) else [pointer]
@@ -179,7 +179,7 @@ def c_types(kind: Any) -> list[Any]:
 
 def from_c(context, builder, kind: Any, numba_kind, words):
     """Numba's value of type `wanted` from what C is given."""
-    if isinstance(kind, Number):
+    if isinstance(kind, Scalar):
         return builder.icmp_signed("!=", words[0], ir.Constant(WORD, 0)) if kind.name == "boolean" else words[0]
     if isinstance(kind, Array):
         data = context.get_data_type(numba_kind.dtype).as_pointer()
@@ -191,7 +191,7 @@ def from_c(context, builder, kind: Any, numba_kind, words):
 
 def to_c(context, builder, kind: Any, numba_kind, value):
     """Convert numba's value of type `numba_kind` to C words: the inverse of `from_c`."""
-    if isinstance(kind, Number):
+    if isinstance(kind, Scalar):
         return [builder.zext(value, WORD) if kind.name == "boolean" else value]
     pointer = ir.IntType(8).as_pointer()
     if isinstance(kind, Array):

@@ -18,15 +18,15 @@ def undefined(content: bytes) -> list[str]:
     Raises ValueError for another format.
     """
     if content.startswith((b"\x7fELF\x01\x01", b"\x7fELF\x02\x01")):
-        return sorted(_of_elf(content) - {_LINKERS_OWN})
+        return sorted(_elf_symbols(content) - {_LINKERS_OWN})
     if content.startswith(b"\0asm"):
-        return sorted(_of_wasm(content))
+        return sorted(_wasm_symbols(content))
     if content.startswith(b"\xcf\xfa\xed\xfe"):
-        return sorted(_of_mach_o(content))
+        return sorted(_mach_o_symbols(content))
     if content.startswith(b"\x64\x86"):
-        return sorted(_of_coff(content))
+        return sorted(_coff_symbols(content))
     if content.startswith(b"MZ"):
-        return sorted(_of_dll(content))
+        return sorted(_dll_symbols(content))
     raise ValueError("neither ELF nor WebAssembly, COFF, PE or Mach-O.")
 
 
@@ -34,7 +34,7 @@ def _text(content: bytes, at: int) -> str:
     return content[at : content.index(b"\0", at)].decode()
 
 
-def _of_elf(content: bytes) -> set[str]:
+def _elf_symbols(content: bytes) -> set[str]:
     long = content[4] == 2  # of 64 bits
     (start,) = struct.unpack_from("<Q", content, 0x28) if long else struct.unpack_from("<I", content, 0x20)
     size, count = struct.unpack_from("<HH", content, 0x3A if long else 0x2E)
@@ -51,7 +51,7 @@ def _of_elf(content: bytes) -> set[str]:
     return undefined_names
 
 
-def _of_coff(content: bytes) -> set[str]:
+def _coff_symbols(content: bytes) -> set[str]:
     start, count = struct.unpack_from("<II", content, 8)
     names, at, symbols = start + 18 * count, start, set()
     while at < names:
@@ -63,7 +63,7 @@ def _of_coff(content: bytes) -> set[str]:
     return symbols
 
 
-def _of_dll(content: bytes) -> set[str]:
+def _dll_symbols(content: bytes) -> set[str]:
     (start,) = struct.unpack_from("<I", content, 0x3C)
     count, optional = struct.unpack_from("<H12xH", content, start + 6)
     (imports,) = struct.unpack_from("<I", content, start + 24 + 120)
@@ -79,7 +79,7 @@ def _of_dll(content: bytes) -> set[str]:
     return symbols
 
 
-def _of_mach_o(content: bytes) -> set[str]:
+def _mach_o_symbols(content: bytes) -> set[str]:
     (count,) = struct.unpack_from("<I", content, 16)
     at, undefined_names = 32, set()
     for _ in range(count):
@@ -125,12 +125,12 @@ class Reader:
         self.at += size
         return self.content[self.at - size : self.at]
 
-    def rest(self) -> bytes:
+    def remainder(self) -> bytes:
         """All from here on."""
         return self.content[self.at :]
 
 
-def _of_wasm(content: bytes) -> set[str]:
+def _wasm_symbols(content: bytes) -> set[str]:
     sections, symbols = Reader(content[8:]), set()
     while sections.at < len(sections.content):
         kind, section = sections.number(), Reader(sections.sized())

@@ -14,7 +14,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
 from ..maths.bits import ABOVE_ONE, LARGEST_USUAL, LEAST_USUAL
-from ..maths.vectors import WIDTH
+from ..maths.vectors import VECTOR_WIDTH
 from .numba_types import array
 
 
@@ -106,10 +106,10 @@ def local(shape: tuple[int, ...]) -> Any:
             first = builder.bitcast(place, ir.DoubleType().as_pointer())
             at = 0
             while at < count:
-                piece = _VECTOR if at + WIDTH <= count else ir.DoubleType()
+                piece = _VECTOR if at + VECTOR_WIDTH <= count else ir.DoubleType()
                 where = builder.gep(first, [ir.Constant(ir.IntType(64), at)])
                 builder.store(ir.Constant(piece, None), builder.bitcast(where, piece.as_pointer()), align=8)
-                at += WIDTH if piece is _VECTOR else 1
+                at += VECTOR_WIDTH if piece is _VECTOR else 1
             return array(context, builder, array_type, first, [ir.Constant(ir.IntType(64), size) for size in shape])
 
         return array_type(), codegen
@@ -117,7 +117,7 @@ def local(shape: tuple[int, ...]) -> Any:
     return operation
 
 
-_VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
+_VECTOR = ir.VectorType(ir.DoubleType(), VECTOR_WIDTH)
 _I32 = ir.IntType(32)
 
 
@@ -180,7 +180,7 @@ def store(typingctx, array, *index_and_value):
 
 def _splat(builder: Any, value: Any) -> Any:
     vector = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, _I32(0))
-    mask = ir.Constant(ir.VectorType(_I32, WIDTH), [0] * WIDTH)
+    mask = ir.Constant(ir.VectorType(_I32, VECTOR_WIDTH), [0] * VECTOR_WIDTH)
     return builder.shuffle_vector(vector, ir.Constant(_VECTOR, ir.Undefined), mask)
 
 
@@ -215,7 +215,7 @@ def zeros(typingctx):
     """Zero in every entry."""
 
     def codegen(context, builder, signature, args):
-        return ir.Constant(_VECTOR, [0.0] * WIDTH)
+        return ir.Constant(_VECTOR, [0.0] * VECTOR_WIDTH)
 
     return vector8(), codegen
 
@@ -257,12 +257,12 @@ _operator(operator.mul, "fmul")
 
 def _filled(like: Any, value: Any) -> Any:
     """A constant of this LLVM type, in every entry if it has several."""
-    return ir.Constant(like, [value] * WIDTH if isinstance(like, ir.VectorType) else value)
+    return ir.Constant(like, [value] * VECTOR_WIDTH if isinstance(like, ir.VectorType) else value)
 
 
 def _integers(builder: Any, value: Any) -> Any:
     several = isinstance(value.type, ir.VectorType)
-    return builder.bitcast(value, ir.VectorType(ir.IntType(64), WIDTH) if several else ir.IntType(64))
+    return builder.bitcast(value, ir.VectorType(ir.IntType(64), VECTOR_WIDTH) if several else ir.IntType(64))
 
 
 def _absolute(builder: Any, value: Any) -> Any:
@@ -315,8 +315,8 @@ def usual_sum(typingctx, a, b, c, y, beyond):
         is_usual = builder.and_(is_usual, builder.fcmp_ordered("==", further, y))
         if not isinstance(a.type, ir.VectorType):
             return is_usual
-        extended = builder.sext(is_usual, ir.VectorType(ir.IntType(64), WIDTH))
-        name = f"llvm.vector.reduce.and.v{WIDTH}i64"
+        extended = builder.sext(is_usual, ir.VectorType(ir.IntType(64), VECTOR_WIDTH))
+        name = f"llvm.vector.reduce.and.v{VECTOR_WIDTH}i64"
         declared = cgutils.get_or_insert_function(
             builder.module, ir.FunctionType(ir.IntType(64), [extended.type]), name
         )
@@ -331,7 +331,7 @@ def fma8(typingctx, a, b, c):
 
     def codegen(context, builder, signature, args):
         function = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
-        declared = cgutils.get_or_insert_function(builder.module, function, f"llvm.fma.v{WIDTH}f64")
+        declared = cgutils.get_or_insert_function(builder.module, function, f"llvm.fma.v{VECTOR_WIDTH}f64")
         return builder.call(declared, args)
 
     return vector8(vector8, vector8, vector8), codegen
@@ -362,7 +362,7 @@ def where_positive(typingctx, a, b, c):
     """``b if a > 0 else c``, entry by entry."""
 
     def codegen(context, builder, signature, args):
-        zero = ir.Constant(_VECTOR, [0.0] * WIDTH)
+        zero = ir.Constant(_VECTOR, [0.0] * VECTOR_WIDTH)
         return builder.select(builder.fcmp_ordered(">", args[0], zero), args[1], args[2])
 
     return vector8(vector8, vector8, vector8), codegen
@@ -379,13 +379,13 @@ def column(typingctx, array, count, first, j):
         struct = context.make_array(array_type)(context, builder, args[0])
         last = builder.sub(args[1], ir.Constant(ir.IntType(64), 1))
         value = ir.Constant(_VECTOR, ir.Undefined)
-        for i in range(WIDTH):
+        for i in range(VECTOR_WIDTH):
             row = builder.add(args[2], ir.Constant(ir.IntType(64), i))
             row = builder.select(builder.icmp_signed("<", row, last), row, last)
             where = cgutils.get_item_pointer(context, builder, array_type, struct, [row, args[3]], wraparound=False)
             value = builder.insert_element(value, builder.load(where), _I32(i))
         mask = _mask(builder, "<", builder.sub(args[1], args[2]))
-        return builder.select(mask, value, ir.Constant(_VECTOR, [0.0] * WIDTH))
+        return builder.select(mask, value, ir.Constant(_VECTOR, [0.0] * VECTOR_WIDTH))
 
     return signature, codegen
 
@@ -396,13 +396,13 @@ def totals(typingctx, rows):
 
     def codegen(context, builder, signature, args):
         def merge(x, y, low, high):
-            kind = ir.VectorType(_I32, WIDTH)
+            kind = ir.VectorType(_I32, VECTOR_WIDTH)
             return builder.fadd(
                 builder.shuffle_vector(x, y, ir.Constant(kind, low)),
                 builder.shuffle_vector(x, y, ir.Constant(kind, high)),
             )
 
-        rows = cgutils.unpack_tuple(builder, args[0], WIDTH)
+        rows = cgutils.unpack_tuple(builder, args[0], VECTOR_WIDTH)
         # pairs[i] holds, for rows 2i and 2i+1, the sums of entries (01, 23, 45, 67), alternating between the rows
         low, high = [0, 8, 2, 10, 4, 12, 6, 14], [1, 9, 3, 11, 5, 13, 7, 15]
         pairs = [merge(rows[i], rows[i + 1], low, high) for i in (0, 2, 4, 6)]
@@ -411,12 +411,12 @@ def totals(typingctx, rows):
         low, high = [0, 1, 2, 3, 8, 9, 10, 11], [4, 5, 6, 7, 12, 13, 14, 15]
         return merge(fours[0], fours[1], low, high)
 
-    return vector8(types.UniTuple(vector8, WIDTH)), codegen
+    return vector8(types.UniTuple(vector8, VECTOR_WIDTH)), codegen
 
 
 def _fold(builder: Any, value: Any, combine: Any) -> Any:
     """Halve three times: entries (0+4, 1+5, 2+6, 3+7), then (0+2, 1+3), then (0+1)."""
-    width = WIDTH
+    width = VECTOR_WIDTH
     while width > 1:
         width //= 2
         low = ir.Constant(ir.VectorType(_I32, width), list(range(width)))
@@ -467,19 +467,19 @@ def all_below_infinity(typingctx, a):
     """Whether no entry is NaN or +inf."""
 
     def codegen(context, builder, signature, args):
-        infinity = ir.Constant(_VECTOR, [float("inf")] * WIDTH)
-        bits = builder.bitcast(builder.fcmp_ordered("<", args[0], infinity), ir.IntType(WIDTH))
-        return builder.icmp_unsigned("==", bits, ir.Constant(ir.IntType(WIDTH), 2**WIDTH - 1))
+        infinity = ir.Constant(_VECTOR, [float("inf")] * VECTOR_WIDTH)
+        bits = builder.bitcast(builder.fcmp_ordered("<", args[0], infinity), ir.IntType(VECTOR_WIDTH))
+        return builder.icmp_unsigned("==", bits, ir.Constant(ir.IntType(VECTOR_WIDTH), 2**VECTOR_WIDTH - 1))
 
     return types.boolean(vector8), codegen
 
 
 def _mask(builder: Any, compare: str, count: Any) -> Any:
-    vector_type = ir.VectorType(ir.IntType(64), WIDTH)
+    vector_type = ir.VectorType(ir.IntType(64), VECTOR_WIDTH)
     undefined = ir.Constant(vector_type, ir.Undefined)
-    mask = ir.Constant(ir.VectorType(_I32, WIDTH), [0] * WIDTH)
+    mask = ir.Constant(ir.VectorType(_I32, VECTOR_WIDTH), [0] * VECTOR_WIDTH)
     counts = builder.shuffle_vector(builder.insert_element(undefined, count, _I32(0)), undefined, mask)
-    return builder.icmp_signed(compare, ir.Constant(vector_type, list(range(WIDTH))), counts)
+    return builder.icmp_signed(compare, ir.Constant(vector_type, list(range(VECTOR_WIDTH))), counts)
 
 
 @intrinsic
@@ -497,7 +497,7 @@ def keep_first(typingctx, a, count):
     """The first ``count`` entries of ``a`` (any integer), zero in the others."""
 
     def codegen(context, builder, signature, args):
-        return builder.select(_mask(builder, "<", args[1]), args[0], ir.Constant(_VECTOR, [0.0] * WIDTH))
+        return builder.select(_mask(builder, "<", args[1]), args[0], ir.Constant(_VECTOR, [0.0] * VECTOR_WIDTH))
 
     return vector8(vector8, types.int64), codegen
 
@@ -507,18 +507,18 @@ def keep_last(typingctx, a, start):
     """The entries of ``a`` from ``start`` on (any integer), zero before."""
 
     def codegen(context, builder, signature, args):
-        return builder.select(_mask(builder, ">=", args[1]), args[0], ir.Constant(_VECTOR, [0.0] * WIDTH))
+        return builder.select(_mask(builder, ">=", args[1]), args[0], ir.Constant(_VECTOR, [0.0] * VECTOR_WIDTH))
 
     return vector8(vector8, types.int64), codegen
 
 
 @intrinsic
 def first_equal(typingctx, a, value):
-    """The first entry that equals ``value``; `WIDTH` when none does."""
+    """The first entry that equals ``value``; `VECTOR_WIDTH` when none does."""
 
     def codegen(context, builder, signature, args):
-        bits = builder.bitcast(builder.fcmp_ordered("==", args[0], _splat(builder, args[1])), ir.IntType(WIDTH))
-        word = builder.or_(builder.zext(bits, ir.IntType(64)), ir.Constant(ir.IntType(64), 1 << WIDTH))
+        bits = builder.bitcast(builder.fcmp_ordered("==", args[0], _splat(builder, args[1])), ir.IntType(VECTOR_WIDTH))
+        word = builder.or_(builder.zext(bits, ir.IntType(64)), ir.Constant(ir.IntType(64), 1 << VECTOR_WIDTH))
         return builder.cttz(word, ir.Constant(ir.IntType(1), 1))
 
     return types.int64(vector8, types.float64), codegen

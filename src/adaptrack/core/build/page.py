@@ -17,7 +17,7 @@ CALLED = (
     "plan_places", "plan_along_road", "plan_constant", "drive_periods", "drive_samples", "drive_start",
     "complete_samples",
 )  # fmt: skip
-MEMBERS = (
+PAGE_MEMBERS = (
     "kalman", "discretise_path", "discretise_single_track", "pure_pursuit", "stanley", "lqr",
     *(plant for plant in PLANTS if plant.startswith("dual_track")),
 )  # fmt: skip

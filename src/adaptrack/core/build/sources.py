@@ -8,7 +8,7 @@ from pathlib import Path
 
 from .. import library
 
-COMPILER = Path(__file__).with_name("numba_functions.py")
+COMPILER_FILE = Path(__file__).with_name("numba_functions.py")
 
 
 @cache
@@ -19,9 +19,9 @@ def _imports(source: Path) -> set[Path]:
         if not isinstance(node, ast.ImportFrom):
             continue
         module = (node.module or "").split(".")
-        if node.level == 0 and module.pop(0) != library.PACKAGE.name:
+        if node.level == 0 and module.pop(0) != library.PACKAGE_FOLDER.name:
             continue
-        home = source.parents[node.level - 1] if node.level else library.PACKAGE
+        home = source.parents[node.level - 1] if node.level else library.PACKAGE_FOLDER
         home = home.joinpath(*module)
         for name in node.names:
             file = home / f"{name.name}.py"
@@ -34,9 +34,9 @@ def _imports(source: Path) -> set[Path]:
 @cache
 def sources_of(source: Path) -> list[str]:
     """The files that the kernels of a file depend on, by their places in the package."""
-    files, waiting = set(), {source, COMPILER}
+    files, waiting = set(), {source, COMPILER_FILE}
     while waiting:
         module = waiting.pop()
         files.add(module)
         waiting |= _imports(module) - files
-    return sorted(path.relative_to(library.PACKAGE).as_posix() for path in files)
+    return sorted(path.relative_to(library.PACKAGE_FOLDER).as_posix() for path in files)

@@ -1,6 +1,6 @@
 """The kernels that FMUs call, beside those of an exported controller."""
 
-UNITS = {
+UNIT_KERNELS = {
     "Car": ("car_begin", "car_step"),
     "Steering": ("steering_begin", "steering_step"),
     "LawSteering": ("law_steering_begin", "law_steering_step"),

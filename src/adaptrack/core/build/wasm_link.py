@@ -16,11 +16,11 @@ from .objects import Reader
 
 STACK = 2**18
 """bytes"""
-PAGE = 2**16
+MEMORY_PAGE = 2**16
 """bytes of a page of memory"""
-TYPE, IMPORT, FUNCTION, TABLE, MEMORY, GLOBAL, EXPORT, _START, ELEMENT, CODE, DATA, DATA_COUNT = range(1, 13)
+TYPE, IMPORT, FUNCTION, TABLE_SECTION, MEMORY, GLOBAL, EXPORT, _START, ELEMENT, CODE, DATA, DATA_COUNT = range(1, 13)
 """Sections of a module (Core Specification 2.0, section 5.5.2)."""
-_ORDER = (TYPE, FUNCTION, TABLE, MEMORY, GLOBAL, EXPORT, DATA_COUNT, CODE, DATA)
+_ORDER = (TYPE, FUNCTION, TABLE_SECTION, MEMORY, GLOBAL, EXPORT, DATA_COUNT, CODE, DATA)
 _KEPT = {0, 6, 7, 20}
 """Relocations of numbers that stay: of functions, types, globals, tables."""
 _ADDRESSES = {3: 5, 4: 5, 5: 4}
@@ -60,9 +60,9 @@ def linked(content: bytes, stack: int = STACK) -> bytes:
     global_section = Reader(numbered.get(GLOBAL, b"\0"))
     pointer = bytes([_I32, _MUTABLE, _CONST]) + _signed(stack) + bytes([_END])
     numbered |= {
-        TABLE: bytes([1, _FUNCREF, 0, 1]),  # entry 0 stays empty
-        MEMORY: bytes([1, 0]) + _unsigned(-(-end // PAGE)),
-        GLOBAL: _unsigned(1 + global_section.number()) + pointer + global_section.rest(),
+        TABLE_SECTION: bytes([1, _FUNCREF, 0, 1]),  # entry 0 stays empty
+        MEMORY: bytes([1, 0]) + _unsigned(-(-end // MEMORY_PAGE)),
+        GLOBAL: _unsigned(1 + global_section.number()) + pointer + global_section.remainder(),
         EXPORT: _exports(symbols),
         CODE: bytes(code),
     }
@@ -80,7 +80,7 @@ def _sections(content: bytes) -> Iterator[tuple[int, str, bytes]]:
         kind, section = reader.byte(), reader.sized()
         section_reader = Reader(section)
         name = section_reader.sized().decode() if kind == 0 else ""
-        yield kind, name, section_reader.rest()
+        yield kind, name, section_reader.remainder()
 
 
 def _refuse_imports(content: bytes) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from ..kernel import boolean, exported, float64, inlined, int64, matrix, record, vector, void
 from ..layout import put
 from ..maths.exact import sqrt
-from ..maths.vectors import WIDTH, add, fma8, keep_first, load, mul, padded, splat, spread, store, sub, zeros
+from ..maths.vectors import VECTOR_WIDTH, add, fma8, keep_first, load, mul, padded, splat, spread, store, sub, zeros
 
 Discrete = record(
     "Discrete",
@@ -89,12 +89,12 @@ def tracking_error(horizon, free, change, output, reference, error):
     Rows are padded to multiples of the vector width (see `maths.vectors`). Behind the horizon `error` is set to zero.
     """
     y = splat(output)
-    for b in range(0, horizon, WIDTH):
+    for b in range(0, horizon, VECTOR_WIDTH):
         response = y
         for i in range(change.size):
             response = fma8(load(free, i, b), spread(change, i), response)
         store(error, b, keep_first(sub(load(reference, b), response), horizon - b))
-    for b in range(padded(horizon), error.size, WIDTH):
+    for b in range(padded(horizon), error.size, VECTOR_WIDTH):
         store(error, b, zeros())
 
 
@@ -130,7 +130,7 @@ def pulse_gradient(horizon, moves, step, q, error, gradient):
     `error` is zero behind the horizon, for as many entries as `gradient` is long.
     """
     scale = splat(-2.0 * q)
-    for b in range(0, moves, WIDTH):
+    for b in range(0, moves, VECTOR_WIDTH):
         even = zeros()
         odd = zeros()
         for t in range(0, horizon - 1, 2):

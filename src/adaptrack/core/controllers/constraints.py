@@ -16,7 +16,7 @@ sample_at = viewer(Sample)
 Output = record("Output", ("above", "below"))
 """The two rows of an output, or their bounds."""
 output_at = viewer(Output)
-ROWS, OUTPUT_ROWS = len(Sample._fields), len(Output._fields)
+SAMPLE_ROWS, OUTPUT_ROWS = len(Sample._fields), len(Output._fields)
 """Of a sample, and of an output."""
 
 
@@ -28,7 +28,7 @@ def limit_rows(samples, columns_of_e, laguerre, moves, rows):
         for i in range(samples):
             move = moves[c, i] if laguerre else (1.0 if c == i else 0.0)
             angle += move
-            row = sample_at(rows[c], ROWS * i)
+            row = sample_at(rows[c], SAMPLE_ROWS * i)
             row.move, row.move_back, row.angle, row.angle_back = move, -move, angle, -angle
 
 
@@ -48,7 +48,7 @@ def output_rows(first, horizon, columns_of_e, laguerre, step, phi, rows):
 @inlined
 def clear_end(size, values):
     """Zero what a larger problem, perhaps one that was not finite, has left in the padding of a vector."""
-    b = size // vectors.WIDTH * vectors.WIDTH
+    b = size // vectors.VECTOR_WIDTH * vectors.VECTOR_WIDTH
     if b < size:
         vectors.store(values, b, vectors.keep_first(vectors.load(values, b), size - b))
 
@@ -56,7 +56,7 @@ def clear_end(size, values):
 @inlined
 def clear_ends(count, size, values):
     """`clear_end` of so many rows."""
-    b = size // vectors.WIDTH * vectors.WIDTH
+    b = size // vectors.VECTOR_WIDTH * vectors.VECTOR_WIDTH
     if b < size:
         for i in range(count):
             vectors.store(values, i, b, vectors.keep_first(vectors.load(values, i, b), size - b))
@@ -65,11 +65,11 @@ def clear_ends(count, size, values):
 @inlined
 def bound_moves(samples, angle, settings, bounds):
     """Write gamma of eq. (16) for eqs. (13), (14), from the last angle (rad) on."""
-    for i in range(vectors.WIDTH // ROWS):
-        sample = sample_at(bounds, ROWS * i)
+    for i in range(vectors.VECTOR_WIDTH // SAMPLE_ROWS):
+        sample = sample_at(bounds, SAMPLE_ROWS * i)
         sample.move, sample.move_back = settings.move_max, -settings.move_min
         sample.angle, sample.angle_back = settings.angle_max - angle, angle - settings.angle_min
-    for b in range(vectors.WIDTH, ROWS * samples, vectors.WIDTH):
+    for b in range(vectors.VECTOR_WIDTH, SAMPLE_ROWS * samples, vectors.VECTOR_WIDTH):
         vectors.store(bounds, b, vectors.load(bounds, 0))
 
 
@@ -78,7 +78,7 @@ def leave_to_free_moves(samples, moves, bounds):
     """Take moves (rad) that are made in any case out of the bounds: the rest is for those in which the QP is free."""
     total = 0.0
     for i in range(samples):
-        sample, move = sample_at(bounds, ROWS * i), moves[i]
+        sample, move = sample_at(bounds, SAMPLE_ROWS * i), moves[i]
         total += move
         sample.move -= move
         sample.move_back += move

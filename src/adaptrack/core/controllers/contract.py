@@ -10,9 +10,9 @@ all but `road` float64, one-dimensional and C-contiguous:
     reference   (n,), n >= 1: y_ref (m) now and at the control instants that follow, one period apart; without preview
                 its present value alone, once or repeated
     road        the centre line, the arc length of the car's foot on it and the planned speeds
-                (`core.road.RoadAhead`); without pieces and speeds where the road is straight
+                (`core.road.RoadAheadRecord`); without pieces and speeds where the road is straight
     tuning      the law's named tuning entries: they may change at every step
-    parameters  constant numbers, which begin with `COMMON`
+    parameters  constant numbers, which begin with `COMMON_PARAMETERS`
     memory      the law's own state, zeros before the first step
     answer      [steering command (rad), then the law's named diagnostics]
 
@@ -33,7 +33,7 @@ from ..maths.bits import whole
 from ..maths.exact import clip, fmod, sqrt, square
 from ..maths.trigonometric import atan2, cos, sin
 from ..member import member
-from ..road import RoadAhead, point_at
+from ..road import RoadAheadRecord, point_at
 
 SITUATION = (
     "vy",  # m/s, measured lateral velocity
@@ -43,7 +43,7 @@ SITUATION = (
     "speed",  # m/s, v_x
     "command",  # rad, the last command
 )
-COMMON = (
+COMMON_PARAMETERS = (
     "period",  # s, control period
     "move_min",  # rad per period
     "move_max",
@@ -52,17 +52,17 @@ COMMON = (
 )
 """What the parameters of every law begin with."""
 
-LAW_SIGNATURE = void(vector, vector, RoadAhead, vector, vector, vector, vector)
+LAW_SIGNATURE = void(vector, vector, RoadAheadRecord, vector, vector, vector, vector)
 """``law(situation, reference, road, tuning, parameters, memory, answer)``."""
 call_law = Caller(LAW_SIGNATURE)
 
-SLOWEST = 1.0
+MIN_LAW_SPEED = 1.0
 """m/s: below it the heading of y_ref(t) is ill-defined, and laws work as at this speed."""
-STANDING = 0.1
+STANDSTILL_SPEED = 0.1
 """m/s: a slower car stands"""
 MOST_LATERAL = 9.81
 """m/s^2: the curvature of a kink in the reference counts as one that is driven with this lateral acceleration."""
-FURTHEST = 1e6
+MAX_REFERENCE_PERIODS = 1e6
 """periods, how far ahead a reference is read at most"""
 
 Situation = record("Situation", SITUATION)
@@ -92,13 +92,13 @@ def all_finite(values):
 def limited(angle, s, p):
     """The command (rad) nearest to the wanted one within the limits on move and angle, and 1.0 where it is held.
 
-    s: the situation; p: any record with the fields of `COMMON`. A wanted command that is not finite holds the last one;
-    a last one that is not finite counts as 0. A standing car's wheels stay at rest.
+    s: the situation; p: any record with the fields of `COMMON_PARAMETERS`. A wanted command that is not finite holds
+    the last one; a last one that is not finite counts as 0. A standing car's wheels stay at rest.
     """
     last = s.command
     start = last if math.isfinite(last) else 0.0
     invalid = not math.isfinite(angle)
-    move = 0.0 if invalid or abs(s.speed) < STANDING else clip(angle - start, p.move_min, p.move_max)
+    move = 0.0 if invalid or abs(s.speed) < STANDSTILL_SPEED else clip(angle - start, p.move_min, p.move_max)
     return clip(start + move, p.angle_min, p.angle_max), 1.0 if invalid else 0.0
 
 
@@ -129,10 +129,10 @@ def path_at(reference, road, time, speed, period):
 
     x and y count from the foot of the car along and across the road. The path is what y_ref(t) draws beside the road:
     heading = atan2(dy/dt, v), curvature = (d^2y/dt^2)/v^2/(1 + (dy/dt/v)^2)^(3/2), both of the parabola through three
-    successive samples and added to those of the road there; v is `SLOWEST` at least.
+    successive samples and added to those of the road there; v is `MIN_LAW_SPEED` at least.
     """
-    v = max(speed, SLOWEST)
-    steps = clip(time / period, 0.0, FURTHEST)
+    v = max(speed, MIN_LAW_SPEED)
+    steps = clip(time / period, 0.0, MAX_REFERENCE_PERIODS)
     i = whole(steps)
     s = steps - i
     current, following, later = (
@@ -151,11 +151,11 @@ def path_at(reference, road, time, speed, period):
     x, heading, curvature = v * time, atan2(rate, v), clip(curvature, -tightest, tightest)
     if road.line.start.size == 0:
         return Path(x, y, heading, curvature)
-    return _beside(road, x, Path(x, y, heading, curvature))
+    return _shift_to_curve(road, x, Path(x, y, heading, curvature))
 
 
 @inlined
-def _beside(road, distance, path):
+def _shift_to_curve(road, distance, path):
     """A path beside a straight road, at a distance (m) along it, laid beside the curved one."""
     x, y, heading, curvature = point_at(road.station + distance, road.line)
     x0, y0, heading0, _ = point_at(road.station, road.line)
@@ -169,15 +169,15 @@ def _beside(road, distance, path):
 
 @inlined
 def planned_speed(road, time, speed, period):
-    """The speed (m/s, `SLOWEST` at least) that is planned for `time` (s) ahead, shifted so that it is `speed` now.
+    """The speed (m/s, `MIN_LAW_SPEED` at least) planned for `time` (s) ahead, shifted so that it is `speed` now.
 
     Where no plan is known, as on a straight road, the present speed.
     """
     last = road.speeds.size - 1
     if last < 0:
-        return max(speed, SLOWEST)
-    i = min(whole(clip(time / period, 0.0, FURTHEST)), last)
-    return max(road.speeds[i] - road.speeds[0] + speed, SLOWEST)
+        return max(speed, MIN_LAW_SPEED)
+    i = min(whole(clip(time / period, 0.0, MAX_REFERENCE_PERIODS)), last)
+    return max(road.speeds[i] - road.speeds[0] + speed, MIN_LAW_SPEED)
 
 
 @inlined
@@ -188,12 +188,12 @@ def left_of(path, x, y):
 
 @inlined
 def path_ahead(reference, road, time, speed, period, memory):
-    """`path_at`; below `SLOWEST` it is a straight line in the last known `Direction`, with which the memory begins."""
+    """`path_at`; below `MIN_LAW_SPEED` a straight line in the last known `Direction`, with which the memory begins."""
     path = path_at(reference, road, time, speed, period)
     if road.line.start.size > 0:
         return path
     direction = direction_of(memory, 0)
-    if speed < SLOWEST:
+    if speed < MIN_LAW_SPEED:
         return Path(path.x, path.y, direction.heading, 0.0)
     if math.isfinite(path.heading):
         direction.heading = path.heading

@@ -28,18 +28,18 @@ from ..maths.bits import whole
 from ..maths.exact import ceil, clip
 from ..models import path
 
-Turning = record(
-    "Turning",
+TurnIn = record(
+    "TurnIn",
     (
         *path.Turning._fields,
         "friction", "shape_factor",  # of the tyres as the estimator knows them, see `models.path.saturation`; 0: linear
     ),
 )  # fmt: skip
-turning_of = viewer(Turning)
+turning_of = viewer(TurnIn)
 FeedForward = record(
     "FeedForward",
     (
-        ("turning", vector),  # `Turning` of the car; empty: the moves know nothing of the road
+        ("turning", vector),  # `TurnIn` of the car; empty: the moves know nothing of the road
         ("expected", vector),  # (> Np,) rad, moves that the prediction knows
         ("moves", vector),  # (> Np,) rad, all of them
         ("scratch", vector),  # (> Np,)
@@ -48,20 +48,20 @@ FeedForward = record(
 """The moves that the road ahead asks for; without entries where there are none."""
 LEAST_GAIN = 0.3
 """L + K v^2 over L at least: near its critical speed an oversteering car needs hardly any angle."""
-FURTHEST = 0.5
+MAX_TURN_IN = 0.5
 """s, the largest T"""
 
-Bend = record("Bend", ("before", "here", "after", "beyond"))
+Bend = record("Bend", ("before", "present", "after", "beyond"))
 """How far (m) the road lies to the left at four instants in a row."""
 bend_at = viewer(Bend)
 
 
 @inlined
 def bend_size(horizon, period, turning, lag):
-    """How far ahead (instants) the road has to be known; turning: numbers of `Turning`, lag: (s) that in it."""
+    """How far ahead (instants) the road has to be known; turning: numbers of `TurnIn`, lag: (s) that in it."""
     if turning == 0:
         return horizon + 1
-    return horizon + 1 + whole(ceil((lag + FURTHEST) / period)) + 2
+    return horizon + 1 + whole(ceil((lag + MAX_TURN_IN) / period)) + 2
 
 
 @inlined
@@ -79,8 +79,8 @@ def _requested(place, bend):
     p = clip(place, 1.0, bend.size - 2.0)
     i = min(whole(p), bend.size - 3)
     y = bend_at(bend, i - 1)
-    near = y.before - 2.0 * y.here + y.after
-    curvature = y.here - 2.0 * y.after + y.beyond
+    near = y.before - 2.0 * y.present + y.after
+    curvature = y.present - 2.0 * y.after + y.beyond
     return near + (p - i) * (curvature - near)
 
 
@@ -112,7 +112,7 @@ def road_moves(horizon, speed, settings, bend, feed):
     """
     car, period = turning_of(feed.turning, 0), settings.period
     steady = max(car.wheelbase + car.understeer * speed * speed, LEAST_GAIN * car.wheelbase)
-    earlier = min(car.lag + car.turning * speed / steady - car.lr / speed, car.lag + FURTHEST) / period
+    earlier = min(car.lag + car.turning * speed / steady - car.lr / speed, car.lag + MAX_TURN_IN) / period
     expected, moves = feed.expected, feed.moves
     for i in range(horizon + 1):
         turn = _requested(earlier + i - 0.5, bend) / (period * period)

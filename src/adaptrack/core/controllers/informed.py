@@ -11,15 +11,15 @@ from __future__ import annotations
 import math
 
 from ..estimators import kalman, learning
-from ..estimators.contract import ABSURD, FASTEST, call_estimate
+from ..estimators.contract import IMPOSSIBLE_SIGNAL, IMPOSSIBLE_SPEED, call_estimate
 from ..kernel import exported, float64, inlined, int64, several, vector, void
 from ..maths.bits import whole
 from ..models import path
-from ..models.contract import MEASURED
+from ..models.contract import MEASUREMENT
 from ..qp import problem as qp
 from .constraints import sample_at
-from .contract import STANDING
-from .mpc import ANSWER, MPC, Functions, begin_learning
+from .contract import STANDSTILL_SPEED
+from .mpc import MPC_ANSWER, MPC_PLACE, Functions, begin_learning
 from .prediction import compare, complete, discretise, form_model, is_formed, limit_moves, take_tuning
 from .receding import move_on, stand
 
@@ -27,12 +27,12 @@ from .receding import move_on, stand
 @inlined
 def _leave_out_absurd(speed, measured):
     """Let samples that no car gives be missing; the speed, NaN where it is one of them."""
-    for sensor in range(kalman.SENSORS):
-        if not abs(measured[sensor]) < ABSURD:
+    for sensor in range(kalman.SENSOR_COUNT):
+        if not abs(measured[sensor]) < IMPOSSIBLE_SIGNAL:
             measured[sensor] = math.nan
-    if not abs(measured[MEASURED.turned]) < math.pi:
-        measured[MEASURED.turned] = 0.0
-    return speed if abs(speed) < FASTEST else math.nan
+    if not abs(measured[MEASUREMENT.turned]) < math.pi:
+        measured[MEASUREMENT.turned] = 0.0
+    return speed if abs(speed) < IMPOSSIBLE_SPEED else math.nan
 
 
 @inlined
@@ -40,19 +40,19 @@ def _learn(slot, speed, mpc):
     """Learn from what is measured, and let model and estimator of the slot believe it; the factor on R."""
     informed, out = mpc.informed, mpc.answer[slot]
     learned, command = informed.learned[slot], mpc.memory[slot].command
-    n_left_out = whole(kalman.memory_of(informed.estimates[slot], 0).left_out)
-    learning.learn(speed, mpc.measured, command, n_left_out, informed.learner, learned)
-    for i in range(len(learning.BELIEFS)):
-        if not math.isfinite(learned[learning.ANSWER + i]):
+    excluded = whole(kalman.memory_of(informed.estimates[slot], 0).excluded)
+    learning.learn(speed, mpc.measured, command, excluded, informed.learner, learned)
+    for i in range(len(learning.BELIEF_NAMES)):
+        if not math.isfinite(learned[learning.BELIEFS_OFFSET + i]):
             begin_learning(slot, informed)
-    for i in range(len(learning.BELIEFS)):
-        out[len(ANSWER) + i] = learned[learning.ANSWER + i]
+    for i in range(len(learning.BELIEF_NAMES)):
+        out[len(MPC_ANSWER) + i] = learned[learning.BELIEFS_OFFSET + i]
     if math.isfinite(speed):
         learning.believe(informed.learner, learned, mpc.parameters, informed.estimator, informed.estimates[slot])
         mpc.memory[slot].speed = math.nan  # the model is formed anew
         if mpc.feed.turning.size > 0:
             path.write_turning(mpc.parameters, mpc.feed.turning)
-    return out[len(ANSWER) + learning.BELIEF.used_caution]
+    return out[len(MPC_ANSWER) + learning.BELIEF_COLUMNS.used_caution]
 
 
 @inlined
@@ -69,13 +69,13 @@ def _keep_model(slot, mpc):
 def _estimate(slot, speed, mpc, functions):
     """State and disturbance at a speed (m/s) by the estimator."""
     informed = mpc.informed
-    mpc.answer[slot, ANSWER.dead_reckoning] = call_estimate(
+    mpc.answer[slot, MPC_ANSWER.dead_reckoning] = call_estimate(
         functions.estimate, speed, mpc.measured, mpc.memory[slot].command, informed.a[slot], informed.b[slot],
         informed.estimator, informed.estimates[slot], informed.x, informed.d,
     )  # fmt: skip
 
 
-@exported(void(int64, float64, MPC, Functions))
+@exported(void(int64, float64, MPC_PLACE, Functions))
 def _estimate_alone(slot, speed, mpc, functions):
     """Let the estimator have the samples of a step without a QP."""
     discretise(speed, mpc, functions)
@@ -109,16 +109,16 @@ def _widen_first_move(slot, mpc):
     if settings.learns > 0:
         ahead = learning.ahead_of(ahead, informed.learner, informed.learned[slot])
     for i in range(mpc.states.size):
-        if mpc.states[i] == MEASURED.wheel_angle:
+        if mpc.states[i] == MEASUREMENT.wheel_angle:
             first.move = max(settings.move_max, informed.x[i] + ahead - command)
             first.move_back = max(-settings.move_min, command - informed.x[i] + ahead)
 
 
-@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC, Functions))
+@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC_PLACE, Functions))
 def form_informed(slot, speed, reference, tuning, mpc, functions):
     """The QP of eq. (17); see `mpc_step.form_qp`."""
     settings, memory = mpc.settings, mpc.memory[slot]
-    mpc.answer[slot, ANSWER.dead_reckoning] = 0.0
+    mpc.answer[slot, MPC_ANSWER.dead_reckoning] = 0.0
     speed = _leave_out_absurd(speed, mpc.measured)
     caution = _learn(slot, speed, mpc) if settings.learns > 0 else 1.0
     status, n, m = take_tuning(slot, tuning, caution, mpc)
@@ -142,7 +142,7 @@ def form_informed(slot, speed, reference, tuning, mpc, functions):
 def step(slot, speed, reference, tuning, mpc, functions):
     """One step of a slot. Arguments as for `mpc_step.form_qp`."""
     status, n, m = form_informed(slot, speed, reference, tuning, mpc, functions)
-    if status == qp.SOLVED and abs(speed) < STANDING:
+    if status == qp.SOLVED and abs(speed) < STANDSTILL_SPEED:
         stand(slot, mpc)
     else:
         move_on(slot, status, n, m, mpc)

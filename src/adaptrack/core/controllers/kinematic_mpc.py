@@ -39,10 +39,10 @@ from ..qp.active_set import active_set
 from ..qp.factor import factorise
 from . import predicted_path
 from .contract import (
-    COMMON,
+    COMMON_PARAMETERS,
     LAW_SIGNATURE,
-    SLOWEST,
-    STANDING,
+    MIN_LAW_SPEED,
+    STANDSTILL_SPEED,
     all_finite,
     limited,
     path_ahead,
@@ -51,7 +51,7 @@ from .contract import (
     wrapped,
 )
 
-WEIGHTS = (
+KINEMATIC_WEIGHTS = (
     "lateral_error",  # 1/m^2, q_e
     "heading_error",  # 1/rad^2, q_theta
     "heading_error_v2",  # s^2/(m^2 rad^2), q_theta,v
@@ -63,10 +63,10 @@ WEIGHTS = (
     "terminal_lateral_error",  # 1/m^2
     "terminal_heading_error",  # 1/rad^2
 )
-TUNING = (*WEIGHTS, "cutoff")
+KINEMATIC_TUNING = (*KINEMATIC_WEIGHTS, "cutoff")
 """The weights, and the cut-off frequency (Hz) of the Butterworth filter on the command; 0: none."""
 PARAMETERS = (
-    *COMMON,
+    *COMMON_PARAMETERS,
     "wheelbase",  # m
     "lr",  # m, centre of gravity to rear axle
     "lag",  # s, of the steering
@@ -76,7 +76,7 @@ PARAMETERS = (
     "step",  # s, of a stage
     # the rows of the limits, transposed, behind these
 )
-DIAGNOSTICS = (
+KINEMATIC_DIAGNOSTICS = (
     "held",  # 1: the last command is held
     "offset",  # m, from the path to the car, positive when the car is on the left
     "heading_error",  # rad, the car's heading less the path's, both at the rear axle
@@ -84,15 +84,15 @@ DIAGNOSTICS = (
     "qp_status",  # see `core.qp.problem`
     "qp_iterations",
 )
-answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))
+answer_of = viewer(record("Answer", ("command", *KINEMATIC_DIAGNOSTICS)))
 DISTANT = 1e-9
 """rad: a last command that differs by more from what was answered is another one's."""
-Rows = record("Rows", ("angle", "angle_back", "move", "move_back"))
+LimitRows = record("LimitRows", ("angle", "angle_back", "move", "move_back"))
 """The rows of the limits on a stage's input and on its change, or their bounds."""
-rows_at = viewer(Rows)
-ROWS = len(Rows._fields)
+rows_at = viewer(LimitRows)
+LIMIT_ROWS = len(LimitRows._fields)
 
-Tuning = record("Tuning", TUNING)
+Tuning = record("Tuning", KINEMATIC_TUNING)
 Parameters = record("Parameters", PARAMETERS)
 read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
@@ -107,7 +107,7 @@ Memory = record(
 )  # fmt: skip
 """What is remembered; `predicted_path` behind it, then the workspace."""
 memory_of = viewer(Memory)
-KEPT = size_of(Memory)
+KINEMATIC_MEMORY = size_of(Memory)
 First = record("First", ("now", "following"))
 """What belongs to the first two inputs."""
 first_of = viewer(First)
@@ -118,32 +118,35 @@ STAGE = (
 )  # fmt: skip
 """Of each stage: A = [1 p q; 0 1 r; 0 0 a], B, w; weights of e and theta at its end; v; delta_r; S B; the free response
 at its end."""
-P, Q, R, A, B_E, B_THETA, B_DELTA, W_E, W_THETA, Q_E, Q_THETA, SPEED, REFERENCE = range(13)
+SCALAR_P, SCALAR_Q, SCALAR_R, A, B_E, B_THETA, B_DELTA, W_E, W_THETA, Q_E, Q_THETA, STAGE_SPEED, STAGE_REFERENCE = (
+    range(13)
+)
 G_E, G_THETA, G_DELTA, X_E, X_THETA = range(13, 18)
 
-Workspace = record("Workspace", ("stage", "hessian", "gradient", "factor", "bounds", "solution", "multipliers",
-                                 "work", "rows", "index"))  # fmt: skip
+KinematicWorkspace = record("KinematicWorkspace", (
+    "stage", "hessian", "gradient", "factor", "bounds", "solution", "multipliers", "work", "rows", "index",
+))  # fmt: skip
 
 
 def _sizes(stages: int) -> list[int]:
     """Numbers in each array of the workspace."""
-    n, m = padded(stages), padded(ROWS * stages)
+    n, m = padded(stages), padded(LIMIT_ROWS * stages)
     high = max(n, len(qp.VECTOR))
-    solving = [len(qp.INVERSE) * stages * n, m, n, m, len(qp.PLANE) * high * n, qp.ROW_VECTORS * m, ROWS * stages]
+    solving = [len(qp.INVERSE) * stages * n, m, n, m, len(qp.PLANE) * high * n, qp.ROW_VECTORS * m, LIMIT_ROWS * stages]
     return [len(STAGE) * n, stages * n, n, *solving]
 
 
 def memory_size(stages: int, behind: float) -> int:
     """How many numbers a controller remembers; behind: periods from the measured pose to the end of the dead time."""
-    return KEPT + predicted_path.size(behind) + sum(_sizes(stages))
+    return KINEMATIC_MEMORY + predicted_path.size(behind) + sum(_sizes(stages))
 
 
 def limit_rows(stages: int) -> np.ndarray:
     """(stages, padded 4 stages) rows of u_i, -u_i, u_i - u_i-1 and its negative for every stage, transposed."""
     value, change = np.eye(stages), np.eye(stages) - np.eye(stages, k=1)
-    rows = np.zeros((stages, padded(ROWS * stages)))
+    rows = np.zeros((stages, padded(LIMIT_ROWS * stages)))
     for k, part in enumerate((value, -value, change, -change)):
-        rows[:, k : ROWS * stages : ROWS] = part
+        rows[:, k : LIMIT_ROWS * stages : LIMIT_ROWS] = part
     return rows
 
 
@@ -156,9 +159,9 @@ def _part(size, end, memory):
 @inlined
 def _workspace(n, memory):
     """The arrays of the workspace, at the end of the memory."""
-    width, m = padded(n), padded(ROWS * n)
+    width, m = padded(n), padded(LIMIT_ROWS * n)
     high = max(width, len(qp.VECTOR))
-    index, end = _part(ROWS * n, memory.size, memory)
+    index, end = _part(LIMIT_ROWS * n, memory.size, memory)
     rows, end = _part(qp.ROW_VECTORS * m, end, memory)
     work, end = _part(len(qp.PLANE) * high * width, end, memory)
     multipliers, end = _part(m, end, memory)
@@ -168,7 +171,7 @@ def _workspace(n, memory):
     gradient, end = _part(width, end, memory)
     hessian, end = _part(n * width, end, memory)
     stage, end = _part(len(STAGE) * width, end, memory)
-    return Workspace(
+    return KinematicWorkspace(
         shaped(stage, len(STAGE), width), shaped(hessian, n, width), gradient,
         shaped(factor, len(qp.INVERSE), n, width), bounds, solution, multipliers,
         shaped(work, len(qp.PLANE), high, width), shaped(rows, qp.ROW_VECTORS, m), index.view(np.int64),
@@ -177,7 +180,7 @@ def _workspace(n, memory):
 
 # -- the model --------------------------------------------------------------------------------------------------------
 @inlined
-def held(speed, curvature, time, p):
+def discretise_held(speed, curvature, time, p):
     """The model over a time (s) with the input held: (p, q, r, a), (b_e, b_theta, b_delta), (w_e, w_theta), delta_r."""
     reference = clip(atan(p.wheelbase * curvature), p.angle_min, p.angle_max)
     slope = 1.0 / square(cos(reference))
@@ -200,12 +203,12 @@ def _roll(e, theta, reference, road, s, p, sent):
     """The state at the end of the dead time from that at the measurement; and how far (m) the rear axle is then."""
     behind = (p.pose_age + p.dead_time) / p.period
     delta, time = predicted_path.wheels_of(sent, 0).angle, -p.pose_age
-    distance = -p.lr - p.pose_age * max(s.speed, SLOWEST)
+    distance = -p.lr - p.pose_age * max(s.speed, MIN_LAW_SPEED)
     for piece in range(predicted_path.count_pieces(behind), 0, -1):
         h = predicted_path.share_of(piece, behind) * p.period
         v = planned_speed(road, time, s.speed, p.period)
         curvature = predicted_path.curvature_at(distance + 0.5 * v * h, reference, road, s, p)
-        (pe, qe, r, a), (be, bt, bd), (we, wt), _ = held(v, curvature, h, p)
+        (pe, qe, r, a), (be, bt, bd), (we, wt), _ = discretise_held(v, curvature, h, p)
         u = predicted_path.sent(piece, sent)
         e = e + pe * theta + qe * delta + be * u + we
         theta = theta + r * delta + bt * u + wt
@@ -224,14 +227,14 @@ def _write_stages(distance, reference, road, s, t, p, stage):
         v = planned_speed(road, p.dead_time + i * p.step, s.speed, p.period)
         curvature = predicted_path.curvature_at(distance, reference, road, s, p)
         distance += v * p.step
-        free, driven_response, pushed, steady = held(v, curvature, p.step, p)
-        stage[P, i], stage[Q, i], stage[R, i], stage[A, i] = free
+        free, driven_response, pushed, steady = discretise_held(v, curvature, p.step, p)
+        stage[SCALAR_P, i], stage[SCALAR_Q, i], stage[SCALAR_R, i], stage[A, i] = free
         stage[B_E, i], stage[B_THETA, i], stage[B_DELTA, i] = driven_response
         stage[W_E, i], stage[W_THETA, i] = pushed
         last = i == n - 1
         stage[Q_E, i] = t.terminal_lateral_error if last else t.lateral_error
         stage[Q_THETA, i] = (t.terminal_heading_error if last else t.heading_error) + t.heading_error_v2 * v * v
-        stage[SPEED, i], stage[REFERENCE, i] = v, steady
+        stage[STAGE_SPEED, i], stage[STAGE_REFERENCE, i] = v, steady
 
 
 @inlined
@@ -239,8 +242,8 @@ def _write_tracking(e, theta, delta, n, stage, hessian, gradient):
     """Write what the errors' weights give of Hessian and gradient, from the state at the end of the dead time."""
     for i in range(n):
         e, theta, delta = (
-            e + stage[P, i] * theta + stage[Q, i] * delta + stage[W_E, i],
-            theta + stage[R, i] * delta + stage[W_THETA, i],
+            e + stage[SCALAR_P, i] * theta + stage[SCALAR_Q, i] * delta + stage[W_E, i],
+            theta + stage[SCALAR_R, i] * delta + stage[W_THETA, i],
             stage[A, i] * delta,
         )
         stage[X_E, i], stage[X_THETA, i] = e, theta
@@ -248,7 +251,7 @@ def _write_tracking(e, theta, delta, n, stage, hessian, gradient):
     le = lt = ld = 0.0  # the cost to come, derived by the state
     for i in range(n - 1, -1, -1):
         if i < n - 1:
-            p, q, r, a = stage[P, i + 1], stage[Q, i + 1], stage[R, i + 1], stage[A, i + 1]
+            p, q, r, a = stage[SCALAR_P, i + 1], stage[SCALAR_Q, i + 1], stage[SCALAR_R, i + 1], stage[A, i + 1]
             dd = q * (q * ee + r * et + a * ed) + r * (q * et + r * tt + a * td) + a * (q * ed + r * td + a * dd)
             td = p * (q * ee + r * et + a * ed) + q * et + r * tt + a * td
             ed = q * ee + r * et + a * ed
@@ -267,7 +270,8 @@ def _write_tracking(e, theta, delta, n, stage, hessian, gradient):
         for k in range(j, n):
             if k > j:
                 e, theta, delta = (
-                    e + stage[P, k] * theta + stage[Q, k] * delta, theta + stage[R, k] * delta, stage[A, k] * delta,
+                    e + stage[SCALAR_P, k] * theta + stage[SCALAR_Q, k] * delta,
+                    theta + stage[SCALAR_R, k] * delta, stage[A, k] * delta,
                 )  # fmt: skip
             hessian[j, k] = e * stage[G_E, k] + theta * stage[G_THETA, k] + delta * stage[G_DELTA, k]
             hessian[k, j] = hessian[j, k]
@@ -287,10 +291,10 @@ def _add_steering(n, t, p, before, earlier, stage, hessian, gradient):
     """Add what the weights of the inputs and of their changes give; before, earlier: the last two inputs (rad)."""
     h, period = p.step, p.period
     for i in range(n):
-        v = stage[SPEED, i]
+        v = stage[STAGE_SPEED, i]
         weight = t.steering + t.steering_v2 * v * v
         hessian[i, i] += weight
-        gradient[i] -= weight * stage[REFERENCE, i]
+        gradient[i] -= weight * stage[STAGE_REFERENCE, i]
         if i < n - 1:
             _add_difference(i, (t.lateral_jerk * v * v + t.steering_rate) / (h * h), (1.0, -1.0, 0.0), hessian)
         if 0 < i < n - 1:
@@ -312,7 +316,7 @@ def _bound(n, before, p, bounds):
     for i in range(n):
         share = 1.0 if i == 0 else p.step / p.period
         from_here = before if i == 0 else 0.0
-        row = rows_at(bounds, ROWS * i)
+        row = rows_at(bounds, LIMIT_ROWS * i)
         row.angle, row.angle_back = p.angle_max, -p.angle_min
         row.move, row.move_back = p.move_max * share + from_here, -p.move_min * share - from_here
 
@@ -320,14 +324,14 @@ def _bound(n, before, p, bounds):
 @inlined
 def _solve(n, rows, memory, ws):
     """Solve the problem in the workspace: (status, iterations). The rows that were active last are the guess."""
-    m = ROWS * n
+    m = LIMIT_ROWS * n
     status, condition = factorise(n, ws.hessian, ws.factor)
     if status != qp.SOLVED:
         return status, 0
     high = padded(m)
     problem = qp.Problem(n, m, ws.hessian, ws.gradient, shaped(rows[: n * high], n, high), ws.bounds)
     status, iterations, active = active_set(
-        problem, qp.factor_of(ws.factor, condition), qp.Solution(ws.solution, ws.multipliers),
+        problem, qp.factor_of(ws.factor, condition), qp.SolutionRecord(ws.solution, ws.multipliers),
         qp.Scratch(ws.work, ws.rows, ws.index), whole(memory_of(memory, 0).active), False, 10 * (n + m),
     )  # fmt: skip
     memory_of(memory, 0).active = active
@@ -354,7 +358,9 @@ def filtered(angle, before, earlier, last, past, share):
 def _sent(p, memory):
     """Return the part of the memory that `predicted_path` uses."""
     behind = (p.pose_age + p.dead_time) / p.period
-    return (memory[KEPT : KEPT + predicted_path.SENT + 2 + predicted_path.count_pieces(behind)],)
+    return (
+        memory[KINEMATIC_MEMORY : KINEMATIC_MEMORY + predicted_path.SENT + 2 + predicted_path.count_pieces(behind)],
+    )
 
 
 @inlined
@@ -370,7 +376,7 @@ def _take_last(command, p, memory):
 def _form(s, reference, road, t, p, memory):
     """Form the problem; offset, heading error and the workspace."""
     path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
-    place = -p.pose_age * max(s.speed, SLOWEST) - 0.5 * p.lr
+    place = -p.pose_age * max(s.speed, MIN_LAW_SPEED) - 0.5 * p.lr
     turned = p.lr * predicted_path.curvature_at(place, reference, road, s, p)
     offset, theta = (s.y - path.y) * cos(path.heading), wrapped(s.yaw - path.heading + turned)
     rear = offset - p.lr * sin(theta)
@@ -404,7 +410,7 @@ def kinematic_mpc(situation, reference, road, tuning, parameters, memory, answer
         _take_last(s.command, p, memory)
     if all_finite(situation) and all_finite(tuning):
         offset, heading_error, ws = _form(s, reference, road, t, p, memory)
-        feed_forward = first_of(ws.stage[REFERENCE], 0).now
+        feed_forward = first_of(ws.stage[STAGE_REFERENCE], 0).now
         status, iterations = _solve(whole(p.stages), parameters[len(PARAMETERS) :], memory, ws)
         if status == qp.SOLVED:
             angle = _filter(first_of(ws.solution, 0).now, t.cutoff, p, memory)
@@ -412,7 +418,7 @@ def kinematic_mpc(situation, reference, road, tuning, parameters, memory, answer
     out.command, out.held = limited(angle, s, p)
     state = memory_of(memory, 0)
     state.answered = out.command
-    if out.held > 0.0 or abs(s.speed) < STANDING:
+    if out.held > 0.0 or abs(s.speed) < STANDSTILL_SPEED:
         state.before = state.earlier = state.past = out.command
     out.offset, out.heading_error, out.feed_forward = offset, heading_error, feed_forward
     out.qp_status, out.qp_iterations = status, iterations

@@ -10,9 +10,9 @@ from ..maths.exact import clip
 from ..maths.exponential import log
 from ..maths.trigonometric import cos
 from .contract import (
-    COMMON,
+    COMMON_PARAMETERS,
     LAW_SIGNATURE,
-    SLOWEST,
+    MIN_LAW_SPEED,
     all_finite,
     limited,
     path_ahead,
@@ -21,9 +21,9 @@ from .contract import (
     wrapped,
 )
 
-TUNING = ("q_e", "q_heading", "r", "preview_time")
+LQR_TUNING = ("q_e", "q_heading", "r", "preview_time")
 PARAMETERS = (
-    *COMMON,
+    *COMMON_PARAMETERS,
     "wheelbase",  # m
     "lr",  # m, centre of gravity to rear axle
     "understeer",  # rad s^2/m, understeer gradient K: delta = L kappa + K a_y in a steady turn
@@ -37,20 +37,20 @@ PARAMETERS = (
     "log_weight_step",  # of both
     "weights",  # number of nodes of each
 )
-STATES = 4
+LQR_STATES = 4
 """Lateral error (m) and its rate, heading error (rad) and its rate."""
-DIAGNOSTICS = (
+LQR_DIAGNOSTICS = (
     "held",  # 1: the last command is held
     "offset",  # m, from the path to the car, positive when the car is on the left
     "heading_error",  # rad, the car's heading less the path's
     "curvature",  # 1/m, of the path that the feed-forward sees
     "feed_forward",  # rad, steering of the steady turn with this curvature
 )
-answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))
+answer_of = viewer(record("Answer", ("command", *LQR_DIAGNOSTICS)))
 MEMORY = 1
 """The heading of the path, for when the car stands."""
 
-Tuning = record("Tuning", TUNING)
+Tuning = record("Tuning", LQR_TUNING)
 Parameters = record("Parameters", PARAMETERS)
 read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
@@ -77,7 +77,7 @@ def gain_of(state, v, t, p, grid):
         for dj in range(2):
             for dk in range(2):
                 share = (a if di else 1.0 - a) * (b if dj else 1.0 - b) * (c if dk else 1.0 - c)
-                gain += share * grid[(((i + di) * n + j + dj) * n + k + dk) * STATES + state]
+                gain += share * grid[(((i + di) * n + j + dj) * n + k + dk) * LQR_STATES + state]
     return gain
 
 
@@ -91,9 +91,9 @@ def lqr(situation, reference, road, tuning, parameters, memory, answer):
     s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
     angle = offset = heading_error = curvature = feed_forward = math.nan
     if all_finite(situation) and all_finite(tuning):
-        v = max(s.speed, SLOWEST)
+        v = max(s.speed, MIN_LAW_SPEED)
         path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
-        curvature = path_at(reference, road, t.preview_time, v, p.period).curvature if s.speed >= SLOWEST else 0.0
+        curvature = path_at(reference, road, t.preview_time, v, p.period).curvature if s.speed >= MIN_LAW_SPEED else 0.0
         feed_forward = (p.wheelbase + p.understeer * v * v) * curvature
         offset = (s.y - path.y) * cos(path.heading)
         heading_error = wrapped(s.yaw - path.heading)

@@ -36,15 +36,15 @@ from ..kernel import (
 )
 from ..layout import put, room
 from ..maths import vectors
-from ..models.contract import MEASURED
+from ..models.contract import MEASUREMENT
 from ..qp import problem as qp
 from .condensing import Discrete, discrete_sizes, laguerre_moves
-from .constraints import OUTPUT_ROWS, ROWS, limit_rows
+from .constraints import OUTPUT_ROWS, SAMPLE_ROWS, limit_rows
 from .feed_forward import FeedForward, bend_size, feed_forward_sizes, turning_of
 
 # -- settings, fixed over a run ---------------------------------------------------------------------------------------
-Settings = record(
-    "Settings",
+MPCSettings = record(
+    "MPCSettings",
     (
         "period",  # s
         "move_min", "move_max",  # rad per period, eq. (13)
@@ -76,7 +76,7 @@ Settings = record(
     ),
 )  # fmt: skip
 
-ACTIVE_SET, HILDRETH_THEN_EXACT, HILDRETH_APPLIED, HILDRETH_OR_HOLD = 0, 1, 2, 3
+EXACT_ONLY, HILDRETH_THEN_EXACT, HILDRETH_APPLIED, HILDRETH_OR_HOLD = 0, 1, 2, 3
 """Solvers: the exact one; Hildreth finished by the exact one when not converged; Hildreth's last iterate whatever it
 is, as the authors released it; Hildreth, its answer not used when not converged."""
 
@@ -88,16 +88,16 @@ MEMORY = record(
         "command",  # rad, the last one
         "speed", "Np", "Nc", "Q", "R",  # what the workspace holds for this slot; NaN: nothing
         "factor_status", "condition",  # of the Hessian
-        "active", "kept",  # active rows of the last solution, and whether their factor still belongs to E
+        "active", "has_factor",  # active rows of the last solution, and whether their factor still belongs to E
         "planned", "age",  # entries of the last plan (0: none), and periods since it was made
         "reference",  # m, y_ref of the last step
     ),
-    integers=("started", "factor_status", "active", "kept", "planned", "age"),
+    integers=("started", "factor_status", "active", "has_factor", "planned", "age"),
 )  # fmt: skip
 
-TUNING = columns("Np", "Nc", "Q", "R")
+MPC_TUNING = columns("Np", "Nc", "Q", "R")
 """The MPC's named tuning entries."""
-ANSWER = columns(
+MPC_ANSWER = columns(
     "command", "command_change", "held", "Np", "Nc", "Q", "R", "qp_status", "qp_iterations", "qp_residual", "at_limit",
     "dead_reckoning",
 )  # fmt: skip
@@ -130,7 +130,7 @@ _FIELDS = (
     ("qp_rows", matrix),
     ("qp_index", int_matrix),  # (slots, ...) likewise
 )
-Workspace = record("Workspace", _FIELDS)
+MPCWorkspace = record("MPCWorkspace", _FIELDS)
 """Every array that a step needs, made once for the longest horizons. Row lengths are padded to multiples of the vector
 width, as the QP routines ask."""
 
@@ -149,23 +149,23 @@ Estimating = record("Estimating", _ESTIMATING)
 """What only the informed MPC has; without entries for the published one."""
 
 _PARTS = (
-    ("settings", Settings),
+    ("settings", MPCSettings),
     ("model", Discrete),  # scratch: the model at the present speed
     ("parameters", vector),  # of the model
     ("states", int_vector),  # (n,) which measured quantities the model's states are
     ("memory", rows(MEMORY)),  # (slots,)
     ("previous", matrix),  # (slots, n) measured state of the last step
     ("plan", matrix),  # (slots, n) last solution
-    ("answer", matrix),  # (slots, ANSWER), then what is learned (`learning.BELIEFS`)
+    ("answer", matrix),  # (slots, ANSWER), then what is learned (`learning.BELIEF_NAMES`)
     ("measured", vector),  # (MEASURED,)
     ("bend", vector),  # (> Np,) m, the road ahead, see `road.bend_ahead`
     ("feed", FeedForward),  # the moves that the road ahead asks for
     ("informed", Estimating),
-    ("ws", Workspace),
+    ("ws", MPCWorkspace),
 )
 Mpc = record("Mpc", _PARTS)
 """A batch of MPCs that share all but tuning and memory."""
-MPC = Place(Mpc)
+MPC_PLACE = Place(Mpc)
 
 Functions = record("Functions", ("discretise", "estimate"), integers=("discretise", "estimate"))
 """Addresses of what the model and the estimator give, see their contracts; 0: none."""
@@ -177,12 +177,12 @@ def functions(**compiled: Any) -> Any:
 
 
 def settings(**values: Any) -> Any:
-    """`Settings`, zero but for the fields given."""
-    return Settings(**{**dict.fromkeys(Settings._fields, 0), **values})
+    """`MPCSettings`, zero but for the fields given."""
+    return MPCSettings(**{**dict.fromkeys(MPCSettings._fields, 0), **values})
 
 
-Counts = record(
-    "Counts",
+MPCCounts = record(
+    "MPCCounts",
     (
         "slots",
         "states", "parameters",  # of the model, and its numbers
@@ -200,7 +200,7 @@ Counts = record(
 
 @inlined
 def put_sizes(settings, counts, table, row):
-    """Sizes of the arrays of an `Mpc` under `Settings`, from a row of a table on, see `layout`; the next row."""
+    """Sizes of the arrays of an `Mpc` under `MPCSettings`, from a row of a table on, see `layout`; the next row."""
     slots, n = counts.slots, counts.states
     horizon, moves = settings.longest_horizon, most_moves(settings)
     limited, laguerre, informed = (
@@ -209,17 +209,17 @@ def put_sizes(settings, counts, table, row):
         counts.slots if settings.informed > 0 else 0,
     )
     free = (settings.terms if laguerre else moves) + (1 if limited else 0)  # variables of the QP
-    count = ROWS * moves + (OUTPUT_ROWS * horizon if limited else 0)
+    count = SAMPLE_ROWS * moves + (OUTPUT_ROWS * horizon if limited else 0)
     np_, nc, m = vectors.padded(horizon), vectors.padded(free), vectors.padded(count)
-    inverses, work, rows, index = qp.workspace_sizes(free, count, settings.solver != ACTIVE_SET)
+    inverses, work, rows, index = qp.workspace_sizes(free, count, settings.solver != EXACT_ONLY)
     row = discrete_sizes(n, table, row)
     row = put(table, row, counts.parameters)
     row = put(table, row, n)  # states
     row = put(table, row, slots)  # memory
     row = put(table, row, slots, n)  # previous
     row = put(table, row, slots, nc)  # plan
-    row = put(table, row, slots, len(ANSWER) + (len(learning.BELIEFS) if counts.learner > 0 else 0))
-    row = put(table, row, len(MEASURED))
+    row = put(table, row, slots, len(MPC_ANSWER) + (len(learning.BELIEF_NAMES) if counts.learner > 0 else 0))
+    row = put(table, row, len(MEASUREMENT))
     row = put(table, row, bend_size(horizon, settings.period, counts.turning, counts.lag) if counts.curved > 0 else 0)
     row = feed_forward_sizes(counts.turning, horizon + 1 if counts.curved > 0 else 0, table, row)
     for _ in range(2):  # x, d
@@ -240,7 +240,7 @@ def put_sizes(settings, counts, table, row):
     row = put(table, row, slots if limited else 1, free, m)  # rows
     row = put(table, row, m)  # bounds
     row = put(table, row, np_)  # reference
-    row = put(table, row, np_ + nc + vectors.WIDTH)  # error
+    row = put(table, row, np_ + nc + vectors.VECTOR_WIDTH)  # error
     row = put(table, row, n)  # change
     for _ in range(2):  # gradient, solution
         row = put(table, row, nc)
@@ -258,7 +258,7 @@ def complete_settings(settings, counts):
     settings.feeds_forward = 1 if counts.curved > 0 and counts.turning > 0 else 0
 
 
-@exported(int64(Row(Settings), Row(Counts), int_matrix), name="mpc_sizes")
+@exported(int64(Row(MPCSettings), Row(MPCCounts), int_matrix), name="mpc_sizes")
 def sizes(settings, counts, table):
     """Write the sizes of the arrays of an `Mpc` and how many there are, see `layout`; complete its settings.
 
@@ -268,7 +268,7 @@ def sizes(settings, counts, table):
     return put_sizes(settings, counts, table, 0)
 
 
-@exported(void(MPC), name="mpc_prepare")
+@exported(void(MPC_PLACE), name="mpc_prepare")
 def prepare(mpc):
     """Everything in the zeroed memory of an `Mpc` that is not given, before the first step.
 
@@ -291,14 +291,14 @@ def batch(
     slots: int, settings: Any, model: tuple[Any, Any, Any], estimator: tuple[Any, int], curved: bool = False,
     learner: tuple[Any, Any] | None = None,
 ) -> Any:  # fmt: skip
-    """Fresh MPCs for `slots` slots under `Settings`; curved: whether they drive curved roads.
+    """Fresh MPCs for `slots` slots under `MPCSettings`; curved: whether they drive curved roads.
 
-    model: parameters (p,), places of its states in `MEASURED` (n,), `feed_forward.Turning` (7,) or nothing; estimator:
-    parameters (q,) and length of the memory; learner: parameters and first memory, None: nothing is learned.
+    model: parameters (p,), places of its states in `MEASUREMENT` (n,), `feed_forward.TurnIn` (7,) or nothing;
+    estimator: parameters (q,) and length of the memory; learner: parameters and first memory, None: nothing is learned.
     """
     (parameters, states, turning), (numbers, estimates) = model, estimator
     learns, fresh = (np.zeros(0), np.zeros(0)) if learner is None else learner
-    counts = Counts(
+    counts = MPCCounts(
         slots, len(states), len(parameters), len(turning), _lag_of(turning), len(numbers), estimates, len(learns),
         len(fresh), int(curved),
     )  # fmt: skip
@@ -315,9 +315,9 @@ def batch(
 
 def _room(settings: Any, counts: Any) -> Any:
     """Zeroed memory of MPCs under settings, those completed."""
-    (settled,) = Settings.new(1, **settings._asdict())
+    (settled,) = MPCSettings.new(1, **settings._asdict())
     complete_settings(settled, counts)
-    return room(Mpc, put_sizes, settled, counts)._replace(settings=Settings(*settled.tolist()))
+    return room(Mpc, put_sizes, settled, counts)._replace(settings=MPCSettings(*settled.tolist()))
 
 
 def _lag_of(turning: Any) -> float:
@@ -327,7 +327,7 @@ def _lag_of(turning: Any) -> float:
 def on_curved_roads(mpc: Any) -> Any:
     """Return MPCs with additional room for the road ahead."""
     turning = mpc.feed.turning
-    curved = _room(mpc.settings, Counts(0, 0, 0, len(turning), _lag_of(turning), 0, 0, mpc.settings.learns, 0, 1))
+    curved = _room(mpc.settings, MPCCounts(0, 0, 0, len(turning), _lag_of(turning), 0, 0, mpc.settings.learns, 0, 1))
     return mpc._replace(settings=curved.settings, bend=curved.bend, feed=curved.feed._replace(turning=turning))
 
 
@@ -361,7 +361,7 @@ def forget(slot, mpc):
 def restart(slot, mpc):
     """Reset a slot but keep what it has learned of the car."""
     memory = mpc.memory[slot]
-    memory.started, memory.command, memory.active, memory.kept, memory.planned, memory.age = 0, 0.0, 0, 0, 0, 0
+    memory.started, memory.command, memory.active, memory.has_factor, memory.planned, memory.age = 0, 0.0, 0, 0, 0, 0
     memory.reference = 0.0
     mpc.previous[slot, :] = 0.0
     mpc.informed.estimates[slot, :] = 0.0
@@ -376,9 +376,9 @@ def change_path(slot, turned, shifted, late, mpc):
     late: of the Kalman filter; another estimator, -1, begins anew.
     """
     for i in range(mpc.states.size):
-        if mpc.states[i] == MEASURED.yaw:
+        if mpc.states[i] == MEASUREMENT.yaw:
             mpc.previous[slot, i] += turned
-        elif mpc.states[i] == MEASURED.y:
+        elif mpc.states[i] == MEASUREMENT.y:
             mpc.previous[slot, i] += shifted
     if mpc.memory[slot].started == 0:
         return

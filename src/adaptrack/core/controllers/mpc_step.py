@@ -5,12 +5,12 @@ from __future__ import annotations
 from ..kernel import Place, columns, exported, float64, inlined, int64, matrix, record, several, vector, void
 from ..maths.bits import whole
 from . import informed, published
-from .mpc import MPC, Functions, Mpc
+from .mpc import MPC_PLACE, Functions, Mpc
 
-NOW = columns("speed", "count")
+STEP_INPUT = columns("speed", "count")
 """What a step is given: v_x (m/s), and how many numbers of y_ref count."""
-Step = record(
-    "Step", (("mpc", Mpc), ("functions", Functions), ("now", vector), ("reference", vector), ("tuning", vector))
+MPCStep = record(
+    "MPCStep", (("mpc", Mpc), ("functions", Functions), ("now", vector), ("reference", vector), ("tuning", vector))
 )
 """A step of the MPC in slot 0: now (NOW,), y_ref (m) and the tuning as requested. Its caller writes to these arrays and
 to mpc.measured, so nothing is converted and no address found for a step."""
@@ -25,19 +25,19 @@ def step_with(slot, speed, reference, tuning, mpc, functions):
         published.step(slot, speed, reference, tuning, mpc, functions)
 
 
-@exported(void(Place(Step)), name="mpc_step")
+@exported(void(Place(MPCStep)), name="mpc_step")
 def step(inputs):
     """One step of the MPC; see `form_qp`."""
-    current, reference = inputs.now, inputs.reference[: whole(inputs.now[NOW.count])]
-    step_with(0, current[NOW.speed], reference, inputs.tuning, inputs.mpc, inputs.functions)
+    current, reference = inputs.now, inputs.reference[: whole(inputs.now[STEP_INPUT.count])]
+    step_with(0, current[STEP_INPUT.speed], reference, inputs.tuning, inputs.mpc, inputs.functions)
 
 
-@exported(void(matrix, vector, matrix, matrix, MPC, Functions, matrix))
+@exported(void(matrix, vector, matrix, matrix, MPC_PLACE, Functions, matrix))
 def steps(states, speeds, references, tunings, mpc, functions, answers):
     """Many steps of slot 0 on inputs at hand, step k with rows k: a long search for inputs that break it.
 
     They are measured quantities (k, MEASURED), speed (k,), y_ref (k, .), tuning (k, 4).
-    answers: (k, .) what each step answered, as `mpc.ANSWER` and what is learned.
+    answers: (k, .) what each step answered, as `mpc.MPC_ANSWER` and what is learned.
     """
     for k in range(speeds.size):
         for i in range(mpc.measured.size):
@@ -47,7 +47,7 @@ def steps(states, speeds, references, tunings, mpc, functions, answers):
             answers[k, i] = mpc.answer[0, i]
 
 
-@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC, Functions))
+@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC_PLACE, Functions))
 def form_qp(slot, speed, reference, tuning, mpc, functions):
     """The QP of eq. (17) for a slot of the MPCs, for back-ends that are not kernels; `receding.apply_move` is the rest.
 

@@ -13,7 +13,7 @@ from ..kernel import inlined, record, size_of, viewer
 from ..maths.bits import whole
 from ..maths.exact import ceil
 from ..maths.exponential import exp
-from .contract import SLOWEST, path_at
+from .contract import MIN_LAW_SPEED, path_at
 
 Wheels = record("Wheels", ("started", "angle"))
 """What is remembered begins with: 1 after the first step, the wheel angle (rad) at the start."""
@@ -73,7 +73,7 @@ def take_command(command, behind, period, lag, memory):
 @inlined
 def curvature_at(distance, reference, road, s, p):
     """The curvature (1/m) of the path, so far (m) ahead; 0 of y_ref(t) for a car that hardly moves."""
-    if road.line.start.size == 0 and s.speed < SLOWEST:
+    if road.line.start.size == 0 and s.speed < MIN_LAW_SPEED:
         return 0.0
-    v = max(s.speed, SLOWEST)
+    v = max(s.speed, MIN_LAW_SPEED)
     return path_at(reference, road, distance / v, v, p.period).curvature

@@ -25,7 +25,7 @@ from .condensing import (
 )
 from .constraints import (
     OUTPUT_ROWS,
-    ROWS,
+    SAMPLE_ROWS,
     bound_moves,
     bound_outputs,
     clear_end,
@@ -35,9 +35,9 @@ from .constraints import (
     output_rows,
 )
 from .feed_forward import expect_moves, road_moves
-from .mpc import ANSWER, MPC, TUNING, Functions, delay_of, has_output_limits, present
+from .mpc import MPC_ANSWER, MPC_PLACE, MPC_TUNING, Functions, delay_of, has_output_limits, present
 
-RESPONSE, STEEPEST = 1.0, 0.5
+RESPONSE, MAX_REFERENCE_HEADING = 1.0, 0.5
 """s, by which a car without preview follows a moving reference late; rad, a steeper reference has jumped."""
 
 
@@ -55,14 +55,14 @@ def take_tuning(slot, tuning, caution, mpc):
     Returns whether it makes a QP, its variables and its rows.
     """
     settings, out = mpc.settings, mpc.answer[slot]
-    horizon = _horizon(tuning[TUNING.Np], float(settings.longest_horizon))
-    moves = _horizon(tuning[TUNING.Nc], min(float(horizon), float(settings.most_moves)))
-    q, r = tuning[TUNING.Q], tuning[TUNING.R] * caution
-    out[ANSWER.Np], out[ANSWER.Nc], out[ANSWER.Q], out[ANSWER.R] = horizon, moves, q, r
-    n, m = settings.terms if settings.laguerre > 0 else moves, ROWS * moves
+    horizon = _horizon(tuning[MPC_TUNING.Np], float(settings.longest_horizon))
+    moves = _horizon(tuning[MPC_TUNING.Nc], min(float(horizon), float(settings.most_moves)))
+    q, r = tuning[MPC_TUNING.Q], tuning[MPC_TUNING.R] * caution
+    out[MPC_ANSWER.Np], out[MPC_ANSWER.Nc], out[MPC_ANSWER.Q], out[MPC_ANSWER.R] = horizon, moves, q, r
+    n, m = settings.terms if settings.laguerre > 0 else moves, SAMPLE_ROWS * moves
     if has_output_limits(settings):
         n, m = n + 1, m + OUTPUT_ROWS * horizon
-    is_finite = math.isfinite(tuning[TUNING.Np]) and math.isfinite(tuning[TUNING.Nc])
+    is_finite = math.isfinite(tuning[MPC_TUNING.Np]) and math.isfinite(tuning[MPC_TUNING.Nc])
     if not (is_finite and math.isfinite(q) and math.isfinite(r)):
         return qp.NON_FINITE, n, m
     return qp.SOLVED if q >= 0.0 and r > 0.0 else qp.NOT_CONVEX, n, m
@@ -79,18 +79,18 @@ def discretise(speed, mpc, functions):
 def is_formed(slot, speed, mpc):
     """Whether the workspace holds this very speed and tuning, to the last bit."""
     memory, out = mpc.memory[slot], mpc.answer[slot]
-    same_horizons = out[ANSWER.Np] == memory.Np and out[ANSWER.Nc] == memory.Nc
-    return memory.speed == speed and same_horizons and out[ANSWER.Q] == memory.Q and out[ANSWER.R] == memory.R
+    same_horizons = out[MPC_ANSWER.Np] == memory.Np and out[MPC_ANSWER.Nc] == memory.Nc
+    return memory.speed == speed and same_horizons and out[MPC_ANSWER.Q] == memory.Q and out[MPC_ANSWER.R] == memory.R
 
 
-@exported(void(int64, float64, boolean, MPC, Functions))
+@exported(void(int64, float64, boolean, MPC_PLACE, Functions))
 def form_model(slot, speed, of_next, mpc, functions):
     """Form the matrices that depend on speed and tuning alone: F, Phi, E and its factor, and the rows of eq. (15) in M.
 
     of_next: F is that of the next increment, see `condensing.responses`.
     """
     settings, memory, out, ws = mpc.settings, mpc.memory[slot], mpc.answer[slot], mpc.ws
-    np_, nc, q, r = whole(out[ANSWER.Np]), whole(out[ANSWER.Nc]), out[ANSWER.Q], out[ANSWER.R]
+    np_, nc, q, r = whole(out[MPC_ANSWER.Np]), whole(out[MPC_ANSWER.Nc]), out[MPC_ANSWER.Q], out[MPC_ANSWER.R]
     laguerre, limited = settings.laguerre > 0, has_output_limits(settings)
     moves = settings.terms if laguerre else nc
     step, phi = ws.step[slot], ws.phi[slot if laguerre else 0]
@@ -108,14 +108,14 @@ def form_model(slot, speed, of_next, mpc, functions):
             hessian[moves, i] = 0.0
         hessian[moves, moves] = 2.0 * settings.output_weight
         limit_rows(nc, moves, laguerre, ws.moves, rows)
-        for i in range(ROWS * nc):
+        for i in range(SAMPLE_ROWS * nc):
             rows[moves, i] = 0.0
-        output_rows(ROWS * nc, np_, moves, laguerre, step, phi, rows)
-        clear_ends(moves + 1, ROWS * nc + OUTPUT_ROWS * np_, rows)
+        output_rows(SAMPLE_ROWS * nc, np_, moves, laguerre, step, phi, rows)
+        clear_ends(moves + 1, SAMPLE_ROWS * nc + OUTPUT_ROWS * np_, rows)
     n = moves + (1 if limited else 0)
     clear_ends(n, n, hessian)
     memory.factor_status, memory.condition = factorise(n, hessian, ws.factor[slot])
-    memory.kept = 0
+    memory.has_factor = 0
     memory.speed, memory.Np, memory.Nc, memory.Q, memory.R = speed, np_, nc, q, r
 
 
@@ -138,7 +138,7 @@ def _look_ahead(slot, horizon, reference, mpc):
         for j in range(horizon):
             ws.reference[j] = reference[min(j + 1, last)]
     else:
-        for b in range(0, horizon, vectors.WIDTH):
+        for b in range(0, horizon, vectors.VECTOR_WIDTH):
             vectors.store(ws.reference, b, vectors.spread(reference, 0))
     if mpc.settings.curved > 0:
         for j in range(horizon):
@@ -163,7 +163,7 @@ def _limit_error(slot, horizon, output, reference, mpc):
         target = current + (delay - first) * (following - current)
     elif memory.started > 0:
         speed = abs(target - memory.reference) / settings.period
-        limit += RESPONSE * speed if speed <= STEEPEST * memory.speed else 0.0
+        limit += RESPONSE * speed if speed <= MAX_REFERENCE_HEADING * memory.speed else 0.0
     memory.reference = present(reference, 0).now
     if settings.curved > 0:
         target += present(mpc.bend, 0).now
@@ -177,7 +177,7 @@ def _limit_error(slot, horizon, output, reference, mpc):
 @inlined
 def compare(slot, output, reference, mpc):
     """Write R_s - F x~, what the reference asks beyond the free response, from `ws.change` and an output (m)."""
-    ws, np_ = mpc.ws, whole(mpc.answer[slot, ANSWER.Np])
+    ws, np_ = mpc.ws, whole(mpc.answer[slot, MPC_ANSWER.Np])
     _look_ahead(slot, np_, reference, mpc)
     _limit_error(slot, np_, output, reference, mpc)
     tracking_error(np_, ws.free[slot], ws.change, output, ws.reference, ws.error)
@@ -187,7 +187,7 @@ def compare(slot, output, reference, mpc):
 @inlined
 def limit_moves(slot, mpc):
     """Write the limits on the moves to gamma."""
-    samples = whole(mpc.answer[slot, ANSWER.Nc])
+    samples = whole(mpc.answer[slot, MPC_ANSWER.Nc])
     bound_moves(samples, mpc.memory[slot].command, mpc.settings, mpc.ws.bounds)
 
 
@@ -195,7 +195,7 @@ def limit_moves(slot, mpc):
 def complete(slot, speed, n, mpc):
     """Write K, and to gamma, which holds the limits on moves, what road and outputs leave of them; n: variables."""
     settings, out, ws, feed = mpc.settings, mpc.answer[slot], mpc.ws, mpc.feed
-    np_, nc, q = whole(out[ANSWER.Np]), whole(out[ANSWER.Nc]), out[ANSWER.Q]
+    np_, nc, q = whole(out[MPC_ANSWER.Np]), whole(out[MPC_ANSWER.Nc]), out[MPC_ANSWER.Q]
     if settings.feeds_forward > 0:
         road_moves(np_, speed, settings, mpc.bend, feed)
         expect_moves(np_, ws.step[slot], feed.expected, ws.error)
@@ -209,4 +209,4 @@ def complete(slot, speed, n, mpc):
     if limited:
         ws.gradient[moves] = 0.0
         clear_end(n, ws.gradient)
-        bound_outputs(ROWS * nc, np_, settings, ws.reference, ws.error, ws.bounds)
+        bound_outputs(SAMPLE_ROWS * nc, np_, settings, ws.reference, ws.error, ws.bounds)

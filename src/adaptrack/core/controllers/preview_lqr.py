@@ -28,9 +28,9 @@ from ..maths.trigonometric import cos
 from ..models import path as model
 from . import predicted_path
 from .contract import (
-    COMMON,
+    COMMON_PARAMETERS,
     LAW_SIGNATURE,
-    SLOWEST,
+    MIN_LAW_SPEED,
     Direction,
     all_finite,
     limited,
@@ -41,9 +41,9 @@ from .contract import (
 )
 from .lqr import node_below
 
-TUNING = ("q_e", "q_heading", "r")
+PREVIEW_TUNING = ("q_e", "q_heading", "r")
 PARAMETERS = (
-    *COMMON,
+    *COMMON_PARAMETERS,
     "wheelbase",  # m
     "lr",  # m, centre of gravity to rear axle
     "understeer",  # rad s^2/m, understeer gradient
@@ -56,29 +56,29 @@ PARAMETERS = (
     "log_speed", "log_speed_step", "speeds", "log_e", "log_heading", "log_weight_step", "weights",
     # the parameters of the path model behind these, then the grid, the gains last: on the states, then on changes of w
 )  # fmt: skip
-DIAGNOSTICS = (
+PREVIEW_DIAGNOSTICS = (
     "held",  # 1: the last command is held
     "offset",  # m, from the path to the car, positive when the car is on the left
     "heading_error",  # rad, the car's heading less the path's
     "curvature",  # 1/m, of the path at the end of the dead time
     "feed_forward",  # rad, steering of the steady turn with this curvature
 )
-answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))
+answer_of = viewer(record("Answer", ("command", *PREVIEW_DIAGNOSTICS)))
 OF_THE_MODEL = len(model.Parameters._fields)
-KEPT = size_of(Direction)
+PREVIEW_MEMORY = size_of(Direction)
 """Numbers that the memory begins with; `predicted_path` behind them, then scratch."""
-State = record("State", ("vy", "yaw", "yaw_rate", "wheel_angle"))
+PreviewState = record("PreviewState", ("vy", "yaw", "yaw_rate", "wheel_angle"))
 """What a state begins with, without the wheel angle where there is no lag; y is its last number."""
-state_of = viewer(State)
+state_of = viewer(PreviewState)
 
-Tuning = record("Tuning", TUNING)
+Tuning = record("Tuning", PREVIEW_TUNING)
 Parameters = record("Parameters", PARAMETERS)
 read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
 
 def memory_size(states: int, previewed: int, behind: float) -> int:
     """How many numbers a controller remembers; behind: periods of dead time."""
-    return KEPT + predicted_path.size(behind) + states * (states + 3) + states + previewed
+    return PREVIEW_MEMORY + predicted_path.size(behind) + states * (states + 3) + states + previewed
 
 
 @inlined
@@ -90,13 +90,20 @@ def states_of(p):
 @inlined
 def _sent(p, memory):
     """Return the part of the memory that `predicted_path` uses."""
-    return (memory[KEPT : KEPT + predicted_path.SENT + 2 + predicted_path.count_pieces(p.dead_time / p.period)],)
+    return (
+        memory[
+            PREVIEW_MEMORY : PREVIEW_MEMORY
+            + predicted_path.SENT
+            + 2
+            + predicted_path.count_pieces(p.dead_time / p.period)
+        ],
+    )
 
 
 @inlined
 def _begin(offset, heading_error, reference, road, s, p, x):
     """Write the state now: the measured pose, moved on by its age with the present motion."""
-    v, n = max(s.speed, SLOWEST), x.size
+    v, n = max(s.speed, MIN_LAW_SPEED), x.size
     w = v * predicted_path.curvature_at(-0.5 * p.pose_age * v, reference, road, s, p)
     turned, state = p.pose_age * (s.yaw_rate - w), state_of(x, 0)
     state.vy, state.yaw, state.yaw_rate = s.vy, heading_error + turned, s.yaw_rate
@@ -107,7 +114,7 @@ def _begin(offset, heading_error, reference, road, s, p, x):
 def _roll(reference, road, s, parameters, memory, x):
     """Let the commands on their way act on x (n,); how far (m) the car is then. Scratch: the end of the memory."""
     p, n = read_parameters(parameters), x.size
-    v, behind, (sent,) = max(s.speed, SLOWEST), p.dead_time / p.period, _sent(p, memory)
+    v, behind, (sent,) = max(s.speed, MIN_LAW_SPEED), p.dead_time / p.period, _sent(p, memory)
     scratch = shaped(memory[memory.size - n * (n + 3) :], n + 3, n)
     a, b, e, following = scratch[:n], scratch[n], scratch[n + 1], scratch[n + 2]
     model_row = parameters[len(PARAMETERS) : len(PARAMETERS) + OF_THE_MODEL]
@@ -134,7 +141,7 @@ def _roll(reference, road, s, parameters, memory, x):
 @inlined
 def _write_deviations(distance, reference, road, s, p, z):
     """Turn the state into x~ and write the changes of w behind it; z: (states + previewed,). The first w, and U."""
-    n, v, time = states_of(p), max(s.speed, SLOWEST), p.dead_time
+    n, v, time = states_of(p), max(s.speed, MIN_LAW_SPEED), p.dead_time
     planned = planned_speed(road, time, s.speed, p.period)
     first = first_deviation = v * predicted_path.curvature_at(
         distance + 0.5 * planned * p.period, reference, road, s, p
@@ -185,7 +192,7 @@ def preview_lqr(situation, reference, road, tuning, parameters, memory, answer):
     if math.isfinite(s.command):
         predicted_path.take_command(s.command, p.dead_time / p.period, p.period, p.lag, sent)
     if all_finite(situation) and all_finite(tuning):
-        n, v = states_of(p), max(s.speed, SLOWEST)
+        n, v = states_of(p), max(s.speed, MIN_LAW_SPEED)
         last = memory.size - n * (n + 3)
         z = memory[last - n - whole(p.previewed) : last]
         path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)

@@ -8,9 +8,9 @@ Hildreth's procedure. On a curved road state and output count from the path.
 from __future__ import annotations
 
 from ..kernel import exported, float64, inlined, int64, several, vector
-from ..models.contract import MEASURED
+from ..models.contract import MEASUREMENT
 from ..qp import problem as qp
-from .mpc import ANSWER, MPC, Functions
+from .mpc import MPC_ANSWER, MPC_PLACE, Functions
 from .prediction import compare, complete, form_model, is_formed, limit_moves, take_tuning
 from .receding import move_on
 
@@ -18,11 +18,11 @@ from .receding import move_on
 @inlined
 def _turn_previous(slot, mpc):
     """Count the state of the last step from the tangent of the path at the present foot."""
-    turned, previous = mpc.measured[MEASURED.turned], mpc.previous[slot]
+    turned, previous = mpc.measured[MEASUREMENT.turned], mpc.previous[slot]
     for i in range(mpc.states.size):
-        if mpc.states[i] == MEASURED.yaw:
+        if mpc.states[i] == MEASUREMENT.yaw:
             previous[i] -= turned
-        elif mpc.states[i] == MEASURED.y:
+        elif mpc.states[i] == MEASUREMENT.y:
             previous[i] += 0.5 * mpc.memory[slot].speed * mpc.settings.period * turned
 
 
@@ -38,11 +38,11 @@ def _increment(slot, mpc):
     return command  # the last state is the output
 
 
-@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC, Functions))
+@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC_PLACE, Functions))
 def form_published(slot, speed, reference, tuning, mpc, functions):
     """The QP of eq. (17); see `mpc_step.form_qp`."""
     settings, memory = mpc.settings, mpc.memory[slot]
-    mpc.answer[slot, ANSWER.dead_reckoning] = 0.0
+    mpc.answer[slot, MPC_ANSWER.dead_reckoning] = 0.0
     status, n, m = take_tuning(slot, tuning, 1.0, mpc)
     if status != qp.SOLVED:
         return status, n, m

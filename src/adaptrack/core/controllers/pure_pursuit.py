@@ -8,30 +8,30 @@ from ..kernel import exported, record, unpacker, viewer
 from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2, cos, sin
 from .contract import (
-    COMMON,
+    COMMON_PARAMETERS,
     LAW_SIGNATURE,
-    SLOWEST,
+    MIN_LAW_SPEED,
     all_finite,
     limited,
     path_at,
     read_situation,
 )
 
-TUNING = ("lookahead_time", "lookahead_min")
+PURSUIT_TUNING = ("lookahead_time", "lookahead_min")
 PARAMETERS = (
-    *COMMON,
+    *COMMON_PARAMETERS,
     "wheelbase",  # m
     "lr",  # m, centre of gravity to rear axle
 )
-DIAGNOSTICS = (
+PURSUIT_DIAGNOSTICS = (
     "held",  # 1: the last command is held
     "distance",  # m, from the rear axle to the target
     "alpha",  # rad, angle from the car's axis to the target, positive to the left
 )
-answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))
+answer_of = viewer(record("Answer", ("command", *PURSUIT_DIAGNOSTICS)))
 MEMORY = 0
 
-Tuning = record("Tuning", TUNING)
+Tuning = record("Tuning", PURSUIT_TUNING)
 Parameters = record("Parameters", PARAMETERS)
 read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
@@ -45,7 +45,7 @@ def pure_pursuit(situation, reference, road, tuning, parameters, memory, answer)
     s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
     angle = distance = alpha = math.nan
     if all_finite(situation) and all_finite(tuning):
-        v = max(s.speed, SLOWEST)
+        v = max(s.speed, MIN_LAW_SPEED)
         ahead = max(t.lookahead_time * v, t.lookahead_min)
         target = path_at(reference, road, ahead / v, v, p.period)
         x = target.x + p.lr * cos(s.yaw)

@@ -12,22 +12,22 @@ from ..qp import problem as qp
 from ..qp.active_set import active_set
 from ..qp.hildreth import hildreth
 from ..qp.residual import kkt_residual
-from .constraints import ROWS, sample_at
+from .constraints import SAMPLE_ROWS, sample_at
 from .feed_forward import expect_move
 from .mpc import (
-    ACTIVE_SET,
-    ANSWER,
     AT_ANGLE,
     AT_MOVE,
     AT_OUTPUT,
+    EXACT_ONLY,
     HILDRETH_APPLIED,
     HILDRETH_THEN_EXACT,
-    MPC,
+    MPC_ANSWER,
+    MPC_PLACE,
     has_output_limits,
     present,
 )
 
-NEAR = 1e-9
+LIMIT_TOLERANCE = 1e-9
 """rad, how near to a limit counts as at it."""
 
 
@@ -39,28 +39,30 @@ def _qp_in(slot, n, m, mpc):
     problem = qp.Problem(n, m, ws.hessian[slot], ws.gradient, rows, ws.bounds)
     return (
         problem,
-        qp.Solution(ws.solution, ws.multipliers),
+        qp.SolutionRecord(ws.solution, ws.multipliers),
         qp.Scratch(ws.qp_work[slot], ws.qp_rows, ws.qp_index[slot]),
     )
 
 
-@exported(several(int64, int64)(int64, int64, int64, MPC))
+@exported(several(int64, int64)(int64, int64, int64, MPC_PLACE))
 def _solve_qp(slot, n, m, mpc):
     """Solve the QP in the workspace with the solver of the settings: (status, iterations)."""
     settings, memory = mpc.settings, mpc.memory[slot]
     problem, solution, scratch = _qp_in(slot, n, m, mpc)
     factor = qp.factor_of(mpc.ws.factor[slot], memory.condition)
     status, iterations = qp.CAPPED, 0
-    if settings.solver != ACTIVE_SET:
+    if settings.solver != EXACT_ONLY:
         memory.active = 0
         status, iterations = hildreth(
             problem, factor, solution, scratch, settings.max_sweeps, settings.tolerance, False
         )
-    if settings.solver == ACTIVE_SET or (settings.solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
+    if settings.solver == EXACT_ONLY or (settings.solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
         # The rows that were active a period ago are a good guess, and while E stays so does their factor.
         most = settings.max_changes if settings.max_changes > 0 else qp.CHANGES * (n + m)
-        status, further, active = active_set(problem, factor, solution, scratch, memory.active, memory.kept > 0, most)
-        memory.active, memory.kept = active, 1
+        status, further, active = active_set(
+            problem, factor, solution, scratch, memory.active, memory.has_factor > 0, most
+        )
+        memory.active, memory.has_factor = active, 1
         iterations += further
     return status, iterations
 
@@ -94,7 +96,7 @@ def _planned(slot, mpc):
     return whole(memory.Np) if mpc.settings.laguerre > 0 and memory.planned > 0 else memory.planned
 
 
-@exported(void(int64, MPC, vector))
+@exported(void(int64, MPC_PLACE, vector))
 def predict_outputs(slot, mpc, y):
     """Write the outputs (Np,) m that the last step has predicted with its plan: 1, 2, ... periods after the dead time.
 
@@ -128,12 +130,12 @@ def _limits_reached(slot, move, angle, m, mpc):
     """Sum of AT_MOVE, AT_ANGLE, AT_OUTPUT for the limits at which a solved step is; move: beyond that of the road."""
     settings, first = mpc.settings, sample_at(mpc.ws.bounds, 0)
     at_limit = 0
-    if move <= -first.move_back + NEAR or move >= first.move - NEAR:
+    if move <= -first.move_back + LIMIT_TOLERANCE or move >= first.move - LIMIT_TOLERANCE:
         at_limit |= AT_MOVE
-    if angle <= settings.angle_min + NEAR or angle >= settings.angle_max - NEAR:
+    if angle <= settings.angle_min + LIMIT_TOLERANCE or angle >= settings.angle_max - LIMIT_TOLERANCE:
         at_limit |= AT_ANGLE
     if has_output_limits(settings):
-        for j in range(ROWS * whole(mpc.answer[slot, ANSWER.Nc]), m):
+        for j in range(SAMPLE_ROWS * whole(mpc.answer[slot, MPC_ANSWER.Nc]), m):
             if mpc.ws.multipliers[j] > 0.0:
                 return at_limit | AT_OUTPUT
     return at_limit
@@ -151,7 +153,7 @@ def _remember(slot, angle, mpc):
     memory.started = 1
 
 
-@exported(void(int64, int64, int64, int64, int64, MPC))
+@exported(void(int64, int64, int64, int64, int64, MPC_PLACE))
 def apply_move(slot, status, iterations, n, m, mpc):
     """Take the first move of the solution in the workspace, or what stands in for it; write the answer of the step.
 
@@ -164,13 +166,13 @@ def apply_move(slot, status, iterations, n, m, mpc):
     move = _move_of(settings, 0, ws.solution, ws.moves) if usable else 0.0
     usable = usable and math.isfinite(move)
     if usable:
-        for b in range(0, vectors.padded(n), vectors.WIDTH):
+        for b in range(0, vectors.padded(n), vectors.VECTOR_WIDTH):
             vectors.store(mpc.plan, slot, b, vectors.load(ws.solution, b))
         memory.planned, memory.age = n - (1 if has_output_limits(settings) else 0), 0  # the slack is no move
     else:
         planned = _planned_move(slot, mpc)
         move = 0.0 if status == qp.NON_FINITE else planned
-    out[ANSWER.qp_residual] = _residual(slot, n, m, mpc) if usable and settings.residuals > 0 else math.nan
+    out[MPC_ANSWER.qp_residual] = _residual(slot, n, m, mpc) if usable and settings.residuals > 0 else math.nan
     of_road = present(mpc.feed.moves, 0).now if settings.feeds_forward > 0 and status != qp.NON_FINITE else 0.0
     if usable:
         first = sample_at(ws.bounds, 0)
@@ -179,10 +181,10 @@ def apply_move(slot, status, iterations, n, m, mpc):
     else:
         total = clip(move + of_road, settings.move_min, settings.move_max)
     angle = clip(memory.command + total, settings.angle_min, settings.angle_max)
-    out[ANSWER.command], out[ANSWER.command_change] = angle, angle - memory.command
-    out[ANSWER.qp_status], out[ANSWER.qp_iterations] = status, iterations
-    out[ANSWER.held] = 0.0 if usable else 1.0
-    out[ANSWER.at_limit] = _limits_reached(slot, move, angle, m, mpc) if usable else 0.0
+    out[MPC_ANSWER.command], out[MPC_ANSWER.command_change] = angle, angle - memory.command
+    out[MPC_ANSWER.qp_status], out[MPC_ANSWER.qp_iterations] = status, iterations
+    out[MPC_ANSWER.held] = 0.0 if usable else 1.0
+    out[MPC_ANSWER.at_limit] = _limits_reached(slot, move, angle, m, mpc) if usable else 0.0
     _remember(slot, angle, mpc)
 
 
@@ -200,7 +202,7 @@ def stand(slot, mpc):
     """Leave the wheels of a standing car at rest."""
     memory, out = mpc.memory[slot], mpc.answer[slot]
     angle = clip(memory.command, mpc.settings.angle_min, mpc.settings.angle_max)
-    out[ANSWER.command], out[ANSWER.command_change], out[ANSWER.held] = angle, angle - memory.command, 0.0
-    out[ANSWER.qp_status], out[ANSWER.qp_iterations], out[ANSWER.qp_residual] = qp.SOLVED, 0, 0.0
-    out[ANSWER.at_limit] = 0.0
+    out[MPC_ANSWER.command], out[MPC_ANSWER.command_change], out[MPC_ANSWER.held] = angle, angle - memory.command, 0.0
+    out[MPC_ANSWER.qp_status], out[MPC_ANSWER.qp_iterations], out[MPC_ANSWER.qp_residual] = qp.SOLVED, 0, 0.0
+    out[MPC_ANSWER.at_limit] = 0.0
     _remember(slot, angle, mpc)

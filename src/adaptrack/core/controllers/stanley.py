@@ -7,9 +7,9 @@ import math
 from ..kernel import exported, inlined, record, unpacker, viewer
 from ..maths.trigonometric import atan2, cos, sin
 from .contract import (
-    COMMON,
+    COMMON_PARAMETERS,
     LAW_SIGNATURE,
-    SLOWEST,
+    MIN_LAW_SPEED,
     all_finite,
     left_of,
     limited,
@@ -18,23 +18,23 @@ from .contract import (
     wrapped,
 )
 
-TUNING = ("gain", "softening", "yaw_rate_gain", "dead_time")
+STANLEY_TUNING = ("gain", "softening", "yaw_rate_gain", "dead_time")
 PARAMETERS = (
-    *COMMON,
+    *COMMON_PARAMETERS,
     "lf",  # m, centre of gravity to front axle
     "front_slip",  # rad s^2/m, slip angle of the front tyres per lateral acceleration: m lr/(2 C_f L)
 )
-DIAGNOSTICS = (
+STANLEY_DIAGNOSTICS = (
     "held",  # 1: the last command is held
     "offset",  # m, from the front axle to the path after the dead time, positive when the path is on the left
     "heading_error",  # rad, heading of the path less the car's, after the dead time
     "curvature",  # 1/m, of the path there
 )
-answer_of = viewer(record("Answer", ("command", *DIAGNOSTICS)))
+answer_of = viewer(record("Answer", ("command", *STANLEY_DIAGNOSTICS)))
 MEMORY = 1
 """The heading of the path, for when the car stands."""
 
-Tuning = record("Tuning", TUNING)
+Tuning = record("Tuning", STANLEY_TUNING)
 Parameters = record("Parameters", PARAMETERS)
 read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
@@ -56,7 +56,7 @@ def stanley(situation, reference, road, tuning, parameters, memory, answer):
     s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
     angle = offset = heading_error = curvature = math.nan
     if all_finite(situation) and all_finite(tuning):
-        v = max(s.speed, SLOWEST)
+        v = max(s.speed, MIN_LAW_SPEED)
         dead_time = max(t.dead_time, 0.0)
         yaw, y = predicted(s, dead_time)
         path = path_ahead(reference, road, dead_time + p.lf / v, s.speed, p.period, memory)

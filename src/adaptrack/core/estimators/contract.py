@@ -15,7 +15,7 @@ from typing import Any
 from ..kernel import Caller, float64, matrix, vector
 from ..member import member
 
-ABSURD, FASTEST = 1e5, 1e3
+IMPOSSIBLE_SIGNAL, IMPOSSIBLE_SPEED = 1e5, 1e3
 """No signal of a car is as large as this, in SI units: what is counts as missing. And no speed, m/s."""
 
 ESTIMATE = float64(float64, vector, float64, matrix, vector, vector, vector, vector, vector)

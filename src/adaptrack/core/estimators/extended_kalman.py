@@ -14,19 +14,19 @@ from __future__ import annotations
 
 from ..kernel import inlined
 from ..maths.exact import clip, sqrt
-from ..maths.vectors import WIDTH, fma8, load, mul, splat, spread, store, sub, total, zeros
+from ..maths.vectors import VECTOR_WIDTH, fma8, load, mul, splat, spread, store, sub, total, zeros
 
 
 @inlined
-def carry(mixed, kept, covariance, scratch):
+def carry(mixed, shares, covariance, scratch):
     """P = F P F' of states of which the first mix and each other one keeps a share of itself.
 
-    mixed: the first rows of F (m, .); kept: the diagonal of the others (n,), the first m of no account; covariance: P
+    mixed: the first rows of F (m, .); shares: the diagonal of the others (n,), the first m of no account; covariance: P
     (n, .); scratch (m, .).
     """
     m, n, width = mixed.shape[0], covariance.shape[0], covariance.shape[1]
     for i in range(m):
-        for b in range(0, width, WIDTH):
+        for b in range(0, width, VECTOR_WIDTH):
             row = zeros()
             for k in range(n):
                 row = fma8(spread(mixed, i, k), load(covariance, k, b), row)
@@ -34,16 +34,16 @@ def carry(mixed, kept, covariance, scratch):
     for i in range(m):
         for j in range(i + 1):
             products = zeros()
-            for b in range(0, width, WIDTH):
+            for b in range(0, width, VECTOR_WIDTH):
                 products = fma8(load(scratch, i, b), load(mixed, j, b), products)
             covariance[i, j] = total(products)
             covariance[j, i] = covariance[i, j]
     for i in range(m, n):
-        share = splat(kept[i])
-        for b in range(0, width, WIDTH):
-            store(covariance, i, b, mul(mul(share, load(kept, b)), load(covariance, i, b)))
+        share = splat(shares[i])
+        for b in range(0, width, VECTOR_WIDTH):
+            store(covariance, i, b, mul(mul(share, load(shares, b)), load(covariance, i, b)))
         for j in range(m):
-            covariance[i, j] = kept[i] * scratch[j, i]
+            covariance[i, j] = shares[i] * scratch[j, i]
             covariance[j, i] = covariance[i, j]
 
 
@@ -51,7 +51,7 @@ def carry(mixed, kept, covariance, scratch):
 def scatter(variance, h, covariance, cross):
     """The variance of an innovation, h P h' + R, R being that of the sensor's noise; writes P h' to `cross`."""
     n, width = covariance.shape[0], covariance.shape[1]
-    for b in range(0, width, WIDTH):
+    for b in range(0, width, VECTOR_WIDTH):
         row = zeros()
         for i in range(n):
             if h[i] != 0.0:
@@ -76,9 +76,9 @@ def correct(innovation, variance, cross, x, covariance):
     cross: P h' as `scatter` has left it; g after.
     """
     width, scale = covariance.shape[1], 1.0 / sqrt(variance)
-    for b in range(0, width, WIDTH):
+    for b in range(0, width, VECTOR_WIDTH):
         store(cross, b, mul(splat(scale), load(cross, b)))
         store(x, b, fma8(splat(scale * innovation), load(cross, b), load(x, b)))
     for i in range(covariance.shape[0]):
-        for b in range(0, width, WIDTH):
+        for b in range(0, width, VECTOR_WIDTH):
             store(covariance, i, b, sub(load(covariance, i, b), mul(spread(cross, i), load(cross, b))))

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 
 from ..kernel import (
-    Setting,
+    Field,
     defaults,
     exported,
     float64,
@@ -39,33 +39,33 @@ from ..maths.bits import whole
 from ..maths.exact import clip, sqrt
 from ..maths.exponential import exp, hypot
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine
-from ..maths.vectors import WIDTH
-from ..models.contract import MEASURED
+from ..maths.vectors import VECTOR_WIDTH
+from ..models.contract import MEASUREMENT
 from ..plants.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
 from ..plants.parameters import unpack
-from ..plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, MAGIC_FORMULA, lateral_force
-from .contract import ABSURD
+from ..plants.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, MAGIC_FORMULA, lateral_force
+from .contract import IMPOSSIBLE_SIGNAL
 from .extended_kalman import carry, correct, scatter
 
-Prior = record("Prior", (
-    Setting("nominal_friction", "", 0.65, "median of friction, to which it returns without evidence"),
-    Setting("friction_spread", "", 0.33, "standard deviation of ln(friction): friction from 0.3 to 1"),
-    Setting("friction_time", "s", 8.0, "correlation time of friction"),
-    Setting("friction_range", "", (0.1, 1.5), "of the estimate"),
-    Setting("wind_spread", "m/s", 12.0, "standard deviation of the wind: gusts up to 30 m/s"),
-    Setting("wind_time", "s", 3.0, "correlation time of a gust"),
-    Setting("most_wind", "m/s", 60.0, "largest estimate to either side"),
-    Setting("stiffness_spread", "", 0.05, "standard deviation of ln(stiffness): how well tyres are known"),
-    Setting("stiffness_time", "s", 600.0, "correlation time of the stiffness, which hardly changes in a drive"),
-    Setting("tyre_error", "s^0.5", 0.02, "white noise on the lateral force of an axle, over that force"),
-    Setting("drift_vy", "m/s per s^0.5", 0.02, "random walk of the lateral velocity beyond the model"),
-    Setting("drift_yaw_rate", "rad/s per s^0.5", 0.006, "random walk of the yaw rate beyond the model"),
+FrictionWindPrior = record("FrictionWindPrior", (
+    Field("nominal_friction", "", 0.65, "median of friction, to which it returns without evidence"),
+    Field("friction_spread", "", 0.33, "standard deviation of ln(friction): friction from 0.3 to 1"),
+    Field("friction_time", "s", 8.0, "correlation time of friction"),
+    Field("friction_range", "", (0.1, 1.5), "of the estimate"),
+    Field("wind_spread", "m/s", 12.0, "standard deviation of the wind: gusts up to 30 m/s"),
+    Field("wind_time", "s", 3.0, "correlation time of a gust"),
+    Field("most_wind", "m/s", 60.0, "largest estimate to either side"),
+    Field("stiffness_spread", "", 0.05, "standard deviation of ln(stiffness): how well tyres are known"),
+    Field("stiffness_time", "s", 600.0, "correlation time of the stiffness, which hardly changes in a drive"),
+    Field("tyre_error", "s^0.5", 0.02, "white noise on the lateral force of an axle, over that force"),
+    Field("drift_vy", "m/s per s^0.5", 0.02, "random walk of the lateral velocity beyond the model"),
+    Field("drift_yaw_rate", "rad/s per s^0.5", 0.006, "random walk of the yaw rate beyond the model"),
 ))  # fmt: skip
 """Constants of the estimator: ln(friction), wind and ln(stiffness) are Gauss-Markov processes."""
-DEFAULT_PRIOR = defaults(Prior)
+DEFAULT_PRIOR = defaults(FrictionWindPrior)
 
-Settings = record("Settings", (
-    ("prior", Prior),
+FrictionWindSettings = record("FrictionWindSettings", (
+    ("prior", FrictionWindPrior),
     "steps",  # predictions per control period
     "step",  # s, length of each
     "delay",  # 1: a command takes effect one period after its measurement, 0: at once
@@ -77,10 +77,10 @@ Settings = record("Settings", (
     "friction_left", "wind_left", "stiffness_left",  # shares of a deviation that remain after a step
 ))  # fmt: skip
 """An estimator's settings, fixed over a run."""
-_settings_of = viewer(Settings)
+_settings_of = viewer(FrictionWindSettings)
 
 N = 5
-VY, YAW_RATE, LOG_FRICTION, WIND, LOG_STIFFNESS = range(N)
+VY_STATE, YAW_RATE_STATE, LOG_FRICTION, WIND_STATE, LOG_STIFFNESS = range(N)
 """Places in the state z."""
 
 Memory = record("Memory", (
@@ -88,17 +88,17 @@ Memory = record("Memory", (
     "angle",  # rad, steering angle of the replica
     "waiting",  # rad, last command
     "yaw", "speed",  # rad, m/s: the last ones
-    ("z", (float64, WIDTH)), ("covariance", (float64, N, WIDTH)),
+    ("z", (float64, VECTOR_WIDTH)), ("covariance", (float64, N, VECTOR_WIDTH)),
     "friction", "wind", "friction_std", "wind_std",  # what the step found: mu, w (m/s), their standard deviations
 ))  # fmt: skip
 """What an estimator remembers."""
-_states, _motion = local(WIDTH), local(2, WIDTH)
+_states, _motion = local(VECTOR_WIDTH), local(2, VECTOR_WIDTH)
 
 UNKNOWN_MOTION = 1.0
 """Standard deviation of v_y (m/s) and yaw rate (rad/s) before the first measurement."""
 TRUSTED = 4.0
 """Standard deviations of an innovation from which on it is an outlier."""
-MOST_STIFFNESS = 3.0
+MAX_STIFFNESS_SIGMAS = 3.0
 """Prior standard deviations within which ln s stays."""
 _SLIP_STEP, _VELOCITY_STEP = 1e-5, 1e-2  # of the differences that stand for derivatives: rad, m/s
 
@@ -127,11 +127,11 @@ def _axle(slip, steer, load, friction, stiffness, c, law):
     """
     across = fast_cosine(steer)
     force = 2.0 * across * lateral_force(slip, load, friction, stiffness, c, law)
-    more = lateral_force(slip + _SLIP_STEP, load, friction, stiffness, c, law)
-    less = lateral_force(slip - _SLIP_STEP, load, friction, stiffness, c, law)
-    by_slip = across * (more - less) * (1.0 / _SLIP_STEP)
+    force_above = lateral_force(slip + _SLIP_STEP, load, friction, stiffness, c, law)
+    force_below = lateral_force(slip - _SLIP_STEP, load, friction, stiffness, c, law)
+    by_slip = across * (force_above - force_below) * (1.0 / _SLIP_STEP)
     by_stiffness = by_slip * slip
-    return force, by_slip, (force if law == LINEAR else force - by_stiffness), by_stiffness
+    return force, by_slip, (force if law == LINEAR_TYRE else force - by_stiffness), by_stiffness
 
 
 @exported(
@@ -144,8 +144,8 @@ def accelerations(angle, yaw, vx, p, z, slopes):
     The derivatives of both accelerations by z are written to slopes (2, 8); p: the vehicle, see `plants.parameters`.
     """
     c = unpack(p)
-    law = LINEAR if c.tyre_linear > 0.5 else (MAGIC_FORMULA if c.curvature == 0.0 else CURVED_MAGIC_FORMULA)
-    vy, r, wind = z[VY], z[YAW_RATE], z[WIND]
+    law = LINEAR_TYRE if c.tyre_linear > 0.5 else (MAGIC_FORMULA if c.curvature == 0.0 else CURVED_MAGIC_FORMULA)
+    vy, r, wind = z[VY_STATE], z[YAW_RATE_STATE], z[WIND_STATE]
     friction, factor = exp(z[LOG_FRICTION]), exp(z[LOG_STIFFNESS])
     weight = 0.5 * c.mass * GRAVITY / (c.lf + c.lr)
     speed = max(vx, SLIP_SPEED_FLOOR)
@@ -160,23 +160,23 @@ def accelerations(angle, yaw, vx, p, z, slopes):
     rear, slope_r, by_rear[LOG_FRICTION], by_rear[LOG_STIFFNESS] = _axle(
         slip_r, 0.0, weight * c.lf, friction, stiff_r, c, law
     )
-    by_front[VY] = -slope_f * speed / (speed * speed + side_f * side_f)
-    by_rear[VY] = -slope_r * speed / (speed * speed + side_r * side_r)
-    by_front[YAW_RATE], by_rear[YAW_RATE] = c.lf * by_front[VY], -c.lr * by_rear[VY]
+    by_front[VY_STATE] = -slope_f * speed / (speed * speed + side_f * side_f)
+    by_rear[VY_STATE] = -slope_r * speed / (speed * speed + side_r * side_r)
+    by_front[YAW_RATE_STATE], by_rear[YAW_RATE_STATE] = c.lf * by_front[VY_STATE], -c.lr * by_rear[VY_STATE]
 
     side, moment, _ = wind_load(yaw, vx, vy, 0.0, wind, c)
     half = 1.0 / (2.0 * _VELOCITY_STEP)
     side_more, moment_more, _ = wind_load(yaw, vx, vy + _VELOCITY_STEP, 0.0, wind, c)
     side_less, moment_less, _ = wind_load(yaw, vx, vy - _VELOCITY_STEP, 0.0, wind, c)
-    by_side[VY], by_moment[VY] = (side_more - side_less) * half, (moment_more - moment_less) * half
+    by_side[VY_STATE], by_moment[VY_STATE] = (side_more - side_less) * half, (moment_more - moment_less) * half
     side_more, moment_more, _ = wind_load(yaw, vx, vy, 0.0, wind + _VELOCITY_STEP, c)
     side_less, moment_less, _ = wind_load(yaw, vx, vy, 0.0, wind - _VELOCITY_STEP, c)
-    by_side[WIND], by_moment[WIND] = (side_more - side_less) * half, (moment_more - moment_less) * half
+    by_side[WIND_STATE], by_moment[WIND_STATE] = (side_more - side_less) * half, (moment_more - moment_less) * half
 
     by_mass, by_inertia = 1.0 / c.mass, 1.0 / c.yaw_inertia
     for j in range(N):
-        slopes[VY, j] = (by_front[j] + by_rear[j] + by_side[j]) * by_mass
-        slopes[YAW_RATE, j] = (c.lf * by_front[j] - c.lr * by_rear[j] + by_moment[j]) * by_inertia
+        slopes[VY_STATE, j] = (by_front[j] + by_rear[j] + by_side[j]) * by_mass
+        slopes[YAW_RATE_STATE, j] = (c.lf * by_front[j] - c.lr * by_rear[j] + by_moment[j]) * by_inertia
     return (front + rear + side) * by_mass, (c.lf * front - c.lr * rear + moment) * by_inertia, front, rear
 
 
@@ -187,78 +187,78 @@ def _added_variance(spread, left):
 
 
 @inlined
-def _predict(angle, yaw, vx, p, s, own):
+def _predict(angle, yaw, vx, p, s, m):
     """Carry z and its covariance over one step, under the steering angle, yaw and speed of its middle; s: settings.
 
     v_y and r by the linearised trapezoidal rule, (I - T/2 A) dx = T f with A = df/dx, stable at any speed; the others
     by their exact decay. Covariance: Phi P Phi' + Q with the Jacobian Phi of this map.
     """
-    z, P, slopes, mixed = own.z, own.covariance, _motion(), _motion()
+    z, P, slopes, mixed = m.z, m.covariance, _motion(), _motion()
     lateral, yawing, front, rear = accelerations(angle, yaw, vx, p, z, slopes)
-    slopes[VY, YAW_RATE] -= vx  # from here on the row is that of dv_y/dt
+    slopes[VY_STATE, YAW_RATE_STATE] -= vx  # from here on the row is that of dv_y/dt
     half = 0.5 * s.step
-    a, b = half * slopes[VY, VY], half * slopes[VY, YAW_RATE]
-    c, d = half * slopes[YAW_RATE, VY], half * slopes[YAW_RATE, YAW_RATE]
+    a, b = half * slopes[VY_STATE, VY_STATE], half * slopes[VY_STATE, YAW_RATE_STATE]
+    c, d = half * slopes[YAW_RATE_STATE, VY_STATE], half * slopes[YAW_RATE_STATE, YAW_RATE_STATE]
     scale = 1.0 / ((1.0 - a) * (1.0 - d) - b * c)
     vy_v, vy_r, r_v, r_r = (1.0 - d) * scale, b * scale, c * scale, (1.0 - a) * scale  # inverse of I - T/2 A
-    slide, turn = s.step * (lateral - vx * z[YAW_RATE]), s.step * yawing
-    z[VY] += vy_v * slide + vy_r * turn
-    z[YAW_RATE] += r_v * slide + r_r * turn
+    slide, turn = s.step * (lateral - vx * z[YAW_RATE_STATE]), s.step * yawing
+    z[VY_STATE] += vy_v * slide + vy_r * turn
+    z[YAW_RATE_STATE] += r_v * slide + r_r * turn
     for j in range(N):
-        slide, turn = s.step * slopes[VY, j], s.step * slopes[YAW_RATE, j]
-        mixed[VY, j], mixed[YAW_RATE, j] = vy_v * slide + vy_r * turn, r_v * slide + r_r * turn
-    mixed[VY, VY] += 1.0
-    mixed[YAW_RATE, YAW_RATE] += 1.0
+        slide, turn = s.step * slopes[VY_STATE, j], s.step * slopes[YAW_RATE_STATE, j]
+        mixed[VY_STATE, j], mixed[YAW_RATE_STATE, j] = vy_v * slide + vy_r * turn, r_v * slide + r_r * turn
+    mixed[VY_STATE, VY_STATE] += 1.0
+    mixed[YAW_RATE_STATE, YAW_RATE_STATE] += 1.0
     z[LOG_FRICTION] = s.log_friction + s.friction_left * (z[LOG_FRICTION] - s.log_friction)
-    z[WIND] *= s.wind_left
+    z[WIND_STATE] *= s.wind_left
     z[LOG_STIFFNESS] *= s.stiffness_left
 
     left = _states()
-    left[LOG_FRICTION], left[WIND], left[LOG_STIFFNESS] = s.friction_left, s.wind_left, s.stiffness_left
+    left[LOG_FRICTION], left[WIND_STATE], left[LOG_STIFFNESS] = s.friction_left, s.wind_left, s.stiffness_left
     carry(mixed, left, P, _motion())
     v = unpack(p)
     front, rear = s.tyre_error * front, s.tyre_error * rear
     push = hypot(front, rear) / v.mass
     twist = hypot(v.lf * front, v.lr * rear) / v.yaw_inertia
     both = (v.lf * front * front - v.lr * rear * rear) / (v.mass * v.yaw_inertia)
-    P[VY, VY] += s.drift_vy * s.drift_vy + push * push
-    P[VY, YAW_RATE] += both
-    P[YAW_RATE, VY] += both
-    P[YAW_RATE, YAW_RATE] += s.drift_yaw_rate * s.drift_yaw_rate + twist * twist
+    P[VY_STATE, VY_STATE] += s.drift_vy * s.drift_vy + push * push
+    P[VY_STATE, YAW_RATE_STATE] += both
+    P[YAW_RATE_STATE, VY_STATE] += both
+    P[YAW_RATE_STATE, YAW_RATE_STATE] += s.drift_yaw_rate * s.drift_yaw_rate + twist * twist
     P[LOG_FRICTION, LOG_FRICTION] += _added_variance(s.prior.friction_spread, s.friction_left)
-    P[WIND, WIND] += _added_variance(s.prior.wind_spread, s.wind_left)
+    P[WIND_STATE, WIND_STATE] += _added_variance(s.prior.wind_spread, s.wind_left)
     P[LOG_STIFFNESS, LOG_STIFFNESS] += _added_variance(s.prior.stiffness_spread, s.stiffness_left)
 
 
 @inlined
-def _take_in(innovation, deviation, h, own):
+def _take_in(innovation, deviation, h, m):
     """Correct z by a sensor of a standard deviation; h: derivatives of its reading over z.
 
     Beyond `TRUSTED` standard deviations the variance of the innovation grows with it, so that an outlier moves no more
     than an innovation of that size (Huber's weight). What is absurd, or no number, changes nothing.
     """
-    if not abs(innovation) < ABSURD:
+    if not abs(innovation) < IMPOSSIBLE_SIGNAL:
         return
     cross = _states()
-    variance = scatter(deviation * deviation, h, own.covariance, cross)
+    variance = scatter(deviation * deviation, h, m.covariance, cross)
     variance *= max(1.0, abs(innovation) / (TRUSTED * sqrt(variance)))
-    correct(innovation, variance, cross, own.z, own.covariance)
+    correct(innovation, variance, cross, m.z, m.covariance)
 
 
 @inlined
-def _begin(s, own):
+def _begin(s, m):
     """Before the first measurement."""
     spread = _states()
-    spread[VY], spread[YAW_RATE] = UNKNOWN_MOTION, UNKNOWN_MOTION
-    spread[LOG_FRICTION], spread[WIND] = s.prior.friction_spread, s.prior.wind_spread
+    spread[VY_STATE], spread[YAW_RATE_STATE] = UNKNOWN_MOTION, UNKNOWN_MOTION
+    spread[LOG_FRICTION], spread[WIND_STATE] = s.prior.friction_spread, s.prior.wind_spread
     spread[LOG_STIFFNESS] = s.prior.stiffness_spread
     for i in range(N):
-        own.z[i] = 0.0
+        m.z[i] = 0.0
         for j in range(N):
-            own.covariance[i, j] = 0.0
-        own.covariance[i, i] = spread[i] * spread[i]
-    own.z[LOG_FRICTION] = s.log_friction
-    own.started = 1.0
+            m.covariance[i, j] = 0.0
+        m.covariance[i, i] = spread[i] * spread[i]
+    m.z[LOG_FRICTION] = s.log_friction
+    m.started = 1.0
 
 
 @exported(void(int64, vector, float64, float64, float64, vector, vector, rows(Memory)))
@@ -267,45 +267,48 @@ def estimate(slot, measured, speed, command, acceleration, p, settings, memory):
 
     measured: x_c = [v_y, yaw, yaw rate, y]; speed: v_x (m/s); command: the controller's last steering command (rad);
     acceleration: measured lateral acceleration (m/s^2), NaN where there is no such sensor; p: the vehicle that the
-    estimator believes in, packed as a plant (`plants.parameters`); settings: numbers of `Settings`. A row of zeros
-    in memory (slots,) is an estimator before its first step.
+    estimator believes in, packed as a plant (`plants.parameters`); settings: numbers of `FrictionWindSettings`. A row
+    of zeros in memory (slots,) is an estimator before its first step.
 
     A measurement that is absurd or not a number is left out; in the place of yaw, speed or command the last one stands.
     A filter whose state or variances are not finite begins anew.
     """
-    own = memory[slot]
-    z, P, s = own.z, own.covariance, _settings_of(settings, 0)
-    yaw = measured[MEASURED.yaw] if abs(measured[MEASURED.yaw]) < ABSURD else own.yaw
-    speed = speed if abs(speed) < ABSURD else own.speed
-    command = command if abs(command) < ABSURD else own.waiting
-    if own.started > 0.5 and abs(z[VY]) < ABSURD and abs(z[YAW_RATE]) < ABSURD:
+    m = memory[slot]
+    z, P, s = m.z, m.covariance, _settings_of(settings, 0)
+    yaw = measured[MEASUREMENT.yaw] if abs(measured[MEASUREMENT.yaw]) < IMPOSSIBLE_SIGNAL else m.yaw
+    speed = speed if abs(speed) < IMPOSSIBLE_SIGNAL else m.speed
+    command = command if abs(command) < IMPOSSIBLE_SIGNAL else m.waiting
+    if m.started > 0.5 and abs(z[VY_STATE]) < IMPOSSIBLE_SIGNAL and abs(z[YAW_RATE_STATE]) < IMPOSSIBLE_SIGNAL:
         c = unpack(p)
-        acting = own.waiting if s.delay > 0.5 else command
+        acting = m.waiting if s.delay > 0.5 else command
         for i in range(whole(s.steps)):
             share = (i + 0.5) / s.steps
-            middle = steered(own.angle, acting, 0.5 * s.step, c)
-            own.angle = steered(own.angle, acting, s.step, c)
-            turned, driven = share * (yaw - own.yaw), share * (speed - own.speed)
-            _predict(middle, own.yaw + turned, own.speed + driven, p, s, own)
+            middle = steered(m.angle, acting, 0.5 * s.step, c)
+            m.angle = steered(m.angle, acting, s.step, c)
+            turned, gained = share * (yaw - m.yaw), share * (speed - m.speed)
+            _predict(middle, m.yaw + turned, m.speed + gained, p, s, m)
     else:
-        _begin(s, own)
-    own.waiting, own.yaw, own.speed = command, yaw, speed
+        _begin(s, m)
+    m.waiting, m.yaw, m.speed = command, yaw, speed
 
-    for state, sensor, noise in ((VY, MEASURED.vy, s.noise_vy), (YAW_RATE, MEASURED.yaw_rate, s.noise_yaw_rate)):
+    for state, sensor, noise in (
+        (VY_STATE, MEASUREMENT.vy, s.noise_vy),
+        (YAW_RATE_STATE, MEASUREMENT.yaw_rate, s.noise_yaw_rate),
+    ):
         h = _states()
         h[state] = 1.0
-        _take_in(measured[sensor] - z[state], noise, h, own)
-    if abs(acceleration) < ABSURD:
+        _take_in(measured[sensor] - z[state], noise, h, m)
+    if abs(acceleration) < IMPOSSIBLE_SIGNAL:
         slopes, h = _motion(), _states()
-        lateral, _, _, _ = accelerations(own.angle, yaw, speed, p, z, slopes)
+        lateral, _, _, _ = accelerations(m.angle, yaw, speed, p, z, slopes)
         for j in range(N):
-            h[j] = slopes[VY, j]
-        _take_in(acceleration - lateral, s.noise_acceleration, h, own)
+            h[j] = slopes[VY_STATE, j]
+        _take_in(acceleration - lateral, s.noise_acceleration, h, m)
 
     z[LOG_FRICTION] = clip(z[LOG_FRICTION], s.log_least_friction, s.log_most_friction)
-    z[WIND] = clip(z[WIND], -s.prior.most_wind, s.prior.most_wind)
-    most = MOST_STIFFNESS * s.prior.stiffness_spread
+    z[WIND_STATE] = clip(z[WIND_STATE], -s.prior.most_wind, s.prior.most_wind)
+    most = MAX_STIFFNESS_SIGMAS * s.prior.stiffness_spread
     z[LOG_STIFFNESS] = clip(z[LOG_STIFFNESS], -most, most)
-    own.friction, own.wind = exp(z[LOG_FRICTION]), z[WIND]
-    own.friction_std = own.friction * sqrt(P[LOG_FRICTION, LOG_FRICTION])
-    own.wind_std = sqrt(P[WIND, WIND])
+    m.friction, m.wind = exp(z[LOG_FRICTION]), z[WIND_STATE]
+    m.friction_std = m.friction * sqrt(P[LOG_FRICTION, LOG_FRICTION])
+    m.wind_std = sqrt(P[WIND_STATE, WIND_STATE])

@@ -50,34 +50,34 @@ from ..kernel import (
 )
 from ..maths.bits import whole
 from ..maths.exact import floor, sqrt, square
-from ..maths.vectors import WIDTH, add, load, mul, splat, store, total, zeros
+from ..maths.vectors import VECTOR_WIDTH, add, load, mul, splat, store, total, zeros
 from ..models import path
-from ..models.contract import MEASURED
+from ..models.contract import MEASUREMENT
 from . import extended_kalman
 from .contract import ESTIMATE
 
-STATE = columns(*path.STATE._fields, "offset")
+FILTER_STATE = columns(*path.PATH_STATE._fields, "offset")
 """Places in z, whether the model has a lag or not."""
-STATES = len(STATE)
-SENSORS = 6
-"""The first of `MEASURED`; their ages follow."""
-SAMPLE = columns(*MEASURED._fields[:SENSORS], "earlier", "turned")
+FILTER_STATES = len(FILTER_STATE)
+SENSOR_COUNT = 6
+"""The first of `MEASUREMENT`; their ages follow."""
+FILTER_SAMPLE = columns(*MEASUREMENT._fields[:SENSOR_COUNT], "earlier", "turned")
 """Samples that belong to an instant; s, by which the pose was taken before it; rad, by which the path has turned in the
 period before it."""
-READS = (STATE.vy, STATE.yaw, STATE.yaw_rate, STATE.y, STATE.wheel_angle)
+READS = (FILTER_STATE.vy, FILTER_STATE.yaw, FILTER_STATE.yaw_rate, FILTER_STATE.y, FILTER_STATE.wheel_angle)
 """Which state a sensor reads, each but the accelerometer."""
-UNKNOWN = 1e2
+UNKNOWN_VARIANCE = 1e2
 """Variance of a state of which the first sample says nothing."""
-FAR, FAR_TURNED, FAR_IN_A_ROW = 100.0, 10.0, 10
+MAX_OUTLIER_DISTANCE, MAX_OUTLIER_TURN, RESTART_OUTLIERS = 100.0, 10.0, 10
 """m, rad, by which a position or a heading is no outlier but the estimate wrong, when so many follow each other."""
 LEAST_NOISE = (0.005, 0.0002, 0.001, 0.002, 0.0005, 0.02)
 """Of the sensors: with better ones the model's own errors limit the filter."""
 
-Numbers = record(
-    "Numbers",
+FilterParameters = record(
+    "FilterParameters",
     [
         "period",  # s
-        "whole", "share",  # dead time in periods: m, and the share s of one more, 0 <= s < 1
+        "periods", "share",  # dead time in periods: m, and the share s of one more, 0 <= s < 1
         "longest",  # whole periods of the longest dead time that there may be: so many commands are remembered
         "late",  # periods that are gone through anew at every step
         "bias",  # rad, by which the wheels turn beyond the command
@@ -86,8 +86,8 @@ Numbers = record(
         "distrust", "trust",  # mean of squared innovations over their variance: left out beyond, taken back below
         "forgetting", "regaining",  # shares by which that mean moves with a sample, taken in or left out
         "settling",  # share of an innovation by which a sensor's offset moves
-        ("variance", (float64, SENSORS)),  # of the sensors' noise; inf: no such sensor
-        ("drift", (float64, STATES)),  # variances that a period adds
+        ("variance", (float64, SENSOR_COUNT)),  # of the sensors' noise; inf: no such sensor
+        ("drift", (float64, FILTER_STATES)),  # variances that a period adds
         "drift_both",  # likewise, the covariance of d_y and d_r
         "sliding",  # s, squared, of what the tyres' sliding makes uncertain of each axle's force, over F^2/F_z
         "sliding_time",  # s, how long the model gets a force wrong at a time, as far as an accelerometer is concerned
@@ -98,7 +98,7 @@ Numbers = record(
     ],
 )  # fmt: skip
 """The parameters; a state that the model or the sensors do not have neither drifts nor spreads."""
-parameters_of = viewer(Numbers)
+parameters_of = viewer(FilterParameters)
 
 Memory = record(
     "Memory",
@@ -106,36 +106,36 @@ Memory = record(
         "steps",
         "speed",  # m/s, of the matrices
         "blind",  # periods since a position was taken in
-        "far",  # positions in a row that are `FAR` from the estimate
-        "left_out",  # 1 + the sensor that is left out, 0: none
+        "outliers",  # positions in a row that are `MAX_OUTLIER_DISTANCE` from the estimate
+        "excluded",  # 1 + the sensor that is left out, 0: none
         "saturation",  # m/s^2, what the tyres pull less than linear ones in the bend at hand
         "spare",  # m/s^2, what the tyres can still answer
         "felt_error",  # variance of the predicted lateral acceleration, by forces that the model gets wrong
-        ("felt", (float64, STATES)),  # h of the accelerometer
-        ("F", (float64, path.STATES, STATES)),  # z(k+1) = F z(k) + b u(k), of the states of the model
-        ("b", (float64, STATES)),
-        ("b_older", (float64, STATES)),  # of the command that acts first in a period
-        ("b_newer", (float64, STATES)),  # of the one that acts then
-        ("F_share", (float64, path.STATES, STATES)),  # over the share s of a period
-        ("b_share", (float64, STATES)),
-        ("z", (float64, STATES)),
-        ("P", (float64, STATES, STATES)),  # covariance of z
-        ("past_z", (float64, STATES)),  # z and P of `late` periods before the last instant
-        ("past_P", (float64, STATES, STATES)),
-        ("last", (float64, SENSORS)),  # samples of the step before, to tell repeated ones
-        ("offset", (float64, SENSORS)),  # of the sensors
-        ("disagreement", (float64, SENSORS)),  # mean of their squared innovations over their variance
+        ("felt", (float64, FILTER_STATES)),  # h of the accelerometer
+        ("F", (float64, path.PATH_STATES, FILTER_STATES)),  # z(k+1) = F z(k) + b u(k), of the states of the model
+        ("b", (float64, FILTER_STATES)),
+        ("b_older", (float64, FILTER_STATES)),  # of the command that acts first in a period
+        ("b_newer", (float64, FILTER_STATES)),  # of the one that acts then
+        ("F_share", (float64, path.PATH_STATES, FILTER_STATES)),  # over the share s of a period
+        ("b_share", (float64, FILTER_STATES)),
+        ("z", (float64, FILTER_STATES)),
+        ("P", (float64, FILTER_STATES, FILTER_STATES)),  # covariance of z
+        ("past_z", (float64, FILTER_STATES)),  # z and P of `late` periods before the last instant
+        ("past_P", (float64, FILTER_STATES, FILTER_STATES)),
+        ("last", (float64, SENSOR_COUNT)),  # samples of the step before, to tell repeated ones
+        ("offset", (float64, SENSOR_COUNT)),  # of the sensors
+        ("disagreement", (float64, SENSOR_COUNT)),  # mean of their squared innovations over their variance
     ],
 )
-"""What the memory begins with; rows of `SAMPLE` follow, then the commands that were sent, both the latest first."""
+"""Head of the memory; rows of `FILTER_SAMPLE` follow, then the commands that were sent, both the latest first."""
 memory_of = viewer(Memory)
 _AFTER = size_of(Memory)
-_state, _rows = local(STATES), local(path.STATES, STATES)
+_state, _rows = local(FILTER_STATES), local(path.PATH_STATES, FILTER_STATES)
 
 
 def memory_size(longest: int, late: int) -> int:
     """Numbers that the filter remembers, for a dead time of at most `longest` periods and a share."""
-    return _AFTER + WIDTH * (late + 1) + longest + late + 2
+    return _AFTER + VECTOR_WIDTH * (late + 1) + longest + late + 2
 
 
 @exported(void(vector, int64, float64, float64))
@@ -143,14 +143,14 @@ def move_path(memory, late, heading, offset):
     """Let heading (rad) and offset (m) of all that is remembered grow by so much: another path lies under the car."""
     m = memory_of(memory, 0)
     for z in (m.z, m.past_z):
-        z[STATE.yaw] += heading
-        z[STATE.y] += offset
-    m.last[MEASURED.yaw] += heading
-    m.last[MEASURED.y] += offset
+        z[FILTER_STATE.yaw] += heading
+        z[FILTER_STATE.y] += offset
+    m.last[MEASUREMENT.yaw] += heading
+    m.last[MEASUREMENT.y] += offset
     for k in range(late + 1):
-        row = _AFTER + WIDTH * k
-        memory[row + MEASURED.yaw] += heading
-        memory[row + MEASURED.y] += offset
+        row = _AFTER + VECTOR_WIDTH * k
+        memory[row + MEASUREMENT.yaw] += heading
+        memory[row + MEASUREMENT.y] += offset
 
 
 @inlined
@@ -160,24 +160,24 @@ def forget_speed(memory):
 
 
 @inlined
-def shift_bias(more, side, turn, memory):
+def shift_bias(change, side, turn, memory):
     """Explain so much (rad) of the disturbances by a bias: per rad it pushes by `side` (m/s^2) and `turn` (rad/s^2)."""
     m = memory_of(memory, 0)
     for z in (m.z, m.past_z):
-        z[STATE.wheel_angle] += more
-        z[STATE.side] -= side * more
-        z[STATE.turn] -= turn * more
+        z[FILTER_STATE.wheel_angle] += change
+        z[FILTER_STATE.side] -= side * change
+        z[FILTER_STATE.turn] -= turn * change
 
 
 @inlined
 def _move(f, z):
     """z = F z: the states follow the rows of F, the disturbances stay."""
     before = load(z, 0)
-    for i in range(path.STATES):
+    for i in range(path.PATH_STATES):
         z[i] = total(mul(load(f, i, 0), before))
 
 
-@exported(void(float64, Row(Numbers), Row(Memory)))
+@exported(void(float64, Row(FilterParameters), Row(Memory)))
 def _form(speed, p, m):
     """Everything that depends on the speed alone."""
     path.discretise_disturbed(speed, p.period, p.model, m.F, m.b)
@@ -204,7 +204,7 @@ def _steer(b, angle, z):
 def _copy(z, covariance, to_z, to_covariance):
     """Keep z and its covariance elsewhere."""
     store(to_z, 0, load(z, 0))
-    for i in range(STATES):
+    for i in range(FILTER_STATES):
         store(to_covariance, i, 0, load(covariance, i, 0))
 
 
@@ -212,37 +212,37 @@ def _copy(z, covariance, to_z, to_covariance):
 def _begin(measured, command, p, m, samples, commands):
     """z and its covariance from the first sample."""
     store(m.z, 0, zeros())
-    for i in range(STATES):
+    for i in range(FILTER_STATES):
         store(m.P, i, 0, zeros())
-    for i in range(path.STATES):
-        m.P[i, i] = UNKNOWN
-    for sensor in range(SENSORS):
+    for i in range(path.PATH_STATES):
+        m.P[i, i] = UNKNOWN_VARIANCE
+    for sensor in range(SENSOR_COUNT):
         value, variance = measured[sensor], p.variance[sensor]
         m.last[sensor] = value
         if sensor < len(READS) and variance < math.inf and math.isfinite(value):
             m.z[READS[sensor]], m.P[READS[sensor], READS[sensor]] = value, variance
-    m.z[STATE.wheel_angle] = command
-    m.P[STATE.wheel_angle, STATE.wheel_angle] = p.drift[STATE.wheel_angle]
-    m.P[STATE.side, STATE.side], m.P[STATE.turn, STATE.turn] = p.spread_side, p.spread_turn
-    m.P[STATE.offset, STATE.offset] = p.spread_offset
-    m.P[STATE.yaw_rate, STATE.yaw_rate] += p.spread_offset
+    m.z[FILTER_STATE.wheel_angle] = command
+    m.P[FILTER_STATE.wheel_angle, FILTER_STATE.wheel_angle] = p.drift[FILTER_STATE.wheel_angle]
+    m.P[FILTER_STATE.side, FILTER_STATE.side], m.P[FILTER_STATE.turn, FILTER_STATE.turn] = p.spread_side, p.spread_turn
+    m.P[FILTER_STATE.offset, FILTER_STATE.offset] = p.spread_offset
+    m.P[FILTER_STATE.yaw_rate, FILTER_STATE.yaw_rate] += p.spread_offset
     for i in range(whole(p.longest) + whole(p.late) + 2):
         commands[i] = command
     for i in range(whole(p.late) + 1):
         store(samples, i, 0, splat(math.nan))
-        samples[i, SAMPLE.turned] = 0.0
+        samples[i, FILTER_SAMPLE.turned] = 0.0
     _copy(m.z, m.P, m.past_z, m.past_P)
 
 
 @inlined
 def _is_of_pose(sensor):
-    return sensor == MEASURED.yaw or sensor == MEASURED.y
+    return sensor == MEASUREMENT.yaw or sensor == MEASUREMENT.y
 
 
 @inlined
 def is_repeated(sensor, last, variance, measured):
     """Whether a sample of a sensor is the one before, by its value."""
-    moved = _is_of_pose(sensor) and measured[MEASURED.turned] != 0.0
+    moved = _is_of_pose(sensor) and measured[MEASUREMENT.turned] != 0.0
     return measured[sensor] == last and variance > square(LEAST_NOISE[sensor]) and not moved
 
 
@@ -252,24 +252,24 @@ def _sort_in(measured, p, m, samples):
     for i in range(whole(p.late), 0, -1):
         store(samples, i, 0, load(samples, i - 1, 0))
     store(samples, 0, 0, splat(math.nan))
-    samples[0, SAMPLE.turned] = measured[MEASURED.turned]
+    samples[0, FILTER_SAMPLE.turned] = measured[MEASUREMENT.turned]
     m.blind += 1.0
-    for sensor in range(SENSORS):
+    for sensor in range(SENSOR_COUNT):
         value, variance = measured[sensor], p.variance[sensor]
         repeated = is_repeated(sensor, m.last[sensor], variance, measured)
         m.last[sensor] = value
-        age = measured[MEASURED.pose_age] if _is_of_pose(sensor) else measured[MEASURED.motion_age]
+        age = measured[MEASUREMENT.pose_age] if _is_of_pose(sensor) else measured[MEASUREMENT.motion_age]
         age = age if math.isfinite(age) else 0.0
         instants = floor(age / p.period + 0.5)
         if not (math.isfinite(value) and variance < math.inf and 0.0 <= instants <= p.late):
             continue
-        if sensor == MEASURED.y and (not repeated or abs(value - m.z[STATE.y]) <= p.bound * sqrt(variance)):
+        if sensor == MEASUREMENT.y and (not repeated or abs(value - m.z[FILTER_STATE.y]) <= p.bound * sqrt(variance)):
             m.blind = 0.0
         if repeated:
             continue
         samples[whole(instants), sensor] = value
         if _is_of_pose(sensor):
-            samples[whole(instants), SAMPLE.earlier] = age - instants * p.period
+            samples[whole(instants), FILTER_SAMPLE.earlier] = age - instants * p.period
 
 
 @inlined
@@ -278,37 +278,37 @@ def _predict(turned, older, newer, p, m):
 
     older, newer: the commands (rad) that act in it one after the other.
     """
-    side = m.z[STATE.side]
+    side = m.z[FILTER_STATE.side]
     m.saturation = path.saturation(m.speed * turned / p.period, p.friction, p.shape_factor) if turned != 0.0 else 0.0
-    m.z[STATE.side] += m.saturation
+    m.z[FILTER_STATE.side] += m.saturation
     _move(m.F, m.z)
-    m.z[STATE.side] = side
+    m.z[FILTER_STATE.side] = side
     _steer(m.b_older, older + p.bias, m.z)
     _steer(m.b_newer, newer + p.bias, m.z)
     if turned != 0.0:  # heading and offset count from the path
-        m.z[STATE.yaw] -= turned
-        m.z[STATE.y] -= 0.5 * m.speed * p.period * turned
-    kept, scratch = _state(), _rows()
-    store(kept, 0, splat(1.0))
-    extended_kalman.carry(m.F, kept, m.P, scratch)
+        m.z[FILTER_STATE.yaw] -= turned
+        m.z[FILTER_STATE.y] -= 0.5 * m.speed * p.period * turned
+    ones, scratch = _state(), _rows()
+    store(ones, 0, splat(1.0))
+    extended_kalman.carry(m.F, ones, m.P, scratch)
     _add_drifts(p, m)
 
 
 @inlined
 def _add_drifts(p, m):
     """P += Q; what the tyres can still answer, and how well an accelerometer is predicted."""
-    for i in range(STATES):
+    for i in range(FILTER_STATES):
         m.P[i, i] += p.drift[i]
-    m.P[STATE.side, STATE.turn] += p.drift_both
-    m.P[STATE.turn, STATE.side] += p.drift_both
+    m.P[FILTER_STATE.side, FILTER_STATE.turn] += p.drift_both
+    m.P[FILTER_STATE.turn, FILTER_STATE.side] += p.drift_both
     pull, of_vy, of_r, of_both = path.sliding(
-        m.speed, m.z[STATE.vy], m.z[STATE.yaw_rate], m.z[STATE.wheel_angle], p.model
+        m.speed, m.z[FILTER_STATE.vy], m.z[FILTER_STATE.yaw_rate], m.z[FILTER_STATE.wheel_angle], p.model
     )
     share = p.sliding * p.period
-    m.P[STATE.vy, STATE.vy] += share * of_vy
-    m.P[STATE.yaw_rate, STATE.yaw_rate] += share * of_r
-    m.P[STATE.vy, STATE.yaw_rate] += share * of_both
-    m.P[STATE.yaw_rate, STATE.vy] += share * of_both
+    m.P[FILTER_STATE.vy, FILTER_STATE.vy] += share * of_vy
+    m.P[FILTER_STATE.yaw_rate, FILTER_STATE.yaw_rate] += share * of_r
+    m.P[FILTER_STATE.vy, FILTER_STATE.yaw_rate] += share * of_both
+    m.P[FILTER_STATE.yaw_rate, FILTER_STATE.vy] += share * of_both
     m.spare = max(p.least_spare, p.grip - pull)
     m.felt_error = p.sliding / (2.0 * p.sliding_time) * of_vy
 
@@ -316,46 +316,52 @@ def _add_drifts(p, m):
 @inlined
 def _read(sensor, tau, turned, p, m, h):
     """Write h of a sensor, for what was taken tau (s) before its instant; what it reads beside h z and its offset."""
-    if sensor == MEASURED.lateral_acceleration:
+    if sensor == MEASUREMENT.lateral_acceleration:
         store(h, 0, load(m.felt, 0))
         return m.saturation
     h[READS[sensor]] = 1.0
     turning = turned / p.period
-    if sensor == MEASURED.yaw:
-        h[STATE.yaw_rate] = -tau
+    if sensor == MEASUREMENT.yaw:
+        h[FILTER_STATE.yaw_rate] = -tau
         return tau * turning
-    if sensor == MEASURED.y:
-        h[STATE.vy], h[STATE.yaw], h[STATE.yaw_rate] = -tau, -tau * m.speed, 0.5 * tau * tau * m.speed
+    if sensor == MEASUREMENT.y:
+        h[FILTER_STATE.vy], h[FILTER_STATE.yaw], h[FILTER_STATE.yaw_rate] = (
+            -tau,
+            -tau * m.speed,
+            0.5 * tau * tau * m.speed,
+        )
         return -0.5 * tau * tau * m.speed * turning
-    if sensor == MEASURED.yaw_rate:
-        h[STATE.offset] = 1.0
+    if sensor == MEASUREMENT.yaw_rate:
+        h[FILTER_STATE.offset] = 1.0
     return 0.0
 
 
 @inlined
 def _correct(instant, p, m, samples):
     """Take in the samples of an instant, so many before the present one."""
-    for sensor in range(SENSORS):
+    for sensor in range(SENSOR_COUNT):
         if not math.isfinite(samples[instant, sensor]):
             continue
         h, cross = _state(), _state()
-        beside = _read(sensor, samples[instant, SAMPLE.earlier], samples[instant, SAMPLE.turned], p, m, h)
-        expected = total(mul(load(h, 0), load(m.z, 0))) + beside + m.offset[sensor]
+        constant = _read(
+            sensor, samples[instant, FILTER_SAMPLE.earlier], samples[instant, FILTER_SAMPLE.turned], p, m, h
+        )
+        expected = total(mul(load(h, 0), load(m.z, 0))) + constant + m.offset[sensor]
         innovation = samples[instant, sensor] - expected
         noise = p.variance[sensor]
-        if sensor == MEASURED.lateral_acceleration:
+        if sensor == MEASUREMENT.lateral_acceleration:
             noise += m.felt_error
         variance = extended_kalman.scatter(noise, h, m.P, cross)
-        left_out = m.left_out == sensor + 1
+        is_left_out = m.excluded == sensor + 1
         if instant == p.late:  # every sample once
             disagreement = min(square(innovation) / variance, 2.0 * p.bound * p.bound)
-            share = p.regaining if left_out else p.forgetting
+            share = p.regaining if is_left_out else p.forgetting
             m.disagreement[sensor] += share * (disagreement - m.disagreement[sensor])
-        if left_out:
+        if is_left_out:
             continue
         innovation = extended_kalman.bounded(innovation, variance, p.bound)
         extended_kalman.correct(innovation, variance, cross, m.z, m.P)
-        if instant == 0 and (sensor == MEASURED.lateral_acceleration or sensor == MEASURED.wheel_angle):
+        if instant == 0 and (sensor == MEASUREMENT.lateral_acceleration or sensor == MEASUREMENT.wheel_angle):
             m.offset[sensor] += p.settling * innovation
 
 
@@ -366,19 +372,19 @@ def _choose_left_out(p, m):
     Where the model is wrong the gyro disagrees at least as much as the others, and the heading does not; where the gyro
     is, the heading disagrees with it. A sensor without noise of its own is never left out: it is the model that errs.
     """
-    worst, most, out = -1, p.distrust, whole(m.left_out) - 1
-    for sensor in range(SENSORS):
-        found = m.disagreement[sensor]
-        if sensor == MEASURED.yaw_rate:
-            found = m.disagreement[MEASURED.yaw]
-        elif found < m.disagreement[MEASURED.yaw_rate] or _is_of_pose(sensor):
+    worst, most, out = -1, p.distrust, whole(m.excluded) - 1
+    for sensor in range(SENSOR_COUNT):
+        disagreement = m.disagreement[sensor]
+        if sensor == MEASUREMENT.yaw_rate:
+            disagreement = m.disagreement[MEASUREMENT.yaw]
+        elif disagreement < m.disagreement[MEASUREMENT.yaw_rate] or _is_of_pose(sensor):
             continue
-        if found > most and p.variance[sensor] > square(LEAST_NOISE[sensor]):
-            worst, most = sensor, found
+        if disagreement > most and p.variance[sensor] > square(LEAST_NOISE[sensor]):
+            worst, most = sensor, disagreement
     if out < 0:
-        m.left_out = worst + 1.0
+        m.excluded = worst + 1.0
     elif m.disagreement[out] < p.trust:
-        m.left_out = 0.0
+        m.excluded = 0.0
 
 
 @inlined
@@ -388,12 +394,12 @@ def _go_on(p, m, samples, commands):
     if late > 0:
         _copy(m.past_z, m.past_P, m.z, m.P)
     for instant in range(min(late, whole(m.steps) - 1), -1, -1):
-        newer = whole(p.whole) + instant
-        _predict(samples[instant, SAMPLE.turned], commands[newer + 1], commands[newer], p, m)
+        newer = whole(p.periods) + instant
+        _predict(samples[instant, FILTER_SAMPLE.turned], commands[newer + 1], commands[newer], p, m)
         _correct(instant, p, m, samples)
-        most = m.spare / max(abs(m.z[STATE.side]), m.spare)
-        m.z[STATE.side] *= most
-        m.z[STATE.turn] *= most
+        most = m.spare / max(abs(m.z[FILTER_STATE.side]), m.spare)
+        m.z[FILTER_STATE.side] *= most
+        m.z[FILTER_STATE.turn] *= most
         if late > 0 and instant == late:
             _copy(m.z, m.P, m.past_z, m.past_P)
     _choose_left_out(p, m)
@@ -402,7 +408,7 @@ def _go_on(p, m, samples, commands):
 @inlined
 def _wait(p, m, commands, z):
     """z at the time when the new command begins to act, from that of the present instant."""
-    waiting = whole(p.whole)
+    waiting = whole(p.periods)
     if p.share > 0.0:
         _move(m.F_share, z)
         _steer(m.b_share, commands[waiting] + p.bias, z)
@@ -415,7 +421,7 @@ def _wait(p, m, commands, z):
 def _is_not_finite(m):
     """Whether z or a variance is not finite."""
     everything = 0.0
-    for i in range(STATES):
+    for i in range(FILTER_STATES):
         everything += m.z[i] + m.past_z[i] + m.P[i, i] + m.past_P[i, i]
     return not math.isfinite(everything)
 
@@ -423,11 +429,13 @@ def _is_not_finite(m):
 @inlined
 def _is_far_off(measured, m):
     """Whether position or heading have been elsewhere for so long that bounded innovations would not bring z back."""
-    y, yaw = measured[MEASURED.y], measured[MEASURED.yaw]
+    y, yaw = measured[MEASUREMENT.y], measured[MEASUREMENT.yaw]
     if math.isfinite(y) and math.isfinite(yaw) and m.steps > 0.5:
-        far = abs(y - m.z[STATE.y]) > FAR or abs(yaw - m.z[STATE.yaw]) > FAR_TURNED
-        m.far = m.far + 1.0 if far else 0.0
-    return m.far >= FAR_IN_A_ROW
+        is_outlier = (
+            abs(y - m.z[FILTER_STATE.y]) > MAX_OUTLIER_DISTANCE or abs(yaw - m.z[FILTER_STATE.yaw]) > MAX_OUTLIER_TURN
+        )
+        m.outliers = m.outliers + 1.0 if is_outlier else 0.0
+    return m.outliers >= RESTART_OUTLIERS
 
 
 @exported(ESTIMATE)
@@ -435,8 +443,8 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     """See `contract.ESTIMATE`."""
     p, m = parameters_of(parameters, 0), memory_of(memory, 0)
     late = whole(p.late)
-    after = _AFTER + WIDTH * (late + 1)
-    samples, commands = shaped(memory[_AFTER:after], late + 1, WIDTH), memory[after:]
+    after = _AFTER + VECTOR_WIDTH * (late + 1)
+    samples, commands = shaped(memory[_AFTER:after], late + 1, VECTOR_WIDTH), memory[after:]
     if _is_not_finite(m) or _is_far_off(measured, m):
         memory[:] = 0.0
         m.speed = math.nan
@@ -452,13 +460,15 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     m.steps += 1.0
     z, push = _state(), _state()
     store(z, 0, load(m.z, 0))
-    z[STATE.side] += m.saturation
-    push[STATE.side], push[STATE.turn] = z[STATE.side], z[STATE.turn]
+    z[FILTER_STATE.side] += m.saturation
+    push[FILTER_STATE.side], push[FILTER_STATE.turn] = z[FILTER_STATE.side], z[FILTER_STATE.turn]
     _wait(p, m, commands, z)
     _move(m.F, push)
     _steer(m.b, p.bias, push)
-    known = m.blind <= p.patience
+    is_valid = m.blind <= p.patience
     for i in range(x.size):
-        state = i if i < STATE.wheel_angle or x.size == path.STATES else STATE.y  # without lag its angle is no state
-        x[i], d[i] = z[state] if known else math.nan, push[state]
+        state = (
+            i if i < FILTER_STATE.wheel_angle or x.size == path.PATH_STATES else FILTER_STATE.y
+        )  # without lag its angle is no state
+        x[i], d[i] = z[state] if is_valid else math.nan, push[state]
     return m.blind * p.period

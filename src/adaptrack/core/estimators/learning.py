@@ -28,8 +28,9 @@ Evidence about the delay counts while the hypotheses differ in their wheel angle
 that are missing, repeated to the last bit or left out by the controller's filter teach nothing.
 
 The belief is in one state at a time. A mean of the squared innovations over their variance, 1 or less for filters that
-are right, above `CONTRADICTED` says that what is measured contradicts what is believed (the NIS test: Y. Bar-Shalom,
-X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and Navigation* (2001), section 5.4): the variances
+are right, above `CONTRADICTION_BEGIN` says that what is measured contradicts what is believed (the NIS test: Y.
+Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and Navigation* (2001), section 5.4):
+the variances
 then grow to the prior's, and the evidence about the delay is forgotten. A quantity whose mean is at the end of its
 range is reported as uncertain as before the first sample, however small the variance of the filters.
 
@@ -45,22 +46,22 @@ from ..kernel import columns, exported, float64, inlined, int64, local, record, 
 from ..maths.bits import two_to, whole
 from ..maths.exact import clip, floor, sqrt, square
 from ..maths.exponential import exp, log
-from ..maths.vectors import WIDTH
+from ..maths.vectors import VECTOR_WIDTH
 from ..models import path
-from ..models.contract import MEASURED
+from ..models.contract import MEASUREMENT
 from ..plants.forces import GRAVITY
 from . import kalman
-from .contract import ABSURD
+from .contract import IMPOSSIBLE_SIGNAL
 from .extended_kalman import bounded, carry, correct, scatter
 from .learning_method import LearningMethod
 
-Numbers = record("Numbers", (
+LearnerParameters = record("LearnerParameters", (
     ("method", LearningMethod),  # its bias is the bound of |b|
     "period",  # s
     "computation",  # s, from a measurement until its command is given
     "lag",  # s, of the steering, as given
     "hypotheses",  # how many
-    "kept",  # commands that are remembered
+    "commands",  # commands that are remembered
     "mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear",  # as known; stiffness of an axle
     "wind_turn",  # 1/m, yaw acceleration over lateral acceleration of side wind
     "rate",  # rad/s, of the steering; inf: no limit
@@ -76,12 +77,12 @@ Numbers = record("Numbers", (
     "evidence_share", "contradiction_share", "return_share", "doubt_share", "noise_share",  # of a period in each time
     "max_delay_step",  # s per period, by which the lag and the dead time in use change at most
     "max_stiffness_step", "max_bias_step",  # 1 and rad per period, likewise
-    ("variance", (float64, kalman.SENSORS)),  # of the sensors, as given; inf: none
+    ("variance", (float64, kalman.SENSOR_COUNT)),  # of the sensors, as given; inf: none
 ))  # fmt: skip
 """The parameters."""
-parameters_of = viewer(Numbers)
+parameters_of = viewer(LearnerParameters)
 
-BELIEFS = (
+BELIEF_NAMES = (
     "belief_lag", "belief_lag_sigma", "belief_dead_time", "belief_dead_time_sigma",  # s
     "belief_delay", "belief_delay_sigma",  # s, lag and dead time together
     "belief_stiffness", "belief_stiffness_sigma",  # factor on what is known, sigma of its logarithm
@@ -91,29 +92,41 @@ BELIEFS = (
     "belief_friction", "belief_friction_sigma",  # sigma of its logarithm
     "belief_noise",  # of the yaw rate, over what was given
     "used_lag", "used_dead_time", "used_stiffness", "used_balance", "used_bias", "used_caution",  # by the controller
-    "belief_state", "belief_at_bound",  # `LEARNING`, ...; 0 or 1 + a place in `QUANTITIES_BOUNDED`
+    "belief_state", "belief_at_bound",  # `LEARNING_BELIEF`, ...; 0 or 1 + a place in `QUANTITIES_BOUNDED`
 )  # fmt: skip
 """What is learned, and what the controller believes of it, at every step."""
 QUANTITIES_BOUNDED = ("lag", "dead_time", "stiffness", "balance", "bias")
 LAG_BOUND, DEAD_TIME_BOUND, STIFFNESS_BOUND, BALANCE_BOUND, BIAS_BOUND = range(5)
 """Whose ranges have ends."""
-LEARNING, SETTLED_BELIEF, AT_BOUND, CONTRADICTORY = range(4)
+LEARNING_BELIEF, SETTLED_BELIEF, AT_BOUND, CONTRADICTORY = range(4)
 """States of the belief; of those that apply the last one counts."""
-CONTRADICTED, AGREED = 3.0, 1.5
+CONTRADICTION_BEGIN, CONTRADICTION_END = 3.0, 1.5
 """Mean of squared innovations over their variance at which a contradiction begins, and ends."""
 CERTAIN, UNCERTAIN = (0.015, 0.06), (0.0225, 0.09)
 """Standard deviations of the delay (s) and of s, in the filters, below both of which the belief settles, and above one
 of which it does so no longer."""
 RIGID = 1.3
 """Logarithm of the factor on the stiffness from which on a car turns as if its tyres did not slip."""
-NEAR, AWAY = 0.01, 0.03
+BOUND_ENTRY_SHARE, BOUND_EXIT_SHARE = 0.01, 0.03
 """Shares of a range within which of its end a mean is at the bound, and beyond which no longer."""
-BELIEF, Beliefs = columns(*BELIEFS), record("Beliefs", BELIEFS)
+BELIEF_COLUMNS, Beliefs = columns(*BELIEF_NAMES), record("Beliefs", BELIEF_NAMES)
 
-STATES = 11
-VY, RATE, WIND, BIAS, BANK, STIFFNESS, BALANCE, FRICTION, LAG, DEAD_TIME, OFFSET = range(STATES)
+LEARNER_STATES = 11
+(
+    LATERAL_VELOCITY,
+    YAW_RATE,
+    WIND_FORCE,
+    BIAS,
+    BANK,
+    STIFFNESS_SCALE,
+    BALANCE,
+    FRICTION,
+    STEERING_LAG,
+    DEAD_TIME,
+    OFFSET,
+) = range(LEARNER_STATES)
 """Places in x; the dead time with the computation."""
-_ROW = 2 * WIDTH
+_ROW = 2 * VECTOR_WIDTH
 """x and the rows of its covariance are padded to so many."""
 
 Memory = record("Memory", (
@@ -123,15 +136,15 @@ Memory = record("Memory", (
     "bias_before",  # rad, bias in the controller's filter
     "disagreement",  # mean of squared innovations over their variance
     "doubt",  # 0 to 1, of what is at a bound or contradicted: by which R is raised
-    ("noise", (float64, kalman.SENSORS)),  # variances of the sensors as learned
-    ("noise_count", (float64, kalman.SENSORS)),  # from so many samples
-    ("last", (float64, kalman.SENSORS)), ("second_last", (float64, kalman.SENSORS)),
-    ("third_last", (float64, kalman.SENSORS)),  # samples
+    ("noise", (float64, kalman.SENSOR_COUNT)),  # variances of the sensors as learned
+    ("noise_count", (float64, kalman.SENSOR_COUNT)),  # from so many samples
+    ("last", (float64, kalman.SENSOR_COUNT)), ("second_last", (float64, kalman.SENSOR_COUNT)),
+    ("third_last", (float64, kalman.SENSOR_COUNT)),  # samples
 ))  # fmt: skip
 """What the memory begins with; the commands that were sent follow, then the hypotheses."""
 memory_of = viewer(Memory)
-ANSWER = 0
-"""Place in the memory of `BELIEFS`."""
+BELIEFS_OFFSET = 0
+"""Place in the memory of `BELIEF_NAMES`."""
 _SENT = size_of(Memory)
 
 Hypothesis = record("Hypothesis", (
@@ -139,22 +152,22 @@ Hypothesis = record("Hypothesis", (
     "swept", "swept_by_lag",  # both integrated over the last period
     "disagreement",  # squared innovations over their variance, mean of the sensors at the last sample
     "evidence", "weight",  # logarithm of its likelihood; weight in the mixture
-    ("x", (float64, _ROW)), ("covariance", (float64, STATES, _ROW)),
+    ("x", (float64, _ROW)), ("covariance", (float64, LEARNER_STATES, _ROW)),
 ))  # fmt: skip
 """A filter."""
 _hypothesis, _HYPOTHESIS = viewer(Hypothesis), size_of(Hypothesis)
 
-Axle = record("Axle", ("slip", "force", "by_slip", "by_friction"))
+AxleForce = record("AxleForce", ("slip", "force", "by_slip", "by_friction"))
 """Slip angle (rad) of an axle, its force over the mass (m/s^2), and the force's derivatives over slip and ln mu."""
 
-_states, _motion, _sensors = local(_ROW), local(2, _ROW), local(kalman.SENSORS)
-_TAKEN_IN = (MEASURED.yaw_rate, MEASURED.vy, MEASURED.lateral_acceleration, MEASURED.wheel_angle)
+_states, _motion, _sensors = local(_ROW), local(2, _ROW), local(kalman.SENSOR_COUNT)
+_TAKEN_IN = (MEASUREMENT.yaw_rate, MEASUREMENT.vy, MEASUREMENT.lateral_acceleration, MEASUREMENT.wheel_angle)
 """Sensors, in the order in which a hypothesis takes them in."""
 SHORTEST_LAG = 0.02
 """s, a lag that makes no difference at a control period of 0.05 s: the least that is sought where nobody says more."""
-SLOWEST = 2.0
+MIN_LEARNING_SPEED = 2.0
 """m/s, below which nothing is learned."""
-UNKNOWN = 0.1
+UNKNOWN_MOTION_VARIANCE = 0.1
 """(m/s)^2 and (rad/s)^2, variances of a motion that is not known."""
 LEAST_DIFFERENCE = 5e-4
 """rad, root mean square by which wheel angles of hypotheses differ where their evidence counts."""
@@ -167,56 +180,57 @@ LIVELY, SETTLED = 3.0, 8
 _TERMS = 7
 
 LEARN = void(float64, vector, float64, int64, vector, vector)
-"""``learn(speed, measured, command, left_out, parameters, memory)``: take in what was measured (`MEASURED`) at a speed
-(m/s) and the command (rad) of a period ago; left_out: 1 + a sensor not to be believed, 0: none."""
+"""``learn(speed, measured, command, excluded, parameters, memory)``: take in what was measured (`MEASUREMENT`) at a
+speed (m/s) and the command (rad) of a period ago; excluded: 1 + a sensor not to be believed, 0: none."""
 
 BELIEVE = void(vector, vector, vector, vector, vector)
-"""``believe(parameters, memory, model, own, remembered)``: let model and filter of the controller believe what is
-learned; model: parameters of the path model; own, remembered: parameters and memory of the filter."""
+"""``believe(parameters, memory, model, filter_parameters, remembered)``: let model and filter of the controller believe
+what is learned; model: parameters of the path model; filter_parameters, remembered: parameters and memory of the
+filter."""
 
 
-def memory_size(kept: int, hypotheses: int) -> int:
+def memory_size(commands: int, hypotheses: int) -> int:
     """Numbers that the learner remembers."""
-    return _SENT + kept + _HYPOTHESIS * hypotheses
+    return _SENT + commands + _HYPOTHESIS * hypotheses
 
 
 @inlined
-def hypothesis(i, kept, memory):
+def hypothesis(i, commands, memory):
     """The i-th hypothesis, behind so many commands."""
-    return _hypothesis(memory, _SENT + whole(kept) + _HYPOTHESIS * i)
+    return _hypothesis(memory, _SENT + whole(commands) + _HYPOTHESIS * i)
 
 
 @inlined
-def _steer(own, time, rate, command):
+def _steer(candidate, time, rate, command):
     """Let the wheels of a hypothesis follow a command for a time (s)."""
-    lag, angle, slope = own.x[LAG], own.wheels, own.by_lag
+    lag, angle, slope = candidate.x[STEERING_LAG], candidate.wheels, candidate.by_lag
     gap = command - angle
     if abs(gap) > rate * lag:
         limited = min(time, abs(gap) / rate - lag)
         turned = math.copysign(rate * limited, gap)
-        own.swept += limited * (angle + 0.5 * turned)
-        own.swept_by_lag += limited * slope
+        candidate.swept += limited * (angle + 0.5 * turned)
+        candidate.swept_by_lag += limited * slope
         angle += turned
         gap -= turned
         time -= limited
     left = exp(-time / lag)
     after = left * (slope - gap * time / (lag * lag))
-    own.swept += time * command - gap * lag * (1.0 - left)
-    own.swept_by_lag += 0.5 * time * (slope + after)
-    own.wheels, own.by_lag = command - gap * left, after
+    candidate.swept += time * command - gap * lag * (1.0 - left)
+    candidate.swept_by_lag += 0.5 * time * (slope + after)
+    candidate.wheels, candidate.by_lag = command - gap * left, after
 
 
 @inlined
-def _follow(own, age, p, memory):
+def _follow(candidate, age, p, memory):
     """The wheels of a hypothesis over the period before a sample of an age (s)."""
-    late, sent = (own.x[DEAD_TIME] + age) / p.period, memory[_SENT:]
-    periods = min(whole(late + 1e-9), whole(p.kept) - 2)
+    late, sent = (candidate.x[DEAD_TIME] + age) / p.period, memory[_SENT:]
+    periods = min(whole(late + 1e-9), whole(p.commands) - 2)
     share, before = clip(late - periods, 0.0, 1.0), periods + 1
-    own.swept, own.swept_by_lag = 0.0, 0.0
+    candidate.swept, candidate.swept_by_lag = 0.0, 0.0
     if share > 0.0:
-        _steer(own, share * p.period, p.rate, sent[before])
+        _steer(candidate, share * p.period, p.rate, sent[before])
     if share < 1.0:
-        _steer(own, (1.0 - share) * p.period, p.rate, sent[periods])
+        _steer(candidate, (1.0 - share) * p.period, p.rate, sent[periods])
 
 
 @inlined
@@ -225,17 +239,17 @@ def _axle(slip, stiffness, most):
     x = stiffness * slip / most
     root = 1.0 / sqrt(1.0 + x * x)
     force, by_slip = most * x * root, stiffness * root * root * root
-    return Axle(slip, force, by_slip, force - by_slip * slip)
+    return AxleForce(slip, force, by_slip, force - by_slip * slip)
 
 
 @inlined
-def _axles(own, speed, angle, p):
+def _axles(candidate, speed, angle, p):
     """Front and rear axle at a wheel angle (rad)."""
-    x = own.x
+    x = candidate.x
     grip = GRAVITY * exp(x[FRICTION]) / (p.lf + p.lr)
-    factor, balance = exp(x[STIFFNESS]), exp(x[BALANCE])
-    slip_front = angle + x[BIAS] - (x[VY] + p.lf * x[RATE]) / speed
-    slip_rear = -(x[VY] - p.lr * x[RATE]) / speed
+    factor, balance = exp(x[STIFFNESS_SCALE]), exp(x[BALANCE])
+    slip_front = angle + x[BIAS] - (x[LATERAL_VELOCITY] + p.lf * x[YAW_RATE]) / speed
+    slip_rear = -(x[LATERAL_VELOCITY] - p.lr * x[YAW_RATE]) / speed
     front = _axle(slip_front, p.stiffness_front / p.mass * factor * balance, grip * p.lr)
     rear = _axle(slip_rear, p.stiffness_rear / p.mass * factor / balance, grip * p.lf)
     return front, rear
@@ -243,7 +257,7 @@ def _axles(own, speed, angle, p):
 
 @inlined
 def _accelerations(front, rear, p):
-    """What forces of the axles over the mass add to dv_y/dt and dr/dt."""
+    """The parts of dv_y/dt and dr/dt from the axle forces over the mass."""
     return front + rear, p.mass / p.yaw_inertia * (p.lf * front - p.lr * rear)
 
 
@@ -251,12 +265,12 @@ def _accelerations(front, rear, p):
 def _derive(front, rear, speed, by_lag, by_dead_time, p, of_front, of_rear):
     """Write the derivatives of both axles' forces over x; by_lag, by_dead_time: those of the wheel angle (rad/s)."""
     slope = front.by_slip
-    of_front[VY], of_front[RATE], of_front[BIAS] = -slope / speed, -p.lf * slope / speed, slope
-    of_front[LAG], of_front[DEAD_TIME] = slope * by_lag, slope * by_dead_time
-    of_front[STIFFNESS], of_front[BALANCE] = slope * front.slip, slope * front.slip
+    of_front[LATERAL_VELOCITY], of_front[YAW_RATE], of_front[BIAS] = -slope / speed, -p.lf * slope / speed, slope
+    of_front[STEERING_LAG], of_front[DEAD_TIME] = slope * by_lag, slope * by_dead_time
+    of_front[STIFFNESS_SCALE], of_front[BALANCE] = slope * front.slip, slope * front.slip
     slope = rear.by_slip
-    of_rear[VY], of_rear[RATE] = -slope / speed, p.lr * slope / speed
-    of_rear[STIFFNESS], of_rear[BALANCE] = slope * rear.slip, -slope * rear.slip
+    of_rear[LATERAL_VELOCITY], of_rear[YAW_RATE] = -slope / speed, p.lr * slope / speed
+    of_rear[STIFFNESS_SCALE], of_rear[BALANCE] = slope * rear.slip, -slope * rear.slip
     of_front[FRICTION], of_rear[FRICTION] = front.by_friction, rear.by_friction
 
 
@@ -296,175 +310,191 @@ def _phi1(vv, vr, rv, rr):
 
 
 @inlined
-def _predict_state(own, speed, by_dead_time, p, mixed):
+def _predict_state(candidate, speed, by_dead_time, p, mixed):
     """x a period later, by the exponential Euler method, and F's rows of v_y and r; the axles' forces (m/s^2).
 
     With A = d(dv_y/dt, dr/dt)/dx, J its columns of v_y and r and h the period, dx = h phi_1(h J) (dv_y/dt, dr/dt) and
     F = [I 0] + h phi_1(h J) A. by_dead_time: derivative of the wheel angle (rad/s).
     """
-    x, h, of_front, of_rear = own.x, p.period, _states(), _states()
-    front, rear = _axles(own, speed, own.swept / h, p)
-    _derive(front, rear, speed, own.swept_by_lag / h, by_dead_time, p, of_front, of_rear)
+    x, h, of_front, of_rear = candidate.x, p.period, _states(), _states()
+    front, rear = _axles(candidate, speed, candidate.swept / h, p)
+    _derive(front, rear, speed, candidate.swept_by_lag / h, by_dead_time, p, of_front, of_rear)
     pull, turn = _accelerations(front.force, rear.force, p)
-    rate_vy, rate_r = pull - speed * x[RATE] + x[WIND] + x[BANK], turn + p.wind_turn * x[WIND]
-    vy_by_vy, r_by_vy = _accelerations(of_front[VY], of_rear[VY], p)
-    vy_by_r, r_by_r = _accelerations(of_front[RATE], of_rear[RATE], p)
+    rate_vy, rate_r = pull - speed * x[YAW_RATE] + x[WIND_FORCE] + x[BANK], turn + p.wind_turn * x[WIND_FORCE]
+    vy_by_vy, r_by_vy = _accelerations(of_front[LATERAL_VELOCITY], of_rear[LATERAL_VELOCITY], p)
+    vy_by_r, r_by_r = _accelerations(of_front[YAW_RATE], of_rear[YAW_RATE], p)
     vv, vr, rv, rr = _phi1(h * vy_by_vy, h * (vy_by_r - speed), h * r_by_vy, h * r_by_r)
     more_vy, more_r = h * (vv * rate_vy + vr * rate_r), h * (rv * rate_vy + rr * rate_r)
     # stiffness acts on the force in the middle of the period
-    middle_front = 0.5 * (of_front[VY] * more_vy + of_front[RATE] * more_r)
-    middle_rear = 0.5 * (of_rear[VY] * more_vy + of_rear[RATE] * more_r)
-    of_front[STIFFNESS] += middle_front
+    middle_front = 0.5 * (of_front[LATERAL_VELOCITY] * more_vy + of_front[YAW_RATE] * more_r)
+    middle_rear = 0.5 * (of_rear[LATERAL_VELOCITY] * more_vy + of_rear[YAW_RATE] * more_r)
+    of_front[STIFFNESS_SCALE] += middle_front
     of_front[BALANCE] += middle_front
-    of_rear[STIFFNESS] += middle_rear
+    of_rear[STIFFNESS_SCALE] += middle_rear
     of_rear[BALANCE] -= middle_rear
-    mixed[VY, RATE], mixed[VY, WIND], mixed[RATE, WIND], mixed[VY, BANK] = -speed, 1.0, p.wind_turn, 1.0
-    for state in range(STATES):
+    (
+        mixed[LATERAL_VELOCITY, YAW_RATE],
+        mixed[LATERAL_VELOCITY, WIND_FORCE],
+        mixed[YAW_RATE, WIND_FORCE],
+        mixed[LATERAL_VELOCITY, BANK],
+    ) = -speed, 1.0, p.wind_turn, 1.0
+    for state in range(LEARNER_STATES):
         pull, turn = _accelerations(of_front[state], of_rear[state], p)
-        by_vy, by_r = mixed[VY, state] + pull, mixed[RATE, state] + turn
-        mixed[VY, state], mixed[RATE, state] = h * (vv * by_vy + vr * by_r), h * (rv * by_vy + rr * by_r)
-    mixed[VY, VY] += 1.0
-    mixed[RATE, RATE] += 1.0
-    x[VY] += more_vy
-    x[RATE] += more_r
-    x[WIND] *= p.wind_left
+        by_vy, by_r = mixed[LATERAL_VELOCITY, state] + pull, mixed[YAW_RATE, state] + turn
+        mixed[LATERAL_VELOCITY, state], mixed[YAW_RATE, state] = (
+            h * (vv * by_vy + vr * by_r),
+            h * (rv * by_vy + rr * by_r),
+        )
+    mixed[LATERAL_VELOCITY, LATERAL_VELOCITY] += 1.0
+    mixed[YAW_RATE, YAW_RATE] += 1.0
+    x[LATERAL_VELOCITY] += more_vy
+    x[YAW_RATE] += more_r
+    x[WIND_FORCE] *= p.wind_left
     x[BANK] *= p.bank_left
     x[FRICTION] = p.usual_friction + p.friction_left * (x[FRICTION] - p.usual_friction)
     return front.force, rear.force
 
 
 @inlined
-def _predict_covariance(own, mixed, f, g, p):
+def _predict_covariance(candidate, mixed, f, g, p):
     """P = F P F' + drift; f, g: forces of the axles over the mass (m/s^2)."""
-    P, kept = own.covariance, _states()
-    for state in range(STATES):
-        kept[state] = 1.0
-    kept[WIND], kept[BANK], kept[FRICTION] = p.wind_left, p.bank_left, p.friction_left
-    carry(mixed, kept, P, _motion())
+    P, shares = candidate.covariance, _states()
+    for state in range(LEARNER_STATES):
+        shares[state] = 1.0
+    shares[WIND_FORCE], shares[BANK], shares[FRICTION] = p.wind_left, p.bank_left, p.friction_left
+    carry(mixed, shares, P, _motion())
     turning, weight = p.mass / p.yaw_inertia, GRAVITY / (p.lf + p.lr)
     front, rear = f * f / (weight * p.lr), g * g / (weight * p.lf)
     sliding = square(p.method.sliding) * p.period
     by_front, by_rear = sliding * front * front, sliding * rear * rear
     both = turning * (p.lf * by_front - p.lr * by_rear)
-    P[VY, VY] += p.drift_vy + by_front + by_rear
-    P[VY, RATE] += both
-    P[RATE, VY] += both
-    P[RATE, RATE] += p.drift_yaw_rate + turning * turning * (p.lf * p.lf * by_front + p.lr * p.lr * by_rear)
-    P[WIND, WIND] += p.drift_wind
+    P[LATERAL_VELOCITY, LATERAL_VELOCITY] += p.drift_vy + by_front + by_rear
+    P[LATERAL_VELOCITY, YAW_RATE] += both
+    P[YAW_RATE, LATERAL_VELOCITY] += both
+    P[YAW_RATE, YAW_RATE] += p.drift_yaw_rate + turning * turning * (p.lf * p.lf * by_front + p.lr * p.lr * by_rear)
+    P[WIND_FORCE, WIND_FORCE] += p.drift_wind
     P[BANK, BANK] += p.drift_bank
     P[FRICTION, FRICTION] += p.drift_friction
     if abs(f + g) > LEAST_PULL:
         P[BIAS, BIAS] += p.drift_bias
-        P[STIFFNESS, STIFFNESS] += p.drift_stiffness
+        P[STIFFNESS_SCALE, STIFFNESS_SCALE] += p.drift_stiffness
         P[BALANCE, BALANCE] += p.drift_balance
-        P[LAG, LAG] += p.drift_delay
+        P[STEERING_LAG, STEERING_LAG] += p.drift_delay
         P[DEAD_TIME, DEAD_TIME] += p.drift_delay
 
 
 @inlined
-def _reading(sensor, own, speed, by_dead_time, p, h):
-    """What a sensor reads of x; h: its derivatives over x. by_dead_time: derivative of the wheel angle (rad/s)."""
-    if sensor == MEASURED.lateral_acceleration:  # F_f + F_r + w
+def _reading(sensor, candidate, speed, by_dead_time, p, h):
+    """Reading of a sensor in x; h: its derivatives over x. by_dead_time: derivative of the wheel angle (rad/s)."""
+    if sensor == MEASUREMENT.lateral_acceleration:  # F_f + F_r + w
         of_front, of_rear = _states(), _states()
-        front, rear = _axles(own, speed, own.wheels, p)
-        _derive(front, rear, speed, own.by_lag, by_dead_time, p, of_front, of_rear)
-        for state in range(STATES):
+        front, rear = _axles(candidate, speed, candidate.wheels, p)
+        _derive(front, rear, speed, candidate.by_lag, by_dead_time, p, of_front, of_rear)
+        for state in range(LEARNER_STATES):
             h[state] = of_front[state] + of_rear[state]
-        h[WIND] = 1.0
-        return front.force + rear.force + own.x[WIND]
-    if sensor == MEASURED.wheel_angle:  # delta + o
-        h[LAG], h[DEAD_TIME], h[OFFSET] = own.by_lag, by_dead_time, 1.0
-        return own.wheels + own.x[OFFSET]
-    state = VY if sensor == MEASURED.vy else RATE
+        h[WIND_FORCE] = 1.0
+        return front.force + rear.force + candidate.x[WIND_FORCE]
+    if sensor == MEASUREMENT.wheel_angle:  # delta + o
+        h[STEERING_LAG], h[DEAD_TIME], h[OFFSET] = candidate.by_lag, by_dead_time, 1.0
+        return candidate.wheels + candidate.x[OFFSET]
+    state = LATERAL_VELOCITY if sensor == MEASUREMENT.vy else YAW_RATE
     h[state] = 1.0
-    return own.x[state]
+    return candidate.x[state]
 
 
 @inlined
-def _take_in(sensor, value, variance, own, speed, by_dead_time, p):
+def _take_in(sensor, value, variance, candidate, speed, by_dead_time, p):
     """Correct x and P by a sensor of a variance; the log-likelihood of what it reads."""
     h, cross = _states(), _states()
-    innovation = value - _reading(sensor, own, speed, by_dead_time, p, h)
-    variance = scatter(variance, h, own.covariance, cross)
-    correct(bounded(innovation, variance, p.method.innovation_bound), variance, cross, own.x, own.covariance)
+    innovation = value - _reading(sensor, candidate, speed, by_dead_time, p, h)
+    variance = scatter(variance, h, candidate.covariance, cross)
+    correct(
+        bounded(innovation, variance, p.method.innovation_bound), variance, cross, candidate.x, candidate.covariance
+    )
     surprise = min(square(innovation) / variance, square(p.method.innovation_bound))
-    own.disagreement += surprise
+    candidate.disagreement += surprise
     return -0.5 * (surprise + log(variance))
 
 
 @inlined
-def _bound(own, p):
+def _bound(candidate, p):
     """Keep what is learned within what was given."""
-    x = own.x
-    x[STIFFNESS] = clip(x[STIFFNESS], -p.most_stiffness, p.most_stiffness)
+    x = candidate.x
+    x[STIFFNESS_SCALE] = clip(x[STIFFNESS_SCALE], -p.most_stiffness, p.most_stiffness)
     x[BALANCE] = clip(x[BALANCE], -p.most_balance, p.most_balance)
     x[BIAS] = clip(x[BIAS], -p.method.bias, p.method.bias)
     x[FRICTION] = clip(x[FRICTION], -2.5, 0.5)
-    x[LAG] = clip(x[LAG], p.least_lag, p.most_lag)
+    x[STEERING_LAG] = clip(x[STEERING_LAG], p.least_lag, p.most_lag)
     x[DEAD_TIME] = p.computation + clip(x[DEAD_TIME] - p.computation, p.least_dead_time, p.most_dead_time)
 
 
 @inlined
-def _is_usable(sensor, left_out, p, measured, m):
+def _is_usable(sensor, excluded, p, measured, m):
     """Whether a sensor gives a new sample that may be believed."""
     value, variance = measured[sensor], p.variance[sensor]
     stuck = kalman.is_repeated(sensor, m.last[sensor], variance, measured)
-    return math.isfinite(value) and variance < math.inf and not stuck and left_out != sensor + 1
+    return math.isfinite(value) and variance < math.inf and not stuck and excluded != sensor + 1
 
 
 @inlined
 def _learn_noise(sensor, p, measured, m):
     """The variance of a sensor, by third differences of its samples."""
-    known, value = p.variance[sensor], measured[sensor]
-    if not known < math.inf:
+    declared, value = p.variance[sensor], measured[sensor]
+    if not declared < math.inf:
         return
-    one, two, three = m.last[sensor], m.second_last[sensor], m.third_last[sensor]
-    difference = value - 3.0 * one + 3.0 * two - three
-    if math.isfinite(difference) and value != one and one != two and two != three and m.slow < 0.5:
+    last, second_last, third_last = m.last[sensor], m.second_last[sensor], m.third_last[sensor]
+    difference = value - 3.0 * last + 3.0 * second_last - third_last
+    if (
+        math.isfinite(difference)
+        and value != last
+        and last != second_last
+        and second_last != third_last
+        and m.slow < 0.5
+    ):
         m.noise_count[sensor] += 1.0
-        count, found = m.noise_count[sensor], m.noise[sensor]
-        squared, wide = difference * difference / 20.0, p.method.noise_range * p.method.noise_range
+        count, noise = m.noise_count[sensor], m.noise[sensor]
+        squared, widening = difference * difference / 20.0, p.method.noise_range * p.method.noise_range
         if count > SETTLED:
-            squared = min(squared, LIVELY * LIVELY * found)
-        found += max(1.0 / count, p.noise_share) * (squared - found)
-        least = max(known / wide, square(kalman.LEAST_NOISE[sensor]))
-        m.noise[sensor] = clip(found, least, max(known * wide, least))
-    m.third_last[sensor], m.second_last[sensor], m.last[sensor] = two, one, value
+            squared = min(squared, LIVELY * LIVELY * noise)
+        noise += max(1.0 / count, p.noise_share) * (squared - noise)
+        least = max(declared / widening, square(kalman.LEAST_NOISE[sensor]))
+        m.noise[sensor] = clip(noise, least, max(declared * widening, least))
+    m.third_last[sensor], m.second_last[sensor], m.last[sensor] = second_last, last, value
 
 
 @inlined
-def _lose_motion(own):
+def _lose_motion(candidate):
     """Know no more of the motion of the car."""
-    for state in range(WIND):
-        own.x[state] = 0.0
-        for j in range(STATES):
-            own.covariance[state, j], own.covariance[j, state] = 0.0, 0.0
-        own.covariance[state, state] = UNKNOWN
+    for state in range(WIND_FORCE):
+        candidate.x[state] = 0.0
+        for j in range(LEARNER_STATES):
+            candidate.covariance[state, j], candidate.covariance[j, state] = 0.0, 0.0
+        candidate.covariance[state, state] = UNKNOWN_MOTION_VARIANCE
 
 
 @inlined
 def _begin(p, measured, command, m, memory):
     """From the first sample of a drive."""
     sent = memory[_SENT:]
-    for i in range(whole(p.kept)):
+    for i in range(whole(p.commands)):
         sent[i] = command
-    for sensor in range(kalman.SENSORS):
+    for sensor in range(kalman.SENSOR_COUNT):
         m.last[sensor], m.second_last[sensor], m.third_last[sensor] = measured[sensor], math.nan, math.nan
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        own.wheels, own.by_lag = command, 0.0
-        _lose_motion(own)
-        for state, sensor in ((VY, MEASURED.vy), (RATE, MEASURED.yaw_rate)):
-            own.x[state] = measured[sensor] if math.isfinite(measured[sensor]) else 0.0
+        candidate = hypothesis(i, p.commands, memory)
+        candidate.wheels, candidate.by_lag = command, 0.0
+        _lose_motion(candidate)
+        for state, sensor in ((LATERAL_VELOCITY, MEASUREMENT.vy), (YAW_RATE, MEASUREMENT.yaw_rate)):
+            candidate.x[state] = measured[sensor] if math.isfinite(measured[sensor]) else 0.0
 
 
 @inlined
 def _creep(age, p, memory):
-    """Of a car that stands or creeps only the wheels move; its motion is unknown after."""
+    """Move only the wheels of a car that stands or creeps; its motion is unknown afterwards."""
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        _follow(own, age, p, memory)
-        _lose_motion(own)
+        candidate = hypothesis(i, p.commands, memory)
+        _follow(candidate, age, p, memory)
+        _lose_motion(candidate)
 
 
 @inlined
@@ -472,7 +502,7 @@ def _difference(p, memory):
     """Variance of the wheel angles of the hypotheses (rad^2)."""
     mean, square, count = 0.0, 0.0, whole(p.hypotheses)
     for i in range(count):
-        angle = hypothesis(i, p.kept, memory).wheels
+        angle = hypothesis(i, p.commands, memory).wheels
         mean += angle / count
         square += angle * angle / count
     return square - mean * mean
@@ -483,14 +513,14 @@ def _weigh(p, memory):
     """The weights of the hypotheses."""
     best, total, count = -math.inf, 0.0, whole(p.hypotheses)
     for i in range(count):
-        best = max(best, hypothesis(i, p.kept, memory).evidence)
+        best = max(best, hypothesis(i, p.commands, memory).evidence)
     for i in range(count):
-        own = hypothesis(i, p.kept, memory)
-        own.evidence = max(own.evidence - best, LOWEST)
-        own.weight = exp(own.evidence)
-        total += own.weight
+        candidate = hypothesis(i, p.commands, memory)
+        candidate.evidence = max(candidate.evidence - best, LOWEST)
+        candidate.weight = exp(candidate.evidence)
+        total += candidate.weight
     for i in range(count):
-        hypothesis(i, p.kept, memory).weight /= total
+        hypothesis(i, p.commands, memory).weight /= total
 
 
 @inlined
@@ -498,20 +528,20 @@ def _mean(state, p, memory):
     """Mean of a state over the hypotheses."""
     mean = 0.0
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        mean += own.weight * own.x[state]
+        candidate = hypothesis(i, p.commands, memory)
+        mean += candidate.weight * candidate.x[state]
     return mean
 
 
 @inlined
-def _covariance(one, other, p, memory):
+def _covariance(state, other, p, memory):
     """Covariance of two states: that of their means over the hypotheses, and the mean of that within each."""
-    a, b = _mean(one, p, memory), _mean(other, p, memory)
+    a, b = _mean(state, p, memory), _mean(other, p, memory)
     total = 0.0
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        between = (own.x[one] - a) * (own.x[other] - b)
-        total += own.weight * (between + own.covariance[one, other])
+        candidate = hypothesis(i, p.commands, memory)
+        between = (candidate.x[state] - a) * (candidate.x[other] - b)
+        total += candidate.weight * (between + candidate.covariance[state, other])
     return total
 
 
@@ -522,32 +552,32 @@ def _moments(state, p, memory):
 
 
 @inlined
-def _toward(now, wanted, most):
+def _toward(value, target, most):
     """A step from a number towards a wanted one, so much up or down at most."""
-    return now + clip(wanted - now, -most, most)
+    return value + clip(target - value, -most, most)
 
 
 @inlined
 def _widened(variance, unmodelled, prior, bound, p, m):
     """A standard deviation as reported: not too small, not below the prior's at a bound, else not much above it."""
-    found = sqrt(square(p.method.sigma_inflation) * variance + square(unmodelled))
+    sigma = sqrt(square(p.method.sigma_inflation) * variance + square(unmodelled))
     least = prior if m.beliefs.belief_at_bound == 1.0 + bound else 0.0
-    return max(min(found, max(prior, sqrt(variance))), least)
+    return max(min(sigma, max(prior, sqrt(variance))), least)
 
 
 @inlined
 def _find_bound(p, m, memory):
     """1 + the quantity whose mean is at the end of its range, or 0; no delay at all and rigid tyres are no bounds."""
-    was, found = m.beliefs.belief_at_bound, 0.0
+    was, bound = m.beliefs.belief_at_bound, 0.0
     for quantity in range(len(QUANTITIES_BOUNDED)):
         if quantity == LAG_BOUND:
-            value, low, high = _mean(LAG, p, memory), p.least_lag, p.most_lag
+            value, low, high = _mean(STEERING_LAG, p, memory), p.least_lag, p.most_lag
             low = low if low > SHORTEST_LAG else -math.inf
         elif quantity == DEAD_TIME_BOUND:
             value, low, high = _mean(DEAD_TIME, p, memory) - p.computation, p.least_dead_time, p.most_dead_time
             low = low if low > 0.0 else -math.inf
         elif quantity == STIFFNESS_BOUND:
-            value, high = _mean(STIFFNESS, p, memory), p.most_stiffness
+            value, high = _mean(STIFFNESS_SCALE, p, memory), p.most_stiffness
             value, low = min(value, 0.0) if high > RIGID else value, -high
         elif quantity == BALANCE_BOUND:
             value, high = _mean(BALANCE, p, memory), p.most_balance
@@ -555,12 +585,12 @@ def _find_bound(p, m, memory):
         else:
             value, high = _mean(BIAS, p, memory), p.method.bias
             low = -high
-        share = AWAY if was == 1.0 + quantity else NEAR
+        share = BOUND_EXIT_SHARE if was == 1.0 + quantity else BOUND_ENTRY_SHARE
         width = 2.0 * high if low == -math.inf else high - low
         at_end = min(value - low, high - value) < share * width
-        if width > 0.0 and at_end and (found == 0.0 or was == 1.0 + quantity):
-            found = 1.0 + quantity
-    return found
+        if width > 0.0 and at_end and (bound == 0.0 or was == 1.0 + quantity):
+            bound = 1.0 + quantity
+    return bound
 
 
 @inlined
@@ -568,14 +598,14 @@ def _find_state(p, m, memory):
     """The state of the belief, and the doubt at a bound."""
     b, was = m.beliefs, whole(m.beliefs.belief_state)
     b.belief_at_bound = _find_bound(p, m, memory)
-    both = _covariance(LAG, LAG, p, memory) + _covariance(DEAD_TIME, DEAD_TIME, p, memory)
-    delay = sqrt(max(both + 2.0 * _covariance(LAG, DEAD_TIME, p, memory), 0.0))
-    stiffness = sqrt(max(_covariance(STIFFNESS, STIFFNESS, p, memory), 0.0))
-    most_delay, most_stiffness = CERTAIN if was == LEARNING else UNCERTAIN
-    b.belief_state = SETTLED_BELIEF if delay < most_delay and stiffness < most_stiffness else LEARNING
+    both = _covariance(STEERING_LAG, STEERING_LAG, p, memory) + _covariance(DEAD_TIME, DEAD_TIME, p, memory)
+    delay = sqrt(max(both + 2.0 * _covariance(STEERING_LAG, DEAD_TIME, p, memory), 0.0))
+    stiffness = sqrt(max(_covariance(STIFFNESS_SCALE, STIFFNESS_SCALE, p, memory), 0.0))
+    most_delay, most_stiffness = CERTAIN if was == LEARNING_BELIEF else UNCERTAIN
+    b.belief_state = SETTLED_BELIEF if delay < most_delay and stiffness < most_stiffness else LEARNING_BELIEF
     if b.belief_at_bound > 0.0:
         b.belief_state = AT_BOUND
-    if m.disagreement > (AGREED if was == CONTRADICTORY else CONTRADICTED):
+    if m.disagreement > (CONTRADICTION_END if was == CONTRADICTORY else CONTRADICTION_BEGIN):
         b.belief_state = CONTRADICTORY
     m.doubt += p.doubt_share * ((1.0 if b.belief_state >= AT_BOUND else 0.0) - m.doubt)
 
@@ -584,19 +614,19 @@ def _find_state(p, m, memory):
 def _return_to_prior(p, memory):
     """In a contradiction the variances of what is learned grow to the prior's, and evidence is forgotten."""
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        own.evidence *= 1.0 - p.return_share
-        _grow(LAG, p.prior_lag, own, p)
-        _grow(DEAD_TIME, p.prior_dead_time, own, p)
-        _grow(STIFFNESS, p.prior_stiffness, own, p)
-        _grow(BALANCE, 0.5 * p.prior_balance, own, p)
-        _grow(BIAS, p.prior_bias, own, p)
+        candidate = hypothesis(i, p.commands, memory)
+        candidate.evidence *= 1.0 - p.return_share
+        _grow(STEERING_LAG, p.prior_lag, candidate, p)
+        _grow(DEAD_TIME, p.prior_dead_time, candidate, p)
+        _grow(STIFFNESS_SCALE, p.prior_stiffness, candidate, p)
+        _grow(BALANCE, 0.5 * p.prior_balance, candidate, p)
+        _grow(BIAS, p.prior_bias, candidate, p)
 
 
 @inlined
-def _grow(state, prior, own, p):
+def _grow(state, prior, candidate, p):
     """A variance on its way to the prior's."""
-    own.covariance[state, state] += p.return_share * max(square(prior) - own.covariance[state, state], 0.0)
+    candidate.covariance[state, state] += p.return_share * max(square(prior) - candidate.covariance[state, state], 0.0)
 
 
 @inlined
@@ -604,20 +634,20 @@ def _write_beliefs(p, m, memory):
     """Write what is learned, and let what the controller believes follow it."""
     b, method = m.beliefs, p.method
     _find_state(p, m, memory)
-    lag, of_lag = _moments(LAG, p, memory)
+    lag, of_lag = _moments(STEERING_LAG, p, memory)
     dead_time, of_dead_time = _moments(DEAD_TIME, p, memory)
-    stiffness, of_stiffness = _moments(STIFFNESS, p, memory)
+    stiffness, of_stiffness = _moments(STIFFNESS_SCALE, p, memory)
     balance, of_balance = _moments(BALANCE, p, memory)
     bias, of_bias = _moments(BIAS, p, memory)
     bank, of_bank = _moments(BANK, p, memory)
     friction, of_friction = _moments(FRICTION, p, memory)
-    both = _covariance(LAG, DEAD_TIME, p, memory)
+    both = _covariance(STEERING_LAG, DEAD_TIME, p, memory)
     variance = max(of_lag + of_dead_time + 2.0 * both, 1e-8)
     sigma, dead_time = sqrt(variance), dead_time - p.computation
     b.belief_lag, b.belief_dead_time, b.belief_delay = lag, dead_time, lag + dead_time
     b.belief_stiffness, b.belief_balance, b.belief_bias = exp(stiffness), exp(2.0 * balance), bias
     b.belief_bank, b.belief_friction = bank, exp(friction)
-    b.belief_noise = sqrt(m.noise[MEASURED.yaw_rate] / p.variance[MEASURED.yaw_rate])
+    b.belief_noise = sqrt(m.noise[MEASUREMENT.yaw_rate] / p.variance[MEASUREMENT.yaw_rate])
     b.belief_lag_sigma = _widened(of_lag, method.unmodelled_lag, p.prior_lag, LAG_BOUND, p, m)
     b.belief_dead_time_sigma = _widened(
         of_dead_time, method.unmodelled_dead_time, p.prior_dead_time, DEAD_TIME_BOUND, p, m
@@ -646,25 +676,27 @@ def _write_beliefs(p, m, memory):
 
 
 @inlined
-def _advance(own, speed, age, measured, variance, p, memory):
+def _advance(candidate, speed, age, measured, variance, p, memory):
     """A hypothesis a period later, by what was measured; the log-likelihood of that.
 
     age: of the samples (s); variance: of the sensors, inf: not to be taken in.
     """
-    before = own.wheels
-    _follow(own, age, p, memory)
-    mixed, by_dead_time = _motion(), (before - own.wheels) / p.period
-    f, g = _predict_state(own, speed, by_dead_time, p, mixed)
-    _predict_covariance(own, mixed, f, g, p)
-    lag, dead_time, likelihood, taken_in = own.x[LAG], own.x[DEAD_TIME], 0.0, 0.0
-    own.disagreement = 0.0
+    before = candidate.wheels
+    _follow(candidate, age, p, memory)
+    mixed, by_dead_time = _motion(), (before - candidate.wheels) / p.period
+    f, g = _predict_state(candidate, speed, by_dead_time, p, mixed)
+    _predict_covariance(candidate, mixed, f, g, p)
+    lag, dead_time, likelihood, taken_in = candidate.x[STEERING_LAG], candidate.x[DEAD_TIME], 0.0, 0.0
+    candidate.disagreement = 0.0
     for sensor in _TAKEN_IN:
         if variance[sensor] < math.inf:
             taken_in += 1.0
-            likelihood += _take_in(sensor, measured[sensor], variance[sensor], own, speed, by_dead_time, p)
-    own.disagreement = own.disagreement / taken_in if taken_in > 0.0 else math.nan
-    _bound(own, p)
-    own.wheels += own.by_lag * (own.x[LAG] - lag) + by_dead_time * (own.x[DEAD_TIME] - dead_time)
+            likelihood += _take_in(sensor, measured[sensor], variance[sensor], candidate, speed, by_dead_time, p)
+    candidate.disagreement = candidate.disagreement / taken_in if taken_in > 0.0 else math.nan
+    _bound(candidate, p)
+    candidate.wheels += candidate.by_lag * (candidate.x[STEERING_LAG] - lag) + by_dead_time * (
+        candidate.x[DEAD_TIME] - dead_time
+    )
     return likelihood
 
 
@@ -673,8 +705,8 @@ def _judge(p, m, memory):
     """Compare what was measured with what was expected; in a contradiction, believe less."""
     surprise = 0.0
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        surprise += own.weight * own.disagreement
+        candidate = hypothesis(i, p.commands, memory)
+        surprise += candidate.weight * candidate.disagreement
     if math.isfinite(surprise):
         m.disagreement += p.contradiction_share * (surprise - m.disagreement)
     if m.beliefs.belief_state == CONTRADICTORY:
@@ -682,7 +714,7 @@ def _judge(p, m, memory):
 
 
 @exported(LEARN, name="learn_car")
-def learn(speed, measured, command, left_out, parameters, memory):
+def learn(speed, measured, command, excluded, parameters, memory):
     """See `LEARN`."""
     p, m = parameters_of(parameters, 0), memory_of(memory, 0)
     if m.count < 0.5:
@@ -691,27 +723,27 @@ def learn(speed, measured, command, left_out, parameters, memory):
         return
     m.count += 1.0
     sent, latest = memory[_SENT:], command
-    for i in range(whole(p.kept)):
+    for i in range(whole(p.commands)):
         sent[i], latest = latest, sent[i]
-    age = measured[MEASURED.motion_age]
-    age = age if 0.0 < age < ABSURD else 0.0
-    m.slow = 0.0 if abs(speed) >= SLOWEST and math.isfinite(speed) else 1.0
+    age = measured[MEASUREMENT.motion_age]
+    age = age if 0.0 < age < IMPOSSIBLE_SIGNAL else 0.0
+    m.slow = 0.0 if abs(speed) >= MIN_LEARNING_SPEED and math.isfinite(speed) else 1.0
     variance = _sensors()
-    for sensor in range(kalman.SENSORS):
-        usable = _is_usable(sensor, left_out, p, measured, m)
+    for sensor in range(kalman.SENSOR_COUNT):
+        usable = _is_usable(sensor, excluded, p, measured, m)
         _learn_noise(sensor, p, measured, m)
         variance[sensor] = m.noise[sensor] if usable else math.inf
-    variance[MEASURED.wheel_angle] += square(p.method.angle_error)
+    variance[MEASUREMENT.wheel_angle] += square(p.method.angle_error)
     if m.slow > 0.5:
         _creep(age, p, memory)
         return
     for i in range(whole(p.hypotheses)):
-        own = hypothesis(i, p.kept, memory)
-        own.weight = _advance(own, speed, age, measured, variance, p, memory)
+        candidate = hypothesis(i, p.commands, memory)
+        candidate.weight = _advance(candidate, speed, age, measured, variance, p, memory)
     if _difference(p, memory) > LEAST_DIFFERENCE * LEAST_DIFFERENCE:
         for i in range(whole(p.hypotheses)):
-            own = hypothesis(i, p.kept, memory)
-            own.evidence = (1.0 - p.evidence_share) * own.evidence + p.method.tempering * own.weight
+            candidate = hypothesis(i, p.commands, memory)
+            candidate.evidence = (1.0 - p.evidence_share) * candidate.evidence + p.method.tempering * candidate.weight
     _weigh(p, memory)
     _judge(p, m, memory)
     _write_beliefs(p, m, memory)
@@ -738,7 +770,7 @@ def ahead_of(ahead, parameters, memory):
 
 
 @exported(BELIEVE)
-def believe(parameters, memory, model, own, remembered):
+def believe(parameters, memory, model, filter_parameters, remembered):
     """See `BELIEVE`.
 
     The part of the disturbances that a change of the bias explains leaves them, so that no prediction jumps.
@@ -747,20 +779,20 @@ def believe(parameters, memory, model, own, remembered):
     b = m.beliefs
     factor, balance = b.used_stiffness, sqrt(b.used_balance)
     front, rear = 0.5 * p.stiffness_front * factor * balance, 0.5 * p.stiffness_rear * factor / balance
-    filtering = kalman.parameters_of(own, 0)
-    for each in (path.parameters_of(model, 0), filtering.model):
-        each.stiffness_front, each.stiffness_rear, each.lag = front, rear, b.used_lag
+    filtering = kalman.parameters_of(filter_parameters, 0)
+    for parameters_row in (path.parameters_of(model, 0), filtering.model):
+        parameters_row.stiffness_front, parameters_row.stiffness_rear, parameters_row.lag = front, rear, b.used_lag
     late = (b.used_dead_time + p.computation) / p.period
     periods = floor(late + 1e-9)
-    filtering.whole, filtering.share = periods, late - periods if late - periods > 1e-9 else 0.0
+    filtering.periods, filtering.share = periods, late - periods if late - periods > 1e-9 else 0.0
     filtering.bias = b.used_bias
     if m.count > 1.5:
-        more = filtering.bias - m.bias_before
-        kalman.shift_bias(more, 2.0 * front / p.mass, 2.0 * front * p.lf / p.yaw_inertia, remembered)
+        change = filtering.bias - m.bias_before
+        kalman.shift_bias(change, 2.0 * front / p.mass, 2.0 * front * p.lf / p.yaw_inertia, remembered)
     m.bias_before = filtering.bias
-    for sensor in range(kalman.SENSORS):
-        known = p.variance[sensor]
-        filtering.variance[sensor] = m.noise[sensor] if known < math.inf else known
+    for sensor in range(kalman.SENSOR_COUNT):
+        declared = p.variance[sensor]
+        filtering.variance[sensor] = m.noise[sensor] if declared < math.inf else declared
     unknown = p.method.wheel_drift_rate * b.belief_delay_sigma / p.method.sigma_inflation
-    filtering.drift[kalman.STATE.wheel_angle] = p.drift_wheels + unknown * unknown * p.period
+    filtering.drift[kalman.FILTER_STATE.wheel_angle] = p.drift_wheels + unknown * unknown * p.period
     kalman.forget_speed(remembered)

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..kernel import exported, float64, inlined, primitive, vector, void
 from .bits import bits_of, left, negative, right, scaled, to_odd, upper_half, usual_sum
-from .vectors import WIDTH, load, store
+from .vectors import VECTOR_WIDTH, load, store
 
 _FRACTION = 2**52 - 1
 _LIMB = 54  # bits of a digit of long numbers
@@ -269,7 +269,7 @@ def soft_fma8(a, b, c, answer):
     if sure:
         store(answer, 0, y)
     else:
-        for i in range(WIDTH):
+        for i in range(VECTOR_WIDTH):
             answer[i] = careful_fma(a[i], b[i], c[i])
 
 

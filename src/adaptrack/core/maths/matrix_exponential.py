@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from ..kernel import inlined, local
 from .bits import two_to
-from .vectors import WIDTH, add, keep_first, load, mul, splat, spread, store, with_entry
+from .vectors import VECTOR_WIDTH, add, keep_first, load, mul, splat, spread, store, with_entry
 
 TERMS = 13
 """Of the Taylor series: with a norm of at most 1/2 the remainder is below 1e-17."""
 MOST_HALVINGS = 60
-_rows = local(4, WIDTH)
+_rows = local(4, VECTOR_WIDTH)
 
 
 @inlined

@@ -17,8 +17,8 @@ from .bits import ROUNDER, bits_of, left, negative, right, signed_if, two_to
 from .exact import sqrt
 from .polynomial import eleven, halves, six, twelve
 
-LARGEST = 1e5
-"""rad; up to it `_near` reduces an argument"""
+MAX_NEAR_ANGLE = 1e5
+"""rad; up to it `_reduce_near` reduces an argument"""
 
 _TINY = 2.0**-28  # below it sin(x) = tan(x) = asin(x) = x
 _TWO_OVER_PI = 2.0 / math.pi
@@ -135,7 +135,7 @@ def _word(i):
 
 
 @inlined
-def _near(x):
+def _reduce_near(x):
     """(n, y, low) with x = n pi/2 + y + low, |y| <= pi/4 and n modulo 2^51, for |x| <= LARGEST.
 
     Cody and Waite's reduction (Software Manual for the Elementary Functions, 1980) by fused multiply-adds.
@@ -174,8 +174,8 @@ def _sine_at(n, y, low):
 
 
 @exported(several(int64, float64, float64)(float64), name="reduced_right_angle")
-def _far(x):
-    """Reduce the argument for any finite |x| >= 2^-6, in the form of `_near`.
+def _reduce_far(x):
+    """Reduce the argument for any finite |x| >= 2^-6, in the form of `_reduce_near`.
 
     Payne and Hanek's reduction (Radian reduction for trigonometric functions, SIGNUM Newsletter 18(1), 1983): of the
     product of x with 2/pi, only those bits that are not multiples of 4, in whole numbers; 126 of them after the point.
@@ -222,10 +222,10 @@ def _far(x):
 
 @inlined
 def _reduced(x):
-    """`_near` or `_far`; of what is not finite, NaN."""
-    if abs(x) <= LARGEST or not abs(x) < math.inf:
-        return _near(x)
-    return _far(x)
+    """`_reduce_near` or `_reduce_far`; of what is not finite, NaN."""
+    if abs(x) <= MAX_NEAR_ANGLE or not abs(x) < math.inf:
+        return _reduce_near(x)
+    return _reduce_far(x)
 
 
 @exported(float64(float64))

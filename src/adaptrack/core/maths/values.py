@@ -1,6 +1,6 @@
 """Values of the elementary functions at many points, for whoever compares them: another processor, a table, a figure.
 
-`NAMES` counts them; those of a kernel's own loop are called there.
+`FUNCTION_NAMES` counts them; those of a kernel's own loop are called there.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from .exponential import exp, hypot, log, log1p, log10, power, tanh
 from .fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
 from .trigonometric import asin, atan, atan2, cos, sin, tan
 
-NAMES = (
+FUNCTION_NAMES = (
     "fast_arctangent_of_ratio", "asin", "atan", "atan2", "ceil", "cos", "fast_cosine", "exp", "floor", "fmod",
     "hypot", "log", "log10", "log1p", "modulo", "power", "sin", "fast_sine", "soft_ceil", "soft_floor", "soft_fma",
     "soft_sqrt", "sqrt", "tan", "tanh",
@@ -20,7 +20,7 @@ NAMES = (
 
 @exported(void(int64, matrix, vector), name="elementary_values")
 def elementary_values(function, at, values):
-    """Write the values of the function of this number in `NAMES`; at (3, n): x, y and z, as many as it takes."""
+    """Write the values of the function with this index in `FUNCTION_NAMES`; at (3, n): its arguments x, y and z."""
     for i in range(values.size):
         x, y, z = at[0, i], at[1, i], at[2, i]
         if function == 0:

@@ -2,7 +2,7 @@
 
 The matrices of the quadratic programmes are tiny (5 to 20 columns). The compiler's loop vectoriser needs longer
 loops and a proof that arrays do not overlap; here each operation is a vector instruction because it says so.
-Rows are padded to a multiple of `WIDTH` (`padded`), and what stands in the padding never reaches a result.
+Rows are padded to a multiple of `VECTOR_WIDTH` (`padded`), and what stands in the padding never reaches a result.
 
     total = zeros()
     for k in range(n):
@@ -22,13 +22,13 @@ import numpy as np
 
 from ..kernel import inlined, primitive
 
-WIDTH = 8
+VECTOR_WIDTH = 8
 
 
 @inlined
 def padded(count: int) -> int:
-    """The smallest multiple of `WIDTH` that is not below ``count``: the row length that arrays need."""
-    return (count + WIDTH - 1) // WIDTH * WIDTH
+    """The smallest multiple of `VECTOR_WIDTH` that is not below ``count``: the row length that arrays need."""
+    return (count + VECTOR_WIDTH - 1) // VECTOR_WIDTH * VECTOR_WIDTH
 
 
 _ieee = np.errstate(all="ignore")  # infinities and NaN pass in silence, as they do compiled
@@ -38,9 +38,9 @@ _ieee = np.errstate(all="ignore")  # infinities and NaN pass in silence, as they
 def load(array: Any, *index: int) -> Any:
     """``array[..., i, j:j+8]``."""
     row, at = array[index[:-1]], index[-1]
-    if at + WIDTH > row.shape[0]:
-        raise IndexError(f"rows must be padded to a multiple of {WIDTH}")
-    return row[at : at + WIDTH].copy()
+    if at + VECTOR_WIDTH > row.shape[0]:
+        raise IndexError(f"rows must be padded to a multiple of {VECTOR_WIDTH}")
+    return row[at : at + VECTOR_WIDTH].copy()
 
 
 @primitive
@@ -48,25 +48,25 @@ def store(array: Any, *index_and_value: Any) -> None:
     """``array[..., i, j:j+8] = value``."""
     *index, value = index_and_value
     row, at = array[tuple(index[:-1])], index[-1]
-    row[at : at + WIDTH] = value
+    row[at : at + VECTOR_WIDTH] = value
 
 
 @primitive
 def spread(array: Any, *index: int) -> Any:
     """The number ``array[..., i, j]`` in every entry (indices are not negative)."""
-    return np.full(WIDTH, array[index])
+    return np.full(VECTOR_WIDTH, array[index])
 
 
 @primitive
 def splat(value: float) -> Any:
     """Fill a vector with one number."""
-    return np.full(WIDTH, value)
+    return np.full(VECTOR_WIDTH, value)
 
 
 @primitive
 def zeros() -> Any:
     """Zero in every entry."""
-    return np.zeros(WIDTH)
+    return np.zeros(VECTOR_WIDTH)
 
 
 @primitive
@@ -125,7 +125,7 @@ def where_positive(a: Any, b: Any, c: Any) -> Any:
 @primitive
 def column(array: Any, count: int, first: int, j: int) -> Any:
     """``array[first:first+8, j]``, with zero for the rows from ``count`` on; needs ``first < count``."""
-    return np.array([array[i, j] if i < count else 0.0 for i in range(first, first + WIDTH)])
+    return np.array([array[i, j] if i < count else 0.0 for i in range(first, first + VECTOR_WIDTH)])
 
 
 @primitive
@@ -161,7 +161,7 @@ def all_below_infinity(a: Any) -> bool:
 def with_entry(a: Any, i: int, value: float) -> Any:
     """``a`` with ``value`` as entry ``i``; ``a`` itself when there is no such entry."""
     a = a.copy()
-    if 0 <= i < WIDTH:
+    if 0 <= i < VECTOR_WIDTH:
         a[i] = value
     return a
 
@@ -169,7 +169,7 @@ def with_entry(a: Any, i: int, value: float) -> Any:
 @primitive
 def keep_first(a: Any, count: int) -> Any:
     """The first ``count`` entries of ``a`` (any integer), zero in the others."""
-    return np.where(np.arange(WIDTH) < count, a, 0.0)
+    return np.where(np.arange(VECTOR_WIDTH) < count, a, 0.0)
 
 
 @primitive
@@ -181,11 +181,11 @@ def smallest(a: Any) -> float:
 @primitive
 def keep_last(a: Any, start: int) -> Any:
     """The entries of ``a`` from ``start`` on (any integer), zero before."""
-    return np.where(np.arange(WIDTH) >= start, a, 0.0)
+    return np.where(np.arange(VECTOR_WIDTH) >= start, a, 0.0)
 
 
 @primitive
 def first_equal(a: Any, value: float) -> int:
-    """The first entry that equals ``value``; `WIDTH` when none does."""
+    """The first entry that equals ``value``; `VECTOR_WIDTH` when none does."""
     matches = np.flatnonzero(a == value)
-    return int(matches[0]) if matches.size else WIDTH
+    return int(matches[0]) if matches.size else VECTOR_WIDTH

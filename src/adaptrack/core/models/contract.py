@@ -1,7 +1,7 @@
 """What a prediction model is to the controller: x(k+1) = A x(k) + B u(k) + E w(k), y(k) = C x(k).
 
 A model is one compiled function; its size n, its output row C (n,) and the measured quantities that its states are
-(`MEASURED`, by place) stand beside it. u: steering command (rad); w: known input, curvature of the road times speed
+(`MEASUREMENT`, by place) stand beside it. u: steering command (rad); w: known input, curvature of the road times speed
 (rad/s), which is zero on a straight road.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 from ..kernel import Caller, columns, float64, matrix, vector, void
 from ..member import member
 
-MEASURED = columns(
+MEASUREMENT = columns(
     "vy", "yaw", "yaw_rate", "y", "wheel_angle",  # m/s, rad, rad/s, m, rad: the states of a model are some of these
     "lateral_acceleration",  # m/s^2, of an accelerometer: it does not feel the pull of a banked road
     "pose_age", "motion_age",  # s, how old yaw and y are, and all others

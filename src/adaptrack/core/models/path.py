@@ -25,14 +25,14 @@ from .contract import DISCRETISE
 Parameters = record("Parameters", ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear", "lag"))
 """kg, kg m^2, m, m, N/rad and N/rad per tyre, s."""
 parameters_of = viewer(Parameters)
-SLOWEST = 3.0
+MIN_SLIP_SPEED = 3.0
 """m/s: slip angles are formed with at least this speed, for noise over a small one is no slip."""
 MOST_SHARE = 0.9
 """Of the friction, that a road is thought to ask for at most: nobody knows the friction better."""
-STATE = columns("vy", "yaw", "yaw_rate", "wheel_angle", "y", "side", "turn")
+PATH_STATE = columns("vy", "yaw", "yaw_rate", "wheel_angle", "y", "side", "turn")
 """Places of v_y, psi, r, delta, y, d_y (m/s^2) and d_r (rad/s^2) in a filter, whether there is a lag or not."""
-STATES = 5
-"""The first of `STATE`; the others are disturbances."""
+PATH_STATES = 5
+"""The first of `PATH_STATE`; the others are disturbances."""
 
 Turning = record(
     "Turning",
@@ -47,7 +47,7 @@ Turning = record(
 _turning_of = viewer(Turning)
 _Q = columns("vy", "yaw_rate", "wheel_angle")
 _square, _column = local(len(_Q), 8), local(len(_Q))
-_transition, _response = local(STATES, 8), local(STATES)
+_transition, _response = local(PATH_STATES, 8), local(PATH_STATES)
 
 
 @inlined
@@ -76,7 +76,7 @@ def _states(q, once, twice, speed):
 @inlined
 def _write(column, f, j):
     """Write the states to column j of f."""
-    for i in range(STATES):
+    for i in range(PATH_STATES):
         f[i, j] = column[i]
 
 
@@ -87,18 +87,22 @@ def _hold(speed, period, c, f, b):
     s0, s1, s2, s3 = _square(), _square(), _square(), _square()
     _continuous(speed, c, m, command)
     integrals(m, period, s0, s1, s2, s3)
-    for j, state in ((_Q.vy, STATE.vy), (_Q.yaw_rate, STATE.yaw_rate), (_Q.wheel_angle, STATE.wheel_angle)):
+    for j, state in (
+        (_Q.vy, PATH_STATE.vy),
+        (_Q.yaw_rate, PATH_STATE.yaw_rate),
+        (_Q.wheel_angle, PATH_STATE.wheel_angle),
+    ):
         _write(_states(s0[:, j], s1[:, j], s2[:, j], speed), f, state)
-    for j, push in ((_Q.vy, STATE.side), (_Q.yaw_rate, STATE.turn)):
+    for j, push in ((_Q.vy, PATH_STATE.side), (_Q.yaw_rate, PATH_STATE.turn)):
         _write(_states(s1[:, j], s2[:, j], s3[:, j], speed), f, push)
-    f[STATE.yaw, STATE.yaw] = f[STATE.y, STATE.y] = 1.0
-    f[STATE.y, STATE.yaw] = speed * period
+    f[PATH_STATE.yaw, PATH_STATE.yaw] = f[PATH_STATE.y, PATH_STATE.y] = 1.0
+    f[PATH_STATE.y, PATH_STATE.yaw] = speed * period
     q, once, twice = _column(), _column(), _column()
     apply(s1, command, q)
     apply(s2, command, once)
     apply(s3, command, twice)
     column = _states(q, once, twice, speed)
-    for i in range(STATES):
+    for i in range(PATH_STATES):
         b[i] = column[i]
 
 
@@ -106,14 +110,14 @@ def _hold(speed, period, c, f, b):
 def discretise_disturbed(speed, period, c, f, b):
     """Write [A G], G being the columns of the disturbances, and B over `period` (s), exactly: for a filter.
 
-    f (5, .), b (5 and more,): by `STATE`; speed: m/s, > 0. Without lag the wheel angle is the command.
+    f (5, .), b (5 and more,): by `PATH_STATE`; speed: m/s, > 0. Without lag the wheel angle is the command.
     """
-    for i in range(STATES):
-        for j in range(len(STATE)):
+    for i in range(PATH_STATES):
+        for j in range(len(PATH_STATE)):
             f[i, j] = 0.0
     _hold(speed, period, c, f, b)
     if not c.lag > 0.0:
-        f[STATE.wheel_angle, STATE.wheel_angle], b[STATE.wheel_angle] = 0.0, 1.0
+        f[PATH_STATE.wheel_angle, PATH_STATE.wheel_angle], b[PATH_STATE.wheel_angle] = 0.0, 1.0
 
 
 @inlined
@@ -142,7 +146,7 @@ def sliding(speed, vy, r, angle, c):
     In the brush model a tyre loses F^2/(3 mu F_z) to sliding, in first order (Pacejka, Tire and Vehicle Dynamics,
     3rd ed., section 3.2).
     """
-    v, weight = max(speed, SLOWEST), c.mass * GRAVITY / (c.lf + c.lr)
+    v, weight = max(speed, MIN_SLIP_SPEED), c.mass * GRAVITY / (c.lf + c.lr)
     stiff_front, stiff_rear = 2.0 * c.stiffness_front, 2.0 * c.stiffness_rear
     front_slip, rear_slip = angle - (vy + c.lf * r) / v, (vy - c.lr * r) / v
     front = _slid(front_slip, stiff_front, weight * c.lr) / c.mass
@@ -160,11 +164,11 @@ def sliding(speed, vy, r, angle, c):
 
 @inlined
 def lateral_acceleration_row(speed, c, h):
-    """Write dv_y/dt + v r, which an accelerometer measures, by `STATE` to h. Without lag its angle is the command."""
+    """Write dv_y/dt + v r, as an accelerometer reads it, by `PATH_STATE` to h; without lag its angle is the command."""
     m, command = _square(), _column()
     _continuous(speed, c, m, command)
-    h[STATE.vy], h[STATE.yaw_rate], h[STATE.side] = m[_Q.vy, _Q.vy], m[_Q.vy, _Q.yaw_rate] + speed, 1.0
-    h[STATE.wheel_angle] = m[_Q.vy, _Q.wheel_angle] + command[_Q.vy]
+    h[PATH_STATE.vy], h[PATH_STATE.yaw_rate], h[PATH_STATE.side] = m[_Q.vy, _Q.vy], m[_Q.vy, _Q.yaw_rate] + speed, 1.0
+    h[PATH_STATE.wheel_angle] = m[_Q.vy, _Q.wheel_angle] + command[_Q.vy]
 
 
 @exported(void(vector, vector))
@@ -178,9 +182,9 @@ def write_turning(parameters, turning):
 
 
 @inlined
-def _of(i, n):
-    """Which of `STATE` is the i-th of n states: without lag there is no wheel angle among them."""
-    return i if n == STATES or i < STATE.wheel_angle else i + 1
+def _state_index(i, n):
+    """Which of `PATH_STATE` is the i-th of n states: without lag there is no wheel angle among them."""
+    return i if n == PATH_STATES or i < PATH_STATE.wheel_angle else i + 1
 
 
 @exported(DISCRETISE, name="discretise_path")
@@ -190,6 +194,6 @@ def discretise(speed, period, parameters, a, b, e):
     _hold(speed, period, parameters_of(parameters, 0), f, response)
     for i in range(n):
         for j in range(n):
-            a[i, j] = f[_of(i, n), _of(j, n)]
-        b[i], e[i] = response[_of(i, n)], 0.0
-    e[STATE.yaw], e[n - 1] = -period, -0.5 * speed * period * period
+            a[i, j] = f[_state_index(i, n), _state_index(j, n)]
+        b[i], e[i] = response[_state_index(i, n)], 0.0
+    e[PATH_STATE.yaw], e[n - 1] = -period, -0.5 * speed * period * period

@@ -11,7 +11,7 @@ from ..kernel import columns, exported, float64, inlined, local, matrix, record,
 from ..maths.matrix_exponential import apply, integrals
 from .contract import DISCRETISE
 
-STATE = columns("vy", "yaw", "yaw_rate", "y")
+SINGLE_TRACK_STATE = columns("vy", "yaw", "yaw_rate", "y")
 """x_c; the output is the last one."""
 Parameters = record("Parameters", ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear"))
 """kg, kg m^2, m, m, N/rad and N/rad per tyre."""
@@ -25,17 +25,19 @@ _square, _column = local(len(_Q), 8), local(len(_Q))
 def linearise(speed, parameters, a, b):
     """Eq. (7): write A_c (4, 4) and B_c (4,) at a longitudinal speed (m/s, > 0)."""
     mass, inertia, lf, lr, cf, cr = unpack(parameters)
-    for i in range(len(STATE)):
+    for i in range(len(SINGLE_TRACK_STATE)):
         b[i] = 0.0
-        for j in range(len(STATE)):
+        for j in range(len(SINGLE_TRACK_STATE)):
             a[i, j] = 0.0
-    a[STATE.vy, STATE.vy] = -2.0 * (cf + cr) / (mass * speed)
-    a[STATE.vy, STATE.yaw_rate] = -speed - 2.0 * (cf * lf - cr * lr) / (mass * speed)
-    a[STATE.yaw, STATE.yaw_rate] = 1.0
-    a[STATE.yaw_rate, STATE.vy] = -2.0 * (cf * lf - cr * lr) / (inertia * speed)
-    a[STATE.yaw_rate, STATE.yaw_rate] = -2.0 * (cf * lf * lf + cr * lr * lr) / (inertia * speed)
-    a[STATE.y, STATE.vy], a[STATE.y, STATE.yaw] = 1.0, speed
-    b[STATE.vy], b[STATE.yaw_rate] = 2.0 * cf / mass, 2.0 * cf * lf / inertia
+    a[SINGLE_TRACK_STATE.vy, SINGLE_TRACK_STATE.vy] = -2.0 * (cf + cr) / (mass * speed)
+    a[SINGLE_TRACK_STATE.vy, SINGLE_TRACK_STATE.yaw_rate] = -speed - 2.0 * (cf * lf - cr * lr) / (mass * speed)
+    a[SINGLE_TRACK_STATE.yaw, SINGLE_TRACK_STATE.yaw_rate] = 1.0
+    a[SINGLE_TRACK_STATE.yaw_rate, SINGLE_TRACK_STATE.vy] = -2.0 * (cf * lf - cr * lr) / (inertia * speed)
+    a[SINGLE_TRACK_STATE.yaw_rate, SINGLE_TRACK_STATE.yaw_rate] = (
+        -2.0 * (cf * lf * lf + cr * lr * lr) / (inertia * speed)
+    )
+    a[SINGLE_TRACK_STATE.y, SINGLE_TRACK_STATE.vy], a[SINGLE_TRACK_STATE.y, SINGLE_TRACK_STATE.yaw] = 1.0, speed
+    b[SINGLE_TRACK_STATE.vy], b[SINGLE_TRACK_STATE.yaw_rate] = 2.0 * cf / mass, 2.0 * cf * lf / inertia
 
 
 @inlined
@@ -52,22 +54,27 @@ def discretise(speed, period, parameters, a, b, e):
     """
     m, command = _square(), _column()
     s0, s1, s2, s3 = _square(), _square(), _square(), _square()
-    for i in range(len(STATE)):
+    for i in range(len(SINGLE_TRACK_STATE)):
         e[i] = 0.0
     linearise(speed, parameters, a, b)
-    for i, row in ((_Q.vy, STATE.vy), (_Q.yaw_rate, STATE.yaw_rate)):
+    for i, row in ((_Q.vy, SINGLE_TRACK_STATE.vy), (_Q.yaw_rate, SINGLE_TRACK_STATE.yaw_rate)):
         command[i] = b[row]
-        for j, column in ((_Q.vy, STATE.vy), (_Q.yaw_rate, STATE.yaw_rate)):
+        for j, column in ((_Q.vy, SINGLE_TRACK_STATE.vy), (_Q.yaw_rate, SINGLE_TRACK_STATE.yaw_rate)):
             m[i, j] = a[row, column]
     integrals(m, period, s0, s1, s2, s3)
-    for j, column in ((_Q.vy, STATE.vy), (_Q.yaw_rate, STATE.yaw_rate)):
-        a[STATE.vy, column], a[STATE.yaw, column], a[STATE.yaw_rate, column], a[STATE.y, column] = _states(
-            s0[:, j], s1[:, j], s2[:, j], speed
-        )
+    for j, column in ((_Q.vy, SINGLE_TRACK_STATE.vy), (_Q.yaw_rate, SINGLE_TRACK_STATE.yaw_rate)):
+        (
+            a[SINGLE_TRACK_STATE.vy, column],
+            a[SINGLE_TRACK_STATE.yaw, column],
+            a[SINGLE_TRACK_STATE.yaw_rate, column],
+            a[SINGLE_TRACK_STATE.y, column],
+        ) = _states(s0[:, j], s1[:, j], s2[:, j], speed)
     q, once, twice = _column(), _column(), _column()
     apply(s1, command, q)
     apply(s2, command, once)
     apply(s3, command, twice)
-    b[STATE.vy], b[STATE.yaw], b[STATE.yaw_rate], b[STATE.y] = _states(q, once, twice, speed)
-    a[STATE.yaw, STATE.yaw] = a[STATE.y, STATE.y] = 1.0
-    a[STATE.y, STATE.yaw] = speed * period
+    b[SINGLE_TRACK_STATE.vy], b[SINGLE_TRACK_STATE.yaw], b[SINGLE_TRACK_STATE.yaw_rate], b[SINGLE_TRACK_STATE.y] = (
+        _states(q, once, twice, speed)
+    )
+    a[SINGLE_TRACK_STATE.yaw, SINGLE_TRACK_STATE.yaw] = a[SINGLE_TRACK_STATE.y, SINGLE_TRACK_STATE.y] = 1.0
+    a[SINGLE_TRACK_STATE.y, SINGLE_TRACK_STATE.yaw] = speed * period

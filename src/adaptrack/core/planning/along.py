@@ -10,11 +10,13 @@ from ..maths.trigonometric import cos, sin
 from ..road import CLOSED, LENGTH, Centreline, point_at
 from ..speed_plan import last_at
 
-Along = record("Along", (("s", vector), ("value", vector), ("steps", int64)))
+AlongRecord = record("AlongRecord", (("s", vector), ("value", vector), ("steps", int64)))
 """Values at ascending arc lengths (m): straight lines between them or, where steps is 1, each up to the next; constant
 before the first and after the last. Without values: infinite everywhere."""
 
-Route = record("Route", (("line", Centreline), ("friction", Along), ("bank", Along), ("speed_limit", Along)))
+Route = record(
+    "Route", (("line", Centreline), ("friction", AlongRecord), ("bank", AlongRecord), ("speed_limit", AlongRecord))
+)
 """A road as a plan reads it. bank: rad, positive where gravity pushes to the left; speed_limit: m/s."""
 
 
@@ -56,21 +58,21 @@ def on_lap(place, line):
     return place - floor(place / length) * length if line.numbers[CLOSED] > 0.5 else place
 
 
-@exported(void(Along, vector))
+@exported(void(AlongRecord, vector))
 def along_values(along, places):
     """Replace arc lengths (m) by the values there."""
     for i in range(places.size):
         places[i] = value_at(places[i], along) if places[i] == places[i] else math.nan
 
 
-@exported(void(Along, vector, vector, vector))
+@exported(void(AlongRecord, vector, vector, vector))
 def along_least(along, starts, ends, least):
     """Write the smallest values between arc lengths (m)."""
     for i in range(least.size):
         least[i] = least_between(starts[i], ends[i], along)
 
 
-@exported(void(Centreline, Along, Along, vector, matrix))
+@exported(void(Centreline, AlongRecord, AlongRecord, vector, matrix))
 def road_edges(line, left, right, places, edges):
     """Write x, y of the left and x, y of the right edge (m) at each arc length of `places` to the rows of `edges`.
 

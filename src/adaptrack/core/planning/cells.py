@@ -10,7 +10,7 @@ import math
 from ..kernel import columns, exported, float64, inlined, int64, vector
 from ..maths.bits import whole
 from ..maths.exact import ceil
-from ..road import DEGREE, HALF, TURNED
+from ..road import HALF_LENGTH, POLYNOMIAL_DEGREE, TURN_COEFFICIENTS
 from ..speed_plan import last_at
 from .along import least_between, value_at
 
@@ -21,9 +21,9 @@ PLAN = columns(
     "time",  # s, of arrival, from the start
     "square",  # m^2/s^2, of the speed
     "ceiling",  # m^2/s^2, the largest square, whatever comes before and after
-    "named",  # what bounds it there, a place in `speed.LIMIT`
+    "named",  # what bounds it there, a place in `speed.SPEED_LIMIT`
     # between a place and the next; the last one's do not count
-    "binding",  # what bounds the planned speed there, a place in `speed.LIMIT`
+    "binding",  # what bounds the planned speed there, a place in `speed.SPEED_LIMIT`
     "first", "last",  # 1/m, curvature behind the place, and before the next
     "curvature",  # 1/m, the larger one of these: between them it is monotonous
     "bank",  # rad
@@ -88,11 +88,11 @@ def _append(place, count, places):
 def _curvature_at(place, row, line):
     """1/m, of a piece."""
     piece = line.pieces[row]
-    u = (place - line.start[row]) / piece[HALF] - 1.0
-    slope = DEGREE * piece[TURNED + DEGREE]
-    for k in range(DEGREE - 1, 0, -1):
-        slope = slope * u + k * piece[TURNED + k]
-    return slope / piece[HALF]
+    u = (place - line.start[row]) / piece[HALF_LENGTH] - 1.0
+    slope = POLYNOMIAL_DEGREE * piece[TURN_COEFFICIENTS + POLYNOMIAL_DEGREE]
+    for k in range(POLYNOMIAL_DEGREE - 1, 0, -1):
+        slope = slope * u + k * piece[TURN_COEFFICIENTS + k]
+    return slope / piece[HALF_LENGTH]
 
 
 @inlined

@@ -14,7 +14,7 @@ from ..maths.bits import whole
 from ..maths.trigonometric import atan, cos, tan
 from ..plants.forces import GRAVITY
 from ..plants.parameters import unpack
-from ..plants.tyre import CURVED_MAGIC_FORMULA, LINEAR, lateral_force
+from ..plants.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, lateral_force
 
 STEERING_LIMIT = math.pi / 6
 """rad, of the road wheels, where nobody says: the limit of the paper's table."""
@@ -27,7 +27,7 @@ _SHARES, _LARGEST_SHARE = 241, 1.2
 _STEEPEST = 1.5
 """rad, of the road wheels, that counts as a right angle."""
 
-Axle = record("Axle", ("stiffness", "outer", "inner", "turned", "steered", "friction"))
+AxleLoads = record("AxleLoads", ("stiffness", "outer", "inner", "turned", "steered", "friction"))
 """N/rad; N, the loads of its tyres; rad, by which steered wheels are turned beyond their slip angle; 1 or 0; -."""
 
 
@@ -40,7 +40,7 @@ def _slip_of(k):
 @inlined
 def _pull(k, axle, car):
     """Force (N) of an axle to the side at the slip angle of this number."""
-    law, slip = LINEAR if car.tyre_linear > 0.5 else CURVED_MAGIC_FORMULA, _slip_of(k)
+    law, slip = LINEAR_TYRE if car.tyre_linear > 0.5 else CURVED_MAGIC_FORMULA, _slip_of(k)
     outer = lateral_force(slip, axle.outer, axle.friction, axle.stiffness, car, law)
     inner = lateral_force(slip, axle.inner, axle.friction, axle.stiffness, car, law)
     return (outer + inner) * cos(axle.steered * (axle.turned + slip))
@@ -78,7 +78,7 @@ def _axle(acceleration, load, track, turned, steered, friction, car):
     share = 2.0 * load / GRAVITY * acceleration
     moved = min(share * car.cg_height / track, 0.99 * load)
     stiffness = car.stiffness_front if steered > 0.0 else car.stiffness_rear
-    return share, Axle(stiffness, load + moved, load - moved, turned, steered, friction)
+    return share, AxleLoads(stiffness, load + moved, load - moved, turned, steered, friction)
 
 
 @inlined

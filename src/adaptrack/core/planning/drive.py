@@ -9,18 +9,18 @@ from ..maths.exact import floor
 from ..maths.trigonometric import cos, sin
 from ..plants.forces import GRAVITY
 from ..road import Centreline, point_at
-from ..speed_plan import SpeedPlan, motion_at
+from ..speed_plan import SpeedPlanRecord, motion_at
 from .along import Route, on_lap, value_at
 
 LOOK_AHEAD = 3.0
 """s, how far ahead the scheduling variables `change` and `acceleration` look."""
-FEWEST = 2
+MIN_INSTANTS = 2
 """Instants that they look ahead at least: a second derivative needs three."""
 
-RoadDrive = record(
-    "RoadDrive",
+RoadDriveRecord = record(
+    "RoadDriveRecord",
     (
-        ("route", Route), ("plan", SpeedPlan), ("period", float64), ("reference", vector), ("wind_x", vector),
+        ("route", Route), ("plan", SpeedPlanRecord), ("period", float64), ("reference", vector), ("wind_x", vector),
         ("wind_y", vector),
     ),
 )  # fmt: skip
@@ -56,12 +56,12 @@ def drive_instants(period, times):
 
 
 @inlined
-def _of(values, k):
+def _value_at(values, k):
     """The value at an instant, of one for each or one for all."""
     return values[k] if values.size > 1 else values[0]
 
 
-@exported(void(RoadDrive, matrix))
+@exported(void(RoadDriveRecord, matrix))
 def drive_along_road(drive, samples):
     """Write what happens at the instants 0, 1, ... to `SIGNAL`'s rows of samples, as `complete_samples` reads them."""
     _, count = samples.shape
@@ -70,10 +70,10 @@ def drive_along_road(drive, samples):
         place = on_lap(station, drive.route.line)
         _, _, _, curvature = point_at(station, drive.route.line)
         friction = value_at(place, drive.route.friction)
-        samples[SIGNAL.y_ref, k], samples[SIGNAL.speed, k] = _of(drive.reference, k), speed
+        samples[SIGNAL.y_ref, k], samples[SIGNAL.speed, k] = _value_at(drive.reference, k), speed
         for wheel in range(4):
             samples[SIGNAL.friction_front_left + wheel, k] = friction
-        samples[SIGNAL.wind_x, k], samples[SIGNAL.wind_y, k] = _of(drive.wind_x, k), _of(drive.wind_y, k)
+        samples[SIGNAL.wind_x, k], samples[SIGNAL.wind_y, k] = _value_at(drive.wind_x, k), _value_at(drive.wind_y, k)
         samples[SIGNAL.bank, k], samples[SIGNAL.station, k] = value_at(place, drive.route.bank), station
         samples[SIGNAL.acceleration, k] = curvature
 
@@ -98,7 +98,7 @@ def _reference_at(k, reference):
 @inlined
 def _instants_ahead(period):
     """How many instants of a period (s) the scheduling variables look ahead."""
-    return max(FEWEST, _rounded(LOOK_AHEAD / period))
+    return max(MIN_INSTANTS, _rounded(LOOK_AHEAD / period))
 
 
 @exported(void(float64, vector, vector, vector))
@@ -142,7 +142,7 @@ def complete_samples(period, samples):
         samples[SIGNAL.known_wind, k] = samples[SIGNAL.wind_y, k]
 
 
-@exported(void(RoadDrive, matrix))
+@exported(void(RoadDriveRecord, matrix))
 def drive_samples(drive, samples):
     """Write a drive's samples (`SIGNAL`, n + 1)."""
     drive_along_road(drive, samples)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import columns, exported, float64, inlined, int64, local, matrix, record, several, vector, void
+from ..kernel import OK, columns, exported, float64, inlined, int64, local, matrix, record, several, vector, void
 from ..maths.exact import sqrt, square
 from ..maths.exponential import power
 from ..maths.trigonometric import cos, sin
@@ -28,8 +28,8 @@ from .along import Route, between
 from .cells import PLAN, write_cells
 from .cornering import BENDS, cornering_at, cornering_limits
 
-Bounds = record(
-    "Bounds",
+SpeedBounds = record(
+    "SpeedBounds",
     (
         "lateral",  # m/s^2, felt sideways
         "accelerate", "brake",  # m/s^2
@@ -49,7 +49,7 @@ Bounds = record(
 Planning = record(
     "Planning",
     (
-        ("route", Route), ("bounds", Bounds), ("car", vector), ("stops", vector), ("seconds", vector),
+        ("route", Route), ("bounds", SpeedBounds), ("car", vector), ("stops", vector), ("seconds", vector),
         ("held_at", vector), ("held", matrix), ("table", matrix),
     ),
 )  # fmt: skip
@@ -58,21 +58,21 @@ ascending, moved to places of the table by `plan_cells`; seconds: s, at each of 
 speeds, and (cells, m) m/s^2, the deceleration up to which the controller's margins hold at each, or both empty; table:
 (`PLAN`, places), written."""
 
-LIMIT = columns(
+SPEED_LIMIT = columns(
     "lateral", "grip", "curvature_rate", "speed_limit", "domain", "top_speed", "margins", "ends", "accelerate", "power",
     "brake", "brakes", "jerk",
 )  # fmt: skip
 """What bounds a planned speed."""
-PLANNED, CANNOT_TURN, TOO_STEEP, START_TOO_FAST, END_TOO_FAST, CANNOT_BRAKE, NO_PLACES, NO_BOUNDS = range(8)
+CANNOT_TURN, TOO_STEEP, START_TOO_FAST, END_TOO_FAST, CANNOT_BRAKE, NO_PLACES, NO_BOUNDS = range(1, 8)
 """What `plan_along_road` answers: a plan; a bend too tight for the car; a bank that alone exceeds what is allowed; a
 speed at the start, or at the end, above what is possible there; a start from which no car can brake in time; no road,
 or a spacing that makes no places of it; comfort that is no number above 0."""
 
-FLAT = 1e-9
+STRAIGHT_CURVATURE = 1e-9
 """1/m, a curvature that counts as none."""
 UNLOADINGS = 6
 """Steps of Newton's method."""
-HALVINGS = 60
+POWER_HALVINGS = 60
 """In the search for the speed that the power holds."""
 ABOVE, AT_CEILING, ALL_OF_IT = 1e-9, 1e-6, 0.98
 """Shares: by which a speed may be above what is possible, by which a square is below its ceiling and still at it, and
@@ -171,7 +171,7 @@ def _brake(k, w, car, planning):
 @inlined
 def _square_in_bend(allowed, curvature, tilt):
     """v^2 at which a bend asks for what is allowed sideways (m/s^2)."""
-    if not abs(curvature) > FLAT:
+    if not abs(curvature) > STRAIGHT_CURVATURE:
         return math.inf
     return (allowed + (tilt if curvature > 0.0 else -tilt)) / abs(curvature)
 
@@ -196,21 +196,23 @@ def _bound_between(k, planning):
     """The largest v^2 between two places, whatever comes before and after, and what bounds it."""
     table, bounds = planning.table, planning.bounds
     curvature, tilt, limit = table[PLAN.curvature, k], table[PLAN.tilt, k], table[PLAN.speed_limit, k]
-    least, binding = _square_in_bend(bounds.lateral, curvature, tilt), LIMIT.lateral
-    least, binding = _lower(least, binding, _square_in_bend(table[PLAN.grip, k], curvature, tilt), LIMIT.grip)
-    least, binding = _lower(least, binding, _square_of_turning(k, bounds.lateral_jerk, table), LIMIT.curvature_rate)
-    least, binding = _lower(least, binding, limit * limit, LIMIT.speed_limit)
-    least, binding = _lower(least, binding, table[PLAN.margins, k], LIMIT.margins)
+    least, binding = _square_in_bend(bounds.lateral, curvature, tilt), SPEED_LIMIT.lateral
+    least, binding = _lower(least, binding, _square_in_bend(table[PLAN.grip, k], curvature, tilt), SPEED_LIMIT.grip)
+    least, binding = _lower(
+        least, binding, _square_of_turning(k, bounds.lateral_jerk, table), SPEED_LIMIT.curvature_rate
+    )
+    least, binding = _lower(least, binding, limit * limit, SPEED_LIMIT.speed_limit)
+    least, binding = _lower(least, binding, table[PLAN.margins, k], SPEED_LIMIT.margins)
     if not math.isnan(bounds.top_speed):
-        return _lower(least, binding, square(bounds.top_speed), LIMIT.top_speed)
+        return _lower(least, binding, square(bounds.top_speed), SPEED_LIMIT.top_speed)
     if limit > bounds.no_limit:
-        return _lower(least, binding, square(bounds.domain_speed), LIMIT.domain)
+        return _lower(least, binding, square(bounds.domain_speed), SPEED_LIMIT.domain)
     return least, binding
 
 
 @inlined
 def _write_grip(planning):
-    """Write pull and grip between the places: `PLANNED`, or where a bank alone is too much."""
+    """Write pull and grip between the places: `OK`, or where a bank alone is too much."""
     table, share = planning.table, planning.bounds.grip_share
     _, places = table.shape
     for k in range(places - 1):
@@ -222,7 +224,7 @@ def _write_grip(planning):
         allowed = min(table[PLAN.grip, k], planning.bounds.lateral)
         if not abs(table[PLAN.tilt, k]) < allowed:
             return (CANNOT_TURN if allowed == 0.0 else TOO_STEEP), k, allowed
-    return PLANNED, 0, 0.0
+    return OK, 0, 0.0
 
 
 @inlined
@@ -230,9 +232,9 @@ def _write_ceiling(planning):
     """Write the largest v^2 at each place, whatever comes before and after, and what bounds it."""
     table = planning.table
     _, places = table.shape
-    before, named_before = math.inf, LIMIT.lateral
+    before, named_before = math.inf, SPEED_LIMIT.lateral
     for k in range(places):
-        after, limit = math.inf, LIMIT.lateral
+        after, limit = math.inf, SPEED_LIMIT.lateral
         if k < places - 1:
             after, limit = _bound_between(k, planning)
         table[PLAN.ceiling, k] = min(before, after)
@@ -241,7 +243,7 @@ def _write_ceiling(planning):
     for i in range(planning.stops.size):
         for k in range(places):
             if table[PLAN.s, k] == planning.stops[i]:
-                table[PLAN.ceiling, k], table[PLAN.named, k] = 0.0, LIMIT.ends
+                table[PLAN.ceiling, k], table[PLAN.named, k] = 0.0, SPEED_LIMIT.ends
 
 
 @inlined
@@ -252,7 +254,7 @@ def _lower_end(speed, k, table):
         return True, most
     if speed > most * (1.0 + ABOVE):
         return False, most
-    table[PLAN.ceiling, k], table[PLAN.named, k] = speed * speed, LIMIT.ends
+    table[PLAN.ceiling, k], table[PLAN.named, k] = speed * speed, SPEED_LIMIT.ends
     return True, most
 
 
@@ -262,7 +264,7 @@ def _sustained(most, car, planning):
     if _drive(0, most, car, planning) >= 0.0:
         return most
     low, high = 0.0, most
-    for _ in range(HALVINGS):
+    for _ in range(POWER_HALVINGS):
         middle = 0.5 * (low + high)
         if _drive(0, middle, car, planning) >= 0.0:
             low = middle
@@ -317,13 +319,13 @@ def _pass(car, planning):
 def fastest_speeds(planning):
     """Write ceilings and the squares of the fastest speeds, of a table that `plan_cells` and the caller have written.
 
-    The answer is `PLANNED`, or what is not possible, at which place, and the number that bounds it: m/s^2 allowed
+    The answer is `OK`, or what is not possible, at which place, and the number that bounds it: m/s^2 allowed
     sideways, m/s possible at the end or at the start.
     """
     table, bounds = planning.table, planning.bounds
     _, places = table.shape
     status, place, allowed = _write_grip(planning)
-    if status != PLANNED:
+    if status != OK:
         return status, place, allowed
     _write_ceiling(planning)
     fits, most = _lower_end(bounds.start, 0, table)
@@ -342,7 +344,7 @@ def fastest_speeds(planning):
     _pass(car, planning)
     if table[PLAN.square, 0] < square(bounds.start) * (1.0 - ABOVE):
         return CANNOT_BRAKE, 0, sqrt(table[PLAN.square, 0])
-    return PLANNED, 0, 0.0
+    return OK, 0, 0.0
 
 
 @exported(void(Planning, vector, vector))
@@ -384,13 +386,13 @@ def _binds(k, car, planning):
     table, most = planning.table, _four()
     start, there = table[PLAN.square, k], table[PLAN.square, k + 1]
     if there >= start or _drive(k, start, car, planning) < 0.0:
-        names = (LIMIT.accelerate, LIMIT.grip, LIMIT.power, LIMIT.power)
+        names = (SPEED_LIMIT.accelerate, SPEED_LIMIT.grip, SPEED_LIMIT.power, SPEED_LIMIT.power)
         first, other = _drives(k, start, car, planning), _drives(k, there, car, planning)
         for i in range(3):
             most[i] = min(first[i], other[i])
         most[3] = math.inf
     else:
-        names = (LIMIT.brake, LIMIT.grip, LIMIT.brakes, LIMIT.margins)
+        names = (SPEED_LIMIT.brake, SPEED_LIMIT.grip, SPEED_LIMIT.brakes, SPEED_LIMIT.margins)
         before, behind = _brakings(k, start, car, planning), _brakings(k, there, car, planning)
         for i in range(4):
             most[i] = min(before[i], behind[i])
@@ -400,7 +402,7 @@ def _binds(k, car, planning):
             least = i
     used = abs(there - start) / (2.0 * (table[PLAN.s, k + 1] - table[PLAN.s, k]))
     soft = planning.bounds.jerk < math.inf and used < ALL_OF_IT * most[least]
-    return LIMIT.jerk if soft else names[least]
+    return SPEED_LIMIT.jerk if soft else names[least]
 
 
 @exported(void(Planning))
@@ -465,7 +467,7 @@ def plan_along_road(planning):
     if planning.car.size > 0:
         _write_cornering(planning)
     status, place, value = fastest_speeds(planning)
-    if status != PLANNED:
+    if status != OK:
         return status, place, value, 0.0
     duration = plan_times(planning)
     plan_binding(planning)

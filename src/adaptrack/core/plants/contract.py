@@ -4,8 +4,9 @@ Axes and signs (ISO 8855): x forward, y left, z up; yaw, steering and slip angle
 The wind is the velocity of the air in the ground frame.
 
 A batch has up to `SLOTS` slots, a vehicle in each. Its *block* is a flat vector: a row of `SLOTS` numbers for every
-entry of `STATE`, then for every entry of `INPUT`. The constant row length lets the compiler prove that rows do not
-overlap, so a loop over slots becomes vector instructions. A slot's arithmetic never depends on how many others are in
+entry of `PLANT_STATE`, then for every entry of `PLANT_INPUT`. The constant row length lets the compiler prove that rows
+do not overlap, so a loop over slots becomes vector instructions. A slot's arithmetic never depends on how many others
+are in
 use: a run alone and a run in a batch agree to the last bit.
 
 A plant with states of its own keeps all of them in ``states`` (SLOTS, n); the first six are copied to the block.
@@ -25,7 +26,7 @@ SLOTS = 32
 GROUP = 8
 """Slots that are advanced together: between the last of several vehicles and the next multiple they are filled."""
 
-STATE = columns(
+PLANT_STATE = columns(
     "x", "y",  # m
     "yaw",  # rad
     "vx", "vy",  # m/s, body frame
@@ -35,7 +36,7 @@ STATE = columns(
     "steering",  # rad, angle of the front wheels behind the actuator
 )  # fmt: skip
 """Rows of a block: the state. What a plant does not use stays zero."""
-INPUT = columns(
+PLANT_INPUT = columns(
     "command",  # rad, steering command
     "force",  # N, longitudinal, demanded at the wheels
     "acceleration",  # m/s^2, prescribed dv_x/dt; NaN: none, the force acts
@@ -44,14 +45,14 @@ INPUT = columns(
     "bank",  # m/s^2, what the pull of a banked road adds to dv_y/dt, positive to the left
 )  # fmt: skip
 """Rows of a block behind those of the state: the input, held over a control period."""
-State, Input = record("State", STATE._fields), record("Input", INPUT._fields)
-"""Of one vehicle; its slope is a `State`, too."""
-STATES, INPUTS = len(STATE), len(INPUT)
-MOTION = 6
+PlantState, PlantInput = record("PlantState", PLANT_STATE._fields), record("PlantInput", PLANT_INPUT._fields)
+"""Of one vehicle; its slope is a `PlantState`, too."""
+PLANT_STATES, PLANT_INPUTS = len(PLANT_STATE), len(PLANT_INPUT)
+MOTION_STATES = 6
 """Every plant's states begin with X, Y, yaw, v_x, v_y, yaw rate."""
 ENVIRONMENT = 7
 """Friction of the four wheels, both components of the wind and the bank: the last rows of the input."""
-BLOCK = (STATES + INPUTS) * SLOTS
+BLOCK_SIZE = (PLANT_STATES + PLANT_INPUTS) * SLOTS
 """Length of a block."""
 
 ADVANCE = void(int64, vector, vector, matrix, matrix, int64, int64, float64)
@@ -86,9 +87,9 @@ block, own states (SLOTS, n), scratch, initial states (slots, n)."""
 def vehicle_sizes(slots, parameters, states, table, row):
     """Sizes of the arrays of `Vehicles`, see `layout`; parameters, states: how many numbers a plant has of them."""
     row = put(table, row, parameters)
-    row = put(table, row, BLOCK)
+    row = put(table, row, BLOCK_SIZE)
     row = put(table, row, SLOTS, states)
-    row = put(table, row, 7, max(states, STATES))
+    row = put(table, row, 7, max(states, PLANT_STATES))
     return put(table, row, slots, states)
 
 
@@ -120,7 +121,7 @@ def state_at(row, slot):
 @inlined
 def input_at(row, slot):
     """Where an input of a slot stands in a block."""
-    return (STATES + row) * SLOTS + slot
+    return (PLANT_STATES + row) * SLOTS + slot
 
 
 @inlined
@@ -141,8 +142,8 @@ def observe(slot, vehicles, observed):
 def place_one(slot, start, block, states):
     """Set the state of one slot to its row of start (slots, n)."""
     _, n = start.shape
-    for j in range(STATES):
-        block[state_at(j, slot)] = start[slot, j] if j < MOTION else 0.0
+    for j in range(PLANT_STATES):
+        block[state_at(j, slot)] = start[slot, j] if j < MOTION_STATES else 0.0
     for j in range(n):
         states[slot, j] = start[slot, j]
 

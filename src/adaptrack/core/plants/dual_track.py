@@ -7,10 +7,10 @@ from functools import cache
 from ..kernel import exported, fma, inlined, vector, void
 from ..maths.exact import clip
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
-from .contract import ADVANCE, OBSERVE, CompiledPlant, State
+from .contract import ADVANCE, OBSERVE, CompiledPlant, PlantState
 from .forces import GRAVITY, SLIP_SPEED_FLOOR, resistance, steering_rate, wind_load
 from .runge_kutta import advance_all, observe_one, slope_of
-from .tyre import LEAST_LOAD, LINEAR, TYRE_NAMES, friction_ellipse, lateral_force
+from .tyre import LEAST_LOAD, LINEAR_TYRE, TYRE_NAMES, friction_ellipse, lateral_force
 
 
 @inlined
@@ -71,7 +71,7 @@ def right_hand_side(x, u, c, law):
     x_fr = clip(front_half, -mu_fr * z_fr, mu_fr * z_fr)
     x_rl = clip(rear_half, -mu_rl * z_rl, mu_rl * z_rl)
     x_rr = clip(rear_half, -mu_rr * z_rr, mu_rr * z_rr)
-    if law != LINEAR:
+    if law != LINEAR_TYRE:
         y_fl *= friction_ellipse(x_fl, z_fl, mu_fl)
         y_fr *= friction_ellipse(x_fr, z_fr, mu_fr)
         y_rl *= friction_ellipse(x_rl, z_rl, mu_rl)
@@ -91,7 +91,7 @@ def right_hand_side(x, u, c, law):
     free = (bx_fl + bx_fr + x_rl + x_rr - resistance(vx, drag, c)) * (1.0 / c.mass) + vy * r
     dvx = free if follows_speed else u.acceleration
     s, co = fast_sine(yaw), fast_cosine(yaw)
-    return State(
+    return PlantState(
         x=vx * co - vy * s,
         y=vx * s + vy * co,
         yaw=r,

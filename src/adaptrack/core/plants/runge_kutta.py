@@ -7,14 +7,18 @@ of straight arithmetic for each law that is used.
 from __future__ import annotations
 
 from ..kernel import inlined, packer, stepper, unpacker
-from .contract import GROUP, INPUTS, OBSERVED, SLOTS, STATES, Input, State
+from .contract import GROUP, OBSERVED, PLANT_INPUTS, PLANT_STATES, SLOTS, PlantInput, PlantState
 from .forces import wheel_angle
 from .parameters import unpack
 
-_along = stepper(State)
-_state, _input, _set_slope = unpacker(State), unpacker(Input), packer(State)
-_state_of, _input_of, _set_state = unpacker(State, SLOTS), unpacker(Input, SLOTS), packer(State, SLOTS)  # of a block
-_INPUT = STATES * SLOTS  # where a block's inputs begin
+_along = stepper(PlantState)
+_state, _input, _set_slope = unpacker(PlantState), unpacker(PlantInput), packer(PlantState)
+_state_of, _input_of, _set_state = (
+    unpacker(PlantState, SLOTS),
+    unpacker(PlantInput, SLOTS),
+    packer(PlantState, SLOTS),
+)  # of a block
+_INPUT = PLANT_STATES * SLOTS  # where a block's inputs begin
 
 
 @inlined
@@ -47,7 +51,7 @@ def _fill_group(block, slots):
     """
     padded_slots = slots if slots == 1 else (slots + GROUP - 1) // GROUP * GROUP
     for i in range(slots, padded_slots):
-        for row in range(STATES + INPUTS):
+        for row in range(PLANT_STATES + PLANT_INPUTS):
             block[row * SLOTS + i] = block[row * SLOTS]
     return padded_slots
 

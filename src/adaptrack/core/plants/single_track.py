@@ -7,7 +7,7 @@ from functools import cache
 from ..kernel import exported, fma, inlined, vector, void
 from ..maths.exact import clip
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
-from .contract import ADVANCE, OBSERVE, CompiledPlant, State
+from .contract import ADVANCE, OBSERVE, CompiledPlant, PlantState
 from .forces import GRAVITY, SLIP_SPEED_FLOOR, resistance, steering_rate, wind_load
 from .runge_kutta import advance_all, observe_one, slope_of
 from .tyre import TYRE_NAMES, lateral_force
@@ -37,7 +37,7 @@ def right_hand_side(x, u, c, law):
     free = (u.force - resistance(vx, drag, c)) * (1.0 / c.mass) + vy * r
     dvx = free if u.acceleration != u.acceleration else u.acceleration
     s, co = fast_sine(yaw), fast_cosine(yaw)
-    return State(
+    return PlantState(
         x=vx * co - vy * s,
         y=vx * s + vy * co,
         yaw=r,

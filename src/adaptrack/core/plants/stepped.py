@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from ..kernel import columns, exported
-from .contract import INPUT, MOTION, OBSERVE, OBSERVED, STATE, CompiledPlant, input_at, state_at
+from .contract import MOTION_STATES, OBSERVE, OBSERVED, PLANT_INPUT, PLANT_STATE, CompiledPlant, input_at, state_at
 from .forces import wheel_angle
 
-ACTUATOR = columns("lag", "limit")
+STEPPED_ACTUATOR = columns("lag", "limit")
 """Its parameters: those of the steering, s and rad."""
-LATERAL_ACCELERATION = MOTION
+LATERAL_ACCELERATION = MOTION_STATES
 """Its own states are the motion, then the lateral acceleration (m/s^2) over the last period."""
 
 
@@ -17,8 +17,8 @@ def observe(member, parameters, block, states, work, slot, observed):
     """See `contract.OBSERVE`."""
     observed[OBSERVED.lateral_acceleration] = states[slot, LATERAL_ACCELERATION]
     observed[OBSERVED.wheel_angle] = wheel_angle(
-        block[state_at(STATE.steering, slot)], block[input_at(INPUT.command, slot)],
-        parameters[ACTUATOR.lag], parameters[ACTUATOR.limit],
+        block[state_at(PLANT_STATE.steering, slot)], block[input_at(PLANT_INPUT.command, slot)],
+        parameters[STEPPED_ACTUATOR.lag], parameters[STEPPED_ACTUATOR.limit],
     )  # fmt: skip
 
 

@@ -13,16 +13,16 @@ LEAST_LOAD = 1.0
 """A wheel never carries less than this (N): a lifted wheel keeps a harmless force instead of a division by zero."""
 
 
-LINEAR, MAGIC_FORMULA, CURVED_MAGIC_FORMULA = 0, 1, 2
+LINEAR_TYRE, MAGIC_FORMULA, CURVED_MAGIC_FORMULA = 0, 1, 2
 """Tyre laws: linear; Magic Formula with E = 0, which saves an arctangent; Magic Formula."""
-TYRE_NAMES = {LINEAR: "linear", MAGIC_FORMULA: "magic", CURVED_MAGIC_FORMULA: "curved"}
+TYRE_NAMES = {LINEAR_TYRE: "linear", MAGIC_FORMULA: "magic", CURVED_MAGIC_FORMULA: "curved"}
 
 
 @inlined
 def tyre_law(linear: bool, curvature: float) -> int:
     """The law that a tyre's parameters ask for."""
     if linear:
-        return LINEAR
+        return LINEAR_TYRE
     return MAGIC_FORMULA if curvature == 0.0 else CURVED_MAGIC_FORMULA
 
 
@@ -42,7 +42,7 @@ def lateral_force(slip, load, friction, stiffness, c, law):
     q = load * (1.0 / c.nominal_load)
     rise = stiffness * (c.stiffness_load_0 + c.stiffness_load_1 * q)
     fall = 1.0 + c.stiffness_load_2 * q * q
-    if law == LINEAR:
+    if law == LINEAR_TYRE:
         return rise / fall * friction * slip
     peak = friction * load * max(1.0 - c.friction_load_sensitivity * (q - 1.0), 0.1)
     # B alpha stays the ratio reach/scale: the arctangent divides once, and nothing else does

@@ -11,7 +11,18 @@ import numpy as np
 from ..kernel import Caller, columns, exported, inlined, vector, void
 from ..maths.exact import clip
 from ..member import member
-from .contract import ADVANCE, ENVIRONMENT, INPUT, MOTION, OBSERVE, OBSERVED, STATE, CompiledPlant, input_at, state_at
+from .contract import (
+    ADVANCE,
+    ENVIRONMENT,
+    MOTION_STATES,
+    OBSERVE,
+    OBSERVED,
+    PLANT_INPUT,
+    PLANT_STATE,
+    CompiledPlant,
+    input_at,
+    state_at,
+)
 from .forces import wheel_angle
 
 RIGHT_HAND_SIDE = void(vector, vector, vector, vector, vector)
@@ -28,9 +39,9 @@ U = columns(
     "acceleration",  # m/s^2, prescribed dv_x/dt; NaN: none, the force acts
 )
 """A right-hand side's input."""
-ACTUATOR = columns("lag", "rate", "limit")
+USER_ACTUATOR = columns("lag", "rate", "limit")
 """A user's parameters are packed behind these three of the steering: s, rad/s, rad."""
-OWN = len(ACTUATOR)
+USER_PARAMETERS = len(USER_ACTUATOR)
 """Where the plant's own parameters begin."""
 _X, _K1, _K2, _K3, _K4, _GIVEN, _AROUND = range(7)  # the rows of `work`
 
@@ -38,19 +49,19 @@ _X, _K1, _K2, _K3, _K4, _GIVEN, _AROUND = range(7)  # the rows of `work`
 @inlined
 def _read_inputs(parameters, block, slot, work):
     """Copy speed control and environment of a slot to scratch; returns the command within the steering's limit."""
-    work[_GIVEN, U.force] = block[input_at(INPUT.force, slot)]
-    work[_GIVEN, U.acceleration] = block[input_at(INPUT.acceleration, slot)]
+    work[_GIVEN, U.force] = block[input_at(PLANT_INPUT.force, slot)]
+    work[_GIVEN, U.acceleration] = block[input_at(PLANT_INPUT.acceleration, slot)]
     for j in range(ENVIRONMENT):
-        work[_AROUND, j] = block[input_at(INPUT.friction_front_left + j, slot)]
-    limit = parameters[ACTUATOR.limit]
-    return clip(block[input_at(INPUT.command, slot)], -limit, limit)
+        work[_AROUND, j] = block[input_at(PLANT_INPUT.friction_front_left + j, slot)]
+    limit = parameters[USER_ACTUATOR.limit]
+    return clip(block[input_at(PLANT_INPUT.command, slot)], -limit, limit)
 
 
 @inlined
 def _runge_kutta_step(member, parameters, x0, angle, command, h, work):
     """One step of a vehicle with states x0 (n,), which is advanced; returns the steering angle after it."""
     n, acceleration = x0.size, work[_GIVEN, U.acceleration]
-    lag, fastest = parameters[ACTUATOR.lag], parameters[ACTUATOR.rate]
+    lag, fastest = parameters[USER_ACTUATOR.lag], parameters[USER_ACTUATOR.rate]
     x, u, around = work[_X, :n], work[_GIVEN, : len(U)], work[_AROUND, :ENVIRONMENT]
     k, slope, rise = work[_K1, :n], 0.0, 0.0
     for stage in range(4):
@@ -61,9 +72,9 @@ def _runge_kutta_step(member, parameters, x0, angle, command, h, work):
         slope = clip((command - u[U.steering]) / lag, -fastest, fastest) if lag > 0.0 else 0.0
         rise += slope * (h / 6.0 if stage == 0 or stage == 3 else h / 3.0)
         k = work[_K1 + stage, :n]
-        call_right_hand_side(member, x, u, around, parameters[OWN:], k)
+        call_right_hand_side(member, x, u, around, parameters[USER_PARAMETERS:], k)
         if acceleration == acceleration:  # prescribed
-            k[STATE.vx] = acceleration
+            k[PLANT_STATE.vx] = acceleration
     for j in range(n):
         x0[j] += h / 6.0 * (work[_K1, j] + 2.0 * work[_K2, j] + 2.0 * work[_K3, j] + work[_K4, j])
     return angle + rise
@@ -74,12 +85,12 @@ def advance(member, parameters, block, states, work, slots, substeps, h):
     """See `contract.ADVANCE`."""
     for i in range(slots):
         command = _read_inputs(parameters, block, i, work)
-        angle = block[state_at(STATE.steering, i)] if parameters[ACTUATOR.lag] > 0.0 else command
+        angle = block[state_at(PLANT_STATE.steering, i)] if parameters[USER_ACTUATOR.lag] > 0.0 else command
         for _ in range(substeps):
             angle = _runge_kutta_step(member, parameters, states[i], angle, command, h, work)
-        for j in range(MOTION):
+        for j in range(MOTION_STATES):
             block[state_at(j, i)] = states[i, j]
-        block[state_at(STATE.steering, i)] = angle
+        block[state_at(PLANT_STATE.steering, i)] = angle
 
 
 @exported(OBSERVE, name="user_observe")
@@ -88,15 +99,20 @@ def observe(member, parameters, block, states, work, slot, observed):
     _, n = states.shape
     command = _read_inputs(parameters, block, slot, work)
     angle = wheel_angle(
-        block[state_at(STATE.steering, slot)], command, parameters[ACTUATOR.lag], parameters[ACTUATOR.limit]
+        block[state_at(PLANT_STATE.steering, slot)],
+        command,
+        parameters[USER_ACTUATOR.lag],
+        parameters[USER_ACTUATOR.limit],
     )
     work[_GIVEN, U.steering] = angle
     x, slope = work[_X, :n], work[_K1, :n]
     for j in range(n):
         x[j] = states[slot, j]
-    call_right_hand_side(member, x, work[_GIVEN, : len(U)], work[_AROUND, :ENVIRONMENT], parameters[OWN:], slope)
+    call_right_hand_side(
+        member, x, work[_GIVEN, : len(U)], work[_AROUND, :ENVIRONMENT], parameters[USER_PARAMETERS:], slope
+    )
     observed[OBSERVED.lateral_acceleration] = (
-        slope[STATE.vy] + x[STATE.vx] * x[STATE.yaw_rate] - block[input_at(INPUT.bank, slot)]
+        slope[PLANT_STATE.vy] + x[PLANT_STATE.vx] * x[PLANT_STATE.yaw_rate] - block[input_at(PLANT_INPUT.bank, slot)]
     )
     observed[OBSERVED.wheel_angle] = angle
 

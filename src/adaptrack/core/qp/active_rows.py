@@ -11,7 +11,7 @@ import math
 from ..kernel import inlined
 from ..maths.exact import sqrt
 from ..maths.vectors import (
-    WIDTH,
+    VECTOR_WIDTH,
     add,
     all_below_infinity,
     column,
@@ -36,7 +36,7 @@ from .operations import advance, magnitude
 @inlined
 def set_entry(v, i, value):
     """``v[i] = value``, as eight entries: a lone number would make the next vector load wait."""
-    b = i // WIDTH * WIDTH
+    b = i // VECTOR_WIDTH * VECTOR_WIDTH
     store(v, b, with_entry(load(v, b), i - b, value))
 
 
@@ -44,7 +44,7 @@ def set_entry(v, i, value):
 def _four(A, i, v, width):
     """Rows i..i+3 of A times v, each as eight sums: more at once do not fit in the registers of AVX2."""
     s0 = s1 = s2 = s3 = zeros()
-    for c in range(0, width, WIDTH):
+    for c in range(0, width, VECTOR_WIDTH):
         entries = load(v, c)
         s0 = fma8(load(A, i, c), entries, s0)
         s1 = fma8(load(A, i + 1, c), entries, s1)
@@ -56,7 +56,7 @@ def _four(A, i, v, width):
 @inlined
 def _dots(count, A, v, width, out):
     """``out[i]`` = row i of A times v for i < count, else 0."""
-    for b in range(0, width, WIDTH):
+    for b in range(0, width, VECTOR_WIDTH):
         sums = _four(A, b, v, width) + _four(A, b + 4, v, width)
         store(out, b, keep_first(totals(sums), count - b))
 
@@ -73,7 +73,7 @@ def _combine(first, last, weights, A, b):
 @inlined
 def release_all(n, factor, w):
     """T = L^-1, no row active."""
-    for b in range(0, padded(n), WIDTH):
+    for b in range(0, padded(n), VECTOR_WIDTH):
         for i in range(n):
             store(w.T, i, b, load(factor.inverse_root, i, b))
         store(w.u, b, zeros())
@@ -83,7 +83,7 @@ def release_all(n, factor, w):
 def take_row(problem, row, w):
     """a = the row of M; returns a'a."""
     squares = zeros()
-    for b in range(0, padded(problem.n), WIDTH):
+    for b in range(0, padded(problem.n), VECTOR_WIDTH):
         a = column(problem.Mt, problem.n, b, row)
         store(w.a, b, a)
         squares = fma8(a, a, squares)
@@ -96,7 +96,7 @@ def find_directions(n, q, w):
     width = padded(n)
     _dots(n, w.T, w.a, width, w.d)
     squares = zeros()
-    for b in range(0, width, WIDTH):
+    for b in range(0, width, VECTOR_WIDTH):
         d2 = keep_last(load(w.d, b), q - b)
         squares = fma8(d2, d2, squares)
         store(w.r, b, _combine(0, q, w.d, w.inverse_r, b))
@@ -117,7 +117,7 @@ def activate(problem, q, row, square, multiplier, w):
     w.d[q] = head - rho
     beta = splat(-1.0 / (norm * (norm + abs(head))))
     scale = splat(-1.0 / rho)
-    for b in range(0, padded(n), WIDTH):
+    for b in range(0, padded(n), VECTOR_WIDTH):
         v = mul(beta, fma8(splat(-rho), load(w.T, q, b), load(w.z, b)))
         for i in range(q, n):
             store(w.T, i, b, fma8(spread(w.d, i), v, load(w.T, i, b)))
@@ -154,15 +154,15 @@ def release(n, q, place, w):
     head = w.step[last]
     w.step[last] = head + math.copysign(norm, head)
     beta = splat(-1.0 / (norm * (norm + abs(head))))
-    for b in range(0, width, WIDTH):
+    for b in range(0, width, VECTOR_WIDTH):
         _reflect(q, beta, w.step, w.T, b)
         _reflect(q, beta, w.step, w.inverse_r, b)
     for c in range(last):
         moved = w.inverse_r[c, last]
-        for b in range(0, width, WIDTH):
+        for b in range(0, width, VECTOR_WIDTH):
             entry = with_entry(load(w.inverse_r, c, b), place - b, moved)
             store(w.inverse_r, c, b, with_entry(entry, last - b, 0.0))
-    for b in range(0, width, WIDTH):
+    for b in range(0, width, VECTOR_WIDTH):
         store(w.normals, place, b, load(w.normals, last, b))
     set_entry(w.bounds, w.index[place], w.active_bounds[place])
     set_entry(w.active_bounds, place, w.active_bounds[last])
@@ -176,11 +176,11 @@ def _find_misses(n, q, x, w, from_zero):
     """``r = gamma_A - N'x``, by how much the active rows are missed."""
     width = padded(n)
     if from_zero:
-        for b in range(0, width, WIDTH):
+        for b in range(0, width, VECTOR_WIDTH):
             store(w.r, b, keep_first(load(w.active_bounds, b), q - b))
     else:
         _dots(q, w.normals, x, width, w.z)
-        for b in range(0, width, WIDTH):
+        for b in range(0, width, VECTOR_WIDTH):
             store(w.r, b, keep_first(sub(load(w.active_bounds, b), load(w.z, b)), q - b))
 
 
@@ -197,13 +197,13 @@ def newton(n, q, x, w, from_zero):
     _find_misses(n, q, x, w, from_zero)
     _dots(q, w.inverse_r, w.r, width, w.z)
     _dots(n, w.T, w.residual, width, w.d)
-    for b in range(0, width, WIDTH):
+    for b in range(0, width, VECTOR_WIDTH):
         y = load(w.z, b)
         c = load(w.d, b)
         store(w.z, b, add(y, keep_last(c, q - b)))
         store(w.d, b, sub(c, y))
     finite = True
-    for b in range(0, width, WIDTH):
+    for b in range(0, width, VECTOR_WIDTH):
         store(w.step, b, _combine(0, n, w.z, w.T, b))
         u = _combine(0, q, w.d, w.inverse_r, b)
         if from_zero:

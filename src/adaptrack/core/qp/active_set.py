@@ -7,7 +7,7 @@ import math
 from ..kernel import exported, inlined, record
 from ..maths.exact import sqrt
 from ..maths.vectors import (
-    WIDTH,
+    VECTOR_WIDTH,
     add,
     div,
     first_equal,
@@ -30,8 +30,8 @@ from ..maths.vectors import (
 from .active_rows import activate, find_directions, newton, release, release_all, set_entry, take_row, worst_multiplier
 from .operations import (
     CORRECTED,
-    REFINEMENTS,
-    ROUNDING,
+    MAX_REFINEMENTS,
+    UNIT_ROUNDING,
     copy_bounds,
     exact_stationarity,
     find_gaps,
@@ -39,7 +39,7 @@ from .operations import (
     magnitude,
     stationarity,
 )
-from .problem import ACTIVE_SET, CAPPED, INFEASIBLE, NON_FINITE, SOLVED, work_of
+from .problem import CAPPED, INFEASIBLE, NON_FINITE, SOLVE, SOLVED, work_of
 from .residual import kkt_residual
 from .unconstrained import unconstrained
 
@@ -51,13 +51,13 @@ DEPENDENT = 1e-12
 CONTRADICTION = 1e-9
 """Dependent rows contradict each other when they miss by more than this part of their bounds."""
 
-ACCEPTED = 1e-6
+MAX_RESIDUAL = 1e-6
 """An answer whose accuracy is in doubt counts as solved when no scaled residual exceeds this."""
 LARGE = 1e6
-"""Where max |x| exceeds this, the terms of M x may cancel so far that their rounding exceeds `ACCEPTED`."""
-FAR, TOO_FAR = 1e9, 1e12
+"""Where max |x| exceeds this, the terms of M x may cancel so far that their rounding exceeds `MAX_RESIDUAL`."""
+DOUBTFUL_SIZE, HOPELESS_SIZE = 1e9, 1e12
 """Where trace(E^-1) max |K| is larger, so may be x without rows, and what cancels in M x: the accuracy is in doubt;
-where it is `TOO_FAR`, a contradiction may be rounding as well."""
+where it is `HOPELESS_SIZE`, a contradiction may be rounding as well."""
 ILL_CONDITIONED = 1e13
 """Where the bound on the condition number exceeds this, refinement may end before x is accurate."""
 
@@ -72,7 +72,7 @@ def _begin(problem, factor, solution, w, guess, is_warm):
 
     Returns (active rows, whether all is finite).
     """
-    for b in range(0, padded(problem.m), WIDTH):
+    for b in range(0, padded(problem.m), VECTOR_WIDTH):
         store(solution.lam, b, zeros())
     copy_bounds(problem, w)
     q, finite = 0, True
@@ -133,7 +133,7 @@ def _settle(problem, q, x, w):
     n = problem.n
     finite = True
     while q > 0:
-        for b in range(0, padded(n), WIDTH):
+        for b in range(0, padded(n), VECTOR_WIDTH):
             store(w.residual, b, keep_first(sub(zeros(), load(problem.K, b)), n - b))
         _, _, finite = newton(n, q, x, w, True)
         place, _ = worst_multiplier(q, w)
@@ -151,14 +151,14 @@ def _most_violated(problem, x, w, worst, tolerance, reach):
         row = _row_with(worst, problem.m, w)
         length = take_row(problem, row, w)
         sizes = zeros()
-        for b in range(0, padded(problem.n), WIDTH):
+        for b in range(0, padded(problem.n), VECTOR_WIDTH):
             sizes = add(magnitude(mul(load(w.a, b), load(x, b))), sizes)
         scale = abs(problem.gamma[row]) + total(sizes) + NOISE * sqrt(length) * reach
         if worst > tolerance * scale:
             return Violation(row, worst, length)
         w.slack[row] = -math.inf
         best = splat(-math.inf)
-        for b in range(0, padded(problem.m), WIDTH):
+        for b in range(0, padded(problem.m), VECTOR_WIDTH):
             best = larger(load(w.slack, b), best)
         worst = largest(best)
     return Violation(-1, 0.0, 0.0)
@@ -168,9 +168,9 @@ def _most_violated(problem, x, w, worst, tolerance, reach):
 def _row_with(value, m, w):
     """The first row whose slack equals ``value`` (there is one)."""
     row = 0
-    for b in range(padded(m) - WIDTH, -1, -WIDTH):
+    for b in range(padded(m) - VECTOR_WIDTH, -1, -VECTOR_WIDTH):
         entry = first_equal(load(w.slack, b), value)
-        row = b + entry if entry < WIDTH else row
+        row = b + entry if entry < VECTOR_WIDTH else row
     return row
 
 
@@ -211,7 +211,7 @@ def _make_active(problem, x, w, q, violation, reach, inverse_trace, left):
 def _find_ratios(n, w):
     """``ratios = u/r`` where r > 0, else inf; the smallest: the step at which a multiplier reaches zero."""
     smallest_ratio = splat(math.inf)
-    for b in range(0, padded(n), WIDTH):
+    for b in range(0, padded(n), VECTOR_WIDTH):
         r = load(w.r, b)
         ratio = where_positive(r, div(load(w.u, b), r), splat(math.inf))
         store(w.ratios, b, ratio)
@@ -223,9 +223,9 @@ def _find_ratios(n, w):
 def _place_of(ratio, n, w):
     """The last block's first place whose ratio this is."""
     place = 0
-    for b in range(0, padded(n), WIDTH):
+    for b in range(0, padded(n), VECTOR_WIDTH):
         entry = first_equal(load(w.ratios, b), ratio)
-        place = b + entry if entry < WIDTH else place
+        place = b + entry if entry < VECTOR_WIDTH else place
     return place
 
 
@@ -242,7 +242,7 @@ def _contradicts(problem, violation, missing, q, reach, w):
 def _move(n, step, dependent, x, w):
     """u -= step r, x -= step z; x stays where the row depends on the active ones."""
     backwards = splat(-step)
-    for b in range(0, padded(n), WIDTH):
+    for b in range(0, padded(n), VECTOR_WIDTH):
         store(w.u, b, fma8(backwards, load(w.r, b), load(w.u, b)))
         if not dependent:
             store(x, b, fma8(backwards, load(w.z, b), load(x, b)))
@@ -256,13 +256,13 @@ def _polish(problem, condition, q, x, w):
     Returns whether x and u are finite.
     """
     finite = True
-    for _ in range(REFINEMENTS):
-        if ROUNDING * condition > CORRECTED:
+    for _ in range(MAX_REFINEMENTS):
+        if UNIT_ROUNDING * condition > CORRECTED:
             exact_stationarity(problem, q, x, w)
         else:
             stationarity(problem, q, x, w)
         moved, size, finite = newton(problem.n, q, x, w, False)
-        if not ROUNDING * condition * moved > CORRECTED * max(1.0, size):
+        if not UNIT_ROUNDING * condition * moved > CORRECTED * max(1.0, size):
             break
     return finite
 
@@ -301,21 +301,24 @@ def _distance(problem, factor):
 
 @inlined
 def _verdict(problem, factor, solution, scratch, reach, tolerance, q):
-    """SOLVED; CAPPED where the accuracy is in doubt and the optimality conditions do not hold to `ACCEPTED`.
+    """SOLVED; CAPPED where the accuracy is in doubt and the optimality conditions do not hold to `MAX_RESIDUAL`.
 
     In doubt: q rows are active (their multipliers may be wrong where they leave no room at all), x is `LARGE`, the
-    minimiser without rows `FAR`, E is `ILL_CONDITIONED`, or rows were called satisfied with a wider tolerance.
+    minimiser without rows `DOUBTFUL_SIZE`, E is `ILL_CONDITIONED`, or rows were called satisfied with a wider
+    tolerance.
     """
     doubtful = q > 0 or reach > LARGE or factor.condition > ILL_CONDITIONED or tolerance > VIOLATION
-    if not (doubtful or _distance(problem, factor) > FAR):
+    if not (doubtful or _distance(problem, factor) > DOUBTFUL_SIZE):
         return SOLVED
     stationary, primal, dual, complementary = kkt_residual(problem, solution, scratch)
-    holds = stationary <= ACCEPTED and primal <= ACCEPTED and dual <= ACCEPTED and complementary <= ACCEPTED
+    holds = (
+        stationary <= MAX_RESIDUAL and primal <= MAX_RESIDUAL and dual <= MAX_RESIDUAL and complementary <= MAX_RESIDUAL
+    )
     return SOLVED if holds else CAPPED
 
 
 # -- the method -------------------------------------------------------------------------------------------------------
-@exported(ACTIVE_SET)
+@exported(SOLVE)
 def active_set(problem, factor, solution, scratch, guess, is_warm, max_iterations):
     """Write the exact solution to ``solution``; returns (status, iterations, active rows).
 
@@ -369,7 +372,7 @@ def active_set(problem, factor, solution, scratch, guess, is_warm, max_iteration
         else:
             break
         if status != SOLVED:
-            if status == INFEASIBLE and _distance(problem, factor) > TOO_FAR:
+            if status == INFEASIBLE and _distance(problem, factor) > HOPELESS_SIZE:
                 status = CAPPED  # what cancels in x is too large to tell
             return status, max_iterations - left, 0
         worst, finite = find_gaps(problem, x, w)

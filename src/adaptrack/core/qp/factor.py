@@ -6,7 +6,20 @@ import math
 
 from ..kernel import cube, exported, float64, inlined, int64, matrix, several
 from ..maths.exact import sqrt
-from ..maths.vectors import WIDTH, fma8, keep_first, load, mul, padded, splat, spread, store, sub, with_entry, zeros
+from ..maths.vectors import (
+    VECTOR_WIDTH,
+    fma8,
+    keep_first,
+    load,
+    mul,
+    padded,
+    splat,
+    spread,
+    store,
+    sub,
+    with_entry,
+    zeros,
+)
 from .problem import INVERSE, NON_FINITE, NOT_CONVEX, SOLVED
 
 CONDITION_LIMIT = 1e15
@@ -28,8 +41,8 @@ def _eliminate(n, k, inverse):
     """Every row i != k: row_i -= (a_ik / pivot) row_k; a_ik itself becomes -a_ik / pivot, so its block comes last."""
     reciprocal = 1.0 / inverse[k, k]
     scale = splat(-reciprocal)
-    middle = (k // WIDTH) * WIDTH
-    for b in range(0, padded(n), WIDTH):
+    middle = (k // VECTOR_WIDTH) * VECTOR_WIDTH
+    for b in range(0, padded(n), VECTOR_WIDTH):
         if b != middle:
             row = mul(scale, load(inverse, k, b))
             for i in range(n):
@@ -53,16 +66,16 @@ def factorise(n, E, factor):
     NON_FINITE when E holds NaN or infinity.
     """
     width = padded(n)
-    inverse_root, inverse = factor[INVERSE.root], factor[INVERSE.whole]
+    inverse_root, inverse = factor[INVERSE.root], factor[INVERSE.inverse]
     for i in range(n):
-        for b in range(0, width, WIDTH):
+        for b in range(0, width, VECTOR_WIDTH):
             store(inverse, i, b, load(E, i, b))
     for k in range(n):
         pivot = inverse[k, k]
         if not 0.0 < pivot < math.inf:
             return _refusal(n, E), math.inf
         root = splat(sqrt(1.0 / pivot))
-        for b in range(0, width, WIDTH):
+        for b in range(0, width, VECTOR_WIDTH):
             row = with_entry(keep_first(load(inverse, k, b), k - b), k - b, 1.0)
             store(inverse_root, k, b, mul(root, row))
         _eliminate(n, k, inverse)

@@ -6,7 +6,7 @@ import math
 
 from ..kernel import exported, inlined
 from ..maths.vectors import (
-    WIDTH,
+    VECTOR_WIDTH,
     add,
     fma8,
     larger,
@@ -35,7 +35,7 @@ def _holds(problem, solution, w):
     """Whether no row is violated, and none with a multiplier is slack, by more than CERTIFIED (1 + |gamma_j|)."""
     find_gaps(problem, solution.x, w)
     worst = splat(-math.inf)
-    for b in range(0, padded(problem.m), WIDTH):
+    for b in range(0, padded(problem.m), VECTOR_WIDTH):
         gap = load(w.slack, b)
         gap = where_positive(load(solution.lam, b), magnitude(gap), gap)
         allowed = mul(splat(CERTIFIED), add(splat(1.0), magnitude(load(w.bounds, b))))
@@ -46,7 +46,7 @@ def _holds(problem, solution, w):
 @inlined
 def _form_dual(problem, factor, V, w):
     """V = L^-1 M', the diagonal of H = V'V, and the gradient d = gamma - M x of the dual at lam = 0."""
-    for b in range(0, padded(problem.m), WIDTH):
+    for b in range(0, padded(problem.m), VECTOR_WIDTH):
         diagonal = zeros()
         for i in range(problem.n):
             s = zeros()
@@ -64,13 +64,13 @@ def _change_multiplier(problem, j, delta, V, H, w):
     depth = padded(problem.m)
     if w.index[j] == 0:
         w.index[j] = 1
-        for b in range(0, depth, WIDTH):
+        for b in range(0, depth, VECTOR_WIDTH):
             s = zeros()
             for i in range(problem.n):
                 s = fma8(spread(V, i, j), load(V, i, b), s)
             store(H, j, b, s)
     scale = splat(delta)
-    for b in range(0, depth, WIDTH):
+    for b in range(0, depth, VECTOR_WIDTH):
         store(w.gradient, b, fma8(scale, load(H, j, b), load(w.gradient, b)))
 
 
@@ -98,10 +98,10 @@ def _minimiser(problem, factor, solution, V, w):
     n = problem.n
     for i in range(n):
         s = zeros()
-        for b in range(0, padded(problem.m), WIDTH):
+        for b in range(0, padded(problem.m), VECTOR_WIDTH):
             s = fma8(load(V, i, b), load(solution.lam, b), s)
         w.d[i] = -total(s)
-    for b in range(0, padded(n), WIDTH):
+    for b in range(0, padded(n), VECTOR_WIDTH):
         s = zeros()
         for i in range(n):
             s = fma8(spread(w.d, i), load(factor.inverse_root, i, b), s)
@@ -134,7 +134,7 @@ def hildreth(problem, factor, solution, scratch, max_sweeps, tolerance, warm):
     if not finite:
         return NON_FINITE, 0
     if not warm or not worst > 0.0:
-        for b in range(0, padded(m), WIDTH):
+        for b in range(0, padded(m), VECTOR_WIDTH):
             store(lam, b, zeros())
     if not worst > 0.0:
         return SOLVED, 0

@@ -6,7 +6,7 @@ import math
 
 from ..kernel import inlined
 from ..maths.vectors import (
-    WIDTH,
+    VECTOR_WIDTH,
     add,
     all_below_infinity,
     fma8,
@@ -25,8 +25,8 @@ from ..maths.vectors import (
 
 CORRECTED = 1e-9
 """Refinement stops when the next correction of x would be below this part of max(1, |x|)."""
-REFINEMENTS = 6
-ROUNDING = 2.0**-52
+MAX_REFINEMENTS = 6
+UNIT_ROUNDING = 2.0**-52
 
 
 @inlined
@@ -39,7 +39,7 @@ def magnitude(a):
 def largest_magnitude(n, x):
     """max |x|."""
     size = zeros()
-    for b in range(0, padded(n), WIDTH):
+    for b in range(0, padded(n), VECTOR_WIDTH):
         size = larger(magnitude(load(x, b)), size)
     return largest(size)
 
@@ -50,7 +50,7 @@ def advance(n, x, step):
     moved = zeros()
     size = zeros()
     finite = True
-    for b in range(0, padded(n), WIDTH):
+    for b in range(0, padded(n), VECTOR_WIDTH):
         change = load(step, b)
         new = add(load(x, b), change)
         store(x, b, new)
@@ -63,7 +63,7 @@ def advance(n, x, step):
 @inlined
 def stationarity(problem, q, x, w):
     """``w.residual = -(E x + K + N u)``, N the first q rows of ``w.normals``."""
-    for b in range(0, padded(problem.n), WIDTH):
+    for b in range(0, padded(problem.n), VECTOR_WIDTH):
         s = load(problem.K, b)
         for k in range(problem.n):
             s = fma8(spread(x, k), load(problem.E, k, b), s)
@@ -75,7 +75,7 @@ def stationarity(problem, q, x, w):
 @inlined
 def exact_stationarity(problem, q, x, w):
     """Compute the gradient of the Lagrangian in twice the working precision."""
-    for b in range(0, padded(problem.n), WIDTH):
+    for b in range(0, padded(problem.n), VECTOR_WIDTH):
         high = load(problem.K, b)
         low = zeros()
         for k in range(problem.n + q):
@@ -99,7 +99,7 @@ def find_gaps(problem, x, w):
     """``w.slack = M x - w.bounds``, positive where a row is violated; returns (largest, all finite)."""
     worst = splat(-math.inf)
     finite = True
-    for b in range(0, padded(problem.m), WIDTH):
+    for b in range(0, padded(problem.m), VECTOR_WIDTH):
         image = zeros()
         for k in range(problem.n):
             image = fma8(spread(x, k), load(problem.Mt, k, b), image)
@@ -113,6 +113,6 @@ def find_gaps(problem, x, w):
 @inlined
 def copy_bounds(problem, w):
     """``w.bounds = gamma``, and +inf in the padding."""
-    for b in range(0, padded(problem.m), WIDTH):
+    for b in range(0, padded(problem.m), VECTOR_WIDTH):
         absent = keep_last(splat(math.inf), problem.m - b)
         store(w.bounds, b, add(load(problem.gamma, b), absent))

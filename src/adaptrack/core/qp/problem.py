@@ -41,15 +41,15 @@ Problem = record(
 Factor = record("Factor", (("inverse_root", matrix), ("inverse", matrix), ("condition", float64)))
 """L^-1 (E = L L') and E^-1, each (>=n, padded n), and a bound on the condition number: see `factor.factorise`."""
 
-Solution = record("Solution", (("x", vector), ("lam", vector)))
+SolutionRecord = record("SolutionRecord", (("x", vector), ("lam", vector)))
 """x (padded n) and the multipliers of all rows lam (padded m)."""
 
 Scratch = record("Scratch", (("work", cube), ("rows", matrix), ("index", int_vector)))
 """Arrays of the shapes that `workspace_sizes` gives. ``work`` and ``index`` carry the factor of the active rows from
 one call of `active_set` to the next; ``rows`` carries nothing."""
 
-Work = record(
-    "Work",
+ScratchParts = record(
+    "ScratchParts",
     (
         "T",  # T E T' = I; T N = [R; 0] for the active rows N
         "inverse_r",  # row i is column i of R^-1
@@ -73,17 +73,17 @@ Work = record(
 """The parts of `Scratch` by name."""
 PLANE = columns("T", "inverse_r", "normals", "vectors")
 VECTOR = columns("a", "d", "z", "r", "u", "residual", "step", "active_bounds", "ratios")
-ROW = columns("slack", "bounds", "diagonal", "gradient")
+PROBLEM_ROW = columns("slack", "bounds", "diagonal", "gradient")
 """Where they are. ``work``: three matrices, each a plane, and vectors in n, the rows of the fourth plane; ``rows``:
 vectors in m, then Hildreth's V (n rows) and H (m rows)."""
-INVERSE = columns("root", "whole")
+INVERSE = columns("root", "inverse")
 """The planes that `factor.factorise` writes: inverses of the Cholesky factor of E and of E."""
 
-ACTIVE_SET = several(int64, int64, int64)(Problem, Factor, Solution, Scratch, int64, boolean, int64)
-HILDRETH = several(int64, int64)(Problem, Factor, Solution, Scratch, int64, float64, boolean)
+SOLVE = several(int64, int64, int64)(Problem, Factor, SolutionRecord, Scratch, int64, boolean, int64)
+HILDRETH = several(int64, int64)(Problem, Factor, SolutionRecord, Scratch, int64, float64, boolean)
 """Signatures of `active_set.active_set` and `hildreth.hildreth`."""
 
-ROW_VECTORS = len(ROW)
+ROW_VECTORS = len(PROBLEM_ROW)
 
 
 @inlined
@@ -91,18 +91,19 @@ def work_of(scratch):
     """The parts of ``scratch`` by name."""
     planes, rows = scratch.work, scratch.rows
     v = planes[PLANE.vectors]
-    return Work(
+    return ScratchParts(
         planes[PLANE.T], planes[PLANE.inverse_r], planes[PLANE.normals],
         v[VECTOR.a], v[VECTOR.d], v[VECTOR.z], v[VECTOR.r], v[VECTOR.u], v[VECTOR.residual], v[VECTOR.step],
         v[VECTOR.active_bounds], v[VECTOR.ratios],
-        rows[ROW.slack], rows[ROW.bounds], rows[ROW.diagonal], rows[ROW.gradient], scratch.index,
+        rows[PROBLEM_ROW.slack], rows[PROBLEM_ROW.bounds], rows[PROBLEM_ROW.diagonal], rows[PROBLEM_ROW.gradient],
+        scratch.index,
     )  # fmt: skip
 
 
 @inlined
 def factor_of(inverses, condition):
     """The `Factor` that `factor.factorise` has written."""
-    return Factor(inverses[INVERSE.root], inverses[INVERSE.whole], condition)
+    return Factor(inverses[INVERSE.root], inverses[INVERSE.inverse], condition)
 
 
 @inlined

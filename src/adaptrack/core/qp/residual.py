@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ..kernel import exported, float64, inlined, several
-from ..maths.vectors import WIDTH, fma8, load, padded, spread, store, total, zeros
-from .problem import Problem, Scratch, Solution, work_of
+from ..maths.vectors import VECTOR_WIDTH, fma8, load, padded, spread, store, total, zeros
+from .problem import Problem, Scratch, SolutionRecord, work_of
 
 
 @inlined
@@ -16,7 +16,7 @@ def _not_less(a, b):
 @inlined
 def _stationarity(problem, solution, w):
     """max |E x + K + M' lam| / (1 + largest of |E x|, |K|, |M' lam|)."""
-    for b in range(0, padded(problem.n), WIDTH):
+    for b in range(0, padded(problem.n), VECTOR_WIDTH):
         s = zeros()
         for k in range(problem.n):
             s = fma8(spread(solution.x, k), load(problem.E, k, b), s)
@@ -25,7 +25,7 @@ def _stationarity(problem, solution, w):
     largest_term = 0.0
     for k in range(problem.n):
         s = zeros()
-        for b in range(0, padded(problem.m), WIDTH):
+        for b in range(0, padded(problem.m), VECTOR_WIDTH):
             s = fma8(load(problem.Mt, k, b), load(solution.lam, b), s)
         force = total(s)
         gradient = w.d[k]
@@ -42,12 +42,12 @@ def _rows(problem, solution, w):
     complementarity = 0.0
     largest_image = 0.0
     largest_multiplier = 0.0
-    for b in range(0, padded(problem.m), WIDTH):
+    for b in range(0, padded(problem.m), VECTOR_WIDTH):
         s = zeros()
         for k in range(problem.n):
             s = fma8(spread(solution.x, k), load(problem.Mt, k, b), s)
         store(w.step, 0, s)
-        for i in range(min(WIDTH, problem.m - b)):
+        for i in range(min(VECTOR_WIDTH, problem.m - b)):
             image, multiplier = w.step[i], solution.lam[b + i]
             gap = image - problem.gamma[b + i]
             largest_image = max(largest_image, abs(image))
@@ -63,7 +63,7 @@ def _rows(problem, solution, w):
     )
 
 
-@exported(several(float64, float64, float64, float64)(Problem, Solution, Scratch))
+@exported(several(float64, float64, float64, float64)(Problem, SolutionRecord, Scratch))
 def kkt_residual(problem, solution, scratch):
     """How far (x, lam) is from optimal: (stationarity, primal, dual, complementarity), all zero at the solution.
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Row, Setting, exported, float64, inlined, int64, record, void
+from ..kernel import Field, Row, exported, float64, inlined, int64, record, void
 from ..maths.exponential import hypot, log, power
-from .car import KnownWithin, Steering
-from .filter import Drifts
+from .car import KnownWithinRow, SteeringRow
+from .filter import DriftsRow
 
-GIVEN, CAR_FILE, PROFILE, ASSUMED, TO_LEARN, LEARNED = range(6)
+GIVEN, CAR_FILE, PROFILE, SLOW_ASSUMED, MEDIAN_TO_LEARN, FROM_EARLIER_DRIVE = range(6)
 """Sources of a number: the caller; the car file; the profile; none, so a slow published value is assumed; none, so
 learning starts at the published median; an earlier drive."""
-Belief = record(
-    "Belief",
+BeliefRow = record(
+    "BeliefRow",
     (
         "lag", "dead_time",  # s, of the steering
         "computation",  # s, from a measurement until its command is given
@@ -26,14 +26,14 @@ Belief = record(
 """The steering that a controller assumes."""
 MAX_DELAY, MAX_STIFFNESS, MAX_MASS = 1.0, 4.0, 0.9
 """s, -, -: largest uncertainties."""
-Uncertainty = record("Uncertainty", (
-    Setting("lag", "s", 0.0, "of the steering's lag", f"[0, {MAX_DELAY:g}]"),
-    Setting("dead_time", "s", 0.0, "of the steering's dead time", f"[0, {MAX_DELAY:g}]"),
-    Setting("stiffness", "", 1.0, "factor on the cornering stiffness of an axle", f"[1, {MAX_STIFFNESS:g}]"),
-    Setting("mass", "", 0.0, "share of mass and yaw inertia", f"[0, {MAX_MASS:g}]"),
+UncertaintyRow = record("UncertaintyRow", (
+    Field("lag", "s", 0.0, "of the steering's lag", f"[0, {MAX_DELAY:g}]"),
+    Field("dead_time", "s", 0.0, "of the steering's dead time", f"[0, {MAX_DELAY:g}]"),
+    Field("stiffness", "", 1.0, "factor on the cornering stiffness of an axle", f"[1, {MAX_STIFFNESS:g}]"),
+    Field("mass", "", 0.0, "share of mass and yaw inertia", f"[0, {MAX_MASS:g}]"),
 ))  # fmt: skip
 """By how much the belief may be wrong, to either side."""
-Bounds = record("Bounds", ("move", "ahead", "angle"))
+CommandBounds = record("CommandBounds", ("move", "ahead", "angle"))
 """rad: of the change of a command in a period, of the command ahead of the wheels, of the command; to either side."""
 
 MOST_STEERING_DELAY, PUBLISHED_COMPUTATION = 0.35, 0.05
@@ -41,7 +41,7 @@ MOST_STEERING_DELAY, PUBLISHED_COMPUTATION = 0.35, 0.05
 opendbc lists for series cars, 0.1 to 0.4 s (`steerActuatorDelay`). Unknown steering parameters default to it, because a
 delay assumed too short loses the car and one too long costs little. A shorter computation time lengthens the dead time.
 """
-LEAST_LAG = 0.05
+MIN_ASSUMED_LAG = 0.05
 """s, shortest lag that is assumed where only the dead time is known."""
 LEAST_STEERING_RATE = 0.4
 """rad/s at the road wheels, the lowest of published rate limits (CommonRoad vehicle models, vehicle 2)."""
@@ -50,47 +50,47 @@ MOVE, ANGLE = math.pi / 12, math.pi / 6
 QUANTILE, TOLERATED_DELAY, MOST_CAUTION, USUAL_RATE = 0.95, 0.018, 16.0, 0.5
 """Of what a delay may be, the share that is not above what is believed; s, an error of the delay that doubles R; the
 largest factor on R for it; rad/s, steering rate."""
-WIDE, STIFFNESS_DRIFTS = 1.6, (3.0, 5.0)
+WIDE_STIFFNESS, STIFFNESS_DRIFTS = 1.6, (3.0, 5.0)
 """Factor of the stiffness; by which, at it, the drifts of the disturbances are divided and that of sliding multiplied:
 the best of 12 settings on 16 drives of each of six cars in `production`, known by mass and wheelbase alone."""
 
 
 @inlined
-def _first_known(given, car, actuator):
+def _first_known(caller, car, actuator):
     """The first known number and its source."""
-    if not math.isnan(given):
-        return given, GIVEN
+    if not math.isnan(caller):
+        return caller, GIVEN
     if not math.isnan(car):
         return car, CAR_FILE
-    return actuator, ASSUMED if math.isnan(actuator) else PROFILE
+    return actuator, SLOW_ASSUMED if math.isnan(actuator) else PROFILE
 
 
-@exported(void(Row(Steering), Row(Steering), Row(Steering), float64, Row(Belief)))
-def believe_steering(given, car, actuator, computation, belief):
+@exported(void(Row(SteeringRow), Row(SteeringRow), Row(SteeringRow), float64, Row(BeliefRow)))
+def believe_steering(caller, car, actuator, computation, belief):
     """Write the belief about a steering: each number from its first source, a slow published value where it has none.
 
-    given: the caller's; car: of the car file; actuator: of the profile; computation: s. A known lag shortens an assumed
-    dead time, and a known dead time an assumed lag.
+    caller: by the caller; car: of the car file; actuator: of the profile; computation: s. A known lag shortens an
+    assumed dead time, and a known dead time an assumed lag.
     """
     transport = max(PUBLISHED_COMPUTATION - computation, 0.0)
-    lag, belief.lag_source = _first_known(given.lag, car.lag, actuator.lag)
-    dead, belief.dead_time_source = _first_known(given.dead_time, car.dead_time, actuator.dead_time)
-    rate, belief.rate_source = _first_known(given.rate, car.rate, actuator.rate)
-    limit, belief.limit_source = _first_known(given.limit, car.limit, actuator.limit)
+    lag, belief.lag_source = _first_known(caller.lag, car.lag, actuator.lag)
+    dead, belief.dead_time_source = _first_known(caller.dead_time, car.dead_time, actuator.dead_time)
+    rate, belief.rate_source = _first_known(caller.rate, car.rate, actuator.rate)
+    limit, belief.limit_source = _first_known(caller.limit, car.limit, actuator.limit)
     belief.lag, belief.dead_time = lag, dead
-    if belief.lag_source == ASSUMED:
-        belief.lag = max(MOST_STEERING_DELAY - (0.0 if math.isnan(dead) else dead - transport), LEAST_LAG)
-    if belief.dead_time_source == ASSUMED:
+    if belief.lag_source == SLOW_ASSUMED:
+        belief.lag = max(MOST_STEERING_DELAY - (0.0 if math.isnan(dead) else dead - transport), MIN_ASSUMED_LAG)
+    if belief.dead_time_source == SLOW_ASSUMED:
         belief.dead_time = transport + (0.0 if math.isnan(lag) else max(MOST_STEERING_DELAY - lag, 0.0))
-    belief.rate = LEAST_STEERING_RATE if belief.rate_source == ASSUMED else rate
-    belief.limit = ANGLE if belief.limit_source == ASSUMED else limit
+    belief.rate = LEAST_STEERING_RATE if belief.rate_source == SLOW_ASSUMED else rate
+    belief.limit = ANGLE if belief.limit_source == SLOW_ASSUMED else limit
     belief.computation = computation
 
 
 @inlined
 def is_unknown(source):
     """Whether a number is assumed."""
-    return source in (ASSUMED, TO_LEARN)
+    return source in (SLOW_ASSUMED, MEDIAN_TO_LEARN)
 
 
 @inlined
@@ -100,8 +100,8 @@ def is_cautious(belief):
 
 
 @inlined
-def _capped(known, most):
-    return 0.0 if math.isnan(known) else min(known, most)
+def _capped(value, most):
+    return 0.0 if math.isnan(value) else min(value, most)
 
 
 @inlined
@@ -110,7 +110,7 @@ def _largest(a, b):
     return max(1.0 if math.isnan(a) else a, 1.0 if math.isnan(b) else b)
 
 
-@exported(void(Row(KnownWithin), Row(Belief), Row(Uncertainty)))
+@exported(void(Row(KnownWithinRow), Row(BeliefRow), Row(UncertaintyRow)))
 def uncertainty_of_car(within, belief, unsure):
     """Write the uncertainty of the car file; that of lag and dead time only where the belief has them from there."""
     unsure.lag = _capped(within.steering_lag, MAX_DELAY) if belief.lag_source == CAR_FILE else 0.0
@@ -119,7 +119,7 @@ def uncertainty_of_car(within, belief, unsure):
     unsure.mass = min(_largest(within.mass, within.yaw_inertia) - 1.0, MAX_MASS)
 
 
-@exported(float64(Row(Uncertainty)))
+@exported(float64(Row(UncertaintyRow)))
 def caution_of(unsure):
     """Factor on R for an uncertainty."""
     delay = hypot(unsure.lag, unsure.dead_time) / TOLERATED_DELAY
@@ -132,19 +132,19 @@ def delay_margin(half):
     return (2.0 * QUANTILE - 1.0) * half
 
 
-@exported(void(Row(Uncertainty), int64, Row(Drifts)))
+@exported(void(Row(UncertaintyRow), int64, Row(DriftsRow)))
 def widen_drifts(unsure, measures_vy, drifts):
     """Let a filter drift as far as the belief may be wrong; measures_vy: 1: the lateral velocity is measured.
 
     A delay that is wrong puts the wheels elsewhere, by the steering rate times it. A stiffness that is wrong makes an
     error with the axle's force, as sliding does. Disturbances that follow it quickly close a loop of their own, which
     is unstable where nothing measures the lateral velocity: there they are followed more slowly, and the forces are
-    trusted less, by `STIFFNESS_DRIFTS` at a factor of `WIDE` and by less below it.
+    trusted less, by `STIFFNESS_DRIFTS` at a factor of `WIDE_STIFFNESS` and by less below it.
     """
     drifts.wheel_angle = hypot(drifts.wheel_angle, USUAL_RATE * (unsure.lag + unsure.dead_time))
     if measures_vy > 0:
         return
-    share = min(log(unsure.stiffness) / log(WIDE), 1.0)
+    share = min(log(unsure.stiffness) / log(WIDE_STIFFNESS), 1.0)
     slower, wilder = power(STIFFNESS_DRIFTS[0], share), power(STIFFNESS_DRIFTS[1], share)
     drifts.side /= slower
     drifts.turn /= slower
@@ -152,7 +152,7 @@ def widen_drifts(unsure, measures_vy, drifts):
     drifts.sliding *= wilder
 
 
-@exported(void(Row(Belief), float64, Row(Bounds)))
+@exported(void(Row(BeliefRow), float64, Row(CommandBounds)))
 def bound_commands(belief, period, bounds):
     """Write the limits on a command: on its change the rate times a period (s), on its size the limit.
 

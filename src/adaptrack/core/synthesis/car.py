@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Row, exported, float64, inlined, int64, record, several
+from ..kernel import OK, Row, exported, float64, inlined, int64, record, several
 from ..maths.decimal import to_digits, to_places
 from ..plants.forces import GRAVITY
 
-Car = record(
-    "Car",
+CarRow = record(
+    "CarRow",
     (
         "mass",  # kg
         "yaw_inertia",  # kg m^2
@@ -22,19 +22,19 @@ Car = record(
     ),
 )  # fmt: skip
 """NaN: not given, see `complete_car`. Track and height are the plant's; no controller uses them."""
-Steering = record("Steering", ("lag", "dead_time", "rate", "limit"))
+SteeringRow = record("SteeringRow", ("lag", "dead_time", "rate", "limit"))
 """s, s, rad/s and rad at the road wheels; NaN: nothing is said."""
-KnownWithin = record(
-    "KnownWithin",
+KnownWithinRow = record(
+    "KnownWithinRow",
     (
-        "said",  # 1: the numbers of the car come with how well they are known, 0: nobody says
+        "is_given",  # 1: the numbers of the car come with how well they are known, 0: nobody says
         "mass", "yaw_inertia", "stiffness_front", "stiffness_rear",  # factors
         "lf",  # m, to either side
         "track_front", "track_rear", "cg_height",  # m
         "frontal_area",  # factor
         "steering_lag", "steering_dead_time",  # s, to either side
     ),
-    integers=("said",),
+    integers=("is_given",),
 )  # fmt: skip
 """How far each number may be off; NaN: not said."""
 
@@ -65,7 +65,7 @@ BodyStyle = record(
     ),
 )  # fmt: skip
 """What measured cars of a kind have in common."""
-PASSENGER_CAR = BodyStyle(1.09, 1.15, 0.548, 0.05, 1.229, 1.97e-4, 0.06, 2.1)
+PASSENGER_BODY = BodyStyle(1.09, 1.15, 0.548, 0.05, 1.229, 1.97e-4, 0.06, 2.1)
 TRUCK = BodyStyle(1.00, 1.15, 0.667, 0.12, 1.229, 1.97e-4, 0.15, 2.7)
 """Passenger cars; pickups, vans and sport utility vehicles.
 
@@ -77,7 +77,7 @@ kktse.github.io), mean 0.548 m, 5 to 95 % within 0.05 m; of trucks, the database
 357 cars over mass, standard error 0.035 m, 5 to 95 % within 0.06 m; trucks lie about it.
 """
 
-COMPLETE, MASS_OUTSIDE, WHEELBASE_OUTSIDE, TOO_MUCH_LOAD, AXLES_DISAGREE = range(5)
+MASS_OUTSIDE, WHEELBASE_OUTSIDE, TOO_MUCH_LOAD, AXLES_DISAGREE = range(1, 5)
 """What `complete_car` answers."""
 MILLIMETRES = 0.005
 """m, by which l_f + l_r and the wheelbase may differ."""
@@ -104,7 +104,7 @@ def _place_axles(wheelbase, car):
     return 0.0 < car.lf < wheelbase and abs(car.lf + car.lr - wheelbase) < MILLIMETRES
 
 
-@exported(int64(float64, float64, int64, Row(Car), Row(KnownWithin)))
+@exported(int64(float64, float64, int64, Row(CarRow), Row(KnownWithinRow)))
 def complete_car(wheelbase, load, truck, car, within):
     """Estimate what is NaN in a car from its mass and wheelbase (m), and write how well that is known to `within`.
 
@@ -113,9 +113,9 @@ def complete_car(wheelbase, load, truck, car, within):
 
     with m of the car alone, L the wheelbase and F_z the load of an axle. load: kg beside the car's own mass, at the
     centre of gravity; truck: 1: pickup, van or sport utility vehicle. The mass holds the load afterwards. Answers
-    `COMPLETE`, or what does not fit: then nothing is written.
+    `OK`, or what does not fit: then nothing is written.
     """
-    mass, style = car.mass, TRUCK if truck > 0 else PASSENGER_CAR
+    mass, style = car.mass, TRUCK if truck > 0 else PASSENGER_BODY
     if not MASSES[0] <= mass <= MASSES[1]:
         return MASS_OUTSIDE
     if not WHEELBASES[0] <= wheelbase <= WHEELBASES[1]:
@@ -126,7 +126,7 @@ def complete_car(wheelbase, load, truck, car, within):
     if not _place_axles(wheelbase, car):
         car.lf, car.lr = front, rear
         return AXLES_DISAGREE
-    within.said = 1
+    within.is_given = 1
     unplaced = math.isnan(front) and math.isnan(rear)
     within.lf = to_places(FRONT_DISTANCE_SPREAD * wheelbase, 3) if unplaced else math.nan
     within.mass = within.steering_lag = within.steering_dead_time = math.nan
@@ -152,14 +152,14 @@ def complete_car(wheelbase, load, truck, car, within):
     car.side_force_slope = given_or(car.side_force_slope, SIDE_FORCE_SLOPE)
     car.yaw_moment_slope = given_or(car.yaw_moment_slope, YAW_MOMENT_SLOPE)
     car.mass = mass + load
-    return COMPLETE
+    return OK
 
 
 # -- what a car is to be ----------------------------------------------------------------------------------------------
 INERTIAS, STIFFNESSES = (0.1, 10.0), (1.0, 150.0)
 """-, of I_z/(m l_f l_r): beyond these one of the numbers is in another unit, or of another car. 1/rad, of a tyre's
 cornering stiffness over its static load; per degree it is 0.1 to 0.5."""
-ONE_CAR, INERTIA_ODD, FRONT_ODD, REAR_ODD = range(4)
+INERTIA_ODD, FRONT_ODD, REAR_ODD = range(1, 4)
 """What `car_flaw` answers."""
 
 
@@ -170,9 +170,9 @@ def static_loads(mass, lf, lr):
     return per_length * lr, per_length * lf
 
 
-@exported(several(int64, float64)(Row(Car)))
+@exported(several(int64, float64)(Row(CarRow)))
 def car_flaw(car):
-    """`ONE_CAR`, or which number is in another unit than the others, and its ratio, see `INERTIAS`."""
+    """`OK`, or which number is in another unit than the others, and its ratio, see `INERTIAS`."""
     index = car.yaw_inertia / (car.mass * car.lf * car.lr)
     if not INERTIAS[0] <= index <= INERTIAS[1]:
         return INERTIA_ODD, index
@@ -182,10 +182,10 @@ def car_flaw(car):
         return FRONT_ODD, front
     if not STIFFNESSES[0] <= rear <= STIFFNESSES[1]:
         return REAR_ODD, rear
-    return ONE_CAR, index
+    return OK, index
 
 
-@exported(float64(Row(Car)))
+@exported(float64(Row(CarRow)))
 def wind_turn(car):
     """d_r over d_y (1/m) of side wind: L C_ym m/(C_s I_z), 0 for a body that feels none."""
     if car.side_force_slope == 0.0:
@@ -194,7 +194,7 @@ def wind_turn(car):
     return arm * car.mass / car.yaw_inertia
 
 
-@exported(float64(Row(Car)))
+@exported(float64(Row(CarRow)))
 def understeer_gradient(car):
     """K (rad s^2/m) = m (l_r/(2 C_f) - l_f/(2 C_r))/L (Rajamani, *Vehicle Dynamics and Control*, section 3.3)."""
     return car.mass / (car.lf + car.lr) * (car.lr / (2.0 * car.stiffness_front) - car.lf / (2.0 * car.stiffness_rear))

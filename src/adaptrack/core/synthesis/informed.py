@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
-from ..controllers.feed_forward import Turning, turning_of
-from ..controllers.mpc import Settings
+from ..controllers.feed_forward import TurnIn, turning_of
+from ..controllers.mpc import MPCSettings
 from ..estimators import kalman, learning
 from ..estimators.learning_method import MAX_HYPOTHESES, LearningMethod
 from ..kernel import (
+    OK,
     Place,
     Row,
     copier,
@@ -25,17 +26,17 @@ from ..kernel import (
 )
 from ..maths.exponential import hypot
 from ..models import path
-from ..models.contract import MEASURED
+from ..models.contract import MEASUREMENT
 from .belief import (
-    ASSUMED,
-    LEARNED,
+    FROM_EARLIER_DRIVE,
     MAX_DELAY,
     MAX_MASS,
     MAX_STIFFNESS,
-    TO_LEARN,
-    Belief,
-    Bounds,
-    Uncertainty,
+    MEDIAN_TO_LEARN,
+    SLOW_ASSUMED,
+    BeliefRow,
+    CommandBounds,
+    UncertaintyRow,
     believe_steering,
     bound_commands,
     caution_of,
@@ -44,44 +45,45 @@ from .belief import (
     uncertainty_of_car,
     widen_drifts,
 )  # fmt: skip
-from .car import Car, KnownWithin, Steering
+from .car import CarRow, KnownWithinRow, SteeringRow
 from .filter import DEFAULT_DRIFTS, Filter, filter_numbers, filter_periods, filter_size, sensor_noise
 from .learner import (
-    UNKNOWN_CAR,
-    Learner,
-    Start,
+    UNKNOWN_CAR_ROW,
+    LearnerRow,
+    LearnerStart,
     begin_learner,
     learner_memory,
     learner_numbers,
     learner_size,
 )  # fmt: skip
-from .tuning import CAUTION, World, tune_informed
+from .tuning import ASSUMED_DELAY_CAUTION, ControllerWorld, tune_informed
 
 NEVER, UNLESS_SAID, ALWAYS = range(3)
 """Whether a controller learns: not; where nobody says lag or dead time; always."""
 Order = record(
     "Order",
     (
-        ("car", Car), ("within", KnownWithin),
-        ("given", Steering), ("file", Steering), ("actuator", Steering),  # by the caller, the car's file, the profile
-        ("world", World),
-        ("unsure", Uncertainty), "unsure_given",  # 1: the caller says it
+        ("car", CarRow), ("within", KnownWithinRow),
+        # by the caller, the car's file, the profile
+        ("caller", SteeringRow), ("file", SteeringRow), ("actuator", SteeringRow),
+        ("world", ControllerWorld),
+        ("unsure", UncertaintyRow), "unsure_given",  # 1: the caller says it
         "learning",  # `NEVER`, ...
         "filter_given",  # 1: the filter is the caller's, 0: it is made of `world`
         "longest_horizon", "most_moves",  # Np and Nc at most
-        ("method", LearningMethod), ("start", Start),
+        ("method", LearningMethod), ("start", LearnerStart),
     ),
     integers=("unsure_given", "learning", "filter_given", "longest_horizon", "most_moves"),
 )  # fmt: skip
 """What is known of a car and its loop, and what is wanted."""
-Parts = record(
-    "Parts",
+InformedParts = record(
+    "InformedParts",
     (
-        ("belief", Belief),
-        ("unsure", Uncertainty),
-        ("bounds", Bounds),
+        ("belief", BeliefRow),
+        ("unsure", UncertaintyRow),
+        ("bounds", CommandBounds),
         ("filter", Filter),
-        ("learner", Learner),
+        ("learner", LearnerRow),
         ("tuning", (float64, 4)),
         "lag", "dead_time",  # s, of the prediction model; the dead time with the computation
         "learns",  # 1: the car is learned
@@ -92,23 +94,25 @@ Parts = record(
 Constants = record(
     "Constants",
     (
-        ("settings", rows(Settings)),  # (1,): those of the loop are written, of horizons and solver they stay
+        ("settings", rows(MPCSettings)),  # (1,): those of the loop are written, of horizons and solver they stay
         ("tuning", vector),  # (4,)
         ("model", vector),  # (7,) `models.path.Parameters`
         ("states", int_vector),  # (5,)
         ("turning", vector),  # (7,) `controllers.feed_forward.Turning`
-        ("estimator", vector),  # `kalman.Numbers`
-        ("learner", vector),  # `learning.Numbers`; may be empty where nothing is learned
+        ("estimator", vector),  # `kalman.FilterParameters`
+        ("learner", vector),  # `learning.LearnerParameters`; may be empty where nothing is learned
         ("fresh", vector),  # the learner's memory before the first sample, likewise
     ),
 )
 """The numbers of an `Mpc`, in memory of the caller's."""
 
-_copy_uncertainty, _copy_model = copier(Uncertainty), copier(path.Parameters)
-_FILTER, _MODEL, _TURNING, _LEARNER = map(size_of, (kalman.Numbers, path.Parameters, Turning, learning.Numbers))
-MOST_TIME, LEAST = 10.0, 1e-300
+_copy_uncertainty, _copy_model = copier(UncertaintyRow), copier(path.Parameters)
+_FILTER, _MODEL, _TURNING, _LEARNER = map(
+    size_of, (kalman.FilterParameters, path.Parameters, TurnIn, learning.LearnerParameters)
+)
+MOST_TIME, MIN_POSITIVE = 10.0, 1e-300
 """s, of a lag, a dead time or an age; the least that is more than nothing."""
-FINE, CAR_WRONG, LOOP_WRONG, STEERING_WRONG, UNCERTAINTY_WRONG, METHOD_WRONG, MEMORY_TOO_SMALL = range(7)
+CAR_WRONG, LOOP_WRONG, STEERING_WRONG, UNCERTAINTY_WRONG, METHOD_WRONG, MEMORY_TOO_SMALL = range(1, 7)
 """What `informed_parts` and `informed_constants` answer."""
 UNEXPLAINED = (1.0, 0.6)
 """m/s^2, rad/s^2: what wheels that nobody has aligned push and turn a car before their bias is learned. With the
@@ -127,7 +131,7 @@ def _set_fixed_belief(order, parts):
     belief.dead_time += delay_margin(unsure.dead_time)
     tune_informed(world, caution_of(unsure), order.longest_horizon, order.most_moves, parts.tuning)
     if is_cautious(belief):
-        parts.tuning[3] *= CAUTION
+        parts.tuning[3] *= ASSUMED_DELAY_CAUTION
     if order.filter_given == 0:
         widen_drifts(unsure, 1 if world.noise_vy < math.inf else 0, parts.filter.drifts)
     bound_commands(belief, world.period, parts.bounds)
@@ -138,18 +142,18 @@ def _set_fixed_belief(order, parts):
 def _widen_unknown_delay(parts):
     """Widen the uncertainty of an unknown lag or dead time that is declared certain."""
     belief, unsure = parts.belief, parts.unsure
-    if belief.lag_source == ASSUMED and unsure.lag == 0.0:
-        unsure.lag = UNKNOWN_CAR.lag
-    if belief.dead_time_source == ASSUMED and unsure.dead_time == 0.0:
-        unsure.dead_time = UNKNOWN_CAR.dead_time
+    if belief.lag_source == SLOW_ASSUMED and unsure.lag == 0.0:
+        unsure.lag = UNKNOWN_CAR_ROW.lag
+    if belief.dead_time_source == SLOW_ASSUMED and unsure.dead_time == 0.0:
+        unsure.dead_time = UNKNOWN_CAR_ROW.dead_time
 
 
 @inlined
 def _source_at_start(source, learned_before):
     """The source of a delay with which a controller that learns begins."""
     if learned_before:
-        return LEARNED
-    return TO_LEARN if source == ASSUMED else source
+        return FROM_EARLIER_DRIVE
+    return MEDIAN_TO_LEARN if source == SLOW_ASSUMED else source
 
 
 @inlined
@@ -204,13 +208,15 @@ def _within_if_known(x, least, most):
 def _is_steering(steering):
     """Whether a steering is possible; rate and limit must be positive."""
     delays = _within_if_known(steering.lag, 0.0, MOST_TIME) and _within_if_known(steering.dead_time, 0.0, MOST_TIME)
-    moves = _within_if_known(steering.rate, LEAST, math.inf) and _within_if_known(steering.limit, LEAST, 0.5 * math.pi)
+    moves = _within_if_known(steering.rate, MIN_POSITIVE, math.inf) and _within_if_known(
+        steering.limit, MIN_POSITIVE, 0.5 * math.pi
+    )
     return delays and moves
 
 
 @inlined
 def _order_status(order):
-    """`FINE`, or the part of an order that makes no controller."""
+    """`OK`, or the part of an order that makes no controller."""
     car, world, unsure, method = order.car, order.world, order.unsure, order.method
     windy = _finite(car.frontal_area) and _finite(car.side_force_slope) and abs(car.yaw_moment_slope) < math.inf
     if not (is_a_car(car) and windy):
@@ -221,7 +227,7 @@ def _order_status(order):
     off = _finite(world.bias_yaw_rate) and _finite(world.bias_wheel_angle)
     if not (times and sensed and off and _finite(world.move_weight)):
         return LOOP_WRONG
-    if not (_is_steering(order.given) and _is_steering(order.file) and _is_steering(order.actuator)):
+    if not (_is_steering(order.caller) and _is_steering(order.file) and _is_steering(order.actuator)):
         return STEERING_WRONG
     if order.unsure_given > 0 and not (
         0.0 <= unsure.lag <= MAX_DELAY and 0.0 <= unsure.dead_time <= MAX_DELAY
@@ -230,43 +236,43 @@ def _order_status(order):
         return UNCERTAINTY_WRONG
     if not (1.0 <= method.lags <= MAX_HYPOTHESES and 1.0 <= method.dead_times <= MAX_HYPOTHESES):
         return METHOD_WRONG
-    return FINE
+    return OK
 
 
-@exported(int64(Row(Order), Row(Parts)))
+@exported(int64(Row(Order), Row(InformedParts)))
 def informed_parts(order, parts):
     """Write what an informed MPC is made of; parts.filter is that of `filter.usual_filter`, or the caller's.
 
-    Answers `FINE`, or what of the order is wrong: then nothing is written.
+    Answers `OK`, or what of the order is wrong: then nothing is written.
     """
     status = _order_status(order)
-    if status != FINE:
+    if status != OK:
         return status
     _copy_uncertainty(order.unsure, parts.unsure)
-    believe_steering(order.given, order.file, order.actuator, order.world.computation, parts.belief)
+    believe_steering(order.caller, order.file, order.actuator, order.world.computation, parts.belief)
     if order.filter_given == 0:
         sensor_noise(order.world, parts.filter.noise)
         parts.filter.oldest = order.world.oldest
-    unknown = parts.belief.lag_source == ASSUMED or parts.belief.dead_time_source == ASSUMED
+    unknown = parts.belief.lag_source == SLOW_ASSUMED or parts.belief.dead_time_source == SLOW_ASSUMED
     parts.learns = 1 if order.learning == ALWAYS or (order.learning == UNLESS_SAID and unknown) else 0
     if parts.learns > 0:
         _set_learner(order, parts)
     else:
         _set_fixed_belief(order, parts)
-    return FINE
+    return OK
 
 
-@exported(several(int64, int64, int64)(Row(Order), Row(Parts)))
+@exported(several(int64, int64, int64)(Row(Order), Row(InformedParts)))
 def informed_sizes(order, parts):
     """States of the model, numbers that the filter remembers, and those that the learner remembers."""
     longest, late_periods = filter_periods(parts.filter, order.world.period, parts.dead_time)
     learned = learner_size(parts.learner) if parts.learns > 0 else 0
-    return path.STATES if parts.lag > 0.0 else path.STATES - 1, filter_size(longest, late_periods), learned
+    return path.PATH_STATES if parts.lag > 0.0 else path.PATH_STATES - 1, filter_size(longest, late_periods), learned
 
 
 @inlined
 def _write_settings(order, parts, s):
-    """What of the settings follows from the loop."""
+    """Write the settings that follow from the loop: period, preview, delay and limits."""
     bounds, world = parts.bounds, order.world
     s.period, s.preview, s.delay = world.period, world.preview, parts.dead_time / world.period
     s.move_min, s.move_max, s.ahead = -bounds.move, bounds.move, bounds.ahead
@@ -277,15 +283,15 @@ def _write_settings(order, parts, s):
 @inlined
 def _write_states(lag, states):
     """Places of the states among what is measured."""
-    states[0], states[1], states[2] = MEASURED.vy, MEASURED.yaw, MEASURED.yaw_rate
+    states[0], states[1], states[2] = MEASUREMENT.vy, MEASUREMENT.yaw, MEASUREMENT.yaw_rate
     if lag > 0.0:
-        states[3] = MEASURED.wheel_angle
-    states[states.size - 1] = MEASURED.y
+        states[3] = MEASUREMENT.wheel_angle
+    states[states.size - 1] = MEASUREMENT.y
 
 
-@exported(int64(Row(Order), Row(Parts), Place(Constants)))
+@exported(int64(Row(Order), Row(InformedParts), Place(Constants)))
 def informed_constants(order, parts, constants):
-    """Write the numbers of an informed MPC of these parts; `FINE`, or `MEMORY_TOO_SMALL`: then nothing is written."""
+    """Write the numbers of an informed MPC of these parts; `OK`, or `MEMORY_TOO_SMALL`: then nothing is written."""
     states, _, learned = informed_sizes(order, parts)
     small = constants.tuning.size < 4 or constants.states.size != states or constants.estimator.size < _FILTER
     small = small or constants.model.size < _MODEL or constants.turning.size < _TURNING or constants.settings.size < 1
@@ -308,4 +314,4 @@ def informed_constants(order, parts, constants):
     path.write_turning(constants.model, constants.turning)
     t = turning_of(constants.turning, 0)
     t.friction, t.shape_factor = filtering.friction, filtering.shape_factor
-    return FINE
+    return OK

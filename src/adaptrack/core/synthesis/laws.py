@@ -5,34 +5,34 @@ from __future__ import annotations
 import math
 
 from ..controllers import lqr, pure_pursuit, stanley
-from ..controllers.contract import COMMON
+from ..controllers.contract import COMMON_PARAMETERS
 from ..kernel import Row, exported, float64, inlined, int64, local, matrix, record, vector, void
 from ..maths.exact import square
 from ..maths.exponential import exp, log
 from ..maths.matrix_exponential import apply, integrals
-from .car import Car, Steering, understeer_gradient
+from .car import CarRow, SteeringRow, understeer_gradient
 
-Common = record("Common", COMMON)
+Common = record("Common", COMMON_PARAMETERS)
 """What the parameters of every law begin with."""
 PURSUIT, STANLEY = len(pure_pursuit.PARAMETERS), len(stanley.PARAMETERS)
 STEERING_DELAY = 0.2
 """s, lag and dead time together of a steering of which nothing is known: published values are 0.1 to 0.5 s."""
 
-SLOWEST, FASTEST, SPEEDS = 1.0, 60.0, 21
+MIN_GAIN_SPEED, MAX_GAIN_SPEED, GAIN_SPEED_COUNT = 1.0, 60.0, 21
 """m/s, between which gains are computed at so many speeds, evenly over log v; between them they are interpolated."""
-DECADES, WEIGHTS = 2.0, 9
+GAIN_DECADES, GAIN_WEIGHTS = 2.0, 9
 """Gains are computed for so many q_e/r and q_heading/r, evenly over so many decades to either side of the own ones."""
 MOST_DOUBLINGS = 60
 CONVERGED = 1e-14
 """The sum of the magnitudes of a change of P, over that of P."""
-LQR = len(lqr.PARAMETERS) + SPEEDS * WEIGHTS * WEIGHTS * lqr.STATES
+LQR_NUMBERS = len(lqr.PARAMETERS) + GAIN_SPEED_COUNT * GAIN_WEIGHTS * GAIN_WEIGHTS * lqr.LQR_STATES
 """Numbers of the LQR."""
-_N = lqr.STATES
+_N = lqr.LQR_STATES
 _columns, _column, _square = local(_N, 8), local(_N), local(_N, _N)
 _doubling = local(7 * _N * _N)
 
 
-@exported(float64(Row(Steering)))
+@exported(float64(Row(SteeringRow)))
 def steering_delay(steering):
     """Lag and dead time (s) together as far as they are said, else `STEERING_DELAY`."""
     lag, dead = steering.lag, steering.dead_time
@@ -48,14 +48,14 @@ def _begin(common, parameters):
     parameters[3], parameters[4] = common.angle_min, common.angle_max
 
 
-@exported(void(Row(Car), Row(Common), vector))
+@exported(void(Row(CarRow), Row(Common), vector))
 def pure_pursuit_parameters(car, common, parameters):
     """Write `controllers.pure_pursuit.PARAMETERS`."""
     _begin(common, parameters)
     parameters[5], parameters[6] = car.lf + car.lr, car.lr
 
 
-@exported(void(Row(Car), Row(Common), vector))
+@exported(void(Row(CarRow), Row(Common), vector))
 def stanley_parameters(car, common, parameters):
     """Write `controllers.stanley.PARAMETERS`: the front tyres slip by m l_r/(2 C_f L) for each m/s^2."""
     _begin(common, parameters)
@@ -64,7 +64,7 @@ def stanley_parameters(car, common, parameters):
 
 
 # -- LQR --------------------------------------------------------------------------------------------------------------
-@exported(void(Row(Car), float64, matrix, vector))
+@exported(void(Row(CarRow), float64, matrix, vector))
 def lqr_error_model(car, speed, a, b):
     """Write A (4, .) and B (4,) of dx/dt = A x + B delta for x = [e, de/dt, psi_e, dpsi_e/dt] on a straight path.
 
@@ -85,7 +85,7 @@ def lqr_error_model(car, speed, a, b):
     b[1], b[3] = front / m, front * car.lf / inertia
 
 
-@exported(void(Row(Car), float64, float64, matrix, vector))
+@exported(void(Row(CarRow), float64, float64, matrix, vector))
 def sampled_error_model(car, period, speed, a, b):
     """`error_model` over one period (s) with the steering held, exactly: A (4, 4), B (4,)."""
     m, rates = _columns(), _column()
@@ -172,13 +172,13 @@ def riccati(a, b, q, p, work):
     """
     n = b.size
     size = n * n
-    f, g, w, found = work[:size], work[size : 2 * size], work[2 * size : 3 * size], work[3 * size : 4 * size]
+    f, g, w, solution = work[:size], work[size : 2 * size], work[2 * size : 3 * size], work[3 * size : 4 * size]
     x, y, z = work[4 * size : 5 * size], work[5 * size : 6 * size], work[6 * size : 7 * size]
     for i in range(n):
         for j in range(n):
-            f[n * i + j], g[n * i + j], found[n * i + j] = a[i, j], b[i] * b[j], q[i, j]
+            f[n * i + j], g[n * i + j], solution[n * i + j] = a[i, j], b[i] * b[j], q[i, j]
     for doublings in range(1, MOST_DOUBLINGS + 1):
-        _times(n, g, found, w)
+        _times(n, g, solution, w)
         for i in range(n):
             w[n * i + i] += 1.0
         for i in range(size):
@@ -191,14 +191,14 @@ def riccati(a, b, q, p, work):
                 for k in range(n):
                     total += w[n * i + k] * f[n * j + k]
                 g[n * i + j] += total
-        _times(n, found, x, y)
-        change, entries = _add_turned(n, f, y, z, found)
+        _times(n, solution, x, y)
+        change, entries = _add_turned(n, f, y, z, solution)
         if not entries < math.inf:
             return 0
         if change <= CONVERGED * entries:
             for i in range(n):
                 for j in range(n):
-                    p[i, j] = found[n * i + j]
+                    p[i, j] = solution[n * i + j]
             return doublings
         _times(n, f, x, w)
         for i in range(size):
@@ -209,41 +209,41 @@ def riccati(a, b, q, p, work):
 @exported(void(matrix, vector, matrix, vector))
 def lqr_feedback(a, b, p, gain):
     """Write the gains (n,), (1 + B'PB)^-1 B'PA."""
-    n, whole = b.size, 1.0
+    n, denominator = b.size, 1.0
     for j in range(n):
         gain[j] = 0.0
     for i in range(n):
         row = 0.0
         for k in range(n):
             row += b[k] * p[k, i]
-        whole += row * b[i]
+        denominator += row * b[i]
         for j in range(n):
             gain[j] += row * a[i, j]
     for j in range(n):
-        gain[j] /= whole
+        gain[j] /= denominator
 
 
-@exported(int64(Row(Car), Row(Common), vector, vector))
+@exported(int64(Row(CarRow), Row(Common), vector, vector))
 def lqr_parameters(car, common, tuning, parameters):
-    """Write `controllers.lqr.PARAMETERS` and the grid of gains behind them, `LQR` numbers; tuning: `lqr.TUNING`.
+    """Write `controllers.lqr.PARAMETERS` and the grid of gains, `LQR_NUMBERS` numbers; tuning: `lqr.LQR_TUNING`.
 
     1; 0: there is no gain for weights so far apart.
     """
     _begin(common, parameters)
-    length, steps = car.lf + car.lr, DECADES * log(10.0)
+    length, steps = car.lf + car.lr, GAIN_DECADES * log(10.0)
     e, heading = log(tuning[0] / tuning[2]) - steps, log(tuning[1] / tuning[2]) - steps
-    weight_step = 2.0 * steps / (WEIGHTS - 1)
-    speed_step = log(FASTEST / SLOWEST) / (SPEEDS - 1)
+    weight_step = 2.0 * steps / (GAIN_WEIGHTS - 1)
+    speed_step = log(MAX_GAIN_SPEED / MIN_GAIN_SPEED) / (GAIN_SPEED_COUNT - 1)
     parameters[5], parameters[6], parameters[7] = length, car.lr, understeer_gradient(car)
     parameters[8] = car.mass * car.lf / (2.0 * car.stiffness_rear * length)
-    parameters[9], parameters[10], parameters[11] = log(SLOWEST), speed_step, float(SPEEDS)
-    parameters[12], parameters[13], parameters[14], parameters[15] = e, heading, weight_step, float(WEIGHTS)
+    parameters[9], parameters[10], parameters[11] = log(MIN_GAIN_SPEED), speed_step, float(GAIN_SPEED_COUNT)
+    parameters[12], parameters[13], parameters[14], parameters[15] = e, heading, weight_step, float(GAIN_WEIGHTS)
     grid, at, fine = parameters[len(lqr.PARAMETERS) :], 0, 1
     a, b, q, p, work = _square(), _column(), _square(), _square(), _doubling()
-    for i in range(SPEEDS):
-        sampled_error_model(car, common.period, exp(log(SLOWEST) + i * speed_step), a, b)
-        for j in range(WEIGHTS):
-            for k in range(WEIGHTS):
+    for i in range(GAIN_SPEED_COUNT):
+        sampled_error_model(car, common.period, exp(log(MIN_GAIN_SPEED) + i * speed_step), a, b)
+        for j in range(GAIN_WEIGHTS):
+            for k in range(GAIN_WEIGHTS):
                 q[0, 0], q[2, 2] = exp(e + j * weight_step), exp(heading + k * weight_step)
                 if riccati(a, b, q, p, work) == 0:
                     fine = 0

@@ -10,12 +10,12 @@ from ..kernel import Row, copier, exported, float64, inlined, int64, record, vec
 from ..maths.bits import whole
 from ..maths.exact import ceil, clip, sqrt, square
 from ..maths.exponential import exp, hypot, log, log1p
-from .belief import ASSUMED, Belief, Uncertainty, is_unknown, uncertainty_of_car
-from .car import PASSENGER_CAR, SIDE_FORCE_SLOPE, Car, KnownWithin, given_or, wind_turn
+from .belief import SLOW_ASSUMED, BeliefRow, UncertaintyRow, is_unknown, uncertainty_of_car
+from .car import PASSENGER_BODY, SIDE_FORCE_SLOPE, CarRow, KnownWithinRow, given_or, wind_turn
 from .filter import DEFAULT_DRIFTS, Filter, sensor_variances
 
-Start = record(
-    "Start", ("lag", "lag_sigma", "dead_time", "dead_time_sigma", "stiffness", "stiffness_sigma", "balance",
+LearnerStart = record(
+    "LearnerStart", ("lag", "lag_sigma", "dead_time", "dead_time_sigma", "stiffness", "stiffness_sigma", "balance",
               "balance_sigma", "bias", "bias_sigma"),
 )  # fmt: skip
 """What an earlier drive has learned, each with its standard deviation; a lag of NaN: there was none."""
@@ -30,11 +30,11 @@ DelayRange = record(
     integers=("count",),
 )  # fmt: skip
 """The range of the lag, or of the dead time, of the steering."""
-Learner = record(
-    "Learner",
+LearnerRow = record(
+    "LearnerRow",
     (
         ("method", LearningMethod),  # its bias and balance are the ends of their ranges, never left
-        ("car", Car),  # as assumed
+        ("car", CarRow),  # as assumed
         ("lag", DelayRange), ("dead_time", DelayRange),
         "period", "computation", "rate",  # s, s, rad/s: as assumed
         "assumed_lag",  # s
@@ -46,30 +46,29 @@ Learner = record(
         ("first", learning.Beliefs),  # before the first sample
         "start_stiffness", "start_balance",  # of the filters: logarithm, half the logarithm
         "longest",  # s, of dead time and computation
-        "kept",  # commands that are remembered
+        "commands",  # commands that are remembered
     ),
-    integers=("kept",),
+    integers=("commands",),
 )  # fmt: skip
 """What a learner may learn, and where it begins."""
-UNKNOWN_CAR = Uncertainty(lag=0.19, dead_time=0.175, stiffness=2.0, mass=0.3)
+UNKNOWN_CAR_ROW = UncertaintyRow(lag=0.19, dead_time=0.175, stiffness=2.0, mass=0.3)
 """Default uncertainty of a car: published delays are 0.05 to 0.6 s. A car file with ``[known_within]`` replaces the
 values of stiffness and mass."""
 UNKNOWN_BALANCE, UNKNOWN_BIAS = 2.0, 0.035
 """Default ranges, as a factor on front over rear stiffness and in rad: K from -0.5 to 5 deg/g about a data sheet's 1.5,
 see `car.AXLE_COEFFICIENTS`; a wheel that is off by two degrees."""
-MIDDLE = (0.21, 0.175)
+PUBLISHED_MEDIAN = (0.21, 0.175)
 """s, lag and dead time in the middle of published values, assumed where they are unknown."""
 MOST_LAG, MOST_DEAD_TIME = 0.6, 0.5
-"""s, to which a default range may widen: the longest published delay, see `UNKNOWN_CAR`."""
-MOST_STIFFNESS, MOST_BALANCE, MOST_BIAS = 4.0, 4.0, 0.07
+"""s, to which a default range may widen: the longest published delay, see `UNKNOWN_CAR_ROW`."""
+MAX_STIFFNESS_RANGE, MAX_BALANCE_RANGE, MAX_BIAS_RANGE = 4.0, 4.0, 0.07
 """Factors and rad, to which a default range may widen: axles of 5 to 60 1/rad over their load, beyond any data sheet;
 4 degrees."""
-LEAST_LAG = learning.SHORTEST_LAG
 GRAIN = 0.4
 """Standard deviation within a hypothesis over the distance of two: together they are nearly even."""
 MIN_DELAY_SIGMA, MIN_STIFFNESS_SIGMA = 0.02, 0.05
 """Least standard deviations of what an earlier drive has learned: s, of lag and dead time; of the log stiffness."""
-SPREAD = 1.0 / math.sqrt(3.0)
+UNIFORM_SIGMA = 1.0 / math.sqrt(3.0)
 """Standard deviation of a uniform distribution from -1 to 1."""
 LEAST_VARIANCE = 1e-8
 """s^2, of lag and dead time together."""
@@ -79,9 +78,9 @@ LEAST_WINDY, MOST_WINDY = 0.5, 4.0
 """Smallest and largest factor on `LearningMethod.wind`."""
 _BEFORE = learning.memory_size(0, 0)
 _HYPOTHESIS = learning.memory_size(0, 1) - _BEFORE
-_USUAL_SIDE = SIDE_FORCE_SLOPE * PASSENGER_CAR.frontal_area
+_USUAL_SIDE = SIDE_FORCE_SLOPE * PASSENGER_BODY.frontal_area
 _DEFAULTS = tuple(map(float, DEFAULT_METHOD))
-_copy_car, _copy_method, _copy_beliefs = copier(Car), copier(LearningMethod), copier(learning.Beliefs)
+_copy_car, _copy_method, _copy_beliefs = copier(CarRow), copier(LearningMethod), copier(learning.Beliefs)
 
 
 @exported(void(vector))
@@ -107,16 +106,16 @@ def _set_hypotheses(count, learned, sigma, delays):
         delays.middle, delays.half = 0.5 * (low + high), 0.5 * (high - low)
     else:
         delays.middle = clip(learned, low, high)
-        delays.half = max(sigma, MIN_DELAY_SIGMA) / SPREAD if high > low else 0.0
+        delays.half = max(sigma, MIN_DELAY_SIGMA) / UNIFORM_SIGMA if high > low else 0.0
     delays.count = whole(count) if delays.half > 0.0 else 1
 
 
 @inlined
 def _set_ranges(belief, uncertainty, by_caller, learner):
     """Write the ranges of lag and dead time: about the assumed values, or about the middle of published ones."""
-    lag = MIDDLE[0] if is_unknown(belief.lag_source) else belief.lag
-    dead_time = MIDDLE[1] if is_unknown(belief.dead_time_source) else belief.dead_time
-    _set_ends(lag, uncertainty.lag, LEAST_LAG, MOST_LAG, by_caller, learner.lag)
+    lag = PUBLISHED_MEDIAN[0] if is_unknown(belief.lag_source) else belief.lag
+    dead_time = PUBLISHED_MEDIAN[1] if is_unknown(belief.dead_time_source) else belief.dead_time
+    _set_ends(lag, uncertainty.lag, learning.SHORTEST_LAG, MOST_LAG, by_caller, learner.lag)
     _set_ends(dead_time, uncertainty.dead_time, 0.0, MOST_DEAD_TIME, by_caller, learner.dead_time)
 
 
@@ -124,15 +123,15 @@ def _set_ranges(belief, uncertainty, by_caller, learner):
 def _copy_car_with_moved_cg(car, share, within, target):
     """Copy a car, its centre of mass moved rearward by a share of what the car's file leaves open."""
     _copy_car(car, target)
-    if within.said > 0 and within.lf > 0.0 and share != 0.0:
+    if within.is_given > 0 and within.lf > 0.0 and share != 0.0:
         target.lf = car.lf + share * within.lf
         target.lr = car.lf + car.lr - target.lf
 
 
 @exported(
     void(
-        Row(LearningMethod), Row(Start), Row(Car), Row(KnownWithin), Row(Belief), Row(Uncertainty), int64, Row(Filter),
-        float64, Row(Learner),
+        Row(LearningMethod), Row(LearnerStart), Row(CarRow), Row(KnownWithinRow), Row(BeliefRow), Row(UncertaintyRow),
+        int64, Row(Filter), float64, Row(LearnerRow),
     )
 )  # fmt: skip
 def begin_learner(method, start, car, within, belief, uncertainty, by_caller, sensing, period, learner):
@@ -142,22 +141,22 @@ def begin_learner(method, start, car, within, belief, uncertainty, by_caller, se
     0: unknown, its defaults are written to `uncertainty`. sensing: the filter, with its sensors; period: s.
     """
     _copy_method(method, learner.method)
-    learner.method.bias = given_or(method.bias, MOST_BIAS)
-    learner.method.balance = given_or(method.balance, MOST_BALANCE)
+    learner.method.bias = given_or(method.bias, MAX_BIAS_RANGE)
+    learner.method.balance = given_or(method.balance, MAX_BALANCE_RANGE)
     _copy_car_with_moved_cg(car, method.rearward_share, within, learner.car)
     if by_caller == 0:
-        uncertainty.stiffness, uncertainty.mass = UNKNOWN_CAR.stiffness, UNKNOWN_CAR.mass
-        if within.said > 0:
+        uncertainty.stiffness, uncertainty.mass = UNKNOWN_CAR_ROW.stiffness, UNKNOWN_CAR_ROW.mass
+        if within.is_given > 0:
             uncertainty_of_car(within, belief, uncertainty)
-        uncertainty.lag, uncertainty.dead_time = UNKNOWN_CAR.lag, UNKNOWN_CAR.dead_time
+        uncertainty.lag, uncertainty.dead_time = UNKNOWN_CAR_ROW.lag, UNKNOWN_CAR_ROW.dead_time
     _set_ranges(belief, uncertainty, by_caller, learner)
     _set_hypotheses(method.lags, start.lag, start.lag_sigma, learner.lag)
     _set_hypotheses(method.dead_times, start.dead_time, start.dead_time_sigma, learner.dead_time)
     learner.period, learner.computation, learner.assumed_lag = period, belief.computation, belief.lag
-    learner.rate = math.inf if belief.rate_source == ASSUMED else belief.rate
+    learner.rate = math.inf if belief.rate_source == SLOW_ASSUMED else belief.rate
     stiffness, mass = log(uncertainty.stiffness), log1p(uncertainty.mass)
-    learner.stiffness = stiffness + mass if by_caller > 0 else max(stiffness + mass, log(MOST_STIFFNESS))
-    learner.stiffness_spread = SPREAD * hypot(stiffness, mass)
+    learner.stiffness = stiffness + mass if by_caller > 0 else max(stiffness + mass, log(MAX_STIFFNESS_RANGE))
+    learner.stiffness_spread = UNIFORM_SIGMA * hypot(stiffness, mass)
     learner.balance, learner.bias = given_or(method.balance, UNKNOWN_BALANCE), given_or(method.bias, UNKNOWN_BIAS)
     gust_ratio = car.frontal_area * car.side_force_slope / _USUAL_SIDE * WINDY / car.mass
     learner.wind = method.wind * clip(gust_ratio, LEAST_WINDY, MOST_WINDY)
@@ -165,7 +164,7 @@ def begin_learner(method, start, car, within, belief, uncertainty, by_caller, se
     learner.delay_tolerance = method.delay_tolerance if measures_vy else method.delay_tolerance_blind
     learner.stiffness_tolerance = method.stiffness_tolerance if measures_vy else method.stiffness_tolerance_blind
     learner.longest = learner.dead_time.most + learner.computation
-    learner.kept = whole(ceil((learner.longest + sensing.oldest) / period)) + 3
+    learner.commands = whole(ceil((learner.longest + sensing.oldest) / period)) + 3
     _set_first_belief(learner, start)
 
 
@@ -201,8 +200,8 @@ def _set_first_belief(learner, start):
     dead_time, dead_variance = _mean_and_variance(dead_times, dead_times.middle, dead_times.half)
     sigma = sqrt(max(lag_variance + dead_variance, LEAST_VARIANCE))
     stiffness, stiffness_sigma = 0.0, learner.stiffness_spread
-    balance, balance_sigma = 0.0, SPREAD * 0.5 * log(learner.balance)
-    bias, bias_sigma = 0.0, SPREAD * learner.bias
+    balance, balance_sigma = 0.0, UNIFORM_SIGMA * 0.5 * log(learner.balance)
+    bias, bias_sigma = 0.0, UNIFORM_SIGMA * learner.bias
     if not math.isnan(start.lag):
         stiffness = log(start.stiffness)
         stiffness_sigma = min(start.stiffness_sigma + MIN_STIFFNESS_SIGMA, stiffness_sigma)
@@ -217,7 +216,7 @@ def _set_first_belief(learner, start):
     b.belief_bias, b.belief_bias_sigma = bias, bias_sigma
     b.belief_bank, b.belief_bank_sigma = 0.0, method.bank
     b.belief_friction, b.belief_friction_sigma = method.friction, method.friction_sigma
-    b.belief_noise, b.belief_state, b.belief_at_bound = 1.0, float(learning.LEARNING), 0.0
+    b.belief_noise, b.belief_state, b.belief_at_bound = 1.0, float(learning.LEARNING_BELIEF), 0.0
     later = method.delay_quantile / sigma
     b.used_lag = clip(lag + later * lag_variance, lags.least, lags.most)
     b.used_dead_time = clip(dead_time + later * dead_variance, dead_times.least, dead_times.most)
@@ -226,10 +225,10 @@ def _set_first_belief(learner, start):
     b.used_caution = caution * (1.0 + square(stiffness_sigma / learner.stiffness_tolerance))
 
 
-@exported(int64(Row(Learner)))
+@exported(int64(Row(LearnerRow)))
 def learner_size(learner):
     """Numbers that the learner remembers."""
-    return _BEFORE + learner.kept + _HYPOTHESIS * learner.lag.count * learner.dead_time.count
+    return _BEFORE + learner.commands + _HYPOTHESIS * learner.lag.count * learner.dead_time.count
 
 
 @inlined
@@ -241,20 +240,20 @@ def _set_sigma(covariance, state, sigma):
 def _write_variances(learner, covariance):
     """Write the variances of a filter before the first sample."""
     method, first = learner.method, learner.first
-    _set_sigma(covariance, learning.VY, 0.3)
-    _set_sigma(covariance, learning.RATE, 0.1)
-    _set_sigma(covariance, learning.WIND, learner.wind * sqrt(0.5 * method.wind_time))
+    _set_sigma(covariance, learning.LATERAL_VELOCITY, 0.3)
+    _set_sigma(covariance, learning.YAW_RATE, 0.1)
+    _set_sigma(covariance, learning.WIND_FORCE, learner.wind * sqrt(0.5 * method.wind_time))
     _set_sigma(covariance, learning.BIAS, first.belief_bias_sigma)
     _set_sigma(covariance, learning.BANK, method.bank)
-    _set_sigma(covariance, learning.STIFFNESS, first.belief_stiffness_sigma)
+    _set_sigma(covariance, learning.STIFFNESS_SCALE, first.belief_stiffness_sigma)
     _set_sigma(covariance, learning.BALANCE, 0.5 * first.belief_balance_sigma)
     _set_sigma(covariance, learning.FRICTION, method.friction_sigma)
-    _set_sigma(covariance, learning.LAG, _grain(learner.lag, learner.lag.half))
+    _set_sigma(covariance, learning.STEERING_LAG, _grain(learner.lag, learner.lag.half))
     _set_sigma(covariance, learning.DEAD_TIME, _grain(learner.dead_time, learner.dead_time.half))
     _set_sigma(covariance, learning.OFFSET, 0.05)
 
 
-@exported(void(Row(Learner), Row(Filter), vector))
+@exported(void(Row(LearnerRow), Row(Filter), vector))
 def learner_memory(learner, sensing, memory):
     """Write what is remembered before the first sample, `learner_size` numbers."""
     memory[:] = 0.0
@@ -265,12 +264,12 @@ def learner_memory(learner, sensing, memory):
         m.noise[i] = m.noise[i] if m.noise[i] < math.inf else 0.0
     for i in range(lags.count):
         for j in range(dead_times.count):
-            hypothesis = learning.hypothesis(i * dead_times.count + j, learner.kept, memory)
+            hypothesis = learning.hypothesis(i * dead_times.count + j, learner.commands, memory)
             x, dead_time = hypothesis.x, _hypothesis_delay(j, dead_times, dead_times.middle, dead_times.half)
-            x[learning.LAG] = _hypothesis_delay(i, lags, lags.middle, lags.half)
+            x[learning.STEERING_LAG] = _hypothesis_delay(i, lags, lags.middle, lags.half)
             x[learning.DEAD_TIME] = dead_time + learner.computation
             x[learning.FRICTION], x[learning.BIAS] = log(learner.method.friction), learner.first.belief_bias
-            x[learning.STIFFNESS], x[learning.BALANCE] = learner.start_stiffness, learner.start_balance
+            x[learning.STIFFNESS_SCALE], x[learning.BALANCE] = learner.start_stiffness, learner.start_balance
             _write_variances(learner, hypothesis.covariance)
 
 
@@ -293,8 +292,8 @@ def _write_priors(learner, p):
     lag, dead_time = _first_variance(learner.lag), _first_variance(learner.dead_time)
     p.prior_lag, p.prior_dead_time = sqrt(lag), sqrt(dead_time)
     p.prior_delay = sqrt(max(lag + dead_time, LEAST_VARIANCE))
-    p.prior_stiffness, p.prior_bias = learner.stiffness_spread, SPREAD * learner.bias
-    p.prior_balance = 2.0 * (SPREAD * 0.5 * log(learner.balance))
+    p.prior_stiffness, p.prior_bias = learner.stiffness_spread, UNIFORM_SIGMA * learner.bias
+    p.prior_balance = 2.0 * (UNIFORM_SIGMA * 0.5 * log(learner.balance))
 
 
 @inlined
@@ -311,14 +310,19 @@ def _write_drifts(learner, p):
     p.friction_left, p.usual_friction = exp(-period / method.friction_time), log(method.friction)
 
 
-@exported(void(Row(Learner), Row(Filter), vector))
+@exported(void(Row(LearnerRow), Row(Filter), vector))
 def learner_numbers(learner, sensing, numbers):
-    """Write `learning.Numbers`; its priors are those before the first sample of the first drive."""
+    """Write `learning.LearnerParameters`; its priors are those before the first sample of the first drive."""
     p, car, method, period = learning.parameters_of(numbers, 0), learner.car, learner.method, learner.period
     _copy_method(method, p.method)
     _write_priors(learner, p)
     _write_drifts(learner, p)
-    p.period, p.computation, p.lag, p.kept = period, learner.computation, learner.assumed_lag, float(learner.kept)
+    p.period, p.computation, p.lag, p.commands = (
+        period,
+        learner.computation,
+        learner.assumed_lag,
+        float(learner.commands),
+    )
     p.hypotheses = float(learner.lag.count * learner.dead_time.count)
     p.mass, p.yaw_inertia, p.lf, p.lr = car.mass, car.yaw_inertia, car.lf, car.lr
     p.stiffness_front, p.stiffness_rear = 2.0 * car.stiffness_front, 2.0 * car.stiffness_rear

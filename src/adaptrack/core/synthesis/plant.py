@@ -2,7 +2,7 @@
 
     chassis, tyre, actuator    -> plant_parameters, plant_law, plant_substeps: what a plant is driven with
     plant parameters           -> tyre_forces
-    delay, dead time           -> dead_periods: `core.loop.Settings.dead_whole` and `dead_share`
+    delay, dead time           -> dead_periods: `core.loop.LoopSettings.dead_whole` and `dead_share`
     body, chassis              -> outline_of
 
 Axes of ISO 8855; stiffness and load are those of one tyre.
@@ -12,23 +12,23 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Row, exported, float64, inlined, int64, matrix, packer, record, several, vector, void
+from ..kernel import OK, Row, exported, float64, inlined, int64, matrix, packer, record, several, vector, void
 from ..maths.bits import whole
 from ..maths.exact import ceil, square
 from ..plants.parameters import CHASSIS, unpack
 from ..plants.tyre import lateral_force, tyre_law
 from .car import static_loads
-from .filter import in_periods
+from .filter import split_periods
 
 Chassis = record("Chassis", CHASSIS)
 """Body, air and powertrain of a plant."""
-Tyre = record(
-    "Tyre",
+TyreRow = record(
+    "TyreRow",
     (
         "linear",  # 1: F = C mu alpha, 0: Magic Formula
         "stiffness_front", "stiffness_rear",  # N/rad, at the nominal load
         "nominal_load",  # N
-        "stiffness_load",  # `CONSTANT`, ...
+        "stiffness_load",  # `CONSTANT_STIFFNESS`, ...
         "digressive_load_ratio",  # -, load over nominal load at which a digressive stiffness peaks
         "shape_factor", "curvature",  # C and E of the Magic Formula
         "friction_load_sensitivity",  # -
@@ -37,19 +37,19 @@ Tyre = record(
     integers=("linear", "stiffness_load"),
 )  # fmt: skip
 """A tyre, see `adaptrack.cars.vehicle.Tyre`."""
-CONSTANT, LINEAR, DIGRESSIVE = range(3)
+CONSTANT_STIFFNESS, LINEAR_STIFFNESS, DIGRESSIVE_STIFFNESS = range(3)
 """How the stiffness depends on the load."""
 Actuator = record("Actuator", ("lag", "rate", "limit", "dead_time", "bias"))
 """The steering between command and road wheels: s, rad/s, rad, s, rad."""
 
-LONGEST_STEP, STABLE, ROUNDING = 0.0125, 2.2, 1e-9
+MAX_PLANT_STEP, STABLE, STEP_ROUNDING = 0.0125, 2.2, 1e-9
 """s; -, step times the fastest rate of a mode, within the region where Runge-Kutta is stable; of a number of steps."""
-SLOWEST = 1.0
+MIN_RELAXATION_SPEED = 1.0
 """m/s, below which no tyre relaxes more slowly."""
 
-Body = record("Body", ("length", "width", "front_overhang", "rear_overhang"))
+BodyRow = record("BodyRow", ("length", "width", "front_overhang", "rear_overhang"))
 """m, what is known of a car's outline; NaN: not given."""
-Outline = record("Outline", ("front", "rear", "width"))
+OutlineRow = record("OutlineRow", ("front", "rear", "width"))
 """m, from the centre of mass to either end, and the width without mirrors."""
 LENGTH_OVER_WHEELBASE = 1.65
 """Length over wheelbase where nobody says length or overhangs: passenger cars have 1.55 to 1.75."""
@@ -57,7 +57,7 @@ FRONT_SHARE = 0.45
 """Share of the front in what the body is longer than the wheelbase, where nobody says it."""
 WIDER_THAN_TRACK = 0.24
 """m, by which a body is wider than its larger track, where nobody says its width: mirrors do not count."""
-HOLDS, AXLE_OUTSIDE, LENGTH_DISAGREES = range(3)
+AXLE_OUTSIDE, LENGTH_DISAGREES = range(1, 3)
 """What `overhangs` answers: fine; no room for an axle; length, wheelbase and overhangs differ."""
 MATCHING = 0.02
 """m, by which they may differ."""
@@ -65,12 +65,12 @@ _pack = packer(Chassis)
 
 
 # -- tyre -------------------------------------------------------------------------------------------------------------
-@exported(several(float64, float64, float64)(Row(Tyre)))
+@exported(several(float64, float64, float64)(Row(TyreRow)))
 def stiffness_coefficients(tyre):
     """(s0, s1, s2) of C(F_z)/C = (s0 + s1 q)/(1 + s2 q^2), q = F_z/nominal_load: all three laws in one formula."""
-    if tyre.stiffness_load == CONSTANT:
+    if tyre.stiffness_load == CONSTANT_STIFFNESS:
         return 1.0, 0.0, 0.0
-    if tyre.stiffness_load == LINEAR:
+    if tyre.stiffness_load == LINEAR_STIFFNESS:
         return 0.0, 1.0, 0.0
     s2 = 1.0 / square(tyre.digressive_load_ratio)
     return 0.0, 1.0 + s2, s2
@@ -83,20 +83,20 @@ def _stiffness(tyre, stiffness, load):
     return stiffness * (s0 + s1 * q) / (1.0 + s2 * square(q))
 
 
-@exported(several(float64, float64)(Row(Tyre), float64, float64))
+@exported(several(float64, float64)(Row(TyreRow), float64, float64))
 def tyre_stiffness(tyre, front_load, rear_load):
     """Cornering stiffness (N/rad) of one front and one rear tyre at their vertical loads (N)."""
     return _stiffness(tyre, tyre.stiffness_front, front_load), _stiffness(tyre, tyre.stiffness_rear, rear_load)
 
 
-@exported(int64(Row(Tyre)))
+@exported(int64(Row(TyreRow)))
 def plant_law(tyre):
     """Which plant drives on it: `plants.tyre.LINEAR`, `MAGIC_FORMULA` or `CURVED_MAGIC_FORMULA`."""
     return tyre_law(tyre.linear > 0, tyre.curvature)
 
 
 # -- plant ------------------------------------------------------------------------------------------------------------
-@exported(void(Row(Chassis), Row(Tyre), Row(Actuator), vector))
+@exported(void(Row(Chassis), Row(TyreRow), Row(Actuator), vector))
 def plant_parameters(chassis, tyre, actuator, parameters):
     """Write `plants.parameters.PlantParameters`."""
     _pack(parameters, 0, chassis)
@@ -122,7 +122,7 @@ def tyre_forces(plant, friction, wheels, forces):
         forces[i] = lateral_force(wheels[i, 0], wheels[i, 1], friction, stiffness, car, law)
 
 
-@exported(float64(Row(Chassis), Row(Tyre)))
+@exported(float64(Row(Chassis), Row(TyreRow)))
 def lateral_rate(chassis, tyre):
     """The fastest rate (1/s) of lateral and yaw motion at 1 m/s, the lowest speed of the slip angles."""
     front, rear = static_loads(chassis.mass, chassis.lf, chassis.lr)
@@ -132,17 +132,17 @@ def lateral_rate(chassis, tyre):
     return max((front + rear) / chassis.mass, turning / chassis.yaw_inertia)
 
 
-@exported(int64(Row(Chassis), Row(Tyre), int64, float64, float64))
+@exported(int64(Row(Chassis), Row(TyreRow), int64, float64, float64))
 def plant_substeps(chassis, tyre, relaxes, period, top_speed):
     """Runge-Kutta steps in a control period (s) that keep every mode stable up to a speed (m/s).
 
     relaxes: 1: the plant's tyres build up their force over the relaxation length (dual track), 0: at once.
     """
     if relaxes > 0 and tyre.relaxation_length > 0.0:
-        rate = max(top_speed, SLOWEST) / tyre.relaxation_length
+        rate = max(top_speed, MIN_RELAXATION_SPEED) / tyre.relaxation_length
     else:
         rate = lateral_rate(chassis, tyre)
-    steps = max(ceil(period / LONGEST_STEP - ROUNDING), ceil(period * rate / STABLE - ROUNDING))
+    steps = max(ceil(period / MAX_PLANT_STEP - STEP_ROUNDING), ceil(period * rate / STABLE - STEP_ROUNDING))
     return max(1, whole(steps))
 
 
@@ -152,13 +152,13 @@ def dead_periods(delay, dead_time, period):
 
     delay: control periods of computation; dead_time: s, of the steering.
     """
-    return in_periods(delay * period + dead_time, period)
+    return split_periods(delay * period + dead_time, period)
 
 
 # -- outline ----------------------------------------------------------------------------------------------------------
-@exported(several(int64, float64, float64)(Row(Body), float64))
+@exported(several(int64, float64, float64)(Row(BodyRow), float64))
 def overhangs(body, wheelbase):
-    """`HOLDS` or what is wrong, and front and rear overhang (m) over a wheelbase (m), estimated where not given."""
+    """`OK` or what is wrong, and front and rear overhang (m) over a wheelbase (m), estimated where not given."""
     front, rear = body.front_overhang, body.rear_overhang
     if not math.isnan(body.length):
         beyond = body.length - wheelbase
@@ -176,10 +176,10 @@ def overhangs(body, wheelbase):
         rear = beyond - front
     if min(front, rear) < 0.0:
         return AXLE_OUTSIDE, front, rear
-    return (LENGTH_DISAGREES if abs(front + rear - beyond) > MATCHING else HOLDS), front, rear
+    return (LENGTH_DISAGREES if abs(front + rear - beyond) > MATCHING else OK), front, rear
 
 
-@exported(int64(Row(Body), Row(Chassis), Row(Outline)))
+@exported(int64(Row(BodyRow), Row(Chassis), Row(OutlineRow)))
 def outline_of(body, chassis, outline):
     """Write the rectangle that a car fills; what is not given is estimated from wheelbase and track. As `overhangs`."""
     status, front, rear = overhangs(body, chassis.lf + chassis.lr)

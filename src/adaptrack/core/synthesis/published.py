@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Place, Row, exported, float64, int64
+from ..kernel import OK, Place, Row, exported, float64, int64
 from ..models import single_track
-from ..models.contract import MEASURED
+from ..models.contract import MEASUREMENT
 from .belief import ANGLE, MOVE
-from .car import Car
-from .informed import CAR_WRONG, FINE, LOOP_WRONG, MEMORY_TOO_SMALL, Constants, is_a_car
-from .tuning import TABLE
+from .car import CarRow
+from .informed import CAR_WRONG, LOOP_WRONG, MEMORY_TOO_SMALL, Constants, is_a_car
+from .tuning import PAPER_TUNING
 
-_MODEL, _STATES = len(single_track.Parameters._fields), len(single_track.STATE)
+_MODEL, _STATES = len(single_track.Parameters._fields), len(single_track.SINGLE_TRACK_STATE)
 
 
-@exported(int64(Row(Car), float64, Place(Constants)))
+@exported(int64(Row(CarRow), float64, Place(Constants)))
 def published_constants(car, period, constants):
     """Write tuning and limits of the paper's table, and its model of a car; period: s.
 
-    Of the settings only those of the loop; estimator, learner and turning are not used. `FINE`, or what is wrong: then
+    Of the settings only those of the loop; estimator, learner and turning are not used. `OK`, or what is wrong: then
     nothing is written.
     """
     tuning, model, states = constants.tuning, constants.model, constants.states
@@ -27,14 +27,14 @@ def published_constants(car, period, constants):
         return CAR_WRONG
     if not 0.0 < period < math.inf:
         return LOOP_WRONG
-    if constants.settings.size < 1 or tuning.size < len(TABLE) or model.size < _MODEL or states.size != _STATES:
+    if constants.settings.size < 1 or tuning.size < len(PAPER_TUNING) or model.size < _MODEL or states.size != _STATES:
         return MEMORY_TOO_SMALL
     s = constants.settings[0]
     s.period, s.delay, s.ahead, s.error_max = period, 0.0, 0.0, math.inf
     s.move_min, s.move_max, s.angle_min, s.angle_max = -MOVE, MOVE, -ANGLE, ANGLE
     s.informed, s.learns = 0, 0
-    tuning[0], tuning[1], tuning[2], tuning[3] = TABLE
+    tuning[0], tuning[1], tuning[2], tuning[3] = PAPER_TUNING
     model[0], model[1], model[2], model[3] = car.mass, car.yaw_inertia, car.lf, car.lr
     model[4], model[5] = car.stiffness_front, car.stiffness_rear
-    states[0], states[1], states[2], states[3] = MEASURED.vy, MEASURED.yaw, MEASURED.yaw_rate, MEASURED.y
-    return FINE
+    states[0], states[1], states[2], states[3] = MEASUREMENT.vy, MEASUREMENT.yaw, MEASUREMENT.yaw_rate, MEASUREMENT.y
+    return OK

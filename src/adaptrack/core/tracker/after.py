@@ -7,19 +7,19 @@ import math
 from ..kernel import Place, exported, inlined, void
 from .place import hold, is_beyond
 from .records import (
-    ANSWER,
-    END,
+    BEYOND_END,
+    CONTROLLER_ANSWER,
     ESTIMATED,
+    FOLLOWING,
     HELD,
     OFF_PATH,
-    OK,
-    STANDING,
     STANDS,
-    Tracker,
+    STANDSTILL_SPEED,
+    TrackerRecord,
 )
 
 
-@exported(void(Place(Tracker)))
+@exported(void(Place(TrackerRecord)))
 def tracker_after(tracker):
     """Take in the controller's answer (`tracker.answer`) at an instant; nothing where none is waited for.
 
@@ -28,27 +28,30 @@ def tracker_after(tracker):
     m, answer = tracker.memory[0], tracker.answer
     if m.waiting == 0:
         return
-    m.waiting, held = 0, m.command
-    usable = math.isfinite(answer[ANSWER.command])
-    m.command = answer[ANSWER.command] if usable else held
-    m.belief_state, m.belief_at_bound = answer[ANSWER.belief_state], answer[ANSWER.belief_at_bound]
-    m.status, m.answered = _status(tracker, m, not usable or answer[ANSWER.held] > 0.5), 1
+    m.waiting, previous = 0, m.command
+    usable = math.isfinite(answer[CONTROLLER_ANSWER.command])
+    m.command = answer[CONTROLLER_ANSWER.command] if usable else previous
+    m.belief_state, m.belief_at_bound = (
+        answer[CONTROLLER_ANSWER.belief_state],
+        answer[CONTROLLER_ANSWER.belief_at_bound],
+    )
+    m.status, m.answered = _status(tracker, m, not usable or answer[CONTROLLER_ANSWER.held] > 0.5), 1
     m.due -= 1
     if m.due > 0:  # at an instant without a call nothing was sent
-        hold(tracker, m, held)
+        hold(tracker, m, previous)
 
 
 @inlined
-def _status(tracker, m, held):
-    """What an instant was."""
+def _status(tracker, m, is_held):
+    """The status of an instant, one of `STATUS`."""
     if m.offset != m.offset:
         return OFF_PATH
-    if held:
+    if is_held:
         return HELD
-    if m.speed < STANDING:
+    if m.speed < STANDSTILL_SPEED:
         return STANDS
     if not abs(m.offset) <= tracker.settings[0].furthest:
         return OFF_PATH
     if is_beyond(tracker, m.station):
-        return END
-    return OK if m.fresh > 0 else ESTIMATED
+        return BEYOND_END
+    return FOLLOWING if m.fresh > 0 else ESTIMATED

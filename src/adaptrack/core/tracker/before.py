@@ -5,51 +5,50 @@ from __future__ import annotations
 import math
 
 from ..controllers.contract import wrapped
+from ..estimators.kalman import SENSOR_COUNT
 from ..input_check.call import check_call
 from ..input_check.record import memory_of
 from ..kernel import Place, exported, inlined, int64
 from ..maths.exact import clip
-from ..models.contract import MEASURED
+from ..models.contract import MEASUREMENT
 from ..road import CLOSED, foot_near, point_at
 from ..speed_plan import planned_speeds
 from .place import (
-    beside,
     carried,
     forward,
     has_position,
     hold,
     keep_pose,
     line,
+    path_errors,
     pose_of,
     sampled_pose,
     tell,
     time_of,
 )
 from .records import (
-    AHEAD,
+    CAR_SLIDES,
     ESTIMATED,
+    EXPECTED_SPEEDS,
+    FOLLOWING,
     HELD,
+    INSTANT,
     LONGEST_CARRY,
     LONGEST_GAP,
-    OK,
     REQUEST,
     REVERSE,
-    SLIDING,
-    SPEEDS,
-    STANDING,
+    STANDSTILL_SPEED,
     TRACKED,
-    Tracker,
+    TrackerRecord,
 )
 
-SENSORS = 6
-"""The first of `MEASURED`; their ages follow."""
 LATEST = 0.499
 """Periods, by which a sample may be later than the last instant that a filter goes through anew."""
 CARRIED = 0.25
 """Periods, by which what moves the car may be carried: by then it is another."""
 
 
-@exported(int64(Place(Tracker)))
+@exported(int64(Place(TrackerRecord)))
 def tracker_before(tracker):
     """Go on to the next instant of a call: 1 and what the controller is given there; 0 when the call is over.
 
@@ -76,7 +75,7 @@ def tracker_before(tracker):
 def _end(tracker, m):
     """The end of a call: what its inputs say of each other, and what it gives."""
     m.open = 0
-    if m.left_out == 0:
+    if m.rejection == 0:
         tracker.tracked[TRACKED.suspect] = check_call(tracker.sample, m.command, tracker.check)
         _judge(tracker, m)
     tell(m, tracker.tracked)
@@ -85,10 +84,10 @@ def _end(tracker, m):
 @inlined
 def _judge(tracker, m):
     """Let the status say that the car slides; take a command back while the car turns against it."""
-    found, move = memory_of(tracker.check.memory, 0), tracker.settings[0].move
-    if found.sliding > 0 and (m.status == OK or m.status == ESTIMATED or m.status == REVERSE):
-        m.status = SLIDING
-    if found.against_steering > 0 and m.answered > 0:  # steering on would drive it further away
+    findings, move = memory_of(tracker.check.memory, 0), tracker.settings[0].move
+    if findings.sliding > 0 and (m.status == FOLLOWING or m.status == ESTIMATED or m.status == REVERSE):
+        m.status = CAR_SLIDES
+    if findings.against_steering > 0 and m.answered > 0:  # steering on would drive it further away
         hold(tracker, m, m.command_before - clip(m.command_before, -move, move))
         m.status = HELD
 
@@ -96,13 +95,13 @@ def _judge(tracker, m):
 @inlined
 def _advance(tracker, m, sampled):
     """Where the car is at the next instant, by the latest sample and its motion since."""
-    settings, own = tracker.settings[0], line(tracker)
+    settings, centreline = tracker.settings[0], line(tracker)
     period, speed = settings.period, forward(m)
     m.instant += 1
     if sampled and math.isfinite(m.given_yaw_rate):
         m.yaw_rate = m.given_yaw_rate
     else:
-        _, _, _, curvature = point_at(m.station, own)
+        _, _, _, curvature = point_at(m.station, centreline)
         m.yaw_rate = speed * curvature
     pose = carried(pose_of(m), period, speed, m.yaw_rate)
     if sampled and has_position(m) and m.given_t > m.newest:
@@ -110,7 +109,7 @@ def _advance(tracker, m, sampled):
         if -period <= age <= settings.late * period + LONGEST_CARRY:
             pose = carried(sampled_pose(m), age, speed, m.yaw_rate)
     keep_pose(m, pose)
-    station, offset, heading, _ = foot_near(pose.x, pose.y, m.station + speed * period, own)
+    station, offset, heading, _ = foot_near(pose.x, pose.y, m.station + speed * period, centreline)
     m.offset, m.heading_error, m.turned = offset, math.nan, 0.0
     if offset == offset:
         m.heading_error, m.turned = wrapped(pose.yaw - heading), heading - m.heading
@@ -119,21 +118,21 @@ def _advance(tracker, m, sampled):
 
 @inlined
 def _measure(tracker, m, sampled):
-    """Write what the controller is given (`MEASURED`)."""
+    """Write what the controller is given (`MEASUREMENT`)."""
     settings, measured = tracker.settings[0], tracker.measured
-    for i in range(SENSORS):
+    for i in range(SENSOR_COUNT):
         measured[i] = math.nan
-    measured[MEASURED.pose_age], measured[MEASURED.motion_age], measured[MEASURED.turned] = 0.0, 0.0, m.turned
+    measured[MEASUREMENT.pose_age], measured[MEASUREMENT.motion_age], measured[MEASUREMENT.turned] = 0.0, 0.0, m.turned
     m.fresh = 1 if sampled and _take(tracker, m, measured) else 0
     if settings.filtered > 0:
         return
-    drift = measured[MEASURED.vy]
-    for i in range(SENSORS):
+    drift = measured[MEASUREMENT.vy]
+    for i in range(SENSOR_COUNT):
         measured[i] = math.nan
     if time_of(m, settings.period) - m.newest <= LONGEST_GAP:
-        measured[MEASURED.vy] = drift if math.isfinite(drift) else _steady_drift(m, settings)
-        measured[MEASURED.yaw_rate] = m.yaw_rate
-        measured[MEASURED.y], measured[MEASURED.yaw] = m.offset, m.heading_error
+        measured[MEASUREMENT.vy] = drift if math.isfinite(drift) else _steady_drift(m, settings)
+        measured[MEASUREMENT.yaw_rate] = m.yaw_rate
+        measured[MEASUREMENT.y], measured[MEASUREMENT.yaw] = m.offset, m.heading_error
 
 
 @inlined
@@ -155,20 +154,20 @@ def _take(tracker, m, measured):
     declared = clip(age, -0.5 * period, (late + LATEST) * period)
     carry = age - declared
     if abs(carry) <= CARRIED * period:
-        measured[MEASURED.vy], measured[MEASURED.yaw_rate] = m.given_vy, m.given_yaw_rate
-        measured[MEASURED.wheel_angle] = m.given_wheel_angle
-        measured[MEASURED.lateral_acceleration] = m.given_lateral_acceleration
+        measured[MEASUREMENT.vy], measured[MEASUREMENT.yaw_rate] = m.given_vy, m.given_yaw_rate
+        measured[MEASUREMENT.wheel_angle] = m.given_wheel_angle
+        measured[MEASUREMENT.lateral_acceleration] = m.given_lateral_acceleration
     elif has_position(m):
         tracker.request[REQUEST.late] = age
-    measured[MEASURED.pose_age] = measured[MEASURED.motion_age] = declared
-    known = m.given_t <= m.newest and m.instant > 0
-    if not (has_position(m) and -period <= carry <= LONGEST_CARRY) or (known and late == 0):
+    measured[MEASUREMENT.pose_age] = measured[MEASUREMENT.motion_age] = declared
+    is_seen = m.given_t <= m.newest and m.instant > 0
+    if not (has_position(m) and -period <= carry <= LONGEST_CARRY) or (is_seen and late == 0):
         return False
     if m.instant > 0:
         m.newest = max(m.newest, m.given_t)
     pose = carried(sampled_pose(m), carry, forward(m), m.yaw_rate)
-    there = beside(tracker, pose, m.station - forward(m) * declared)
-    measured[MEASURED.y], measured[MEASURED.yaw] = there.offset, there.heading_error
+    there = path_errors(tracker, pose, m.station - forward(m) * declared)
+    measured[MEASUREMENT.y], measured[MEASUREMENT.yaw] = there.offset, there.heading_error
     return True
 
 
@@ -176,16 +175,16 @@ def _take(tracker, m, measured):
 def _expect_speeds(tracker, m):
     """Write the speeds that are expected at the next instants."""
     speed, speeds, ahead, plan = forward(m), tracker.speeds, tracker.ahead, tracker.plan
-    ahead[AHEAD.speed], ahead[AHEAD.station], ahead[AHEAD.count] = speed, m.station, 1.0
+    ahead[INSTANT.speed], ahead[INSTANT.station], ahead[INSTANT.count] = speed, m.station, 1.0
     speeds[0] = speed
     if plan.s.size < 2:
         return
-    step = max(speed, STANDING) * tracker.settings[0].period
-    for i in range(SPEEDS):
+    step = max(speed, STANDSTILL_SPEED) * tracker.settings[0].period
+    for i in range(EXPECTED_SPEEDS):
         speeds[i] = m.station + step * i
     lap = plan.s[plan.s.size - 1] if tracker.path.numbers[0, CLOSED] > 0.5 else 0.0
     planned_speeds(lap, plan.s, plan.speed, speeds)
-    more = speed - speeds[0]
-    for i in range(SPEEDS):
-        speeds[i] = max(speeds[i] + more, 0.0)
-    ahead[AHEAD.count] = SPEEDS
+    difference = speed - speeds[0]
+    for i in range(EXPECTED_SPEEDS):
+        speeds[i] = max(speeds[i] + difference, 0.0)
+    ahead[INSTANT.count] = EXPECTED_SPEEDS

@@ -5,10 +5,10 @@ from __future__ import annotations
 from ..controllers.contract import wrapped
 from ..kernel import Place, exported, float64, inlined, void
 from .place import find_on_path, has_path, hint, restart
-from .records import ABSURD, REQUEST, Tracker
+from .records import MAX_SIGNAL, REQUEST, TrackerRecord
 
 
-@exported(void(float64, Place(Tracker)))
+@exported(void(float64, Place(TrackerRecord)))
 def tracker_follow(near, tracker):
     """Go over to the path, and the plan, that `tracker` has now in place of another; what is learned of the car stays.
 
@@ -32,10 +32,10 @@ def _go_over(tracker, m):
     offset, heading_error = m.offset, m.heading_error
     find_on_path(tracker, m)
     request, shifted = tracker.request, m.offset - offset
-    if abs(shifted) < ABSURD:
-        more = request[REQUEST.change]  # 1: the controller has not heard yet of the path before
-        request[REQUEST.turned] = wrapped(m.heading_error - heading_error) + more * request[REQUEST.turned]
-        request[REQUEST.shifted] = shifted + more * request[REQUEST.shifted]
+    if abs(shifted) < MAX_SIGNAL:
+        pending = request[REQUEST.change]  # 1: the controller has not heard yet of the path before
+        request[REQUEST.turned] = wrapped(m.heading_error - heading_error) + pending * request[REQUEST.turned]
+        request[REQUEST.shifted] = shifted + pending * request[REQUEST.shifted]
         request[REQUEST.change] = 1.0
     else:  # too far from one of them to say by how much
         restart(tracker, m)

@@ -28,27 +28,27 @@ from .place import (
     time_of,
 )
 from .records import (
-    ABSURD,
-    FURTHEST,
     HELD,
     JUMPS,
     LARGEST_JUMP,
     LONGEST_CARRY,
     LONGEST_GAP,
+    MAX_POSITION,
+    MAX_SIGNAL,
+    NO_BELIEF,
     NO_TIME,
     REPEATED,
     REQUEST,
     REVERSE,
-    SAMPLE,
     SHARE_OF_LAST,
-    STANDING,
+    STANDSTILL_SPEED,
     TRACKED,
-    UNKNOWN,
-    Tracker,
+    TRACKER_SAMPLE,
+    TrackerRecord,
 )
 
 
-@exported(int64(float64, float64, Place(Tracker)))
+@exported(int64(float64, float64, Place(TrackerRecord)))
 def tracker_engage(angle, near, tracker):
     """Begin anew, from the angle (rad) that the wheels have: the first command is near it. 1, or 0 if it is no number.
 
@@ -60,30 +60,30 @@ def tracker_engage(angle, near, tracker):
     m = tracker.memory[0]
     begin_anew(tracker, m, angle)
     hint(m, near)
-    m.open, m.answered, m.left_out = 0, 0, 0
+    m.open, m.answered, m.rejection = 0, 0, 0
     tracker.request[REQUEST.late], tracker.tracked[TRACKED.suspect] = math.nan, 0.0
     begin_check(tracker.check)
     tell(m, tracker.tracked)
     return 1
 
 
-@exported(void(Place(Tracker)))
+@exported(void(Place(TrackerRecord)))
 def tracker_give(tracker):
     """Take in the call in `tracker.sample`, see SAMPLE."""
     m, sample = tracker.memory[0], tracker.sample
     m.open, m.due, m.first, m.waiting, m.answered = 1, 0, 0, 0, 0
     tracker.request[REQUEST.late] = math.nan
     _leave_out_absurd(sample)
-    t, at = sample[SAMPLE.t], sample[SAMPLE.now]
+    t, at = sample[TRACKER_SAMPLE.t], sample[TRACKER_SAMPLE.now]
     at = at if math.isfinite(at) else t
-    m.left_out = _left_out(m, at)
-    if m.left_out > 0:
+    m.rejection = _rejection(m, at)
+    if m.rejection > 0:
         return
-    sample[SAMPLE.now] = at
+    sample[TRACKER_SAMPLE.now] = at
     _keep(m, sample, abs(at - t) > LONGEST_GAP)
-    if math.isfinite(sample[SAMPLE.speed]):
-        m.speed = sample[SAMPLE.speed]
-    if m.started > 0 and (m.speed < -STANDING or abs(at - m.last) > LONGEST_GAP):
+    if math.isfinite(sample[TRACKER_SAMPLE.speed]):
+        m.speed = sample[TRACKER_SAMPLE.speed]
+    if m.started > 0 and (m.speed < -STANDSTILL_SPEED or abs(at - m.last) > LONGEST_GAP):
         restart(tracker, m)
     m.command_before = m.command
     if m.started > 0:
@@ -95,13 +95,13 @@ def tracker_give(tracker):
 @inlined
 def _leave_out_absurd(sample):
     """Let what no car can have be missing."""
-    for i in range(SAMPLE.x, SAMPLE.wheel_angle + 1):
-        if not abs(sample[i]) < (FURTHEST if i <= SAMPLE.yaw else ABSURD):
+    for i in range(TRACKER_SAMPLE.x, TRACKER_SAMPLE.wheel_angle + 1):
+        if not abs(sample[i]) < (MAX_POSITION if i <= TRACKER_SAMPLE.yaw else MAX_SIGNAL):
             sample[i] = math.nan
 
 
 @inlined
-def _left_out(m, at):
+def _rejection(m, at):
     """Why a call at a time (s) is left out; 0: it is not."""
     if not math.isfinite(at):
         return NO_TIME
@@ -114,14 +114,14 @@ def _left_out(m, at):
 def _keep(m, sample, old):
     """The sample as it is used: one that is too old says nothing."""
     nothing = math.nan
-    m.given_t = nothing if old else sample[SAMPLE.t]
-    m.given_x = nothing if old else sample[SAMPLE.x]
-    m.given_y = nothing if old else sample[SAMPLE.y]
-    m.given_yaw = nothing if old else sample[SAMPLE.yaw]
-    m.given_yaw_rate = nothing if old else sample[SAMPLE.yaw_rate]
-    m.given_vy = nothing if old else sample[SAMPLE.vy]
-    m.given_lateral_acceleration = nothing if old else sample[SAMPLE.lateral_acceleration]
-    m.given_wheel_angle = nothing if old else sample[SAMPLE.wheel_angle]
+    m.given_t = nothing if old else sample[TRACKER_SAMPLE.t]
+    m.given_x = nothing if old else sample[TRACKER_SAMPLE.x]
+    m.given_y = nothing if old else sample[TRACKER_SAMPLE.y]
+    m.given_yaw = nothing if old else sample[TRACKER_SAMPLE.yaw]
+    m.given_yaw_rate = nothing if old else sample[TRACKER_SAMPLE.yaw_rate]
+    m.given_vy = nothing if old else sample[TRACKER_SAMPLE.vy]
+    m.given_lateral_acceleration = nothing if old else sample[TRACKER_SAMPLE.lateral_acceleration]
+    m.given_wheel_angle = nothing if old else sample[TRACKER_SAMPLE.wheel_angle]
 
 
 @inlined
@@ -131,11 +131,11 @@ def _begin(tracker, m, at):
     if math.isfinite(m.given_wheel_angle):
         hold(tracker, m, m.given_wheel_angle)
     age = at - m.given_t
-    backwards = m.speed < -STANDING
-    known = has_position(m) and math.isfinite(m.speed) and -period <= age <= LONGEST_CARRY
-    if backwards or not known or not has_path(tracker):
+    backwards = m.speed < -STANDSTILL_SPEED
+    is_usable = has_position(m) and math.isfinite(m.speed) and -period <= age <= LONGEST_CARRY
+    if backwards or not is_usable or not has_path(tracker):
         m.status, m.answered = REVERSE if backwards else HELD, 1
-        m.belief_state, m.belief_at_bound = UNKNOWN, UNKNOWN
+        m.belief_state, m.belief_at_bound = NO_BELIEF, NO_BELIEF
         nowhere(m)
         return
     m.began = m.last = at
@@ -172,8 +172,8 @@ def _go_on(tracker, m, at):
 @inlined
 def _leave_out_if_placed_before(m):
     """Leave out a pose that is the one before under a later time stamp: a car that moves has another."""
-    same = m.given_x == m.placed_x and m.given_y == m.placed_y and m.given_yaw == m.placed_yaw
-    if same and m.given_t > m.placed_t and forward(m) > STANDING:
+    is_repeated = m.given_x == m.placed_x and m.given_y == m.placed_y and m.given_yaw == m.placed_yaw
+    if is_repeated and m.given_t > m.placed_t and forward(m) > STANDSTILL_SPEED:
         leave_out_position(m)
     elif has_position(m):
         m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.given_x, m.given_y, m.given_yaw, m.given_t
@@ -184,6 +184,6 @@ def _has_jumped(m, at, period):
     """Whether a position is far from where the car was expected."""
     since = at - time_of(m, period)
     expected = carried(pose_of(m), since, forward(m), m.yaw_rate)
-    found = carried(sampled_pose(m), at - m.given_t, forward(m), m.yaw_rate)
-    distance = hypot(found.x - expected.x, found.y - expected.y)
+    sampled = carried(sampled_pose(m), at - m.given_t, forward(m), m.yaw_rate)
+    distance = hypot(sampled.x - expected.x, sampled.y - expected.y)
     return distance > LARGEST_JUMP + 0.5 * forward(m) * abs(since)

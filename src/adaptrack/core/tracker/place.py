@@ -9,9 +9,9 @@ from ..kernel import inlined, record
 from ..maths.exact import clip
 from ..maths.trigonometric import cos, sin
 from ..road import CLOSED, LENGTH, foot_near, line_of, nearest, point_at
-from .records import ACROSS, FURTHEST, HELD, REQUEST, TRACKED, UNKNOWN
+from .records import ACROSS_PENALTY, HELD, MAX_POSITION, NO_BELIEF, REQUEST, TRACKED
 
-Pose = record("Pose", ("x", "y", "yaw"))
+PoseRow = record("PoseRow", ("x", "y", "yaw"))
 """m, m, rad."""
 Beside = record("Beside", ("offset", "heading_error"))
 """m, rad, of a pose against the path; NaN where it has no foot."""
@@ -21,13 +21,13 @@ Beside = record("Beside", ("offset", "heading_error"))
 def carried(pose, time, speed, yaw_rate):
     """A pose after a time (s) on an arc."""
     middle, way = pose.yaw + 0.5 * time * yaw_rate, time * speed
-    return Pose(pose.x + way * cos(middle), pose.y + way * sin(middle), pose.yaw + time * yaw_rate)
+    return PoseRow(pose.x + way * cos(middle), pose.y + way * sin(middle), pose.yaw + time * yaw_rate)
 
 
 @inlined
 def pose_of(m):
     """Where the car is at the present instant."""
-    return Pose(m.x, m.y, m.yaw)
+    return PoseRow(m.x, m.y, m.yaw)
 
 
 @inlined
@@ -39,7 +39,7 @@ def keep_pose(m, pose):
 @inlined
 def sampled_pose(m):
     """The position of the sample at hand."""
-    return Pose(m.given_x, m.given_y, m.given_yaw)
+    return PoseRow(m.given_x, m.given_y, m.given_yaw)
 
 
 @inlined
@@ -80,7 +80,7 @@ def has_path(tracker):
 
 
 @inlined
-def beside(tracker, pose, near):
+def path_errors(tracker, pose, near):
     """Offset and heading error of a pose, by its foot about an arc length (m)."""
     _, offset, heading, _ = foot_near(pose.x, pose.y, near, line(tracker))
     return Beside(offset, wrapped(pose.yaw - heading) if offset == offset else math.nan)
@@ -89,17 +89,17 @@ def beside(tracker, pose, near):
 @inlined
 def hint(m, near):
     """Keep the arc length (m) about which the car is to be found; none where it is none of a path."""
-    m.near = near if abs(near) < FURTHEST else math.nan
+    m.near = near if abs(near) < MAX_POSITION else math.nan
 
 
 @inlined
 def find_on_path(tracker, m):
     """The foot from which the car begins to follow its path, the nearest one in its direction."""
-    own = line(tracker)
-    m.station = nearest(m.x, m.y, m.yaw, ACROSS, m.near, own)
-    _, _, m.heading, _ = point_at(m.station, own)
-    here = beside(tracker, pose_of(m), m.station)
-    m.offset, m.heading_error, m.near = here.offset, here.heading_error, math.nan
+    centreline = line(tracker)
+    m.station = nearest(m.x, m.y, m.yaw, ACROSS_PENALTY, m.near, centreline)
+    _, _, m.heading, _ = point_at(m.station, centreline)
+    foot = path_errors(tracker, pose_of(m), m.station)
+    m.offset, m.heading_error, m.near = foot.offset, foot.heading_error, math.nan
 
 
 @inlined
@@ -137,7 +137,7 @@ def begin_anew(tracker, m, angle):
     m.placed_x = m.placed_y = m.placed_yaw = math.nan
     m.placed_t = -math.inf
     m.station = m.heading = m.turned = 0.0
-    m.belief_state, m.belief_at_bound = UNKNOWN, UNKNOWN
+    m.belief_state, m.belief_at_bound = NO_BELIEF, NO_BELIEF
     nowhere(m)
 
 
@@ -153,7 +153,7 @@ def restart(tracker, m):
 def tell(m, tracked):
     """Write what a call gives, see TRACKED; a call that was left out gives what the one before gave."""
     tracked[TRACKED.command] = m.command
-    tracked[TRACKED.status] = m.left_out if m.left_out > 0 else m.status
+    tracked[TRACKED.status] = m.rejection if m.rejection > 0 else m.status
     tracked[TRACKED.offset], tracked[TRACKED.heading_error] = m.offset, m.heading_error
     tracked[TRACKED.station] = m.station if m.offset == m.offset else math.nan
     tracked[TRACKED.belief_state], tracked[TRACKED.belief_at_bound] = m.belief_state, m.belief_at_bound

@@ -6,17 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from ..controllers.mpc_step import Step
+from ..controllers.contract import STANDSTILL_SPEED as STANDSTILL_SPEED
+from ..controllers.mpc_step import MPCStep
 from ..input_check.record import Check
 from ..kernel import columns, record, rows, vector
-from ..models.contract import MEASURED
+from ..models.contract import MEASUREMENT
 from ..road import Roads
 from ..rollout import Law
-from ..schedule import Schedule
-from ..variables import VARIABLES
+from ..schedule import ScheduleRecord
+from ..variables import VARIABLE_COLUMNS
 
-STANDING = 0.1
-"""m/s: a slower car stands, and a faster one in reverse drives backwards."""
 LONGEST_GAP = 2.0
 """s without a call, or a clock that jumps back by more: the tracker begins anew from the command held. A controller
 without a Kalman filter goes on for so long without a position, too."""
@@ -25,15 +24,15 @@ LONGEST_CARRY = 0.3
 LARGEST_JUMP, JUMPS = 10.0, 3
 """m, between a position and where the car was expected, beside half of the way since: such a position is left out;
 when so many come one after the other, the car was moved, and the tracker begins anew."""
-FURTHEST, ABSURD = 1e8, 1e3
+MAX_POSITION, MAX_SIGNAL = 1e8, 1e3
 """m, from the origin; SI units: no position, and no speed, rate, acceleration or angle of a car is as large: what is
 counts as not measured."""
-ACROSS = 10.0
+ACROSS_PENALTY = 10.0
 """m of distance that a foot may be nearer for a path at right angles to the car, when a path is looked for its start.
 """
 SHARE_OF_LAST = 0.2
 """Share of the last interval in the mean interval between calls."""
-SPEEDS = 80
+EXPECTED_SPEEDS = 80
 """Control instants for which speeds are expected."""
 
 STATUS = columns(
@@ -49,11 +48,11 @@ STATUS = columns(
     "no_time",  # a call without a time: left out
 )
 """What a call was."""
-OK, ESTIMATED, HELD, STANDS, REVERSE, OFF_PATH, END, SLIDING, REPEATED, NO_TIME = STATUS
-UNKNOWN = -1.0
+FOLLOWING, ESTIMATED, HELD, STANDS, REVERSE, OFF_PATH, BEYOND_END, CAR_SLIDES, REPEATED, NO_TIME = STATUS
+NO_BELIEF = -1.0
 """The state of a belief where nothing is learned."""
 
-SETTINGS = record(
+TRACKER_SETTINGS = record(
     "Settings",
     (
         "period",  # s, control period
@@ -86,7 +85,7 @@ MEMORY = record(
         "waiting",  # 1: for the controller's command
         "open",  # 1: the call is not over
         "status",  # of the last call that was not left out
-        "left_out",  # REPEATED or NO_TIME of the call at hand, else 0
+        "rejection",  # REPEATED or NO_TIME of the call at hand, else 0
         "answered",  # 1: the call at hand gave a new command or status
         "fresh",  # 1: a new position is in the measurement
         "speed",  # m/s, last known, NaN: none yet
@@ -105,12 +104,12 @@ MEMORY = record(
         "belief_at_bound",  # likewise
     ),
     integers=(
-        "started", "instant", "due", "first", "waiting", "open", "status", "left_out", "answered", "fresh", "jumps",
+        "started", "instant", "due", "first", "waiting", "open", "status", "rejection", "answered", "fresh", "jumps",
     ),
 )  # fmt: skip
 """What a tracker remembers: all of it."""
 
-SAMPLE = columns(
+TRACKER_SAMPLE = columns(
     "t",  # s, when the sample was taken
     "now",  # s, of the call, on the same clock; NaN: t
     "x", "y",  # m, m: of the centre of mass
@@ -125,14 +124,14 @@ SAMPLE = columns(
 )  # fmt: skip
 """A call. What is not known is NaN; what no car can have is made NaN here."""
 
-AHEAD = columns(
+INSTANT = columns(
     "speed",  # m/s, of the car, never negative
     "station",  # m, of its foot on the path
     "count",  # of the expected speeds that count: the last one holds
 )  # fmt: skip
 """What a controller is given at an instant, beside what is measured."""
 
-ANSWER = columns(
+CONTROLLER_ANSWER = columns(
     "command",  # rad; not finite: the last one is held
     "held",  # 1: it is no new one
     "belief_state",  # as in TRACKED
@@ -161,17 +160,17 @@ TRACKED = columns(
 )  # fmt: skip
 """What a call gives."""
 
-Plan = record("Plan", (("s", vector), ("speed", vector)))
+PlanRecord = record("PlanRecord", (("s", vector), ("speed", vector)))
 """A planned speed (m/s) at arc lengths (m) from 0 to the path's; between them its square is straight. Empty: none."""
 
-Tracker = record(
-    "Tracker",
+TrackerRecord = record(
+    "TrackerRecord",
     (
-        ("settings", rows(SETTINGS)),  # (1,)
+        ("settings", rows(TRACKER_SETTINGS)),  # (1,)
         ("memory", rows(MEMORY)),  # (1,)
         ("sample", vector),  # (SAMPLE,)
         ("path", Roads),  # of one road; without pieces there is none yet
-        ("plan", Plan),
+        ("plan", PlanRecord),
         ("measured", vector),  # (models.contract.MEASURED,)
         ("speeds", vector),  # (SPEEDS,) m/s, expected at the instants from now on
         ("ahead", vector),  # (AHEAD,)
@@ -186,31 +185,31 @@ Tracker = record(
 Scheduling = record(
     "Scheduling",
     (
-        ("schedule", Schedule),  # without inputs and entries: none
+        ("schedule", ScheduleRecord),  # without inputs and entries: none
         ("variables", vector),  # (variables.VARIABLES,)
         ("first", vector),  # (entries,) the tuning before the schedule speaks
     ),
 )
 """A schedule of a tracker's controller."""
 
-Tracking = record("Tracking", (("tracker", Tracker), ("step", Step), ("scheduling", Scheduling)))
+Tracking = record("Tracking", (("tracker", TrackerRecord), ("step", MPCStep), ("scheduling", Scheduling)))
 """A tracker with an MPC, on curved roads."""
 
 LawTracking = record(
-    "LawTracking", (("tracker", Tracker), ("law", Law), ("tuning", vector), ("scheduling", Scheduling))
+    "LawTracking", (("tracker", TrackerRecord), ("law", Law), ("tuning", vector), ("scheduling", Scheduling))
 )
 """A tracker with a control law in its only slot; tuning (entries,): as used."""
 
 
 def tracker(settings: Any, path: Any, plan: Any, check: Any) -> Any:
-    """A tracker that has to engage first: SETTINGS (1,), a road alone as `Roads`, a `Plan`, a `Check`."""
-    sizes = (len(MEASURED), SPEEDS, len(AHEAD), len(ANSWER), len(REQUEST), len(TRACKED))
-    return Tracker(
-        settings, MEMORY.new(near=np.nan), np.full(len(SAMPLE), np.nan), path,
+    """A tracker that has to engage first: SETTINGS (1,), a road alone as `Roads`, a `PlanRecord`, a `Check`."""
+    sizes = (len(MEASUREMENT), EXPECTED_SPEEDS, len(INSTANT), len(CONTROLLER_ANSWER), len(REQUEST), len(TRACKED))
+    return TrackerRecord(
+        settings, MEMORY.new(near=np.nan), np.full(len(TRACKER_SAMPLE), np.nan), path,
         plan, *(np.zeros(size) for size in sizes), check,
     )  # fmt: skip
 
 
 def scheduling(schedule: Any, tuning: Any) -> Any:
-    """A `Schedule`, and the tuning (entries,) before it speaks."""
-    return Scheduling(schedule, np.zeros(len(VARIABLES)), np.array(tuning, float))
+    """A `ScheduleRecord`, and the tuning (entries,) before it speaks."""
+    return Scheduling(schedule, np.zeros(len(VARIABLE_COLUMNS)), np.array(tuning, float))

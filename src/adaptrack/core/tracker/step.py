@@ -6,21 +6,21 @@ import math
 
 from ..controllers import mpc
 from ..controllers.contract import SITUATION, call_law
-from ..controllers.mpc import ANSWER as MPC_ANSWER
+from ..controllers.mpc import MPC_ANSWER as MPC_ANSWER
 from ..controllers.mpc_step import step_with
 from ..estimators import learning
 from ..kernel import Place, columns, exported, inlined, local, void
 from ..maths.bits import whole
-from ..models.contract import MEASURED
-from ..road import RoadAhead, bend_ahead
+from ..models.contract import MEASUREMENT
+from ..road import RoadAheadRecord, bend_ahead
 from ..rollout import COMMAND
 from ..schedule import schedule
-from ..variables import VARIABLES
+from ..variables import VARIABLE_COLUMNS
 from .after import tracker_after
 from .before import tracker_before
 from .give import tracker_give
 from .place import line
-from .records import AHEAD, ANSWER, REQUEST, SAMPLE, UNKNOWN, LawTracking, Tracking
+from .records import CONTROLLER_ANSWER, INSTANT, NO_BELIEF, REQUEST, TRACKER_SAMPLE, LawTracking, Tracking
 
 PLACE = columns(*SITUATION)
 _reference = local(1)
@@ -54,42 +54,45 @@ def tracker_step_law(tracking):
 @inlined
 def _obey(tracking):
     """Do what the tracker asks of the MPC."""
-    request, own, settings = tracking.tracker.request, tracking.step.mpc, tracking.tracker.settings[0]
+    request, mpc_record, settings = tracking.tracker.request, tracking.step.mpc, tracking.tracker.settings[0]
     if request[REQUEST.restart] > 0.5:
-        mpc.restart(0, own)
+        mpc.restart(0, mpc_record)
         _begin_schedule(tracking.scheduling, tracking.step.tuning)
     if request[REQUEST.change] > 0.5:
         late = settings.late if settings.filtered > 0 else -1
-        mpc.change_path(0, request[REQUEST.turned], request[REQUEST.shifted], late, own)
+        mpc.change_path(0, request[REQUEST.turned], request[REQUEST.shifted], late, mpc_record)
     if request[REQUEST.apply] > 0.5:
-        own.memory[0].command = tracking.tracker.memory[0].command
+        mpc_record.memory[0].command = tracking.tracker.memory[0].command
     request[REQUEST.restart] = request[REQUEST.change] = request[REQUEST.apply] = 0.0
 
 
 @inlined
 def _control(tracking):
     """The MPC's step at an instant."""
-    tracker, given, own = tracking.tracker, tracking.step, tracking.step.mpc
+    tracker, mpc_step, mpc_record = tracking.tracker, tracking.step, tracking.step.mpc
     ahead, answer = tracker.ahead, tracker.answer
-    for i in range(own.measured.size):
-        own.measured[i] = tracker.measured[i]
-    speed, count = ahead[AHEAD.speed], whole(ahead[AHEAD.count])
+    for i in range(mpc_record.measured.size):
+        mpc_record.measured[i] = tracker.measured[i]
+    speed, count = ahead[INSTANT.speed], whole(ahead[INSTANT.count])
     if tracking.scheduling.schedule.settings[0].n_entries > 0:
-        _schedule(tracker, tracking.scheduling, given.tuning)
+        _schedule(tracker, tracking.scheduling, mpc_step.tuning)
     bend_ahead(
-        ahead[AHEAD.station], tracker.speeds[:count], max(speed, own.settings.speed_floor), mpc.delay_of(0, own),
-        own.settings.period, 0, tracker.path, own.bend,
+        ahead[INSTANT.station], tracker.speeds[:count], max(speed, mpc_record.settings.speed_floor),
+        mpc.delay_of(0, mpc_record), mpc_record.settings.period, 0, tracker.path, mpc_record.bend,
     )  # fmt: skip
-    given.reference[0] = 0.0
-    step_with(0, speed, given.reference[:1], given.tuning, own, given.functions)
-    found = own.answer[0]
-    answer[ANSWER.command], answer[ANSWER.held] = found[MPC_ANSWER.command], found[MPC_ANSWER.held]
-    if own.settings.learns > 0:
-        learned = found[len(MPC_ANSWER) :]
-        answer[ANSWER.belief_state] = learned[learning.BELIEF.belief_state]
-        answer[ANSWER.belief_at_bound] = learned[learning.BELIEF.belief_at_bound]
+    mpc_step.reference[0] = 0.0
+    step_with(0, speed, mpc_step.reference[:1], mpc_step.tuning, mpc_record, mpc_step.functions)
+    output = mpc_record.answer[0]
+    answer[CONTROLLER_ANSWER.command], answer[CONTROLLER_ANSWER.held] = (
+        output[MPC_ANSWER.command],
+        output[MPC_ANSWER.held],
+    )
+    if mpc_record.settings.learns > 0:
+        learned = output[len(MPC_ANSWER) :]
+        answer[CONTROLLER_ANSWER.belief_state] = learned[learning.BELIEF_COLUMNS.belief_state]
+        answer[CONTROLLER_ANSWER.belief_at_bound] = learned[learning.BELIEF_COLUMNS.belief_at_bound]
     else:
-        answer[ANSWER.belief_state] = answer[ANSWER.belief_at_bound] = UNKNOWN
+        answer[CONTROLLER_ANSWER.belief_state] = answer[CONTROLLER_ANSWER.belief_at_bound] = NO_BELIEF
 
 
 # -- a law ------------------------------------------------------------------------------------------------------------
@@ -108,17 +111,17 @@ def _control_law(tracking):
     """The law's step at an instant."""
     tracker, law, tuning = tracking.tracker, tracking.law, tracking.tuning
     ahead, answer, situation, measured = tracker.ahead, tracker.answer, law.situation, tracker.measured
-    road = RoadAhead(line(tracker), ahead[AHEAD.station], tracker.speeds[: whole(ahead[AHEAD.count])])
-    situation[PLACE.vy], situation[PLACE.yaw] = measured[MEASURED.vy], measured[MEASURED.yaw]
-    situation[PLACE.yaw_rate], situation[PLACE.y] = measured[MEASURED.yaw_rate], measured[MEASURED.y]
-    situation[PLACE.speed], situation[PLACE.command] = ahead[AHEAD.speed], tracker.memory[0].command
+    road = RoadAheadRecord(line(tracker), ahead[INSTANT.station], tracker.speeds[: whole(ahead[INSTANT.count])])
+    situation[PLACE.vy], situation[PLACE.yaw] = measured[MEASUREMENT.vy], measured[MEASUREMENT.yaw]
+    situation[PLACE.yaw_rate], situation[PLACE.y] = measured[MEASUREMENT.yaw_rate], measured[MEASUREMENT.y]
+    situation[PLACE.speed], situation[PLACE.command] = ahead[INSTANT.speed], tracker.memory[0].command
     if tracking.scheduling.schedule.settings[0].n_entries > 0:
         _schedule(tracker, tracking.scheduling, tuning)
-    found = law.own_answer
-    call_law(law.function, situation, _reference(), road, tuning, law.parameters, law.memory[0], found)
-    answer[ANSWER.command] = found[COMMAND]
-    answer[ANSWER.held] = 1.0 if law.held > 0 and found[law.held] > 0.5 else 0.0
-    answer[ANSWER.belief_state] = answer[ANSWER.belief_at_bound] = UNKNOWN
+    output = law.own_answer
+    call_law(law.function, situation, _reference(), road, tuning, law.parameters, law.memory[0], output)
+    answer[CONTROLLER_ANSWER.command] = output[COMMAND]
+    answer[CONTROLLER_ANSWER.held] = 1.0 if law.held > 0 and output[law.held] > 0.5 else 0.0
+    answer[CONTROLLER_ANSWER.belief_state] = answer[CONTROLLER_ANSWER.belief_at_bound] = NO_BELIEF
 
 
 # -- a schedule -------------------------------------------------------------------------------------------------------
@@ -128,19 +131,19 @@ def _begin_schedule(scheduling, tuning):
     for i in range(scheduling.first.size):
         tuning[i] = scheduling.first[i]
     for i in range(len(scheduling.schedule.memory)):
-        own = scheduling.schedule.memory[i]
-        own.steps, own.clipped, own.broken, own.rate_limited, own.outside = 0, 0, 0, 0, 0
-        own.off_reference, own.unstable, own.fallback, own.left, own.holding = 0, 0, 0, 0, 0
+        row = scheduling.schedule.memory[i]
+        row.steps, row.clipped, row.broken, row.rate_limited, row.outside = 0, 0, 0, 0, 0
+        row.off_reference, row.unstable, row.fallback, row.left, row.holding = 0, 0, 0, 0, 0
 
 
 @inlined
 def _schedule(tracker, scheduling, tuning):
     """Let the schedule choose the tuning; friction that is not known is the nominal one, such wind none."""
     sample, variables = tracker.sample, scheduling.variables
-    friction, wind = sample[SAMPLE.friction], sample[SAMPLE.wind]
-    variables[VARIABLES.speed], variables[VARIABLES.y_ref] = tracker.ahead[AHEAD.speed], 0.0
-    variables[VARIABLES.friction] = friction if math.isfinite(friction) else tracker.settings[0].nominal_friction
-    variables[VARIABLES.wind] = wind if math.isfinite(wind) else 0.0
-    variables[VARIABLES.change] = variables[VARIABLES.acceleration] = 0.0
-    variables[VARIABLES.offset] = -tracker.memory[0].offset
+    friction, wind = sample[TRACKER_SAMPLE.friction], sample[TRACKER_SAMPLE.wind]
+    variables[VARIABLE_COLUMNS.speed], variables[VARIABLE_COLUMNS.y_ref] = tracker.ahead[INSTANT.speed], 0.0
+    variables[VARIABLE_COLUMNS.friction] = friction if math.isfinite(friction) else tracker.settings[0].nominal_friction
+    variables[VARIABLE_COLUMNS.wind] = wind if math.isfinite(wind) else 0.0
+    variables[VARIABLE_COLUMNS.change] = variables[VARIABLE_COLUMNS.acceleration] = 0.0
+    variables[VARIABLE_COLUMNS.offset] = -tracker.memory[0].offset
     schedule(0, variables, scheduling.schedule, tuning)

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Place, columns, exported, inlined, int64, int_vector, local, record, vector
-from ..loop import NOT_FINITE, RUNNING, SIGNAL
+from ..kernel import OK, Place, columns, exported, inlined, int64, int_vector, local, record, vector
+from ..loop import RUNNING, SIGNAL, STATE_NOT_FINITE
 from ..maths.bits import whole
 from ..maths.trigonometric import cos, sin
-from ..models.contract import MEASURED
-from ..period import Loop, Span, after_control, before_control, begin_slot, move
-from ..plants.contract import ENVIRONMENT, MOTION, OBSERVED, STATE, observe, state_at
+from ..models.contract import MEASUREMENT
+from ..period import RunLoop, RunSpan, after_control, before_control, begin_slot, move
+from ..plants.contract import ENVIRONMENT, MOTION_STATES, OBSERVED, PLANT_STATE, observe, state_at
 from ..road import line_of, point_at
-from .contract import FAILED, NO_DELAY, OK, outside
+from .contract import NO_DELAY, UNIT_FAILED, outside
 
-CONSTANTS = (
+CAR_CONSTANTS = (
     "time",  # s, of the present instant
     "period",  # s, of a step
     "speed_preview",  # s, how far ahead speed_ahead is planned
@@ -31,7 +31,7 @@ PARAMETERS = (
     "start_speed",  # m/s, along the car's axis at the start, in equilibrium
     "start_station",  # m, along the road, about which the car's foot is looked for at the start
 )  # fmt: skip
-INPUTS = (
+CAR_INPUTS = (
     "command",  # rad, requested angle of the road wheels, positive to the left
     "speed",  # m/s, planned for this instant
     "speed_ahead",  # m/s, planned for the time of speed_preview from now
@@ -42,7 +42,7 @@ INPUTS = (
     "wind_x", "wind_y",  # m/s, m/s: velocity of the air in the world
     "bank",  # m/s^2, what the pull of a banked road adds to dv_y/dt, positive to the left
 )  # fmt: skip
-OUTPUTS = (
+CAR_OUTPUTS = (
     "measured_x", "measured_y",  # m, m: measured position in the world, measured_pose_age ago; NaN: missing
     "measured_yaw",  # rad, measured yaw angle, measured_pose_age ago, positive to the left; NaN: missing
     "measured_offset",  # m, measured distance from the road, measured_pose_age ago, positive to the left; NaN: missing
@@ -65,40 +65,40 @@ OUTPUTS = (
     "heading_error",  # rad, true yaw angle less the road's heading
     "ended",  # 0, or 2 once the car has spun
 )  # fmt: skip
-VALUE = columns(*CONSTANTS, *PARAMETERS, *INPUTS, *OUTPUTS)
+CAR_VALUE = columns(*CAR_CONSTANTS, *PARAMETERS, *CAR_INPUTS, *CAR_OUTPUTS)
 """The values of a car."""
-_PARAMETER, _INPUT = VALUE.seed, VALUE.command
-_OUTPUT = _INPUT + len(INPUTS)
+_PARAMETER, _INPUT = CAR_VALUE.seed, CAR_VALUE.command
+_OUTPUT = _INPUT + len(CAR_INPUTS)
 
-Car = record(
-    "Car",
+CarUnit = record(
+    "CarUnit",
     (
         ("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("past", vector),
-        ("loop", Loop),
+        ("loop", RunLoop),
     ),
 )  # fmt: skip
-"""A unit of co-simulation (see `contract`), its values by `VALUE`; where the car was at the last instants (m along its
-road), the latest first, as many as late sensors look back; the loop: one slot, one scenario, whose signals are as many
-samples as the driver looks ahead."""
+"""A unit of co-simulation (see `contract`), its values by `CAR_VALUE`; where the car was at the last instants (m along
+its road), the latest first, as many as late sensors look back; the loop: one slot, one scenario, whose signals are as
+many samples as the driver looks ahead."""
 
 _observed = local(len(OBSERVED))
 
 
 @inlined
 def _span():
-    return Span(2**62, 1, 0, 0.0)
+    return RunSpan(2**62, 1, 0, 0.0)
 
 
 @inlined
 def _open_window(car):
     """Write what is planned and what surrounds the car to the signals from now on."""
     values, signals, drive = car.values, car.loop.given.signals, car.loop.memory.own[0]
-    signals[0, SIGNAL.speed, :] = values[VALUE.speed_ahead]
-    signals[0, SIGNAL.speed, 0] = values[VALUE.speed]
+    signals[0, SIGNAL.speed, :] = values[CAR_VALUE.speed_ahead]
+    signals[0, SIGNAL.speed, 0] = values[CAR_VALUE.speed]
     signals[0, SIGNAL.station, :] = math.inf  # the plan, whose place is the first sample, is not looked for
-    signals[0, SIGNAL.station, 0] = values[VALUE.plan_station] if values[VALUE.on_plan] > 0.5 else drive.station
+    signals[0, SIGNAL.station, 0] = values[CAR_VALUE.plan_station] if values[CAR_VALUE.on_plan] > 0.5 else drive.station
     for j in range(ENVIRONMENT):
-        signals[0, SIGNAL.friction_front_left + j, 0] = values[VALUE.friction_front_left + j]
+        signals[0, SIGNAL.friction_front_left + j, 0] = values[CAR_VALUE.friction_front_left + j]
 
 
 @inlined
@@ -106,13 +106,13 @@ def _measured_position(car):
     """Where the car was along its road (m) at the time of the measured pose."""
     loop, past = car.loop, car.past
     drive = loop.memory.own[0]
-    station = drive.station if drive.located > 0 else loop.vehicles.block[state_at(STATE.x, 0)]
+    station = drive.station if drive.located > 0 else loop.vehicles.block[state_at(PLANT_STATE.x, 0)]
     if past.size == 0:
         return station
     for i in range(past.size - 1, 0, -1):
         past[i] = past[i - 1] if drive.instant > 0 else station
     past[0] = station
-    instants = loop.measured[MEASURED.pose_age] / loop.settings.period
+    instants = loop.measured[MEASUREMENT.pose_age] / loop.settings.period
     first = min(whole(instants), past.size - 2)
     return past[first] + (instants - first) * (past[first + 1] - past[first])
 
@@ -123,57 +123,57 @@ def _sense(car):
     values, loop = car.values, car.loop
     drive, block, measured = loop.memory.own[0], loop.vehicles.block, loop.measured
     before_control(0, _span(), loop)
-    if drive.ended == NOT_FINITE:
-        return FAILED
+    if drive.ended == STATE_NOT_FINITE:
+        return UNIT_FAILED
     if drive.ended != RUNNING:
-        values[VALUE.ended] = float(drive.ended)
-    offset, error, station = measured[MEASURED.y], measured[MEASURED.yaw], _measured_position(car)
+        values[CAR_VALUE.ended] = float(drive.ended)
+    offset, error, station = measured[MEASUREMENT.y], measured[MEASUREMENT.yaw], _measured_position(car)
     x, y, heading = station, 0.0, 0.0
     if drive.located > 0:
         x, y, heading, _ = point_at(station, line_of(loop.given.roads.of[0], loop.given.roads))
-    values[VALUE.measured_x], values[VALUE.measured_y] = x - sin(heading) * offset, y + cos(heading) * offset
-    values[VALUE.measured_yaw] = heading + error
-    values[VALUE.measured_offset], values[VALUE.measured_heading_error] = offset, error
-    values[VALUE.measured_pose_age] = measured[MEASURED.pose_age]
-    values[VALUE.measured_speed] = drive.speed
-    values[VALUE.measured_vy] = measured[MEASURED.vy]
-    values[VALUE.measured_yaw_rate] = measured[MEASURED.yaw_rate]
-    values[VALUE.measured_wheel_angle] = measured[MEASURED.wheel_angle]
-    values[VALUE.measured_lateral_acceleration] = measured[MEASURED.lateral_acceleration]
-    values[VALUE.measured_motion_age] = measured[MEASURED.motion_age]
-    for j in range(MOTION):
-        values[VALUE.x + j] = block[state_at(j, 0)]
+    values[CAR_VALUE.measured_x], values[CAR_VALUE.measured_y] = x - sin(heading) * offset, y + cos(heading) * offset
+    values[CAR_VALUE.measured_yaw] = heading + error
+    values[CAR_VALUE.measured_offset], values[CAR_VALUE.measured_heading_error] = offset, error
+    values[CAR_VALUE.measured_pose_age] = measured[MEASUREMENT.pose_age]
+    values[CAR_VALUE.measured_speed] = drive.speed
+    values[CAR_VALUE.measured_vy] = measured[MEASUREMENT.vy]
+    values[CAR_VALUE.measured_yaw_rate] = measured[MEASUREMENT.yaw_rate]
+    values[CAR_VALUE.measured_wheel_angle] = measured[MEASUREMENT.wheel_angle]
+    values[CAR_VALUE.measured_lateral_acceleration] = measured[MEASUREMENT.lateral_acceleration]
+    values[CAR_VALUE.measured_motion_age] = measured[MEASUREMENT.motion_age]
+    for j in range(MOTION_STATES):
+        values[CAR_VALUE.x + j] = block[state_at(j, 0)]
     observed = _observed()
     observe(0, loop.vehicles, observed)
-    values[VALUE.lateral_acceleration] = observed[OBSERVED.lateral_acceleration]
-    values[VALUE.wheel_angle] = observed[OBSERVED.wheel_angle]
-    values[VALUE.station] = drive.station if drive.located > 0 else values[VALUE.x]
-    values[VALUE.offset], values[VALUE.heading_error] = drive.offset, drive.heading_error
-    values[VALUE.time] = float(drive.instant) * loop.settings.period
+    values[CAR_VALUE.lateral_acceleration] = observed[OBSERVED.lateral_acceleration]
+    values[CAR_VALUE.wheel_angle] = observed[OBSERVED.wheel_angle]
+    values[CAR_VALUE.station] = drive.station if drive.located > 0 else values[CAR_VALUE.x]
+    values[CAR_VALUE.offset], values[CAR_VALUE.heading_error] = drive.offset, drive.heading_error
+    values[CAR_VALUE.time] = float(drive.instant) * loop.settings.period
     return OK
 
 
-@exported(int64(Place(Car)))
+@exported(int64(Place(CarUnit)))
 def car_begin(car):
     """Read the parameters, put the car at its start and sense it; the status."""
     values, loop = car.values, car.loop
     invalid = outside(_PARAMETER, _OUTPUT, values, car.least, car.most)
     if invalid != OK:
         return invalid
-    if values[VALUE.parallel_exchange] > 0.5 and loop.settings.dead_whole == 0:
+    if values[CAR_VALUE.parallel_exchange] > 0.5 and loop.settings.dead_whole == 0:
         return NO_DELAY
-    loop.given.seeds[0] = whole(values[VALUE.seed])
+    loop.given.seeds[0] = whole(values[CAR_VALUE.seed])
     start = loop.vehicles.start
-    start[0, STATE.x], start[0, STATE.y] = values[VALUE.start_x], values[VALUE.start_y]
-    start[0, STATE.yaw], start[0, STATE.vx] = values[VALUE.start_yaw], values[VALUE.start_speed]
+    start[0, PLANT_STATE.x], start[0, PLANT_STATE.y] = values[CAR_VALUE.start_x], values[CAR_VALUE.start_y]
+    start[0, PLANT_STATE.yaw], start[0, PLANT_STATE.vx] = values[CAR_VALUE.start_yaw], values[CAR_VALUE.start_speed]
     begin_slot(0, loop)
     _open_window(car)
-    loop.given.signals[0, SIGNAL.station, 0] = values[VALUE.start_station]
-    values[VALUE.ended] = float(RUNNING)
+    loop.given.signals[0, SIGNAL.station, 0] = values[CAR_VALUE.start_station]
+    values[CAR_VALUE.ended] = float(RUNNING)
     return _sense(car)
 
 
-@exported(int64(Place(Car)))
+@exported(int64(Place(CarUnit)))
 def car_step(car):
     """Send the command, move on by a period and sense; the status.
 
@@ -184,8 +184,8 @@ def car_step(car):
     invalid = outside(_INPUT, _OUTPUT, values, car.least, car.most)
     if invalid != OK:
         return invalid
-    command = values[VALUE.command]
-    if values[VALUE.parallel_exchange] > 0.5:
+    command = values[CAR_VALUE.command]
+    if values[CAR_VALUE.parallel_exchange] > 0.5:
         loop.memory.sent[0, 0] = command
     _open_window(car)
     after_control(0, command, command - loop.memory.own[0].command, _span(), loop)

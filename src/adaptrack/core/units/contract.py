@@ -8,12 +8,12 @@ the outputs of the next instant. Both answer a status.
 
 from __future__ import annotations
 
-from ..kernel import columns, inlined
+from ..kernel import OK, columns, inlined
 
 HEAD = columns("time", "period")
 """Every unit's values begin with these (s, s): time since its first instant, and how much a step adds to it."""
 
-OK, FAILED, NO_DELAY = range(3)
+UNIT_FAILED, NO_DELAY = range(1, 3)
 """Status: done; the state is not finite; there is no period of delay that a parallel exchange could stand for. Below 0:
 a value that is not finite or out of its range, -1 - its place."""
 

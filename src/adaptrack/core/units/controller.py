@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Place, columns, exported, inlined, int64, int_vector, local, record, vector
+from ..kernel import OK, Place, columns, exported, inlined, int64, int_vector, local, record, vector
 from ..maths.bits import whole
 from ..road import CLOSED
 from ..speed_plan import planned_speeds
 from ..tracker.give import tracker_engage
-from ..tracker.records import SAMPLE, TRACKED, LawTracking, Tracking
+from ..tracker.records import TRACKED, TRACKER_SAMPLE, LawTracking, Tracking
 from ..tracker.step import tracker_step, tracker_step_law
-from .contract import OK, outside
+from .contract import outside
 
-CONSTANTS = (
+STEERING_CONSTANTS = (
     "time",  # s, of the present instant
     "period",  # s, of a step
     "expected_delay",  # s, from a sample until its command acts, as expected; an exchange in parallel is a period of it
@@ -25,7 +25,7 @@ PARAMETERS = (
     "start_wheel_angle",  # rad, of the road wheels at the start, positive to the left: the first command is near it
     "speed_preview",  # s, how far ahead planned_speed_ahead is planned; that of the car
 )
-INPUTS = (
+STEERING_INPUTS = (
     "x", "y",  # m, m: position of the centre of mass in the world of the path
     "yaw",  # rad, yaw angle, from the world's x axis, positive to the left, wrapped or not
     "speed",  # m/s, along the car's axis, negative backwards
@@ -44,7 +44,7 @@ INPUTS = (
     "friction_known",  # true: friction is known
     "wind_known",  # true: wind is known
 )  # fmt: skip
-OUTPUTS = (
+STEERING_OUTPUTS = (
     "command",  # rad, requested angle of the road wheels, positive to the left
     "status",  # 0 ok, 1 estimated, 2 held, 3 standing, 4 reverse, 5 off path, 6 end of path, 7 sliding
     "offset",  # m, of the car from the path, positive to the left; NaN without a position to go by
@@ -56,51 +56,62 @@ OUTPUTS = (
     "planned_speed",  # m/s, planned where the car is; without a plan the present speed
     "planned_speed_ahead",  # m/s, planned where the car will be after speed_preview
 )  # fmt: skip
-VALUE = columns(*CONSTANTS, *PARAMETERS, *INPUTS, *OUTPUTS)
+STEERING_VALUE = columns(*STEERING_CONSTANTS, *PARAMETERS, *STEERING_INPUTS, *STEERING_OUTPUTS)
 """The values of a controller."""
-_PARAMETER, _INPUT = VALUE.start_wheel_angle, VALUE.x
+_PARAMETER, _INPUT = STEERING_VALUE.start_wheel_angle, STEERING_VALUE.x
 
 _places = local(2)
 _VALUES = (("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector))
-Steering = record("Steering", (*_VALUES, ("tracking", Tracking)))
-"""A unit of co-simulation (see `contract`) around an MPC, its values by `VALUE`."""
-LawSteering = record("LawSteering", (*_VALUES, ("tracking", LawTracking)))
+SteeringUnit = record("SteeringUnit", (*_VALUES, ("tracking", Tracking)))
+"""A unit of co-simulation (see `contract`) around an MPC, its values by `STEERING_VALUE`."""
+LawSteeringUnit = record("LawSteeringUnit", (*_VALUES, ("tracking", LawTracking)))
 """The same around a control law."""
 
 
 @inlined
-def _known(value, flag):
+def _value_if(value, flag):
     return value if flag > 0.5 else math.nan
 
 
 @inlined
 def _give(values, sample):
     """Write the inputs as a call of the tracker."""
-    pose = values[VALUE.pose_known]
-    time = values[VALUE.time]
-    age = values[VALUE.age]
-    sample[SAMPLE.t], sample[SAMPLE.now] = time - (age if math.isfinite(age) else 0.0), time
-    sample[SAMPLE.x], sample[SAMPLE.y] = _known(values[VALUE.x], pose), _known(values[VALUE.y], pose)
-    sample[SAMPLE.yaw], sample[SAMPLE.speed] = _known(values[VALUE.yaw], pose), values[VALUE.speed]
-    sample[SAMPLE.yaw_rate] = _known(values[VALUE.yaw_rate], values[VALUE.yaw_rate_known])
-    sample[SAMPLE.vy] = _known(values[VALUE.vy], values[VALUE.vy_known])
-    sample[SAMPLE.lateral_acceleration] = _known(
-        values[VALUE.lateral_acceleration], values[VALUE.lateral_acceleration_known]
+    pose = values[STEERING_VALUE.pose_known]
+    time = values[STEERING_VALUE.time]
+    age = values[STEERING_VALUE.age]
+    sample[TRACKER_SAMPLE.t], sample[TRACKER_SAMPLE.now] = time - (age if math.isfinite(age) else 0.0), time
+    sample[TRACKER_SAMPLE.x], sample[TRACKER_SAMPLE.y] = (
+        _value_if(values[STEERING_VALUE.x], pose),
+        _value_if(values[STEERING_VALUE.y], pose),
     )
-    sample[SAMPLE.wheel_angle] = _known(values[VALUE.wheel_angle], values[VALUE.wheel_angle_known])
-    sample[SAMPLE.friction] = _known(values[VALUE.friction], values[VALUE.friction_known])
-    sample[SAMPLE.wind] = _known(values[VALUE.wind], values[VALUE.wind_known])
+    sample[TRACKER_SAMPLE.yaw], sample[TRACKER_SAMPLE.speed] = (
+        _value_if(values[STEERING_VALUE.yaw], pose),
+        values[STEERING_VALUE.speed],
+    )
+    sample[TRACKER_SAMPLE.yaw_rate] = _value_if(values[STEERING_VALUE.yaw_rate], values[STEERING_VALUE.yaw_rate_known])
+    sample[TRACKER_SAMPLE.vy] = _value_if(values[STEERING_VALUE.vy], values[STEERING_VALUE.vy_known])
+    sample[TRACKER_SAMPLE.lateral_acceleration] = _value_if(
+        values[STEERING_VALUE.lateral_acceleration], values[STEERING_VALUE.lateral_acceleration_known]
+    )
+    sample[TRACKER_SAMPLE.wheel_angle] = _value_if(
+        values[STEERING_VALUE.wheel_angle], values[STEERING_VALUE.wheel_angle_known]
+    )
+    sample[TRACKER_SAMPLE.friction] = _value_if(values[STEERING_VALUE.friction], values[STEERING_VALUE.friction_known])
+    sample[TRACKER_SAMPLE.wind] = _value_if(values[STEERING_VALUE.wind], values[STEERING_VALUE.wind_known])
 
 
 @inlined
 def _tell(tracker, values):
     """Write the outputs."""
     tracked = tracker.tracked
-    values[VALUE.command], values[VALUE.status] = tracked[TRACKED.command], tracked[TRACKED.status]
-    values[VALUE.offset], values[VALUE.heading_error] = tracked[TRACKED.offset], tracked[TRACKED.heading_error]
-    values[VALUE.station], values[VALUE.suspect] = tracked[TRACKED.station], tracked[TRACKED.suspect]
-    values[VALUE.belief_state] = tracked[TRACKED.belief_state]
-    values[VALUE.belief_at_bound] = tracked[TRACKED.belief_at_bound]
+    values[STEERING_VALUE.command], values[STEERING_VALUE.status] = tracked[TRACKED.command], tracked[TRACKED.status]
+    values[STEERING_VALUE.offset], values[STEERING_VALUE.heading_error] = (
+        tracked[TRACKED.offset],
+        tracked[TRACKED.heading_error],
+    )
+    values[STEERING_VALUE.station], values[STEERING_VALUE.suspect] = tracked[TRACKED.station], tracked[TRACKED.suspect]
+    values[STEERING_VALUE.belief_state] = tracked[TRACKED.belief_state]
+    values[STEERING_VALUE.belief_at_bound] = tracked[TRACKED.belief_at_bound]
     _tell_plan(tracker, values)
 
 
@@ -108,16 +119,16 @@ def _tell(tracker, values):
 def _tell_plan(tracker, values):
     """Write the planned speeds; where the car is not known they stay."""
     plan, places = tracker.plan, _places()
-    speed = max(values[VALUE.speed], 0.0)
+    speed = max(values[STEERING_VALUE.speed], 0.0)
     places[0] = places[1] = speed
     if plan.s.size > 1:
         lap = plan.s[plan.s.size - 1] if tracker.path.numbers[0, CLOSED] > 0.5 else 0.0
-        places[0] = values[VALUE.station]
-        places[1] = places[0] + speed * values[VALUE.speed_preview]
+        places[0] = values[STEERING_VALUE.station]
+        places[1] = places[0] + speed * values[STEERING_VALUE.speed_preview]
         planned_speeds(lap, plan.s, plan.speed, places)
     for i in range(2):
         if math.isfinite(places[i]):
-            values[VALUE.planned_speed + i] = places[i]
+            values[STEERING_VALUE.planned_speed + i] = places[i]
 
 
 @inlined
@@ -127,8 +138,8 @@ def _begin(unit):
     invalid = outside(_PARAMETER, _INPUT, values, unit.least, unit.most)
     if invalid != OK:
         return invalid
-    tracker_engage(values[VALUE.start_wheel_angle], math.nan, tracker)
-    values[VALUE.time] = 0.0
+    tracker_engage(values[STEERING_VALUE.start_wheel_angle], math.nan, tracker)
+    values[STEERING_VALUE.time] = 0.0
     _tell(tracker, values)
     return OK
 
@@ -136,23 +147,23 @@ def _begin(unit):
 @inlined
 def _go_on(values):
     """Time of the next instant."""
-    period = values[VALUE.period]
-    values[VALUE.time] = (whole(values[VALUE.time] / period + 0.5) + 1) * period
+    period = values[STEERING_VALUE.period]
+    values[STEERING_VALUE.time] = (whole(values[STEERING_VALUE.time] / period + 0.5) + 1) * period
 
 
-@exported(int64(Place(Steering)))
+@exported(int64(Place(SteeringUnit)))
 def steering_begin(unit):
     """Begin anew; the status."""
     return _begin(unit)
 
 
-@exported(int64(Place(LawSteering)))
+@exported(int64(Place(LawSteeringUnit)))
 def law_steering_begin(unit):
     """`steering_begin`, with a control law."""
     return _begin(unit)
 
 
-@exported(int64(Place(Steering)))
+@exported(int64(Place(SteeringUnit)))
 def steering_step(unit):
     """Call the tracker with the inputs, and go on by a period; the status."""
     values, tracker = unit.values, unit.tracking.tracker
@@ -163,7 +174,7 @@ def steering_step(unit):
     return OK
 
 
-@exported(int64(Place(LawSteering)))
+@exported(int64(Place(LawSteeringUnit)))
 def law_steering_step(unit):
     """`steering_step`, with a control law."""
     values, tracker = unit.values, unit.tracking.tracker

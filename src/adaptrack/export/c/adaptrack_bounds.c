@@ -271,17 +271,17 @@ static adaptrack_error check_mpc_sizes(const adaptrack_block *b) {
 }
 
 /* What was learned: samples that may be missing, then commands and hypotheses that may not. */
-static adaptrack_error check_learned(const adaptrack_block *b, int64_t kept, int64_t hypotheses) {
+static adaptrack_error check_learned(const adaptrack_block *b, int64_t commands, int64_t hypotheses) {
     adaptrack_cursor r = adaptrack_block_from(b, place_of(b, ADAPTRACK_AT_FRESH) + ADAPTRACK_LEARNED_LEAST);
     BOUND(within(counted(b, ADAPTRACK_AT_FRESH, ADAPTRACK_LEARNED_STATE), 0, ADAPTRACK_MOST_STATE));
     BOUND(within(counted(b, ADAPTRACK_AT_FRESH, ADAPTRACK_LEARNED_AT_BOUND), 0, ADAPTRACK_MOST_BOUND));
-    for (int64_t i = kept + hypotheses * ADAPTRACK_LEARNED_HYPOTHESIS; i > 0; i--) {
+    for (int64_t i = commands + hypotheses * ADAPTRACK_LEARNED_HYPOTHESIS; i > 0; i--) {
         content found;
         found.bits = adaptrack_block_next(&r);
         BOUND(found.number == found.number);
     }
     for (int64_t i = 0; i < hypotheses; i++) {
-        const int64_t at = ADAPTRACK_LEARNED_LEAST + kept + i * ADAPTRACK_LEARNED_HYPOTHESIS;
+        const int64_t at = ADAPTRACK_LEARNED_LEAST + commands + i * ADAPTRACK_LEARNED_HYPOTHESIS;
         const double dead_time = entry_of(b, ADAPTRACK_AT_FRESH, at + ADAPTRACK_HYPOTHESIS_DEAD_TIME).number;
         BOUND(dead_time >= 0.0 && dead_time <= ADAPTRACK_LONGEST_LAG);
     }
@@ -297,18 +297,18 @@ static adaptrack_error check_memories(const adaptrack_block *b) {
         const int64_t longest = counted(b, ADAPTRACK_AT_ESTIMATOR, ADAPTRACK_ESTIMATOR_LONGEST);
         const int64_t again = counted(b, ADAPTRACK_AT_ESTIMATOR, ADAPTRACK_ESTIMATOR_LATE);
         const double share = entry_of(b, ADAPTRACK_AT_ESTIMATOR, ADAPTRACK_ESTIMATOR_SHARE).number;
-        BOUND(within(counted(b, ADAPTRACK_AT_ESTIMATOR, ADAPTRACK_ESTIMATOR_WHOLE), 0, longest) && late == again);
+        BOUND(within(counted(b, ADAPTRACK_AT_ESTIMATOR, ADAPTRACK_ESTIMATOR_PERIODS), 0, longest) && late == again);
         BOUND(share >= 0.0 && share < 1.0);
         BOUND(size_of(b, ADAPTRACK_AT_ESTIMATES, 1) == ADAPTRACK_ESTIMATES_LEAST + longest * ADAPTRACK_ESTIMATES_LONGEST +
                                                            again * ADAPTRACK_ESTIMATES_LATE);
     }
     if (size_of(b, ADAPTRACK_AT_LEARNER, 0) > 0) {
-        const int64_t kept = counted(b, ADAPTRACK_AT_LEARNER, ADAPTRACK_LEARNER_KEPT);
+        const int64_t commands = counted(b, ADAPTRACK_AT_LEARNER, ADAPTRACK_LEARNER_COMMANDS);
         const int64_t hypotheses = counted(b, ADAPTRACK_AT_LEARNER, ADAPTRACK_LEARNER_HYPOTHESES);
-        BOUND(kept >= 2 && hypotheses >= 1);
+        BOUND(commands >= 2 && hypotheses >= 1);
         BOUND(size_of(b, ADAPTRACK_AT_FRESH, 0) ==
-              ADAPTRACK_LEARNED_LEAST + kept + hypotheses * ADAPTRACK_LEARNED_HYPOTHESIS);
-        return check_learned(b, kept, hypotheses);
+              ADAPTRACK_LEARNED_LEAST + commands + hypotheses * ADAPTRACK_LEARNED_HYPOTHESIS);
+        return check_learned(b, commands, hypotheses);
     }
     return ADAPTRACK_OK;
 }

@@ -76,7 +76,7 @@ function carRun(entry, made, where) {
   made.cars.push(state);
   state.plant = plantOf(car, state.world, topSpeedOf(samples));
   state.measured = mine(memory.array("F", [written.sizes.measured]));
-  state.span = mine(memory.row("period.Span", { periods: samples.periods, slots: 1, segment: 0, weight: 0 }));
+  state.span = mine(memory.row("period.RunSpan", { periods: samples.periods, slots: 1, segment: 0, weight: 0 }));
   owning(state.made, () => {
     const controller = controllerOf(entry, car, state.world, where);
     Object.assign(state, ready(state, controller, made));
@@ -89,7 +89,7 @@ function carRun(entry, made, where) {
 /** A run with a controller, before its first instant. */
 function ready(own, controller, made) {
   const parts = laid(controller, made.of);
-  const run = memory.make("rollout.Run", runOf({ ...own, controller, parts }, made));
+  const run = memory.make("rollout.RunRecord", runOf({ ...own, controller, parts }, made));
   memory.call("mpc_prepare", run.mpc);
   memory.call("begin_runs", 1, run);
   return { controller, parts, run };

@@ -163,7 +163,7 @@ const inputs = (() => {
   function sheetFlaw(status, sheet, given) {
     const answers = given.answers.complete_car, { mass, wheelbase, load } = sheet;
     const sentences = {
-      COMPLETE: null,
+      OK: null,
       MASS_OUTSIDE: `mass = ${mass} kg: must be from ${given.sheet.mass.join(" to ")}.`,
       WHEELBASE_OUTSIDE: `wheelbase = ${wheelbase} m: must be from ${given.sheet.wheelbase.join(" to ")}.`,
       TOO_MUCH_LOAD: `load = ${load} kg: must not be more than the car itself, ${mass} kg.`,
@@ -329,12 +329,12 @@ const inputs = (() => {
     const at = road.lines?.[place] === undefined ? `point ${place + 1}` : `line ${road.lines[place]}`;
     const sentences = {
       TOO_FEW: `${place} points apart from each other: a road needs at least ${rules.fewest}.`,
-      NOT_FINITE: `${at}: x or y is not a finite number; correct or remove the point.`,
-      TOO_FAR:
+      POINT_NOT_FINITE: `${at}: x or y is not a finite number; correct or remove the point.`,
+      POINT_TOO_FAR:
         `${at}: lies more than ${rules.widest} m from the next point, or ${rules.farthest} m from the origin; ` +
         "correct it, or leave it out.",
       TOO_SHORT: "The points are too near one another: are x and y in metres?",
-      KINK:
+      PATH_KINK:
         `${at}: the points fold back on themselves behind it, no smooth road goes through them; ` +
         "leave out or move the points there.",
       TOO_SMALL: `${at}: the road bends too much between two points; give more points there.`,

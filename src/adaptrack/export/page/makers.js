@@ -98,8 +98,8 @@ const carOfSheet = (typed) => carOfRows(...completed(typed));
 /** The car of a sheet, and its rows of numbers and of how well they are known. */
 function completed(typed) {
   const sheet = readBy("car", () => inputs.readSheet(typed, written.inputs));
-  const row = copied("synthesis.car.Car", { ...sheet.known, mass: sheet.mass }),
-    within = copied("synthesis.car.KnownWithin");
+  const row = copied("synthesis.car.CarRow", { ...sheet.known, mass: sheet.mass }),
+    within = copied("synthesis.car.KnownWithinRow");
   const status = memory.call("complete_car", sheet.wheelbase, sheet.load, sheet.truck, row, within);
   refuseFlaw("car", inputs.sheetFlaw(status, sheet, written.inputs));
   return [inputs.carOfSheet(sheet, row.$numbers, within.$numbers, written.inputs), row, within];
@@ -113,9 +113,9 @@ function carKnownTo(entry, car) {
 }
 
 function carOfFile(car) {
-  const row = copied("synthesis.car.Car", car.numbers), said = car.known_within;
-  const within = copied("synthesis.car.KnownWithin", said ? { ...said, said: 1 } : {});
-  if (memory.call("car_flaw", row)[0] !== written.inputs.answers.car_flaw.ONE_CAR) throw new Refusal("car", NO_CAR);
+  const row = copied("synthesis.car.CarRow", car.numbers), said = car.known_within;
+  const within = copied("synthesis.car.KnownWithinRow", said ? { ...said, is_given: 1 } : {});
+  if (memory.call("car_flaw", row)[0] !== written.inputs.answers.car_flaw.OK) throw new Refusal("car", NO_CAR);
   return carOfRows(car, row, within);
 }
 
@@ -123,12 +123,12 @@ function carOfRows(car, row, within) {
   const rows = {
     car: row,
     within,
-    file: copied("synthesis.car.Steering", car.steering),
+    file: copied("synthesis.car.SteeringRow", car.steering),
     chassis: copied("synthesis.plant.Chassis", car.numbers),
-    tyre: copied("synthesis.plant.Tyre", car.tyre.numbers), body: copied("synthesis.plant.Body", car.body),
+    tyre: copied("synthesis.plant.TyreRow", car.tyre.numbers), body: copied("synthesis.plant.BodyRow", car.body),
   };
-  const outline = copied("synthesis.plant.Outline"), { lf, lr, track_front, track_rear } = rows.chassis.$numbers;
-  if (memory.call("overhangs", rows.body, lf + lr)[0] !== written.inputs.answers.overhangs.HOLDS)
+  const outline = copied("synthesis.plant.OutlineRow"), { lf, lr, track_front, track_rear } = rows.chassis.$numbers;
+  if (memory.call("overhangs", rows.body, lf + lr)[0] !== written.inputs.answers.overhangs.OK)
     throw new Refusal("car", NO_CAR);
   memory.call("outline_of", rows.body, rows.chassis, outline);
   const plain = mine(memory.array("F", [written.sizes.parameters]));
@@ -328,10 +328,10 @@ const alongOf = (value) =>
   value < Infinity
     ? { s: { shape: [1] }, value: { shape: [1], values: [value] } }
     : { s: { shape: [0] }, value: { shape: [0] } };
-const constantAlong = (value) => mine(memory.make("planning.along.Along", alongOf(value)));
+const constantAlong = (value) => mine(memory.make("planning.along.AlongRecord", alongOf(value)));
 
 const AN_HOUR = 3600, MOST_SAMPLES = 200000;
-const PLANNED = 0;
+const OK = 0;
 
 /** How fast a road is driven: { table, plan (for RoadDrive), duration }. */
 function planOf(speed, of, car, world) {
@@ -367,7 +367,7 @@ function constantPlan(speed, planning) {
 function lateralPlan(lateral, planning) {
   planning.bounds.lateral = checked("speed", "lateral", lateral);
   const [status, place, value, duration] = memory.call("plan_along_road", planning);
-  if (status === PLANNED) return duration;
+  if (status === OK) return duration;
   const s = planning.table.values[written.places.plan.s * planning.table.shape[1] + place];
   throw new Refusal(
     "speed",
@@ -399,7 +399,7 @@ function samplesOf(setup, of, car, world) {
     friction: alongOf(truth.friction == null ? of.friction : checked("truth", "friction", truth.friction)),
   };
   const wind = truth.wind == null ? 0 : checked("truth", "wind", truth.wind);
-  const drive = mine(memory.make("planning.drive.RoadDrive", {
+  const drive = mine(memory.make("planning.drive.RoadDriveRecord", {
     route,
     period,
     plan: {
@@ -496,23 +496,22 @@ function mpcOf(entry, known, car, world, where) {
   };
 }
 
-const FINE = 0;
 /** The numbers of an informed MPC of this car with what it believes. */
 function informedConstants(known, car, believed, where) {
   const order = filled(mine(memory.row("synthesis.informed.Order")), known.order);
   order.car = car.rows.car;
   order.within = car.rows.within;
   order.file = car.rows.file;
-  order.given = copied("synthesis.car.Steering", believed);
-  const parts = mine(memory.row("synthesis.informed.Parts"));
+  order.caller = copied("synthesis.car.SteeringRow", believed);
+  const parts = mine(memory.row("synthesis.informed.InformedParts"));
   memory.call("usual_filter", new Block(memory, parts.filter.$at, "F", [parts.filter.$layout.words]));
   let status = memory.call("informed_parts", order, parts);
-  if (status !== FINE) throw new Refusal(where, written.words.informed[status]);
+  if (status !== OK) throw new Refusal(where, written.words.informed[status]);
   const [states, remembers, learned] = memory.call("informed_sizes", order, parts);
   const constants = constantsOf(states, learned);
   filled(constants.settings.row(0), known.settings);
   status = memory.call("informed_constants", order, parts, constants);
-  if (status !== FINE) throw new Refusal(where, written.words.informed[status]);
+  if (status !== OK) throw new Refusal(where, written.words.informed[status]);
   return { constants, states, remembers, learned, order, parts };
 }
 
@@ -520,7 +519,7 @@ function publishedConstants(known, car, period, where) {
   const constants = constantsOf(written.sizes.published_states, 0, true);
   filled(constants.settings.row(0), known.settings);
   const status = memory.call("published_constants", car.rows.car, period, constants);
-  if (status !== FINE) throw new Refusal(where, written.words.informed[status]);
+  if (status !== OK) throw new Refusal(where, written.words.informed[status]);
   return { constants, states: written.sizes.published_states, remembers: 0, learned: 0 };
 }
 
@@ -559,8 +558,8 @@ function laid(controller, of) {
 
 function laidLaw({ known, parameters, tuning }) {
   const heldPlace = known.diagnostics.indexOf("held"), count = known.diagnostics.length;
-  const settings = copied("controllers.mpc.Settings", {
-    ...ZEROS("controllers.mpc.Settings"), period: known.common.period, longest_horizon: 1, most_moves: 1,
+  const settings = copied("controllers.mpc.MPCSettings", {
+    ...ZEROS("controllers.mpc.MPCSettings"), period: known.common.period, longest_horizon: 1, most_moves: 1,
     output_min: -Infinity, output_max: Infinity,
   });
   return {
@@ -633,8 +632,8 @@ function shaped(name, rows, values = {}) {
 
 /** All that a run is made of; counts: of its loop and its controller; settings: of the MPC, which are completed. */
 function runOfSizes(settings, counts, values) {
-  const count = arraysOf("rollout.Run"), table = mine(memory.array("I", [count, 4]));
-  const countsRow = mine(memory.row("rollout.Counts"));
+  const count = arraysOf("rollout.RunRecord"), table = mine(memory.array("I", [count, 4]));
+  const countsRow = mine(memory.row("rollout.RunCounts"));
   for (const [field, value] of Object.entries(counts)) {
     if (typeof value === "object") countsRow[field].$set(value);
     else countsRow[field] = value;
@@ -642,5 +641,5 @@ function runOfSizes(settings, counts, values) {
   const status = memory.call("run_sizes", settings, countsRow, table);
   if (status !== count) throw new Error(`a run has ${count} arrays, and ${status} are known`);
   const rows = Array.from({ length: count }, (_, k) => [...table.values.subarray(4 * k, 4 * k + 4)].map(Number));
-  return shaped("rollout.Run", rows, { ...values, mpc: { ...values.mpc, settings: settings.$numbers } });
+  return shaped("rollout.RunRecord", rows, { ...values, mpc: { ...values.mpc, settings: settings.$numbers } });
 }

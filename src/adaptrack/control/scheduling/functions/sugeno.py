@@ -22,15 +22,14 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, read_array, register_function
 from adaptrack.core import functions as kernel
+from adaptrack.core.functions import MAX_DISTANCE_WIDTHS
 
-Integers = NDArray[np.intp]
+IndexArray = NDArray[np.intp]
 
 ANY = -1
 """In a rule: this input does not matter."""
-WIDTH, SLOPE, CENTRE = range(3)
+BELL_WIDTH, BELL_SLOPE, BELL_CENTRE = range(3)
 """Columns of the premises."""
-FARTHEST = 1e150
-"""Widths from the centre at which a distance is held, so that its square is a number."""
 
 
 @register_function
@@ -44,13 +43,13 @@ class Sugeno(Function):
         When the arrays do not fit each other, or a number is not finite or out of its range.
     """
 
-    owner: Integers
+    owner: IndexArray
     """(M,) the input that each membership function reads"""
     bell: NDArray[np.bool_]
     """(M,) True: generalised bell 1/(1 + |(x - c)/a|^(2b)); False: Gaussian exp(-(x - c)^2/(2 sigma^2))"""
     premises: Array
     """(M, 3) width (sigma or a > 0), slope (b > 0, no meaning for a Gaussian), centre c; in the input's unit"""
-    rules: Integers
+    rules: IndexArray
     """(R, D) the membership function that each rule asks of each input, or `ANY`"""
     consequents: Array
     """(R, D + 1) slopes p along the inputs, then the constant r"""
@@ -67,7 +66,7 @@ class Sugeno(Function):
             raise InvalidInput("Sugeno: the arrays do not fit each other; see the shapes in the class's documentation.")
         if not all(np.isfinite(array).all() for array in (self.premises, self.consequents, self.weights)):
             raise InvalidInput("Sugeno: a premise, consequent or weight is not finite.")
-        if (self.premises[:, :CENTRE] <= 0.0).any():
+        if (self.premises[:, :BELL_CENTRE] <= 0.0).any():
             raise InvalidInput("Sugeno: the widths and slopes of membership functions must be positive.")
         if (self.weights < 0.0).any() or (self.weights > 1.0).any() or not self.weights.any():
             raise InvalidInput("Sugeno: rule weights must be 0..1, and not all zero.")
@@ -122,7 +121,12 @@ class Sugeno(Function):
         integers += [*self.owner.tolist(), *self.bell.astype(int).tolist(), *self.rules.ravel().tolist()]
         with np.errstate(divide="ignore"):  # a rule of weight zero never fires
             log_weights = np.log(self.weights)
-        parts = (1.0 / self.premises[:, WIDTH], self.premises[:, SLOPE], self.premises[:, CENTRE], log_weights)
+        parts = (
+            1.0 / self.premises[:, BELL_WIDTH],
+            self.premises[:, BELL_SLOPE],
+            self.premises[:, BELL_CENTRE],
+            log_weights,
+        )
         numbers = np.concatenate((*parts, self.consequents[:, :-1].ravel(), self.consequents[:, -1]))
         return Packed(kernel.SUGENO, integers, numbers.tolist(), len(self.owner) + self.n_rules)
 
@@ -155,7 +159,7 @@ def fuzzify(x: Array, system: Sugeno) -> Array:
     log_mu = -0.5 * distances**2
     bell = system.bell
     if bell.any():
-        log_mu[:, bell] = -np.logaddexp(0.0, bell_exponent(distances[:, bell], system.premises[bell, SLOPE]))
+        log_mu[:, bell] = -np.logaddexp(0.0, bell_exponent(distances[:, bell], system.premises[bell, BELL_SLOPE]))
     return log_mu
 
 
@@ -187,10 +191,10 @@ def total(contributions: Array) -> Array:
 
 def distance(x: Array, system: Sugeno) -> Array:
     """(n, M) signed distance of each input from each centre, in widths."""
-    raw = (x[:, system.owner] - system.premises[:, CENTRE]) / system.premises[:, WIDTH]
-    return np.clip(raw, -FARTHEST, FARTHEST)
+    raw = (x[:, system.owner] - system.premises[:, BELL_CENTRE]) / system.premises[:, BELL_WIDTH]
+    return np.clip(raw, -MAX_DISTANCE_WIDTHS, MAX_DISTANCE_WIDTHS)
 
 
 def bell_exponent(distance: Array, slope: Array) -> Array:
     """log |distance|^(2 slope), finite at the centre too."""
-    return 2.0 * slope * np.log(np.maximum(np.abs(distance), 1.0 / FARTHEST))
+    return 2.0 * slope * np.log(np.maximum(np.abs(distance), 1.0 / MAX_DISTANCE_WIDTHS))

@@ -1,0 +1,251 @@
+"""Curves, maps, scales and keys on matplotlib's axes, as several pictures need them.
+
+Importing this module does not load matplotlib: results are made also where nothing is drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from adaptrack.base.result import INK, MUTED, SERIES, Stroke
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
+    from matplotlib.ticker import FixedLocator
+    from numpy.typing import ArrayLike, NDArray
+
+TICK_STEPS = (1, 2, 5, 10)
+"""Steps between the ticks of an axis, times a power of ten: whole numbers stay whole."""
+
+_MARKERS: dict[str, dict[str, Any]] = {
+    "ring": {"marker": "o", "fillstyle": "none"},
+    "square": {"marker": "s", "fillstyle": "none"},
+    "cross": {"marker": "x", "markeredgewidth": 1.5},
+}
+
+
+# -- curves and points ------------------------------------------------------------------------------------------------
+def draw_dots(
+    axes: Axes, x: ArrayLike, y: ArrayLike, colour: str = SERIES[0], marker: str = "o", size: float = 5.0, **look: Any
+) -> None:
+    """Draw single points; marker: ring, square, cross, or one of matplotlib's; size: pt."""
+    style: dict[str, Any] = {"color": colour, "linestyle": "", "markersize": size, "zorder": 5}
+    axes.plot(x, y, **style | _MARKERS.get(marker, {"marker": marker}) | look)
+
+
+def draw_ribbon(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str = SERIES[0]) -> None:
+    """Shade the area between two curves where both are finite."""
+    low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+    finite = (np.isfinite(low) & np.isfinite(high)).tolist()
+    axes.fill_between(np.asarray(x), low, high, where=finite, color=colour, alpha=0.2, linewidth=0.0)
+
+
+def draw_bars(axes: Axes, edges: ArrayLike, heights: ArrayLike, fill: float = 0.9) -> None:
+    """Draw upright bars from zero between edges (n + 1,); fill: share of the width."""
+    edges = np.asarray(edges, dtype=float)
+    width = np.diff(edges)
+    axes.bar(edges[:-1] + 0.5 * (1.0 - fill) * width, heights, fill * width, align="edge", color=SERIES[0])
+    axes.grid(False, axis="x")
+
+
+def write_beside(axes: Axes, x: float, y: float, text: str, offset: tuple[float, float] = (5.0, 5.0)) -> None:
+    """Write words at an offset (pt, to the right and up) from a point."""
+    axes.annotate(text, (x, y), offset, textcoords="offset points", fontsize=8.0)
+
+
+# -- titles, keys and scales ------------------------------------------------------------------------------------------
+def write_remark(axes: Axes, text: str) -> None:
+    """Write small words above a panel, at the right."""
+    axes.set_title(text, loc="right", fontsize=7.5, fontweight="normal", color=MUTED)
+
+
+def add_line_key(axes: Axes, entries: Iterable[tuple[str, Stroke]]) -> None:
+    """Add a key of line styles in ink, at the right above the panel, level with its title."""
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=INK, linestyle=stroke.look["linestyle"], label=name, linewidth=1.2)
+        for name, stroke in entries
+    ]
+    axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.015), ncols=len(handles), columnspacing=1.2)
+
+
+def include_y(axes: Axes, *values: float) -> tuple[float, float]:
+    """Extend the y axis to some values and return its ends."""
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(min(bottom, *values), max(top, *values))
+    return axes.get_ylim()
+
+
+def name_rows(axes: Axes, names: Sequence[str]) -> None:
+    """Write names at 0, 1, 2, ... on the y axis, downwards, in place of numbers."""
+    from matplotlib.ticker import FixedFormatter, FixedLocator
+
+    axes.yaxis.set_major_locator(FixedLocator(range(len(names))))
+    axes.yaxis.set_major_formatter(FixedFormatter(list(names)))
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.grid(axis="y", visible=False)
+
+
+def set_whole_ticks(axes: Axes) -> None:
+    """Write only whole numbers on the y axis."""
+    from matplotlib.ticker import MaxNLocator
+
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=TICK_STEPS))
+
+
+def write_plainly(value: float, _: Any = None) -> str:
+    """Write a number of an axis as readers do, not as a power of ten."""
+    return f"{value:g}".replace("-", "−")
+
+
+def log_ticks(low: float, high: float) -> FixedLocator:
+    """Round numbers on a logarithmic axis, more of them where it is short."""
+    from matplotlib.ticker import FixedLocator, MaxNLocator
+
+    if high <= 2.0 * low:
+        ticks = np.asarray(MaxNLocator(nbins=5, steps=TICK_STEPS).tick_values(low, high))
+    else:
+        dense, sparse, powers_only = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0), (1.0, 2.0, 5.0), (1.0,)
+        decades = np.log10(high / low)
+        decade = dense if decades < 1.5 else sparse if decades < 3.5 else powers_only
+        powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
+        ticks = np.outer(powers, decade).ravel()
+    return FixedLocator(ticks[(ticks >= 0.999 * low) & (ticks <= 1.001 * high)].tolist())
+
+
+def set_log_scale(axes: Axes, axis_name: Literal["x", "y"], limits: tuple[float, float] | None = None) -> None:
+    """Make an axis logarithmic, with numbers that can be read also where it spans less than a decade.
+
+    limits: its ends; those of its curves if None. Very small and very large numbers are written as powers of ten.
+    """
+    from matplotlib.ticker import FuncFormatter, NullLocator
+
+    axes.set(**{f"{axis_name}scale": "log"})
+    axis = axes.xaxis if axis_name == "x" else axes.yaxis
+    low, high = limits or axis.get_view_interval()
+    axes.set(**{f"{axis_name}lim": (low, high)})
+    axis.set_major_locator(log_ticks(low, high))
+    axis.set_minor_locator(NullLocator())
+    if low >= 1e-4 and high < 1e6:
+        axis.set_major_formatter(FuncFormatter(write_plainly))
+
+
+def add_degrees(axes: Axes) -> None:
+    """Add a scale in degrees at the right of a y axis in radians, once the panel is drawn."""
+    from matplotlib.ticker import MaxNLocator
+
+    figure = axes.get_figure()
+    if figure is not None and figure.get_layout_engine() is None:  # room for it
+        box = axes.get_position()
+        axes.set_position((box.x0, box.y0, 0.9 * box.width, box.height))
+    right = axes.secondary_yaxis("right", functions=(np.degrees, np.radians))
+    right.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=TICK_STEPS))
+    right.set_ylabel("(°)", labelpad=1.0)
+
+
+# -- colours of numbers -----------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class ColourScale:
+    """A scale from numbers to colours, dark to bright (cividis), and the bar that explains it."""
+
+    low: float
+    high: float
+    label: str = ""
+    log: bool = False
+    integer: bool = False
+    """Whether only whole numbers are written beside the bar."""
+    reversed: bool = False
+    """Whether low values are bright."""
+    deviation: bool = False
+    """Whether the colours are those of a deviation: blue, amber, red."""
+    beyond: Literal["neither", "min", "max", "both"] = "neither"
+    """Which ends of the scale some values exceed."""
+
+    @property
+    def look(self) -> dict[str, Any]:
+        """The scale as keyword arguments of matplotlib's images and collections."""
+        from matplotlib.colors import LogNorm, Normalize
+
+        norm = LogNorm(self.low, self.high) if self.log else Normalize(self.low, self.high)
+        even = "cividis_r" if self.reversed else "cividis"
+        return {"cmap": deviation_colours() if self.deviation else even, "norm": norm}
+
+
+def deviation_colours() -> Colormap:
+    """Blue, amber, red: visible on light and on dark ground."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("deviation", ["#3b8fd0", "#8f9db0", "#e69f00", "#e2600c", "#c4231c"])
+
+
+def edges_around(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Edges of the cells around levels, in order; a level alone has a tenth of itself on either side."""
+    if len(levels) == 1:
+        return np.asarray(levels[0] + np.array([-1.0, 1.0]) * (0.1 * abs(float(levels[0])) or 0.5))
+    middles = (levels[1:] + levels[:-1]) / 2.0
+    first, last = np.diff(levels)[[0, -1]] / 2.0
+    return np.concatenate([[levels[0] - first], middles, [levels[-1] + last]])
+
+
+def draw_heat_map(
+    axes: Axes, x_edges: ArrayLike, y_edges: ArrayLike, values: ArrayLike, scale: ColourScale, *, image: bool = False
+) -> None:
+    """Colour the cells of a grid by values (y cells, x cells), NaN where there is none, and add the scale's bar.
+
+    image: whether to draw one image of equal cells, which stays a small file for a fine grid.
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    x, y, cells = (np.asarray(array, dtype=float) for array in (x_edges, y_edges, values))
+    if image:
+        box = (x[0], x[-1], y[0], y[-1])
+        axes.imshow(cells, aspect="auto", interpolation="none", origin="lower", extent=box, **scale.look)
+    else:
+        edge: dict[str, Any] = {"edgecolor": "face", "linewidth": 0.3, "antialiased": True}
+        axes.pcolormesh(x, y, np.ma.masked_invalid(cells), **scale.look, **edge)
+    axes.grid(False)
+    axes.margins(0.0)
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=TICK_STEPS))
+    _add_bar(axes, scale)
+
+
+def draw_coloured_line(axes: Axes, x: ArrayLike, y: ArrayLike, values: ArrayLike, scale: ColourScale) -> None:
+    """Draw a line through points (n + 1,), each piece in the colour of its value (n,), and add the scale's bar."""
+    from matplotlib.collections import LineCollection
+
+    line = np.stack([np.asarray(x, dtype=float), np.asarray(y, dtype=float)], axis=-1)
+    pieces = list(np.stack([line[:-1], line[1:]], axis=1))
+    coloured = LineCollection(pieces, **scale.look, linewidths=2.0, capstyle="round", zorder=3)
+    coloured.set_array(np.asarray(values, dtype=float))
+    axes.add_collection(coloured)
+    axes.margins(0.06)
+    _add_bar(axes, scale)
+
+
+def _add_bar(axes: Axes, scale: ColourScale) -> None:
+    """Add the bar of a scale beside its axes: within their own box where other panels align with them."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+    figure = axes.get_figure()
+    assert isinstance(figure, Figure)
+    if figure.get_layout_engine() is None:
+        box = axes.get_position()
+        axes.set_position((box.x0, box.y0, 0.83 * box.width, box.height))  # room for the bar and its numbers
+        place: dict[str, Any] = {"cax": axes.inset_axes((1.03, 0.0, 0.035, 1.0))}
+    else:
+        place = {"ax": axes, "shrink": 0.9, "aspect": 30, "pad": 0.02}
+    linear = MaxNLocator(nbins=5, integer=scale.integer, steps=TICK_STEPS if scale.integer else [1, 2, 2.5, 5, 10])
+    ticks = log_ticks(scale.low, scale.high) if scale.log else linear
+    bar = figure.colorbar(ScalarMappable(**scale.look), ticks=ticks, extend=scale.beyond, label=scale.label, **place)
+    bar.formatter = FuncFormatter(write_plainly)
+    bar.ax.minorticks_off()
+    bar.ax.tick_params(labelsize=7.5)
+    bar.outline.set_linewidth(0.5)
