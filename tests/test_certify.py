@@ -18,7 +18,7 @@ from pictures import pictures
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR, "magic-formula")
-MPC_ = published_mpc(CAR, period=0.05, preview=True)
+PUBLISHED = published_mpc(CAR, period=0.05, preview=True)
 SOUND, AGGRESSIVE = Tuning(38, 4, 1.0, 8000.0), Tuning(28, 8, 1.0, 2800.0)
 SPEEDS, FRICTIONS, AHEAD = np.linspace(3.0, 30.0, 6), np.array([0.3, 0.6, 1.0]), np.array([0.0, 3.5])
 FEW = (10, 2)
@@ -45,12 +45,12 @@ def scrambled():
 
 @pytest.fixture(scope="module")
 def stability():
-    axes, values = loop_map(PLANT, MPC_, "road", speed=(3.0, 30.0))
+    axes, values = loop_map(PLANT, PUBLISHED, "road", speed=(3.0, 30.0))
     return StabilityMap(Table(axes, values), 0.92)
 
 
 def test_a_sound_scheduler_passes_with_margins_everywhere(sound):
-    certificate = certify(sound, PLANT, MPC_, "road", levels=FEW)
+    certificate = certify(sound, PLANT, PUBLISHED, "road", levels=FEW)
     worst = certificate.counted.straight.worst(certificate.counted.turn)
     assert certificate.passed
     assert certificate.guarded is None
@@ -62,7 +62,7 @@ def test_a_sound_scheduler_passes_with_margins_everywhere(sound):
 
 
 def test_an_unstable_constant_is_caught_and_the_place_is_named():
-    certificate = certify(Constant(AGGRESSIVE), PLANT, MPC_, "road", levels=FEW)
+    certificate = certify(Constant(AGGRESSIVE), PLANT, PUBLISHED, "road", levels=FEW)
     assert not certificate.passed
     summary = certificate.summary()
     assert summary["unstable"] == certificate.counted.unstable.sum() > 0
@@ -75,7 +75,7 @@ def test_an_unstable_constant_is_caught_and_the_place_is_named():
         assert (worst["Np"], worst["Nc"], worst["R"]) == (28.0, 8.0, 2800.0)
         assert worst["radius"] == pytest.approx(
             spectral_radius(
-                PLANT, MPC_, worst["speed"], tuning=AGGRESSIVE, friction=worst["friction"], profile="road",
+                PLANT, PUBLISHED, worst["speed"], tuning=AGGRESSIVE, friction=worst["friction"], profile="road",
                 lateral_acceleration=turn,
             )
         )  # fmt: skip
@@ -84,7 +84,7 @@ def test_an_unstable_constant_is_caught_and_the_place_is_named():
 
 
 def test_a_loop_that_is_unstable_in_a_turn_only_passes_and_the_count_is_in_the_verdict():
-    certificate = certify(Constant(AGGRESSIVE), PLANT, MPC_, "road", levels=FEW, domain={"speed": (10.0, 24.0)})
+    certificate = certify(Constant(AGGRESSIVE), PLANT, PUBLISHED, "road", levels=FEW, domain={"speed": (10.0, 24.0)})
     turn = int(certificate.counted.unstable_in_turn.sum())
     assert certificate.passed
     assert turn > 0
@@ -111,7 +111,7 @@ def test_with_the_guard_scrambled_numbers_fail_in_no_drive(scrambled, stability)
 
 
 def test_the_guard_leaves_a_sound_scheduler_alone(sound, stability):
-    certificate = certify(Guarded(sound, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
+    certificate = certify(Guarded(sound, SOUND, stability=stability), PLANT, PUBLISHED, "road", levels=FEW)
     assert certificate.passed
     assert certificate.fallback.mean() < 0.05
 
@@ -124,7 +124,7 @@ def test_a_plain_function_is_asked_over_all_scheduling_variables():
         calls.append(variables)
         return 38.0, 4.0, 1.0, 8000.0
 
-    certificate = certify(careful, PLANT, MPC_, "road", levels=FEW)
+    certificate = certify(careful, PLANT, PUBLISHED, "road", levels=FEW)
     scheduled = np.array(calls)
     for i, name in enumerate(SchedulingVariables._fields):
         assert (scheduled[:, i].min(), scheduled[:, i].max()) == OPERATING[name]
@@ -135,15 +135,17 @@ def test_a_plain_function_is_asked_over_all_scheduling_variables():
 @pytest.mark.parametrize("nonsense", [(30, 5, 1.0, 0.0), (30, 5, -1.0, 1.0), (30, np.nan, 1.0, 1.0), (30, 5), None])
 def test_a_function_that_gives_no_tuning_is_refused_with_the_point(nonsense):
     with pytest.raises(ContractError, match=r"SchedulingVariables\(speed=3\.0"):
-        certify(lambda variables: nonsense, PLANT, MPC_, "road", levels=FEW)
+        certify(lambda variables: nonsense, PLANT, PUBLISHED, "road", levels=FEW)
 
 
 def test_the_domain_is_where_scheduler_and_driving_overlap_unless_told(sound):
     narrow = Lookup({"speed": [8.0, 60.0]}, [[38, 4, 1.0, 8000.0], [38, 4, 1.0, 9000.0]])
-    certificate = certify(narrow, PLANT, MPC_, "road", levels=FEW)
+    certificate = certify(narrow, PLANT, PUBLISHED, "road", levels=FEW)
     assert (certificate.speeds[0], certificate.speeds[-1]) == (8.0, 30.0)
     assert (certificate.frictions[0], certificate.frictions[-1]) == OPERATING["friction"]
-    bounded = certify(sound, PLANT, MPC_, "road", levels=FEW, domain={"speed": (10.0, 12.0), "friction": (0.5, 0.5)})
+    bounded = certify(
+        sound, PLANT, PUBLISHED, "road", levels=FEW, domain={"speed": (10.0, 12.0), "friction": (0.5, 0.5)}
+    )
     assert (bounded.speeds[0], bounded.speeds[-1], *bounded.frictions) == (10.0, 12.0, 0.5)
 
 
@@ -159,7 +161,7 @@ def test_the_domain_is_where_scheduler_and_driving_overlap_unless_told(sound):
 )
 def test_a_domain_that_makes_no_sense_is_refused(sound, domain):
     with pytest.raises(InvalidInput, match="certify"):
-        certify(sound, PLANT, MPC_, "road", levels=FEW, domain=domain)
+        certify(sound, PLANT, PUBLISHED, "road", levels=FEW, domain=domain)
 
 
 # -- the controller that knows its car --------------------------------------------------------------------------------
@@ -204,7 +206,7 @@ def test_a_cautious_tuning_bears_every_usual_mismatch():
 
 # -- what is told -----------------------------------------------------------------------------------------------------
 def test_rows_hold_the_worst_of_every_speed_and_friction_as_json(scrambled, stability):
-    certificate = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
+    certificate = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, PUBLISHED, "road", levels=FEW)
     rows = json.loads(json.dumps({"summary": certificate.summary(), "rows": certificate.rows()}, allow_nan=False))[
         "rows"
     ]
@@ -219,8 +221,8 @@ def test_rows_hold_the_worst_of_every_speed_and_friction_as_json(scrambled, stab
 
 
 def test_the_page_shows_the_verdict_the_maps_and_the_worst_points(scrambled, stability, tmp_path):
-    guarded = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, MPC_, "road", levels=FEW)
-    bare = certify(scrambled, PLANT, MPC_, "road", levels=FEW)
+    guarded = certify(Guarded(scrambled, SOUND, stability=stability), PLANT, PUBLISHED, "road", levels=FEW)
+    bare = certify(scrambled, PLANT, PUBLISHED, "road", levels=FEW)
     with pictures(drawn=True):
         text = write_result(
             tmp_path / "guarded", certificate_result(guarded, "adaptrack certify mine.json")

@@ -101,10 +101,10 @@ def library_of(folder, way):
     def make(name, **options):
         key = name, *options.items()
         if key not in libraries:
-            at_ = folder / f"{len(libraries)}-{name}"
+            place = folder / f"{len(libraries)}-{name}"
             controller = CONTROLLERS[name]()
-            export_c(controller, at_, road=way[0], plan=way[1], **options)
-            libraries[key] = Exported(at_, controller)
+            export_c(controller, place, road=way[0], plan=way[1], **options)
+            libraries[key] = Exported(place, controller)
         return libraries[key]
 
     return make
@@ -132,11 +132,11 @@ class Exported:
 class CPath:
     def __init__(self, c, points, closed=False, surplus=0):
         self.points = np.ascontiguousarray(points, float)
-        at_ = ctypes.c_void_p(self.points.ctypes.data)
-        size = c.adaptrack_path_size(at_, ctypes.c_size_t(len(points)), int(closed)) + surplus
+        address = ctypes.c_void_p(self.points.ctypes.data)
+        size = c.adaptrack_path_size(address, ctypes.c_size_t(len(points)), int(closed)) + surplus
         self.raw, self.flaw = np.zeros(size // 8 + 1), ctypes.c_size_t(0)
         self.place = ctypes.c_void_p(self.raw.ctypes.data)
-        self.error = c.adaptrack_path(at_, ctypes.c_size_t(len(points)), int(closed), self.place,
+        self.error = c.adaptrack_path(address, ctypes.c_size_t(len(points)), int(closed), self.place,
                                       ctypes.c_size_t(size), ctypes.byref(self.flaw))  # fmt: skip
 
 

@@ -41,9 +41,9 @@ def any_bits(rng, count):
     return rng.integers(-(2**63), 2**63, count).view(np.float64)
 
 
-def few_bits(rng, count, range_):
+def few_bits(rng, count, exponent):
     """Numbers of three bits: sums of their products are often halfway between two doubles."""
-    return rng.integers(-7, 8, count) * 2.0 ** rng.integers(-range_, range_, count)
+    return rng.integers(-7, 8, count) * 2.0 ** rng.integers(-exponent, exponent, count)
 
 
 CLASSES = [(name, kind) for name, function in FUNCTIONS.items() for kind in function.arguments]

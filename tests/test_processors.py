@@ -7,7 +7,6 @@ processors and systems are run by an emulator; for what is missing here, a test 
 import ctypes
 import itertools
 import shutil
-import struct
 import subprocess
 from pathlib import Path
 
@@ -129,16 +128,15 @@ def drives(rng):
 def add_drive(image, batch):
     periods, steps = int(batch.periods[0]), int(batch.substeps[0])
     settings = batch.mpc_settings(np.inf, np.inf, residuals=True)
-    run_ = batch.arena(1, steps, settings, 0, periods)
-    run_.given.scenario[:], run_.given.seeds[:] = 0, 7
-    run_.vehicles.start[:], run_.tuning[:] = batch.starts[0], batch.tuning
-    place = image.record(run_)
+    arena = batch.arena(1, steps, settings, 0, periods)
+    arena.given.scenario[:], arena.given.seeds[:] = 0, 7
+    arena.vehicles.start[:], arena.tuning[:] = batch.starts[0], batch.tuning
+    place = image.record(arena)
     span = image.put(np.array([periods, 1, 0, bits(0.0)], np.int64))
     image.do(BEGIN, 1, place)
     image.do(DRIVE, span, place)
-    for part in (run_.result, *run_.trace):
+    for part in (arena.result, *arena.trace):
         image.do(TELL, image.put(part), part.nbytes // 8)
-    return run_
 
 
 def synthesis(rng):
@@ -288,17 +286,3 @@ def test_no_call_uses_memory_that_was_not_written(name, tmp_path):
     built_program = program(name, 300, tmp_path, "x86-64")
     answers = built_program.here("x86-64", under=["valgrind", "--quiet", "--error-exitcode=9"])
     assert board.differing(built_program.here(), answers) == 0
-
-
-@pytest.mark.slow
-def test_an_image_of_a_drive_is_that_drive():
-    batch = Batch(at.SingleTrack(at.load_vehicle("paper")), at.MPC(at.load_vehicle("paper")),
-                  [at.load_scenario("double-lane-change")], "road")  # fmt: skip
-    image = Image()
-    add_drive(image, batch)
-    answers = run(image, own_library())
-    zero, seeds = np.zeros(1, np.int64), np.full(1, 7, np.int64)
-    expected = batch.run(zero, batch.tuning[None], seeds, 1, traced=True)
-    words = np.concatenate([np.frombuffer(array.tobytes(), np.int64) for array in (expected.result, *expected.trace)])
-    assert same(answers, words) == 0
-    assert struct.unpack("<d", answers[:1].tobytes())[0] > 0.0
