@@ -103,8 +103,8 @@ def driving_controller(**drive):
 
 def exported_controller(car, **options):
     """The controller of `export c` with these options."""
-    choice = ExportOptions(out=Path(), which=ExportedController(car=CarAndPlant()), **options)
-    return choice.which.make(car, load_profile(choice.which.profile), choice.computation)
+    choice = ExportOptions(out=Path(), exported=ExportedController(car=CarAndPlant()), **options)
+    return choice.exported.make(car, load_profile(choice.exported.profile), choice.computation)
 
 
 STEERING = Steering(lag=0.2, dead_time=0.1)

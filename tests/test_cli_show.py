@@ -33,7 +33,10 @@ def typical(columns):
             for c in columns}  # fmt: skip
 
 
-@pytest.mark.parametrize("columns", [drive_tables.CONSOLE, train.QUALITY_COLUMNS, compare.CONSOLE, certificate.CONSOLE])
+@pytest.mark.parametrize(
+    "columns",
+    [drive_tables.DRIVE_COLUMNS, train.QUALITY_COLUMNS, compare.CONTENDER_COLUMNS, certificate.CERTIFICATE_COLUMNS],
+)
 def test_tables_name_their_units_and_fit_80_columns(monkeypatch, capsys, columns):
     monkeypatch.setenv("COLUMNS", "80")
     row = typical(columns)

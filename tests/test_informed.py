@@ -263,7 +263,7 @@ def test_samples_of_a_known_age_tell_what_they_told_when_they_were_taken(rng):
 
 
 def test_without_a_position_the_mpc_says_how_long_it_steers_on_its_estimate_and_then_holds(rng):
-    kalman = dataclasses.replace(KalmanFilter.of_profile(load_profile("road")), patience=0.5)
+    kalman = dataclasses.replace(KalmanFilter.from_profile(load_profile("road")), patience=0.5)
     mpc, steps = MPC(CAR, profile="road", estimator=kalman), []
     for k in range(60):
         state = rng.normal(size=4) * [0.05, 0.003, 0.01, 0.03]
@@ -365,7 +365,7 @@ def test_one_constant_drives_either_car_in_noise_lag_and_delay():
         car = load_vehicle(name)
         plant, mpc = DualTrack(car, "magic-formula") if name == "paper" else DualTrack(car), MPC(car, profile="road")
         runs = rollout_batch(
-            plant, mpc, drives, np.tile(mpc.tuning.as_array(), (16, 1)), which=np.arange(16), profile="road",
+            plant, mpc, drives, np.tile(mpc.tuning.as_array(), (16, 1)), scenario_indices=np.arange(16), profile="road",
             seeds=np.arange(16),
         )  # fmt: skip
         cost = runs.mse + load_profile("road").move_weight * runs.mean_squared_move
@@ -418,7 +418,7 @@ def test_without_any_knowledge_of_the_steering_either_car_is_kept(lag):
         plant = DualTrack(car, steering=SteeringActuator(lag=lag, rate=0.5))
         mpc = MPC(car, learning=None)
         runs = rollout_batch(
-            plant, mpc, drives, np.tile(mpc.tuning.as_array(), (8, 1)), which=np.arange(8), profile="road",
+            plant, mpc, drives, np.tile(mpc.tuning.as_array(), (8, 1)), scenario_indices=np.arange(8), profile="road",
             seeds=np.arange(8),
         )  # fmt: skip
         assert not any(runs.failed)

@@ -51,7 +51,7 @@ def test_an_exported_kernel_answers_as_its_python_does():
 )
 def test_an_array_that_is_not_what_a_kernel_takes_is_refused(arguments, why):
     with pytest.raises(TypeError, match=why):
-        vector.given(arguments)
+        vector.convert(arguments)
 
 
 @needs_compiled

@@ -14,12 +14,12 @@ from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.control.controllers import MPC, LearnedCar, Learning, Uncertainty, load_learned_car
-from adaptrack.control.controllers.learned import MIDDLE as MIDDLE_OF_NOBODY
 from adaptrack.control.controllers.learned import BeliefState
 from adaptrack.control.estimation import NOTHING_MEASURED
 from adaptrack.control.models import PathModel, SingleTrackModel
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.estimators import learning as kernel
+from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN as MIDDLE_OF_NOBODY
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.results.draw import print_figure
 from adaptrack.results.learned_picture import learned_picture, learned_quantities

@@ -43,7 +43,7 @@ STEPS, AHEAD = 3000, 60
 def built_library(name):
     try:
         entry = library.manifest()["libraries"].get(name)
-        return None if entry is None else library.whole(entry)
+        return None if entry is None else library.verified_file(entry)
     except library.UNUSABLE:
         return None
 

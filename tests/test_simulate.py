@@ -116,7 +116,14 @@ def test_a_run_of_a_batch_depends_neither_on_the_others_nor_on_the_threads(plant
 
     def run(chosen, **options):
         return rollout_batch(
-            plant, mpc, drives, tunings[chosen], which=indices[chosen], seeds=seeds[chosen], profile=profile, **options
+            plant,
+            mpc,
+            drives,
+            tunings[chosen],
+            scenario_indices=indices[chosen],
+            seeds=seeds[chosen],
+            profile=profile,
+            **options,
         )
 
     everything = np.arange(75)
@@ -137,7 +144,7 @@ def test_a_batch_measures_what_its_trajectories_show(drives, rng):
     tunings, indices, seeds = random_runs(rng, 6)
     plant, mpc = DualTrack(CAR), published_mpc(CAR, preview=True)
     driven_on = {"profile": "road", "driver": Driver(), "failure": Failure(1000.0, math.inf)}
-    batch = rollout_batch(plant, mpc, drives, tunings, which=indices, seeds=seeds, **driven_on)
+    batch = rollout_batch(plant, mpc, drives, tunings, scenario_indices=indices, seeds=seeds, **driven_on)
     for i in range(6):
         Np, Nc, Q, R = tunings[i]
         single = published_mpc(CAR, Tuning(int(Np), int(min(Nc, Np)), Q, R), preview=True)

@@ -147,7 +147,7 @@ def test_horizons_stay_within_their_bounds():
 # -- filter -----------------------------------------------------------------------------------------------------------
 def test_a_dead_time_is_whole_periods_and_a_share():
     for time, period in ((0.0, 0.05), (0.15, 0.05), (0.17, 0.05), (0.3, 0.1), (1.0, 0.03)):
-        periods, share = filter.in_periods(time, period)
+        periods, share = filter.split_periods(time, period)
         assert isinstance(periods, int)
         assert 0.0 <= share < 1.0
         assert (periods + share) * period == pytest.approx(time, abs=1e-9)

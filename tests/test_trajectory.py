@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.drive.trajectory import COLUMNS, Origin, Trajectory, provenance
+from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Origin, Trajectory, provenance
 
 
 def record(n=8, period=0.1, **changes):
     """A car that stands on its reference; `changes` replace arrays."""
     arrays = {}
-    for column in COLUMNS:
+    for column in TRAJECTORY_COLUMNS:
         shape = (n, len(column.parts)) if column.parts else (n,)
         arrays[column.name] = np.zeros(shape, dtype=column.dtype)
     arrays |= {"t": period * np.arange(n), "vx": np.full(n, 10.0), "friction": np.ones((n, 4))}
@@ -40,7 +40,7 @@ def wild(n=50, seed=1):
     """Every column with numbers of its own, NaN and infinity among them."""
     rng = np.random.default_rng(seed)
     arrays = {}
-    for column in COLUMNS:
+    for column in TRAJECTORY_COLUMNS:
         shape = (n, len(column.parts)) if column.parts else (n,)
         top = 20 if column.kind == "real" else 15
         arrays[column.name] = (rng.normal(size=shape) * 10.0 ** rng.integers(-20, top, shape)).astype(column.dtype)
@@ -116,7 +116,7 @@ def test_between_keeps_times_and_cuts_every_array():
     run = wild(n=50)
     part = run.between(3.5, 4.5)
     assert (part.t[0], len(part)) == (pytest.approx(3.5), 20)
-    assert all(len(getattr(part, column.name)) == 20 for column in COLUMNS)
+    assert all(len(getattr(part, column.name)) == 20 for column in TRAJECTORY_COLUMNS)
     assert {len(values) for values in part.columns().values()} == {20}
     assert part.meta == run.meta
     assert part.failed is None  # it failed later

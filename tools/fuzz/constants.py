@@ -256,7 +256,7 @@ def _scaled(block: Block, places: dict[int, int], word: int, factor: float) -> b
     content, words = bytearray(block.content), [word]
     fresh = block.words.get("step.mpc.informed.fresh", 0)
     learned = block.words.get("step.mpc.informed.learned", 0)
-    if 0 < fresh <= word and word - fresh + learned in places and word < block.header.renewed:
+    if 0 < fresh <= word and word - fresh + learned in places and word < block.header.first_renewed:
         words.append(word - fresh + learned)
     for place in words:
         (value,) = struct.unpack_from("<d", content, places[place])
