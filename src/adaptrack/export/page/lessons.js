@@ -5,7 +5,7 @@
 //   lessonOf(hash)        the lesson of a link (#lesson=lag), or null
 //   showLesson(lesson)    its card beside the drive; null: none
 //
-// Every claim was measured with the setup that the lesson sets; tests/test_page_lessons.py measures them again.
+// Every claim was measured with the setup that the lesson sets; tests/export/test_page_lessons.py measures them again.
 
 const tune = (Np, Nc, Q, R) => ({Np, Nc, Q, R});
 

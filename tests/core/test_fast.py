@@ -43,7 +43,9 @@ def test_the_arctangent_of_a_ratio_divides_as_libm_does(rng):
 
 
 @pytest.mark.compiled  # the interpreter's multiply-add rounds twice
-@pytest.mark.parametrize(("ours", "libm", "shift"), [(sine, math.sin, 0.0), (cosine, math.cos, 0.5)], ids=["sine", "cosine"])
+@pytest.mark.parametrize(
+    ("ours", "libm", "shift"), [(sine, math.sin, 0.0), (cosine, math.cos, 0.5)], ids=["sine", "cosine"]
+)
 def test_sine_and_cosine_are_those_of_libm_below_a_hundred_thousand_radians(ours, libm, shift, rng):
     near_zeros = [(k + shift) * math.pi * (1.0 + 1e-12) for k in range(1, 30000, 17)]
     arguments = magnitudes(rng, -300, 0, 1000) + rng.uniform(-1e5, 1e5, 10000).tolist() + near_zeros

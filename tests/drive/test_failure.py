@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from tests.drive.test_metrics import NAN, record
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.drive.failure import Failure, Reason, find_failure
-from test_metrics import NAN, record
 
 
 def test_a_run_has_failed_beyond_the_limit_not_on_it():

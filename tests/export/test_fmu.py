@@ -360,7 +360,7 @@ def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder,
     wine = [] if system == "linux" else [find_program("wine64")]
     unit, driver = car_unit(PLANT, profile="production"), tmp_path / ("driver.exe" if wine else "driver")
     libraries = [] if wine else ["-ldl"]
-    source = Path(__file__).parent / "processors" / "fmu_driver.c"
+    source = Path(__file__).parents[1] / "processors" / "fmu_driver.c"
     subprocess.run(
         [find_program(platform.compilers[0]), "-O1", str(source), "-o", str(driver), "-lm", *libraries], check=True
     )

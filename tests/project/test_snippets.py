@@ -18,7 +18,7 @@ from adaptrack import cli
 from adaptrack.cars import plant
 from adaptrack.control.controllers import registry as controllers
 
-PROJECT = Path(__file__).resolve().parent.parent
+PROJECT = Path(__file__).resolve().parents[2]
 DOCS = PROJECT / "docs"
 PAGES = [PROJECT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("gallery/*.md"))]
 

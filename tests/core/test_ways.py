@@ -10,7 +10,7 @@ import pytest
 
 from adaptrack.core import library
 
-WORK = Path(__file__).with_name("ways.py")
+WORK = Path(__file__).parents[1] / "ways.py"
 
 
 def answers(way, file, *size):

@@ -19,7 +19,7 @@ WRONG = r"""<!doctype html><html><head><meta charset="utf-8"></head><body style=
 
 @pytest.fixture(scope="module")
 def check_pages():
-    path = Path(__file__).resolve().parents[1] / "benchmarks" / "check_pages.py"
+    path = Path(__file__).resolve().parents[2] / "benchmarks" / "check_pages.py"
     spec = importlib.util.spec_from_file_location("check_pages", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -145,7 +145,7 @@ def test_the_steering_parameters_come_from_where_the_guide_says(make, sources, c
 
 
 def test_every_row_of_the_guide_is_tested():
-    guide = Path(__file__).parents[1].joinpath("docs/guide.md").read_text()
+    guide = Path(__file__).parents[2].joinpath("docs/guide.md").read_text()
     section = guide.split("## Where the steering parameters come from\n")[1].split("\n## ")[0]
     rows = [line.removeprefix("| ") for line in section.splitlines() if line.startswith("| `")]
     assert [line for line, row in zip(rows, ROWS, strict=True) if not line.startswith(row[0])] == []

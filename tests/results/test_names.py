@@ -4,13 +4,13 @@ import json
 import os
 
 import pytest
+from tests.results.test_report import Outline, drive
 
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Constant
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results import Run, write_drive_page
 from adaptrack.scenario import load_scenario
-from test_report import Outline, drive
 
 NASTY = {
     "path": "/../../../x",

@@ -5,11 +5,11 @@ import math
 
 import numpy as np
 import pytest
+from tests.drive.test_simulate import same, users_car
 
 import adaptrack as at
 from adaptrack.drive.world import Driver
 from adaptrack.scenario.profile import load_profile
-from test_simulate import same, users_car
 
 pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning")
 

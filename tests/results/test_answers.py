@@ -9,11 +9,11 @@ import shlex
 import sys
 
 import pytest
+from tests.project.test_snippets import parse
 
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.cli.next_step import repeat_command_with, replace_option
 from adaptrack.results import answers
-from test_snippets import parse
 
 pytestmark = pytest.mark.compiled
 

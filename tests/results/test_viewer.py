@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.results.test_replay import ask_page
 
 from adaptrack.drive.predicted import PredictedPaths
 from adaptrack.results.drive import write_drive_page
 from made_drives import bend, made_drive, made_run, recorded
-from test_replay import ask_page
 
 pytestmark = pytest.mark.needs("chromium")
 
@@ -40,7 +40,7 @@ def drives(runs):
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory, runs):
     page = write_drive_page(tmp_path_factory.mktemp("viewer") / "out", runs, png=False)
-    return ask_page(page, (Path(__file__).parent / "viewer" / "replay.js").read_text())
+    return ask_page(page, (Path(__file__).parents[1] / "viewer" / "replay.js").read_text())
 
 
 def test_a_thinned_line_keeps_its_extremes(answers):

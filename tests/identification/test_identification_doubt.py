@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import odeint
+from tests.identification.test_identification import BIAS, CAR, DEAD_TIME, LAG, PERIOD, driven
 from typer.testing import CliRunner
 
 import adaptrack as at
@@ -21,7 +22,6 @@ from adaptrack.identification.from_log import prepare
 from adaptrack.identification.log import log_of
 from adaptrack.identification.long_log import SHORTENED, shorten_log
 from adaptrack.identification.reading import Reading, read_columns
-from test_identification import BIAS, CAR, DEAD_TIME, LAG, PERIOD, driven
 
 BASE = ("time", "command", "speed", "yaw_rate")
 RATIO = 15.0

@@ -25,7 +25,7 @@ from pages import differing
 from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="needs the kernels' library")]
-DRIVER = Path(__file__).parent / "processors" / "page.mjs"
+DRIVER = Path(__file__).parents[1] / "processors" / "page.mjs"
 
 
 @functools.cache

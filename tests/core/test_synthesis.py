@@ -350,7 +350,7 @@ def test_a_program_in_c_makes_the_same_controller(tmp_path):
     loaded = library.loaded()
     if not isinstance(loaded, library.Library) or loaded.edited:
         pytest.skip("needs the library of these sources")
-    program = Path(__file__).parent / "processors" / "make.c"
+    program = Path(__file__).parents[1] / "processors" / "make.c"
     files = f"-I{library.BUILT_FOLDER}", str(program), str(loaded.path), "-o", str(tmp_path / "make")
     subprocess.run([compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", *files, "-lm"], check=True)
     subprocess.run([str(tmp_path / "make"), str(tmp_path / "answers")], check=True)

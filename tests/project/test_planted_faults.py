@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from benchmarks.planted_faults import read_faults
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("fault", read_faults(), ids=lambda fault: f"{fault.number} {fault.file}")

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 import typer
+from tests.project.test_docs import PROJECT, described
 
 import adaptrack
 from adaptrack.cli.app import app
-from test_docs import PROJECT, described
 
 SOURCE = Path(adaptrack.__file__).parent
 PUBLIC = {name: getattr(importlib.import_module(module), name) for module, name in described()}

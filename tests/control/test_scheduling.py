@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+from tests.drive.test_simulate import same
 
 from adaptrack.base.errors import ContractError, InvalidInput, StorageError
 from adaptrack.cars.plant import DualTrack, SingleTrack
@@ -39,7 +40,6 @@ from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import Scenario, load_scenario
 from small_models import line, random_network, random_sugeno, stability_map
-from test_simulate import same
 
 # The counted noise multiplies integers that wrap around, of which the interpreter warns; compiled code is silent.
 pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered in scalar:RuntimeWarning")

@@ -13,7 +13,7 @@ import pytest
 import adaptrack as at
 from programs import find_program
 
-PROJECT = Path(__file__).resolve().parent.parent
+PROJECT = Path(__file__).resolve().parents[2]
 DOCS = PROJECT / "docs"
 PAGES = [*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("gallery/*.md"))]
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.export.test_export_c import POINTS
 
 import adaptrack as at
 from adaptrack.core import library
@@ -27,11 +28,10 @@ from by_kernels import CASES, make_parts
 from processors import board
 from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, GAINS, MAKE, STEP, TELL, Image, bits, run
 from programs import find_program
-from test_export_c import POINTS
 from tracker_calls import calls
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(library.WAY != "library", reason="compares libraries")]
-HERE = Path(__file__).parent / "processors"
+HERE = Path(__file__).parents[1] / "processors"
 EMULATED = {
     "aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64"),
     "riscv64": ("riscv64-linux-gnu-gcc", "qemu-riscv64"),

@@ -33,7 +33,7 @@ from small_controllers import Scripted
 from tracker_calls import calls, in_python
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]
 CAR = at.load_vehicle("midsize-sedan")
 TARGET = own_target()
 ALONG = np.arange(0.0, 300.0, 5.0)

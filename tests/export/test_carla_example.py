@@ -15,7 +15,7 @@ import pytest
 import adaptrack as at
 from ros_messages import package_module
 
-FOLDER = Path(__file__).resolve().parent.parent / "examples" / "carla"
+FOLDER = Path(__file__).resolve().parents[2] / "examples" / "carla"
 sys.path.insert(0, str(FOLDER))
 conversion, loop = importlib.import_module("conversion"), importlib.import_module("loop")
 sys.path.remove(str(FOLDER))

@@ -23,7 +23,7 @@ from adaptrack.export.page_inputs import SECTIONS, car_fields, page_car
 from adaptrack.identification.reading import ALIASES, Reading, read_columns
 from programs import find_program
 
-HERE, PAGE = Path(__file__).parent / "page", Path(at.__file__).parent / "export" / "page"
+HERE, PAGE = Path(__file__).parents[1] / "page", Path(at.__file__).parent / "export" / "page"
 needs_node = pytest.mark.needs("node")
 GIVEN = car_fields()
 

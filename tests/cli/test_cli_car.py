@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 
 import pytest
+from tests.cars.test_tyre_file import BOOK, tir
+from tests.cars.test_tyre_table import table
 
 from adaptrack.cars.vehicle import list_vehicles, load_tyre, load_vehicle
-from test_tyre_file import BOOK, tir
-from test_tyre_table import table
 
 
 @pytest.mark.parametrize("name", list_vehicles())
