@@ -12,7 +12,7 @@ from adaptrack.cars.vehicle import Steering, Tyre, Vehicle, load_tyre
 from adaptrack.control.controllers.belief import Belief
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.controllers.setup import world_and_belief
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.public import GRAVITY
 from adaptrack.scenario.profile import Profile
 
 LINEAR_PEAK = 1e9

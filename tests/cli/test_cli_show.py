@@ -35,7 +35,7 @@ def typical(columns):
 
 @pytest.mark.parametrize(
     "columns",
-    [drive_tables.DRIVE_COLUMNS, train.QUALITY_COLUMNS, compare.CONTENDER_COLUMNS, certificate.CERTIFICATE_COLUMNS],
+    [drive_tables.DRIVE_COLUMNS, train.QUALITY_COLUMNS, compare.RANKING_COLUMNS, certificate.CERTIFICATE_COLUMNS],
 )
 def test_tables_name_their_units_and_fit_80_columns(monkeypatch, capsys, columns):
     monkeypatch.setenv("COLUMNS", "80")

@@ -55,7 +55,7 @@ def numbers(mpc):
 
 def first_hypothesis(mpc):
     """As it is before the first step."""
-    return kernel.hypothesis(0, mpc.learner.kept, mpc.learner.fresh())
+    return kernel.hypothesis(0, mpc.learner.commands, mpc.learner.fresh())
 
 
 def belief(mpc, name):
@@ -198,7 +198,7 @@ def test_a_contradiction_is_said_and_returns_to_the_priors_spread_step_by_step()
     drive_steps(mpc, 40)
     memory = kernel.memory_of(mpc._mpc.informed.learned[0], 0)
     for i in range(4):
-        hypothesis = kernel.hypothesis(i, mpc.learner.kept, mpc._mpc.informed.learned[0])
+        hypothesis = kernel.hypothesis(i, mpc.learner.commands, mpc._mpc.informed.learned[0])
         hypothesis.covariance[kernel.STIFFNESS_SCALE] = hypothesis.covariance[:, kernel.STIFFNESS_SCALE] = 0.0
         hypothesis.covariance[kernel.STIFFNESS_SCALE, kernel.STIFFNESS_SCALE] = 1e-4
     information = 2.0 * 1e-2
@@ -252,7 +252,7 @@ def test_missing_and_repeated_samples_teach_nothing(sample):
 def test_what_is_not_finite_brings_back_what_is_known_beforehand():
     mpc = learner()
     drive_steps(mpc)
-    kernel.hypothesis(0, mpc.learner.kept, mpc._mpc.informed.learned[0]).x[0] = math.nan
+    kernel.hypothesis(0, mpc.learner.commands, mpc._mpc.informed.learned[0]).x[0] = math.nan
     answer = mpc.step([0.01, 0.0, 0.01, 0.02], SPEED, np.zeros(40))
     assert math.isfinite(answer.angle)
     np.testing.assert_array_equal(mpc._mpc.informed.learned[0], mpc.learner.fresh())

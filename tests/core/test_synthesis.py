@@ -82,7 +82,7 @@ def test_a_car_that_cannot_be_is_a_status_and_nothing_is_written():
         code, row, within = complete_car(**values)
         assert code == status, values
         assert {name for name in car.CarRow._fields if not math.isnan(row[name])} <= {"mass", "lf", "lr"}
-        assert within.said == 0
+        assert within.is_given == 0
 
 
 # -- belief -----------------------------------------------------------------------------------------------------------
@@ -174,7 +174,7 @@ def test_a_learner_begins_with_the_mixture_of_its_hypotheses(counts):
     """Mean and variance of what is believed are those of the filters', and the delay's that of the sum."""
     learner = at.MPC(SEDAN, learning=Learning(lags=counts[0], dead_times=counts[1])).learner
     memory, n = learner.fresh(), counts[0] * counts[1]
-    hypotheses = [learning.hypothesis(i, learner.kept, memory) for i in range(n)]
+    hypotheses = [learning.hypothesis(i, learner.commands, memory) for i in range(n)]
     pairs = np.array(
         [
             [hypothesis.x[learning.STEERING_LAG], hypothesis.x[learning.DEAD_TIME] - learner.computation]

@@ -116,7 +116,7 @@ ENVIRONMENTS = [("Env", {"car": plant()}) for plant in PLANTS.values()] + [("Vec
 
 
 @every_copy
-@pytest.mark.parametrize(("form", "options"), ENVIRONMENTS, ids=str)
+@pytest.mark.parametrize(("form", "options"), ENVIRONMENTS, ids=[*PLANTS, "many", "random cars"])
 @pytest.mark.parametrize("kind", ["PathTracking", "MPCTuning"])
 def test_an_environment_copied_under_way_goes_on_to_the_same_bits(make_copy, kind, form, options):
     env = environment(kind + form, **options)

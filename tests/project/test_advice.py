@@ -122,7 +122,7 @@ def test_every_name_in_a_sentence_of_the_package_exists():
     "text",
     [
         "jumps; Road.smoothed rounds it", "give smoothed(road)", "take MPC(car, prophile='road')", "add --lern",
-        "run: adaptrack tun country", "see `dataset lists`", "go on with `adaptrack drive --resume`",
+        "run: adaptrack tun country", "see `paper campain`", "go on with `adaptrack drive --budget 3`",
         "see docs/lane.md", "pip install 'adaptrack[rods]'", "an archive of `make targetts`",
     ],
 )  # fmt: skip

@@ -129,7 +129,7 @@ def objects():
         "car": (load_vehicle("midsize-sedan"), ["midsize-sedan", "mass", "kg"]),
         "schedule": (rule, ["Input speed", "3.00 to 30.0 m/s", "Guard", "none"]),
         "constant": (Constant(Tuning(Np=20, Nc=4, Q=1.0, R=1.0)), ["Entry Np"]),
-        "data": (small_data.small(), ["Operating points", "swarms searched"]),
+        "data": (small_data.small(), ["Operating points", "searched by swarms"]),
         "comparison": (contenders(), ["mine &lt;b&gt;", "0.500 (0.500 to 0.500); failed in 0"]),
     }
 

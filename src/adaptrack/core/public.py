@@ -88,7 +88,7 @@ from .observation import ObservationSpace, write_one_observation
 from .period import after_control, before_control, move
 from .plants.contract import MOTION_STATES, SLOTS
 from .plants.contract import PlantState as PlantState
-from .plants.forces import wind_load
+from .plants.forces import GRAVITY, wind_load
 from .plants.foreign import compiled_foreign
 from .plants.user import U as PLANT_INPUT
 from .plants.user import layout_of
@@ -103,6 +103,7 @@ __all__ = [
     "EPISODE_ARRIVED",
     "EPISODE_FAILED",
     "EPISODE_RUNS",
+    "GRAVITY",
     "LAW_SIGNATURE",
     "LEARNED",
     "MEASUREMENT",
