@@ -63,8 +63,9 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
-    """A random generator seeded by the test's own name: the same numbers in every run and in any order."""
-    return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
+    """A random generator seeded by file and name of the test: the same numbers in every run, order and folder."""
+    file, _, name = request.node.nodeid.partition("::")
+    return np.random.default_rng(zlib.crc32(f"tests/{Path(file).name}::{name}".encode()))
 
 
 @pytest.fixture(scope="session")
