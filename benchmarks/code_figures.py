@@ -146,10 +146,12 @@ def _documented(modules: Sequence[Module]) -> float:
 
 
 def _public_names(package: Path) -> set[str]:
-    """Names that the package exports: those of its stub, or of `__all__`."""
+    """Names that the package exports: the imports of its stub, or `__all__`."""
     stub = package / "__init__.pyi"
-    file = stub if stub.exists() else package / "__init__.py"
-    for node in ast.parse(file.read_text()).body:
+    if stub.exists():
+        imports = (node for node in ast.walk(ast.parse(stub.read_text())) if isinstance(node, ast.ImportFrom))
+        return {alias.asname or alias.name for node in imports for alias in node.names}
+    for node in ast.parse((package / "__init__.py").read_text()).body:
         if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
             return set(ast.literal_eval(node.value))
     return set()
