@@ -48,7 +48,7 @@ CEILINGS: Mapping[str, int] = {
     "cli": 3750,
     "adaptrack": 50,
     "JavaScript, templates, C": 9200,
-    "tests": 35450,
+    "tests": 35500,
     "benchmarks, tools, experiments, examples": 9500,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
