@@ -529,7 +529,7 @@ def test_a_car_of_which_nobody_says_the_steering_leaves_learning(tmp_path):
         words = ["export", "c", "--vehicle", str(tmp_path / "car.toml"), "--out", str(tmp_path / "out"), *options]
         process = CliRunner().invoke(app, words)
         assert process.exit_code == 0, process.output
-        assert ("It believes of the steering" in process.output and "learns" in process.output) == learns
+        assert ("Steering model" in process.output and "learns" in process.output) == learns
 
 
 # -- other processors -------------------------------------------------------------------------------------------------

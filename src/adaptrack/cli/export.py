@@ -157,7 +157,7 @@ def export_c(arguments: ExportOptions) -> None:
         f"Constants {files.constants_size:,} bytes, tracker {files.memory_size:,}, saved state {files.state_size:,}."
     )
     if controller.belief_at_first:
-        show.say(f"It believes of the steering: {controller.belief_at_first}.")
+        show.say(f"Steering model: {controller.belief_at_first}.")
     if files.failed:
         show.say(f"Warning: on the recorded drive, {files.failed}. --speed drives it more slowly, --road another road.")
     show.say(next_line("to see that it drives as it does here", f"make -C {files.folder} check"))

@@ -105,8 +105,8 @@ TIMED_STEPS = 50
 PERIOD_TOLERANCE = 0.4
 """Control periods, difference of the two from which it is reported."""
 DOUBTFUL = {
-    BeliefState.AT_BOUND: "a learned quantity is at the end of its range: the car may be another than was thought",
-    BeliefState.CONTRADICTORY: "what is measured fits no car within what is believed",
+    BeliefState.AT_BOUND: "a learned quantity is at the end of its range: the car may differ from its model",
+    BeliefState.CONTRADICTORY: "measurements match no car in the prior range",
 }
 """States of the belief that are warned of, once each."""
 

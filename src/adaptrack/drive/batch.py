@@ -83,7 +83,7 @@ def rollout_batch(
     failure: Failure | None = None,
     threads: int | None = None,
 ) -> BatchResult:
-    """Drive many runs at once, compiled: run i drives `scenarios`[`scenario_indices`[i]] with tunings[i] and seeds[i].
+    """Drive many runs at once, compiled: run i drives scenario `scenario_indices[i]` with tunings[i] and seeds[i].
 
     controller: an `MPC`, or any compiled controller; tunings: (runs, entries) of its named tuning entries (Np, Nc, Q, R
     of an MPC, the horizons rounded and clamped to 1 <= Nc <= Np <= longest_horizon and most_moves); without them every
