@@ -151,10 +151,6 @@ def iso_3888_2(width: float) -> Track:
     )
 
 
-TRACKS = {"iso-3888-1": iso_3888_1, "iso-3888-2": iso_3888_2}
-"""By name, each a function of the car's width (m)."""
-
-
 def _width(width: float) -> float:
     if not 0.0 < real("track", "width", width) <= 4.0:
         raise InvalidInput(f"track: width = {width!r} m: must be above 0 and at most 4.")
