@@ -62,8 +62,6 @@ INPUT_BOUNDS = {
     "constant": (1.0, 60.0), "lateral": (0.5, 12.0), "road_length": (10.0, 100_000.0),
 }  # fmt: skip
 """Of what is set: s, s, rad, factor, -, m/s, m/s, rad/s, rad, s, m/s, m/s^2, m."""
-LONGEST_DEAD_TIME = 1.2
-"""s, for which commands on their way are remembered."""
 
 
 def page_data() -> dict[str, Any]:
