@@ -36,8 +36,6 @@ RECORDED_SPACING = 5.0
 """m, between the points of the path: what a planner would send."""
 RECORDED_LOOKAHEAD = 10.0
 """s, at the highest speed, that the path goes on behind the end of the record."""
-SAMPLE_COLUMNS = CALL._fields
-"""Columns of `Recorded.samples`."""
 ANSWER_COLUMNS = TRACKED._fields
 """Columns of `Recorded.answers`."""
 DRIVEN_SHARE = 0.4
@@ -112,7 +110,7 @@ class Recorded:
     plan: SpeedPlan
     """every `RECORDED_SPACING`; of it the tracker knows place and speed"""
     samples: Array
-    """(calls, SAMPLE)"""
+    """(calls, columns of a `core.tracker.records.TRACKER_SAMPLE`)"""
     answers: Array
     """(calls, ANSWER)"""
     driven_calls: int
