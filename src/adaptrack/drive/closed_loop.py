@@ -70,7 +70,8 @@ class _SteppedVehicle:
         names, state, demand = contract.PLANT_INPUT, self._state, self._input
         force, acceleration = demand[names.force], demand[names.acceleration]
         target = force / self._mass if math.isnan(acceleration) else acceleration
-        environment = demand[names.friction_front_left :].copy()
+        last = names.grade if self._plant.takes_grade else names.bank
+        environment = demand[names.friction_front_left : last + 1].copy()
         before = state[:6].copy()
         for _ in range(steps):
             middle, after = self._angle(0.5 * h), self._angle(h)
@@ -159,7 +160,9 @@ class ClosedLoop:
 
     def road_ahead(self, speed: float) -> RoadAhead:
         """The road ahead of a car that passes it as planned, from its present speed (m/s) on."""
-        planned = self.signals.speed[self.instant :][:LONGEST_PREVIEW]
+        by_place = self.world.driver is not None and self.road is not None
+        first = int(self._own["place"][0]) if by_place else self.instant
+        planned = self.signals.speed[first:][:LONGEST_PREVIEW]
         return RoadAhead(self.road, float(self._own["station"][0]), np.maximum(planned + (speed - planned[0]), 0.0))
 
     def send(self, command: float) -> bool:

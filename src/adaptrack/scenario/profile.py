@@ -11,7 +11,7 @@ from typing import Any, Self
 from pydantic import Field, field_validator, model_validator
 
 from adaptrack.base.files import Record, build, read_toml
-from adaptrack.cars.vehicle import SteeringActuator, find_data, list_data
+from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator, find_data, list_data
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.core.synthesis.tuning import ControllerWorld
 
@@ -38,6 +38,12 @@ class Profile(Record):
     description: str = Field(default="", description="one sentence for lists")
     steering: SteeringActuator = Field(
         default_factory=SteeringActuator.ideal, description="lag, dead time, bias and limits of the steering"
+    )
+    drive: DriveActuator = Field(
+        default_factory=DriveActuator, description="how the driving force follows a request, unless the car file says"
+    )
+    brakes: BrakeActuator = Field(
+        default_factory=BrakeActuator, description="how the braking force follows a request, unless the car file says"
     )
     period: float = Field(
         default=0.1, gt=0, le=10, description="s, control period, unless the controller is given another"

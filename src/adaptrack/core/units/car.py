@@ -190,5 +190,6 @@ def car_step(car):
     _open_window(car)
     after_control(0, command, command - loop.memory.own[0].command, _span(), loop)
     move(1, loop)
-    loop.memory.own[0].sample = 0
+    drive = loop.memory.own[0]
+    drive.sample = drive.place = drive.departed = drive.standing = 0  # the window begins at the car
     return _sense(car)
