@@ -12,7 +12,7 @@ from .forces import (
     GRAVITY,
     SLIP_SPEED_FLOOR,
     brake_direction,
-    is_held,
+    holding_reserve,
     resistance,
     slope_sine_and_cosine,
     steering_rate,
@@ -102,7 +102,7 @@ def right_hand_side(x, u, c, law):
     ) * (1.0 / c.yaw_inertia)
     forces = bx_fl + bx_fr + x_rl + x_rr - resistance(vx, drag, cosine, c)
     free = forces * (1.0 / c.mass) + vy * r - GRAVITY * sine
-    stands = pedals_act and vx == 0.0 and is_held(u, sine, cosine, c)
+    stands = pedals_act and vx == 0.0 and holding_reserve(u, sine, cosine, c) >= 0.0
     dvx = (0.0 if stands else free) if pedals_act else u.acceleration
     s, co = fast_sine(yaw), fast_cosine(yaw)
     return PlantState(

@@ -49,15 +49,15 @@ def resistance(vx, drag, cosine, c):
 
 
 @inlined
-def is_held(u, sine, cosine, c):
-    """Whether brakes and rolling resistance hold a car that stands against its drive and the slope.
+def holding_reserve(u, sine, cosine, c):
+    """Force (N) by which brakes and rolling resistance exceed what drive and slope exert on a car; below 0 it moves.
 
     The brakes hold with their force, at most with the friction of all wheels: the stick condition of dry friction.
     """
     weight = c.mass * GRAVITY
     friction = 0.25 * (u.friction_front_left + u.friction_front_right + u.friction_rear_left + u.friction_rear_right)
     holding_force = min(u.brake, friction * weight * cosine) + c.rolling_resistance * weight * cosine
-    return abs(u.force + u.brake - weight * sine) <= holding_force
+    return holding_force - abs(u.force + u.brake - weight * sine)
 
 
 @inlined
@@ -68,13 +68,15 @@ def brake_direction(vx, u, sine, c):
 
 
 @inlined
-def stops(vx_before, vx_after, u, c):
-    """Whether a car comes to rest within a step from one speed (m/s) to another under its drive and brakes.
+def stops(vx_before, vx_after, h, u, c):
+    """Whether a car comes to rest within a step of h (s) from one speed (m/s) to another under its drive and brakes.
 
-    A step that reverses the motion ends at rest where the brakes hold; a prescribed speed is kept.
+    A step that reverses the motion, or whose reserve of holding force does, ends at rest; a prescribed speed is kept.
     """
     sine, cosine = slope_sine_and_cosine(u.grade)
-    return u.acceleration != u.acceleration and vx_before * vx_after <= 0.0 and is_held(u, sine, cosine, c)
+    reserve = holding_reserve(u, sine, cosine, c)
+    reverses = vx_before * vx_after <= 0.0 or c.mass * abs(vx_before) <= reserve * h
+    return u.acceleration != u.acceleration and reserve >= 0.0 and reverses
 
 
 @inlined

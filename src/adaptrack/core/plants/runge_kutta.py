@@ -42,7 +42,7 @@ def _sweep(right_hand_side, block, slots, steps, c, law):
             x, u = _state_of(block, i), _input_of(block, _INPUT + i)
             after = _runge_kutta_step(right_hand_side, x, u, h, c, law)
             _set_state(block, i, after)
-            rests = stops(x.vx, after.vx, u, c)
+            rests = stops(x.vx, after.vx, h, u, c)
             block[PLANT_STATE.vx * SLOTS + i] = 0.0 if rests else after.vx
             block[PLANT_STATE.vy * SLOTS + i] = 0.0 if rests else after.vy
             block[PLANT_STATE.yaw_rate * SLOTS + i] = 0.0 if rests else after.yaw_rate

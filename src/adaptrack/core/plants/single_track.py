@@ -12,7 +12,7 @@ from .forces import (
     GRAVITY,
     SLIP_SPEED_FLOOR,
     brake_direction,
-    is_held,
+    holding_reserve,
     resistance,
     slope_sine_and_cosine,
     steering_rate,
@@ -47,7 +47,7 @@ def right_hand_side(x, u, c, law):
     pedals_act = u.acceleration != u.acceleration
     force = u.force + u.brake - u.brake * brake_direction(vx, u, sine, c)
     free = (force - resistance(vx, drag, cosine, c)) * (1.0 / c.mass) + vy * r - GRAVITY * sine
-    stands = pedals_act and vx == 0.0 and is_held(u, sine, cosine, c)
+    stands = pedals_act and vx == 0.0 and holding_reserve(u, sine, cosine, c) >= 0.0
     dvx = (0.0 if stands else free) if pedals_act else u.acceleration
     s, co = fast_sine(yaw), fast_cosine(yaw)
     return PlantState(
