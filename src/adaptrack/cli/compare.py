@@ -70,6 +70,7 @@ class CompareOptions:
             help="quick, standard, full, or a .toml file; default: roads with ROAD, else quick.",
         ),
     ] = None  # fmt: skip
+    prescribed_speed: options.PrescribedSpeed = False
     lane_change: Annotated[
         LaneChangeName | None, Option("--lane-change", help="Highest clean entry speeds in this lane change.")
     ] = None
@@ -85,6 +86,7 @@ class CompareOptions:
         values = {
             "cars": self.vehicle, "roads": self.road, "profiles": self.profile, "length": self.length,
             "budget": self.budget, "seeds": None if self.seeds is None else list(range(self.seeds)),
+            "prescribed_speed": self.prescribed_speed or None,
         }  # fmt: skip
         return {key: value for key, value in values.items() if value is not None}
 

@@ -141,10 +141,11 @@ def _drive(settings: options.DriveSettings, loop: DrivenLoop) -> Iterator[Run]:
     from adaptrack.drive.metrics import compute_metrics
     from adaptrack.drive.predicted import PredictedPaths
     from adaptrack.drive.simulate import simulate
-    from adaptrack.drive.world import Driver
+    from adaptrack.drive.world import ROAD_DRIVER
     from adaptrack.results import Run
 
     places, out = loop.places, settings.out
+    driver = None if settings.prescribed_speed else ROAD_DRIVER
     pairs = [(drive, *labelled) for drive in places.drives for labelled in loop.drivers]
     files = safe_names(f"{drive.name}-{label}" for drive, label, _ in pairs)
     where = f"their trajectories are in {out}, without a page" if out else "nothing was written"
@@ -152,7 +153,7 @@ def _drive(settings: options.DriveSettings, loop: DrivenLoop) -> Iterator[Run]:
         for i, (file, (drive, label, controller)) in enumerate(zip(files, pairs, strict=True), 1):
             paths = None if out is None or places.road is None else PredictedPaths()
             run = simulate(
-                loop.plant, controller, drive, profile=places.profile, driver=Driver() if settings.driver else None,
+                loop.plant, controller, drive, profile=places.profile, driver=driver,
                 seed=settings.seed, predicted=paths, progress=partial(advance, f"{drive.name}, {label}"),
             )  # fmt: skip
             if out is not None:

@@ -119,13 +119,17 @@ class CarAndPlant:
         return car_and_plant(self.vehicle, self.plant, self.tyre)
 
 
+PrescribedSpeed = Annotated[
+    bool,
+    Option("--prescribed-speed", help="Follow the planned speed exactly, without forces along the road."),
+]
+
+
 @dataclasses.dataclass(frozen=True)
 class DriveSettings:
     """How a closed loop is driven, and what is kept of it."""
 
-    driver: Annotated[
-        bool, Option("--driver/--perfect-speed", hidden=True, help="Powertrain and driver, or exact speed.")
-    ] = False
+    prescribed_speed: PrescribedSpeed = False
     period: Annotated[
         float | None, Option("--period", metavar="S", hidden=True, help="Control period (s); default: the profile's.")
     ] = None

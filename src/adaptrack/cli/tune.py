@@ -56,6 +56,7 @@ class TuneOptions:
         int | None,
         Option("--runs", metavar="N", min=1, help="With --road: closed loops of the search; default: 300 tunings."),
     ] = None
+    prescribed_speed: options.PrescribedSpeed = False
     plant: options.PlantOption = "dual-track"
     plugin: options.Plugin = None
     as_json: options.Json = False
@@ -143,6 +144,7 @@ def _tune_on_roads(settings: TuneOptions) -> Result:
             name,
             length=settings.length or 2000.0,
             loops=settings.runs,
+            prescribed_speed=settings.prescribed_speed,
             command=options.command_line(),
             progress=advance,
         )

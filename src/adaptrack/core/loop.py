@@ -26,7 +26,7 @@ LoopSettings = record(
     (
         "period",  # s
         "substeps",  # Runge-Kutta steps per period
-        "prescribed_speed",  # 1: v_x follows the profile exactly, 0: the driver and the powertrain move the vehicle
+        "prescribed_speed",  # `FORCES`, `PRESCRIBED` or `PRESCRIBED_WITHOUT_ROAD`
         "dead_whole", "dead_share",  # periods from an instant until its command acts: whole ones, and the share of one
         "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y",  # m/s, rad, rad/s, m, standard deviations; inf: no sensor
         "noise_wheel_angle", "noise_lateral_acceleration",  # rad, m/s^2
@@ -55,6 +55,10 @@ LoopSettings = record(
     integers=("substeps", "prescribed_speed", "dead_whole", "drive_whole", "brake_whole"),
 )  # fmt: skip
 """The world around the controller, fixed over a run."""
+
+FORCES, PRESCRIBED, PRESCRIBED_WITHOUT_ROAD = range(3)
+"""What moves a car: the forces that its driver requests; a speed that it follows exactly; that in scenarios without a
+road, and forces on roads."""
 
 LOOP_MEMORY = record(
     "Own",
@@ -141,11 +145,18 @@ def locate(slot, run):
     _, _, samples = signals.shape
     last, first = samples - 1, drive.departed
     while drive.place < last and signals[scenario, SIGNAL.station, drive.place + 1] <= station:
-        if run.settings.prescribed_speed == 0 and _is_stop(drive.place, drive, signals[scenario]):
+        if not is_prescribed(slot, run) and _is_stop(drive.place, drive, signals[scenario]):
             break
         drive.place += 1
     while drive.place > first and signals[scenario, SIGNAL.station, drive.place] > station:
         drive.place -= 1
+
+
+@inlined
+def is_prescribed(slot, run):
+    """Whether a car follows its planned speed exactly, without forces along the road."""
+    kind = run.settings.prescribed_speed
+    return kind == PRESCRIBED or (kind == PRESCRIBED_WITHOUT_ROAD and run.memory.own[slot].located == 0)
 
 
 @inlined
@@ -158,8 +169,7 @@ def _is_stop(place, drive, signals):
 def plan_instant(slot, run):
     """Instant of the plan that counts for a car: that of its place if a driver follows a road, else the present."""
     drive = run.memory.own[slot]
-    by_place = run.settings.prescribed_speed == 0 and drive.located > 0
-    return drive.place if by_place else drive.instant
+    return drive.place if drive.located > 0 and not is_prescribed(slot, run) else drive.instant
 
 
 # -- failure ----------------------------------------------------------------------------------------------------------
@@ -493,7 +503,7 @@ def actuate(slot, command, run):
     block[input_at(PLANT_INPUT.grade, slot)] = signals[scenario, SIGNAL.grade, place]
     block[input_at(PLANT_INPUT.command, slot)] = _send(command, slot, world, run.memory.sent) + world.steering_bias
     drive.command = command
-    if world.prescribed_speed > 0:
+    if is_prescribed(slot, run):
         _, _, samples = signals.shape
         following = signals[scenario, SIGNAL.speed, min(k + 1, samples - 1)]
         if drive.located > 0:

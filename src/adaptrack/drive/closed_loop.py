@@ -160,7 +160,7 @@ class ClosedLoop:
 
     def road_ahead(self, speed: float) -> RoadAhead:
         """The road ahead of a car that passes it as planned, from its present speed (m/s) on."""
-        by_place = self.world.driver is not None and self.road is not None
+        by_place = self.road is not None and self.world.driver is not None
         first = int(self._own["place"][0]) if by_place else self.instant
         planned = self.signals.speed[first:][:LONGEST_PREVIEW]
         return RoadAhead(self.road, float(self._own["station"][0]), np.maximum(planned + (speed - planned[0]), 0.0))

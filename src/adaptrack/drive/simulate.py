@@ -277,7 +277,7 @@ def _trajectory(
             datetime.now(UTC),
             move_weight=world.profile.move_weight,
             control=described,
-            speed="profile" if world.driver is None else "driver",
+            speed="driver" if world.has_driver(scenario) else "profile",
             scheduler_counts=record.counted,
             **_failure_distance(plant),
             **_learned(world, controller),

@@ -52,6 +52,12 @@ class Driver:
     preview: Annotated[Positive, "s"] = 0.5
     integral: Annotated[NotNegative, "1/s^2"] = 0.2
     guard: Annotated[Bound, "-"] = 0.85
+    roads_only: bool = False
+    """whether a scenario without a road follows its planned speed exactly, without a driver"""
+
+
+ROAD_DRIVER = Driver(roads_only=True)
+"""Default driver of commands and environments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +152,11 @@ class World:
         return loop_kernel.LoopSettings(
             period=self.period,
             substeps=substeps,
-            prescribed_speed=driver is None,
+            prescribed_speed=loop_kernel.PRESCRIBED
+            if driver is None
+            else loop_kernel.PRESCRIBED_WITHOUT_ROAD
+            if driver.roads_only
+            else loop_kernel.FORCES,
             dead_whole=self.dead_periods[0],
             dead_share=self.dead_periods[1],
             **{name: getattr(profile, name) for name in SENSING},
@@ -164,6 +174,10 @@ class World:
             creep=self.drive.creep,
             **_actuator_settings("brake", self.brakes, self.period),
         )
+
+    def has_driver(self, scenario: Scenario | RoadDrive) -> bool:
+        """Whether a driver moves the car, with forces; otherwise its speed is prescribed."""
+        return self.driver is not None and (isinstance(scenario, RoadDrive) or not self.driver.roads_only)
 
     @property
     def drive(self) -> DriveActuator:
