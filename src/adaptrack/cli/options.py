@@ -121,7 +121,7 @@ class CarAndPlant:
 
 PrescribedSpeed = Annotated[
     bool,
-    Option("--prescribed-speed", help="Follow the planned speed exactly, without forces along the road."),
+    Option("--prescribed-speed", hidden=True, help="Follow the planned speed exactly, without forces along the road."),
 ]
 
 
