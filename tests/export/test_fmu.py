@@ -34,7 +34,7 @@ SOURCES = Path(adaptrack.export.__file__).parent
 TRUE = ("x", "y", "yaw", "vx", "vy", "yaw_rate")
 MEASURED = (
     "measured_vy", "measured_heading_error", "measured_yaw_rate", "measured_offset", "measured_wheel_angle",
-    "measured_lateral_acceleration", "measured_pose_age", "measured_motion_age",
+    "measured_lateral_acceleration", "measured_pose_age", "measured_motion_age", "measured_speed_age",
 )  # fmt: skip
 CAR = at.load_vehicle("paper")
 PLANT = at.DualTrack(CAR)

@@ -131,7 +131,7 @@ def _apply_law(slot, reference, run):
     roads, scenario = run.given.roads, run.given.scenario[slot]
     speeds = run.given.signals[scenario, SIGNAL.speed]
     first = drive.instant if roads.of[scenario] >= 0 else speeds.size
-    road = RoadAheadRecord(line_of(roads.of[scenario], roads), drive.station, speeds[first:])
+    road = RoadAheadRecord(line_of(roads.of[scenario], roads), drive.station_estimate, speeds[first:])
     no_vy = run.settings.noise_vy == math.inf  # a car without a sensor of it
     current = Situation(
         0.0 if no_vy else measured[MEASUREMENT.vy],
@@ -166,8 +166,9 @@ def _see_bend(k, slot, speed, run):
         run.mpc.bend[:] = 0.0
         return
     bend_ahead(
-        run.memory.own[slot].station, run.given.signals[scenario, SIGNAL.speed, k:], max(speed, settings.speed_floor),
-        mpc.delay_of(slot, run.mpc), settings.period, road, run.given.roads, run.mpc.bend,
+        run.memory.own[slot].station_estimate, run.given.signals[scenario, SIGNAL.speed, k:],
+        max(speed, settings.speed_floor), mpc.delay_of(slot, run.mpc), settings.period, road, run.given.roads,
+        run.mpc.bend,
     )  # fmt: skip
 
 
