@@ -36,7 +36,7 @@ def test_shipped_profiles_have_the_name_of_their_file_and_read_back_equal(tmp_pa
 
 def test_the_profile_of_a_bus_is_production_with_all_samples_late():
     late = {"station_age": 0.1, "motion_age": 0.1, "motion_age_spread": 0.02, "speed_age": 0.1}
-    assert BUS == PRODUCTION.replace(name=BUS.name, description=BUS.description, **late)
+    assert PRODUCTION.replace(name=BUS.name, description=BUS.description, **late) == BUS
     assert BUS.oldest == 0.1 + 0.02
     assert BUS.prompt == PRODUCTION.prompt.replace(name=BUS.name, description=BUS.description)
     assert BUS.prompt.oldest == 0.0
