@@ -62,7 +62,7 @@ DRIVES = {
     "informed, production": (CURVED, lambda: at.MPC(CAR, profile="production"), BEND, {"profile": "production"}),
     "learning": (CURVED, lambda: at.MPC(CAR, profile="production", learning=at.Learning()), LANE_CHANGE,
                  {"profile": "production", "driver": Driver()}),
-    "lqr": (DUAL, lambda: at.LQR(CAR, period=0.05, preview=True), BEND, {"profile": "road"}),
+    "lqr": (DUAL, lambda: at.LQR(CAR, period=0.05, preview=True), BEND, {"profile": BUS}),
     "pure pursuit": (DUAL, lambda: at.PurePursuit(CAR, period=0.05), BEND, {"profile": "road"}),
     "stanley": (DUAL, lambda: at.Stanley(CAR, period=0.05), LANE_CHANGE, {"profile": "road"}),
     "a schedule": (

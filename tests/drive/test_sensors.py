@@ -40,11 +40,11 @@ class Readings:
     def __init__(self, profile, drive=CRUISE, instants=80, seed=3):
         world = World.of(PLANT, at.Stanley(PLANT.vehicle, period=PERIOD), profile, None, None, Failure(distance=1e3))
         self.loop, rows = ClosedLoop(world, drive, seed), {}
-        own, block = self.loop.run.memory.own, self.loop.run.vehicles.block
+        memory, block = self.loop.run.memory.own, self.loop.run.vehicles.block
         for k in range(instants):
             sample = self.loop.sense()
             row = {f"measured_{name}": sample.measured[i] for i, name in enumerate(MEASUREMENT._fields)}
-            row |= {name: own[name][0] for name in own.dtype.names}
+            row |= {name: memory[name][0] for name in memory.dtype.names}
             row |= {
                 f"true_{name}": block[state_at(getattr(PLANT_STATE, name), 0)]
                 for name in ("x", "yaw", "yaw_rate", "vx")
@@ -52,7 +52,7 @@ class Readings:
             for name, value in row.items():
                 rows.setdefault(name, []).append(value)
             bend = CURVATURE if drive is CIRCLE else 0.003 * math.sin(0.3 * k)
-            steering = 2.8 * bend - 0.05 * own["offset"][0] - 0.5 * own["heading_error"][0]
+            steering = 2.8 * bend - 0.05 * memory["offset"][0] - 0.5 * memory["heading_error"][0]
             assert self.loop.send(float(steering))
             self.loop.advance()
         self.t = PERIOD * np.arange(instants)
@@ -88,12 +88,12 @@ def test_speeds_below_the_dead_zone_read_zero_and_others_as_they_are():
     assert (coarse.speed == 0.0).sum() > 10
 
 
-def test_speed_noise_is_a_share_of_the_speed_and_a_floor_that_do_not_know_of_each_other():
+def test_speed_noise_is_a_share_of_the_speed_and_an_independent_floor():
     run = Readings(SILENT.replace(noise_speed=0.02, noise_speed_floor=0.15), LONG, 1500)
     assert np.std(run.speed - run.true_vx) == pytest.approx(math.hypot(0.02 * 10.0, 0.15), rel=0.06)
 
 
-def test_ages_are_uniform_within_their_spread_and_those_of_one_message_are_one():
+def test_ages_are_uniform_within_their_spread_and_equal_in_one_message():
     run = Readings(BUS, LONG, 1500)
     age = run.measured_motion_age[3:]
     assert age.min() >= 0.08 - 1e-12
@@ -163,8 +163,8 @@ def test_noise_of_station_and_speed_leaves_the_draws_of_all_other_sensors():
     assert np.abs(quiet.speed - loud.speed).max() > 0.1
 
 
-def test_a_profile_without_them_has_the_true_station_and_its_own_draws_to_the_bit():
-    """The readings of `production`, put together from its counted random numbers."""
+def test_production_has_the_true_station_and_the_same_random_numbers_as_before_to_the_bit():
+    """Its readings are composed here from counted random numbers and the true motion."""
     run, seed = Readings(PRODUCTION, CIRCLE), 3
     np.testing.assert_array_equal(run.station_estimate, run.station)
     np.testing.assert_array_equal(run.measured_turned, run.turned)
@@ -175,10 +175,10 @@ def test_a_profile_without_them_has_the_true_station_and_its_own_draws_to_the_bi
         assert run.speed[k] == run.true_vx[k] + run.true_vx[k] * (0.0 + 0.01 * noise[6])
         age = 0.1 + 0.02 * (2.0 * counted_uniform(seed, 0, k, 0, 0) - 1.0)
         assert run.measured_pose_age[k] == age
-        whole = math.floor(age / PERIOD)
-        near, far = (run.offset[k - whole - i] for i in (0, 1))
+        instants = math.floor(age / PERIOD)
+        later, earlier = (run.offset[k - instants - i] for i in (0, 1))
         if np.isfinite(run.measured_y[k]):
-            assert run.measured_y[k] == near + (age / PERIOD - whole) * (far - near) + 0.03 * noise[3]
+            assert run.measured_y[k] == later + (age / PERIOD - instants) * (earlier - later) + 0.03 * noise[3]
     offset = 0.003 * (2.0 * counted_uniform(seed, 4, MEASUREMENT.yaw_rate, 0, 0) - 1.0)
     expected = [r + 0.002 * counted_normal(seed, k, 2) + offset for k, r in enumerate(run.true_yaw_rate)]
     np.testing.assert_array_equal(run.measured_yaw_rate, expected)

@@ -178,7 +178,7 @@ def _either(most, seed, stream, k):
 
 @inlined
 def _keep_past(k, station, drive, past, measured):
-    """Add what there is to measure now to the instants before; before the first one nothing was different."""
+    """Add what there is to measure now to the instants before; at the first instant fill all of them with it."""
     instants, _ = past.shape
     for i in range(instants - 1, 0, -1):
         for j in range(len(PAST_SIGNAL)):
@@ -202,15 +202,15 @@ def _recall(sensor, instants, past):
 
 @inlined
 def _age_of(mean, change):
-    """Age (s) of a sample, its mean and a change; a sensor that is prompt stays so."""
+    """Age (s) of a sample: its mean and a change of it, 0 if the mean is 0."""
     return max(0.0, mean + change) if mean > 0.0 else 0.0
 
 
 @inlined
 def _make_late(k, world, seed, drive, past, measured):
-    """Replace what there is to measure now by what there was; the position along the road (m) and its age (s).
+    """Replace the present signals by late ones; return the late position along the road (m) and its age (s).
 
-    All ages change together, each by its spread: samples of the same mean age and spread are parts of one message.
+    One random number changes all ages, each by its spread: samples of equal mean age and spread are one message.
     """
     most, period = float(k), world.period  # nothing is older than the run
     draw = _either(1.0, seed, _JITTER, k)
@@ -260,8 +260,8 @@ def _read_speed(k, world, seed, speed):
 def _estimate_station(slot, station, age, run):
     """Estimate the present position along the road from a measured one (m) of a known age (s) and the measured speed.
 
-    Without a measured position the estimate moves on with the speed. The heading error then counts from the heading of
-    the road at the estimate for the time of the pose, as in `tracker`.
+    If the position is missing, the estimate moves on with the speed. The measured heading error is relative to the
+    road at the estimated position at the time of the pose, as in `tracker`.
     """
     drive, world, measured = run.memory.own[slot], run.settings, run.measured
     k, seed = drive.instant, run.given.seeds[slot]
@@ -284,7 +284,7 @@ def _estimate_station(slot, station, age, run):
 
 @inlined
 def sense(slot, run):
-    """Write what the sensors of a slot's vehicle give, see `models.contract.MEASURED`, its speed and its station."""
+    """Write what the sensors of a slot's vehicle give: `models.contract.MEASUREMENT`, its speed and its station."""
     drive, block, world, measured = run.memory.own[slot], run.vehicles.block, run.settings, run.measured
     k, seed = drive.instant, run.given.seeds[slot]
     if world.noise_lateral_acceleration < math.inf:

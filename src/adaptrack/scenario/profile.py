@@ -85,19 +85,22 @@ class Profile(Record):
         default=0.0, ge=0, le=100, description="m, standard deviation of the measured position along the road"
     )
     station_age: float = Field(
-        default=0.0, ge=0, le=2, description="s, age of this position, +- pose_age_spread; 0: always now"
+        default=0.0, ge=0, le=2, description="s, age of this position, +- pose_age_spread; 0: current"
     )
     noise_speed_floor: float = Field(
-        default=0.0, ge=0, le=10, description="m/s, standard deviation of the measured speed that does not grow with it"
+        default=0.0,
+        ge=0,
+        le=10,
+        description="m/s, standard deviation of the measured speed, added to that of noise_speed",
     )
     speed_resolution: float = Field(
         default=0.0, ge=0, le=5, description="m/s, measured speeds are multiples of it; 0: continuous"
     )
     speed_dead_zone: float = Field(
-        default=0.0, ge=0, le=5, description="m/s, speeds measured below it are 0, as near standstill"
+        default=0.0, ge=0, le=5, description="m/s, measured speeds below it are 0, as near standstill"
     )
     speed_age: float = Field(
-        default=0.0, ge=0, le=2, description="s, age of the measured speed, +- motion_age_spread; 0: always now"
+        default=0.0, ge=0, le=2, description="s, age of the measured speed, +- motion_age_spread; 0: current"
     )
     motion_age_spread: float = Field(
         default=0.0, ge=0, le=2, description="s, motion_age varies by +- that, together with pose_age, and is known"
