@@ -103,7 +103,7 @@ def _slow_end(mpc: MPC, world: Profile) -> tuple[MPC, Profile]:
 
 @lru_cache(maxsize=16)
 def _cached_speeds(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
-    mpc, world = loop.mpc, loop.world.replace(pose_age=0.0, pose_age_spread=0.0, motion_age=0.0)
+    mpc, world = loop.mpc, loop.world.prompt
     plant = DualTrack(car)
     lowest = max(MIN_TABLE_SPEED, mpc.speed_floor)
     count = max(

@@ -24,7 +24,9 @@ class PageOptions:
     ] = "mountain"
     speed: options.Speed = None
     lateral_acceleration: options.LateralAcceleration = None
-    profile: Annotated[str, Option("--profile", metavar="NAME", help="paper, road or production.")] = "road"
+    profile: Annotated[str, Option("--profile", metavar="NAME", help="paper, road, production or production-bus.")] = (
+        "road"
+    )
     controller: Annotated[
         list[str] | None,
         Option("--controller", metavar="NAME", help="informed [default], learning, published, lqr, ...; at most two."),

@@ -18,7 +18,7 @@ from .maths.trigonometric import atan2
 from .models.contract import MEASUREMENT
 from .plants.contract import ENVIRONMENT, OBSERVED, PLANT_INPUT, PLANT_STATE, input_at, observe, state_at
 from .plants.forces import GRAVITY, slope_sine_and_cosine, wheel_angle
-from .road import foot_near, line_of
+from .road import foot_near, line_of, point_at
 from .variables import VARIABLE_COLUMNS
 
 LoopSettings = record(
@@ -51,6 +51,9 @@ LoopSettings = record(
         "creep",  # m/s^2, of the drive at standstill without a request
         "brake_whole", "brake_share",  # of the brakes, as those of the drive
         "brake_lag", "brake_rate", "brake_gain",  # s, m/s^3, -
+        "noise_station", "station_age",  # m, s: standard deviation and age of the measured position along the road
+        "noise_speed_floor", "speed_resolution", "speed_dead_zone",  # m/s, of the measured speed, see `_read_speed`
+        "speed_age", "motion_age_spread",  # s, age of the measured speed; +- spread of the ages of motion and speed
     ),
     integers=("substeps", "prescribed_speed", "dead_whole", "drive_whole", "brake_whole"),
 )  # fmt: skip
@@ -82,6 +85,10 @@ LOOP_MEMORY = record(
         "drive_force", "brake_force",  # N, at the end of the last period
         "standing",  # instants for which the car has stood at a stop
         "departed",  # the first instant of the plan after the last stop that the car has left
+        "speed_age",  # s, of the measured speed
+        "pose_station",  # m, measured position along the road at the time of the measured pose; without a road x
+        "station_estimate",  # m, the same carried forward to the present instant
+        "path_heading",  # rad, heading of the road at this estimate
     ),
     integers=("instant", "sample", "arrived", "ended", "located", "place", "standing", "departed"),
 )  # fmt: skip
@@ -89,11 +96,14 @@ LOOP_MEMORY = record(
 
 Memory = record("Memory", (("own", rows(LOOP_MEMORY)), ("sent", matrix), ("past", cube), ("requested", matrix)))
 """What the loop remembers of each slot (slots,): its scalars; commands, the latest first (slots, whole periods of dead
-time + 2); what there was to measure at the last instants, the latest first (slots, instants, SENSED), empty where all
-sensors are prompt; forces (N) that the driver requested, the latest first (slots, whole periods of the longer dead time
-of drive and brakes + 2)."""
+time + 2); what there was to measure at the last instants, the latest first (slots, instants, PAST_SIGNAL), empty where
+all sensors are prompt; forces (N) that the driver requested, the latest first (slots, whole periods of the longer dead
+time of drive and brakes + 2)."""
 SENSED = 6
 """How many of `MEASUREMENT` are measured; the others are their ages."""
+PAST_SIGNAL = columns(*MEASUREMENT._fields[:SENSED], "speed", "station")
+"""Signals of an instant that late sensors look back to."""
+_SPEED, _SPEED_FLOOR, _STATION = range(SENSED, SENSED + 3)  # channels of normal numbers, after those of the sensors
 _observed = local(len(OBSERVED))
 _JITTER, _DROPOUT, _LENGTH, _MISSING, _BIAS = range(5)  # streams of random numbers
 
@@ -213,14 +223,19 @@ def _either(most, seed, stream, k):
 
 
 @inlined
-def _keep_past(past, measured):
-    """Add what there is to measure now to the instants before."""
+def _keep_past(k, station, drive, past, measured):
+    """Add what there is to measure now to the instants before; at the first instant fill all of them with it."""
     instants, _ = past.shape
     for i in range(instants - 1, 0, -1):
-        for j in range(SENSED):
+        for j in range(len(PAST_SIGNAL)):
             past[i, j] = past[i - 1, j]
     for j in range(SENSED):
         past[0, j] = measured[j]
+    past[0, PAST_SIGNAL.speed], past[0, PAST_SIGNAL.station] = drive.speed, station
+    if k == 0:
+        for i in range(1, instants):
+            for j in range(len(PAST_SIGNAL)):
+                past[i, j] = past[0, j]
 
 
 @inlined
@@ -232,21 +247,32 @@ def _recall(sensor, instants, past):
 
 
 @inlined
-def _make_late(k, world, seed, past, measured):
-    """Replace what there is to measure now by what there was, as old as the sensors say."""
-    most = float(k)  # nothing is older than the run
-    age = max(0.0, world.pose_age + _either(world.pose_age_spread, seed, _JITTER, k))
-    _keep_past(past, measured)
-    if k == 0:
-        for i in range(len(past)):
-            for j in range(SENSED):
-                past[i, j] = measured[j]
+def _age_of(mean, change):
+    """Age (s) of a sample: its mean and a change of it, 0 if the mean is 0."""
+    return max(0.0, mean + change) if mean > 0.0 else 0.0
+
+
+@inlined
+def _make_late(k, world, seed, drive, past, measured):
+    """Replace the present signals by late ones; return the late position along the road (m) and its age (s).
+
+    One random number changes all ages, each by its spread: samples of equal mean age and spread are one message.
+    """
+    most, period = float(k), world.period  # nothing is older than the run
+    draw = _either(1.0, seed, _JITTER, k)
+    pose_change, motion_change = world.pose_age_spread * draw, world.motion_age_spread * draw
+    pose_age, motion_age = _age_of(world.pose_age, pose_change), _age_of(world.motion_age, motion_change)
+    station_age, speed_age = _age_of(world.station_age, pose_change), _age_of(world.speed_age, motion_change)
     for sensor in range(SENSED):
         posed = sensor == MEASUREMENT.yaw or sensor == MEASUREMENT.y
-        instants = min((age if posed else world.motion_age) / world.period, most)
+        instants = min((pose_age if posed else motion_age) / period, most)
         measured[sensor] = _recall(sensor, instants, past)
-    measured[MEASUREMENT.pose_age] = min(age, most * world.period)
-    measured[MEASUREMENT.motion_age] = min(world.motion_age, most * world.period)
+    drive.speed = _recall(PAST_SIGNAL.speed, min(speed_age / period, most), past)
+    drive.pose_station = _recall(PAST_SIGNAL.station, min(pose_age / period, most), past)
+    drive.speed_age = min(speed_age, most * period)
+    measured[MEASUREMENT.pose_age] = min(pose_age, most * period)
+    measured[MEASUREMENT.motion_age] = min(motion_age, most * period)
+    return _recall(PAST_SIGNAL.station, min(station_age / period, most), past), min(station_age, most * period)
 
 
 @inlined
@@ -267,8 +293,44 @@ def _leave_out(k, world, seed, drive, measured):
 
 
 @inlined
+def _read_speed(k, world, seed, speed):
+    """Return the reading (m/s) of a speed: with noise, in steps of the resolution, and 0 within the dead zone."""
+    reading = speed + speed * _noisy(0.0, world.noise_speed, k, _SPEED, seed) if world.noise_speed > 0.0 else speed
+    reading = _noisy(reading, world.noise_speed_floor, k, _SPEED_FLOOR, seed)
+    if world.speed_resolution > 0.0:
+        reading = world.speed_resolution * floor(reading / world.speed_resolution + 0.5)
+    return 0.0 if abs(reading) < world.speed_dead_zone else reading
+
+
+@inlined
+def _estimate_station(slot, station, age, run):
+    """Estimate the present position along the road from a measured one (m) of a known age (s) and the measured speed.
+
+    If the position is missing, the estimate moves on with the speed. The measured heading error is relative to the
+    road at the estimated position at the time of the pose, as in `tracker`.
+    """
+    drive, world, measured = run.memory.own[slot], run.settings, run.measured
+    k, seed = drive.instant, run.given.seeds[slot]
+    if k == 0 or math.isfinite(measured[MEASUREMENT.y]):
+        estimate = _noisy(station, world.noise_station, k, _STATION, seed) + age * drive.speed
+    else:
+        estimate = drive.station_estimate + world.period * drive.speed
+    true_station = drive.pose_station
+    drive.station_estimate = estimate
+    drive.pose_station = estimate - measured[MEASUREMENT.pose_age] * drive.speed
+    if drive.located > 0:
+        line = line_of(run.given.roads.of[run.given.scenario[slot]], run.given.roads)
+        _, _, true_heading, _ = point_at(true_station, line)
+        _, _, pose_heading, _ = point_at(drive.pose_station, line)
+        _, _, heading, _ = point_at(estimate, line)
+        measured[MEASUREMENT.yaw] += true_heading - pose_heading
+        measured[MEASUREMENT.turned] = heading - drive.path_heading if k > 0 else 0.0
+        drive.path_heading = heading
+
+
+@inlined
 def sense(slot, run):
-    """Write what the sensors of a slot's vehicle give, see `models.contract.MEASURED`, and the measured speed."""
+    """Write what the sensors of a slot's vehicle give: `models.contract.MEASUREMENT`, its speed and its station."""
     drive, block, world, measured = run.memory.own[slot], run.vehicles.block, run.settings, run.measured
     k, seed = drive.instant, run.given.seeds[slot]
     if world.noise_lateral_acceleration < math.inf:
@@ -285,8 +347,13 @@ def sense(slot, run):
         world.steering_lag, world.steering_limit,
     )  # fmt: skip
     measured[MEASUREMENT.pose_age], measured[MEASUREMENT.motion_age] = 0.0, 0.0
+    station = drive.station if drive.located > 0 else block[state_at(PLANT_STATE.x, slot)]
+    drive.speed, drive.speed_age, drive.pose_station = block[state_at(PLANT_STATE.vx, slot)], 0.0, station
+    late_station, station_age = station, 0.0
     if run.features.late:
-        _make_late(k, world, seed, run.memory.past[slot], measured)
+        past = run.memory.past[slot]
+        _keep_past(k, station, drive, past, measured)
+        late_station, station_age = _make_late(k, world, seed, drive, past, measured)
     noises = (
         world.noise_vy, world.noise_yaw, world.noise_yaw_rate, world.noise_y, world.noise_wheel_angle,
         world.noise_lateral_acceleration,
@@ -298,8 +365,11 @@ def sense(slot, run):
     if world.bias_wheel_angle > 0.0:
         measured[MEASUREMENT.wheel_angle] += _either(world.bias_wheel_angle, seed, _BIAS, MEASUREMENT.wheel_angle)
     _leave_out(k, world, seed, drive, measured)
-    speed = block[state_at(PLANT_STATE.vx, slot)]
-    drive.speed = speed + speed * _noisy(0.0, world.noise_speed, k, SENSED, seed) if world.noise_speed > 0.0 else speed
+    drive.speed = _read_speed(k, world, seed, drive.speed)
+    if world.noise_station > 0.0 or world.station_age > 0.0:
+        _estimate_station(slot, late_station, station_age, run)
+    else:
+        drive.station_estimate = station
 
 
 @inlined
@@ -542,7 +612,7 @@ def memory_sizes(slots, dead_whole, past, requested, table, row):
     """Sizes of the arrays of `Memory`, see `layout`; past: instants that late sensors look back; requested: forces."""
     row = put(table, row, slots)
     row = put(table, row, slots, dead_whole + 2)
-    row = put(table, row, slots, past, SENSED)
+    row = put(table, row, slots, past, len(PAST_SIGNAL))
     return put(table, row, slots, requested)
 
 
@@ -560,5 +630,6 @@ def forget(slot, memory):
     drive.command, drive.integral, drive.ended_at = 0.0, 0.0, 0.0
     drive.station, drive.turned, drive.located, drive.place, drive.blind_until, drive.speed = 0.0, 0.0, 0, 0, 0.0, 0.0
     drive.curvature, drive.drive_force, drive.brake_force, drive.standing, drive.departed = 0.0, 0.0, 0.0, 0, 0
+    drive.speed_age, drive.pose_station, drive.station_estimate, drive.path_heading = 0.0, 0.0, 0.0, 0.0
     memory.sent[slot, :], memory.requested[slot, :] = 0.0, 0.0
     memory.past[slot, :, :] = 0.0

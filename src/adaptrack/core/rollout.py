@@ -131,7 +131,7 @@ def _apply_law(slot, reference, run):
     roads, scenario = run.given.roads, run.given.scenario[slot]
     speeds = run.given.signals[scenario, SIGNAL.speed]
     first = plan_instant(slot, run) if roads.of[scenario] >= 0 else speeds.size
-    road = RoadAheadRecord(line_of(roads.of[scenario], roads), drive.station, speeds[first:])
+    road = RoadAheadRecord(line_of(roads.of[scenario], roads), drive.station_estimate, speeds[first:])
     no_vy = run.settings.noise_vy == math.inf  # a car without a sensor of it
     current = Situation(
         0.0 if no_vy else measured[MEASUREMENT.vy],
@@ -167,7 +167,7 @@ def _see_bend(slot, speed, run):
         return
     speeds = run.given.signals[scenario, SIGNAL.speed, plan_instant(slot, run) :]
     bend_ahead(
-        run.memory.own[slot].station, speeds, max(speed, settings.speed_floor), mpc.delay_of(slot, run.mpc),
+        run.memory.own[slot].station_estimate, speeds, max(speed, settings.speed_floor), mpc.delay_of(slot, run.mpc),
         settings.period, road, run.given.roads, run.mpc.bend,
     )  # fmt: skip
 

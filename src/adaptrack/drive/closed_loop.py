@@ -159,11 +159,12 @@ class ClosedLoop:
         return Sensed(self.run.measured, float(self._own["speed"][0]), self._references[self.instant :], variables)
 
     def road_ahead(self, speed: float) -> RoadAhead:
-        """The road ahead of a car that passes it as planned, from its present speed (m/s) on."""
+        """The road ahead of a car that passes it as planned, from its present speed (m/s) on, as its sensors see it."""
         by_place = self.road is not None and self.world.driver is not None
         first = int(self._own["place"][0]) if by_place else self.instant
         planned = self.signals.speed[first:][:LONGEST_PREVIEW]
-        return RoadAhead(self.road, float(self._own["station"][0]), np.maximum(planned + (speed - planned[0]), 0.0))
+        station = float(self._own["station_estimate"][0])
+        return RoadAhead(self.road, station, np.maximum(planned + (speed - planned[0]), 0.0))
 
     def send(self, command: float) -> bool:
         """Send a command (rad); False when it is not finite, which ends the run."""

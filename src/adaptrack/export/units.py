@@ -153,8 +153,7 @@ def car_unit(
         0: car.CAR_OUTPUTS,
     }
     values = described(car.__name__, groups, starts)
-    past = loop.memory.past.shape[1]
-    record = car.CarUnit(*_columns(values), past=np.zeros(past), loop=loop)
+    record = car.CarUnit(*_columns(values), loop=loop)
     title = f"car {(getattr(plant, 'vehicle', None) or plant).name}, {plant.name}, profile {world.profile.name}"
     roles = dict.fromkeys(("loop.vehicles.parameters", "loop.given.roads"), ArrayRole.FIXED)
     return Unit("car", title, record, values, FIXED_ROLES | roles)

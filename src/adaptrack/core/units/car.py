@@ -48,7 +48,7 @@ CAR_OUTPUTS = (
     "measured_offset",  # m, measured distance from the road, measured_pose_age ago, positive to the left; NaN: missing
     "measured_heading_error",  # rad, measured_yaw less the road's heading; NaN: missing
     "measured_pose_age",  # s, how old measured position and yaw are
-    "measured_speed",  # m/s, measured speed along the car's axis, now
+    "measured_speed",  # m/s, measured speed along the car's axis, measured_speed_age ago
     "measured_vy",  # m/s, measured lateral velocity, measured_motion_age ago, positive to the left; NaN: missing
     "measured_yaw_rate",  # rad/s, measured yaw rate, measured_motion_age ago, positive to the left; NaN: missing
     "measured_wheel_angle",  # rad, measured angle of the road wheels, measured_motion_age ago; NaN: missing
@@ -64,6 +64,7 @@ CAR_OUTPUTS = (
     "offset",  # m, true distance from the road, positive to the left; without a road y
     "heading_error",  # rad, true yaw angle less the road's heading
     "ended",  # 0, or 2 once the car has spun
+    "measured_speed_age",  # s, how old the measured speed is
 )  # fmt: skip
 CAR_VALUE = columns(*CAR_CONSTANTS, *PARAMETERS, *CAR_INPUTS, *CAR_OUTPUTS)
 """The values of a car."""
@@ -73,13 +74,11 @@ _OUTPUT = _INPUT + len(CAR_INPUTS)
 CarUnit = record(
     "CarUnit",
     (
-        ("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("past", vector),
-        ("loop", RunLoop),
+        ("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("loop", RunLoop),
     ),
 )  # fmt: skip
-"""A unit of co-simulation (see `contract`), its values by `CAR_VALUE`; where the car was at the last instants (m along
-its road), the latest first, as many as late sensors look back; the loop: one slot, one scenario, whose signals are as
-many samples as the driver looks ahead."""
+"""A unit of co-simulation (see `contract`), its values by `CAR_VALUE`; the loop: one slot, one scenario, whose signals
+are as many samples as the driver looks ahead."""
 
 _observed = local(len(OBSERVED))
 
@@ -102,22 +101,6 @@ def _open_window(car):
 
 
 @inlined
-def _measured_position(car):
-    """Where the car was along its road (m) at the time of the measured pose."""
-    loop, past = car.loop, car.past
-    drive = loop.memory.own[0]
-    station = drive.station if drive.located > 0 else loop.vehicles.block[state_at(PLANT_STATE.x, 0)]
-    if past.size == 0:
-        return station
-    for i in range(past.size - 1, 0, -1):
-        past[i] = past[i - 1] if drive.instant > 0 else station
-    past[0] = station
-    instants = loop.measured[MEASUREMENT.pose_age] / loop.settings.period
-    first = min(whole(instants), past.size - 2)
-    return past[first] + (instants - first) * (past[first + 1] - past[first])
-
-
-@inlined
 def _sense(car):
     """Write the outputs of the present instant; the status."""
     values, loop = car.values, car.loop
@@ -127,7 +110,7 @@ def _sense(car):
         return UNIT_FAILED
     if drive.ended != RUNNING:
         values[CAR_VALUE.ended] = float(drive.ended)
-    offset, error, station = measured[MEASUREMENT.y], measured[MEASUREMENT.yaw], _measured_position(car)
+    offset, error, station = measured[MEASUREMENT.y], measured[MEASUREMENT.yaw], drive.pose_station
     x, y, heading = station, 0.0, 0.0
     if drive.located > 0:
         x, y, heading, _ = point_at(station, line_of(loop.given.roads.of[0], loop.given.roads))
@@ -135,7 +118,7 @@ def _sense(car):
     values[CAR_VALUE.measured_yaw] = heading + error
     values[CAR_VALUE.measured_offset], values[CAR_VALUE.measured_heading_error] = offset, error
     values[CAR_VALUE.measured_pose_age] = measured[MEASUREMENT.pose_age]
-    values[CAR_VALUE.measured_speed] = drive.speed
+    values[CAR_VALUE.measured_speed], values[CAR_VALUE.measured_speed_age] = drive.speed, drive.speed_age
     values[CAR_VALUE.measured_vy] = measured[MEASUREMENT.vy]
     values[CAR_VALUE.measured_yaw_rate] = measured[MEASUREMENT.yaw_rate]
     values[CAR_VALUE.measured_wheel_angle] = measured[MEASUREMENT.wheel_angle]
