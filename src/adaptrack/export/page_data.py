@@ -27,7 +27,7 @@ from adaptrack.core.models import path as path_model
 from adaptrack.core.models import single_track
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.period import RunSpan
-from adaptrack.core.planning import along, drive, speed
+from adaptrack.core.planning import drive, speed, station_table
 from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, PLANT_STATES, SLOTS
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
@@ -39,13 +39,13 @@ from adaptrack.export.page_inputs import car_fields, page_car, plain
 from adaptrack.export.page_layout import calls, image, layouts, packed
 from adaptrack.export.page_setup import GENERATED, PAGE_ROADS, PAPER_ROADS, controller_of, page_road
 from adaptrack.road import Comfort, Line, Road
-from adaptrack.road.ahead import pack_roads
+from adaptrack.road.road_ahead import pack_roads
 from adaptrack.road.speed import PLAN_SPACING
 from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 RECORDS = (
-    rollout.RunRecord, rollout.RunCounts, RunSpan, road.Centreline, along.AlongRecord, speed.Planning,
+    rollout.RunRecord, rollout.RunCounts, RunSpan, road.Centreline, station_table.AlongRecord, speed.Planning,
     drive.RoadDriveRecord, Order, InformedParts, Constants, laws.Common, car.CarRow, car.KnownWithinRow,
     car.SteeringRow, plant.Chassis, plant.TyreRow, plant.Actuator, plant.BodyRow, plant.OutlineRow,
 )  # fmt: skip

@@ -25,7 +25,7 @@ from adaptrack.drive.world import Driver, World
 from adaptrack.export.block import ArrayRole
 from adaptrack.export.tracking import ROLES, refuse, small_record_of
 from adaptrack.road import Road, SpeedPlan
-from adaptrack.road.ahead import pack_roads
+from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile, load_profile
 

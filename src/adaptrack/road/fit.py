@@ -26,10 +26,10 @@ from adaptrack.core import path
 from adaptrack.core.kernel import OK
 from adaptrack.core.path import MIN_PATH_POINTS, WIDEST
 from adaptrack.core.road import MOST_CURVATURE, project_all
-from adaptrack.road.along import ALONG_QUANTITIES, Along, alongs
 from adaptrack.road.road import Road
 from adaptrack.road.segments import MAX_COORDINATE, Array, Cubic, Pose
 from adaptrack.road.smoothing import Smoother
+from adaptrack.road.station_table import ALONG_QUANTITIES, Along, alongs
 from adaptrack.road.table import Pieces, cubic_line, placed
 
 _log = logging.getLogger("adaptrack")

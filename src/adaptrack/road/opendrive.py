@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import is_number, printable, read_bytes
 from adaptrack.core.road import X, Y
-from adaptrack.road.along import Along, alongs
 from adaptrack.road.opendrive_lanes import Lanes, Stations, bank_of, line_at_offset, number_of, speed_limit
 from adaptrack.road.road import MAX_JOINT_GAP, MAX_JOINT_KINK, Road
 from adaptrack.road.segments import MIN_ELEMENT_LENGTH, Arc, Array, Clothoid, Cubic, Line, Pose, Segment
+from adaptrack.road.station_table import Along, alongs
 from adaptrack.road.table import Pieces, joined, placed, tabulate
 
 READ = {

@@ -16,10 +16,10 @@ from adaptrack.base.checked import checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
-from adaptrack.core.planning import along as along_kernel
+from adaptrack.core.planning import station_table as along_kernel
 from adaptrack.core.road import X, Y
-from adaptrack.road.along import ALONG_QUANTITIES, Along, alongs
 from adaptrack.road.segments import MAX_COORDINATE, Array, Points, Pose, Segment
+from adaptrack.road.station_table import ALONG_QUANTITIES, Along, alongs
 from adaptrack.road.table import Pieces, sequence, tabulate
 from adaptrack.road.toml import write_road
 

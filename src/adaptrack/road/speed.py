@@ -27,7 +27,7 @@ from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.cells import PLAN, plan_places
 from adaptrack.core.planning.speed import STRAIGHT_CURVATURE as STRAIGHT_CURVATURE
 from adaptrack.road.cornering import cornering_limit, packed, steering_limit
-from adaptrack.road.holdable import HoldableSpeed, highest
+from adaptrack.road.holdable_speed import HoldableSpeed, highest
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
 

@@ -44,8 +44,8 @@ from adaptrack.core.road import (
     Y,
 )
 from adaptrack.core.road import ALONG_COEFFICIENTS as ALONG_PIECE
-from adaptrack.road.along import Along
 from adaptrack.road.segments import MAX_COORDINATE, MAX_ELEMENT_LENGTH, MIN_ELEMENT_LENGTH, Segment
+from adaptrack.road.station_table import Along
 from adaptrack.road.table import Pieces, end_to_end
 
 

@@ -12,7 +12,7 @@ from ..maths.bits import whole
 from ..maths.exact import ceil
 from ..road import HALF_LENGTH, POLYNOMIAL_DEGREE, TURN_COEFFICIENTS
 from ..speed_plan import last_at
-from .along import least_between, value_at
+from .station_table import least_between, value_at
 
 PLAN = columns(
     # at the places

@@ -10,7 +10,7 @@ from ..maths.trigonometric import cos, sin
 from ..plants.forces import GRAVITY
 from ..road import Centreline, point_at
 from ..speed_plan import SpeedPlanRecord, motion_at
-from .along import Route, on_lap, value_at
+from .station_table import Route, on_lap, value_at
 
 LOOK_AHEAD = 3.0
 """s, how far ahead the scheduling variables `change` and `acceleration` look."""

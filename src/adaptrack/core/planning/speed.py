@@ -24,9 +24,9 @@ from ..plants.forces import GRAVITY
 from ..plants.parameters import unpack
 from ..road import CLOSED
 from ..speed_plan import last_at
-from .along import Route, between
 from .cells import PLAN, write_cells
 from .cornering import BENDS, cornering_at, cornering_limits
+from .station_table import Route, between
 
 SpeedBounds = record(
     "SpeedBounds",

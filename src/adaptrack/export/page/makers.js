@@ -328,7 +328,7 @@ const alongOf = (value) =>
   value < Infinity
     ? { s: { shape: [1] }, value: { shape: [1], values: [value] } }
     : { s: { shape: [0] }, value: { shape: [0] } };
-const constantAlong = (value) => mine(memory.make("planning.along.AlongRecord", alongOf(value)));
+const constantAlong = (value) => mine(memory.make("planning.station_table.AlongRecord", alongOf(value)));
 
 const AN_HOUR = 3600, MOST_SAMPLES = 200000;
 const OK = 0;
