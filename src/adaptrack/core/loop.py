@@ -87,9 +87,10 @@ MIN_SPIN_SPEED = 1.0
 SIGNAL = columns(
     "y_ref", "speed", "friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right",
     "wind_x", "wind_y", "bank", "known_friction", "known_wind", "change", "acceleration", "station",
+    "grade",
 )  # fmt: skip
 """Rows of a scenario's samples. Friction and wind as they are known and the reference preview are scheduling variables;
-the last row is where the plan is on a curved road (m)."""
+station is where the plan is on a curved road (m); grade is dz/ds of the road, positive uphill."""
 TOLERATED, CATCH_UP, MOST_CATCH_UP = 0.5, 2.0, 0.1
 """m, by which a car may be early or late on its plan; s, in which it makes up for the rest; share of the speed, at
 most."""

@@ -202,6 +202,7 @@ class World:
         samples = {
             "y_ref": signals.y_ref, "speed": signals.speed, "wind_x": signals.wind[:, 0], "wind_y": signals.wind[:, 1],
             "bank": signals.bank, "acceleration": signals.curvature, "station": signals.station,
+            "grade": signals.grade,
         }  # fmt: skip
         for name, values in samples.items():
             rows[getattr(SIGNAL, name)] = values

@@ -155,7 +155,8 @@ def _test(name: str) -> dict[str, Any]:
     scenario, period = load_scenario(name), 0.05
     signals = scenario.sample(period)
     x = np.concatenate([[0.0], np.cumsum(0.5 * (signals.speed[1:] + signals.speed[:-1]) * period)])
-    if not (np.ptp(signals.friction, axis=1) == 0.0).all() or signals.wind[:, 0].any() or np.any(signals.bank):
+    unread = signals.wind[:, 0], signals.bank, signals.grade
+    if not (np.ptp(signals.friction, axis=1) == 0.0).all() or any(map(np.any, unread)):
         raise InvalidInput(f"test {name!r}: has more than the page knows of.")
     return {
         "period": period, "samples": signals.t.size, "y_ref": packed(signals.y_ref), "speed": packed(signals.speed),
@@ -171,7 +172,9 @@ def _words() -> dict[str, Any]:
         "plan": ["", "At s = {s} m the road is tighter than this car can turn: choose another road or car.",
                  "At s = {s} m the bank alone pushes with {value} m/s².", "The speed at the start is too high.",
                  "The speed at the end is too high.", "No car can brake in time from the start: start slower.",
-                 "No speed can be planned on this road.", "What bounds the speed must be numbers above 0."],
+                 "No speed can be planned on this road.", "What bounds the speed must be numbers above 0.",
+                 "At s = {s} m the grade is too steep for this car.",
+                 "At s = {s} m the grade is too steep for this friction."],
         "named": {"lag": "The true lag (s)", "dead_time": "The true dead time (s)", "bias": "The true bias (rad)",
                   "noise": "The factor on the noise", "friction": "The friction", "wind": "The wind (m/s)",
                   "vy": "The push to the side (m/s)", "yaw_rate": "The push that turns (rad/s)",

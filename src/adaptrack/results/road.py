@@ -97,12 +97,15 @@ def limits_in_words(plan: SpeedPlan) -> str:
 
 def _summary(road: Road, plan: SpeedPlan) -> dict[str, Any]:
     bends = np.abs(road.at(plan.s).curvature).max()
+    grades = road.along("grade", plan.s)
     return {
         "road": road.name,
         "length": road.length,
         "closed": road.closed,
         "smallest_radius": 1.0 / float(bends) if bends > 0.0 else None,
         "curvature_jumps": len(road.curvature_jumps()),
+        "largest_grade": float(grades.max()),
+        "least_grade": float(grades.min()),
         "deviation": road.deviation,
         "slowest": float(plan.speed.min()),
         "fastest": float(plan.speed.max()),

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from adaptrack.base.checked import checked, reals
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import ROAD_LENGTH, check_limit
+from adaptrack.base.limits import MAX_GRADE, ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
 from adaptrack.core.planning import station_table as along_kernel
 from adaptrack.core.road import X, Y
@@ -29,9 +29,12 @@ JUMP = 1e-4
 """1/m, a change of curvature at one place that counts as a jump; a line through samples has smaller ones."""
 HALF_LANE = Along.constant(1.75)
 """m, half of a lane of 3.5 m: the width to each side where nothing is said."""
-DRY_FRICTION, LEVEL_BANK = Along.constant(0.9), Along.constant(0.0)
-"""Friction, as in the scenarios, and bank where nothing is said."""
+DRY_FRICTION, LEVEL = Along.constant(0.9), Along.constant(0.0)
+"""Default friction, as in the scenarios, and default bank and grade."""
 AT_ORIGIN = Pose()
+_GRADE_RULE = (
+    f"a grade dz/ds, at most {MAX_GRADE} to either side; 5 per cent are 0.05: divide a grade in per cent by 100"
+)
 _NO_LIMIT = along_kernel.AlongRecord(np.zeros(0), np.zeros(0), 0)
 
 
@@ -61,7 +64,7 @@ class Projection(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Road:
-    """A centre line with continuous heading, and width, speed limit, friction and bank along it.
+    """A centre line with continuous heading, and width, speed limit, friction, bank and grade along it.
 
     Its curvature may jump, as where a straight line meets an arc (`curvature_jumps`); `smooth_road` rounds it.
     An open road goes on straight before its start and after its end. On a closed one s may be any number, lap by lap.
@@ -87,8 +90,10 @@ class Road:
     """Speed limit along the road (m/s)."""
     friction: Along = DRY_FRICTION
     """coefficient of all wheels"""
-    bank: Along = LEVEL_BANK
+    bank: Along = LEVEL
     """rad, positive where gravity pushes to the left"""
+    grade: Along = LEVEL
+    """dz/ds in the direction of the road, positive uphill; at most `MAX_GRADE` to either side"""
     notes: tuple[str, ...] = ()
     """Sentences of its reader on deviations and unused parts."""
     deviation: float = 0.0
@@ -111,10 +116,11 @@ class Road:
                 along.within(lambda value: value > 0.0, "> 0")
             self.friction.within(lambda value: value <= 3.0, "a coefficient such as 0.8, at most 3")
             self.bank.within(lambda value: np.abs(value) < 1.4, "an angle in rad, below 1.4 to either side")
+            self.grade.within(lambda value: np.abs(value) <= MAX_GRADE, _GRADE_RULE)
             if self.speed_limit is not None:
                 self.speed_limit.within(lambda value: value > 0.0, "a speed > 0 m/s")
         except InvalidInput as error:
-            raise InvalidInput(f"road {self.name!r}: width, friction, bank or speed limit: {error}") from None
+            raise InvalidInput(f"road {self.name!r}: width, friction, bank, grade or speed limit: {error}") from None
 
     def _check_joints(self) -> None:
         """Refuse gaps and kinks."""
@@ -164,7 +170,8 @@ class Road:
         closed : bool
             Whether its end is its start; it then must meet it within 0.01 m and 0.01 rad.
         **along
-            `width_left`, `width_right`, `speed_limit`, `friction`, `bank`: a number, (arc lengths, values) or `Along`.
+            `width_left`, `width_right`, `speed_limit`, `friction`, `bank`, `grade`: a number, (arc lengths, values) or
+            `Along`.
 
         Raises
         ------
@@ -223,7 +230,9 @@ class Road:
         )
 
     def along(self, name: str, s: ArrayLike) -> Array:
-        """`width_left`, `width_right`, `speed_limit`, `friction` or `bank` at the arc lengths `s`; no limit: inf.
+        """A quantity along the road at the arc lengths `s` (m); the speed limit is inf where there is none.
+
+        name: `width_left`, `width_right`, `speed_limit`, `friction`, `bank` or `grade`.
 
         Raises
         ------
@@ -308,7 +317,7 @@ class Road:
     def route(self) -> Any:
         """The road with what lies along it as `adaptrack.core.planning` reads it; read-only."""
         limit = _NO_LIMIT if self.speed_limit is None else self.speed_limit.packed()
-        return along_kernel.Route(self.packed(), self.friction.packed(), self.bank.packed(), limit)
+        return along_kernel.Route(self.packed(), self.friction.packed(), self.bank.packed(), limit, self.grade.packed())
 
     # ---- variants
 

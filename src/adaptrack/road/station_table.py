@@ -1,4 +1,4 @@
-"""A quantity along a road (width, speed limit, friction, bank): a table over the arc length."""
+"""A quantity along a road (width, speed limit, friction, bank, grade): a table over the arc length."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def as_along(name: str, value: Along | float | tuple[ArrayLike, ArrayLike]) -> A
 
 NO_LIMIT = 1000.0
 """m/s, the speed limit where none is posted."""
-ALONG_QUANTITIES = ("width_left", "width_right", "speed_limit", "friction", "bank")
+ALONG_QUANTITIES = ("width_left", "width_right", "speed_limit", "friction", "bank", "grade")
 """What lies along a road."""
 
 

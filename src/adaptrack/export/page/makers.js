@@ -342,6 +342,7 @@ function planOf(speed, of, car, world) {
     friction: alongOf(of.friction),
     bank: alongOf(0),
     speed_limit: alongOf(of.speed_limit),
+    grade: alongOf(0),
   };
   const spacing = real(written.comfort.spacing), none = vectorOf([]);
   const places = memory.call("plan_places", line.start, spacing, none, none);
