@@ -49,7 +49,9 @@ def line_through(points, closed):
 
 def to_plan(line, car=None, friction=0.9, bounds=BOUNDS, **along):
     """A plan to be made as another program has it: no road but its pieces, no car but its numbers."""
-    route = Route(line, constant(friction), constant(along.get("bank", 0.0)), NOWHERE)
+    route = Route(
+        line, constant(friction), constant(along.get("bank", 0.0)), NOWHERE, constant(along.get("grade", 0.0))
+    )
     table = np.full((len(PLAN), plan_places(line.start, bounds.spacing, NONE, NONE)), np.nan)
     plant = NONE if car is None else packed(car)
     return kernel.Planning(route, bounds, plant, NONE, NONE, NONE, np.zeros((0, 0)), table)

@@ -493,11 +493,11 @@ def bank_of(where: str, road: Element, stations: Stations, lanes: Lanes) -> dict
 def grade_of(road: Element, stations: Stations) -> dict[str, Along]:
     """The grade dz/ds of the reference line: the derivative of its elevation."""
     elevations = stations.cubics(road.findall("elevationProfile/elevation"))
+    if not elevations or elevations[0][0] > 0.0:  # level before the first one
+        elevations = [(0.0, np.zeros(4)), *elevations]
+    starts = [start for start, _ in elevations]
     s: list[float] = []
     values: list[float] = []
-    starts = [start for start, _ in elevations]
-    if starts and starts[0] > 0.0:  # level before the first one
-        s, values = [0.0, starts[0]], [0.0, 0.0]
     for (start, cubic), end in zip(elevations, [*starts[1:], stations.length], strict=True):
         places = _samples(start, end)
         s += places.tolist()
