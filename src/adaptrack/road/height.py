@@ -40,7 +40,8 @@ def grade_of_heights(s: Array, height: Array, length: float, closed: bool) -> tu
     last = powers[-1, 1] + 2.0 * powers[-1, 2] + 3.0 * powers[-1, 3]
     grade = np.append(np.stack(slopes, axis=-1), last) / knot
     stations = np.linspace(0.0, length, grade.size)
-    for k in np.flatnonzero(np.abs(grade) > MAX_GRADE)[:1]:
+    k = int(np.abs(grade).argmax())
+    if abs(grade[k]) > MAX_GRADE:
         raise InvalidInput(
             f"fit_road: the heights change by {grade[k]:.3g} m per metre at s = {stations[k]:.6g} m: at most "
             f"{MAX_GRADE} are possible; is z in m? Correct the heights, or leave them out."

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import checked, reals
 from adaptrack.base.errors import InvalidInput
@@ -32,9 +32,18 @@ HALF_LANE = Along.constant(1.75)
 DRY_FRICTION, LEVEL = Along.constant(0.9), Along.constant(0.0)
 """Default friction, as in the scenarios, and default bank and grade."""
 AT_ORIGIN = Pose()
-_GRADE_RULE = (
-    f"a grade dz/ds, at most {MAX_GRADE} to either side; 5 per cent are 0.05: divide a grade in per cent by 100"
-)
+_RULES: dict[str, tuple[Callable[[Array], NDArray[np.bool_]], str]] = {
+    "width_left": (lambda value: value > 0.0, "> 0"),
+    "width_right": (lambda value: value > 0.0, "> 0"),
+    "friction": (lambda value: (value > 0.0) & (value <= 3.0), "a coefficient > 0 such as 0.8, at most 3"),
+    "bank": (lambda value: np.abs(value) < 1.4, "an angle in rad, below 1.4 to either side"),
+    "grade": (
+        lambda value: np.abs(value) <= MAX_GRADE,
+        f"dz/ds, at most {MAX_GRADE} to either side; 5 per cent are 0.05: divide a grade in per cent by 100",
+    ),
+    "speed_limit": (lambda value: value > 0.0, "a speed > 0 m/s"),
+}
+"""What is allowed of the quantities along a road."""
 _NO_LIMIT = along_kernel.AlongRecord(np.zeros(0), np.zeros(0), 0)
 
 
@@ -110,17 +119,13 @@ class Road:
                 "allowed; correct it, or move the origin."
             )
         self._check_joints()
-        positive = (self.width_left, "width_left"), (self.width_right, "width_right"), (self.friction, "friction")
-        try:
-            for along, _ in positive:
-                along.within(lambda value: value > 0.0, "> 0")
-            self.friction.within(lambda value: value <= 3.0, "a coefficient such as 0.8, at most 3")
-            self.bank.within(lambda value: np.abs(value) < 1.4, "an angle in rad, below 1.4 to either side")
-            self.grade.within(lambda value: np.abs(value) <= MAX_GRADE, _GRADE_RULE)
-            if self.speed_limit is not None:
-                self.speed_limit.within(lambda value: value > 0.0, "a speed > 0 m/s")
-        except InvalidInput as error:
-            raise InvalidInput(f"road {self.name!r}: width, friction, bank, grade or speed limit: {error}") from None
+        for name, (allowed, rule) in _RULES.items():
+            values: Along | None = getattr(self, name)
+            try:
+                if values is not None:
+                    values.within(allowed, rule)
+            except InvalidInput as error:
+                raise InvalidInput(f"road {self.name!r}: {name} = {error}") from None
 
     def _check_joints(self) -> None:
         """Refuse gaps and kinks."""
