@@ -122,6 +122,10 @@ def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) 
         axes.plot(s, road.at(s).curvature, **Stroke().look)
         label_station(axes, "Curvature (1/m)")
 
+    def draw_grade(axes: Axes) -> None:
+        axes.plot(s, 100.0 * road.along("grade", s), **Stroke().look)
+        label_station(axes, "Grade (%)")
+
     def draw_speed(axes: Axes) -> None:
         axes.plot(s, plan.at(s), **Stroke().look)
         if road.speed_limit is not None:
@@ -142,6 +146,8 @@ def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) 
         Panel("Curvature", draw_curvature, "Curvature along the road."),
         Panel("Speed", draw_speed, "Planned speed along the road."),
     ]
+    if road.along("grade", s).any():
+        panels.append(Panel("Grade", draw_grade, "Grade along the road, positive uphill."))
     caption = "The road from above, coloured by the planned speed; curvature and speed along it."
     return Picture("road", caption, panels, file="road.png", columns=1, row_height=1.25)
 

@@ -418,9 +418,9 @@ def _binds(k, car, planning):
     """Return the bound that limits the acceleration between two places."""
     table, most = planning.table, _four()
     start, there = table[PLAN.square, k], table[PLAN.square, k + 1]
-    gained, driven = there - start, min(_drive(k, start, car, planning), _drive(k, there, car, planning))
-    way = 2.0 * (table[PLAN.s, k + 1] - table[PLAN.s, k])
-    if gained >= 0.0 or gained >= way * driven / ALL_OF_IT:
+    drive = min(_drive(k, start, car, planning), _drive(k, there, car, planning))
+    acceleration = (there - start) / (2.0 * (table[PLAN.s, k + 1] - table[PLAN.s, k]))
+    if acceleration >= 0.0 or acceleration >= drive / ALL_OF_IT:
         names = (SPEED_LIMIT.accelerate, SPEED_LIMIT.grip, SPEED_LIMIT.power, SPEED_LIMIT.power)
         first, other = _drives(k, start, car, planning), _drives(k, there, car, planning)
         for i in range(3):
@@ -435,8 +435,7 @@ def _binds(k, car, planning):
     for i in range(1, 4):
         if most[i] < most[least]:
             least = i
-    used = abs(there - start) / (2.0 * (table[PLAN.s, k + 1] - table[PLAN.s, k]))
-    soft = planning.bounds.jerk < math.inf and used < ALL_OF_IT * most[least]
+    soft = planning.bounds.jerk < math.inf and abs(acceleration) < ALL_OF_IT * most[least]
     return SPEED_LIMIT.jerk if soft else names[least]
 
 
