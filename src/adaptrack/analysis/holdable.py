@@ -24,7 +24,7 @@ from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit
-from adaptrack.road.holdable import HoldableSpeed
+from adaptrack.road.holdable_speed import HoldableSpeed
 from adaptrack.scenario.profile import Profile, load_profile
 
 MAX_INSTABILITY_DURATION = 10.0

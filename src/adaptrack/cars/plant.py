@@ -45,6 +45,8 @@ class Plant(ABC):
     Subclasses are the two built-in vehicles and `UserPlant`; `check_plant` tells whether one keeps the contract.
     """
 
+    takes_grade = False
+    """Whether its equations read the grade of the road."""
     costly = False
     """Whether driving takes so long that searches and learning run on the car's twin (`twin_of`), and only what they
     found is judged on the plant."""
@@ -162,6 +164,7 @@ class _Car(Plant):
     def _with_ideal_steering(self) -> Array:
         return pack_plant(self.vehicle, self.tyre, SteeringActuator.ideal())
 
+    takes_grade = True
     relaxes = False
     """Whether its tyres build up their force over a relaxation length."""
 

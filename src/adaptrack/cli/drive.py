@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from adaptrack.cli.road import CheckedRoad
     from adaptrack.control.controllers import Controller
     from adaptrack.results import Run
-    from adaptrack.road.holdable import HoldableSpeed
+    from adaptrack.road.holdable_speed import HoldableSpeed
 
 SPEED_REDUCTION = 0.7
 """Times the speed, or the lateral acceleration, that is tried after a failure."""

@@ -16,7 +16,7 @@ from adaptrack.cli.next_step import command, next_line, replace_option, say_next
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
     from adaptrack.road import Finding, Road, SpeedPlan
-    from adaptrack.road.holdable import HoldableSpeed
+    from adaptrack.road.holdable_speed import HoldableSpeed
     from adaptrack.scenario.profile import Profile
 
 app = typer.Typer(

@@ -117,7 +117,7 @@ SIGNAL = columns(
     "wind_x", "wind_y", "bank", "known_friction", "known_wind", "change", "acceleration", "station", "grade",
 )  # fmt: skip
 """Rows of a scenario's samples. Friction and wind as they are known and the reference preview are scheduling variables;
-the last row is where the plan is on a curved road (m)."""
+station is where the plan is on a curved road (m); grade is dz/ds of the road, positive uphill."""
 STANDING_SPEED, HOLDING_SPEED, HOLDING_DECELERATION = 0.05, 0.3, 1.0
 """m/s, below which a car counts as standing; m/s, below which the driver holds it at a stop; m/s^2, with which."""
 CREEP_SPEED = 2.0

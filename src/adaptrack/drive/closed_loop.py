@@ -23,7 +23,7 @@ from adaptrack.core.kernel import Resident
 from adaptrack.core.plants import contract, stepped
 from adaptrack.core.plants.contract import place, vehicle_batch
 from adaptrack.drive.world import World, reason_of
-from adaptrack.road.ahead import RoadAhead, pack_roads
+from adaptrack.road.road_ahead import RoadAhead, pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
 
 Array = NDArray[np.float64]

@@ -233,11 +233,17 @@ class World:
 
         number: of the scenario in its batch, from which errors of perception are drawn.
         """
+        if signals.grade.any() and not self.plant.takes_grade:
+            raise InvalidInput(
+                f"plant {self.plant.name!r} does not take the grade of a road, and this one climbs up to "
+                f"{np.abs(signals.grade).max():.3g}: let it read the eighth entry of environment, dz/ds, and set "
+                "takes_grade=True; or drive the road without its grade, road.replace(grade=0.0)."
+            )
         rows = np.empty((len(SIGNAL), signals.n + 1))
         samples = {
             "y_ref": signals.y_ref, "speed": signals.speed, "wind_x": signals.wind[:, 0], "wind_y": signals.wind[:, 1],
             "bank": signals.bank, "acceleration": signals.curvature, "station": signals.station,
-            "grade": getattr(signals, "grade", 0.0),
+            "grade": signals.grade,
         }  # fmt: skip
         for name, values in samples.items():
             rows[getattr(SIGNAL, name)] = values

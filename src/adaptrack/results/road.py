@@ -97,12 +97,15 @@ def limits_in_words(plan: SpeedPlan) -> str:
 
 def _summary(road: Road, plan: SpeedPlan) -> dict[str, Any]:
     bends = np.abs(road.at(plan.s).curvature).max()
+    grades = road.along("grade", plan.s)
     return {
         "road": road.name,
         "length": road.length,
         "closed": road.closed,
         "smallest_radius": 1.0 / float(bends) if bends > 0.0 else None,
         "curvature_jumps": len(road.curvature_jumps()),
+        "largest_grade": float(grades.max()),
+        "least_grade": float(grades.min()),
         "deviation": road.deviation,
         "slowest": float(plan.speed.min()),
         "fastest": float(plan.speed.max()),
@@ -118,6 +121,10 @@ def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) 
     def draw_curvature(axes: Axes) -> None:
         axes.plot(s, road.at(s).curvature, **Stroke().look)
         label_station(axes, "Curvature (1/m)")
+
+    def draw_grade(axes: Axes) -> None:
+        axes.plot(s, 100.0 * road.along("grade", s), **Stroke().look)
+        label_station(axes, "Grade (%)")
 
     def draw_speed(axes: Axes) -> None:
         axes.plot(s, plan.at(s), **Stroke().look)
@@ -139,6 +146,8 @@ def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) 
         Panel("Curvature", draw_curvature, "Curvature along the road."),
         Panel("Speed", draw_speed, "Planned speed along the road."),
     ]
+    if road.along("grade", s).any():
+        panels.append(Panel("Grade", draw_grade, "Grade along the road, positive uphill."))
     caption = "The road from above, coloured by the planned speed; curvature and speed along it."
     return Picture("road", caption, panels, file="road.png", columns=1, row_height=1.25)
 

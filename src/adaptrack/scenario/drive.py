@@ -28,8 +28,9 @@ if TYPE_CHECKING:
 class RoadDrive:
     """A road to drive along, from its start to its end or for some laps, at a planned speed.
 
-    The plan is kept in time, stops included. Where a car is early or late, friction and bank are those of the place
-    where it is. Conventions as for `Scenario`; offsets and headings count from the path, positive to the left.
+    The plan is kept in time, stops included. Where a car is early or late, friction, bank and grade are those of
+    the place where it is. Conventions as for `Scenario`; offsets and headings count from the path, positive to the
+    left.
 
     Raises
     ------
@@ -125,7 +126,7 @@ class RoadDrive:
         wheels = samples[SIGNAL.friction_front_left : SIGNAL.friction_rear_right + 1]
         return Signals(
             period, t, samples[SIGNAL.y_ref], samples[SIGNAL.speed], wheels.T, wind, samples[SIGNAL.bank],
-            samples[SIGNAL.station], samples[SIGNAL.acceleration],
+            samples[SIGNAL.station], samples[SIGNAL.acceleration], samples[SIGNAL.grade],
         )  # fmt: skip
 
     def start_pose(self) -> tuple[float, float, float]:

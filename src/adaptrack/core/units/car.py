@@ -41,6 +41,7 @@ CAR_INPUTS = (
     "friction_rear_left", "friction_rear_right",  # -, -: coefficient under the wheel
     "wind_x", "wind_y",  # m/s, m/s: velocity of the air in the world
     "bank",  # m/s^2, what the pull of a banked road adds to dv_y/dt, positive to the left
+    "grade",  # -, dz/ds of the road, positive uphill
 )  # fmt: skip
 CAR_OUTPUTS = (
     "measured_x", "measured_y",  # m, m: measured position in the world, measured_pose_age ago; NaN: missing
@@ -98,6 +99,7 @@ def _open_window(car):
     signals[0, SIGNAL.station, 0] = values[CAR_VALUE.plan_station] if values[CAR_VALUE.on_plan] > 0.5 else drive.station
     for j in range(ENVIRONMENT):
         signals[0, SIGNAL.friction_front_left + j, 0] = values[CAR_VALUE.friction_front_left + j]
+    signals[0, SIGNAL.grade, 0] = values[CAR_VALUE.grade]
 
 
 @inlined
