@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack import MPC, DualTrack, RoadDrive, SingleTrack, load_vehicle, simulate
+from adaptrack import MPC, DualTrack, Perception, RoadDrive, SingleTrack, UserPlant, load_vehicle, simulate
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
 from adaptrack.core import force_actuator
@@ -15,7 +16,7 @@ from adaptrack.core.loop import axle_force_limit
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, input_at, place, state_at, vehicle_batch
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.world import Driver
-from adaptrack.road import Comfort, Line, Road, Stop, plan_speed
+from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, Stop, plan_speed
 
 SALOON = load_vehicle("midsize-sedan").replace(drag_coefficient=0.0, rolling_resistance=0.0)
 STEP = 0.01
@@ -125,3 +126,55 @@ def test_a_car_stops_where_its_plan_stops_waits_and_drives_on() -> None:
     assert 3.5 <= np.count_nonzero(stands) * run.period <= 7.0
     assert run.road["station"][-1] > 250.0
     assert (run.vx > -1e-9).all()
+
+
+def _climb(grade: float) -> Road:
+    """A straight road that is level for 100 m, and then climbs."""
+    road = Road.from_segments([Line(length=400.0)], name="climb")
+    return road.replace(grade=([0.0, 100.0, 110.0, 400.0], [0.0, 0.0, grade, grade]))
+
+
+@pytest.mark.parametrize("grade", [0.1, -0.1])
+def test_a_driver_keeps_its_speed_on_a_slope_and_holds_the_car_at_a_stop(grade: float) -> None:
+    car = load_vehicle("midsize-sedan")
+    road = _climb(grade)
+    plan = plan_speed(road, car, Comfort(), stops=[Stop(250.0, 3.0)], top_speed=12.0)
+    run = simulate(DualTrack(car), MPC(car, profile="road"), RoadDrive(road, plan), profile="road", driver=Driver())
+    climbing = (run.road["station"] > 150.0) & (run.road["station"] < 200.0)
+    stands = run.vx == 0.0
+    assert run.vx[climbing] == pytest.approx(plan.at(run.road["station"][climbing]), abs=0.4)
+    assert np.ptp(run.road["station"][stands]) == 0.0
+    assert np.count_nonzero(stands) * run.period >= 2.5
+    assert run.vx.min() >= 0.0
+
+
+def test_a_plant_that_does_not_take_the_grade_is_refused_by_name_on_a_slope() -> None:
+    def level(x, u, environment, p, dx):
+        dx[:] = 0.0
+        dx[0] = x[3]
+
+    plant = UserPlant(level, {}, mass=1000.0, label="flat earth")
+    road, car = _climb(0.05), load_vehicle("midsize-sedan")
+    drive = RoadDrive(road, plan_speed(road, car))
+    with pytest.raises(InvalidInput, match=r"plant 'flat earth' does not take the grade of a road"):
+        simulate(plant, MPC(car, profile="road"), drive, profile="road")
+    assert simulate(plant, MPC(car, profile="road"), drive.replace(road=road.replace(grade=0.0)), profile="road").t.size
+
+
+def test_a_plan_for_an_assumed_friction_asks_no_more_than_that_of_the_tyres() -> None:
+    car = load_vehicle("midsize-sedan")
+    road = Road.from_segments(
+        [Line(100.0), Clothoid(40.0, start_curvature=0.0, end_curvature=0.02), Arc(100.0, curvature=0.02)], name="bend"
+    )
+    plan = plan_speed(road.replace(friction=0.4), car, Comfort(lateral=9.0))
+    drive = RoadDrive(road, plan)
+    run = simulate(
+        DualTrack(car),
+        MPC(car, profile="road"),
+        drive,
+        profile="road",
+        driver=Driver(),
+        known_as=Perception(friction=0.4),
+    )
+    assert run.failed is None
+    assert np.abs(run.lateral_acceleration).max() < 0.4 * GRAVITY

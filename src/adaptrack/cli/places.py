@@ -95,7 +95,7 @@ class PlaceOptions:
 
         along = [is_road(name) for name in self.names]
         if any(along) and len(along) > 1:
-            raise InvalidInput("drive: give several scenarios or one road; `evaluate` drives several roads.")
+            raise InvalidInput("drive: give several scenarios or one road; `compare` drives several roads.")
         profile = load_profile(self.profile or ("road" if along[0] else "paper"))
         if not along[0]:
             self._refuse(self._road_words, "a scenario", "roads; a scenario takes --option speed=20")

@@ -33,6 +33,9 @@ ROADS_HELP = (
 RoadName = Annotated[str, typer.Argument(metavar="ROAD", help=f"Road: {ROADS_HELP}")]
 
 
+MAX_ASSUMED_FRICTION = 1.5
+
+
 @dataclass(frozen=True)
 class RoadOptions:
     """Which road a name stands for, and how fast it is driven: options of every command that takes a road."""
@@ -81,6 +84,13 @@ class RoadOptions:
             help="Plan no faster than the controller's stability margins hold.",
         ),
     ] = None
+    assumed_friction: Annotated[
+        str | None,
+        Option(
+            "--assumed-friction", metavar="MU|LOW:HIGH", hidden=True,
+            help="Friction that plan and driver assume, of an interval its lower end; default: the road's.",
+        ),
+    ] = None  # fmt: skip
 
     @property
     def words(self) -> list[str]:
@@ -94,6 +104,28 @@ class RoadOptions:
             elif value is not None:
                 words += [flag, str(value)]
         return words
+
+    @property
+    def assumed(self) -> float | None:
+        """Friction for which the speed is planned, the lower end of an interval; None: that of the road.
+
+        Raises
+        ------
+        InvalidInput
+            When the option is neither a friction nor an interval of two.
+        """
+        if self.assumed_friction is None:
+            return None
+        try:
+            low, *high = (float(number) for number in self.assumed_friction.split(":"))
+            if len(high) > 1 or not 0.0 < low <= max(high, default=low) <= MAX_ASSUMED_FRICTION:
+                raise ValueError
+        except ValueError:
+            raise InvalidInput(
+                f"--assumed-friction {self.assumed_friction}: must be a friction such as 0.9 or an interval such as "
+                f"0.65:0.9, above 0 and at most {MAX_ASSUMED_FRICTION:g}."
+            ) from None
+        return low
 
     def look(
         self, name: str, car: Vehicle, profile: str | Profile = "road", holdable: HoldableSpeed | None = None
@@ -126,7 +158,8 @@ class RoadOptions:
         elif self.speed_column is not None and self.lateral_acceleration is None:
             plan = speed_limit_plan(road)
         else:
-            plan = plan_speed(road, car, comfort, holds=self._holds(car, profile, holdable))
+            assumed = road if self.assumed is None else road.replace(friction=self.assumed)
+            plan = plan_speed(assumed, car, comfort, holds=self._holds(car, profile, holdable))
         return CheckedRoad(road, plan, check_road(road, car, plan))
 
     def _holds(self, car: Vehicle, profile: str | Profile, holdable: HoldableSpeed | None) -> HoldableSpeed | None:
