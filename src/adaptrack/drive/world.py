@@ -233,7 +233,7 @@ class World:
 
         number: of the scenario in its batch, from which errors of perception are drawn.
         """
-        if signals.grade.any() and not self.plant.takes_grade:
+        if np.any(signals.grade) and not self.plant.takes_grade:
             raise InvalidInput(
                 f"plant {self.plant.name!r} does not take the grade of a road, and this one climbs up to "
                 f"{np.abs(signals.grade).max():.3g}: let it read the eighth entry of environment, dz/ds, and set "
