@@ -64,5 +64,5 @@ def test_each_value_says_what_it_is_and_in_which_unit():
         assert tuple(value.name for value in unit.values) == columns._fields
         assert all(len(value.description) > 8 for value in unit.values)
         plain = {value.name for value in unit.values if not value.unit and value.type == 0}
-        assert all(name.startswith("friction") for name in plain)
+        assert all(name.startswith("friction") or name == "grade" for name in plain)
         assert {value.role for value in unit.values} == {CONSTANT_VALUE, PARAMETER, INPUT_VALUE, 0}

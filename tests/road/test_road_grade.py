@@ -39,20 +39,22 @@ def write_csv(path, header, rows):
 
 # -- points -----------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("record", "error"),
+    ("record", "error", "deviation"),
     [
-        (hill_record(2.0), 1e-5),
-        (hill_record(10.0), 1e-4),
-        (hill_record(2.0, noise=0.1), 0.003),
-        (hill_record(1.0, step=0.1), 0.002),
-        (hill_record(1.0, step=1.0), 0.006),
+        (hill_record(2.0), 1e-5, 0.0),
+        (hill_record(10.0), 1e-4, 0.0),
+        (hill_record(2.0, noise=0.1), 0.003, 0.1),
+        (hill_record(1.0, step=0.1), 0.002, 0.1 / math.sqrt(12.0)),
+        (hill_record(1.0, step=1.0), 0.006, 1.0 / math.sqrt(12.0)),
     ],
 )
-def test_the_heights_of_a_hill_give_its_slope_whatever_their_noise_and_rounding(tmp_path, record, error):
+def test_the_heights_of_a_hill_give_its_slope_whatever_their_noise_and_rounding(tmp_path, record, error, deviation):
     road = load_road(write_csv(tmp_path / "hill.csv", "x,y,z", record))
     s = np.linspace(50.0, 1150.0, 400)  # ends of noisy records are less certain
     assert np.sqrt(np.mean((road.along("grade", s) - slope(s)) ** 2)) < error
-    assert road.notes == (road.notes[0],)  # no column is left out
+    (note,) = (note for note in road.notes if "% from heights" in note)
+    assert float(note.split("deviation ")[1].split(" m")[0]) == pytest.approx(deviation, rel=0.15, abs=5e-4)
+    assert not any("left out" in note for note in road.notes)
 
 
 def test_a_road_and_its_reverse_have_opposite_grades(tmp_path):

@@ -132,7 +132,8 @@ def fit_road(
     }
     if height is not None and "grade" not in along:
         heights = _check_heights(height, len(points))[:count]
-        values["grade"] = grade_of_heights(s, heights, road.length, record.closed)
+        values["grade"], note = grade_of_heights(s, heights, road.length, record.closed)
+        notes = [*notes, note]
     notes = [*_spacing_notes(points), *notes, *_outlier_notes(road, record.points, s, outliers)]
     notes += [] if smoothest else _bound_notes(estimate, fit, bound)
     notes.append(_fit_note(fit, rows))

@@ -22,8 +22,8 @@ SMOOTHING_LENGTHS = 28
 """Smoothing lengths that cross-validation compares."""
 
 
-def grade_of_heights(s: Array, height: Array, length: float, closed: bool) -> tuple[Array, Array]:
-    """Arc lengths (m) along a road, and the grade dz/ds there, from heights (n,) m at arc lengths s (n,) m.
+def grade_of_heights(s: Array, height: Array, length: float, closed: bool) -> tuple[tuple[Array, Array], str]:
+    """Arc lengths (m) along a road with the grade dz/ds there, from heights (n,) m at arc lengths s (n,) m; and a note.
 
     Raises
     ------
@@ -34,8 +34,12 @@ def grade_of_heights(s: Array, height: Array, length: float, closed: bool) -> tu
     smoother = Smoother((height - height[0])[:, np.newaxis], places, length, closed, max(length / s.size, 0.5))
     shortest = max(MIN_HEIGHT_SMOOTHING, 0.5 * smoother.spacing, STAIRS * _stair_length(s, height))
     scales = np.geomspace(shortest, max(min(0.25 * length, MAX_HEIGHT_SMOOTHING), shortest), SMOOTHING_LENGTHS)
-    powers = smoother.powers(float(scales[smoother.best_scale(scales)]))[:, 0]
+    scale = float(scales[smoother.best_scale(scales)])
+    powers = smoother.powers(scale)[:, 0]
     knot = length / len(powers)
+    first = np.minimum((places / knot).astype(np.int64), len(powers) - 1)
+    fitted = (powers[first] * (places / knot - first)[:, np.newaxis] ** np.arange(4)).sum(axis=1)
+    deviation = float(np.sqrt(np.mean((fitted - smoother.points[:, 0]) ** 2)))
     slopes = [powers[:, 1], powers[:, 1] + powers[:, 2] + 0.75 * powers[:, 3]]  # at the knots, and between them
     last = powers[-1, 1] + 2.0 * powers[-1, 2] + 3.0 * powers[-1, 3]
     grade = np.append(np.stack(slopes, axis=-1), last) / knot
@@ -46,7 +50,10 @@ def grade_of_heights(s: Array, height: Array, length: float, closed: bool) -> tu
             f"fit_road: the heights change by {grade[k]:.3g} m per metre at s = {stations[k]:.6g} m: at most "
             f"{MAX_GRADE} are possible; is z in m? Correct the heights, or leave them out."
         )
-    return stations, grade
+    return (stations, grade), (
+        f"grade {100.0 * grade.min():.2g} to {100.0 * grade.max():.2g} % from heights; root mean square of their "
+        f"deviation {deviation:.3g} m; smoothing length {scale:.3g} m"
+    )
 
 
 def _stair_length(s: Array, height: Array) -> float:
