@@ -9,8 +9,8 @@ import math
 
 from ..kernel import columns, exported, float64, inlined, int64, vector
 from ..maths.bits import whole
-from ..maths.exact import ceil, sqrt
-from ..plants.forces import GRAVITY
+from ..maths.exact import ceil
+from ..plants.forces import GRAVITY, slope_sine_and_cosine
 from ..road import HALF_LENGTH, POLYNOMIAL_DEGREE, TURN_COEFFICIENTS
 from ..speed_plan import last_at
 from .station_table import least_between, value_at
@@ -122,8 +122,8 @@ def write_cells(route, spacing, stops, table):
         table[PLAN.curvature, k] = first if abs(first) > abs(last) else last
         table[PLAN.bank, k] = value_at(0.5 * (start + there), route.bank)
         grade = value_at(0.5 * (start + there), route.grade)
-        cosine = 1.0 / sqrt(1.0 + grade * grade)
-        table[PLAN.grade, k], table[PLAN.slope, k], table[PLAN.cosine, k] = grade, GRAVITY * grade * cosine, cosine
+        sine, cosine = slope_sine_and_cosine(grade)
+        table[PLAN.grade, k], table[PLAN.slope, k], table[PLAN.cosine, k] = grade, GRAVITY * sine, cosine
         table[PLAN.friction, k] = least_between(start, there, route.friction)
         table[PLAN.speed_limit, k] = least_between(start, there, route.speed_limit)
         table[PLAN.cornering, k] = table[PLAN.margins, k] = math.inf
