@@ -162,6 +162,15 @@ def test_brakes_and_tyres_stop_a_car_on_a_slope_in_the_distance_of_the_textbook(
     assert braking.sum() > 80
 
 
+def test_a_bend_on_a_descent_leaves_the_tyres_what_holds_the_speed():
+    line, theta = Road.from_segments([Arc(length=200.0, curvature=1.0 / 60.0)]).packed(), math.atan(0.12)
+    grip, slope = 0.9 * 0.25 * GRAVITY * math.cos(theta), GRAVITY * math.sin(theta)
+    down, up = (plan_of(to_plan(line, friction=0.25, grade=grade)) for grade in (-0.12, 0.12))
+    np.testing.assert_allclose(down.speed**2, 60.0 * math.sqrt(grip**2 - slope**2), rtol=1e-9)
+    # uphill the tyres drive: the same circle of friction bounds the steady speed
+    np.testing.assert_allclose(up.speed**2, 60.0 * math.sqrt(grip**2 - slope**2), rtol=1e-6)
+
+
 def test_a_run_up_carries_a_car_over_a_short_ramp_that_stops_it_from_standstill():
     grade = AlongRecord(np.array([0.0, 100.0, 120.0]), np.array([0.0, 0.3, 0.0]), 1)
     line = Road.from_segments([Line(length=200.0)]).packed()

@@ -8,7 +8,8 @@ where friction leaves the largest b with b^2 + (a_y/(1 - b h/(g l cos(theta))))^
 the axle at the distance l from the centre of mass to the *other* one is unloaded by b h/(g l cos(theta)) of its load,
 must carry its share of a_y all the same, and a car whose rear cannot spins. Without a car h = 0, the friction circle.
 On a slope theta = atan(grade), a tyre force b of the mass accelerates by b - g sin(theta): uphill the slope takes from
-what drives and adds to what brakes. Comfort bounds a itself.
+what drives and adds to what brakes. Comfort bounds a itself. A bend on a descent leaves the tyres the force that holds
+the speed.
 The curvature may change no faster than v^3 |kappa'| = lateral jerk. Each bound falls as w grows, so the
 fastest profile is found by one pass forward, with what the car can gain, and one backward, with what it can lose
 (E. Velenis and P. Tsiotras, *Minimum-time travel for a vehicle with acceleration limits*, JOTA 138 (2008)).
@@ -199,12 +200,23 @@ def _lower(least, limit, bound, name):
 
 
 @inlined
-def _bound_between(k, planning):
+def _grip_in_bend(k, car, table):
+    """Grip (m/s^2) that a bend may ask for sideways: on a descent, what is left where braking holds the speed."""
+    slope, grip = table[PLAN.slope, k], table[PLAN.grip, k]
+    if slope >= 0.0 or grip <= -slope:
+        return grip
+    steady = (1.0 + car.front / table[PLAN.cosine, k] * slope) * sqrt(grip * grip - slope * slope)
+    return steady if steady > abs(table[PLAN.tilt, k]) else grip
+
+
+@inlined
+def _bound_between(k, car, planning):
     """The largest v^2 between two places, whatever comes before and after, and what bounds it."""
     table, bounds = planning.table, planning.bounds
     curvature, tilt, limit = table[PLAN.curvature, k], table[PLAN.tilt, k], table[PLAN.speed_limit, k]
     least, binding = _square_in_bend(bounds.lateral, curvature, tilt), SPEED_LIMIT.lateral
-    least, binding = _lower(least, binding, _square_in_bend(table[PLAN.grip, k], curvature, tilt), SPEED_LIMIT.grip)
+    grip = _grip_in_bend(k, car, table)
+    least, binding = _lower(least, binding, _square_in_bend(grip, curvature, tilt), SPEED_LIMIT.grip)
     least, binding = _lower(
         least, binding, _square_of_turning(k, bounds.lateral_jerk, table), SPEED_LIMIT.curvature_rate
     )
@@ -235,7 +247,7 @@ def _write_grip(planning):
 
 
 @inlined
-def _write_ceiling(planning):
+def _write_ceiling(car, planning):
     """Write the largest v^2 at each place, whatever comes before and after, and what bounds it."""
     table = planning.table
     _, places = table.shape
@@ -243,7 +255,7 @@ def _write_ceiling(planning):
     for k in range(places):
         after, limit = math.inf, SPEED_LIMIT.lateral
         if k < places - 1:
-            after, limit = _bound_between(k, planning)
+            after, limit = _bound_between(k, car, planning)
         table[PLAN.ceiling, k] = min(before, after)
         table[PLAN.named, k] = named_before if before <= after else limit
         before, named_before = after, limit
@@ -357,11 +369,11 @@ def fastest_speeds(planning):
     status, place, allowed = _write_grip(planning)
     if status != OK:
         return status, place, allowed
-    _write_ceiling(planning)
+    last, car = places - 1, _powertrain(planning.car)
+    _write_ceiling(car, planning)
     fits, most = _lower_end(bounds.start, 0, table)
     if not fits:
         return START_TOO_FAST, 0, most
-    last, car = places - 1, _powertrain(planning.car)
     fits, most = _lower_end(bounds.end, last, table)
     if not fits:
         return END_TOO_FAST, last, most
@@ -369,7 +381,7 @@ def fastest_speeds(planning):
         slower = last if table[PLAN.ceiling, last] < table[PLAN.ceiling, 0] else 0
         for row in (PLAN.ceiling, PLAN.named):
             table[row, 0] = table[row, last] = table[row, slower]
-    elif math.isnan(bounds.start) and planning.car.size > 0:
+    elif math.isnan(bounds.start) and (planning.car.size > 0 or table[PLAN.slope, 0] > 0.0):
         table[PLAN.ceiling, 0] = min(table[PLAN.ceiling, 0], _sustained(table[PLAN.ceiling, 0], car, planning))
     _pass(car, planning)
     status, place, available = _check_slopes(car, planning)
