@@ -83,7 +83,7 @@ def _step_response(actuator: tuple[float, ...], periods: int, period: float) -> 
     for _ in range(periods):
         requests[1:] = requests[:-1].copy()
         requests[0] = 1000.0
-        force, mean = force_actuator.actuator_step(force, 1.0, 0.0, requests, period, record)
+        force, mean = force_actuator.actuator_step(force, 0.0, requests, period, record)
         means.append(mean)
     return means
 

@@ -48,17 +48,17 @@ def force_response(force, target, duration, actuator):
 
 
 @inlined
-def actuator_step(force, sign, floor, requests, period, actuator):
+def actuator_step(force, floor, requests, period, actuator):
     """Force (N) at the end of a control period (s), and its mean (N).
 
-    sign: 1 for the drive, -1 for the brakes; floor: N, that the actuator gives at least; requests: N, the latest first.
+    floor: N, that the actuator gives at least; requests: N, the latest first.
     A dead time that is no whole number of periods lets the request change within the period.
     """
     share, whole_periods = actuator.dead_share, actuator.dead_whole
     mean = 0.0
     if share > 0.0:
-        target = clip(actuator.gain * sign * requests[whole_periods + 1], floor, actuator.limit)
+        target = clip(actuator.gain * requests[whole_periods + 1], floor, actuator.limit)
         force, mean = force_response(force, target, share * period, actuator)
-    target = clip(actuator.gain * sign * requests[whole_periods], floor, actuator.limit)
+    target = clip(actuator.gain * requests[whole_periods], floor, actuator.limit)
     force, mean_after = force_response(force, target, (1.0 - share) * period, actuator)
     return force, share * mean + (1.0 - share) * mean_after

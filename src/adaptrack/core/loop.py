@@ -26,7 +26,7 @@ LoopSettings = record(
     (
         "period",  # s
         "substeps",  # Runge-Kutta steps per period
-        "prescribed_speed",  # `FORCES`, `PRESCRIBED` or `PRESCRIBED_WITHOUT_ROAD`
+        "prescribed_speed",  # `FORCES`, `PRESCRIBED`, `PRESCRIBED_WITHOUT_ROAD` or `REQUESTED`
         "dead_whole", "dead_share",  # periods from an instant until its command acts: whole ones, and the share of one
         "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y",  # m/s, rad, rad/s, m, standard deviations; inf: no sensor
         "noise_wheel_angle", "noise_lateral_acceleration",  # rad, m/s^2
@@ -59,9 +59,9 @@ LoopSettings = record(
 )  # fmt: skip
 """The world around the controller, fixed over a run."""
 
-FORCES, PRESCRIBED, PRESCRIBED_WITHOUT_ROAD = range(3)
+FORCES, PRESCRIBED, PRESCRIBED_WITHOUT_ROAD, REQUESTED = range(4)
 """What moves a car: the forces that its driver requests; a speed that it follows exactly; that in scenarios without a
-road, and forces on roads."""
+road, and forces on roads; forces that a speed controller outside the loop requests."""
 
 LOOP_MEMORY = record(
     "Own",
@@ -83,6 +83,7 @@ LOOP_MEMORY = record(
         "place",  # the instant at which the plan is where the car is
         "curvature",  # 1/m, of its road at the foot
         "drive_force", "brake_force",  # N, at the end of the last period
+        "requested_force", "requested_hold",  # N, N: of a speed controller; hold: of the brakes besides the force
         "standing",  # instants for which the car has stood at a stop
         "departed",  # the first instant of the plan after the last stop that the car has left
         "speed_age",  # s, of the measured speed
@@ -97,8 +98,8 @@ LOOP_MEMORY = record(
 Memory = record("Memory", (("own", rows(LOOP_MEMORY)), ("sent", matrix), ("past", cube), ("requested", matrix)))
 """What the loop remembers of each slot (slots,): its scalars; commands, the latest first (slots, whole periods of dead
 time + 2); what there was to measure at the last instants, the latest first (slots, instants, PAST_SIGNAL), empty where
-all sensors are prompt; forces (N) that the driver requested, the latest first (slots, whole periods of the longer dead
-time of drive and brakes + 2)."""
+all sensors are prompt; forces (N) that were requested of the drive and, behind them, of the brakes, the latest first
+(slots, 2 (whole periods of the longer dead time + 2))."""
 SENSED = 6
 """How many of `MEASUREMENT` are measured; the others are their ages."""
 PAST_SIGNAL = columns(*MEASUREMENT._fields[:SENSED], "speed", "station")
@@ -519,13 +520,17 @@ def _drive(slot, run):
 
 
 @inlined
-def _move_pedals(request, slot, run):
-    """Let drive and brakes follow a requested force (N) over the period that begins; their mean forces (N)."""
+def _move_pedals(request, hold, slot, run):
+    """Let drive and brakes follow a requested force (N) over the period that begins; their mean forces (N).
+
+    hold: N, of the brakes besides the force.
+    """
     drive, world, requests = run.memory.own[slot], run.settings, run.memory.requested[slot]
     speed = run.vehicles.block[state_at(PLANT_STATE.vx, slot)]
+    remembered = requests.size // 2
     for j in range(requests.size - 1, 0, -1):
         requests[j] = requests[j - 1]
-    requests[0] = request
+    requests[0], requests[remembered] = max(request, 0.0), max(-request, 0.0) + hold
     creep = world.mass * world.creep * clip(1.0 - speed / CREEP_SPEED, 0.0, 1.0)
     engine = ForceActuator(
         world.drive_whole, world.drive_share, world.drive_lag, world.drive_rate * world.mass, world.drive_gain,
@@ -535,8 +540,8 @@ def _move_pedals(request, slot, run):
         world.brake_whole, world.brake_share, world.brake_lag, world.brake_rate * world.mass, world.brake_gain,
         world.brake_limit,
     )  # fmt: skip
-    drive.drive_force, driving = actuator_step(drive.drive_force, 1.0, creep, requests, world.period, engine)
-    drive.brake_force, braking = actuator_step(drive.brake_force, -1.0, 0.0, requests, world.period, brakes)
+    drive.drive_force, driving = actuator_step(drive.drive_force, creep, requests[:remembered], world.period, engine)
+    drive.brake_force, braking = actuator_step(drive.brake_force, 0.0, requests[remembered:], world.period, brakes)
     return driving, braking
 
 
@@ -581,7 +586,10 @@ def actuate(slot, command, run):
         block[input_at(PLANT_INPUT.force, slot)], block[input_at(PLANT_INPUT.brake, slot)] = 0.0, 0.0
         block[input_at(PLANT_INPUT.acceleration, slot)] = (following - vx) / world.period
     else:
-        driving, braking = _move_pedals(_drive(slot, run), slot, run)
+        if world.prescribed_speed == REQUESTED:
+            driving, braking = _move_pedals(drive.requested_force, drive.requested_hold, slot, run)
+        else:
+            driving, braking = _move_pedals(_drive(slot, run), 0.0, slot, run)
         block[input_at(PLANT_INPUT.force, slot)], block[input_at(PLANT_INPUT.brake, slot)] = driving - braking, braking
         block[input_at(PLANT_INPUT.acceleration, slot)] = math.nan
 
@@ -630,6 +638,7 @@ def forget(slot, memory):
     drive.command, drive.integral, drive.ended_at = 0.0, 0.0, 0.0
     drive.station, drive.turned, drive.located, drive.place, drive.blind_until, drive.speed = 0.0, 0.0, 0, 0, 0.0, 0.0
     drive.curvature, drive.drive_force, drive.brake_force, drive.standing, drive.departed = 0.0, 0.0, 0.0, 0, 0
+    drive.requested_force, drive.requested_hold = 0.0, 0.0
     drive.speed_age, drive.pose_station, drive.station_estimate, drive.path_heading = 0.0, 0.0, 0.0, 0.0
     memory.sent[slot, :], memory.requested[slot, :] = 0.0, 0.0
     memory.past[slot, :, :] = 0.0

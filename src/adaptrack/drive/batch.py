@@ -17,6 +17,7 @@ from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.control.controllers import MPC, CompiledController, CompiledScheduler, Controller
+from adaptrack.control.speed_control import SpeedControl
 from adaptrack.core import guard as guard_kernel
 from adaptrack.core import period as period_kernel
 from adaptrack.core import rollout
@@ -222,6 +223,8 @@ class Batch:
 
     def _refuse_python(self) -> None:
         controller = self.controller
+        if isinstance(self.world.driver, SpeedControl):
+            raise InvalidInput("driver: compiled runs have no SpeedControl; simulate(...) drives with one.")
         if slow := called_back(self.world.plant, controller):
             raise MissingExtra(
                 f"{', '.join(slow)}: many runs need functions of one's own compiled, which numba does: python -m pip "

@@ -17,9 +17,11 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import SteppedPlant
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.scheduling.variables import SchedulingVariables
+from adaptrack.control.speed_control import SpeedControl, SpeedController
 from adaptrack.core import loop as loop_kernel
 from adaptrack.core import period as period_kernel
 from adaptrack.core.kernel import Resident
+from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants import contract, stepped
 from adaptrack.core.plants.contract import place, vehicle_batch
 from adaptrack.drive.world import World, reason_of
@@ -28,6 +30,8 @@ from adaptrack.scenario import RoadDrive, Scenario
 
 Array = NDArray[np.float64]
 
+LONGEST_SPEEDS_AHEAD = 120
+"""Control instants ahead for which a controller is given the governed speed."""
 LONGEST_PREVIEW = 400
 """Control instants ahead for which a controller in Python is given the planned speed."""
 
@@ -127,6 +131,7 @@ class ClosedLoop:
             world.known_as.reset(self.run.perceiving.memory)
         self.place, self._span = Resident(self.run), Resident(period_kernel.RunSpan(n, 1, 0, 0.0))
         """the run as kernels take it"""
+        self.speed_controller = _speed_controller(world, scenario)
         self._own, self._references = self.run.memory.own, inputs.signals[0, loop_kernel.SIGNAL.y_ref]
 
     @property
@@ -155,11 +160,20 @@ class ClosedLoop:
         The instant at the end of the last period is not judged: a car that never came near its reference has failed.
         """
         period_kernel.sense_one(self._span, self.place)
+        if self.speed_controller is not None:
+            own, measured = self._own[0], self.run.measured
+            request = self.speed_controller.step(
+                float(own["station_estimate"]), float(own["speed"]), float(measured[MEASUREMENT.yaw_rate])
+            )
+            own["requested_force"], own["requested_hold"] = request.force, request.hold
         variables = SchedulingVariables(*self.run.variables.tolist())
         return Sensed(self.run.measured, float(self._own["speed"][0]), self._references[self.instant :], variables)
 
     def road_ahead(self, speed: float) -> RoadAhead:
         """The road ahead of a car that passes it as planned, from its present speed (m/s) on, as its sensors see it."""
+        if self.speed_controller is not None:
+            planned = self.speed_controller.speeds_ahead(speed, LONGEST_SPEEDS_AHEAD)
+            return RoadAhead(self.road, float(self._own["station_estimate"][0]), planned)
         by_place = self.road is not None and self.world.driver is not None
         first = int(self._own["place"][0]) if by_place else self.instant
         planned = self.signals.speed[first:][:LONGEST_PREVIEW]
@@ -190,6 +204,23 @@ class ClosedLoop:
         """Why a run that is over has failed and when (s); None and NaN when it came to its end."""
         period_kernel.close_one(self.place)
         return failure_of(int(self._own["ended"][0]), float(self._own["ended_at"][0]))
+
+
+def _speed_controller(world: World, scenario: Scenario | RoadDrive) -> SpeedController | None:
+    """The speed controller of a run, if the world has one.
+
+    Raises
+    ------
+    InvalidInput
+        When the scenario has no road.
+    """
+    if not isinstance(world.driver, SpeedControl):
+        return None
+    if not isinstance(scenario, RoadDrive):
+        raise InvalidInput(
+            f"driver: a SpeedControl follows a plan along a road, and {scenario.name!r} has none: give a RoadDrive."
+        )
+    return SpeedController(world.driver, scenario.road, scenario.plan, world.period)
 
 
 def failure_of(ended: int, at: float) -> tuple[str | None, float]:

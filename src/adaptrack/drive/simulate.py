@@ -22,6 +22,7 @@ from adaptrack.base.checked import Hint, Natural, checked
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of
 from adaptrack.control.qp import QPStatus
+from adaptrack.control.speed_control import SpeedControl
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
@@ -78,7 +79,7 @@ def simulate(
     scenario: DriveArgument,
     *,
     profile: str | Profile = "paper",
-    driver: Driver | None = None,
+    driver: Driver | SpeedControl | None = None,
     seed: Annotated[Natural, Field(lt=2**63)] = 0,
     known_as: KnownAs = None,
     failure: Failure | None = None,
@@ -88,7 +89,7 @@ def simulate(
     """Drive a scenario, or along a road, with a controller.
 
     profile: `paper` (ideal), `road` (steering actuator, noise, delay) or one's own; driver: None to follow the speed
-    profile exactly, else the longitudinal driver that moves the vehicle with its powertrain; seed: of the sensor
+    profile exactly, else the driver or `SpeedControl` that moves the vehicle with its powertrain; seed: of the sensor
     noise; known_as: how a scheduler knows friction and wind; failure: when the run has failed, by default as the
     driven car's domain says (`Failure.of`): it ends there, its rest NaN, `Trajectory.failed` and `failed_at` say why
     and when; predicted: where to keep the paths that an MPC predicts along a road; progress: called now and then with

@@ -20,6 +20,7 @@ from adaptrack.cars.plant import Plant, SteppedPlant, steps_in
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
+from adaptrack.control.speed_control import SpeedControl
 from adaptrack.core import loop as loop_kernel
 from adaptrack.core import period as period_kernel
 from adaptrack.core.layout import room
@@ -69,13 +70,14 @@ class World:
     profile: Profile
     period: float
     """s, of the controller"""
-    driver: Driver | None
+    driver: Driver | SpeedControl | None
     known_as: KnownAs
     failure: Failure
 
     @classmethod
     def of(
-        cls, plant: Plant | SteppedPlant, controller: Controller, profile: str | Profile, driver: Driver | None,
+        cls, plant: Plant | SteppedPlant, controller: Controller, profile: str | Profile,
+        driver: Driver | SpeedControl | None,
         known_as: KnownAs, failure: Failure | None,
     ) -> World:  # fmt: skip
         """The world of a controller.
@@ -152,24 +154,20 @@ class World:
         return loop_kernel.LoopSettings(
             period=self.period,
             substeps=substeps,
-            prescribed_speed=loop_kernel.PRESCRIBED
-            if driver is None
-            else loop_kernel.PRESCRIBED_WITHOUT_ROAD
-            if driver.roads_only
-            else loop_kernel.FORCES,
+            prescribed_speed=self._speed_kind,
             dead_whole=self.dead_periods[0],
             dead_share=self.dead_periods[1],
             **{name: getattr(profile, name) for name in SENSING},
             steering_lag=steering.lag,
             steering_limit=steering.limit,
             steering_bias=steering.bias,
-            driver_preview=driver.preview if driver else 1.0,
-            driver_integral=driver.integral if driver else 0.0,
+            driver_preview=driver.preview if isinstance(driver, Driver) else 1.0,
+            driver_integral=driver.integral if isinstance(driver, Driver) else 0.0,
             **self.plant.powertrain,
             failure_distance=self.failure.distance,
             failure_sideslip=self.failure.sideslip,
             **self.plant.axles,
-            guard=driver.guard if driver else math.inf,
+            guard=driver.guard if isinstance(driver, Driver) else math.inf,
             **_actuator_settings("drive", self.drive, self.period),
             creep=self.drive.creep,
             **_actuator_settings("brake", self.brakes, self.period),
@@ -177,7 +175,18 @@ class World:
 
     def has_driver(self, scenario: Scenario | RoadDrive) -> bool:
         """Whether a driver moves the car, with forces; otherwise its speed is prescribed."""
-        return self.driver is not None and (isinstance(scenario, RoadDrive) or not self.driver.roads_only)
+        return self.driver is not None and (
+            isinstance(scenario, RoadDrive) or not getattr(self.driver, "roads_only", False)
+        )
+
+    @property
+    def _speed_kind(self) -> int:
+        """What moves the car, an entry of `core.loop.LoopSettings`."""
+        if self.driver is None:
+            return loop_kernel.PRESCRIBED
+        if isinstance(self.driver, SpeedControl):
+            return loop_kernel.REQUESTED
+        return loop_kernel.PRESCRIBED_WITHOUT_ROAD if self.driver.roads_only else loop_kernel.FORCES
 
     @property
     def drive(self) -> DriveActuator:
@@ -213,7 +222,7 @@ class World:
         counts = period_kernel.LoopCounts(**dict.fromkeys(period_kernel.LoopCounts._fields, 0))
         counts = counts._replace(
             slots=len(vehicles.start), dead_whole=self.dead_periods[0], past=past, segments=segments,
-            requested=2 + max(settings.drive_whole, settings.brake_whole),
+            requested=2 * (2 + max(settings.drive_whole, settings.brake_whole)),
         )  # fmt: skip
         loop = room(period_kernel.RunLoop, period_kernel.put_sizes, counts)
         loop.ceiling[:] = np.nan

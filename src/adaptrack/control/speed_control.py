@@ -1,0 +1,195 @@
+"""Speed control along a planned path: settings of the kernel `core.speed_control`, and one run of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from adaptrack.base.checked import Bound, NotNegative, Positive, Share, checked
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
+from adaptrack.core import speed_control as kernel
+from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.road import Comfort, Road, SpeedPlan
+
+Array = NDArray[np.float64]
+SPACING = 0.5
+"""m, of the places of a plan, and of the horizon."""
+MARGIN_OF_HORIZON = 20.0
+"""m, by which the horizon is longer than the way to stop from the highest planned speed."""
+
+
+class SpeedState(StrEnum):
+    """State of the speed control."""
+
+    OFF = "off"
+    DRIVING = "driving"
+    STOPPING = "stopping"
+    """on the way to a stop"""
+    STOPPED = "stopped"
+    """standing at a stop, with hold pressure"""
+    EMERGENCY = "emergency"
+    """the stop is nearer than comfortable braking reaches"""
+
+
+class SpeedLimit(StrEnum):
+    """What limits the requested speed or acceleration."""
+
+    PLAN = "plan"
+    COMFORT = "comfort"
+    GRIP = "grip"
+    """the assumed friction: of the bends ahead, or of what the axles have left"""
+    STOP = "stop"
+    PATH_END = "path end"
+    FAULT = "fault"
+    """no position"""
+
+
+_STATES, _LIMITS = tuple(SpeedState), tuple(SpeedLimit)
+
+
+class SpeedCommand(NamedTuple):
+    """Requests of the speed control for the present period."""
+
+    acceleration: float
+    """m/s^2, dv/dt along the road, without gravity"""
+    force: float
+    """N, at the wheels, positive forward"""
+    hold: float
+    """N, of the brakes in addition to the force: pressure that holds the car at rest"""
+    target_speed: float
+    """m/s, where the request acts"""
+    grip_used: float
+    """-, acceleration of the car over what the assumed friction gives"""
+    state: SpeedState
+    limited_by: SpeedLimit
+
+
+@checked
+@dataclass(frozen=True)
+class SpeedControl:
+    """Speed controller of a car along its planned path: acceleration and force that follow the plan, and its stops.
+
+    The plan is followed by place. Ahead of the car its speeds are lowered to what the assumed friction allows
+    (governor); a request uses a share of what each axle has left in addition to its lateral force (guard).
+
+    Parameters
+    ----------
+    car : Vehicle
+        Mass, resistance, powertrain, axles; its sections ``[drive]`` and ``[brakes]`` give the delays that are assumed.
+    friction : float or pair of float
+        Friction of the road: a value that is certain, or the ends of an interval, whose lower one counts.
+    drive, brakes : optional
+        Actuators that are assumed; by default those of the car file, otherwise ideal ones.
+
+    Raises
+    ------
+    InvalidInput
+        When the interval of friction is empty.
+    """
+
+    car: Vehicle
+    friction: Annotated[float, Field(gt=0.0, le=1.5)] | tuple[float, float] = 0.9
+    drive: DriveActuator | None = None
+    brakes: BrakeActuator | None = None
+    gain: Annotated[Positive, "1/s"] = 1.2
+    integral: Annotated[NotNegative, "1/s^2"] = 0.25
+    governor: Share = 0.9
+    """of the friction that bends ahead may use"""
+    guard: Share = 0.85
+    """of the force that each axle has left"""
+    stop_jerk: Annotated[Positive, "m/s^3"] = 2.0
+    """at the end of a stop"""
+    emergency: Annotated[Bound, "m/s^2"] = 8.0
+    """largest deceleration where a stop is too near for comfort"""
+
+    def __post_init__(self) -> None:
+        low, high = self.friction_interval
+        if not 0.0 < low <= high <= 1.5:
+            raise InvalidInput(
+                f"SpeedControl: friction = {self.friction!r}: must be a value such as 0.9, or (low, high) such as "
+                "(0.65, 0.9), above 0 and at most 1.5."
+            )
+
+    @property
+    def friction_interval(self) -> tuple[float, float]:
+        """Low and high end of the assumed friction."""
+        return self.friction if isinstance(self.friction, tuple) else (self.friction, self.friction)
+
+    def settings(self, period: float, comfort: Comfort) -> Any:
+        """Record of the kernel for a control period (s) and the comfort of a plan."""
+        car, (low, high) = self.car, self.friction_interval
+        drive, brakes = self.drive or car.drive or DriveActuator(), self.brakes or car.brakes or BrakeActuator()
+        names = ("mass", "lf", "lr", "cg_height", "drive_front", "brake_front", "engine_power", "traction_limit",
+                 "brake_limit")  # fmt: skip
+        return kernel.SpeedSettings(
+            **{name: getattr(car, name) for name in names},
+            period=period,
+            drag=0.5 * car.air_density * car.frontal_area * car.drag_coefficient,
+            rolling=car.rolling_resistance * GRAVITY,
+            accelerate=comfort.accelerate, brake=comfort.brake, emergency=self.emergency, stop_jerk=self.stop_jerk,
+            friction=low, friction_high=high, governor=self.governor, guard=self.guard,
+            drive_delay=drive.dead_time, drive_lag=drive.lag, brake_delay=brakes.dead_time, brake_lag=brakes.lag,
+            gain=self.gain, integral=self.integral,
+        )  # fmt: skip
+
+
+def speed_path(path: Road, plan: SpeedPlan) -> Any:
+    """Plan of a road at even places, for the kernel."""
+    count = max(2, math.ceil(path.length / SPACING - 1e-9) + (0 if path.closed else 1))
+    spacing = path.length / (count if path.closed else count - 1)
+    s = np.arange(count) * spacing
+    inside = np.minimum(s, path.length * (1.0 - 1e-12))
+    slope, bank = (GRAVITY * np.sin(values) for values in (np.arctan(path.along("grade", s)), path.along("bank", s)))
+    ends = [(path.length, math.inf)] if not path.closed and plan.speed[-1] == 0.0 else []
+    stops = np.array([*plan.stops, *ends], dtype=float).reshape(-1, 2)
+    return kernel.SpeedPath(
+        square=plan.at(s) ** 2, curvature=path.at(inside).curvature.copy(), slope=slope, bank=bank,
+        stops=stops[:, 0].copy(), seconds=stops[:, 1].copy(), spacing=spacing, length=path.length,
+        closed=int(path.closed),
+    )  # fmt: skip
+
+
+class SpeedController:
+    """A speed control on its way along a path, called once a control period."""
+
+    def __init__(self, control: SpeedControl, path: Road, plan: SpeedPlan, period: float) -> None:
+        self.control, self._period = control, period
+        self._memory = kernel.SPEED_MEMORY.new(1)
+        self.follow(path, plan)
+
+    def follow(self, path: Road, plan: SpeedPlan) -> None:
+        """Follow another plan from now on; what was learned of resistance and slope stays."""
+        self._settings, self._path = self.control.settings(self._period, plan.comfort), speed_path(path, plan)
+        way = float(plan.speed.max()) ** 2 / (2.0 * min(plan.comfort.brake, 2.0)) + MARGIN_OF_HORIZON
+        self._ahead = np.zeros(max(4, math.ceil(way / self._path.spacing)))
+        self._memory[0].next_stop = 0
+        self._memory[0].state = kernel.OFF
+
+    def step(self, station: float, speed: float, yaw_rate: float) -> SpeedCommand:
+        """Return the requests for the present period.
+
+        station: m, of the car on its path over all laps; speed: m/s; yaw_rate: rad/s. NaN: not measured.
+        """
+        kernel.speed_control_step(station, speed, yaw_rate, self._memory, self._settings, self._path, self._ahead)
+        memory = self._memory[0]
+        return SpeedCommand(
+            float(memory.acceleration), float(memory.force), float(memory.hold), float(memory.target_speed),
+            float(memory.grip_used), _STATES[int(memory.state)], _LIMITS[int(memory.limited_by)],
+        )  # fmt: skip
+
+    def release(self) -> None:
+        """Leave the stop at which the car stands, whatever its time."""
+        self._memory[0].standing = math.inf
+
+    def speeds_ahead(self, speed: float, count: int) -> Array:
+        """(count,) m/s, governed speeds at the coming control instants, the first one the present speed (m/s)."""
+        speeds = np.empty(count)
+        kernel.governed_speeds(speed, self._period, self._path.spacing, self._ahead, speeds)
+        return speeds
