@@ -76,6 +76,8 @@ HOLD_RESERVE = 1.0
 """m/s^2, by which the brakes hold more than the slope demands."""
 LEAD_DISTANCE = 2.0
 """m, over which the acceleration of the plan is taken."""
+COMFORT_RESERVE = 1.2
+"""Factor on the accelerations of comfort within which errors of the speed are corrected."""
 LEAST_SPEED_AHEAD = 0.3
 """m/s, with which a car is taken to go on at a stop ahead."""
 LARGEST_DISTURBANCE = 3.0
@@ -196,7 +198,7 @@ def _pass_stop(station, speed, settings, path, memory):
         memory.standing += settings.period
         if memory.standing >= path.seconds[memory.next_stop % path.stops.size]:
             memory.next_stop += 1
-            memory.state, memory.standing, memory.disturbance = DRIVING, 0.0, 0.0
+            memory.state, memory.standing = DRIVING, 0.0
     elif station - place > OVERSHOOT:
         memory.next_stop += 1
 
@@ -237,17 +239,18 @@ def _follow(station, speed, lateral, settings, path, memory, ahead):
     if memory.state == STOPPING and speed < STANDING_SPEED and stop - station < STOP_TOLERANCE:
         _hold(slope, settings, memory)
         return
-    wanted = acceleration + settings.gain * (target - coming_speed) + memory.disturbance
-    bounded = clip(wanted, -max(settings.brake, -stop_acceleration) * 1.2, settings.accelerate)
-    if bounded != wanted and wanted > 0.0 and memory.limited_by == BY_PLAN:
+    wanted = acceleration + settings.gain * (target - coming_speed)
+    bounded = clip(wanted, -COMFORT_RESERVE * settings.brake, COMFORT_RESERVE * settings.accelerate)
+    if bounded != wanted and memory.limited_by == BY_PLAN:
         memory.limited_by = BY_COMFORT
-    limited = _request(bounded, speed, slope, lateral, settings, memory)
+    limited = _request(bounded + memory.disturbance, speed, slope, lateral, settings, memory)
+    memory.acceleration -= memory.disturbance
     if limited:
         memory.limited_by = BY_GRIP
     memory.hold = 0.0
     if memory.force > 0.0 and speed < STANDING_SPEED and slope > 0.0:
         memory.hold = settings.mass * slope  # until the drive carries the slope
-    if bounded == wanted and not limited and speed > STANDING_SPEED:
+    if not limited and speed > STANDING_SPEED:
         now = sqrt(max(_square_at(station, station, path, ahead), 0.0))
         if memory.state == STOPPING:
             now, _ = _stopping_motion(stop - station, settings)
