@@ -60,7 +60,7 @@ def test_a_clothoid_lies_beside_its_tangent_as_a_cubic():
         (lambda: RoadAhead(HAIRPIN, 0.0, []), "speeds"),
         (lambda: RoadDrive("lap", 10.0), "must be a Road"),
         (lambda: RoadDrive(HAIRPIN, 5.0, laps=2), "is open"),
-        (lambda: RoadDrive(HAIRPIN, plan_speed(WINDING)), "another road"),
+        (lambda: RoadDrive(HAIRPIN, plan_speed(WINDING)), "different road"),
         (lambda: RoadDrive(HAIRPIN, 5.0, start_heading=2.0), "right angle"),
     ],
 )

@@ -39,7 +39,7 @@ def test_shipped_profiles_have_the_name_of_their_file_and_read_back_equal(tmp_pa
         (lambda: load_profile("papper"), UnknownName, r"no profile is named 'papper'. Did you mean 'paper'\?"),
         (lambda: load_profile(3), InvalidInput, "not by 3"),
         (lambda: load_profile("absent.toml"), StorageError, "cannot be read"),
-        (lambda: Profile(name="own", delay=0.5), InvalidInput, "or 1 .* what the steering adds is its dead"),
+        (lambda: Profile(name="own", delay=0.5), InvalidInput, "or 1 .* give the delay of the steering as dead"),
         *(
             (lambda field=field, value=value: Profile(name="own", **{field: value}), InvalidInput, field)
             for field in ("noise_y", "bias_yaw_rate", "pose_age", "missing", "move_weight", "delay")

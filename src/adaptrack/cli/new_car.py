@@ -64,6 +64,6 @@ def _certificate(tuning: Schedule | Tuning, mpc: MPC, plant: Any, car: Vehicle, 
     domain = {"speed": car.domain.speed, "friction": car.domain.friction}
     with show.progress("certify for this car") as advance:
         return certify(
-            tuning, linear_twin(plant, car, car.domain), mpc, world.prompt, domain=domain, levels=LEVELS,
+            tuning, linear_twin(plant, car, car.domain), mpc, world.without_sample_ages, domain=domain, levels=LEVELS,
             progress=advance,
         )  # fmt: skip

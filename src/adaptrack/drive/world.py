@@ -28,7 +28,7 @@ from adaptrack.core.planning.drive import complete_samples
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.failure import Failure, Reason
 from adaptrack.scenario import RoadDrive, Scenario, Signals
-from adaptrack.scenario.profile import SENSING, Profile, load_profile
+from adaptrack.scenario.profile import SENSOR_FIELDS, Profile, load_profile
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
@@ -144,7 +144,7 @@ class World:
             prescribed_speed=driver is None,
             dead_whole=self.dead_periods[0],
             dead_share=self.dead_periods[1],
-            **{name: getattr(profile, name) for name in SENSING},
+            **{name: getattr(profile, name) for name in SENSOR_FIELDS},
             steering_lag=steering.lag,
             steering_limit=steering.limit,
             steering_bias=steering.bias,

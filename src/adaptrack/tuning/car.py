@@ -196,7 +196,7 @@ def tune(
     requested = Domain(**{**car.domain.model_dump(), **limits})
     show("which speeds can be held", 0, 1)
     linear = linear_twin(driven_plant, car, requested)
-    holdable = feasibility(linear, mpc, world.prompt, speed=requested.speed, friction=requested.friction, turn=None)
+    holdable = feasibility(linear, mpc, world.without_sample_ages, speed=requested.speed, friction=requested.friction, turn=None)
     if holdable.constant is None:
         raise InvalidInput(f"tune: {holdable.verdict}")
     constant, holdable_domain = holdable.constant
@@ -216,7 +216,7 @@ def tune(
     failures = {name: int(np.isinf(drives).sum()) for name, drives in costs.items()}
     tuning = searched if gain.high < 1.0 and failures["sought"] <= failures["default"] else default
     certificate = certify(
-        tuning, linear, mpc, world.prompt, domain={"speed": domain.speed, "friction": domain.friction},
+        tuning, linear, mpc, world.without_sample_ages, domain={"speed": domain.speed, "friction": domain.friction},
         levels=effort.levels, progress=show,
     )  # fmt: skip
     controller = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator, tuning=tuning)
