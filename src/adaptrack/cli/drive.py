@@ -139,7 +139,7 @@ def _drive(settings: options.DriveSettings, loop: DrivenLoop) -> Iterator[Run]:
     """All drives with all controllers; a trajectory is saved as soon as it is driven."""
     from adaptrack.base.files import safe_names
     from adaptrack.drive.metrics import compute_metrics
-    from adaptrack.drive.predicted import PredictedPaths
+    from adaptrack.drive.predicted_paths import PredictedPaths
     from adaptrack.drive.simulate import simulate
     from adaptrack.drive.world import Driver
     from adaptrack.results import Run

@@ -108,5 +108,5 @@ class PathTrackingEnv(gymnasium.Env):
         return self._observe(drive), -cost, drive.terminated, drive.truncated, drive.info
 
     def _observe(self, drive: Driven) -> Array:
-        write_one_observation(drive.loop.place, self._bounds, self._observed)
+        write_one_observation(drive.loop.resident, self._bounds, self._observed)
         return self._observed.copy()

@@ -230,7 +230,7 @@ class _VectorEnv(VectorEnv):
         )  # fmt: skip
         size, space = slots.stop - slots.start, self.single_observation_space
         settings = batch.mpc_settings(*self._longest, residuals=False)
-        run = batch.arena(size, int(batch.substeps.max()), settings)
+        run = batch.run_record(size, int(batch.substeps.max()), settings)
         world = batch.world
         episodes = Episodes(
             run, self._own[slots], np.zeros((size, len(MEASUREMENT))),

@@ -155,7 +155,7 @@ class Objective:
         """`core.tune.Trial` for up to `slots` tunings with horizons up to these; before it, its runs."""
         assert isinstance(self.plant, Plant)
         batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
-        run = batch.arena(slots, int(batch.substeps[0]), batch.mpc_settings(longest, most, residuals=False))
+        run = batch.run_record(slots, int(batch.substeps[0]), batch.mpc_settings(longest, most, residuals=False))
         run.vehicles.start[:] = batch.starts
         noise = np.array(self.noise_seeds, dtype=np.int64)
         span = RunSpan(batch.signals[0].n, slots, 0, self.weight)

@@ -29,7 +29,7 @@ from adaptrack.control.controllers import MPC, CompiledController, Controller, T
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Schedule
 from adaptrack.core.loop import SIGNAL
-from adaptrack.drive.batch import Batch, called_back, sampled
+from adaptrack.drive.batch import Batch, interpreted_functions, sampled
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.drive.simulate import rollouts, simulate
@@ -195,7 +195,7 @@ class RunSet:
             segment=self.segment if segmented else 0, weight=self.weight, scheduler=scheduler,
         )  # fmt: skip
         costs = (outcome.result["squared_error"] + self.weight * outcome.result["squared_move"]) / self.lengths[indices]
-        return Outcome(np.where(outcome.failed, np.inf, costs), outcome.segments, outcome.counts)
+        return Outcome(np.where(outcome.has_failed, np.inf, costs), outcome.segments, outcome.counts)
 
     def _warn_of(self, schedule: Schedule) -> None:
         self.mpc.warn_of(schedule, load_profile(self.profile).name, self.plant)
@@ -203,7 +203,7 @@ class RunSet:
     def _compiles(self, policy: Policy) -> bool:
         policy = policy.controller if isinstance(policy, Retuned) else policy
         controller = policy if _is_controller(policy) else self.mpc
-        if isinstance(self.plant, SteppedPlant) or called_back(self.plant, controller):
+        if isinstance(self.plant, SteppedPlant) or interpreted_functions(self.plant, controller):
             return False
         return not _is_controller(policy) or _compiles(policy)
 
