@@ -1,4 +1,4 @@
-"""`adaptrack export fmu`: a controller and a car of the simulated world as Functional Mock-up Units."""
+"""`adaptrack export fmu`: export a controller and a simulated car as Functional Mock-up Units (FMUs)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class FMUOptions:
 
     out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for car.fmu and controller.fmu.")]
     exported: ExportedController
-    fmi: Annotated[Interface, Option("--fmi", help="Version of the interface.")] = Interface.third
+    fmi: Annotated[Interface, Option("--fmi", help="Version of the Functional Mock-up Interface.")] = Interface.third
     driver: Annotated[
         bool, Option("--driver/--perfect-speed", hidden=True, help="Car with powertrain and driver, or exact speed.")
     ] = False
@@ -37,7 +37,7 @@ class FMUOptions:
 def export_fmu(arguments: FMUOptions) -> None:
     """Export a controller and a car as two FMUs for co-simulation.
 
-    They need neither Python nor this package, and no compiler here.
+    The FMUs need neither Python nor adaptrack. You need no compiler for the export.
     """
     from adaptrack.drive.world import Driver
     from adaptrack.export.fmu import binaries, write_fmu
