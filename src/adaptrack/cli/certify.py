@@ -44,9 +44,7 @@ class CertifyOptions:
 
     scheduler: Annotated[
         str | None,
-        typer.Argument(
-            metavar="[SCHEDULE]", help="Schedule: see `list schedules`, or a .json file; default: constant tuning."
-        ),
+        typer.Argument(metavar="[SCHEDULE]", help="See `list schedules`, or a .json file; default: constant tuning."),
     ] = None
     controller: Annotated[
         str | None,

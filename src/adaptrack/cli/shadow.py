@@ -23,7 +23,7 @@ class ShadowOptions:
     """Options of `adaptrack shadow`."""
 
     log: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Logs of one car in chronological order (.csv, .parquet).")
+        list[Path], typer.Argument(metavar="LOG...", help="Logs of one car, the oldest first (.csv, .parquet).")
     ]
     vehicle: options.VehicleOption
     path: Annotated[

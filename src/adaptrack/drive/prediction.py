@@ -91,8 +91,8 @@ def prediction_error(
     y = None if outputs is None else np.asarray(outputs, dtype=np.float64)
     if x.shape != (n, model.n) or not u.shape == v.shape == (u if y is None else y).shape == (n,):
         raise InvalidInput(
-            f"prediction_error: states {x.shape}, commands {u.shape}, speeds {v.shape}, outputs {None if y is None else y.shape}: "
-            f"must be (n, {model.n}) for {', '.join(model.states)}, and (n,)."
+            f"prediction_error: states {x.shape}, commands {u.shape}, speeds {v.shape}, "
+            f"outputs {None if y is None else y.shape}: must be (n, {model.n}) for {', '.join(model.states)}, and (n,)."
         )
     y = x @ model.output if y is None else y
     dead_periods = round(model.dead_time / model.period)

@@ -66,9 +66,7 @@ def reversal_rate(
 
     t, steering, rate = _resample(np.asarray(t, dtype=float), np.asarray(steering, dtype=float))
     if not 0.0 < cut_off < 0.5 * rate:
-        raise InvalidInput(
-            f"reversal_rate: cut_off = {cut_off!r} Hz: must be below half the rate {rate:g} Hz."
-        )
+        raise InvalidInput(f"reversal_rate: cut_off = {cut_off!r} Hz: must be below half the rate {rate:g} Hz.")
     b, a = butter(REVERSAL_ORDER, cut_off, fs=rate)
     smooth = filtfilt(b, a, steering, padlen=min(t.size - 1, 3 * max(len(a), len(b))))
     change = np.diff(smooth, prepend=smooth[0])

@@ -196,7 +196,9 @@ def tune(
     requested = Domain(**{**car.domain.model_dump(), **limits})
     show("which speeds can be held", 0, 1)
     linear = linear_twin(driven_plant, car, requested)
-    holdable = feasibility(linear, mpc, world.without_sample_ages, speed=requested.speed, friction=requested.friction, turn=None)
+    holdable = feasibility(
+        linear, mpc, world.without_sample_ages, speed=requested.speed, friction=requested.friction, turn=None
+    )
     if holdable.constant is None:
         raise InvalidInput(f"tune: {holdable.verdict}")
     constant, holdable_domain = holdable.constant
