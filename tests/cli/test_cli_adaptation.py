@@ -85,7 +85,7 @@ def test_certify_passes_a_sound_scheduler_and_prints_the_points_nearest_to_insta
     assert {row["Np"] for row in result["rows"]} == {38.0}
     _, out, _ = run_command("certify", mine, "--out", tmp_path / "page")
     assert "Passed: the closed loop is stable at all 8 points of the operating domain driving straight" in out
-    assert "mine, driving straight (the verdict): the points nearest to instability" in out
+    assert "mine, driving straight (verdict): points nearest to instability" in out
     assert "Passed" in (tmp_path / "page" / "index.html").read_text()
     assert list((tmp_path / "page").glob("*.png"))
 

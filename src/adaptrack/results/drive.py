@@ -205,7 +205,7 @@ def _answer(runs: Sequence[Shown]) -> str:
     if not completed:
         return failed
     best = min(completed, key=lambda run: run.metrics.mse)
-    errors = f"RMS error {length(best.metrics.rms_error)}, largest error {length(best.metrics.max_abs_error)}."
+    errors = f"{length(best.metrics.rms_error)} RMS error, largest {length(best.metrics.max_abs_error)}."
     if len(runs) == 1:
         return errors
     if len({run.trajectory.name_of("scenario") for run in runs}) > 1:

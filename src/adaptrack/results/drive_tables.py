@@ -30,6 +30,7 @@ class Shown:
 
 
 _CONTROLLER = Column("label", "Controller")
+_CORNER_ERROR = "largest distance of a corner of the car from the path, minus half the width of the car"
 _BOLD = "Bold: smallest value of the runs that did not fail."
 
 TRACKING_COLUMNS = (
@@ -99,9 +100,9 @@ DRIVE_COLUMNS = (
     Column("scenario", "drive"),
     Column("controller", "controller"),
     Column("rms_error", "RMS error", "m", 3),
-    Column("max_abs_error", "max. error", "m", 3),
-    Column("max_corner_error", "corner error", "m", 3),
-    Column("in_lane", "in lane", "% of time", "percent"),
+    Column("max_abs_error", "max error", "m", 3),
+    Column("max_corner_error", "corners", "m", 3, _CORNER_ERROR),
+    Column("in_lane", "in lane", "%", "percent", "share of time with all corners in the lane"),
     Column("result", "result"),
 )
 _TROUBLES = ("qp_capped", "qp_failed", "held")

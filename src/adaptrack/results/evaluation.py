@@ -38,8 +38,8 @@ EVALUATION_COLUMNS = (
     Column("cost_geomean", "Cost", "m²", 3),
     Column("regret_geomean", "Regret", "", 4),
     Column("interval", "95 %\ninterval", "", 3),
-    Column("regret_p90", "P90", "", 3),
-    Column("regret_worst", "Worst", "", 3),
+    Column("regret_p90", "Regret\n90 %", "", 3),
+    Column("regret_worst", "Regret\nworst", "", 3),
     Column("failures", "Runs\nfailed"),
     Column("fallback", "Fallback", "% of steps", "percent"),
 )
