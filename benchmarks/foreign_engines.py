@@ -28,7 +28,7 @@ import numpy as np
 
 import adaptrack as at
 from adaptrack.drive.failure import DISTANCE, SIDESLIP
-from adaptrack.road.ahead import foot_near
+from adaptrack.road.road_ahead import foot_near
 from adaptrack.road.speed import Comfort
 
 PERIOD, DT = 0.05, 0.002

@@ -30,7 +30,7 @@ import numpy as np
 import adaptrack as at
 from adaptrack.identification.random_cars import random_car
 from adaptrack.road import Comfort
-from adaptrack.road.ahead import foot_near
+from adaptrack.road.road_ahead import foot_near
 
 JUDGED, TUNING = 77_000_000, 78_000_000
 """First seeds."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptrack.road import road_through
-from adaptrack.road.ahead import foot_near
+from adaptrack.road.road_ahead import foot_near
 
 DT = 0.002
 """s, step of the bicycle."""

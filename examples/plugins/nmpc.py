@@ -34,7 +34,7 @@ from adaptrack.control.controllers.registry import register_controller
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel
 from adaptrack.core.public import path_model
-from adaptrack.road.ahead import RoadAhead
+from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario.profile import Profile
 from known_car import KnownCar
 

@@ -120,7 +120,7 @@ from .road import (
     plan_speed as plan_speed,
     road_through as road_through,
 )
-from .road.ahead import RoadAhead as RoadAhead
+from .road.road_ahead import RoadAhead as RoadAhead
 from .scenario import (
     RoadDrive as RoadDrive,
     Scenario as Scenario,

@@ -78,7 +78,7 @@ def test_a_users_plant_has_its_own_states_and_parameters():
     assert (plant.name, plant.tyre_name) == ("rolling car", "linear")
     assert plant.substeps(0.1, 50.0) == 7
     packed = plant.with_steering(SteeringActuator(lag=0.2, rate=0.4, limit=0.5)).packed()
-    assert packed.tolist() == [0.2, 0.4, 0.5, *PARAMETERS.values()]
+    assert packed.tolist() == [0.2, 0.4, 0.5, 0.0, *PARAMETERS.values()]
     assert plant.powertrain == {"mass": 1575.0, "engine_power": 1e5, "traction_limit": 8000.0, "brake_limit": 15000.0}
 
 
@@ -91,7 +91,7 @@ def test_nested_parameters_are_read_by_their_names():
     tables = {"body": {"mass": 2.0}, "tyres": {"front": {"stiffness": 3.0}, "rear": {"stiffness": 5.0}}}
     plant = UserPlant(on_tables, tables, mass=1.0)
     assert plant.derivative(np.zeros(6), [0.0, 0.0], np.zeros(7)).tolist() == [0.0, 0.0, 0.0, 5.0, 5.0, 0.0]
-    assert plant.packed()[3:].tolist() == [2.0, 3.0, 5.0]
+    assert plant.packed()[4:].tolist() == [2.0, 3.0, 5.0]
     with pytest.raises(InvalidInput, match=r"tyres\.rear\.stiffness = nan"):
         UserPlant(on_tables, tables | {"tyres": {"front": {"stiffness": 3.0}, "rear": {"stiffness": math.nan}}}, 1.0)
     with pytest.raises(InvalidInput, match="mass = 'heavy'"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.cli.app import app
 from adaptrack.control.controllers.learned import LearnedCar
 from adaptrack.drive.simulate import rollout
+from adaptrack.drive.world import ROAD_DRIVER
 from adaptrack.road import load_road, plan_speed
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import load_profile
@@ -61,7 +63,8 @@ def test_the_table_of_the_tuned_controller_is_that_of_its_drives(tuned):
     for name in ROADS:
         road = load_road(name, length=200.0)
         drive = RoadDrive(road, plan_speed(road, car))
-        runs = [rollout(DualTrack(car), controller, drive, profile="road", seed=seed) for seed in range(3)]
+        run_with = partial(rollout, DualTrack(car), controller, drive, profile="road", driver=ROAD_DRIVER)
+        runs = [run_with(seed=seed) for seed in range(3)]
         errors += [np.mean(run.error**2) for run in runs]
     (row,) = [row for row in result["rows"] if row["label"] == "tuned"]
     assert row["rms_error"] == pytest.approx(np.sqrt(np.mean(errors)), rel=1e-9)

@@ -33,7 +33,7 @@ from adaptrack.control.tracker import Tracker
 from adaptrack.core.controllers.contract import path_at, wrapped
 from adaptrack.drive.simulate import simulate
 from adaptrack.road import generate_road
-from adaptrack.road.ahead import straight
+from adaptrack.road.road_ahead import straight
 from adaptrack.scenario import RoadDrive, load_scenario
 from inlined import entry
 

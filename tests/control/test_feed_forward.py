@@ -15,7 +15,7 @@ from adaptrack.core.controllers.feed_forward import FeedForward, bend_size, feed
 from adaptrack.core.layout import room
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Line, Road
-from adaptrack.road.ahead import RoadAhead
+from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario import RoadDrive
 
 pytestmark = pytest.mark.kernels

@@ -14,7 +14,7 @@ from adaptrack.control.controllers.kinematic_mpc import AUTOWARE_WEIGHTS, Kinema
 from adaptrack.core.controllers import kinematic_mpc as kernel
 from adaptrack.core.controllers.contract import planned_speed
 from adaptrack.road import Arc, Clothoid, Line, Road
-from adaptrack.road.ahead import RoadAhead, straight
+from adaptrack.road.road_ahead import RoadAhead, straight
 from inlined import entry
 from references.daqp import Daqp
 from references.kinematic_mpc import cost, derivatives

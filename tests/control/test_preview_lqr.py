@@ -14,7 +14,7 @@ from adaptrack.control.controllers.lqr import GAIN_SPEEDS
 from adaptrack.control.controllers.preview_lqr import PreviewLQR, steady_turn
 from adaptrack.control.models import PathModel
 from adaptrack.road import Arc, Clothoid, Line, Road
-from adaptrack.road.ahead import RoadAhead, straight
+from adaptrack.road.road_ahead import RoadAhead, straight
 
 pytestmark = pytest.mark.kernels
 

@@ -54,7 +54,7 @@ def counts_of(run):
         "headings": inputs.roads.headings.size, "perceiving": loop.perceiving.parameters.size,
         "perceiving_settings": loop.perceiving.settings.size, "dead_whole": loop.settings.dead_whole,
         "past": loop.memory.past.shape[1], "segments": loop.segments.shape[1], "traced": loop.trace.state.shape[1],
-        "answers": loop.trace.answer.shape[2],
+        "answers": loop.trace.answer.shape[2], "requested": loop.memory.requested.shape[1],
     }.items():  # fmt: skip
         row.loop[name] = value
     for name, value in {

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from adaptrack.core import path
 from adaptrack.core import road as kernel
 from adaptrack.road import road_through
-from adaptrack.road.ahead import pack_roads
+from adaptrack.road.road_ahead import pack_roads
 from adaptrack.road.table import points_on_pieces
 
 pytestmark = pytest.mark.kernels

@@ -6,16 +6,17 @@ import math
 import numpy as np
 import pytest
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.core import path
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.planning import speed as kernel
-from adaptrack.core.planning.along import AlongRecord, Route
 from adaptrack.core.planning.cells import PLAN, plan_places
 from adaptrack.core.planning.drive import RoadDriveRecord as Drive
 from adaptrack.core.planning.drive import complete_samples, drive_periods, drive_samples, drive_start
+from adaptrack.core.planning.station_table import AlongRecord, Route
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.speed_plan import SpeedPlanRecord
 from adaptrack.drive.world import World
@@ -49,7 +50,9 @@ def line_through(points, closed):
 
 def to_plan(line, car=None, friction=0.9, bounds=BOUNDS, **along):
     """A plan to be made as another program has it: no road but its pieces, no car but its numbers."""
-    route = Route(line, constant(friction), constant(along.get("bank", 0.0)), NOWHERE)
+    route = Route(
+        line, constant(friction), constant(along.get("bank", 0.0)), NOWHERE, constant(along.get("grade", 0.0))
+    )
     table = np.full((len(PLAN), plan_places(line.start, bounds.spacing, NONE, NONE)), np.nan)
     plant = NONE if car is None else packed(car)
     return kernel.Planning(route, bounds, plant, NONE, NONE, NONE, np.zeros((0, 0)), table)
@@ -107,28 +110,106 @@ def test_a_straight_road_is_driven_at_the_top_speed():
         assert (plan_of(to_plan(line, bounds=BOUNDS._replace(top_speed=top))).speed == speed).all()
 
 
-@pytest.mark.parametrize("name", list_vehicles())
-def test_nowhere_is_more_asked_of_tyres_engine_and_brakes_than_they_have(name):
+@pytest.mark.parametrize(
+    ("name", "grade"), [*((name, 0.0) for name in list_vehicles()), ("midsize-sedan", 0.12), ("midsize-sedan", -0.12)]
+)
+def test_nowhere_is_more_asked_of_tyres_engine_and_brakes_than_they_have(name, grade):
     # at both ends of every cell, with the car's own numbers and the formulas of the textbook
-    car, road = load_vehicle(name), generate_road("mountain", seed=5, length=700.0)
+    car, road = load_vehicle(name), generate_road("mountain", seed=5, length=700.0, grade=grade)
     comfort = Comfort(lateral=20.0, accelerate=20.0, brake=20.0, lateral_jerk=math.inf)
     plan = plan_speed(road, car, comfort, start=2.0, top_speed=60.0)
     first, last = road.table.at(plan.s[:-1], 1).curvature, road.table.at(plan.s[1:], -1).curvature
     bend = np.maximum(np.abs(first), np.abs(last))
-    grip = 0.9 * np.minimum(0.9 * GRAVITY, cornering_limit(car, bend, np.full(bend.shape, 0.9)))
-    along = plan.acceleration
+    weight = GRAVITY * math.cos(math.atan(grade))
+    grip = 0.9 * np.minimum(0.9 * GRAVITY, cornering_limit(car, bend, np.full(bend.shape, 0.9))) * weight / GRAVITY
+    along = plan.acceleration + GRAVITY * math.sin(math.atan(grade))  # by tyres and air
     for v in (plan.speed[:-1], plan.speed[1:]):
         slowed = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient * v**2 / car.mass
-        slowed += car.rolling_resistance * GRAVITY
+        slowed += car.rolling_resistance * weight
         tyres = np.where(along >= 0.0, along + slowed, np.maximum(-along, 0.0))
-        carried = 1.0 - tyres * car.cg_height / (GRAVITY * np.where(along >= 0.0, car.lr, car.lf))
+        carried = 1.0 - tyres * car.cg_height / (weight * np.where(along >= 0.0, car.lr, car.lf))
         used = np.hypot(tyres, v**2 * bend / carried) / grip
-        gains = along > 1e-9
+        gains = plan.acceleration > 1e-9
         assert used[gains].max() < 1.0 + 1e-6
         assert used[along < -1e-9].max(initial=0.0) < 1.0 + 1e-6
         force = car.mass * (along + slowed)[gains]
         assert (force <= np.minimum(car.traction_limit, car.engine_power / np.maximum(v[gains], 1e-3)) + 1e-6).all()
         assert (-along <= car.brake_limit / car.mass + slowed + 1e-9).all()
+
+
+# -- slopes -----------------------------------------------------------------------------------------------------------
+def test_a_truck_at_full_power_climbs_at_the_speed_at_which_its_power_is_used_up():
+    truck = load_vehicle("van").replace(engine_power=40e3)
+    road = Road.from_segments([Line(length=9000.0)], grade=([400.0, 401.0], [0.0, 0.05]))
+    plan, theta = plan_speed(road, truck, start=20.0), math.atan(0.05)
+    v = plan.speed[-1]
+    air = 0.5 * truck.air_density * truck.frontal_area * truck.drag_coefficient * v**2
+    load = truck.mass * GRAVITY * (math.sin(theta) + truck.rolling_resistance * math.cos(theta))
+    assert v * (load + air) == pytest.approx(40e3, rel=1e-4)
+    assert v < 0.9 * plan.at(400.0)
+    assert plan.stretches[-1].limit == "power"
+
+
+@pytest.mark.parametrize("grade", [0.1, -0.1])
+def test_brakes_and_tyres_stop_a_car_on_a_slope_in_the_distance_of_the_textbook(grade):
+    line, friction = Road.from_segments([Line(length=300.0)]).packed(), 0.2  # the tyres bound it, not comfort
+    plan = plan_of(to_plan(line, friction=friction, bounds=BOUNDS._replace(end=0.0), grade=grade))
+    theta = math.atan(grade)
+    deceleration = GRAVITY * (0.9 * friction * math.cos(theta) + math.sin(theta))
+    braking = plan.speed < 27.0 - 1e-9
+    braking[:200] = False
+    np.testing.assert_allclose(plan.speed[braking] ** 2, 2.0 * deceleration * (300.0 - plan.s[braking]), atol=1e-9)
+    assert braking.sum() > 80
+
+
+def test_a_bend_on_a_descent_leaves_the_tyres_what_holds_the_speed():
+    line, theta = Road.from_segments([Arc(length=200.0, curvature=1.0 / 60.0)]).packed(), math.atan(0.12)
+    grip, slope = 0.9 * 0.25 * GRAVITY * math.cos(theta), GRAVITY * math.sin(theta)
+    down, up = (plan_of(to_plan(line, friction=0.25, grade=grade)) for grade in (-0.12, 0.12))
+    np.testing.assert_allclose(down.speed**2, 60.0 * math.sqrt(grip**2 - slope**2), rtol=1e-9)
+    # uphill the tyres drive: the same circle of friction bounds the steady speed
+    np.testing.assert_allclose(up.speed**2, 60.0 * math.sqrt(grip**2 - slope**2), rtol=1e-6)
+
+
+def test_a_run_up_carries_a_car_over_a_short_ramp_that_stops_it_from_standstill():
+    grade = AlongRecord(np.array([0.0, 100.0, 120.0]), np.array([0.0, 0.3, 0.0]), 1)
+    line = Road.from_segments([Line(length=200.0)]).packed()
+    for start, status in ((15.0, kernel.OK), (5.0, kernel.TOO_SLIPPERY)):
+        planning = to_plan(line, friction=0.2, bounds=BOUNDS._replace(start=start, top_speed=max(start, 5.0)))
+        planning = planning._replace(route=planning.route._replace(grade=grade))
+        code, place, force, _ = kernel.plan_along_road(planning)
+        assert code == status
+    assert 100.0 <= planning.table[PLAN.s, place] < 120.0
+    assert force == pytest.approx(0.9 * 0.2 * GRAVITY * math.cos(math.atan(0.3)))
+
+
+@pytest.mark.parametrize(
+    ("grade", "changes", "message"),  # where a climb ends a run-up of 8 m/s: v^2/2 over what is lacking
+    [
+        (0.3, {"traction_limit": 2000.0}, "s = 79 m .* climbing the grade of 0.3 asks for 2.82 .* the drive gives"),
+        (-0.3, {"brake_limit": 2000.0}, "s = 50 m .* descending the grade of -0.3 asks for 2.82 .* the brakes give"),
+        (0.3, {"friction": 0.2}, "s = 75 m .* climbing .* the tyres give 1.69 m/s"),
+        (-0.3, {"friction": 0.2}, "s = 50 m .* descending .* the tyres give 1.69 m/s"),
+    ],
+)
+def test_a_grade_on_which_a_car_cannot_go_on_is_refused_with_its_place(grade, changes, message):
+    numbers = dict(changes)
+    road = Road.from_segments(
+        [Line(length=900.0)], grade=PythonAlong(s=(0.0, 50.0), value=(0.0, grade), kind="steps"),
+        friction=numbers.pop("friction", 0.9), speed_limit=8.0,
+    )  # fmt: skip
+    with pytest.raises(InvalidInput, match=message):
+        plan_speed(road, CAR.replace(**numbers))
+
+
+def test_a_climb_takes_from_the_drive_what_a_descent_adds():
+    line = Road.from_segments([Line(length=60.0)]).packed()
+    bounds = BOUNDS._replace(accelerate=20.0, start=0.0, top_speed=60.0)
+    up, down = (plan_of(to_plan(line, bounds=bounds, friction=0.3, grade=grade)) for grade in (0.1, -0.1))
+    theta = math.atan(0.1)
+    tyres, slope = 0.9 * 0.3 * GRAVITY * math.cos(theta), GRAVITY * math.sin(theta)
+    np.testing.assert_allclose(up.speed**2, 2.0 * (tyres - slope) * up.s, atol=1e-9)
+    np.testing.assert_allclose(down.speed**2, 2.0 * (tyres + slope) * down.s, atol=1e-9)
 
 
 def test_a_lap_is_periodic_and_no_other_lap_is_faster():

@@ -19,7 +19,7 @@ from adaptrack.core.tracker.give import tracker_engage
 from adaptrack.core.tracker.records import FOLLOWING, HELD, NO_TIME, REPEATED, TRACKED
 from adaptrack.core.tracker.step import tracker_step, tracker_step_law
 from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
-from adaptrack.road.ahead import pack_roads, stacked
+from adaptrack.road.road_ahead import pack_roads, stacked
 from tracker_calls import calls, in_python
 
 pytestmark = pytest.mark.kernels

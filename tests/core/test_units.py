@@ -16,10 +16,14 @@ PLANT = at.DualTrack(CAR)
 STEP = at.load_scenario("step", duration=2.0, speed=15.0)
 
 
-def test_a_car_and_a_closed_loop_agree_to_the_bit_at_every_instant():
+NOISY_BUS = at.load_profile("production-bus").replace(noise_station=0.2)
+
+
+@pytest.mark.parametrize("profile", [at.load_profile("production"), NOISY_BUS], ids=lambda profile: profile.name)
+def test_a_car_and_a_closed_loop_agree_to_the_bit_at_every_instant(profile):
     law = at.Stanley(CAR, period=0.05)
-    loop = ClosedLoop(World.of(PLANT, law, "production", None, None, None), STEP, 6)
-    unit = car_unit(PLANT, STEP, profile="production", period=0.05)
+    loop = ClosedLoop(World.of(PLANT, law, profile, None, None, None), STEP, 6)
+    unit = car_unit(PLANT, STEP, profile=profile, period=0.05)
     values, record = unit.record.values, Resident(unit.record)
     values[car.CAR_VALUE.seed] = 6
     assert car.car_begin(record) == contract.OK
@@ -28,6 +32,10 @@ def test_a_car_and_a_closed_loop_agree_to_the_bit_at_every_instant():
         sample = loop.sense()
         measured = values[car.CAR_VALUE.measured_heading_error], values[car.CAR_VALUE.measured_offset]
         assert np.array_equal(measured, (sample.measured[1], sample.measured[3]), equal_nan=True)
+        assert values[car.CAR_VALUE.measured_speed] == sample.speed
+        assert (
+            np.isnan(sample.measured[3]) or values[car.CAR_VALUE.measured_x] == loop.run.memory.own["pose_station"][0]
+        )
         values[car.CAR_VALUE.command] = 0.01 * k
         values[car.CAR_VALUE.speed], values[car.CAR_VALUE.speed_ahead] = signals.speed[k : k + 2]
         values[car.CAR_VALUE.friction_front_left : car.CAR_VALUE.wind_x] = signals.friction[k]
@@ -56,5 +64,5 @@ def test_each_value_says_what_it_is_and_in_which_unit():
         assert tuple(value.name for value in unit.values) == columns._fields
         assert all(len(value.description) > 8 for value in unit.values)
         plain = {value.name for value in unit.values if not value.unit and value.type == 0}
-        assert all(name.startswith("friction") for name in plain)
+        assert all(name.startswith("friction") or name == "grade" for name in plain)
         assert {value.role for value in unit.values} == {CONSTANT_VALUE, PARAMETER, INPUT_VALUE, 0}

@@ -17,7 +17,7 @@ from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Pose, Road, Stop, generate_road, plan_speed
-from adaptrack.road.ahead import RoadAhead
+from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario import RoadDrive, load_scenario
 from adaptrack.tuning.constant import tune_constant
 from adaptrack.tuning.pso import SwarmSettings

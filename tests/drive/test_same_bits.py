@@ -18,6 +18,9 @@ CALM = at.Tuning(25, 6, 1.0, 30.0)
 PREVIEWING = {"tuning": at.Tuning(30, 6, 1.0, 3000.0), "period": 0.05, "preview": True}
 LATE = load_profile("production").replace(missing=0.05, motion_age=0.03)
 LATE = LATE.replace(steering=LATE.steering.replace(dead_time=0.07, bias=0.01))
+BUS = load_profile("production-bus").replace(
+    noise_station=0.2, noise_speed_floor=0.05, speed_resolution=0.02, speed_dead_zone=0.5, missing=0.05
+)
 SINGLE, DUAL, CURVED = at.SingleTrack(CAR), at.DualTrack(CAR), at.DualTrack(CAR, "magic-formula")
 LANE_CHANGE = at.load_scenario("lane-change", duration=3.0, speed=15.0)
 ROAD = at.generate_road("country", seed=1, length=150.0)
@@ -59,7 +62,7 @@ DRIVES = {
     "informed, production": (CURVED, lambda: at.MPC(CAR, profile="production"), BEND, {"profile": "production"}),
     "learning": (CURVED, lambda: at.MPC(CAR, profile="production", learning=at.Learning()), LANE_CHANGE,
                  {"profile": "production", "driver": Driver()}),
-    "lqr": (DUAL, lambda: at.LQR(CAR, period=0.05, preview=True), BEND, {"profile": "road"}),
+    "lqr": (DUAL, lambda: at.LQR(CAR, period=0.05, preview=True), BEND, {"profile": BUS}),
     "pure pursuit": (DUAL, lambda: at.PurePursuit(CAR, period=0.05), BEND, {"profile": "road"}),
     "stanley": (DUAL, lambda: at.Stanley(CAR, period=0.05), LANE_CHANGE, {"profile": "road"}),
     "a schedule": (
@@ -67,6 +70,7 @@ DRIVES = {
         LANE_CHANGE, {"profile": "road"},
     ),
     "missing and late samples": (CURVED, lambda: at.MPC(CAR, profile=LATE), LANE_CHANGE, {"profile": LATE}),
+    "late speed and station": (CURVED, lambda: at.MPC(CAR, profile=BUS), BEND, {"profile": BUS, "driver": Driver()}),
     "an estimator of the wheels": (
         SINGLE, lambda: at.MPC(CAR, at.Tuning(20, 4, 1.0, 3000.0), period=0.05, estimator=from_the_wheels()),
         LANE_CHANGE, {"profile": "road"},

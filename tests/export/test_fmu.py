@@ -80,10 +80,9 @@ def differing(instance, plant, controller, route, profile, driver, seed, late=0)
     states = np.stack([run.X, run.Y, run.psi, run.vx, run.vy, run.yaw_rate], axis=-1)
     for k in range(signals.signals.n):
         sample = loop.sense()
-        sensed = [*sample.measured[:8], sample.speed]
-        difference += not (
-            same(instance.get(*TRUE), states[k]) and same(instance.get(*MEASURED, "measured_speed"), sensed)
-        )
+        sensed = [*sample.measured[:8], sample.speed, loop.run.memory.own["speed_age"][0]]
+        measured = instance.get(*MEASURED, "measured_speed", "measured_speed_age")
+        difference += not (same(instance.get(*TRUE), states[k]) and same(measured, sensed))
         command = run.command[k - late] if k >= late else 0.0
         instance.step(command=command, **signals.at(k, instance.get("station")))
         loop.send(float(run.command[k]))
@@ -96,7 +95,7 @@ LOOPS = {
     "informed": (lambda: at.MPC(CAR, profile="road", preview=True), "road", at.Driver(), lane_change),
     "learning": (lambda: at.MPC(CAR, profile="production", learning=at.Learning()), "production", None, country),
     "stanley": (lambda: at.Stanley(CAR, period=0.05), "road", at.Driver(), country),
-    "lqr": (lambda: at.LQR(CAR, period=0.05), "road", None, country),
+    "lqr": (lambda: at.LQR(CAR, period=0.05), "production-bus", None, country),
 }
 """Controllers and what they drive in: profile, driver, route."""
 

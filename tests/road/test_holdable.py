@@ -15,7 +15,7 @@ from adaptrack.control.controllers.learned import Learning
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed
-from adaptrack.road.holdable import HoldableSpeed, load_holdable
+from adaptrack.road.holdable_speed import HoldableSpeed, load_holdable
 from adaptrack.road.speed import Limit
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import load_profile

@@ -419,10 +419,10 @@ def test_all_elements_and_attributes_that_are_not_read_are_named(tmp_path):
     path = straight_road(
         tmp_path / "a.xodr",
         section(0, lane_text(-1, content, advisory="inner")),
-        before="<elevationProfile><elevation/></elevationProfile><link/>",
+        before="<objects><object/></objects><link/>",
         head='<header revMajor="1"><geoReference/></header><road id="2"><signals/></road><junction/>',
     )
-    unread = "header/geoReference, junction, elevationProfile, road/link, lane@advisory, roadMark, material, userData"
+    unread = "header/geoReference, junction, road/objects, road/link, lane@advisory, roadMark, material, userData"
     (note,) = load_road(path, road=1).notes
     assert note.startswith("not read: ")
     for name in unread.split(", "):
@@ -519,6 +519,7 @@ def road_of_origin(kind, tmp_path):
     if kind == "elements":
         segments = [Line(length=50.0), Clothoid(length=30.0, start_curvature=0.0, end_curvature=0.02)]
         along = {"friction": Along(s=(0.0, 60.0), value=(0.9, 0.3), kind="steps"), "bank": 0.02, "width_left": 2.5}
+        along["grade"] = ([0.0, 40.0, 70.0], [0.0, 0.08, -0.03])
         return Road.from_segments(segments, start=(4.5e5, 5.4e6, 1.0), speed_limit=([0.0, 9.0], [20.0, 9.0]), **along)
     if kind == "cubics":
         cubic = Cubic(x=(0.0, 40.0, 5.0, -8.0), y=(0.0, 0.0, 25.0, -12.0))
@@ -540,7 +541,7 @@ def test_a_road_of_any_origin_is_read_back_as_it_was_written(tmp_path, kind):
     s = np.linspace(-5.0, road.length + 5.0, 3001)
     digits = 1e-9 + 4e-16 * np.abs(road.at(0.0).y)
     np.testing.assert_allclose(again.at(s), road.at(s), rtol=0, atol=digits)
-    for name in ("width_left", "width_right", "speed_limit", "friction", "bank"):
+    for name in ("width_left", "width_right", "speed_limit", "friction", "bank", "grade"):
         np.testing.assert_array_equal(again.along(name, s), road.along(name, s))
     for name in ("name", "closed", "notes", "deviation"):
         assert getattr(again, name) == getattr(road, name)

@@ -11,6 +11,7 @@ from adaptrack.cars.vehicle import SteeringActuator
 from adaptrack.scenario.profile import Profile, list_profiles, load_profile
 
 PAPER, ROAD = load_profile("paper"), load_profile("road")
+PRODUCTION, BUS = load_profile("production"), load_profile("production-bus")
 
 
 def test_the_paper_profile_is_ideal_and_the_road_profile_is_not():
@@ -24,13 +25,21 @@ def test_the_paper_profile_is_ideal_and_the_road_profile_is_not():
 
 
 def test_shipped_profiles_have_the_name_of_their_file_and_read_back_equal(tmp_path):
-    assert list_profiles() == ["paper", "production", "road"]
+    assert list_profiles() == ["paper", "production", "production-bus", "road"]
     for name in list_profiles():
         profile = load_profile(name)
         assert profile.name == name
         assert profile.description
         profile.to_toml(tmp_path / "copy.toml")
         assert load_profile(tmp_path / "copy.toml") == profile.replace(name="copy")
+
+
+def test_the_profile_of_a_bus_is_production_with_all_samples_late():
+    late = {"station_age": 0.1, "motion_age": 0.1, "motion_age_spread": 0.02, "speed_age": 0.1}
+    assert PRODUCTION.replace(name=BUS.name, description=BUS.description, **late) == BUS
+    assert BUS.oldest == 0.1 + 0.02
+    assert BUS.without_sample_ages == PRODUCTION.without_sample_ages.replace(name=BUS.name, description=BUS.description)
+    assert BUS.without_sample_ages.oldest == 0.0
 
 
 @pytest.mark.parametrize(
@@ -42,8 +51,35 @@ def test_shipped_profiles_have_the_name_of_their_file_and_read_back_equal(tmp_pa
         (lambda: Profile(name="own", delay=0.5), InvalidInput, "or 1 .* give the delay of the steering as dead"),
         *(
             (lambda field=field, value=value: Profile(name="own", **{field: value}), InvalidInput, field)
-            for field in ("noise_y", "bias_yaw_rate", "pose_age", "missing", "move_weight", "delay")
+            for field in (
+                "noise_y",
+                "bias_yaw_rate",
+                "pose_age",
+                "missing",
+                "move_weight",
+                "delay",
+                "noise_station",
+                "speed_resolution",
+                "speed_dead_zone",
+                "speed_age",
+                "motion_age_spread",
+            )
             for value in (-0.1, math.nan, True)
+        ),
+        (
+            lambda: Profile(name="own", motion_age=0.01, motion_age_spread=0.02),
+            InvalidInput,
+            "not exceed motion_age = 0.01",
+        ),
+        (
+            lambda: BUS.replace(speed_age=0.01),
+            InvalidInput,
+            "speed_age = 0.01 s: must be 0, or at least motion_age_spr",
+        ),
+        (
+            lambda: BUS.replace(station_age=0.01),
+            InvalidInput,
+            "station_age = 0.01 s: must be 0, or at least pose_age_sp",
         ),
     ],
 )

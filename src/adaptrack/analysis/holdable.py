@@ -24,7 +24,7 @@ from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit
-from adaptrack.road.holdable import HoldableSpeed
+from adaptrack.road.holdable_speed import HoldableSpeed
 from adaptrack.scenario.profile import Profile, load_profile
 
 MAX_INSTABILITY_DURATION = 10.0
@@ -103,7 +103,7 @@ def _slow_end(mpc: MPC, world: Profile) -> tuple[MPC, Profile]:
 
 @lru_cache(maxsize=16)
 def _cached_speeds(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
-    mpc, world = loop.mpc, loop.world.replace(pose_age=0.0, pose_age_spread=0.0, motion_age=0.0)
+    mpc, world = loop.mpc, loop.world.without_sample_ages
     plant = DualTrack(car)
     lowest = max(MIN_TABLE_SPEED, mpc.speed_floor)
     count = max(

@@ -241,10 +241,10 @@ def sampled(
 
 def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, delay: float = 0.0) -> Sampled:
     """`sampled` about a steady turn that is known."""
-    if max(world.pose_age, world.motion_age) > 0.0:
+    if world.oldest > 0.0:
         raise InvalidInput(
-            f"profile {world.name!r}: its samples are late, and the linear loop takes them as prompt: analyse it with "
-            "pose_age = 0 and motion_age = 0, which is a little kinder than the truth."
+            f"profile {world.name!r}: its samples are late, and the linear loop takes them as prompt: analyse its "
+            "`without_sample_ages`, which is slightly optimistic."
         )
     steering = _steering(plant, world)
     late = world.delay + (steering.dead_time + real("sampled", "delay", delay)) / period

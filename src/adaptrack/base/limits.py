@@ -54,6 +54,8 @@ MAX_STEPS = RequestLimit(
 
 # -- a road -----------------------------------------------------------------------------------------------------------
 ROAD_LENGTH = RequestLimit(2_000_000, "m of road", "its speed is planned at every metre: 3 GB, and some minutes")
+MAX_GRADE = 0.4
+"""dz/ds of a road, either way: the steepest streets have 0.35, and 5 is per cent."""
 TURNS = RequestLimit(10_000, "rad", "one element; each is a piece of the road, 3 MB in all")
 
 # -- a controller -----------------------------------------------------------------------------------------------------

@@ -45,6 +45,8 @@ class Plant(ABC):
     Subclasses are the two built-in vehicles and `UserPlant`; `check_plant` tells whether one keeps the contract.
     """
 
+    takes_grade = False
+    """Whether its equations read the grade of the road."""
     costly = False
     """Whether driving takes so long that searches and learning run on the car's twin (`twin_of`), and only what they
     found is judged on the plant."""
@@ -68,6 +70,11 @@ class Plant(ABC):
     @abstractmethod
     def powertrain(self) -> dict[str, float]:
         """mass (kg), engine_power (W), traction_limit and brake_limit (N): what the driver may ask for."""
+
+    @property
+    def axles(self) -> dict[str, float]:
+        """Geometry (m) and shares of the front axle with which a driver finds what the axles can carry."""
+        return axles_of(getattr(self, "vehicle", None))
 
     @property
     @abstractmethod
@@ -97,12 +104,12 @@ class Plant(ABC):
 
     @abstractmethod
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
-        """dx/dt at state x (n,), input u (3,) and environment (7,).
+        """dx/dt at state x (n,), input u (3,) and environment (8,).
 
         u: steering angle of the front wheels (rad), longitudinal force demanded at the wheels (N), prescribed dv_x/dt
         (m/s^2), NaN, as when it is left out, for none; environment: friction front-left, front-right, rear-left,
-        rear-right; wind along X and Y (m/s); the pull of a banked road to the left (m/s^2), 0 when it is left out.
-        The steering actuator is not part of it.
+        rear-right; wind along X and Y (m/s); the pull of a banked road to the left (m/s^2) and the grade dz/ds of the
+        road, 0 when they are left out. The actuators of steering, drive and brakes are not part of it.
         """
 
 
@@ -157,6 +164,7 @@ class _Car(Plant):
     def _with_ideal_steering(self) -> Array:
         return pack_plant(self.vehicle, self.tyre, SteeringActuator.ideal())
 
+    takes_grade = True
     relaxes = False
     """Whether its tyres build up their force over a relaxation length."""
 
@@ -178,7 +186,8 @@ class _Car(Plant):
         state[:n] = _vector("x", x, n)
         inputs = np.zeros(PLANT_INPUTS)
         inputs[[PLANT_INPUT.command, PLANT_INPUT.force, PLANT_INPUT.acceleration]] = _input(u)
-        inputs[PLANT_INPUT.friction_front_left :] = _environment(environment)
+        inputs[PLANT_INPUT.brake] = max(-inputs[PLANT_INPUT.force], 0.0)
+        inputs[PLANT_INPUT.friction_front_left : PLANT_INPUT.grade + 1] = _environment(environment)
         slope = np.empty(PLANT_STATES)
         self.compiled.right_hand_side(state, inputs, self._with_ideal_steering, slope)
         return slope[:n]
@@ -275,6 +284,8 @@ class UserPlant(Plant):
     """as `Plant.costly`"""
     version: str = ""
     """of what else its motion depends on, such as a package: for the identity of what is tuned on it"""
+    takes_grade: bool = False
+    """whether the right-hand side reads the grade dz/ds of the road, positive uphill, as the eighth of environment"""
     vehicle: Vehicle | None = None
     """the data sheet of this car: its failure distance, and in environments the planned speed and the MPC"""
 
@@ -326,7 +337,8 @@ class UserPlant(Plant):
 
     def packed(self) -> Array:
         steering = self.steering or SteeringActuator.ideal()
-        return np.array([steering.lag, steering.rate, steering.limit, *self._own])  # type: ignore[attr-defined]
+        steering_row = (steering.lag, steering.rate, steering.limit, float(self.takes_grade))
+        return np.array([*steering_row, *self._own])  # type: ignore[attr-defined]
 
     def with_steering(self, steering: SteeringActuator) -> Self:
         return replace(self, steering=steering)
@@ -338,7 +350,7 @@ class UserPlant(Plant):
         n = len(self.state_names)
         slope = np.full(n, np.nan)
         # not copies: what the function writes to its arguments must be visible to `check_plant`
-        state, inputs, around = _vector("x", x, n), _input(u), _environment(environment)
+        state, inputs, around = _vector("x", x, n), _input(u), _environment(environment)[: 8 if self.takes_grade else 7]
         self.compiled.right_hand_side(state, inputs, around, self._own, slope)  # type: ignore[attr-defined]
         if math.isfinite(inputs[2]):
             slope[3] = inputs[2]
@@ -357,6 +369,8 @@ class SteppedPlant(ABC):
     """as `UserPlant.vehicle`"""
     costly = True
     """as `Plant.costly`"""
+    takes_grade: bool = False
+    """whether `step` reads the grade dz/ds of the road, positive uphill, as an eighth entry of environment"""
     longest_step: float = 0.02
     """s, the loop never asks for a longer one"""
     mass: float = 1500.0
@@ -380,6 +394,11 @@ class SteppedPlant(ABC):
         """mass (kg), engine_power (W), traction_limit and brake_limit (N): what the driver may ask for."""
         return {key: getattr(self, key) for key in ("mass", "engine_power", "traction_limit", "brake_limit")}
 
+    @property
+    def axles(self) -> dict[str, float]:
+        """As `Plant.axles`."""
+        return axles_of(self.vehicle)
+
     @abstractmethod
     def reset(self, motion: Array) -> None:
         """Begin at X (m), Y (m), yaw (rad), v_x, v_y (m/s, body frame), yaw rate (rad/s), all else in equilibrium."""
@@ -392,6 +411,12 @@ class SteppedPlant(ABC):
         friction front-left, front-right, rear-left, rear-right; wind along X and Y (m/s); pull of a banked road to the
         left (m/s^2).
         """
+
+
+def axles_of(vehicle: Vehicle | None) -> dict[str, float]:
+    """Geometry (m) and shares of the front axle of a car; of an unknown one equal axles without load transfer."""
+    unknown = {"lf": 1.0, "lr": 1.0, "cg_height": 0.0, "drive_front": 0.5, "brake_front": 0.5}
+    return unknown if vehicle is None else {name: getattr(vehicle, name) for name in unknown}
 
 
 def steps_in(period: float, plant: UserPlant | SteppedPlant) -> int:
@@ -439,9 +464,9 @@ def _input(values: ArrayLike) -> Array:
 
 
 def _environment(values: ArrayLike) -> Array:
-    """(7,); a bank that is left out is none."""
+    """(8,); bank and grade that are left out are 0."""
     array = reals("environment", values)
-    return _vector("environment", np.append(array, 0.0) if array.shape == (6,) else array, 7)
+    return _vector("environment", np.append(array, np.zeros(8 - array.size)) if array.size in (6, 7) else array, 8)
 
 
 @checked

@@ -149,6 +149,35 @@ class SteeringActuator(Record):
         return cls()
 
 
+class ForceActuatorRecord(Record):
+    """Drive or brakes between a requested force and the wheels: gain, dead time, first-order lag behind a rate limit.
+
+    dF/dt = clip((gain request - F)/lag, +-rate m), with the request of a dead time ago and the mass m of the car.
+    """
+
+    lag: float = Field(default=0.0, ge=0, le=10, description="s, time constant of the first-order lag; 0: none")
+    dead_time: float = Field(default=0.0, ge=0, le=10, description="s, from a request until the force begins to change")
+    gain: float = Field(default=1.0, gt=0, le=10, description="-, force that is reached over the requested one")
+    rate: float = Field(
+        default=math.inf,
+        gt=0,
+        allow_inf_nan=True,
+        description="m/s^3, fastest change of the force over the mass; inf: any",
+    )
+
+
+class BrakeActuator(ForceActuatorRecord):
+    """The brakes of the simulated car: the section ``[brakes]`` of a profile or a car file."""
+
+
+class DriveActuator(ForceActuatorRecord):
+    """The drive of the simulated car: the section ``[drive]`` of a profile or a car file."""
+
+    creep: float = Field(
+        default=0.0, ge=0, le=5, description="m/s^2, that the drive gives at standstill unasked; faded out at 2 m/s"
+    )
+
+
 class Steering(Record):
     """Steering parameters: the section ``[steering]`` of a car file. Omitted values are unknown.
 
@@ -259,6 +288,12 @@ class Vehicle(Record):
     )
 
     steering: Steering | None = Field(default=None, description="what is known of the steering, see `Steering`")
+    drive: DriveActuator | None = Field(
+        default=None, description="how the driving force follows a request, see `DriveActuator`; None: as the profile"
+    )
+    brakes: BrakeActuator | None = Field(
+        default=None, description="how the braking force follows a request, see `BrakeActuator`; None: as the profile"
+    )
     body: Body | None = Field(default=None, description="what is known of the outline, see `Body`")
     known_within: KnownWithin | None = Field(
         default=None, description="how far the numbers may be off, see `KnownWithin`"

@@ -73,6 +73,7 @@ class CompareOptions:
             help="See `list comparisons`, or a .toml file; default: quick without ROAD, roads with it.",
         ),
     ] = None  # fmt: skip
+    prescribed_speed: options.PrescribedSpeed = False
     lane_change: Annotated[
         LaneChangeName | None,
         Option("--lane-change", help="Find the highest entry speed of this lane change without touching a cone."),
@@ -90,6 +91,7 @@ class CompareOptions:
         values = {
             "cars": self.vehicle, "roads": self.road, "profiles": self.profile, "length": self.length,
             "budget": self.budget, "seeds": None if self.seeds is None else list(range(self.seeds)),
+            "prescribed_speed": self.prescribed_speed or None,
         }  # fmt: skip
         return {key: value for key, value in values.items() if value is not None}
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from adaptrack.cli.road import CheckedRoad
     from adaptrack.control.controllers import Controller
     from adaptrack.results import Run
-    from adaptrack.road.holdable import HoldableSpeed
+    from adaptrack.road.holdable_speed import HoldableSpeed
 
 SPEED_REDUCTION = 0.7
 """Factor on the speed or lateral acceleration in the command suggested after a failure."""
@@ -71,7 +71,7 @@ def drive(arguments: DriveOptions) -> None:
     places = arguments.place.load(car, _held_speeds(arguments))
     loop = DrivenLoop(car, plant, places, _make_controllers(arguments, places, car, plant))
     places.warn(car)
-    runs = list(_drive(settings, loop))
+    runs = list(_drive(settings, loop, arguments.place.route.assumed))
     rows = [measured_row(run, places) for run in runs]
     failed = any(row["failed"] for row in rows)
     _say_failures(rows, settings.as_json)
@@ -134,16 +134,22 @@ def _held_speeds(arguments: DriveOptions) -> HoldableSpeed | None:
     return next((load_tuning(file).holds for file in arguments.tuning or []), None)
 
 
-def _drive(settings: options.DriveSettings, loop: DrivenLoop) -> Iterator[Run]:
-    """Simulate all drives with all controllers; save each trajectory at once."""
+def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: float | None) -> Iterator[Run]:
+    """Simulate all drives with all controllers; save each trajectory at once.
+
+    friction: coefficient that driver and schedules assume; None for that of the road.
+    """
     from adaptrack.base.files import safe_names
+    from adaptrack.control.estimation import Perception
     from adaptrack.drive.metrics import compute_metrics
     from adaptrack.drive.predicted_paths import PredictedPaths
     from adaptrack.drive.simulate import simulate
-    from adaptrack.drive.world import Driver
+    from adaptrack.drive.world import ROAD_DRIVER
     from adaptrack.results import Run
 
     places, out = loop.places, settings.out
+    known_as = None if friction is None else Perception(friction=friction)
+    driver = None if settings.prescribed_speed else ROAD_DRIVER
     pairs = [(drive, *labelled) for drive in places.drives for labelled in loop.drivers]
     files = safe_names(f"{drive.name}-{label}" for drive, label, _ in pairs)
     where = f"their trajectories are in {out}, without a page" if out else "nothing was written"
@@ -151,7 +157,7 @@ def _drive(settings: options.DriveSettings, loop: DrivenLoop) -> Iterator[Run]:
         for i, (file, (drive, label, controller)) in enumerate(zip(files, pairs, strict=True), 1):
             paths = None if out is None or places.road is None else PredictedPaths()
             run = simulate(
-                loop.plant, controller, drive, profile=places.profile, driver=Driver() if settings.driver else None,
+                loop.plant, controller, drive, profile=places.profile, driver=driver, known_as=known_as,
                 seed=settings.seed, predicted=paths, progress=partial(advance, f"{drive.name}, {label}"),
             )  # fmt: skip
             if out is not None:

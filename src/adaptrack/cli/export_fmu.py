@@ -27,9 +27,7 @@ class FMUOptions:
     out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for car.fmu and controller.fmu.")]
     exported: ExportedController
     fmi: Annotated[Interface, Option("--fmi", help="Version of the Functional Mock-up Interface.")] = Interface.third
-    driver: Annotated[
-        bool, Option("--driver/--perfect-speed", hidden=True, help="Car with powertrain and driver, or exact speed.")
-    ] = False
+    prescribed_speed: options.PrescribedSpeed = False
     as_json: options.Json = False
 
 
@@ -50,7 +48,7 @@ def export_fmu(arguments: FMUOptions) -> None:
     controller = arguments.exported.make(car, world)
     checked = arguments.exported.checked_road(car, world)
     route = RoadDrive(checked.road, checked.plan)
-    driver = Driver() if arguments.driver else None
+    driver = None if arguments.prescribed_speed else Driver()
     units = (
         controller_unit(
             controller, checked.road, checked.plan, speed_preview=None if driver is None else driver.preview

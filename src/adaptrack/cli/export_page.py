@@ -24,7 +24,7 @@ class PageOptions:
     ] = "mountain"
     speed: options.Speed = None
     lateral_acceleration: options.LateralAcceleration = None
-    profile: Annotated[str, Option("--profile", metavar="NAME", help="Initial profile: paper, road or production.")] = (
+    profile: Annotated[str, Option("--profile", metavar="NAME", help="paper, road, production or production-bus.")] = (
         "road"
     )
     controller: Annotated[

@@ -131,16 +131,17 @@ class CarAndPlant:
         return car_and_plant(self.vehicle, self.plant, self.tyre)
 
 
+PrescribedSpeed = Annotated[
+    bool,
+    Option("--prescribed-speed", hidden=True, help="Follow the planned speed exactly, without forces along the road."),
+]
+
+
 @dataclasses.dataclass(frozen=True)
 class DriveSettings:
     """Options for the simulation of a closed loop and for the saved files."""
 
-    driver: Annotated[
-        bool,
-        Option(
-            "--driver/--perfect-speed", hidden=True, help="Simulate powertrain and driver, or follow the speed exactly."
-        ),
-    ] = False
+    prescribed_speed: PrescribedSpeed = False
     period: Annotated[
         float | None, Option("--period", metavar="S", hidden=True, help="Control period (s); default: the profile's.")
     ] = None

@@ -16,7 +16,7 @@ from adaptrack.cli import show
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.road.holdable import HoldableSpeed
+    from adaptrack.road.holdable_speed import HoldableSpeed
     from adaptrack.scenario import RoadDrive, Scenario
     from adaptrack.scenario.profile import Profile
 

@@ -16,7 +16,7 @@ from adaptrack.cli.next_step import command, next_line, replace_option, say_next
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
     from adaptrack.road import Finding, Road, SpeedPlan
-    from adaptrack.road.holdable import HoldableSpeed
+    from adaptrack.road.holdable_speed import HoldableSpeed
     from adaptrack.scenario.profile import Profile
 
 app = typer.Typer(help="Check and draw roads from files or generators.", no_args_is_help=True, rich_markup_mode=None)
@@ -26,6 +26,9 @@ NOT_DRIVABLE = 1
 
 ROADS_HELP = "a name from `list roads`, or a file: .csv of x, y (m), .toml, OpenDRIVE (.xodr), CommonRoad (.xml)."
 RoadName = Annotated[str, typer.Argument(metavar="ROAD", help=f"Road: {ROADS_HELP}")]
+
+
+MAX_ASSUMED_FRICTION = 1.5
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,13 @@ class RoadOptions:
             help="Limit the planned speed to keep the stability margins of the controller.",
         ),
     ] = None
+    assumed_friction: Annotated[
+        str | None,
+        Option(
+            "--assumed-friction", metavar="MU|LOW:HIGH", hidden=True,
+            help="Friction that plan and driver assume, of an interval its lower end; default: the road's.",
+        ),
+    ] = None  # fmt: skip
 
     @property
     def words(self) -> list[str]:
@@ -95,6 +105,28 @@ class RoadOptions:
             elif value is not None:
                 words += [flag, str(value)]
         return words
+
+    @property
+    def assumed(self) -> float | None:
+        """Friction for which the speed is planned, the lower end of an interval; None: that of the road.
+
+        Raises
+        ------
+        InvalidInput
+            When the option is neither a friction nor an interval of two.
+        """
+        if self.assumed_friction is None:
+            return None
+        try:
+            low, *high = (float(number) for number in self.assumed_friction.split(":"))
+            if len(high) > 1 or not 0.0 < low <= max(high, default=low) <= MAX_ASSUMED_FRICTION:
+                raise ValueError
+        except ValueError:
+            raise InvalidInput(
+                f"--assumed-friction {self.assumed_friction}: must be a friction such as 0.9 or an interval such as "
+                f"0.65:0.9, above 0 and at most {MAX_ASSUMED_FRICTION:g}."
+            ) from None
+        return low
 
     def look(
         self, name: str, car: Vehicle, profile: str | Profile = "road", holdable: HoldableSpeed | None = None
@@ -127,7 +159,8 @@ class RoadOptions:
         elif self.speed_column is not None and self.lateral_acceleration is None:
             plan = speed_limit_plan(road)
         else:
-            plan = plan_speed(road, car, comfort, holds=self._holds(car, profile, holdable))
+            assumed = road if self.assumed is None else road.replace(friction=self.assumed)
+            plan = plan_speed(assumed, car, comfort, holds=self._holds(car, profile, holdable))
         return CheckedRoad(road, plan, check_road(road, car, plan))
 
     def _holds(self, car: Vehicle, profile: str | Profile, holdable: HoldableSpeed | None) -> HoldableSpeed | None:

@@ -61,6 +61,7 @@ class TuneOptions:
             help="With --road: simulated runs of the search; default: enough for 300 tunings.",
         ),
     ] = None
+    prescribed_speed: options.PrescribedSpeed = False
     plant: options.PlantOption = "dual-track"
     plugin: options.Plugin = None
     as_json: options.Json = False
@@ -148,6 +149,7 @@ def _tune_on_roads(settings: TuneOptions) -> Result:
             name,
             length=settings.length or 2000.0,
             loops=settings.runs,
+            prescribed_speed=settings.prescribed_speed,
             command=options.command_line(),
             progress=advance,
         )

@@ -54,7 +54,7 @@ def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[Controlle
 
     def load_runs(plant: Plant | SteppedPlant, names: Sequence[str], length: float) -> RunSet:
         drives = [load_drive(name, setting.car, length, task.duration) for name in names]
-        return RunSet(plant, mpc, drives, setting.profile)
+        return RunSet(plant, mpc, drives, setting.profile, driver=task.driver)
 
     training = None
     if task.budget:

@@ -16,6 +16,7 @@ from adaptrack.base.files import LISTED, SHIPPED, Record, build, read_toml
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import About, Controller, about_controller, get_controller
+from adaptrack.drive.world import ROAD_DRIVER, Driver
 from adaptrack.road import Comfort, load_road, plan_speed
 from adaptrack.road.generate import ROAD_KINDS
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
@@ -70,6 +71,9 @@ class ComparisonConfig(Record):
     seeds: SeedNumbers = Field(default=(0, 1, 2, 3, 4), description="noise seeds of the judgement")
     training_seeds: SeedNumbers = Field(default=(1000,), description="noise seeds of the search")
     budget: int = Field(default=200, ge=0, description="closed loops of each search; 0: none, defaults alone")
+    prescribed_speed: bool = Field(
+        default=False, description="whether cars follow their planned speed exactly, without forces along the road"
+    )
     entry_speeds: bool = Field(default=True, description="whether ISO 3888-2 is driven")
 
     @model_validator(mode="after")
@@ -89,6 +93,11 @@ class ComparisonConfig(Record):
         for name in self.contenders:
             about_contender(name)
         return self
+
+    @property
+    def driver(self) -> Driver | None:
+        """Driver of the cars on roads; None where the speed is prescribed."""
+        return None if self.prescribed_speed else ROAD_DRIVER
 
     @property
     def cells(self) -> list[Cell]:

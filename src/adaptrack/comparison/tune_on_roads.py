@@ -13,6 +13,7 @@ from adaptrack.comparison.config import ControllerSetting, load_drive
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison
 from adaptrack.control.controllers import MPC, Controller, about_controller, list_controllers
+from adaptrack.drive.world import ROAD_DRIVER
 from adaptrack.tuning.constant import Sought, seek_constant, swarm_within
 from adaptrack.tuning.constant_file import ConstantTuning
 from adaptrack.tuning.pso import SwarmSettings
@@ -41,7 +42,8 @@ class TunedOnRoads:
 
 def tune_on_roads(
     setting: ControllerSetting, roads: Sequence[str], controller: str, *, length: float = 2000.0,
-    loops: int | None = None, command: str = "", progress: Callable[[str, int, int], None] | None = None,
+    loops: int | None = None, prescribed_speed: bool = False, command: str = "",
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> TunedOnRoads:  # fmt: skip
     """Find the tuning of a controller with the lowest mean cost on given roads.
 
@@ -55,6 +57,8 @@ def tune_on_roads(
         Registered name.
     loops
         Closed loops that the search may drive; by default 300 tunings on each road and noise seed.
+    prescribed_speed
+        Whether the car follows its planned speed exactly, without forces along the road.
     command
         The command line, for the file.
     progress
@@ -70,7 +74,8 @@ def tune_on_roads(
     driver = _tunable_controller(setting, controller)
     drives = [load_drive(name, setting.car, length, RANDOM_DRIVE_DURATION) for name in dict.fromkeys(roads)]
     runs = RunSet(
-        setting.plant, MPC(setting.car, profile=setting.profile, preview=True), drives, setting.profile
+        setting.plant, MPC(setting.car, profile=setting.profile, preview=True), drives, setting.profile,
+        driver=None if prescribed_speed else ROAD_DRIVER,
     )  # fmt: skip
     loops_per_tuning = len(runs) * len(SEARCH_SEEDS)
     swarm = SwarmSettings() if loops is None else swarm_within(loops, loops_per_tuning)

@@ -388,7 +388,7 @@ class FrictionWindEstimator:
 @checked
 @dataclass(frozen=True)
 class Perception:
-    """Friction and wind for a scheduler, with a delay, a bias and noise in place of an estimator."""
+    """Friction and wind for a scheduler and the driver, with a delay, a bias and noise in place of an estimator."""
 
     noise: NotNegative = 0.0
     """standard deviation of a relative error of friction and of wind, new at every step"""
@@ -399,6 +399,8 @@ class Perception:
     withheld: bool = False
     """the nominal friction and no wind"""
     nominal_friction: NotNegative = 0.65
+    friction: Annotated[Positive, "-"] | None = None
+    """coefficient that is assumed wherever the car drives; None: the true one, with the errors"""
     seed: Natural = 0
     """of the noise: the scenario i of a batch has that of seed + i"""
 
@@ -415,4 +417,6 @@ class Perception:
         for truth in (friction, wind):
             error = 1.0 + self.bias + self.noise * rng.normal(size=len(truth))
             estimates.append(truth[late] * error)
+        if self.friction is not None:
+            estimates[0] = np.full_like(friction, self.friction)
         return np.maximum(estimates[0], 0.01), estimates[1]

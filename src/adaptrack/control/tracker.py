@@ -36,7 +36,7 @@ from adaptrack.core.tracker.follow import tracker_follow
 from adaptrack.core.tracker.give import tracker_engage, tracker_give
 from adaptrack.core.tracker.records import NO_BELIEF, REQUEST
 from adaptrack.road import Road, SpeedPlan
-from adaptrack.road.ahead import RoadAhead, stacked
+from adaptrack.road.road_ahead import RoadAhead, stacked
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")

@@ -21,7 +21,7 @@ from adaptrack.core.schedule import no_schedule
 from adaptrack.core.tracker import records
 from adaptrack.core.tracker.give import tracker_engage
 from adaptrack.road import Road, SpeedPlan
-from adaptrack.road.ahead import stacked
+from adaptrack.road.road_ahead import stacked
 
 
 def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: float, check: InputCheck) -> Any:

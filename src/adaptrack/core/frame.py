@@ -89,7 +89,7 @@ def _write_path(k, slot, run, points):
     if road >= 0 and model.settings.curved > 0:
         for j in range(horizon):
             offsets[j] -= model.bend[j + 1]
-    station = drive.station if road >= 0 else run.vehicles.block[state_at(PLANT_STATE.x, slot)]
+    station = drive.station_estimate if road >= 0 else run.vehicles.block[state_at(PLANT_STATE.x, slot)]
     speed = max(drive.speed, model.settings.speed_floor)
     points_ahead(
         station, inputs.signals[scenario, SIGNAL.speed, k:], speed, mpc.delay_of(slot, model), model.settings.period,

@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import math
 
+from .force_actuator import ForceActuator, actuator_step
 from .kernel import columns, cube, inlined, local, matrix, record, rows
 from .layout import put
 from .maths.bits import whole
-from .maths.exact import ceil, clip, floor
+from .maths.exact import ceil, clip, floor, sqrt, square
 from .maths.exponential import hypot
 from .maths.random import counted_normal, counted_uniform
 from .maths.trigonometric import atan2
 from .models.contract import MEASUREMENT
 from .plants.contract import ENVIRONMENT, OBSERVED, PLANT_INPUT, PLANT_STATE, input_at, observe, state_at
-from .plants.forces import wheel_angle
-from .road import foot_near, line_of
+from .plants.forces import GRAVITY, slope_sine_and_cosine, wheel_angle
+from .road import foot_near, line_of, point_at
 from .variables import VARIABLE_COLUMNS
 
 LoopSettings = record(
@@ -25,7 +26,7 @@ LoopSettings = record(
     (
         "period",  # s
         "substeps",  # Runge-Kutta steps per period
-        "prescribed_speed",  # 1: v_x follows the profile exactly, 0: the driver and the powertrain move the vehicle
+        "prescribed_speed",  # `FORCES`, `PRESCRIBED` or `PRESCRIBED_WITHOUT_ROAD`
         "dead_whole", "dead_share",  # periods from an instant until its command acts: whole ones, and the share of one
         "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y",  # m/s, rad, rad/s, m, standard deviations; inf: no sensor
         "noise_wheel_angle", "noise_lateral_acceleration",  # rad, m/s^2
@@ -42,10 +43,25 @@ LoopSettings = record(
         "engine_power", "traction_limit", "brake_limit",  # W, N, N
         "failure_distance",  # m, a run has failed when |Y - y_ref| exceeds this after it has once been within
         "failure_sideslip",  # rad, or the sideslip angle this
+        "lf", "lr", "cg_height",  # m, with which the driver's traction guard finds the axle loads
+        "drive_front", "brake_front",  # -, share of the front axle
+        "guard",  # -, share of what the axles have left beside their lateral forces that the driver uses; inf: any
+        "drive_whole", "drive_share",  # of the drive, as `dead_whole` and `dead_share` of the steering
+        "drive_lag", "drive_rate", "drive_gain",  # s, m/s^3, -
+        "creep",  # m/s^2, of the drive at standstill without a request
+        "brake_whole", "brake_share",  # of the brakes, as those of the drive
+        "brake_lag", "brake_rate", "brake_gain",  # s, m/s^3, -
+        "noise_station", "station_age",  # m, s: standard deviation and age of the measured position along the road
+        "noise_speed_floor", "speed_resolution", "speed_dead_zone",  # m/s, of the measured speed, see `_read_speed`
+        "speed_age", "motion_age_spread",  # s, age of the measured speed; +- spread of the ages of motion and speed
     ),
-    integers=("substeps", "prescribed_speed", "dead_whole"),
+    integers=("substeps", "prescribed_speed", "dead_whole", "drive_whole", "brake_whole"),
 )  # fmt: skip
 """The world around the controller, fixed over a run."""
+
+FORCES, PRESCRIBED, PRESCRIBED_WITHOUT_ROAD = range(3)
+"""What moves a car: the forces that its driver requests; a speed that it follows exactly; that in scenarios without a
+road, and forces on roads."""
 
 LOOP_MEMORY = record(
     "Own",
@@ -65,17 +81,29 @@ LOOP_MEMORY = record(
         "turned",  # rad, see `MEASUREMENT`
         "located",  # 1 once the foot is known
         "place",  # the instant at which the plan is where the car is
+        "curvature",  # 1/m, of its road at the foot
+        "drive_force", "brake_force",  # N, at the end of the last period
+        "standing",  # instants for which the car has stood at a stop
+        "departed",  # the first instant of the plan after the last stop that the car has left
+        "speed_age",  # s, of the measured speed
+        "pose_station",  # m, measured position along the road at the time of the measured pose; without a road x
+        "station_estimate",  # m, the same carried forward to the present instant
+        "path_heading",  # rad, heading of the road at this estimate
     ),
-    integers=("instant", "sample", "arrived", "ended", "located", "place"),
+    integers=("instant", "sample", "arrived", "ended", "located", "place", "standing", "departed"),
 )  # fmt: skip
 """What the loop remembers of each slot: its scalars."""
 
-Memory = record("Memory", (("own", rows(LOOP_MEMORY)), ("sent", matrix), ("past", cube)))
+Memory = record("Memory", (("own", rows(LOOP_MEMORY)), ("sent", matrix), ("past", cube), ("requested", matrix)))
 """What the loop remembers of each slot (slots,): its scalars; commands, the latest first (slots, whole periods of dead
-time + 2); what there was to measure at the last instants, the latest first (slots, instants, SENSED), empty where all
-sensors are prompt."""
+time + 2); what there was to measure at the last instants, the latest first (slots, instants, PAST_SIGNAL), empty where
+all sensors are prompt; forces (N) that the driver requested, the latest first (slots, whole periods of the longer dead
+time of drive and brakes + 2)."""
 SENSED = 6
 """How many of `MEASUREMENT` are measured; the others are their ages."""
+PAST_SIGNAL = columns(*MEASUREMENT._fields[:SENSED], "speed", "station")
+"""Signals of an instant that late sensors look back to."""
+_SPEED, _SPEED_FLOOR, _STATION = range(SENSED, SENSED + 3)  # channels of normal numbers, after those of the sensors
 _observed = local(len(OBSERVED))
 _JITTER, _DROPOUT, _LENGTH, _MISSING, _BIAS = range(5)  # streams of random numbers
 
@@ -86,10 +114,16 @@ MIN_SPIN_SPEED = 1.0
 
 SIGNAL = columns(
     "y_ref", "speed", "friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right",
-    "wind_x", "wind_y", "bank", "known_friction", "known_wind", "change", "acceleration", "station",
+    "wind_x", "wind_y", "bank", "known_friction", "known_wind", "change", "acceleration", "station", "grade",
 )  # fmt: skip
 """Rows of a scenario's samples. Friction and wind as they are known and the reference preview are scheduling variables;
-the last row is where the plan is on a curved road (m)."""
+station is where the plan is on a curved road (m); grade is dz/ds of the road, positive uphill."""
+STANDING_SPEED, HOLDING_SPEED, HOLDING_DECELERATION = 0.05, 0.3, 1.0
+"""m/s, below which a car counts as standing; m/s, below which the driver holds it at a stop; m/s^2, with which."""
+CREEP_SPEED = 2.0
+"""m/s, at which creeping has faded out."""
+LARGEST_BEND_SHARE, LEAST_BRAKING = 0.98, 0.5
+"""-, share of the grip that a bend asks for at most; m/s^2, that the guard always leaves to the brakes."""
 TOLERATED, CATCH_UP, MOST_CATCH_UP = 0.5, 2.0, 0.1
 """m, by which a car may be early or late on its plan; s, in which it makes up for the rest; share of the speed, at
 most."""
@@ -113,17 +147,39 @@ def locate(slot, run):
     near = signals[scenario, SIGNAL.station, 0]
     if drive.located > 0:
         near = drive.station + block[state_at(PLANT_STATE.vx, slot)] * run.settings.period
-    station, offset, heading, _ = foot_near(x, y, near, line_of(road, run.given.roads))
+    station, offset, heading, drive.curvature = foot_near(x, y, near, line_of(road, run.given.roads))
     drive.turned = heading - drive.heading if drive.located > 0 else 0.0
     drive.station, drive.offset, drive.heading, drive.located = station, offset, heading, 1
     turns = (yaw - heading) / (2.0 * math.pi)
     drive.heading_error = 2.0 * math.pi * (turns - floor(turns + 0.5))
     _, _, samples = signals.shape
-    last = samples - 1
+    last, first = samples - 1, drive.departed
     while drive.place < last and signals[scenario, SIGNAL.station, drive.place + 1] <= station:
+        if not is_prescribed(slot, run) and _is_stop(drive.place, drive, signals[scenario]):
+            break
         drive.place += 1
-    while drive.place > 0 and signals[scenario, SIGNAL.station, drive.place] > station:
+    while drive.place > first and signals[scenario, SIGNAL.station, drive.place] > station:
         drive.place -= 1
+
+
+@inlined
+def is_prescribed(slot, run):
+    """Whether a car follows its planned speed exactly, without forces along the road."""
+    kind = run.settings.prescribed_speed
+    return kind == PRESCRIBED or (kind == PRESCRIBED_WITHOUT_ROAD and run.memory.own[slot].located == 0)
+
+
+@inlined
+def _is_stop(place, drive, signals):
+    """Whether the plan stands at an instant and the car has not yet waited there."""
+    return place >= drive.departed and signals[SIGNAL.speed, place] <= 0.0
+
+
+@inlined
+def plan_instant(slot, run):
+    """Instant of the plan that counts for a car: that of its place if a driver follows a road, else the present."""
+    drive = run.memory.own[slot]
+    return drive.place if drive.located > 0 and not is_prescribed(slot, run) else drive.instant
 
 
 # -- failure ----------------------------------------------------------------------------------------------------------
@@ -167,14 +223,19 @@ def _either(most, seed, stream, k):
 
 
 @inlined
-def _keep_past(past, measured):
-    """Add what there is to measure now to the instants before."""
+def _keep_past(k, station, drive, past, measured):
+    """Add what there is to measure now to the instants before; at the first instant fill all of them with it."""
     instants, _ = past.shape
     for i in range(instants - 1, 0, -1):
-        for j in range(SENSED):
+        for j in range(len(PAST_SIGNAL)):
             past[i, j] = past[i - 1, j]
     for j in range(SENSED):
         past[0, j] = measured[j]
+    past[0, PAST_SIGNAL.speed], past[0, PAST_SIGNAL.station] = drive.speed, station
+    if k == 0:
+        for i in range(1, instants):
+            for j in range(len(PAST_SIGNAL)):
+                past[i, j] = past[0, j]
 
 
 @inlined
@@ -186,21 +247,32 @@ def _recall(sensor, instants, past):
 
 
 @inlined
-def _make_late(k, world, seed, past, measured):
-    """Replace what there is to measure now by what there was, as old as the sensors say."""
-    most = float(k)  # nothing is older than the run
-    age = max(0.0, world.pose_age + _either(world.pose_age_spread, seed, _JITTER, k))
-    _keep_past(past, measured)
-    if k == 0:
-        for i in range(len(past)):
-            for j in range(SENSED):
-                past[i, j] = measured[j]
+def _age_of(mean, change):
+    """Age (s) of a sample: its mean and a change of it, 0 if the mean is 0."""
+    return max(0.0, mean + change) if mean > 0.0 else 0.0
+
+
+@inlined
+def _make_late(k, world, seed, drive, past, measured):
+    """Replace the present signals by late ones; return the late position along the road (m) and its age (s).
+
+    One random number changes all ages, each by its spread: samples of equal mean age and spread are one message.
+    """
+    most, period = float(k), world.period  # nothing is older than the run
+    draw = _either(1.0, seed, _JITTER, k)
+    pose_change, motion_change = world.pose_age_spread * draw, world.motion_age_spread * draw
+    pose_age, motion_age = _age_of(world.pose_age, pose_change), _age_of(world.motion_age, motion_change)
+    station_age, speed_age = _age_of(world.station_age, pose_change), _age_of(world.speed_age, motion_change)
     for sensor in range(SENSED):
         posed = sensor == MEASUREMENT.yaw or sensor == MEASUREMENT.y
-        instants = min((age if posed else world.motion_age) / world.period, most)
+        instants = min((pose_age if posed else motion_age) / period, most)
         measured[sensor] = _recall(sensor, instants, past)
-    measured[MEASUREMENT.pose_age] = min(age, most * world.period)
-    measured[MEASUREMENT.motion_age] = min(world.motion_age, most * world.period)
+    drive.speed = _recall(PAST_SIGNAL.speed, min(speed_age / period, most), past)
+    drive.pose_station = _recall(PAST_SIGNAL.station, min(pose_age / period, most), past)
+    drive.speed_age = min(speed_age, most * period)
+    measured[MEASUREMENT.pose_age] = min(pose_age, most * period)
+    measured[MEASUREMENT.motion_age] = min(motion_age, most * period)
+    return _recall(PAST_SIGNAL.station, min(station_age / period, most), past), min(station_age, most * period)
 
 
 @inlined
@@ -221,8 +293,44 @@ def _leave_out(k, world, seed, drive, measured):
 
 
 @inlined
+def _read_speed(k, world, seed, speed):
+    """Return the reading (m/s) of a speed: with noise, in steps of the resolution, and 0 within the dead zone."""
+    reading = speed + speed * _noisy(0.0, world.noise_speed, k, _SPEED, seed) if world.noise_speed > 0.0 else speed
+    reading = _noisy(reading, world.noise_speed_floor, k, _SPEED_FLOOR, seed)
+    if world.speed_resolution > 0.0:
+        reading = world.speed_resolution * floor(reading / world.speed_resolution + 0.5)
+    return 0.0 if abs(reading) < world.speed_dead_zone else reading
+
+
+@inlined
+def _estimate_station(slot, station, age, run):
+    """Estimate the present position along the road from a measured one (m) of a known age (s) and the measured speed.
+
+    If the position is missing, the estimate moves on with the speed. The measured heading error is relative to the
+    road at the estimated position at the time of the pose, as in `tracker`.
+    """
+    drive, world, measured = run.memory.own[slot], run.settings, run.measured
+    k, seed = drive.instant, run.given.seeds[slot]
+    if k == 0 or math.isfinite(measured[MEASUREMENT.y]):
+        estimate = _noisy(station, world.noise_station, k, _STATION, seed) + age * drive.speed
+    else:
+        estimate = drive.station_estimate + world.period * drive.speed
+    true_station = drive.pose_station
+    drive.station_estimate = estimate
+    drive.pose_station = estimate - measured[MEASUREMENT.pose_age] * drive.speed
+    if drive.located > 0:
+        line = line_of(run.given.roads.of[run.given.scenario[slot]], run.given.roads)
+        _, _, true_heading, _ = point_at(true_station, line)
+        _, _, pose_heading, _ = point_at(drive.pose_station, line)
+        _, _, heading, _ = point_at(estimate, line)
+        measured[MEASUREMENT.yaw] += true_heading - pose_heading
+        measured[MEASUREMENT.turned] = heading - drive.path_heading if k > 0 else 0.0
+        drive.path_heading = heading
+
+
+@inlined
 def sense(slot, run):
-    """Write what the sensors of a slot's vehicle give, see `models.contract.MEASURED`, and the measured speed."""
+    """Write what the sensors of a slot's vehicle give: `models.contract.MEASUREMENT`, its speed and its station."""
     drive, block, world, measured = run.memory.own[slot], run.vehicles.block, run.settings, run.measured
     k, seed = drive.instant, run.given.seeds[slot]
     if world.noise_lateral_acceleration < math.inf:
@@ -239,8 +347,13 @@ def sense(slot, run):
         world.steering_lag, world.steering_limit,
     )  # fmt: skip
     measured[MEASUREMENT.pose_age], measured[MEASUREMENT.motion_age] = 0.0, 0.0
+    station = drive.station if drive.located > 0 else block[state_at(PLANT_STATE.x, slot)]
+    drive.speed, drive.speed_age, drive.pose_station = block[state_at(PLANT_STATE.vx, slot)], 0.0, station
+    late_station, station_age = station, 0.0
     if run.features.late:
-        _make_late(k, world, seed, run.memory.past[slot], measured)
+        past = run.memory.past[slot]
+        _keep_past(k, station, drive, past, measured)
+        late_station, station_age = _make_late(k, world, seed, drive, past, measured)
     noises = (
         world.noise_vy, world.noise_yaw, world.noise_yaw_rate, world.noise_y, world.noise_wheel_angle,
         world.noise_lateral_acceleration,
@@ -252,8 +365,11 @@ def sense(slot, run):
     if world.bias_wheel_angle > 0.0:
         measured[MEASUREMENT.wheel_angle] += _either(world.bias_wheel_angle, seed, _BIAS, MEASUREMENT.wheel_angle)
     _leave_out(k, world, seed, drive, measured)
-    speed = block[state_at(PLANT_STATE.vx, slot)]
-    drive.speed = speed + speed * _noisy(0.0, world.noise_speed, k, SENSED, seed) if world.noise_speed > 0.0 else speed
+    drive.speed = _read_speed(k, world, seed, drive.speed)
+    if world.noise_station > 0.0 or world.station_age > 0.0:
+        _estimate_station(slot, late_station, station_age, run)
+    else:
+        drive.station_estimate = station
 
 
 @inlined
@@ -278,29 +394,150 @@ def look(slot, measured, run):
 
 # -- the vehicle's side -----------------------------------------------------------------------------------------------
 @inlined
-def _drive(k, speed, signals, scenario, settings, drive):
-    """Longitudinal force (N) of the driver: aims at the profile's speed a preview time ahead, with an integral.
+def _planned_speed(instant, speeds):
+    """Speed (m/s) of the plan at an instant (control periods, with a fraction); the last speed after its end."""
+    first = min(whole(instant), speeds.size - 1)
+    near = speeds[first]
+    return near + (instant - floor(instant)) * (speeds[min(first + 1, speeds.size - 1)] - near)
 
-    dv = (v_ref(t + T_p) - v_x)/T_p + K_i * integral of (v_ref - v_x); limited by engine power, traction and brakes,
-    the integral standing still while a limit holds.
+
+@inlined
+def _instant_of_place(drive, stations):
+    """Instant of the plan, with a fraction, at which it is where the car is."""
+    first = drive.place
+    after = min(first + 1, stations.size - 1)
+    if not stations[after] > stations[first]:
+        return float(first)
+    return first + clip((drive.station - stations[first]) / (stations[after] - stations[first]), 0.0, 1.0)
+
+
+@inlined
+def _stop_ahead(instant, drive, speeds):
+    """First instant, up to another one, at which the plan stands and the car has not waited yet; -1: none."""
+    for j in range(drive.place, min(whole(instant) + 1, speeds.size - 1) + 1):
+        if j >= drive.departed and speeds[j] <= 0.0:
+            return j
+    return -1
+
+
+@inlined
+def _wait(stop, speed, drive, speeds):
+    """Count the instants for which a car stands at a stop of its plan; after as many as planned it may depart."""
+    if abs(speed) > STANDING_SPEED:
+        return
+    planned = 0
+    while stop + planned + 1 < speeds.size and speeds[stop + planned + 1] <= 0.0:
+        planned += 1
+    drive.standing += 1
+    if drive.standing > planned:
+        drive.departed, drive.standing = stop + planned + 1, 0
+        drive.place = min(drive.departed, speeds.size - 1)
+
+
+@inlined
+def axle_force_limit(share, load, lateral, transfer, friction):
+    """Largest force (N) along the car of which an axle can take a share beside its lateral force (N); inf: none.
+
+    The axle carries load + transfer F (N) under a force F: F is the smallest positive root of the quadratic equation
+    (share F)^2 + lateral^2 = friction^2 (load + transfer F)^2.
     """
-    _, _, samples = signals.shape
-    last = samples - 1
-    ahead = settings.driver_preview / settings.period
-    j = min(k + whole(ahead), last)
-    part = ahead - floor(ahead)
-    near, following = signals[scenario, SIGNAL.speed, j], signals[scenario, SIGNAL.speed, min(j + 1, last)]
-    target = near + part * (following - near)
-    if drive.located > 0:
-        target += _catch_up(target, signals[scenario, SIGNAL.station, k] - drive.station)
-    driving_force = settings.mass * (
-        (target - speed) / settings.driver_preview + settings.driver_integral * drive.integral
+    constant = lateral * lateral - square(friction * load)
+    if constant >= 0.0:
+        return 0.0
+    half_slope = -square(friction) * load * transfer
+    discriminant = half_slope * half_slope - (square(share) - square(friction * transfer)) * constant
+    if discriminant < 0.0:
+        return math.inf
+    denominator = half_slope + sqrt(discriminant)
+    return -constant / denominator if denominator > 0.0 else math.inf
+
+
+@inlined
+def _traction_and_braking_limits(friction, slot, run):
+    """Largest driving and braking forces (N) that the driver requests: a share of what each axle has left.
+
+    Each axle carries its part of the lateral acceleration that the car has, or that the bend asks of it, whichever is
+    larger; the force itself moves load between the axles.
+    """
+    world, drive, block = run.settings, run.memory.own[slot], run.vehicles.block
+    if not world.guard < math.inf:
+        return math.inf, math.inf
+    vx, r = block[state_at(PLANT_STATE.vx, slot)], block[state_at(PLANT_STATE.yaw_rate, slot)]
+    bank, (_, cosine) = (
+        block[input_at(PLANT_INPUT.bank, slot)],
+        slope_sine_and_cosine(block[input_at(PLANT_INPUT.grade, slot)]),
     )
-    strongest = min(settings.traction_limit, settings.engine_power / max(speed, 1.0))
-    force = clip(driving_force, -settings.brake_limit, strongest)
-    if force == driving_force:
-        drive.integral += (signals[scenario, SIGNAL.speed, k] - speed) * settings.period
+    grip = friction * GRAVITY * cosine
+    lateral = max(abs(vx * r - bank), min(abs(vx * vx * drive.curvature - bank), LARGEST_BEND_SHARE * grip))
+    wheelbase = world.lf + world.lr
+    front, rear, transfer = world.lr / wheelbase, world.lf / wheelbase, world.cg_height / wheelbase
+    weight, side = world.mass * GRAVITY * cosine, world.mass * lateral
+    driving = min(
+        axle_force_limit(world.drive_front, weight * front, side * front, -transfer, friction),
+        axle_force_limit(1.0 - world.drive_front, weight * rear, side * rear, transfer, friction),
+    )
+    braking = min(
+        axle_force_limit(world.brake_front, weight * front, side * front, transfer, friction),
+        axle_force_limit(1.0 - world.brake_front, weight * rear, side * rear, -transfer, friction),
+    )
+    return world.guard * driving, max(world.guard * braking, LEAST_BRAKING * world.mass)
+
+
+@inlined
+def _drive(slot, run):
+    """Longitudinal force (N) that the driver requests: aims at the plan's speed a preview time ahead, with an integral.
+
+    dv = (v_plan(a preview time ahead) - v_x)/T_p + K_i * integral of (v_plan - v_x), and the slope of the road. On a
+    road the plan is followed by place: its speed where the car is counts, however late the car is, and at a stop the
+    car waits as long as planned. Limited by engine power, traction, brakes and the guard, the integral standing still
+    while a limit holds.
+    """
+    drive, world, signals = run.memory.own[slot], run.settings, run.given.signals[run.given.scenario[slot]]
+    speed, speeds = run.vehicles.block[state_at(PLANT_STATE.vx, slot)], signals[SIGNAL.speed]
+    instant = float(drive.sample)
+    if drive.located > 0:
+        instant = _instant_of_place(drive, signals[SIGNAL.station])
+    ahead = instant + world.driver_preview / world.period
+    stop = _stop_ahead(ahead, drive, speeds) if drive.located > 0 else -1
+    target = _planned_speed(ahead, speeds) if stop < 0 else 0.0
+    sine, _ = slope_sine_and_cosine(run.vehicles.block[input_at(PLANT_INPUT.grade, slot)])
+    requested = world.mass * (
+        (target - speed) / world.driver_preview + world.driver_integral * drive.integral + GRAVITY * sine
+    )
+    if stop >= 0:
+        _wait(stop, speed, drive, speeds)
+        if speed < HOLDING_SPEED:
+            drive.integral = 0.0
+            return -world.mass * (HOLDING_DECELERATION + GRAVITY * abs(sine))
+    friction = signals[SIGNAL.known_friction, min(drive.place if drive.located > 0 else drive.sample, speeds.size - 1)]
+    traction, braking = _traction_and_braking_limits(friction, slot, run)
+    strongest = min(traction, min(world.traction_limit, world.engine_power / max(speed, 1.0)))
+    force = clip(requested, -min(braking, world.brake_limit), strongest)
+    if force == requested:
+        drive.integral += (_planned_speed(instant, speeds) - speed) * world.period
     return force
+
+
+@inlined
+def _move_pedals(request, slot, run):
+    """Let drive and brakes follow a requested force (N) over the period that begins; their mean forces (N)."""
+    drive, world, requests = run.memory.own[slot], run.settings, run.memory.requested[slot]
+    speed = run.vehicles.block[state_at(PLANT_STATE.vx, slot)]
+    for j in range(requests.size - 1, 0, -1):
+        requests[j] = requests[j - 1]
+    requests[0] = request
+    creep = world.mass * world.creep * clip(1.0 - speed / CREEP_SPEED, 0.0, 1.0)
+    engine = ForceActuator(
+        world.drive_whole, world.drive_share, world.drive_lag, world.drive_rate * world.mass, world.drive_gain,
+        min(world.traction_limit, world.engine_power / max(speed, 1.0)),
+    )  # fmt: skip
+    brakes = ForceActuator(
+        world.brake_whole, world.brake_share, world.brake_lag, world.brake_rate * world.mass, world.brake_gain,
+        world.brake_limit,
+    )  # fmt: skip
+    drive.drive_force, driving = actuator_step(drive.drive_force, 1.0, creep, requests, world.period, engine)
+    drive.brake_force, braking = actuator_step(drive.brake_force, -1.0, 0.0, requests, world.period, brakes)
+    return driving, braking
 
 
 @inlined
@@ -321,30 +558,32 @@ def _send(command, slot, world, sent):
 
 @inlined
 def actuate(slot, command, run):
-    """Write the inputs of a slot's vehicle for the period that begins: steering, speed control, friction, wind.
+    """Write the inputs of a slot's vehicle for the period that begins: steering, drive and brakes, road, wind.
 
     command: the controller's new one (rad); with a dead time, one before acts.
     """
     drive, block, world = run.memory.own[slot], run.vehicles.block, run.settings
     signals, scenario, k = run.given.signals, run.given.scenario[slot], drive.sample
     vx = block[state_at(PLANT_STATE.vx, slot)]
-    block[input_at(PLANT_INPUT.command, slot)] = _send(command, slot, world, run.memory.sent) + world.steering_bias
-    drive.command = command
-    if world.prescribed_speed > 0:
-        _, _, samples = signals.shape
-        following = signals[scenario, SIGNAL.speed, min(k + 1, samples - 1)]
-        if drive.located > 0:
-            following += _catch_up(following, signals[scenario, SIGNAL.station, k] - drive.station)
-        block[input_at(PLANT_INPUT.force, slot)] = 0.0
-        block[input_at(PLANT_INPUT.acceleration, slot)] = (following - vx) / world.period
-    else:
-        block[input_at(PLANT_INPUT.force, slot)] = _drive(k, vx, signals, scenario, world, drive)
-        block[input_at(PLANT_INPUT.acceleration, slot)] = math.nan
     place = drive.place if drive.located > 0 else k
     for j in range(ENVIRONMENT):
         block[input_at(PLANT_INPUT.friction_front_left + j, slot)] = signals[
             scenario, SIGNAL.friction_front_left + j, place
         ]
+    block[input_at(PLANT_INPUT.grade, slot)] = signals[scenario, SIGNAL.grade, place]
+    block[input_at(PLANT_INPUT.command, slot)] = _send(command, slot, world, run.memory.sent) + world.steering_bias
+    drive.command = command
+    if is_prescribed(slot, run):
+        _, _, samples = signals.shape
+        following = signals[scenario, SIGNAL.speed, min(k + 1, samples - 1)]
+        if drive.located > 0:
+            following += _catch_up(following, signals[scenario, SIGNAL.station, k] - drive.station)
+        block[input_at(PLANT_INPUT.force, slot)], block[input_at(PLANT_INPUT.brake, slot)] = 0.0, 0.0
+        block[input_at(PLANT_INPUT.acceleration, slot)] = (following - vx) / world.period
+    else:
+        driving, braking = _move_pedals(_drive(slot, run), slot, run)
+        block[input_at(PLANT_INPUT.force, slot)], block[input_at(PLANT_INPUT.brake, slot)] = driving - braking, braking
+        block[input_at(PLANT_INPUT.acceleration, slot)] = math.nan
 
 
 @inlined
@@ -369,11 +608,12 @@ def change_command(slots, run):
 
 
 @inlined
-def memory_sizes(slots, dead_whole, past, table, row):
-    """Sizes of the arrays of `Memory`, see `layout`; past: instants that late sensors look back."""
+def memory_sizes(slots, dead_whole, past, requested, table, row):
+    """Sizes of the arrays of `Memory`, see `layout`; past: instants that late sensors look back; requested: forces."""
     row = put(table, row, slots)
     row = put(table, row, slots, dead_whole + 2)
-    return put(table, row, slots, past, SENSED)
+    row = put(table, row, slots, past, len(PAST_SIGNAL))
+    return put(table, row, slots, requested)
 
 
 @inlined
@@ -389,5 +629,7 @@ def forget(slot, memory):
     drive.instant, drive.sample, drive.arrived, drive.ended = 0, 0, 0, RUNNING
     drive.command, drive.integral, drive.ended_at = 0.0, 0.0, 0.0
     drive.station, drive.turned, drive.located, drive.place, drive.blind_until, drive.speed = 0.0, 0.0, 0, 0, 0.0, 0.0
-    memory.sent[slot, :] = 0.0
+    drive.curvature, drive.drive_force, drive.brake_force, drive.standing, drive.departed = 0.0, 0.0, 0.0, 0, 0
+    drive.speed_age, drive.pose_station, drive.station_estimate, drive.path_heading = 0.0, 0.0, 0.0, 0.0
+    memory.sent[slot, :], memory.requested[slot, :] = 0.0, 0.0
     memory.past[slot, :, :] = 0.0

@@ -67,7 +67,7 @@ def write_observation(slot, measured, run, space, row):
         row[len(OBSERVATION) + j] = reference + (instant - floor(instant)) * (following - reference) - y_ref
         curvature = 0.0
         if road >= 0:
-            _, _, _, curvature = point_at(drive.station + space.distances[j], line_of(road, run.given.roads))
+            _, _, _, curvature = point_at(drive.station_estimate + space.distances[j], line_of(road, run.given.roads))
         keep(curvature, row, len(OBSERVATION) + count + j)
     bounded(row, space)
 

@@ -141,10 +141,11 @@ LoopCounts = record(
         "dead_whole", "past",  # periods and instants, see `loop.memory_sizes`
         "segments",  # of each run
         "traced", "answers",  # instants and columns of a trace; 0: none
+        "requested",  # forces that are remembered, see `loop.Memory`
     ),
     integers=(
         "slots", "parameters", "states", "scenarios", "samples", "roads", "starts", "pieces", "headings", "perceiving",
-        "perceiving_settings", "dead_whole", "past", "segments", "traced", "answers",
+        "perceiving_settings", "dead_whole", "past", "segments", "traced", "answers", "requested",
     ),
 )  # fmt: skip
 """What the sizes of a `RunLoop` follow from."""
@@ -177,7 +178,7 @@ def put_sizes(counts, table, row):
     row = put(table, row, slots if counts.perceiving > 0 else 0)
     row = put(table, row, len(MEASUREMENT))
     row = put(table, row, len(VARIABLE_COLUMNS))
-    row = memory_sizes(slots, counts.dead_whole, counts.past, table, row)
+    row = memory_sizes(slots, counts.dead_whole, counts.past, counts.requested, table, row)
     for _ in range(2):  # result, ceiling
         row = put(table, row, slots)
     row = put(table, row, slots, counts.segments)

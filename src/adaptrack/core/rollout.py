@@ -30,7 +30,7 @@ from .kernel import (
     void,
 )
 from .layout import put, room
-from .loop import RUNNING, SIGNAL
+from .loop import RUNNING, SIGNAL, plan_instant
 from .maths.bits import whole
 from .models.contract import MEASUREMENT
 from .period import RUN_LOOP, RunSpan, after_control, before_control, begin_slot, close, move
@@ -130,8 +130,8 @@ def _apply_law(slot, reference, run):
     drive, out, situation, measured = run.memory.own[slot], run.law.answer[slot], run.law.situation, run.measured
     roads, scenario = run.given.roads, run.given.scenario[slot]
     speeds = run.given.signals[scenario, SIGNAL.speed]
-    first = drive.instant if roads.of[scenario] >= 0 else speeds.size
-    road = RoadAheadRecord(line_of(roads.of[scenario], roads), drive.station, speeds[first:])
+    first = plan_instant(slot, run) if roads.of[scenario] >= 0 else speeds.size
+    road = RoadAheadRecord(line_of(roads.of[scenario], roads), drive.station_estimate, speeds[first:])
     no_vy = run.settings.noise_vy == math.inf  # a car without a sensor of it
     current = Situation(
         0.0 if no_vy else measured[MEASUREMENT.vy],
@@ -158,16 +158,17 @@ def _apply_law(slot, reference, run):
 
 
 @inlined
-def _see_bend(k, slot, speed, run):
+def _see_bend(slot, speed, run):
     """Show the MPC the road ahead."""
     settings, scenario = run.mpc.settings, run.given.scenario[slot]
     road = run.given.roads.of[scenario]
     if road < 0:
         run.mpc.bend[:] = 0.0
         return
+    speeds = run.given.signals[scenario, SIGNAL.speed, plan_instant(slot, run) :]
     bend_ahead(
-        run.memory.own[slot].station, run.given.signals[scenario, SIGNAL.speed, k:], max(speed, settings.speed_floor),
-        mpc.delay_of(slot, run.mpc), settings.period, road, run.given.roads, run.mpc.bend,
+        run.memory.own[slot].station_estimate, speeds, max(speed, settings.speed_floor), mpc.delay_of(slot, run.mpc),
+        settings.period, road, run.given.roads, run.mpc.bend,
     )  # fmt: skip
 
 
@@ -180,7 +181,7 @@ def control_slot(slot, run):
         _apply_law(slot, reference, run)
         return (run.law.answer[slot],)
     if run.mpc.settings.curved > 0:
-        _see_bend(k, slot, speed, run)
+        _see_bend(slot, speed, run)
     step_with(slot, speed, reference, run.tuning[slot], run.mpc, run.functions)
     return (run.mpc.answer[slot],)
 

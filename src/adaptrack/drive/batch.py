@@ -26,7 +26,7 @@ from adaptrack.core.plants.contract import SLOTS, vehicle_batch
 from adaptrack.core.schedule import no_schedule
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.world import Driver, KnownAs, World, reason_of
-from adaptrack.road.ahead import pack_roads
+from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
 

@@ -24,7 +24,7 @@ from adaptrack.core.kernel import Resident
 from adaptrack.core.plants import contract, stepped
 from adaptrack.core.plants.contract import place, vehicle_batch
 from adaptrack.drive.world import World, reason_of
-from adaptrack.road.ahead import RoadAhead, pack_roads
+from adaptrack.road.road_ahead import RoadAhead, pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
 
 Array = NDArray[np.float64]
@@ -71,7 +71,8 @@ class _SteppedVehicle:
         names, state, demand = contract.PLANT_INPUT, self._state, self._input
         force, acceleration = demand[names.force], demand[names.acceleration]
         target = force / self._mass if math.isnan(acceleration) else acceleration
-        environment = demand[names.friction_front_left :].copy()
+        last = names.grade if self._plant.takes_grade else names.bank
+        environment = demand[names.friction_front_left : last + 1].copy()
         before = state[:6].copy()
         for _ in range(steps):
             middle, after = self._angle(0.5 * h), self._angle(h)
@@ -171,9 +172,12 @@ class ClosedLoop:
         return Sensed(self.run.measured, float(self._own["speed"][0]), self._references[self.instant :], variables)
 
     def road_ahead(self, speed: float) -> RoadAhead:
-        """Return the road ahead, with the speed plan shifted to start at the current speed (m/s)."""
-        planned = self.signals.speed[self.instant :][:LONGEST_PREVIEW]
-        return RoadAhead(self.road, float(self._own["station"][0]), np.maximum(planned + (speed - planned[0]), 0.0))
+        """Return the road ahead as measured, with the speed plan shifted to start at the current speed (m/s)."""
+        by_place = self.road is not None and self.world.driver is not None
+        first = int(self._own["place"][0]) if by_place else self.instant
+        planned = self.signals.speed[first:][:LONGEST_PREVIEW]
+        station = float(self._own["station_estimate"][0])
+        return RoadAhead(self.road, station, np.maximum(planned + (speed - planned[0]), 0.0))
 
     def send(self, command: float) -> bool:
         """Send a command (rad) to the steering. A command that is not finite ends the run and returns False."""

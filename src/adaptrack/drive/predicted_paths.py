@@ -10,7 +10,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import Positive, checked
 from adaptrack.control.controllers import MPC, Controller
-from adaptrack.road.ahead import RoadAhead
+from adaptrack.road.road_ahead import RoadAhead
 
 Array = NDArray[np.float64]
 

@@ -310,7 +310,7 @@ def _trajectory(
             datetime.now(UTC),
             move_weight=world.profile.move_weight,
             control=description,
-            speed="profile" if world.driver is None else "driver",
+            speed="driver" if world.has_driver(scenario) else "profile",
             scheduler_counts=record.counted,
             **_failure_distance(plant),
             **_true_values(world, controller),

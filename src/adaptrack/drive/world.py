@@ -15,10 +15,10 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import NotNegative, Positive, checked
+from adaptrack.base.checked import Bound, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant, steps_in
-from adaptrack.cars.vehicle import SteeringActuator
+from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.core import loop as loop_kernel
@@ -40,14 +40,25 @@ KnownAs = Perception | FrictionWindEstimator | None
 @checked
 @dataclass(frozen=True)
 class Driver:
-    """Longitudinal driver: asks for the acceleration that reaches the profile's speed a preview time ahead.
+    """Longitudinal driver: requests the force that reaches the planned speed a preview time ahead.
 
-    dv = (v_ref(t + preview) - v_x)/preview + integral * (integral of v_ref - v_x), times the mass, within engine
-    power, traction and brakes.
+    dv = (v_plan - v_x)/preview + integral * (integral of v_plan - v_x), times the mass, plus the slope of the road,
+    within engine power, traction, brakes and the guard. On a road the plan is followed by place, so a late car does
+    not hurry; at a stop the car waits as long as planned. A scenario without a road plans its speed over time.
+
+    guard: share of the force that each driven or braked axle has left in addition to its lateral force; inf: a naive
+    driver, who uses the pedals in a bend as on a straight.
     """
 
     preview: Annotated[Positive, "s"] = 0.5
     integral: Annotated[NotNegative, "1/s^2"] = 0.2
+    guard: Annotated[Bound, "-"] = 0.85
+    roads_only: bool = False
+    """whether a scenario without a road follows its planned speed exactly, without a driver"""
+
+
+ROAD_DRIVER = Driver(roads_only=True)
+"""Default driver of commands and environments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +165,11 @@ class World:
         return loop_kernel.LoopSettings(
             period=self.period,
             substeps=substeps,
-            prescribed_speed=driver is None,
+            prescribed_speed=loop_kernel.PRESCRIBED
+            if driver is None
+            else loop_kernel.PRESCRIBED_WITHOUT_ROAD
+            if driver.roads_only
+            else loop_kernel.FORCES,
             dead_whole=self.dead_periods[0],
             dead_share=self.dead_periods[1],
             **{name: getattr(profile, name) for name in SENSOR_FIELDS},
@@ -166,7 +181,26 @@ class World:
             **self.plant.powertrain,
             failure_distance=self.failure.distance,
             failure_sideslip=self.failure.sideslip,
+            **self.plant.axles,
+            guard=driver.guard if driver else math.inf,
+            **_actuator_settings("drive", self.drive, self.period),
+            creep=self.drive.creep,
+            **_actuator_settings("brake", self.brakes, self.period),
         )
+
+    def has_driver(self, scenario: Scenario | RoadDrive) -> bool:
+        """Whether a driver moves the car, with forces; otherwise its speed is prescribed."""
+        return self.driver is not None and (isinstance(scenario, RoadDrive) or not self.driver.roads_only)
+
+    @property
+    def drive(self) -> DriveActuator:
+        """Actuator of the drive: that of the car file, otherwise that of the profile."""
+        return getattr(getattr(self.plant, "vehicle", None), "drive", None) or self.profile.drive
+
+    @property
+    def brakes(self) -> BrakeActuator:
+        """Actuator of the brakes: that of the car file, otherwise that of the profile."""
+        return getattr(getattr(self.plant, "vehicle", None), "brakes", None) or self.profile.brakes
 
     @property
     def dead_periods(self) -> tuple[int, float]:
@@ -203,7 +237,8 @@ class World:
         estimator = self.known_as if needs_variables and isinstance(self.known_as, FrictionWindEstimator) else None
         counts = period_kernel.LoopCounts(**dict.fromkeys(period_kernel.LoopCounts._fields, 0))
         counts = counts._replace(
-            slots=len(vehicles.start), dead_whole=self.dead_periods[0], past=past, segments=segments
+            slots=len(vehicles.start), dead_whole=self.dead_periods[0], past=past, segments=segments,
+            requested=2 + max(settings.drive_whole, settings.brake_whole),
         )  # fmt: skip
         loop = room(period_kernel.RunLoop, period_kernel.put_sizes, counts)
         loop.ceiling[:] = np.nan
@@ -232,10 +267,16 @@ class World:
         number
             Index of the scenario in its batch; it selects the perception errors.
         """
+        if np.any(signals.grade) and not self.plant.takes_grade:
+            raise InvalidInput(
+                f"plant {self.plant.name!r} does not take the grade of a road, and this one climbs up to "
+                f"{np.abs(signals.grade).max():.3g}: let it read the eighth entry of environment, dz/ds, and set "
+                "takes_grade=True; or drive the road without its grade, road.replace(grade=0.0)."
+            )
         rows = np.empty((len(SIGNAL), signals.n + 1))
         samples = {
             "y_ref": signals.y_ref, "speed": signals.speed, "wind_x": signals.wind[:, 0], "wind_y": signals.wind[:, 1],
-            "bank": signals.bank, "station": signals.station,
+            "bank": signals.bank, "station": signals.station, "grade": signals.grade,
             "acceleration": signals.curvature,  # complete_samples replaces the curvature by the lateral acceleration
         }  # fmt: skip
         for name, values in samples.items():
@@ -253,6 +294,13 @@ class World:
         """Return all states (n,) of the plant at the start, in equilibrium at the speed of the scenario."""
         motion = np.array([*scenario.start_pose(), signals.speed[0], 0.0, 0.0])
         return motion if isinstance(self.plant, SteppedPlant) else self.plant.initial_state(motion)
+
+
+def _actuator_settings(name: str, actuator: DriveActuator | BrakeActuator, period: float) -> dict[str, float]:
+    """Entries of `core.loop.LoopSettings` of drive or brakes."""
+    whole_periods, share = dead_periods(0.0, actuator.dead_time, period)
+    values = {"whole": whole_periods, "share": share, "lag": actuator.lag, "rate": actuator.rate, "gain": actuator.gain}
+    return {f"{name}_{key}": value for key, value in values.items()}
 
 
 @cache

@@ -27,7 +27,7 @@ from adaptrack.core.models import path as path_model
 from adaptrack.core.models import single_track
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.period import RunSpan
-from adaptrack.core.planning import along, drive, speed
+from adaptrack.core.planning import drive, speed, station_table
 from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, PLANT_STATES, SLOTS
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
@@ -39,13 +39,13 @@ from adaptrack.export.page_inputs import car_fields, page_car, plain
 from adaptrack.export.page_layout import calls, image, layouts, packed
 from adaptrack.export.page_setup import GENERATED, PAGE_ROADS, PAPER_ROADS, controller_of, page_road
 from adaptrack.road import Comfort, Line, Road
-from adaptrack.road.ahead import pack_roads
+from adaptrack.road.road_ahead import pack_roads
 from adaptrack.road.speed import PLAN_SPACING
 from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 RECORDS = (
-    rollout.RunRecord, rollout.RunCounts, RunSpan, road.Centreline, along.AlongRecord, speed.Planning,
+    rollout.RunRecord, rollout.RunCounts, RunSpan, road.Centreline, station_table.AlongRecord, speed.Planning,
     drive.RoadDriveRecord, Order, InformedParts, Constants, laws.Common, car.CarRow, car.KnownWithinRow,
     car.SteeringRow, plant.Chassis, plant.TyreRow, plant.Actuator, plant.BodyRow, plant.OutlineRow,
 )  # fmt: skip
@@ -155,7 +155,8 @@ def _test(name: str) -> dict[str, Any]:
     scenario, period = load_scenario(name), 0.05
     signals = scenario.sample(period)
     x = np.concatenate([[0.0], np.cumsum(0.5 * (signals.speed[1:] + signals.speed[:-1]) * period)])
-    if not (np.ptp(signals.friction, axis=1) == 0.0).all() or signals.wind[:, 0].any() or np.any(signals.bank):
+    unread = signals.wind[:, 0], signals.bank, signals.grade
+    if not (np.ptp(signals.friction, axis=1) == 0.0).all() or any(map(np.any, unread)):
         raise InvalidInput(f"test {name!r}: has more than the page knows of.")
     return {
         "period": period, "samples": signals.t.size, "y_ref": packed(signals.y_ref), "speed": packed(signals.speed),
@@ -171,7 +172,9 @@ def _words() -> dict[str, Any]:
         "plan": ["", "At s = {s} m the road is tighter than this car can turn: choose another road or car.",
                  "At s = {s} m the bank alone pushes with {value} m/s².", "The speed at the start is too high.",
                  "The speed at the end is too high.", "No car can brake in time from the start: start slower.",
-                 "No speed can be planned on this road.", "What bounds the speed must be numbers above 0."],
+                 "No speed can be planned on this road.", "What bounds the speed must be numbers above 0.",
+                 "At s = {s} m the grade is too steep for this car.",
+                 "At s = {s} m the grade is too steep for this friction."],
         "named": {"lag": "The true lag (s)", "dead_time": "The true dead time (s)", "bias": "The true bias (rad)",
                   "noise": "The factor on the noise", "friction": "The friction", "wind": "The wind (m/s)",
                   "vy": "The push to the side (m/s)", "yaw_rate": "The push that turns (rad/s)",

@@ -90,7 +90,7 @@ def export_page(
     lateral_acceleration : float, optional
         m/s^2, of the planned speed; by default 3.
     profile : str
-        Of the simulated world: "paper", "road", "production".
+        Of the simulated world: "paper", "road", "production", "production-bus".
     controllers : names
         One, or two side by side: "informed", "learning", "published", "published-nn", "published-anfis",
         "pure-pursuit", "stanley", "lqr".

@@ -26,7 +26,7 @@ from adaptrack.drive.failure import find_failure
 from adaptrack.drive.simulate import simulate
 from adaptrack.export.tracking import Twin
 from adaptrack.road import Road, SpeedPlan, plan_speed, road_through
-from adaptrack.road.ahead import RoadAhead
+from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.road.speed import constant_speed
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import Profile

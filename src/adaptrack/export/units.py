@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import Bound, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.limits import MAX_GRADE
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.core.build.header import remarks
@@ -25,7 +26,7 @@ from adaptrack.drive.world import Driver, World
 from adaptrack.export.block import ArrayRole
 from adaptrack.export.tracking import ROLES, refuse, small_record_of
 from adaptrack.road import Road, SpeedPlan
-from adaptrack.road.ahead import pack_roads
+from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -143,6 +144,7 @@ def car_unit(
         "speed": (speed, 0.0, 100.0), "speed_ahead": (speed, 0.0, 100.0), "on_plan": (0.0, 0.0, 1.0),
         **dict(zip(("start_x", "start_y", "start_yaw"), ((coordinate, -1e8, 1e8) for coordinate in pose), strict=True)),
         "start_station": (0.0, -1e8, 1e8), "plan_station": (0.0, -1e8, 1e8), "bank": (0.0, -10.0, 10.0),
+        "grade": (0.0, -MAX_GRADE, MAX_GRADE),
         **{name: (0.9, 1e-3, 3.0) for name in car.CAR_INPUTS if name.startswith("friction")},
         **{name: (0.0, -100.0, 100.0) for name in ("wind_x", "wind_y")},
     }  # fmt: skip
@@ -153,8 +155,7 @@ def car_unit(
         0: car.CAR_OUTPUTS,
     }
     values = described(car.__name__, groups, starts)
-    past = loop.memory.past.shape[1]
-    record = car.CarUnit(*_columns(values), past=np.zeros(past), loop=loop)
+    record = car.CarUnit(*_columns(values), loop=loop)
     title = f"car {(getattr(plant, 'vehicle', None) or plant).name}, {plant.name}, profile {world.profile.name}"
     roles = dict.fromkeys(("loop.vehicles.parameters", "loop.given.roads"), ArrayRole.FIXED)
     return Unit("car", title, record, values, FIXED_ROLES | roles)

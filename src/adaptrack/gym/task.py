@@ -16,7 +16,7 @@ from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.config import load_drive, load_setting
 from adaptrack.control.controllers import CompiledController
 from adaptrack.drive.failure import DISTANCE, Failure
-from adaptrack.drive.world import Driver, KnownAs
+from adaptrack.drive.world import ROAD_DRIVER, Driver, KnownAs
 from adaptrack.identification import CarRanges, random_car
 from adaptrack.identification.random_cars import BASES
 from adaptrack.scenario import RoadDrive, Scenario
@@ -71,7 +71,7 @@ class Task:
     profile: str | Profile = "road"
     random_cars: bool | CarRanges = False
     """each episode draws a car of its own, with its own steering and sensor noise (`random_car`), from these ranges"""
-    driver: Driver | None = None
+    driver: Driver | None = ROAD_DRIVER
     """None: the speed follows its plan exactly"""
     known_as: KnownAs = None
     """how friction and wind are known"""

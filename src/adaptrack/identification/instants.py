@@ -19,7 +19,7 @@ from adaptrack.drive.trajectory import Trajectory
 from adaptrack.identification.log import LEAST_GAP, Log, log_of
 from adaptrack.identification.reading import Columns, Reading, read_columns
 from adaptrack.road import Road, fit_road
-from adaptrack.road.ahead import foot_near, foot_of_car
+from adaptrack.road.road_ahead import foot_near, foot_of_car
 
 Array = NDArray[np.float64]
 LogSource = str | os.PathLike[str] | Mapping[str, Any]

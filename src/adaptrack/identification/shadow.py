@@ -45,7 +45,7 @@ from adaptrack.identification.shadow_predictions import (
     predicted,
 )
 from adaptrack.road import Road, load_road
-from adaptrack.road.ahead import RoadAhead
+from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]

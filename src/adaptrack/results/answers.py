@@ -34,7 +34,9 @@ def road_answer(summary: Mapping[str, Any], barred: int) -> str:
     radius = summary["smallest_radius"]
     bends = "straight" if radius is None else f"tightest radius {length(radius)}"
     speeds = " to ".join(dict.fromkeys(f"{summary[end]:.3g}" for end in ("slowest", "fastest"))) + " m/s"
-    description = f"{length(summary['length'])}, {bends}, {speeds}, {summary['duration']:.0f} s"
+    slopes = [100.0 * summary[name] for name in ("least_grade", "largest_grade")]
+    grades = f", grades {slopes[0]:.2g} to {slopes[1]:.2g} %" if any(slopes) else ""
+    description = f"{length(summary['length'])}, {bends}{grades}, {speeds}, {summary['duration']:.0f} s"
     if barred:
         return f"The road cannot be driven at {barred} {'place' if barred == 1 else 'places'} ({description})."
     return f"The road can be driven: {description}."

@@ -18,7 +18,7 @@ from adaptrack.drive.failure import find_failure
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import Road
-from adaptrack.road.ahead import foot_near
+from adaptrack.road.road_ahead import foot_near
 
 Array = NDArray[np.float64]
 

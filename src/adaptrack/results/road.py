@@ -35,7 +35,8 @@ LINE_POINTS = 4000
 SUMMARY_COLUMNS = (Column("what", "quantity"), Column("value", "value"), Column("unit", "unit"))
 SUMMARY_TITLES = {
     "length": ("length", "m"), "closed": ("closed lap", ""), "smallest_radius": ("smallest radius", "m"),
-    "curvature_jumps": ("jumps of the curvature", ""), "deviation": ("largest distance from the points", "m"),
+    "curvature_jumps": ("jumps of the curvature", ""), "largest_grade": ("largest grade (uphill)", ""),
+    "least_grade": ("smallest grade (downhill)", ""), "deviation": ("largest distance from the points", "m"),
     "slowest": ("lowest planned speed", "m/s"), "fastest": ("highest planned speed", "m/s"),
     "duration": ("planned duration", "s"),
 }  # fmt: skip
@@ -106,12 +107,15 @@ def limits_in_words(plan: SpeedPlan) -> str:
 
 def _summary(road: Road, plan: SpeedPlan) -> dict[str, Any]:
     bends = np.abs(road.at(plan.s).curvature).max()
+    grades = road.along("grade", plan.s)
     return {
         "road": road.name,
         "length": road.length,
         "closed": road.closed,
         "smallest_radius": 1.0 / float(bends) if bends > 0.0 else None,
         "curvature_jumps": len(road.curvature_jumps()),
+        "largest_grade": float(grades.max()),
+        "least_grade": float(grades.min()),
         "deviation": road.deviation,
         "slowest": float(plan.speed.min()),
         "fastest": float(plan.speed.max()),
@@ -127,6 +131,10 @@ def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) 
     def draw_curvature(axes: Axes) -> None:
         axes.plot(s, road.at(s).curvature, **Stroke().look)
         label_station(axes, "Curvature (1/m)")
+
+    def draw_grade(axes: Axes) -> None:
+        axes.plot(s, 100.0 * road.along("grade", s), **Stroke().look)
+        label_station(axes, "Grade (%)")
 
     def draw_speed(axes: Axes) -> None:
         axes.plot(s, plan.at(s), **Stroke().look)
@@ -148,6 +156,8 @@ def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) 
         Panel("Curvature", draw_curvature, "Curvature along the road."),
         Panel("Speed", draw_speed, "Planned speed along the road."),
     ]
+    if road.along("grade", s).any():
+        panels.append(Panel("Grade", draw_grade, "Grade along the road, positive uphill."))
     caption = "Map of the road, coloured by the planned speed; curvature and speed along the road."
     return Picture("road", caption, panels, file="road.png", columns=1, row_height=1.25)
 

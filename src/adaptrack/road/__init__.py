@@ -1,6 +1,5 @@
 """Roads: a centre line by arc length, what lies along it, and how fast a car can drive it."""
 
-from adaptrack.road.along import Along
 from adaptrack.road.check import Finding, check_road, smallest_radius
 from adaptrack.road.fit import fit_road, road_through, smooth_road
 from adaptrack.road.generate import ROAD_KINDS, generate_road
@@ -9,6 +8,7 @@ from adaptrack.road.opendrive import read_opendrive
 from adaptrack.road.road import Jump, Projection, Road
 from adaptrack.road.segments import Arc, Clothoid, Cubic, Line, Points, Pose
 from adaptrack.road.speed import Comfort, SpeedPlan, Stop, plan_speed
+from adaptrack.road.station_table import Along
 
 __all__ = [
     "ROAD_KINDS",

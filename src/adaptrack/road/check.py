@@ -126,9 +126,10 @@ def _radius(places: _Places, car: Vehicle) -> Iterator[Finding]:
 
 
 def _grip(places: _Places, car: Vehicle) -> Iterator[Finding]:
-    bank, friction = (places.road.along(name, places.s) for name in ("bank", "friction"))
+    bank, friction, grade = (places.road.along(name, places.s) for name in ("bank", "friction", "grade"))
     felt = np.abs(places.speed**2 * places.curvature - GRAVITY * np.sin(bank)) / GRAVITY
     limit = np.minimum(friction, cornering_limit(car, places.curvature, friction) / GRAVITY) * np.cos(bank)
+    limit *= np.cos(np.arctan(grade))
     for stretch in places.stretches(felt > limit):
         k = stretch.start + int((felt[stretch] - limit[stretch]).argmax())
         yield _finding(

@@ -26,10 +26,11 @@ from adaptrack.core import path
 from adaptrack.core.kernel import OK
 from adaptrack.core.path import MIN_PATH_POINTS, WIDEST
 from adaptrack.core.road import MOST_CURVATURE, project_all
-from adaptrack.road.along import ALONG_QUANTITIES, Along, alongs
+from adaptrack.road.height import grade_of_heights
 from adaptrack.road.road import Road
 from adaptrack.road.segments import MAX_COORDINATE, Array, Cubic, Pose
 from adaptrack.road.smoothing import Smoother
+from adaptrack.road.station_table import ALONG_QUANTITIES, Along, alongs
 from adaptrack.road.table import Pieces, cubic_line, placed
 
 _log = logging.getLogger("adaptrack")
@@ -48,8 +49,8 @@ SHORTEST_KNOTS = 0.5
 """m, the least distance of the knots to begin with: denser points are averaged by the fit."""
 KNOT_REFINEMENTS = 3
 """How often the knots are put at half the distance when the curve cannot come as near as requested."""
-LENGTHS, COARSE = 28, 3
-"""Smoothing lengths that cross-validation compares, and the step in which it begins to."""
+LENGTHS = 28
+"""Smoothing lengths that cross-validation compares."""
 ROUNDS = 3
 """How often outliers are looked for."""
 LEAP = 3.0
@@ -75,6 +76,7 @@ def fit_road(
     max_deviation: Annotated[Positive, "m"] | None = None,
     closed: bool | None = None,
     smoothest: bool = False,
+    height: ArrayLike | None = None,
     name: str = "points",
     **along: Any,
 ) -> Road:
@@ -91,6 +93,8 @@ def fit_road(
         Whether the road is a lap; by default so when the record comes back to its start in the same direction.
     smoothest : bool
         The smoothest curve that keeps `max_deviation`, instead of the one that cross-validation chooses.
+    height : (n,) array, optional
+        z (m) of the points; the slope of a smooth curve near it becomes the grade, unless `grade` is given.
     **along
         As in `Road.from_segments`, at arc lengths of the road; arrays (n,) are values at the points.
 
@@ -126,6 +130,10 @@ def fit_road(
         else value
         for key, value in along.items()
     }
+    if height is not None and "grade" not in along:
+        heights = _check_heights(height, len(points))[:count]
+        values["grade"], note = grade_of_heights(s, heights, road.length, record.closed)
+        notes = [*notes, note]
     notes = [*_spacing_notes(points), *notes, *_outlier_notes(road, record.points, s, outliers)]
     notes += [] if smoothest else _bound_notes(estimate, fit, bound)
     notes.append(_fit_note(fit, rows))
@@ -263,6 +271,15 @@ def _check_distances(where: str, points: Array, shortest: float) -> None:
         raise InvalidInput(
             f"{where}: the points make a line of {steps.sum():.3g} m: {shortest:g} m at least are needed; {remedy}"
         )
+
+
+def _check_heights(height: ArrayLike, count: int) -> Array:
+    heights = reals("fit_road: height", height)
+    if heights.shape != (count,) or not np.isfinite(heights).all():
+        raise InvalidInput(
+            f"fit_road: height has shape {heights.shape}: give ({count},) finite numbers, z in m of each point."
+        )
+    return heights
 
 
 def _spacing_notes(points: Array) -> list[str]:
@@ -482,7 +499,7 @@ def _estimate(record: _Record, smoothest: bool = False) -> _Estimate:
     best = None
     for _ in range(FITS):
         smoother = Smoother(points, places, length, record.closed, spacing)
-        first = LENGTHS - 1 if smoothest else _best_scale(smoother, scales, best)
+        first = LENGTHS - 1 if smoothest else smoother.best_scale(scales, best)
         fit = _first_fit(smoother, scales[first:], points, places)
         best, places, length = int(np.searchsorted(scales, fit.scale)), fit.along, fit.table.length
         if not record.closed:
@@ -491,23 +508,6 @@ def _estimate(record: _Record, smoothest: bool = False) -> _Estimate:
     noise = _noise(fit.distances, used) if used < MEASURABLE * len(points) else math.nan
     smoother = Smoother(points, places, length, record.closed, spacing)
     return _Estimate(record, smoother, scales, int(np.searchsorted(scales, fit.scale)), fit.distances, noise)
-
-
-def _best_scale(smoother: Smoother, scales: Array, start: int | None) -> int:
-    """The smoothing length with the least score, downhill from one, or from the least of a few."""
-    scores: dict[int, float] = {}
-
-    def score(k: int) -> float:
-        if k not in scores:
-            scores[k] = smoother.score(float(scales[k])).value
-        return scores[k]
-
-    best = min(range(0, LENGTHS, COARSE), key=score) if start is None else start
-    while True:
-        near = min(range(max(best - 1, 0), min(best + 2, LENGTHS)), key=score)
-        if score(near) == score(best):
-            return best
-        best = near
 
 
 def _first_fit(smoother: Smoother, scales: Iterable[float], points: Array, places: Array) -> _Fit:

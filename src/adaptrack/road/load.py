@@ -13,13 +13,13 @@ import numpy as np
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import build, read_toml
-from adaptrack.road.along import ALONG_QUANTITIES, alongs
 from adaptrack.road.commonroad import read_commonroad
 from adaptrack.road.fit import MAX_DEVIATION, fit_road
 from adaptrack.road.generate import ROAD_KINDS, generate_road
 from adaptrack.road.opendrive import read_opendrive
 from adaptrack.road.points import road_from_csv
 from adaptrack.road.road import Road
+from adaptrack.road.station_table import ALONG_QUANTITIES, alongs
 from adaptrack.road.toml import RoadFile, table_of
 
 

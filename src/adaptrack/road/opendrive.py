@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import is_number, printable, read_bytes
 from adaptrack.core.road import X, Y
-from adaptrack.road.along import Along, alongs
-from adaptrack.road.opendrive_lanes import Lanes, Stations, bank_of, line_at_offset, number_of, speed_limit
+from adaptrack.road.opendrive_lanes import Lanes, Stations, bank_of, grade_of, line_at_offset, number_of, speed_limit
 from adaptrack.road.road import MAX_JOINT_GAP, MAX_JOINT_KINK, Road
 from adaptrack.road.segments import MIN_ELEMENT_LENGTH, Arc, Array, Clothoid, Cubic, Line, Pose, Segment
+from adaptrack.road.station_table import Along, alongs
 from adaptrack.road.table import Pieces, joined, placed, tabulate
 
 READ = {
@@ -39,6 +39,8 @@ READ = {
     "geometry/spiral": "curvStart curvEnd",
     "geometry/poly3": "a b c d",
     "geometry/paramPoly3": "pRange aU bU cU dU aV bV cV dV",
+    "road/elevationProfile": "",
+    "elevationProfile/elevation": "s a b c d",
     "road/lateralProfile": "",
     "lateralProfile/superelevation": "s a b c d",
     "lateralProfile/crossfall": "s side a b c d",
@@ -168,8 +170,10 @@ def _read(where: str, road: Element, lane: int | None, along: dict[str, Any]) ->
     lanes = Lanes(where, road, stations, lane)
     table = reference
     values = {**lanes.widths(), **speed_limit(where, road, stations, lanes), **bank_of(where, road, stations, lanes)}
+    values |= grade_of(road, stations)
     if lanes.line is not None:
         table, base_s, s = line_at_offset(reference, *lanes.line)
+        values |= {name: _per_arc_length(values[name], base_s, s) for name in ("grade",) if name in values}
         values = {name: _on_line(along, base_s, s) for name, along in values.items()}
     table, shifts = _close_gaps(table, notes)
     closed = _meets_itself(table)
@@ -189,6 +193,13 @@ def _on_line(along: Along, base_s: Array, s: Array) -> Along:
     """A quantity over arc lengths of the reference line, over those (s at base_s, n,) of a line beside it."""
     places = np.maximum.accumulate(np.interp(along.s, base_s, s) + 1e-9 * np.arange(len(along.s)))
     return along.replace(s=tuple(places.tolist()))
+
+
+def _per_arc_length(slope: Along, base_s: Array, s: Array) -> Along:
+    """A slope per metre of the reference line, per metre of a line (arc lengths s at base_s, n,) beside it."""
+    k = np.clip(np.searchsorted(base_s, slope.s, "right") - 1, 0, base_s.size - 2)
+    values = np.array(slope.value) * (base_s[k + 1] - base_s[k]) / (s[k + 1] - s[k])
+    return slope.replace(value=tuple(values.tolist()))
 
 
 def _shapes(where: str, road: Element) -> tuple[list[Element], list[str]]:

@@ -1,4 +1,4 @@
-"""The lanes of an OpenDRIVE road, and what lies along them: widths, speed limits, bank.
+"""The lanes of an OpenDRIVE road, and what lies along them: widths, speed limits, bank, grade.
 
 ASAM OpenDRIVE 1.4 to 1.8, chapters 10 and 11 (https://publications.pages.asam.net).
 """
@@ -18,8 +18,8 @@ import numpy as np
 from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.base.files import printable
 from adaptrack.core.road import HALF_LENGTH
-from adaptrack.road.along import NO_LIMIT, Along
 from adaptrack.road.segments import Array
+from adaptrack.road.station_table import NO_LIMIT, Along
 from adaptrack.road.table import Pieces, cubic_line, points_on_pieces
 
 Cubics = list[tuple[float, Array]]
@@ -33,7 +33,7 @@ HALF_TRACK = 0.75
 SIDES = ("both", "left", "right")
 """To which a crossfall belongs."""
 SAMPLE_SPACING = 2.0
-"""m, between the samples of widths and bank, between which straight lines are drawn."""
+"""m, between the samples of widths, bank and grade, between which straight lines are drawn."""
 OFFSET_STEP, SHORTEST_SAMPLE = 0.5, 1e-4
 """m, most and least between the samples of a line at an offset."""
 DRIVEN = ("driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bidirectional")
@@ -488,6 +488,21 @@ def bank_of(where: str, road: Element, stations: Stations, lanes: Lanes) -> dict
         s += places.tolist()
         values += [0.0] * places.size if level else surface.bank(start, places, t).tolist()
     return {"bank": _increasing(s, np.array(values))} if any(values) else {}
+
+
+def grade_of(road: Element, stations: Stations) -> dict[str, Along]:
+    """The grade dz/ds of the reference line: the derivative of its elevation."""
+    elevations = stations.cubics(road.findall("elevationProfile/elevation"))
+    if not elevations or elevations[0][0] > 0.0:  # level before the first one
+        elevations = [(0.0, np.zeros(4)), *elevations]
+    starts = [start for start, _ in elevations]
+    s: list[float] = []
+    values: list[float] = []
+    for (start, cubic), end in zip(elevations, [*starts[1:], stations.length], strict=True):
+        places = _samples(start, end)
+        s += places.tolist()
+        values += _shifted(cubic, places - start)[1].tolist()
+    return {"grade": _increasing(s, np.array(values))} if any(values) else {}
 
 
 def _choice(where: str, element: Element, key: str, choices: Sequence[str]) -> str:

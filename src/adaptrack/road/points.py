@@ -27,6 +27,8 @@ POINT_COLUMNS = {
     "speed_limit": ("speed_limit", "speed_limit_mps"),
     "friction": ("friction", "mu"),
     "bank": ("bank", "bank_rad", "banking_rad"),
+    "grade": ("grade",),
+    "height": ("z", "z_m", "elevation", "elevation_m"),
 }
 """What a column may be called. Columns of other names are left out, and said."""
 COLUMN_UNITS = {
@@ -37,12 +39,17 @@ COLUMN_UNITS = {
     "speed_limit": ("m/s", "mps"),
     "friction": ("-", "1"),
     "bank": ("rad",),
+    "grade": ("m/m", "-", "1"),
+    "height": ("m",),
 }
 """Units that may stand in brackets behind the name of a column."""
 NAME = r"[A-Za-z_\u00c0-\uffff][^\s:=]*(?: [^\s:=]+){0,2}"
 """A name in a commented header: one to three words; a pattern of Python and of JavaScript."""
 FOREIGN_SPEED = r"km|kph|mph|mile|knot|fps"
 """Parts of the name of a speed column that is not in m/s."""
+
+FOREIGN_GRADE = r"^(grade|gradient|slope|incline).*(%|percent|per_cent|pct|deg)"
+"""Names of a column of grades that are not dz/ds."""
 
 DEGREE_COLUMNS = ("lat", "lon", "latitude", "longitude", "lng")
 WITHOUT_HEADER = {2: ("x", "y"), 4: ("x", "y", "width_right", "width_left")}
@@ -65,7 +72,7 @@ class PointsFile(NamedTuple):
     points: Array
     """(n, 2) m"""
     along: dict[str, Array]
-    """(n,) each, by the names of `Road.from_segments`"""
+    """(n,) each, by the names of `Road.from_segments`; `height` (m)"""
     lines: tuple[int, ...]
     """(n,) the line of the file that holds each point"""
     notes: tuple[str, ...]
@@ -99,7 +106,8 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
     Cells are separated by ``;``, tabs, ``,`` or blanks; except in files with commas between cells, the decimal mark may
     be a comma. The first line may be a header (`POINT_COLUMNS`), and so may a line behind ``#`` above the numbers whose
     cells are names; of several the last that names x and y. A header without x and y is refused. Without a header, two
-    columns are x, y and four x, y, width to the right, width to the left. Repeated points are left out.
+    columns are x, y and four x, y, width to the right, width to the left. Repeated points are left out. A column
+    `grade` (dz/ds) is used before the slope of the heights `z` (m).
 
     Parameters
     ----------
@@ -236,6 +244,8 @@ def _names(header: _Header, count: int, speed_column: str | None) -> list[str]:
     doubled = [name for name in names if name and names.count(name) > 1]
     if doubled:
         raise ConfigError(f"{where}: two columns say {doubled[0]!r}; remove one.")
+    if "grade" in names:  # it counts before the slope of the heights
+        names = ["" if name == "height" else name for name in names]
     for title, name in zip(titles, names, strict=True):
         _check_unit(where, title, name)
     return names
@@ -254,7 +264,12 @@ def _place_of(speed_column: str, header: _Header) -> int:
 
 
 def _check_unit(where: str, title: str, name: str) -> None:
-    """Refuse a column that is used and whose title states another unit."""
+    """Refuse a column that is used and whose title states a different unit, and grades that are not dz/ds."""
+    if re.search(FOREIGN_GRADE, title.lower()):
+        raise ConfigError(
+            f"{where}: column {printable(title)!r}: a grade must be dz/ds; divide per cent by 100 and name the column "
+            "'grade'."
+        )
     unit = re.search(r"[\[(]\s*([^\])]*?)\s*[\])]", title)
     if name and unit and unit[1].lower() not in ("", *COLUMN_UNITS[name]):
         raise ConfigError(f"{where}: column {printable(title)!r}: must be in {COLUMN_UNITS[name][0]}; convert it.")

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import checked, reals
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import ROAD_LENGTH, check_limit
+from adaptrack.base.limits import MAX_GRADE, ROAD_LENGTH, check_limit
 from adaptrack.core import road as kernel
-from adaptrack.core.planning import along as along_kernel
+from adaptrack.core.planning import station_table as along_kernel
 from adaptrack.core.road import X, Y
-from adaptrack.road.along import ALONG_QUANTITIES, Along, alongs
 from adaptrack.road.segments import MAX_COORDINATE, Array, Points, Pose, Segment
+from adaptrack.road.station_table import ALONG_QUANTITIES, Along, alongs
 from adaptrack.road.table import Pieces, sequence, tabulate
 from adaptrack.road.toml import write_road
 
@@ -29,9 +29,21 @@ JUMP = 1e-4
 """1/m, a change of curvature at one place that counts as a jump; a line through samples has smaller ones."""
 HALF_LANE = Along.constant(1.75)
 """m, half of a lane of 3.5 m: the width to each side where nothing is said."""
-DRY_FRICTION, LEVEL_BANK = Along.constant(0.9), Along.constant(0.0)
-"""Friction, as in the scenarios, and bank where nothing is said."""
+DRY_FRICTION, LEVEL = Along.constant(0.9), Along.constant(0.0)
+"""Default friction, as in the scenarios, and default bank and grade."""
 AT_ORIGIN = Pose()
+_RULES: dict[str, tuple[Callable[[Array], NDArray[np.bool_]], str]] = {
+    "width_left": (lambda value: value > 0.0, "> 0"),
+    "width_right": (lambda value: value > 0.0, "> 0"),
+    "friction": (lambda value: (value > 0.0) & (value <= 3.0), "a coefficient > 0 such as 0.8, at most 3"),
+    "bank": (lambda value: np.abs(value) < 1.4, "an angle in rad, below 1.4 to either side"),
+    "grade": (
+        lambda value: np.abs(value) <= MAX_GRADE,
+        f"dz/ds, at most {MAX_GRADE} to either side; 5 per cent are 0.05: divide a grade in per cent by 100",
+    ),
+    "speed_limit": (lambda value: value > 0.0, "a speed > 0 m/s"),
+}
+"""What is allowed of the quantities along a road."""
 _NO_LIMIT = along_kernel.AlongRecord(np.zeros(0), np.zeros(0), 0)
 
 
@@ -61,7 +73,7 @@ class Projection(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Road:
-    """A centre line with continuous heading, and width, speed limit, friction and bank along it.
+    """A centre line with continuous heading, and width, speed limit, friction, bank and grade along it.
 
     Its curvature may jump, as where a straight line meets an arc (`curvature_jumps`); `smooth_road` rounds it.
     An open road goes on straight before its start and after its end. On a closed one s may be any number, lap by lap.
@@ -87,8 +99,10 @@ class Road:
     """Speed limit along the road (m/s)."""
     friction: Along = DRY_FRICTION
     """coefficient of all wheels"""
-    bank: Along = LEVEL_BANK
+    bank: Along = LEVEL
     """rad, positive where gravity pushes to the left"""
+    grade: Along = LEVEL
+    """dz/ds in the direction of the road, positive uphill; at most `MAX_GRADE` to either side"""
     notes: tuple[str, ...] = ()
     """Sentences of its reader on deviations and unused parts."""
     deviation: float = 0.0
@@ -105,16 +119,13 @@ class Road:
                 "allowed; correct it, or move the origin."
             )
         self._check_joints()
-        positive = (self.width_left, "width_left"), (self.width_right, "width_right"), (self.friction, "friction")
-        try:
-            for along, _ in positive:
-                along.within(lambda value: value > 0.0, "> 0")
-            self.friction.within(lambda value: value <= 3.0, "a coefficient such as 0.8, at most 3")
-            self.bank.within(lambda value: np.abs(value) < 1.4, "an angle in rad, below 1.4 to either side")
-            if self.speed_limit is not None:
-                self.speed_limit.within(lambda value: value > 0.0, "a speed > 0 m/s")
-        except InvalidInput as error:
-            raise InvalidInput(f"road {self.name!r}: width, friction, bank or speed limit: {error}") from None
+        for name, (allowed, rule) in _RULES.items():
+            values: Along | None = getattr(self, name)
+            try:
+                if values is not None:
+                    values.within(allowed, rule)
+            except InvalidInput as error:
+                raise InvalidInput(f"road {self.name!r}: {name} = {error}") from None
 
     def _check_joints(self) -> None:
         """Refuse gaps and kinks."""
@@ -164,7 +175,8 @@ class Road:
         closed : bool
             Whether its end is its start; it then must meet it within 0.01 m and 0.01 rad.
         **along
-            `width_left`, `width_right`, `speed_limit`, `friction`, `bank`: a number, (arc lengths, values) or `Along`.
+            `width_left`, `width_right`, `speed_limit`, `friction`, `bank`, `grade`: a number, (arc lengths, values) or
+            `Along`.
 
         Raises
         ------
@@ -223,7 +235,9 @@ class Road:
         )
 
     def along(self, name: str, s: ArrayLike) -> Array:
-        """`width_left`, `width_right`, `speed_limit`, `friction` or `bank` at the arc lengths `s`; no limit: inf.
+        """A quantity along the road at the arc lengths `s` (m); the speed limit is inf where there is none.
+
+        name: `width_left`, `width_right`, `speed_limit`, `friction`, `bank` or `grade`.
 
         Raises
         ------
@@ -308,7 +322,7 @@ class Road:
     def route(self) -> Any:
         """The road with what lies along it as `adaptrack.core.planning` reads it; read-only."""
         limit = _NO_LIMIT if self.speed_limit is None else self.speed_limit.packed()
-        return along_kernel.Route(self.packed(), self.friction.packed(), self.bank.packed(), limit)
+        return along_kernel.Route(self.packed(), self.friction.packed(), self.bank.packed(), limit, self.grade.packed())
 
     # ---- variants
 

@@ -1,4 +1,4 @@
-"""Penalised cubic splines near points of the plane, for any smoothing length: their normal equations are bands.
+"""Penalised cubic splines near points or heights, for any smoothing length: their normal equations are bands.
 
 The curve c(t) = sum_j a_j B_j(t) (cubic B-splines on even knots) minimises
 
@@ -24,6 +24,8 @@ from adaptrack.road.segments import Array
 
 KNOTS = 10.0
 """In a smoothing length, at most."""
+COARSE = 3
+"""Step in the smoothing lengths in which the search for the best one begins."""
 PARAMETER_PENALTY = 1.4
 """Factor on the number of parameters in cross-validation."""
 EXACT_TRACE = 500
@@ -48,7 +50,7 @@ class Score(NamedTuple):
 
 
 class Smoother:
-    """Points (n, 2) at places (n,) along a curve of some length, m; its knots are at least `spacing` apart."""
+    """Points (n, d) at places (n,) along a curve of some length, m; its knots are at least `spacing` apart."""
 
     def __init__(self, points: Array, places: Array, length: float, closed: bool, spacing: float) -> None:
         self.points, self.places, self.closed, self.spacing = points, places, closed, spacing
@@ -68,7 +70,7 @@ class Smoother:
         return self._system, self._system.factor(weight)
 
     def powers(self, scale: float) -> Array:
-        """The cubics (count, 2, 4) of a smoothing length (m), as `table.cubic_line` reads them."""
+        """The cubics (count, d, 4) of a smoothing length (m), as `table.cubic_line` reads them."""
         system, factor = self._system_at(scale)
         coefficients = scipy.linalg.cho_solve_banded((factor, False), system.right)
         corners = coefficients[system.column(np.arange(system.count)[:, np.newaxis] + np.arange(4))]
@@ -82,6 +84,22 @@ class Smoother:
         used = self._trace(system, factor)
         left = n - PARAMETER_PENALTY * used
         return Score(n * float((residual**2).sum()) / left**2 if left > 0.0 else math.inf, used)
+
+    def best_scale(self, scales: Array, start: int | None = None) -> int:
+        """The smoothing length with the least score, downhill from one, or from the least of a few."""
+        scores: dict[int, float] = {}
+
+        def score(k: int) -> float:
+            if k not in scores:
+                scores[k] = self.score(float(scales[k])).value
+            return scores[k]
+
+        best = min(range(0, scales.size, COARSE), key=score) if start is None else start
+        while True:
+            near = min(range(max(best - 1, 0), min(best + 2, scales.size)), key=score)
+            if score(near) == score(best):
+                return best
+            best = near
 
     def _trace(self, system: _System, factor: Array) -> float:
         basis = system.basis

@@ -1,4 +1,4 @@
-"""The speed along a road: the fastest one that curvature, friction, bank, comfort and powertrain allow.
+"""The speed along a road: the fastest one that curvature, friction, bank, grade, comfort and powertrain allow.
 
 `adaptrack.core.planning.speed` has the formulas and finds it; here are its inputs, its refusals, stops, a bounded jerk.
 """
@@ -27,7 +27,7 @@ from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.cells import PLAN, plan_places
 from adaptrack.core.planning.speed import STRAIGHT_CURVATURE as STRAIGHT_CURVATURE
 from adaptrack.road.cornering import cornering_limit, packed, steering_limit
-from adaptrack.road.holdable import HoldableSpeed, highest
+from adaptrack.road.holdable_speed import HoldableSpeed, highest
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
 
@@ -201,7 +201,8 @@ def plan_speed(
     ------
     InvalidInput
         When a stop is not on the road, a bend is tighter than the car can turn, a bank alone exceeds what is allowed
-        sideways, or the speed at the start is too high to brake in time; the message says where.
+        sideways, a grade is steeper than drive, brakes or tyres can hold, or the speed at the start is too high to
+        brake in time; the message says where.
     """
     halts = [stop if isinstance(stop, Stop) else Stop(float(stop)) for stop in stops]
     for stop in halts:
@@ -312,11 +313,26 @@ def _refuse(planning: Any, status: int, k: int, value: float) -> None:
         name = "start" if status == kernel.START_TOO_FAST else "end"
         bound = getattr(planning.bounds, name)
         raise InvalidInput(f"plan_speed: {name} = {bound!r} m/s: must be at most {value:.4g} there.")
+    if status in (kernel.TOO_WEAK, kernel.TOO_SLIPPERY):
+        _refuse_slope(planning, status, k, value)
     if status == kernel.CANNOT_BRAKE:
         raise InvalidInput(
             f"plan_speed: start = {planning.bounds.start:g} m/s: a car cannot brake in time; start at {value:.4g} m/s "
             "at most."
         )
+
+
+def _refuse_slope(planning: Any, status: int, k: int, force: float) -> None:
+    """Refuse a grade on which a car comes to rest or slides, with its force over the mass (m/s^2)."""
+    s, grade, slope = (float(planning.table[row, k]) for row in (PLAN.s, PLAN.grade, PLAN.slope))
+    action, actuators = ("climbing", "the drive gives") if slope >= 0.0 else ("descending", "the brakes give")
+    rolling = " and rolling resistance" if slope >= 0.0 and planning.car.size else ""
+    giver = "the tyres give" if status == kernel.TOO_SLIPPERY else actuators
+    raise InvalidInput(
+        f"plan_speed: at s = {s:.6g} m the car cannot go on: {action} the grade of {grade:.3g} asks for "
+        f"{abs(slope):.3g} m/s^2{rolling}, and {giver} {max(force, 0.0):.3g} m/s^2; correct the grade, or "
+        + ("the friction." if status == kernel.TOO_SLIPPERY else "choose another car.")
+    )
 
 
 def _plan(
@@ -346,7 +362,10 @@ def _soften(planning: Any, closed: bool) -> None:
     share = 2.0 * jerk / np.maximum(np.maximum(v[1:-1], 0.5 * (v[:-2] + v[2:])), 0.1)
     moving = fastest[1:-1] > 0.0
     bend, share = bend[moving], share[moving]
-    rows, bounds = [slope, -slope, bend, -bend], [np.maximum(2.0 * drive, 0.0), 2.0 * brake, share, share]
+    rows, bounds = (
+        [slope, -slope, bend, -bend],
+        [np.maximum(2.0 * drive, 0.0), np.maximum(2.0 * brake, 0.0), share, share],
+    )
     if closed and fastest[0] > 0.0:
         seam = (slope[[0]] - slope[[n - 2]]) * (2.0 / (ds[0] + ds[-1]))
         rows += [seam, -seam]

@@ -44,8 +44,8 @@ from adaptrack.core.road import (
     Y,
 )
 from adaptrack.core.road import ALONG_COEFFICIENTS as ALONG_PIECE
-from adaptrack.road.along import Along
 from adaptrack.road.segments import MAX_COORDINATE, MAX_ELEMENT_LENGTH, MIN_ELEMENT_LENGTH, Segment
+from adaptrack.road.station_table import Along
 from adaptrack.road.table import Pieces, end_to_end
 
 
@@ -97,6 +97,7 @@ class RoadFile(Record):
     speed_limit: AlongValue | None = Field(default=None, description="m/s")
     friction: AlongValue | None = Field(default=None, description="coefficient of all wheels")
     bank: AlongValue | None = Field(default=None, description="rad, positive where gravity pushes to the left")
+    grade: AlongValue | None = Field(default=None, description="dz/ds, positive uphill, 0.05 for 5 per cent")
     points: tuple[tuple[float, float], ...] | None = Field(default=None, description="x, y (m), as they are driven")
     elements: tuple[Segment, ...] | None = None
     pieces: tuple[Piece, ...] | None = None

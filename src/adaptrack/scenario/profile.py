@@ -11,7 +11,7 @@ from typing import Any, Self
 from pydantic import Field, field_validator, model_validator
 
 from adaptrack.base.files import Record, build, read_toml
-from adaptrack.cars.vehicle import SteeringActuator, find_data, list_data
+from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator, find_data, list_data
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.core.synthesis.tuning import ControllerWorld
 
@@ -23,9 +23,12 @@ def _noise(description: str) -> Any:
 SENSOR_FIELDS = (
     "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "noise_wheel_angle", "noise_lateral_acceleration",
     "noise_speed", "bias_yaw_rate", "bias_wheel_angle", "pose_age", "pose_age_spread", "motion_age", "missing",
-    "dropout_pause", "dropout_least", "dropout_most",
+    "dropout_pause", "dropout_least", "dropout_most", "noise_station", "station_age", "noise_speed_floor",
+    "speed_resolution", "speed_dead_zone", "speed_age", "motion_age_spread",
 )  # fmt: skip
 """Fields of `Profile` that describe the sensors."""
+_AGES_BY_SPREAD = {"pose_age_spread": ("pose_age", "station_age"), "motion_age_spread": ("motion_age", "speed_age")}
+"""Ages to which each spread applies; a second age of 0 has no spread."""
 
 
 class Profile(Record):
@@ -38,6 +41,12 @@ class Profile(Record):
     description: str = Field(default="", description="one sentence for lists")
     steering: SteeringActuator = Field(
         default_factory=SteeringActuator.ideal, description="lag, dead time, bias and limits of the steering"
+    )
+    drive: DriveActuator = Field(
+        default_factory=DriveActuator, description="response of the driving force, unless the car file has one"
+    )
+    brakes: BrakeActuator = Field(
+        default_factory=BrakeActuator, description="response of the braking force, unless the car file has one"
     )
     period: float = Field(default=0.1, gt=0, le=10, description="s, default control period of the controllers")
     delay: float = Field(
@@ -85,6 +94,30 @@ class Profile(Record):
         ge=0,
         description="m^2/rad^2, weight w of steering activity in J = mean e^2 + w mean (change of command)^2",
     )
+    noise_station: float = Field(
+        default=0.0, ge=0, le=100, description="m, standard deviation of the measured position along the road"
+    )
+    station_age: float = Field(
+        default=0.0, ge=0, le=2, description="s, age of this position, +- pose_age_spread; 0: current"
+    )
+    noise_speed_floor: float = Field(
+        default=0.0,
+        ge=0,
+        le=10,
+        description="m/s, standard deviation of the measured speed, added to that of noise_speed",
+    )
+    speed_resolution: float = Field(
+        default=0.0, ge=0, le=5, description="m/s, measured speeds are multiples of it; 0: continuous"
+    )
+    speed_dead_zone: float = Field(
+        default=0.0, ge=0, le=5, description="m/s, measured speeds below it are 0, as near standstill"
+    )
+    speed_age: float = Field(
+        default=0.0, ge=0, le=2, description="s, age of the measured speed, +- motion_age_spread; 0: current"
+    )
+    motion_age_spread: float = Field(
+        default=0.0, ge=0, le=2, description="s, motion_age varies by +- that, together with pose_age, and is known"
+    )
 
     @field_validator("delay")
     @classmethod
@@ -98,8 +131,12 @@ class Profile(Record):
 
     @model_validator(mode="after")
     def _ages_and_dropouts_fit(self) -> Self:
-        if self.pose_age_spread > self.pose_age:
-            raise ValueError(f"pose_age_spread = {self.pose_age_spread:g} s: must not exceed pose_age.")
+        for spread, (name, second_name) in _AGES_BY_SPREAD.items():
+            width, age, second_age = getattr(self, spread), getattr(self, name), getattr(self, second_name)
+            if width > age:
+                raise ValueError(f"{spread} = {width:g} s: must not exceed {name} = {age:g} s.")
+            if width > second_age > 0.0:
+                raise ValueError(f"{second_name} = {second_age:g} s: must be 0, or at least {spread} = {width:g} s.")
         if self.dropout_least > self.dropout_most:
             raise ValueError(f"dropout_least = {self.dropout_least:g} s: must not exceed dropout_most.")
         return self
@@ -107,12 +144,16 @@ class Profile(Record):
     @property
     def oldest(self) -> float:
         """Largest age of a sample on arrival (s)."""
-        return max(self.pose_age + self.pose_age_spread, self.motion_age)
+        return max(
+            max(getattr(self, name) for name in names) + getattr(self, spread)
+            for spread, names in _AGES_BY_SPREAD.items()
+        )
 
     @property
     def without_sample_ages(self) -> Self:
         """Return a copy whose samples arrive without delay, for linear loops; their margins are slightly optimistic."""
-        return self.replace(pose_age=0.0, pose_age_spread=0.0, motion_age=0.0)
+        ages = [name for spread, names in _AGES_BY_SPREAD.items() for name in (spread, *names)]
+        return self.replace(**dict.fromkeys(ages, 0.0))
 
     @property
     def dead_time(self) -> float:

@@ -29,8 +29,8 @@ class RoadDrive:
     """A test drive along a road at a planned speed, from its start to its end or for several laps.
 
     The reference position along the road is a function of time and includes the stops of the plan. A car may be ahead
-    of or behind this position; it meets the friction and bank of its actual position. Conventions are those of
-    `Scenario`. Offsets and headings are relative to the road's centre line, positive to the left.
+    of or behind this position; it meets the friction, bank and grade of its actual position. Conventions are those
+    of `Scenario`. Offsets and headings are relative to the road's centre line, positive to the left.
 
     Raises
     ------
@@ -130,7 +130,7 @@ class RoadDrive:
         wheels = samples[SIGNAL.friction_front_left : SIGNAL.friction_rear_right + 1]
         return Signals(
             period, t, samples[SIGNAL.y_ref], samples[SIGNAL.speed], wheels.T, wind, samples[SIGNAL.bank],
-            samples[SIGNAL.station], samples[SIGNAL.acceleration],  # the kernel leaves the curvature in this row
+            samples[SIGNAL.station], samples[SIGNAL.acceleration], samples[SIGNAL.grade],  # curvature in `acceleration`
         )  # fmt: skip
 
     def start_pose(self) -> tuple[float, float, float]:

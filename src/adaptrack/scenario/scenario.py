@@ -61,6 +61,7 @@ class Scenario(Record):
     bank: Signal | None = Field(
         default=None, description="bank angle of the road, rad, positive if it pulls the car to the left"
     )
+    grade: Signal | None = Field(default=None, description="grade dz/ds of the road, positive uphill")
     start_y: float | None = Field(
         default=None, description="lateral position at the start, m; by default that of the reference"
     )
@@ -106,6 +107,10 @@ class Scenario(Record):
         """The bank angle of the road (rad) at the times `t` (s), in the shape of `t`."""
         return np.zeros(np.shape(t)) if self.bank is None else self.bank.at(t)
 
+    def grade_at(self, t: ArrayLike) -> Array:
+        """The grade dz/ds of the road, positive uphill, at the times `t` (s), in the shape of `t`."""
+        return np.zeros(np.shape(t)) if self.grade is None else self.grade.at(t)
+
     @property
     def initial_y(self) -> float:
         """Lateral position at the start (m): `start_y`, by default the reference at t = 0."""
@@ -133,8 +138,9 @@ class Scenario(Record):
             )
         t = instants(n, period)
         return Signals(
-            period, t, self.reference_at(t), self.speed_at(t), self.friction_at(t), self.wind_at(t), self.bank_at(t)
-        )
+            period, t, self.reference_at(t), self.speed_at(t), self.friction_at(t), self.wind_at(t), self.bank_at(t),
+            grade=self.grade_at(t),
+        )  # fmt: skip
 
     # ---- variants
 
@@ -279,9 +285,9 @@ class Scenario(Record):
             "wind": self.wind.table(),
             "windows": dict(self.windows) or None,
         }
-        if self.bank is not None:
-            tables["bank"] = self.bank.table()
-        names = [name for name in type(self).model_fields if name != "bank" or self.bank is not None]
+        optional = {"bank": self.bank, "grade": self.grade}
+        tables |= {name: signal.table() for name, signal in optional.items() if signal is not None}
+        names = [name for name in type(self).model_fields if name not in optional or name in tables]
         return {name: tables.get(name, getattr(self, name)) for name in names}
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import MAX_SPEED
+from adaptrack.base.limits import MAX_GRADE, MAX_SPEED
 from adaptrack.core.planning.drive import bank_pull, drive_instants
 from adaptrack.scenario.shapes import Array
 
@@ -43,17 +43,18 @@ class Signals:
     bank: Array | float = 0.0  # (n + 1,) rad, bank angle of the road, positive if it pulls the car to the left
     station: Array | float = 0.0  # (n + 1,) m, planned arc length along the road
     curvature: Array | float = 0.0  # (n + 1,) 1/m, curvature of the road at the planned arc length
+    grade: Array | float = 0.0  # (n + 1,) dz/ds of the road, positive uphill
 
     def __post_init__(self) -> None:
         for name in ("t", "y_ref", "speed", "friction", "wind"):
             object.__setattr__(self, name, np.array(reals(name, getattr(self, name)), order="C"))
         samples = self.t.size
-        for name in ("bank", "station", "curvature"):
+        for name in ("bank", "station", "curvature", "grade"):
             values = np.broadcast_to(reals(name, getattr(self, name)), (samples,))
             object.__setattr__(self, name, np.array(values, order="C"))
         columns = {
             "t": (), "y_ref": (), "speed": (), "friction": (4,), "wind": (2,), "bank": (), "station": (),
-            "curvature": (),
+            "curvature": (), "grade": (),
         }  # fmt: skip
         for name, width in columns.items():
             shape = (samples, *width)
@@ -72,6 +73,9 @@ class Signals:
         self._refuse(self.friction <= 0.0, "friction", "must be > 0")
         self._refuse(self.friction > HIGHEST_FRICTION, "friction", "must be a coefficient such as 0.8, at most 3")
         self._refuse(np.abs(self.bank) > STEEPEST_BANK, "bank", f"must be within +-{STEEPEST_BANK} rad")
+        self._refuse(
+            np.abs(self.grade) > MAX_GRADE, "grade", f"must be dz/ds within +-{MAX_GRADE}; 5 per cent are 0.05"
+        )
 
     def _refuse(self, violations: np.ndarray, name: str, rule: str) -> None:
         """Raise InvalidInput for the first sample in `violations`, a mask of the array `name`."""

@@ -13,7 +13,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import LISTED, Record, build, read_toml
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import MPC, Controller, about_controller, get_controller
-from adaptrack.road.holdable import HoldableSpeed
+from adaptrack.road.holdable_speed import HoldableSpeed
 from adaptrack.scenario.profile import Profile
 
 

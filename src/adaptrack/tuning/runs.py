@@ -34,7 +34,7 @@ from adaptrack.drive.failure import Failure
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.drive.simulate import rollouts, simulate
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.drive.world import KnownAs, World
+from adaptrack.drive.world import Driver, KnownAs, World
 from adaptrack.road import Comfort, Road, plan_speed
 from adaptrack.road.speed import DEFAULT_COMFORT
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
@@ -82,7 +82,8 @@ class RunSet:
 
     segment: length of the segments that cost is attributed to (control periods), by default the whole run; before: how
     long before a segment its causes may lie (periods); stride: every how many periods its inputs are looked at;
-    known_as: how schedulers know friction and wind; failure: when a run has failed.
+    known_as: how schedulers know friction and wind; failure: when a run has failed; driver: None where the planned
+    speed is followed exactly.
     """
 
     known_as: KnownAs = None
@@ -94,13 +95,13 @@ class RunSet:
     def __init__(
         self, plant: Plant | SteppedPlant, mpc: MPC, scenarios: Sequence[Scenario | RoadDrive],
         profile: str | Profile = "road", *, segment: int | None = None, before: int = 0, stride: int = 20,
-        known_as: KnownAs = None, failure: Failure | None = None,
+        known_as: KnownAs = None, failure: Failure | None = None, driver: Driver | None = None,
     ) -> None:  # fmt: skip
-        self.plant, self.mpc, self.scenarios, self.profile = plant, mpc, list(scenarios), profile
+        self.plant, self.mpc, self.scenarios, self.profile, self.driver = plant, mpc, list(scenarios), profile, driver
         self.known_as, self.failure = known_as, failure or Failure.of(plant)
         self.controller = "mpc" if mpc.belief is None else "informed"
         self.weight = load_profile(profile).move_weight
-        self.signals, samples = sampled(World.of(plant, mpc, profile, None, known_as, failure), self.scenarios)
+        self.signals, samples = sampled(World.of(plant, mpc, profile, driver, known_as, failure), self.scenarios)
         self.lengths = np.array([signals.n for signals in self.signals])
         """(runs,) control periods"""
         self.periods = int(self.lengths.max())
@@ -116,7 +117,9 @@ class RunSet:
 
     def _batch(self, controller: Controller) -> Batch:
         assert not isinstance(self.plant, SteppedPlant)
-        return Batch(self.plant, controller, self.scenarios, self.profile, failure=self.failure, known_as=self.known_as)
+        return Batch(
+            self.plant, controller, self.scenarios, self.profile, self.driver, self.failure, self.known_as
+        )  # fmt: skip
 
     def _batch_of(self, controller: Controller) -> Batch:
         """The batch of a controller of its own; that of the last one is kept."""
@@ -245,8 +248,8 @@ class RunSet:
         if isinstance(known_as, Perception):  # with the errors that the run has in the batch
             known_as = replace(known_as, seed=known_as.seed + i)
         return simulate(
-            self.plant, controller, self.scenarios[i], profile=self.profile, seed=seed, known_as=known_as,
-            failure=self.failure,
+            self.plant, controller, self.scenarios[i], profile=self.profile, driver=self.driver, seed=seed,
+            known_as=known_as, failure=self.failure,
         )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.car import SteeringRow as SteeringRow
 from adaptrack.core.synthesis.rows import row_of
-from adaptrack.road.ahead import RoadAhead, straight
+from adaptrack.road.road_ahead import RoadAhead, straight
 
 Array = NDArray[np.float64]
 

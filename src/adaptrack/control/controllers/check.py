@@ -12,7 +12,7 @@ import numpy as np
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.control.controllers.base import Array, Controller, command_of
 from adaptrack.road import Arc, Line, Road
-from adaptrack.road.ahead import RoadAhead
+from adaptrack.road.road_ahead import RoadAhead
 
 CHECK_SPEEDS = (1.0, 5.0, 15.0, 30.0)
 """m/s, at which a controller is called."""

@@ -9,7 +9,7 @@ from numpy import ndarray
 
 from adaptrack.base.checked import FLOAT, Array, reals
 from adaptrack.base.errors import InvalidInput, format_value
-from adaptrack.road.ahead import RoadAhead
+from adaptrack.road.road_ahead import RoadAhead
 
 MOST_WHEEL_ANGLE, MOST_CHANGE = 0.5 * np.pi, 1e3
 """rad; rad or m."""

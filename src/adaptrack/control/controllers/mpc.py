@@ -44,7 +44,7 @@ from adaptrack.core.guard import COUNTS
 from adaptrack.core.kernel import Resident, direct
 from adaptrack.core.schedule_step import schedule_step
 from adaptrack.core.variables import VARIABLE_NAMES
-from adaptrack.road.ahead import RoadAhead
+from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]

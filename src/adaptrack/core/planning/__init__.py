@@ -1,10 +1,10 @@
 """From a road to what is driven: the fastest speed along it, and a drive's samples at the control instants.
 
-    along       what lies along a road (friction, bank, speed limit, width), and the road's edges
-    cornering   how hard a car can corner
-    cells       the places of a plan, and what the road says between neighbouring ones
-    speed       the fastest speed along a road
-    drive       a plan in time, and the samples of a drive
+    station_table  what lies along a road (friction, bank, grade, speed limit, width), and the road's edges
+    cornering      how hard a car can corner
+    cells          the places of a plan, and what the road says between neighbouring ones
+    speed          the fastest speed along a road
+    drive          a plan in time, and the samples of a drive
 
 Memory is the caller's; no kernel keeps any. Another program calls, in this order:
 
@@ -17,7 +17,7 @@ Memory is the caller's; no kernel keeps any. Another program calls, in this orde
     drive_start                         where the car begins
     road_edges                          to draw the road
 
-A scenario without a road has its reference, speed, friction, wind and bank in its samples: `complete_samples` writes
-the rest of them. Rows of a table lie one behind the other, so that a row of it is a vector: the plan that a drive
-takes is the rows `s`, `speed` and `time` of the table.
+A scenario without a road has its reference, speed, friction, wind, bank and grade in its samples: `complete_samples`
+writes the rest of them. Rows of a table lie one behind the other, so that a row of it is a vector: the plan that a
+drive takes is the rows `s`, `speed` and `time` of the table.
 """

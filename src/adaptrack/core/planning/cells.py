@@ -10,9 +10,10 @@ import math
 from ..kernel import columns, exported, float64, inlined, int64, vector
 from ..maths.bits import whole
 from ..maths.exact import ceil
+from ..plants.forces import GRAVITY, slope_sine_and_cosine
 from ..road import HALF_LENGTH, POLYNOMIAL_DEGREE, TURN_COEFFICIENTS
 from ..speed_plan import last_at
-from .along import least_between, value_at
+from .station_table import least_between, value_at
 
 PLAN = columns(
     # at the places
@@ -33,6 +34,9 @@ PLAN = columns(
     "margins",  # m^2/s^2, square of the speed up to which the controller's margins hold; inf: any
     "tilt",  # m/s^2, pull of the bank to the left
     "grip",  # m/s^2, what may be used of the friction
+    "grade",  # -, dz/ds, positive uphill
+    "slope",  # m/s^2, deceleration by gravity, g sin(atan(grade))
+    "cosine",  # -, of the slope
 )  # fmt: skip
 """Rows of a plan's table."""
 FINEST = 1e-3
@@ -117,6 +121,9 @@ def write_cells(route, spacing, stops, table):
         table[PLAN.first, k], table[PLAN.last, k] = first, last
         table[PLAN.curvature, k] = first if abs(first) > abs(last) else last
         table[PLAN.bank, k] = value_at(0.5 * (start + there), route.bank)
+        grade = value_at(0.5 * (start + there), route.grade)
+        sine, cosine = slope_sine_and_cosine(grade)
+        table[PLAN.grade, k], table[PLAN.slope, k], table[PLAN.cosine, k] = grade, GRAVITY * sine, cosine
         table[PLAN.friction, k] = least_between(start, there, route.friction)
         table[PLAN.speed_limit, k] = least_between(start, there, route.speed_limit)
         table[PLAN.cornering, k] = table[PLAN.margins, k] = math.inf

@@ -10,7 +10,7 @@ from ..maths.trigonometric import cos, sin
 from ..plants.forces import GRAVITY
 from ..road import Centreline, point_at
 from ..speed_plan import SpeedPlanRecord, motion_at
-from .along import Route, on_lap, value_at
+from .station_table import Route, on_lap, value_at
 
 LOOK_AHEAD = 3.0
 """s, how far ahead the scheduling variables `change` and `acceleration` look."""
@@ -75,7 +75,7 @@ def drive_along_road(drive, samples):
             samples[SIGNAL.friction_front_left + wheel, k] = friction
         samples[SIGNAL.wind_x, k], samples[SIGNAL.wind_y, k] = _value_at(drive.wind_x, k), _value_at(drive.wind_y, k)
         samples[SIGNAL.bank, k], samples[SIGNAL.station, k] = value_at(place, drive.route.bank), station
-        samples[SIGNAL.acceleration, k] = curvature
+        samples[SIGNAL.acceleration, k], samples[SIGNAL.grade, k] = curvature, value_at(place, drive.route.grade)
 
 
 @exported(void(vector))
@@ -122,7 +122,7 @@ def reference_ahead(period, reference, change, acceleration):
 
 @exported(void(float64, matrix))
 def complete_samples(period, samples):
-    """Complete samples of which bank (rad) and, as `acceleration`, the road's curvature (1/m) are given.
+    """Complete samples of which bank (rad), grade and, as `acceleration`, the road's curvature (1/m) are given.
 
     Banks become their pull (m/s^2). Friction and wind are known as they are, the mean of the wheels and to the side.
     Acceleration ahead is that of the reference and, beside it, v^2 |curvature|.

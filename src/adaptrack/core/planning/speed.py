@@ -1,12 +1,15 @@
-"""The speed along a road: the fastest one that curvature, friction, bank, comfort and powertrain allow.
+"""The speed along a road: the fastest one that curvature, friction, bank, grade, comfort and powertrain allow.
 
 With w = v^2 the acceleration along the road is a = w'(s)/2; sideways tyres feel a_y = v^2 kappa - g sin(bank). Bounds:
 
-    |a_y| <= min(comfort, grip),  grip = share mu g cos(bank);   -brake(w, s) <= a <= drive(w, s),
+    |a_y| <= min(comfort, grip),  grip = share mu g cos(theta) cos(bank);   -brake(w, s) <= a <= drive(w, s),
 
-where friction leaves the largest b with b^2 + (a_y/(1 - b h/(g l)))^2 <= grip^2 to brake or accelerate with: the axle
-at the distance l from the centre of mass to the *other* one is unloaded by b h/(g l) of its load, must carry its share
-of a_y all the same, and a car whose rear cannot spins. Without a car h = 0, the friction circle.
+where friction leaves the largest b with b^2 + (a_y/(1 - b h/(g l cos(theta))))^2 <= grip^2 to brake or accelerate with:
+the axle at the distance l from the centre of mass to the *other* one is unloaded by b h/(g l cos(theta)) of its load,
+must carry its share of a_y all the same, and a car whose rear cannot spins. Without a car h = 0, the friction circle.
+On a slope theta = atan(grade), a tyre force b of the mass accelerates by b - g sin(theta): uphill the slope takes from
+what drives and adds to what brakes. Comfort bounds a itself. A bend on a descent leaves the tyres the force that holds
+the speed.
 The curvature may change no faster than v^3 |kappa'| = lateral jerk. Each bound falls as w grows, so the
 fastest profile is found by one pass forward, with what the car can gain, and one backward, with what it can lose
 (E. Velenis and P. Tsiotras, *Minimum-time travel for a vehicle with acceleration limits*, JOTA 138 (2008)).
@@ -24,9 +27,9 @@ from ..plants.forces import GRAVITY
 from ..plants.parameters import unpack
 from ..road import CLOSED
 from ..speed_plan import last_at
-from .along import Route, between
 from .cells import PLAN, write_cells
 from .cornering import BENDS, cornering_at, cornering_limits
+from .station_table import Route, between
 
 SpeedBounds = record(
     "SpeedBounds",
@@ -64,9 +67,11 @@ SPEED_LIMIT = columns(
 )  # fmt: skip
 """What bounds a planned speed."""
 CANNOT_TURN, TOO_STEEP, START_TOO_FAST, END_TOO_FAST, CANNOT_BRAKE, NO_PLACES, NO_BOUNDS = range(1, 8)
+TOO_WEAK, TOO_SLIPPERY = range(8, 10)
 """What `plan_along_road` answers: a plan; a bend too tight for the car; a bank that alone exceeds what is allowed; a
 speed at the start, or at the end, above what is possible there; a start from which no car can brake in time; no road,
-or a spacing that makes no places of it; comfort that is no number above 0."""
+or a spacing that makes no places of it; comfort that is no number above 0; a grade that drive or brakes cannot hold;
+a grade that the tyres cannot hold."""
 
 STRAIGHT_CURVATURE = 1e-9
 """1/m, a curvature that counts as none."""
@@ -105,17 +110,18 @@ def _powertrain(plant):
 
 
 @inlined
-def _slowed(w, car):
+def _slowed(k, w, car, table):
     """Deceleration by air and rolling (m/s^2), without wind."""
-    return car.drag * w / car.mass + car.rolling
+    return car.drag * w / car.mass + car.rolling * table[PLAN.cosine, k]
 
 
 @inlined
-def _left(k, w, lever, table):
+def _left(k, w, level_lever, table):
     """Return the friction left along the road (m/s^2), by Newton's method from above on a convex function, to rounding.
 
-    lever: of the axle that is unloaded, see `Powertrain`.
+    level_lever: of the axle that is unloaded, see `Powertrain`, on a level road.
     """
+    lever = level_lever / table[PLAN.cosine, k]
     sideways, grip = abs(w * table[PLAN.curvature, k] - table[PLAN.tilt, k]), table[PLAN.grip, k]
     if not sideways < grip:
         return 0.0
@@ -135,9 +141,10 @@ def _left(k, w, lever, table):
 @inlined
 def _drives(k, w, car, planning):
     """Return the bounds of the acceleration (m/s^2) between two places at v^2 = w: comfort, grip, power."""
-    slowed = _slowed(w, car)
+    table = planning.table
+    slowed, slope = _slowed(k, w, car, table), table[PLAN.slope, k]
     force = min(car.traction, car.power / sqrt(max(w, 1e-6)))
-    return planning.bounds.accelerate, _left(k, w, car.rear, planning.table) - slowed, force / car.mass - slowed
+    return planning.bounds.accelerate, _left(k, w, car.rear, table) - slowed - slope, force / car.mass - slowed - slope
 
 
 @inlined
@@ -149,8 +156,9 @@ def _brakings(k, w, car, planning):
     steady = math.inf
     if planning.held_at.size > 0:
         steady = max(between(w, last_at(w, planning.held_at), planning.held_at, planning.held[k]), 0.0)
-    brakes = car.brakes / car.mass + _slowed(w, car)
-    return planning.bounds.brake, _left(k, w, car.front, planning.table), brakes, steady
+    table, slope = planning.table, planning.table[PLAN.slope, k]
+    brakes = car.brakes / car.mass + _slowed(k, w, car, table)
+    return planning.bounds.brake, _left(k, w, car.front, table) + slope, brakes + slope, steady + slope
 
 
 @inlined
@@ -192,12 +200,23 @@ def _lower(least, limit, bound, name):
 
 
 @inlined
-def _bound_between(k, planning):
+def _grip_in_bend(k, car, table):
+    """Grip (m/s^2) that a bend may ask for sideways: on a descent, what is left where braking holds the speed."""
+    slope, grip = table[PLAN.slope, k], table[PLAN.grip, k]
+    if slope >= 0.0 or grip <= -slope:
+        return grip
+    steady = (1.0 + car.front / table[PLAN.cosine, k] * slope) * sqrt(grip * grip - slope * slope)
+    return steady if steady > abs(table[PLAN.tilt, k]) else grip
+
+
+@inlined
+def _bound_between(k, car, planning):
     """The largest v^2 between two places, whatever comes before and after, and what bounds it."""
     table, bounds = planning.table, planning.bounds
     curvature, tilt, limit = table[PLAN.curvature, k], table[PLAN.tilt, k], table[PLAN.speed_limit, k]
     least, binding = _square_in_bend(bounds.lateral, curvature, tilt), SPEED_LIMIT.lateral
-    least, binding = _lower(least, binding, _square_in_bend(table[PLAN.grip, k], curvature, tilt), SPEED_LIMIT.grip)
+    grip = _grip_in_bend(k, car, table)
+    least, binding = _lower(least, binding, _square_in_bend(grip, curvature, tilt), SPEED_LIMIT.grip)
     least, binding = _lower(
         least, binding, _square_of_turning(k, bounds.lateral_jerk, table), SPEED_LIMIT.curvature_rate
     )
@@ -219,7 +238,7 @@ def _write_grip(planning):
         bank = table[PLAN.bank, k]
         grip = share * table[PLAN.friction, k] * GRAVITY * cos(bank)
         table[PLAN.tilt, k] = GRAVITY * sin(bank)
-        table[PLAN.grip, k] = min(grip, share * table[PLAN.cornering, k])
+        table[PLAN.grip, k] = min(grip, share * table[PLAN.cornering, k]) * table[PLAN.cosine, k]
     for k in range(places - 1):
         allowed = min(table[PLAN.grip, k], planning.bounds.lateral)
         if not abs(table[PLAN.tilt, k]) < allowed:
@@ -228,7 +247,7 @@ def _write_grip(planning):
 
 
 @inlined
-def _write_ceiling(planning):
+def _write_ceiling(car, planning):
     """Write the largest v^2 at each place, whatever comes before and after, and what bounds it."""
     table = planning.table
     _, places = table.shape
@@ -236,7 +255,7 @@ def _write_ceiling(planning):
     for k in range(places):
         after, limit = math.inf, SPEED_LIMIT.lateral
         if k < places - 1:
-            after, limit = _bound_between(k, planning)
+            after, limit = _bound_between(k, car, planning)
         table[PLAN.ceiling, k] = min(before, after)
         table[PLAN.named, k] = named_before if before <= after else limit
         before, named_before = after, limit
@@ -315,23 +334,46 @@ def _pass(car, planning):
             w[k] = min(w[k], _before_braking(k, w[k + 1], w[k], car, planning))
 
 
+@inlined
+def _check_slopes(car, planning):
+    """`OK`, or why a car comes to rest on a slope where nothing stops it, between which places, and its force.
+
+    The force (m/s^2, over the mass) is that of the drive on a climb, of the brakes on a descent, or of the tyres.
+    """
+    table = planning.table
+    _, places = table.shape
+    for k in range(places):
+        if table[PLAN.square, k] > 0.0 or table[PLAN.ceiling, k] <= 0.0:
+            continue
+        before, after = max(k - 1, 0), min(k, places - 2)
+        if _drive(before, 0.0, car, planning) < 0.0:
+            _, by_grip, by_force = _drives(before, 0.0, car, planning)
+            loss = _slowed(before, 0.0, car, table) + table[PLAN.slope, before]
+            return (TOO_SLIPPERY if by_grip < by_force else TOO_WEAK), before, min(by_grip, by_force) + loss
+        if _brake(after, 0.0, car, planning) < 0.0:
+            _, by_grip, by_force, by_margins = _brakings(after, 0.0, car, planning)
+            force = min(min(by_grip, by_force), by_margins) - table[PLAN.slope, after]
+            return (TOO_SLIPPERY if by_grip < by_force else TOO_WEAK), after, force
+    return OK, 0, 0.0
+
+
 @exported(several(int64, int64, float64)(Planning))
 def fastest_speeds(planning):
     """Write ceilings and the squares of the fastest speeds, of a table that `plan_cells` and the caller have written.
 
     The answer is `OK`, or what is not possible, at which place, and the number that bounds it: m/s^2 allowed
-    sideways, m/s possible at the end or at the start.
+    sideways, m/s possible at the end or at the start, m/s^2 available on a grade.
     """
     table, bounds = planning.table, planning.bounds
     _, places = table.shape
     status, place, allowed = _write_grip(planning)
     if status != OK:
         return status, place, allowed
-    _write_ceiling(planning)
+    last, car = places - 1, _powertrain(planning.car)
+    _write_ceiling(car, planning)
     fits, most = _lower_end(bounds.start, 0, table)
     if not fits:
         return START_TOO_FAST, 0, most
-    last, car = places - 1, _powertrain(planning.car)
     fits, most = _lower_end(bounds.end, last, table)
     if not fits:
         return END_TOO_FAST, last, most
@@ -339,9 +381,12 @@ def fastest_speeds(planning):
         slower = last if table[PLAN.ceiling, last] < table[PLAN.ceiling, 0] else 0
         for row in (PLAN.ceiling, PLAN.named):
             table[row, 0] = table[row, last] = table[row, slower]
-    elif math.isnan(bounds.start) and planning.car.size > 0:
+    elif math.isnan(bounds.start) and (planning.car.size > 0 or table[PLAN.slope, 0] > 0.0):
         table[PLAN.ceiling, 0] = min(table[PLAN.ceiling, 0], _sustained(table[PLAN.ceiling, 0], car, planning))
     _pass(car, planning)
+    status, place, available = _check_slopes(car, planning)
+    if status != OK:
+        return status, place, available
     if table[PLAN.square, 0] < square(bounds.start) * (1.0 - ABOVE):
         return CANNOT_BRAKE, 0, sqrt(table[PLAN.square, 0])
     return OK, 0, 0.0
@@ -385,7 +430,9 @@ def _binds(k, car, planning):
     """Return the bound that limits the acceleration between two places."""
     table, most = planning.table, _four()
     start, there = table[PLAN.square, k], table[PLAN.square, k + 1]
-    if there >= start or _drive(k, start, car, planning) < 0.0:
+    drive = min(_drive(k, start, car, planning), _drive(k, there, car, planning))
+    acceleration = (there - start) / (2.0 * (table[PLAN.s, k + 1] - table[PLAN.s, k]))
+    if acceleration >= 0.0 or acceleration >= drive / ALL_OF_IT:
         names = (SPEED_LIMIT.accelerate, SPEED_LIMIT.grip, SPEED_LIMIT.power, SPEED_LIMIT.power)
         first, other = _drives(k, start, car, planning), _drives(k, there, car, planning)
         for i in range(3):
@@ -400,8 +447,7 @@ def _binds(k, car, planning):
     for i in range(1, 4):
         if most[i] < most[least]:
             least = i
-    used = abs(there - start) / (2.0 * (table[PLAN.s, k + 1] - table[PLAN.s, k]))
-    soft = planning.bounds.jerk < math.inf and used < ALL_OF_IT * most[least]
+    soft = planning.bounds.jerk < math.inf and abs(acceleration) < ALL_OF_IT * most[least]
     return SPEED_LIMIT.jerk if soft else names[least]
 
 

@@ -38,11 +38,13 @@ PLANT_STATE = columns(
 """Rows of a block: the state. What a plant does not use stays zero."""
 PLANT_INPUT = columns(
     "command",  # rad, steering command
-    "force",  # N, longitudinal, demanded at the wheels
+    "force",  # N, longitudinal, at the wheels: of the drive less that of the brakes
     "acceleration",  # m/s^2, prescribed dv_x/dt; NaN: none, the force acts
     "friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right",
     "wind_x", "wind_y",  # m/s
     "bank",  # m/s^2, what the pull of a banked road adds to dv_y/dt, positive to the left
+    "grade",  # -, dz/ds of the road along the car's x axis, positive uphill
+    "brake",  # N, the part of the force that the brakes give, >= 0: it opposes motion and holds the car at rest
 )  # fmt: skip
 """Rows of a block behind those of the state: the input, held over a control period."""
 PlantState, PlantInput = record("PlantState", PLANT_STATE._fields), record("PlantInput", PLANT_INPUT._fields)
@@ -51,7 +53,7 @@ PLANT_STATES, PLANT_INPUTS = len(PLANT_STATE), len(PLANT_INPUT)
 MOTION_STATES = 6
 """Every plant's states begin with X, Y, yaw, v_x, v_y, yaw rate."""
 ENVIRONMENT = 7
-"""Friction of the four wheels, both components of the wind and the bank: the last rows of the input."""
+"""Friction of the four wheels, both components of the wind and the bank: these rows of the input in a row."""
 BLOCK_SIZE = (PLANT_STATES + PLANT_INPUTS) * SLOTS
 """Length of a block."""
 

@@ -8,7 +8,16 @@ from ..kernel import exported, fma, inlined, vector, void
 from ..maths.exact import clip
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
 from .contract import ADVANCE, OBSERVE, CompiledPlant, PlantState
-from .forces import GRAVITY, SLIP_SPEED_FLOOR, resistance, steering_rate, wind_load
+from .forces import (
+    GRAVITY,
+    SLIP_SPEED_FLOOR,
+    brake_direction,
+    holding_reserve,
+    resistance,
+    slope_sine_and_cosine,
+    steering_rate,
+    wind_load,
+)
 from .runge_kutta import advance_all, observe_one, slope_of
 from .tyre import LEAST_LOAD, LINEAR_TYRE, TYRE_NAMES, friction_ellipse, lateral_force
 
@@ -19,9 +28,10 @@ def right_hand_side(x, u, c, law):
 
     Loads: static, plus the transfer by height of the centre of gravity under the accelerations that the
     suspension has passed on (first-order lag `load_transfer_time`, which also opens the algebraic loop
-    force -> acceleration -> load -> force). Slip angles relax over the length sigma:
-    d(alpha')/dt = |v_x|(alpha - alpha')/sigma. Driving and braking forces share the friction ellipse with the
-    lateral ones. A prescribed acceleration moves v_x without longitudinal tyre force.
+    force -> acceleration -> load -> force); the slope of the road counts as an acceleration. Slip angles relax over
+    the length sigma: d(alpha')/dt = |v_x|(alpha - alpha')/sigma. Driving and braking forces share the friction ellipse
+    with the lateral ones. A prescribed acceleration moves v_x without longitudinal tyre force. A car at rest stays so
+    as long as its brakes hold it.
     """
     yaw, vx, vy, r = x.yaw, x.vx, x.vy, x.yaw_rate
     mu_fl, mu_fr = u.friction_front_left, u.friction_front_right
@@ -30,10 +40,11 @@ def right_hand_side(x, u, c, law):
     delta = clip(u.command, -c.steering_limit, c.steering_limit) if ideal else x.steering
 
     # vertical loads
+    sine, cosine = slope_sine_and_cosine(u.grade)
     wheelbase = c.lf + c.lr
     pitch = (0.5 * c.mass * c.cg_height / wheelbase) * x.felt_ax
-    front_static = 0.5 * c.mass * GRAVITY * c.lr / wheelbase - pitch
-    rear_static = 0.5 * c.mass * GRAVITY * c.lf / wheelbase + pitch
+    front_static = 0.5 * c.mass * GRAVITY * c.lr / wheelbase * cosine - pitch
+    rear_static = 0.5 * c.mass * GRAVITY * c.lf / wheelbase * cosine + pitch
     roll = (c.mass * c.cg_height / wheelbase) * x.felt_ay
     roll_front = roll * (c.lr / c.track_front)
     roll_rear = roll * (c.lf / c.track_rear)
@@ -63,10 +74,11 @@ def right_hand_side(x, u, c, law):
     y_rr = lateral_force(b_rr, z_rr, mu_rr, c.stiffness_rear, c, law)
     sd, cd = fast_sine(delta), fast_cosine(delta)
     side, moment, drag = wind_load(yaw, vx, vy, u.wind_x, u.wind_y, c)
-    follows_speed = u.acceleration != u.acceleration
-    demand = u.force if follows_speed else 0.0
-    share = c.drive_front if demand >= 0.0 else c.brake_front
-    front_half, rear_half = 0.5 * share * demand, 0.5 * (1.0 - share) * demand
+    pedals_act = u.acceleration != u.acceleration
+    drive = u.force + u.brake if pedals_act else 0.0
+    brake = u.brake * brake_direction(vx, u, sine, c) if pedals_act else 0.0
+    front_half = 0.5 * (c.drive_front * drive - c.brake_front * brake)
+    rear_half = 0.5 * ((1.0 - c.drive_front) * drive - (1.0 - c.brake_front) * brake)
     x_fl = clip(front_half, -mu_fl * z_fl, mu_fl * z_fl)
     x_fr = clip(front_half, -mu_fr * z_fr, mu_fr * z_fr)
     x_rl = clip(rear_half, -mu_rl * z_rl, mu_rl * z_rl)
@@ -88,21 +100,23 @@ def right_hand_side(x, u, c, law):
         + 0.5 * c.track_rear * (x_rr - x_rl)
         + moment
     ) * (1.0 / c.yaw_inertia)
-    free = (bx_fl + bx_fr + x_rl + x_rr - resistance(vx, drag, c)) * (1.0 / c.mass) + vy * r
-    dvx = free if follows_speed else u.acceleration
+    forces = bx_fl + bx_fr + x_rl + x_rr - resistance(vx, drag, cosine, c)
+    free = forces * (1.0 / c.mass) + vy * r - GRAVITY * sine
+    stands = pedals_act and vx == 0.0 and holding_reserve(u, sine, cosine, c) >= 0.0
+    dvx = (0.0 if stands else free) if pedals_act else u.acceleration
     s, co = fast_sine(yaw), fast_cosine(yaw)
     return PlantState(
         x=vx * co - vy * s,
         y=vx * s + vy * co,
         yaw=r,
         vx=dvx,
-        vy=lateral + u.bank - vx * r,
-        yaw_rate=yawing,
+        vy=0.0 if stands else lateral + u.bank - vx * r,
+        yaw_rate=0.0 if stands else yawing,
         slip_front_left=rate * (a_fl - x.slip_front_left) if relaxed else 0.0,
         slip_front_right=rate * (a_fr - x.slip_front_right) if relaxed else 0.0,
         slip_rear_left=rate * (a_rl - x.slip_rear_left) if relaxed else 0.0,
         slip_rear_right=rate * (a_rr - x.slip_rear_right) if relaxed else 0.0,
-        felt_ax=(dvx - vy * r - x.felt_ax) * (1.0 / c.load_transfer_time),
+        felt_ax=(dvx - vy * r + GRAVITY * sine - x.felt_ax) * (1.0 / c.load_transfer_time),
         felt_ay=(lateral - x.felt_ay) * (1.0 / c.load_transfer_time),
         steering=0.0 if ideal else steering_rate(x.steering, u.command, c),
     )

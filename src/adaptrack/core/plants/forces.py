@@ -1,9 +1,9 @@
-"""What all built-in plants share: wind load, driving resistance, the steering actuator."""
+"""What all built-in plants share: wind load, driving resistance, slope, standstill, the steering actuator."""
 
 from __future__ import annotations
 
 from ..kernel import inlined
-from ..maths.exact import clip
+from ..maths.exact import clip, sqrt
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
 
 GRAVITY = 9.80665
@@ -33,9 +33,50 @@ def wind_load(yaw, vx, vy, wind_x, wind_y, c):
 
 
 @inlined
-def resistance(vx, drag, c):
-    """Drag and rolling resistance (N), against the motion; rolling fades in over the first 0.5 m/s."""
-    return drag + c.rolling_resistance * c.mass * GRAVITY * clip(2.0 * vx, -1.0, 1.0)
+def slope_sine_and_cosine(grade):
+    """Sine and cosine of the slope of a road with a grade dz/ds."""
+    cosine = 1.0 / sqrt(1.0 + grade * grade)
+    return grade * cosine, cosine
+
+
+@inlined
+def resistance(vx, drag, cosine, c):
+    """Drag and rolling resistance (N), against the motion; rolling fades in over the first 0.5 m/s.
+
+    cosine: of the slope.
+    """
+    return drag + c.rolling_resistance * c.mass * GRAVITY * clip(2.0 * vx, -1.0, 1.0) * cosine
+
+
+@inlined
+def holding_reserve(u, sine, cosine, c):
+    """Force (N) by which brakes and rolling resistance exceed what drive and slope exert on a car; below 0 it moves.
+
+    The brakes hold with their force, at most with the friction of all wheels: the stick condition of dry friction.
+    """
+    weight = c.mass * GRAVITY
+    friction = 0.25 * (u.friction_front_left + u.friction_front_right + u.friction_rear_left + u.friction_rear_right)
+    holding_force = min(u.brake, friction * weight * cosine) + c.rolling_resistance * weight * cosine
+    return holding_force - abs(u.force + u.brake - weight * sine)
+
+
+@inlined
+def brake_direction(vx, u, sine, c):
+    """Direction in which a car rolls, 1 forward or -1: the brakes act against it; at rest that of the slope's pull."""
+    forward = vx > 0.0 or (vx == 0.0 and u.force + u.brake >= c.mass * GRAVITY * sine)
+    return 1.0 if forward else -1.0
+
+
+@inlined
+def stops(vx_before, vx_after, h, u, c):
+    """Whether a car comes to rest within a step of h (s) from one speed (m/s) to another under its drive and brakes.
+
+    A step that reverses the motion, or whose reserve of holding force does, ends at rest; a prescribed speed is kept.
+    """
+    sine, cosine = slope_sine_and_cosine(u.grade)
+    reserve = holding_reserve(u, sine, cosine, c)
+    reverses = vx_before * vx_after <= 0.0 or c.mass * abs(vx_before) <= reserve * h
+    return u.acceleration != u.acceleration and reserve >= 0.0 and reverses
 
 
 @inlined

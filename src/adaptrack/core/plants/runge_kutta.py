@@ -7,8 +7,8 @@ of straight arithmetic for each law that is used.
 from __future__ import annotations
 
 from ..kernel import inlined, packer, stepper, unpacker
-from .contract import GROUP, OBSERVED, PLANT_INPUTS, PLANT_STATES, SLOTS, PlantInput, PlantState
-from .forces import wheel_angle
+from .contract import GROUP, OBSERVED, PLANT_INPUTS, PLANT_STATE, PLANT_STATES, SLOTS, PlantInput, PlantState
+from .forces import stops, wheel_angle
 from .parameters import unpack
 
 _along = stepper(PlantState)
@@ -40,7 +40,12 @@ def _sweep(right_hand_side, block, slots, steps, c, law):
     for _ in range(substeps):
         for i in range(slots):
             x, u = _state_of(block, i), _input_of(block, _INPUT + i)
-            _set_state(block, i, _runge_kutta_step(right_hand_side, x, u, h, c, law))
+            after = _runge_kutta_step(right_hand_side, x, u, h, c, law)
+            _set_state(block, i, after)
+            rests = stops(x.vx, after.vx, h, u, c)
+            block[PLANT_STATE.vx * SLOTS + i] = 0.0 if rests else after.vx
+            block[PLANT_STATE.vy * SLOTS + i] = 0.0 if rests else after.vy
+            block[PLANT_STATE.yaw_rate * SLOTS + i] = 0.0 if rests else after.yaw_rate
 
 
 @inlined

@@ -8,7 +8,16 @@ from ..kernel import exported, fma, inlined, vector, void
 from ..maths.exact import clip
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
 from .contract import ADVANCE, OBSERVE, CompiledPlant, PlantState
-from .forces import GRAVITY, SLIP_SPEED_FLOOR, resistance, steering_rate, wind_load
+from .forces import (
+    GRAVITY,
+    SLIP_SPEED_FLOOR,
+    brake_direction,
+    holding_reserve,
+    resistance,
+    slope_sine_and_cosine,
+    steering_rate,
+    wind_load,
+)
 from .runge_kutta import advance_all, observe_one, slope_of
 from .tyre import TYRE_NAMES, lateral_force
 
@@ -18,12 +27,13 @@ def right_hand_side(x, u, c, law):
     """Right-hand side of the single-track vehicle: eqs. (1), (3), (4), (5), with two tyres on each axle.
 
     The tyre is the linear one of eq. (2) or the Magic Formula, at the static load and the axle's mean friction.
-    v_x follows the prescribed acceleration where there is one, else m(dv_x/dt - v_y r) = F_x - drag.
+    v_x follows the prescribed acceleration where there is one, else m(dv_x/dt - v_y r) = F_x - drag - m g sin(slope).
     """
     yaw, vx, vy, r = x.yaw, x.vx, x.vy, x.yaw_rate
     ideal = c.steering_lag <= 0.0
     delta = clip(u.command, -c.steering_limit, c.steering_limit) if ideal else x.steering
-    weight = 0.5 * c.mass * GRAVITY / (c.lf + c.lr)
+    sine, cosine = slope_sine_and_cosine(u.grade)
+    weight = 0.5 * c.mass * GRAVITY / (c.lf + c.lr) * cosine
     speed = max(vx, SLIP_SPEED_FLOOR)
     slip_f = delta - fast_arctangent_of_ratio(fma(c.lf, r, vy), speed)
     slip_r = -fast_arctangent_of_ratio(fma(-c.lr, r, vy), speed)
@@ -34,16 +44,19 @@ def right_hand_side(x, u, c, law):
     side, moment, drag = wind_load(yaw, vx, vy, u.wind_x, u.wind_y, c)
     lateral = (2.0 * front + 2.0 * rear + side) * (1.0 / c.mass)
     yawing = (2.0 * c.lf * front - 2.0 * c.lr * rear + moment) * (1.0 / c.yaw_inertia)
-    free = (u.force - resistance(vx, drag, c)) * (1.0 / c.mass) + vy * r
-    dvx = free if u.acceleration != u.acceleration else u.acceleration
+    pedals_act = u.acceleration != u.acceleration
+    force = u.force + u.brake - u.brake * brake_direction(vx, u, sine, c)
+    free = (force - resistance(vx, drag, cosine, c)) * (1.0 / c.mass) + vy * r - GRAVITY * sine
+    stands = pedals_act and vx == 0.0 and holding_reserve(u, sine, cosine, c) >= 0.0
+    dvx = (0.0 if stands else free) if pedals_act else u.acceleration
     s, co = fast_sine(yaw), fast_cosine(yaw)
     return PlantState(
         x=vx * co - vy * s,
         y=vx * s + vy * co,
         yaw=r,
         vx=dvx,
-        vy=lateral + u.bank - vx * r,
-        yaw_rate=yawing,
+        vy=0.0 if stands else lateral + u.bank - vx * r,
+        yaw_rate=0.0 if stands else yawing,
         slip_front_left=0.0,
         slip_front_right=0.0,
         slip_rear_left=0.0,

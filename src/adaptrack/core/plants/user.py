@@ -30,17 +30,18 @@ call_right_hand_side = Caller(RIGHT_HAND_SIDE)
 """``right_hand_side(x, u, environment, p, dx)`` writes dx/dt.
 
 x: at least (X, Y, yaw, v_x, v_y, yaw rate), then the plant's own states; u: see `U`; environment: friction of the four
-wheels, wind along X and Y (m/s), pull of the bank (m/s^2); p: the plant's own parameters.
+wheels, wind along X and Y (m/s), pull of the bank (m/s^2), and the grade of the road for a plant that takes it; p: the
+plant's own parameters.
 """
 
 U = columns(
     "steering",  # rad, angle of the front wheels
-    "force",  # N, longitudinal, demanded at the wheels; 0 while the speed is prescribed
+    "force",  # N, longitudinal, at the wheels, behind drive and brakes; 0 while the speed is prescribed
     "acceleration",  # m/s^2, prescribed dv_x/dt; NaN: none, the force acts
 )
 """A right-hand side's input."""
-USER_ACTUATOR = columns("lag", "rate", "limit")
-"""A user's parameters are packed behind these three of the steering: s, rad/s, rad."""
+USER_ACTUATOR = columns("lag", "rate", "limit", "grade")
+"""A user's parameters are packed behind three of the steering (s, rad/s, rad) and 1 where the plant takes the grade."""
 USER_PARAMETERS = len(USER_ACTUATOR)
 """Where the plant's own parameters begin."""
 _X, _K1, _K2, _K3, _K4, _GIVEN, _AROUND = range(7)  # the rows of `work`
@@ -53,8 +54,15 @@ def _read_inputs(parameters, block, slot, work):
     work[_GIVEN, U.acceleration] = block[input_at(PLANT_INPUT.acceleration, slot)]
     for j in range(ENVIRONMENT):
         work[_AROUND, j] = block[input_at(PLANT_INPUT.friction_front_left + j, slot)]
+    work[_AROUND, ENVIRONMENT] = block[input_at(PLANT_INPUT.grade, slot)]
     limit = parameters[USER_ACTUATOR.limit]
     return clip(block[input_at(PLANT_INPUT.command, slot)], -limit, limit)
+
+
+@inlined
+def _environment_size(parameters):
+    """Number of entries of the environment that a right-hand side reads: with the grade if the plant takes it."""
+    return ENVIRONMENT + (1 if parameters[USER_ACTUATOR.grade] > 0.0 else 0)
 
 
 @inlined
@@ -62,7 +70,7 @@ def _runge_kutta_step(member, parameters, x0, angle, command, h, work):
     """One step of a vehicle with states x0 (n,), which is advanced; returns the steering angle after it."""
     n, acceleration = x0.size, work[_GIVEN, U.acceleration]
     lag, fastest = parameters[USER_ACTUATOR.lag], parameters[USER_ACTUATOR.rate]
-    x, u, around = work[_X, :n], work[_GIVEN, : len(U)], work[_AROUND, :ENVIRONMENT]
+    x, u, around = work[_X, :n], work[_GIVEN, : len(U)], work[_AROUND, : _environment_size(parameters)]
     k, slope, rise = work[_K1, :n], 0.0, 0.0
     for stage in range(4):
         reach = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
@@ -86,8 +94,12 @@ def advance(member, parameters, block, states, work, slots, substeps, h):
     for i in range(slots):
         command = _read_inputs(parameters, block, i, work)
         angle = block[state_at(PLANT_STATE.steering, i)] if parameters[USER_ACTUATOR.lag] > 0.0 else command
+        braked = block[input_at(PLANT_INPUT.force, i)] < 0.0
         for _ in range(substeps):
+            speed = states[i, PLANT_STATE.vx]
             angle = _runge_kutta_step(member, parameters, states[i], angle, command, h, work)
+            if braked and speed >= 0.0 and states[i, PLANT_STATE.vx] < 0.0:
+                states[i, PLANT_STATE.vx] = 0.0  # brakes do not push a car backwards
         for j in range(MOTION_STATES):
             block[state_at(j, i)] = states[i, j]
         block[state_at(PLANT_STATE.steering, i)] = angle
@@ -109,7 +121,12 @@ def observe(member, parameters, block, states, work, slot, observed):
     for j in range(n):
         x[j] = states[slot, j]
     call_right_hand_side(
-        member, x, work[_GIVEN, : len(U)], work[_AROUND, :ENVIRONMENT], parameters[USER_PARAMETERS:], slope
+        member,
+        x,
+        work[_GIVEN, : len(U)],
+        work[_AROUND, : _environment_size(parameters)],
+        parameters[USER_PARAMETERS:],
+        slope,
     )
     observed[OBSERVED.lateral_acceleration] = (
         slope[PLANT_STATE.vy] + x[PLANT_STATE.vx] * x[PLANT_STATE.yaw_rate] - block[input_at(PLANT_INPUT.bank, slot)]

@@ -41,6 +41,7 @@ CAR_INPUTS = (
     "friction_rear_left", "friction_rear_right",  # -, -: coefficient under the wheel
     "wind_x", "wind_y",  # m/s, m/s: velocity of the air in the world
     "bank",  # m/s^2, what the pull of a banked road adds to dv_y/dt, positive to the left
+    "grade",  # -, dz/ds of the road, positive uphill
 )  # fmt: skip
 CAR_OUTPUTS = (
     "measured_x", "measured_y",  # m, m: measured position in the world, measured_pose_age ago; NaN: missing
@@ -48,7 +49,7 @@ CAR_OUTPUTS = (
     "measured_offset",  # m, measured distance from the road, measured_pose_age ago, positive to the left; NaN: missing
     "measured_heading_error",  # rad, measured_yaw less the road's heading; NaN: missing
     "measured_pose_age",  # s, how old measured position and yaw are
-    "measured_speed",  # m/s, measured speed along the car's axis, now
+    "measured_speed",  # m/s, measured speed along the car's axis, measured_speed_age ago
     "measured_vy",  # m/s, measured lateral velocity, measured_motion_age ago, positive to the left; NaN: missing
     "measured_yaw_rate",  # rad/s, measured yaw rate, measured_motion_age ago, positive to the left; NaN: missing
     "measured_wheel_angle",  # rad, measured angle of the road wheels, measured_motion_age ago; NaN: missing
@@ -64,6 +65,7 @@ CAR_OUTPUTS = (
     "offset",  # m, true distance from the road, positive to the left; without a road y
     "heading_error",  # rad, true yaw angle less the road's heading
     "ended",  # 0, or 2 once the car has spun
+    "measured_speed_age",  # s, how old the measured speed is
 )  # fmt: skip
 CAR_VALUE = columns(*CAR_CONSTANTS, *PARAMETERS, *CAR_INPUTS, *CAR_OUTPUTS)
 """The values of a car."""
@@ -73,13 +75,11 @@ _OUTPUT = _INPUT + len(CAR_INPUTS)
 CarUnit = record(
     "CarUnit",
     (
-        ("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("past", vector),
-        ("loop", RunLoop),
+        ("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("loop", RunLoop),
     ),
 )  # fmt: skip
-"""A unit of co-simulation (see `contract`), its values by `CAR_VALUE`; where the car was at the last instants (m along
-its road), the latest first, as many as late sensors look back; the loop: one slot, one scenario, whose signals are as
-many samples as the driver looks ahead."""
+"""A unit of co-simulation (see `contract`), its values by `CAR_VALUE`; the loop: one slot, one scenario, whose signals
+are as many samples as the driver looks ahead."""
 
 _observed = local(len(OBSERVED))
 
@@ -99,22 +99,7 @@ def _open_window(car):
     signals[0, SIGNAL.station, 0] = values[CAR_VALUE.plan_station] if values[CAR_VALUE.on_plan] > 0.5 else drive.station
     for j in range(ENVIRONMENT):
         signals[0, SIGNAL.friction_front_left + j, 0] = values[CAR_VALUE.friction_front_left + j]
-
-
-@inlined
-def _measured_position(car):
-    """Where the car was along its road (m) at the time of the measured pose."""
-    loop, past = car.loop, car.past
-    drive = loop.memory.own[0]
-    station = drive.station if drive.located > 0 else loop.vehicles.block[state_at(PLANT_STATE.x, 0)]
-    if past.size == 0:
-        return station
-    for i in range(past.size - 1, 0, -1):
-        past[i] = past[i - 1] if drive.instant > 0 else station
-    past[0] = station
-    instants = loop.measured[MEASUREMENT.pose_age] / loop.settings.period
-    first = min(whole(instants), past.size - 2)
-    return past[first] + (instants - first) * (past[first + 1] - past[first])
+    signals[0, SIGNAL.grade, 0] = values[CAR_VALUE.grade]
 
 
 @inlined
@@ -127,7 +112,7 @@ def _sense(car):
         return UNIT_FAILED
     if drive.ended != RUNNING:
         values[CAR_VALUE.ended] = float(drive.ended)
-    offset, error, station = measured[MEASUREMENT.y], measured[MEASUREMENT.yaw], _measured_position(car)
+    offset, error, station = measured[MEASUREMENT.y], measured[MEASUREMENT.yaw], drive.pose_station
     x, y, heading = station, 0.0, 0.0
     if drive.located > 0:
         x, y, heading, _ = point_at(station, line_of(loop.given.roads.of[0], loop.given.roads))
@@ -135,7 +120,7 @@ def _sense(car):
     values[CAR_VALUE.measured_yaw] = heading + error
     values[CAR_VALUE.measured_offset], values[CAR_VALUE.measured_heading_error] = offset, error
     values[CAR_VALUE.measured_pose_age] = measured[MEASUREMENT.pose_age]
-    values[CAR_VALUE.measured_speed] = drive.speed
+    values[CAR_VALUE.measured_speed], values[CAR_VALUE.measured_speed_age] = drive.speed, drive.speed_age
     values[CAR_VALUE.measured_vy] = measured[MEASUREMENT.vy]
     values[CAR_VALUE.measured_yaw_rate] = measured[MEASUREMENT.yaw_rate]
     values[CAR_VALUE.measured_wheel_angle] = measured[MEASUREMENT.wheel_angle]
@@ -190,5 +175,6 @@ def car_step(car):
     _open_window(car)
     after_control(0, command, command - loop.memory.own[0].command, _span(), loop)
     move(1, loop)
-    loop.memory.own[0].sample = 0
+    drive = loop.memory.own[0]
+    drive.sample = drive.place = drive.departed = drive.standing = 0  # the window begins at the car
     return _sense(car)

@@ -328,7 +328,7 @@ const alongOf = (value) =>
   value < Infinity
     ? { s: { shape: [1] }, value: { shape: [1], values: [value] } }
     : { s: { shape: [0] }, value: { shape: [0] } };
-const constantAlong = (value) => mine(memory.make("planning.along.AlongRecord", alongOf(value)));
+const constantAlong = (value) => mine(memory.make("planning.station_table.AlongRecord", alongOf(value)));
 
 const AN_HOUR = 3600, MOST_SAMPLES = 200000;
 const OK = 0;
@@ -342,6 +342,7 @@ function planOf(speed, of, car, world) {
     friction: alongOf(of.friction),
     bank: alongOf(0),
     speed_limit: alongOf(of.speed_limit),
+    grade: alongOf(0),
   };
   const spacing = real(written.comfort.spacing), none = vectorOf([]);
   const places = memory.call("plan_places", line.start, spacing, none, none);

@@ -1,4 +1,4 @@
-"""A quantity along a road (friction, bank, speed limit, width): a table over the arc length."""
+"""A quantity along a road (friction, bank, grade, speed limit, width): a table over the arc length."""
 
 from __future__ import annotations
 
@@ -15,9 +15,14 @@ AlongRecord = record("AlongRecord", (("s", vector), ("value", vector), ("steps",
 before the first and after the last. Without values: infinite everywhere."""
 
 Route = record(
-    "Route", (("line", Centreline), ("friction", AlongRecord), ("bank", AlongRecord), ("speed_limit", AlongRecord))
-)
-"""A road as a plan reads it. bank: rad, positive where gravity pushes to the left; speed_limit: m/s."""
+    "Route",
+    (
+        ("line", Centreline), ("friction", AlongRecord), ("bank", AlongRecord), ("speed_limit", AlongRecord),
+        ("grade", AlongRecord),
+    ),
+)  # fmt: skip
+"""A road as a plan reads it. bank: rad, positive where gravity pushes to the left; speed_limit: m/s; grade: dz/ds,
+positive uphill."""
 
 
 @inlined

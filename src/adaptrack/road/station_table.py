@@ -1,4 +1,4 @@
-"""A quantity along a road (width, speed limit, friction, bank): a table over the arc length."""
+"""A quantity along a road (width, speed limit, friction, bank, grade): a table over the arc length."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic import model_validator
 from adaptrack.base.checked import real, reals
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.base.files import Record
-from adaptrack.core.planning import along as kernel
+from adaptrack.core.planning import station_table as kernel
 from adaptrack.road.segments import Array
 
 
@@ -109,7 +109,7 @@ def as_along(name: str, value: Along | float | tuple[ArrayLike, ArrayLike]) -> A
 
 NO_LIMIT = 1000.0
 """m/s, the speed limit where none is posted."""
-ALONG_QUANTITIES = ("width_left", "width_right", "speed_limit", "friction", "bank")
+ALONG_QUANTITIES = ("width_left", "width_right", "speed_limit", "friction", "bank", "grade")
 """What lies along a road."""
 
 
