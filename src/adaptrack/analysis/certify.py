@@ -21,7 +21,7 @@ from adaptrack.analysis.stability import Margins, hard_turn, margins
 from adaptrack.base.checked import real
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.limits import MAX_SPEED, check_limit
-from adaptrack.base.progress import ProgressCall, tells
+from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Scheduler, Tuning, read_tuning
 from adaptrack.control.scheduling import VARIABLES, Constant, Schedule, SchedulingVariables
@@ -226,7 +226,7 @@ def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
     return {name: value if math.isfinite(value) else None for name, value in values.items()}
 
 
-@tells("certify")
+@reports_progress("certify")
 def certify(
     scheduler: Scheduler | Tuning, plant: Plant, mpc: MPC, profile: str | Profile = "road", *,
     domain: Mapping[str, tuple[float, float]] | None = None, levels: tuple[int, int] = (28, 5),

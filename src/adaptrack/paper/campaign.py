@@ -32,7 +32,7 @@ from adaptrack import __version__
 from adaptrack.base.checked import Count, checked
 from adaptrack.base.errors import AdaptrackError, ContractError, InvalidInput, StorageError
 from adaptrack.base.files import Damaged
-from adaptrack.base.progress import ProgressCall, tells
+from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.core.library import kernels_hash
 from adaptrack.paper.campaign_config import STANDARD_ROW, CampaignConfig, CampaignPlan, Setup
@@ -201,7 +201,7 @@ def _difference(theirs: Mapping[str, Any], ours: Mapping[str, Any], key: str) ->
 
 
 # -- the campaign -----------------------------------------------------------------------------------------------------
-@tells("campaign")
+@reports_progress("campaign")
 @checked
 def run_campaign(
     config: CampaignConfig,

@@ -15,7 +15,7 @@ from adaptrack.analysis.feasibility import Feasibility, feasibility
 from adaptrack.analysis.stability import linear_twin
 from adaptrack.base.checked import checked, whole_number
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.progress import ProgressCall, tells
+from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.base.statistics import Ratio, geometric_mean, ratio
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of
@@ -146,7 +146,7 @@ def _entries(tuning: Tuning) -> dict[str, float]:
     return dict(zip(ENTRIES, tuning.as_array().tolist(), strict=True))
 
 
-@tells("tune")
+@reports_progress("tune")
 @checked
 def tune(
     car: Vehicle | str, profile: str | Profile = "road", *, plant: Plant | SteppedPlant | str | None = None,
