@@ -117,8 +117,8 @@ def test_contenders_are_compared_on_the_cars_and_roads_that_both_drove():
     ("changes", "words"),
     [
         ({"budget": 5}, "give at least 10"),
-        ({"training": ["country:1"]}, "a road of the judgement as well"),
-        ({"training_seeds": [1]}, "a noise seed of the judgement as well"),
+        ({"training": ["country:1"]}, "is a test road as well"),
+        ({"training_seeds": [1]}, "is a noise seed of the test drives as well"),
         ({"contenders": ["informd"]}, "informed"),
         ({"contender": ["informed"]}, "contender"),
         ({"cars": []}, "cars"),

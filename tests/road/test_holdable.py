@@ -111,13 +111,13 @@ def test_a_tuning_keeps_what_it_holds(coarse, tmp_path):
     tuning = ConstantTuning(
         controller="informed", vehicle=CAR.name, profile="road", period=0.05,
         tuning={"Np": 20.0, "Nc": 5.0, "Q": 1.0, "R": 10.0},
-    ).holding(CAR, load_profile("road"))  # fmt: skip
+    ).with_holdable_speed(CAR, load_profile("road"))  # fmt: skip
     tuning.to_toml(tmp_path / "own.toml")
     assert load_tuning(tmp_path / "own.toml").holds == tuning.holds
     assert tuning.holds is not None
     entries = dict.fromkeys(Stanley(CAR).tuning_names, 1.0)
     stanley = ConstantTuning(controller="stanley", vehicle=CAR.name, profile="road", period=0.05, tuning=entries)
-    assert stanley.holding(CAR, load_profile("road")).holds is None
+    assert stanley.with_holdable_speed(CAR, load_profile("road")).holds is None
 
 
 # -- plans ------------------------------------------------------------------------------------------------------------

@@ -285,8 +285,8 @@ class _VectorEnv(VectorEnv):
 class PathTrackingVectorEnv(_VectorEnv):
     """`adaptrack/PathTracking-v0` for many cars at once, compiled. Each car is specified as in `PathTrackingEnv`.
 
-    On a single road, car i has the same run, to the bit, as `PathTrackingEnv` with its seed. With several roads, runs may
-    differ from those of `PathTrackingEnv` for two reasons:
+    On a single road, car i has the same run, to the bit, as `PathTrackingEnv` with its seed. With several roads, runs
+    may differ from those of `PathTrackingEnv` for two reasons:
 
     - The road with the highest speed determines the number of integration steps on all roads.
     - Each road has its own perception errors of friction and wind (`known_as`).

@@ -39,7 +39,7 @@ from adaptrack.paper.campaign_config import STANDARD_ROW, CampaignConfig, Campai
 from adaptrack.paper.cluster import dask_client
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.evaluator import campaign_objective
-from adaptrack.tuning.objective import Objective, Tuned
+from adaptrack.tuning.objective import Objective, PointTuning
 
 Array = NDArray[np.float64]
 StreamNumbers = NDArray[np.int64]
@@ -60,7 +60,7 @@ class TuningTask:
 class TunedPoint(NamedTuple):
     """The best tuning at an operating point, and the cost of the library there."""
 
-    best: Tuned
+    best: PointTuning
     standard_cost: float
     """m^2, of the paper's tuning"""
     landscape: Array
@@ -99,7 +99,7 @@ def tune_point(task: TuningTask, stream: int, point: Array) -> TunedPoint:
     is_standard = (library == np.array(STANDARD_ROW)).all(axis=1)
     tunings = library if is_standard.any() else np.vstack([library, STANDARD_ROW])
     best = objective.tune(point.tolist(), config.swarm, config.seed, stream, config.search.space())
-    costs = objective.landscape(point.tolist(), tunings)
+    costs = objective.costs(point.tolist(), tunings)
     standard = int(np.argmax(is_standard)) if is_standard.any() else -1
     return TunedPoint(best, float(costs[standard]), costs[: len(library)])
 
