@@ -196,7 +196,7 @@ def test_a_run_set_costs_drives_of_different_length_by_their_own_instants():
         run = simulate(PLANT, mpc, scenario, profile="road", seed=3)
         exact = (run.error**2).mean() + runs.weight * (run.command_change**2).mean()
         assert costs[k] == pytest.approx(exact, rel=1e-9)
-    with pytest.raises(InvalidInput, match="equally long"):
+    with pytest.raises(InvalidInput, match="equal length"):
         runs.segments(mpc.tuning, 3, np.arange(2))
 
 

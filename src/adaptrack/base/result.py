@@ -57,7 +57,7 @@ class ResultTable:
 
 
 def select_entries(
-    rows: Sequence[Row], columns: Iterable[str], condition: Callable[[Row], Any]
+    rows: Sequence[Row], columns: Iterable[str], condition: Callable[..., Any]
 ) -> frozenset[tuple[int, str]]:
     """Return (row index, column name) for every row that fulfils a condition and each of some columns.
 

@@ -176,7 +176,7 @@ def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> Com
 # -- cars and roads ---------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class ControllerSetting:
-    """Car, profile and period that a controller is made for."""
+    """Car, plant and profile for which a controller is built."""
 
     car: Vehicle
     plant: Plant | SteppedPlant

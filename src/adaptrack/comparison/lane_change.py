@@ -168,9 +168,9 @@ def track_road(
     """Return a road along which the body of a car passes all gates of a track.
 
     A line through the centres of the lanes would have bends that no car can drive at speed, so the line uses the width
-    of the lanes. The line y(x) minimises max |y''| + 4 m max |y'''| and, with a small weight, the integral of |y''|. Its
-    constraints are the distances of the corners to the lane limits, and of the sides to the cones. For small angles this
-    is a linear programme.
+    of the lanes. The line y(x) minimises max |y''| + 4 m max |y'''| and, with a small weight, the integral of |y''|.
+    Its constraints are the distances of the corners to the lane limits, and of the sides to the cones. For small angles
+    this is a linear programme.
 
     The line is straight until the centre of mass passes the first cones, and in its last 10 m. The road starts
     `APPROACH` before the first cones. It is as wide as the gates, and between them wider by 3.5 m on both sides.

@@ -86,8 +86,8 @@ def tune_on_roads(
     report("speeds at which the tuning is stable", 0, 1)
     file = ConstantTuning(
         controller=controller, belief=default_controller.belief_at_first, vehicle=setting.car.name,
-        profile=setting.profile.name, period=setting.profile.period, roads=tuple(str(drive.name) for drive in drives), noise_seeds=SEARCH_SEEDS,
-        command=command, tuning=search.tuning,
+        profile=setting.profile.name, period=setting.profile.period, roads=tuple(str(drive.name) for drive in drives),
+        noise_seeds=SEARCH_SEEDS, command=command, tuning=search.tuning,
     ).with_holdable_speed(setting.car, setting.profile)  # fmt: skip
     tuned_controller = default_controller.with_tuning(search.tuning)
     contenders = [Contender("default", default_controller), Contender("tuned", tuned_controller)]

@@ -27,7 +27,7 @@ OBSERVATION_BOUNDS = {
     "pose_age": (0.0, 600.0),
 }  # fmt: skip
 """Bounds of the columns of `core.observation.OBSERVATION`, SI units."""
-REFERENCE_BOUNDS, CURVATURE_BOUNDS = (-CLIP_DISTANCE, CLIP_DISTANCE), (-1.0, 1.0)
+PREVIEW_REFERENCE_BOUNDS, PREVIEW_CURVATURE_BOUNDS = (-CLIP_DISTANCE, CLIP_DISTANCE), (-1.0, 1.0)
 """Bounds of a previewed reference (m) and of a previewed curvature (1/m)."""
 VARIABLE_BOUNDS = {
     "speed": (0.0, 100.0), "y_ref": (-1000.0, 1000.0), "friction": (0.0, 2.0), "wind": (-100.0, 100.0),
@@ -63,7 +63,7 @@ def check_distances(distances: Sequence[float]) -> Array:
 def observation_box(distances: Array) -> spaces.Box:
     """Return the observation space of an agent that steers, for its preview distances (m)."""
     count = len(distances)
-    return box([*OBSERVATION_BOUNDS.values(), *[REFERENCE_BOUNDS] * count, *[CURVATURE_BOUNDS] * count])
+    return box([*OBSERVATION_BOUNDS.values(), *[PREVIEW_REFERENCE_BOUNDS] * count, *[PREVIEW_CURVATURE_BOUNDS] * count])
 
 
 def observation_names(distances: Array) -> tuple[str, ...]:

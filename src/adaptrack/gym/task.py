@@ -151,8 +151,8 @@ class Task:
         specified = dict(options or {})
         unknown = set(specified) - set(RESET_OPTIONS)
         if unknown:
-            known = ", ".join(RESET_OPTIONS)
-            raise InvalidInput(f"reset: options: {sorted(unknown)[0]!r} is unknown; known are {known}.")
+            names = ", ".join(RESET_OPTIONS)
+            raise InvalidInput(f"reset: options: {sorted(unknown)[0]!r} is unknown; known are {names}.")
         values = {name: int(rng.integers(limit)) for name, limit in self._upper_limits().items()}
         for name, value in specified.items():
             if name not in values:

@@ -67,7 +67,7 @@ class CarBlock(NamedTuple):
     episodes: Any
     """State of the episodes, a record `core.episode.Episodes`."""
     resident: Any
-    """The same record in the form that kernels take, `core.kernel.Resident`."""
+    """Packed form of `episodes` for kernels, `core.kernel.Resident`."""
 
 
 class _VectorEnv(VectorEnv):

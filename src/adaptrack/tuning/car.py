@@ -37,7 +37,7 @@ _log = logging.getLogger("adaptrack")
 
 FIRST_SEARCH_DRIVE, FIRST_UNSEEN_DRIVE = 13_000_000, 13_500_000
 """Numbers of the first random drives of the search and of the test. No other random drives have these numbers."""
-SEARCH_NOISE, UNSEEN_NOISE = 5_001, 5_002
+SEARCH_NOISE_SEED, UNSEEN_NOISE_SEED = 5_001, 5_002
 """Noise seeds of the search and of the test."""
 HARD_SPEEDS = 0.57
 """Share of the speed range that hard drives leave out: they use the speeds above it."""
@@ -233,8 +233,8 @@ def tune(
     report("unseen drives", 0, 1)
     numbers = range(FIRST_UNSEEN_DRIVE + 1000 * seed, FIRST_UNSEEN_DRIVE + 1000 * seed + effort.judged_drives)
     unseen = bench.drives(numbers, 60.0)
-    costs = {"default": unseen.drive(default, [UNSEEN_NOISE])[:, 0]}
-    costs["sought"] = costs["default"] if best == default else unseen.drive(best, [UNSEEN_NOISE])[:, 0]
+    costs = {"default": unseen.drive(default, [UNSEEN_NOISE_SEED])[:, 0]}
+    costs["sought"] = costs["default"] if best == default else unseen.drive(best, [UNSEEN_NOISE_SEED])[:, 0]
     bounded = {name: np.minimum(drives, unseen.failed_cost) for name, drives in costs.items()}
     gain = ratio(bounded["sought"], bounded["default"])
     failures = {name: int(np.isinf(drives).sum()) for name, drives in costs.items()}
@@ -288,7 +288,7 @@ class _Bench:
         seconds = min(5.0, effort.seconds)
         runs = self.drives(range(FIRST_SEARCH_DRIVE, FIRST_SEARCH_DRIVE + 1), seconds)
         start_time = time.perf_counter()
-        runs.drive(self.mpc.tuning, [SEARCH_NOISE])
+        runs.drive(self.mpc.tuning, [SEARCH_NOISE_SEED])
         per_second = (time.perf_counter() - start_time) / seconds
         tunings = 0 if self.plant.costly else effort.swarm.particles * effort.swarm.generations + 2
         simulated = tunings * (effort.drives + effort.hard_drives) * effort.seconds + 2 * effort.judged_drives * 60.0
@@ -324,7 +324,7 @@ def _search_tuning(
         total = np.zeros(len(tunings))
         for runs in training:
             indices = np.tile(np.arange(len(runs)), len(tunings))
-            values = runs.costs(np.repeat(tunings, len(runs), axis=0), [SEARCH_NOISE], indices)
+            values = runs.costs(np.repeat(tunings, len(runs), axis=0), [SEARCH_NOISE_SEED], indices)
             total += np.log(values).reshape(len(tunings), len(runs)).mean(axis=1)
         return total
 
