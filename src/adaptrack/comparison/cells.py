@@ -101,7 +101,7 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
         When the car, the profile or a road cannot be loaded.
     """
     start_time = time.perf_counter()
-    controller_properties = about_contender(cell.contender)
+    properties = about_contender(cell.contender)
     setting, training, test = _run_sets(task, cell.car, cell.profile)
     result: dict[str, Any] = {
         "rows": [], "tunings": {}, "entry_speed": {}, "not_entered": "", "loops": 0, "left_out": "",
@@ -112,7 +112,7 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     except (InvalidInput, MissingExtra) as error:
         return result | {"left_out": str(error), "seconds": 0.0}
     controllers = {tuning: controller}
-    if training is not None and controller_properties.tunable and is_tunable(controller):
+    if training is not None and properties.tunable and is_tunable(controller):
         swarm = _swarm(task.budget, len(training) * len(task.training_seeds))
         best = search_constant(training, controller, swarm, noise_seeds=task.training_seeds)
         result["loops"] = swarm.evaluations * len(training) * len(task.training_seeds)
@@ -123,7 +123,7 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
         identity = {"contender": name, "tuning": tuning, "car": cell.car, "profile": cell.profile}
         result["rows"] += [identity | row for row in _test_rows(task, test, controller, setting.car.outline)]
         try:
-            result["entry_speed"][label_of(name, tuning)] = _entry_speed(task, cell, controller_properties, controller)
+            result["entry_speed"][label_of(name, tuning)] = _entry_speed(task, cell, properties, controller)
         except InvalidInput as error:
             result["not_entered"] = str(error)
     return result | {"seconds": time.perf_counter() - start_time}
@@ -170,11 +170,9 @@ def _swarm(budget: int, drives_per_tuning: int) -> SwarmSettings:
     return SwarmSettings(particles=particles, generations=max(1, tunings // particles))
 
 
-def _entry_speed(
-    task: ComparisonConfig, cell: Cell, controller_properties: About, controller: Controller
-) -> float | None:
+def _entry_speed(task: ComparisonConfig, cell: Cell, properties: About, controller: Controller) -> float | None:
     """Return the highest clean entry speed into ISO 3888-2 (m/s), 0 if none is clean, None if it is not driven."""
-    test = _obstacle(cell.car, cell.profile) if task.entry_speeds and controller_properties.compiled else None
+    test = _obstacle(cell.car, cell.profile) if task.entry_speeds and properties.compiled else None
     if test is None:
         return None
     speed = entry_speed(test, cell.contender, controller, ENTRY_SPEEDS).scan.speed
