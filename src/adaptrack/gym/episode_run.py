@@ -23,7 +23,7 @@ class EpisodeRun:
     episode
         Car, road, profile and noise seed of the episode.
     controller
-        Controller whose period and perception of the signals are used; it does not compute the commands.
+        Controller of the car, whose settings the simulation needs. The environment calls it and passes on its commands.
     """
 
     def __init__(self, task: Task, episode: Episode, controller: Controller) -> None:
