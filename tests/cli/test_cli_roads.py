@@ -113,7 +113,7 @@ def test_compare_drives_all_on_the_same_roads_and_leaves_out_what_does_not_fit(t
         (["tune", "paper", "--road", "town", "--controller", "nn", "--out", "{out}"], "tunable controllers: as-"),
         (["tune", "paper", "--road", "town", "--runs", "19", "--out", "{out}"], "give at least 20"),
         (["compare", "town", "--controller", "stanly"], "Did you mean 'stanley'"),
-        (["compare", "country:101"], "a road of the judgement as well"),
+        (["compare", "country:101"], "is a test road as well"),
         (["compare", "--config", "standart"], "Did you mean 'standard'"),
         (["compare", "town", "--lane-change", "iso3888-1"], "ROAD has no effect"),
         (["compare", "--lane-change", "iso3888-1", "--budget", "50"], "--budget 0: do not tune"),

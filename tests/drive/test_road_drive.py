@@ -21,7 +21,7 @@ from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario import RoadDrive, load_scenario
 from adaptrack.tuning.constant import tune_constant
 from adaptrack.tuning.pso import SwarmSettings
-from adaptrack.tuning.runs import Retuned, RunSet, road_runs
+from adaptrack.tuning.runs import ControllerTunings, RunSet, road_runs
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR)
@@ -196,7 +196,7 @@ def test_a_run_set_costs_drives_of_different_length_by_their_own_instants():
         run = simulate(PLANT, mpc, scenario, profile="road", seed=3)
         exact = (run.error**2).mean() + runs.weight * (run.command_change**2).mean()
         assert costs[k] == pytest.approx(exact, rel=1e-9)
-    with pytest.raises(InvalidInput, match="equally long"):
+    with pytest.raises(InvalidInput, match="equal length"):
         runs.segments(mpc.tuning, 3, np.arange(2))
 
 
@@ -215,7 +215,7 @@ def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
 def test_a_law_retuned_in_a_batch_costs_what_it_costs_with_that_tuning():
     law = PurePursuit(CAR, period=0.05, preview=True)
     runs = RunSet(PLANT, MPC(CAR, profile="road"), drives_of_two_lengths()[:2], "road")
-    costs = runs.drive(Retuned(law, [[0.6, 4.0], [0.4, 3.0]]), [2])[:, 0]
+    costs = runs.drive(ControllerTunings(law, [[0.6, 4.0], [0.4, 3.0]]), [2])[:, 0]
     retuned = PurePursuit(CAR, lookahead_time=0.4, lookahead_min=3.0, period=0.05, preview=True)
     assert costs[0] == runs.drive(law, [2])[0, 0]
     assert costs[1] == runs.drive(retuned, [2])[1, 0] != runs.drive(law, [2])[1, 0]

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from adaptrack.base.progress import TrackedWork, now_and_then, showing
+from adaptrack.base.progress import TrackedWork, call_until, nested_in_reports
 from adaptrack.base.progress import duration as duration
 from adaptrack.base.result import Column, Result, ResultTable
 from adaptrack.base.text import printable as escaped
@@ -67,11 +67,11 @@ def progress(label: str, total: int = 1) -> Iterator[Show]:
     """Show progress on standard error and yield the function that updates it.
 
     A terminal shows a bar, other outputs a line at intervals. Nested progress is not shown. label, total: see
-    `base.progress.TrackedWork`.
+    `base.progress.TrackedWork`.@@OURS@@@@MID@@ Inside another computation that shows its progress nothing is shown.@@END@@
     """
     work = TrackedWork(label, total)
-    with showing(work) as alone:
-        if not alone:
+    with nested_in_reports(work) as is_outermost:
+        if not is_outermost:
             yield work.update
             return
         with _bar(work) if sys.stderr.isatty() else _lines(work) as update:
@@ -86,7 +86,7 @@ def _bar(work: TrackedWork) -> Iterator[Show]:
 
     class Left(ProgressColumn):
         def render(self, task: Task) -> Text:
-            left = work.left()
+            left = work.time_left()
             return Text("" if left is None else f"{duration(left)} left")
 
     columns = (
@@ -108,9 +108,9 @@ def _lines(work: TrackedWork) -> Iterator[Show]:
     over = threading.Event()
 
     def tell() -> None:
-        print(f"adaptrack: {printable(work.line())}", file=sys.stderr, flush=True)
+        print(f"adaptrack: {printable(work.status_line())}", file=sys.stderr, flush=True)
 
-    teller = threading.Thread(target=now_and_then, args=(over, tell), daemon=True)
+    teller = threading.Thread(target=call_until, args=(over, tell), daemon=True)
     teller.start()
     try:
         yield work.update

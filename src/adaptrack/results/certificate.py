@@ -22,7 +22,7 @@ from adaptrack.base.result import (
     ResultTable,
     Row,
     Stroke,
-    where,
+    select_entries,
 )
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.results.answers import certificate_answer
@@ -163,7 +163,7 @@ def _extremes(name: str, margins: Margins) -> dict[str, Any]:
 
 
 def _unstable(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
-    return where(rows, ["unstable", "radius"], lambda row: row["unstable"] > 0)
+    return select_entries(rows, ["unstable", "radius"], lambda row: row["unstable"] > 0)
 
 
 def _worst(certificate: Certificate) -> ResultTable:
@@ -191,7 +191,7 @@ def _worst(certificate: Certificate) -> ResultTable:
         for driving in DRIVING_CASES
         for point in certificate.worst_points(_WORST, sweep, driving)
     ]
-    unstable = where(rows, ["radius"], lambda row: row["radius"] >= 1.0)
+    unstable = select_entries(rows, ["radius"], lambda row: row["radius"] >= 1.0)
     return ResultTable("worst", "Points with the smallest modulus margin", columns, rows, group="part", alert=unstable)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adaptrack.base.result import MUTED, SERIES, Column, Panel, Picture, Result, ResultTable, Row, where
+from adaptrack.base.result import MUTED, SERIES, Column, Panel, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.comparison.config import about_contender
 from adaptrack.comparison.run import Compared
 from adaptrack.comparison.table import Comparison
@@ -161,7 +161,7 @@ def contender_table(profile: str, rows: Sequence[Row]) -> ResultTable:
         for row in rows
     ]
     columns = [column for column in CONTENDER_COLUMNS if any(row[column.name] is not None for row in table_rows)]
-    failed = where(table_rows, ["failures"], lambda row: row["failures"] > 0)
+    failed = select_entries(table_rows, ["failures"], lambda row: row["failures"] > 0)
     return ResultTable(
         profile,
         f"Controllers in profile {profile}",

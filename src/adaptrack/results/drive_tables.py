@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.result import Column, ResultTable, Row, where
+from adaptrack.base.result import Column, ResultTable, Row, select_entries
 from adaptrack.drive.metrics import Metrics, published_mse
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.record import DriveRecord
@@ -133,11 +133,11 @@ def scenario_tables(name: str, runs: Sequence[Shown]) -> list[ResultTable]:
     """Return tables of tracking, effort, solver and learning state of the runs of one scenario or road."""
     entries = _entries(runs)
     rows = [row | {f"tuning {key}": row["tuning"].get(key) for key in entries} for row in run_rows(runs)]
-    bold = where(rows, ["mse", "rms_error"], lambda row: row["best"])
-    failed = where(rows, ["outcome"], lambda row: row["failed"])
+    bold = select_entries(rows, ["mse", "rms_error"], lambda row: row["best"])
+    failed = select_entries(rows, ["outcome"], lambda row: row["failed"])
     tracking = [_CONTROLLER, *_with_values(TRACKING_COLUMNS, rows)]
     tracking += [Column(f"tuning {key}", key, unit, "given") for key, unit in entries.items()]
-    troubles = [where(rows, [key], lambda row, key=key: bool(row[key])) for key in _TROUBLES]
+    troubles = [select_entries(rows, [key], lambda row, key=key: bool(row[key])) for key in _TROUBLES]
     tables = [
         ResultTable(f"{name} tracking", "Tracking", tracking, rows, _BOLD if bold else "", best=bold, alert=failed),
         ResultTable(f"{name} effort", "Heading, effort and comfort", _with_values(EFFORT_COLUMNS, rows), rows),

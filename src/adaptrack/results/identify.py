@@ -20,7 +20,7 @@ from adaptrack.base.result import (
     ResultTable,
     Row,
     Stroke,
-    where,
+    select_entries,
 )
 from adaptrack.identification import Estimate, Identification
 from adaptrack.identification.quantities import degrees_per_g
@@ -143,7 +143,7 @@ def _tables(identification: Identification) -> list[ResultTable]:
         ResultTable("console", title, ESTIMATE_COLUMNS, plain, brief=True),
         ResultTable(
             "quantities", "Quantities with their 90 % intervals", QUANTITY_COLUMNS, rows,
-            best=where(rows, ["value"], lambda row: True),
+            best=select_entries(rows, ["value"], lambda row: True),
         ),
         *_log_tables(identification),
     ]  # fmt: skip

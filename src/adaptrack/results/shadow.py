@@ -17,8 +17,8 @@ from adaptrack.base.result import (
     Picture,
     Result,
     ResultTable,
+    select_entries,
     strokes,
-    where,
 )
 from adaptrack.control.controllers.learned import WITHIN
 from adaptrack.drive.prediction import TIMES
@@ -168,7 +168,7 @@ def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
         for name, prediction in later.items()
     ]  # fmt: skip
     least = [
-        where(rows, [name], lambda row, name=name: row[name] == min(other[name] for other in rows))
+        select_entries(rows, [name], lambda row, name=name: row[name] == min(other[name] for other in rows))
         for name in ("soon", "later", "fastest", *(("y",) if y else ()))
     ]
     learned_rows = [
