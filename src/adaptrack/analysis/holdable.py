@@ -105,7 +105,7 @@ def _slowest_loop(mpc: MPC, profile: Profile) -> tuple[MPC, Profile]:
 
 @lru_cache(maxsize=16)
 def _cached_speeds(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
-    mpc, profile = loop.mpc, loop.@@OURS@@world.without_sample_ages@@MID@@profile.prompt@@END@@
+    mpc, profile = loop.mpc, loop.profile.without_sample_ages
     plant = DualTrack(car)
     lowest = max(MIN_TABLE_SPEED, mpc.speed_floor)
     count = max(

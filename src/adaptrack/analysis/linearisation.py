@@ -277,9 +277,8 @@ def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, del
     """Return the result of `sampled` about a steady motion."""
     if world.oldest > 0.0:
         raise InvalidInput(
-            f"profile {world.name!r}: the linear loop cannot represent its sensor @@OURS@@its "
-            "`without_sample_ages`, which is @@MID@@delays; set pose_age = 0 and "
-            "motion_age = 0. The result is then @@END@@slightly optimistic."
+            f"profile {world.name!r}: the linear loop cannot represent its sensor delays: analyse its "
+            "`without_sample_ages`; the result is then slightly optimistic."
         )
     steering = _steering(plant, world)
     late = world.delay + (steering.dead_time + real("sampled", "delay", delay)) / period

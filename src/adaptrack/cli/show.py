@@ -67,7 +67,7 @@ def progress(label: str, total: int = 1) -> Iterator[Show]:
     """Show progress on standard error and yield the function that updates it.
 
     A terminal shows a bar, other outputs a line at intervals. Nested progress is not shown. label, total: see
-    `base.progress.TrackedWork`.@@OURS@@@@MID@@ Inside another computation that shows its progress nothing is shown.@@END@@
+    `base.progress.TrackedWork`. Inside another computation that shows its progress nothing is shown.
     """
     work = TrackedWork(label, total)
     with nested_in_reports(work) as is_outermost:

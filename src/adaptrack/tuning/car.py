@@ -219,10 +219,8 @@ def tune(
     requested = Domain(**{**car.domain.model_dump(), **limits})
     report("feasible speeds", 0, 1)
     linear = linear_twin(simulated_plant, car, requested)
-    without_delay = profile.prompt
-    feasible = feasibility(
-        linear, mpc, @@OURS@@world.without_sample_ages@@MID@@without_delay@@END@@, speed=requested.speed, friction=requested.friction, turn=None
-    )
+    without_delay = profile.without_sample_ages
+    feasible = feasibility(linear, mpc, without_delay, speed=requested.speed, friction=requested.friction, turn=None)
     if feasible.constant is None:
         raise InvalidInput(f"tune: {feasible.verdict}")
     feasible_tuning, feasible_domain = feasible.constant
@@ -242,7 +240,7 @@ def tune(
     failures = {name: int(np.isinf(drives).sum()) for name, drives in costs.items()}
     tuning = best if gain.high < 1.0 and failures["sought"] <= failures["default"] else default
     certificate = certify(
-        tuning, linear, mpc, @@OURS@@world.without_sample_ages@@MID@@without_delay@@END@@, domain={"speed": domain.speed, "friction": domain.friction},
+        tuning, linear, mpc, without_delay, domain={"speed": domain.speed, "friction": domain.friction},
         levels=effort.levels, progress=report,
     )  # fmt: skip
     controller = MPC(car, profile=profile, uncertainty=uncertainty, estimator=estimator, tuning=tuning)

@@ -106,8 +106,9 @@ class RunSet:
     known_as
         How schedulers perceive friction and wind; None for the true values.
     failure
-        Rule by which a run fails; None for the rule of the domain of the plant's @@OURS@@failed; driver: None where the planned
-    speed is followed exactly@@MID@@car@@END@@.
+        Rule by which a run fails; None for the rule of the domain of the plant's car.
+    driver
+        Driver of the cars on roads; None where the planned speed is followed exactly.
     """
 
     known_as: KnownAs = None
