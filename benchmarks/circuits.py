@@ -9,8 +9,8 @@ FOLDER holds centre lines as CSV files (`load_road`). Each is planned at 4 and a
 around with the informed controller, in `road` and `production`, three noise seeds, two cars. Speeds end at 100 m/s, for
 the roads have no limit and the domain of most cars' files ends at 27 m/s; with `--domain` they end with that.
 `--no-holds` leaves out what the controller can hold (`holdable_speed`). `--made` drives random rows of straights and
-bends instead: on those, with other seeds, the rule of `holdable.borne` was chosen, not on circuits. `--against`
-compares lap times, over the circuits on which the other file has no failure.
+bends instead: on those, with other seeds, the rule of `holdable.min_transient_margin` was chosen, not on circuits.
+`--against` compares lap times, over the circuits on which the other file has no failure.
 """
 
 from __future__ import annotations

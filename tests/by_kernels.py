@@ -28,7 +28,7 @@ def make_order(vehicle, options):
     name, mode = options.get("profile"), options.get("learning", "auto")
     world = load_profile(name or "road")
     method = face.DEFAULT_LEARNING if mode in (None, "auto") else mode
-    loop = world.numbers(world.period)
+    loop = world.controller_world(world.period)
     loop.computation = 0.0 if name is None else loop.computation
     order = face._order(
         vehicle, loop, steering_rows(vehicle, options.get("belief"), world, name is not None),

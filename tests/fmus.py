@@ -103,5 +103,5 @@ class Signals:
         wind_x, wind_y = signals.wind[place]
         return inputs | {
             "speed": signals.speed[k], "speed_ahead": ahead, "wind_x": wind_x, "wind_y": wind_y,
-            "bank": signals.push[place], "grade": signals.grade[place],
+            "bank": signals.bank_acceleration[place], "grade": signals.grade[place],
         }  # fmt: skip

@@ -157,7 +157,7 @@ def test_what_has_no_linear_loop_is_refused():
         sampled(Stepped(), 0.05, 15.0)
     with pytest.raises(InvalidInput, match=r"2 periods before it is given"):
         sampled(PLANT, 0.05, 15.0, profile="paper", delay=-0.1)
-    with pytest.raises(InvalidInput, match="its samples are late"):
+    with pytest.raises(InvalidInput, match="cannot represent its sensor delays"):
         sampled(PLANT, 0.05, 15.0, profile="production")
     feels = MPC(
         CAR, period=0.05, model=PathModel(CAR, 0.05, 0.1), estimator=KalmanFilter(SensorNoise(wheel_angle=0.01))

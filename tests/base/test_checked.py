@@ -120,7 +120,10 @@ def test_numbers_of_every_kind_arrive_as_plain_ones() -> None:
     ("arguments", "sentence"),
     [
         ({"speed": -1}, "drive: speed = -1 m/s: must be a finite number > 0."),
-        ({"speed": 1e9}, "drive: speed = 1000000000.0 m/s: at most 100 m/s (360 km/h; faster tyres need ever finer"),
+        (
+            {"speed": 1e9},
+            "drive: speed = 1000000000.0 m/s: at most 100 m/s (360 km/h; at higher speeds tyre dynamics need",
+        ),
         ({"moves": 0}, "drive: moves = 0: must be a whole number >= 1."),
         ({"moves": 10**9}, "drive: moves = 1000000000: at most 200 control periods (the time of a QP grows"),
         ({"angle": 3.0}, "drive: angle = 3.0 rad: must be a pair; give (low, high)."),

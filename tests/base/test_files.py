@@ -71,19 +71,19 @@ def test_what_is_printed_holds_no_controls_and_survives_utf8(text):
 # -- TOML and JSON ----------------------------------------------------------------------------------------------------
 DEEP = 5_000
 BAD_TOML = [
-    ("mass = 1\nx = " + "[" * DEEP, r"line 2: more than 64 tables in one another"),
-    ("x = " + "{ a = " * DEEP + "1" + " }" * DEEP, "line 1: more than 64 tables"),
-    (".".join(["a"] * DEEP) + " = 1", "a.*: more than 64 tables in one another"),
+    ("mass = 1\nx = " + "[" * DEEP, r"line 2: more than 64 levels of nested tables"),
+    ("x = " + "{ a = " * DEEP + "1" + " }" * DEEP, "line 1: more than 64 levels"),
+    (".".join(["a"] * DEEP) + " = 1", "a.*: more than 64 levels of nested tables"),
     ("# " + "[" * 80 + "\nmass = 1 2", r"line 2, column \d+: not valid TOML"),
     ("mass = 1\n\nx = " + "7" * 5_000, "line 3: a number with too many digits"),
-    ('name = "a\\u0000b"', r"name = 'a\\x00b': holds a NUL or half a character"),
+    ('name = "a\\u0000b"', r"name = 'a\\x00b': contains a NUL or an unpaired surrogate"),
 ]
 BAD_JSON = [
-    ('{"mass": 1,\n"x": ' + "[" * DEEP, "line 2: more than 64 tables in one another"),
-    ('{"box": [1, {"name": "\\ud800"}]}', r"box\[1\]\.name = '\\ud800': holds a NUL or half a character"),
+    ('{"mass": 1,\n"x": ' + "[" * DEEP, "line 2: more than 64 levels of nested tables"),
+    ('{"box": [1, {"name": "\\ud800"}]}', r"box\[1\]\.name = '\\ud800': contains a NUL or an unpaired surrogate"),
     ('{"mass": 1,\n"x" 2}', r"line 2, column 5: not valid JSON: Expecting ':' delimiter"),
-    ("[" * 80 + "]" * 80, "more than 64 tables in one another"),
-    ('{"a": "' + "]" * 5_000 + '",\n"x": ' + "[" * DEEP, "line 2: more than 64 tables in one another"),
+    ("[" * 80 + "]" * 80, "more than 64 levels of nested tables"),
+    ('{"a": "' + "]" * 5_000 + '",\n"x": ' + "[" * DEEP, "line 2: more than 64 levels of nested tables"),
     ('{"mass": 1,\n"x": "' + "[" * 80 + '" 2}', r"line 2, column 89: not valid JSON: Expecting ',' delimiter"),
 ]
 

@@ -9,7 +9,7 @@ import types
 import pytest
 
 from adaptrack.base import progress
-from adaptrack.base.progress import tells
+from adaptrack.base.progress import reports_progress
 
 
 @pytest.fixture(autouse=True)
@@ -18,7 +18,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(progress, "NEXT_PAUSE", 0.02)
 
 
-@tells("search")
+@reports_progress("search")
 def work(seconds, progress=None):
     """What takes so long."""
     progress("swarm", 1, 4)
@@ -34,7 +34,7 @@ def test_work_that_nobody_follows_leaves_log_records_with_its_share(caplog):
 
 
 def test_work_within_work_that_is_on_show_says_nothing_of_its_own(caplog):
-    @tells("chain")
+    @reports_progress("chain")
     def chain(progress=None):
         progress("search", 0, 1)
         work(0.2)

@@ -6,7 +6,7 @@ import re
 import numpy as np
 from matplotlib.figure import Figure
 
-from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, strokes, where
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, select_entries, strokes
 from adaptrack.results import draw
 from adaptrack.results.console import print_result
 from adaptrack.results.json import to_json
@@ -36,7 +36,13 @@ def panel():
 
 def result(**fields):
     table = ResultTable(
-        "runs", "All runs", COLUMNS, ROWS, group="test", best=where(ROWS, ["rms"], lambda row: row["rms"]), brief=True
+        "runs",
+        "All runs",
+        COLUMNS,
+        ROWS,
+        group="test",
+        best=select_entries(ROWS, ["rms"], lambda row: row["rms"]),
+        brief=True,
     )
     picture = Picture("line", "A line.", [panel()])
     return Result(

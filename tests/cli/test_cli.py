@@ -70,13 +70,13 @@ def places(tmp_path):
         ("paper evaluate --scheduler road-n", ["no scheduler is named 'road-n'", "Did you mean"]),
         ("paper evaluate --scheduler {damaged}", ["damaged.json", "checksum"]),
         ("paper evaluate --scheduler {vans}", ["'vans'", "car 'van', not 'paper'", "adaptrack paper adapt"]),
-        ("paper evaluate --scheduler {mine} --scheduler {mine}", ["has this name already", "rename"]),
+        ("paper evaluate --scheduler {mine} --scheduler {mine}", ["with this name exists already", "rename"]),
         ("paper evaluate --operating-points 0", ["--operating-points = 0", "at least 1"]),
         ("paper evaluate --drives many", ["--drives", "integer"]),
         ("paper evaluate --seed 1000000000000000000000000000000", ["--seed", "at most 10,000"]),
         ("paper evaluate --known-as nosy", ["'nosy'", "noisy", "withheld"]),
         ("certify --controller informd", ["'informd'", "Did you mean 'informed'"]),
-        ("certify {mine} --feasible", ["--feasible", "leave out the scheduler"]),
+        ("certify {mine} --feasible", ["--feasible", "leave out the schedule"]),
         ("certify --feasible --out {out}", ["--feasible", "--out"]),
         ("certify --feasible --speed 9 5", ["speed = (9.0, 5.0)", "low <= high"]),
         ("certify {mine} --profile raod", ["raod"]),
@@ -133,7 +133,7 @@ def test_a_folder_for_a_result_is_made_and_a_folder_in_its_place_is_refused(tmp_
     options.make_place(tmp_path / "new" / "folder" / "page.html")
     assert (tmp_path / "new" / "folder").is_dir()
     assert not list((tmp_path / "new" / "folder").iterdir())
-    with pytest.raises(StorageError, match="folder: cannot be written to: is a folder; name a file"):
+    with pytest.raises(StorageError, match="folder: cannot be written: it is a folder; give a file name"):
         options.make_place(tmp_path / "new" / "folder")
 
 

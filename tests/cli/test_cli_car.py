@@ -79,13 +79,13 @@ def test_a_table_of_axle_forces_is_fitted_at_the_loads_of_the_car(run_command, t
     [
         ([], "name a car, or give --mass and --wheelbase, or --tir"),
         (["vann"], "no vehicle is named 'vann'. Did you mean 'van'?"),
-        (["--mass", 1500], "--wheelbase lacks"),
+        (["--mass", 1500], "--wheelbase is missing"),
         (["--lf", 1.1], "needs --mass and --wheelbase"),
-        (["van", "--mass", 1500], "van: is a car already"),
+        (["van", "--mass", 1500], "van is an existing car"),
         (["van", "--out", "car.json"], "--out car.json: must end in .toml"),
         (["--mass", 3, "--wheelbase", 0.3], "mass = 3.0 kg: must be a finite number >= 600 and <= 3500"),
         (["van", "--tir", "none.tir"], "none.tir"),
-        (["van", "--tir", "a.tir", "--tyre-table", "b.csv"], "one tyre at a time"),
+        (["van", "--tir", "a.tir", "--tyre-table", "b.csv"], "give only one of them"),
         (["--tyre-table", "b.csv"], "name a car"),
     ],
 )

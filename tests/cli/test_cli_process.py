@@ -66,7 +66,7 @@ def press_ctrl_c(*arguments, **options):
     [
         ("drive step", "adaptrack.scenario.load_scenario", "Nothing was written"),
         ("paper reproduce --out {out}", "adaptrack.paper.data_set.load_dataset", "Nothing was written"),
-        ("paper adapt --out {out}", "adaptrack.paper.adaptation.adapt", "{out}: run the command again to go on"),
+        ("paper adapt --out {out}", "adaptrack.paper.adaptation.adapt", "{out}: run the command again to continue"),
         (
             "paper campaign paper-grid --out {out}",
             "adaptrack.paper.campaign.run_campaign",

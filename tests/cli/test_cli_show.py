@@ -148,14 +148,14 @@ def test_a_stage_has_its_own_time_left(monkeypatch):
     state.update("two", 0, 4)
     clock[0] = 110.0
     state.update("two", 1, 4)
-    assert state.left() == pytest.approx(30.0)
+    assert state.time_left() == pytest.approx(30.0)
     clock[0] = 115.0
-    assert state.left() == pytest.approx(25.0)  # it counts down between two reports
+    assert state.time_left() == pytest.approx(25.0)  # it counts down between two reports
     clock[0] = 120.0
     state.update("two, under another name", 2, 4)
-    assert state.left() == pytest.approx(20.0)
+    assert state.time_left() == pytest.approx(20.0)
     clock[0] = 141.0
-    assert state.left() is None  # longer than expected: nobody knows
+    assert state.time_left() is None  # longer than expected: nobody knows
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.2, "1 s"), (89.0, "89 s"), (600.0, "10 min"), (9000.0, "2.5 h")])

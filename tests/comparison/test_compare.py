@@ -108,7 +108,7 @@ def test_contenders_are_compared_on_the_cars_and_roads_that_both_drove():
     assert {row["label"]: row["runs"] for row in standing_rows(comparison)} == {"a, default": 4, "b, default": 2}
     is_selected = (rows["contender"] == "a") == (rows["car"] == "car 0")
     comparison = Comparison.from_columns({name: values[is_selected] for name, values in rows.items()})
-    with pytest.raises(InvalidInput, match="nothing in common"):
+    with pytest.raises(InvalidInput, match="no measured run in common"):
         comparison.ratio("b, default", "a, default")
 
 
@@ -117,8 +117,8 @@ def test_contenders_are_compared_on_the_cars_and_roads_that_both_drove():
     ("changes", "words"),
     [
         ({"budget": 5}, "give at least 10"),
-        ({"training": ["country:1"]}, "a road of the judgement as well"),
-        ({"training_seeds": [1]}, "a noise seed of the judgement as well"),
+        ({"training": ["country:1"]}, "is a test road as well"),
+        ({"training_seeds": [1]}, "is a noise seed of the test drives as well"),
         ({"contenders": ["informd"]}, "informed"),
         ({"contender": ["informed"]}, "contender"),
         ({"cars": []}, "cars"),

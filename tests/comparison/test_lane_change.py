@@ -119,7 +119,7 @@ class TestLaneChange:
             (lambda: iso_3888_1(0), "width = 0"),
             (lambda: scan_speeds(lambda speed: None, [2.0, 1.0]), "must increase"),
             (lambda: clearance(LANE, BOX, *straight(0.0)[:2], [0.0]), "n >= 2"),
-            (lambda: coasting_plan(LANE, ROAD, load_vehicle("van"), 3.0), "stands before the end"),
+            (lambda: coasting_plan(LANE, ROAD, load_vehicle("van"), 3.0), "stops before the end"),
             (lambda: tune_for_track(None, "mine", None, 12.0), "no search"),
         ],
     )

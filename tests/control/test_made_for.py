@@ -91,7 +91,7 @@ def test_simulate_refuses_a_scheduler_that_is_unstable_on_another_car_unless_tha
     assert code == 2
     assert meeting in err
     assert "Failed: the closed loop is unstable at" in err
-    assert "Refused: --allow-failed drives it all the same." in err
+    assert "To drive it anyway, use --allow-failed." in err
     code, _, err = run_command(*drive_shortly("midsize-sedan", "road-best-constant"), "--allow-failed")
     assert code == 0
     assert f"Warning, {meeting}" in err

@@ -23,7 +23,7 @@ def run_of(controller, scenario, profile="road", traced=False, scheduler=None, *
     """A run of one slot before its first instant, and what it drives."""
     batch = Batch(at.DualTrack(CAR), controller, [scenario], profile, **options)
     n = int(batch.periods[0])
-    run = batch.arena(
+    run = batch.run_record(
         1, int(batch.substeps[0]), batch.mpc_settings(np.inf, np.inf, residuals=True), 0, n if traced else 0,
         batch.scheduler,
     )  # fmt: skip

@@ -78,7 +78,7 @@ def test_the_sizes_that_kernels_say_are_those_that_python_lays(name):
     known_as = None if estimator is None else estimator(CAR, period=controller.period)
     batch = Batch(at.DualTrack(CAR), controller, [scenario, scenario], profile, known_as=known_as)
     limits = batch.mpc_settings(np.inf, np.inf, residuals=True)
-    run = batch.arena(3, int(batch.substeps[0]), limits, 4, 50, batch.scheduler)
+    run = batch.run_record(3, int(batch.substeps[0]), limits, 4, 50, batch.scheduler)
     (settings,) = mpc.MPCSettings.new(1, **run.mpc.settings._asdict())
     settings.learns, settings.curved, settings.feeds_forward = 0, 0, 0
     table = np.full((layout.arrays_of(rollout.RunRecord), layout.SIZES), -1)

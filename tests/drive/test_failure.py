@@ -50,4 +50,4 @@ def test_what_the_loop_knew_counts_when_it_came_first():
     late = find_failure(record(Y=[0, 0, 6, 6, 6, 6, 6, 6], failed="spun", failed_at=0.5))
     assert (late.step, late.reason) == (2, Reason.OFF_ROAD)
     failure = find_failure(record(failed="battery empty", failed_at=0.8))
-    assert (failure.step, failure.clause) == (7, "was given up: battery empty")
+    assert (failure.step, failure.clause) == (7, "was stopped by its simulation: battery empty")

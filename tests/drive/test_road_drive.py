@@ -14,14 +14,14 @@ from adaptrack.control.controllers import LQR, MPC, PurePursuit, Stanley
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.drive.batch import rollout_batch
-from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Pose, Road, Stop, generate_road, plan_speed
 from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario import RoadDrive, load_scenario
 from adaptrack.tuning.constant import tune_constant
 from adaptrack.tuning.pso import SwarmSettings
-from adaptrack.tuning.runs import Retuned, RunSet, road_runs
+from adaptrack.tuning.runs import ControllerTunings, RunSet, road_runs
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR)
@@ -60,7 +60,7 @@ def test_a_clothoid_lies_beside_its_tangent_as_a_cubic():
         (lambda: RoadAhead(HAIRPIN, 0.0, []), "speeds"),
         (lambda: RoadDrive("lap", 10.0), "must be a Road"),
         (lambda: RoadDrive(HAIRPIN, 5.0, laps=2), "is open"),
-        (lambda: RoadDrive(HAIRPIN, plan_speed(WINDING)), "another road"),
+        (lambda: RoadDrive(HAIRPIN, plan_speed(WINDING)), "different road"),
         (lambda: RoadDrive(HAIRPIN, 5.0, start_heading=2.0), "right angle"),
     ],
 )
@@ -196,7 +196,7 @@ def test_a_run_set_costs_drives_of_different_length_by_their_own_instants():
         run = simulate(PLANT, mpc, scenario, profile="road", seed=3)
         exact = (run.error**2).mean() + runs.weight * (run.command_change**2).mean()
         assert costs[k] == pytest.approx(exact, rel=1e-9)
-    with pytest.raises(InvalidInput, match="equally long"):
+    with pytest.raises(InvalidInput, match="equal length"):
         runs.segments(mpc.tuning, 3, np.arange(2))
 
 
@@ -215,7 +215,7 @@ def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
 def test_a_law_retuned_in_a_batch_costs_what_it_costs_with_that_tuning():
     law = PurePursuit(CAR, period=0.05, preview=True)
     runs = RunSet(PLANT, MPC(CAR, profile="road"), drives_of_two_lengths()[:2], "road")
-    costs = runs.drive(Retuned(law, [[0.6, 4.0], [0.4, 3.0]]), [2])[:, 0]
+    costs = runs.drive(ControllerTunings(law, [[0.6, 4.0], [0.4, 3.0]]), [2])[:, 0]
     retuned = PurePursuit(CAR, lookahead_time=0.4, lookahead_min=3.0, period=0.05, preview=True)
     assert costs[0] == runs.drive(law, [2])[0, 0]
     assert costs[1] == runs.drive(retuned, [2])[1, 0] != runs.drive(law, [2])[1, 0]

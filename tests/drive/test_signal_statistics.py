@@ -47,5 +47,5 @@ def test_what_is_faster_than_the_filter_is_not_steering():
 
 
 def test_a_cut_off_beyond_half_the_sampling_is_refused():
-    with pytest.raises(InvalidInput, match="below half of the sampling"):
+    with pytest.raises(InvalidInput, match="below half the rate"):
         reversal_rate(T, T, cut_off=20.0)

@@ -136,7 +136,7 @@ def by_python(before, touch, after):
     )
     batch = Batch(at.DualTrack(car), controller, [road_drive], profile)
     settings = batch.mpc_settings(np.inf, np.inf, residuals=True)
-    run = batch.arena(1, int(batch.substeps[0]), settings)
+    run = batch.run_record(1, int(batch.substeps[0]), settings)
     run.given.seeds[:], run.vehicles.start[:], run.tuning[:] = TOUCHED["seed"], batch.starts[0], batch.tuning
     run = run._replace(memory=run.memory._replace(sent=np.zeros((1, 40))))  # room for a longer dead time
     span, states = RunSpan(int(batch.periods[0]), 1, 0, 0.0), []

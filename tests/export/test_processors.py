@@ -128,14 +128,14 @@ def drives(rng):
 def add_drive(image, batch):
     periods, steps = int(batch.periods[0]), int(batch.substeps[0])
     settings = batch.mpc_settings(np.inf, np.inf, residuals=True)
-    arena = batch.arena(1, steps, settings, 0, periods)
-    arena.given.scenario[:], arena.given.seeds[:] = 0, 7
-    arena.vehicles.start[:], arena.tuning[:] = batch.starts[0], batch.tuning
-    place = image.record(arena)
+    run_record = batch.run_record(1, steps, settings, 0, periods)
+    run_record.given.scenario[:], run_record.given.seeds[:] = 0, 7
+    run_record.vehicles.start[:], run_record.tuning[:] = batch.starts[0], batch.tuning
+    place = image.record(run_record)
     span = image.put(np.array([periods, 1, 0, bits(0.0)], np.int64))
     image.do(BEGIN, 1, place)
     image.do(DRIVE, span, place)
-    for part in (arena.result, *arena.trace):
+    for part in (run_record.result, *run_record.trace):
         image.do(TELL, image.put(part), part.nbytes // 8)
 
 

@@ -272,7 +272,7 @@ def test_the_page_shows_measured_and_simulated(answer: at.Identification, tmp_pa
     from adaptrack.results.identify import write_identification_page
 
     text = write_identification_page(answer, tmp_path / "page.html", "adaptrack identify").read_text()
-    for words in ("explained", "simulated", "Believed before", "Speed and steering", "Are they white?"):
+    for words in ("explains", "simulation", "Initial interval", "Speed and steering", "Autocorrelation"):
         assert words in text
 
 

@@ -213,8 +213,8 @@ def test_the_answer_comes_first_and_fits_80_columns(watched, capsys, monkeypatch
     monkeypatch.setenv("COLUMNS", "80")
     print_result(shadow_result(Shadow(CAR, 0.05, (watched,)), next_step="Next, ..."))
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("The belief (delay 0.1")
-    assert lines[1] == "Yaw rate 1 s ahead: the learned model predicts it best."
+    assert lines[0].startswith("Learned delay 0.1")
+    assert lines[1] == "Best prediction of the yaw rate 1 s ahead: learned model."
     assert lines[-1] == "Next, ..."
     assert max(map(len, lines[:20])) <= 80
 
@@ -224,7 +224,7 @@ def test_the_command_writes_a_page_and_json(saved, tmp_path):
     result = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "page")])
     assert result.exit_code == 0
     assert json.loads(result.stdout)["logs"][0]["verdict"] == "believable"
-    assert "In the shadow of a driver" in (tmp_path / "page" / "index.html").read_text()
+    assert "Learning from logs of a driver" in (tmp_path / "page" / "index.html").read_text()
 
 
 def test_a_signal_that_cannot_be_left_out_is_refused(drive):

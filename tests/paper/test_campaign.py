@@ -130,7 +130,7 @@ def test_a_file_needs_little_and_takes_its_name_from_itself(toml):
             },
             r"speed = \[30, 3\] is empty",
         ),
-        ({"search": "{ Nc = [10, 18], Np = [5, 55] }"}, "Nc from 10 and Np from 5: Nc <= Np cannot hold"),
+        ({"search": "{ Nc = [10, 18], Np = [5, 55] }"}, "Nc from 10 and Np from 5: the lower bounds violate Nc <= Np"),
         ({"search": "{ Np = [20, 10] }"}, r"Np = \[20, 10\] is empty"),
         ({"search": "{ Q = [0.0, 10.0] }"}, r"Q = \[0, 10\]: must be > 0"),
         ({"search": "{ Np = [1, 1000] }"}, "must not exceed 500"),

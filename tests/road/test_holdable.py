@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptrack.analysis import holdable
-from adaptrack.analysis.holdable import borne, holdable_speed, top_speed
+from adaptrack.analysis.holdable import holdable_speed, min_transient_margin, top_speed
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import load_vehicle
@@ -35,7 +35,7 @@ def coarse():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(holdable, "TABLE_SPEED_RATIO", 1.9)
         patch.setattr(holdable, "TABLE_FRICTIONS", (0.5, 1.0))
-        patch.setattr(holdable, "SIDEWAYS", (0.0, 0.5))
+        patch.setattr(holdable, "LATERAL_SHARES", (0.0, 0.5))
         holdable._cached_speeds.cache_clear()
         yield lambda mpc, profile: holdable_speed(CAR, mpc, profile)
     holdable._cached_speeds.cache_clear()
@@ -95,10 +95,10 @@ def test_a_learning_controller_holds_what_it_would_at_the_slow_end_of_its_prior(
 
 
 def test_an_instability_is_borne_while_deviations_grow_by_no_more_than_the_room_that_is_left():
-    assert borne(1.0, 3.0, 0.05) == borne(0.5, 3.0, 0.05) == 0.0
-    radius = 1.0 - borne(9.0, 3.0, 0.05) / 10.0
+    assert min_transient_margin(1.0, 3.0, 0.05) == min_transient_margin(0.5, 3.0, 0.05) == 0.0
+    radius = 1.0 - min_transient_margin(9.0, 3.0, 0.05) / 10.0
     assert radius ** (3.0 / 0.05) == pytest.approx(9.0, rel=1e-9)
-    assert borne(9.0, 6.0, 0.05) > borne(9.0, 3.0, 0.05)  # it lasts longer
+    assert min_transient_margin(9.0, 6.0, 0.05) > min_transient_margin(9.0, 3.0, 0.05)  # it lasts longer
 
 
 def test_a_bend_leaves_the_reserve_of_what_the_car_corners_with():
@@ -111,13 +111,13 @@ def test_a_tuning_keeps_what_it_holds(coarse, tmp_path):
     tuning = ConstantTuning(
         controller="informed", vehicle=CAR.name, profile="road", period=0.05,
         tuning={"Np": 20.0, "Nc": 5.0, "Q": 1.0, "R": 10.0},
-    ).holding(CAR, load_profile("road"))  # fmt: skip
+    ).with_holdable_speed(CAR, load_profile("road"))  # fmt: skip
     tuning.to_toml(tmp_path / "own.toml")
     assert load_tuning(tmp_path / "own.toml").holds == tuning.holds
     assert tuning.holds is not None
     entries = dict.fromkeys(Stanley(CAR).tuning_names, 1.0)
     stanley = ConstantTuning(controller="stanley", vehicle=CAR.name, profile="road", period=0.05, tuning=entries)
-    assert stanley.holding(CAR, load_profile("road")).holds is None
+    assert stanley.with_holdable_speed(CAR, load_profile("road")).holds is None
 
 
 # -- plans ------------------------------------------------------------------------------------------------------------

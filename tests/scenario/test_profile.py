@@ -38,8 +38,8 @@ def test_the_profile_of_a_bus_is_production_with_all_samples_late():
     late = {"station_age": 0.1, "motion_age": 0.1, "motion_age_spread": 0.02, "speed_age": 0.1}
     assert PRODUCTION.replace(name=BUS.name, description=BUS.description, **late) == BUS
     assert BUS.oldest == 0.1 + 0.02
-    assert BUS.prompt == PRODUCTION.prompt.replace(name=BUS.name, description=BUS.description)
-    assert BUS.prompt.oldest == 0.0
+    assert BUS.without_sample_ages == PRODUCTION.without_sample_ages.replace(name=BUS.name, description=BUS.description)
+    assert BUS.without_sample_ages.oldest == 0.0
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_the_profile_of_a_bus_is_production_with_all_samples_late():
         (lambda: load_profile("papper"), UnknownName, r"no profile is named 'papper'. Did you mean 'paper'\?"),
         (lambda: load_profile(3), InvalidInput, "not by 3"),
         (lambda: load_profile("absent.toml"), StorageError, "cannot be read"),
-        (lambda: Profile(name="own", delay=0.5), InvalidInput, "or 1 .* what the steering adds is its dead"),
+        (lambda: Profile(name="own", delay=0.5), InvalidInput, "or 1 .* give the delay of the steering as dead"),
         *(
             (lambda field=field, value=value: Profile(name="own", **{field: value}), InvalidInput, field)
             for field in (

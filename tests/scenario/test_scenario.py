@@ -166,14 +166,14 @@ def test_the_general_trajectory_is_as_steep_as_the_original_and_smooth() -> None
 
 
 def test_every_name_loads_and_is_described_also_without_docstrings(monkeypatch: pytest.MonkeyPatch) -> None:
-    from adaptrack.scenario import drives, library
+    from adaptrack.scenario import library, random_drives
 
     listed = list_scenarios()
     assert list(listed) == NAMES
     for make in (library.step, library.lane_change, library.double_lane_change, library.sine, library.random_drive):
         assert listed[make.__name__.replace("_", "-")] == str(make.__doc__).partition("\n")[0]
         monkeypatch.setattr(make, "__doc__", None)  # as ``python -OO`` leaves it
-    monkeypatch.setattr(drives.random_drive, "__doc__", None)
+    monkeypatch.setattr(random_drives.random_drive, "__doc__", None)
     assert list_scenarios() == listed
     for name, description in listed.items():
         assert (load_scenario(name).name, load_scenario(name).description) == (name, description)
@@ -482,9 +482,9 @@ def test_a_bad_file_is_refused_with_its_place_and_remedy(
         ("sine", {"freqency": 1.0}, UnknownName, "'sine' has no option 'freqency'. Did you mean 'frequency'"),
         ("triple-lane-change", {"windgain": 1.0}, UnknownName, "Did you mean 'wind_gain'"),
         ("triple-lane-change", {"window": "ful"}, InvalidInput, "no window 'ful'. Did you mean 'full'"),
-        ("triple-lane-change", {"window": "full", "duration": 3.0}, InvalidInput, "either a window or a duration"),
+        ("triple-lane-change", {"window": "full", "duration": 3.0}, InvalidInput, "window and duration are both given"),
         ("triple-lane-change", {"window": 28.0}, InvalidInput, "window"),
-        ("double-lane-change", {"speed": 0.0}, InvalidInput, "lengths become times"),
+        ("double-lane-change", {"speed": 0.0}, InvalidInput, "one constant speed"),
         ("double-lane-change", {"speed": {"shape": "constant", "value": 3.0}}, InvalidInput, "speed"),
         ("lane-change", {"amplitude": "3"}, InvalidInput, "amplitude"),
         ("lane-change", {"amplitude": math.nan}, InvalidInput, "amplitude"),

@@ -354,7 +354,7 @@ def decades(low=1.0, integers=()):
         (TUNING.replace, {"low": (1.0, 1.0, 0.1)}, "low has 3 values for 4 names"),
         (TUNING.replace, {"high": (55.0, 18.0, 0.05, 0.1)}, "Q: low = 0.1 > high = 0.05: the space is empty"),
         (TUNING.replace, {"names": ("Np", "Np", "Q", "R")}, "each dimension needs a name of its own"),
-        (TUNING.replace, {"high": (55.5, 18.0, 10.0, 0.1)}, "Np: low = 1 and high = 55.5 must be whole numbers"),
+        (TUNING.replace, {"high": (55.5, 18.0, 10.0, 0.1)}, "Np: low = 1 and high = 55.5 must be whole"),
         (TUNING.replace, {"high": (55.0, 18.0, math.inf, 0.1)}, "high"),
         (TUNING.replace, {"low": (1.0, 5.0, 0.1, 0.001)}, "Nc <= Np cannot hold where Np < 5: raise the lower bound"),
         (TUNING.replace, {"low": (-3.0, -3.0, 0.1, 0.001)}, "not negative"),
@@ -393,9 +393,9 @@ def test_costs_that_are_not_one_number_per_particle_are_refused_and_change_nothi
 
 def test_the_state_of_another_swarm_is_refused():
     state = Swarm(TUNING).state
-    with pytest.raises(InvalidInput, match="saved under other settings"):
+    with pytest.raises(InvalidInput, match="saved with different settings"):
         Swarm.from_state(TUNING, SwarmSettings(lambda1=4.2), state)
-    with pytest.raises(InvalidInput, match="saved under other space"):
+    with pytest.raises(InvalidInput, match="saved with different space"):
         Swarm.from_state(TUNING.replace(high=(50.0, 18.0, 10.0, 0.1)), None, state)
     with pytest.raises(InvalidInput, match="shape"):
         Swarm.from_state(TUNING, SwarmSettings(particles=10), state)

@@ -10,7 +10,7 @@ import pytest
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput, UnknownName
 from adaptrack.control.controllers import MPC
-from adaptrack.tuning.car import FIRST_JUDGED, FIRST_SOUGHT, TuningEffort, tune
+from adaptrack.tuning.car import FIRST_SEARCH_DRIVE, FIRST_UNSEEN_DRIVE, TuningEffort, tune
 from adaptrack.tuning.pso import SwarmSettings
 
 SWARM = SwarmSettings(particles=6, generations=3)
@@ -94,5 +94,5 @@ def test_nonsense_is_refused(call, error, words):
 
 def test_a_search_drives_what_no_judgement_does():
     for seed in range(3):
-        sought = range(FIRST_SOUGHT + 1000 * seed, FIRST_SOUGHT + 1000 * (seed + 1))
-        assert sought.stop <= FIRST_JUDGED
+        sought = range(FIRST_SEARCH_DRIVE + 1000 * seed, FIRST_SEARCH_DRIVE + 1000 * (seed + 1))
+        assert sought.stop <= FIRST_UNSEEN_DRIVE

@@ -1,1 +1,1 @@
-"""Linearised loops, margins, certificates, and what a car can follow at all."""
+"""Linear closed loops, their stability margins and certificates, and the feasible speeds of a car."""

@@ -1,8 +1,11 @@
-"""Is the closed loop stable with every tuning that a scheduler can ask for, and with which stability margins?
+"""Certificates: stability and margins of the linear closed loop with all tunings of a scheduler.
 
-At each point of a grid over the operating domain the linear closed loop with the scheduler's tuning is analysed about
-driving straight, which decides, and about a turn as hard as driving gets (`stability.hard_turn`), which is reported;
-and, on request, driving straight with a car that differs from the one that the controller believes in (`Mismatch`).
+The operating domain is a set of ranges of speed, friction and further scheduling variables. At each point of a grid in
+this domain, the closed loop with the scheduler's tuning is linearised
+
+- about straight driving, which determines the verdict;
+- about a hard turn (`stability.hard_turn`), which is reported only;
+- optionally about straight driving with a car that differs from the controller's model (`Mismatch`).
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from adaptrack.analysis.stability import Margins, hard_turn, margins
 from adaptrack.base.checked import real
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.limits import MAX_SPEED, check_limit
-from adaptrack.base.progress import ProgressCall, tells
+from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Scheduler, Tuning, read_tuning
 from adaptrack.control.scheduling import VARIABLES, Constant, Schedule, SchedulingVariables
@@ -30,61 +33,65 @@ from adaptrack.scenario.profile import Profile, load_profile
 Array = NDArray[np.float64]
 
 OPERATING = {name: (variable.low, variable.high) for name, variable in VARIABLES.items()}
-"""The operating domain, by scheduling variable; a scheduler is certified where this and its own domain overlap."""
+"""Range of each scheduling variable. A scheduler is certified where these ranges and its own domain overlap."""
 Driving = Literal["straight", "turn"]
 DRIVING_CASES: tuple[Driving, ...] = ("straight", "turn")
-"""Ways of driving about which the loop is linearised, in the order of tables and maps."""
-_CELL = 64  # combinations, at most, of the inputs beside speed and friction, for each pair of those
+"""Steady motions about which the loop is linearised, in the order of tables and maps."""
+_MAX_COMBINATIONS = 64  # of the inputs other than speed and friction, at each speed and friction
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """The loops with the tunings at all n points of a domain."""
+    """Tunings and margins of the loops at all n points of a domain."""
 
     tunings: Array
-    """(n, 4) Np, Nc, Q, R as the MPC uses them"""
+    """Np, Nc, Q and R as the MPC uses them, (n, 4)."""
     straight: Margins
-    """driving straight, which the verdict is about"""
+    """Margins in straight driving, which determine the verdict."""
     turn: Margins
-    """in a hard turn"""
+    """Margins in the hard turn."""
 
     @property
     def unstable(self) -> NDArray[np.bool_]:
-        """(n,) whether the loop is unstable, driving straight."""
+        """Whether the loop is unstable in straight driving, (n,)."""
         return np.asarray(self.straight.radius >= 1.0)
 
     @property
     def unstable_in_turn(self) -> NDArray[np.bool_]:
-        """(n,) whether it is unstable in the hard turn: no verdict, but a warning."""
+        """Whether the loop is unstable in the hard turn, (n,); this does not change the verdict."""
         return np.asarray(self.turn.radius >= 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """Stability and margins of a scheduler's loop at n operating points of speed, friction and further inputs."""
+    """Stability and margins of a scheduler's loop at n points of the operating domain.
+
+    The guard of a scheduler is a safety layer that replaces tunings with small stability margins.
+    """
 
     scheduler: str
     plant: str
     tyre: str
     profile: str
     model: str
-    """of the prediction"""
+    """Name of the prediction model."""
     estimator: str
     speeds: Array
     """Speeds of the grid (m/s), shape (v,)."""
     frictions: Array
+    """Friction coefficients of the grid."""
     points: Array
-    """(n, entries of `SchedulingVariables`)"""
+    """Operating points, (n, entries of `SchedulingVariables`)."""
     bare: Sweep
-    """of the scheduler without its guard"""
+    """Sweep of the scheduler without its guard."""
     guarded: Sweep | None
-    """of the scheduler with its guard, as at the first step of a run; None when it has none"""
+    """Sweep of the scheduler with its guard, in the state at the start of a run; None without a guard."""
     mismatched: Mapping[str, Margins] = field(default_factory=dict)
-    """of what drives, driving straight, when the car differs from what the controller believes, by `Mismatch.name`"""
+    """Margins of `counted` in straight driving if the car differs from the controller's model, by `Mismatch.name`."""
     period: float = math.nan
-    """s, of the controller"""
+    """Control period (s)."""
     belief: str = ""
-    """Steering model of the controller and its source; empty where a model or an estimator was passed."""
+    """Steering parameters that the controller assumes, and their source; empty with a user's model or estimator."""
 
     @property
     def counted(self) -> Sweep:
@@ -93,18 +100,18 @@ class Certificate:
 
     @property
     def passed(self) -> bool:
-        """Whether every loop that can drive is stable, driving straight."""
+        """Whether all loops of `counted` are stable in straight driving."""
         return not self.counted.unstable.any()
 
     @property
     def verdict(self) -> str:
-        """The verdict in one sentence, the count of the hard turn included."""
+        """The verdict in words, with the number of points that are unstable in the hard turn."""
         n, n_unstable = len(self.points), int(self.counted.unstable.sum())
         turn = int(self.counted.unstable_in_turn.sum())
         straight = f"stable at all {n:,}" if self.passed else f"unstable at {n_unstable:,} of {n:,}"
         return (
             f"{'Passed' if self.passed else 'Failed'}: the closed loop is {straight} points of the operating domain "
-            f"driving straight, and unstable at {turn:,} of them in a hard turn, which does not decide "
+            f"driving straight, and unstable at {turn:,} of them in a hard turn, which does not change the verdict "
             f"({self.plant}, {self.tyre} tyres, {self.profile} profile; model {self.model}, estimator "
             f"{self.estimator}).{self._mismatches_in_words()}"
         )
@@ -125,26 +132,37 @@ class Certificate:
 
     @property
     def fallback(self) -> NDArray[np.bool_]:
-        """(n,) whether the guard changes the scheduler's tuning."""
+        """Whether the guard changes the scheduler's tuning, (n,)."""
         return np.any(self.counted.tunings != self.bare.tunings, axis=1)
 
     def cells(self, values: NDArray[Any]) -> NDArray[Any]:
-        """One of the arrays (n,) as (speeds, frictions, values of the other inputs)."""
+        """Return values at all points (n,) in the shape (speeds, frictions, combinations of the other inputs)."""
         return values.reshape(len(self.speeds), len(self.frictions), -1)
 
     def worst_points(
         self, count: int = 5, sweep: Sweep | None = None, driving: Driving = "straight"
     ) -> list[dict[str, Any]]:
-        """The points with the smallest modulus margin, the worst first: variables, tuning and margins."""
+        """Return the points with the smallest modulus margin, worst first: variables, tuning and margins.
+
+        Parameters
+        ----------
+        count
+            Number of points.
+        sweep
+            Sweep of this certificate; None for `counted`.
+        driving
+            Straight driving or the hard turn.
+        """
         sweep = sweep or self.counted
         driving_margins: Margins = getattr(sweep, driving)
         order = np.argsort(driving_margins.modulus_margin, kind="stable")[:count]
         return [self._point(sweep, driving, int(i)) for i in order]
 
     def rows(self) -> list[dict[str, Any]]:
-        """The worst point for each speed and friction, straight and in a turn, with the guard and without; for JSON.
+        """Return the worst point at each speed and friction, for JSON.
 
-        `unstable`: how many points of that speed and friction are. What is infinite is None.
+        There is one row for straight driving and one for the turn, each with and without guard. `unstable` is the
+        number of unstable points at this speed and friction. Infinite values are None.
         """
         sweeps = [(False, self.bare)] if self.guarded is None else [(True, self.guarded), (False, self.bare)]
         return [
@@ -155,7 +173,7 @@ class Certificate:
         ]
 
     def _worst_of_cells(self, driving_margins: Margins) -> list[tuple[int, int]]:
-        """The point with the smallest modulus margin of each speed and friction, and the number of unstable points."""
+        """Return, for each speed and friction, the index of the worst point and the number of unstable points."""
         least, unstable = (
             self.cells(driving_margins.modulus_margin),
             self.cells(driving_margins.radius >= 1.0).sum(axis=2),
@@ -164,7 +182,7 @@ class Certificate:
         return list(zip((first + least.argmin(axis=2).ravel()).tolist(), unstable.ravel().tolist(), strict=True))
 
     def summary(self) -> dict[str, Any]:
-        """The verdict, and for each way of driving the worst of each margin and the worst point; ready for JSON."""
+        """Return the verdict, and the worst margins and points in straight driving and in the turn, for JSON."""
         return {
             "scheduler": self.scheduler,
             "plant": self.plant,
@@ -191,7 +209,7 @@ class Certificate:
         }
 
     def mismatched_rows(self) -> list[dict[str, Any]]:
-        """For each mismatch the point with the smallest modulus margin, and how many are unstable; for JSON."""
+        """Return the worst point and the number of unstable points with each mismatch, for JSON."""
         rows = []
         for name, mismatch_margins in self.mismatched.items():
             unstable, i = int((mismatch_margins.radius >= 1.0).sum()), int(np.argmin(mismatch_margins.modulus_margin))
@@ -211,7 +229,7 @@ class Certificate:
 
 
 def extremes(loop_margins: Margins) -> dict[str, float]:
-    """The worst of each margin over all loops."""
+    """Return the worst value of each margin over all loops."""
     return {
         "radius": float(loop_margins.radius.max()),
         "gain_up": float(loop_margins.gain_up.min()),
@@ -222,49 +240,53 @@ def extremes(loop_margins: Margins) -> dict[str, float]:
 
 
 def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Numbers for JSON: what is infinite is None."""
+    """Return numbers for JSON, with None for infinite ones."""
     return {name: value if math.isfinite(value) else None for name, value in values.items()}
 
 
-@tells("certify")
+@reports_progress("certify")
 def certify(
     scheduler: Scheduler | Tuning, plant: Plant, mpc: MPC, profile: str | Profile = "road", *,
     domain: Mapping[str, tuple[float, float]] | None = None, levels: tuple[int, int] = (28, 5),
     turn: Turn = hard_turn, mismatches: Sequence[Mismatch] = (),
     progress: ProgressCall | None = None,
 ) -> Certificate:  # fmt: skip
-    """Stability and margins of the closed loop with the scheduler's tunings over its whole operating domain.
+    """Compute stability and margins of the closed loop with a scheduler's tunings over the operating domain.
 
     Parameters
     ----------
     scheduler
-        A `Schedule`, guarded or not, any function of a `SchedulingVariables`, or one tuning.
+        A `Schedule` with or without guard, a function of `SchedulingVariables`, or a tuning.
     plant, profile
-        The true car, and the true steering, dead time and sensors around it.
+        The true car, and its true steering, dead time and sensors.
     mpc
-        What the controller believes: prediction model, estimator, period, moves, longest horizons; its own tuning and
-        scheduler play no part. One that learns is certified as it begins.
+        Controller with its prediction model, estimator, period, moves and longest horizons. Its own tuning and
+        scheduler are ignored. A controller that learns is analysed in its initial state.
     domain
-        Lowest and highest value by scheduling variable; by default where `OPERATING` and the schedule's own domain
-        overlap. Beside speed and friction, only what a schedule looks at is varied; of a plain function, everything.
+        Lowest and highest value of scheduling variables, by name. By default each has the overlap of `OPERATING` and
+        the schedule's own domain. Speed and friction are varied, and further inputs only if the schedule uses them; for
+        a function all inputs are varied.
     levels
-        Values of speed and of friction. Other inputs get 2 to 5 each, together at most 64 combinations or 2 each.
+        Numbers of speeds and frictions. Every other input gets 2 to 5 values, with at most 64 combinations unless 2
+        values each already give more.
     turn
-        Lateral acceleration (m/s^2) of the turn at a speed (m/s) on a friction.
+        Function that returns the lateral acceleration (m/s^2) of the hard turn for a speed (m/s) and a friction.
     mismatches
-        How the true car may differ from `plant` and `profile` as well, each by itself; see
+        Differences between the true car and `plant` and `profile`, analysed one at a time, such as
         `linearisation.usual_mismatches`.
+    progress
+        Function called with (stage, steps done, steps in all).
 
     Raises
     ------
     ContractError
-        When the scheduler fails at a point or gives what is no tuning.
+        When the scheduler fails at a point or returns an invalid tuning.
     InvalidInput
-        When a range makes no sense, the plant cannot drive such a turn, or has nothing of what a mismatch changes.
+        For an invalid range, a turn that the plant cannot drive, or a mismatch that the plant does not support.
     """
     if isinstance(scheduler, Tuning):
         scheduler = Constant(scheduler)
-    world = load_profile(profile)
+    profile = load_profile(profile)
     axes = _axes(scheduler, mpc, domain or {}, levels)
     grid = np.meshgrid(*axes.values(), indexing="ij")
     columns = dict(zip(axes, (values.ravel() for values in grid), strict=True))
@@ -272,12 +294,12 @@ def certify(
     guarded = scheduler if isinstance(scheduler, Schedule) and scheduler.guard is not None else None
     bare = replace(guarded, guard=None) if guarded is not None else scheduler
     tunings = [_as_used(_tunings(variant, points), mpc) for variant in (bare, guarded) if variant is not None]
-    plants = linear_plants(plant, mpc.period, world, turn, mismatches)
-    sweep_margins = _sweep(points, tunings, mpc, plants, progress or (lambda stage, finished, of: None))
+    plants = linear_plants(plant, mpc.period, profile, turn, mismatches)
+    sweep_margins = _sweep(points, tunings, mpc, plants, progress or (lambda stage, steps_done, steps: None))
     sweeps = [Sweep(used, *used_margins[:2]) for used, used_margins in zip(tunings, sweep_margins, strict=True)]
     return Certificate(
         str(getattr(scheduler, "name", getattr(scheduler, "__name__", type(scheduler).__name__))),
-        plant.name, plant.tyre_name, world.name, mpc.model.name, mpc.estimator.name,
+        plant.name, plant.tyre_name, profile.name, mpc.model.name, mpc.estimator.name,
         axes["speed"], axes["friction"], points,
         sweeps[0], sweeps[1] if guarded is not None else None,
         dict(zip([mismatch.name for mismatch in mismatches], sweep_margins[-1][2:], strict=True)),
@@ -288,7 +310,7 @@ def certify(
 def _axes(
     scheduler: Scheduler, mpc: MPC, domain: Mapping[str, tuple[float, float]], levels: tuple[int, int]
 ) -> dict[str, Array]:
-    """The levels of each scheduling variable that is varied: speed and friction first."""
+    """Return the values of each scheduling variable that is varied, speed and friction first."""
     unknown = set(domain) - set(SchedulingVariables._fields)
     if unknown:
         raise InvalidInput(f"certify: domain: {unknown.pop()!r} is no entry of SchedulingVariables.")
@@ -297,7 +319,7 @@ def _axes(
     )
     read = scheduler_domain if isinstance(scheduler, Schedule) else OPERATING
     other_names = [name for name in SchedulingVariables._fields if name in read and name not in ("speed", "friction")]
-    count = max(2, min(5, int(_CELL ** (1.0 / max(len(other_names), 1)) + 1e-9)))
+    count = max(2, min(5, int(_MAX_COMBINATIONS ** (1.0 / max(len(other_names), 1)) + 1e-9)))
     axes = {}
     for name, number in zip(("speed", "friction", *other_names), (*levels, *[count] * len(other_names)), strict=True):
         low, high = _range(name, domain, scheduler_domain)
@@ -315,7 +337,10 @@ def _axes(
 def _range(
     name: str, domain: Mapping[str, tuple[float, float]], scheduler_domain: Mapping[str, list[float]]
 ) -> tuple[float, float]:
-    """Return the range of an input: from `domain`, else where driving and schedule overlap, else the schedule's."""
+    """Return the range of an input from `domain`, otherwise the overlap of `OPERATING` and the scheduler's domain.
+
+    Without an overlap the range is that of the scheduler.
+    """
     if name in domain:
         low, high = (real("certify", f"domain: {name}", bound) for bound in domain[name])
         return low, high
@@ -327,7 +352,7 @@ def _range(
 
 
 def _tunings(scheduler: Scheduler, points: Array) -> Array:
-    """(n, 4) what the scheduler gives at each point, each as at a first step."""
+    """Return the tuning (n, 4) of the scheduler at each point, in its state at the start of a run."""
     if isinstance(scheduler, Schedule):
         raw_tunings = scheduler.batch(points)
     else:
@@ -349,7 +374,7 @@ def _tunings(scheduler: Scheduler, points: Array) -> Array:
 
 
 def _as_used(tunings: Array, mpc: MPC) -> Array:
-    """With horizons rounded and clamped as the MPC does it."""
+    """Return tunings with horizons rounded and limited as in the MPC."""
     used = tunings.copy()
     used[:, 0] = np.clip(np.floor(tunings[:, 0] + 0.5), 1.0, mpc.longest_horizon)
     used[:, 1] = np.clip(np.floor(tunings[:, 1] + 0.5), 1.0, np.minimum(used[:, 0], mpc.most_moves))
@@ -359,22 +384,22 @@ def _as_used(tunings: Array, mpc: MPC) -> Array:
 def _sweep(
     points: Array, tunings: list[Array], mpc: MPC, plants: Sequence[LinearPlant], progress: ProgressCall
 ) -> list[list[Margins]]:
-    """The margins of each set of tunings around each plant; a cell and a tuning that recur are analysed once."""
+    """Return the margins of each set of tunings with each plant; repeated speeds, frictions and tunings are reused."""
     n, names = len(points), [field.name for field in fields(Margins)]
     results = np.empty((len(tunings), len(plants), len(names), n))
-    places = points[:, [SchedulingVariables._fields.index(name) for name in ("speed", "friction")]]
-    cells, where = np.unique(places, axis=0, return_inverse=True)
+    coordinates = points[:, [SchedulingVariables._fields.index(name) for name in ("speed", "friction")]]
+    cells, cell_index = np.unique(coordinates, axis=0, return_inverse=True)
     at_speed = lru_cache(maxsize=1)(partial(linear_estimator, mpc))  # cells are sorted by speed
     for cell, (speed, friction) in enumerate(cells.tolist()):
         progress("certify", cell, len(cells))
-        rows = np.flatnonzero(where.ravel() == cell)
-        unique, place = np.unique(
+        rows = np.flatnonzero(cell_index.ravel() == cell)
+        unique, unique_index = np.unique(
             np.concatenate([point_tunings[rows] for point_tunings in tunings]), axis=0, return_inverse=True
         )
         law = laws(mpc, speed, unique, at_speed(speed))
         for i, plant in enumerate(plants):
             cell_margins = margins(plant(speed, friction), law, mpc.period)
-            values = np.array([getattr(cell_margins, name) for name in names])[:, place.ravel()]
+            values = np.array([getattr(cell_margins, name) for name in names])[:, unique_index.ravel()]
             results[:, i, :, rows] = values.reshape(len(names), len(tunings), len(rows)).transpose(2, 1, 0)
     progress("certify", len(cells), len(cells))
     return [[Margins(*values) for values in columns] for columns in results]

@@ -1,6 +1,6 @@
-"""Which speeds and frictions can be held at all: each by some tuning, or all of them by one.
+"""Feasible speeds and frictions: those at which some tuning gives a stable loop with a sufficient margin.
 
-The linear loops of a grid of tunings tell it in seconds, before anything is driven or tuned.
+The linear closed loops of a grid of tunings show this in seconds, before any simulation or search.
 """
 
 from __future__ import annotations
@@ -25,19 +25,23 @@ from adaptrack.scenario.profile import Profile
 Array = NDArray[np.float64]
 
 MARGIN = 0.1
-"""Least modulus margin of a loop that counts as held: of 116 constant tunings with more than that at every speed and
-friction none failed any of 100 drives (docs/certify.md)."""
+"""Sufficient modulus margin of a loop.
+
+Each of 116 constant tunings with a larger margin at every speed and friction drove 100 drives without a failure
+(docs/certify.md).
+"""
 TUNINGS = ((10.0, 20.0, 36.0, 60.0), (1.0, 4.0, 16.0), np.linspace(-3.0, 6.0, 16))
-"""Np, Nc (periods) and log10 R/Q (R/Q in m^2/rad^2) of the tunings that are tried."""
-_ANGLES = np.geomspace(2e-3, np.pi, 192)  # rad per period, at which the loop gain is looked at
+"""Grid of tunings: Np and Nc (control periods), log10 R/Q (R/Q in m^2/rad^2)."""
+_ANGLES = np.geomspace(2e-3, np.pi, 192)  # frequencies of the loop gain (rad per control period)
 
 
 class FeasibleRanges(NamedTuple):
-    """A range of speeds and one of frictions."""
+    """Ranges of speed and friction."""
 
     speed: tuple[float, float]
     """Lowest and highest speed (m/s)."""
     friction: tuple[float, float]
+    """Lowest and highest friction coefficient."""
 
     def __str__(self) -> str:
         return f"{_range(*self.speed)} m/s on friction {_range(*self.friction)}"
@@ -45,21 +49,25 @@ class FeasibleRanges(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Feasibility:
-    """The loops of n tunings at a grid of speeds and frictions."""
+    """Margins of n tunings on a grid of speeds and frictions.
+
+    A point is feasible if the modulus margin of some tuning is at least `least`.
+    """
 
     speeds: Array
     """Speeds of the grid (m/s), shape (v,)."""
     frictions: Array
+    """Friction coefficients of the grid."""
     tunings: Array
-    """(n, 4) Np, Nc, Q, R"""
+    """Np, Nc, Q and R of each tuning, (n, 4)."""
     margins: Array
-    """(speeds, frictions, n) modulus margin, see `stability.modulus_margin`"""
+    """Modulus margins, (speeds, frictions, n), see `stability.modulus_margin`."""
     least: float = MARGIN
-    """modulus margin of a loop that counts as held"""
+    """Sufficient modulus margin."""
 
     @classmethod
     def from_map(cls, axes: Sequence[Array], margins: Array, least: float = MARGIN) -> Self:
-        """From the margins of `stability.margin_map`; nodes with Nc > Np are left out."""
+        """Return the feasibility from axes and margins of `stability.margin_map`, without the nodes with Nc > Np."""
         Np, Nc, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
         tunings = np.column_stack([Np, Nc, np.ones_like(ratio), 10.0**ratio])
         fits = Nc <= Np
@@ -67,36 +75,36 @@ class Feasibility:
         return cls(axes[0], axes[1], tunings[fits], by_tuning[:, :, fits], least)
 
     def among(self, allowed: NDArray[np.bool_]) -> Self:
-        """With some of the tunings only (n,)."""
+        """Return the feasibility with the allowed tunings only; allowed: (n,)."""
         return replace(self, tunings=self.tunings[allowed], margins=self.margins[:, :, allowed])
 
     @property
     def enough(self) -> NDArray[np.bool_]:
-        """(speeds, frictions, n) whether a tuning holds the loop there; tables of margins are rounded to 0.001."""
+        """Whether the margin of each tuning is sufficient, (speeds, frictions, n)."""
         return np.asarray(self.margins >= self.least - 1e-9)
 
     @property
     def is_feasible(self) -> NDArray[np.bool_]:
-        """(speeds, frictions) whether some tuning holds the loop there."""
+        """Whether each point is feasible, (speeds, frictions)."""
         return np.asarray(self.enough.any(axis=2))
 
     @property
     def infeasible(self) -> list[tuple[float, float]]:
-        """Speed (m/s) and friction where none does."""
+        """The infeasible points as (speed (m/s), friction)."""
         return [(float(self.speeds[i]), float(self.frictions[j])) for i, j in np.argwhere(~self.is_feasible)]
 
     @property
     def domain(self) -> FeasibleRanges | None:
-        """The largest domain that a schedule can hold, with a tuning for each speed and friction; None: there is none.
-
-        Largest: with the most nodes of the grid.
-        """
+        """The feasible domain with the most grid points, if each point may have a different tuning; None if empty."""
         box = largest_box(self.is_feasible[:, :, None])
         return None if box is None else self._domain(box)
 
     @property
     def constant(self) -> tuple[Tuning, FeasibleRanges] | None:
-        """The largest domain that one tuning can hold, and of those that can the one with the largest margin there."""
+        """The tuning with sufficient margins in the domain with the most grid points, and this domain; None if empty.
+
+        Among several such tunings it is the one with the largest margin.
+        """
         box = largest_box(self.enough)
         if box is None:
             return None
@@ -110,17 +118,17 @@ class Feasibility:
 
     @property
     def requested(self) -> FeasibleRanges:
-        """The domain that was given."""
+        """The requested domain, which the grid spans."""
         return self._domain((slice(None), slice(None)))
 
     @property
     def passed(self) -> bool:
-        """Whether every speed and friction can be held."""
+        """Whether every point is feasible."""
         return bool(self.is_feasible.all())
 
     @property
     def verdict(self) -> str:
-        """Summarise the speeds and frictions that no tuning can hold, and the largest domains."""
+        """The infeasible points and the largest feasible domains in words."""
         demand = f"with a modulus margin of {self.least:g}"
         if self.domain is None:
             return f"Infeasible: no tuning holds the loop {demand} at any point of {self.requested}."
@@ -138,7 +146,7 @@ class Feasibility:
         return f"{first} One constant (Np {tuning.Np}, Nc {tuning.Nc}, R/Q {tuning.R / tuning.Q:.3g}) holds {reach}."
 
     def _infeasible_in_words(self) -> str:
-        """Speeds by friction, neighbours on the grid as a range."""
+        """Return the infeasible speeds for each friction in words, with ranges of neighbouring grid points."""
         return "; ".join(
             f"{', '.join(_ranges(self.speeds, ~self.is_feasible[:, j]))} m/s on friction {mu:.3g}"
             for j, mu in enumerate(self.frictions.tolist())
@@ -146,7 +154,7 @@ class Feasibility:
         )
 
     def summary(self) -> dict[str, Any]:
-        """Everything but the margins of each tuning; ready for JSON."""
+        """Return verdict, domains and the best tuning at each point, for JSON."""
         best, constant = self.margins.argmax(axis=2), self.constant
         rows = [
             {"speed": speed, "friction": friction, "held": bool(self.is_feasible[i, j]),
@@ -166,9 +174,9 @@ class Feasibility:
 
 
 def largest_box(ok: NDArray[np.bool_]) -> tuple[slice, slice] | None:
-    """The rows and columns of the largest box in which the same layer of ok (rows, columns, layers) is true throughout.
+    """Return rows and columns of the largest box in which one layer of ok (rows, columns, layers) is true throughout.
 
-    None when there is none. The first of those with the most entries.
+    The result is None if ok is nowhere true, and the first box among those of equal size.
     """
     most, largest = 0, None
     for left in range(ok.shape[1]):
@@ -183,7 +191,7 @@ def largest_box(ok: NDArray[np.bool_]) -> tuple[slice, slice] | None:
 
 
 def _ranges(values: Array, chosen: NDArray[np.bool_]) -> list[str]:
-    """The chosen values in words, neighbours as "low to high"."""
+    """Return the chosen values in words, with neighbours as "low to high"."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]])))
     return [_range(float(values[first]), float(values[past - 1])) for first, past in edges.reshape(-1, 2)]
 
@@ -208,33 +216,35 @@ def feasibility(
     turn: Turn | None = hard_turn,
     mismatches: Sequence[Mismatch] = (),
 ) -> Feasibility:
-    """Which speeds and frictions some tuning of a controller holds, and the largest domain of those.
+    """Find the speeds and frictions at which some tuning of a controller has a sufficient modulus margin.
 
-    Speeds at most 2 m/s apart, three frictions; the margin is the worst of driving straight, in a turn, and with each
-    mismatch.
+    The grid has speeds at most 2 m/s apart and three frictions. The margin of a tuning at a point is the smallest one
+    of straight driving, the turn and all mismatches.
 
     Parameters
     ----------
     plant, profile
-        The true car.
+        The true car, and its true steering, dead time and sensors.
     mpc
-        What the controller believes; its own tuning and scheduler play no part.
+        Controller; its own tuning and scheduler are ignored.
     speed, friction
-        Lowest and highest.
+        Lowest and highest speed (m/s) and friction coefficient.
     margin
-        Modulus margin of a loop that counts as held.
+        Sufficient modulus margin.
     nodes
-        The tunings that are allowed: values of Np and Nc (periods), as far as the MPC's longest horizons go, and of
-        log10 R/Q (R/Q in m^2/rad^2).
+        Values of Np and Nc (control periods) and of log10 R/Q (R/Q in m^2/rad^2) of the tunings. Values beyond the
+        MPC's longest horizons are left out.
     turn
-        Lateral acceleration (m/s^2) of the turn at a speed (m/s) on a friction, None for driving straight only.
+        Function that returns the lateral acceleration (m/s^2) of the turn for a speed (m/s) and a friction. None for
+        straight driving only.
     mismatches
-        Other cars that the same tuning has to hold as well, driving straight.
+        Differences between the true car and `plant` and `profile`. The margin must also be sufficient with each of
+        them in straight driving.
 
     Raises
     ------
     InvalidInput
-        When no tuning is allowed, or the plant cannot drive such a turn.
+        When no tuning is left, or the plant cannot drive the turn.
     """
     allowed = (
         _up_to(nodes[0], mpc.longest_horizon), _up_to(nodes[1], mpc.most_moves), np.asarray(nodes[2], dtype=float)

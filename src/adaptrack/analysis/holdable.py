@@ -1,8 +1,8 @@
-"""How fast, and how hard braking, the margins of a controller hold on a bend: the table that `plan_speed` asks.
+"""Table of the largest braking in bends at which a controller keeps its stability margin, for `plan_speed`.
 
-Braking shifts load from the rear axle to the front: a car that steers neutrally then oversteers, and the controller's
-model does not know it. So the loop is linearised about steady turns in which the car brakes (`linearisation.Steady`),
-its estimator with the gains that it has in such a turn, and the modulus margin is looked at.
+Braking shifts load from the rear axle to the front, so a neutral car oversteers. The controller's model neglects this.
+The table contains modulus margins of the loop, linearised about steady turns with braking (`linearisation.Steady`). The
+gains of the estimator are those in the turn.
 """
 
 from __future__ import annotations
@@ -28,20 +28,22 @@ from adaptrack.road.holdable_speed import HoldableSpeed
 from adaptrack.scenario.profile import Profile, load_profile
 
 MAX_INSTABILITY_DURATION = 10.0
-"""s, for which an instability counts at most: braking lasts until the speed is half."""
-DISTURBED, UNMODELLED = 1.0, 0.25
-"""m/s^2, what a gust of 15 m/s from the side does to a saloon at 30 m/s; and which share of the lateral acceleration of
-a bend the model misses: together the deviation that must not grow beyond the grip meanwhile."""
+"""Longest time (s) during which an instability is considered."""
+GUST_ACCELERATION = 1.0
+"""Lateral acceleration (m/s^2) of a saloon at 30 m/s in a side gust of 15 m/s."""
+UNMODELLED_SHARE = 0.25
+"""Share of the lateral acceleration in a bend that the controller's model does not predict."""
 MIN_TABLE_SPEED, TABLE_SPEED_RATIO = 10.0, 1.3
-"""m/s, of the table, below which its values hold as well; and of one speed to the next."""
+"""Lowest speed of the table (m/s), whose values also apply below it; ratio of neighbouring speeds."""
 TABLE_FRICTIONS = (0.3, 0.6, 1.0)
-SIDEWAYS = (0.0, 0.25, 0.45, 0.65, 0.8, 0.95)
-"""Lateral accelerations over the largest that the car can corner with."""
+"""Friction coefficients of the table."""
+LATERAL_SHARES = (0.0, 0.25, 0.45, 0.65, 0.8, 0.95)
+"""Lateral accelerations of the table / largest lateral acceleration of the car."""
 BRAKING_SHARES = (0.0, 0.17, 0.34, 0.51)
-"""Decelerations over mu g, up to the first that is not held."""
-BEYOND = -1.0
-"""Margin where braking takes the car beyond its grip: there is no such turn."""
-_ANGLES = np.geomspace(2e-3, np.pi, 192)  # rad per period, at which the loop gain is looked at
+"""Decelerations of the table / (mu g)."""
+OUTSIDE_GRIP_MARGIN = -1.0
+"""Margin that is assumed if braking exceeds the grip of the tyres in a turn."""
+_ANGLES = np.geomspace(2e-3, np.pi, 192)  # frequencies of the loop gain (rad per control period)
 
 
 @checked
@@ -52,58 +54,58 @@ def holdable_speed(
     *,
     longest: Annotated[Positive, "s"] = MAX_INSTABILITY_DURATION,
 ) -> HoldableSpeed:
-    """Up to which braking, by speed, lateral acceleration and friction, the modulus margin of the loop is enough.
+    """Compute the largest braking with a sufficient modulus margin, by speed, lateral acceleration and friction.
 
-    Braking lasts some seconds, and a loop that is unstable for so long need not lose the car: a disturbance must not
-    grow, in that time, to more than the tyres have left (`borne`). It takes some seconds, once for each car, controller
-    and profile.
+    Braking lasts some seconds only, so the loop may be slightly unstable meanwhile. Its margin is sufficient if a
+    disturbance, in that time, does not grow to more than the remaining grip (`min_transient_margin`). The computation
+    takes some seconds and is cached by car, controller and profile.
 
     Parameters
     ----------
     car
         The true car; its plant is `DualTrack`.
     mpc
-        The controller with its belief and its constant tuning. Of one that learns: as it is when it has learned that
-        the steering is as slow as its prior allows, on a car whose steering is that.
+        Controller with a constant tuning. A controller that learns is analysed with the slowest steering of its prior,
+        both in the car and in the learned model.
     profile
-        Sensors and steering of the true car; samples count as prompt, which is a little kinder than the truth.
+        Sensors and steering of the true car. Sensor delays are neglected, which is slightly optimistic.
     longest
-        For which an instability counts at most; the longer, the less of it is borne.
+        Longest time (s) during which an instability is considered. A longer time allows less instability.
     """
-    loop = _slow_end(mpc, load_profile(profile)) if mpc.learner is not None else (mpc, load_profile(profile))
+    loop = _slowest_loop(mpc, load_profile(profile)) if mpc.learner is not None else (mpc, load_profile(profile))
     return _cached_speeds(car, _Loop(*loop), longest)
 
 
 class _Loop:
-    """A controller in a profile; alike when everything that the analysis reads is."""
+    """A controller in a profile, as a key of a cache: equal if all inputs of the analysis are equal."""
 
-    def __init__(self, mpc: MPC, world: Profile) -> None:
-        self.mpc, self.world = mpc, world
-        self._alike = (mpc.model, mpc.estimator, mpc.tuning, mpc.moves, mpc.speed_floor, world)
+    def __init__(self, mpc: MPC, profile: Profile) -> None:
+        self.mpc, self.profile = mpc, profile
+        self._inputs = (mpc.model, mpc.estimator, mpc.tuning, mpc.moves, mpc.speed_floor, profile)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Loop) and self._alike == other._alike
+        return isinstance(other, _Loop) and self._inputs == other._inputs
 
     def __hash__(self) -> int:
-        return hash(self._alike)
+        return hash(self._inputs)
 
 
-def _slow_end(mpc: MPC, world: Profile) -> tuple[MPC, Profile]:
-    """A controller that has learned the slowest steering of its prior, and the world in which that is true."""
+def _slowest_loop(mpc: MPC, profile: Profile) -> tuple[MPC, Profile]:
+    """Return a controller with the slowest steering of its prior, and a profile with this steering."""
     belief = mpc.belief
     assert belief is not None
     assert mpc.learner is not None
     lag, dead_time = (high for _, high in mpc.learner.ranges)
     rate = belief.rate.value if math.isfinite(belief.rate.value) else None
     slow_steering = Steering(lag=lag, dead_time=dead_time, rate=rate, limit=belief.limit.value)
-    actuator = world.steering.replace(lag=lag, dead_time=dead_time)
-    slow = world.replace(steering=actuator)
+    actuator = profile.steering.replace(lag=lag, dead_time=dead_time)
+    slow = profile.replace(steering=actuator)
     return MPC(mpc.vehicle, mpc.tuning, profile=slow, belief=slow_steering, period=mpc.period), slow
 
 
 @lru_cache(maxsize=16)
 def _cached_speeds(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
-    mpc, world = loop.mpc, loop.world.prompt
+    mpc, profile = loop.mpc, loop.profile.without_sample_ages
     plant = DualTrack(car)
     lowest = max(MIN_TABLE_SPEED, mpc.speed_floor)
     count = max(
@@ -111,77 +113,90 @@ def _cached_speeds(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
     )
     speeds = np.geomspace(lowest, max(top_speed(car), TABLE_SPEED_RATIO * lowest), count).round(2).tolist()
     cornering = [float(cornering_limit(car, [0.0], [mu])[0]) for mu in TABLE_FRICTIONS]
-    braking = np.empty((len(TABLE_FRICTIONS), len(speeds), len(SIDEWAYS)))
+    braking = np.empty((len(TABLE_FRICTIONS), len(speeds), len(LATERAL_SHARES)))
     for j, speed in enumerate(speeds):
-        at = EstimatorAt(mpc, speed)
+        estimator = EstimatorAt(mpc, speed)
         for i, mu in enumerate(TABLE_FRICTIONS):
-            lasting = [_lasting(speed, share * mu * GRAVITY, longest) for share in BRAKING_SHARES]
-            for k, share in enumerate(SIDEWAYS):
+            times = [_instability_time(speed, share * mu * GRAVITY, longest) for share in BRAKING_SHARES]
+            for k, share in enumerate(LATERAL_SHARES):
                 lateral = share * cornering[i]
-                margins = _margins(plant, (mpc, world), at, (speed, mu, lateral))
-                if margins is None:  # tighter than the wheels can turn, or beyond the grip: no braking
+                margins = _margins(plant, (mpc, profile), estimator, (speed, mu, lateral))
+                if margins is None:  # the turn needs more steering angle or grip than there is: no braking
                     braking[i, j, k] = min(braking[i, j, k - 1], 0.0)
                     continue
-                room = (cornering[i] - lateral) / (DISTURBED + UNMODELLED * lateral)
-                braking[i, j, k] = _braking(margins, [borne(room, time, mpc.period) for time in lasting])
+                growth = (cornering[i] - lateral) / (GUST_ACCELERATION + UNMODELLED_SHARE * lateral)
+                limits = [min_transient_margin(growth, time, mpc.period) for time in times]
+                braking[i, j, k] = _largest_braking(margins, limits)
     return HoldableSpeed(
-        vehicle=car.name, profile=world.name, steering=str(mpc.belief or ""), longest=longest,
-        reserve=DISTURBED, speeds=tuple(speeds), sideways=SIDEWAYS, frictions=TABLE_FRICTIONS,
+        vehicle=car.name, profile=profile.name, steering=str(mpc.belief or ""), longest=longest,
+        reserve=GUST_ACCELERATION, speeds=tuple(speeds), sideways=LATERAL_SHARES, frictions=TABLE_FRICTIONS,
         cornering=tuple(cornering), braking=tuple(tuple(map(tuple, plane)) for plane in braking.round(4).tolist()),
     )  # fmt: skip
 
 
 def _margins(
-    plant: DualTrack, loop: tuple[MPC, Profile], at: EstimatorAt, turn: tuple[float, float, float]
+    plant: DualTrack, loop: tuple[MPC, Profile], estimator: EstimatorAt, turn: tuple[float, float, float]
 ) -> Iterator[float] | None:
-    """Modulus margin at each of `BRAKING_SHARES`; turn: m/s, friction, m/s^2 sideways. None without such a turn."""
-    (mpc, world), (speed, mu, lateral) = loop, turn
+    """Return the modulus margin at each of `BRAKING_SHARES`, or None if the car cannot drive the turn.
+
+    turn: speed (m/s), friction, lateral acceleration (m/s^2).
+    """
+    (mpc, profile), (speed, mu, lateral) = loop, turn
     try:
-        first = Steady.of(plant, speed, mu, lateral)
+        without_braking = Steady.of(plant, speed, mu, lateral)
     except InvalidInput:
         return None
-    # gains follow the forces, and those the turn: braking has only begun
-    estimator = at.with_turn_gains(first.measured(plant, mpc.period), first.steering)
-    law = laws(mpc, speed, mpc.tuning.as_array(), estimator)
+    # The gains of the estimator change slowly, so they are those of the turn before braking.
+    turn_gains = estimator.with_turn_gains(without_braking.measured(plant, mpc.period), without_braking.steering)
+    law = laws(mpc, speed, mpc.tuning.as_array(), turn_gains)
 
     def margin(share: float) -> float:
         try:
-            steady = Steady.of(plant, speed, mu, lateral, share * mu * GRAVITY) if share > 0.0 else first
+            steady = Steady.of(plant, speed, mu, lateral, share * mu * GRAVITY) if share > 0.0 else without_braking
         except InvalidInput:
-            return BEYOND
-        return float(modulus_margin(sampled_about(plant, mpc.period, steady, world), law, _ANGLES)[0])
+            return OUTSIDE_GRIP_MARGIN
+        return float(modulus_margin(sampled_about(plant, mpc.period, steady, profile), law, _ANGLES)[0])
 
     return map(margin, BRAKING_SHARES)
 
 
-def _braking(margins: Iterable[float], least: Sequence[float]) -> float:
-    """Deceleration over mu g at which the margin falls below the least; below 0 where it is less without braking."""
-    before, holdable = 0.0, 0.0
-    for share, margin, bound in zip(BRAKING_SHARES, margins, least, strict=True):
-        over = margin - bound
-        if over < 0.0:
-            return max(over, BEYOND) if share == 0.0 else before + (share - before) * holdable / (holdable - over)
-        before, holdable = share, over
+def _largest_braking(margins: Iterable[float], limits: Sequence[float]) -> float:
+    """Return the deceleration / (mu g) at which the margin falls below its limit.
+
+    The result is negative, margin minus limit, if the margin is too small without braking.
+    """
+    last_share, last_excess = 0.0, 0.0
+    for share, margin, limit in zip(BRAKING_SHARES, margins, limits, strict=True):
+        excess = margin - limit
+        if excess < 0.0 and share == 0.0:
+            return max(excess, OUTSIDE_GRIP_MARGIN)
+        if excess < 0.0:
+            return last_share + (share - last_share) * last_excess / (last_excess - excess)
+        last_share, last_excess = share, excess
     return BRAKING_SHARES[-1]
 
 
-def _lasting(speed: float, braking: float, longest: float) -> float:
-    """How long (s) the instability of braking (m/s^2) counts: it falls with the speed (m/s), to nothing at the half."""
+def _instability_time(speed: float, braking: float, longest: float) -> float:
+    """Return the effective time (s) of an instability that braking (m/s^2) from a speed (m/s) causes.
+
+    The instability decreases with the speed and ends at half of it, so half of the time until then counts.
+    """
     return min(0.25 * speed / braking, longest) if braking > 0.0 else longest
 
 
-def borne(room: float, time: float, period: float) -> float:
-    """Modulus margin, 0 or less, of a loop in which deviations grow by a factor of `room` in a time (s).
+def min_transient_margin(growth: float, time: float, period: float) -> float:
+    """Return the modulus margin, 0 or less, of a loop whose deviations grow by a factor `growth` in a time (s).
 
-    With a spectral radius rho over a control period T (s) they grow by rho^(t/T); the margin of an unstable loop is
-    -10 (rho - 1), see `stability.modulus_margin`.
+    With a spectral radius rho over a control period T (s), deviations grow by rho^(t/T). The margin of an unstable loop
+    is -10 (rho - 1), see `stability.modulus_margin`.
     """
-    return -10.0 * math.expm1(math.log(max(room, 1.0)) * period / time)
+    return -10.0 * math.expm1(math.log(max(growth, 1.0)) * period / time)
 
 
 def top_speed(car: Vehicle) -> float:
-    """The highest speed (m/s) that the car's power holds on a level road."""
+    """Return the highest speed (m/s) that the car reaches on a level road."""
     v = np.linspace(1.0, MAX_SPEED.most, 397)
     air = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient * v**2
-    holdable = np.minimum(car.traction_limit, car.engine_power / v) >= air + car.rolling_resistance * car.mass * GRAVITY
-    return float(v[holdable].max(initial=1.0))
+    resistance = air + car.rolling_resistance * car.mass * GRAVITY
+    reachable = np.minimum(car.traction_limit, car.engine_power / v) >= resistance
+    return float(v[reachable].max(initial=1.0))

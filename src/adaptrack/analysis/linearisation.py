@@ -1,8 +1,9 @@
-"""The car and the controller for small deviations from steady driving: linear, over one control period.
+"""Linear models of car and controller over one control period, for small deviations from steady driving.
 
-What the car is (`sampled`: plant, steering, dead time; `Mismatch`) and what the controller believes of it (`laws`: its
-estimator, linear for small innovations, and the feedback of its MPC far from all limits) are apart: `stability` closes
-the loop of both. The plant is linearised about driving straight, or about a steady turn, at a speed.
+- The car (`sampled`, `Mismatch`): plant, steering and dead time, linearised about straight driving or a steady turn.
+- The controller (`laws`): its estimator for small innovations, and the feedback of its MPC without active constraints.
+
+`stability` connects both to the closed loop.
 """
 
 from __future__ import annotations
@@ -28,41 +29,54 @@ from adaptrack.scenario.profile import Profile, load_profile
 Array = NDArray[np.float64]
 
 SENSED_STATES = ("vy", "psi", "yaw_rate", "Y")
-"""The states of the plant that sensors read."""
+"""States of the plant that sensors measure."""
 
-_HELD = ("X", "vx", "felt_ax")  # X does not matter; speed and longitudinal load transfer are held
-_STEP = 1e-6  # of the central differences
-_SMOOTH = 1e-3  # share of the largest entry of A by which a difference over a wider step may differ
-_ROUNDING = 1e-15  # share of the largest entry of A below which an entry is a rounding error
-_SETTLED, _LONGEST = 1e-12, 20_000  # of an estimator's memory: largest relative change in a step, and steps at most
-_SETTLING = 20  # steps between two looks at whether it has
-_DITHER = 1e-30  # of what is measured while it settles: a sensor that always reads the same may count as stuck
-_NOTHING = 1e-12  # a derivative that is no more than the trace of that
-_TURNING = 8.0  # s, of a steady turn, after which the gains of an estimator are those of it
-_SWING = 1e-9  # as `_DITHER`, of samples that are not zero
+_FIXED = ("X", "vx", "felt_ax")  # X has no influence; speed and longitudinal load transfer stay constant
+_STEP = 1e-6  # step of central differences
+_SMOOTH = 1e-3  # largest change of a difference with the step size / largest entry of A
+_ROUNDING = 1e-15  # largest rounding error of an entry / largest entry of A
+_SETTLED = 1e-12  # largest relative change of an estimator's memory in steady state
+_MAX_SETTLING_STEPS = 20_000  # largest number of steps until the steady state
+_SETTLING_INTERVAL = 20  # steps between two checks for the steady state
+_DITHER = 1e-30  # amplitude of the measurements meanwhile; estimators may ignore a sensor with constant values as stuck
+_DITHER_DERIVATIVE = 1e-12  # largest derivative that is only an effect of the dither
+_TURN_DURATION = 8.0  # s, until the gains of an estimator are those of a steady turn
+_TURN_DITHER = 1e-9  # amplitude of the measurements in a turn, where they are not zero
 
 
 # -- the plant --------------------------------------------------------------------------------------------------------
 def steady_turn(
     plant: Plant, speed: float, lateral_acceleration: float, friction: float = 0.9, deceleration: float = 0.0
 ) -> tuple[Array, float]:
-    """State (n,) and front-wheel angle (rad) of a steady turn to the left at `speed` (m/s), without wind.
+    """Return state (n,) and front-wheel angle (rad) of a steady turn to the left without wind.
 
-    lateral_acceleration: m/s^2, speed times yaw rate. The velocity points along X. Newton's method on the derivatives
-    of all states but X, Y, yaw and v_x, the acceleration raised from zero in steps of at most 1 m/s^2; speed and
-    longitudinal load transfer are held: as in straight driving, or, with a `deceleration` (m/s^2), as they are for a
-    moment in braking, the tyres pulling along the road as well.
+    The velocity points along X. Newton's method finds a state in which the derivatives of all states except X, Y, yaw
+    and v_x vanish. The lateral acceleration rises from zero in steps of at most 1 m/s^2.
+
+    Parameters
+    ----------
+    plant
+        Plant with a right-hand side.
+    speed
+        Speed (m/s).
+    lateral_acceleration
+        Lateral acceleration (m/s^2), speed times yaw rate.
+    friction
+        Friction coefficient.
+    deceleration
+        Deceleration (m/s^2) of a moment of braking, with its longitudinal tyre forces and load transfer, at constant
+        speed.
 
     Raises
     ------
     InvalidInput
-        When the plant has no such turn, for instance because friction is too low for it, or no right-hand side.
+        When the plant cannot drive the turn, for instance on too low a friction, or has no right-hand side.
     """
     if isinstance(plant, SteppedPlant):
         raise InvalidInput(f"Plant {plant.name!r}: is stepped and has no right-hand side that could be linearised.")
     acceleration = real("steady_turn", "lateral_acceleration", lateral_acceleration)
     names = list(plant.state_names)
-    free = [i for i, name in enumerate(names) if name not in (*_HELD, "Y", "psi")]
+    free = [i for i, name in enumerate(names) if name not in (*_FIXED, "Y", "psi")]
     yaw_rate, road = names.index("yaw_rate"), _road(friction)
     x = np.array(plant.initial_state([0.0, 0.0, 0.0, speed, 0.0, 0.0]), dtype=np.float64)
     force = _braking_force(plant, deceleration)
@@ -75,7 +89,7 @@ def steady_turn(
         slope = plant.derivative(state, [values[-1], force], road)[free]
         return np.append(slope, state[yaw_rate] * speed - target)
 
-    unknown, reached = _raised(residual, np.append(x[free], 0.0), acceleration)
+    unknown, reached = _continuation(residual, np.append(x[free], 0.0), acceleration)
     if reached < abs(acceleration):
         raise InvalidInput(
             f"Plant {plant.name!r}: no steady turn with more than {reached:.4g} m/s^2 at {speed:g} m/s on friction "
@@ -87,7 +101,7 @@ def steady_turn(
 
 
 def _braking_force(plant: Plant, deceleration: float) -> float:
-    """N, at the wheels, air and rolling left out."""
+    """Return the longitudinal force at the wheels (N) for a deceleration (m/s^2), without driving resistances."""
     if deceleration == 0.0:
         return 0.0
     if not isinstance(plant, SingleTrack | DualTrack):
@@ -95,19 +109,21 @@ def _braking_force(plant: Plant, deceleration: float) -> float:
     return -plant.vehicle.mass * real("steady_turn", "deceleration", deceleration)
 
 
-def _raised(residual: Callable[[Array, float], Array], unknown: Array, acceleration: float) -> tuple[Array, float]:
-    """Roots of residual(x, a) followed from a = 0 towards `acceleration`: the last one, and the |a| that was reached.
+def _continuation(
+    residual: Callable[[Array, float], Array], unknown: Array, acceleration: float
+) -> tuple[Array, float]:
+    """Follow a root of residual(x, a) from a = 0 to `acceleration`; return the last root and the |a| that was reached.
 
-    The steering angle stands last in x. A step that changes it by more than 0.1 rad is beyond the grip, where slip
-    grows without bound.
+    The last entry of x is the steering angle. A step that changes it by more than 0.1 rad is rejected as beyond the
+    grip, where slip grows without bound.
     """
     reached, step = 0.0, min(abs(acceleration), 1.0)
-    ahead = np.zeros_like(unknown)  # change of the unknowns per m/s^2 in the last step
+    slope = np.zeros_like(unknown)  # change of the unknowns per m/s^2 in the last step
     while reached < abs(acceleration):
         target = min(reached + step, abs(acceleration))
-        trial, converged = _newton(residual, unknown + (target - reached) * ahead, np.copysign(target, acceleration))
+        trial, converged = _newton(residual, unknown + (target - reached) * slope, np.copysign(target, acceleration))
         if converged and abs(trial[-1] - unknown[-1]) < 0.1:
-            ahead, unknown, reached = (trial - unknown) / (target - reached), trial, target
+            slope, unknown, reached = (trial - unknown) / (target - reached), trial, target
         elif step > 1e-3:
             step *= 0.5
         else:
@@ -116,7 +132,7 @@ def _raised(residual: Callable[[Array, float], Array], unknown: Array, accelerat
 
 
 def _newton(residual: Callable[[Array, float], Array], x: Array, target: float) -> tuple[Array, bool]:
-    """A root of residual(x, wanted) near x, and whether one was found."""
+    """Return a root of residual(x, target) near x, and whether the iteration converged."""
     for _ in range(20):
         error = residual(x, target)
         slopes = np.array([(residual(x + h, target) - error) / _STEP for h in _STEP * np.eye(len(x))])
@@ -132,42 +148,45 @@ def _newton(residual: Callable[[Array, float], Array], x: Array, target: float) 
 def linearised(
     plant: Plant, speed: float, friction: float = 0.9, lateral_acceleration: float = 0.0, deceleration: float = 0.0
 ) -> tuple[list[str], Array, Array]:
-    """State names, A (n, n) and B (n,) of the plant about steady driving at `speed` (m/s) on `friction`.
+    """Return state names, A (n, n) and B (n,) of the plant about straight driving or a steady turn.
 
-    About a straight line, or about a `steady_turn` with `lateral_acceleration` (m/s^2), in which tyres are softer; then
-    deviations are those from the turn, in axes along its velocity. The input is the front-wheel angle; the speed is
-    held. States that do not influence what the controller measures are left out. By central differences.
+    The states are deviations in axes along the velocity, and the input is the front-wheel angle; the speed is constant.
+    States without influence on the measurements are left out. The derivatives are central differences. The arguments
+    are those of `steady_turn`.
 
     Raises
     ------
     InvalidInput
-        When there is no such turn, or the derivatives jump there: a difference over four times the step is another.
+        When the plant cannot drive the turn, or its derivatives jump there. A jump changes a difference when its step
+        is four times as long.
     """
     return _linearised_at(plant, Steady.of(plant, speed, friction, lateral_acceleration, deceleration))
 
 
 class Steady(NamedTuple):
-    """A steady turn of a plant, or driving straight."""
+    """Steady motion of a plant: straight driving or a turn, with or without braking."""
 
     speed: float
     """Speed (m/s)."""
     friction: float
+    """Friction coefficient."""
     deceleration: float
-    """m/s^2, of a moment of braking"""
+    """Deceleration (m/s^2) of a moment of braking."""
     state: Array
+    """State of the plant, (n,)."""
     steering: float
-    """rad, front-wheel angle"""
+    """Front-wheel angle (rad)."""
 
     @classmethod
     def of(
         cls, plant: Plant, speed: float, friction: float, lateral_acceleration: float, deceleration: float = 0.0
     ) -> Steady:
-        """See `steady_turn`."""
+        """Return the steady motion that `steady_turn` finds."""
         turn = steady_turn(plant, speed, lateral_acceleration, friction, deceleration)
         return cls(speed, friction, deceleration, *turn)
 
     def measured(self, plant: Plant, period: float) -> Array:
-        """(9,) what the sensors give in it, the turn of the path included, see `core.models.contract.MEASUREMENT`."""
+        """Return the signals of the controller, (9,), as in `core.models.contract.MEASUREMENT`; period in s."""
         states = dict(zip(plant.state_names, self.state.tolist(), strict=True))
         yaw_rate = states["yaw_rate"]
         signals = {name: states[name] for name in ("vy", "yaw_rate")} | {
@@ -181,7 +200,7 @@ class Steady(NamedTuple):
 def _linearised_at(plant: Plant, turn: Steady) -> tuple[list[str], Array, Array]:
     x, steering = turn.state, turn.steering
     road, force = _road(turn.friction), _braking_force(plant, turn.deceleration)
-    keep = [i for i, name in enumerate(plant.state_names) if name not in _HELD]
+    keep = [i for i, name in enumerate(plant.state_names) if name not in _FIXED]
 
     def slope(state: Array, angle: float) -> Array:
         return plant.derivative(state, [angle, force], road)[keep]
@@ -205,34 +224,49 @@ def _refuse_jumps(plant: Plant, a: Array, wider: Array, names: list[str]) -> Non
     if jumps.any():
         raise InvalidInput(
             f"Plant {plant.name!r}: its derivatives jump with {names[int(np.argmax(jumps))]}: it has no linear model "
-            "there. Take a smoother plant of the same car (single-track), or judge it by its drives."
+            "there. Use a smoother plant of the same car (single-track), or test it in simulated drives."
         )
 
 
 class Sampled(NamedTuple):
-    """The plant behind its steering over one control period: z(k+1) = A z(k) + b u(k), measured: C z(k)."""
+    """Plant with its steering over one control period: z(k+1) = A z(k) + b u(k), with measurements C z(k).
+
+    z consists of the states of the plant, the front-wheel angle if the steering has a lag, and the commands that have
+    not yet acted.
+    """
 
     a: Array
-    """(m, m); z: the plant's states, the front-wheel angle where the steering has a lag, commands not yet applied"""
+    """Matrix A, (m, m)."""
     b: Array
-    """Input column of the steering angle, shape (m,)."""
+    """Column b of the steering command, (m,)."""
     c: Array
-    """(sensors, m), by `sensed`; the wheel angle's row is zero where the steering has no lag"""
+    """Matrix C, (sensors, m), with the rows of `sensed`; the row of the wheel angle is zero without a steering lag."""
 
 
 def sampled(
     plant: Plant, period: float, speed: float, *, friction: float = 0.9, profile: str | Profile = "paper",
     lateral_acceleration: float = 0.0, delay: float = 0.0,
 ) -> Sampled:  # fmt: skip
-    """The linearised plant, exactly discretised under commands held over the period (s).
+    """Return the linearised plant with its steering, exactly discretised with a zero-order hold of the commands.
 
-    A command acts `delay` (s, any fraction of a period) later than the profile says. The steering's rate limit plays no
-    part in small deviations.
+    The rate limit of the steering has no effect on small deviations.
+
+    Parameters
+    ----------
+    plant, speed, friction, lateral_acceleration
+        As for `steady_turn`.
+    period
+        Control period (s).
+    profile
+        Steering and dead time of the car.
+    delay
+        Dead time (s) in addition to that of the profile, also fractions of a period.
 
     Raises
     ------
     InvalidInput
-        When a command would act before it is given, and as `steady_turn`.
+        When a command would act before its instant, when the sensors of the profile have delays, and as for
+        `steady_turn`.
     """
     return sampled_about(
         plant, period, Steady.of(plant, speed, friction, lateral_acceleration), load_profile(profile), delay
@@ -240,11 +274,11 @@ def sampled(
 
 
 def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, delay: float = 0.0) -> Sampled:
-    """`sampled` about a steady turn that is known."""
+    """Return the result of `sampled` about a steady motion."""
     if world.oldest > 0.0:
         raise InvalidInput(
-            f"profile {world.name!r}: its samples are late, and the linear loop takes them as prompt: analyse its "
-            "`prompt`, which is slightly optimistic."
+            f"profile {world.name!r}: the linear loop cannot represent its sensor delays: analyse its "
+            "`without_sample_ages`; the result is then slightly optimistic."
         )
     steering = _steering(plant, world)
     late = world.delay + (steering.dead_time + real("sampled", "delay", delay)) / period
@@ -268,27 +302,27 @@ def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, del
 
 
 def _steering(plant: Plant, world: Profile) -> SteeringActuator:
-    """The actuator between command and wheels: the plant's own, or the profile's."""
+    """Return the steering actuator of the plant if it has one, otherwise that of the profile."""
     return getattr(plant, "steering", None) or world.steering
 
 
 @checked
 @dataclass(frozen=True)
 class Mismatch:
-    """How the true car differs from the one that the controller believes in.
-
-    lag, dead_time: more than believed (less: negative; neither gets below zero); stiffness: true over believed, of
-    the tyres; mass: likewise, of mass and yaw inertia.
-    """
+    """Difference between the true car and the controller's model of it."""
 
     lag: Annotated[Finite, "s"] = 0.0
+    """True steering lag minus assumed one (s). The true lag is at least zero."""
     dead_time: Annotated[Finite, "s"] = 0.0
+    """True dead time minus assumed one (s). The true dead time is at least zero."""
     stiffness: Annotated[Positive, Hint("it is a factor")] = 1.0
+    """True cornering stiffness of the tyres / assumed one."""
     mass: Annotated[Positive, Hint("it is a factor")] = 1.0
+    """True mass and yaw inertia / assumed ones."""
 
     @property
     def name(self) -> str:
-        """How tables call it."""
+        """The mismatch in words, as in tables."""
         sums = (("lag", self.lag), ("dead time", self.dead_time))
         factors = (("stiffness", self.stiffness), ("mass", self.mass))
         words = [f"{quantity} {value:+.3g} s" for quantity, value in sums if value != 0.0]
@@ -297,12 +331,14 @@ class Mismatch:
     def sampled(
         self, plant: Plant, period: float, speed: float, *, friction: float = 0.9, profile: str | Profile = "paper"
     ) -> Sampled:
-        """`sampled` of the true car, driving straight; `plant` and `profile` are as believed.
+        """Return the result of `sampled` for the true car in straight driving.
+
+        `plant` and `profile` are those of the controller's model.
 
         Raises
         ------
         InvalidInput
-            As `true_car`.
+            As for `true_car`.
         """
         world = load_profile(profile)
         believed = _steering(plant, world)
@@ -310,7 +346,7 @@ class Mismatch:
         return sampled(self.true_car(plant, world), period, speed, friction=friction, profile=world, delay=delay)
 
     def true_car(self, plant: Plant, profile: str | Profile = "paper") -> Plant:
-        """The true car behind its true steering; its dead time is the caller's.
+        """Return the true car with its true steering lag; the caller adds the dead time.
 
         Raises
         ------
@@ -325,8 +361,8 @@ class Mismatch:
             return plant.with_steering(steering)
         if not isinstance(plant, SingleTrack | DualTrack):
             raise InvalidInput(
-                f"Mismatch {self.name}: plant {plant.name!r} has no vehicle and tyre of ours to change: analyse a "
-                "second plant, with other numbers, against the same MPC."
+                f"Mismatch {self.name}: plant {plant.name!r} has no built-in vehicle and tyre to change; analyse a "
+                "second plant with different parameters and the same MPC."
             )
         car, tyre = plant.vehicle, plant.tyre
         heavier = car.replace(mass=self.mass * car.mass, yaw_inertia=self.mass * car.yaw_inertia)
@@ -335,7 +371,11 @@ class Mismatch:
 
 
 def usual_mismatches(period: float) -> tuple[Mismatch, ...]:
-    """One thing at a time: lag 0.1 s off, dead time one period (s), stiffness by a factor of 1.6, mass by 30 %."""
+    """Return mismatches of one parameter each.
+
+    They are +-0.1 s of lag, +-1 control period (s) of dead time, 1.6 times and 1/1.6 times the stiffness, and +-30 %
+    of the mass.
+    """
     return (
         Mismatch(lag=0.1), Mismatch(lag=-0.1), Mismatch(dead_time=period), Mismatch(dead_time=-period),
         Mismatch(stiffness=1.6), Mismatch(stiffness=1.0 / 1.6), Mismatch(mass=1.3), Mismatch(mass=0.7),
@@ -343,7 +383,7 @@ def usual_mismatches(period: float) -> tuple[Mismatch, ...]:
 
 
 def _with_lag(a: Array, b: Array, lag: float) -> Array:
-    """Flow (n + 1, n + 1) of the states, the wheel angle where the steering has a lag (s), and a constant command."""
+    """Return the continuous-time matrix of the states, the wheel angle if the lag (s) is not zero, and the command."""
     n = len(b) + (lag > 0.0)
     flow = np.zeros((n + 1, n + 1))
     flow[: len(b), : len(b)], flow[: len(b), len(b)] = a, b
@@ -353,7 +393,10 @@ def _with_lag(a: Array, b: Array, lag: float) -> Array:
 
 
 def _hold_flow(flow: Array, period: float, delay: float) -> Array:
-    """[A b] (m, m + 1) over one period of a flow whose commands act `delay` periods late; the new one stands last."""
+    """Return [A b], (m, m + 1), over one period (s), with commands that act after `delay` periods.
+
+    Columns and rows of delayed commands follow those of the states; the last column is that of the new command.
+    """
     from scipy.linalg import expm
 
     n = len(flow) - 1
@@ -363,17 +406,17 @@ def _hold_flow(flow: Array, period: float, delay: float) -> Array:
     size = n + pending
     step = np.zeros((size, size + 1))
     step[:n, :n] = late[:n, :n] @ early[:n, :n]
-    place = [size, *range(n, size)]  # columns of the commands of this instant, of the last one, ...
-    step[:n, place[int(periods)]] = late[:n, n]
+    columns = [size, *range(n, size)]  # of the new command, of the last one, ...
+    step[:n, columns[int(periods)]] = late[:n, n]
     if part > 0.0:
-        step[:n, place[int(periods) + 1]] = late[:n, :n] @ early[:n, n]
-    step[place[1:], place[:-1]] = 1.0
+        step[:n, columns[int(periods) + 1]] = late[:n, :n] @ early[:n, n]
+    step[columns[1:], columns[:-1]] = 1.0
     return step
 
 
 def sensed() -> tuple[str, ...]:
-    """Return the signals of a controller at one instant by name, see `core.models.contract.MEASUREMENT`."""
-    return tuple(name for name in contract.MEASUREMENT._fields if name != "turned")  # it is known, not measured
+    """Return the names of the sensor signals, see `core.models.contract.MEASUREMENT`."""
+    return tuple(name for name in contract.MEASUREMENT._fields if name != "turned")  # given by the path, not a sensor
 
 
 def _road(friction: float) -> Array:
@@ -381,57 +424,63 @@ def _road(friction: float) -> Array:
 
 
 Turn = Callable[[float, float], float]
-"""Lateral acceleration (m/s^2) of a turn at a speed (m/s) on a friction."""
+"""Function that returns the lateral acceleration (m/s^2) of a turn for a speed (m/s) and a friction."""
 LinearPlant = Callable[[float, float], Sampled]
-"""The plant behind its steering at a speed (m/s) on a friction."""
+"""Function that returns the linear plant with its steering for a speed (m/s) and a friction."""
 
 
 def linear_plants(
     plant: Plant, period: float, profile: str | Profile, turn: Turn | None, mismatches: Sequence[Mismatch] = ()
 ) -> list[LinearPlant]:
-    """Linear plants: driving straight, in a turn if one is requested, and straight with each mismatch. period: s."""
+    """Return linear plants for straight driving, for the turn unless it is None, and for each mismatch.
+
+    period: control period (s).
+    """
 
     def steady(speed: float, friction: float, acceleration: float = 0.0) -> Sampled:
         return sampled(plant, period, speed, friction=friction, profile=profile, lateral_acceleration=acceleration)
 
-    def mismatched(by: Mismatch) -> LinearPlant:
-        return lambda speed, friction: by.sampled(plant, period, speed, friction=friction, profile=profile)
+    def with_mismatch(mismatch: Mismatch) -> LinearPlant:
+        return lambda speed, friction: mismatch.sampled(plant, period, speed, friction=friction, profile=profile)
 
-    bent = [] if turn is None else [lambda speed, friction: steady(speed, friction, turn(speed, friction))]
-    return [steady, *bent, *map(mismatched, mismatches)]
+    in_turn = [] if turn is None else [lambda speed, friction: steady(speed, friction, turn(speed, friction))]
+    return [steady, *in_turn, *map(with_mismatch, mismatches)]
 
 
 # -- the controller ---------------------------------------------------------------------------------------------------
 class LinearEstimator(NamedTuple):
-    """An estimator at one speed, for small deviations, as the MPC sees it.
+    """Linear estimator of an MPC at one speed, for small deviations.
 
         u(k) = h s(k) - k xi(k),   xi(k) = C s(k) + D m(k),   s(k+1) = A s(k) + E m(k) + f u(k)
 
-    s (q,): what is remembered; m: what is measured, by `sensed`; u: the command (rad); k: the feedback of the MPC; xi:
-    what that feeds back, or its sum over all steps where h = 0.
+    - s (q,): memory of the estimator;
+    - m: measurements in the order of `sensed`;
+    - u: command (rad);
+    - k: feedback gains of the MPC;
+    - xi (n + 1,): input of the feedback, or its sum over all steps if h = 0.
     """
 
     a: Array
-    """(q, q)"""
+    """Matrix A, (q, q)."""
     e: Array
-    """(q, sensors)"""
+    """Matrix E, (q, sensors)."""
     f: Array
-    """Input column of the command, shape (q,)."""
+    """Column f of the command, (q,)."""
     c: Array
-    """(n + 1, q)"""
+    """Matrix C, (n + 1, q)."""
     d: Array
-    """(n + 1, sensors)"""
+    """Matrix D, (n + 1, sensors)."""
     h: Array
-    """Output row of the state memory, shape (q,)."""
+    """Row h of the memory, (q,)."""
 
 
 def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
-    """The estimator of an MPC at a speed (m/s), settled after a long drive at that speed.
+    """Return the linear estimator of an MPC at a speed (m/s), in steady state.
 
-    A Kalman filter is linear as long as its innovations are small. What a step of the compiled one makes of each number
-    that it is given, or has made of them before, is found by changing that number: so every estimator, one's own
-    included, is analysed as it runs. Numbers that do not move with the measurements (gains, covariances), or that move
-    no command, are left out.
+    A Kalman filter is linear as long as its innovations are small. The matrices are difference quotients of the
+    compiled estimator with respect to its inputs and its memory, so user-defined estimators are analysed in the same
+    way. Entries of the memory that do not depend on the measurements (gains, covariances) or do not influence the
+    command are left out.
     """
     return EstimatorAt(mpc, speed).straight
 
@@ -456,14 +505,14 @@ class EstimatorAt:
         )
 
     def _answer(self, turned: float, inputs: Array) -> Array:
-        """[memory, xi] after a step from [memory, measured, command]."""
+        """Return [memory, xi] after a step from [memory, measurements, command]; turned: path rotation (rad)."""
         after, command = inputs[: self._memory].copy(), float(inputs[-1])
         self._step(np.append(inputs[self._memory : -1], turned), command, after)
         return np.concatenate([after, self._a @ self._x + self._b[:, 0] * command + self._d - self._x, self._x[-1:]])
 
     @cached_property
     def straight(self) -> LinearEstimator:
-        """Driving straight."""
+        """The linear estimator in straight driving."""
         return _increments(self.model) if self._is_deadbeat else self._straight[0]
 
     @cached_property
@@ -473,37 +522,43 @@ class EstimatorAt:
         swing, back = np.zeros(self._sensors + 1), np.zeros(self._sensors + 1)
         swing[: self._sensors - 2], back[: self._sensors - 2] = -_DITHER, _DITHER
         before, change = remembered.copy(), np.full(self._memory, np.inf)
-        for k in range(_LONGEST):
+        for k in range(_MAX_SETTLING_STEPS):
             self._step(back if k % 2 else swing, 0.0, remembered)
-            if k % _SETTLING == 0:
-                earlier, change = change, remembered - before  # a counter changes, but always alike
+            if k % _SETTLING_INTERVAL == 0:
+                earlier, change = change, remembered - before  # compared, since a counter changes at a constant rate
                 if _within(change - earlier, _SETTLED * np.nanmax(np.abs(before), initial=0.0)):
                     break
                 before = remembered.copy()
         derivatives = _differences(partial(self._answer, 0.0), equilibrium, self._memory)
         moved = [i for i in derivatives if i < self._memory]
         moves = np.array([derivatives[i] for i in moved]).reshape(len(moved), self._memory + self.model.n + 1)
-        matter = _that_matter(moves, moved, self._memory)
-        return self._linearise_changes(derivatives, matter), matter
+        relevant = _relevant_places(moves, moved, self._memory)
+        return self._linearise_changes(derivatives, relevant), relevant
 
-    def _linearise_changes(self, derivatives: Mapping[int, Array], matter: list[int]) -> LinearEstimator:
+    def _linearise_changes(self, derivatives: Mapping[int, Array], relevant: list[int]) -> LinearEstimator:
         memory, n = self._memory, self.model.n
-        inputs = [*matter, *range(memory, memory + self._sensors + 1)]
-        rows = np.array([derivatives[i] for i in inputs]).T[[*matter, *range(memory, memory + n + 1)]]
-        return _with_last_command(rows, len(matter))
+        inputs = [*relevant, *range(memory, memory + self._sensors + 1)]
+        rows = np.array([derivatives[i] for i in inputs]).T[[*relevant, *range(memory, memory + n + 1)]]
+        return _with_last_command(rows, len(relevant))
 
     def with_turn_gains(self, measured: Array, command: float) -> LinearEstimator:
-        """After some time in a steady turn: of the same numbers, with the gains that the estimator then has.
+        """Return the linear estimator with the gains that it has after some time in a steady turn.
 
-        measured: (9,), see `Steady.measured`; command: rad. Gains count as constant: they follow the size of the
-        tyres' forces, more slowly than the loop moves.
+        The gains are treated as constant, since they follow the tyre forces more slowly than the loop moves.
+
+        Parameters
+        ----------
+        measured
+            Signals in the turn, (9,), see `Steady.measured`.
+        command
+            Steering command in the turn (rad).
         """
         if self._is_deadbeat:
             return self.straight
         places, memory = self._straight[1], np.zeros(self._memory)
         swing = np.zeros_like(measured)
-        swing[: self._sensors - 2] = _SWING
-        for k in range(math.ceil(_TURNING / self.model.period)):
+        swing[: self._sensors - 2] = _TURN_DITHER
+        for k in range(math.ceil(_TURN_DURATION / self.model.period)):
             self._step(measured + (swing if k % 2 else -swing), command, memory)
         equilibrium = np.concatenate([memory, measured[:-1], [command]])
         settled = self._answer(measured[-1], equilibrium)
@@ -514,17 +569,20 @@ class EstimatorAt:
             derivatives[place] = (self._answer(measured[-1], inputs) - settled) / _STEP
         ages = slice(self._memory + self._sensors - 2, self._memory + self._sensors)
         for place in range(ages.start, ages.stop):
-            derivatives[place] = np.zeros_like(settled)  # how old a sample is does not change
+            derivatives[place] = np.zeros_like(settled)  # the age of samples is constant
         return self._linearise_changes(derivatives, places)
 
 
-def _within(values: Array, most: float) -> bool:
-    """Whether none is larger; NaN, what has never been measured, counts as none."""
-    return not (np.abs(values) > most).any()
+def _within(values: Array, limit: float) -> bool:
+    """Whether no value exceeds a limit in magnitude; NaN, for a missing measurement, is ignored."""
+    return not (np.abs(values) > limit).any()
 
 
 def _increments(model: PredictionModel) -> LinearEstimator:
-    """The increments of the measured state: their sum is that state, s that of y over the steps before."""
+    """Return the estimator of an MPC that feeds back increments of the measured state and the measured output y.
+
+    The sum of the increments is the state; the memory s is the sum of y over earlier steps.
+    """
     d = np.zeros((model.n + 1, len(sensed())))
     d[range(model.n), model.measured_places()] = 1.0
     d[model.n] = d[model.n - 1]
@@ -534,30 +592,33 @@ def _increments(model: PredictionModel) -> LinearEstimator:
 
 
 def _differences(step: Callable[[Array], Array], equilibrium: Array, memory: int) -> dict[int, Array]:
-    """By place in `rest`: what a unit change there does to a step, for inputs and the memory that moves with them."""
+    """Return the derivatives of a step by index in `equilibrium`.
+
+    The indices are those of all inputs, and of the memory entries that depend on them. `memory` is the memory size.
+    """
     settled, derivatives, waiting = step(equilibrium), {}, list(range(memory, len(equilibrium)))
     while waiting:
         place = waiting.pop()
         inputs = equilibrium.copy()
         inputs[place] += _STEP
         change = (step(inputs) - settled) / _STEP
-        derivatives[place] = np.where(np.abs(change) > _NOTHING, change, 0.0)
+        derivatives[place] = np.where(np.abs(change) > _DITHER_DERIVATIVE, change, 0.0)
         moved = np.flatnonzero(derivatives[place][:memory]).tolist()
         waiting += [i for i in moved if i not in derivatives and i not in waiting]
     return derivatives
 
 
-def _that_matter(moves: Array, places: list[int], memory: int) -> list[int]:
-    """Return the places in memory that influence xi now or later; moves: effect of each place, row by row."""
-    matters = np.abs(moves[:, memory:]).max(axis=1, initial=0.0) > 0.0
+def _relevant_places(moves: Array, places: list[int], memory: int) -> list[int]:
+    """Return the memory indices that influence xi now or later; row i of moves: derivatives by places[i]."""
+    is_relevant = np.abs(moves[:, memory:]).max(axis=1, initial=0.0) > 0.0
     for _ in places:
-        acting = [place for place, says in zip(places, matters, strict=True) if says]
-        matters |= np.abs(moves[:, acting]).max(axis=1, initial=0.0) > 0.0
-    return [place for place, says in zip(places, matters, strict=True) if says]
+        acting = [place for place, relevant in zip(places, is_relevant, strict=True) if relevant]
+        is_relevant |= np.abs(moves[:, acting]).max(axis=1, initial=0.0) > 0.0
+    return [place for place, relevant in zip(places, is_relevant, strict=True) if relevant]
 
 
 def _with_last_command(rows: Array, size: int) -> LinearEstimator:
-    """From [s, xi] of [s before, m, last command]: the last command joins what is remembered."""
+    """Return the estimator from rows that map [s, m, last command] to [next s, xi]; the last command joins s."""
     q, sensors = size + 1, len(sensed())
     last = np.eye(q)[-1]
     a, e = np.zeros((q, q)), np.zeros((q, sensors))
@@ -573,18 +634,28 @@ class LinearControllers:
 
     estimator: LinearEstimator
     k: Array
-    """(n, states + 1) feedback of each tuning, du = -k xi"""
+    """Feedback gains of each tuning, (n, states + 1), with du = -k xi."""
 
     def __getitem__(self, rows: slice) -> LinearControllers:
         return LinearControllers(self.estimator, self.k[rows])
 
 
 def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator | None = None) -> LinearControllers:
-    """The controllers at a speed (m/s) with n tunings (n, 4) of Np, Nc, Q, R.
+    """Return the linear controllers of an MPC with n tunings at one speed.
 
-    `PredictionModel.feedback` for many tunings at once, behind the `linear_estimator`, made here unless it is given.
-    The horizons must be whole numbers, 1 <= Nc <= Np. A controller that learns is taken as it begins: with its first
-    belief, and R times its first caution.
+    A controller that learns is analysed in its initial state: with its initial belief, and R times its initial caution
+    factor.
+
+    Parameters
+    ----------
+    mpc
+        Controller.
+    speed
+        Speed (m/s).
+    tunings
+        Np, Nc, Q and R, (n, 4), with whole horizons and 1 <= Nc <= Np.
+    estimator
+        Linear estimator; None for `linear_estimator` at this speed.
     """
     caution = mpc.first_caution
     rows = np.atleast_2d(np.asarray(tunings, dtype=np.float64))

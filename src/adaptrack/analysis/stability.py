@@ -1,7 +1,8 @@
-"""The closed loop for small deviations: its matrix over one control period, its stability and its stability margins.
+"""Stability and stability margins of the linear closed loop over one control period.
 
-What the controller leaves out (tyre relaxation, a lag or dead time that it does not know) is part of the loop; the
-reference, with or without preview, is not: it cannot make a linear loop unstable. Car and controller: `linearisation`.
+The loop contains the true car, including effects that the controller's model neglects, such as tyre relaxation or an
+unknown lag or dead time. The reference, with or without preview, is left out, since it cannot make a linear loop
+unstable. `linearisation` provides car and controller.
 """
 
 from __future__ import annotations
@@ -36,14 +37,21 @@ from adaptrack.scenario.profile import Profile
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_ANGLES = np.geomspace(1e-3, np.pi, 768)  # rad per period, at which the loop gain is looked at
+_ANGLES = np.geomspace(1e-3, np.pi, 768)  # frequencies of the loop gain (rad per control period)
 
 
 # -- the loop ---------------------------------------------------------------------------------------------------------
 def loops(plant: Sampled, law: LinearControllers, gain: float = 1.0) -> Array:
-    """The matrices (n, m + q, m + q) that take [z, s] from one control instant to the next, for n laws.
+    """Return the closed-loop matrices over one control period of n controllers, (n, m + q, m + q).
 
-    gain: a factor on every command between the controller and the steering.
+    Parameters
+    ----------
+    plant
+        Sampled plant with m states.
+    law
+        Controllers, whose estimator has q states. The loop's state is that of the plant, then that of the estimator.
+    gain
+        Factor on the commands between controller and steering.
     """
     estimator, measured = law.estimator, _measured(plant, law)
     m, q = len(plant.b), len(estimator.a)
@@ -57,7 +65,7 @@ def loops(plant: Sampled, law: LinearControllers, gain: float = 1.0) -> Array:
 
 
 def _measured(plant: Sampled, law: LinearControllers) -> Array:
-    """C of the plant; refused where the estimator reads what is no state of it."""
+    """Return C of the plant; raises `InvalidInput` if the estimator uses a signal that is no state of the plant."""
     read = np.asarray(law.estimator.e.any(axis=0) | law.estimator.d.any(axis=0))
     without = np.flatnonzero(read & ~plant.c.any(axis=1))
     missing = [sensed()[i] for i in without.tolist() if i >= len(SENSED_STATES)]
@@ -73,9 +81,10 @@ def closed_loop(
     plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, friction: float = 0.9,
     profile: str | Profile = "paper", lateral_acceleration: float = 0.0, delay: float = 0.0,
 ) -> Array:  # fmt: skip
-    """The matrix that takes the loop's state from one control instant to the next, with a reference of zero.
+    """Return the closed-loop matrix over one control period.
 
-    State: that of `sampled`, then that of `linear_estimator`. delay: s, additional dead time of the commands.
+    Its state is that of `sampled`, then that of `linear_estimator`. The arguments are those of `sampled`. `delay` (s)
+    is an additional dead time of the commands. A `tuning` of None is the MPC's own.
     """
     linear = sampled(
         plant, mpc.period, speed, friction=friction, profile=profile, lateral_acceleration=lateral_acceleration,
@@ -88,7 +97,7 @@ def spectral_radius(
     plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, friction: float = 0.9,
     profile: str | Profile = "paper", lateral_acceleration: float = 0.0, delay: float = 0.0,
 ) -> float:  # fmt: skip
-    """Largest magnitude of the closed loop's eigenvalues over one control period: below 1 it is stable."""
+    """Return the spectral radius of `closed_loop`; the loop is stable if it is less than 1."""
     matrix = closed_loop(
         plant, mpc, speed, tuning=tuning, friction=friction, profile=profile,
         lateral_acceleration=lateral_acceleration, delay=delay,
@@ -97,7 +106,7 @@ def spectral_radius(
 
 
 def radii(matrices: Array) -> Array:
-    """Spectral radius of each matrix (..., n, n)."""
+    """Return the spectral radius of each matrix (..., n, n)."""
     return np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
 
 
@@ -107,18 +116,18 @@ class Margins:
     """Stability margins of n loops, arrays (n,). An unstable loop has gain margins of 1 and a delay margin of 0 s."""
 
     radius: Array
-    """spectral radius over one control period"""
+    """Spectral radius over one control period."""
     gain_up: Array
-    """factor > 1 on the commands at which the loop becomes unstable, inf when none does"""
+    """Smallest gain factor above 1 that makes the loop unstable; infinite if there is none."""
     gain_down: Array
     """Largest gain factor below 1 that makes the loop unstable; 0 if there is none."""
     delay: Array
-    """s, additional delay of the commands at which it becomes unstable"""
+    """Smallest additional delay of the commands that makes the loop unstable (s)."""
     modulus_margin: Array
-    """0 at the stability limit, see `modulus_margin`"""
+    """Modulus margin, 0 at the stability limit, see `modulus_margin`."""
 
     def worst(self, other: Margins) -> Margins:
-        """The worse of two, loop by loop."""
+        """Return the worse margins of two sets, loop by loop."""
         return Margins(
             np.maximum(self.radius, other.radius),
             np.minimum(self.gain_up, other.gain_up),
@@ -129,10 +138,10 @@ class Margins:
 
 
 def loop_gain(plant: Sampled, law: LinearControllers, angles: ArrayLike = _ANGLES) -> Complex:
-    """The loop gain L (n, angles) of n laws at z = e^(i angle), the loop being cut at the steering command.
+    """Return the loop gain L (n, angles) of n controllers at z = e^(i angle), with the loop cut at the command.
 
-    The loop with a factor g on its commands has the characteristic equation 1 + g L(z) = 0. The controller itself knows
-    the commands that it gave.
+    The loop with a factor g on its commands has the characteristic equation 1 + g L(z) = 0. The factor applies after
+    the controller, whose estimator uses the commands without it.
     """
     estimator, z = law.estimator, np.exp(1j * np.asarray(angles, dtype=np.float64))
     measured = _measured(plant, law) @ _resolvent(z, plant.a, plant.b[:, None])[:, 0]  # (sensors, angles)
@@ -143,7 +152,7 @@ def loop_gain(plant: Sampled, law: LinearControllers, angles: ArrayLike = _ANGLE
 
 
 def _resolvent(z: Complex, a: Array, b: Array) -> Complex:
-    """(z - A)^-1 B (n, columns, len(z)), from the Schur form of A: one back substitution for all z."""
+    """Return (z - A)^-1 B, (n, columns, len(z)), by one back substitution with the Schur form of A for all z."""
     from scipy.linalg import schur
 
     t, u = schur(a, output="complex")
@@ -154,7 +163,7 @@ def _resolvent(z: Complex, a: Array, b: Array) -> Complex:
 
 
 def modulus_margin(plant: Sampled, law: LinearControllers, angles: ArrayLike = _ANGLES) -> Array:
-    """Modulus margin min |1 + L| (n,) of the loops of n laws: the distance of the loop gain from -1.
+    """Return the modulus margin min |1 + L| (n,) of the loops of n controllers: the distance of the loop gain from -1.
 
     It is 1/M, M the largest sensitivity |1/(1 + L)|: 0.5 is a comfortable loop, 0 the stability limit (I. D. Landau,
     G. Zito, Digital Control Systems, Springer 2006, chapter 2). It bounds all other margins: with a modulus margin m
@@ -170,10 +179,11 @@ def _modulus_margin(gains: Complex, radius: Array) -> Array:
 
 
 def margins(plant: Sampled, law: LinearControllers, period: float) -> Margins:
-    """Stability margins of the loops of n laws around a sampled plant; period: s.
+    """Return the stability margins of the loops of n controllers with a sampled plant; period in s.
 
-    From the loop gain L on the unit circle, which an eigenvalue must cross: where g L = -1 for a factor g, where
-    L e^(-i angle tau/period) = -1 for a delay tau. Crossings are interpolated between 768 frequencies.
+    At the stability limit an eigenvalue lies on the unit circle. The gain margins are the factors g with g L = -1
+    there, and the delay margin is the delay tau with L e^(-i angle tau/period) = -1. L is interpolated between 768
+    frequencies.
     """
     gains = loop_gain(plant, law)
     radius = radii(loops(plant, law))
@@ -189,49 +199,58 @@ def margins(plant: Sampled, law: LinearControllers, period: float) -> Margins:
 
 
 def _critical_factors(gains: Complex) -> Array:
-    """Factors g = -1/L (n, 768) where L crosses the negative real axis, NaN elsewhere."""
-    _, at = _crossings(gains.imag, gains)
-    real_axis = np.concatenate([at.real, gains[:, -1:].real], axis=1)  # at half the sampling frequency L is real
+    """Return the factors g = -1/L (n, 768) where L crosses the negative real axis, NaN elsewhere."""
+    _, crossing = _crossings(gains.imag, gains)
+    real_axis = np.concatenate([crossing.real, gains[:, -1:].real], axis=1)  # L is real at half the sampling frequency
     return np.asarray(-1.0 / np.where(real_axis < 0.0, real_axis, np.nan))
 
 
 def _critical_delays(gains: Complex, period: float) -> Array:
-    """Delays tau (s) (n, 767) where |L| crosses 1, NaN elsewhere: period (arg L + pi)/angle, arg L + pi in [0, 2 pi).
+    """Return the delays tau (s), (n, 767), where |L| crosses 1, NaN elsewhere.
 
-    Exact for whole periods; in between it leaves out that commands are held.
+    tau = period (arg L + pi)/angle with arg L + pi in [0, 2 pi). This is exact for whole periods; for other delays it
+    neglects the zero-order hold of the commands.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):  # a loop without gain crosses nothing
-        share, at = _crossings(np.log(np.abs(gains)), gains)
+    with np.errstate(divide="ignore", invalid="ignore"):  # log |L| = -inf for a loop without gain
+        share, crossing = _crossings(np.log(np.abs(gains)), gains)
     angle = _ANGLES[:-1] * (_ANGLES[1:] / _ANGLES[:-1]) ** share
-    return np.asarray(period * np.mod(np.angle(at) + np.pi, 2.0 * np.pi) / angle)
+    return np.asarray(period * np.mod(np.angle(crossing) + np.pi, 2.0 * np.pi) / angle)
 
 
-def _crossings(level: Array, gains: Complex) -> tuple[Array, Complex]:
-    """Where `level` changes its sign: the share of the way to the next frequency, NaN elsewhere, and L there."""
+def _crossings(values: Array, gains: Complex) -> tuple[Array, Complex]:
+    """Return the zero crossings of values between neighbouring frequencies, and L there.
+
+    A crossing is a share of the step to the next frequency; it is NaN without a change of sign.
+    """
     left, right = gains[:, :-1], gains[:, 1:]
-    changes = level[:, :-1] * level[:, 1:] < 0.0
+    changes = values[:, :-1] * values[:, 1:] < 0.0
     share = np.full(changes.shape, np.nan)
-    np.divide(level[:, :-1], level[:, :-1] - level[:, 1:], out=share, where=changes)
+    np.divide(values[:, :-1], values[:, :-1] - values[:, 1:], out=share, where=changes)
     return share, left + share * (right - left)
 
 
-# -- the guard's table ------------------------------------------------------------------------------------------------
+# -- the margin table of a guard --------------------------------------------------------------------------------------
 def hard_turn(speed: float, friction: float) -> float:
-    """Lateral acceleration (m/s^2) of a turn as hard as driving gets at a speed (m/s) on `friction`.
+    """Return the lateral acceleration (m/s^2) of a hard turn at a speed v (m/s) on a friction.
 
-    A share of the grip that grows with the speed: 0.027 v, at most 0.75. Measured: with the paper's vehicle in the
-    `road` profile and a sound constant tuning (35, 5, 1, 1e4), in nine of ten random drives (`scenario.random_drive`,
-    with gusts of up to 30 m/s) the largest share is at most 0.21 at 6 m/s, 0.40 at 14 m/s and 0.69 at 26 m/s; in the
-    hardest of thirty 0.033 v up to 22 m/s.
+    Its share of the grip is 0.027 v, at most 0.75. The factor comes from random drives (`scenario.random_drive`, gusts
+    of up to 30 m/s) with the paper's vehicle, the `road` profile and a constant tuning of (35, 5, 1, 1e4). The largest
+    share of the grip in nine of ten drives is at most
+
+    - 0.21 at 6 m/s,
+    - 0.40 at 14 m/s,
+    - 0.69 at 26 m/s.
+
+    In the hardest of thirty drives it is 0.033 v up to 22 m/s.
     """
     return min(0.027 * speed, 0.75) * friction * GRAVITY
 
 
 def linear_twin(plant: Plant | SteppedPlant, car: Vehicle, domain: Domain) -> Plant:
-    """Return the plant's stand-in for linear analysis: the plant itself where it has a linear model in the domain.
+    """Return the plant for linear analysis: the plant itself if it has a linear model in the domain, else a twin.
 
-    Else the car's twin (`plant.twin_of`): of a plant that is stepped in Python, or whose derivatives jump. What the
-    twin leaves out is not in the analysis.
+    A plant that is stepped in Python, or whose derivatives jump, has no linear model. Its twin is the built-in plant
+    with the data of the car (`plant.twin_of`). Effects that the twin lacks are not analysed.
     """
     if isinstance(plant, SingleTrack | DualTrack):
         return plant
@@ -250,15 +269,18 @@ _RATIOS = {"deadbeat": np.linspace(1.0, 6.0, 16), "informed": np.linspace(-1.0, 
 
 
 def guard_nodes(mpc: MPC) -> tuple[ArrayLike, ...]:
-    """Np, Nc and log10 R/Q (R/Q in m^2/rad^2) of a guard's table, for the `road` profile.
+    """Return the values of Np, Nc and log10 R/Q (R/Q in m^2/rad^2) in a guard's table, for the `road` profile.
 
-    Without an estimator the weight of the moves is what keeps lag and noise from the loop, so that it is larger.
+    An MPC without an estimator needs larger weights R against lag and noise.
     """
     return (*_HORIZONS, _RATIOS["deadbeat" if mpc.estimator.function is None else "informed"])
 
 
 def speed_nodes(low: float, high: float) -> Array:
-    """Speeds (m/s) at most a quarter of the speed and 2 m/s apart: slow loops change fastest with it."""
+    """Return speeds from low to high (m/s) with steps of at most 2 m/s and at most a quarter of the speed.
+
+    The loop varies most with the speed at low speeds.
+    """
     nodes = [low]
     while nodes[-1] < high:
         nodes.append(min(nodes[-1] + min(0.25 * nodes[-1], 2.0), high))
@@ -266,29 +288,37 @@ def speed_nodes(low: float, high: float) -> Array:
 
 
 def margin_map(mpc: MPC, plants: Sequence[LinearPlant], axes: Sequence[Array], angles: ArrayLike = _ANGLES) -> Array:
-    """Least modulus margin of an MPC around some plants, at a grid over speed, friction, Np, Nc and log10 R/Q (axes).
+    """Return the smallest modulus margin of an MPC with several plants, on a grid of operating points and tunings.
 
-    A node with Nc > Np stands for Nc = Np.
+    Parameters
+    ----------
+    mpc
+        Controller.
+    plants
+        Linear plants.
+    axes
+        Values of speed (m/s), friction, Np, Nc and log10 R/Q. A node with Nc > Np is computed with Nc = Np.
+    angles
+        Frequencies of the loop gain (rad per control period).
     """
     horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
     tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), 10.0**ratio])
     least = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
     for i, v in enumerate(axes[0].tolist()):
         law = laws(mpc, v, tunings)
-        sampled_plants: dict[
-            LinearPlant, tuple[Sampled, Array]
-        ] = {}  # driving straight, most tyres are alike on every friction
+        # The last linear plant and its margins; in straight driving most tyres do not depend on friction.
+        sampled_plants: dict[LinearPlant, tuple[Sampled, Array]] = {}
         for j, mu in enumerate(axes[1].tolist()):
             for plant in plants:
                 linear_plant = plant(v, mu)
-                if plant not in sampled_plants or not _are_alike(linear_plant, sampled_plants[plant][0]):
+                if plant not in sampled_plants or not _are_equal(linear_plant, sampled_plants[plant][0]):
                     sampled_plants[plant] = linear_plant, modulus_margin(linear_plant, law, angles)
             least[i, j] = np.min([margin for _, margin in sampled_plants.values()], axis=0)
     return least.reshape([len(axis) for axis in axes])
 
 
-def _are_alike(first: Sampled, other: Sampled) -> bool:
-    """Whether two bodies differ by no more than the rounding of their linearisation."""
+def _are_equal(first: Sampled, other: Sampled) -> bool:
+    """Whether two linear plants are equal up to rounding errors of their linearisation."""
     return bool(
         np.allclose(first.a, other.a, rtol=1e-7, atol=1e-9) and np.allclose(first.b, other.b, rtol=1e-7, atol=1e-9)
     )
@@ -299,17 +329,33 @@ def loop_map(
     friction: tuple[float, float] = (0.3, 1.0), nodes: Sequence[ArrayLike] | None = None,
     turn: Turn | None = hard_turn,
 ) -> tuple[tuple[Array, ...], Array]:  # fmt: skip
-    """The table of a guard over speed, friction, Np, Nc and log10 R/Q: the axes of a grid, and its values.
+    """Return the margin table of a guard.
 
-    Values: 1 less the smaller modulus margin of driving straight and in a turn, rounded up to 0.001, made to be
-    interpolated linearly. 1 is the stability limit. It foretells failed drives better than the spectral radius, which
-    also counts slow modes that are well damped.
+    A guard is the safety layer of a scheduler that replaces tunings with small stability margins. The table contains
+    1 - m with the smaller modulus margin m of straight driving and the turn, rounded up to 0.001, for linear
+    interpolation. A value of 1 is the stability limit. It predicts failed drives better than the spectral radius, which
+    is also large for slow but well damped modes.
 
-    speed (m/s), friction: ranges; nodes: of Np, Nc and log10 R/Q, by default `guard_nodes`; turn: lateral acceleration
-    (m/s^2) of the turn at a speed on a friction, None for driving straight only. A node with Nc > Np stands for
-    Nc = Np.
+    Parameters
+    ----------
+    plant, profile
+        The true car, and its true steering, dead time and sensors.
+    mpc
+        Controller; its own tuning is ignored.
+    speed, friction
+        Lowest and highest speed (m/s) and friction coefficient.
+    nodes
+        Values of Np, Nc and log10 R/Q; None for `guard_nodes`. A node with Nc > Np is computed with Nc = Np.
+    turn
+        Function that returns the lateral acceleration (m/s^2) of the turn for a speed (m/s) and a friction. None for
+        straight driving only.
+
+    Returns
+    -------
+    axes, values
+        Axes of the grid (speed, friction, Np, Nc, log10 R/Q) and the table.
     """
-    chosen = guard_nodes(mpc) if nodes is None else nodes
-    axes = (speed_nodes(*speed), np.array(friction), *(np.asarray(axis, dtype=np.float64) for axis in chosen))
+    tuning_nodes = guard_nodes(mpc) if nodes is None else nodes
+    axes = (speed_nodes(*speed), np.array(friction), *(np.asarray(axis, dtype=np.float64) for axis in tuning_nodes))
     least = margin_map(mpc, linear_plants(plant, mpc.period, profile, turn), axes)
     return axes, np.ceil(1000.0 * (1.0 - least)) / 1000.0

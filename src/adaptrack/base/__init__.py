@@ -1,1 +1,1 @@
-"""What every room needs: errors, files, registries, limits, checked arguments, progress."""
+"""Foundation of all subpackages: errors, files, registries, limits, argument checks, progress reports."""

@@ -1,24 +1,30 @@
-"""Arguments checked by their annotations: which numbers, names and objects a call takes stands in its signature.
+"""Argument checks from annotations: a signature states which numbers, names and objects a call accepts.
 
     @checked
     def plan_speed(road: Road, *, spacing: Annotated[Finite, within(0.01, 100.0), "m"] = 1.0) -> SpeedPlan: ...
 
-A checked function, or a checked dataclass when one is built, validates every argument whose annotation holds a type of
-this module or a constraint of pydantic's (`pydantic.Field`), or is a `Literal`. The body gets plain floats, ints and
-tuples. Any real number serves as a number (NumPy's, fractions, whole ones); truth values, text, NaN and what no float
-holds do not. What is not allowed raises `InvalidInput`, which names the call, the argument, its value and unit, what
-is allowed and, where there is one, the remedy:
+The decorator `checked` validates the arguments of a function, or the fields of a dataclass when an object is built. It
+validates each argument whose annotation contains a type of this module, a constraint of pydantic (`pydantic.Field`) or
+a `Literal`. The body receives plain floats, ints and tuples. Every real number is accepted as a number: NumPy scalars,
+fractions, integers. Booleans, text, NaN and integers too large for a float are rejected. A rejected value raises
+`InvalidInput`. The message names the call, the argument, its value and unit, the accepted values and a remedy if there
+is one:
 
     plan_speed: spacing = -1 m: must be a finite number >= 0.01 and <= 100.
 
-An annotation that names a class of this package, text, a path or a function (`Road`, `Vehicle | str | None`) needs no
-mark: the argument must be an object of one of its classes.
+An annotation may also consist of classes of this package, text, paths and functions (`Road`, `Vehicle | str | None`).
+The argument must then be an instance of one of these classes:
 
     plan_speed: road = <Vehicle van>: must be a Road.
 
-A docstring has no "Raises" section for that. Beside the type stand in an annotation: text, the unit; a `Hint`; a
-`RequestLimit` of `adaptrack.base.limits`. What several arguments must fulfil together is checked in the body, and so is
-whatever runs once a control period, by `real`, `whole_number` and `reals`.
+Docstrings do not repeat these errors under "Raises". After the type, `Annotated` may contain:
+
+- a string: the unit;
+- a `Hint`: the end of the error message;
+- a `RequestLimit` of `adaptrack.base.limits`: an upper bound with its reason.
+
+Function bodies check conditions on several arguments. Code that runs in every control period calls `real`,
+`whole_number` and `reals` instead of using the decorator.
 """
 
 from __future__ import annotations
@@ -72,17 +78,17 @@ _UNIONS = (typing.Union, types.UnionType)
 _REAL, _WHOLE = BeforeValidator(_as_float), BeforeValidator(_as_int)
 
 Number = Annotated[float, Field(ge=-math.inf, allow_inf_nan=True), _REAL]
-"""Any but NaN."""
+"""A real number or infinity; NaN is rejected."""
 Finite = Annotated[float, Field(allow_inf_nan=False), _REAL]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False), _REAL]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False), _REAL]
 Share = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False), _REAL]
 Bound = Annotated[float, Field(gt=0.0, allow_inf_nan=True), _REAL]
-"""Positive; infinity is no bound."""
+"""A positive number; infinity stands for "unbounded"."""
 Whole = Annotated[int, _WHOLE]
 Count = Annotated[int, Field(ge=1), _WHOLE]
 Natural = Annotated[int, Field(ge=0), _WHOLE]
-"""A whole number from 0, such as a seed."""
+"""A whole number that is at least 0, such as a seed."""
 
 
 def _rising(pair: tuple[float, float]) -> tuple[float, float]:
@@ -92,40 +98,42 @@ def _rising(pair: tuple[float, float]) -> tuple[float, float]:
 
 
 RISING = AfterValidator(_rising)
-"""Beside a pair of numbers: the first is not above the second."""
+"""Constraint on a pair of numbers: the first is at most the second."""
 
 
 class Hint(NamedTuple):
-    """In an annotation: how the message ends, with a remedy or with what a special value means."""
+    """End of the error message of an annotated argument: a remedy, or the meaning of a special value."""
 
     text: str
+    """Clause without a full stop."""
 
 
 def within(low: float, high: float) -> Any:
-    """In an annotation: a number from low to high."""
+    """Return the constraint that a number lies between `low` and `high`, both included."""
     return Field(ge=low, le=high)
 
 
 def checked(target: CheckedTarget) -> CheckedTarget:
-    """Check the arguments of a function, a method or a dataclass by their annotations, as this module says.
+    """Decorate a function, a method or a dataclass so that each call checks its arguments by their annotations.
 
-    The annotations are read at the first call; names that only type checkers import may stand in them.
+    The module's docstring lists what is checked. Annotations are read at the first call. They may use names that are
+    imported for type checkers only.
     """
     if isinstance(target, type):
-        vars_of = [vars(sys.modules[parent.__module__]) for parent in target.__mro__]
-        target.__init__ = _checked(target.__init__, vars_of)  # type: ignore[misc]
+        namespaces = [vars(sys.modules[parent.__module__]) for parent in target.__mro__]
+        target.__init__ = _checked(target.__init__, namespaces)  # type: ignore[misc]
         return target
     return typing.cast(CheckedTarget, _checked(target, [inspect.unwrap(target).__globals__]))
 
 
 def check_parameters(instance: object) -> None:
-    """Check the attributes of an object that keeps its parameters as given, by the annotations of its `__init__`.
+    """Check the attributes of an object by the annotations of the arguments of `__init__` with the same names.
 
-    So scikit-learn wants it of an estimator: whatever it was built with or set to is refused when it is fitted.
+    scikit-learn requires that an estimator stores its arguments unchecked; `fit` calls this function.
     """
     kind: Any = type(instance)
     for name, argument in _arguments_of(kind).items():
-        argument.value(getattr(instance, name), kind.__init__, (instance,))
+        argument.check(getattr(instance, name), kind.__init__, (instance,))
 
 
 @functools.cache
@@ -138,14 +146,14 @@ def _checked(function: Callable[..., Any], namespaces: Sequence[Mapping[str, Any
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        by_place, by_name = arguments()
+        by_position, by_name = arguments()
         values = list(args)
-        for place, argument in by_place:
-            if place < len(args):
-                values[place] = argument.value(args[place], function, args)
+        for position, argument in by_position:
+            if position < len(args):
+                values[position] = argument.check(args[position], function, args)
         for name, value in kwargs.items():
             if name in by_name:
-                kwargs[name] = by_name[name].value(value, function, args)
+                kwargs[name] = by_name[name].check(value, function, args)
         return function(*values, **kwargs)
 
     return call
@@ -157,9 +165,25 @@ class _Argument(NamedTuple):
     name: str
     annotation: Any
     validate: Callable[[Any], Any]
+    """Returns the converted value; raises pydantic's `ValidationError`."""
 
-    def value(self, value: Any, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
-        """Bind and check the arguments of a call; args: all positional arguments, including a method's self."""
+    def check(self, value: Any, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+        """Return the validated value of this argument of a call.
+
+        Parameters
+        ----------
+        value
+            Value before validation.
+        function
+            Called function, named in the error message.
+        args
+            All positional arguments of the call, including `self` of a method.
+
+        Raises
+        ------
+        InvalidInput
+            When the annotation does not allow the value.
+        """
         try:
             return self.validate(value)
         except ValidationError as error:
@@ -180,7 +204,7 @@ class _Argument(NamedTuple):
         field = FieldInfo.from_annotation(_without_none(annotation))
         metadata = [*field.metadata, *_metadata(_without_none(self.annotation))]
         unit = next((f" {note}" for note in metadata if isinstance(note, str) and _is_number(value)), "")
-        if details["type"] == "value_error":  # a Limit's own sentence, or that of `Reals`
+        if details["type"] == "value_error":  # the full sentence of a validator, such as `RequestLimit`
             return f"{name} = {format_value(value)}{unit}: {details['ctx']['error']}"
         must = _classes_in_words(annotation) or _container(field) or allowed(field)
         must = must or details["msg"].removeprefix("Input should be ")
@@ -189,9 +213,16 @@ class _Argument(NamedTuple):
         return f"{name} = {format_value(value)}{unit}: must be {must}{none}{hint}."
 
 
-# -- by hand: what runs once a control period, rows and tables ---------------------------------------------------------
+# -- checks without annotations: for calls in every control period, for rows and tables -------------------------------
 def real(where: str, name: str, value: object) -> float:
-    """`value` as a float; `InvalidInput` unless it is a number that one holds (truth values and text are none)."""
+    """Return a real number as a float.
+
+    Raises
+    ------
+    InvalidInput
+        For a value that is no number, such as a Boolean or text, or that is too large for a float. The message begins
+        with `where` and `name`.
+    """
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be a number.")
     try:
@@ -201,21 +232,28 @@ def real(where: str, name: str, value: object) -> float:
 
 
 def whole_number(where: str, name: str, value: object, least: int = 1) -> int:
-    """`value` as an int; `InvalidInput` unless it is a whole number, at least `least`."""
+    """Return a whole number as an int.
+
+    Raises
+    ------
+    InvalidInput
+        For a value that is no whole number or is less than `least`. The message begins with `where` and `name`.
+    """
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
         raise InvalidInput(f"{where}: {name} = {format_value(value)}: must be a whole number, at least {least}.")
     return int(value)
 
 
 def reals(name: str, values: Any) -> Array:
-    """`values` as float64, in their shape: masked entries become NaN, a number beyond the largest one infinity.
+    """Return numbers as a float64 array of the same shape.
 
-    An array of float64 is given back as it is, not copied.
+    A masked entry becomes NaN. A number too large for float64 becomes infinity. A float64 array is returned without a
+    copy.
 
     Raises
     ------
     InvalidInput
-        When they are no real numbers (truth values and text are none), or rows are not of one length.
+        For values that are no real numbers, such as Booleans or text, and for rows of different lengths.
     """
     if type(values) is np.ndarray and values.dtype is FLOAT:
         return values
@@ -223,7 +261,7 @@ def reals(name: str, values: Any) -> Array:
         array = np.asarray(values)
         if array.dtype == object:  # whole numbers beyond 64 bits, decimals, fractions
             array = np.array([_entry(value) for value in array.ravel()]).reshape(array.shape)
-    except Exception:  # whatever an object of others raises when it is converted to numbers
+    except Exception:  # a foreign object may raise any exception when it is converted to numbers
         array = np.empty(0, dtype=str)
     if array.dtype is FLOAT and isinstance(values, tuple | list | float):
         return array
@@ -247,17 +285,17 @@ def _entry(value: Any) -> float:
 
 # -- annotations ------------------------------------------------------------------------------------------------------
 class _Names(dict[str, Any]):
-    """The names in an annotation; one that is imported for type checkers alone stands for any object."""
+    """Namespace in which an annotation is evaluated; names imported for type checkers only accept any object."""
 
     def __init__(self, namespaces: Sequence[Mapping[str, Any]]) -> None:
-        self._known = ChainMap(*map(dict, namespaces), globals(), vars(builtins))
+        self._defined = ChainMap(*map(dict, namespaces), globals(), vars(builtins))
 
     def __missing__(self, name: str) -> Any:
-        return self._known.get(name, _ForTypeCheckers)
+        return self._defined.get(name, _ForTypeCheckers)
 
 
 class _ForTypeCheckers:
-    """A type that is not there when the program runs."""
+    """Placeholder of a type that is imported for type checkers only."""
 
     def __class_getitem__(cls, item: Any) -> type[_ForTypeCheckers]:
         return cls
@@ -266,7 +304,7 @@ class _ForTypeCheckers:
 def _arguments(
     function: Callable[..., Any], namespaces: Sequence[Mapping[str, Any]]
 ) -> tuple[list[tuple[int, _Argument]], dict[str, _Argument]]:
-    """The arguments that are checked, those that may be given by position with their places, and all by name."""
+    """Return the checked arguments of a function: (position, argument) of the positional ones, and all by name."""
     annotations = inspect.get_annotations(inspect.unwrap(function), locals=_Names(namespaces), eval_str=True)
     annotations.pop("return", None)
     fields = {
@@ -274,10 +312,10 @@ def _arguments(
         for name, annotation in annotations.items()
         if _is_checked(checks := _with_classes(annotation)) or typing.get_origin(_without_none(annotation)) is Literal
     }
-    every = inspect.signature(function).parameters.values()
-    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    listed = [parameter.name for parameter in every if parameter.kind in positional]
-    return [(place, fields[name]) for place, name in enumerate(listed) if name in fields], fields
+    parameters = inspect.signature(function).parameters.values()
+    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    positional = [parameter.name for parameter in parameters if parameter.kind in kinds]
+    return [(position, fields[name]) for position, name in enumerate(positional) if name in fields], fields
 
 
 @functools.cache
@@ -286,7 +324,7 @@ def _validator(annotation: Any) -> Callable[[Any], Any]:
 
 
 class _Class(NamedTuple):
-    """In an annotation: an object of a class, which the body gets as it is."""
+    """Constraint that a value is an instance of a class; the value is passed on unchanged."""
 
     kind: type
 
@@ -295,43 +333,46 @@ class _Class(NamedTuple):
 
 
 def _with_classes(annotation: Any) -> Any:
-    """The annotation with a check of every class in it; unchanged where it names none or cannot be checked whole."""
+    """Return the annotation with an instance check for every class in it.
+
+    It is returned unchanged if it contains no class of `_is_checked_class`, or a part without a check.
+    """
     parts = _parts(annotation)
     checks = [_class_check(part) for part in parts]
-    return reduce(or_, checks) if any(map(_names_class, parts)) and None not in checks else annotation
+    return reduce(or_, checks) if any(map(_is_checked_class, parts)) and None not in checks else annotation
 
 
 def _parts(annotation: Any) -> list[Any]:
-    """The members of a union, each without a unit and a hint."""
+    """Return the members of a union, or the annotation itself, without units and hints."""
     origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
     if origin in _UNIONS:
         return [part for member in inner for part in _parts(member)]
     return _parts(inner[0]) if origin is Annotated and not _is_constrained(annotation) else [annotation]
 
 
-def _names_class(part: Any) -> bool:
+def _is_checked_class(part: Any) -> bool:
     """Whether a part of an annotation is a class of the package, text, a path or a function."""
     kind = typing.get_origin(part) or part
     return kind in (str, os.PathLike, Callable) or getattr(kind, "__module__", "").partition(".")[0] == _PACKAGE
 
 
 def _class_check(part: Any) -> Any:
-    """The check of a part of an annotation; None where there is none, as for protocols."""
+    """Return a part of an annotation with its check, or None if it cannot be checked (a protocol, for example)."""
     if part is type(None) or _is_checked(part) or typing.get_origin(part) is Literal:
         return part
     kind = typing.get_origin(part) or part
     kind = {float: numbers.Real, int: numbers.Integral}.get(kind, kind)
-    unknown = kind in (Any, _ForTypeCheckers) or not isinstance(kind, type) or getattr(kind, "_is_protocol", False)
-    return None if unknown else Annotated[Any, _Class(kind)]
+    unchecked = kind in (Any, _ForTypeCheckers) or not isinstance(kind, type) or getattr(kind, "_is_protocol", False)
+    return None if unchecked else Annotated[Any, _Class(kind)]
 
 
 def _is_checked(annotation: Any) -> bool:
-    """Whether something in an annotation constrains a value."""
+    """Whether an annotation, or any part inside it, constrains a value."""
     return _is_constrained(annotation) or any(_is_checked(part) for part in typing.get_args(annotation))
 
 
 def _is_constrained(annotation: Any) -> bool:
-    """Whether an annotation itself constrains a value."""
+    """Whether the outermost `Annotated` of an annotation constrains a value."""
     marks = (FieldInfo, BeforeValidator, _Class, RequestLimit)
     return any(isinstance(mark, marks) for mark in _metadata(annotation))
 
@@ -341,7 +382,7 @@ def _metadata(annotation: Any) -> tuple[Any, ...]:
 
 
 def _without_none(annotation: Any) -> Any:
-    """The annotation of what is given, where it is given: `X` of `X | None`."""
+    """Return `X` for an annotation `X | None`, and any other annotation unchanged."""
     if typing.get_origin(annotation) in _UNIONS:
         members = [member for member in typing.get_args(annotation) if member is not type(None)]
         return members[0] if len(members) == 1 else annotation
@@ -349,7 +390,7 @@ def _without_none(annotation: Any) -> Any:
 
 
 def _element(annotation: Any, part: int | str) -> Any:
-    """The annotation of an element of a tuple, a sequence or a mapping; None of something else."""
+    """Return the annotation of an element of a tuple, a sequence or a mapping, or None for other annotations."""
     annotation = _without_none(annotation)
     if typing.get_origin(annotation) is Annotated:
         annotation = typing.get_args(annotation)[0]
@@ -362,9 +403,9 @@ def _element(annotation: Any, part: int | str) -> Any:
 
 
 def _classes_in_words(annotation: Any) -> str:
-    """The classes that `_with_classes` checks; empty where it checks none."""
+    """Return the classes that `_with_classes` checks as a phrase, empty if it checks none."""
     parts = [part for part in _parts(annotation) if part is not type(None)]
-    if not any(map(_names_class, parts)):
+    if not any(map(_is_checked_class, parts)):
         return ""
     words = {str: "text", os.PathLike: "a path", Callable: "a function"}
     return " or ".join(words.get(typing.get_origin(part) or part) or _noun(part) for part in parts)
@@ -377,7 +418,7 @@ def _noun(part: Any) -> str:
 
 
 def _container(field: FieldInfo) -> str:
-    """A tuple, a sequence or a mapping in words; empty for anything else."""
+    """Return the phrase for a tuple, a sequence or a mapping, empty for other types."""
     kind, inner = typing.get_origin(field.annotation), typing.get_args(field.annotation)
     if kind is tuple and inner[-1] is not ...:
         return "a pair" if len(inner) == 2 else f"{len(inner)} values"
@@ -388,7 +429,7 @@ def _container(field: FieldInfo) -> str:
 
 
 def allowed(field: FieldInfo) -> str:
-    """Return the accepted values of a field or an argument in words; empty when they are too complex for a phrase."""
+    """Return the accepted values of a field or an argument as a phrase, empty if they are too complex for one."""
     annotation: Any = _without_none(field.annotation)
     if typing.get_origin(annotation) is Literal:
         return "one of " + ", ".join(repr(word) for word in typing.get_args(annotation))

@@ -1,4 +1,4 @@
-"""One tree of errors. Each message says what is wrong, where, and what to do about it."""
+"""Error classes of the package. Each message says what is wrong, where, and what to do about it."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import difflib
 from collections.abc import Iterable
 
 LONGEST_SHOWN = 80
-"""Characters of a value in a message."""
+"""Largest number of characters of a value in a message."""
 
 
 class AdaptrackError(Exception):
-    """Everything that adaptrack raises on purpose."""
+    """Base class of all errors that adaptrack raises on purpose."""
 
 
 class InvalidInput(AdaptrackError, ValueError):
@@ -22,14 +22,14 @@ class ConfigError(InvalidInput):
 
 
 class UnknownName(InvalidInput, KeyError):
-    """A name that no registry knows; the message lists the known ones and the nearest."""
+    """A name that is not registered; the message gives the most similar registered name, or all of them."""
 
     def __str__(self) -> str:  # KeyError would show the message in quotes
         return str(self.args[0])
 
 
 class ContractError(AdaptrackError):
-    """A plug-in (plant, QP solver, scheduler) that breaks the contract its checker tests."""
+    """A plug-in (plant, QP solver, scheduler) that violates the contract of its kind, see `check_plant` and others."""
 
 
 class MissingExtra(AdaptrackError, ImportError):
@@ -37,22 +37,22 @@ class MissingExtra(AdaptrackError, ImportError):
 
 
 class StorageError(AdaptrackError, OSError):
-    """A file that cannot be read or written; nothing half-written is left behind."""
+    """A file that cannot be read or written; a failed write leaves no partial file."""
 
 
 def format_value(value: object) -> str:
-    """A value in a message: its ``repr``, of a long one the beginning and the end, whatever the value is."""
+    """Return the ``repr`` of any value for a message; a long one is cut in the middle."""
     try:
         text = repr(value)
-    except Exception:  # of an object of others; Python refuses whole numbers of thousands of digits
+    except Exception:  # raised by a foreign class, or by Python for an int with thousands of digits
         return f"<{type(value).__name__}>"
     if len(text) <= LONGEST_SHOWN:
         return text
-    return f"{text[: LONGEST_SHOWN // 2 - 3]}...{text[-LONGEST_SHOWN // 2 :]}"  # a path ends with what matters
+    return f"{text[: LONGEST_SHOWN // 2 - 3]}...{text[-LONGEST_SHOWN // 2 :]}"  # the end of a path is informative
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """A sentence that names the nearest known name, or lists them all: the end of an error message."""
+    """Return the last sentence of an error message: the most similar known name, or the list of all names."""
     names = sorted(names)
     near = nearest(name, names)
     if near:
@@ -61,7 +61,7 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
-    """The known name that is most like `name`, whatever its capitals; None where none is like it."""
+    """Return the known name that is most similar to `name`, ignoring case, or None if none is similar."""
     by_letters = {candidate.casefold(): candidate for candidate in names}
     near = difflib.get_close_matches(name.casefold(), by_letters, n=1, cutoff=0.6)
     return by_letters[near[0]] if near else None

@@ -1,8 +1,8 @@
-"""Files in and out (TOML, JSON, Parquet) and their names: read with evidence, validated, written atomically.
+"""Reading and writing of TOML, JSON and Parquet files: validation of content, checksums, atomic writing, file names.
 
-A configuration that cannot be used gives *one* `ConfigError`, which names the file and, for every problem in it, the
-key, the value found, what is allowed and, for a misspelt key, the nearest right one. A Parquet file of ours proves its
-own content by a checksum.
+An invalid configuration file raises *one* `ConfigError`, which names the file and lists every problem: the key, its
+value and the accepted values, or for a misspelt key the most similar valid key. A Parquet file written by this package
+contains a checksum of its content, which is verified on reading.
 """
 
 from __future__ import annotations
@@ -33,25 +33,31 @@ from adaptrack.base.text import printable as printable
 
 Model = TypeVar("Model", bound=BaseModel)
 SHIPPED = Path(__file__).parents[1] / "data"
-"""The folder of the files that come with the package, a folder a kind."""
+"""Folder of the files that come with the package, with one subfolder for each kind of file."""
 
 _LONGEST_NAME = 80  # characters of a file name without its suffix; most file systems allow 255 bytes in all
-_DEEPEST = 64  # tables within tables
+_DEEPEST = 64  # levels of nested tables
+_TOO_DEEP = f"more than {_DEEPEST} levels of nested tables; flatten them"
 MAX_NUMBERS = 500_000_000
-"""Numbers in a table that is read, 4 GB; a constant column takes some bytes in a file, however long it is."""
+"""Largest number of values in a table that is read (4 GB).
+
+The size of the file is no protection: a constant column of any length is compressed to a few bytes.
+"""
+_NOT_TEXT = "contains a NUL or an unpaired surrogate"
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
 
 
 class Damaged(StorageError):
-    """A file that is torn, was edited, or cannot be read as what its name says."""
+    """A file that is truncated or was edited, or whose content does not match its file type."""
 
 
 # -- names ------------------------------------------------------------------------------------------------------------
 def safe_name(name: str) -> str:
-    """`name` as the name of a file, without a suffix: ASCII letters, digits, ``.``, ``_`` and ``-``, 1 to 80 of them.
+    """Return a file name without suffix for any text: 1 to 80 ASCII letters, digits, ``.``, ``_`` and ``-``.
 
-    It is never empty, a path, a hidden file, an option or a device of any system. A harmless name stays as it is;
-    another ends in eight digits of its SHA-256, so that two names that look alike get two files.
+    The result is never a path, a hidden file, a command-line option or a device name of any operating system. A text
+    that is already such a name is returned unchanged. Any other result ends in eight digits of the SHA-256 of the text,
+    so that similar texts get different files.
     """
     ascii_only = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     plain = re.sub(r"[^A-Za-z0-9._-]+", "-", ascii_only).strip("-._")
@@ -64,7 +70,7 @@ def safe_name(name: str) -> str:
 
 
 def safe_names(names: Iterable[str]) -> list[str]:
-    """`safe_name` of each; those equal to a file system that ignores case are numbered: ``a``, ``a-2``, ``a-3``."""
+    """Return `safe_name` of each text; repeated names, ignoring case, are numbered: ``a``, ``A-2``, ``a-3``."""
     used_names: set[str] = set()
     file_names = []
     for name in map(safe_name, names):
@@ -78,48 +84,47 @@ def safe_names(names: Iterable[str]) -> list[str]:
 
 
 def is_text(text: str) -> bool:
-    """Whether files can hold it: no NUL, and no half of a surrogate pair."""
+    """Whether a string can be stored in a file: it contains no NUL and no unpaired surrogate."""
     return not re.search("[\0\ud800-\udfff]", text)
 
 
 def check_texts(where: str, data: Any) -> None:
-    """Refuse tables with a key or a value that is no text, see `is_text`, or with more than 64 tables in one another.
+    """Refuse nested tables with a string that cannot be stored (see `is_text`), or with more than 64 levels.
 
     Raises
     ------
     ConfigError
-        With `where` (a file, usually) and the key.
+        With `where` (usually a file) and the key.
     """
     waiting: list[tuple[str, Any, int]] = [("", data, 0)]
-    while waiting:  # not recursive: the depth is what is to be found
+    while waiting:  # no recursion, since the number of levels may exceed Python's limit
         key, value, depth = waiting.pop()
         if depth > _DEEPEST:
-            raise ConfigError(
-                f"{where}: {format_value(key)}: more than {_DEEPEST} tables in one another; flatten them."
-            )
+            raise ConfigError(f"{where}: {format_value(key)}: {_TOO_DEEP}.")
         if isinstance(value, Mapping):
             for name, inner in value.items():
                 if isinstance(name, str) and not is_text(name):
-                    raise ConfigError(f"{where}: key {format_value(name)}: holds a NUL or half a character; rename it.")
+                    raise ConfigError(f"{where}: key {format_value(name)}: {_NOT_TEXT}; rename it.")
                 waiting.append((f"{key}.{name}" if key else str(name), inner, depth + 1))
         elif isinstance(value, list | tuple):
             waiting += [(f"{key}[{i}]", inner, depth + 1) for i, inner in enumerate(value)]
         elif isinstance(value, str) and not is_text(value):
-            raise ConfigError(f"{where}: {key} = {format_value(value)}: holds a NUL or half a character; remove it.")
+            raise ConfigError(f"{where}: {key} = {format_value(value)}: {_NOT_TEXT}; remove it.")
 
 
 # -- configurations ---------------------------------------------------------------------------------------------------
 
 
 class Record(BaseModel):
-    """A frozen, validated set of named values: unknown keys, wrong types, NaN and infinity are refused.
+    """Base class of validated, immutable sets of named values, such as the content of a configuration file.
 
-    A whole number is accepted for a real one; text and truth values are not.
+    Unknown keys, wrong types, NaN and infinity are refused. A whole number is accepted as a real number; text and
+    Booleans are not.
 
     Raises
     ------
     InvalidInput
-        When built from Python with a value that is not allowed; `build` raises `ConfigError` for files.
+        When the constructor receives an invalid value. `build` raises `ConfigError` instead, for content of files.
     """
 
     model_config = ConfigDict(
@@ -130,7 +135,7 @@ class Record(BaseModel):
     @classmethod
     def _is_text(cls, value: Any) -> Any:
         if isinstance(value, str) and not is_text(value):
-            raise ValueError("holds a NUL or half a character; remove it.")
+            raise ValueError(f"{_NOT_TEXT}; remove it.")
         return value
 
     def __init__(self, **values: Any) -> None:
@@ -140,20 +145,20 @@ class Record(BaseModel):
             name = type(self).__name__
             raise InvalidInput(_report(name, problems(error, type(self), values))) from None
 
-    # Tells pydantic that this is still its own initialiser, so that validating from a file does not pass through it.
+    # With this mark pydantic validates the content of files directly instead of through this `__init__`.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
     def replace(self, **changes: Any) -> Self:
-        """A copy with some values changed, validated like a new one (pydantic's own `model_copy` does not validate)."""
+        """Return a copy with some values changed. Unlike pydantic's `model_copy`, it validates the new values."""
         return type(self)(**{**dict(self), **changes})
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
-        """Write the values as TOML, each with its meaning and unit behind it; the file appears whole or not at all.
+        """Write the values as TOML, each followed by a comment with its meaning and unit.
 
         Raises
         ------
         StorageError
-            When the file cannot be written.
+            When the file cannot be written; no partial file is left.
         """
         write_toml(path, self.model_dump(), meanings(self))
 
@@ -165,11 +170,11 @@ def _tuple_of(value: Any) -> Any:
 
 
 LISTED = BeforeValidator(_tuple_of)
-"""Of a field that is a tuple: a list, as files have it, or an array is taken as well."""
+"""Converter for tuple fields of a `Record`: they also accept a list, as read from a file, and an array."""
 
 
 def meanings(record: Record) -> dict[str, str]:
-    """Return the description of each value in a file; of a value in a section, by "section.key"."""
+    """Return the description of each value by its key in the file; inside a section the key is "section.key"."""
     texts = {}
     for name, field in type(record).model_fields.items():
         texts[name] = field.description or ""
@@ -180,27 +185,27 @@ def meanings(record: Record) -> dict[str, str]:
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The contents of a TOML file.
+    """Return the content of a TOML file.
 
     Raises
     ------
     StorageError
         When the file cannot be read.
     ConfigError
-        When it is not UTF-8 or not TOML; the message holds the line.
+        When it is not UTF-8 or not TOML; the message gives the line.
     """
     return _parsed(path, "TOML", tomllib.loads)
 
 
 def read_json(path: str | os.PathLike[str]) -> Any:
-    """The contents of a JSON file.
+    """Return the content of a JSON file.
 
     Raises
     ------
     StorageError
         When the file cannot be read.
     ConfigError
-        When it is not UTF-8 or not JSON; the message holds the line.
+        When it is not UTF-8 or not JSON; the message gives the line.
     """
     return _parsed(path, "JSON", json.loads)
 
@@ -217,11 +222,11 @@ def _parsed(path: str | os.PathLike[str], language: str, parse: Callable[[str], 
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(_syntax_report(where, language, text, str(error))) from error
     except (json.JSONDecodeError, RecursionError) as error:
-        position = _too_deep(text)  # first, as the depth that a parser can follow depends on the version of Python
+        position = _too_deep(text)  # checked first: the parser's own depth limit differs between versions of Python
         if position is None and isinstance(error, json.JSONDecodeError):
             raise ConfigError(_syntax_report(where, language, text, str(error))) from error
         line = _line(text, position or 0)
-        raise ConfigError(f"{where}, line {line}: more than {_DEEPEST} tables in one another; flatten them.") from None
+        raise ConfigError(f"{where}, line {line}: {_TOO_DEEP}.") from None
     except ValueError as error:  # Python's limit on the digits of a whole number
         digits = re.search(r"[0-9][0-9_]{999,}", text)
         line = _line(text, digits.start() if digits else 0)
@@ -235,7 +240,7 @@ def _line(text: str, position: int) -> int:
 
 
 def _too_deep(text: str) -> int | None:
-    """The position at which more than `_DEEPEST` brackets outside quotes are open, or None."""
+    """Return the first position with more than `_DEEPEST` open brackets outside quotes, or None."""
     depth = 0
     for token in re.finditer(r'"(?:\\.|[^"\\\n])*"|[\[\]{}]', text):
         depth += (token[0] in "[{") - (token[0] in "]}")
@@ -245,12 +250,12 @@ def _too_deep(text: str) -> int | None:
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
-    """The contents of a file.
+    """Return the content of a file.
 
     Raises
     ------
     StorageError
-        When it cannot be read.
+        When the file cannot be read.
     """
     try:
         return Path(path).read_bytes()
@@ -263,12 +268,21 @@ def _reason(error: Exception) -> str:
 
 
 def build(model_class: type[Model], data: Mapping[str, Any], where: str | os.PathLike[str]) -> Model:
-    """The validated `model_class` that `data` describes; `where` (a file, usually) opens every message.
+    """Return an object of a pydantic model, validated.
+
+    Parameters
+    ----------
+    model_class
+        Class of the object.
+    data
+        Values of its fields by name.
+    where
+        Origin of the data, usually a file, at the beginning of every message.
 
     Raises
     ------
     ConfigError
-        With all problems of `data`, each with its key, the value found and what is allowed.
+        With all problems of the data, each with its key, its value and the accepted values.
     """
     if not isinstance(data, Mapping):
         raise ConfigError(f"{os.fspath(where)}: expected a table of keys, got {format_value(data)}.")
@@ -281,24 +295,30 @@ def build(model_class: type[Model], data: Mapping[str, Any], where: str | os.Pat
 def write_toml(
     path: str | os.PathLike[str], data: Mapping[str, Any], comments: Mapping[str, str] | None = None
 ) -> None:
-    """Write `data` as TOML: the file appears whole or not at all.
+    """Write a TOML file atomically.
 
-    `comments` maps a key, or "section.key", to a remark that is written behind its value (units, for instance).
-    A value of `None` is left out: TOML has no word for it.
+    Parameters
+    ----------
+    path
+        File to write.
+    data
+        Values and nested tables by key. None values are omitted, since TOML cannot represent them.
+    comments
+        Comment after a value, by key or "section.key", such as its unit.
 
     Raises
     ------
     StorageError
-        When the file cannot be written; an older file at `path` is then untouched.
+        When the file cannot be written; an existing file is then unchanged.
     """
     write_atomically(path, dump_toml(data, comments).encode())
 
 
 def dump_toml(data: Mapping[str, Any], comments: Mapping[str, str] | None = None) -> str:
-    """The TOML text of `data`, see `write_toml`."""
+    """Return the TOML text that `write_toml` writes."""
     remarks = comments or {}
     values = _without_none(dict(data))
-    plain = {key: value for key, value in values.items() if not _is_table(value)}  # TOML wants these first
+    plain = {key: value for key, value in values.items() if not _is_table(value)}  # TOML requires these first
     lines = [_remarked(key, value, remarks.get(key, "")) for key, value in plain.items()]
     parts = ["\n".join([*lines, ""])] if lines else []
     tables = {key: value for key, value in values.items() if key not in plain}
@@ -306,14 +326,14 @@ def dump_toml(data: Mapping[str, Any], comments: Mapping[str, str] | None = None
         key: {name[len(key) + 1 :]: remark for name, remark in remarks.items() if name.startswith(f"{key}.")}
         for key in tables
     }
-    if other := {key: value for key, value in tables.items() if not inner[key]}:
-        parts.append(tomli_w.dumps(other))
+    if without_remarks := {key: value for key, value in tables.items() if not inner[key]}:
+        parts.append(tomli_w.dumps(without_remarks))
     parts += [f"[{key}]\n{dump_toml(value, inner[key])}" for key, value in tables.items() if inner[key]]
     return "\n".join(parts)
 
 
 def _remarked(key: str, value: Any, remark: str) -> str:
-    """A line of TOML with a remark behind its value, where there is one and it fits; a list of numbers in one line."""
+    """Return a TOML entry. A one-line value is followed by its remark; a list of numbers is put on one line for it."""
     text, remark = tomli_w.dumps({key: value}).rstrip("\n"), " ".join(remark.split())
     if remark and isinstance(value, list) and not any(isinstance(element, str | list) for element in value):
         text = re.sub(r",\n\]$", "]", text).replace("[\n    ", "[").replace("\n    ", " ")
@@ -321,25 +341,32 @@ def _remarked(key: str, value: Any, remark: str) -> str:
 
 
 def write_json(path: str | os.PathLike[str], data: Any) -> None:
-    """Write `data` as JSON, numbers that are not finite as JavaScript has them: the file appears whole or not at all.
+    """Write a JSON file atomically; numbers that are not finite become ``NaN``, ``Infinity`` or ``-Infinity``.
 
     Raises
     ------
     StorageError
-        When the file cannot be written; an older file at `path` is then untouched.
+        When the file cannot be written; an existing file is then unchanged.
     """
     write_atomically(path, (json.dumps(data, indent=1) + "\n").encode())
 
 
 def write_atomically(path: str | os.PathLike[str], content: bytes, *, through_links: bool = True) -> None:
-    """Write `content` to a temporary neighbour of `path`, then move it there in one step.
+    """Write a temporary file in the folder of `path`, then rename it to `path` in one step.
 
-    through_links: where `path` is a symbolic link, write what it points to; else the link itself is replaced.
+    Parameters
+    ----------
+    path
+        File to write.
+    content
+        Its bytes.
+    through_links
+        If `path` is a symbolic link, True writes the file that it points to; False replaces the link.
 
     Raises
     ------
     StorageError
-        When that fails; the temporary file is removed and an older file at `path` is untouched.
+        When the file cannot be written; the temporary file is removed and an existing file is unchanged.
     """
     try:
         target = Path(os.path.realpath(path)) if through_links else Path(path)
@@ -351,29 +378,36 @@ def write_atomically(path: str | os.PathLike[str], content: bytes, *, through_li
                 os.fsync(stream.fileno())
             os.replace(temporary, target)
         finally:
-            with contextlib.suppress(OSError):  # moved away already, or never there
+            with contextlib.suppress(OSError):  # already renamed, or never created
                 temporary.unlink()
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         raise StorageError(f"{printable(os.fspath(path))}: cannot be written: {_reason(error)}.") from error
 
 
-# -- tables that prove their content ----------------------------------------------------------------------------------
+# -- Parquet tables with a checksum -----------------------------------------------------------------------------------
 class ParquetColumn(NamedTuple):
     """A column of a Parquet file."""
 
     name: str
     unit: str
-    """SI; ``-`` for pure numbers."""
+    """SI unit; ``-`` for pure numbers."""
     values: NDArray[Any]
-    """(n,), or (n, m) for a list of m numbers in each row."""
+    """Values, (n,), or (n, m) for a list of m numbers in each row."""
     meaning: str = ""
+    """Description of the quantity, stored in the file; may be empty."""
 
 
 def encode_parquet(kind: str, version: int, columns: Sequence[ParquetColumn], metadata: Mapping[str, Any]) -> bytes:
-    """A Parquet file (zstd) of `columns`; the same content gives the same bytes.
+    """Return the bytes of a Parquet file (zstd) with a checksum; equal content gives equal bytes.
 
-    kind, version: of the format; metadata: entries about the table, plain JSON. A checksum of `metadata` and
-    of all names, types and numbers goes along.
+    Parameters
+    ----------
+    kind, version
+        Name and version of the file format.
+    columns
+        Columns of the table.
+    metadata
+        Entries about the table that JSON can represent.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -409,16 +443,27 @@ def encode_parquet(kind: str, version: int, columns: Sequence[ParquetColumn], me
 def decode_parquet(
     content: bytes, where: str | os.PathLike[str], kind: str, version: int, remedy: str, required: Iterable[str] = ()
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """The columns of a file that `encode_parquet` made, and what it says of itself; `where` opens every message.
+    """Return the columns by name and the metadata of a file that `encode_parquet` made.
 
-    remedy: what to do with a file of another version; required: columns that must be there.
+    Parameters
+    ----------
+    content
+        Bytes of the file.
+    where
+        Name of the file, at the beginning of every message.
+    kind, version
+        Required name and version of the file format.
+    remedy
+        Advice to the user whose file has a different version.
+    required
+        Names of columns that must be present.
 
     Raises
     ------
     StorageError
-        When it is something else, or of another version.
+        For a different file format or version.
     Damaged
-        When it is torn or was edited.
+        For a truncated or edited file.
     """
     where = os.fspath(where)
     table = read_arrow_table(content, where)
@@ -448,32 +493,33 @@ def decode_parquet(
 
 
 def read_arrow_table(content: bytes, where: str) -> Any:
-    """The Arrow table of a Parquet file.
+    """Return the Arrow table of a Parquet file.
 
     Raises
     ------
     Damaged
-        When it is no Parquet file, or torn.
+        For a truncated file, or one that is no Parquet file.
     StorageError
-        When it holds more than `MAX_NUMBERS` numbers.
+        For more than `MAX_NUMBERS` values.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
         file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
-        size = file.metadata.num_rows * file.metadata.num_columns  # more detail of a damaged footer aborts Arrow
+        # Use only these two fields of the metadata: in a damaged file, reading further ones aborts the process.
+        size = file.metadata.num_rows * file.metadata.num_columns
         if size <= MAX_NUMBERS:
-            # Without threads: one of Arrow's that lets go of `content` while Python exits would abort the process.
+            # An Arrow thread that releases `content` while Python exits would abort the process.
             return file.read(use_threads=False)
-    except Exception as error:  # of a damaged footer Arrow makes almost any of them
+    except Exception as error:  # Arrow raises many types of exceptions for a damaged file
         reason = next(iter(str(error).splitlines()), type(error).__name__).rstrip(".")
         raise Damaged(f"{where}: not a Parquet file, or damaged: {printable(reason)}.") from error
     raise StorageError(f"{where}: holds {size:,} numbers, more than {MAX_NUMBERS:,}; leave out rows or columns.")
 
 
 def _checksum(columns: Mapping[str, NDArray[Any]], metadata: str) -> str:
-    """SHA-256 of every name, type and number, and of `metadata`."""
+    """Return the SHA-256 of the metadata and of the name, type, shape and values of each column."""
     digest = hashlib.sha256(metadata.encode())
     for name, values in columns.items():
         digest.update(f"{name} {values.dtype} {values.shape}".encode())
@@ -482,7 +528,13 @@ def _checksum(columns: Mapping[str, NDArray[Any]], metadata: str) -> str:
 
 
 def _array(name: str, stored: Any) -> NDArray[Any]:
-    """(n,), or (n, m) of a column of lists; ValueError with the reason when it has missing values or other types."""
+    """Return a column as an array (n,), or (n, m) for a column of lists.
+
+    Raises
+    ------
+    ValueError
+        For missing values, and for values that are no numbers.
+    """
     import pyarrow as pa
 
     values = stored.combine_chunks()
@@ -491,13 +543,13 @@ def _array(name: str, stored: Any) -> NDArray[Any]:
     is_fixed_list = pa.types.is_fixed_size_list(values.type)
     array = np.asarray((values.flatten() if is_fixed_list else values).to_numpy(zero_copy_only=False))
     if array.dtype.kind not in "biuf":
-        raise ValueError(f"column {name!r} holds {array.dtype}, which are no numbers")
+        raise ValueError(f"column {name!r} contains {array.dtype} instead of numbers")
     return array.reshape(len(values), -1) if is_fixed_list else array
 
 
-# -- what is wrong with a configuration -------------------------------------------------------------------------------
+# -- error messages for configurations --------------------------------------------------------------------------------
 def problems(error: ValidationError, model_class: type[BaseModel], data: Mapping[str, Any]) -> list[str]:
-    """One sentence per problem that pydantic found in `data`: key, value, what is allowed."""
+    """Return one sentence for each problem that pydantic found in `data`: key, value, accepted values."""
     return [_problem(dict(detail), model_class, data) for detail in error.errors(include_url=False)]
 
 
@@ -527,7 +579,7 @@ def _problem(detail: dict[str, Any], model_class: type[BaseModel], data: Mapping
     if kind == "union_tag_not_found":
         selector = detail["ctx"]["discriminator"].strip("'")
         return f"{key}.{selector}: missing; it says which shape this table describes."
-    if kind in ("value_error", "assertion_error"):  # our own validators: their sentence says it all
+    if kind in ("value_error", "assertion_error"):  # a validator of this package wrote a full sentence
         sentence = str(detail["ctx"]["error"])
         if not key:
             return sentence
@@ -539,7 +591,7 @@ def _problem(detail: dict[str, Any], model_class: type[BaseModel], data: Mapping
 
 
 def _key_in_file(location: tuple[int | str, ...], data: Any) -> str:
-    """`location` as it stands in the file; pydantic's own marks in it (which member of a union) are left out."""
+    """Return the key of a location in the file, without the parts by which pydantic marks the member of a union."""
     key = ""
     for position, part in enumerate(location):
         inside = (isinstance(data, Mapping) and part in data) or (
@@ -554,7 +606,7 @@ def _key_in_file(location: tuple[int | str, ...], data: Any) -> str:
 
 
 def _walk(model_class: type[BaseModel], location: tuple[int | str, ...]) -> tuple[FieldInfo | None, list[str]]:
-    """The field at `location`, if there is one, and the key names that are known beside it."""
+    """Return the field at a location, or None, and the valid key names at its level."""
     models: list[type[BaseModel]] = [model_class]
     field: FieldInfo | None = None
     field_names: list[str] = []
@@ -609,7 +661,7 @@ def _is_table(value: Any) -> bool:
 
 
 def _syntax_report(where: str, language: str, text: str, message: str) -> str:
-    """A syntax error with the line that holds it."""
+    """Return the message of a syntax error with its line and column."""
     position = re.search(r"(?:\(at|:) line (\d+),? column (\d+)", message)
     if position is None:
         return f"{where}: not valid {language}: {message}."
@@ -620,7 +672,7 @@ def _syntax_report(where: str, language: str, text: str, message: str) -> str:
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell of a table of text is a number."""
+    """Whether the text in a table cell is a number."""
     try:
         float(cell)
     except ValueError:

@@ -1,4 +1,4 @@
-"""What every page allows itself to load."""
+"""Security policy of all HTML pages: which scripts may run and what may be loaded."""
 
 from __future__ import annotations
 
@@ -8,9 +8,16 @@ from collections.abc import Iterable
 
 
 def content_policy(scripts: Iterable[str], script_sources: str = "", *directives: str) -> str:
-    """Content-Security-Policy of a page: only these inline scripts run, and nothing is loaded from anywhere.
+    """Return the Content-Security-Policy of a page that runs these inline scripts only and loads nothing.
 
-    script_sources: further sources of scripts; others: further directives.
+    Parameters
+    ----------
+    scripts
+        Text of each inline script.
+    script_sources
+        Additional sources of scripts, separated by blanks.
+    directives
+        Additional directives of the policy.
     """
     hashes = [f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in scripts]
     sources = " ".join([*hashes, *script_sources.split()]) or "'none'"

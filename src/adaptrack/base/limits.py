@@ -1,7 +1,7 @@
-"""How large a request may be: every bound with its unit and its reason, and the one form in which it is refused.
+"""Upper bounds of requests, each with its unit and reason, and the check that refuses a larger value.
 
-A bound stops a slip of the pen (a speed of 1e15 m/s, a horizon of 1e9 periods) before memory or hours are spent on it;
-none is near what a study needs. What fits its bounds and still takes long says so: commands show the time left.
+The bounds catch typing errors (a speed of 1e15 m/s, a horizon of 1e9 periods) before they cost memory or hours. They
+are far above what a study needs. A request within the bounds may still take long; commands then show the time left.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ if TYPE_CHECKING:
 
 
 class RequestLimit(NamedTuple):
-    """The largest value of a request."""
+    """The largest accepted value of a quantity in a request."""
 
     most: float
     unit: str
-    """Noun of a count, or the SI unit; empty for a number without one."""
+    """SI unit, or the noun that is counted; empty for a pure number."""
     reason: str
-    """a clause that says why, with the memory or the time of the largest request"""
+    """Clause with the reason, often the memory or the computation time of the largest request."""
 
     @property
     def range(self) -> str:
-        """For the help of an option that counts from 1."""
+        """The accepted range of a quantity that starts at 1, for the help of an option."""
         return f"1 to {self.most:,}"
 
     def __str__(self) -> str:
         return f"at most {self.most:,}{self.unit and ' '}{self.unit} ({self.reason})"
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Beside a type in an annotation the bound is checked with it."""
-        from pydantic_core.core_schema import no_info_after_validator_function  # the help of commands needs none
+        """Check the bound after the annotated type: `Annotated[Finite, MAX_SPEED]`."""
+        from pydantic_core.core_schema import no_info_after_validator_function  # slow import that `--help` avoids
 
         def within(value: float) -> float:
             if value > self.most:
@@ -45,18 +45,18 @@ class RequestLimit(NamedTuple):
 
 
 # -- a run ------------------------------------------------------------------------------------------------------------
-MAX_SPEED = RequestLimit(100, "m/s", "360 km/h; faster tyres need ever finer integration steps")
+MAX_SPEED = RequestLimit(100, "m/s", "360 km/h; at higher speeds tyre dynamics need ever smaller integration steps")
 DURATION = RequestLimit(100_000, "s", "a little over a day")
 PERIODS = RequestLimit(2_000_000, "control periods", "a day at 0.05 s, 0.7 GB")
 MAX_STEPS = RequestLimit(
-    10_000, "steps", "5 us each in 0.05 s; a plant that needs shorter ones takes them within its step"
+    10_000, "steps", "steps of 5 us at a period of 0.05 s; a plant with faster dynamics can sub-step in its own code"
 )
 
 # -- a road -----------------------------------------------------------------------------------------------------------
 ROAD_LENGTH = RequestLimit(2_000_000, "m of road", "its speed is planned at every metre: 3 GB, and some minutes")
 MAX_GRADE = 0.4
 """dz/ds of a road, either way: the steepest streets have 0.35, and 5 is per cent."""
-TURNS = RequestLimit(10_000, "rad", "one element; each is a piece of the road, 3 MB in all")
+TURNS = RequestLimit(10_000, "rad", "for one element: every turn adds pieces of road, 3 MB in all")
 
 # -- a controller -----------------------------------------------------------------------------------------------------
 PREDICTION_HORIZON = RequestLimit(1000, "control periods", "100 s at 0.1 s; a step then takes milliseconds")
@@ -67,13 +67,13 @@ LAGUERRE_TERMS = RequestLimit(200, "functions", CONTROL_HORIZON.reason)
 
 # -- a campaign -------------------------------------------------------------------------------------------------------
 NOISE_SEEDS = RequestLimit(1000, "noise seeds", "each multiplies the time of a campaign; 4 are usual")
-LANDSCAPE = RequestLimit(500_000_000, "costs (operating points x tunings of the library)", "2 GB")
+LANDSCAPE_COSTS = RequestLimit(500_000_000, "costs (operating points x tunings of the library)", "2 GB")
 WORKERS = RequestLimit(1024, "threads", "more than the cores of any machine")
 
 # -- a comparison -----------------------------------------------------------------------------------------------------
-DRIVES = RequestLimit(10_000, "random drives", "1.3 GB; further ones would be those of the next seed")
+DRIVES = RequestLimit(10_000, "random drives", "1.3 GB; more drives would repeat those of the next seed")
 OPERATING_POINTS = RequestLimit(100_000, "operating points", "1.7 GB, and a search of 0.5 s on one core for each")
-MAX_SEED = RequestLimit(10_000, "", "it numbers the drives")
+MAX_SEED = RequestLimit(10_000, "", "the seed is part of the number of each random drive")
 
 
 def check_limit(quantity: str, value: float, limit: RequestLimit) -> None:
@@ -82,7 +82,7 @@ def check_limit(quantity: str, value: float, limit: RequestLimit) -> None:
     Raises
     ------
     InvalidInput
-        "<what> = <value>: at most <most> <unit> (<reason>)."
+        "<quantity> = <value>: at most <most> <unit> (<reason>)."
     """
     if value > limit.most:
         number = str(value) if isinstance(value, int) and value < 10**15 else f"{float(min(value, 10**300)):.6g}"

@@ -1,4 +1,4 @@
-"""How far long work is, and what it says of itself: a bar in a notebook, elsewhere a log record now and then."""
+"""Progress reports of long computations: a progress bar in a notebook, elsewhere a log record at intervals."""
 
 from __future__ import annotations
 
@@ -13,21 +13,30 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, ParamSpec, TypeVar
 
-FIRST_PAUSE, NEXT_PAUSE, LONGEST_PAUSE = 2.0, 5.0, 60.0
-"""s, until the first word, until the next, and at most, in work of hours."""
+FIRST_PAUSE = 2.0
+"""s, from the start of a computation to its first report."""
+NEXT_PAUSE = 5.0
+"""s, shortest time between later reports; it grows with the computation time."""
+LONGEST_PAUSE = 60.0
+"""s, longest time between reports."""
 
 _log = logging.getLogger("adaptrack")
 ProgressCall = Callable[[str, int, int], None]
-"""What long work calls: its stage, the steps done, the steps in all."""
+"""Function that a computation calls with (stage, steps done, steps in all)."""
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
-def tells(label: str) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
-    """A decorator of a function with an argument `progress`: where that is left out, the work says how far it is.
+def reports_progress(label: str) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
+    """Decorate a function with an argument `progress` so that a call without this argument reports its progress.
 
-    label: what is done. `progress` is called with (stage, done, of) or (done, of). Where something else is on show
-    already, such as the bar of a command, nothing is said.
+    The function must call `progress` with (stage, steps done, steps in all) or (steps done, steps in all). Inside
+    another computation that shows its progress, the function reports nothing.
+
+    Parameters
+    ----------
+    label
+        Name of the computation in the report.
     """
 
     def decorate(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -35,7 +44,7 @@ def tells(label: str) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
         def wrapped(*args: _P.args, **kwargs: _P.kwargs) -> _R:
             if kwargs.get("progress") is not None:
                 return function(*args, **kwargs)
-            with _telling(label) as update:
+            with _reported(label) as update:
                 kwargs["progress"] = update
                 return function(*args, **kwargs)
 
@@ -45,60 +54,68 @@ def tells(label: str) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
 
 
 class TrackedWork:
-    """How far long work is, and how long it will take.
+    """Progress of a long computation, with an estimate of the time left.
 
-    label: what is done; total: its pieces, each of which goes from 0 to its steps. A single piece may have stages, one
-    after the other, each of which counts from 0: the time left is that of the stage.
+    A computation consists of `total` parts, each with its own number of steps. A computation of one part may have
+    several stages. Each stage counts its steps from 0, and the time left is then that of the current stage.
+
+    Parameters
+    ----------
+    label
+        Name of the computation in reports.
+    total
+        Number of parts.
     """
 
     def __init__(self, label: str, total: int = 1) -> None:
         self.label, self.total, self.finished, self.share = label, total, 0, 0.0
         self.stage = label
-        self.begun = self.at = time.monotonic()
+        self.start_time = self.update_time = time.monotonic()
 
-    def update(self, *reported: Any) -> None:
-        """reported: (stage, steps done, steps in all) or (steps done, steps in all)."""
-        *stage, step, steps = reported
-        self.at = time.monotonic()
+    def update(self, *status: Any) -> None:
+        """Take a report of the computation: (stage, steps done, steps in all) or (steps done, steps in all)."""
+        *stage, step, steps = status
+        self.update_time = time.monotonic()
         share = (self.finished + (step / steps if steps else 1.0)) / self.total
         if self.total == 1 and (share < self.share or share == 0.0):
-            self.begun = self.at
+            self.start_time = self.update_time
         self.stage, self.share = str(stage[0]) if stage else self.label, share
         if self.total > 1 and step == steps:
             self.finished += 1
 
-    def left(self) -> float | None:
-        """s until the end, at the speed so far; None where that is not known, or was too little."""
+    def time_left(self) -> float | None:
+        """Return the estimated time to the end (s), or None if it is unknown or the estimate has already elapsed."""
         if not 0.0 < self.share < 1.0:
             return None
-        left = (self.at - self.begun) * (1.0 - self.share) / self.share - (time.monotonic() - self.at)
+        estimate = (self.update_time - self.start_time) * (1.0 - self.share) / self.share
+        left = estimate - (time.monotonic() - self.update_time)
         return left if left > 0.0 else None
 
-    def line(self) -> str:
-        """For people: what is done, the share of it, the time left."""
+    def status_line(self) -> str:
+        """Return a line for the user: label and stage, completed share, time left."""
         name = self.label if self.stage == self.label else f"{self.label}, {self.stage}"
-        left = self.left()
+        left = self.time_left()
         duration_text = (
-            f"{time.monotonic() - self.begun:.0f} s so far" if left is None else f"about {duration(left)} left"
+            f"{time.monotonic() - self.start_time:.0f} s so far" if left is None else f"about {duration(left)} left"
         )
         share = f" {100.0 * self.share:.0f} %," if 0.0 < self.share < 1.0 else ""
         return f"{name}:{share} {duration_text}"
 
 
 def duration(seconds: float) -> str:
-    """A time as one says it."""
+    """Return a time (s) in words, in s, min or h."""
     if seconds < 90.0:
         return f"{math.ceil(seconds)} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
 _visible_work: list[TrackedWork] = []
-"""The work whose progress is on show: what it calls says nothing of its own."""
+"""Nested computations that are running, outermost first. Only the first one reports its progress."""
 
 
 @contextmanager
-def showing(work: TrackedWork) -> Iterator[bool]:
-    """Put the progress of some work on show; yields whether it is the only one, to be shown."""
+def nested_in_reports(work: TrackedWork) -> Iterator[bool]:
+    """Register a running computation; yields whether it is the outermost one and must report its progress."""
     _visible_work.append(work)
     try:
         yield _visible_work[0] is work
@@ -107,70 +124,79 @@ def showing(work: TrackedWork) -> Iterator[bool]:
 
 
 @contextmanager
-def _telling(label: str) -> Iterator[Callable[..., None]]:
-    work, over = TrackedWork(label), threading.Event()
-    with showing(work) as alone:
-        if not alone:
+def _reported(label: str) -> Iterator[Callable[..., None]]:
+    """Report the progress of the `with` block from a thread; yields the function that takes the progress."""
+    work, end = TrackedWork(label), threading.Event()
+    with nested_in_reports(work) as is_outermost:
+        if not is_outermost:
             yield work.update
             return
-        say = _bar if _is_notebook() else _record
-        teller = threading.Thread(target=_tell, args=(work, over, say()), daemon=True)
-        teller.start()
+        report = _notebook_bar() if _is_notebook() else _log_report()
+        thread = threading.Thread(target=_report_until, args=(end, work, report), daemon=True)
+        thread.start()
         try:
             yield work.update
         finally:
-            over.set()
-            teller.join()
+            end.set()
+            thread.join()
 
 
-def now_and_then(over: threading.Event, say: Callable[[], None], *, every: float | None = None) -> bool:
-    """Call `say` after a first pause, then after ever longer ones, until `over` is set; whether it was called.
+def call_until(end: threading.Event, report: Callable[[], None], *, interval: float | None = None) -> bool:
+    """Call `report` at intervals until the event `end` is set; return whether it was called at all.
 
-    every: s, of each pause after the first, where they shall be equal.
+    Parameters
+    ----------
+    end
+        Event that ends the calls.
+    report
+        Function to call, first after `FIRST_PAUSE`.
+    interval
+        Time between calls (s). If None, it grows from `NEXT_PAUSE` to `LONGEST_PAUSE`.
     """
-    pause, begun, is_announced = FIRST_PAUSE, time.monotonic(), False
-    while not over.wait(pause):
-        say()
-        is_announced = True
-        pause = min(max(NEXT_PAUSE, 0.1 * (time.monotonic() - begun)), LONGEST_PAUSE) if every is None else every
-    return is_announced
+    pause, start_time, is_called = FIRST_PAUSE, time.monotonic(), False
+    while not end.wait(pause):
+        report()
+        is_called = True
+        growing = min(max(NEXT_PAUSE, 0.1 * (time.monotonic() - start_time)), LONGEST_PAUSE)
+        pause = growing if interval is None else interval
+    return is_called
 
 
-def _tell(work: TrackedWork, over: threading.Event, say: Callable[[TrackedWork, bool], None]) -> None:
-    """In a thread: nothing of short work, then a word now and then; a last one at the end."""
-    if now_and_then(over, lambda: say(work, False), every=1.0 if _is_notebook() else None):
-        say(work, True)
+def _report_until(end: threading.Event, work: TrackedWork, report: Callable[[TrackedWork, bool], None]) -> None:
+    """Report at intervals and, unless the computation was short, once more at its end."""
+    if call_until(end, lambda: report(work, False), interval=1.0 if _is_notebook() else None):
+        report(work, True)
 
 
-def _record() -> Callable[[TrackedWork, bool], None]:
-    """Log records of level WARNING: without any configuration Python shows them on standard error, everywhere."""
+def _log_report() -> Callable[[TrackedWork, bool], None]:
+    """Return a function that logs progress as a WARNING, which Python prints to standard error by default."""
 
-    def say(work: TrackedWork, ended: bool) -> None:
+    def report(work: TrackedWork, ended: bool) -> None:
         if not ended:
-            _log.warning("adaptrack: %s", work.line())
+            _log.warning("adaptrack: %s", work.status_line())
 
-    return say
+    return report
 
 
-def _bar() -> Callable[[TrackedWork, bool], None]:
-    """A bar below the cell that moves."""
+def _notebook_bar() -> Callable[[TrackedWork, bool], None]:
+    """Return a function that draws and updates a progress bar below the notebook cell."""
     from IPython.display import HTML, display
 
     handles: list[Any] = []
 
-    def say(work: TrackedWork, ended: bool) -> None:
+    def report(work: TrackedWork, ended: bool) -> None:
         share = 1.0 if ended else work.share
-        bar = HTML(f'<progress value="{share:.3f}" max="1"></progress> {html.escape(work.line())}')
+        bar = HTML(f'<progress value="{share:.3f}" max="1"></progress> {html.escape(work.status_line())}')
         if handles:
             handles[0].update(bar)
         else:
             handles.append(display(bar, display_id=True))
 
-    return say
+    return report
 
 
 def _is_notebook() -> bool:
-    """Whether a cell of a notebook runs: IPython with a kernel, which nothing here loads by itself."""
+    """Whether the code runs in a notebook cell: IPython was imported and has a kernel."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     return getattr(shell, "kernel", None) is not None

@@ -1,4 +1,4 @@
-"""Members by name: the one registry behind `register_plant`, `get_model`, `list_controllers` and their like."""
+"""Registries of plants, models, controllers and other members by name, as used by `register_plant` or `get_model`."""
 
 from __future__ import annotations
 
@@ -17,10 +17,18 @@ MemberType = TypeVar("MemberType")
 
 
 class Registry(Generic[MemberType]):
-    """Factories of one kind of member. A path ``"package.module:name"`` is imported when it is first used.
+    """Factories of one kind of member, by name.
 
-    member_kind: what a member is called in messages; register: the public function that adds to it; arguments: names
-    of what every factory is called with, by position.
+    Parameters
+    ----------
+    member_kind
+        Noun for a member in error messages, such as "plant".
+    register
+        Name of the public function that adds a factory, for error messages.
+    factories
+        Factories by name. A text ``"package.module:name"`` is imported when it is first used.
+    arguments
+        Names of the positional arguments of every factory.
     """
 
     def __init__(
@@ -31,13 +39,13 @@ class Registry(Generic[MemberType]):
         self.arguments = arguments
 
     def add(self, name: str, factory: Callable[..., MemberType] | str) -> None:
-        """Give a factory a name.
+        """Register a factory under a name.
 
         Raises
         ------
         InvalidInput
-            For a name that is taken or empty, or a factory that is neither callable nor a path, or takes other
-            arguments.
+            For an empty or registered name, for a factory that is neither callable nor ``"package.module:name"``, and
+            for one that does not accept the required arguments.
         """
         if not name or not isinstance(name, str):
             raise InvalidInput(f"{self.register}: the {self.member_kind} needs a name, not {name!r}.")
@@ -54,10 +62,10 @@ class Registry(Generic[MemberType]):
     def _check_arguments(self, name: str, factory: Callable[..., MemberType]) -> None:
         try:
             signature = inspect.signature(factory)
-        except ValueError:  # of a function in C
+        except ValueError:  # a function in C has no signature
             return
         try:
-            signature.bind_partial(*self.arguments)  # others have defaults, or are given by name
+            signature.bind_partial(*self.arguments)  # further arguments are allowed: options with or without default
         except TypeError:
             raise InvalidInput(
                 f"{self.register}: the factory of {name!r} takes {signature}: it must take "
@@ -70,17 +78,17 @@ class Registry(Generic[MemberType]):
         Raises
         ------
         UnknownName
-            When none has this name; the message holds the nearest that is known.
+            For an unregistered name; the message gives the most similar registered name.
         """
         return self.factory(name)(*arguments, **options)
 
     def factory(self, name: str) -> Callable[..., MemberType]:
-        """The factory of this name.
+        """Return the factory that is registered under a name, importing it if necessary.
 
         Raises
         ------
         UnknownName
-            When none has this name; the message holds the nearest that is known.
+            For an unregistered name; the message gives the most similar registered name.
         """
         self.check_name(name)
         factory = self.factories[name]
@@ -96,7 +104,7 @@ class Registry(Generic[MemberType]):
         Raises
         ------
         UnknownName
-            With the nearest registered name.
+            The message gives the most similar registered name.
         """
         if not isinstance(name, str) or name not in self.factories:
             raise UnknownName(f"There is no {self.member_kind} {name!r}. {did_you_mean(str(name), self.factories)}")
@@ -107,14 +115,21 @@ class Registry(Generic[MemberType]):
 
 
 def import_plugin(name: str, missing: InvalidInput, announce: Callable[[str], None] | None = None) -> None:
-    """Import a module that registers members; `missing` is raised where there is none of that name.
+    """Import a module that registers members.
 
-    announce: called with the name before the module's code runs for the first time.
+    Parameters
+    ----------
+    name
+        Dotted name of the module.
+    missing
+        Exception that is raised if there is no such module.
+    announce
+        Function called with the name before the code of the module runs for the first time.
 
     Raises
     ------
     InvalidInput
-        When the code of the module fails; the message names its line.
+        `missing`, or an error with the file and line at which the code of the module fails.
     """
     if not all(part.isidentifier() for part in name.split(".")):
         raise missing
@@ -125,17 +140,17 @@ def import_plugin(name: str, missing: InvalidInput, announce: Callable[[str], No
     except (Exception, SystemExit) as error:
         if isinstance(error, ModuleNotFoundError) and f"{name}.".startswith(f"{error.name}."):
             raise missing from None
-        lines = traceback.format_exception_only(error)  # those of a syntax error's source are indented, notes follow
+        lines = traceback.format_exception_only(error)  # source lines of a SyntaxError are indented and skipped below
         reason = printable(next(line for line in lines if not line.startswith(" ")).strip())
         raise InvalidInput(f"plugin {name}: {_failed_line(error)}: {reason}; correct the module.") from error
 
 
 def _failed_line(error: BaseException) -> str:
-    """The file and line of a module at which its import failed."""
+    """Return the file and line of a module at which its import failed."""
     if isinstance(error, SyntaxError):
         return f"{error.filename}, line {error.lineno}" if error.filename else "its source"
     importing = re.compile(r"<frozen|.*importlib.__init__\.py$")
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if not importing.match(frame.filename)]
-    module = frames[min(1, len(frames) - 1)].filename  # behind `import_plugin`
+    module = frames[min(1, len(frames) - 1)].filename  # frame 0 is `import_plugin`
     line = [frame.lineno for frame in frames if frame.filename == module][-1]
     return f"{module}, line {line}"

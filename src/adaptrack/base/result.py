@@ -1,7 +1,6 @@
-"""The answer to a question: one sentence, tables of named columns, notes, and pictures as functions that draw.
+"""Results of commands: a one-sentence answer, tables, notes, and pictures as drawing functions.
 
-A function that answers a question returns a `Result`. Console, JSON, notebook and page are renderings of it in
-`adaptrack.results`. A table holds numbers and words.
+`adaptrack.results` renders a `Result` as console output, JSON, notebook output and HTML page.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 Row = Mapping[str, Any]
-"""Column -> value: a number, words, a pair (lowest, highest), or None where there is none."""
+"""Value by column name: a number, text, a pair (lowest, highest), or None for a missing value."""
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
@@ -23,18 +22,24 @@ class Column:
     name: str
     """Key of the entry in each row, also in JSON."""
     title: str
-    """Its heading; two lines where there is no unit."""
+    """Heading. A column without a unit may use two lines, since the unit takes the second line."""
     unit: str = ""
     show: int | Literal["percent", "whole", "degrees", "power", "given"] = 4
-    """Significant digits; or percent: a share 0..1; whole: no fraction; degrees: rad, with degrees in brackets; power:
-    a power of ten; given: a number from elsewhere, with as many digits as it has."""
+    """Number of significant digits, or a format:
+
+    - "percent": a share between 0 and 1, in %;
+    - "whole": no decimals;
+    - "degrees": an angle in rad, followed by degrees in brackets;
+    - "power": a power of ten;
+    - "given": all digits of the number.
+    """
     meaning: str = ""
-    """In one line, for the reader who does not know the quantity."""
+    """Explanation of the quantity in one line."""
 
 
 @dataclass(frozen=True)
 class ResultTable:
-    """Rows of values under named columns; several tables may show columns of the same rows."""
+    """Rows of values under named columns. Several tables may show different columns of the same rows."""
 
     name: str
     title: str
@@ -42,42 +47,47 @@ class ResultTable:
     rows: Sequence[Row]
     note: str = ""
     group: str = ""
-    """The entry of a row whose value stands above all rows that share it; such rows are neighbours."""
+    """Name of a column that groups the rows: its value becomes a heading above each group of consecutive rows."""
     best: frozenset[tuple[int, str]] = frozenset()
-    """(row, column) of the values that are the best of their kind."""
+    """(row index, column name) of each best value."""
     alert: frozenset[tuple[int, str]] = frozenset()
-    """(row, column) of the values that must not be missed, such as a failure."""
+    """(row index, column name) of each value that needs attention, such as a failure."""
     brief: bool = False
-    """Whether the console prints it."""
+    """Whether the brief console output contains this table."""
 
 
-def where(rows: Sequence[Row], columns: Iterable[str], holds: Any) -> frozenset[tuple[int, str]]:
-    """(row, column) of the entries that a function of the row accepts, for `ResultTable.best` and `alert`."""
+def select_entries(
+    rows: Sequence[Row], columns: Iterable[str], condition: Callable[..., Any]
+) -> frozenset[tuple[int, str]]:
+    """Return (row index, column name) for every row that fulfils a condition and each of some columns.
+
+    The result serves as `ResultTable.best` or `ResultTable.alert`.
+    """
     names = tuple(columns)
-    return frozenset((i, name) for i, row in enumerate(rows) if holds(row) for name in names)
+    return frozenset((i, name) for i, row in enumerate(rows) if condition(row) for name in names)
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
 INK = "#1d2733"
-"""Colour of text, ticks and the reference that controllers follow."""
+"""Colour of text, ticks and the reference path."""
 MUTED = "#66717e"
 """Colour of frames and of lines in the background."""
 PALE = "#dce1e7"
 """Colour of grid lines and of the road's surface."""
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Colours of contenders: Okabe and Ito's set, distinct with any common colour vision."""
+"""Colours of contenders from the set of Okabe and Ito, which colour-blind readers can distinguish."""
 
 Dash = Literal["solid", "dashed", "long", "dotted", "dash-dot"]
 DASHES: Mapping[Dash, Any] = {
     "solid": "-", "dashed": (0, (4, 2)), "long": (0, (5, 1.5)), "dotted": (0, (1.5, 1.5)),
     "dash-dot": (0, (5, 1.5, 1, 1.5)),
 }  # fmt: skip
-"""Line styles in matplotlib's notation: offset and lengths in widths of the line."""
+"""Line styles in matplotlib's notation: offset and dash lengths in line widths."""
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """The colour and dash of the lines of one contender, in every picture of a result."""
+    """Colour and dash pattern of the lines of one contender, the same in every picture of a result."""
 
     colour: str = SERIES[0]
     dash: Dash = "solid"
@@ -89,93 +99,96 @@ class Stroke:
 
 
 REFERENCE_STROKE = Stroke(INK, "dashed")
-"""Stroke of the reference that controllers follow."""
+"""Stroke of the reference path."""
 SHARED_STROKE = Stroke(INK)
 """Stroke of signals that all runs share (gust, friction)."""
 BACKGROUND_STROKE = Stroke(MUTED)
 """Stroke of lines behind the main curves."""
 
-_ROUNDS: tuple[Dash, ...] = ("solid", "long", "dotted")
+_DASH_CYCLE: tuple[Dash, ...] = ("solid", "long", "dotted")
+"""Dash patterns for the first pass through the colours of `SERIES`, the second and the third."""
 
 
 def strokes(labels: Iterable[str]) -> dict[str, Stroke]:
-    """One stroke per distinct label, in the order given; they stay distinct for three times as many as `SERIES`."""
+    """Return one stroke per distinct label, in order; up to three times the number of colours they are distinct."""
     return {
-        label: Stroke(SERIES[i % len(SERIES)], _ROUNDS[i // len(SERIES) % len(_ROUNDS)])
+        label: Stroke(SERIES[i % len(SERIES)], _DASH_CYCLE[i // len(SERIES) % len(_DASH_CYCLE)])
         for i, label in enumerate(dict.fromkeys(labels))
     }
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A drawing on one pair of axes."""
+    """One pair of axes in a picture."""
 
     title: str
     draw: Callable[[Any], object]
-    """Draws the curves on matplotlib's axes (`matplotlib.axes.Axes`) and sets their labels, limits and scales."""
+    """Function that draws on a `matplotlib.axes.Axes` and sets labels, limits and scales."""
     description: str
-    """The alternative text is the title followed by it."""
+    """Description for screen readers, who hear the title first."""
     height: float = 1.0
     """Height relative to the other panels of a picture with one column."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """Panels that flow into one or two columns, with a legend."""
+    """Panels in one or two columns with a common legend."""
 
     name: str
     caption: str
     panels: Sequence[Panel]
     key: Sequence[tuple[str, Stroke]] = ()
+    """Legend: label and stroke of each contender."""
     file: str = ""
-    """The name of its PNG file for print; empty for none."""
+    """Name of the PNG file for print; empty if none is written."""
     columns: int = 2
     """Number of columns in the PNG file."""
     row_height: float = 2.25
-    """inch, height of a row in the PNG file"""
+    """Height of a row in the PNG file (inch)."""
     size: tuple[float, float] | None = None
-    """inch, width and height of a panel on the page; the common size if None"""
+    """Width and height of a panel on the HTML page (inch); None for the default size."""
 
 
 # -- the result -------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """An answer with the numbers that support it."""
+    """Result of a command: an answer with the numbers that support it."""
 
     kind: str
-    """Which question is answered: identification, certificate, drive, ...; it names the page's template."""
+    """Kind of result ("identification", "certificate", "drive", ...), which is also the name of the page template."""
     title: str
     answer: str
     """The answer in one sentence."""
     record: Mapping[str, Any]
-    """Everything by name, as JSON takes it: numbers, words, None, lists and mappings of these."""
+    """Content of the JSON output: numbers, text, None, lists and mappings of these."""
     tables: Sequence[ResultTable] = ()
     notes: Sequence[str] = ()
-    """Further sentences that the reader must know."""
+    """Remarks on the answer, one sentence each."""
     pictures: Sequence[Picture] = ()
     failed: bool = False
-    """Whether the answer is a failure."""
+    """Whether the answer reports a failure."""
     headline: str = ""
-    """The failure, to stand before the title; empty without one."""
+    """Failure in a few words, printed before the title; empty if there is none."""
     values: Mapping[str, Any] = field(default_factory=dict)
-    """Named numbers and words for the page's template, in addition to `record`."""
+    """Numbers and text by name for the page template, in addition to `record`."""
     command: str = ""
-    """The command line that repeats it."""
+    """Command line that repeats the computation."""
     created: str = ""
+    """Date and time of the computation."""
     next_step: str = ""
     """Suggestion for the next command."""
 
     def table(self, name: str) -> ResultTable:
-        """A table by its name."""
+        """Return the table with this name."""
         return next(table for table in self.tables if table.name == name)
 
     def picture(self, name: str) -> Picture:
-        """A picture by its name."""
+        """Return the picture with this name."""
         return next(picture for picture in self.pictures if picture.name == name)
 
 
 def strict(value: Any) -> Any:
-    """A value as strict JSON takes it: None for numbers that are not finite, lists for arrays and tuples."""
+    """Return a value for strict JSON: numbers that are not finite become None, arrays and tuples become lists."""
     if isinstance(value, Mapping):
         return {str(key): strict(entry) for key, entry in value.items()}
     if hasattr(value, "tolist"):

@@ -1,18 +1,18 @@
-"""The picture and the notebook form of an object, by its type. The room that draws is loaded when it is needed."""
+"""The figure and the notebook form of an object. The drawing code is imported when it is first used."""
 
 from __future__ import annotations
 
 import importlib
 from typing import Any
 
-_ROOM = "adaptrack.results.shown"
+_DRAWING_MODULE = "adaptrack.results.shown"
 
 
 def figure_of(result: Any, *options: Any) -> Any:
-    """The object as a matplotlib figure."""
-    return importlib.import_module(_ROOM).figure_of(result, *options)
+    """Return the matplotlib figure of an object."""
+    return importlib.import_module(_DRAWING_MODULE).figure_of(result, *options)
 
 
 def html_of(result: Any) -> str:
     """Return the HTML form of an object for a notebook."""
-    return str(importlib.import_module(_ROOM).html_of(result))
+    return str(importlib.import_module(_DRAWING_MODULE).html_of(result))

@@ -13,11 +13,11 @@ from adaptrack.base.errors import InvalidInput
 Array = NDArray[np.float64]
 
 BOOTSTRAP_RESAMPLES, BOOTSTRAP_SEED = 2000, 0x9160
-"""Of a bootstrap."""
+"""Number of bootstrap resamples, and the seed of their random numbers."""
 
 
 class Ratio(NamedTuple):
-    """Geometric mean of a measure of one contender over another's on the same runs, and its 95 % interval."""
+    """Geometric mean of the ratio of a measure of two contenders on the same runs, with its 95 % interval."""
 
     mean: float
     low: float
@@ -25,40 +25,45 @@ class Ratio(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """cheaper, dearer, or level: the interval holds 1."""
+        """Return "cheaper" or "dearer", or "level" if the interval contains 1 and so shows no difference."""
         return "cheaper" if self.high < 1.0 else "dearer" if self.low > 1.0 else "level"
 
 
 def geometric_mean(costs: ArrayLike) -> float:
-    """exp of the mean logarithm."""
+    """Return the geometric mean of positive numbers."""
     return float(np.exp(np.mean(np.log(costs))))
 
 
 def ratio(values: ArrayLike, references: ArrayLike) -> Ratio:
-    """The geometric mean of values over others, both (n,) or (n, m), with its 95 % percentile bootstrap interval.
+    """Return the geometric mean of values / references, with its 95 % percentile bootstrap interval.
 
-    Every axis is a level that is drawn anew in each resample, independently of the other: runs; or cars and roads,
-    where drawing their pairs would give far too narrow an interval (A. B. Owen, "The pigeonhole bootstrap", Annals of
-    Applied Statistics 1 (2007) 386-411). An axis of length 1 is not drawn. Where either is NaN, nothing was measured.
-    All ratios of one shape share their resamples.
+    Each resample draws the entries of every axis with replacement, independently of the other axis. For cars and roads,
+    drawing (car, road) pairs would give far too narrow an interval (A. B. Owen, "The pigeonhole bootstrap", Annals of
+    Applied Statistics 1 (2007) 386-411). An axis of length 1 is not resampled. Arrays of one shape share their
+    resamples.
+
+    Parameters
+    ----------
+    values, references
+        Positive measures of two contenders, (runs,) or (cars, roads). NaN marks a missing measurement.
 
     Raises
     ------
     InvalidInput
-        When nothing was measured in common.
+        When no entry was measured for both contenders.
     """
     logs = np.log(np.asarray(values, dtype=float) / np.asarray(references, dtype=float))
-    there = np.isfinite(logs)
-    if not there.any():
-        raise InvalidInput("ratio: the two were driven on nothing in common.")
-    total, count = _resampled(np.where(there, logs, 0.0)), _resampled(there.astype(float))
+    measured = np.isfinite(logs)
+    if not measured.any():
+        raise InvalidInput("ratio: the two contenders have no measured run in common.")
+    total, count = _resampled_sums(np.where(measured, logs, 0.0)), _resampled_sums(measured.astype(float))
     means = total[count > 0.0] / count[count > 0.0]
     low, high = np.percentile(np.exp(means), [2.5, 97.5])
-    return Ratio(float(np.exp(logs[there].mean())), float(low), float(high))
+    return Ratio(float(np.exp(logs[measured].mean())), float(low), float(high))
 
 
-def _resampled(values: Array) -> Array:
-    """(RESAMPLES,) the sum of the values that each resample draws."""
+def _resampled_sums(values: Array) -> Array:
+    """Return the sum of the values in each resample (BOOTSTRAP_RESAMPLES,)."""
     operands: list[Any] = [values, list(range(values.ndim))]
     for axis, weights in enumerate(_weights(values.shape)):
         operands += [weights, [values.ndim, axis]]
@@ -67,7 +72,7 @@ def _resampled(values: Array) -> Array:
 
 @lru_cache(maxsize=4)
 def _weights(shape: tuple[int, ...]) -> list[Array]:
-    """(RESAMPLES, n) for each axis: how often each of its n entries is drawn."""
+    """Return, for each axis, how often each resample draws each of its n entries (BOOTSTRAP_RESAMPLES, n)."""
     rng = np.random.default_rng(BOOTSTRAP_SEED)
     return [
         rng.multinomial(n, np.full(n, 1.0 / n), size=BOOTSTRAP_RESAMPLES).astype(float)
@@ -78,16 +83,33 @@ def _weights(shape: tuple[int, ...]) -> list[Array]:
 
 
 def regret_percentiles(regret: Array) -> dict[str, float]:
-    """p50, p90, p99 of the logarithms of a regret (runs,), and the worst."""
+    """Return the percentiles p50, p90 and p99 and the largest value ("worst") of a regret (runs,).
+
+    The regret of a run is its cost divided by the cost of the reference contender on the same run. Percentiles are
+    interpolated between logarithms.
+    """
     logs = np.log(regret)
     p50, p90, p99 = np.exp(np.percentile(logs, [50, 90, 99]))
     return {"p50": float(p50), "p90": float(p90), "p99": float(p99), "worst": float(np.exp(logs.max()))}
 
 
 def binned_geometric_mean(values: Array, x: Array, y: Array, cells: int) -> tuple[Array, Array, Array]:
-    """Edges along x and y (cells + 1,), and the geometric mean of the values (n,) in each cell (cells, cells).
+    """Return the geometric mean of values in each cell of a grid.
 
-    Rows along y, columns along x; NaN where a cell holds none.
+    Parameters
+    ----------
+    values
+        Positive numbers, (n,).
+    x, y
+        Coordinates of the values, (n,).
+    cells
+        Number of cells along each axis.
+
+    Returns
+    -------
+    x_edges, y_edges, mean
+        Edges of the cells along x and y, each (cells + 1,), and the means (cells, cells). Rows run along y, columns
+        along x; NaN marks an empty cell.
     """
     x_edges, y_edges = (np.histogram_bin_edges(coordinates, cells) for coordinates in (x, y))
     count = np.histogram2d(y, x, (y_edges, x_edges))[0]
@@ -97,7 +119,7 @@ def binned_geometric_mean(values: Array, x: Array, y: Array, cells: int) -> tupl
 
 
 class Interval(NamedTuple):
-    """A number with its 95 % interval."""
+    """An estimate with its 95 % confidence interval."""
 
     value: float
     low: float
@@ -105,22 +127,34 @@ class Interval(NamedTuple):
 
 
 def block_rms(squared: ArrayLike, block: ArrayLike) -> list[tuple[Interval, Ratio]]:
-    """Root mean square of errors that were made side by side, and that of the first over it, each with its interval.
+    """Return the RMS error of each contender, and the ratio of the first contender's RMS error to it.
 
-    squared: (m, n) squared errors of m contenders at n instants; block: (n,) whole numbers: instants of one block are
-    drawn together, for errors that follow each other are alike (moving blocks: H. R. Künsch, "The jackknife and the
-    bootstrap for general stationary observations", Annals of Statistics 17 (1989) 1217-1241; here they do not overlap).
-    Over errors that are all 0 in a resample the ratio is 1.
+    Errors at neighbouring instants are correlated, so each resample draws whole blocks of instants. The blocks do not
+    overlap, unlike those of H. R. Künsch, "The jackknife and the bootstrap for general stationary observations", Annals
+    of Statistics 17 (1989) 1217-1241.
+
+    Parameters
+    ----------
+    squared
+        Squared errors of m contenders at the same n instants, (m, n).
+    block
+        Number of the block of each instant, whole numbers, (n,).
+
+    Returns
+    -------
+    list of (Interval, Ratio)
+        For each contender the RMS error, and RMS error of the first contender / RMS error of this contender. The ratio
+        is 1 if the mean square of this contender is 0 in a resample.
     """
-    values, place = np.atleast_2d(np.asarray(squared, dtype=float)), np.unique(block, return_inverse=True)[1]
-    count = _resampled(np.bincount(place).astype(float))
-    means = [_resampled(np.bincount(place, row).astype(float)) / count for row in values]
+    values, block_index = np.atleast_2d(np.asarray(squared, dtype=float)), np.unique(block, return_inverse=True)[1]
+    count = _resampled_sums(np.bincount(block_index).astype(float))
+    means = [_resampled_sums(np.bincount(block_index, row).astype(float)) / count for row in values]
     results = []
     for row, mean in zip(values, means, strict=True):
-        over = np.divide(
+        ratios = np.divide(
             [values[0].mean(), *means[0]], [row.mean(), *mean], out=np.ones(1 + mean.size), where=mean.all()
         )
-        ends = (np.percentile(np.sqrt(mean_squares), [2.5, 97.5]).tolist() for mean_squares in (mean, over[1:]))
-        rms, ratio = zip(np.sqrt([row.mean(), over[0]]).tolist(), ends, strict=True)
+        ends = (np.percentile(np.sqrt(mean_squares), [2.5, 97.5]).tolist() for mean_squares in (mean, ratios[1:]))
+        rms, ratio = zip(np.sqrt([row.mean(), ratios[0]]).tolist(), ends, strict=True)
         results.append((Interval(rms[0], *rms[1]), Ratio(ratio[0], *ratio[1])))
     return results

@@ -1,4 +1,4 @@
-"""Text as it can be shown anywhere."""
+"""Text without characters that a terminal or a page would interpret."""
 
 from __future__ import annotations
 
@@ -6,9 +6,14 @@ import unicodedata
 
 
 def printable(text: str, keep: str = "") -> str:
-    r"""`text` as it can be shown anywhere: controls, marks of direction and half characters as escapes (``\x1b``).
+    r"""Return text in which unprintable characters are replaced by escapes such as ``\x1b``.
 
-    keep: controls that stay (line ends, for text of many lines).
+    Parameters
+    ----------
+    text
+        Any text.
+    keep
+        Control characters that are not replaced, such as line ends.
     """
     if text.isprintable():
         return text
@@ -16,5 +21,5 @@ def printable(text: str, keep: str = "") -> str:
 
 
 def _is_control(character: str) -> bool:
-    """Controls, formats (marks of direction), surrogates, private and unassigned ones, line and paragraph ends."""
+    """Whether a character is unprintable: a control, format, surrogate, private, unassigned or line-end character."""
     return unicodedata.category(character) in {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}

@@ -1,12 +1,16 @@
-"""The command line: `main` runs one command and turns whatever ends it into one message and an exit code.
+"""Command line: `main` runs one command and reports every error as one message and an exit code.
 
-Exit codes: 0 done; 1 a certificate found an unstable loop, a road cannot be driven, or the criteria of a standard are
-not met; 2 an error, one sentence on standard error; 3 a run failed, an identification is not consistent, a belief is
-not believable, inputs contradict each other; 130 Ctrl-C; 141 the reader of standard output has gone (`adaptrack ... |
-head -1`), as for any program in a pipe.
+Exit codes:
 
-Nothing but the standard library is imported here, so that Ctrl-C is answered from the first moment on. Every command
-imports what it needs when it runs: `adaptrack --help` loads no numerics.
+- 0: done;
+- 1: a loop is unstable, a car cannot drive a road, or the criteria of a standard are not met;
+- 2: an error, with one sentence on standard error;
+- 3: a run failed, an identification is inconsistent, learned values are implausible, or inputs contradict each other;
+- 130: interrupted by Ctrl-C;
+- 141: the reader of standard output has closed the pipe (`adaptrack ... | head -1`).
+
+This module imports only the standard library, so that Ctrl-C works from the start. Each command imports its modules
+when it runs; `adaptrack --help` loads no numerics.
 """
 
 from __future__ import annotations
@@ -28,17 +32,17 @@ from adaptrack.cli import interrupt
 DONE, ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
 
 COLLECT_AFTER = 50_000
-"""New objects between two searches for unreachable ones: Python's own 700 cost a tenth of a short command."""
+"""Threshold of the garbage collector; the default of 700 objects costs a tenth of the time of a short command."""
 
 REPEAT = 0.5
-"""s, between the repetitions of a Ctrl-C that nothing has heard."""
+"""Time between repetitions of an unanswered Ctrl-C (s)."""
 
 _NO_OUTPUT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
-"""What the system says when standard output takes no more."""
+"""Error numbers of the system if standard output cannot be written."""
 
 
 def main() -> int:
-    """Run the command line; the exit code."""
+    """Run the command line and return the exit code."""
     gc.set_threshold(COLLECT_AFTER)
     _prepare_output()
     interrupt.note_progress("Nothing was written.")
@@ -63,7 +67,7 @@ def _run() -> int:
 
 
 def _reported(error: BaseException) -> int:
-    """Say what ended the command; its exit code. A fault of ours is raised again, with its traceback."""
+    """Print the message of an error and return its exit code; raise unexpected errors again."""
     if isinstance(error, AdaptrackError):
         print(f"adaptrack: {error}", file=sys.stderr)
         return ERROR
@@ -84,7 +88,7 @@ def _reported(error: BaseException) -> int:
 
 
 def _prepare_output() -> None:
-    """Any text can be written; standard error that is closed (`2>&-`) takes everything and keeps nothing."""
+    """Make all text printable, and replace a closed standard error (`2>&-`) by the null device."""
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
@@ -93,7 +97,7 @@ def _prepare_output() -> None:
 
 
 def _check_surroundings() -> None:
-    """Refuse, before any work, what would lose the results or end an import of others in their traceback.
+    """Check the environment before any work: results need an open standard output, pictures need no window system.
 
     Raises
     ------
@@ -102,21 +106,21 @@ def _check_surroundings() -> None:
     """
     if sys.stdout is None:
         raise StorageError("standard output is closed, so nothing can be printed: send it to a file, or to /dev/null.")
-    os.environ.pop("MPLBACKEND", None)  # names a window system; pictures go to files
+    os.environ.pop("MPLBACKEND", None)  # a window system; pictures are written to files
 
 
 def _give_up_output() -> None:
-    """Send what is still in the buffer nowhere: the interpreter flushes it when it ends."""
+    """Redirect standard output to the null device, because the interpreter flushes its buffer at exit."""
     with suppress(OSError, ValueError), open(os.devnull, "w", encoding="utf-8") as nowhere:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 @contextmanager
 def _noting_ctrl_c() -> Iterator[list[int]]:
-    """A list that is no longer empty once Ctrl-C was pressed, which raises KeyboardInterrupt as ever.
+    """Yield a list that records each Ctrl-C, which also raises KeyboardInterrupt as usual.
 
-    Callbacks from compiled code and finalizers swallow exceptions. While something is imported or compiled, and after
-    a Ctrl-C that was swallowed, it is repeated until it is heard: else the command would go on to its end.
+    Callbacks from compiled code and finalizers suppress exceptions. A Ctrl-C during an import or a compilation, or a
+    suppressed one, is therefore repeated until it interrupts the command.
     """
     pressed: list[int] = []
     swallowed: list[int] = []
@@ -154,7 +158,7 @@ def _noting_ctrl_c() -> Iterator[list[int]]:
 
 
 def _importing(frame: FrameType | None) -> bool:
-    """Whether a module is being imported, or numba compiles, somewhere below."""
+    """Whether the call stack contains an import or a compilation by numba."""
     while frame is not None:
         name = frame.f_code.co_filename
         if "importlib._bootstrap" in name or f"{os.sep}numba{os.sep}" in name:

@@ -1,4 +1,4 @@
-"""The commands, put together."""
+"""The command line application with all its commands."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ PANELS: dict[str, tuple[str, ...]] = {
     "Export": ("export",),
     "The paper": ("paper",),
 }
-"""Commands by the panel of the help that shows them."""
+"""Commands in each section of the help."""
 
 
 class PanelGroup(typer.core.TyperGroup):
-    """A group whose help lists the commands in `PANELS`."""
+    """Group of commands whose help lists them in the sections of `PANELS`."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write one section for each panel."""
@@ -54,9 +54,9 @@ app = typer.Typer(
     name="adaptrack",
     cls=PanelGroup,
     help="Auto-tuned, auto-adaptive model predictive control for path tracking.",
-    epilog="Begin with: adaptrack drive country --out drive. Which controller, which profile, what to measure first: "
-    "docs/guide.md. Exit codes: 0 done; 1 an unstable certificate, a road that cannot be driven; 2 an error; 3 a "
-    "run failed, an identification is not consistent, a belief is not believable, inputs contradict; 130 Ctrl-C.",
+    epilog="Begin with: adaptrack drive country --out drive. docs/guide.md helps you to choose a controller and a "
+    "profile, and lists what to measure first. Exit codes: 0 done; 1 unstable loop, or road that the car cannot "
+    "drive; 2 error; 3 failed run, inconsistent logs, implausible estimates, or contradictory inputs; 130 Ctrl-C.",
     no_args_is_help=True,
     rich_markup_mode=None,
     add_completion=False,

@@ -21,16 +21,18 @@ class CampaignOptions:
         str,
         typer.Argument(
             metavar="CAMPAIGN",
-            help="Campaign: paper-grid, road-sobol, or a .toml file. Without --out, a data set: name, file or folder.",
+            help="With --out: paper-grid, road-sobol, or a .toml file. Without: a data set (name, file or folder).",
         ),
     ]
     out: Annotated[
-        Path | None, Option("--out", metavar="DIR", help="Folder of the campaign; without it, nothing is tuned.")
+        Path | None, Option("--out", metavar="DIR", help="Folder of the campaign; without it, no tuning.")
     ] = None
     workers: options.Workers = None
     cluster: Annotated[
         str | None,
-        Option("--cluster", metavar="ADDRESS", help="Dask scheduler whose workers compute, tcp://HOST:PORT."),
+        Option(
+            "--cluster", metavar="ADDRESS", help="Address of a Dask scheduler, tcp://HOST:PORT; its workers compute."
+        ),
     ] = None
     as_json: options.Json = False
 
@@ -39,8 +41,8 @@ class CampaignOptions:
 def campaign(arguments: CampaignOptions) -> None:
     """Tune the MPC at the operating points of a campaign.
 
-    With --out: run the campaign in that folder, or continue one that was interrupted, and write a page on its data set.
-    Without --out: describe the data set that ships under this name, or that lies in this file or folder.
+    With --out, the command runs the campaign in this folder, or continues an interrupted campaign. It then writes a
+    page about the data set. Without --out, it only describes an existing data set.
     """
     from adaptrack.paper.campaign import run_campaign
     from adaptrack.paper.campaign_config import load_campaign
@@ -52,7 +54,7 @@ def campaign(arguments: CampaignOptions) -> None:
         result, page = dataset_result(load_dataset(arguments.name)), None
     else:
         config = load_campaign(arguments.name)
-        interrupt.note_progress(f"Finished parts are kept in {arguments.out}: run the command again to continue.")
+        interrupt.note_progress(f"Finished parts are in {arguments.out}: run the command again to continue.")
         with show.progress("campaign") as advance:
             file = run_campaign(
                 config, arguments.out, workers=arguments.workers, cluster=arguments.cluster, progress=advance
@@ -61,4 +63,6 @@ def campaign(arguments: CampaignOptions) -> None:
         with show.progress("write the page"):
             page = write_result(arguments.out, result)
     learn = command("paper", "train", "--data", arguments.out or arguments.name, "--model", "nn", "--out", "nn.json")
-    show.say_result(replace(result, next_step=next_line("to learn a schedule from it", learn)), arguments.as_json, page)
+    show.say_result(
+        replace(result, next_step=next_line("to train a schedule on this data set", learn)), arguments.as_json, page
+    )

@@ -1,4 +1,4 @@
-"""`adaptrack car`: show a car and how well it is known; make one from a data sheet, a tyre file or a table."""
+"""`adaptrack car`: show the parameters of a car, or make a car from a data sheet, a tyre file or a table."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 
 
 class BodyStyleName(StrEnum):
-    """Kinds of cars whose measurements an estimate rests on."""
+    """Kinds of cars with published measurements, on which estimates are based."""
 
     car = "car"
     truck = "truck"
 
 
 PARAMETER_COLUMNS = (
-    Column("key", "number"), Column("value", "value", "", 5), Column("unit", "unit"),
-    Column("within", "known within"), Column("from", "from"),
+    Column("key", "parameter"), Column("value", "value", "", 5), Column("unit", "unit"),
+    Column("within", "tolerance"), Column("from", "source"),
 )  # fmt: skip
-DERIVED = (Column("what", "derived"), Column("value", "value"), Column("unit", "unit"))
+DERIVED = (Column("what", "derived quantity"), Column("value", "value"), Column("unit", "unit"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,18 +42,22 @@ class CarOptions:
     name: Annotated[
         str | None, typer.Argument(metavar="[CAR]", help="Car to show: see `list cars`, or a .toml file.")
     ] = None
-    mass: Annotated[float | None, Option("--mass", metavar="KG", help="Mass of a new car; with --wheelbase.")] = None
-    wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Wheelbase of a new car.")] = None
+    mass: Annotated[float | None, Option("--mass", metavar="KG", help="Mass of a new car (kg); needs --wheelbase.")] = (
+        None
+    )
+    wheelbase: Annotated[
+        float | None, Option("--wheelbase", metavar="M", help="Wheelbase of a new car (m); needs --mass.")
+    ] = None
     load: Annotated[
         float | None,
         Option(
             "--load",
             metavar="KG",
-            help="People and luggage in addition to the mass: 75 for a driver, 136 with luggage.",
+            help="Mass of people and luggage (kg): 75 for a driver, 136 with luggage.",
         ),
     ] = None
     body_style: Annotated[
-        BodyStyleName, Option("--body-style", help="Body of a new car; truck: pickups, vans and SUVs.")
+        BodyStyleName, Option("--body-style", help="Body of a new car; truck: pickup, van or SUV.")
     ] = BodyStyleName.car
     yaw_inertia: Annotated[
         float | None, Option("--yaw-inertia", metavar="I", hidden=True, help="Yaw inertia (kg m^2), if known.")
@@ -70,15 +74,19 @@ class CarOptions:
         Option("--stiffness-rear", metavar="C", hidden=True, help="Stiffness of one rear tyre (N/rad), if known."),
     ] = None
     tir: Annotated[
-        Path | None, Option("--tir", metavar="FILE", help="Tyre property file: MF 5.2, 6.1, 6.2, PAC2002.")
+        Path | None, Option("--tir", metavar="FILE", help="Tyre property file in format MF 5.2, 6.1, 6.2 or PAC2002.")
     ] = None
     tyre_table: Annotated[
         Path | None,
-        Option("--tyre-table", metavar="FILE", help=".csv of axle forces: slip_rad, force_front_N, force_rear_N."),
+        Option(
+            "--tyre-table",
+            metavar="FILE",
+            help=".csv file of axle forces with columns slip_rad, force_front_N, force_rear_N.",
+        ),
     ] = None
     out: Annotated[
         Path | None,
-        Option("--out", metavar="FILE", help="Car file to write (.toml); a new tyre goes into the same folder."),
+        Option("--out", metavar="FILE", help="Car file to write (.toml); a tyre file is written to the same folder."),
     ] = None
     as_json: options.Json = False
 
@@ -91,19 +99,19 @@ class CarOptions:
 
 @options.grouped
 def car(arguments: CarOptions) -> None:
-    """Show a car, or make one.
+    """Show a car, or make a car file.
 
-    What --mass and --wheelbase leave open is estimated from published measurements, and marked. Without a car, --tir
-    makes a tyre alone.
+    A new car needs --mass and --wheelbase. All other values are estimated from published measurements, and the car file
+    lists them as estimated. Without a car, --tir makes only a tyre file.
     """
     out = arguments.out
     if out is not None and out.suffix != ".toml":
         raise InvalidInput(f"--out {out}: must end in .toml.")
     if arguments.tir is not None and arguments.tyre_table is not None:
-        raise InvalidInput("--tir and --tyre-table: one tyre at a time.")
+        raise InvalidInput("--tir and --tyre-table: give only one of them.")
     vehicle = _vehicle(arguments)
     if vehicle is None and arguments.tir is None:
-        raise InvalidInput("name a car, or give --mass and --wheelbase, or --tir.")
+        raise InvalidInput("no car: name a car, or give --mass and --wheelbase, or --tir.")
     fit = _fit(arguments.tir, arguments.tyre_table, vehicle)
     written = []
     options.make_place(out)
@@ -127,21 +135,21 @@ def _next_step(arguments: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
         return "to keep the car", repeat_command_with("--out", "my-car.toml")
     file = arguments.out if arguments.out is not None else arguments.name
     if vehicle.estimated:
-        return "as some of it is estimated, to let a drive learn it", command(
-            "drive", "country", "--vehicle", file, "--learn"
-        )
+        return "to learn the estimated values while driving", command("drive", "country", "--vehicle", file, "--learn")
     return "to drive it", command("drive", "country", "--vehicle", file)
 
 
 def _vehicle(arguments: CarOptions) -> Vehicle | None:
-    """The car that is named, or the one of a data sheet; None where there is neither."""
+    """Load the named car, or estimate one from a data sheet; None without either."""
     from adaptrack.cars.data_sheet import vehicle_from_data_sheet
     from adaptrack.cars.vehicle import load_vehicle
 
     name, mass, wheelbase, load = arguments.name, arguments.mass, arguments.wheelbase, arguments.load
     if name is not None:
         if (mass, wheelbase, load) != (None, None, None) or arguments.known_values:
-            raise InvalidInput(f"{name}: is a car already; --mass, --wheelbase and the like make a new one.")
+            raise InvalidInput(
+                f"{name} is an existing car: leave out --mass, --wheelbase and the other options of a new car."
+            )
         return load_vehicle(name)
     if mass is None and wheelbase is None:
         if arguments.known_values or load is not None:
@@ -149,7 +157,7 @@ def _vehicle(arguments: CarOptions) -> Vehicle | None:
         return None
     if mass is None or wheelbase is None:
         raise InvalidInput(
-            f"a new car needs --mass and --wheelbase: --{'mass' if mass is None else 'wheelbase'} lacks."
+            f"a new car needs --mass and --wheelbase: --{'mass' if mass is None else 'wheelbase'} is missing."
         )
     new = "new-car" if arguments.out is None else arguments.out.stem
     return vehicle_from_data_sheet(
@@ -158,7 +166,7 @@ def _vehicle(arguments: CarOptions) -> Vehicle | None:
 
 
 def _fit(tir: Path | None, table: Path | None, vehicle: Vehicle | None) -> TyreFit | None:
-    """The tyre of a file or a table."""
+    """Fit a tyre to a file or a table; None without either."""
     if tir is not None:
         from adaptrack.cars.tyre_file import read_tyre_file
 
@@ -171,7 +179,7 @@ def _fit(tir: Path | None, table: Path | None, vehicle: Vehicle | None) -> TyreF
 
 
 def _with_tyre(vehicle: Vehicle, fit: TyreFit | None, written: list[Path]) -> Vehicle:
-    """The car on its new tyre, whose stiffness its model then believes."""
+    """Return the car with a new tyre and its stiffness."""
     if fit is None:
         return vehicle
     guesses = tuple(key for key in vehicle.estimated if key not in ("stiffness_front", "stiffness_rear"))
@@ -180,7 +188,7 @@ def _with_tyre(vehicle: Vehicle, fit: TyreFit | None, written: list[Path]) -> Ve
     return changed.replace(tyre=str(written[0])) if written else changed
 
 
-# -- what is said -----------------------------------------------------------------------------------------------------
+# -- output ----------------------------------------------------------------------------------------------------
 def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_json: bool) -> None:
     from adaptrack.results.answers import car_answer
 
@@ -201,12 +209,12 @@ def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_j
         show.say(car_answer(vehicle))
         title = vehicle.name if not vehicle.description else f"{vehicle.name}: {vehicle.description}"
         show.table(title, PARAMETER_COLUMNS, numbers(vehicle))
-        show.table("Steady turns of its model", DERIVED, derived(vehicle, fit))
+        show.table("Steady-state cornering of the model", DERIVED, derived(vehicle, fit))
         domain = vehicle.domain
         show.say(
             f"Domain: {domain.speed[0]:g} to {domain.speed[1]:g} m/s, friction {domain.friction[0]:g} to "
             f"{domain.friction[1]:g}, wind to {domain.wind:g} m/s, lanes of {domain.lane_width:g} m,\n"
-            f"failed beyond {domain.failure_distance:g} m from the reference."
+            f"a drive fails beyond {domain.failure_distance:g} m from the reference."
         )
     if fit is not None:
         _say_fit(fit)
@@ -227,7 +235,7 @@ def _say_fit(fit: TyreFit) -> None:
 
 
 def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
-    """A row for each number of a car that is known or estimated."""
+    """Return a row for each parameter of a car."""
     from adaptrack.cars.known_within import KnownWithin
 
     tolerances = vehicle.known_within or KnownWithin()
@@ -263,7 +271,7 @@ def derived(vehicle: Vehicle, fit: TyreFit | None = None) -> list[dict[str, Any]
     speeds = sorted({vehicle.domain.speed[0], sum(vehicle.domain.speed) / 2, vehicle.domain.speed[1]})
     rows = [
         ("weight on the front axle", f"{100 * vehicle.lr / vehicle.wheelbase:.1f}", "%"),
-        ("load of a front, a rear wheel", "{:.4g}, {:.4g}".format(*vehicle.static_loads), "N"),
+        ("wheel load (front, rear)", "{:.4g}, {:.4g}".format(*vehicle.static_loads), "N"),
         ("yaw inertia/(mass lf lr)", f"{vehicle.yaw_inertia / (vehicle.mass * vehicle.lf * vehicle.lr):.3f}", "-"),
         ("understeer gradient", gradient, "°/g"),
         ("characteristic speed", _speed(vehicle.characteristic_speed), "m/s"),
@@ -275,7 +283,7 @@ def derived(vehicle: Vehicle, fit: TyreFit | None = None) -> list[dict[str, Any]
         rows.append((f"yaw gain at {speed:.3g} m/s", gain, "1/s"))
     tyre = _tyre(vehicle) if fit is None else fit.tyre
     front, rear = vehicle.stiffness_factors(tyre)
-    rows.append((f"stiffness of tyre {tyre.name} over the model's", f"{front:.2f}, {rear:.2f}", "-"))
+    rows.append((f"stiffness of tyre {tyre.name}/model", f"{front:.2f}, {rear:.2f}", "-"))
     return [dict(zip(("what", "value", "unit"), row, strict=True)) for row in rows]
 
 

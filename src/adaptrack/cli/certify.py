@@ -1,4 +1,4 @@
-"""`adaptrack certify`: is the loop stable with everything that a scheduler can ask for? What can be held at all?"""
+"""`adaptrack certify`: stability and margins of the control loop with all tunings of a schedule."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from adaptrack.control.scheduling import Schedule
 
 UNSTABLE = 1
-"""The exit code when a loop is unstable, driving straight, or a domain cannot be held."""
+"""Exit code if the loop is unstable when driving straight, or if no tuning is stable at some speed and friction."""
 BEST_COLUMNS = (
-    Column("held", "held"),
+    Column("held", "stable"),
     Column("speed", "speed", "m/s", 3),
     Column("friction", "friction", "", 3),
     Column("Np", "Np", "", 3),
@@ -35,7 +35,7 @@ BEST_COLUMNS = (
     Column("ratio", "R/Q", "m²/rad²", 3),
     Column("modulus_margin", "modulus\nmargin", "", 3),
 )
-"""Of the table of what can be held."""
+"""Columns of the table of the best tuning at each speed and friction."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,15 +44,15 @@ class CertifyOptions:
 
     scheduler: Annotated[
         str | None,
-        typer.Argument(help="Schedule: see `list schedules`, or a .json file; default: the constant tuning."),
+        typer.Argument(metavar="[SCHEDULE]", help="See `list schedules`, or a .json file; default: constant tuning."),
     ] = None
     controller: Annotated[
         str | None,
         Option(
             "--controller",
             metavar="NAME",
-            help="informed: MPC with a steering model [default]; standard: the paper's "
-            "[default with a scheduler that was made for it].",
+            help="informed: MPC with steering model and state estimator; standard: published MPC. Default: informed, "
+            "or the controller for which the schedule was made.",
         ),
     ] = None
     profile: options.ProfileOption = "road"
@@ -66,28 +66,35 @@ class CertifyOptions:
     mismatch: Annotated[
         bool,
         Option(
-            "--mismatch", help="Also with a lag error of 0.1 s, dead time of one period, stiffness x 1.6, mass 30 %."
+            "--mismatch",
+            help="Also certify cars that differ from the model: lag by 0.1 s, dead time by one period, stiffness by a "
+            "factor of 1.6, mass by 30 %.",
         ),
     ] = False
-    feasible: Annotated[bool, Option("--feasible", help="Show the speeds and frictions that some tuning can hold.")] = (
-        False
-    )
-    out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page with the maps.")] = None
+    feasible: Annotated[
+        bool, Option("--feasible", help="Instead, find the best tuning at each speed and friction.")
+    ] = False
+    out: Annotated[
+        Path | None, Option("--out", metavar="FOLDER", help="Folder for the page with maps of the margins.")
+    ] = None
     as_json: options.Json = False
 
     @property
     def domain(self) -> dict[str, tuple[float, float]]:
-        """The ends that are given."""
+        """Ranges of speed and friction on the command line, by name."""
         ends = {"speed": self.speed, "friction": self.friction}
         return {name: interval for name, interval in ends.items() if interval is not None}
 
 
 @options.grouped
 def certify(arguments: CertifyOptions) -> None:
-    """Compute stability and margins of a loop over its domain.
+    """Compute stability and margins of the control loop.
 
-    The verdict is on driving straight: exit code 1 when a point is unstable there. Points that are unstable in a hard
-    turn are counted beside it, as a warning. With --feasible: exit code 1 when a point can be held by no tuning.
+    The loop is linearised at many speeds and frictions, by default over the ranges in the car file. The exit code is 1
+    if the loop is unstable anywhere when driving straight. Unstable loops in a hard turn only cause a warning.
+
+    With --feasible, the command instead finds the best tuning at each speed and friction. The exit code is then 1 if
+    the best modulus margin is below 0.1 anywhere.
     """
     from adaptrack.cars.plant import SteppedPlant
     from adaptrack.control.scheduling import load_scheduler
@@ -99,22 +106,20 @@ def certify(arguments: CertifyOptions) -> None:
     schedule = None if scheduler is None else load_scheduler(scheduler)
     if isinstance(plant, SteppedPlant):
         raise InvalidInput(
-            f"--plant {arguments.car.plant}: is stepped in Python; a certificate needs equations that it can linearise."
+            f"--plant {arguments.car.plant}: this plant has no equations that a certificate can linearise."
         )
     mpc = _controller(arguments.controller, car, profile, schedule)
     mpc.warn_of(schedule, load_profile(profile).name, plant)
     if arguments.feasible:
         if scheduler is not None or out is not None:
-            raise InvalidInput(
-                "--feasible: looks at every tuning and writes no page: leave out the scheduler and --out."
-            )
-        _tell_feasible(plant, mpc, profile, arguments.domain, arguments.mismatch, arguments.as_json)
+            raise InvalidInput("--feasible: leave out the schedule and --out; it tests all tunings and writes no page.")
+        _print_feasible(plant, mpc, profile, arguments.domain, arguments.mismatch, arguments.as_json)
         return
     certificate = _certificate(schedule, plant, mpc, profile, arguments.domain, arguments.mismatch, out)
     result = certificate_result(certificate, options.command_line(), next_line(*_next_step(arguments, certificate)))
     show.say_result(result, arguments.as_json, None if out is None else _write_page(out, result))
     if not certificate.passed:
-        _tell_worst(certificate)
+        _print_worst_point(certificate)
         raise typer.Exit(UNSTABLE)
 
 
@@ -122,17 +127,17 @@ def _next_step(arguments: CertifyOptions, certificate: Certificate) -> tuple[str
     """Suggest the next command after a certificate, with the reason."""
     car = ("--vehicle", arguments.car.vehicle, "--profile", arguments.profile)
     if not certificate.passed:
-        return "to see which speeds and frictions any tuning can hold", command("certify", "--feasible", *car)
+        return "to find the speeds and frictions with a stable tuning", command("certify", "--feasible", *car)
     if not arguments.mismatch:
-        return "to see what a car that differs from its model leaves of the margins", repeat_command_with("--mismatch")
+        return "to certify cars that differ from their model", repeat_command_with("--mismatch")
     if arguments.out is None:
-        return "to see where the margins are thin on a page", repeat_command_with("--out", "certificate")
+        return "to see the margins on a page", repeat_command_with("--out", "certificate")
     scheduler = () if arguments.scheduler is None else ("--scheduler", arguments.scheduler)
     return "to drive it", command("drive", "general-trajectory", *car, *scheduler)
 
 
 def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule | None) -> MPC:
-    """The MPC by name, with horizons as long as the schedule asks for."""
+    """Make the MPC of this name with horizons that are long enough for the schedule."""
     from adaptrack.control.controllers import MPC, published_mpc
     from adaptrack.control.controllers.made_for import is_for_published
     from adaptrack.scenario.profile import load_profile
@@ -154,15 +159,15 @@ def _certificate(
     schedule: Schedule | None, plant: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]],
     mismatch: bool, out: Path | None,
 ) -> Certificate:  # fmt: skip
-    from adaptrack.analysis.certify import certify as look
+    from adaptrack.analysis.certify import certify as compute_certificate
     from adaptrack.analysis.linearisation import usual_mismatches
 
     if out is not None:
         options.make_folder(out)
-    against = usual_mismatches(mpc.period) if mismatch else ()
-    sought = mpc.tuning if schedule is None else schedule
+    mismatches = usual_mismatches(mpc.period) if mismatch else ()
+    tunings = mpc.tuning if schedule is None else schedule
     with show.progress("certify") as advance:
-        return look(sought, plant, mpc, profile, domain=domain, mismatches=against, progress=advance)
+        return compute_certificate(tunings, plant, mpc, profile, domain=domain, mismatches=mismatches, progress=advance)
 
 
 def _write_page(out: Path, result: Result) -> Path:
@@ -172,35 +177,35 @@ def _write_page(out: Path, result: Result) -> Path:
         return write_result(out, result)
 
 
-def _tell_worst(certificate: Certificate) -> None:
-    """The verdict with the worst point, where it failed."""
+def _print_worst_point(certificate: Certificate) -> None:
+    """Print the verdict of a failed certificate and its worst point."""
     at = max(certificate.worst_points(len(certificate.points)), key=lambda point: point["radius"] or math.inf)
     show.say_failed(
-        f"{certificate.verdict} The worst: {at['speed']:g} m/s on friction {at['friction']:g}, with Np = {at['Np']:g}, "
+        f"{certificate.verdict} Worst: {at['speed']:g} m/s on friction {at['friction']:g}, with Np = {at['Np']:g}, "
         f"Nc = {at['Nc']:g}, Q = {at['Q']:g}, R = {at['R']:g}: spectral radius {at['radius'] or math.inf:.4f}.",
         aside=True,
     )
 
 
-def _tell_feasible(
+def _print_feasible(
     plant: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]], mismatch: bool, as_json: bool
 ) -> None:
-    """Print which points can be held; exit code 1 if some cannot."""
+    """Print the best tuning at each speed and friction; exit code 1 if no tuning is good enough somewhere."""
     from adaptrack.analysis.feasibility import feasibility
     from adaptrack.analysis.linearisation import usual_mismatches
 
-    against = usual_mismatches(mpc.period) if mismatch else ()
+    mismatches = usual_mismatches(mpc.period) if mismatch else ()
     with show.progress("feasible"):
-        result: Feasibility = feasibility(plant, mpc, profile, mismatches=against, **domain)  # type: ignore[arg-type]
+        result: Feasibility = feasibility(plant, mpc, profile, mismatches=mismatches, **domain)  # type: ignore[arg-type]
     if as_json:
         show.say_json(result.summary())
     else:
         from adaptrack.results.certificate import with_ratio
 
-        title = "The best tuning at each speed and friction, by the modulus margin"
+        title = "Tuning with the largest modulus margin at each speed and friction"
         show.table(title, BEST_COLUMNS, with_ratio(result.summary()["rows"]))
         if mpc.belief is not None:
-            show.say(f"Note: belief: {mpc.belief_at_first}.")
+            show.say(f"Steering model of the controller: {mpc.belief_at_first}.")
     if result.passed and not as_json:
         show.say(result.verdict)
     if not result.passed:

@@ -1,4 +1,4 @@
-"""`adaptrack check-loop`: which inputs of a loop contradict each other, from its log."""
+"""`adaptrack check-loop`: find inputs of a control loop that contradict each other, from its log."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from adaptrack.cli.columns import ColumnOptions
 from adaptrack.cli.next_step import command, say_next
 
 EXIT_CONTRADICTED = 3
-"""The exit code when inputs contradict each other."""
+"""Exit code if inputs contradict each other."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,10 +22,14 @@ class CheckLoopOptions:
     """Options of `adaptrack check-loop`."""
 
     log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="Log of Tracker(record=...), or any log that `identify` reads.")
+        Path,
+        typer.Argument(
+            metavar="LOG", help="Log of the loop (.csv, .parquet), or a file of adaptrack.Tracker(record=...)."
+        ),
     ]
     vehicle: Annotated[
-        str | None, Option("--vehicle", metavar="CAR", help="Car, for its sizes: see `list cars`, or a .toml file.")
+        str | None,
+        Option("--vehicle", metavar="CAR", help="Car, for its dimensions: see `list cars`, or a .toml file."),
     ] = None
     log_columns: ColumnOptions
     as_json: options.Json = False
@@ -33,10 +37,11 @@ class CheckLoopOptions:
 
 @options.grouped
 def check_loop(arguments: CheckLoopOptions) -> None:
-    """Check whether the inputs of a loop contradict each other.
+    """Find contradictory inputs of a control loop in its log.
 
-    Sign, unit, frame and clock of time, position, yaw, speed, yaw rate, lateral velocity and acceleration, wheel angle
-    and command. The exit code is 3 where some do, 2 where nothing could be compared.
+    The check finds wrong signs, units, reference frames and time stamps. It compares position, yaw, speed, yaw rate,
+    lateral velocity, lateral acceleration, wheel angle and steering command with each other. The exit code is 3 if
+    signals contradict each other, and 2 if no signals could be compared.
     """
     from adaptrack.base.errors import InvalidInput
     from adaptrack.cars.vehicle import load_vehicle
@@ -47,10 +52,10 @@ def check_loop(arguments: CheckLoopOptions) -> None:
     columns = read_columns(arguments.log, arguments.log_columns.reading)
     check = check_log(columns, None if arguments.vehicle is None else load_vehicle(arguments.vehicle))
     if not check.contradictions and not check.compared:
-        reason = check.limit or "no signal follows another."
+        reason = check.limit or "no two signals are related."
         raise InvalidInput(
-            f"log: nothing could be compared: {reason} Drive bends, and log speed with x, y and yaw, or yaw rate with "
-            "the command."
+            f"log: no signals could be compared: {reason} Drive bends, and log speed with x, y and yaw, or yaw rate "
+            "with the command."
         )
     show.say_result(check_result(check, str(arguments.log), columns.notes), arguments.as_json)
     if check.contradictions:

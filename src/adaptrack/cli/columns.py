@@ -1,4 +1,4 @@
-"""Options of every command that reads a log: which column is what."""
+"""Options that describe the columns of a log, for all commands that read one."""
 
 from __future__ import annotations
 
@@ -19,11 +19,16 @@ class ColumnOptions:
     """Options that assign the columns of a log to signals."""
 
     columns: Annotated[
-        list[str] | None, Option("--columns", metavar="SIGNAL=NAME,...", help="Column of a signal: yaw_rate=GyroZ.")
+        list[str] | None,
+        Option("--columns", metavar="SIGNAL=NAME,...", help="Column of a signal, such as yaw_rate=GyroZ."),
     ] = None
     units: Annotated[
         list[str] | None,
-        Option("--units", metavar="UNITS", help="deg for all angles and rates, or speed=km/h,time=ms,command=deg."),
+        Option(
+            "--units",
+            metavar="UNITS",
+            help="Units in the log: deg for all angles and rates, or by signal, such as speed=km/h,time=ms.",
+        ),
     ] = None
     flip: Annotated[
         list[str] | None, Option("--flip", metavar="SIGNAL", help="Signal that is positive to the right in the log.")
@@ -33,21 +38,27 @@ class ColumnOptions:
         Option(
             "--steering-ratio",
             metavar="RATIO",
-            help="Logged steering angle over road-wheel angle; fit: estimate it.",
+            help="Ratio of logged steering angle to road-wheel angle, or fit to estimate it.",
         ),
     ] = None
     clock: Annotated[
         list[str] | None,
-        Option("--clock", metavar="SIGNAL=NAME,...", help="Time column of a signal: yaw_rate=t_imu."),
+        Option(
+            "--clock",
+            metavar="SIGNAL=NAME,...",
+            help="Column with the time stamps of a signal, such as yaw_rate=t_imu.",
+        ),
     ] = None
     late: Annotated[
         list[str] | None,
-        Option("--late", metavar="SIGNAL=S,...", help="Delay of a signal against its times: yaw_rate=0.2."),
+        Option(
+            "--late", metavar="SIGNAL=S,...", help="Delay of a signal after its time stamps (s), such as yaw_rate=0.2."
+        ),
     ] = None
 
     @property
     def reading(self) -> Reading:
-        """As `identify` takes it."""
+        """Return the options as a `Reading` for `identify`."""
         from adaptrack.identification import Reading
 
         columns = dict(_pair("--columns", part) for part in parts(self.columns))

@@ -1,4 +1,4 @@
-"""`adaptrack compare`: controllers x cars x roads x profiles with the same noise and the same effort of tuning."""
+"""`adaptrack compare`: compare controllers on cars, roads and profiles with equal noise and equal tuning effort."""
 
 from __future__ import annotations
 
@@ -36,11 +36,13 @@ class CompareOptions:
         list[str] | None,
         typer.Argument(
             metavar="ROAD", show_default=False,
-            help=f"Roads of the judgement: country:3, lap:1@6, random-drive:3, a scenario, {ROADS_HELP}",
+            help="Test roads. country:3 is the country road with seed 3; lap:1@6 is driven with up to 6 m/s² lateral "
+            f"acceleration. Also a scenario, {ROADS_HELP}",
         ),
     ] = None  # fmt: skip
     controller: Annotated[
-        list[str] | None, Option("--controller", metavar="NAME", help="See `list controllers`; may be repeated.")
+        list[str] | None,
+        Option("--controller", metavar="NAME", help="Controller: see `list controllers`; may be repeated."),
     ] = None
     tuning: Annotated[
         list[str] | None,
@@ -48,41 +50,44 @@ class CompareOptions:
     ] = None
     vehicle: Annotated[
         list[str] | None,
-        Option("--vehicle", metavar="CAR[/PLANT]", help="See `list cars`, or a .toml file; may be repeated."),
+        Option("--vehicle", metavar="CAR[/PLANT]", help="Car: see `list cars`, or a .toml file; may be repeated."),
     ] = None
     profile: Annotated[
         list[str] | None,
         Option("--profile", metavar="NAME", help="See `list profiles`, or a .toml file; may be repeated."),
     ] = None
     budget: Annotated[
-        int | None, Option("--budget", metavar="N", min=0, help="Closed loops of each search; 0: default tunings only.")
+        int | None, Option("--budget", metavar="N", min=0, help="Simulated runs per tuning search; 0: no search.")
     ] = None
     length: Annotated[
         float | None, Option("--length", metavar="M", hidden=True, help="Length of generated roads (m); default: 2000.")
     ] = None
     seeds: Annotated[
-        int | None, Option("--seeds", metavar="N", hidden=True, min=1, max=1000, help="Noise seeds of the judgement.")
+        int | None,
+        Option("--seeds", metavar="N", hidden=True, min=1, max=1000, help="Number of noise seeds in the test."),
     ] = None
     config: Annotated[
         str | None,
         Option(
             "--config", metavar="NAME",
-            help="quick, standard, full, or a .toml file; default: roads with ROAD, else quick.",
+            help="See `list comparisons`, or a .toml file; default: quick without ROAD, roads with it.",
         ),
     ] = None  # fmt: skip
     prescribed_speed: options.PrescribedSpeed = False
     lane_change: Annotated[
-        LaneChangeName | None, Option("--lane-change", help="Highest clean entry speeds in this lane change.")
+        LaneChangeName | None,
+        Option("--lane-change", help="Find the highest entry speed of this lane change without touching a cone."),
     ] = None
     out: Annotated[
-        Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and all runs; it can be resumed.")
+        Path | None,
+        Option("--out", metavar="FOLDER", help="Folder for the page and all runs; a repeated command continues in it."),
     ] = None
     plugin: options.Plugin = None
     as_json: options.Json = False
 
     @property
     def changes(self) -> dict[str, Any]:
-        """The fields that replace those of the configuration."""
+        """Fields of the configuration that options replace."""
         values = {
             "cars": self.vehicle, "roads": self.road, "profiles": self.profile, "length": self.length,
             "budget": self.budget, "seeds": None if self.seeds is None else list(range(self.seeds)),
@@ -95,9 +100,9 @@ class CompareOptions:
 def compare(settings: CompareOptions) -> None:
     """Compare controllers on roads, cars and profiles.
 
-    Same roads, noise and effort of tuning for all: default tunings, and with a budget also those that a search found on
-    training roads. Ranks differ only where the intervals part. Failed runs are counted in the table, with exit code 0.
-    With --lane-change: the highest entry speed at which no cone is touched.
+    All controllers drive the same roads with the same noise. With --budget, a search on training roads also
+    tunes each controller. A controller ranks above another if the 95 % interval of their error ratio
+    excludes 1. Failed runs are counted in the table; the exit code is 0.
     """
     from adaptrack.results.page import write_result
 
@@ -115,19 +120,19 @@ def _compare_on_roads(settings: CompareOptions) -> Result:
 
     task = _load_task(settings)
     loops, seconds = sum(map(task.loops, task.cells)), max(60.0, task.seconds(task.cells))
-    size = f"{len(task.cells)} cells, about {loops:,} closed loops, roughly {show.duration(seconds)} of one core"
+    size = f"{len(task.cells)} combinations, about {loops:,} simulated runs, about {show.duration(seconds)} on one core"
     show.say(f"adaptrack: {task.name}: {size}", aside=True)
     if settings.out is None:
-        interrupt.note_progress("Nothing is kept without --out.")
+        interrupt.note_progress("Results are only saved with --out.")
     else:
-        interrupt.note_progress(f"Finished cells are kept; the same command with --out {settings.out} continues.")
+        interrupt.note_progress(f"Finished runs are in {settings.out}: run the command again to continue.")
     with show.progress("compare") as advance:
         compared = run_comparison(task, settings.out, progress=advance)
     return compare_result(compared, command=options.command_line(), next_step=next_line(*_next_step(compared)))
 
 
 def _load_task(settings: CompareOptions) -> ComparisonConfig:
-    """The configuration with the replacements of the command line."""
+    """Load the configuration and apply the options."""
     from adaptrack.comparison.config import load_comparison
 
     name, changes = settings.config or ("roads" if settings.road else "quick"), settings.changes
@@ -138,7 +143,7 @@ def _load_task(settings: CompareOptions) -> ComparisonConfig:
 
 
 def _next_step(compared: Compared) -> tuple[str, str]:
-    """Drive or tune the controller with the smallest error in the last profile."""
+    """Suggest to drive or tune the controller with the smallest error in the last profile."""
     from adaptrack.comparison.views import standing_rows
 
     profile, comparison = list(compared.profile_comparisons.items())[-1]
@@ -166,7 +171,7 @@ def _compare_lane_change(settings: CompareOptions) -> Result:
     options_without_use = [option for option, value in unused.items() if value]
     if options_without_use:
         raise InvalidInput(
-            f"--lane-change {name}: {options_without_use[0]} has no use here: leave it out (--budget 0: do not tune)."
+            f"--lane-change {name}: {options_without_use[0]} has no effect: leave it out (--budget 0: do not tune)."
         )
     runs: list[EntrySpeed] = []
     with show.progress(name) as advance:

@@ -1,4 +1,4 @@
-"""Controllers from the options of a command line: their tuning, moves, schedule and learned car."""
+"""Controllers from the options of a command line, with tuning, schedule and learned car."""
 
 from __future__ import annotations
 
@@ -23,10 +23,14 @@ INFORMED_NAME, STANDARD_NAME, AS_WRITTEN, AS_RELEASED = "informed", "standard", 
 
 @dataclass(frozen=True)
 class PublishedOptions:
-    """Tuning and moves of the published MPC, and of the informed one where they are given."""
+    """Options for tuning and move parametrisation of the published and the informed MPC."""
 
-    np_: Annotated[int | None, Option("--np", hidden=True, help="Prediction horizon (periods); standard: 35.")] = None
-    nc: Annotated[int | None, Option("--nc", hidden=True, help="Control horizon (periods); standard: 8.")] = None
+    np_: Annotated[
+        int | None, Option("--np", hidden=True, help="Prediction horizon (periods); default of standard: 35.")
+    ] = None
+    nc: Annotated[
+        int | None, Option("--nc", hidden=True, help="Control horizon (periods); default of standard: 8.")
+    ] = None
     q: Annotated[
         float | None, Option("--q", hidden=True, help="Weight of the tracking error (1/m^2); standard: 10.")
     ] = None
@@ -43,17 +47,21 @@ class PublishedOptions:
     ] = "active-set"
     preview: Annotated[
         bool | None,
-        Option("--preview/--no-preview", hidden=True, help="Know the reference ahead; scenarios: as the profile says."),
+        Option(
+            "--preview/--no-preview",
+            hidden=True,
+            help="Whether controllers know the reference ahead; default: on roads, or if set in the profile.",
+        ),
     ] = None
 
     @property
     def tuning(self) -> dict[str, Any]:
-        """The entries that are given, by name."""
+        """Tuning entries on the command line, by name."""
         entries = {"Np": self.np_, "Nc": self.nc, "Q": self.q, "R": self.r}
         return {name: value for name, value in entries.items() if value is not None}
 
     def make_moves(self) -> Moves:
-        """The moves as the MPC takes them."""
+        """Return the move parametrisation for the MPC."""
         from adaptrack.control.controllers import Moves
 
         return Moves(self.moves.value, self.laguerre_pole, self.laguerre_terms)
@@ -61,7 +69,7 @@ class PublishedOptions:
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """The car, profile and options that make a controller."""
+    """Car, profile and options of a controller."""
 
     car: Vehicle
     profile: Profile
@@ -69,20 +77,20 @@ class ControllerSettings:
     """Control period (s)."""
     preview: bool
     tuning: dict[str, Any] = field(default_factory=dict)
-    """the entries that are given, by name"""
+    """Tuning entries on the command line, by name."""
     moves: Moves | None = None
-    """None: pulses"""
+    """Parametrisation of the moves; None for pulses."""
     solver: str = "active-set"
     schedule: Schedule | None = None
     label: str = ""
-    """the scheduler's name in tables: as on the command line"""
+    """Name of the schedule in tables, as on the command line."""
     learning: Learning | None = None
     computation: float | None = None
-    """s; None: of the profile"""
+    """Computation time (s); None for that of the profile."""
 
     @property
     def default_name(self) -> str:
-        """The controller that drives unless one is named."""
+        """Name of the default controller for these options."""
         from adaptrack.control.controllers.made_for import is_for_published
 
         if self.schedule is not None:
@@ -92,21 +100,21 @@ class ControllerSettings:
 
     @property
     def most_moves(self) -> int:
-        """The largest control horizon for which the MPC makes room."""
+        """Largest control horizon of the MPC (periods)."""
         return max(20, 0 if self.schedule is None else self.schedule.largest[1])
 
     def tuned(self, base: Tuning) -> Tuning:
-        """A tuning with the entries that are given."""
+        """Return the tuning with the entries of the command line."""
         return replace(base, **self.tuning)
 
 
 def make_controller(name: str, settings: ControllerSettings) -> tuple[str, Controller]:
-    """A controller by its name, and its label in tables: an MPC, or one that is registered.
+    """Return the label and the controller of a name: an MPC or a registered controller.
 
     Raises
     ------
     UnknownName
-        For a name that no controller has.
+        When no controller has this name.
     InvalidInput
         When the options contradict each other.
     """
@@ -133,7 +141,7 @@ def make_controller(name: str, settings: ControllerSettings) -> tuple[str, Contr
 
 
 def _informed_arguments(settings: ControllerSettings, moves: Moves) -> dict[str, Any]:
-    """The arguments of the informed MPC, beyond those that every controller is offered."""
+    """Return the arguments of the informed MPC in addition to those of every controller."""
     from adaptrack.control.controllers import informed_tuning
     from adaptrack.control.controllers.made_for import is_for_published
 
@@ -142,10 +150,7 @@ def _informed_arguments(settings: ControllerSettings, moves: Moves) -> dict[str,
         arguments["learning"] = settings.learning
     if settings.schedule is not None:
         if is_for_published(settings.schedule.made_for):
-            raise InvalidInput(
-                f"--scheduler {settings.label}: tunes the published MPC; controller 'informed' takes none, "
-                "--controller standard does."
-            )
+            raise InvalidInput(f"--scheduler {settings.label}: made for the published MPC: use --controller standard.")
         arguments |= {"scheduler": settings.schedule, "most_moves": settings.most_moves}
     if settings.tuning:
         arguments["tuning"] = settings.tuned(informed_tuning(settings.profile, settings.period))
@@ -153,14 +158,16 @@ def _informed_arguments(settings: ControllerSettings, moves: Moves) -> dict[str,
 
 
 def _no_schedule(name: str, settings: ControllerSettings) -> dict[str, Any]:
-    """No arguments; refused where a scheduler is given."""
+    """Return no arguments; raise InvalidInput if a schedule is given."""
     if settings.schedule is not None:
-        raise InvalidInput(f"--scheduler {settings.label}: tunes the MPC; controller {name!r} takes none.")
+        raise InvalidInput(
+            f"--scheduler {settings.label}: schedules tune an MPC; leave the option out for controller {name!r}."
+        )
     return {}
 
 
 def make_tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controller]:
-    """The controller of a tuning's file, and its label in tables; warns where it was found for something else."""
+    """Return the label and the controller of a tuning file; warn if it was made for different conditions."""
     from adaptrack.tuning.constant_file import load_tuning
 
     tuning = load_tuning(file)
@@ -173,7 +180,7 @@ def make_tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controlle
 def certify_tuned(
     file: Path, controller: Controller, settings: ControllerSettings, plant: Any, allow_unstable: bool
 ) -> None:
-    """Certify an MPC's constant that was found for another car, see `new_car`."""
+    """Certify the constant tuning of an MPC that was found for a different car, see `new_car`."""
     from adaptrack.cli.new_car import judge
     from adaptrack.control.controllers import MPC
     from adaptrack.tuning.constant_file import load_tuning
@@ -185,7 +192,7 @@ def certify_tuned(
 
 
 def make_learning(learn: bool, file: Path | None) -> Learning | None:
-    """The learning of the informed controller, starting from the file if it exists; None: it does not learn."""
+    """Return the learning settings of the informed controller, which start from `file` if it exists; None without."""
     from adaptrack.control.controllers import Learning, load_learned_car
 
     if not (learn or file is not None):
@@ -194,7 +201,7 @@ def make_learning(learn: bool, file: Path | None) -> Learning | None:
 
 
 def save_learned(file: Path | None, controllers: Sequence[tuple[str, Controller]], aside: bool) -> None:
-    """Write the car that the informed controller has learned to the file, if there is one, for the next drive."""
+    """Write the learned car of the informed controller to a file for the next drive, unless `file` is None."""
     if file is None:
         return
     for _, controller in controllers:

@@ -1,4 +1,4 @@
-"""`adaptrack drive`: through scenarios or along a road; the measures, and a page with a replay on roads."""
+"""`adaptrack drive`: simulate drives through scenarios or along a road; print measures and write a page."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from adaptrack.road.holdable_speed import HoldableSpeed
 
 SPEED_REDUCTION = 0.7
-"""Times the speed, or the lateral acceleration, that is tried after a failure."""
+"""Factor on the speed or lateral acceleration in the command suggested after a failure."""
 
 STIFFNESS_MISMATCH = 1.25
-"""Factor between the tyre's stiffness and the model's from which a failed run names both."""
+"""Ratio of tyre stiffness to model stiffness from which the notes of a failed run mention it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +40,7 @@ class DriveOptions:
         Option(
             "--controller",
             metavar="NAME",
-            help="informed [default], standard (the published MPC), lqr, pure-pursuit, stanley, or a registered one; "
-            "may be repeated.",
+            help="See `list controllers`; also standard (published MPC); may be repeated; default: informed.",
         ),
     ] = None
     tuning: Annotated[
@@ -59,10 +58,10 @@ class DriveOptions:
 
 @options.grouped
 def drive(arguments: DriveOptions) -> None:
-    """Drive scenarios, or a road with a planned speed.
+    """Simulate drives through scenarios or along a road.
 
-    Along a road the speed is planned from curvature, friction and the car, unless --speed sets one. A run that leaves
-    the road, spins or is not finite is printed as FAILED; the exit code is then 3.
+    On a road, the speed is planned for the car unless --speed sets it. A run fails if the car leaves the road or spins,
+    or if a value is not finite. The exit code is then 3.
     """
     from adaptrack.results.drive import write_page
 
@@ -90,7 +89,7 @@ def drive(arguments: DriveOptions) -> None:
 
 @dataclass(frozen=True)
 class DrivenLoop:
-    """The car that the controllers know, the driven plant, the places, and the controllers by their labels."""
+    """Car model of the controllers, simulated plant, scenarios or road, and controllers with their labels."""
 
     car: Vehicle
     plant: Any
@@ -102,7 +101,7 @@ class DrivenLoop:
 def _make_controllers(
     arguments: DriveOptions, places: DrivenPlaces, car: Vehicle, plant: Any
 ) -> list[tuple[str, Controller]]:
-    """The controllers by their labels, those made for another car certified."""
+    """Make the controllers with their labels; certify those that were made for a different car."""
     from adaptrack.cli.new_car import certify_meeting
     from adaptrack.control.controllers import MPC
     from adaptrack.control.scheduling import load_scheduler
@@ -129,21 +128,21 @@ def _make_controllers(
 
 
 def _held_speeds(arguments: DriveOptions) -> HoldableSpeed | None:
-    """The speeds that the margins of the first tuning's file hold."""
+    """Return the speeds with sufficient margins from the first tuning file."""
     from adaptrack.tuning.constant_file import load_tuning
 
     return next((load_tuning(file).holds for file in arguments.tuning or []), None)
 
 
 def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: float | None) -> Iterator[Run]:
-    """All drives with all controllers; a trajectory is saved as soon as it is driven.
+    """Simulate all drives with all controllers; save each trajectory at once.
 
-    friction: that driver and schedules assume; None: that of the road.
+    friction: coefficient that driver and schedules assume; None for that of the road.
     """
     from adaptrack.base.files import safe_names
     from adaptrack.control.estimation import Perception
     from adaptrack.drive.metrics import compute_metrics
-    from adaptrack.drive.predicted import PredictedPaths
+    from adaptrack.drive.predicted_paths import PredictedPaths
     from adaptrack.drive.simulate import simulate
     from adaptrack.drive.world import ROAD_DRIVER
     from adaptrack.results import Run
@@ -170,7 +169,7 @@ def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: float | 
 
 # -- output -----------------------------------------------------------------------------------------------------------
 def measured_row(run: Run, places: DrivenPlaces) -> dict[str, Any]:
-    """A run for --json: what was driven, `failed` (the reason, or null), `failed_at` (s), the metrics."""
+    """Return a run for --json: its conditions, `failed` (reason or null), `failed_at` (s) and its measures."""
     import numpy as np
 
     trajectory, meta = run.trajectory, run.trajectory.meta
@@ -207,7 +206,7 @@ def _say_failures(rows: Sequence[dict[str, Any]], as_json: bool) -> None:
 
 
 def _result(arguments: DriveOptions, loop: DrivenLoop, runs: Sequence[Run], rows: Sequence[dict[str, Any]]) -> Result:
-    """The result with learned quantities, notes on speeds, steering and QPs, and the next step."""
+    """Return the result with learned quantities, notes on speed, steering and QPs, and the next command."""
     from adaptrack.results.drive import drive_result
     from adaptrack.results.road import limits_in_words, limits_record
 
@@ -230,20 +229,20 @@ def _result(arguments: DriveOptions, loop: DrivenLoop, runs: Sequence[Run], rows
 
 
 def _learned_table(label: str, controller: Any) -> ResultTable:
-    """The quantities that a controller has learned of its car, with their intervals."""
+    """Return a table of the learned quantities with their intervals."""
     from adaptrack.base.result import Column, ResultTable
 
     columns = (
-        Column("quantity", "learned"), Column("value", "value", "", 3), Column("low", "90 % from", "", 3),
+        Column("quantity", "quantity"), Column("value", "value", "", 3), Column("low", "90 % from", "", 3),
         Column("high", "to", "", 3), Column("unit", "unit"),
     )  # fmt: skip
     car = controller.learned()
-    title = f"Learned by {label} in {car.seconds:.0f} s; state: {controller.belief_in_words}"
+    title = f"Learned by {label} in {car.seconds:.0f} s; learning state: {controller.belief_in_words}"
     return ResultTable(f"{label} learned", title, columns, [row._asdict() for row in car.intervals], brief=True)
 
 
 def _steering_notes(label: str, controller: Controller, loop: DrivenLoop) -> list[str]:
-    """The controller's steering model, and the simulated steering where it differs."""
+    """Describe the controller's steering model, and the simulated steering if it differs."""
     belief, profile = controller.belief, loop.places.profile
     if belief is None:
         return []
@@ -261,7 +260,7 @@ def _steering_notes(label: str, controller: Controller, loop: DrivenLoop) -> lis
 
 
 def _stiffness_notes(loop: DrivenLoop) -> list[str]:
-    """The remedy where a failed car's model and its tyre disagree about the stiffness."""
+    """Suggest a remedy if tyre and model of a failed car differ in stiffness."""
     car, tyre = loop.car, getattr(loop.plant, "tyre", None)
     if tyre is None:
         return []
@@ -269,10 +268,10 @@ def _stiffness_notes(loop: DrivenLoop) -> list[str]:
         return []
     matched = car.matched_to(tyre)
     return [
-        f"The model of car {car.name!r} has {car.stiffness_front:.0f} and {car.stiffness_rear:.0f} N/rad (a front "
-        f"and a rear tyre), the driven tyre {tyre.name!r} has {matched.stiffness_front:.0f} and "
-        f"{matched.stiffness_rear:.0f}. Write these into the car's file as stiffness_front and stiffness_rear (in "
-        "Python: car.matched_to(tyre)), or drive another tyre."
+        f"The stiffness of car {car.name!r} is {car.stiffness_front:.0f} N/rad (front tyre) and "
+        f"{car.stiffness_rear:.0f} N/rad (rear tyre), but that of the simulated tyre {tyre.name!r} is "
+        f"{matched.stiffness_front:.0f} and {matched.stiffness_rear:.0f} N/rad. Write these values to "
+        "stiffness_front and stiffness_rear in the car file (in Python: car.matched_to(tyre)), or choose another tyre."
     ]
 
 
@@ -288,7 +287,7 @@ def _next_step(arguments: DriveOptions, places: DrivenPlaces, rows: Sequence[dic
     road, setting = arguments.place.names[0], ("--profile", places.profile.name)
     if arguments.tuning:
         tuned = ("--vehicle", arguments.car.vehicle, *setting, "--tuning", arguments.tuning[0])
-        return "to judge the tuning with other noise", command("compare", road, *tuned)
+        return "to test the tuning with different noise", command("compare", road, *tuned)
     if arguments.scheduler is not None:
         return "to certify the scheduler", command("certify", arguments.scheduler)
     best = min(rows, key=lambda row: row["mse"])["controller"]
@@ -297,7 +296,7 @@ def _next_step(arguments: DriveOptions, places: DrivenPlaces, rows: Sequence[dic
 
 
 def _slower(arguments: DriveOptions, road: CheckedRoad) -> tuple[str, str]:
-    """After a drive that left its lane: check a road that cannot be driven, else drive more slowly."""
+    """Suggest to check a road that the car cannot drive, or to drive more slowly."""
     route = arguments.place.route
     if not road.drivable:
         words = (arguments.place.names[0], "--vehicle", arguments.car.vehicle, *route.words)

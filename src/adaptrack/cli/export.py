@@ -1,4 +1,4 @@
-"""`adaptrack export c`: a controller as a C library that needs neither Python nor this package."""
+"""`adaptrack export c`: export a controller as a C library that needs neither Python nor adaptrack."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ app = typer.Typer(
 
 @dataclass(frozen=True, kw_only=True)
 class ExportedController:
-    """Which controller is exported, and on which road it is driven."""
+    """Options for the exported controller and the road of its recorded drive."""
 
     controller: Annotated[
         str | None,
-        Option("--controller", metavar="NAME", help="informed [default], standard, lqr, pure-pursuit, stanley, ..."),
+        Option("--controller", metavar="NAME", help="Controller: see `list controllers`; default: informed."),
     ] = None
     tuning: Annotated[Path | None, Option("--tuning", metavar="FILE", help="Tuning file of `tune`.")] = None
     scheduler: Annotated[
@@ -38,7 +38,9 @@ class ExportedController:
         Option("--scheduler", metavar="NAME", help="Schedule: see `list schedules`, or a .json file of `paper train`."),
     ] = None
     car: options.CarAndPlant
-    road: Annotated[str, Option("--road", metavar="ROAD", help=f"Road to drive: {roads.ROADS_HELP}")] = "country"
+    road: Annotated[str, Option("--road", metavar="ROAD", help=f"Road of the recorded drive: {roads.ROADS_HELP}")] = (
+        "country"
+    )
     road_seed: Annotated[int | None, Option("--road-seed", metavar="N", help="Seed of a generated road.")] = None
     speed: Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned.")] = (
         None
@@ -51,32 +53,34 @@ class ExportedController:
             help="Let the informed controller learn; default if the car file has no lag and dead time.",
         ),
     ] = False
-    learned: Annotated[Path | None, Option("--learned", metavar="FILE", help="Learn; start from this TOML file.")] = (
-        None
-    )
+    learned: Annotated[
+        Path | None, Option("--learned", metavar="FILE", help="Like --learn, starting from this TOML file.")
+    ] = None
 
     def checked_road(self, car: Vehicle, world: Profile) -> roads.CheckedRoad:
-        """The road, with its speed."""
+        """Load and check the road and its speed plan."""
         return roads.RoadOptions(speed=self.speed, road_seed=self.road_seed).look(self.road, car, world)
 
     def make(self, car: Vehicle, world: Profile, computation: float | None = None) -> Controller:
-        """The controller; computation: s, by default that of the profile.
+        """Make the controller; computation: computation time (s), by default that of the profile.
 
         Raises
         ------
         InvalidInput
-            When the options contradict each other or make none.
+            When the options contradict each other.
         """
         from adaptrack.cli.controllers import ControllerSettings, make_controller, make_learning, make_tuned
         from adaptrack.control.scheduling import load_scheduler
 
         if self.tuning is not None and (self.controller or self.scheduler):
-            raise InvalidInput("--tuning: its file says which controller; leave --controller and --scheduler out.")
+            raise InvalidInput(
+                "--tuning: the tuning file names its controller; leave out --controller and --scheduler."
+            )
         if self.learned is not None and not self.learned.exists():
-            raise InvalidInput(f"--learned {self.learned}: there is no such file; drive --learned writes one.")
+            raise InvalidInput(f"--learned {self.learned}: the file does not exist; `drive --learned` writes it.")
         settings = ControllerSettings(
             car, world, world.period, preview=True,
-            learning=make_learning(self.learn or self._unsaid(car), self.learned),
+            learning=make_learning(self.learn or self._has_unknown_delay(car), self.learned),
             schedule=None if self.scheduler is None else load_scheduler(self.scheduler),
             label=self.scheduler or "", computation=computation,
         )  # fmt: skip
@@ -84,8 +88,8 @@ class ExportedController:
             return make_tuned(self.tuning, settings)[1]
         return make_controller(self.controller or settings.default_name, settings)[1]
 
-    def _unsaid(self, car: Vehicle) -> bool:
-        """Whether nobody says how the steering of the car follows: the profile says it of the simulated world alone."""
+    def _has_unknown_delay(self, car: Vehicle) -> bool:
+        """Whether neither the options nor the car file determine the steering delay; the profile only simulates one."""
         if (
             self.tuning is not None
             or self.learned is not None
@@ -104,19 +108,34 @@ class ExportOptions:
     exported: ExportedController
     computation: Annotated[
         float,
-        Option("--computation", metavar="S", min=0.0, max=1.0, help="Time from a call to its command (s)."),
+        Option(
+            "--computation",
+            metavar="S",
+            min=0.0,
+            max=1.0,
+            help="Computation time from a call of the library to its command (s).",
+        ),
     ] = 0.0
     target: Annotated[
         list[str] | None,
-        Option("--target", metavar="NAME", help="Processor; default: this one; may be repeated."),
+        Option("--target", metavar="NAME", help="Target processor; default: this computer; may be repeated."),
     ] = None
     objects: Annotated[
         Path | None,
-        Option("--objects", metavar="FOLDER", help="Kernels for other processors: an archive of `make targets`."),
+        Option(
+            "--objects",
+            metavar="FOLDER",
+            help="Unpacked folder with kernels for other processors, from `make targets`.",
+        ),
     ] = None
     room: Annotated[
         tuple[int, int] | None,
-        Option("--room", metavar="NP NC", hidden=True, help="Largest horizons of constants that are loaded later."),
+        Option(
+            "--room",
+            metavar="NP NC",
+            hidden=True,
+            help="Largest horizons of constants that the library may load later.",
+        ),
     ] = None
     as_json: options.Json = False
 
@@ -124,11 +143,11 @@ class ExportOptions:
 @app.command("c")
 @options.grouped
 def export_c(arguments: ExportOptions) -> None:
-    """Export a controller with its tracker as a C library.
+    """Export a controller as a C library.
 
-    The library has a header, kernels, constants and a recorded minute that verifies it.
-
-    It needs no compiler here, and there neither Python nor this package.
+    The folder contains a C header, compiled kernels, the constants of the controller, and a recorded drive of one
+    minute. `make check` in the folder verifies that the library repeats this drive. You need no compiler for the
+    export. The library needs neither Python nor adaptrack.
     """
     from dataclasses import asdict
 
@@ -144,7 +163,7 @@ def export_c(arguments: ExportOptions) -> None:
     kernel_files(arguments.target or (), arguments.objects)
     options.make_folder(arguments.out)
     checked = arguments.exported.checked_road(car, world)
-    with show.progress("recorded minute"):
+    with show.progress("record a drive"):
         files = export(
             controller, arguments.out, targets=arguments.target or (), road=checked.road, plan=checked.plan,
             plant=plant, profile=world, room=arguments.room, objects=arguments.objects,
@@ -159,5 +178,5 @@ def export_c(arguments: ExportOptions) -> None:
     if controller.belief_at_first:
         show.say(f"Steering model: {controller.belief_at_first}.")
     if files.failed:
-        show.say(f"Warning: on the recorded drive, {files.failed}. --speed drives it more slowly, --road another road.")
-    show.say(next_line("to see that it drives as it does here", f"make -C {files.folder} check"))
+        show.say(f"Warning: on the recorded drive, {files.failed}. Lower --speed, or choose a different --road.")
+    show.say(next_line("to verify that it matches Python", f"make -C {files.folder} check"))

@@ -1,4 +1,4 @@
-"""`adaptrack export fmu`: a controller and a car of the simulated world as Functional Mock-up Units."""
+"""`adaptrack export fmu`: export a controller and a simulated car as Functional Mock-up Units (FMUs)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class FMUOptions:
 
     out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for car.fmu and controller.fmu.")]
     exported: ExportedController
-    fmi: Annotated[Interface, Option("--fmi", help="Version of the interface.")] = Interface.third
+    fmi: Annotated[Interface, Option("--fmi", help="Version of the Functional Mock-up Interface.")] = Interface.third
     prescribed_speed: options.PrescribedSpeed = False
     as_json: options.Json = False
 
@@ -35,7 +35,7 @@ class FMUOptions:
 def export_fmu(arguments: FMUOptions) -> None:
     """Export a controller and a car as two FMUs for co-simulation.
 
-    They need neither Python nor this package, and no compiler here.
+    The FMUs need neither Python nor adaptrack. You need no compiler for the export.
     """
     from adaptrack.drive.world import Driver
     from adaptrack.export.fmu import binaries, write_fmu

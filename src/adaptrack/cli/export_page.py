@@ -1,4 +1,4 @@
-"""`adaptrack export page`: the page on which one drives, as one file."""
+"""`adaptrack export page`: export the interactive simulation as one HTML file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from adaptrack.cli.next_step import next_line
 
 @dataclass(frozen=True, kw_only=True)
 class PageOptions:
-    """Options of `adaptrack export page`: all but the file are what the page begins with."""
+    """Options of `adaptrack export page`: the file and the initial settings of the page."""
 
     out: Annotated[Path, Option("--out", metavar="FILE", help="HTML file of the page.")]
     vehicle: options.VehicleOption = "midsize-sedan"
@@ -29,7 +29,11 @@ class PageOptions:
     )
     controller: Annotated[
         list[str] | None,
-        Option("--controller", metavar="NAME", help="informed [default], learning, published, lqr, ...; at most two."),
+        Option(
+            "--controller",
+            metavar="NAME",
+            help="One or two of informed, learning, published, lqr, ...; default: informed.",
+        ),
     ] = None
     seed: Annotated[int, Option("--seed", hidden=True, help="Seed of the sensor noise.")] = 0
     as_json: options.Json = False
@@ -37,12 +41,10 @@ class PageOptions:
 
 @options.grouped
 def export_page(arguments: PageOptions) -> None:
-    """Export a page on which you drive, as one HTML file.
+    """Export an interactive simulation as one HTML file.
 
-    The page needs neither Python nor a network.
-
-    The kernels of this package run in it, with the same bits. What is given here it begins with; all of it can be
-    changed on the page.
+    The page runs the kernels of adaptrack in the browser, without Python and without a network connection. The options
+    are the initial settings; you can change all of them on the page.
     """
     from adaptrack.export.page_file import export_page as export
 

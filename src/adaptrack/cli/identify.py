@@ -1,4 +1,4 @@
-"""`adaptrack identify`: from logs of driving to a car file, with what is known of each number."""
+"""`adaptrack identify`: identify a car from logs of driving and write a car file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from adaptrack.cli.columns import ColumnOptions
 from adaptrack.cli.next_step import command, repeat_command_with, say_next
 
 NOT_CONSISTENT = 3
-"""The exit code of an identification that contradicts itself or what was believed."""
+"""Exit code if estimates contradict each other or the initial car."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,25 +25,36 @@ class IdentifyOptions:
 
     logs: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG", help="Log of the car (.csv, .parquet, from `drive --out`); several allowed."),
+        typer.Argument(
+            metavar="LOG", help="Log (.csv, .parquet, or from `drive --out`); several logs must be of the same car."
+        ),
     ]
     car: Annotated[
         str | None,
         Option("--car", metavar="CAR", help="Initial car: see `list cars`, or a .toml file."),
     ] = None
-    mass: Annotated[float | None, Option("--mass", metavar="KG", help="Mass, instead of --car.")] = None
-    wheelbase: Annotated[float | None, Option("--wheelbase", metavar="M", help="Wheelbase, instead of --car.")] = None
+    mass: Annotated[
+        float | None, Option("--mass", metavar="KG", help="Mass (kg); with --wheelbase instead of --car.")
+    ] = None
+    wheelbase: Annotated[
+        float | None, Option("--wheelbase", metavar="M", help="Wheelbase (m); with --mass instead of --car.")
+    ] = None
     log_columns: ColumnOptions
     computation: Annotated[
         float | None,
-        Option("--computation", metavar="S", hidden=True, help="Part of the dead time that the controller causes."),
+        Option(
+            "--computation",
+            metavar="S",
+            hidden=True,
+            help="Computation time of the logged controller (s), part of the dead time.",
+        ),
     ] = None
     out: Annotated[
         Path | None,
-        Option("--out", metavar="FILE", help="Car file to write (.toml); its tyre goes into the same folder."),
+        Option("--out", metavar="FILE", help="Car file to write (.toml); its tyre file is written to the same folder."),
     ] = None
     anyway: Annotated[
-        bool, Option("--anyway", help="Write --out and exit with 0 even if the logs are inconsistent.")
+        bool, Option("--anyway", help="Write --out and exit with code 0 even if the estimates are inconsistent.")
     ] = False
     page: Annotated[Path | None, Option("--page", metavar="FILE", help="Page to write (.html).")] = None
     as_json: options.Json = False
@@ -51,11 +62,12 @@ class IdentifyOptions:
 
 @options.grouped
 def identify(arguments: IdentifyOptions) -> None:
-    """Identify a car from a log of driving.
+    """Identify a car from logs of driving.
 
-    Steering delay, tyre stiffness, offsets, noise. The log needs time, speed, yaw rate and a steering command (or a
-    measured wheel angle), 10 Hz and up. Each number comes with its interval. Several logs are of one car. Where logs,
-    stretches of one, or a log and what was believed contradict each other, the exit code is 3.
+    The command estimates steering delay, tyre stiffness, offsets and noise, each with a 90 % interval. A log needs
+    time, speed, yaw rate, and steering command or wheel angle, at 10 Hz or more. The exit code is 3 if estimates from
+    different logs, or from different parts of a log, contradict each other. It is also 3 if an estimate contradicts the
+    initial car.
     """
     from adaptrack.identification import identify as fit
     from adaptrack.results.identify import identification_result, write_identification_page
@@ -81,7 +93,7 @@ def identify(arguments: IdentifyOptions) -> None:
         identified.to_toml(out, anyway=arguments.anyway)
         show.say(f"Car: {out}", aside=as_json)
     elif out is not None:
-        show.say(f"{out} is not written: --anyway writes it all the same.", aside=as_json)
+        show.say(f"{out} was not written; use --anyway to write it.", aside=as_json)
     if page is not None:
         show.say(f"Page: {write_identification_page(identified, page, options.command_line())}", aside=as_json)
     if not as_json:
@@ -93,9 +105,9 @@ def identify(arguments: IdentifyOptions) -> None:
 def _next_step(arguments: IdentifyOptions, findings: Sequence[str], refused: bool) -> tuple[str, str]:
     """Suggest the next command for an identified car; findings: what limits it; refused: not consistent."""
     if (findings or refused) and arguments.page is None:
-        return "to look at what does not fit", repeat_command_with("--page", "identified.html")
+        return "to see the contradictions on a page", repeat_command_with("--page", "identified.html")
     if refused:
-        return "to keep the car all the same", repeat_command_with(
+        return "to write the car anyway", repeat_command_with(
             *([] if arguments.out else ["--out", "my-car.toml"]), "--anyway"
         )
     if arguments.out is None:

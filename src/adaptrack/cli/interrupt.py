@@ -6,11 +6,11 @@ _note = ""
 
 
 def note_progress(text: str) -> None:
-    """Set the note that Ctrl-C prints: the results that are already written, and how to go on."""
+    """Set the note that Ctrl-C prints: the results that are already written, and how to continue."""
     global _note
     _note = text
 
 
 def progress_note() -> str:
-    """The note for Ctrl-C."""
+    """Return the note that Ctrl-C prints."""
     return _note

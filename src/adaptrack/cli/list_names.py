@@ -1,4 +1,4 @@
-"""`adaptrack list`: the names that other commands take."""
+"""`adaptrack list`: list the names of cars, roads, controllers and other arguments of commands."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from adaptrack.cli import options, show
 from adaptrack.cli.next_step import command, say_next
 
 Descriptions = dict[str, str]
-"""By name."""
+"""Descriptions by name."""
 
 
 def _cars() -> Descriptions:
@@ -79,18 +79,18 @@ COMMANDS: dict[str, tuple[Callable[[], Descriptions], str]] = {
     "schedules": (_schedules, "certify"),
     "comparisons": (_comparisons, "compare --out compared --config"),
 }
-"""By kind: the descriptions, and the command that takes a name."""
+"""For each kind of names: the function that describes them, and a command that uses one."""
 
 
 @options.grouped
 def list_names(
     kind: Annotated[
-        str | None, typer.Argument(metavar="KIND", help=f"{', '.join(COMMANDS)}; by default all names.")
+        str | None, typer.Argument(metavar="KIND", help=f"{', '.join(COMMANDS)}; default: all kinds.")
     ] = None,
     plugin: options.Plugin = None,
     as_json: options.Json = False,
 ) -> None:
-    """List the names that the commands take."""
+    """List the names of cars, roads, controllers and other arguments."""
     options.load_plugins(plugin)
     if kind is None:
         rows = [{"kind": kind, "names": ", ".join(describe())} for kind, (describe, _) in COMMANDS.items()]

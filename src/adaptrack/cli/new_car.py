@@ -1,4 +1,4 @@
-"""The certificate where a schedule or a constant meets a car that it was not made for."""
+"""Certificate for a schedule or tuning on a car for which it was not made."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
     from adaptrack.scenario.profile import Profile
 
 LEVELS = (9, 3)
-"""Of speed and friction."""
+"""Numbers of speeds and frictions in the certificate."""
 
 
 def certify_meeting(label: str, mpc: MPC, plant: Any, car: Vehicle, world: Profile, allowed: bool) -> None:
-    """Look at the loops of a scheduled MPC whose schedule names another car than its own or the driven one.
+    """Certify a scheduled MPC whose schedule was made for a different car than the modelled or the simulated one.
 
-    label: how messages call the schedule; allowed: whether unstable loops are driven all the same. Nothing happens
-    where the schedule names no car, or this one.
+    label: name of the schedule in messages; allowed: whether an unstable loop is only a warning. Schedules without a
+    car, or for this car, are not certified.
 
     Raises
     ------
     InvalidInput
-        When a loop is unstable, driving straight, and that is not allowed.
+        When a loop is unstable when driving straight and `allowed` is False.
     """
     from adaptrack.control.controllers.made_for import car_of
     from adaptrack.control.scheduling import Schedule
@@ -43,17 +43,17 @@ def certify_meeting(label: str, mpc: MPC, plant: Any, car: Vehicle, world: Profi
 
 
 def judge(clause: str, tuning: Schedule | Tuning, loop: tuple[MPC, Any, Vehicle, Profile], allowed: bool) -> None:
-    """Certify a schedule or a tuning over a car's domain and say the verdict; clause: what meets what.
+    """Certify a schedule or a tuning over the domain of a car and print the verdict; clause: start of the message.
 
     Raises
     ------
     InvalidInput
-        As `certify_meeting`.
+        When the loop is unstable when driving straight and `allowed` is False.
     """
     certificate = _certificate(tuning, *loop)
     clause = f"{clause}: certificate over the domain of {loop[2].name!r}: {certificate.verdict}"
     if not certificate.passed and not allowed:
-        raise InvalidInput(f"{clause} Refused: --allow-failed drives it all the same.")
+        raise InvalidInput(f"{clause} To drive it anyway, use --allow-failed.")
     show.say(f"Warning, {clause}", aside=True)
 
 
@@ -64,6 +64,6 @@ def _certificate(tuning: Schedule | Tuning, mpc: MPC, plant: Any, car: Vehicle, 
     domain = {"speed": car.domain.speed, "friction": car.domain.friction}
     with show.progress("certify for this car") as advance:
         return certify(
-            tuning, linear_twin(plant, car, car.domain), mpc, world.prompt, domain=domain, levels=LEVELS,
+            tuning, linear_twin(plant, car, car.domain), mpc, world.without_sample_ages, domain=domain, levels=LEVELS,
             progress=advance,
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The last line that a command prints: what to do next, with the command that does it."""
+"""Last line of a command's output: the suggested next command with its reason."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ def next_line(why: str, line: str) -> str:
 
 
 def say_next(why: str, line: str) -> None:
-    """Say what to do next."""
+    """Print the next command with its reason."""
     show.say(next_line(why, line))
 
 
 def command(*words: object) -> str:
-    """A command line of adaptrack; words that are None are left out."""
+    """Return a command line of adaptrack; None words are left out."""
     return shlex.join(["adaptrack", *(str(word) for word in words if word is not None)])
 
 
 def repeat_command_with(*words: object) -> str:
-    """The command line at hand with more words."""
+    """Return the current command line with additional words."""
     return command(*sys.argv[1:], *words)
 
 
 def replace_option(name: str, value: object) -> str:
-    """The command line at hand with this value of an option, in place of the one that it has."""
+    """Return the current command line with a new value of an option."""
     words = sys.argv[1:]
     if name in words[:-1]:
         words[words.index(name) + 1] = str(value)

@@ -1,4 +1,4 @@
-"""The options that commands share, each declared once; and what follows from them."""
+"""Options that several commands share, and functions that evaluate them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class TargetsName(StrEnum):
 
 
 def at_most(limit: RequestLimit, least: int = 1) -> Callable[[typer.CallbackParam, int | None], int | None]:
-    """A callback that refuses a count outside its bounds by the name of its option."""
+    """Return an option callback that raises InvalidInput for counts outside `least` to the limit."""
 
     def check(option: typer.CallbackParam, value: int | None) -> int | None:
         if value is not None:
@@ -67,31 +67,43 @@ def at_most(limit: RequestLimit, least: int = 1) -> Callable[[typer.CallbackPara
 VehicleOption = Annotated[str, Option("--vehicle", metavar="CAR", help="Car: see `list cars`, or a .toml file.")]
 PlantOption = Annotated[
     str,
-    Option("--plant", metavar="NAME", hidden=True, help="Driven plant: single-track, dual-track, or a registered one."),
+    Option(
+        "--plant", metavar="NAME", hidden=True, help="Simulated plant: single-track, dual-track, or a registered plant."
+    ),
 ]
 Plugin = Annotated[
     list[str] | None,
-    Option("--plugin", metavar="MODULE", hidden=True, help="Python module to import first; it registers names."),
+    Option(
+        "--plugin", metavar="MODULE", hidden=True, help="Python module that registers further names; may be repeated."
+    ),
 ]
 TyreOption = Annotated[
     str | None,
     Option("--tyre", metavar="TYRE", hidden=True, help="Tyre: see `list tyres`, or a .toml file; default: the car's."),
 ]
 ProfileOption = Annotated[
-    str, Option("--profile", metavar="NAME", help="paper: ideal; road: steering lag, noise, delay; or a .toml file.")
+    str,
+    Option(
+        "--profile",
+        metavar="NAME",
+        help="Simulated steering and sensors. paper: ideal; road: lag, noise, delay; or a .toml file.",
+    ),
 ]
-Speed = Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned.")]
+Speed = Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned speed.")]
 LateralAcceleration = Annotated[
-    float | None, Option("--lateral-acceleration", metavar="A", help="Limit of the planned speed (m/s²); default: 3.")
+    float | None,
+    Option("--lateral-acceleration", metavar="A", help="Lateral acceleration limit (m/s²); default: 3."),
 ]
-OtherProfile = Annotated[str | None, Option("--profile", metavar="NAME", help="Profile; default: the configuration's.")]
+OtherProfile = Annotated[
+    str | None, Option("--profile", metavar="NAME", help="Profile; default: that of the campaign.")
+]
 Png = Annotated[bool, Option("--png", hidden=True, help="With --out: also write the pictures as PNG files.")]
-Json = Annotated[bool, Option("--json", help="One JSON object on standard output, nothing else.")]
+Json = Annotated[bool, Option("--json", help="Print the result as JSON.")]
 Data = Annotated[
     str, Option("--data", metavar="NAME", help="Data set: paper-grid, road-sobol, a file, or the folder of a campaign.")
 ]
 Page = Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and its pictures.")]
-LearningSeed = Annotated[int, Option("--seed", min=0, help="Seed of the hold-out and of the first weights.")]
+LearningSeed = Annotated[int, Option("--seed", min=0, help="Seed of the held-out set and the initial weights.")]
 Workers = Annotated[
     int | None,
     Option(
@@ -106,7 +118,7 @@ Workers = Annotated[
 
 @dataclasses.dataclass(frozen=True)
 class CarAndPlant:
-    """Options for the car of the controller and the driven plant."""
+    """Options for the car model of the controller and the simulated plant."""
 
     vehicle: VehicleOption = "paper"
     plant: PlantOption = "dual-track"
@@ -114,7 +126,7 @@ class CarAndPlant:
     plugin: Plugin = None
 
     def load(self) -> tuple[Car, PlantOf | SteppedPlant]:
-        """Both, after the plugins."""
+        """Load car and plant, after importing the plugins."""
         load_plugins(self.plugin)
         return car_and_plant(self.vehicle, self.plant, self.tyre)
 
@@ -127,16 +139,16 @@ PrescribedSpeed = Annotated[
 
 @dataclasses.dataclass(frozen=True)
 class DriveSettings:
-    """How a closed loop is driven, and what is kept of it."""
+    """Options for the simulation of a closed loop and for the saved files."""
 
     prescribed_speed: PrescribedSpeed = False
     period: Annotated[
         float | None, Option("--period", metavar="S", hidden=True, help="Control period (s); default: the profile's.")
     ] = None
-    learn: Annotated[bool, Option("--learn", help="Learn delay, stiffness and bias while driving.")] = False
+    learn: Annotated[bool, Option("--learn", help="Learn steering delay and bias, and tyre stiffness.")] = False
     learned: Annotated[
         Path | None,
-        Option("--learned", metavar="FILE", help="Learn; start from this TOML file and update it."),
+        Option("--learned", metavar="FILE", help="Like --learn; start from this TOML file and update it."),
     ] = None
     seed: Annotated[int, Option("--seed", hidden=True, help="Seed of the sensor noise.")] = 0
     out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and the trajectories.")] = (
@@ -148,22 +160,22 @@ class DriveSettings:
         Option(
             "--allow-failed",
             hidden=True,
-            help="Exit code 0 after a failed run; drive also unstable loops.",
+            help="Exit with code 0 after a failed run, and also drive unstable loops.",
         ),
     ] = False
     as_json: Json = False
 
     def make_places(self) -> None:
-        """Make the folders of what is kept; `StorageError` where nothing can be written."""
+        """Make the folders of all output files, or raise `StorageError`."""
         make_page_folder(self.out, self.png)
         make_place(self.learned)
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """A command for typer: each parameter that is a record of options becomes the options that are its fields.
+    """Convert a command with dataclass parameters to a typer command with one option per dataclass field.
 
-    Records may hold records. An option that is declared hidden is one that few need: `--help` leaves it out, and
-    `--help-all`, which a command with such options gets, shows it.
+    Dataclasses may be nested. Rarely used options are declared hidden. `--help` omits them. Commands with hidden
+    options also get the option `--help-all`, which shows them.
     """
     hints = get_type_hints(command, include_extras=True)
     declared: list[inspect.Parameter] = []
@@ -192,7 +204,7 @@ def _declared(name: str, hint: Any, default: Any) -> inspect.Parameter:
 
 
 def _fields(record: Any) -> list[inspect.Parameter]:
-    """The options of a record, those of the records in it where these stand."""
+    """Return the options of a dataclass, with nested dataclasses expanded in place."""
     hints = get_type_hints(record, include_extras=True)
     parameters: list[inspect.Parameter] = []
     for field in dataclasses.fields(record):
@@ -202,7 +214,7 @@ def _fields(record: Any) -> list[inspect.Parameter]:
 
 
 def _read_value(hint: Any, name: str, values: dict[str, Any]) -> Any:
-    """The value of a parameter, out of those that were parsed: itself, or a record of them."""
+    """Take the value of a parameter from the parsed values; for a dataclass, build it from them."""
     if not dataclasses.is_dataclass(hint):
         return values.pop(name)
     hints = get_type_hints(hint, include_extras=True)
@@ -216,7 +228,7 @@ def _is_hidden(hint: Any) -> bool:
 
 
 def _show_all(context: typer.Context, is_requested: bool) -> None:
-    """The help with the options that few need."""
+    """Print the help with the hidden options."""
     if is_requested:
         for parameter in context.command.params:
             parameter.hidden = False  # type: ignore[attr-defined]  # of options; arguments are shown in any case
@@ -226,27 +238,27 @@ def _show_all(context: typer.Context, is_requested: bool) -> None:
 
 HelpAll = Annotated[
     bool,
-    Option("--help-all", is_eager=True, callback=_show_all, help="Show this message with the rarely used options."),
+    Option("--help-all", is_eager=True, callback=_show_all, help="Show this message with all options."),
 ]
 
 
 def load_plugins(modules: Sequence[str] | None) -> None:
-    """Import modules, from where Python looks for them or from the folder at hand.
+    """Import modules from the Python path or from the current folder.
 
     Raises
     ------
     InvalidInput
-        When there is no such module.
+        When a module does not exist.
     """
     if modules and "" not in sys.path:
         sys.path.append("")
     for name in modules or ():
-        missing = f"--plugin {name}: there is no such module in the Python path or in this folder."
+        missing = f"--plugin {name}: no such module in the Python path or in the current folder."
         import_plugin(name, InvalidInput(missing))
 
 
 def car_and_plant(vehicle: str, plant: str, tyre: str | None) -> tuple[Car, PlantOf | SteppedPlant]:
-    """The car that the controller knows, and the plant that is driven."""
+    """Load the car model of the controller and make the simulated plant."""
     from adaptrack.cars.plant import get_plant
     from adaptrack.cars.vehicle import load_vehicle
 
@@ -255,12 +267,12 @@ def car_and_plant(vehicle: str, plant: str, tyre: str | None) -> tuple[Car, Plan
 
 
 def make_folder(path: Path) -> None:
-    """A folder that can be written to.
+    """Make a folder and check that files can be written to it.
 
     Raises
     ------
     StorageError
-        When there can be none.
+        When the folder cannot be made or written to.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -272,7 +284,7 @@ def make_folder(path: Path) -> None:
 
 
 def make_place(file: Path | None) -> None:
-    """`make_folder` for a file that is written when the work is done, if one is given.
+    """Make the folder of an output file, unless `file` is None.
 
     Raises
     ------
@@ -283,18 +295,18 @@ def make_place(file: Path | None) -> None:
         return
     make_folder(file.parent)
     if file.is_dir():
-        raise StorageError(f"{file}: cannot be written to: is a folder; name a file.")
+        raise StorageError(f"{file}: cannot be written: it is a folder; give a file name.")
 
 
 def make_page_folder(out: Path | None, png: bool = False) -> None:
-    """`make_folder`, where a page is to be written.
+    """Make the folder of a page, unless `out` is None.
 
     Raises
     ------
     InvalidInput
-        When PNG files are wanted and no page.
+        When PNG files are requested without a page.
     StorageError
-        As `make_folder`.
+        When the folder cannot be made or written to.
     """
     if png and out is None:
         raise InvalidInput("--png: needs a folder, --out.")
@@ -303,5 +315,5 @@ def make_page_folder(out: Path | None, png: bool = False) -> None:
 
 
 def command_line() -> str:
-    """The command line at hand."""
+    """Return the current command line."""
     return shlex.join(["adaptrack", *sys.argv[1:]])

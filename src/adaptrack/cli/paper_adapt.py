@@ -1,4 +1,4 @@
-"""`adaptrack paper adapt`: a campaign, and the schedules that learn on its closed loop."""
+"""`adaptrack paper adapt`: run a campaign and train schedules in closed loop on its operating points."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from adaptrack.control.scheduling import Schedule
 
 ROUND_COLUMNS = (
-    Column("contender", "contender"),
+    Column("contender", "schedule"),
     Column("round", "best\nround", "", "whole"),
     Column("score", "log cost\nheld out", "", 4),
     Column("failed", "runs\nfailed", "", "whole"),
@@ -31,7 +31,10 @@ class AdaptOptions:
     campaign: Annotated[
         str, typer.Argument(metavar="CAMPAIGN", help="Campaign with a Sobol sample: road-sobol, or a .toml file.")
     ] = "road-sobol"
-    out: Annotated[Path, Option("--out", metavar="DIR", help="Folder for campaign and schedules; it can be resumed.")]
+    out: Annotated[
+        Path,
+        Option("--out", metavar="DIR", help="Folder for campaign and schedules; a repeated command continues in it."),
+    ]
     profile: options.OtherProfile = None
     workers: options.Workers = None
     as_json: options.Json = False
@@ -39,9 +42,9 @@ class AdaptOptions:
 
 @options.grouped
 def adapt(arguments: AdaptOptions) -> None:
-    """Run a campaign and learn schedules from it.
+    """Run a campaign and train schedules on it.
 
-    The schedules are constants, a look-up table, networks and ANFIS.
+    The schedules are constants, a look-up table, neural networks and ANFIS (fuzzy systems).
 
     Failed runs are part of the result: they are counted, and the exit code is 0.
     """
@@ -50,16 +53,14 @@ def adapt(arguments: AdaptOptions) -> None:
 
     campaign = load_campaign(arguments.campaign).with_profile(arguments.profile)
     options.make_folder(arguments.out)
-    interrupt.note_progress(
-        f"Finished parts and schedules are kept in {arguments.out}: run the command again to go on."
-    )
+    interrupt.note_progress(f"Finished parts and schedules are in {arguments.out}: run the command again to continue.")
     with show.progress("adapt") as advance:
         schedules = learn(campaign, arguments.out, workers=arguments.workers, progress=advance)
     rows = [_best_round(name, schedule) for name, schedule in schedules.items() if "history" in schedule.provenance]
     if arguments.as_json:
         show.say_json({"schedulers": str(arguments.out / "schedulers"), "rows": rows})
         return
-    show.table("Schedules that learned on the closed loop", ROUND_COLUMNS, rows)
+    show.table("Schedules trained in closed loop", ROUND_COLUMNS, rows)
     show.say(f"Schedules: {arguments.out / 'schedulers'}")
     line = command("paper", "evaluate", arguments.out, "--campaign", arguments.campaign, "--profile", arguments.profile)
     say_next("to evaluate them on new runs", line)

@@ -1,4 +1,4 @@
-"""`adaptrack paper evaluate`: schedules on operating points, drives and tests that they have not learned from."""
+"""`adaptrack paper evaluate`: evaluate schedules on operating points, drives and tests outside their training set."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from adaptrack.results.evaluation import Views
 
 DEFAULT_POINTS = 2000
-"""Operating points if nothing else is driven."""
+"""Default number of operating points without drives and tests."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,13 +33,13 @@ class EvaluateOptions:
     ] = None
     scheduler: Annotated[
         list[str] | None,
-        Option("--scheduler", metavar="NAME", help="Another schedule: see `list schedules`, or a .json file."),
+        Option("--scheduler", metavar="NAME", help="Further schedule: see `list schedules`, or a .json file."),
     ] = None
     operating_points: Annotated[
         int | None,
         Option(
             "--operating-points", metavar="N", callback=options.at_most(OPERATING_POINTS),
-            help=f"Number of operating points, {OPERATING_POINTS.range}; {DEFAULT_POINTS} if nothing else is driven.",
+            help=f"Number of operating points, {OPERATING_POINTS.range}; default without --drives: {DEFAULT_POINTS}.",
         ),
     ] = None  # fmt: skip
     drives: Annotated[
@@ -57,7 +57,7 @@ class EvaluateOptions:
         list[str] | None,
         Option(
             "--known-as", metavar="WAY", hidden=True,
-            help="Knowledge of friction and wind, in addition to exact: noisy, lagged, estimated, withheld, ...",
+            help="Friction and wind that schedules get, besides exact: noisy, lagged, estimated, withheld, ...",
         ),
     ] = None  # fmt: skip
     seed: Annotated[
@@ -84,7 +84,7 @@ def evaluate(arguments: EvaluateOptions) -> None:
     schedules = shipped_schedules() if arguments.folder is None else read_schedules(arguments.folder)
     schedules = check_schedules(task, schedules, arguments.scheduler or [])
     for way in arguments.known_as or []:
-        perception(way, task.estimated, task.profile)  # an unknown one is refused before any work
+        perception(way, task.estimated, task.profile)  # raises InvalidInput for unknown names
     if arguments.out is not None:
         options.make_folder(arguments.out)
     with show.progress("evaluate") as advance:
@@ -116,12 +116,12 @@ def _views(arguments: EvaluateOptions, task: LearningTask, schedules: dict[str, 
 
 
 def check_schedules(task: LearningTask, schedules: dict[str, Schedule], names: Sequence[str]) -> dict[str, Schedule]:
-    """The schedules with further ones by name or file, all of which must be made for the task.
+    """Add schedules by name or file, and check that all schedules were made for the task.
 
     Raises
     ------
     InvalidInput
-        When one of them was made for another controller, car or profile, or two have the same name.
+        When a schedule was made for a different controller, car or profile, or when two have the same name.
     """
     from adaptrack.control.scheduling import check_scheduler, load_scheduler
     from adaptrack.scenario.profile import load_profile
@@ -131,7 +131,7 @@ def check_schedules(task: LearningTask, schedules: dict[str, Schedule], names: S
         schedule = load_scheduler(name)
         check_scheduler(schedule)
         if schedule.name in (*checked, "optimum"):
-            raise InvalidInput(f"--scheduler {name}: a contender has this name already: rename the file.")
+            raise InvalidInput(f"--scheduler {name}: a schedule with this name exists already: rename the file.")
         checked[schedule.name] = schedule
     for name, schedule in checked.items():
         faults = task.mpc.mismatches(schedule, profile)

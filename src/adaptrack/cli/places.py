@@ -1,4 +1,4 @@
-"""Scenarios and roads from the words of a command line: which of the two a name or file is, loaded with a profile."""
+"""Scenarios and roads on the command line: tell them apart, and load them with a profile."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     from adaptrack.scenario.profile import Profile
 
 BEYOND_DOMAIN = 1.25
-"""Factor on the highest speed of a car's domain from which a scenario is reported to leave it."""
+"""Factor on the highest speed of a car's domain; faster scenarios cause a warning."""
 
 _ROAD_ENDINGS = (".csv", ".txt", ".toml", ".xml", ".xodr")
 
 
 @dataclass(frozen=True)
 class DrivenPlaces:
-    """The scenarios, or the drive along a road, with their profile."""
+    """Scenarios, or one drive along a road, with their profile."""
 
     drives: Sequence[Scenario | RoadDrive]
     profile: Profile
     road: roads.CheckedRoad | None = None
 
     def warn(self, car: Vehicle) -> None:
-        """Print what of the road cannot be driven, and scenarios that are much faster than the car's domain."""
+        """Warn of places that the car cannot drive, and of scenarios much faster than the car's domain."""
         if self.road is not None:
             self.road.warn()
             return
@@ -51,7 +51,7 @@ class DrivenPlaces:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceOptions:
-    """Scenarios or a road to drive, and the profile."""
+    """Options for the scenarios or the road, and for the profile."""
 
     names: Annotated[
         list[str],
@@ -65,42 +65,49 @@ class PlaceOptions:
         Option(
             "--profile",
             metavar="NAME",
-            help="paper: ideal [of scenarios]; road: lag, noise, delay [of roads]; or .toml.",
+            help="paper: ideal (default: scenarios); road: lag, noise, delay (default: roads); or a .toml file.",
         ),
     ] = None
     option: Annotated[
         list[str] | None,
-        Option("--option", "-o", metavar="KEY=VALUE", help="Option of a scenario, e.g. speed=20."),
+        Option("--option", "-o", metavar="KEY=VALUE", help="Option of a scenario, such as speed=20."),
     ] = None
     route: roads.RoadOptions
-    laps: Annotated[int | None, Option("--laps", metavar="N", min=1, help="Of a closed road.")] = None
+    laps: Annotated[int | None, Option("--laps", metavar="N", min=1, help="Number of laps on a closed road.")] = None
     wind: Annotated[
-        float | None, Option("--wind", metavar="V", hidden=True, help="Road: along the world's y axis (m/s).")
+        float | None, Option("--wind", metavar="V", hidden=True, help="On a road: wind along the world y axis (m/s).")
     ] = None
     start_offset: Annotated[
         float | None,
-        Option("--start-offset", metavar="M", hidden=True, help="Road: from the centre line, to the left (m)."),
+        Option(
+            "--start-offset",
+            metavar="M",
+            hidden=True,
+            help="On a road: initial offset from the centre line, to the left (m).",
+        ),
     ] = None
 
     def load(self, car: Vehicle, holdable: HoldableSpeed | None = None) -> DrivenPlaces:
-        """The scenarios or the road; held: the speeds that the margins of a tuning hold.
+        """Load the scenarios or the road; holdable: speeds with sufficient margins, to limit the speed plan.
 
         Raises
         ------
         InvalidInput
-            When scenarios and roads are mixed, there are several roads, or an option belongs to the other kind.
+            When scenarios and roads are mixed, several roads are given, or an option does not apply.
         """
         from adaptrack.scenario import RoadDrive, load_scenario
         from adaptrack.scenario.profile import load_profile
 
-        along = [is_road(name) for name in self.names]
-        if any(along) and len(along) > 1:
+        are_roads = [is_road(name) for name in self.names]
+        if any(are_roads) and len(are_roads) > 1:
             raise InvalidInput("drive: give several scenarios or one road; `compare` drives several roads.")
-        profile = load_profile(self.profile or ("road" if along[0] else "paper"))
-        if not along[0]:
+        profile = load_profile(self.profile or ("road" if are_roads[0] else "paper"))
+        if not are_roads[0]:
             self._refuse(self._road_words, "a scenario", "roads; a scenario takes --option speed=20")
-            chosen = scenario_options(self.option or [])
-            return DrivenPlaces([load_scenario(name, domain=car.domain, **chosen) for name in self.names], profile)
+            scenario_values = scenario_options(self.option or [])
+            return DrivenPlaces(
+                [load_scenario(name, domain=car.domain, **scenario_values) for name in self.names], profile
+            )
         self._refuse(["--option"] if self.option else [], "a road", "scenarios; a road takes --speed")
         checked = self.route.look(self.names[0], car, profile, holdable)
         drive = RoadDrive(
@@ -114,7 +121,7 @@ class PlaceOptions:
 
     @property
     def _road_words(self) -> list[str]:
-        """The options on the command line that only roads have."""
+        """Options on the command line that apply only to roads."""
         values = {"--laps": self.laps, "--wind": self.wind, "--start-offset": self.start_offset}
         flags = [word for word in self.route.words if word.startswith("--")]
         return [*flags, *(name for name, value in values.items() if value is not None)]
@@ -132,7 +139,7 @@ def is_road(name: str) -> bool:
     UnknownName
         When there is neither a scenario nor a road of that name.
     InvalidInput
-        When it may be both; the message has both readings.
+        When a file or name may be both.
     """
     from adaptrack.road.generate import ROAD_KINDS
     from adaptrack.scenario import list_scenarios
@@ -150,7 +157,7 @@ def is_road(name: str) -> bool:
         return True
     scenarios = list(list_scenarios())
     if name in scenarios and name in ROAD_KINDS:
-        raise InvalidInput(f"{name}: names a scenario and a kind of road; write the one you mean to a file.")
+        raise InvalidInput(f"{name}: is the name of both a scenario and a road; write the one you mean to a file.")
     if name not in scenarios and name not in ROAD_KINDS:
         hint = did_you_mean(name, [*scenarios, *ROAD_KINDS])
         raise UnknownName(f"no scenario or road is named {name!r}. {hint} A file ends in {', '.join(_ROAD_ENDINGS)}.")
@@ -158,7 +165,7 @@ def is_road(name: str) -> bool:
 
 
 def _toml_marks(file: Path) -> tuple[list[str], list[str]]:
-    """The keys of a file that only scenarios, and that only roads have."""
+    """Return the keys of a file that only scenarios have, and those that only roads have."""
     from adaptrack.base.files import read_toml
     from adaptrack.road.toml import RoadFile
     from adaptrack.scenario import Scenario
@@ -168,19 +175,19 @@ def _toml_marks(file: Path) -> tuple[list[str], list[str]]:
 
 
 def _csv_marks(file: Path) -> tuple[list[str], list[str]]:
-    """The columns of a file, `t` and the reference, that make a scenario, and those that make a road."""
+    """Return the columns of a file that mark a scenario (t and y_ref), and those that mark a road."""
     try:
         with file.open(encoding="utf-8-sig", errors="replace") as stream:
             first = next((line for line in stream if line.strip() and not line.startswith("#")), "")
     except OSError:
-        return [], []  # the reader of roads says why it cannot be read
+        return [], []  # the road reader reports the error
     columns = [word.strip().lower() for word in first.replace(";", ",").split(",")]
     scenario = ["t", "y_ref"] if {"t", "y_ref"} <= set(columns) else []
     return scenario, [name for name in ("x", "y", "x_m", "y_m") if name in columns]
 
 
 def scenario_options(words: Sequence[str]) -> dict[str, Any]:
-    """`speed=20`, `friction=[0.9, 0.5]`, `window=full`: values are read as TOML, otherwise taken as text."""
+    """Parse options such as `speed=20`, `friction=[0.9, 0.5]` or `window=full`; values are TOML or plain text."""
     import tomllib
 
     chosen: dict[str, Any] = {}

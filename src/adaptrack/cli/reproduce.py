@@ -17,9 +17,9 @@ class ReproduceOptions:
     """Options of `adaptrack paper reproduce`."""
 
     out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for the page and its pictures.")]
-    quick: Annotated[bool, Option("--quick", help="Learn for fewer epochs, from fewer operating points.")] = False
+    quick: Annotated[bool, Option("--quick", help="Train for fewer epochs on fewer operating points.")] = False
     data: Annotated[
-        str, Option("--data", metavar="NAME", help="Data set to learn from; its points must fill a grid.")
+        str, Option("--data", metavar="NAME", help="Data set for training; its points must form a complete grid.")
     ] = "paper-grid"
     seed: options.LearningSeed = 0
     as_json: options.Json = False
@@ -41,7 +41,7 @@ def reproduce(arguments: ReproduceOptions) -> None:
     with show.progress("reproduce") as advance:
         reproduction = repeat_experiment(dataset, quick=arguments.quick, seed=arguments.seed, progress=advance)
     next_step = (
-        next_line("to learn as long as the paper did", command("paper", "reproduce", "--out", f"{arguments.out}-whole"))
+        next_line("to train as long as the paper", command("paper", "reproduce", "--out", f"{arguments.out}-whole"))
         if arguments.quick else next_line("to drive a road", command("drive", "country", "--out", "drive"))
     )  # fmt: skip
     result = replace(reproduction_result(reproduction, options.command_line()), next_step=next_step)

@@ -1,4 +1,4 @@
-"""`adaptrack road check` and `plot`: what a road is, what of it cannot be driven, how it looks."""
+"""`adaptrack road check` and `plot`: check whether a car can drive a road, and draw the road."""
 
 from __future__ import annotations
 
@@ -19,17 +19,12 @@ if TYPE_CHECKING:
     from adaptrack.road.holdable_speed import HoldableSpeed
     from adaptrack.scenario.profile import Profile
 
-app = typer.Typer(
-    help="Check and draw roads: CSV points, OpenDRIVE, generated.", no_args_is_help=True, rich_markup_mode=None
-)
+app = typer.Typer(help="Check and draw roads from files or generators.", no_args_is_help=True, rich_markup_mode=None)
 
 NOT_DRIVABLE = 1
-"""The exit code when something of the road cannot be driven."""
+"""Exit code if the car cannot drive some place of the road."""
 
-ROADS_HELP = (
-    "a .csv file of x, y (m), a .toml file, OpenDRIVE (.xodr), CommonRoad (.xml), or motorway, country, town, "
-    "mountain, lap."
-)
+ROADS_HELP = "a name from `list roads`, or a file: .csv of x, y (m), .toml, OpenDRIVE (.xodr), CommonRoad (.xml)."
 RoadName = Annotated[str, typer.Argument(metavar="ROAD", help=f"Road: {ROADS_HELP}")]
 
 
@@ -38,7 +33,7 @@ MAX_ASSUMED_FRICTION = 1.5
 
 @dataclass(frozen=True)
 class RoadOptions:
-    """Which road a name stands for, and how fast it is driven: options of every command that takes a road."""
+    """Options of all commands with a road: how to read the road and how fast to drive."""
 
     speed: options.Speed = None
     lateral_acceleration: options.LateralAcceleration = None
@@ -48,7 +43,7 @@ class RoadOptions:
             "--speed-column",
             metavar="NAME",
             hidden=True,
-            help=".csv: drive at the speeds (m/s) of this column; --lateral-acceleration bounds them.",
+            help=".csv: column of speeds to drive (m/s), limited by --lateral-acceleration.",
         ),
     ] = None
     max_deviation: Annotated[
@@ -57,18 +52,24 @@ class RoadOptions:
             "--max-deviation",
             metavar="M",
             hidden=True,
-            help=".csv: largest distance from a point (m); default: from the noise of the points.",
+            help=".csv: largest distance of the road from a point (m); default: from the noise of the points.",
         ),
     ] = None
     closed: Annotated[
-        bool | None, Option("--closed/--open", hidden=True, help=".csv: lap or open road; default: detected.")
+        bool | None, Option("--closed/--open", hidden=True, help=".csv: closed lap or open road; default: detected.")
     ] = None
     road_id: Annotated[
-        str | None, Option("--road", metavar="ID", hidden=True, help=".xodr: which road; .xml: lanelets.")
+        str | None,
+        Option(
+            "--road",
+            metavar="ID",
+            hidden=True,
+            help=".xodr: identifier of the road; .xml: identifiers of the lanelets.",
+        ),
     ] = None
     lane: Annotated[
         int | None,
-        Option("--lane", metavar="N", hidden=True, help=".xodr: middle of this lane, driven along the road (-1, ...)."),
+        Option("--lane", metavar="N", hidden=True, help=".xodr: lane whose middle is driven, such as -1."),
     ] = None
     road_seed: Annotated[
         int | None, Option("--road-seed", metavar="N", help="Seed of a generated road; default: 0.")
@@ -81,7 +82,7 @@ class RoadOptions:
         bool | None,
         Option(
             "--margins/--no-margins",
-            help="Plan no faster than the controller's stability margins hold.",
+            help="Limit the planned speed to keep the stability margins of the controller.",
         ),
     ] = None
     assumed_friction: Annotated[
@@ -94,7 +95,7 @@ class RoadOptions:
 
     @property
     def words(self) -> list[str]:
-        """The options that are given, with their values, as one types them."""
+        """Return the road options of the command line with their values."""
         words: list[str] = []
         for name, value in vars(self).items():
             flag = "--road" if name == "road_id" else f"--{name.replace('_', '-')}"
@@ -132,20 +133,20 @@ class RoadOptions:
     ) -> CheckedRoad:
         """Load a road by its name, plan the speed along it for a car, and check both.
 
-        profile: in which the informed controller's margins are looked at, where that is requested; kept: of a tuning.
+        profile: profile for the stability margins of --margins; holdable: speeds with sufficient margins from a tuning.
 
         Raises
         ------
         InvalidInput
-            When a speed comes with a column of speeds or an acceleration.
+            When --speed is combined with --speed-column or --lateral-acceleration.
         """
         from adaptrack.road import Comfort, check_road, load_road, plan_speed
         from adaptrack.road.speed import constant_speed, speed_limit_plan
 
         if self.speed is not None and self.lateral_acceleration is not None:
-            raise InvalidInput("give either --speed or --lateral-acceleration.")
+            raise InvalidInput("--speed and --lateral-acceleration: give only one of them.")
         if self.speed is not None and self.speed_column is not None:
-            raise InvalidInput("give either --speed or --speed-column.")
+            raise InvalidInput("--speed and --speed-column: give only one of them.")
         settings = {
             "max_deviation": self.max_deviation, "closed": self.closed, "road": self.road_id, "lane": self.lane,
             "seed": self.road_seed, "length": self.length,
@@ -163,7 +164,7 @@ class RoadOptions:
         return CheckedRoad(road, plan, check_road(road, car, plan))
 
     def _holds(self, car: Vehicle, profile: str | Profile, holdable: HoldableSpeed | None) -> HoldableSpeed | None:
-        """Speeds that the controller's stability margins hold, if the plan respects them."""
+        """Return the speeds with sufficient stability margins; None if they do not limit the plan."""
         if self.margins is None or holdable is not None:
             return None if self.margins is False else holdable
         if not self.margins:
@@ -171,7 +172,7 @@ class RoadOptions:
         from adaptrack.analysis.holdable import holdable_speed
         from adaptrack.control.controllers import MPC
 
-        with show.progress("margins of the controller"):
+        with show.progress("stability margins of the controller"):
             return holdable_speed(car, MPC(car, profile=profile), profile)
 
 
@@ -225,7 +226,7 @@ class PlotOptions:
 @app.command()
 @options.grouped
 def plot(arguments: PlotOptions) -> None:
-    """Draw a road from above, curvature and speed along it, as PNG."""
+    """Draw the course, curvature and planned speed of a road as PNG."""
     from adaptrack.base.files import write_atomically
     from adaptrack.cars.vehicle import load_vehicle
     from adaptrack.results.draw import picture_png
@@ -240,7 +241,7 @@ def plot(arguments: PlotOptions) -> None:
 
 @dataclass(frozen=True)
 class CheckedRoad:
-    """A road, its speed and what was found."""
+    """Road, speed plan and findings of the check."""
 
     road: Road
     plan: SpeedPlan
@@ -248,10 +249,11 @@ class CheckedRoad:
 
     @property
     def drivable(self) -> bool:
+        """Whether the car can drive all of the road."""
         return all(finding.drivable for finding in self.findings)
 
     def warn(self, aside: bool = True) -> None:
-        """Say what of it cannot be driven, and what shaped its speed beside its bends."""
+        """Print warnings for places that the car cannot drive, and notes on unusual speed limits."""
         for finding in self.findings:
             where = f"(s = {finding.start:.0f} to {finding.end:.0f} m)"
             if not finding.drivable:

@@ -1,4 +1,4 @@
-"""`adaptrack shadow`: estimator and learner over logs of a driver; nothing is steered."""
+"""`adaptrack shadow`: run estimator and learning on logs of a driver, without steering."""
 
 from __future__ import annotations
 
@@ -23,17 +23,19 @@ class ShadowOptions:
     """Options of `adaptrack shadow`."""
 
     log: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Logs of one car in their order (.csv, .parquet).")
+        list[Path], typer.Argument(metavar="LOG...", help="Logs of one car, the oldest first (.csv, .parquet).")
     ]
     vehicle: options.VehicleOption
     path: Annotated[
         str | None,
-        Option("--path", metavar="ROAD", help="Road to follow; default: x and y of the log, smoothed."),
+        Option(
+            "--path", metavar="ROAD", help="Road that the controller follows; default: smoothed x and y of the log."
+        ),
     ] = None
     log_columns: ColumnOptions
     without: Annotated[
         list[str] | None,
-        Option("--without", metavar="SIGNAL,...", help="Signals to leave out: vy, acceleration, wheel, x, y, yaw."),
+        Option("--without", metavar="SIGNAL,...", help="Signals to ignore: vy, acceleration, wheel, x, y, yaw."),
     ] = None
     profile: options.ProfileOption = "road"
     computation: Annotated[
@@ -46,10 +48,11 @@ class ShadowOptions:
 
 @options.grouped
 def shadow(arguments: ShadowOptions) -> None:
-    """Run the estimator over logs of a driver, without steering.
+    """Test the learning controller on logs of a human driver.
 
-    What the learning controller would believe of the car, how well it predicts yaw rate and position, what it would
-    have warned of. Exit code 3 when the belief is not believable.
+    The controller does not steer; it only learns the car from the log. The report has the learned values, the errors of
+    predicted yaw rate and position, and the warnings of the controller. The exit code is 3 if the learned values are
+    implausible because measurements contradict them.
     """
     from adaptrack.identification.shadow import shadow as run
     from adaptrack.results.page import write_result
@@ -72,11 +75,11 @@ def shadow(arguments: ShadowOptions) -> None:
 def _next_step(arguments: ShadowOptions, report: Shadow) -> tuple[str, str]:
     """Suggest the next command after a shadow run, with the reason."""
     if report.spoiling:
-        return "to leave out what does not fit", repeat_command_with("--without", ",".join(report.spoiling))
+        return "to leave out the contradictory signals", repeat_command_with("--without", ",".join(report.spoiling))
     if arguments.out is None:
-        return "to see it over time", repeat_command_with("--out", "shadow")
+        return "to see the estimates over time", repeat_command_with("--out", "shadow")
     if report.believable:
         return "to keep the car", command(
             "identify", arguments.log[0], "--car", arguments.vehicle, "--out", "my-car.toml"
         )
-    return "to see what the log tells of the car", command("identify", arguments.log[0], "--car", arguments.vehicle)
+    return "to identify the car from the log", command("identify", arguments.log[0], "--car", arguments.vehicle)

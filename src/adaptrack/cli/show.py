@@ -1,4 +1,4 @@
-"""What commands print: tables, lists, JSON and one's progress. Names are data: no markup in them is read."""
+"""Output of commands: text, tables, JSON and progress. Markup in names is printed as plain text."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from adaptrack.base.progress import TrackedWork, now_and_then, showing
+from adaptrack.base.progress import TrackedWork, call_until, nested_in_reports
 from adaptrack.base.progress import duration as duration
 from adaptrack.base.result import Column, Result, ResultTable
 from adaptrack.base.text import printable as escaped
@@ -23,7 +23,7 @@ TableRows = Sequence[Mapping[str, Any]]
 
 # -- text and tables --------------------------------------------------------------------------------------------------
 def say_result(result: Result, as_json: bool, page: Path | None = None) -> None:
-    """A result on the console, or as one JSON object and, aside, where its page is; page: of one that has a page."""
+    """Print a result as text or JSON; page: path of its page, printed to standard error with JSON."""
     if as_json:
         from adaptrack.results.json import to_json
 
@@ -35,22 +35,22 @@ def say_result(result: Result, as_json: bool, page: Path | None = None) -> None:
 
 
 def say_json(values: Any) -> None:
-    """One strict JSON object."""
+    """Print a strict JSON object."""
     print(json.dumps(values, allow_nan=False))
 
 
 def printable(text: str) -> str:
-    """The text with control characters, and what is no character at all, written as escapes."""
+    """Return the text with control and invalid characters as escape sequences."""
     return escaped(text, keep="\n")
 
 
 def table(title: str, columns: Sequence[Column], rows: TableRows) -> None:
-    """A table, see `results.console.print_table`."""
+    """Print a table, see `results.console.print_table`."""
     print_table(ResultTable("", title, columns, rows))
 
 
 def listing(title: str, rows: TableRows, as_json: bool) -> None:
-    """Rows that need no choice of columns."""
+    """Print rows with all their entries as columns."""
     if as_json:
         say_json({"rows": rows})
     elif rows:
@@ -59,18 +59,19 @@ def listing(title: str, rows: TableRows, as_json: bool) -> None:
 
 # -- progress ---------------------------------------------------------------------------------------------------------
 Show = Callable[[str, int, int], None]
-"""show(what is done, steps done, steps in all)"""
+"""Function that shows progress: show(label, completed steps, all steps)."""
 
 
 @contextmanager
 def progress(label: str, total: int = 1) -> Iterator[Show]:
-    """Progress on standard error: a bar on a terminal, else a line now and then. Yields the function that tells it.
+    """Show progress on standard error and yield the function that updates it.
 
-    label, total: see `base.progress.Work`. Where something else is on show already, nothing is shown.
+    A terminal shows a bar, other outputs a line at intervals. Nested progress is not shown. label, total: see
+    `base.progress.TrackedWork`. Inside another computation that shows its progress nothing is shown.
     """
     work = TrackedWork(label, total)
-    with showing(work) as alone:
-        if not alone:
+    with nested_in_reports(work) as is_outermost:
+        if not is_outermost:
             yield work.update
             return
         with _bar(work) if sys.stderr.isatty() else _lines(work) as update:
@@ -85,7 +86,7 @@ def _bar(work: TrackedWork) -> Iterator[Show]:
 
     class Left(ProgressColumn):
         def render(self, task: Task) -> Text:
-            left = work.left()
+            left = work.time_left()
             return Text("" if left is None else f"{duration(left)} left")
 
     columns = (
@@ -93,7 +94,7 @@ def _bar(work: TrackedWork) -> Iterator[Show]:
     )  # fmt: skip
     # Records of the logger, such as that a kernel is compiled, appear above the bar.
     with Progress(*columns, console=Console(file=sys.stderr), transient=True, redirect_stdout=False) as bar:
-        task = bar.add_task(printable(work.label), total=None)  # no total: the bar only moves to and fro
+        task = bar.add_task(printable(work.label), total=None)  # without a total, the bar only moves back and forth
 
         def update(label: str, steps_done: int, steps: int) -> None:
             work.update(label, steps_done, steps)
@@ -107,9 +108,9 @@ def _lines(work: TrackedWork) -> Iterator[Show]:
     over = threading.Event()
 
     def tell() -> None:
-        print(f"adaptrack: {printable(work.line())}", file=sys.stderr, flush=True)
+        print(f"adaptrack: {printable(work.status_line())}", file=sys.stderr, flush=True)
 
-    teller = threading.Thread(target=now_and_then, args=(over, tell), daemon=True)
+    teller = threading.Thread(target=call_until, args=(over, tell), daemon=True)
     teller.start()
     try:
         yield work.update

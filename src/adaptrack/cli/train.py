@@ -1,4 +1,4 @@
-"""`adaptrack paper train`: learn a schedule from a data set."""
+"""`adaptrack paper train`: train a schedule on a data set."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class TrainOptions:
     """Options of `adaptrack paper train`."""
 
     data: options.Data
-    model: Annotated[options.ModelName, Option("--model", help="nn: 4-16-8-1 networks; anfis: fuzzy systems.")]
-    out: Annotated[Path, Option("--out", metavar="FILE", help="File of the schedule, *.json.")]
+    model: Annotated[options.ModelName, Option("--model", help="nn: neural networks (4-16-8-1); anfis: fuzzy systems.")]
+    out: Annotated[Path, Option("--out", metavar="FILE", help="File for the schedule (.json).")]
     targets: Annotated[
         options.TargetsName,
-        Option("--targets", help="paper: Np, Nc, Q and R; ratio: log10 R/Q in place of the two weights."),
+        Option("--targets", help="Learned quantities. paper: Np, Nc, Q and R; ratio: Np, Nc and log10 R/Q."),
     ] = options.TargetsName.paper
     seed: options.LearningSeed = 0
     as_json: options.Json = False
@@ -42,9 +42,9 @@ class TrainOptions:
 
 @options.grouped
 def train(arguments: TrainOptions) -> None:
-    """Learn a schedule from a data set.
+    """Train a schedule on a data set.
 
-    It is judged on held-out operating points; boosted trees show how much can be learned.
+    The quality is measured on held-out operating points. Boosted trees show the best quality that can be expected.
     """
     from adaptrack.control.scheduling import check_scheduler
     from adaptrack.paper.data_set import load_dataset

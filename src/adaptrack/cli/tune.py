@@ -1,4 +1,4 @@
-"""`adaptrack tune`: the best constant tuning for a car, on random drives or on given roads."""
+"""`adaptrack tune`: find the best constant tuning for a car, on random drives or on selected roads."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from adaptrack.base.result import Result
 
 TUNING_FILE = "tuning.toml"
-"""The file of the tuning in the folder."""
+"""Name of the tuning file in the output folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,17 +33,17 @@ class TuneOptions:
         Option(
             "--road",
             metavar="ROAD",
-            help=f"Tune on these roads: country:3, a scenario, {ROADS_HELP}",
+            help=f"Tune on this road; may be repeated: country:3 (country with seed 3), a scenario, {ROADS_HELP}",
         ),
     ] = None
     profile: options.ProfileOption = "road"
     speed: Annotated[
         str | None,
-        Option("--speed", metavar="LOW..HIGH", help="Speeds of random drives (m/s); default: the car's domain."),
+        Option("--speed", metavar="LOW..HIGH", help="Speed range of random drives (m/s); default: that of the car."),
     ] = None
     friction: Annotated[
         str | None,
-        Option("--friction", metavar="LOW..HIGH", help="Friction of random drives; default: the car's domain."),
+        Option("--friction", metavar="LOW..HIGH", help="Friction range of random drives; default: that of the car."),
     ] = None
     controller: Annotated[
         str | None,
@@ -54,7 +54,12 @@ class TuneOptions:
     ] = None
     runs: Annotated[
         int | None,
-        Option("--runs", metavar="N", min=1, help="With --road: closed loops of the search; default: 300 tunings."),
+        Option(
+            "--runs",
+            metavar="N",
+            min=1,
+            help="With --road: simulated runs of the search; default: enough for 300 tunings.",
+        ),
     ] = None
     prescribed_speed: options.PrescribedSpeed = False
     plant: options.PlantOption = "dual-track"
@@ -66,17 +71,17 @@ class TuneOptions:
 def tune(settings: TuneOptions) -> None:
     """Find the best constant tuning for a car.
 
-    Without --road: the informed controller on random drives. First the speeds and frictions that can be held, then a
-    search, unseen drives and the certificate; the folder gets the car with the domain that can be held. The exit code
-    is 3 when an unseen drive fails or the certificate finds the loop unstable.
+    Without --road, the command tunes the informed controller. It finds the speeds and frictions with a stable tuning,
+    searches on random drives, tests the result on new drives and certifies it. The car file in FOLDER is limited to the
+    stable speeds and frictions. The exit code is 3 if a test drive fails or the loop is unstable.
 
-    With --road: any controller on these roads; default and tuned are then driven with other noise. Failed runs are
-    counted, and the exit code is 0.
+    With --road, it tunes any controller on these roads, then compares the default and the new tuning with different
+    noise. Failed runs are counted; the exit code is 0.
     """
     options.load_plugins(settings.plugin)
     _check_options(settings)
     options.make_folder(settings.out)
-    interrupt.note_progress("An interrupted search leaves nothing.")
+    interrupt.note_progress("An interrupted search saves nothing.")
     result = _tune_on_roads(settings) if settings.road else _tune_car(settings)
     show.say_result(result, settings.as_json)
     if result.failed:
@@ -84,12 +89,12 @@ def tune(settings: TuneOptions) -> None:
 
 
 def _check_options(settings: TuneOptions) -> None:
-    """Refuse a road in place of the car, and options of the other kind of search."""
+    """Raise InvalidInput for a road in place of the car, and for options that do not apply."""
     from adaptrack.road import ROAD_KINDS
 
     if settings.car in ROAD_KINDS or Path(settings.car).suffix in (".csv", ".xodr", ".xml"):
         raise InvalidInput(
-            f"tune {settings.car}: is a road; name the car first: tune CAR --road {settings.car} --out FOLDER."
+            f"tune {settings.car}: is a road; give the car first: tune CAR --road {settings.car} --out FOLDER."
         )
     unused: dict[str, Any]
     if settings.road:
@@ -101,7 +106,7 @@ def _check_options(settings: TuneOptions) -> None:
         )
     options_without_use = [option for option, value in unused.items() if value is not None]
     if options_without_use:
-        raise InvalidInput(f"tune: {options_without_use[0]} has no use here: {remedy}.")
+        raise InvalidInput(f"tune: {options_without_use[0]} does not apply: {remedy}.")
 
 
 def _tune_car(settings: TuneOptions) -> Result:
@@ -155,7 +160,7 @@ def _tune_on_roads(settings: TuneOptions) -> Result:
 
 
 def _pair(option: str, text: str | None) -> tuple[float, float] | None:
-    """Two numbers from 5..25; None without the option."""
+    """Parse a range such as 5..25; None without the option."""
     if text is None:
         return None
     try:

@@ -1,1 +1,1 @@
-"""Contenders compared on runs that nobody trained on."""
+"""Comparisons of controllers and tunings on runs that no search or training has used."""

@@ -1,8 +1,8 @@
-"""A cell of a comparison: one controller on one car in one profile, tuned, and judged on what no search has met.
+"""Cells of a comparison: the tuning and the test of one controller on one car in one profile.
 
-The tuning is sought on the training roads with a given number of closed loops, for a plant that takes long on the car's
-twin (`plant.twin_of`); then the default and the tuned controller drive the roads of the judgement with each noise seed,
-and enter the obstacle avoidance of ISO 3888-2 as fast as they can. Every run gives one row.
+The search for the tuning drives the training roads a limited number of times. If the plant is costly, the search uses
+the car's twin (`plant.twin_of`). The default and the tuned controller then drive the test roads with each noise seed;
+every such run gives one row. Both also drive the obstacle avoidance of ISO 3888-2 at increasing entry speeds.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ from adaptrack.comparison.measures import RUN, as_column, measure_runs
 from adaptrack.comparison.table import label_of
 from adaptrack.control.controllers import MPC, About, Controller
 from adaptrack.road import Road
-from adaptrack.tuning.constant import seek_constant
+from adaptrack.tuning.constant import search_constant
 from adaptrack.tuning.constant_file import load_tuning
 from adaptrack.tuning.pso import SwarmSettings
 from adaptrack.tuning.runs import RunSet
 from adaptrack.tuning.spaces import is_tunable
 
 MAX_PARTICLES = 20
-"""Of a search; fewer for a small budget, so that the swarm has some generations."""
+"""Largest number of particles of a search. A small budget gets fewer particles, so that some generations are left."""
 
 
 @lru_cache(maxsize=4)
 def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[ControllerSetting, RunSet | None, RunSet]:
-    """Setting, runs of the search (None without a budget) and runs of the judgement, shared by all controllers."""
+    """Return the setting, the training runs (None without a budget) and the test runs of all controllers."""
     setting = load_setting(car, profile)
     mpc = MPC(setting.car, profile=setting.profile, preview=True)
 
@@ -65,118 +65,132 @@ def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[Controlle
 
 @lru_cache(maxsize=4)
 def _obstacle(car: str, profile: str) -> LaneChangeTest | None:
-    """The obstacle avoidance of ISO 3888-2 with a car; None where it is not driven compiled, or does not fit."""
+    """Return the obstacle avoidance of ISO 3888-2 for a car, or None if its plant is stepped in Python."""
     setting = load_setting(car, profile)
     if not isinstance(setting.plant, Plant):
         return None
     track = iso_3888_2(setting.car.outline.width)
-    return LaneChangeTest(setting.car, setting.plant, track, setting.profile, _roads=_lines(car))
+    return LaneChangeTest(setting.car, setting.plant, track, setting.profile, _roads=_shared_roads(car))
 
 
 @lru_cache(maxsize=16)
-def _lines(car: str) -> dict[float, Road]:
-    """The driven lines of a car by entry speed, which all profiles share."""
+def _shared_roads(car: str) -> dict[float, Road]:
+    """Return a cache of the roads through the track by entry speed (m/s), which all profiles of a car share."""
     return {}
 
 
 def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
-    """Tune and judge one controller on one car in one profile.
+    """Tune and test one controller on one car in one profile.
 
     Returns
     -------
     dict
-        Plain JSON: `rows`, one for each run; `tunings`; `entry_speed` (m/s) by label; `not_entered`: why ISO 3888-2 was
-        not driven; `loops` of the search; `seconds`; `left_out`: why nothing was driven.
+        Values that JSON can represent:
+
+        - `rows`: one for each test run;
+        - `tunings`: default and best tuning;
+        - `entry_speed`: highest clean entry speed (m/s) by label;
+        - `not_entered`: reason why ISO 3888-2 was not driven;
+        - `loops`: number of simulated drives of the search;
+        - `seconds`: computation time (s);
+        - `left_out`: reason why nothing was driven.
 
     Raises
     ------
     AdaptrackError
         When the car, the profile or a road cannot be loaded.
     """
-    begun = time.perf_counter()
-    entry = about_contender(cell.contender)
-    setting, training, judgement = _run_sets(task, cell.car, cell.profile)
+    start_time = time.perf_counter()
+    properties = about_contender(cell.contender)
+    setting, training, test = _run_sets(task, cell.car, cell.profile)
     result: dict[str, Any] = {
         "rows": [], "tunings": {}, "entry_speed": {}, "not_entered": "", "loops": 0, "left_out": "",
     }  # fmt: skip
     try:
         controller, tuning = _make_controller(task, cell, setting)
-        check_fits(Contender(cell.contender, controller), judgement)
+        check_fits(Contender(cell.contender, controller), test)
     except (InvalidInput, MissingExtra) as error:
         return result | {"left_out": str(error), "seconds": 0.0}
-    drivers = {tuning: controller}
-    if training is not None and entry.tunable and is_tunable(controller):
+    controllers = {tuning: controller}
+    if training is not None and properties.tunable and is_tunable(controller):
         swarm = _swarm(task.budget, len(training) * len(task.training_seeds))
-        best = seek_constant(training, controller, swarm, noise_seeds=task.training_seeds)
+        best = search_constant(training, controller, swarm, noise_seeds=task.training_seeds)
         result["loops"] = swarm.evaluations * len(training) * len(task.training_seeds)
         result["tunings"] = {"default": best.default, "tuned": best.tuning}
-        drivers["tuned"] = controller.with_tuning(best.tuning)
+        controllers["tuned"] = controller.with_tuning(best.tuning)
     name = load_tuning(cell.contender).controller if is_tuning_file(cell.contender) else cell.contender
-    for tuning, driver in drivers.items():
+    for tuning, controller in controllers.items():
         identity = {"contender": name, "tuning": tuning, "car": cell.car, "profile": cell.profile}
-        result["rows"] += [identity | row for row in _judge(task, judgement, driver, setting.car.outline)]
+        result["rows"] += [identity | row for row in _test_rows(task, test, controller, setting.car.outline)]
         try:
-            result["entry_speed"][label_of(name, tuning)] = _entry_speed(task, cell, entry, driver)
+            result["entry_speed"][label_of(name, tuning)] = _entry_speed(task, cell, properties, controller)
         except InvalidInput as error:
             result["not_entered"] = str(error)
-    return result | {"seconds": time.perf_counter() - begun}
+    return result | {"seconds": time.perf_counter() - start_time}
 
 
-def _judge(task: ComparisonConfig, judgement: RunSet, driver: Controller, outline: Outline) -> list[dict[str, Any]]:
-    """One row for each run of the judgement: road, noise seed and `MEASURES`."""
+def _test_rows(task: ComparisonConfig, test: RunSet, controller: Controller, outline: Outline) -> list[dict[str, Any]]:
+    """Return one row for each test run: road, noise seed and `MEASURES`."""
     return [
         {"road": road, "seed": seed, **{name: row[name] for name in MEASURES}}
-        for road, runs in zip(task.roads, measure_runs(judgement, driver, task.seeds, outline), strict=True)
+        for road, runs in zip(task.roads, measure_runs(test, controller, task.seeds, outline), strict=True)
         for seed, row in zip(task.seeds, runs, strict=True)
     ]
 
 
 def _make_controller(task: ComparisonConfig, cell: Cell, setting: ControllerSetting) -> tuple[Controller, str]:
-    """The controller of a cell before any search, and the name of its tuning: default, scheduled, or a file.
+    """Return the controller of a cell before any search, and its kind of tuning: "default", "scheduled" or a file.
 
     Raises
     ------
     InvalidInput
-        When the controller or its tuning was made for another car or profile, or was tuned on noise of the judgement.
+        When a scheduler or a tuning file belongs to a different car or profile, or its search used noise seeds of the
+        test.
     """
     if not is_tuning_file(cell.contender):
         controller = setting.controller(cell.contender)
         return controller, "scheduled" if controller.scheduler else "default"
     file, profile = load_tuning(cell.contender), setting.profile
-    faults = file.mismatches(setting.car.name, profile.name, profile.period)
+    mismatches = file.mismatches(setting.car.name, profile.name, profile.period)
     if set(file.noise_seeds) & set(task.seeds):
-        faults.append("was found with noise seeds of this comparison")
-    if faults:
-        raise InvalidInput(f"{cell.contender}: {'; '.join(faults)}.")
+        mismatches.append("was found with noise seeds of this comparison")
+    if mismatches:
+        raise InvalidInput(f"{cell.contender}: {'; '.join(mismatches)}.")
     return file.make(setting.car, profile, profile.period, preview=True), cell.contender
 
 
 MEASURES = ("cost", "failed", "reason", "failed_at", *RUN)
-"""Measures of a run in the results."""
+"""Measures of a run in the rows of a cell."""
 
 
-def _swarm(budget: int, loops: int) -> SwarmSettings:
-    """A swarm that spends at most `budget` closed loops; a tuning takes `loops` of them."""
-    tunings = budget // loops
+def _swarm(budget: int, drives_per_tuning: int) -> SwarmSettings:
+    """Return the settings of a swarm that simulates at most `budget` drives."""
+    tunings = budget // drives_per_tuning
     particles = min(MAX_PARTICLES, max(5, round(math.sqrt(tunings))))
     return SwarmSettings(particles=particles, generations=max(1, tunings // particles))
 
 
-def _entry_speed(task: ComparisonConfig, cell: Cell, entry: About, driver: Controller) -> float | None:
-    """m/s, the highest clean entry speed into ISO 3888-2; 0 where none is clean, None where it was not driven."""
-    track = _obstacle(cell.car, cell.profile) if task.entry_speeds and entry.compiled else None
-    if track is None:
+def _entry_speed(task: ComparisonConfig, cell: Cell, properties: About, controller: Controller) -> float | None:
+    """Return the highest clean entry speed into ISO 3888-2 (m/s), 0 if none is clean, None if it is not driven."""
+    test = _obstacle(cell.car, cell.profile) if task.entry_speeds and properties.compiled else None
+    if test is None:
         return None
-    speed = entry_speed(track, cell.contender, driver, ENTRY_SPEEDS).scan.speed
+    speed = entry_speed(test, cell.contender, controller, ENTRY_SPEEDS).scan.speed
     return float(speed) if math.isfinite(speed) else 0.0
 
 
 ENTRY_SPEEDS = tuple((np.arange(26.0, 91.0, 2.0) / 3.6).tolist())
-"""m/s, the grid of entry speeds."""
+"""Entry speeds that are driven (m/s)."""
 
 
 def columns(cells: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
-    """The rows of all cells as columns; NaN where nothing was measured."""
+    """Return the rows of all cells as columns by name, with NaN for missing measures.
+
+    Raises
+    ------
+    InvalidInput
+        When no cell has a row.
+    """
     rows = [row for cell in cells for row in cell["rows"]]
     if not rows:
         reasons = "; ".join(dict.fromkeys(cell["left_out"] for cell in cells))

@@ -1,7 +1,8 @@
-"""Contenders on the same runs with the same noise: what each costs, and who fails how often.
+"""Comparison of the costs and failures of contenders on the same runs with the same sensor noise.
 
-Regret is the cost over that of the reference on the same run. The reference of operating points is their optimum, which
-a search finds with noise of its own; all costs, the optimum's too, are then measured with fresh noise.
+The regret of a run is its cost divided by the cost of the reference contender on the same run. At operating points the
+reference is the optimum that a search found for each of them. All costs, including those of the optimum, are measured
+with noise seeds that the search did not use.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from adaptrack.control.controllers import Controller, Tuning
 from adaptrack.control.scheduling import Schedule
 from adaptrack.drive.world import World
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.runs import Retuned, RunSet
+from adaptrack.tuning.runs import ControllerTunings, RunSet
 
 
 def compare(
@@ -31,47 +32,62 @@ def compare(
 ) -> Comparison:  # fmt: skip
     """Drive every contender over the runs with each of the noise seeds.
 
-    where: (runs, k) what tells the runs apart, by default their number; outline: of the car: with it every run is
-    measured in full (`measures.RUN`), not its cost alone, which keeps its trajectory and takes longer. An interval
-    draws the runs; of one run that is measured in full its noise seeds: it is then about that run.
+    Parameters
+    ----------
+    runs
+        Runs of the comparison.
+    contenders
+        Contenders with different names.
+    seeds
+        Seeds of the sensor noise.
+    reference
+        Name of the contender that ratios refer to.
+    where
+        Coordinates of the runs, such as operating points, (runs, k); None for their indices.
+    progress
+        Function called with (contender, contenders done, contenders in all).
+    outline
+        Outline of the car. With it all measures of `measures.RUN` are computed, which takes longer; without it only
+        costs and failures. Intervals resample the runs. With an outline and a single run they resample its noise seeds
+        and apply to that run only.
 
     Raises
     ------
     InvalidInput
-        When the reference is not among the contenders, or two have one name; measured in full also when one does not
-        fit, or gives a tuning for each run.
+        For an unknown reference or equal names. With an outline also for a contender that cannot drive in the profile
+        of the runs, or that has a tuning for each run.
     """
-    entered = list(contenders)
-    check_names([contender.name for contender in entered], reference)
+    contenders = list(contenders)
+    check_names([contender.name for contender in contenders], reference)
     if outline is not None:
-        for contender in entered:
+        for contender in contenders:
             check_fits(contender, runs)
-    measured, overall = {}, {}
-    for k, contender in enumerate(entered):
+    cells, overall, roles = {}, {}, {}
+    for k, contender in enumerate(contenders):
         if progress is not None:
-            progress(contender.name, k, len(entered))
+            progress(contender.name, k, len(contenders))
         if outline is None:
-            measured[contender.name], overall[contender.name] = _costs(runs, contender, seeds)
+            cells[contender.name], overall[contender.name] = _costs(runs, contender, seeds)
         else:
-            measured[contender.name] = as_cells(measure_runs(runs, contender.policy, seeds, outline))
+            cells[contender.name] = as_cells(measure_runs(runs, contender.policy, seeds, outline))
+        roles[contender.name] = ContenderRole(_controller(contender, runs), contender.adapts, contender.hindsight)
     is_one_run = outline is not None and len(runs) == 1
     return Comparison.from_runs(
-        measured, reference, roads=[str(drive.name) for drive in getattr(runs, "scenarios", [])] or None, seeds=seeds,
-        where=where, overall=overall, failure=runs.failure, over=("seed",) if is_one_run else ("road",),
-        roles={entry.name: ContenderRole(_controller(entry, runs), entry.adapts, entry.hindsight) for entry in entered},
+        cells, reference, roads=[str(drive.name) for drive in getattr(runs, "scenarios", [])] or None, seeds=seeds,
+        where=where, overall=overall, failure=runs.failure, over=("seed",) if is_one_run else ("road",), roles=roles,
     )  # fmt: skip
 
 
 def check_fits(contender: Contender, runs: RunSet) -> None:
-    """Refuse a contender that cannot drive in the profile of the runs, or gives a tuning for each of them.
+    """Refuse a contender that cannot drive in the profile of the runs, or that has a tuning for each run.
 
     Raises
     ------
     InvalidInput
-        With what is missing.
+        The message gives the reason.
     """
-    if not isinstance(contender.policy, Schedule | Tuning | Retuned | Controller):
-        raise InvalidInput(f"contender {contender.name!r}: a tuning for each run: on roads give one controller.")
+    if not isinstance(contender.policy, Schedule | Tuning | ControllerTunings | Controller):
+        raise InvalidInput(f"contender {contender.name!r}: has a tuning for each run; on roads give one controller.")
     try:
         World.of(runs.plant, runs.controller_of(contender.policy), load_profile(runs.profile), None, None, runs.failure)
     except InvalidInput as error:
@@ -81,7 +97,7 @@ def check_fits(contender: Contender, runs: RunSet) -> None:
 def _costs(
     runs: RunSet, contender: Contender, seeds: Sequence[int]
 ) -> tuple[dict[str, NDArray[Any]], dict[str, float]]:
-    """Cost and failure of each run and seed, and the shares of the steps that a schedule counts."""
+    """Return cost and failure of each run and seed, and the counters of a schedule as shares of all control steps."""
     costs = runs.drive(contender.policy, seeds)
     failed = ~np.isfinite(costs)
     cells = {"cost": np.where(failed, runs.failed_cost, costs), "failed": failed.astype(float)}
@@ -92,5 +108,5 @@ def _costs(
 
 
 def _controller(contender: Contender, runs: RunSet) -> str:
-    """Name of the driving controller: of the contender or, without one, of the runs."""
+    """Return the name of the contender's controller, or of the MPC of the runs that it tunes."""
     return contender.controller if isinstance(contender.policy, Controller) else runs.controller

@@ -1,4 +1,4 @@
-"""Configuration of a comparison: controllers, cars, roads and profiles, and the effort of each search."""
+"""Configuration of a comparison: controllers, cars, roads, profiles, and the budget of each search."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from adaptrack.road.generate import ROAD_KINDS
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scenario.library import list_scenarios
 from adaptrack.scenario.profile import Profile, load_profile
-from adaptrack.tuning.constant import LEAST_TUNINGS
+from adaptrack.tuning.constant import MIN_TUNINGS
 from adaptrack.tuning.constant_file import load_tuning
 
 COMPARISONS = SHIPPED / "comparisons"
-PERIODS_OF_A_LOOP = 1500
-"""Control periods of a drive, for estimates of time."""
+PERIODS_PER_DRIVE = 1500
+"""Assumed number of control periods of a drive, for estimates of the computation time."""
 
 Names = Annotated[tuple[str, ...], LISTED, Field(min_length=1)]
 SeedNumbers = Annotated[tuple[int, ...], LISTED, Field(min_length=1)]
 
 
 def is_tuning_file(contender: str) -> bool:
-    """Whether a contender is the .toml file of a tuning, and not a registered controller."""
+    """Whether a contender is the .toml file of a tuning; otherwise it is the name of a registered controller."""
     return contender.endswith(".toml")
 
 
 def about_contender(contender: str) -> About:
-    """Properties of a registered controller, or of the controller in the file of a tuning, which is not tuned again.
+    """Return the properties of a contender's controller. One with a tuning from a file is not tuned again.
 
     Raises
     ------
     UnknownName
-        When no controller has this name.
+        For an unregistered name.
     StorageError
         When the file cannot be read.
     """
@@ -54,42 +54,51 @@ def about_contender(contender: str) -> About:
 
 
 class ComparisonConfig(Record):
-    """Controllers, cars, roads and profiles of a comparison, and the effort of tuning."""
+    """Controllers, cars, roads and profiles of a comparison, and the budget of each search.
 
-    name: str = Field(min_length=1, description="of the comparison")
+    Each controller is tuned on the training roads. Default and tuned controllers are then compared on the test roads.
+    """
+
+    name: str = Field(min_length=1, description="name of the comparison")
     contenders: Names = Field(description="controllers, see `adaptrack list controllers`, or .toml files of tunings")
-    cars: Names = Field(description="name or file of a car, with its plant: `van`, `my-car.toml/single-track`")
-    profiles: Names = Field(description="names or files of profiles")
-    training: Names = Field(description="roads of the search, see `roads`")
-    roads: Names = Field(
-        description="roads of the judgement: a kind of generated roads and its seed (`country:3`, with @6 driven at "
-        "6 m/s^2), `random-drive:3`, the name of a scenario, or a file"
+    cars: Names = Field(
+        description="names or files of cars, optionally with a plant: `van`, `my-car.toml/single-track`"
     )
-    length: float = Field(default=2000.0, ge=100, le=100_000, description="m, of generated roads")
-    training_length: float = Field(default=1000.0, ge=100, le=100_000, description="m, of those of the search")
-    duration: float = Field(default=60.0, ge=1, le=3600, description="s, of random drives")
-    seeds: SeedNumbers = Field(default=(0, 1, 2, 3, 4), description="noise seeds of the judgement")
+    profiles: Names = Field(description="names or files of profiles")
+    training: Names = Field(description="training roads of the search, in the form of `roads`")
+    roads: Names = Field(
+        description="test roads: a kind of generated road and its seed (`country:3`; `country:3@6` plans bends at "
+        "6 m/s^2), a random drive and its seed (`random-drive:3`), the name of a scenario, or a file"
+    )
+    length: float = Field(default=2000.0, ge=100, le=100_000, description="m, length of generated test roads")
+    training_length: float = Field(
+        default=1000.0, ge=100, le=100_000, description="m, length of generated training roads"
+    )
+    duration: float = Field(default=60.0, ge=1, le=3600, description="s, duration of random drives")
+    seeds: SeedNumbers = Field(default=(0, 1, 2, 3, 4), description="noise seeds of the test drives")
     training_seeds: SeedNumbers = Field(default=(1000,), description="noise seeds of the search")
-    budget: int = Field(default=200, ge=0, description="closed loops of each search; 0: none, defaults alone")
+    budget: int = Field(
+        default=200, ge=0, description="simulated drives of each search; 0 compares default tunings only"
+    )
     prescribed_speed: bool = Field(
         default=False, description="whether cars follow their planned speed exactly, without forces along the road"
     )
-    entry_speeds: bool = Field(default=True, description="whether ISO 3888-2 is driven")
+    entry_speeds: bool = Field(default=True, description="whether the obstacle avoidance of ISO 3888-2 is driven")
 
     @model_validator(mode="after")
     def _can_be_done(self) -> Self:
-        loops = len(self.training) * len(self.training_seeds)
-        if self.budget and self.budget < LEAST_TUNINGS * loops:
+        drives = len(self.training) * len(self.training_seeds)
+        if self.budget and self.budget < MIN_TUNINGS * drives:
             raise ValueError(
-                f"budget = {self.budget}: a tuning takes {loops} closed loops (training roads times noise seeds): "
-                f"give at least {LEAST_TUNINGS * loops}, or 0."
+                f"budget = {self.budget}: a tuning takes {drives} drives (training roads times noise seeds): "
+                f"give at least {MIN_TUNINGS * drives}, or 0."
             )
-        shared = set(self.seeds) & set(self.training_seeds)
-        if shared:
-            raise ValueError(f"training_seeds: {min(shared)} is a noise seed of the judgement as well.")
-        repeated = set(self.training) & set(self.roads)
-        if repeated:
-            raise ValueError(f"training: {min(repeated)!r} is a road of the judgement as well.")
+        shared_seeds = set(self.seeds) & set(self.training_seeds)
+        if shared_seeds:
+            raise ValueError(f"training_seeds: {min(shared_seeds)} is a noise seed of the test drives as well.")
+        shared_roads = set(self.training) & set(self.roads)
+        if shared_roads:
+            raise ValueError(f"training: {min(shared_roads)!r} is a test road as well.")
         for name in self.contenders:
             about_contender(name)
         return self
@@ -101,7 +110,7 @@ class ComparisonConfig(Record):
 
     @property
     def cells(self) -> list[Cell]:
-        """Every controller on every car in every profile."""
+        """The combinations of every controller with every car and every profile."""
         return [
             Cell(contender, car, profile)
             for profile in dict.fromkeys(self.profiles)
@@ -110,18 +119,18 @@ class ComparisonConfig(Record):
         ]
 
     def loops(self, cell: Cell) -> int:
-        """Closed loops of a cell, roughly: those of the search and of the judgement, without entry speeds."""
+        """Return the approximate number of drives of a cell, in the search and the test, without entry speeds."""
         search = self.budget if about_contender(cell.contender).tunable else 0
         return search + (2 if search else 1) * len(self.roads) * len(self.seeds)
 
     def seconds(self, cells: Sequence[Cell]) -> float:
-        """s, how long cells take on one core, roughly: `PERIODS_OF_A_LOOP` steps a loop."""
-        return sum(self.loops(cell) * PERIODS_OF_A_LOOP * about_contender(cell.contender).step_time for cell in cells)
+        """Return the approximate computation time of cells on one core (s)."""
+        return sum(self.loops(cell) * PERIODS_PER_DRIVE * about_contender(cell.contender).step_time for cell in cells)
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One controller on one car in one profile, by name."""
+    """Names of one combination of controller, car and profile."""
 
     contender: str
     car: str
@@ -129,12 +138,12 @@ class Cell:
 
     @property
     def label(self) -> str:
-        """For progress and file names."""
+        """The label of the cell in progress reports and file names."""
         return f"{self.profile}, {self.car}, {self.contender}"
 
 
 def list_comparisons() -> dict[str, str]:
-    """Names of the shipped comparisons, with the first comment line of each."""
+    """Return the first comment line of each shipped comparison, by name."""
     return {
         path.stem: path.read_text(encoding="utf-8").splitlines()[0].lstrip("# ")
         for path in sorted(COMPARISONS.glob("*.toml"))
@@ -142,18 +151,23 @@ def list_comparisons() -> dict[str, str]:
 
 
 def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> ComparisonConfig:
-    """Load a shipped comparison by name, or one from a TOML file with the fields of `ComparisonConfig`.
+    """Load a shipped comparison by name, or one from a TOML file.
 
-    changes: fields to replace.
+    Parameters
+    ----------
+    name_or_path
+        Name, or path that ends in .toml.
+    changes
+        Fields of `ComparisonConfig` that replace those of the file.
 
     Raises
     ------
     UnknownName
-        When no comparison has the name.
+        For an unknown name.
     StorageError
         When the file cannot be read.
     ConfigError
-        When a key is unknown, missing or not allowed.
+        For an unknown key, a missing key or an invalid value.
     """
     text = os.fspath(name_or_path)
     if text.endswith(".toml"):
@@ -162,8 +176,8 @@ def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> Com
         path = COMPARISONS / f"{text}.toml"
     else:
         raise UnknownName(
-            f"no comparison is named {text!r}. {did_you_mean(text, list_comparisons())} A file is given by its .toml "
-            "path."
+            f"no comparison is named {text!r}. {did_you_mean(text, list_comparisons())} The path of a file must end in "
+            ".toml."
         )
     return build(ComparisonConfig, {"name": path.stem, **read_toml(path), **changes}, path)
 
@@ -171,52 +185,70 @@ def load_comparison(name_or_path: str | os.PathLike[str], **changes: Any) -> Com
 # -- cars and roads ---------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class ControllerSetting:
-    """Car, profile and period that a controller is made for."""
+    """Car, plant and profile for which a controller is built."""
 
     car: Vehicle
     plant: Plant | SteppedPlant
     profile: Profile
 
     def controller(self, name: str) -> Controller:
-        """A registered controller for it, which knows the road ahead and the period.
+        """Return a registered controller for this car and profile, with preview of the road.
 
         Raises
         ------
         InvalidInput
-            When it was made for another car or profile.
+            When the controller belongs to a different car or profile.
         """
         offered = {"period": self.profile.period, "preview": True}
         return get_controller(name, self.car, profile=self.profile, offered=offered)
 
 
 def load_setting(car: str, profile: str) -> ControllerSetting:
-    """A car by `car` or `car/plant`, in a profile.
+    """Return a car with its plant and profile.
+
+    Parameters
+    ----------
+    car
+        Name or .toml file of a car, optionally followed by a slash and the name of a plant.
+    profile
+        Name or file of a profile.
 
     Raises
     ------
     AdaptrackError
-        When car, plant or profile cannot be had.
+        When car, plant or profile does not exist or cannot be read.
     """
     parts = re.fullmatch(r"(?P<car>.+\.toml|[^/]+)(/(?P<plant>[^/]+))?", car)
     if parts is None:
-        raise InvalidInput(f"car {car!r}: must be a name or a .toml file, with /PLANT behind it or without.")
+        raise InvalidInput(f"car {car!r}: must be a name or a .toml file, optionally followed by /PLANT.")
     vehicle = load_vehicle(parts["car"])
     plant = get_plant(parts["plant"] or "dual-track", vehicle)
     return ControllerSetting(vehicle, plant, load_profile(profile))
 
 
 def load_drive(name: str, car: Vehicle, length: float, duration: float) -> Scenario | RoadDrive:
-    """A road of a comparison, see `ComparisonConfig.roads`; its speed planned for the car.
+    """Return the drive on a road with a speed that is planned for a car.
+
+    Parameters
+    ----------
+    name
+        Road in the form of `ComparisonConfig.roads`.
+    car
+        Car whose speed is planned.
+    length
+        Length of a generated road (m).
+    duration
+        Duration of a random drive (s).
 
     Raises
     ------
     AdaptrackError
-        When there is no such road, or the car cannot be driven along it.
+        When the road does not exist, or no speed can be planned along it.
     """
     where, _, lateral = name.rpartition("@") if re.search(r"@[\d.]+$", name) else (name, "", "")
     kind, _, seed = where.partition(":")
     if seed and not seed.isdecimal():
-        raise InvalidInput(f"road {name!r}: the seed behind ':' must be a whole number.")
+        raise InvalidInput(f"road {name!r}: the seed after ':' must be a whole number.")
     if kind == "random-drive":
         return random_drive(int(seed or 0), duration, **car.domain.drive_options)
     if where in list_scenarios():

@@ -1,4 +1,4 @@
-"""Contenders: a schedule, a tuning, a tuning for each run, or a controller, to be compared on the same runs."""
+"""Contenders of a comparison: schedules, tunings or controllers with a name."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import Controller, Tuning
 from adaptrack.control.scheduling import Number, Schedule
-from adaptrack.tuning.runs import Policy, Retuned
+from adaptrack.tuning.runs import ControllerTunings, Policy
 
 Array = NDArray[np.float64]
 
@@ -19,35 +19,35 @@ Array = NDArray[np.float64]
 @checked
 @dataclass(frozen=True, eq=False)
 class Contender:
-    """A name, and what drives under it.
+    """A policy with the name under which it is compared.
 
     Raises
     ------
     InvalidInput
-        When the name is empty, or the policy is none.
+        For an empty name or an invalid policy.
     """
 
     name: str
     policy: Policy
-    """a schedule, a tuning, tunings (runs, 4), or a controller (`step`, `reset`, `period`, `name`)"""
+    """Schedule, tuning, tunings (runs, 4), or controller with `step`, `reset`, `period` and `name`."""
     hindsight: bool = False
-    """whether it was chosen knowing the runs"""
+    """Whether the policy was optimised for the very runs of the comparison."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
             raise InvalidInput(f"Contender: name = {self.name!r}: must be text.")
-        if not isinstance(self.policy, Schedule | Tuning | Retuned | Controller):
+        if not isinstance(self.policy, Schedule | Tuning | ControllerTunings | Controller):
             _check_tunings(self.name, self.policy)
 
     @property
     def controller(self) -> str:
-        """The name of the controller: "mpc" where the policy only tunes that of the runs."""
+        """The name of the controller; "mpc" if the policy is a schedule or tuning for the MPC of the runs."""
         return str(getattr(self.policy, "name", "mpc")) if isinstance(self.policy, Controller) else "mpc"
 
     @property
     def adapts(self) -> bool:
-        """Whether its tuning changes from run to run or while driving, and not by hindsight."""
-        if self.hindsight or isinstance(self.policy, Tuning | Retuned):
+        """Whether the tuning changes between or during runs, without `hindsight`."""
+        if self.hindsight or isinstance(self.policy, Tuning | ControllerTunings):
             return False
         if isinstance(self.policy, Schedule):
             return not _is_constant(self.policy)

@@ -1,7 +1,7 @@
-"""ISO 3888 in closed loop: a controller drives a car through the cones; its highest clean entry speed; its tuning.
+"""Lane changes of ISO 3888 in closed loop: the highest entry speed at which a controller touches no cone.
 
-At every entry speed of a grid the car follows the line of `driven_line`, off the throttle from the first cones on, once
-for each seed of the sensor noise; the worst drive counts.
+At every entry speed of a grid the car follows the line of `driven_line` and coasts from the first cones on. It drives
+once with each seed of the sensor noise; the worst drive counts.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from adaptrack.scenario.profile import Profile
 Array = NDArray[np.float64]
 
 ENTRY_SEEDS = (0, 1, 2)
-"""Of the sensor noise, for the entry speed."""
+"""Noise seeds of the drives that determine the entry speed."""
 TUNING_SEEDS = (100, 101, 102)
-"""Others, for the tuning."""
+"""Noise seeds of the drives that determine the tuning."""
 POSES_PER_PERIOD = 5
-"""Parts of a control period at which the place of the car is interpolated."""
+"""Number of interpolated poses of the car in each control period."""
 
-SEARCHED: dict[str, dict[str, tuple[float, ...]]] = {
+SEARCH_GRIDS: dict[str, dict[str, tuple[float, ...]]] = {
     "informed": {"Np": (20.0, 30.0, 40.0), "Nc": (10.0, 20.0), "R": (0.3, 1.0, 3.0, 10.0)},
     "lqr": {
         "q_heading": (100.0, 300.0, 1000.0, 3000.0),
@@ -62,17 +62,17 @@ SEARCHED: dict[str, dict[str, tuple[float, ...]]] = {
         "dead_time": (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4),
     },
 }
-"""What `tune_for_track` tries, by the controller's registered name: all combinations of these tuning entries."""
+"""Values of tuning entries, by registered name of the controller. `tune_for_track` tries all their combinations."""
 
 
 @dataclass(frozen=True, eq=False)
 class LaneChangeTest:
-    """A car before a track of cones, in a profile.
+    """Lane change of a car on a track of cones, in a profile.
 
     Raises
     ------
     InvalidInput
-        When the car does not fit between the cones (by its methods).
+        When a method finds that the car does not fit between the cones.
     """
 
     car: Vehicle
@@ -80,10 +80,12 @@ class LaneChangeTest:
     track: Track
     profile: Profile
     friction: float = 0.9
+    """Friction coefficient of the road."""
     _roads: dict[float, Road] = field(default_factory=dict, repr=False)
+    """Roads through the track, by entry speed (m/s)."""
 
     def entering_at(self, speed: float) -> RoadDrive:
-        """The drive that enters at a speed (m/s)."""
+        """Return the drive through the track with an entry speed (m/s)."""
         if speed not in self._roads:
             road = driven_line(self.track, self.car, speed, self.friction)
             self._roads[speed] = road.replace(friction=self.friction)
@@ -91,27 +93,34 @@ class LaneChangeTest:
         return RoadDrive(road, coasting_plan(self.track, road, self.car, speed))
 
     def drive(self, controller: Controller, speed: float, tunings: Array, seeds: Sequence[int]) -> Array:
-        """Drive with every tuning and seed: (tunings, seeds, places, 3) of x (m), y (m), yaw (rad).
-
-        Compiled. The places between the control instants are cubic in time, from poses and velocities; NaN where the
-        run has failed.
+        """Drive through the track with every tuning and noise seed, compiled.
 
         Parameters
         ----------
+        controller
+            Compiled controller.
         speed
-            m/s, on entry.
-        tunings : (tunings, entries) array
-            Of the controller's named entries.
+            Entry speed (m/s).
+        tunings
+            Tunings in the order of `tuning_names`, (tunings, entries).
+        seeds
+            Seeds of the sensor noise.
+
+        Returns
+        -------
+        array
+            Poses x (m), y (m), yaw (rad), (tunings, seeds, poses, 3), interpolated by `refined_poses`; NaN after a
+            failure.
         """
         batch = Batch(self.plant, controller, [self.entering_at(speed)], self.profile)
         rows = np.repeat(batch.checked_tunings(tunings), len(seeds), axis=0)
-        seeded = np.tile(np.array(seeds, dtype=np.int64), len(tunings))
-        outcome = batch.run(np.zeros(len(rows), np.int64), rows, seeded, 1, traced=True)
+        noise_seeds = np.tile(np.array(seeds, dtype=np.int64), len(tunings))
+        outcome = batch.run(np.zeros(len(rows), np.int64), rows, noise_seeds, 1, traced=True)
         poses = [refined_poses(states, controller.period) for states in outcome.trace.state]
         return np.array(poses).reshape(len(tunings), len(seeds), -1, 3)
 
     def margins(self, controller: Controller, speed: float, tunings: Array, seeds: Sequence[int]) -> list[Clearance]:
-        """The margins to the cones, of the worst seed for each tuning; arguments as for `drive`."""
+        """Return the clearance of the worst drive of each tuning; arguments as for `drive`."""
         worst = []
         for runs in self.drive(controller, speed, tunings, seeds):
             margins = [clearance(self.track, self.car.outline, *poses.T) for poses in runs]
@@ -120,9 +129,19 @@ class LaneChangeTest:
 
 
 def refined_poses(states: Array, period: float) -> Array:
-    """(m, 3) x (m), y (m), yaw (rad) from states (n, >= 6) x, y, yaw, v_x, v_y, yaw rate, a period (s) apart.
+    """Interpolate poses between control instants by cubic Hermite splines.
 
-    Between two instants each is the cubic with the values and the rates of both ends (Hermite).
+    Parameters
+    ----------
+    states
+        States x, y, yaw, v_x, v_y, yaw rate, ... at n instants, (n, 6 or more), SI units.
+    period
+        Time between the instants (s).
+
+    Returns
+    -------
+    array
+        x (m), y (m), yaw (rad) at `POSES_PER_PERIOD` instants in each period and at the last instant, (m, 3).
     """
     x, y, yaw, vx, vy, rate = states[:, :6].T
     poses = np.stack([x, y, yaw], axis=-1)
@@ -136,40 +155,56 @@ def refined_poses(states: Array, period: float) -> Array:
 
 
 def tunings_to_try(name: str, controller: Controller) -> Array:
-    """(tunings, entries): the controller's own tuning, and with the entries of `SEARCHED` in its place.
+    """Return the tuning of a controller, followed by its variants with the values of `SEARCH_GRIDS`.
+
+    Parameters
+    ----------
+    name
+        Registered name of the controller.
+    controller
+        The controller itself.
+
+    Returns
+    -------
+    array
+        Tunings in the order of `tuning_names`, (tunings, entries).
 
     Raises
     ------
     InvalidInput
-        For a controller whose search is not known.
+        For a controller without an entry in `SEARCH_GRIDS`.
     """
-    if name not in SEARCHED:
-        raise InvalidInput(f"no search for controller {name!r}: one of {', '.join(SEARCHED)}.")
+    if name not in SEARCH_GRIDS:
+        raise InvalidInput(f"no search for controller {name!r}: one of {', '.join(SEARCH_GRIDS)}.")
     names, default = list(controller.tuning_names), controller.packed_tuning()
     tunings = [default]
-    for values in itertools.product(*SEARCHED[name].values()):
+    for values in itertools.product(*SEARCH_GRIDS[name].values()):
         tuning = default.copy()
-        tuning[[names.index(entry) for entry in SEARCHED[name]]] = values
+        tuning[[names.index(entry) for entry in SEARCH_GRIDS[name]]] = values
         tunings.append(tuning)
     return np.array(tunings)
 
 
 def tune_for_track(test: LaneChangeTest, name: str, controller: Controller, speed: float) -> tuple[Array, Clearance]:
-    """The tuning with the largest margin of its worst drive at one entry speed, and that margin.
+    """Return the tuning with the largest clearance in its worst drive at one entry speed, and that clearance.
 
-    All of `tunings_to_try`, with the noise of `TUNING_SEEDS`.
+    The candidates are those of `tunings_to_try`, each driven with the noise seeds `TUNING_SEEDS`.
 
     Parameters
     ----------
+    test
+        Car, plant, track and profile.
     name
-        The controller's registered name.
+        Registered name of the controller.
+    controller
+        The controller itself.
     speed
-        m/s, on entry.
+        Entry speed (m/s).
 
     Raises
     ------
     InvalidInput
-        For a controller whose search is not known.
+        For a controller without an entry in `SEARCH_GRIDS`.
     """
     tunings = tunings_to_try(name, controller)
     margins = test.margins(controller, speed, tunings, TUNING_SEEDS)
@@ -179,21 +214,23 @@ def tune_for_track(test: LaneChangeTest, name: str, controller: Controller, spee
 
 @dataclass(frozen=True, eq=False)
 class EntrySpeed:
-    """How fast one controller enters a track and stays clean."""
+    """Highest clean entry speed of one controller on a track."""
 
     test: LaneChangeTest
     name: str
-    """the controller's"""
+    """Name of the controller."""
     tuned: bool
-    """for this track, by `tune_for_track`; else its defaults"""
+    """Whether the tuning is that of `tune_for_track`; otherwise it is the default."""
     tuning: dict[str, float]
+    """Tuning entries by name."""
     scan: CleanSpeed
+    """Clearances at all entry speeds."""
     poses: Array
-    """(seeds, places, 3) x (m), y (m), yaw (rad) at `scan.speed`, or at the lowest speed where none is clean"""
+    """Poses x (m), y (m), yaw (rad) at `scan.speed`, or at the lowest speed if none is clean, (seeds, poses, 3)."""
 
     @property
     def row(self) -> dict[str, Any]:
-        """Row for tables and JSON; speeds in km/h, margins in m, None where there is no value."""
+        """The row for tables and JSON: speeds in km/h, clearances in m, None for missing values."""
         margins = self.scan.clearances.get(self.scan.speed)
         lowest = self.scan.clearances[min(self.scan.clearances)]
         return {
@@ -221,19 +258,25 @@ def _kmh(speed: float) -> float | None:
 def entry_speed(
     test: LaneChangeTest, name: str, controller: Controller, speeds: Sequence[float], tuning: Array | None = None
 ) -> EntrySpeed:
-    """The highest clean entry speed of a controller, of the worst of `ENTRY_SEEDS`, see `scan_speeds`.
+    """Return the highest clean entry speed of a controller, in the worst of the drives with `ENTRY_SEEDS`.
 
     Parameters
     ----------
+    test
+        Car, plant, track and profile.
+    name
+        Name of the controller for the result.
+    controller
+        The controller itself.
     speeds
-        m/s, increasing: the grid.
-    tuning : (entries,) array, optional
-        By default the controller's own.
+        Entry speeds to drive (m/s), increasing, see `scan_speeds`.
+    tuning
+        Tuning in the order of `tuning_names`, (entries,); None for the controller's default.
 
     Raises
     ------
     InvalidInput
-        When the speeds do not increase from above 0, or the parts do not fit each other.
+        For speeds that are not positive and increasing, or a controller that cannot drive the car in the profile.
     """
     row = controller.packed_tuning() if tuning is None else tuning
     scan = scan_speeds(lambda speed: test.margins(controller, speed, row[None], ENTRY_SEEDS)[0], speeds)
@@ -249,18 +292,18 @@ class _Grid(NamedTuple):
     """Track and entry speeds of a lane change."""
 
     track: Callable[[float], Track]
-    """from the car's width (m)"""
+    """Function that returns the track for the width of a car (m)."""
     speeds: tuple[float, ...]
-    """km/h, tried from the lowest up"""
+    """Entry speeds (km/h), increasing."""
     tuned_at: float
-    """km/h, speed that the tuning was searched at"""
+    """Entry speed of the search for a tuning (km/h)."""
 
 
 LANE_CHANGES = {
     "iso3888-1": _Grid(iso_3888_1, tuple(range(60, 171, 2)), 80.0),
     "iso3888-2": _Grid(iso_3888_2, tuple(range(24, 91)), 45.0),
 }
-"""By name: the double lane change and the obstacle avoidance."""
+"""Tracks and entry speeds of the double lane change (part 1) and the obstacle avoidance (part 2), by name."""
 DEFAULT_CONTROLLERS = ("informed", "lqr", "pure-pursuit", "stanley")
 """The default controllers of `compare_entry_speeds`."""
 
@@ -269,15 +312,25 @@ def compare_entry_speeds(
     lane_change: str, cars: Sequence[str], profiles: Sequence[str], controllers: Sequence[str] | None = None, *,
     tuned: bool = True, progress: Callable[[str, int, int], None] | None = None,
 ) -> Iterator[EntrySpeed]:  # fmt: skip
-    """`entry_speed` of controllers on cars in profiles, with their default tuning and tuned for the track.
+    """Yield the `entry_speed` of every controller with every car in every profile.
 
-    lane_change: one of `LANE_CHANGES`; cars: see `load_setting`; controllers: registered names, by default
-    `DEFAULT_CONTROLLERS`; tuned: whether those in `SEARCHED` are also tuned; progress: called with (work, done, total).
+    Parameters
+    ----------
+    lane_change
+        One of `LANE_CHANGES`.
+    cars, profiles
+        Cars and profiles in the form of `load_setting`.
+    controllers
+        Registered names; None for `DEFAULT_CONTROLLERS`.
+    tuned
+        Whether controllers in `SEARCH_GRIDS` also drive with the result of `tune_for_track`.
+    progress
+        Function called with (car and controller, combinations done, combinations in all).
 
     Raises
     ------
     AdaptrackError
-        When a name is unknown, or a plant is not compiled.
+        For an unknown name, or a plant that is stepped in Python.
     """
     grid = LANE_CHANGES[lane_change]
     speeds = [speed / 3.6 for speed in grid.speeds]
@@ -292,6 +345,6 @@ def compare_entry_speeds(
                 progress(f"{setting.car.name}, {name}", i * len(names) + k, len(settings) * len(names))
             controller = setting.controller(name)
             yield entry_speed(test, name, controller, speeds)
-            if tuned and name in SEARCHED:
+            if tuned and name in SEARCH_GRIDS:
                 tuning, _ = tune_for_track(test, name, controller, grid.tuned_at / 3.6)
                 yield entry_speed(test, name, controller, speeds, tuning)

@@ -1,15 +1,15 @@
-"""The lane-change tracks of ISO 3888: gates of cones, a line through them, margins to the cones, highest clean speed.
+"""Lane-change tracks of ISO 3888: gates of cones, a line through them, clearance to the cones, highest clean speed.
 
-The tracks lie along x, the first cones at x = 0, the first lane's middle on y = 0, and swerve to the left. What could
-be read of ISO 3888-1:2018 and ISO 3888-2:2011 are scope and general text, not the tables; lengths and widths are those
-on which open programs agree (Project Chrono and others). Two things they do not agree on, and what is taken here:
+The tracks run along x and swerve to the left. The first cones stand at x = 0, and the first lane is centred on y = 0.
+The authors could read only scope and general text of ISO 3888-1:2018 and ISO 3888-2:2011, not the tables. Lengths and
+widths are therefore those on which open programs (Project Chrono and others) agree. They differ in two values:
 
-* Part 1, offset of 3.5 m: between the right edges of the lanes 1 and 3. (Chrono: from the middle of lane 1 to the right
-  edge of lane 3, which is half a lane's width more.)
-* Part 2, width of the last lane: 1.3 b + 0.25 m, at least 3 m. (Chrono: 3 m.)
+* Offset of 3.5 m in part 1: here between the right edges of lanes 1 and 3; in Chrono from the middle of lane 1 to the
+  right edge of lane 3, which is half a lane width more.
+* Width of the last lane in part 2: here 1.3 b + 0.25 m, but at least 3 m; in Chrono 3 m.
 
-The right edges of the first and the last lane are in line. A run is clean when the body touches no cone and stays
-within the lanes; driven off the throttle, from the first cones on.
+The right edges of the first and the last lane are in line. A run is clean if the body touches no cone and stays within
+the lanes. The car coasts from the first cones on.
 """
 
 from __future__ import annotations
@@ -37,28 +37,31 @@ Array = NDArray[np.float64]
 Pass = tuple[int, float, "Gate"]
 
 APPROACH, RUN_OUT = 60.0, 60.0
-"""m, straight road before the first and behind the last cones."""
+"""Lengths of straight road before the first cones and after the last cones (m)."""
 LINE_SPACING = 0.5
-"""m, between the points of the line through the gates."""
+"""Distance between the points of the line through the gates (m)."""
 SHARPNESS_LENGTH = 4.0
-"""m, weight of the change of curvature against the curvature in what that line minimises."""
+"""Weight of max |y'''| relative to max |y''| in the objective of the line (m)."""
 BEND_WEIGHT = 0.002
-"""Weight (1/m) of the integral of |y''| beside its largest value: the line does not weave where it need not."""
+"""Weight of the integral of |y''| relative to max |y''| in the objective (1/m). It prevents needless weaving."""
 CONE_ROOM = 0.1
-"""m, that it leaves between the body and the cones where it can."""
+"""Default distance between body and cones (m)."""
 GRIP_USE = 0.9
-"""Times mu g/v^2: `bend` of a line for a speed. Measured on four cars: with more they do not follow, with less the line
-passes the cones more closely than it must."""
+"""Curvature bound of a line at speed v divided by mu g/v^2.
+
+In tests with four cars, the cars cannot follow lines with a larger bound. A smaller bound brings the line needlessly
+close to the cones.
+"""
 MOST_ROOM = 0.15
-"""m, that it leaves at most."""
+"""Largest distance between body and cones of a line with a curvature bound (m)."""
 LEAST_ROOM = 0.07
-"""m, that it leaves even where that takes sharper bends than allowed."""
+"""Smallest distance between body and cones (m). The curvature bound is exceeded where necessary to keep it."""
 ROOM_WEIGHT, EXCESS_WEIGHT = 1.0, 1e3
-"""1/m^2 and 1: how much room counts against curvature (1/m) below and beyond the allowed one."""
+"""Weights in the objective of the distance to the cones (1/m^2), and of curvature above the bound (1)."""
 BEYOND_FAILING = 8
-"""Speeds of a grid, one after the other, that are not clean: then no faster one is tried."""
+"""Number of consecutive speeds that are not clean after which `scan_speeds` ends."""
 MARGIN_SPACING = 0.05
-"""m, between the places at which margins are looked at."""
+"""Distance between the positions at which clearances are computed (m)."""
 
 
 @dataclass(frozen=True)
@@ -66,54 +69,55 @@ class Gate:
     """One lane between cones."""
 
     start: float
-    """m, along x"""
+    """x at which the lane begins (m)."""
     end: float
-    """m, along the track"""
+    """x at which the lane ends (m)."""
     right: float
-    """m, y of the right limit: the cones stand beyond it and touch it"""
+    """y of the right limit of the lane (m), which the cones touch from outside."""
     left: float
-    """m, offset of the left cones from the track's centre line"""
+    """y of the left limit of the lane (m), which the cones touch from outside."""
 
     @property
     def width(self) -> float:
-        """Width between the cones (m)."""
+        """The width between the cones (m)."""
         return self.left - self.right
 
     @property
     def middle(self) -> float:
-        """m, y"""
+        """The y of the centre of the lane (m)."""
         return 0.5 * (self.left + self.right)
 
 
 @dataclass(frozen=True)
 class Track:
-    """Gates one after the other."""
+    """A sequence of gates."""
 
     name: str
     gates: tuple[Gate, ...]
 
     @property
     def length(self) -> float:
-        """m, from the first cones to the last"""
+        """The length from the first to the last cones (m)."""
         return self.gates[-1].end - self.gates[0].start
 
     @property
     def cones(self) -> Array:
-        """(4 gates, 2) m: the cones at the ends of every lane, as points on its limits."""
+        """The points x, y (m) at which cones touch the limits at the ends of every lane, (4 x gates, 2)."""
         return np.array(
             [(x, y) for gate in self.gates for x in (gate.start, gate.end) for y in (gate.right, gate.left)]
         )
 
 
 def iso_3888_1(width: float) -> Track:
-    """The double lane change of ISO 3888-1 for a car's width (m): 125 m.
+    """Return the double lane change of ISO 3888-1, 125 m long, for a car of width b (m).
 
-    Lanes of 15, 25 and 30 m with gaps of 30 and 25 m, 1.1 b + 0.25, 1.2 b + 0.25 and 1.3 b + 0.25 m wide.
+    The lanes are 15, 25 and 30 m long and 1.1 b + 0.25, 1.2 b + 0.25 and 1.3 b + 0.25 m wide. The gaps between them are
+    30 and 25 m long.
 
     Raises
     ------
     InvalidInput
-        When the width is not positive and at most 4 m.
+        Unless the width is positive and at most 4 m.
     """
     first, middle, last = (factor * _width(width) + 0.25 for factor in (1.1, 1.2, 1.3))
     right = -0.5 * first
@@ -128,15 +132,15 @@ def iso_3888_1(width: float) -> Track:
 
 
 def iso_3888_2(width: float) -> Track:
-    """The obstacle avoidance of ISO 3888-2 for a car's width (m): 61 m.
+    """Return the obstacle avoidance of ISO 3888-2, 61 m long, for a car of width b (m).
 
-    Lanes of 12, 11 and 12 m with gaps of 13.5 and 12.5 m, 1.1 b + 0.25, b + 1 and 1.3 b + 0.25 (at least 3) m wide, the
-    second 1 m to the left of the first.
+    The lanes are 12, 11 and 12 m long and 1.1 b + 0.25, b + 1 and 1.3 b + 0.25 (at least 3) m wide. The gaps between
+    them are 13.5 and 12.5 m long. The right limit of the second lane is 1 m to the left of the left limit of the first.
 
     Raises
     ------
     InvalidInput
-        When the width is not positive and at most 4 m.
+        Unless the width is positive and at most 4 m.
     """
     b = _width(width)
     first, middle, last = 1.1 * b + 0.25, b + 1.0, max(1.3 * b + 0.25, 3.0)
@@ -157,36 +161,42 @@ def _width(width: float) -> float:
     return float(width)
 
 
-# -- the line ---------------------------------------------------------------------------------------------------------
+# -- the line through the gates ---------------------------------------------------------------------------------------
 def track_road(
     track: Track, outline: Outline, room: float = CONE_ROOM, *, bend: float = math.inf, sideslip: float = 0.0
 ) -> Road:
-    """A road along which the body passes all gates: the line for a controller to follow.
+    """Return a road along which the body of a car passes all gates of a track.
 
-    The middles of the lanes ask for bends that no car can drive at speed; a driver uses the lanes' width. The line y(x)
-    minimises max |y''| + 4 m max |y'''|, and a little of all |y''|, while the corners, and the sides where they pass
-    cones, keep `room` to the limits: a linear programme in the small-angle form. It is straight until the centre of
-    mass is between the first cones, anywhere in that lane, and in the last 10 m. The road starts `APPROACH` before the
-    first cones; it is as wide as the gates, and 3.5 m more to both sides between them.
+    A line through the centres of the lanes would have bends that no car can drive at speed, so the line uses the width
+    of the lanes. The line y(x) minimises max |y''| + 4 m max |y'''| and, with a small weight, the integral of |y''|.
+    Its constraints are the distances of the corners to the lane limits, and of the sides to the cones. For small angles
+    this is a linear programme.
+
+    The line is straight until the centre of mass passes the first cones, and in its last 10 m. The road starts
+    `APPROACH` before the first cones. It is as wide as the gates, and between them wider by 3.5 m on both sides.
 
     Parameters
     ----------
+    track
+        Gates of the track.
+    outline
+        Outline of the body.
     room
-        m, between the body and the cones; with a `bend`, the most that is kept.
+        Distance between body and cones (m). With a finite `bend` it is the largest one.
     bend
-        1/m, > 0, bound on max |y''| + 4 m max |y'''|: the line keeps as much room as that allows. Where even
-        `LEAST_ROOM` needs more, it keeps that and bends more, but no more than it must. Infinite: the room is kept
-        whatever the bend.
+        Upper bound on max |y''| + 4 m max |y'''| (1/m). The distance to the cones is as large as the bound allows. If
+        it would be less than `LEAST_ROOM`, the line exceeds the bound by as little as possible to keep `LEAST_ROOM`. An
+        infinite value means no bound.
     sideslip
-        m, sideslip angle of the body over the curvature of the line: so much the body points out of the line.
+        Sideslip angle of the body divided by the curvature of the line (m).
 
     Raises
     ------
     InvalidInput
-        When the body does not fit between the cones with that room, or the bend is not positive.
+        When the body does not fit between the cones at this distance, or the bound is not positive.
     """
     if not real("track_road", "bend", bend) > 0.0:
-        raise InvalidInput(f"track_road: bend = {bend!r} 1/m: must be positive; inf: no bound.")
+        raise InvalidInput(f"track_road: bend = {bend!r} 1/m: must be positive; inf stands for no bound.")
     x = np.arange(track.gates[0].start - APPROACH, track.gates[-1].end + RUN_OUT + 0.5 * LINE_SPACING, LINE_SPACING)
     n = x.size
     least = room if math.isinf(bend) else min(room, LEAST_ROOM)
@@ -218,11 +228,21 @@ def track_road(
 
 
 def driven_line(track: Track, car: Vehicle, speed: float, friction: float = 0.9) -> Road:
-    """`track_road` for a car at a speed (m/s): as far from the cones as its grip allows there.
+    """Return `track_road` for a car at a speed: as far from the cones as its grip allows.
 
-    Bends are held to `GRIP_USE` mu g/v^2, and the body turns out of the line by the sideslip of a steady turn with
-    linear tyres, (l_r - m l_f v^2/(2 C_r L)) times the curvature (Rajamani, *Vehicle Dynamics and Control*, 2nd ed.,
-    section 3.2).
+    The curvature bound is `GRIP_USE` mu g/v^2. The sideslip angle is that of a steady turn with linear tyres,
+    (l_r - m l_f v^2/(2 C_r L)) times the curvature (Rajamani, *Vehicle Dynamics and Control*, 2nd ed., section 3.2).
+
+    Parameters
+    ----------
+    track
+        Gates of the track.
+    car
+        Car with its outline and tyres.
+    speed
+        Speed v (m/s).
+    friction
+        Friction coefficient mu.
 
     Raises
     ------
@@ -236,7 +256,10 @@ def driven_line(track: Track, car: Vehicle, speed: float, friction: float = 0.9)
 
 
 def _bends(n: int) -> csr_array:
-    """A u <= 0 in u = [y (n), |y''| (n), largest |y''|, largest |y'''|, room, excess]: what bounds the bends."""
+    """Return A of the constraints A u <= 0 on the derivatives of the line.
+
+    The unknowns u are [y (n), |y''| (n), max |y''|, max |y'''|, room, excess].
+    """
     second = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n)) / LINE_SPACING**2
     third = diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(n - 3, n)) / LINE_SPACING**3
     size, none = eye_array(n - 2, n), csr_array((n - 3, n))
@@ -249,26 +272,27 @@ def _bends(n: int) -> csr_array:
 
 
 def _cone_limits(passes: Sequence[Pass], outline: Outline, n: int, sideslip: float) -> tuple[csr_array, Array]:
-    """A u <= b, u as in `_bends`: the body between the cones, with the room."""
+    """Return A and b of the constraints A u <= b that keep the body between the cones, with u as in `_bends`."""
     rows, limits = np.zeros((2 * len(passes), 2 * n + 4)), np.empty(2 * len(passes))
-    for row, (place, ahead, gate) in enumerate(passes):
+    for row, (index, ahead, gate) in enumerate(passes):
         lean = ahead * sideslip / LINE_SPACING**2
         axis = (
             -0.5 * ahead / LINE_SPACING - lean,
             1.0 + 2.0 * lean,
             0.5 * ahead / LINE_SPACING - lean,
         )  # y + ahead (y' - sideslip y'')
-        for sign, side, at in ((1.0, gate.left, 2 * row), (-1.0, -gate.right, 2 * row + 1)):
-            rows[at, place - 1 : place + 2] = sign * np.array(axis)
-            rows[at, 2 * n + 2] = 1.0
-            limits[at] = side - 0.5 * outline.width
+        for sign, side, i in ((1.0, gate.left, 2 * row), (-1.0, -gate.right, 2 * row + 1)):
+            rows[i, index - 1 : index + 2] = sign * np.array(axis)
+            rows[i, 2 * n + 2] = 1.0
+            limits[i] = side - 0.5 * outline.width
     return csr_array(rows), limits
 
 
 def _passes(track: Track, outline: Outline, x: Array) -> list[Pass]:
-    """(grid point, distance ahead of it, gate): where a point of the body's axis must be within a gate.
+    """Return the points of the body's longitudinal axis that must lie within a gate.
 
-    Both ends of the body while they are in a lane, and what is beside the cones at the lane's ends.
+    Each is (index of the grid point of the centre of mass, distance ahead of it (m), gate). They are both ends of the
+    body while it is in a lane, and the points that pass the cones at the ends of the lane.
     """
     passes = []
     for gate in track.gates:
@@ -283,38 +307,43 @@ def _passes(track: Track, outline: Outline, x: Array) -> list[Pass]:
 
 
 def _widths(track: Track, road: Road) -> dict[str, tuple[list[float], list[float]]]:
-    """Left and right width along the road: to the cones within the gates, 3.5 m more between them."""
+    """Return left and right width along the road (m): up to the cones in the gates, 3.5 m more between the gates."""
     s = np.linspace(0.0, road.length, math.ceil(road.length / LINE_SPACING) + 1)
     line = road.at(s)
     widths: dict[str, tuple[list[float], list[float]]] = {}
     for name, sign, edge in (("width_left", 1.0, "left"), ("width_right", -1.0, "right")):
-        places, values = [], []
+        stations, values = [], []
         for gate in track.gates:
             start, end = np.interp([gate.start, gate.end], line.x, s)
             inside = np.concatenate([[start], s[(s > start + 0.01) & (s < end - 0.01)], [end]])
             width = np.maximum(sign * (getattr(gate, edge) - np.interp(inside, s, line.y)), 0.1)
-            places += [start - 0.01, *inside.tolist(), end + 0.01]
+            stations += [start - 0.01, *inside.tolist(), end + 0.01]
             values += [width[0] + LANE_WIDTH, *width.tolist(), width[-1] + LANE_WIDTH]
-        widths[name] = ([*map(float, places)], [*map(float, values)])
+        widths[name] = ([*map(float, stations)], [*map(float, values)])
     return widths
 
 
 def coasting_plan(track: Track, road: Road, car: Vehicle, speed: float) -> SpeedPlan:
-    """The speed along a track's road: constant up to the first cones, then falling without throttle.
+    """Return the speed along a track's road: constant up to the first cones, then coasting.
 
-    By drag and rolling resistance alone, m v dv/ds = -(rho A c_d v^2/2 + f m g); what the bends take is left out.
+    The car loses speed by drag and rolling resistance, m v dv/ds = -(rho A c_d v^2/2 + f m g). The cornering resistance
+    of the tyres is neglected.
 
     Parameters
     ----------
+    track
+        Gates of the track.
     road
-        Of `track_road`.
+        Road of `track_road`.
+    car
+        Car with its resistances.
     speed
-        m/s, on entry.
+        Entry speed (m/s).
 
     Raises
     ------
     InvalidInput
-        When the speed is not positive, or the car stands before the end of the road.
+        When the speed is not positive, or the car stops before the end of the road.
     """
     if not 0.0 < real("coasting_plan", "speed", speed) <= MAX_SPEED.most:
         raise InvalidInput(f"coasting_plan: speed = {speed!r} m/s: must be above 0 and at most {MAX_SPEED.most:g}.")
@@ -322,87 +351,95 @@ def coasting_plan(track: Track, road: Road, car: Vehicle, speed: float) -> Speed
     entry = float(np.interp(track.gates[0].start, road.at(s).x, s))
     drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass
     rolling = car.rolling_resistance * GRAVITY
-    gone = np.maximum(s - entry, 0.0)
+    coasted = np.maximum(s - entry, 0.0)
     if drag > 0.0:
-        square = speed**2 * np.exp(-2.0 * drag * gone) + rolling / drag * np.expm1(-2.0 * drag * gone)
+        square = speed**2 * np.exp(-2.0 * drag * coasted) + rolling / drag * np.expm1(-2.0 * drag * coasted)
     else:
-        square = speed**2 - 2.0 * rolling * gone
+        square = speed**2 - 2.0 * rolling * coasted
     if square.min() <= 0.0:
-        raise InvalidInput(f"coasting_plan: speed = {speed:g} m/s: the car stands before the end; enter faster.")
+        raise InvalidInput(f"coasting_plan: speed = {speed:g} m/s: the car stops before the end; enter faster.")
     v = np.sqrt(square)
     time = np.concatenate([[0.0], np.cumsum(np.diff(s) / (0.5 * (v[:-1] + v[1:])))])
     return SpeedPlan(s, v, time, float(time[-1]), False, Comfort())
 
 
-# -- margins ----------------------------------------------------------------------------------------------------------
+# -- clearance --------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Clearance:
-    """How near the body came to the limits and the cones; negative: beyond them."""
+    """Smallest distances of the body to lane limits and cones; negative if the body crosses them."""
 
     margins: tuple[float, ...]
-    """m, the least in each gate; -inf for one that was not driven through"""
+    """Smallest distance in each gate (m); -inf if the car did not drive through the gate."""
     least: float
-    """m, smallest clearance to a cone"""
+    """Smallest distance in all gates (m)."""
     place: float
-    """m, x of the centre of mass where it was"""
+    """x of the centre of mass at the smallest distance (m)."""
 
     @property
     def clean(self) -> bool:
-        """Whether the body touched nothing."""
+        """Whether the body touched no cone and no limit."""
         return self.least >= 0.0
 
 
 def clearance(track: Track, outline: Outline, x: ArrayLike, y: ArrayLike, yaw: ArrayLike) -> Clearance:
-    """The margins of a driven line to the gates of a track.
+    """Return the clearance of a driven line in the gates of a track.
 
-    Two things count: the distance of the corners that are in a lane to its limits, and the signed distance of the cones
-    at a lane's ends to the body, whose sides may touch them between the corners. Between the samples the car goes
-    straight; places every 5 cm are looked at.
+    The clearance is the smaller one of two distances:
+
+    - from the corners that are in a lane to its limits;
+    - from the body to the cones at the ends of the lanes, which its sides may touch between the corners.
+
+    The line is interpolated linearly every `MARGIN_SPACING`.
 
     Parameters
     ----------
-    x, y, yaw : (n,) array
-        m, m, rad (continuous), of the centre of mass in the track's axes, in the order driven.
+    track
+        Gates of the track.
+    outline
+        Outline of the body.
+    x, y, yaw
+        Poses of the centre of mass in the axes of the track (m, m, rad), in driving order, each (n,). The yaw angle is
+        continuous.
 
     Raises
     ------
     InvalidInput
-        When shapes differ, or there are fewer than two places.
+        For different shapes, or fewer than two poses.
     """
-    places = [np.asarray(values, dtype=np.float64) for values in (x, y, yaw)]
-    if places[0].ndim != 1 or places[0].size < 2 or any(values.shape != places[0].shape for values in places):
+    poses = [np.asarray(values, dtype=np.float64) for values in (x, y, yaw)]
+    if poses[0].ndim != 1 or poses[0].size < 2 or any(values.shape != poses[0].shape for values in poses):
         raise InvalidInput(
-            f"clearance: x, y, yaw have the shapes {[values.shape for values in places]}: must be (n,), n >= 2."
+            f"clearance: x, y, yaw have the shapes {[values.shape for values in poses]}: must be (n,), n >= 2."
         )
-    finite = np.isfinite(np.stack(places)).all(axis=0)
+    finite = np.isfinite(np.stack(poses)).all(axis=0)
     count = int(np.argmin(finite)) if not finite.all() else finite.size
     if count < 2:
         return Clearance((-math.inf,) * len(track.gates), -math.inf, math.nan)
-    cx, cy, turn = _finely(*(values[:count] for values in places))
+    cx, cy, turn = _resampled_poses(*(values[:count] for values in poses))
     corners = outline.corners_at(cx, cy, turn)
     least = [_gate_margin(gate, outline, (cx, cy, turn), corners) for gate in track.gates]
     worst = int(np.argmin([margin for margin, _ in least]))
     return Clearance(tuple(margin for margin, _ in least), *least[worst])
 
 
-def _finely(x: Array, y: Array, yaw: Array) -> tuple[Array, Array, Array]:
-    """The line with places every `MARGIN_SPACING`."""
-    gone = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-    even = np.linspace(0.0, gone[-1], max(2, math.ceil(gone[-1] / MARGIN_SPACING) + 1))
-    return np.interp(even, gone, x), np.interp(even, gone, y), np.interp(even, gone, yaw)
+def _resampled_poses(x: Array, y: Array, yaw: Array) -> tuple[Array, Array, Array]:
+    """Return the poses at equal distances of about `MARGIN_SPACING` along the line."""
+    distance = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    even = np.linspace(0.0, distance[-1], max(2, math.ceil(distance[-1] / MARGIN_SPACING) + 1))
+    return np.interp(even, distance, x), np.interp(even, distance, y), np.interp(even, distance, yaw)
 
 
 def _gate_margin(
-    gate: Gate, outline: Outline, places: tuple[Array, Array, Array], corners: Array
+    gate: Gate, outline: Outline, poses: tuple[Array, Array, Array], corners: Array
 ) -> tuple[float, float]:
-    """The least margin (m) in a gate and the x (m) of the centre of mass there."""
-    cx, cy, turn = places
+    """Return the smallest distance in a gate (m) and the x of the centre of mass there (m)."""
+    cx, cy, turn = poses
     if (
         corners[0, :, 0].min() > gate.start
         or corners[-1, :, 0].max() < gate.start
         or corners[:, 2:, 0].max() < gate.end
     ):
-        return -math.inf, float(cx[-1])  # not driven through, from one end to the other
+        return -math.inf, float(cx[-1])  # the car did not pass the whole gate
     inside = (corners[..., 0] >= gate.start) & (corners[..., 0] <= gate.end)
     room = np.minimum(gate.left - corners[..., 1], corners[..., 1] - gate.right)
     margin = np.where(inside, room, np.inf).min(axis=1)
@@ -414,7 +451,7 @@ def _gate_margin(
 
 
 def _distance_to_outline(outline: Outline, dx: Array, dy: Array, yaw: Array) -> Array:
-    """Signed distance (m) of points, given from the centre of mass, to the rectangle of the body; negative inside."""
+    """Return the distance from the body's rectangle to points dx, dy relative to the centre of mass (m), < 0 inside."""
     ahead = dx * np.cos(yaw) + dy * np.sin(yaw) - 0.5 * (outline.front - outline.rear)
     left = dy * np.cos(yaw) - dx * np.sin(yaw)
     beyond = np.abs(ahead) - 0.5 * outline.length, np.abs(left) - 0.5 * outline.width
@@ -424,37 +461,45 @@ def _distance_to_outline(outline: Outline, dx: Array, dy: Array, yaw: Array) -> 
 # -- the highest clean speed ------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class CleanSpeed:
-    """The result of the search."""
+    """Result of `scan_speeds`; speeds in m/s."""
 
     speed: float
-    """m/s, clean, as all lower ones of the grid are; NaN when not even its lowest is clean"""
+    """Highest speed up to which all speeds of the grid are clean; NaN if the lowest is not clean."""
     failing: float
-    """m/s, the lowest speed of the grid that was not clean; NaN when all are"""
+    """Lowest speed of the grid that is not clean; NaN if all are clean."""
     highest: float
-    """m/s, the highest clean speed of the grid, above `failing` by luck; NaN when none is clean"""
+    """Highest clean speed of the grid, which may lie above `failing`; NaN if none is clean."""
     clearances: dict[float, Clearance]
-    """by entry speed (m/s)"""
+    """Clearance by entry speed."""
 
 
 def scan_speeds(judge: Callable[[float], Clearance], speeds: Sequence[float]) -> CleanSpeed:
-    """Drive a grid of entry speeds (m/s), increasing, from its lowest up: a faster drive may be clean where one is not.
+    """Drive at increasing entry speeds and return the clean ones.
 
-    It ends when `BEYOND_FAILING` speeds one after the other were not clean.
+    The scan goes on after a speed that is not clean, since a higher one may be clean. It ends after `BEYOND_FAILING`
+    consecutive speeds that are not clean.
+
+    Parameters
+    ----------
+    judge
+        Function that drives at an entry speed (m/s) and returns the clearance.
+    speeds
+        Entry speeds (m/s), positive and increasing.
 
     Raises
     ------
     InvalidInput
-        When the speeds do not increase from above 0.
+        Unless the speeds are positive and increasing.
     """
     grid = [float(speed) for speed in speeds]
     if not grid or grid[0] <= 0.0 or any(b <= a for a, b in pairwise(grid)):
         raise InvalidInput(f"entry speeds = {speeds!r}: must increase from above 0 m/s.")
     clearances: dict[float, Clearance] = {}
-    row = 0
+    consecutive = 0
     for speed in grid:
         clearances[speed] = judge(speed)
-        row = 0 if clearances[speed].clean else row + 1
-        if row >= BEYOND_FAILING:
+        consecutive = 0 if clearances[speed].clean else consecutive + 1
+        if consecutive >= BEYOND_FAILING:
             break
     clean = [speed for speed, margin in clearances.items() if margin.clean]
     failing = min((speed for speed, margin in clearances.items() if not margin.clean), default=math.nan)

@@ -1,4 +1,4 @@
-"""Measures of a run in a comparison."""
+"""Measures of the runs of a comparison: cost, failure, errors and comfort."""
 
 from __future__ import annotations
 
@@ -20,28 +20,35 @@ RUN = {
     "steering_rate": "steering_rate_rms", "acceleration": "lateral_acceleration_r79", "jerk": "jerk_r79",
     "duration": "duration",
 }  # fmt: skip
-"""Measures of a run until its end or failure, and the `Metrics` that they are: m, m, m, m, rad/s, m/s^2, m/s^3,
-s."""
+"""Measures of a run up to its end or failure, with the name of each in `Metrics` and `path_metrics`.
+
+Units in this order: m, m, m, m, rad/s, m/s^2, m/s^3, s.
+"""
 
 
 def measure_runs(runs: RunSet, policy: Policy, seeds: Sequence[int], outline: Outline) -> list[list[dict[str, Any]]]:
-    """Drive every run with every noise seed, and measure it in full.
+    """Drive every run with every noise seed and return all measures.
 
-    outline: of the car, for the errors of its corners.
+    Parameters
+    ----------
+    runs, policy, seeds
+        As for `RunSet.trajectories`.
+    outline
+        Outline of the car, whose corners are measured.
 
     Returns
     -------
-    list
-        For each run and seed: `cost` (m^2), `failed`, `reason`, `failed_at` (s), and `RUN`; None where nothing can be
-        measured.
+    list of list of dict
+        For each run and seed `cost` (m^2), `failed`, `reason`, `failed_at` (s) and the measures of `RUN`; None for a
+        measure that does not exist.
     """
     return [
-        [_measured(run, PathRecord.from_trajectory(run), runs, outline) for run in road]
+        [_run_measures(run, PathRecord.from_trajectory(run), runs, outline) for run in road]
         for road in runs.trajectories(policy, seeds)  # type: ignore[arg-type]
     ]
 
 
-def _measured(run: Trajectory, record: PathRecord | None, runs: RunSet, outline: Outline) -> dict[str, Any]:
+def _run_measures(run: Trajectory, record: PathRecord | None, runs: RunSet, outline: Outline) -> dict[str, Any]:
     metrics = compute_metrics(run, failure=runs.failure)
     path = None if record is None else path_metrics(record, outline).as_row()
     return {
@@ -54,12 +61,12 @@ def _measured(run: Trajectory, record: PathRecord | None, runs: RunSet, outline:
 
 
 def as_cells(rows: Sequence[Sequence[dict[str, Any]]]) -> dict[str, NDArray[Any]]:
-    """By measure, (runs, seeds): the rows of `measure_runs`; NaN for None."""
+    """Return the result of `measure_runs` as an array (runs, seeds) for each measure, with NaN for None."""
     return {name: as_column([row[name] for road in rows for row in road]).reshape(len(rows), -1) for name in rows[0][0]}
 
 
 def as_column(values: Sequence[Any]) -> NDArray[Any]:
-    """Texts, or numbers with NaN for None."""
+    """Return values as an array of text, or of numbers with NaN for None."""
     if isinstance(values[0], str):
         return np.array(values)
     return np.array([np.nan if value is None else value for value in values], dtype=float)

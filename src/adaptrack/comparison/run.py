@@ -1,4 +1,4 @@
-"""Run a comparison on cars, roads and profiles: finished cells are kept in a folder."""
+"""Runs of a comparison on cars, roads and profiles; finished cells are stored in a folder."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from adaptrack.core.library import kernels_hash
 from adaptrack.tuning.constant_file import load_tuning
 
 REFERENCES = ("informed, tuned", "informed, default")
-"""Labels of the preferred reference of all ratios; without them the first contender."""
+"""Labels of preferred reference contenders. A comparison without them uses its first contender."""
 COMPARISON_FORMAT, COMPARISON_VERSION, RUNS_FILE = "adaptrack comparison", 1, "runs.parquet"
 MEASURE_UNITS = {
     "cost": "m^2", "failed": "-", "failed_at": "s", "rms_error": "m", "p95_error": "m", "max_error": "m",
@@ -36,20 +36,20 @@ MEASURE_UNITS = {
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Runs of a comparison."""
+    """Result of a comparison: all its runs."""
 
     task: ComparisonConfig
     cells: dict[Cell, dict[str, Any]]
-    """results of `run_cell`"""
+    """Result of `run_cell` for each cell."""
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
-        """All runs, see `cells.columns`."""
+        """The columns of all runs, see `cells.columns`."""
         return columns(list(self.cells.values()))
 
     @cached_property
     def profile_comparisons(self) -> dict[str, Comparison]:
-        """The table of each profile."""
+        """The comparison of the runs in each profile, by profile name."""
         columns = self.columns
         return {
             profile: Comparison.from_columns(
@@ -60,7 +60,7 @@ class Compared:
 
     @property
     def failed_runs(self) -> list[dict[str, Any]]:
-        """One row for each failed run: contender, car, profile, road, noise seed, reason, and the time (s)."""
+        """The rows of the failed runs: contender, car, profile, road, noise seed, reason and time of failure (s)."""
         return [
             {
                 "label": label_of(row["contender"], row["tuning"]),
@@ -73,11 +73,11 @@ class Compared:
 
     @property
     def left_out(self) -> dict[Cell, str]:
-        """Cells that were not driven, with the reason."""
+        """The cells that were not driven, with the reason."""
         return {cell: result["left_out"] for cell, result in self.cells.items() if result["left_out"]}
 
     def entry_speeds(self, profile: str) -> dict[str, dict[str, float]]:
-        """Highest clean entry speed into ISO 3888-2 (m/s) by contender and car; 0 if no speed is clean."""
+        """Return the highest clean entry speed into ISO 3888-2 (m/s) by contender and car, 0 if none is clean."""
         speeds: dict[str, dict[str, float]] = {}
         for cell, result in self.cells.items():
             if cell.profile == profile:
@@ -92,7 +92,7 @@ class Compared:
         Raises
         ------
         StorageError
-            When it cannot be written.
+            When the file cannot be written.
         """
         columns = [ParquetColumn(name, MEASURE_UNITS.get(name, "-"), values) for name, values in self.columns.items()]
         metadata = {"task": self.task.model_dump(mode="json"), "adaptrack": __version__}
@@ -102,9 +102,16 @@ class Compared:
 def run_comparison(
     task: ComparisonConfig, out: str | os.PathLike[str] | None = None, *, progress: ProgressCall | None = None
 ) -> Compared:
-    """Drive a comparison; with a folder, cells that are there with the same identity are read, not driven again.
+    """Drive all cells of a comparison.
 
-    progress: called with (cell, cells done, cells).
+    Parameters
+    ----------
+    task
+        Configuration of the comparison.
+    out
+        Folder for the results. Cells that it already contains for equal settings are read instead of driven.
+    progress
+        Function called with (cell, cells done, cells in all).
 
     Raises
     ------
@@ -128,7 +135,7 @@ def run_comparison(
 
 @dataclass(frozen=True)
 class _CellFile:
-    """The file of a cell: its result as JSON, with the hash of everything that the result depends on."""
+    """JSON file with the result of a cell and the hash of everything that the result depends on."""
 
     path: Path
     identity: str
@@ -141,7 +148,7 @@ class _CellFile:
         return cls(path, hashlib.sha256(text.encode()).hexdigest())
 
     def load(self) -> dict[str, Any] | None:
-        """The result, or None if there is none of this identity."""
+        """Return the stored result, or None if there is no file or its hash differs."""
         if not self.path.exists():
             return None
         content = read_json(self.path)
@@ -158,7 +165,7 @@ class _CellFile:
 
 
 def _cell_settings(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
-    """Everything but the software that the result of a cell depends on."""
+    """Return everything that the result of a cell depends on, except the software."""
     settings = task.model_dump(mode="json", exclude={"name", "contenders", "cars", "profiles"})
     setting = load_setting(cell.car, cell.profile)
     settings |= asdict(cell) | {

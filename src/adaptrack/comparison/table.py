@@ -1,7 +1,7 @@
-"""The table of a comparison: one cell for each contender, car, road and noise seed, and its statistics.
+"""Table of a comparison, with one entry for each contender, car, road and noise seed, and its statistics.
 
-Everything that compares contenders fills such a table, and says from it who is better, by how much, and how sure that
-is: a mean over the noise seeds, a geometric mean of ratios over cars and roads, and an interval that draws these anew.
+Contenders are compared in three steps: the mean of a measure over the noise seeds, the geometric mean of the ratio to a
+reference contender over cars and roads, and a bootstrap interval that resamples cars and roads.
 """
 
 from __future__ import annotations
@@ -22,27 +22,30 @@ from adaptrack.drive.failure import Failure
 Array = NDArray[np.float64]
 
 CELL_AXES = ("car", "road", "seed")
-"""Of the cells of one contender."""
+"""Axes of the entries of one contender."""
 
 
 @dataclass(frozen=True)
 class ContenderRole:
-    """Controller and kind of a contender, for tables."""
+    """Properties of a contender, for tables."""
 
     controller: str = "mpc"
+    """Name of the controller."""
     adapts: bool = True
+    """As `Contender.adapts`."""
     hindsight: bool = False
+    """As `Contender.hindsight`."""
     tuning: str = ""
-    """default, tuned, scheduled, or the file of a tuning"""
+    """Kind of tuning: "default", "tuned", "scheduled", or the file of a tuning."""
 
 
 def check_names(contenders: Sequence[str], reference: str) -> None:
-    """Refuse contenders of one name, and a reference that is none of them.
+    """Refuse equal names of contenders, and a reference that is no contender.
 
     Raises
     ------
     InvalidInput
-        With the names.
+        The message gives the names.
     """
     if len(set(contenders)) < len(contenders):
         raise InvalidInput(f"contenders: {', '.join(contenders)}: two have the same name.")
@@ -51,7 +54,7 @@ def check_names(contenders: Sequence[str], reference: str) -> None:
 
 
 def label_of(contender: str, tuning: str) -> str:
-    """The label of a contender with a tuning: default, tuned, scheduled, or the file of a tuning."""
+    """Return the label of a contender with a kind of tuning, see `ContenderRole.tuning`."""
     return contender if tuning == "scheduled" else f"{contender}, {tuning}"
 
 
@@ -62,33 +65,35 @@ class Comparison:
     contenders: tuple[str, ...]
     cars: tuple[str, ...]
     roads: tuple[str, ...]
-    """roads, scenarios, operating points or random drives; two may have one name"""
+    """Names of roads, scenarios, operating points or random drives; they may repeat."""
     seeds: tuple[int, ...]
-    """of the noise"""
+    """Seeds of the sensor noise."""
     cells: Mapping[str, NDArray[Any]]
-    """by measure, (contenders, cars, roads, seeds); NaN where nothing was driven or could be measured. In any case:
-    `cost` (m^2, J; a failed run as the square of the distance at which it fails) and `failed` (0 or 1, or the share of
-    seeds that are not distinguished). Of runs measured in full also those of `measures.RUN`."""
+    """Entries by measure, (contenders, cars, roads, seeds), with NaN for missing runs or measures.
+
+    - `cost`: J (m^2); for a failed run the failure distance squared.
+    - `failed`: 0 or 1, or the share of failed seeds if the seeds are not separate.
+    - Optionally the measures of `measures.RUN`.
+    """
     reference: str
-    """the contender that ratios are taken to"""
+    """Contender that ratios refer to."""
     roles: Mapping[str, ContenderRole] = field(default_factory=dict)
-    """by contender"""
+    """Properties by contender."""
     overall: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """by contender, what is measured over the steps of all its runs: shares in which a schedule's inputs were clipped,
-    its guard stepped in, ...; `measures.OVERALL`"""
+    """Shares of all control steps by contender and counter, such as those in which a guard changed the tuning."""
     where: Array = field(default_factory=lambda: np.empty((0, 0)))
-    """(roads, k) numbers that tell the roads apart: operating points, or the numbers of drives"""
+    """Coordinates of the roads, (roads, k): operating points, or the numbers of the drives."""
     over: tuple[str, ...] = ("road",)
-    """the axes that an interval draws; a measure is averaged over the others first"""
+    """Axes that the bootstrap resamples. A measure is first averaged over the other axes."""
     failure: Failure = field(default_factory=Failure)
-    """when a run has failed"""
+    """Rule by which a run fails."""
     _tables: dict[tuple[str, str], Array] = field(default_factory=dict, init=False, repr=False)
     _ratios: dict[tuple[str, str, str], Ratio] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         check_names(self.contenders, self.reference)
 
-    # -- made of ------------------------------------------------------------------------------------------------------
+    # -- constructors -------------------------------------------------------------------------------------------------
     @classmethod
     def from_runs(
         cls, runs: Mapping[str, Mapping[str, ArrayLike]], reference: str, *, car: str = "",
@@ -96,9 +101,18 @@ class Comparison:
         roles: Mapping[str, ContenderRole] | None = None, overall: Mapping[str, Mapping[str, float]] | None = None,
         over: tuple[str, ...] = ("road",), failure: Failure | None = None,
     ) -> Comparison:  # fmt: skip
-        """Make a comparison on one car; runs: by contender and measure, (roads, seeds) or (roads,).
+        """Return a comparison on one car.
 
-        roads, seeds: by default their numbers; where: by default the numbers of the roads; the rest: see the fields.
+        Parameters
+        ----------
+        runs
+            Entries by contender and measure, each (roads, seeds) or (roads,).
+        reference, car, roles, overall, over, failure
+            See the fields.
+        roads, seeds
+            Names of the roads and noise seeds; None for their indices.
+        where
+            Coordinates of the roads, (roads, k); None for their indices.
         """
         arrays = {
             contender: {name: np.asarray(values) for name, values in measures.items()}
@@ -119,9 +133,14 @@ class Comparison:
 
     @classmethod
     def from_columns(cls, columns: Mapping[str, NDArray[Any]], preferred: Sequence[str] = ()) -> Comparison:
-        """Make a comparison from rows of runs; columns: (runs,): contender, tuning, car, road, seed, measures.
+        """Return a comparison from the columns of its runs.
 
-        preferred: the first of these that drove is the reference, else the first contender.
+        Parameters
+        ----------
+        columns
+            Columns "contender", "tuning", "car", "road", "seed" and measures by name, each (runs,).
+        preferred
+            Labels of preferred references. The first one among the contenders is used, otherwise the first contender.
         """
         pairs = list(zip(columns["contender"].tolist(), columns["tuning"].tolist(), strict=True))
         roles = {
@@ -129,16 +148,16 @@ class Comparison:
             for contender, tuning in dict.fromkeys(pairs)
         }
         positions = {(role.controller, role.tuning): i for i, role in enumerate(roles.values())}
-        labels, at = {}, [np.array([positions[pair] for pair in pairs])]
+        labels, indices = {}, [np.array([positions[pair] for pair in pairs])]
         for axis in CELL_AXES:
-            labels[axis], places = np.unique(columns[axis], return_inverse=True)
-            at.append(places)
+            labels[axis], axis_indices = np.unique(columns[axis], return_inverse=True)
+            indices.append(axis_indices)
         shape = (len(roles), *(len(labels[axis]) for axis in CELL_AXES))
         cells = {}
         for name in set(columns) - {"contender", "tuning", "profile", *CELL_AXES}:
-            texts = columns[name].dtype.kind == "U"
-            cells[name] = np.full(shape, "", columns[name].dtype) if texts else np.full(shape, np.nan)
-            cells[name][tuple(at)] = columns[name]
+            is_text = columns[name].dtype.kind == "U"
+            cells[name] = np.full(shape, "", columns[name].dtype) if is_text else np.full(shape, np.nan)
+            cells[name][tuple(indices)] = columns[name]
         reference = next((label for label in preferred if label in roles), next(iter(roles), ""))
         cars, roads, seeds = (labels[axis].tolist() for axis in CELL_AXES)
         over = ("seed",) if len(cars) * len(roads) == 1 else ("car", "road")
@@ -146,20 +165,20 @@ class Comparison:
 
     # -- statistics ---------------------------------------------------------------------------------------------------
     def of(self, name: str, measure: str) -> NDArray[Any]:
-        """(cars, roads, seeds) a measure of a contender's runs."""
+        """Return a measure of a contender's runs, (cars, roads, seeds)."""
         return np.asarray(self.cells[measure][self.contenders.index(name)])
 
     def table(self, name: str, measure: str = "cost") -> Array:
-        """A measure of a contender along the axes `over`, mean over the others; NaN where it did not drive.
+        """Return a measure of a contender along the axes `over`, averaged over the other axes.
 
-        Of an error (m) a failed run counts as the distance at which it fails.
+        Missing runs are NaN. Measures other than `cost` and `failed` are set to the failure distance in failed runs.
         """
         if (name, measure) not in self._tables:
             values = self.of(name, measure)
             if measure not in ("cost", "failed"):
                 values = np.where(self.of(name, "failed") > 0.0, self.failure.distance, values)
-            there = np.isfinite(values)
-            total, count = np.where(there, values, 0.0), there.astype(float)
+            present = np.isfinite(values)
+            total, count = np.where(present, values, 0.0), present.astype(float)
             for axis in reversed(range(len(CELL_AXES))):
                 if CELL_AXES[axis] not in self.over:
                     total, count = total.sum(axis=axis), count.sum(axis=axis)
@@ -168,25 +187,25 @@ class Comparison:
 
     @property
     def costs(self) -> dict[str, Array]:
-        """By contender, m^2, `table` of the cost."""
+        """The `table` of the cost (m^2) by contender."""
         return {name: self.table(name) for name in self.contenders}
 
     @property
     def failures(self) -> dict[str, Array]:
-        """By contender, the share of the noise seeds with which it failed."""
+        """The share of noise seeds with a failure, by contender."""
         return {name: self.table(name, "failed") for name in self.contenders}
 
     def regret(self, name: str) -> Array:
-        """The cost over the reference's."""
+        """Return the cost of a contender divided by that of the reference, along the axes `over`."""
         return self.table(name) / self.table(self.reference)
 
     def ratio(self, name: str, other: str, measure: str = "cost") -> Ratio:
-        """The geometric mean of a measure over another contender's, where both drove, and its 95 % interval.
+        """Return the geometric mean of the ratio of a measure to that of another contender, with its 95 % interval.
 
         Raises
         ------
         InvalidInput
-            When they drove nothing in common.
+            When the contenders have no run in common.
         """
         key = name, other, measure
         if key not in self._ratios:
@@ -194,44 +213,44 @@ class Comparison:
         return self._ratios[key]
 
     def mean_ratio(self, name: str, other: str) -> float:
-        """That of the cost without the interval."""
+        """Return the geometric mean of the ratio of the cost to that of another contender."""
         return geometric_mean(_finite_values(self.table(name) / self.table(other)))
 
     def ranks(self, measure: str = "rms_error") -> dict[str, int]:
-        """1 + the number of others that are better with an interval below 1; equal ranks are level."""
+        """Return the rank of each contender: 1 + number of contenders that are better with 95 % confidence.
+
+        A contender is better if the interval of its ratio to the ranked one lies below 1. Several may share a rank.
+        """
         return {
             name: 1 + sum(self.ratio(other, name, measure).high < 1.0 for other in self.contenders if other != name)
             for name in self.contenders
         }
 
-    # -- who ----------------------------------------------------------------------------------------------------------
+    # -- contenders ---------------------------------------------------------------------------------------------------
     def role(self, name: str) -> ContenderRole:
-        """Controller and kind of a contender."""
+        """Return the properties of a contender."""
         return self.roles.get(name, ContenderRole())
 
     @property
     def adaptive(self) -> list[str]:
-        """The contenders whose tuning changes, and not by hindsight."""
+        """The names of the contenders that adapt and were not optimised in hindsight."""
         return [name for name in self.contenders if self.role(name).adapts and not self.role(name).hindsight]
 
     # -- rows ---------------------------------------------------------------------------------------------------------
     def rows(self) -> list[dict[str, Any]]:
-        """One row for each contender: cost, regret and its spread, a 95 % bootstrap interval of its mean, failures.
-
-        `views` has what tables of other kinds show.
-        """
+        """Return one row for each contender: cost, regret with its 95 % interval and percentiles, and failures."""
         return [self._row(name) for name in self.contenders]
 
     def _row(self, name: str) -> dict[str, Any]:
-        over, costs = self.ratio(name, self.reference), _finite_values(self.table(name))
+        regret, costs = self.ratio(name, self.reference), _finite_values(self.table(name))
         return {
             "contender": name,
             "controller": self.role(name).controller,
             "runs": len(costs),
             "cost_geomean": geometric_mean(costs),
-            "regret_geomean": over.mean,
-            "regret_low": over.low,
-            "regret_high": over.high,
+            "regret_geomean": regret.mean,
+            "regret_low": regret.low,
+            "regret_high": regret.high,
             **{f"regret_{key}": value for key, value in regret_percentiles(_finite_values(self.regret(name))).items()},
             "failures": int((self.table(name, "failed") > 0.0).sum()),
             **self.overall.get(name, {}),
@@ -241,26 +260,26 @@ class Comparison:
         return f"<Comparison of {len(self.contenders)} contenders on {self.table(self.reference).size} runs>"
 
     def plot(self) -> Any:
-        """Each contender's cost over the reference's with its 95 % interval, as a matplotlib figure."""
+        """Return a matplotlib figure of the cost ratio of each contender to the reference, with 95 % intervals."""
         return figure_of(self)
 
     def _repr_html_(self) -> str:
-        """The comparison in a notebook."""
+        """Return the HTML form of the comparison for a notebook."""
         return html_of(self)
 
 
 def _finite_values(values: Array) -> Array:
-    """(n,) those that are there."""
+    """Return the finite values, (n,)."""
     return values[np.isfinite(values)]
 
 
 def _plain(values: Any) -> Any:
-    """Nested lists for strict JSON: NaN as None."""
+    """Return nested lists with None instead of NaN, as strict JSON needs."""
     if isinstance(values, list):
         return [_plain(value) for value in values]
     return None if isinstance(values, float) and not math.isfinite(values) else values
 
 
 def finite(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows ready for strict JSON."""
+    """Return rows for strict JSON, with None instead of NaN."""
     return [{key: _plain(value) for key, value in row.items()} for row in rows]

@@ -1,4 +1,4 @@
-"""Tune a controller on given roads, and judge the tuning with noise that the search did not use."""
+"""Tuning of a controller for specified roads, and its test with noise that the search did not use."""
 
 from __future__ import annotations
 
@@ -14,30 +14,34 @@ from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison
 from adaptrack.control.controllers import MPC, Controller, about_controller, list_controllers
 from adaptrack.drive.world import ROAD_DRIVER
-from adaptrack.tuning.constant import Sought, seek_constant, swarm_within
+from adaptrack.tuning.constant import ConstantSearch, search_constant, swarm_within
 from adaptrack.tuning.constant_file import ConstantTuning
 from adaptrack.tuning.pso import SwarmSettings
 from adaptrack.tuning.runs import RunSet
 from adaptrack.tuning.spaces import search_space
 
 SEARCH_SEEDS = (1000, 1001)
-"""Noise seeds of the search; those of every judgement count from 0."""
-JUDGEMENT_SEEDS = (0, 1, 2)
+"""Noise seeds of the search. Tests use seeds from 0 upwards."""
+TEST_SEEDS = (0, 1, 2)
+"""Noise seeds of the test."""
 RANDOM_DRIVE_DURATION = 60.0
-"""s of random drives."""
+"""Duration of random drives (s)."""
 
 
 @dataclass(frozen=True, eq=False)
 class TunedOnRoads:
-    """A tuning that a search found on given roads."""
+    """Result of `tune_on_roads`."""
 
     file: ConstantTuning
-    search: Sought
+    """Content of the tuning file."""
+    search: ConstantSearch
+    """Result of the search."""
     judgement: Comparison
-    """of the contenders "default" and "tuned" """
+    """Test of the contenders "default" and "tuned"."""
     loops: int
-    """closed loops of the search"""
+    """Number of simulated drives of the search."""
     seconds: float
+    """Computation time (s)."""
 
 
 def tune_on_roads(
@@ -45,33 +49,35 @@ def tune_on_roads(
     loops: int | None = None, prescribed_speed: bool = False, command: str = "",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> TunedOnRoads:  # fmt: skip
-    """Find the tuning of a controller with the lowest mean cost on given roads.
+    """Find the tuning of a controller with the lowest mean cost on specified roads.
 
     Parameters
     ----------
+    setting
+        Car, plant and profile.
     roads
-        See `load_drive`.
-    length
-        m, of generated roads.
+        Roads in the form of `ComparisonConfig.roads`.
     controller
-        Registered name.
+        Registered name of the controller.
+    length
+        Length of generated roads (m).
     loops
-        Closed loops that the search may drive; by default 300 tunings on each road and noise seed.
+        Largest number of simulated drives of the search; None for 300 tunings on each road with each noise seed.
     prescribed_speed
         Whether the car follows its planned speed exactly, without forces along the road.
     command
-        The command line, for the file.
+        Command line, which is stored in the file.
     progress
-        Called with (what, generations done, generations).
+        Function called with (stage, steps done, steps in all).
 
     Raises
     ------
     InvalidInput
-        When the controller has no tuning to search, or the loops are too few.
+        For a controller without a search space, or too few drives.
     """
-    show = progress or (lambda work, steps, of: None)
-    begun = time.perf_counter()
-    driver = _tunable_controller(setting, controller)
+    report = progress or (lambda stage, steps_done, steps: None)
+    start_time = time.perf_counter()
+    default_controller = _tunable_controller(setting, controller)
     drives = [load_drive(name, setting.car, length, RANDOM_DRIVE_DURATION) for name in dict.fromkeys(roads)]
     runs = RunSet(
         setting.plant, MPC(setting.car, profile=setting.profile, preview=True), drives, setting.profile,
@@ -79,25 +85,26 @@ def tune_on_roads(
     )  # fmt: skip
     loops_per_tuning = len(runs) * len(SEARCH_SEEDS)
     swarm = SwarmSettings() if loops is None else swarm_within(loops, loops_per_tuning)
-    search = seek_constant(
-        runs, driver, swarm, noise_seeds=SEARCH_SEEDS, progress=partial(show, f"tune {controller}")
+    search = search_constant(
+        runs, default_controller, swarm, noise_seeds=SEARCH_SEEDS, progress=partial(report, f"tune {controller}")
     )  # fmt: skip
-    show("speeds that the tuning can hold", 0, 1)
+    report("speeds at which the tuning is stable", 0, 1)
     file = ConstantTuning(
-        controller=controller, belief=driver.belief_at_first, vehicle=setting.car.name, profile=setting.profile.name,
-        period=setting.profile.period, roads=tuple(str(drive.name) for drive in drives), noise_seeds=SEARCH_SEEDS,
-        command=command, tuning=search.tuning,
-    ).holding(setting.car, setting.profile)  # fmt: skip
-    pair = [Contender("default", driver), Contender("tuned", driver.with_tuning(search.tuning))]
-    show("judgement", 0, 1)
-    judgement = compare(runs, pair, JUDGEMENT_SEEDS, "default", outline=setting.car.outline)
+        controller=controller, belief=default_controller.belief_at_first, vehicle=setting.car.name,
+        profile=setting.profile.name, period=setting.profile.period, roads=tuple(str(drive.name) for drive in drives),
+        noise_seeds=SEARCH_SEEDS, command=command, tuning=search.tuning,
+    ).with_holdable_speed(setting.car, setting.profile)  # fmt: skip
+    tuned_controller = default_controller.with_tuning(search.tuning)
+    contenders = [Contender("default", default_controller), Contender("tuned", tuned_controller)]
+    report("test", 0, 1)
+    judgement = compare(runs, contenders, TEST_SEEDS, "default", outline=setting.car.outline)
     return TunedOnRoads(
-        file, search, judgement, swarm.evaluations * loops_per_tuning, time.perf_counter() - begun
+        file, search, judgement, swarm.evaluations * loops_per_tuning, time.perf_counter() - start_time
     )  # fmt: skip
 
 
 def _tunable_controller(setting: ControllerSetting, name: str) -> Controller:
-    """The controller with its default tuning; refused if it has no search space."""
+    """Return a controller with its default tuning; raises `InvalidInput` if it has no search space."""
     if not about_controller(name).tunable:
         tunable = ", ".join(other for other in list_controllers() if about_controller(other).tunable)
         raise InvalidInput(f"--controller {name}: its tuning is fixed; tunable controllers: {tunable}.")

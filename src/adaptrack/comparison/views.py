@@ -1,4 +1,4 @@
-"""The ranking of contenders in a comparison whose runs are measured in full."""
+"""Ranking of contenders in a comparison with all measures of `measures.RUN`."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ from adaptrack.comparison.table import Comparison
 
 
 def standing_rows(comparison: Comparison) -> list[dict[str, Any]]:
-    """One row for each contender, from the best RMS error to the worst.
+    """Return one row for each contender, sorted by the rank of its RMS error.
 
-    Ratios to the reference with their intervals, ranks (see `Comparison.ranks`); RMS of the runs' RMS errors, median of
-    their 95th percentiles, largest corner error (m), RMS steering rate (rad/s), 95th percentile of the lateral
-    accelerations and jerks (m/s^2, m/s^3).
+    A row contains, over all runs of the contender:
+
+    - the rank (see `Comparison.ranks`), and the ratios of RMS error and cost to the reference with their intervals;
+    - the RMS of the RMS errors, the median of the 95th percentiles of the error and the largest corner error (m);
+    - the RMS steering rate (rad/s);
+    - the 95th percentiles of lateral acceleration (m/s^2) and jerk (m/s^3);
+    - the numbers of runs and failures.
     """
     ranks = comparison.ranks()
     rows = [_standing(comparison, name, ranks[name]) for name in comparison.contenders]
@@ -23,11 +27,11 @@ def standing_rows(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def _standing(comparison: Comparison, name: str, rank: int) -> dict[str, Any]:
-    over, cost = comparison.ratio(name, comparison.reference, "rms_error"), comparison.ratio(name, comparison.reference)
+    rms, cost = comparison.ratio(name, comparison.reference, "rms_error"), comparison.ratio(name, comparison.reference)
     role, failed = comparison.role(name), comparison.of(name, "failed")
     return {
         "contender": role.controller, "tuning": role.tuning, "label": name, "rank": rank,
-        "rms_ratio": over.mean, "rms_low": over.low, "rms_high": over.high,
+        "rms_ratio": rms.mean, "rms_low": rms.low, "rms_high": rms.high,
         "cost_ratio": cost.mean, "cost_low": cost.low, "cost_high": cost.high,
         "rms_error": _rms(comparison.of(name, "rms_error")),
         "p95_error": _percentile(comparison.of(name, "p95_error"), 50.0),

@@ -69,7 +69,7 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
     def from_profile(cls, profile: Profile, drifts: Drifts | None = None) -> KalmanFilter:
         """For the sensors of a profile, see `core.synthesis.filter.sensor_noise`."""
         noise = row_of(kernel.Noise)
-        kernel.sensor_noise(profile.numbers(profile.period), noise)
+        kernel.sensor_noise(profile.controller_world(profile.period), noise)
         return cls(SensorNoise.from_row(noise), drifts or Drifts(), oldest=profile.oldest)
 
     @property

@@ -1,4 +1,4 @@
-"""Many runs at once, compiled and vectorised."""
+"""Batches of compiled runs, vectorised over the runs."""
 
 from __future__ import annotations
 
@@ -32,40 +32,43 @@ from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
-BatchPlant = Annotated[Plant, Hint("simulate(...) drives a stepped one")]
+BatchPlant = Annotated[Plant, Hint("simulate(...) drives a SteppedPlant")]
 
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """Measures of `rollout_batch`, one entry per run; arrays of shape (runs,)."""
+    """Result of `rollout_batch`: measures as arrays of shape (runs,), one entry per run."""
 
     mse: Array
-    """m^2, mean over the control instants of (Y - y_ref)^2; inf when the run has failed"""
+    """Mean of (Y - y_ref)^2 over the control instants (m^2); inf for a failed run."""
     mean_squared_move: Array
-    """rad^2, mean of the squared changes of the command"""
+    """Mean of the squared changes of the command (rad^2)."""
     max_abs_error: Array
-    """Largest |error| (m)."""
+    """Largest |Y - y_ref| (m)."""
     failed: NDArray[np.object_]
-    """why a run failed (`failure.Reason`), None where it did not"""
+    """Reason of a failed run (`failure.Reason`); None for a completed run."""
     failed_at: Array
-    """s, NaN where it did not"""
+    """Time of the failure (s); NaN for a completed run."""
     steps: NDArray[np.int64]
-    """control steps done"""
+    """Number of completed control steps."""
     qp_capped: NDArray[np.int64]
-    """steps whose QP stopped at its cap"""
+    """Number of steps whose QP solver stopped at its iteration limit."""
     qp_failed: NDArray[np.int64]
-    """steps whose QP had no solution (infeasible, not finite, not convex)"""
+    """Number of steps whose QP had no solution (infeasible, not finite or not convex)."""
     held: NDArray[np.int64]
-    """steps without a new answer: the last plan was followed, or the angle held"""
+    """Number of steps without a new solution: the car followed the last plan, or kept its last steering angle."""
     limited: NDArray[np.int64]
-    """steps at a limit"""
+    """Number of steps with an active limit."""
     qp_iterations: NDArray[np.int64]
-    """of the QP solver, in all steps"""
+    """Iterations of the QP solver in all steps."""
     scheduler: dict[str, NDArray[np.int64]]
-    """Counters of the scheduler by name, see `core.guard.COUNTS`; empty without one."""
+    """Counters of the scheduler by name (`core.guard.COUNTS`); empty without a scheduler."""
 
     def cost(self, move_weight: float = 0.0) -> Array:
-        """J = mean e^2 + move_weight * mean (change of command)^2, the cost that tuning minimises; inf when failed."""
+        """Return the cost of tuning, J = mean e^2 + move_weight * mean (change of command)^2 (m^2).
+
+        It is inf for failed runs; move_weight: m^2/rad^2.
+        """
         return self.mse + move_weight * self.mean_squared_move
 
 
@@ -84,45 +87,69 @@ def rollout_batch(
     failure: Failure | None = None,
     threads: int | None = None,
 ) -> BatchResult:
-    """Drive many runs at once, compiled: run i drives scenario `scenario_indices[i]` with tunings[i] and seeds[i].
+    """Simulate many compiled runs in parallel. The result of a run does not depend on other runs or on `threads`.
 
-    controller: an `MPC`, or any compiled controller; tunings: (runs, entries) of its named tuning entries (Np, Nc, Q, R
-    of an MPC, the horizons rounded and clamped to 1 <= Nc <= Np <= longest_horizon and most_moves); without them every
-    run has the MPC's scheduler, or the controller's tuning; scenario_indices: (runs,), by default 0, without tunings
-    one run for each scenario; seeds: noise seeds, one or one per run; threads: None for all cores. A run's
-    result does not depend on the others, nor on the number of threads.
+    Run i drives scenario ``scenario_indices[i]`` with ``tunings[i]`` and ``seeds[i]``.
+
+    Parameters
+    ----------
+    plant
+        Simulated car; a compiled plant.
+    controller
+        An `MPC` or another compiled controller.
+    scenarios
+        One scenario or road drive, or several.
+    tunings : (runs, entries) array, optional
+        Values of ``controller.tuning_names``, which are Np, Nc, Q and R for an MPC. Its horizons are rounded and
+        limited to 1 <= Nc <= Np, to its longest horizon and to its largest number of moves. By default each run uses
+        the scheduler of the MPC, or the tuning of the controller.
+    scenario_indices : (runs,) array, optional
+        Index of each run's scenario. By default one run per scenario without `tunings`, and index 0 with them.
+    profile
+        Steering, sensors and computation time, see `Profile`.
+    driver
+        Longitudinal driver; None to follow the speed reference exactly.
+    seeds : int or (runs,) array
+        Seed of the sensor noise.
+    known_as
+        Friction and wind that a scheduler receives, see `KnownAs`.
+    failure
+        Limits beyond which a run fails; by default those of the car.
+    threads
+        Number of threads; None for one per core.
 
     Raises
     ------
     InvalidInput
-        When shapes do not fit, a tuning is not finite, tunings meet a scheduler, or a part needs Python at every step.
+        When shapes do not match, a tuning is not finite, tunings are given for an MPC with a scheduler, or a component
+        needs Python at every step.
     """
-    several = [scenarios] if isinstance(scenarios, Scenario | RoadDrive) else scenarios
-    batch = Batch(plant, controller, several, profile, driver, failure, known_as)
+    scenario_list = [scenarios] if isinstance(scenarios, Scenario | RoadDrive) else scenarios
+    batch = Batch(plant, controller, scenario_list, profile, driver, failure, known_as)
     if tunings is None:
         scenario_indices = np.arange(len(batch.signals)) if scenario_indices is None else scenario_indices
         tunings = np.repeat(batch.tuning[None], np.size(scenario_indices), axis=0)
     elif batch.scheduler is not None:
-        raise InvalidInput("tunings: this MPC has a scheduler, which chooses them; leave them out.")
-    checked = batch.checked_tunings(tunings)
-    runs = len(checked)
+        raise InvalidInput("tunings: this MPC has a scheduler, which chooses the tunings; leave the argument out.")
+    tuning_rows = batch.checked_tunings(tunings)
+    runs = len(tuning_rows)
     index = np.zeros(runs, np.int64) if scenario_indices is None else np.array(scenario_indices)
     if index.dtype.kind not in "iu":
         raise InvalidInput("scenario_indices: must be whole numbers.")
     index = index.astype(np.int64)
     if index.shape != (runs,) or (runs and not (index.min() >= 0 and index.max() < len(batch.signals))):
         raise InvalidInput(f"scenario_indices: need {runs} indices into {len(batch.signals)} scenarios.")
-    seeded = np.array(seeds, dtype=np.int64)
-    if seeded.shape not in ((), (runs,)):
-        raise InvalidInput(f"seeds: need one, or one for each of the {runs} runs; got shape {seeded.shape}.")
+    seed_array = np.array(seeds, dtype=np.int64)
+    if seed_array.shape not in ((), (runs,)):
+        raise InvalidInput(f"seeds: need one, or one for each of the {runs} runs; got shape {seed_array.shape}.")
     batch_result = batch.run(
         index,
-        checked,
-        np.broadcast_to(seeded, (runs,)).copy(),
+        tuning_rows,
+        np.broadcast_to(seed_array, (runs,)).copy(),
         threads or os.cpu_count() or 1,
         scheduler=batch.scheduler,
     )
-    return batch_result.measured()
+    return batch_result.summary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,22 +157,23 @@ class BatchRuns:
     """Results of `Batch.run`."""
 
     result: Any
-    """(runs,) `core.period.RESULT`"""
+    """Results of the kernels, (runs,) records `core.period.RESULT`."""
     trace: Any
-    """`core.period.Trace` of (runs, periods of the longest, ...), NaN behind a run's end; empty unless requested"""
+    """Signals of the runs, a `core.period.Trace` of arrays (runs, periods of the longest run, ...). They are NaN after
+    the end of a run, and empty unless requested."""
     counts: dict[str, NDArray[np.int64]]
-    """Counters of the scheduler, (runs,) by name; empty without one."""
+    """Counters (runs,) of the scheduler by name; empty without a scheduler."""
     segments: Array
-    """(runs, segments) cost of each segment: sum of squared error plus weight times squared move; inf where a run ended
-    early, NaN after that and beyond the end of a shorter run; (runs, 0) unless requested"""
+    """Cost of each segment (m^2), (runs, segments): the sum of squared errors plus weighted squared moves. It is inf
+    for the segment in which a run fails and NaN after the end of a run. The shape is (runs, 0) unless requested."""
 
     @property
-    def failed(self) -> NDArray[np.bool_]:
-        """(runs,) whether the run failed."""
+    def has_failed(self) -> NDArray[np.bool_]:
+        """Whether each run failed, (runs,)."""
         return np.asarray(self.result["ended"] != 0)
 
-    def measured(self) -> BatchResult:
-        """By name, as means."""
+    def summary(self) -> BatchResult:
+        """Return the means, largest values and counts of each run."""
         results = self.result
         steps = np.maximum(results["instants"], 1)
         reasons = {int(ended): reason_of(int(ended)) for ended in np.unique(results["ended"])}
@@ -154,7 +182,7 @@ class BatchRuns:
             mean_squared_move=results["squared_move"] / steps,
             max_abs_error=results["largest_error"].copy(),
             failed=np.array([reasons[ended] for ended in results["ended"].tolist()], dtype=object),
-            failed_at=np.where(self.failed, results["ended_at"], np.nan),
+            failed_at=np.where(self.has_failed, results["ended_at"], np.nan),
             steps=results["instants"].copy(),
             qp_capped=results["capped"].copy(),
             qp_failed=results["unsolved"].copy(),
@@ -166,14 +194,20 @@ class BatchRuns:
 
 
 def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[list[Signals], Array]:
-    """Scenarios at the control instants, and as kernels read them: (runs, `core.loop.SIGNAL`, n + 1).
+    """Sample scenarios at the control instants.
 
-    n is that of the longest; a shorter one goes on with its last sample, which a preview beyond its end sees anyway.
+    Returns
+    -------
+    list of Signals
+        Samples of each scenario.
+    (scenarios, SIGNAL, n + 1) array
+        The same samples as the kernels read them (`core.loop.SIGNAL`), where n is the number of periods of the longest
+        scenario. Shorter scenarios repeat their last sample; a preview beyond their end reads the same values.
 
     Raises
     ------
     InvalidInput
-        When there are none.
+        When `scenarios` is empty.
     """
     signals = [scenario.sample(world.period) for scenario in scenarios]
     if not signals:
@@ -186,8 +220,8 @@ def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[li
     return signals, np.ascontiguousarray(rows)
 
 
-def called_back(plant: Any, controller: Controller) -> list[str]:
-    """Names of functions of one's own that are called back in Python, as there is nothing here that compiles them."""
+def interpreted_functions(plant: Any, controller: Controller) -> list[str]:
+    """Return the names of user functions that run in Python because numba is not installed to compile them."""
     members = [plant.compiled.member] if isinstance(plant, Plant) else []
     if isinstance(controller, CompiledController):
         members.append(controller.function)
@@ -197,7 +231,7 @@ def called_back(plant: Any, controller: Controller) -> list[str]:
 
 
 class Batch:
-    """Packed inputs that all runs of a batch share; arguments as for `rollout_batch`."""
+    """Kernel inputs that all runs of a batch share; the arguments are those of `rollout_batch`."""
 
     def __init__(
         self,
@@ -212,7 +246,7 @@ class Batch:
         self.world = World.of(plant, controller, profile, driver, known_as, failure)
         self.controller, self.scheduler = controller, controller.scheduler
         self.scenarios = scenarios
-        self._refuse_python()
+        self._check_compiled()
         world = self.world
         self.signals, self.samples = sampled(world, scenarios)
         self.periods = np.array([signal.n for signal in self.signals])
@@ -221,62 +255,80 @@ class Batch:
         self.substeps = np.array([world.substeps(float(s.speed.max())) for s in self.signals])
         self.settings = {int(steps): world.settings(int(steps)) for steps in np.unique(self.substeps)}
 
-    def _refuse_python(self) -> None:
+    def _check_compiled(self) -> None:
+        """Raise an error if a component of the runs cannot be compiled."""
         controller = self.controller
         if isinstance(self.world.driver, SpeedControl):
             raise InvalidInput("driver: compiled runs have no SpeedControl; simulate(...) drives with one.")
-        if slow := called_back(self.world.plant, controller):
+        if names := interpreted_functions(self.world.plant, controller):
             raise MissingExtra(
-                f"{', '.join(slow)}: many runs need functions of one's own compiled, which numba does: python -m pip "
-                "install 'adaptrack[compile]'; without it simulate(...) and `adaptrack drive` call them in Python."
+                f"{', '.join(names)}: batches of runs need compiled functions. To compile them, install numba: "
+                "python -m pip install 'adaptrack[compile]'. Or use simulate(...) or `adaptrack drive`."
             )
-        fit = isinstance(controller, CompiledController) or (isinstance(controller, MPC) and controller.runs_in_kernel)
-        scheduled = self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)
-        if not (fit and scheduled and isinstance(self.world.plant, Plant)):
+        is_mpc = isinstance(controller, MPC) and controller.runs_in_kernel
+        is_compiled = is_mpc or isinstance(controller, CompiledController)
+        has_compiled_scheduler = self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)
+        if not (is_compiled and has_compiled_scheduler and isinstance(self.world.plant, Plant)):
             raise InvalidInput(
-                "compiled runs need a compiled plant, an MPC or a compiled controller, a scheduler of "
-                "adaptrack.scheduling, or none, and a QP solver of the kernels ('active-set', 'hildreth'); "
-                "use simulate(...) for this one."
+                "compiled runs need a compiled plant, an MPC or another compiled controller, a scheduler from "
+                "adaptrack.scheduling or none, and the QP solver 'active-set' or 'hildreth'. Use simulate(...) for "
+                "this combination."
             )
 
     @property
     def tuning(self) -> Array:
-        """(entries,) the controller's own tuning."""
+        """Tuning of the controller, (entries,)."""
         return self.controller.packed_tuning()
 
     def checked_tunings(self, tunings: ArrayLike) -> Array:
-        """(runs, entries) tunings that a controller may have.
+        """Return tunings as an array (runs, entries) after a check of their shape and values.
 
         Raises
         ------
         InvalidInput
-            When they are none.
+            When the shape is wrong, a value is not finite, or an MPC weight is not allowed.
         """
         names = self.controller.tuning_names
-        checked = np.array(tunings, dtype=np.float64, ndmin=2)
-        if checked.ndim != 2 or checked.shape[1] != len(names) or not np.isfinite(checked).all():
+        rows = np.array(tunings, dtype=np.float64, ndmin=2)
+        if rows.ndim != 2 or rows.shape[1] != len(names) or not np.isfinite(rows).all():
             raise InvalidInput(
-                f"tunings: need finite (runs, {len(names)}) of {', '.join(names)}; got shape {checked.shape}."
+                f"tunings: need finite (runs, {len(names)}) of {', '.join(names)}; got shape {rows.shape}."
             )
-        if isinstance(self.controller, MPC) and ((checked[:, 2] < 0.0).any() or (checked[:, 3] <= 0.0).any()):
+        if isinstance(self.controller, MPC) and ((rows[:, 2] < 0.0).any() or (rows[:, 3] <= 0.0).any()):
             raise InvalidInput("tunings: every Q must be >= 0 and every R > 0.")
-        return checked
+        return rows
 
     def mpc_settings(self, longest: float, most: float, residuals: bool) -> Any:
-        """The MPC's settings with a workspace no larger than horizons up to these need; tiny for other controllers."""
+        """Return MPC settings with a workspace for horizons up to `longest` periods and `most` moves.
+
+        Other controllers do not use the settings; for them the workspace is minimal.
+        """
         if isinstance(self.controller, MPC):
             return self.controller.settings(longest, most, residuals)
         return kernel.settings(
             period=self.world.period, longest_horizon=1, most_moves=1, output_min=-np.inf, output_max=np.inf
         )
 
-    def arena(
+    def run_record(
         self, slots: int, steps: int, mpc_settings: Any, segments: int = 0, periods: int = 0,
         scheduler: CompiledScheduler | None = None,
     ) -> Any:  # fmt: skip
-        """The kernels' arrays for up to `slots` runs that integrate `steps` times a period (`core.rollout.RunRecord`).
+        """Allocate the kernels' arrays for up to `slots` runs (`core.rollout.RunRecord`).
 
-        segments: of each run; periods: to trace, 0 for no trace.
+        Parameters
+        ----------
+        slots
+            Largest number of runs.
+        steps
+            Integration steps per control period.
+        mpc_settings
+            Settings from `mpc_settings`.
+        segments
+            Number of segments whose cost is recorded in each run.
+        periods
+            Number of control periods to trace; 0 for no trace.
+        scheduler
+            Scheduler of the MPC; None for a fixed tuning.
         """
         controller, plant = self.controller, self.world.plant
         assert isinstance(plant, Plant)
@@ -297,7 +349,7 @@ class Batch:
             period_kernel.Given(self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
             vehicle_batch(plant.compiled, plant.packed(), np.zeros((slots, self.starts.shape[1]))),
             self.settings[steps],
-            variables=scheduler is not None,
+            needs_variables=scheduler is not None,
             trace=period_kernel.traces(slots, periods, width) if periods else None,
             segments=segments,
         )
@@ -313,22 +365,34 @@ class Batch:
         )
 
     def chunks(self, runs: NDArray[np.int64], threads: int = 1) -> list[NDArray[np.int64]]:
-        """Runs that are driven together: as long, and integrated with the same number of steps.
+        """Split runs into chunks of equal duration and equal integration steps, which one kernel call can drive.
 
-        A plant of one's own is advanced slot by slot: its runs are shared evenly among the threads.
+        A user plant is advanced one run at a time, so its runs are divided evenly among the threads.
+
+        Parameters
+        ----------
+        runs : (runs,) array
+            Scenario index of each run.
+        threads
+            Number of threads.
+
+        Returns
+        -------
+        list of arrays
+            Indices into `runs`.
         """
         chunks = []
         for steps in self.settings:
             for n in np.unique(self.periods):
                 members = np.flatnonzero((self.substeps[runs] == steps) & (self.periods[runs] == n))
-                ours = isinstance(self.world.plant, SingleTrack | DualTrack)
-                even = SLOTS if ours else math.ceil(len(members) / threads)
-                size = min(SLOTS, max(even, 1))
+                is_vectorised = isinstance(self.world.plant, SingleTrack | DualTrack)
+                target_size = SLOTS if is_vectorised else math.ceil(len(members) / threads)
+                size = min(SLOTS, max(target_size, 1))
                 chunks += [members[first : first + size] for first in range(0, len(members), size)]
         return chunks
 
     def longest(self, tunings: Array, scheduler: CompiledScheduler | None) -> tuple[float, float]:
-        """The longest Np and Nc that runs with these tunings or this scheduler may ask for."""
+        """Return the largest Np and Nc of runs with these tunings or this scheduler."""
         if not isinstance(self.controller, MPC):
             return 1.0, 1.0
         longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)
@@ -340,13 +404,27 @@ class Batch:
         self, scenario_indices: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int,
         traced: bool = False, segment: int = 0, weight: float = 0.0, scheduler: CompiledScheduler | None = None,
     ) -> BatchRuns:  # fmt: skip
-        """Drive run i with scenario `scenario_indices`[i], tunings[i] and seeds[i]; a scheduler begins with the tuning.
+        """Drive run i with scenario ``scenario_indices[i]``, ``tunings[i]`` and ``seeds[i]``.
 
-        traced: keep what happened at every control instant, about 200 bytes for each of a run; segment: periods of a
-        segment whose cost is wanted, with `weight` (m^2/rad^2) on the squared moves; 0: none.
+        Parameters
+        ----------
+        scenario_indices, seeds : (runs,) array
+            Scenario and noise seed of each run.
+        tunings : (runs, entries) array
+            Tuning of each run; a scheduler replaces it in the first period.
+        threads
+            Number of threads.
+        traced
+            Whether to record the signals at every control instant, about 200 bytes per instant and run.
+        segment
+            Length of the segments whose cost is recorded, in control periods; 0 for no segments.
+        weight
+            Weight of the squared moves in the segment costs (m^2/rad^2).
+        scheduler
+            Scheduler of the MPC; None for fixed tunings.
         """
         runs, n = len(scenario_indices), int(self.periods.max())
-        plan = _Plan(scenario_indices, tunings, seeds, segment, weight, n if traced else 0, scheduler)
+        inputs = _BatchInputs(scenario_indices, tunings, seeds, segment, weight, n if traced else 0, scheduler)
         longest = (math.inf, math.inf) if traced else self.longest(tunings, scheduler)
         settings = self.mpc_settings(*longest, residuals=traced)
         result, counts = period_kernel.RESULT.new(runs), np.zeros((len(guard_kernel.COUNTS), runs), np.int64)
@@ -364,7 +442,7 @@ class Batch:
                     chunk = waiting.get_nowait()
                 except queue.Empty:
                     return
-                outcome = self._drive(chunk, plan, settings, outcome)
+                outcome = self._drive(chunk, inputs, settings, outcome)
                 result[chunk], segments[chunk, : outcome.segments.shape[1]] = outcome.result, outcome.segments
                 if traced:
                     traces.append((chunk, outcome.trace))
@@ -381,29 +459,30 @@ class Batch:
         guard_counts = {} if scheduler is None else dict(zip(guard_kernel.COUNTS, counts, strict=True))
         return BatchRuns(result, _joined(traces, runs) if traces else period_kernel.no_trace(), guard_counts, segments)
 
-    def _drive(self, chunk: NDArray[np.int64], plan: _Plan, mpc_settings: Any, last: Any) -> Any:
-        """Drive the runs of one chunk; the `core.rollout.RunRecord` that they leave.
+    def _drive(self, chunk: NDArray[np.int64], inputs: _BatchInputs, mpc_settings: Any, previous_record: Any) -> Any:
+        """Drive the runs of one chunk and return their `core.rollout.RunRecord`.
 
-        last: that of a chunk before, None: none; its arrays are used again where they fit and nothing in them is kept.
+        previous_record: record of an earlier chunk, or None. Its arrays are reused if their sizes match and its results
+        are no longer needed.
         """
-        run_indices, size = plan.scenario_indices[chunk], len(chunk)
-        n = int(self.periods[run_indices[0]])
-        segments = math.ceil(n / plan.segment) if plan.segment else 0
-        steps, run = int(self.substeps[run_indices[0]]), last
-        fits = run is not None and len(run.memory.own) == size and run.settings is self.settings[steps]
-        fits = fits and run.segments.shape[1] == segments
-        if not fits or plan.traced or plan.scheduler is not None:
-            run = self.arena(size, steps, mpc_settings, segments, plan.traced, plan.scheduler)
-        run.given.scenario[:], run.given.seeds[:] = run_indices, plan.seeds[chunk]
-        run.vehicles.start[:], run.tuning[:] = self.starts[run_indices], plan.tunings[chunk]
-        place = Resident(run)
-        rollout.begin(size, place)
-        rollout.rollout(period_kernel.RunSpan(n, size, plan.segment, plan.weight), place)
+        scenarios, size = inputs.scenario_indices[chunk], len(chunk)
+        n = int(self.periods[scenarios[0]])
+        segments = math.ceil(n / inputs.segment) if inputs.segment else 0
+        steps, run = int(self.substeps[scenarios[0]]), previous_record
+        is_reusable = run is not None and len(run.memory.own) == size and run.settings is self.settings[steps]
+        is_reusable = is_reusable and run.segments.shape[1] == segments
+        if not is_reusable or inputs.traced_periods or inputs.scheduler is not None:
+            run = self.run_record(size, steps, mpc_settings, segments, inputs.traced_periods, inputs.scheduler)
+        run.given.scenario[:], run.given.seeds[:] = scenarios, inputs.seeds[chunk]
+        run.vehicles.start[:], run.tuning[:] = self.starts[scenarios], inputs.tunings[chunk]
+        resident = Resident(run)
+        rollout.begin(size, resident)
+        rollout.rollout(period_kernel.RunSpan(n, size, inputs.segment, inputs.weight), resident)
         return run
 
 
 def _joined(traces: Sequence[tuple[NDArray[np.int64], Any]], runs: int) -> Any:
-    """One trace of all runs, from those of the chunks."""
+    """Join the traces of the chunks into one trace of all runs."""
     first = traces[0][1]
     joined = type(first)(*(np.empty((runs, *part.shape[1:])) for part in first))
     for chunk, trace in traces:
@@ -413,14 +492,14 @@ def _joined(traces: Sequence[tuple[NDArray[np.int64], Any]], runs: int) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class _Plan:
-    """Inputs in which the runs of `Batch.run` differ."""
+class _BatchInputs:
+    """Arguments of `Batch.run` that all its chunks share."""
 
     scenario_indices: NDArray[np.int64]
     tunings: Array
     seeds: NDArray[np.int64]
     segment: int
     weight: float
-    traced: int
-    """periods to trace, 0 for no trace"""
+    traced_periods: int
+    """Number of control periods to trace; 0 for no trace."""
     scheduler: CompiledScheduler | None

@@ -1,7 +1,8 @@
-"""What surrounds the controller in one run, period by period: the car senses, is sent a command, and moves on.
+"""Simulation around a controller in one run, one control period at a time.
 
-The halves of the control period are those of `core.period`, which compiled runs call as well. Whoever decides stands
-between them: a controller in `simulate`, a learning agent in `gym`.
+A control period has three steps: `ClosedLoop.sense` measures, `ClosedLoop.send` applies a command, and
+`ClosedLoop.advance` moves the car. Between the first two, the caller chooses the command: a controller in `simulate`, a
+learning agent in `gym`. Compiled runs call the same kernels (`core.period`).
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ Array = NDArray[np.float64]
 LONGEST_SPEEDS_AHEAD = 120
 """Control instants ahead for which a controller is given the governed speed."""
 LONGEST_PREVIEW = 400
-"""Control instants ahead for which a controller in Python is given the planned speed."""
+"""Number of control instants for which a controller in Python receives the planned speed."""
 
 
 class _SteppedVehicle:
-    """A stepped plant behind the loop's steering actuator; its motion is kept in slot 0 of a batch."""
+    """A `SteppedPlant` with the steering actuator of the loop; slot 0 of a batch stores its motion."""
 
     def __init__(self, world: World, start: Array) -> None:
         assert isinstance(world.plant, SteppedPlant)
@@ -58,7 +59,7 @@ class _SteppedVehicle:
         return self.batch.block[contract.PLANT_STATES * contract.SLOTS :: contract.SLOTS]
 
     def _angle(self, time: float) -> float:
-        """The front-wheel angle (rad) after a time (s) under the present command."""
+        """Return the front-wheel angle (rad) after a time (s) with the current command."""
         command = min(max(float(self._input[0]), -self._steering.limit), self._steering.limit)
         angle = float(self._state[contract.PLANT_STATE.steering])
         if self._steering.lag <= 0.0:
@@ -70,7 +71,7 @@ class _SteppedVehicle:
         return command - gap * math.exp((limited - time) / self._steering.lag)
 
     def advance(self, steps: int, h: float) -> None:
-        """Move on by so many steps of h (s)."""
+        """Advance the vehicle by a number of integration steps of h (s)."""
         names, state, demand = contract.PLANT_INPUT, self._state, self._input
         force, acceleration = demand[names.force], demand[names.acceleration]
         target = force / self._mass if math.isnan(acceleration) else acceleration
@@ -91,21 +92,33 @@ class _SteppedVehicle:
 
 @dataclass(frozen=True, slots=True)
 class Sensed:
-    """Signals at a control instant."""
+    """Signals at a control instant, as the controller receives them."""
 
     measured: Array
-    """`core.models.contract.MEASUREMENT`; the same array at every instant"""
+    """Measurements in the order of `core.models.contract.MEASUREMENT`; the next instant overwrites the array."""
     speed: float
-    """m/s, as measured"""
+    """Measured speed (m/s)."""
     reference: Array
-    """m, y_ref now and at the instants that follow"""
+    """Lateral reference y_ref at this instant and all later ones (m)."""
     variables: SchedulingVariables
+    """Inputs of a scheduler at this instant."""
 
 
 class ClosedLoop:
-    """A run before its first period; then `sense`, `send`, `advance` once per period.
+    """One closed-loop run. In each control period, call `sense`, `send` and `advance` in this order.
 
-    It is over when it has ended, or has come to its last instant. traced: keep what happens at every instant.
+    A run is complete after ``signals.n`` periods; a failure ends it earlier (`ended`).
+
+    Parameters
+    ----------
+    world
+        Simulated car and its environment.
+    scenario
+        Scenario or road drive.
+    seed
+        Seed of the sensor noise.
+    traced
+        Whether to record the signals at every control instant.
     """
 
     def __init__(self, world: World, scenario: Scenario | RoadDrive, seed: int, traced: bool = False) -> None:
@@ -125,41 +138,41 @@ class ClosedLoop:
         place(1, vehicles.start, vehicles.block, vehicles.states)
         self.run = world.loop(
             inputs, vehicles, world.settings(world.substeps(float(self.signals.speed.max()))),
-            variables=True, trace=period_kernel.traces(1, n, 0) if traced else None,
+            needs_variables=True, trace=period_kernel.traces(1, n, 0) if traced else None,
         )  # fmt: skip
         if isinstance(world.known_as, FrictionWindEstimator):
             world.known_as.reset(self.run.perceiving.memory)
-        self.place, self._span = Resident(self.run), Resident(period_kernel.RunSpan(n, 1, 0, 0.0))
-        """the run as kernels take it"""
+        self.resident, self._span = Resident(self.run), Resident(period_kernel.RunSpan(n, 1, 0, 0.0))
+        """`run` and the limits of its loop in the memory of the kernels."""
         self.speed_controller = _speed_controller(world, scenario)
         self._own, self._references = self.run.memory.own, inputs.signals[0, loop_kernel.SIGNAL.y_ref]
 
     @property
     def instant(self) -> int:
-        """The present control instant."""
+        """Index of the current control instant."""
         return int(self._own["instant"][0])
 
     @property
     def command(self) -> float:
-        """The last command (rad)."""
+        """Last command (rad)."""
         return float(self._own["command"][0])
 
     @property
     def error(self) -> float:
-        """Y - y_ref (m) at the instant that was judged last."""
+        """Y - y_ref (m) at the last call of `sense`."""
         return float(self._own["error"][0])
 
     @property
     def ended(self) -> bool:
-        """Whether the run has failed before its end."""
+        """Whether a failure has ended the run."""
         return bool(self._own["ended"][0] != loop_kernel.RUNNING)
 
     def sense(self) -> Sensed:
-        """Judge the run at this instant; what sensors give, of a car whose state is not finite what they gave before.
+        """Check the run for a failure and return the signals at this instant.
 
-        The instant at the end of the last period is not judged: a car that never came near its reference has failed.
+        If the state of the car is not finite, the sensors repeat their last values.
         """
-        period_kernel.sense_one(self._span, self.place)
+        period_kernel.sense_one(self._span, self.resident)
         if self.speed_controller is not None:
             own, measured = self._own[0], self.run.measured
             request = self.speed_controller.step(
@@ -170,7 +183,7 @@ class ClosedLoop:
         return Sensed(self.run.measured, float(self._own["speed"][0]), self._references[self.instant :], variables)
 
     def road_ahead(self, speed: float) -> RoadAhead:
-        """The road ahead of a car that passes it as planned, from its present speed (m/s) on, as its sensors see it."""
+        """Return the road ahead as measured, with the speed plan shifted to start at the current speed (m/s)."""
         if self.speed_controller is not None:
             planned = self.speed_controller.speeds_ahead(speed, LONGEST_SPEEDS_AHEAD)
             return RoadAhead(self.road, float(self._own["station_estimate"][0]), planned)
@@ -181,28 +194,31 @@ class ClosedLoop:
         return RoadAhead(self.road, station, np.maximum(planned + (speed - planned[0]), 0.0))
 
     def send(self, command: float) -> bool:
-        """Send a command (rad); False when it is not finite, which ends the run."""
+        """Send a command (rad) to the steering. A command that is not finite ends the run and returns False."""
         if math.isfinite(command):
-            period_kernel.send_one(command, command - self.command, self._span, self.place)
+            period_kernel.send_one(command, command - self.command, self._span, self.resident)
             return True
         self._own["ended"], self._own["ended_at"] = loop_kernel.STATE_NOT_FINITE, self.instant * self.world.period
         return False
 
     def advance(self) -> None:
-        """Move on to the next instant."""
+        """Move the car to the next control instant."""
         if self._stepped is None:
-            period_kernel.move_one(self.place)
+            period_kernel.move_one(self.resident)
             return
-        (before, after), period = period_kernel.substeps_of(self.place), self.world.period
+        (before, after), period = period_kernel.substeps_of(self.resident), self.world.period
         share = float(self.run.settings.dead_share)
         if before:
             self._stepped.advance(before, share * period / before)
-            period_kernel.change_command_of_one(self.place)
+            period_kernel.change_command_of_one(self.resident)
         self._stepped.advance(after, (1.0 - share) * period / after)
 
     def failure(self) -> tuple[str | None, float]:
-        """Why a run that is over has failed and when (s); None and NaN when it came to its end."""
-        period_kernel.close_one(self.place)
+        """Return the reason and time (s) of the failure of a finished run; None and NaN if it did not fail.
+
+        A car that never came near its reference has also failed.
+        """
+        period_kernel.close_one(self.resident)
         return failure_of(int(self._own["ended"][0]), float(self._own["ended_at"][0]))
 
 
@@ -224,6 +240,6 @@ def _speed_controller(world: World, scenario: Scenario | RoadDrive) -> SpeedCont
 
 
 def failure_of(ended: int, at: float) -> tuple[str | None, float]:
-    """Why and when (s) a run failed, from what its loop remembers; None and NaN when it did not."""
+    """Return the reason and time (s) of a failure for the kernels' code `ended`; None and NaN without failure."""
     reason = reason_of(ended)
     return reason, at if reason is not None else math.nan

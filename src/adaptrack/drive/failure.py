@@ -1,4 +1,4 @@
-"""When a run has failed: off the road, spun, or not finite. One rule, for compiled runs and for recorded ones."""
+"""Failures of a run: off the road, spun or not finite. Compiled and recorded runs use the same limits."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from adaptrack.base.checked import Bound, Hint, checked
 from adaptrack.drive.trajectory import Trajectory
 
 DISTANCE = 5.0
-"""m, the distance from the reference beyond which a vehicle that has arrived there is off the road."""
+"""Largest distance from the reference (m). A vehicle that was once nearer and exceeds it is off the road."""
 
 SIDESLIP = math.pi / 4
-"""rad, the sideslip angle beyond which a vehicle has spun; passenger cars are hard to catch beyond 10-15°."""
+"""Largest sideslip angle (rad); beyond it, a vehicle has spun. Drivers rarely catch a car beyond 10 to 15°."""
 
 MIN_JUDGED_SPEED = 1.0
-"""m/s: below it sideslip and path heading are ill-defined, and samples are not judged by them."""
+"""Lowest speed (m/s) at which sideslip and heading error are evaluated; they are ill-defined near standstill."""
 
 
 class Reason(StrEnum):
-    """Why a run failed."""
+    """Reason of a failure."""
 
     OFF_ROAD = "off-road"
     SPUN = "spun"
@@ -32,9 +32,9 @@ class Reason(StrEnum):
 
     @property
     def sentence(self) -> str:
-        """The failure in a sentence."""
+        """Sentence that explains the reason."""
         return {
-            Reason.OFF_ROAD: "The vehicle left the road, or never came to its reference.",
+            Reason.OFF_ROAD: "The vehicle left the road, or never reached its reference.",
             Reason.SPUN: "The vehicle spun: it slid more sideways than a driver can catch.",
             Reason.NOT_FINITE: "The vehicle reached a state, or the controller gave a command, that is not finite.",
         }[self]
@@ -43,49 +43,55 @@ class Reason(StrEnum):
 @checked
 @dataclass(frozen=True)
 class Failure:
-    """The rule by which a run has failed; infinity switches a part of it off."""
+    """Limits beyond which a run counts as failed; infinity disables a limit."""
 
     distance: Annotated[Bound, "m", Hint("inf: no limit")] = DISTANCE
-    """from the reference, once it was that near."""
+    """Largest distance from the reference (m), evaluated after the vehicle was first nearer than it."""
     sideslip: Annotated[Bound, "rad", Hint("inf: no limit")] = SIDESLIP
-    """at 1 m/s or more."""
+    """Largest sideslip angle (rad), evaluated at 1 m/s or more."""
 
     @classmethod
     def of(cls, plant: Any) -> Self:
-        """The rule of the car that is driven: the failure distance of its domain; the default where no car is known."""
+        """Return the limits for a plant: the failure distance of its car's domain, or the default without a car."""
         domain = getattr(getattr(plant, "vehicle", None), "domain", None)
         return cls() if domain is None else cls(distance=domain.failure_distance)
 
 
 @dataclass(frozen=True)
 class Failed:
-    """When and why a run failed."""
+    """Time and reason of a failure."""
 
     step: int
-    """Index of the first control instant at which it had."""
+    """Index of the first control instant at which the run has failed."""
     time: float
-    """s, that instant."""
+    """Time of this instant (s)."""
     reason: str
-    """A `Reason`, or what the loop that drove it said."""
+    """A `Reason`, or the text with which another simulation ended the run."""
     clause: str
-    """The reason with its numbers, to complete "the vehicle ..."."""
+    """Reason with numbers; completes a sentence that starts with "the vehicle"."""
 
 
 @checked
 def find_failure(trajectory: Trajectory, rule: Failure | None = None) -> Failed | None:
-    """When and why a run failed by `rule`; None when it did not.
+    """Return the time and reason of a run's failure; None if it did not fail.
 
-    Without a rule it is that of the car that was driven (`Trajectory.meta`: ``failure_distance``), else `Failure()`.
-    The first of these decides:
+    The earliest of these events is the failure:
 
     * a state or a command is not finite;
-    * |e| > `rule.distance` [m] at an instant that follows one with |e| <= `rule.distance`: a run that starts further
-      away (a large step) is judged once it has arrived, and has failed from its start when it never arrives;
-    * the sideslip angle |atan2(v_y, v_x)| exceeds `rule.sideslip` [rad] at 1 m/s or more;
-    * the loop that drove it ended it (`Trajectory.failed`).
+    * |e| exceeds `rule.distance` after it was smaller. A run that starts outside this distance is checked once it has
+      arrived; if it never arrives, it has failed from its start;
+    * the sideslip angle |atan2(v_y, v_x)| exceeds `rule.sideslip` at 1 m/s or more;
+    * the simulation ended the run (`Trajectory.failed`).
+
+    Parameters
+    ----------
+    trajectory
+        The run.
+    rule
+        Limits; by default those of the car (`Trajectory.meta`: ``failure_distance``), otherwise `Failure()`.
     """
     rule = rule or Failure(distance=trajectory.meta.get("failure_distance", DISTANCE))
-    broken = ~state_is_finite(trajectory)
+    not_finite = ~state_is_finite(trajectory)
     with np.errstate(invalid="ignore", over="ignore"):
         inside = np.abs(trajectory.error) <= rule.distance
         outside = ~inside & (np.arange(inside.size) >= np.argmax(inside))  # argmax is 0 when it never arrives
@@ -99,12 +105,12 @@ def find_failure(trajectory: Trajectory, rule: Failure | None = None) -> Failed 
         Reason.OFF_ROAD: left if inside.any() else never,
     }
     ended = np.zeros(len(trajectory), bool)
-    if trajectory.failed is not None:  # at the end of a period, when the next instant was not recorded any more
+    if trajectory.failed is not None:  # may lie after the last recorded instant
         ended = trajectory.t >= trajectory.failed_at - 1e-6 * trajectory.period
         ended[-1] = True
-    events: tuple[tuple[NDArray[np.bool_], str], ...] = (  # in the order that decides at the same instant
+    events: tuple[tuple[NDArray[np.bool_], str], ...] = (  # at the same instant, the first in this order is the failure
         (ended, trajectory.failed or ""),
-        (broken, Reason.NOT_FINITE),
+        (not_finite, Reason.NOT_FINITE),
         (spinning, Reason.SPUN),
         (outside, Reason.OFF_ROAD),
     )
@@ -112,11 +118,12 @@ def find_failure(trajectory: Trajectory, rule: Failure | None = None) -> Failed 
     if not occurrences:
         return None
     step, reason = min(occurrences, key=lambda item: item[0])
-    clause = next((text for known_reason, text in clauses.items() if known_reason == reason), f"was given up: {reason}")
+    known_clauses = {str(known_reason): text for known_reason, text in clauses.items()}
+    clause = known_clauses.get(str(reason), f"was stopped by its simulation: {reason}")
     return Failed(step, float(trajectory.t[step]), reason, clause)
 
 
 def state_is_finite(trajectory: Trajectory) -> NDArray[np.bool_]:
-    """(n,) whether pose, velocities, steering, command and reference are all finite at each instant."""
+    """Whether pose, velocities, steering, command and reference are all finite at each instant, (n,)."""
     names = ("X", "Y", "psi", "vx", "vy", "yaw_rate", "steering", "command", "y_ref")
     return np.isfinite(np.stack([getattr(trajectory, name) for name in names])).all(axis=0)

@@ -1,7 +1,7 @@
-"""The measures of a drive: tracking, corners, effort, comfort, limits, solver, time; the cost J that tuning minimises.
+"""Measures of a drive: tracking, corners, effort, comfort, limits, solver and time, and the cost J of tuning.
 
-Wherever smaller is better, a measure whose samples are not all finite is infinite: a run that ended in NaN never
-looks good, and sorts last. Signs are those of ISO 8855: positive to the left.
+If smaller values are better and a sample is not finite, the measure is infinite. A run that ends in NaN therefore sorts
+last. Signs are those of ISO 8855: positive to the left.
 """
 
 from __future__ import annotations
@@ -36,103 +36,105 @@ from adaptrack.drive.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 LANE_WIDTH = 3.5
-"""m, of the lane for the share of time inside."""
+"""Default lane width (m), for the share of time in the lane."""
 STEERING_RATIO = 15.0
-"""Steering-wheel angle over road-wheel angle where the car file has none: passenger cars have 13 to 17."""
+"""Default ratio of the steering-wheel angle to the road-wheel angle; passenger cars have 13 to 17."""
 
 AT_CHANGE_LIMIT, AT_ANGLE_LIMIT, AT_OUTPUT_LIMIT = 1, 2, 4
-"""The bits of the diagnostic ``at_limit``: Δu (13), u (14) and y (15)."""
+"""Bits of the diagnostic ``at_limit``: limits on the change of the command Δu, the command u and the output y."""
 
-_SOLVED, _CAPPED = 0, 1  # of the diagnostic ``qp_status``; all other values mean no answer
-_NOTHING = np.empty(0, np.int64)  # a diagnostic that the controller does not have
+_SOLVED, _CAPPED = 0, 1  # values of the diagnostic ``qp_status`` with a usable solution
+_NO_DIAGNOSTIC = np.empty(0, np.int64)  # stands for a diagnostic that the controller does not have
 
 
-def _measure(unit: str, meaning: str, default: Any = math.nan, *, path: bool = False) -> Any:
-    """A field of `Metrics`; path: measured only where the car's outline is known."""
-    return field(default=default, metadata={"unit": unit, "meaning": meaning, "path": path})
+def _measure(unit: str, title: str, default: Any = math.nan, *, needs_outline: bool = False) -> Any:
+    """Return a field of `Metrics` with its unit and title; needs_outline: known only with the outline of the car."""
+    return field(default=default, metadata={"unit": unit, "title": title, "needs_outline": needs_outline})
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metrics:
-    """The measures of one drive of n instants; e is the error from the reference or path, Δu = u(k) - u(k-1).
+    """Measures of one drive.
 
-    The metadata of a field holds its unit and meaning; `rows` lists them. A measure that is unknown is NaN, a count 0.
+    In the titles, e is the lateral error from the reference or path, u the steering command, Δu = u(k) - u(k-1) its
+    change and y the output of the prediction model. The metadata of each field has its title and unit; `rows` lists
+    them. Unknown measures are NaN, unknown counts 0.
     """
 
-    steps: int = _measure("-", "instants n", 0)
+    steps: int = _measure("-", "number of control instants", 0)
     driven: int = _measure("-", "control periods with a finite command", 0)
-    failed: bool = _measure("-", "whether it failed (`find_failure`)", False)
-    failed_at: float = _measure("s", "when it failed")
-    failed_reason: str = _measure("-", "a `failure.Reason`, or the loop's", "")
-    failed_because: str = _measure("-", 'completes "the vehicle ..."', "")
+    failed: bool = _measure("-", "whether the run failed", False)
+    failed_at: float = _measure("s", "time of the failure")
+    failed_reason: str = _measure("-", "reason of the failure", "")
+    failed_because: str = _measure("-", 'failure, as the end of a sentence "the vehicle ..."', "")
 
-    duration: float = _measure("s", "from the first instant to the last", path=True)
-    distance: float = _measure("m", "integral of |v_x|", path=True)
-    mse: float = _measure("m^2", "mean e^2, the paper's measure")
-    rms_error: float = _measure("m", "root mean square of e")
-    mean_error: float = _measure("m", "mean e, positive to the left", path=True)
-    p95_error: float = _measure("m", "95th percentile of |e|", path=True)
-    max_abs_error: float = _measure("m", "largest |e|")
-    rms_corner: float = _measure("m", "RMS distance of the outermost corner", path=True)
-    p95_corner: float = _measure("m", "its 95th percentile", path=True)
-    max_corner: float = _measure("m", "its largest value", path=True)
-    max_corner_error: float = _measure("m", "the same less half the width", path=True)
-    in_lane: float = _measure("-", "share of time with all corners in lane", path=True)
-    heading_rms: float = _measure("rad", "RMS heading error, v_x >= 1 m/s")
-    heading_max: float = _measure("rad", "largest heading error, v_x >= 1 m/s")
-    yaw_rate_max: float = _measure("rad/s", "largest magnitude", path=True)
+    duration: float = _measure("s", "duration of the run", needs_outline=True)
+    distance: float = _measure("m", "driven distance, integral of |v_x|", needs_outline=True)
+    mse: float = _measure("m^2", "mean square error, mean e^2")
+    rms_error: float = _measure("m", "RMS error")
+    mean_error: float = _measure("m", "mean error, positive to the left", needs_outline=True)
+    p95_error: float = _measure("m", "95th percentile of the error |e|", needs_outline=True)
+    max_abs_error: float = _measure("m", "largest error |e|")
+    rms_corner: float = _measure("m", "RMS distance of the outermost corner from the path", needs_outline=True)
+    p95_corner: float = _measure("m", "95th percentile of the corner distance", needs_outline=True)
+    max_corner: float = _measure("m", "largest distance of a corner from the path", needs_outline=True)
+    max_corner_error: float = _measure("m", "largest corner distance minus half the car width", needs_outline=True)
+    in_lane: float = _measure("-", "share of time with all corners in the lane", needs_outline=True)
+    heading_rms: float = _measure("rad", "RMS heading error at 1 m/s or more")
+    heading_max: float = _measure("rad", "largest heading error at 1 m/s or more")
+    yaw_rate_max: float = _measure("rad/s", "largest yaw rate", needs_outline=True)
 
-    steering_rms: float = _measure("rad", "RMS of the command u")
-    steering_rate_rms: float = _measure("rad/s", "RMS rate of the command")
-    steering_activity: float = _measure("rad^2", "mean Δu^2")
-    wheel_angle_rms: float = _measure("rad", "RMS angle of the road wheels", path=True)
-    reversals: float = _measure("1/min", "steering reversals (SAE J2944)", path=True)
-    lateral_acceleration_rms: float = _measure("m/s^2", "RMS, raw")
-    lateral_acceleration_max: float = _measure("m/s^2", "largest, raw")
-    lateral_acceleration_r79: float = _measure("m/s^2", "largest, as UN R79 evaluates it", path=True)
-    jerk_rms: float = _measure("m/s^3", "RMS lateral jerk, raw")
-    jerk_max: float = _measure("m/s^3", "largest, raw", path=True)
-    jerk_r79: float = _measure("m/s^3", "largest, as UN R79 evaluates it", path=True)
+    steering_rms: float = _measure("rad", "RMS steering command")
+    steering_rate_rms: float = _measure("rad/s", "RMS rate of the steering command")
+    steering_activity: float = _measure("rad^2", "steering activity, mean Δu^2")
+    wheel_angle_rms: float = _measure("rad", "RMS road-wheel angle", needs_outline=True)
+    reversals: float = _measure("1/min", "steering reversals per minute (SAE J2944)", needs_outline=True)
+    lateral_acceleration_rms: float = _measure("m/s^2", "RMS lateral acceleration")
+    lateral_acceleration_max: float = _measure("m/s^2", "largest lateral acceleration")
+    lateral_acceleration_r79: float = _measure("m/s^2", "largest lateral acceleration by UN R79", needs_outline=True)
+    jerk_rms: float = _measure("m/s^3", "RMS lateral jerk")
+    jerk_max: float = _measure("m/s^3", "largest lateral jerk", needs_outline=True)
+    jerk_r79: float = _measure("m/s^3", "largest lateral jerk by UN R79", needs_outline=True)
 
-    at_change_limit: float = _measure("-", "share of periods, limit on Δu active")
-    at_angle_limit: float = _measure("-", "share of periods, limit on u active")
-    at_output_limit: float = _measure("-", "share of periods, limit on y active")
-    at_any_limit: float = _measure("-", "share of periods, any of them active")
+    at_change_limit: float = _measure("-", "share of periods with an active limit on Δu")
+    at_angle_limit: float = _measure("-", "share of periods with an active limit on u")
+    at_output_limit: float = _measure("-", "share of periods with an active limit on y")
+    at_any_limit: float = _measure("-", "share of periods with any active limit")
 
-    qp_solved: int = _measure("-", "QPs solved to their tolerance", 0)
-    qp_capped: int = _measure("-", "QPs at the iteration cap", 0)
-    qp_failed: int = _measure("-", "QPs without an answer", 0)
-    held: int = _measure("-", "periods with a safe angle held", 0)
-    dead_reckoning: int = _measure("-", "periods without a new position", 0)
-    dead_reckoning_max: float = _measure("s", "longest time without one")
-    qp_residual_max: float = _measure("-", "largest KKT residual")
-    qp_iterations_mean: float = _measure("-", "mean QP iterations")
-    qp_iterations_max: int = _measure("-", "largest number of them", 0)
+    qp_solved: int = _measure("-", "QPs solved to tolerance", 0)
+    qp_capped: int = _measure("-", "QPs stopped at the iteration limit", 0)
+    qp_failed: int = _measure("-", "QPs without a solution", 0)
+    held: int = _measure("-", "periods without a new command, safe angle kept", 0)
+    dead_reckoning: int = _measure("-", "periods without a new position measurement", 0)
+    dead_reckoning_max: float = _measure("s", "longest time without a position measurement")
+    qp_residual_max: float = _measure("-", "largest KKT residual of the QPs")
+    qp_iterations_mean: float = _measure("-", "mean number of QP iterations")
+    qp_iterations_max: int = _measure("-", "largest number of QP iterations", 0)
 
-    step_us_p50: float = _measure("µs", "median time of a control step")
-    step_us_p99: float = _measure("µs", "99th percentile")
-    step_us_p999: float = _measure("µs", "99.9th percentile")
-    step_us_max: float = _measure("µs", "the slowest")
+    step_us_p50: float = _measure("µs", "median computation time of a control step")
+    step_us_p99: float = _measure("µs", "99th percentile of the computation time")
+    step_us_p999: float = _measure("µs", "99.9th percentile of the computation time")
+    step_us_max: float = _measure("µs", "longest computation time")
 
-    prediction_error_half: float = _measure("m", "RMS, model's output 0.5 s ahead")
-    prediction_error_one: float = _measure("m", "RMS, model's output 1 s ahead")
+    prediction_error_half: float = _measure("m", "RMS prediction error of the model 0.5 s ahead")
+    prediction_error_one: float = _measure("m", "RMS prediction error of the model 1 s ahead")
 
-    belief_learning: float = _measure("-", "share of periods, learning")
-    belief_settled: float = _measure("-", "share of periods, settled")
-    belief_at_bound: float = _measure("-", "share of periods, at a bound")
-    belief_contradictory: float = _measure("-", "share of periods, contradictory")
-    belief_state: str = _measure("-", "the last of these states", "")
+    belief_learning: float = _measure("-", "share of periods while learning")
+    belief_settled: float = _measure("-", "share of periods with settled estimates")
+    belief_at_bound: float = _measure("-", "share of periods with an estimate at its bound")
+    belief_contradictory: float = _measure("-", "share of periods with contradictory measurements")
+    belief_state: str = _measure("-", "learning state at the end", "")
 
-    cost: float = _measure("m^2", "J = mean e^2 + w mean Δu^2")
+    cost: float = _measure("m^2", "cost J = mean e^2 + w mean Δu^2")
 
     def _repr_html_(self) -> str:
-        """The measures in a notebook."""
+        """Return the measures as a table for a notebook."""
         return html_of(self)
 
     def as_row(self) -> dict[str, Any]:
-        """The measures by name, ready for strict JSON: None for what is not finite.
+        """Return the measures by name for strict JSON, with None for values that are not finite.
 
-        Measures that need the car's outline are left out where it was not given.
+        Measures that need the outline of the car are left out if it is unknown.
         """
         return {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
@@ -140,21 +142,21 @@ class Metrics:
         }
 
     def rows(self) -> list[tuple[str, Any, str, str]]:
-        """(name, value, unit, meaning) of the measures, as far as `as_row` holds them."""
-        on_path = not math.isnan(self.duration)
+        """Return (name, value, unit, title) of each measure in `as_row`."""
+        has_outline = not math.isnan(self.duration)
         return [
-            (column.name, getattr(self, column.name), column.metadata["unit"], column.metadata["meaning"])
+            (column.name, getattr(self, column.name), column.metadata["unit"], column.metadata["title"])
             for column in dataclasses.fields(self)
-            if on_path or not column.metadata["path"]
+            if has_outline or not column.metadata["needs_outline"]
         ]
 
     def __str__(self) -> str:
-        """A line for each known measure: name, value, unit, meaning."""
+        """Return a line for each known measure: title, value and unit; `rows` also has the attribute names."""
         lines = []
-        for name, value, unit, meaning in self.rows():
+        for _, value, unit, title in self.rows():
             text = f"{value:.4g}" if isinstance(value, float) else str(value)
             if text not in ("nan", ""):
-                lines.append(f"{name:<24} {text:>9} {unit:<6} {meaning}")
+                lines.append(f"{title:<56} {text:>9} {unit if unit != '-' else ''}".rstrip())
         return "\n".join(lines)
 
 
@@ -167,22 +169,22 @@ def compute_metrics(
     model: PredictionModel | None = None,
     outline: Outline | None = None,
 ) -> Metrics:
-    """All measures of a run; `Trajectory.between` cuts out the window to measure.
+    """Compute all measures of a run. For a part of the run, pass the result of `Trajectory.between`.
 
     Parameters
     ----------
+    trajectory
+        The run. It may contain NaN: then the run has failed and its MSE is infinite.
     move_weight
-        The w of J = mean e² + w mean Δu²; by default ``move_weight`` of
-        the run's `meta` (its profile's), else 0.
+        Weight w of J = mean e² + w mean Δu² (m²/rad²). By default it is ``move_weight`` in ``trajectory.meta``, which
+        comes from the profile, and otherwise 0.
     failure
-        When a run has failed, by default see `find_failure`.
+        Limits beyond which the run has failed; see `find_failure` for the default.
     model
-        Of the controller that drove (`MPC.model`), for the prediction errors.
+        Prediction model of the controller (`MPC.model`), for the prediction errors.
     outline
-        Of the car (`Vehicle.outline`), for the measures of `path_metrics`, over the instants before the first that is
-        not finite.
-
-    A trajectory with NaN is no error: it failed, and its MSE is infinite.
+        Outline of the car (`Vehicle.outline`), for the measures of `path_metrics`. They are computed over the instants
+        before the first one that is not finite.
     """
     if move_weight is None:
         move_weight = float(trajectory.meta.get("move_weight", 0.0))
@@ -195,7 +197,7 @@ def compute_metrics(
     mse = mean_square(error)
     activity = mean_square(trajectory.command_change)
     acceleration = trajectory.lateral_acceleration
-    ahead = dict.fromkeys(TIMES, math.nan) if model is None else run_prediction_error(trajectory, model)
+    prediction_errors = dict.fromkeys(TIMES, math.nan) if model is None else run_prediction_error(trajectory, model)
     record = None if outline is None else PathRecord.from_trajectory(trajectory)
 
     return Metrics(
@@ -216,8 +218,8 @@ def compute_metrics(
         lateral_acceleration_rms=math.sqrt(mean_square(acceleration)),
         lateral_acceleration_max=largest_magnitude(acceleration),
         jerk_rms=math.sqrt(mean_square(jerk)),
-        prediction_error_half=ahead[0.5],
-        prediction_error_one=ahead[1.0],
+        prediction_error_half=prediction_errors[0.5],
+        prediction_error_one=prediction_errors[1.0],
         cost=mse + move_weight * activity if move_weight else mse,
         belief_state=last_belief_state(trajectory),
         **belief_shares(trajectory),
@@ -227,14 +229,14 @@ def compute_metrics(
 
 
 def _step_measures(trajectory: Trajectory) -> dict[str, Any]:
-    """Limits, QPs, held angles and step times, by the names of `Metrics`."""
+    """Return the measures of limits, QPs, missing commands and computation times by their names in `Metrics`."""
     is_commanded = np.isfinite(trajectory.command)
     diagnostics = {name: values[is_commanded] for name, values in trajectory.diagnostics.items()}
-    limits = diagnostics.get("at_limit", _NOTHING)
-    status = diagnostics.get("qp_status", _NOTHING)
-    iterations = diagnostics.get("qp_iterations", _NOTHING)
-    reckoned = diagnostics.get("dead_reckoning", np.zeros(is_commanded.sum()))
-    answered = (status == _SOLVED) | (status == _CAPPED)
+    limits = diagnostics.get("at_limit", _NO_DIAGNOSTIC)
+    status = diagnostics.get("qp_status", _NO_DIAGNOSTIC)
+    iterations = diagnostics.get("qp_iterations", _NO_DIAGNOSTIC)
+    time_without_position = diagnostics.get("dead_reckoning", np.zeros(is_commanded.sum()))
+    has_solution = (status == _SOLVED) | (status == _CAPPED)
     step_times = trajectory.step_time[np.isfinite(trajectory.step_time)] * 1e6
     quantiles = np.percentile(step_times, [50, 99, 99.9]).tolist() if step_times.size else [math.nan] * 3
     return {
@@ -244,11 +246,11 @@ def _step_measures(trajectory: Trajectory) -> dict[str, Any]:
         "at_any_limit": _mean(limits != 0),
         "qp_solved": int(np.count_nonzero(status == _SOLVED)),
         "qp_capped": int(np.count_nonzero(status == _CAPPED)),
-        "qp_failed": int(np.count_nonzero(~answered)),
+        "qp_failed": int(np.count_nonzero(~has_solution)),
         "held": int(np.count_nonzero(trajectory.held[is_commanded])),
-        "dead_reckoning": int(np.count_nonzero((reckoned > 0.0) & ~trajectory.held[is_commanded])),
+        "dead_reckoning": int(np.count_nonzero((time_without_position > 0.0) & ~trajectory.held[is_commanded])),
         "dead_reckoning_max": largest_known(diagnostics.get("dead_reckoning", np.empty(0))),
-        "qp_residual_max": largest_known(diagnostics.get("qp_residual", np.full(status.size, math.nan))[answered]),
+        "qp_residual_max": largest_known(diagnostics.get("qp_residual", np.full(status.size, math.nan))[has_solution]),
         "qp_iterations_mean": _mean(iterations),
         "qp_iterations_max": int(np.max(iterations, initial=0)),
         **dict(zip(("step_us_p50", "step_us_p99", "step_us_p999"), quantiles, strict=True)),
@@ -259,32 +261,32 @@ def _step_measures(trajectory: Trajectory) -> dict[str, Any]:
 # -- drives as arrays -------------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class PathRecord:
-    """A drive along a path at n instants, as arrays (n,); a number stands for all instants.
+    """Signals of a drive along a path at n instants, as arrays (n,). A number means the same value at all instants.
 
     Raises
     ------
     InvalidInput
-        When arrays differ in length, or times do not increase.
+        When arrays differ in length, or when times do not increase.
     """
 
     t: Array
-    """s, increasing"""
+    """Increasing times (s)."""
     offset: Array
-    """m, e: centre of mass from the path"""
+    """Error e: offset of the centre of mass from the path (m)."""
     heading_error: Array
-    """rad, yaw less the heading of the path at the foot; any number of turns"""
+    """Yaw angle minus the heading of the path at its nearest point (rad); need not be wrapped."""
     speed: Array
-    """m/s, v_x"""
+    """Longitudinal speed v_x (m/s)."""
     lateral_acceleration: Array
-    """m/s^2, at the centre of mass, without the pull of a bank"""
+    """Lateral acceleration of the centre of mass (m/s^2), without the part of gravity on a banked road."""
     wheel_angle: Array
-    """rad, of the road wheels"""
+    """Angle of the road wheels (rad)."""
     yaw_rate: Array | float = 0.0
-    """rad/s, of the car"""
+    """Yaw rate of the car (rad/s)."""
     command: Array | float = 0.0
-    """rad, requested angle of the road wheels"""
+    """Steering command: requested angle of the road wheels (rad)."""
     curvature: Array | float = 0.0
-    """1/m, of the path at the foot"""
+    """Curvature of the path at its nearest point (1/m)."""
 
     def __post_init__(self) -> None:
         t = reals("PathRecord: t", self.t)
@@ -301,9 +303,9 @@ class PathRecord:
     @classmethod
     @checked
     def from_trajectory(cls, run: Trajectory) -> Self | None:
-        """A run before its first instant that is not finite; None where fewer than two are.
+        """Take the instants of a run before the first one that is not finite; None if fewer than two remain.
 
-        Offsets count from the reference that it was to follow.
+        The offset is the error from the reference of the run.
         """
         columns = {
             "t": run.t, "offset": run.error, "heading_error": run.heading_error, "speed": run.vx,
@@ -316,7 +318,7 @@ class PathRecord:
 
     @property
     def wrapped_heading_error(self) -> Array:
-        """(n,) rad, the heading error in [-pi, pi)."""
+        """Heading error in [-pi, pi) (rad), (n,)."""
         return np.remainder(np.asarray(self.heading_error) + np.pi, 2.0 * np.pi) - np.pi
 
 
@@ -328,16 +330,18 @@ def path_metrics(
     lane_width: Annotated[Positive, "m"] = LANE_WIDTH,
     steering_ratio: Positive | None = None,
 ) -> Metrics:
-    """The measures of a drive from arrays, of any loop; those of controller, solver and failure stay unknown.
+    """Compute measures from the recorded signals of any loop. Measures of controller, solver and failure stay unknown.
 
     Parameters
     ----------
+    record
+        Recorded signals.
     outline
-        The car's, `Vehicle.outline`.
+        Outline of the car (`Vehicle.outline`).
     lane_width
-        The path is the middle of the lane.
+        Width of the lane whose middle is the path (m).
     steering_ratio
-        Angle of the steering wheel over that of the road wheels, by default `STEERING_RATIO`.
+        Ratio of the steering-wheel angle to the road-wheel angle, by default `STEERING_RATIO`.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         heading = record.wrapped_heading_error[~(record.speed < MIN_JUDGED_SPEED)]  # NaN speeds stay in
@@ -364,7 +368,7 @@ def path_metrics(
 
 
 def _path_measures(record: PathRecord, outline: Outline, lane_width: float, steering_ratio: float) -> dict[str, Any]:
-    """The measures that need the car's outline, by the names of `Metrics`."""
+    """Return the measures that need the outline of the car by their names in `Metrics`."""
     t, offset, acceleration, angle = record.t, record.offset, record.lateral_acceleration, record.wheel_angle
     with np.errstate(invalid="ignore", over="ignore"):
         corners = outline.corner_offsets(offset, record.wrapped_heading_error, record.curvature)
@@ -391,16 +395,16 @@ def _path_measures(record: PathRecord, outline: Outline, lane_width: float, stee
     }
 
 
-# -- beliefs and the paper's numbers ----------------------------------------------------------------------------------
+# -- learning and the paper's numbers ---------------------------------------------------------------------------------
 def belief_shares(trajectory: Trajectory) -> dict[str, Any]:
-    """Share of the driven control periods in each state of what is learned, by `Metrics`' names; NaN: nothing is."""
-    states = trajectory.diagnostics.get("belief_state", _NOTHING)
+    """Return the share of control periods in each learning state by the names of `Metrics`; NaN without learning."""
+    states = trajectory.diagnostics.get("belief_state", _NO_DIAGNOSTIC)
     states = states[np.isfinite(trajectory.command)] if states.size else states
     return {f"belief_{state.name.lower()}": _mean(states == state) for state in BeliefState}
 
 
 def last_belief_state(trajectory: Trajectory) -> str:
-    """The last state of what is learned, in words; empty where nothing is."""
+    """Return the learning state at the end in words; empty without learning."""
     commanded_rows = np.flatnonzero(np.isfinite(trajectory.command))
     diagnostics = trajectory.diagnostics
     if "belief_state" not in diagnostics or not commanded_rows.size:
@@ -411,26 +415,27 @@ def last_belief_state(trajectory: Trajectory) -> str:
 
 @dataclass(frozen=True)
 class Published:
-    """The mean square errors that the paper reports for one of its two tests (section V)."""
+    """Mean square errors that the paper reports for one of its two tests (section V)."""
 
     duration: float
-    """s, the window that matches them."""
+    """Duration of the test (s), chosen to reproduce the reported errors."""
     mse: dict[str, float]
-    """m², by controller."""
+    """Mean square error by controller (m²)."""
 
 
 PAPER_MSE = {
     "triple-lane-change": Published(28.0, {"standard": 0.0318, "nn": 0.0051, "anfis": 0.0062}),
     "general-trajectory": Published(200.0, {"standard": 0.5896, "nn": 0.132, "anfis": 0.1349}),
 }
-"""By scenario. The paper's window is not stated; its figures match these."""
+"""The paper's errors by scenario. The paper does not state the durations; its figures match these."""
 
 
 def published_mse(trajectory: Trajectory) -> float | None:
-    """m², the paper's MSE for the same test and controller; None when it has none that this run compares with.
+    """Return the paper's mean square error (m²) for the same test and controller; None if the run is not comparable.
 
-    Comparable are runs of its two tests, in the paper profile, without preview, over the paper's window. The names
-    are read from `Trajectory.meta`; ``NN-MPC`` means the controller ``nn``, and words in brackets do not count.
+    A run is comparable if it drives one of the paper's two tests in the ``paper`` profile, without preview and for the
+    paper's duration. The names come from ``trajectory.meta``. The name ``NN-MPC`` means the controller ``nn``; text in
+    brackets is ignored.
     """
     meta = trajectory.meta
     published = PAPER_MSE.get(trajectory.name_of("scenario"))
@@ -443,5 +448,5 @@ def published_mse(trajectory: Trajectory) -> float | None:
 
 
 def _mean(values: NDArray[Any]) -> float:
-    """The mean; NaN of nothing."""
+    """Mean of an array; NaN if it is empty."""
     return float(np.mean(values)) if values.size else math.nan

@@ -1,4 +1,4 @@
-"""Errors of a prediction model over a recorded drive, open loop."""
+"""Open-loop errors of a prediction model over a recorded drive."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from adaptrack.drive.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 TIMES = (0.5, 1.0)
-"""s, ahead."""
+"""Default prediction times (s)."""
 
 
 def run_prediction_error(run: Trajectory, model: PredictionModel) -> dict[float, float]:
-    """`prediction_error` of a controller's model over a run, at `TIMES`: from the car's true states, open loop.
+    """Return the `prediction_error` (m) of a controller's model over a run for each of `TIMES`.
 
-    On a curved road heading and offset count from the path. What the controller's estimator adds (disturbances, what
-    tyres lose in bends) is not part of it. Below 1 m/s the model is stepped at 1 m/s, as the controller does. A run
-    counts as far as it is finite; NaN for a time at which nothing is left, or where a state of the model is not in the
-    record.
+    Each prediction starts from the true states of the car. On a curved road, the model uses heading and offset relative
+    to the path. Disturbances and tyre corrections from the controller's estimator are not included. Below 1 m/s the
+    model is stepped at 1 m/s, as in the controller. Only the finite beginning of the run is used. The error is NaN if
+    this part is too short, or if the run does not contain a state of the model.
     """
     columns = {
         "vy": run.vy, "yaw": run.road.get("heading_error", run.psi), "yaw_rate": run.yaw_rate,
@@ -37,8 +37,8 @@ def run_prediction_error(run: Trajectory, model: PredictionModel) -> dict[float,
     curvature = run.road.get("curvature", np.zeros(len(run)))
     complete = np.isfinite(np.column_stack([states, run.command, run.vx, curvature])).all(axis=1)
     end = len(run) if complete.all() else int(complete.argmin())
-    late = round(model.dead_time / model.period)
-    times = [time for time in TIMES if 1 <= round(time / model.period) < end - late]
+    dead_periods = round(model.dead_time / model.period)
+    times = [time for time in TIMES if 1 <= round(time / model.period) < end - dead_periods]
     errors = dict.fromkeys(TIMES, math.nan)
     if times:
         speeds = np.maximum(run.vx[:end], MIN_JUDGED_SPEED)
@@ -58,69 +58,70 @@ def prediction_error(
     outputs: ArrayLike | None = None,
     times: Sequence[float] = TIMES,
 ) -> dict[float, float]:
-    """RMS error (m) of the output that a prediction model foretells for some times ahead, open loop.
+    """Return the open-loop RMS error (m) of a prediction model's output for each prediction time.
 
-    From every state the model is stepped over the record with the commands that followed, at their speeds. Its dead
-    time is taken out by the commands of so much earlier, in whole periods: a fraction is rounded. In a bend the path
-    turns under the car, by curvature times speed: of the states, yaw and y count from it.
+    From every recorded state, the model is stepped with the recorded commands and speeds. Commands are delayed by the
+    dead time of the model, rounded to whole periods. In a bend, yaw and y are relative to the path, whose heading
+    changes by curvature times speed.
 
     Parameters
     ----------
     model
-        Its period is that of the record.
+        Prediction model with the sampling period of the record.
     states : (n, model.n) array
-        In the order of `model.states`, as measured or estimated at each instant.
+        Measured or estimated states at each instant, in the order of `model.states`.
     commands : (n,) array
-        rad, of the period that begins at each instant.
+        Command of the period that begins at each instant (rad).
     speeds : (n,) array
-        m/s, > 0.
+        Speed (m/s), > 0.
     curvatures : (n,) array or float
-        1/m, of the path at the foot.
+        Curvature of the path at the point nearest to the car (1/m).
     outputs : (n,) array, optional
-        m, what the output was; by default that of `states`.
+        Recorded output (m); by default the output computed from `states`.
     times
-        s, each at least a period and within the record.
+        Prediction times (s), each at least one period and shorter than the record.
 
     Raises
     ------
     InvalidInput
-        When shapes do not fit or a time does not.
+        When shapes do not match, or when a prediction time is too short or too long.
     """
     x, u, v = (np.asarray(signal, dtype=np.float64) for signal in (states, commands, speeds))
     n = len(x)
-    y = u if outputs is None else np.asarray(outputs, dtype=np.float64)
-    if x.shape != (n, model.n) or not u.shape == v.shape == y.shape == (n,):
+    y = None if outputs is None else np.asarray(outputs, dtype=np.float64)
+    if x.shape != (n, model.n) or not u.shape == v.shape == (u if y is None else y).shape == (n,):
         raise InvalidInput(
-            f"prediction_error: states {x.shape}, commands {u.shape}, speeds {v.shape}, outputs {y.shape}: "
-            f"must be (n, {model.n}) for {', '.join(model.states)}, and (n,)."
+            f"prediction_error: states {x.shape}, commands {u.shape}, speeds {v.shape}, "
+            f"outputs {None if y is None else y.shape}: must be (n, {model.n}) for {', '.join(model.states)}, and (n,)."
         )
-    y = x @ model.output if outputs is None else y
-    late = round(model.dead_time / model.period)
+    y = x @ model.output if y is None else y
+    dead_periods = round(model.dead_time / model.period)
     steps = {time: round(time / model.period) for time in times}
     for time, count in steps.items():
-        if not 1 <= count < n - late:
+        if not 1 <= count < n - dead_periods:
             raise InvalidInput(
                 f"prediction_error: {time!r} s: must be at least one period ({model.period:g} s) and within the record."
             )
     a, b = _discretised(model, v)
-    e = _turning(model, v)
+    e = _path_turn_input(model, v)
     turn = np.broadcast_to(np.asarray(curvatures, dtype=np.float64), (n,)) * v
-    ahead, errors = x[late:], {}
+    predicted, errors = x[dead_periods:], {}
     for k in range(1, max(steps.values()) + 1):
-        count = n - late - k  # states that have a k-th successor
-        current, then = slice(late + k - 1, late + k - 1 + count), slice(k - 1, k - 1 + count)
-        step = b[current] * u[then, None] + e[current] * turn[current, None]
-        ahead = np.einsum("kij,kj->ki", a[current], ahead[:count]) + step
+        count = n - dead_periods - k  # states that have a k-th successor
+        state_rows = slice(dead_periods + k - 1, dead_periods + k - 1 + count)
+        command_rows = slice(k - 1, k - 1 + count)
+        step = b[state_rows] * u[command_rows, None] + e[state_rows] * turn[state_rows, None]
+        predicted = np.einsum("kij,kj->ki", a[state_rows], predicted[:count]) + step
         if k in steps.values():
-            errors[k] = _rms(ahead @ model.output - y[late + k :])
+            errors[k] = _rms(predicted @ model.output - y[dead_periods + k :])
     return {time: errors[count] for time, count in steps.items()}
 
 
 def _discretised(model: PredictionModel, speeds: Array) -> tuple[Array, Array]:
-    """A (n, m, m) and B (n, m) of a model at speeds (n,), each speed once."""
-    unique_speeds, place = np.unique(speeds, return_inverse=True)
+    """Return A (n, m, m) and B (n, m) of a model at speeds (n,) in m/s; equal speeds are computed once."""
+    unique_speeds, rows = np.unique(speeds, return_inverse=True)
     if not (np.isfinite(unique_speeds) & (unique_speeds > 0.0)).all():
-        raise InvalidInput("prediction_error: speeds must be positive and finite; leave out where the car stands.")
+        raise InvalidInput("prediction_error: speeds must be positive and finite; leave out standstill.")
     a, b, e = (
         np.zeros((unique_speeds.size, model.n, model.n)),
         np.zeros((unique_speeds.size, model.n)),
@@ -128,13 +129,13 @@ def _discretised(model: PredictionModel, speeds: Array) -> tuple[Array, Array]:
     )
     for k, speed in enumerate(unique_speeds.tolist()):
         model.function(speed, model.period, model.parameters(), a[k], b[k], e)
-    return a[place], b[place]
+    return a[rows], b[rows]
 
 
-def _turning(model: PredictionModel, speeds: Array) -> Array:
-    """(n, m) change of the states for each rad/s by which the path turns: -T of yaw, -v T^2/2 of y.
+def _path_turn_input(model: PredictionModel, speeds: Array) -> Array:
+    """Return the input matrix (n, m) of the path's turn rate (rad/s): -T for yaw and -v T^2/2 for y.
 
-    Of every model, as the controller predicts (`core.controllers.mpc`): the single track has no such input itself.
+    Prediction models do not have this input. The controller adds it in the same way (`core.controllers.mpc`).
     """
     change, names = np.zeros((speeds.size, model.n)), list(model.states)
     if "yaw" in names:
@@ -144,5 +145,5 @@ def _turning(model: PredictionModel, speeds: Array) -> Array:
 
 
 def _rms(values: Array) -> float:
-    """Infinite where a value is not finite."""
+    """Root mean square of an array; infinite if a value is not finite."""
     return float(np.sqrt(np.mean(np.square(values)))) if np.isfinite(values).all() else math.inf

@@ -1,8 +1,8 @@
-"""One closed-loop run, from Python or compiled.
+"""Simulation of one closed-loop run, in Python or compiled.
 
-`simulate` loops in Python, so any controller, plant, scheduler or QP back-end can take part. `rollout` runs the same
-control periods inside the kernels, as `batch.rollout_batch` does for many runs. All call the same halves of a control
-period (`core.period`) and give the same trajectory.
+`simulate` loops in Python and accepts any controller, plant, scheduler and QP solver. `rollout` runs the whole loop in
+the compiled kernels, as `batch.rollout_batch` does for many runs. Both use the same kernels for a control period
+(`core.period`) and return the same trajectory.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, Failure
-from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
 from adaptrack.drive.world import Driver, KnownAs, World
 from adaptrack.scenario import RoadDrive, Scenario, Signals
@@ -38,19 +38,19 @@ Array = NDArray[np.float64]
 
 
 DriveArgument = Annotated[
-    Scenario | RoadDrive, Hint("load_scenario(name) and RoadDrive(load_road(file), speed) give one")
+    Scenario | RoadDrive, Hint("such as load_scenario(name) or RoadDrive(load_road(file), speed)")
 ]
-"""What is driven."""
+"""Scenario or road drive to simulate."""
 
 
 class _Recorder:
-    """Record of one run: a row for each control instant; state and noted signals as in `core.period.Trace`."""
+    """Record of one run with a row for each control instant. state and signals: see `core.period.Trace`."""
 
-    def __init__(self, n: int, controller: Controller, state: Array, noted: Array) -> None:
-        self.state, self.noted = state, noted
+    def __init__(self, n: int, controller: Controller, state: Array, signals: Array) -> None:
+        self.state, self.signals = state, signals
         self.tuning_names, self.diagnostic_names = controller.tuning_names, controller.diagnostic_names
         self.command = np.full((n, 3), np.nan)  # command, its change, held
-        self.constant = controller.packed_tuning()
+        self.fixed_tuning = controller.packed_tuning()
         self.tuning = np.full((n, len(self.tuning_names)), np.nan)
         self.diagnostics = np.full((n, len(self.diagnostic_names)), np.nan)
         self.times = np.full(n, np.nan)
@@ -58,12 +58,12 @@ class _Recorder:
         self.failed_at = math.nan
         self.counted: dict[str, int] = {}
 
-    def take(self, k: int, answer: Any, before: float) -> float:
-        """Keep the answer of step k; its command (rad). before: the last command (rad)."""
-        angle, _, is_held, tuning, diagnostics = command_of(answer, before)
-        self.command[k] = angle, angle - before, is_held
+    def record(self, k: int, answer: Any, previous_command: float) -> float:
+        """Record the controller's answer in step k and return its command (rad). previous_command: rad."""
+        angle, _, is_held, tuning, diagnostics = command_of(answer, previous_command)
+        self.command[k] = angle, angle - previous_command, is_held
         if len(self.tuning_names):
-            self.tuning[k] = tuning if len(tuning) else self.constant
+            self.tuning[k] = tuning if len(tuning) else self.fixed_tuning
         if len(self.diagnostic_names):
             is_mapping = isinstance(diagnostics, Mapping)
             self.diagnostics[k] = (
@@ -86,25 +86,44 @@ def simulate(
     predicted: PredictedPaths | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
-    """Drive a scenario, or along a road, with a controller.
+    """Simulate a drive through a scenario or along a road with a controller.
 
-    profile: `paper` (ideal), `road` (steering actuator, noise, delay) or one's own; driver: None to follow the speed
-    profile exactly, else the driver or `SpeedControl` that moves the vehicle with its powertrain; seed: of the sensor
-    noise; known_as: how a scheduler knows friction and wind; failure: when the run has failed, by default as the
-    driven car's domain says (`Failure.of`): it ends there, its rest NaN, `Trajectory.failed` and `failed_at` say why
-    and when; predicted: where to keep the paths that an MPC predicts along a road; progress: called now and then with
-    (periods done, periods in all).
+    Parameters
+    ----------
+    plant
+        Simulated car.
+    controller
+        Controller; it is reset before the run.
+    scenario
+        Scenario or road drive.
+    profile
+        Steering, sensors and computation time: ``"paper"`` (ideal), ``"road"`` (steering actuator, noise, delay), a
+        TOML file or a `Profile`.
+    driver
+        Longitudinal driver or `SpeedControl`, which moves the car by its powertrain; None to follow the speed
+        reference exactly.
+    seed
+        Seed of the sensor noise.
+    known_as
+        Friction and wind that a scheduler receives, see `KnownAs`.
+    failure
+        Limits beyond which the run fails; by default those of the car (`Failure.of`). A failure ends the run: later
+        samples are NaN, and `Trajectory.failed` and `Trajectory.failed_at` have its reason and time.
+    predicted
+        Recorder of the paths that an MPC predicts along a road.
+    progress
+        Function that is called every 64 periods with the numbers of completed and of all periods.
 
     Raises
     ------
     InvalidInput
-        When an argument does not fit the others.
+        When arguments do not match each other.
     """
     world = World.of(plant, controller, profile, driver, known_as, failure)
     loop = ClosedLoop(world, scenario, seed, traced=True)
     signals, trace = loop.signals, loop.run.trace
     record = _Recorder(signals.n, controller, trace.state[0], trace.noted[0])
-    blind = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)
+    has_no_vy = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)
     controller.reset()
     for k in range(signals.n):
         if progress is not None and k % 64 == 0:
@@ -112,18 +131,18 @@ def simulate(
         instant = loop.sense()
         if loop.ended:
             break
-        if blind:
-            instant.measured[MEASUREMENT.vy] = 0.0  # a car without a sensor of it
-        # an MPC's model or estimator may use the wheel angle
+        if has_no_vy:
+            instant.measured[MEASUREMENT.vy] = 0.0  # the car has no sensor for the lateral velocity
+        # only some controllers use the wheel angle and the accelerometer
         measured = instant.measured if controller.sees_all_sensors else instant.measured[:4]
-        begun = time.perf_counter()
-        sees = loop.road is not None and controller.sees_road
-        ahead: dict[str, Any] = {"road": loop.road_ahead(instant.speed)} if sees else {}
-        answer = controller.step(measured, instant.speed, instant.reference, instant.variables, **ahead)
-        record.times[k] = time.perf_counter() - begun
-        command = record.take(k, answer, loop.command)
+        start_time = time.perf_counter()
+        uses_road = loop.road is not None and controller.sees_road
+        road_ahead: dict[str, Any] = {"road": loop.road_ahead(instant.speed)} if uses_road else {}
+        answer = controller.step(measured, instant.speed, instant.reference, instant.variables, **road_ahead)
+        record.times[k] = time.perf_counter() - start_time
+        command = record.record(k, answer, loop.command)
         if predicted is not None and record.command[k, 2] < 0.5:
-            predicted.take(k * world.period, controller, ahead.get("road"))
+            predicted.record(k * world.period, controller, road_ahead.get("road"))
         if not loop.send(command):
             break
         loop.advance()
@@ -146,38 +165,52 @@ def rollout(
     known_as: KnownAs = None,
     failure: Failure | None = None,
 ) -> Trajectory:
-    """`simulate`, compiled: the same trajectory, without the step times.
+    """Simulate one run in the compiled kernels.
+
+    Arguments and result are those of `simulate`, but the trajectory has no computation times.
 
     Raises
     ------
     InvalidInput
-        When a part needs Python at every step: a stepped plant, a controller, a scheduler or a QP back-end outside the
-        kernels.
+        When a component needs Python at every step, such as a `SteppedPlant`, or a controller, scheduler or QP solver
+        outside the kernels.
     """
     return rollouts(Batch(plant, controller, [scenario], profile, driver, failure, known_as), (seed,), threads=1)[0][0]
 
 
 def rollouts(batch: Batch, seeds: Sequence[int], threads: int | None = None) -> list[list[Trajectory]]:
-    """`rollout` of each scenario of a batch (outer list) with each noise seed (inner list), vectorised.
+    """Simulate each scenario of a batch with each noise seed, as `rollout` does, in parallel.
 
-    threads: None for all cores.
+    Parameters
+    ----------
+    batch
+        Scenarios, plant and controller.
+    seeds
+        Noise seeds.
+    threads
+        Number of threads; None for one per core.
+
+    Returns
+    -------
+    list of lists
+        One list per scenario with one trajectory per seed.
     """
     count = len(batch.signals)
-    scenario_index = np.repeat(np.arange(count), len(seeds))
-    seeded = np.tile(np.array(seeds, dtype=np.int64), count)
-    tunings = np.repeat(batch.tuning[None], len(scenario_index), axis=0)
+    scenario_indices = np.repeat(np.arange(count), len(seeds))
+    run_seeds = np.tile(np.array(seeds, dtype=np.int64), count)
+    tunings = np.repeat(batch.tuning[None], len(scenario_indices), axis=0)
     runs = batch.run(
-        scenario_index, tunings, seeded, threads or os.cpu_count() or 1, traced=True, scheduler=batch.scheduler
+        scenario_indices, tunings, run_seeds, threads or os.cpu_count() or 1, traced=True, scheduler=batch.scheduler
     )  # fmt: skip
     trajectories = [
-        _traced(batch, runs, i, int(k), int(seed))
-        for i, (k, seed) in enumerate(zip(scenario_index, seeded, strict=True))
+        _batch_trajectory(batch, runs, i, int(k), int(seed))
+        for i, (k, seed) in enumerate(zip(scenario_indices, run_seeds, strict=True))
     ]
     return [trajectories[first : first + len(seeds)] for first in range(0, len(trajectories), len(seeds))]
 
 
-def _traced(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) -> Trajectory:
-    """The i-th of the runs, of scenario k."""
+def _batch_trajectory(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) -> Trajectory:
+    """Return the trajectory of run i of a batch, which drives scenario k."""
     controller, n = batch.controller, batch.signals[k].n
     trace = runs.trace
     record = _Recorder(n, controller, trace.state[i, :n].copy(), trace.noted[i, :n].copy())
@@ -206,8 +239,9 @@ _UNITS = {
 
 
 def _columns_by_name(names: tuple[str, ...], columns: Array, is_driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """The columns by name; of quantities that are whole numbers as such, the QP's status where nothing was driven
-    being that of data that are not finite.
+    """Return the columns by name, whole-number quantities as integers.
+
+    Instants without a command have the QP status of data that are not finite.
     """
     columns_by_name: dict[str, NDArray[Any]] = {}
     for name, values in zip(names, columns.T, strict=True):
@@ -217,13 +251,13 @@ def _columns_by_name(names: tuple[str, ...], columns: Array, is_driven: NDArray[
     return columns_by_name
 
 
-def _learned(world: World, controller: Controller) -> dict[str, Any]:
-    """True values of the quantities that a learning controller estimates (`Learner.truth`)."""
+def _true_values(world: World, controller: Controller) -> dict[str, Any]:
+    """Return the true values of the quantities that a learning controller estimates (`Learner.truth`)."""
     learner, steering = controller.learner, world.steering
     if learner is None:
         return {}
-    late = sum(world.dead_periods) * world.period - learner.computation  # s, of which the learner knows nothing
-    return {"truth": learner.truth(steering.replace(dead_time=max(late, 0.0)), world.plant)}
+    dead_time = sum(world.dead_periods) * world.period - learner.computation  # s, unknown part
+    return {"truth": learner.truth(steering.replace(dead_time=max(dead_time, 0.0)), world.plant)}
 
 
 def _trajectory(
@@ -231,10 +265,10 @@ def _trajectory(
 ) -> Trajectory:
     n, state, plant = signals.n, record.state, world.plant
     is_driven = np.isfinite(record.command[:, 0])
-    described = controller.describe()
+    description = controller.describe()
     road = {}
     if isinstance(scenario, RoadDrive):
-        road = dict(zip(("station", "offset", "heading_error"), record.noted[:, 2:].T, strict=True))
+        road = dict(zip(("station", "offset", "heading_error"), record.signals[:, 2:].T, strict=True))
         road["curvature"] = scenario.road.at(np.nan_to_num(road["station"])).curvature
     groups = {"tuning": record.tuning_names, "diagnostics": record.diagnostic_names, "road": road}
     recorded = {f"{group}.{name}" for group, names in groups.items() for name in names}
@@ -246,14 +280,14 @@ def _trajectory(
         vx=state[:, PLANT_STATE.vx],
         vy=state[:, PLANT_STATE.vy],
         yaw_rate=state[:, PLANT_STATE.yaw_rate],
-        steering=record.noted[:, 1],
+        steering=record.signals[:, 1],
         command=record.command[:, 0],
         command_change=record.command[:, 1],
         y_ref=signals.y_ref[:n],
         v_ref=signals.speed[:n],
         friction=signals.friction[:n],
         wind=signals.wind[:n],
-        lateral_acceleration=record.noted[:, 0],
+        lateral_acceleration=record.signals[:, 0],
         held=np.nan_to_num(record.command[:, 2], nan=1.0) > 0.5,
         step_time=record.times,
         period=signals.period,
@@ -271,22 +305,22 @@ def _trajectory(
                 vehicle=getattr(getattr(plant, "vehicle", None), "name", plant.name),
                 profile=world.profile.name,
                 seed=seed,
-                preview=bool(described.get("preview", False)),
+                preview=bool(description.get("preview", False)),
                 controller=controller.name,
-                tuning=described.get("tuning", {}),
+                tuning=description.get("tuning", {}),
             ),
             datetime.now(UTC),
             move_weight=world.profile.move_weight,
-            control=described,
+            control=description,
             speed="driver" if world.has_driver(scenario) else "profile",
             scheduler_counts=record.counted,
             **_failure_distance(plant),
-            **_learned(world, controller),
+            **_true_values(world, controller),
         ),
     )
 
 
 def _failure_distance(plant: Plant | SteppedPlant) -> dict[str, float]:
-    """Return the car's own failure distance (m) for the record, if it differs from the default."""
+    """Return the failure distance (m) of the car as an entry of the provenance, if it differs from the default."""
     plant_limit = Failure.of(plant).distance
     return {} if plant_limit == DISTANCE else {"failure_distance": plant_limit}

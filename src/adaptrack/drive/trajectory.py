@@ -1,4 +1,4 @@
-"""One closed-loop run, control period by control period, and its file (Parquet, with provenance)."""
+"""Signals of one closed-loop run at its control instants, and their Parquet file with provenance."""
 
 from __future__ import annotations
 
@@ -37,35 +37,35 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 TRAJECTORY_FORMAT = "adaptrack trajectory"
-"""The word by which a Parquet file says that it holds a trajectory of ours."""
+"""Metadata entry that marks a Parquet file as a trajectory of adaptrack."""
 
 TRAJECTORY_FORMAT_VERSION = 2
-"""Raised whenever a column is added, dropped, renamed or changes its unit."""
+"""Version of the file format; it increases when a column is added, removed or renamed, or changes its unit."""
 
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
 @dataclass(frozen=True)
 class StoredArray:
-    """How one array of a trajectory is stored."""
+    """Storage of one array of a trajectory."""
 
     name: str
     """The attribute of `Trajectory`."""
     unit: str
-    """SI; ``-`` for pure numbers."""
+    """SI unit; ``-`` for dimensionless quantities."""
     kind: Literal["real", "whole", "truth"] = "real"
-    """``float64``, ``int64`` or ``bool``."""
+    """Element type: ``float64``, ``int64`` or ``bool``."""
     parts: tuple[str, ...] = ()
-    """For an array of shape (n, m): the m suffixes of its columns in a file."""
+    """Suffixes of the m columns in a file, for an array (n, m)."""
 
     @property
     def dtype(self) -> np.dtype:
-        """The element type that a `Trajectory` holds and a file stores."""
+        """Element type of the array in a `Trajectory` and in a file."""
         return np.dtype({"real": np.float64, "whole": np.int64, "truth": np.bool_}[self.kind])
 
     @property
     def stored_names(self) -> tuple[str, ...]:
-        """The names of its columns in a file."""
+        """Names of the columns in a file."""
         return tuple(f"{self.name}_{part}" for part in self.parts) or (self.name,)
 
 
@@ -88,18 +88,18 @@ TRAJECTORY_COLUMNS = (
     StoredArray("held", "-", "truth"),
     StoredArray("step_time", "s"),
 )
-"""The arrays that every `Trajectory` has, in the order of its fields and of a file's columns."""
+"""Arrays of every `Trajectory`, in the order of its fields and of the columns in a file."""
 
-_NAMED = ("tuning", "diagnostics", "road")
+_ARRAY_GROUPS = ("tuning", "diagnostics", "road")
 
 
 @checked
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Signals at the n control instants t = k Ts, k = 0..n-1, of one run.
+    """Signals of one run at the n control instants t = k Ts, k = 0..n-1.
 
-    ISO 8855: x forward, y left, yaw and steering positive to the left. Arrays are read-only views, float64 unless
-    said otherwise. A run that failed may hold NaN from some step on.
+    Signs are those of ISO 8855: x forward, y left, yaw and steering positive to the left. Arrays are read-only and
+    float64 unless a field states another type. After a failure, the remaining samples may be NaN.
 
     Raises
     ------
@@ -109,67 +109,75 @@ class Trajectory:
     """
 
     t: Array
-    """(n,) s, since the start of the scenario."""
+    """Time since the start of the scenario (s), (n,)."""
     X: Array
-    """(n,) m, position of the centre of gravity in the world."""
+    """World x coordinate of the centre of gravity (m), (n,)."""
     Y: Array
-    """(n,) m, likewise; what the controller makes follow `y_ref`."""
+    """World y coordinate of the centre of gravity (m), (n,)."""
     psi: Array
-    """(n,) rad, heading, not wrapped."""
+    """Yaw angle, not wrapped (rad), (n,)."""
     vx: Array
-    """(n,) m/s, forward velocity in the body frame."""
+    """Longitudinal velocity in the body frame (m/s), (n,)."""
     vy: Array
-    """(n,) m/s, leftward velocity in the body frame."""
+    """Lateral velocity in the body frame, positive to the left (m/s), (n,)."""
     yaw_rate: Array
-    """(n,) rad/s."""
+    """Yaw rate (rad/s), (n,)."""
     steering: Array
-    """(n,) rad, angle that the road wheels have at t: the actuator's answer to earlier commands."""
+    """Angle of the road wheels at t, after the steering actuator (rad), (n,)."""
     command: Array
-    """(n,) rad, u(k): the angle that the controller asks for during the period that begins at t."""
+    """Steering command u(k): requested road-wheel angle for the period that begins at t (rad), (n,)."""
     command_change: Array
-    """(n,) rad, Δu(k) = u(k) − u(k−1)."""
+    """Change of the command Δu(k) = u(k) − u(k−1) (rad), (n,)."""
     y_ref: Array
-    """(n,) m, lateral reference at t."""
+    """Lateral reference: world y coordinate to follow, or offset from the road to follow (m), (n,)."""
     v_ref: Array
-    """(n,) m/s, speed reference at t."""
+    """Speed reference (m/s), (n,)."""
     friction: Array
-    """(n, 4) front-left, front-right, rear-left, rear-right."""
+    """Friction coefficients of front-left, front-right, rear-left and rear-right wheel, (n, 4)."""
     wind: Array
-    """(n, 2) m/s, velocity of the air in the world: along +X, along +Y (the paper's v_w)."""
+    """Wind velocity along world X and Y (m/s), (n, 2)."""
     lateral_acceleration: Array
-    """(n,) m/s², at the centre of gravity, in the body frame."""
+    """Lateral acceleration of the centre of gravity in the body frame (m/s²), (n,)."""
     held: Array
-    """(n,) bool, whether a safe steering angle was held for want of a usable solution."""
+    """Whether the controller had no usable solution and kept a safe steering angle, bool (n,)."""
     step_time: Array
-    """(n,) s, wall-clock time of the control step; NaN when it was not measured."""
+    """Computation time of the control step (s), (n,); NaN if not measured."""
     period: Annotated[Positive, "s"]
-    """The control period Ts."""
+    """Control period Ts (s)."""
     tuning: Mapping[str, Array] = field(default_factory=dict)
-    """Name -> (n,), each float64, int64 or bool: what the controller was tuned to at each instant.
+    """Tuning of the controller at each instant by name; arrays (n,) of float64, int64 or bool.
 
-    An MPC's: ``Np`` and ``Nc`` (int64, horizons in control periods), ``Q`` (1/m², weight of the tracking error) and
+    An MPC has ``Np`` and ``Nc`` (int64, horizons in control periods), ``Q`` (1/m², weight of the tracking error) and
     ``R`` (1/rad², weight of the moves).
     """
     diagnostics: Mapping[str, Array] = field(default_factory=dict)
-    """Name -> (n,), each float64, int64 or bool: what the controller says of each step.
+    """Diagnostics of the control steps by name; arrays (n,) of float64, int64 or bool.
 
-    An MPC's: ``qp_status`` (int64, as `qp.QPStatus`: 0 solved, 1 capped, 2 infeasible, 3 not convex, 4 not finite),
-    ``qp_iterations`` (int64, of the solver that gave the answer), ``qp_residual`` (largest KKT residual of the answer;
-    NaN when there was none), ``at_limit`` (int64, sum of 1 (Δu), 2 (u) and 4 (y) for the limits that were active) and
-    ``dead_reckoning`` (s, for which the estimator had taken in no position; 0 where one was).
+    An MPC has:
+
+    - ``qp_status``, int64 as in `qp.QPStatus`: 0 solved, 1 stopped at the iteration limit, 2 infeasible, 3 not convex,
+      4 not finite;
+    - ``qp_iterations``, int64: number of iterations of the QP solver;
+    - ``qp_residual``: largest KKT residual of the solution, NaN without a solution;
+    - ``at_limit``, int64: sum of 1 (Δu), 2 (u) and 4 (y) for the active limits;
+    - ``dead_reckoning``: time since the last position measurement (s), 0 at instants with a measurement.
     """
     road: Mapping[str, Array] = field(default_factory=dict)
-    """Signals relative to a curved road, empty without one: ``station`` (m, arc length of the car's foot on the centre
-    line, over all laps), ``offset`` (m, from the centre line, positive to the left), ``heading_error`` (rad in (−π, π],
-    against the road) and ``curvature`` (1/m, of the road there)."""
+    """Signals relative to the centre line of a road, arrays (n,) by name; empty for a scenario without a road.
+
+    - ``station``: arc length of the point nearest to the car, over all laps (m);
+    - ``offset``: offset of the car, positive to the left (m);
+    - ``heading_error``: yaw relative to the road, in (−π, π] (rad);
+    - ``curvature``: curvature of the road at the nearest point (1/m).
+    """
     units: Mapping[str, str] = field(default_factory=dict)
-    """The units of named arrays, such as ``{"tuning.Q": "1/m^2"}``; ``-`` where left out."""
+    """Units of the arrays in `tuning`, `diagnostics` and `road` by name, such as ``{"tuning.Q": "1/m^2"}``."""
     failed: str | None = None
-    """Why the loop that drove it ended the run, by the name that `failure.Reason` gives it; None when it did not."""
+    """Reason why the simulation ended the run early (`failure.Reason`); None for a complete run."""
     failed_at: float = math.nan
-    """s, when it did; NaN when it did not."""
+    """Time at which the simulation ended the run (s); NaN for a complete run."""
     meta: dict[str, Any] = field(default_factory=dict)
-    """Provenance, see `provenance`; anything that JSON can hold."""
+    """Provenance (see `provenance`), as values that JSON can represent."""
 
     def __post_init__(self) -> None:
         steps = np.size(self.t)
@@ -179,7 +187,7 @@ class Trajectory:
             object.__setattr__(self, column.name, _checked(column, getattr(self, column.name), steps))
         if not (np.isfinite(self.t[0]) and np.allclose(np.diff(self.t), self.period, rtol=1e-6, atol=0.0)):
             raise InvalidInput(f"trajectory: the times `t` must be finite and one period ({self.period:g} s) apart.")
-        for name in _NAMED:
+        for name in _ARRAY_GROUPS:
             object.__setattr__(self, name, _storable_arrays(name, getattr(self, name), steps))
         object.__setattr__(self, "units", _units(self))
         if (self.failed is None) != math.isnan(self.failed_at):
@@ -189,7 +197,7 @@ class Trajectory:
         object.__setattr__(self, "meta", _as_json(self.meta))
 
     def __len__(self) -> int:
-        """The number n of control periods."""
+        """Number n of control periods."""
         return int(self.t.size)
 
     def __repr__(self) -> str:
@@ -198,19 +206,19 @@ class Trajectory:
 
     @property
     def duration(self) -> float:
-        """s, n Ts: the time that the n control periods cover."""
+        """Duration n Ts of the run (s)."""
         return len(self) * self.period
 
     @property
     def error(self) -> Array:
-        """(n,) m, Y − y_ref, on a curved road offset − y_ref: positive when the vehicle is to the left."""
+        """Lateral error Y − y_ref, on a road offset − y_ref, positive if the car is left of the reference (m), (n,)."""
         return (self.road["offset"] if self.road else self.Y) - self.y_ref
 
     @property
     def reference_heading(self) -> Array:
-        """(n,) rad, atan2(dy_ref/dt, v_x): the heading at which the reference is followed without sideslip.
+        """Heading of the reference, atan2(dy_ref/dt, v_x) (rad), (n,).
 
-        The derivative is by central differences over the samples. A vehicle that rolls backwards counts as standing.
+        The derivative is computed by central differences. Negative speeds are replaced by 0.
         """
         if len(self) < 2:
             return np.zeros(len(self))
@@ -218,26 +226,27 @@ class Trajectory:
 
     @property
     def heading_error(self) -> Array:
-        """(n,) rad in (−π, π], ψ − `reference_heading`, on a curved road against the road and that: positive when the
-        vehicle points to the left of its path.
+        """Heading error in (−π, π], positive if the car points to the left of the reference (rad), (n,).
+
+        It is the yaw angle, on a road the yaw angle relative to the road, minus `reference_heading`.
         """
         difference = (self.road["heading_error"] if self.road else self.psi) - self.reference_heading
         return -np.remainder(np.pi - difference, 2.0 * np.pi) + np.pi
 
     def name_of(self, entry: str) -> str:
-        """The name under which `meta` knows the ``"scenario"``, ``"plant"``, ...; empty when it says nothing."""
+        """Return the name of an entry of `meta` such as ``"scenario"`` or ``"plant"``; empty if it is missing."""
         value = self.meta.get(entry)
         if isinstance(value, dict):
             value = value.get("name")
         return "" if value is None else str(value)
 
     def between(self, start: float = 0.0, end: float = float("inf")) -> Self:
-        """The control periods that begin at start <= t < end [s]; times keep their values.
+        """Return the part of the run with start <= t < end (s); its times keep their values.
 
         Raises
         ------
         InvalidInput
-            When none does.
+            When no control instant lies in the interval.
         """
         rounding = 1e-6 * self.period
         inside = (self.t >= start - rounding) & (self.t < end - rounding)
@@ -247,23 +256,23 @@ class Trajectory:
                 f"this one covers [{self.t[0]:g}, {self.t[-1] + self.period:g}) s."
             )
         changes: dict[str, Any] = {c.name: getattr(self, c.name)[inside] for c in TRAJECTORY_COLUMNS}
-        changes |= {name: {k: values[inside] for k, values in getattr(self, name).items()} for name in _NAMED}
+        changes |= {name: {k: values[inside] for k, values in getattr(self, name).items()} for name in _ARRAY_GROUPS}
         if self.failed_at > changes["t"][-1] + self.period + rounding:  # not within this window
             changes |= {"failed": None, "failed_at": math.nan}
         return dataclasses.replace(self, **changes)
 
     def columns(self) -> dict[str, Array]:
-        """The arrays by the names that they have in a file (``tuning.Np``), each of shape (n,)."""
+        """Return all columns (n,) by their names in a file, such as ``tuning.Np``."""
         columns: dict[str, Array] = {}
         for column in TRAJECTORY_COLUMNS:
             values = getattr(self, column.name)
             columns |= dict(zip(column.stored_names, values.T if column.parts else (values,), strict=True))
-        for name in _NAMED:
+        for name in _ARRAY_GROUPS:
             columns |= {f"{name}.{key}": values for key, values in getattr(self, name).items()}
         return columns
 
     def to_pandas(self) -> Any:
-        """`columns` as a pandas DataFrame, a row a control instant; units in its ``attrs["units"]``.
+        """Return `columns` as a pandas DataFrame with a row per control instant; ``attrs["units"]`` has the units.
 
         Raises
         ------
@@ -279,32 +288,36 @@ class Trajectory:
         return frame
 
     def plot(self, road: Road | None = None) -> Any:
-        """The run as a matplotlib figure (``.savefig("run.png")``): signals over time; along a road where one is given.
+        """Draw the run as a matplotlib figure, which ``.savefig("run.png")`` saves.
 
-        With a road: from above, the driven line coloured by the offset, and offset, steering and speed along it.
+        Parameters
+        ----------
+        road
+            Road of the drive. With a road, the figure shows the driven line from above, coloured by the offset, and the
+            offset, steering and speed along the road. Without a road, it shows the signals over time.
 
         Raises
         ------
         InvalidInput
-            When fewer than two instants lie beside the road.
+            When fewer than two instants have a position along the road.
         """
         return figure_of(self, road)
 
     def _repr_html_(self) -> str:
-        """The run in a notebook: its measures and its picture."""
+        """Return measures and picture of the run for a notebook."""
         return html_of(self)
 
     def _column_units(self) -> dict[str, str]:
-        """The unit of each of `columns`."""
+        """Return the unit of each entry of `columns`."""
         return {name: column.unit for column in TRAJECTORY_COLUMNS for name in column.stored_names} | dict(self.units)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the trajectory as Parquet: the file appears whole or not at all.
+        """Write the trajectory to a Parquet file.
 
         Raises
         ------
         StorageError
-            When that fails; an older file at `path` is then untouched.
+            When the file cannot be written; an existing file stays unchanged.
         """
         units = self._column_units()
         stored = [ParquetColumn(name, units[name], values) for name, values in self.columns().items()]
@@ -321,12 +334,12 @@ class Trajectory:
     @classmethod
     @checked
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read what `save` wrote, bit for bit.
+        """Read a trajectory from a file that `save` wrote; all values are identical.
 
         Raises
         ------
         StorageError
-            When the file is missing, damaged, not a trajectory, or of another format version; the message says which.
+            When the file is missing, damaged, not a trajectory, or has a different format version.
         """
         required = [name for column in TRAJECTORY_COLUMNS for name in column.stored_names]
         remedy = "run the simulation again or use the release that wrote it"
@@ -337,7 +350,7 @@ class Trajectory:
             fields: dict[str, Any] = {
                 c.name: _joined([columns.pop(name) for name in c.stored_names]) for c in TRAJECTORY_COLUMNS
             }
-            fields |= {name: {} for name in _NAMED}
+            fields |= {name: {} for name in _ARRAY_GROUPS}
             for stored, values in columns.items():
                 name, _, key = stored.partition(".")
                 fields[name][key] = values
@@ -350,7 +363,7 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Origin:
-    """Scenario, plant and controller of a run: a name each, or a table with ``name`` and the parameters in use."""
+    """Scenario, plant and controller of a run; each is a name, or a table with ``name`` and the parameters in use."""
 
     scenario: Any
     plant: Any
@@ -358,9 +371,9 @@ class Origin:
     vehicle: Any
     profile: str
     seed: int | None
-    """of the sensor noise"""
+    """Seed of the sensor noise."""
     preview: bool
-    """whether the controller knew the reference ahead"""
+    """Whether the controller knew the reference ahead."""
     controller: Any
     tuning: Any
 
@@ -368,8 +381,14 @@ class Origin:
 def provenance(origin: Origin, created: str | datetime, **entries: Any) -> dict[str, Any]:
     """Return the provenance of a result for the `meta` of a `Trajectory`: its origin and the software versions.
 
-    `created` is the caller's clock, so that nothing here depends on the time of day. `more` adds entries (``moves``,
-    ``qp_solver``, ``command``, ...).
+    Parameters
+    ----------
+    origin
+        Scenario, plant and controller.
+    created
+        Time of creation; an argument, so that the result does not depend on the system clock.
+    **entries
+        Further entries, such as ``moves``, ``qp_solver`` or ``command``.
     """
     return {
         **vars(origin),
@@ -385,7 +404,7 @@ def provenance(origin: Origin, created: str | datetime, **entries: Any) -> dict[
 
 
 def _checked(column: StoredArray, values: Any, steps: int) -> Array:
-    """`values` as a read-only array of the column's type and shape."""
+    """Convert `values` to a read-only array with the type and shape of the column, or raise InvalidInput."""
     shape = (steps, len(column.parts)) if column.parts else (steps,)
     array = np.asarray(values)
     if array.shape != shape:
@@ -403,7 +422,7 @@ def _checked(column: StoredArray, values: Any, steps: int) -> Array:
 
 
 def _storable_arrays(group: str, groups: Mapping[str, Any], steps: int) -> Mapping[str, Array]:
-    """Arrays by name, each of one of the types that a file stores."""
+    """Convert arrays by name to the types that a file can store, or raise InvalidInput."""
     kinds: dict[str, Literal["real", "whole", "truth"]] = {"f": "real", "i": "whole", "u": "whole", "b": "truth"}
     arrays = {}
     for name, values in groups.items():
@@ -417,8 +436,8 @@ def _storable_arrays(group: str, groups: Mapping[str, Any], steps: int) -> Mappi
 
 
 def _units(run: Trajectory) -> Mapping[str, str]:
-    """The unit of each named array, by the name that it has in a file."""
-    names = [f"{group}.{name}" for group in _NAMED for name in getattr(run, group)]
+    """Return the unit of each array in `tuning`, `diagnostics` and `road` by its name in a file."""
+    names = [f"{group}.{name}" for group in _ARRAY_GROUPS for name in getattr(run, group)]
     unknown = sorted(set(run.units) - set(names))
     if unknown:
         raise InvalidInput(f"trajectory: `units` names {unknown[0]!r}, which this run does not hold.")
@@ -426,7 +445,7 @@ def _units(run: Trajectory) -> Mapping[str, str]:
 
 
 def _as_json(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """`meta` as JSON would give it back, so that a saved and a loaded trajectory hold the same."""
+    """Convert `meta` to JSON and back, so that it equals the `meta` of a saved and loaded trajectory."""
     for key, value in meta.items():
         try:
             json.dumps(value)

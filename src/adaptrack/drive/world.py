@@ -1,6 +1,7 @@
-"""The world around a controller: plant, profile, driver, what is known of friction and wind, when a run has failed.
+"""World: the simulated car and everything around its controller.
 
-Runs from Python and compiled ones share it, and so they share what the kernels' control period (`core.period`) needs.
+It has plant, profile, driver, the perception of friction and wind, and the failure limits. Runs in Python and compiled
+runs both use it to build the inputs of the kernels (`core.period`).
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ from adaptrack.core.planning.drive import complete_samples
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.failure import Failure, Reason
 from adaptrack.scenario import RoadDrive, Scenario, Signals
-from adaptrack.scenario.profile import SENSING, Profile, load_profile
+from adaptrack.scenario.profile import SENSOR_FIELDS, Profile, load_profile
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
 KnownAs = Perception | FrictionWindEstimator | None
-"""How a scheduler knows friction and wind: exactly (None), with errors, or as an estimator finds them."""
+"""Friction and wind that a scheduler receives: true values (None), values with errors, or estimates."""
 
 
 @checked
@@ -63,16 +64,20 @@ ROAD_DRIVER = Driver(roads_only=True)
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Everything around the controller that all runs of a batch share."""
+    """Simulated car and everything else around the controller; all runs of a batch share it."""
 
     plant: Plant | SteppedPlant
-    """behind its steering"""
+    """Simulated car, moved by its steering actuator."""
     profile: Profile
+    """Steering, sensors and computation time."""
     period: float
-    """s, of the controller"""
+    """Control period of the controller (s)."""
     driver: Driver | SpeedControl | None
+    """Longitudinal driver; None to follow the speed reference exactly."""
     known_as: KnownAs
+    """Friction and wind that a scheduler receives."""
     failure: Failure
+    """Limits beyond which a run fails."""
 
     @classmethod
     def of(
@@ -80,19 +85,19 @@ class World:
         driver: Driver | SpeedControl | None,
         known_as: KnownAs, failure: Failure | None,
     ) -> World:  # fmt: skip
-        """The world of a controller.
+        """Build the world of a controller. The arguments are those of `simulate`.
 
         Raises
         ------
         InvalidInput
-            When the parts do not fit each other.
+            When arguments do not match each other.
         """
         if not isinstance(plant, Plant | SteppedPlant):
             raise InvalidInput(f"plant = {plant!r}: must be a Plant, such as DualTrack(load_vehicle('paper')).")
         if not isinstance(controller, Controller):
             raise InvalidInput(
-                f"controller = {controller!r}: must be a Controller, such as MPC(load_vehicle('paper')); derive one of "
-                "your own from adaptrack.Controller."
+                f"controller = {controller!r}: must be a Controller, such as MPC(load_vehicle('paper')), or a subclass "
+                "of adaptrack.Controller."
             )
         profile = load_profile(profile)
         if isinstance(plant, Plant) and getattr(plant, "steering", None) is None:
@@ -102,7 +107,7 @@ class World:
         if isinstance(known_as, FrictionWindEstimator) and not math.isclose(known_as.period, controller.period):
             raise InvalidInput(
                 f"known_as: the estimator's period is {known_as.period!r} s, the controller's {controller.period!r} s: "
-                "both run at the same instants."
+                "give both the same period."
             )
         _refuse_missing_sensors(controller, profile)
         world = cls(plant, profile, controller.period, driver, known_as, failure or Failure.of(plant))
@@ -112,44 +117,52 @@ class World:
         return world
 
     def warn_of_different_delay(self, controller: Controller) -> None:
-        """Warn where the simulated delay differs from the controller's by its computation time, or is longer.
+        """Warn if the controller's steering model assumes a wrong delay.
 
-        With a delay assumed too short it may lose the car, with one too long it steers worse. A controller that learns
-        finds a longer delay, and none that is shorter than its computation time.
+        The warning has two cases:
+
+        - the computation time differs from the simulated one, and so does the whole delay;
+        - the simulated delay is longer than the assumed one, and the controller does not learn it.
+
+        A delay assumed too short can make the loop unstable; one assumed too long costs accuracy. A learning controller
+        can increase its delay, but never below its computation time.
         """
-        belief, tolerance = controller.belief, 0.4 * self.period
-        if belief is None:
+        steering_model, tolerance = controller.belief, 0.4 * self.period
+        if steering_model is None:
             return
-        believed, actual = belief.lag.value + belief.delay, self.steering.lag + sum(self.dead_periods) * self.period
+        assumed_delay = steering_model.lag.value + steering_model.delay
+        simulated_delay = self.steering.lag + sum(self.dead_periods) * self.period
         computation = self.profile.delay * self.period
-        computation_error = computation - belief.computation.value
-        delay_error = actual - believed if controller.learner is None else min(computation_error, 0.0)
+        computation_error = computation - steering_model.computation.value
+        # a learning controller corrects any delay error except a computation time assumed too long
+        delay_error = simulated_delay - assumed_delay if controller.learner is None else min(computation_error, 0.0)
         if abs(computation_error) > tolerance and delay_error * math.copysign(1.0, computation_error) > tolerance:
             _warn(
-                f"adaptrack: the controller assumes a computation time of {belief.computation.value:.3g} s "
-                f"({belief.computation.source}), profile {self.profile.name!r} simulates {computation:.3g} s: give the "
-                f"controller profile={self.profile.name!r} or computation={computation:.3g}."
+                f"adaptrack: the controller assumes a computation time of {steering_model.computation.value:.3g} s "
+                f"({steering_model.computation.source}), but profile {self.profile.name!r} simulates "
+                f"{computation:.3g} s: give the controller profile={self.profile.name!r} or "
+                f"computation={computation:.3g}."
             )
         elif delay_error > tolerance:
             _warn(
-                f"adaptrack: in profile {self.profile.name!r} the wheels follow a command {actual:.3g} s late, the "
-                f"controller believes {believed:.3g} s: MPC(car, profile={self.profile.name!r}), or "
-                "belief=Steering(...) of the car, tells it; with learning=Learning() it finds out."
+                f"adaptrack: profile {self.profile.name!r} simulates a steering delay of {simulated_delay:.3g} s, but "
+                f"the controller assumes {assumed_delay:.3g} s. Give the controller profile={self.profile.name!r} or "
+                "belief=Steering(...) with the right delay, or learning=Learning() to estimate it."
             )
 
     @property
     def steering(self) -> SteeringActuator:
-        """The actuator between command and wheels."""
+        """Steering actuator between command and road wheels: that of the plant, otherwise that of the profile."""
         return getattr(self.plant, "steering", None) or self.profile.steering
 
     def substeps(self, top_speed: float) -> int:
-        """Integration steps per control period up to a speed (m/s)."""
+        """Number of integration steps per control period for speeds up to `top_speed` (m/s)."""
         if isinstance(self.plant, SteppedPlant):
             return steps_in(self.period, self.plant)
         return self.plant.substeps(self.period, top_speed)
 
     def settings(self, substeps: int) -> Any:
-        """`core.loop.LoopSettings`; without a driver the speed follows its profile exactly."""
+        """Return the `core.loop.LoopSettings` for a number of integration steps per control period."""
         profile, driver, steering = self.profile, self.driver, self.steering
         return loop_kernel.LoopSettings(
             period=self.period,
@@ -157,7 +170,7 @@ class World:
             prescribed_speed=self._speed_kind,
             dead_whole=self.dead_periods[0],
             dead_share=self.dead_periods[1],
-            **{name: getattr(profile, name) for name in SENSING},
+            **{name: getattr(profile, name) for name in SENSOR_FIELDS},
             steering_lag=steering.lag,
             steering_limit=steering.limit,
             steering_bias=steering.bias,
@@ -200,25 +213,37 @@ class World:
 
     @property
     def dead_periods(self) -> tuple[int, float]:
-        """From an instant until its command acts: whole control periods, and the share of one more."""
+        """Delay from a measurement until its command acts: whole control periods, and a share of one more."""
         periods, share = dead_periods(self.profile.delay, self.steering.dead_time, self.period)
         return periods, share
 
     @property
     def remembered(self) -> int:
-        """Instants whose samples are kept because they come late; 0 where all sensors are prompt."""
+        """Number of past instants whose samples are stored because they arrive late; 0 without late samples."""
         return int(loop_kernel.instants_back(self.profile.oldest, self.period))
 
     def loop(
-        self, inputs: Any, vehicles: Any, settings: Any, *, variables: bool, trace: Any = None, segments: int = 0
+        self, inputs: Any, vehicles: Any, settings: Any, *, needs_variables: bool, trace: Any = None, segments: int = 0
     ) -> Any:  # fmt: skip
-        """Runs before their first instant (`core.period.RunLoop`), one for each of the vehicles.
+        """Allocate the loop of new runs (`core.period.RunLoop`), one run per vehicle.
 
-        given: `core.period.Given`; variables: whether somebody looks at the scheduling variables; trace: as
-        `core.period.traces`, None for none; segments: of each run.
+        Parameters
+        ----------
+        inputs
+            Samples, roads and seeds (`core.period.Given`).
+        vehicles
+            Batch of vehicles.
+        settings
+            Result of `settings`.
+        needs_variables
+            Whether a scheduler or an agent reads the scheduling variables.
+        trace
+            Memory of the recorded signals (`core.period.traces`); None to record nothing.
+        segments
+            Number of segments whose cost is recorded in each run.
         """
         past = self.remembered
-        estimator = self.known_as if variables and isinstance(self.known_as, FrictionWindEstimator) else None
+        estimator = self.known_as if needs_variables and isinstance(self.known_as, FrictionWindEstimator) else None
         counts = period_kernel.LoopCounts(**dict.fromkeys(period_kernel.LoopCounts._fields, 0))
         counts = counts._replace(
             slots=len(vehicles.start), dead_whole=self.dead_periods[0], past=past, segments=segments,
@@ -229,7 +254,11 @@ class World:
         return loop._replace(
             settings=settings,
             features=period_kernel.Features(
-                late=past > 0, variables=variables, estimates=estimator is not None, traces=trace is not None, law=0
+                late=past > 0,
+                variables=needs_variables,
+                estimates=estimator is not None,
+                traces=trace is not None,
+                law=0,
             ),
             vehicles=vehicles,
             given=inputs,
@@ -238,9 +267,14 @@ class World:
         )
 
     def samples(self, signals: Signals, number: int) -> Array:
-        """A scenario's samples as the kernels read them, (`core.loop.SIGNAL`, n + 1).
+        """Convert the samples of a scenario to the rows that the kernels read (`core.loop.SIGNAL`), (rows, n + 1).
 
-        number: of the scenario in its batch, from which errors of perception are drawn.
+        Parameters
+        ----------
+        signals
+            Samples of the scenario.
+        number
+            Index of the scenario in its batch; it selects the perception errors.
         """
         if np.any(signals.grade) and not self.plant.takes_grade:
             raise InvalidInput(
@@ -251,8 +285,8 @@ class World:
         rows = np.empty((len(SIGNAL), signals.n + 1))
         samples = {
             "y_ref": signals.y_ref, "speed": signals.speed, "wind_x": signals.wind[:, 0], "wind_y": signals.wind[:, 1],
-            "bank": signals.bank, "acceleration": signals.curvature, "station": signals.station,
-            "grade": signals.grade,
+            "bank": signals.bank, "station": signals.station, "grade": signals.grade,
+            "acceleration": signals.curvature,  # complete_samples replaces the curvature by the lateral acceleration
         }  # fmt: skip
         for name, values in samples.items():
             rows[getattr(SIGNAL, name)] = values
@@ -266,7 +300,7 @@ class World:
         return rows
 
     def start(self, scenario: Scenario | RoadDrive, signals: Signals) -> Array:
-        """All states of the plant at the start (n,): in equilibrium at the speed of the scenario."""
+        """Return all states (n,) of the plant at the start, in equilibrium at the speed of the scenario."""
         motion = np.array([*scenario.start_pose(), signals.speed[0], 0.0, 0.0])
         return motion if isinstance(self.plant, SteppedPlant) else self.plant.initial_state(motion)
 
@@ -280,25 +314,25 @@ def _actuator_settings(name: str, actuator: DriveActuator | BrakeActuator, perio
 
 @cache
 def _warn(text: str) -> None:
-    """Once in a process."""
+    """Log a warning, once per process."""
     _log.warning(text)
 
 
 def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:
-    """The paper's increments need the whole state measured."""
+    """Raise InvalidInput if an MPC without an estimator needs a state that the profile does not measure."""
     if not isinstance(controller, MPC) or controller.estimator.function is not None:
         return
     lacking = [name for name in controller.model.states if math.isinf(getattr(profile, f"noise_{name}"))]
     if lacking:
         raise InvalidInput(
-            f"profile {profile.name!r} does not measure {', '.join(lacking)}, and this MPC takes its state as it is "
-            "measured (estimator 'deadbeat'): take the informed controller, which estimates it (--controller informed; "
-            "in Python MPC(car, profile=...))."
+            f"profile {profile.name!r} does not measure {', '.join(lacking)}, but this MPC has no state estimator "
+            "(estimator 'deadbeat'). Use the informed controller, which has one (--controller informed; in Python "
+            "MPC(car, profile=...))."
         )
 
 
 def reason_of(ended: int) -> str | None:
-    """The name of what ended a run early; None for a run that came to its end, or that was stopped for its cost."""
+    """Return the name of the reason that ended a run early; None for a complete run and for one stopped by its cost."""
     return {
         loop_kernel.OFF_ROAD: Reason.OFF_ROAD.value,
         loop_kernel.NEVER_ARRIVED: Reason.OFF_ROAD.value,

@@ -51,11 +51,11 @@ RECORDS = (
 )  # fmt: skip
 """What the engine lays into memory."""
 CONTROLLER_KINDS = {
-    "informed": "knows its car", "learning": "learns its car", "published": "the paper's",
-    "published-nn": "the paper's, scheduled by networks", "published-anfis": "the paper's, scheduled by ANFIS",
+    "informed": "informed MPC", "learning": "informed MPC + learning", "published": "the paper's MPC",
+    "published-nn": "the paper's MPC, scheduled by networks", "published-anfis": "the paper's MPC, scheduled by ANFIS",
     "pure-pursuit": "pure pursuit", "stanley": "Stanley", "lqr": "LQR",
 }  # fmt: skip
-"""Controllers of the page, and what they are."""
+"""Descriptions of the controllers on the page, by name."""
 INPUT_BOUNDS = {
     "lag": (0.0, 1.0), "dead_time": (0.0, 1.0), "bias": (-0.1, 0.1), "noise": (0.0, 20.0), "friction": (0.05, 1.5),
     "wind": (-40.0, 40.0), "vy": (-10.0, 10.0), "yaw_rate": (-3.0, 3.0), "angle": (-0.3, 0.3), "duration": (0.0, 10.0),
@@ -124,8 +124,8 @@ def _controller(kind: str, profile: str) -> dict[str, Any]:
     world = load_profile(profile)
     if base == "published" and not math.isfinite(world.noise_vy):
         return {
-            "refused": f"In the profile “{profile}” nothing measures the lateral velocity, and the paper's controller "
-            "takes its state as it is measured: choose a controller that knows its car."
+            "refused": f"The profile “{profile}” has no sensor for the lateral velocity, which the paper's MPC needs: "
+            "choose the informed MPC."
         }
     plain = kind if law else base
     controller, numbers = (

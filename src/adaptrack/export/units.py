@@ -137,7 +137,7 @@ def car_unit(
     inputs = Given(
         np.zeros((1, len(SIGNAL), samples)), pack_roads([road]), np.zeros(1, np.int64), np.zeros(1, np.int64)
     )
-    loop = world.loop(inputs, vehicles, world.settings(world.substeps(fastest)), variables=False)
+    loop = world.loop(inputs, vehicles, world.settings(world.substeps(fastest)), needs_variables=False)
     starts = {
         "period": (world.period,), "speed_preview": (ahead,), "seed": (0.0, 0.0, MAX_FMU_SEED),
         "parallel_exchange": (0.0, 0.0, 1.0), "start_speed": (speed, 0.0, 100.0), "command": (0.0, -math.pi, math.pi),

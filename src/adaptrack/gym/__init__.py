@@ -1,7 +1,7 @@
-"""Environments for Gymnasium: steer a car along its road, or choose the tuning of its MPC.
+"""Gymnasium environments in which an agent steers a car along its road, or chooses the tuning of its MPC.
 
-After ``import adaptrack.gym`` ``gymnasium.make`` and ``gymnasium.make_vec`` know `adaptrack/PathTracking-v0` and
-`adaptrack/MPCTuning-v0`; ``gymnasium.make("adaptrack.gym:adaptrack/PathTracking-v0")`` imports it itself.
+``import adaptrack.gym`` registers `adaptrack/PathTracking-v0` and `adaptrack/MPCTuning-v0` for ``gymnasium.make`` and
+``gymnasium.make_vec``. ``gymnasium.make("adaptrack.gym:adaptrack/PathTracking-v0")`` needs no such import.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from adaptrack.gym.vector import MPCTuningVectorEnv, PathTrackingVectorEnv
 
 __all__ = ["MPCTuningEnv", "MPCTuningVectorEnv", "PathTrackingEnv", "PathTrackingVectorEnv", "Task"]
 
-for _name, _single, _several in (
+for _name, _environment, _vector_environment in (
     ("adaptrack/PathTracking-v0", PathTrackingEnv, PathTrackingVectorEnv),
     ("adaptrack/MPCTuning-v0", MPCTuningEnv, MPCTuningVectorEnv),
 ):
     if _name not in gymnasium.registry:
         gymnasium.register(
             _name,
-            entry_point=f"{_single.__module__}:{_single.__name__}",
-            vector_entry_point=f"{_several.__module__}:{_several.__name__}",
+            entry_point=f"{_environment.__module__}:{_environment.__name__}",
+            vector_entry_point=f"{_vector_environment.__module__}:{_vector_environment.__name__}",
         )

@@ -1,4 +1,4 @@
-"""Choose the tuning of a car's MPC while it drives."""
+"""Environment in which an agent chooses the tuning of a car's MPC while the MPC drives."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import whole_number
 from adaptrack.core.public import BELIEF_NAMES
-from adaptrack.gym.driven import Driven, needs_reset
-from adaptrack.gym.spaces import BELIEF_STATE, Tunings, box, checked_action, first_belief, make_mpc, variables_within
+from adaptrack.gym.episode_run import EpisodeRun, require_running
+from adaptrack.gym.spaces import BELIEF_STATE, Tunings, box, check_action, initial_belief, make_mpc, variable_bounds
 from adaptrack.gym.task import Task
 
 Array = NDArray[np.float64]
 TUNING_PERIODS = 10
-"""Control periods between two tunings."""
+"""Default number of control periods between two actions."""
 
 
-class Chosen:
-    """A scheduler that gives what was chosen last."""
+class AgentScheduler:
+    """Scheduler that returns the tuning of the agent's last action."""
 
-    name = "chosen"
+    name = "agent"
 
     def __init__(self) -> None:
         self.tuning: tuple[float, ...] = ()
@@ -32,56 +32,66 @@ class Chosen:
 
 
 class MPCTuningEnv(gymnasium.Env):
-    """`adaptrack/MPCTuning-v0`: choose horizons and weights of a car's MPC every so many control periods.
+    """`adaptrack/MPCTuning-v0`: choose horizons and weights of a car's MPC every `every` control periods.
 
-    The MPC drives as in `adaptrack.simulate` with a scheduler; its QP, model and estimator are its own.
+    The MPC drives as in `adaptrack.simulate`; the agent takes the place of its scheduler. QP, prediction model and
+    estimator stay those of the MPC.
 
     Action
     ------
-    Box(3,), float64, +-1, beyond is clipped: prediction horizon Np (1 to 60) and control horizon Nc (1 to 20), both in
-    control periods, rounded and clamped to Nc <= Np, and log10 R/Q, two decades to either side of the controller's own.
-    -1 is the lowest, 1 the highest of each; ``tunings.action(Np, Nc, log10_ratio)`` gives the action of a tuning and
-    ``tunings.of(action)`` the other way.
+    Box(3,), float64. Each entry is clipped to +-1; -1 stands for the lowest and 1 for the highest value of
+
+    - the prediction horizon Np, 1 to 60 control periods,
+    - the control horizon Nc, 1 to 20 control periods,
+    - log10 R/Q, within two decades of the value of the MPC's default tuning.
+
+    Np and Nc are rounded, and Nc is limited to Np. ``tunings.action(Np, Nc, log10_ratio)`` converts a tuning to an
+    action, ``tunings.of(action)`` an action to a tuning.
 
     Observation
     -----------
-    Box, float64, in this order (`names`), each clipped to its bounds; what is missing keeps its last value.
+    Box, float64, with the columns below (`names`), each clipped to its bounds. A missing value keeps its last value.
 
     ==================  ======  ==============================================================================
     name                unit    meaning, bounds
     ==================  ======  ==============================================================================
-    speed               m/s     measured, 0 to 100
-    y_ref               m       lateral reference now, +-1000
-    friction            --      as known (`known_as`), 0 to 2
-    wind                m/s     side wind as known, +-100
+    speed               m/s     measured speed, 0 to 100
+    y_ref               m       lateral reference at the present instant, +-1000
+    friction            --      friction as perceived by the controller (`known_as`), 0 to 2
+    wind                m/s     side wind as perceived by the controller, +-100
     change              m       largest change of the reference over the next 3 s, 0 to 1000
-    acceleration        m/s^2   largest lateral acceleration that reference and road ask for, likewise, 0 to 100
-    offset              m       y_ref less measured y, +-100
-    belief_lag          s       informed: lag of the steering as believed, 0 to 10
-    belief_delay        s       informed: time until a command begins to act as believed, 0 to 10
+    acceleration        m/s^2   largest lateral acceleration of reference and road over the next 3 s, 0 to 100
+    offset              m       y_ref minus measured y, +-100
+    belief_lag          s       only `informed`: assumed lag of the steering, 0 to 10
+    belief_delay        s       only `informed`: assumed time until a command begins to act, 0 to 10
     ==================  ======  ==============================================================================
 
-    `informed-learning` has in place of the last two what it has learned with its standard deviations, by the names of
-    the diagnostics of `MPC`, +-100; it knows of the steering what the car's file says, not the profile's. info has the
-    state of that belief at every step: `belief_state`, a number of `BeliefState`. `as-written` believes nothing.
+    With `informed-learning` the columns after `offset` are the learned quantities and their standard deviations, each
+    within +-100. They have the names of the diagnostics of `MPC`. This controller takes its initial steering
+    parameters from the car file, not from the profile. At every step info contains `belief_state`, a number of
+    `BeliefState`. With `as-written`, the controller of the paper, the observation ends with `offset`.
 
     Reward
     ------
-    The sum of -(e^2 + w du^2) in m^2 over the control periods of the step, as in `adaptrack/PathTracking-v0`, the cost
-    of a failure included.
+    The sum of the rewards (m^2) that `adaptrack/PathTracking-v0` gives for the control periods of the step.
 
     End
     ---
-    As in `adaptrack/PathTracking-v0`; the last step of a road may have fewer periods.
+    As in `adaptrack/PathTracking-v0`. The last step of a road may have fewer control periods.
 
-    Arguments
-    ---------
-    The fields of `Task`; controller: `informed`, `informed-learning` or `as-written`; every: control periods of a step.
+    Parameters
+    ----------
+    controller
+        `informed`, `informed-learning` or `as-written`.
+    every
+        Number of control periods between two actions.
+    task
+        The fields of `Task`.
 
     Raises
     ------
     InvalidInput
-        For arguments, options or actions that are not allowed.
+        For invalid arguments, options or actions.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
@@ -91,47 +101,47 @@ class MPCTuningEnv(gymnasium.Env):
     ) -> None:
         self.task, self.controller, self.render_mode = Task(**task), controller, render_mode
         self.every = whole_number("MPCTuning", "every", every)
-        vehicle, _, profile = self.task.known_car()
+        vehicle, _, profile = self.task.base_car()
         mpc = make_mpc(controller, vehicle, profile)
-        within = variables_within(mpc)
-        self.names = tuple(within)
+        bounds = variable_bounds(mpc)
+        self.names = tuple(bounds)
         self.tunings = Tunings(mpc)
-        self.action_space, self.observation_space = self.tunings.box, box(list(within.values()))
-        self._driven: Driven | None = None
-        self._chosen = Chosen()
+        self.action_space, self.observation_space = self.tunings.box, box(list(bounds.values()))
+        self._run: EpisodeRun | None = None
+        self._scheduler = AgentScheduler()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode, see `gymnasium.Env.reset`; options: `noise_seed`, `car_seed`, `road`."""
+        """Start an episode, see `gymnasium.Env.reset`; options: `noise_seed`, `car_seed`, `road`."""
         super().reset(seed=seed)
         episode = self.task.draw(self.np_random, options)
-        self._mpc = make_mpc(self.controller, episode.vehicle, episode.profile, self._chosen)
-        self._driven = Driven(self.task, episode, self._mpc)
-        self._belief = first_belief(self._mpc)
-        self._observed = np.zeros(len(self.names))
-        return self._observe(self._driven), episode.info | self._belief_info
+        self._mpc = make_mpc(self.controller, episode.vehicle, episode.profile, self._scheduler)
+        self._run = EpisodeRun(self.task, episode, self._mpc)
+        self._belief = initial_belief(self._mpc)
+        self._observation = np.zeros(len(self.names))
+        return self._observe(self._run), episode.info | self._belief_info
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Drive `every` control periods with a tuning, see `gymnasium.Env.step`."""
-        drive = needs_reset(self._driven)
-        self._chosen.tuning = tuple(self.tunings.entries(checked_action(action, self.tunings.box)).tolist())
-        loop, cost = drive.loop, 0.0
+        run = require_running(self._run)
+        self._scheduler.tuning = tuple(self.tunings.entries(check_action(action, self.tunings.box)).tolist())
+        loop, cost = run.loop, 0.0
         for _ in range(self.every):
-            sensed = drive.sensed
-            ahead: dict[str, Any] = {} if loop.road is None else {"road": loop.road_ahead(sensed.speed)}
-            answer = self._mpc.step(sensed.measured, sensed.speed, sensed.reference, sensed.variables, **ahead)
-            self._belief = answer.learned or self._belief
-            cost += drive.drive(answer.angle)
-            if drive.over:
+            sensed = run.sensed
+            preview: dict[str, Any] = {} if loop.road is None else {"road": loop.road_ahead(sensed.speed)}
+            command = self._mpc.step(sensed.measured, sensed.speed, sensed.reference, sensed.variables, **preview)
+            self._belief = command.learned or self._belief
+            cost += run.drive_period(command.angle)
+            if run.over:
                 break
-        return self._observe(drive), -cost, drive.terminated, drive.truncated, drive.info | self._belief_info
+        return self._observe(run), -cost, run.terminated, run.truncated, run.info | self._belief_info
 
     @property
     def _belief_info(self) -> dict[str, Any]:
-        """Return the learned quantities for ``info``."""
+        """The state of the learned quantities for ``info``, empty if the controller does not learn."""
         return {} if self._mpc.learner is None else {BELIEF_STATE: int(self._belief[BELIEF_NAMES.index(BELIEF_STATE)])}
 
-    def _observe(self, drive: Driven) -> Array:
-        inputs = np.array([*drive.sensed.variables, *self._belief])
-        space = self.observation_space
-        self._observed = np.clip(np.where(np.isfinite(inputs), inputs, self._observed), space.low, space.high)  # type: ignore[attr-defined]
-        return self._observed.copy()
+    def _observe(self, run: EpisodeRun) -> Array:
+        inputs = np.array([*run.sensed.variables, *self._belief])
+        space, present = self.observation_space, np.isfinite(inputs)
+        self._observation = np.clip(np.where(present, inputs, self._observation), space.low, space.high)  # type: ignore[attr-defined]
+        return self._observation.copy()

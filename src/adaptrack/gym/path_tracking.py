@@ -1,4 +1,4 @@
-"""Steer a car along its road."""
+"""Environment in which an agent steers a car along its road."""
 
 from __future__ import annotations
 
@@ -10,103 +10,115 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.core.public import ObservationSpace, Resident, write_one_observation
-from adaptrack.gym.driven import Driven, needs_reset
+from adaptrack.gym.episode_run import EpisodeRun, require_running
 from adaptrack.gym.spaces import (
     DISTANCES,
-    checked_action,
-    checked_distances,
+    check_action,
+    check_distances,
     command_box,
     observation_box,
     observation_names,
 )
-from adaptrack.gym.task import Outside, Task
+from adaptrack.gym.task import ExternalCommands, Task
 
 Array = NDArray[np.float64]
 
 
 class PathTrackingEnv(gymnasium.Env):
-    """`adaptrack/PathTracking-v0`: steer a car along its road, as `adaptrack.simulate` drives it.
+    """`adaptrack/PathTracking-v0`: steer a car along its road in the simulation of `adaptrack.simulate`.
 
-    A step is a control period of the profile. Plant, steering actuator, sensors, dead time and failure rule are those
-    of `simulate`: a fixed controller has the same run, to the bit.
+    A step is one control period of the profile. Plant, steering actuator, sensors, dead time and failure rule are those
+    of `simulate`. An agent that computes the commands of a controller therefore has the same run, to the bit.
 
     Action
     ------
-    Box(1,), float64: steering command (rad), within the angle limit that all controllers have. Beyond it is clipped.
+    Box(1,), float64: steering command (rad), clipped to the angle limit that all controllers share.
 
     Observation
     -----------
-    Box(7 + 2 m,), float64, in this order (`names`); m: number of `distances`. What sensors give is late, noisy or
-    missing as the profile says; a sample that is missing keeps its last value. All is clipped to its bounds.
+    Box(7 + 2 m,), float64, with the columns below (`names`), where m is the number of `distances`. The profile
+    determines delay, noise and missing samples of the sensors. A missing sample keeps its last value. Every column is
+    clipped to its bounds.
 
     ==============  =======  ===============================================================================
     name            unit     meaning, bounds
     ==============  =======  ===============================================================================
-    offset          m        measured y less y_ref, positive to the left, +-100
-    heading_error   rad      measured heading less that of the road, +-pi
-    yaw_rate        rad/s    measured, +-10
-    speed           m/s      measured, 0 to 100
+    offset          m        measured y minus y_ref, positive to the left, +-100
+    heading_error   rad      measured heading minus heading of the road, +-pi
+    yaw_rate        rad/s    measured yaw rate, +-10
+    speed           m/s      measured speed, 0 to 100
     wheel_angle     rad      measured angle of the front wheels, +-pi/2
-    command         rad      the last command, +-pi/2
-    pose_age        s        how old offset and heading error are, 0 to 600
-    reference_dm    m        by how much the reference will have moved to the left when the car comes to
-                             d metres ahead at its present speed (1 m/s at least), +-100; m columns
-    curvature_dm    1/m      of the road d metres ahead of the car's foot, positive to the left, +-1; m columns
+    command         rad      last command, +-pi/2
+    pose_age        s        age of offset and heading error, 0 to 600
+    reference_dm    m        y_ref at d metres ahead minus present y_ref, positive to the left, +-100; m columns
+    curvature_dm    1/m      curvature of the road d metres ahead, positive to the left, +-1; m columns
     ==============  =======  ===============================================================================
+
+    The reference is a function of time. `reference_dm` takes it at the time at which the car, at its present speed but
+    at least 1 m/s, has driven d metres.
 
     Reward
     ------
-    -(e^2 + w du^2) in m^2: e is the true offset from the reference at the instant of the action, du the change of the
-    command, w the profile's `move_weight`. The sum over an episode is -n J, J being what tuning minimises. A failure
-    adds what the rest of the road costs at the failure distance (`failure_cost` for each instant), so that failing
-    early never pays.
+    -(e^2 + w du^2) in m^2, with the true offset e from the reference at the instant of the action, the change du of the
+    command and the profile's `move_weight` w. The sum over an episode of n steps is -n J, where J is the cost that the
+    tuning commands minimise. A failure also subtracts `failure_cost` for each remaining instant, so an early failure is
+    never cheaper than driving on.
 
     End
     ---
-    terminated: the run has failed by the rule of `Failure`; truncated: the end of the road. Then info has `failed`
-    ("" or "off-road", "spun", "not-finite") and `J` (m^2, inf when failed). `reset` says in info which car, road and
-    noise seed were drawn: `simulate(plant, controller, drive, profile=..., seed=info["noise_seed"])` is the same
-    run, drive being `Task.drive` of that road and car.
+    A failure by the rule of `Failure` sets `terminated`; the end of the road sets `truncated`. Then info contains
 
-    Arguments
-    ---------
-    The fields of `Task` (car, road, profile, random_cars, ...), and distances: m, at which one looks ahead.
-    ``reset(options=...)`` may choose `noise_seed`, `car_seed` and `road` (by number). One seed gives one run, on every
-    machine of the same kind; without a seed the next episode draws other noise.
+    - `failed`: "" for success, or "off-road", "spun" or "not-finite";
+    - `J`: cost (m^2), infinite after a failure.
+
+    The info of `reset` contains the car, the road and the noise seed. With `drive`, the result of `Task.drive` for this
+    road and car, `simulate(plant, controller, drive, profile=..., seed=info["noise_seed"])` repeats the run.
+
+    Parameters
+    ----------
+    distances
+        Preview distances d (m).
+    task
+        The fields of `Task`: car, road, profile, random_cars, ...
 
     Raises
     ------
     InvalidInput
-        For arguments, options or actions that are not allowed.
+        For invalid arguments, options or actions.
+
+    Notes
+    -----
+    ``reset(options=...)`` accepts `noise_seed`, `car_seed` and `road` (index). Episodes with equal seeds are equal on
+    all machines of the same kind. Without a seed each episode draws new noise.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
 
     def __init__(self, *, distances: Sequence[float] = DISTANCES, render_mode: str | None = None, **task: Any) -> None:
         self.task, self.render_mode = Task(**task), render_mode
-        self.distances = checked_distances(distances)
+        self.distances = check_distances(distances)
         self.names = observation_names(self.distances)
         self.action_space, self.observation_space = command_box(self.task), observation_box(self.distances)
-        self._driven: Driven | None = None
+        self._run: EpisodeRun | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode, see `gymnasium.Env.reset`; options: `noise_seed`, `car_seed`, `road`."""
+        """Start an episode, see `gymnasium.Env.reset`; options: `noise_seed`, `car_seed`, `road`."""
         super().reset(seed=seed)
         episode = self.task.draw(self.np_random, options)
-        self._driven = drive = Driven(self.task, episode, Outside(episode.profile.period))
+        self._run = run = EpisodeRun(self.task, episode, ExternalCommands(episode.profile.period))
         space = self.observation_space
         bounds = ObservationSpace(self.distances, space.low.copy(), space.high.copy())  # type: ignore[attr-defined]
         self._bounds = Resident(bounds)
-        self._observed = np.zeros(len(self.names))
-        return self._observe(drive), episode.info
+        self._observation = np.zeros(len(self.names))
+        return self._observe(run), episode.info
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Drive a control period, see `gymnasium.Env.step`."""
-        drive = needs_reset(self._driven)
-        (command,) = checked_action(action, self.action_space).tolist()  # type: ignore[arg-type]
-        cost = drive.drive(command)
-        return self._observe(drive), -cost, drive.terminated, drive.truncated, drive.info
+        """Drive one control period, see `gymnasium.Env.step`."""
+        run = require_running(self._run)
+        (command,) = check_action(action, self.action_space).tolist()  # type: ignore[arg-type]
+        cost = run.drive_period(command)
+        return self._observe(run), -cost, run.terminated, run.truncated, run.info
 
-    def _observe(self, drive: Driven) -> Array:
-        write_one_observation(drive.loop.place, self._bounds, self._observed)
-        return self._observed.copy()
+    def _observe(self, run: EpisodeRun) -> Array:
+        write_one_observation(run.loop.resident, self._bounds, self._observation)
+        return self._observation.copy()

@@ -1,4 +1,4 @@
-"""What is observed and what may be done, as boxes; what the steps of both environments share."""
+"""Action and observation spaces of the environments, their bounds, and the MPC that an agent tunes."""
 
 from __future__ import annotations
 
@@ -20,38 +20,40 @@ from adaptrack.gym.task import Task
 Array = NDArray[np.float64]
 
 CLIP_DISTANCE = 100.0
-"""m, to which offsets and the reference ahead are clipped."""
-OBSERVED_WITHIN = {
+"""m, bound of offsets and of the previewed reference in an observation."""
+OBSERVATION_BOUNDS = {
     "offset": (-CLIP_DISTANCE, CLIP_DISTANCE), "heading_error": (-math.pi, math.pi), "yaw_rate": (-10.0, 10.0),
     "speed": (0.0, 100.0), "wheel_angle": (-math.pi / 2, math.pi / 2), "command": (-math.pi / 2, math.pi / 2),
     "pose_age": (0.0, 600.0),
 }  # fmt: skip
-"""Bounds of what sensors give, `core.observation.OBSERVATION`."""
-AHEAD_WITHIN, CURVATURE_WITHIN = (-CLIP_DISTANCE, CLIP_DISTANCE), (-1.0, 1.0)
-"""m, 1/m"""
-VARIABLES_WITHIN = {
+"""Bounds of the columns of `core.observation.OBSERVATION`, SI units."""
+PREVIEW_REFERENCE_BOUNDS, PREVIEW_CURVATURE_BOUNDS = (-CLIP_DISTANCE, CLIP_DISTANCE), (-1.0, 1.0)
+"""Bounds of a previewed reference (m) and of a previewed curvature (1/m)."""
+VARIABLE_BOUNDS = {
     "speed": (0.0, 100.0), "y_ref": (-1000.0, 1000.0), "friction": (0.0, 2.0), "wind": (-100.0, 100.0),
     "change": (0.0, 1000.0), "acceleration": (0.0, 100.0), "offset": (-CLIP_DISTANCE, CLIP_DISTANCE),
 }  # fmt: skip
-BELIEF_WITHIN = {"belief_lag": (0.0, 10.0), "belief_delay": (0.0, 10.0)}
-"""s, lag of the steering and time until a command begins to act, as the controller believes them."""
-LEARNED_WITHIN = (-100.0, 100.0)
+"""Bounds of the scheduling variables of an MPC, SI units."""
+BELIEF_BOUNDS = {"belief_lag": (0.0, 10.0), "belief_delay": (0.0, 10.0)}
+"""Bounds of the steering lag and of the time until a command begins to act (s), as the controller assumes them."""
+LEARNED_BOUNDS = (-100.0, 100.0)
+"""Bounds of every learned quantity and standard deviation, SI units."""
 BELIEF_STATE = "belief_state"
-"""Of what is learned, and what ``info`` calls it."""
+"""Name of the state of the learned quantities (`BeliefState`), among the diagnostics of an MPC and in ``info``."""
 RATIO_DECADES = 2.0
-"""By which log10 R/Q may lie to either side of the controller's own."""
+"""Largest difference between the log10 R/Q of an action and that of the controller's default tuning."""
 DISTANCES = (0.0, 5.0, 10.0, 20.0, 40.0)
-"""m, at which one looks ahead."""
+"""Default preview distances (m)."""
 
 
 def box(bounds: Sequence[tuple[float, float]]) -> spaces.Box:
-    """A box of float64 with these bounds."""
+    """Return a float64 box from (low, high) of each entry."""
     low, high = np.array(bounds, dtype=np.float64).T
     return spaces.Box(low.copy(), high.copy(), dtype=np.float64)
 
 
-def checked_distances(distances: Sequence[float]) -> Array:
-    """Distances (m) at which one looks ahead."""
+def check_distances(distances: Sequence[float]) -> Array:
+    """Return the preview distances (m) as an array; `InvalidInput` unless they are finite and not negative."""
     metres = np.atleast_1d(reals("distances", distances)).copy()
     if not (np.isfinite(metres).all() and (metres >= 0.0).all()):
         raise InvalidInput(f"distances = {metres.tolist()!r} m: must be finite and not negative.")
@@ -59,30 +61,30 @@ def checked_distances(distances: Sequence[float]) -> Array:
 
 
 def observation_box(distances: Array) -> spaces.Box:
-    """Observation space of a steering agent."""
+    """Return the observation space of an agent that steers, for its preview distances (m)."""
     count = len(distances)
-    return box([*OBSERVED_WITHIN.values(), *[AHEAD_WITHIN] * count, *[CURVATURE_WITHIN] * count])
+    return box([*OBSERVATION_BOUNDS.values(), *[PREVIEW_REFERENCE_BOUNDS] * count, *[PREVIEW_CURVATURE_BOUNDS] * count])
 
 
 def observation_names(distances: Array) -> tuple[str, ...]:
-    """The names of its columns."""
-    ahead = [f"{signal}_{distance:g}m" for signal in ("reference", "curvature") for distance in distances]
-    return (*OBSERVED_WITHIN, *ahead)
+    """Return the names of the columns of `observation_box`."""
+    preview = [f"{signal}_{distance:g}m" for signal in ("reference", "curvature") for distance in distances]
+    return (*OBSERVATION_BOUNDS, *preview)
 
 
 def command_box(task: Task) -> spaces.Box:
-    """The steering commands (rad) that the other controllers may give as well."""
-    vehicle, _, profile = task.known_car()
+    """Return the action space of an agent that steers: commands (rad) within the limits of all controllers."""
+    vehicle, _, profile = task.base_car()
     return box([LoopSetup.of("PathTracking", vehicle, profile, None, None, None, None).limits.angle])
 
 
-def checked_action(action: Any, space: spaces.Box) -> Array:
-    """A finite action of the shape of the space, clipped to its bounds.
+def check_action(action: Any, space: spaces.Box) -> Array:
+    """Return an action as an array, clipped to the bounds of its space.
 
     Raises
     ------
     InvalidInput
-        When it is not made of numbers, has another shape or is not finite.
+        For an action that is not numeric, not finite or of a different shape than the space.
     """
     values = reals("action", action)
     if values.shape != space.shape:
@@ -92,12 +94,21 @@ def checked_action(action: Any, space: spaces.Box) -> Array:
     return np.clip(values, space.low, space.high)
 
 
-# -- the MPC that is tuned --------------------------------------------------------------------------------------------
+# -- the MPC that an agent tunes --------------------------------------------------------------------------------------
 ENVIRONMENT_CONTROLLERS = ("informed", "informed-learning", "as-written")
 
 
 def make_mpc(kind: str, vehicle: Any, profile: Any, scheduler: Any = None) -> MPC:
-    """The MPC of a car in a profile, by its name among `ENVIRONMENT_CONTROLLERS`; it knows the road ahead.
+    """Return an MPC with preview of the road.
+
+    Parameters
+    ----------
+    kind
+        One of `ENVIRONMENT_CONTROLLERS`.
+    vehicle, profile
+        Car and profile for which the MPC is built.
+    scheduler
+        Scheduler of the tuning; None for the default tuning.
 
     Raises
     ------
@@ -113,7 +124,7 @@ def make_mpc(kind: str, vehicle: Any, profile: Any, scheduler: Any = None) -> MP
 
 
 class Tunings:
-    """The tunings that may be chosen, and the actions within +-1 that stand for them."""
+    """Conversion between tunings of an MPC and actions within +-1."""
 
     def __init__(self, mpc: MPC) -> None:
         log_ratio = math.log10(mpc.tuning.R / mpc.tuning.Q)
@@ -122,38 +133,41 @@ class Tunings:
         self.box = box([(-1.0, 1.0)] * 3)
 
     def of(self, actions: Array) -> Array:
-        """(..., 3) Np, Nc and log10 R/Q of actions (..., 3)."""
+        """Return Np, Nc and log10 R/Q (..., 3) of actions (..., 3)."""
         return self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
 
     def entries(self, actions: Array) -> Array:
-        """(..., 4) Np, Nc, Q and R of actions (..., 3), the same to the bit for one action and for many."""
-        chosen = self.of(actions)
-        ones = np.ones_like(chosen[..., 2:])
-        return np.concatenate([chosen[..., :2], ones, np.power(10.0 * ones, chosen[..., 2:])], axis=-1)
+        """Return Np, Nc, Q and R (..., 4) of actions (..., 3), equal to the bit for one action and for many."""
+        tunings = self.of(actions)
+        ones = np.ones_like(tunings[..., 2:])
+        return np.concatenate([tunings[..., :2], ones, np.power(10.0 * ones, tunings[..., 2:])], axis=-1)
 
     def action(self, Np: float, Nc: float, ratio: float) -> Array:
-        """The action (3,) that stands for Np, Nc and log10 R/Q.
+        """Return the action (3,) for Np and Nc (control periods) and ratio = log10 R/Q.
 
         Raises
         ------
         InvalidInput
-            When they may not be chosen.
+            For values outside the bounds `low` and `high`.
         """
-        chosen = reals("Np, Nc, log10 R/Q", [Np, Nc, ratio])
-        if not ((chosen >= self.low) & (chosen <= self.high)).all():
-            raise InvalidInput(f"Np, Nc, log10 R/Q = {chosen}: must lie between {self.low} and {self.high}.")
-        return 2.0 * (chosen - self.low) / (self.high - self.low) - 1.0
+        tuning = reals("Np, Nc, log10 R/Q", [Np, Nc, ratio])
+        if not ((tuning >= self.low) & (tuning <= self.high)).all():
+            raise InvalidInput(f"Np, Nc, log10 R/Q = {tuning}: must lie between {self.low} and {self.high}.")
+        return 2.0 * (tuning - self.low) / (self.high - self.low) - 1.0
 
 
-def variables_within(mpc: MPC) -> dict[str, tuple[float, float]]:
-    """By name, the bounds of what an agent that tunes observes: scheduling variables, then what the MPC believes."""
+def variable_bounds(mpc: MPC) -> dict[str, tuple[float, float]]:
+    """Return the observation bounds of an agent that tunes an MPC, by column name.
+
+    The scheduling variables come first, then the learned or assumed quantities of the MPC.
+    """
     if mpc.learner is not None:
-        return {**VARIABLES_WITHIN, **dict.fromkeys(BELIEF_NAMES, LEARNED_WITHIN)}
-    return {**VARIABLES_WITHIN, **(BELIEF_WITHIN if mpc.belief is not None else {})}
+        return {**VARIABLE_BOUNDS, **dict.fromkeys(BELIEF_NAMES, LEARNED_BOUNDS)}
+    return {**VARIABLE_BOUNDS, **(BELIEF_BOUNDS if mpc.belief is not None else {})}
 
 
-def first_belief(mpc: MPC) -> tuple[float, ...]:
-    """Initial belief of an MPC, which follows the scheduling variables in an observation."""
+def initial_belief(mpc: MPC) -> tuple[float, ...]:
+    """Return the initial values of the columns after the scheduling variables, see `variable_bounds`."""
     if mpc.learner is not None:
         return tuple(mpc.learner.fresh()[LEARNED : LEARNED + len(BELIEF_NAMES)].tolist())
     return () if mpc.belief is None else (mpc.belief.lag.value, mpc.belief.delay)

@@ -1,4 +1,4 @@
-"""What is driven in an episode: car, road, world and noise, drawn for each episode from what the user allows."""
+"""Task of an environment: the cars, roads, profile and noise from which it draws each episode."""
 
 from __future__ import annotations
 
@@ -23,66 +23,80 @@ from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile, load_profile
 
 SEED_LIMIT = 2**31
-"""Seeds of noise and cars are drawn below it."""
-CHOICES = ("noise_seed", "car_seed", "road")
-"""What ``reset(options={...})`` may choose for an episode."""
+"""Upper limit, excluded, of random seeds of noise and cars."""
+RESET_OPTIONS = ("noise_seed", "car_seed", "road")
+"""Keys of ``reset(options={...})``."""
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """Road, car, profile and seeds of one drive."""
+    """Car, road, profile and seeds of one episode."""
 
     vehicle: Vehicle
     plant: Plant | SteppedPlant
     profile: Profile
     drive: Scenario | RoadDrive
     road: int
-    """which of the roads of the task"""
+    """Index of the road in `Task.roads`."""
     noise_seed: int
     car_seed: int | None
-    """of a random car"""
+    """Seed of the random car, None without random cars."""
 
     @property
     def info(self) -> dict[str, Any]:
-        """Return the ``info`` of ``reset``."""
-        drawn = {} if self.car_seed is None else {"car_seed": self.car_seed}
-        return {"car": self.vehicle.name, "road": self.drive.name, "noise_seed": self.noise_seed, **drawn}
+        """The ``info`` of ``reset``: names of car and road, and the seeds."""
+        car_seed = {} if self.car_seed is None else {"car_seed": self.car_seed}
+        return {"car": self.vehicle.name, "road": self.drive.name, "noise_seed": self.noise_seed, **car_seed}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """From what the episodes of an environment are drawn.
+    """Cars, roads, profile and rules of the episodes of an environment.
 
     Raises
     ------
     InvalidInput
-        When a part is of a wrong kind, or parts do not fit each other.
+        For a value of a wrong type, or values that are incompatible with each other.
     UnknownName, StorageError, ConfigError
-        When a car, a road or a profile cannot be had.
+        When a car, a road or a profile does not exist or cannot be read.
     """
 
     car: str | Vehicle | Plant | SteppedPlant | None = None
-    """name or file of a car, with its plant if it is not dual-track (`van`, `van/single-track`, `my-car.toml`), a
-    `Vehicle`, or a plant with a `vehicle`, such as ``UserPlant(..., vehicle=car)``; by default `paper`. Of random cars:
-    the shipped car about which they are drawn, by default those of `random_car`"""
+    """Car of all episodes, by default `paper`. It is one of
+
+    - the name or file of a car, followed by its plant unless that is dual-track (`van`, `van/single-track`,
+      `my-car.toml`);
+    - a `Vehicle`;
+    - a plant with an attribute `vehicle`, such as ``UserPlant(..., vehicle=car)``.
+
+    With `random_cars` it is the name of the shipped car whose parameters are varied. By default these are the cars that
+    `random_car` varies.
+    """
     road: str | Scenario | RoadDrive | Sequence[str | Scenario | RoadDrive] = "country:1"
-    """a kind of generated road with its seed (`country:3`, `mountain:2@4` with bends at 4 m/s^2), `random-drive:3`, the
-    name of a scenario, a file, a `Scenario` or a `RoadDrive`; of several each episode draws one"""
+    """Road of all episodes, or several roads from which each episode draws one. A road is one of
+
+    - a kind of generated road and its seed (`country:3`), optionally with the lateral acceleration in bends
+      (`mountain:2@4`: 4 m/s^2);
+    - a random drive and its seed (`random-drive:3`);
+    - the name of a scenario, or a file;
+    - a `Scenario` or a `RoadDrive`.
+    """
     profile: str | Profile = "road"
+    """Steering, sensors, control period and cost weights, or the name of a shipped profile."""
     random_cars: bool | CarRanges = False
-    """each episode draws a car of its own, with its own steering and sensor noise (`random_car`), from these ranges"""
+    """Whether each episode draws a new car with its own steering and sensor noise, or the ranges to draw from."""
     driver: Driver | None = ROAD_DRIVER
-    """None: the speed follows its plan exactly"""
+    """Speed control of the car; None if the speed follows its plan exactly."""
     known_as: KnownAs = None
-    """how friction and wind are known"""
+    """How the controller perceives friction and wind, as in `adaptrack.simulate`."""
     failure: Failure | None = None
-    """when a run has failed, by default as the car's domain says"""
+    """Rule by which a run fails; None for the rule of the car's domain."""
     failure_cost: float | None = None
-    """m^2, what each instant costs that a failed run does not drive; by default the square of the failure distance"""
+    """Cost of each remaining instant after a failure (m^2); None for the square of the failure distance."""
     length: float = 1000.0
-    """m, of generated roads"""
+    """Length of generated roads (m)."""
     duration: float = 60.0
-    """s, of random drives"""
+    """Duration of random drives (s)."""
     _drives: dict[tuple[int, str], Scenario | RoadDrive] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -100,80 +114,96 @@ class Task:
             raise InvalidInput(f"random_cars: car = {self.car!r}: must be the name of a shipped car, or left out.")
         if self.failure_cost is not None and not 0.0 <= real("failure_cost", "m^2", self.failure_cost) < math.inf:
             raise InvalidInput(f"failure_cost = {self.failure_cost!r} m^2: must be finite and not negative.")
-        self.draw(np.random.default_rng(0), None)  # what cannot be had is said at once
+        self.draw(np.random.default_rng(0), None)  # raises for cars and roads that cannot be loaded
 
     @property
-    def world(self) -> Profile:
-        """The profile; that of a random car differs in steering and noise."""
+    def base_profile(self) -> Profile:
+        """The loaded profile; random cars change its steering and noise."""
         assert isinstance(self.profile, Profile)  # since __post_init__
         return self.profile
 
     @property
     def roads(self) -> tuple[str | Scenario | RoadDrive, ...]:
-        """Roads named by ``road``."""
+        """The road, or the roads, as a tuple."""
         return tuple(self.road)  # type: ignore[arg-type]
 
     @property
     def randomised(self) -> bool:
-        """Whether each episode has a car of its own."""
+        """Whether each episode draws a new car."""
         return self.random_cars is not False
 
     def draw(self, rng: np.random.Generator, options: dict[str, Any] | None) -> Episode:
-        """An episode; options: what it must have, see `CHOICES`.
+        """Draw an episode.
 
-        What the options choose is drawn all the same, so that the rest is what it was.
+        Parameters
+        ----------
+        rng
+            Source of the random numbers. Values that `options` specify are drawn as well and then replaced, so an
+            option does not change the other values.
+        options
+            Specified values by key of `RESET_OPTIONS`.
 
         Raises
         ------
         InvalidInput
-            When an option is unknown or not allowed.
+            For an unknown option or an invalid value.
         """
-        chosen = dict(options or {})
-        unknown = set(chosen) - set(CHOICES)
+        specified = dict(options or {})
+        unknown = set(specified) - set(RESET_OPTIONS)
         if unknown:
-            raise InvalidInput(f"reset: options: {sorted(unknown)[0]!r} is unknown; known are {', '.join(CHOICES)}.")
-        drawn = {name: int(rng.integers(most)) for name, most in self._most().items()}
-        for name, value in chosen.items():
-            if name not in drawn:
+            names = ", ".join(RESET_OPTIONS)
+            raise InvalidInput(f"reset: options: {sorted(unknown)[0]!r} is unknown; known are {names}.")
+        values = {name: int(rng.integers(limit)) for name, limit in self._upper_limits().items()}
+        for name, value in specified.items():
+            if name not in values:
                 raise InvalidInput(f"reset: options: {name!r}: this environment does not draw one.")
-            drawn[name] = whole_number("reset: options", name, value, least=0)
-            if drawn[name] >= self._most()[name]:
-                raise InvalidInput(f"reset: options: {name} = {value!r}: must be below {self._most()[name]}.")
-        return self._episode(drawn)
+            values[name] = whole_number("reset: options", name, value, least=0)
+            if values[name] >= self._upper_limits()[name]:
+                raise InvalidInput(f"reset: options: {name} = {value!r}: must be below {self._upper_limits()[name]}.")
+        return self._episode(values)
 
-    def _most(self) -> dict[str, int]:
+    def _upper_limits(self) -> dict[str, int]:
+        """Return the upper limit, excluded, of each random value of an episode, in the order of drawing."""
         cars = {"car_seed": SEED_LIMIT} if self.randomised else {}
         return {"road": len(self.roads), **cars, "noise_seed": SEED_LIMIT}
 
-    def _episode(self, drawn: dict[str, int]) -> Episode:
-        road_index, seed, noise = drawn["road"], drawn.get("car_seed"), drawn["noise_seed"]
+    def _episode(self, values: dict[str, int]) -> Episode:
+        road_index, seed, noise = values["road"], values.get("car_seed"), values["noise_seed"]
         if seed is None:
-            vehicle, plant, profile = self.known_car()
+            vehicle, plant, profile = self.base_car()
             return Episode(vehicle, plant, profile, self.drive(road_index, vehicle), road_index, noise, None)
         ranges = self.random_cars if isinstance(self.random_cars, CarRanges) else None
         bases = BASES if self.car is None else (str(self.car),)
-        car = random_car(seed, bases=bases, profile=self.world, ranges=ranges)
+        car = random_car(seed, bases=bases, profile=self.base_profile, ranges=ranges)
         plant, drive = DualTrack(car.vehicle, car.tyre), self.drive(road_index, load_vehicle(car.base))
         return Episode(car.vehicle, plant, car.profile, drive, road_index, noise, seed)
 
-    def known_car(self) -> tuple[Vehicle, Plant | SteppedPlant, Profile]:
-        """The car, its plant and its world where they are not drawn."""
+    def base_car(self) -> tuple[Vehicle, Plant | SteppedPlant, Profile]:
+        """Return the car of the task, before any random change, with its plant and profile."""
         car = "paper" if self.car is None else self.car
         if isinstance(car, str):
-            setting = load_setting(car, self.world)  # type: ignore[arg-type]
-            return setting.car, setting.plant, self.world
+            setting = load_setting(car, self.base_profile)  # type: ignore[arg-type]
+            return setting.car, setting.plant, self.base_profile
         if isinstance(car, Vehicle):
-            return car, get_plant("dual-track", car), self.world
+            return car, get_plant("dual-track", car), self.base_profile
         vehicle = getattr(car, "vehicle", None)
         if not isinstance(car, Plant | SteppedPlant) or not isinstance(vehicle, Vehicle):
             raise InvalidInput(
                 f"car = {format_value(car)}: must be a name, a file, a Vehicle, or a plant whose `vehicle` is one, "
                 "such as UserPlant(..., vehicle=load_vehicle(name)): the speed along the road is planned for it."
             )
-        return vehicle, car, self.world
+        return vehicle, car, self.base_profile
 
     def drive(self, road_index: int, vehicle: Vehicle) -> Scenario | RoadDrive:
-        """One of the roads, its speed planned for a vehicle: of a random car the one about which it is drawn."""
+        """Return the drive on a road at the speed that is planned for a vehicle.
+
+        Parameters
+        ----------
+        road_index
+            Index of the road in `roads`.
+        vehicle
+            Car of the episode; for a random car the shipped car from which it was varied.
+        """
         road = self.roads[road_index]
         if not isinstance(road, str):
             return road
@@ -182,12 +212,12 @@ class Task:
         return self._drives[road_index, vehicle.name]
 
     def cost_of_failure(self, distance: float) -> float:
-        """m^2, of each instant that a failed run does not drive, by the failure distance (m)."""
+        """Return the cost of each remaining instant after a failure (m^2), for a failure distance (m)."""
         return min(distance, DISTANCE) ** 2 if self.failure_cost is None else float(self.failure_cost)
 
 
-class Outside(CompiledController):
-    """Stands where a controller would: the commands come from outside."""
+class ExternalCommands(CompiledController):
+    """Placeholder for the controller of a run whose commands come from an agent."""
 
     tuning_names, diagnostic_names, memory_size = (), (), 0
 
@@ -196,7 +226,7 @@ class Outside(CompiledController):
 
     @property
     def name(self) -> str:
-        return "steered from outside"
+        return "external commands"
 
     @property
     def function(self) -> Any:

@@ -1,4 +1,4 @@
-"""Many cars at once on the compiled batches: the environments of this room as `gymnasium.vector.VectorEnv`."""
+"""Vector environments (`gymnasium.vector.VectorEnv`) that drive many cars at once in compiled batches."""
 
 from __future__ import annotations
 
@@ -43,33 +43,38 @@ from adaptrack.gym.spaces import (
     DISTANCES,
     Tunings,
     box,
-    checked_action,
-    checked_distances,
+    check_action,
+    check_distances,
     command_box,
-    first_belief,
+    initial_belief,
     make_mpc,
     observation_box,
     observation_names,
-    variables_within,
+    variable_bounds,
 )
-from adaptrack.gym.task import Episode, Outside, Task
+from adaptrack.gym.task import Episode, ExternalCommands, Task
 
 Array = NDArray[np.float64]
 
 
 class CarBlock(NamedTuple):
-    """Cars that are driven together, and where they stand among all."""
+    """Cars that one call of a kernel drives together."""
 
     slots: slice
+    """Indices of the cars in the environment."""
     batch: Batch
+    """Plant, controller, drives and profile of the cars."""
     episodes: Any
-    """Packed episodes, a record `core.episode.Episodes`."""
+    """State of the episodes, a record `core.episode.Episodes`."""
     resident: Any
-    """The episodes resident in memory, `core.kernel.Resident`."""
+    """Packed form of `episodes` for kernels, `core.kernel.Resident`."""
 
 
 class _VectorEnv(VectorEnv):
-    """Cars in blocks of up to 32, each at its own instant. A car that is over begins anew in the next step."""
+    """Cars in blocks of up to 32, each at its own instant of its episode.
+
+    A car whose episode has ended starts a new episode in the next step.
+    """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - gymnasium's own form
         "render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -83,8 +88,8 @@ class _VectorEnv(VectorEnv):
         self._set_spaces()
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._own = EPISODE.new(self.num_envs)
-        self._observed = np.zeros((self.num_envs, len(self.names)))
+        self._episode_states = EPISODE.new(self.num_envs)
+        self._observations = np.zeros((self.num_envs, len(self.names)))
         self._rngs: list[np.random.Generator] = []
         self._blocks: list[CarBlock] = []
         self._pool = self._new_pool()
@@ -101,40 +106,49 @@ class _VectorEnv(VectorEnv):
         self._blocks = [self._attached(block) for block in self._blocks]
 
     def _attached(self, block: CarBlock) -> CarBlock:
-        """A block of a copy, its episodes and observations again rows of the environment's arrays."""
-        own_states, observations = self._own[block.slots], self._observed[block.slots]
-        episodes = block.episodes._replace(own=own_states, observations=observations)
+        """Return a block whose episode states and observations are views of the environment's arrays.
+
+        Copying or unpickling an environment separates the arrays.
+        """
+        states, observations = self._episode_states[block.slots], self._observations[block.slots]
+        episodes = block.episodes._replace(own=states, observations=observations)
         return block._replace(episodes=episodes, resident=Resident(episodes))
 
     names: tuple[str, ...]
-    """of the columns of an observation"""
+    """Names of the columns of an observation."""
 
     @abstractmethod
     def _set_spaces(self) -> None:
-        """Set the spaces of one car, and the names."""
+        """Set the action and observation space of one car, and the names of the columns."""
 
     @abstractmethod
     def _controller(self, episode: Episode) -> Controller:
         """Return the controller of the batch for an episode's car."""
 
     @abstractmethod
-    def _take(self, actions: Array) -> None:
-        """Take in what is to be done."""
+    def _store_actions(self, actions: Array) -> None:
+        """Store the actions of all cars for the next step."""
 
     @abstractmethod
     def _drive(self, block: CarBlock) -> None:
-        """Drive a block."""
+        """Drive the cars of a block by one step with the stored actions."""
 
     @abstractmethod
-    def _look(self, block: CarBlock) -> None:
-        """Write the observations of a block."""
+    def _write_observations(self, block: CarBlock) -> None:
+        """Write the observations of a block into the environment's array."""
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin all episodes; seed: car i has seed + i, as in `gymnasium.vector.SyncVectorEnv`; or one for each.
+        """Start new episodes of all cars.
 
-        A car has the run that the environment of one car has with its seed. options: as there, for all cars alike.
+        Parameters
+        ----------
+        seed
+            One seed for each car, or a number that stands for the seeds seed, seed + 1, ... as in
+            `gymnasium.vector.SyncVectorEnv`. The single-car environment has the same run with the seed of a car.
+        options
+            Options of `reset` of the single-car environment, applied to every car.
         """
         if seed is not None or not self._rngs:
             if seed is None:
@@ -145,48 +159,48 @@ class _VectorEnv(VectorEnv):
                     raise InvalidInput(f"reset: seed: need one, or one for each of {self.num_envs} cars.")
                 self._rngs = [gymnasium.utils.seeding.np_random(seed)[0] for seed in seeds]
         infos = self._begin(np.arange(self.num_envs), options)
-        self._apply_to_blocks(self._look)
-        return self._observed.copy(), infos | self._belief_info
+        self._apply_to_blocks(self._write_observations)
+        return self._observations.copy(), infos | self._belief_info
 
     def step(self, actions: Any) -> tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Drive all cars by a step; one whose episode was over begins its next one, with reward 0."""
+        """Drive all cars by one step. A car whose episode had ended starts a new episode instead, with reward 0."""
         if not self._blocks:
             raise gymnasium.error.ResetNeeded("call reset() first: no run has begun.")
-        self._take(checked_action(actions, self.action_space))  # type: ignore[arg-type]
-        waiting = np.flatnonzero(self._own["over"] != EPISODE_RUNS)
-        self._own["cost"] = 0.0
+        self._store_actions(check_action(actions, self.action_space))  # type: ignore[arg-type]
+        waiting = np.flatnonzero(self._episode_states["over"] != EPISODE_RUNS)
+        self._episode_states["cost"] = 0.0
         self._apply_to_blocks(self._drive)
-        self._own["total"] += self._own["cost"]
-        rewards = -self._own["cost"]
-        over = self._own["over"].copy()
-        over[waiting] = EPISODE_RUNS
+        self._episode_states["total"] += self._episode_states["cost"]
+        rewards = -self._episode_states["cost"]
+        outcomes = self._episode_states["over"].copy()
+        outcomes[waiting] = EPISODE_RUNS
         infos = self._begin(waiting, None) if waiting.size else {}
-        self._apply_to_blocks(self._look)
-        if over.any():
-            self._say_how(np.flatnonzero(over), infos)
+        self._apply_to_blocks(self._write_observations)
+        if outcomes.any():
+            self._add_outcomes(np.flatnonzero(outcomes), infos)
         return (
-            self._observed.copy(),
+            self._observations.copy(),
             rewards,
-            over == EPISODE_FAILED,
-            over == EPISODE_ARRIVED,
+            outcomes == EPISODE_FAILED,
+            outcomes == EPISODE_ARRIVED,
             infos | self._belief_info,
         )
 
     @property
     def _belief_info(self) -> dict[str, Any]:
-        """Return the learned quantities of each car's controller for ``infos``."""
+        """The state of each car's learned quantities for ``infos``, empty if the controller does not learn."""
         if BELIEF_STATE not in self.names:
             return {}
-        states = self._observed[:, self.names.index(BELIEF_STATE)].astype(np.int64)
+        states = self._observations[:, self.names.index(BELIEF_STATE)].astype(np.int64)
         return {BELIEF_STATE: states, f"_{BELIEF_STATE}": np.ones(self.num_envs, bool)}
 
     def close_extras(self) -> None:
-        """Let the threads go."""
+        """Stop the threads."""
         if self._pool is not None:
             self._pool.shutdown()
 
     def _apply_to_blocks(self, work: Callable[[CarBlock], None]) -> None:
-        """Do the same to every block."""
+        """Call a function for every block, in parallel if there are several threads."""
         if self._pool is None or len(self._blocks) == 1:
             for block in self._blocks:
                 work(block)
@@ -195,22 +209,22 @@ class _VectorEnv(VectorEnv):
 
     # -- episodes -----------------------------------------------------------------------------------------------------
     def _begin(self, cars: NDArray[np.int64], options: dict[str, Any] | None) -> dict[str, Any]:
-        """Draw the next episodes of some cars and begin them."""
+        """Draw and start new episodes of some cars; return their infos."""
         infos: dict[str, Any] = {}
-        drawn = {int(car): self.task.draw(self._rngs[car], options) for car in cars}
+        episodes = {int(car): self.task.draw(self._rngs[car], options) for car in cars}
         if not self._blocks:
-            self._blocks = self._first_blocks(drawn[0])
+            self._blocks = self._first_blocks(episodes[0])
         for i, block in enumerate(self._blocks):
-            block_cars = [car for car in drawn if block.slots.start <= car < block.slots.stop]
+            block_cars = [car for car in episodes if block.slots.start <= car < block.slots.stop]
             if block_cars and self.task.randomised:
-                self._blocks[i] = block = self._block(block.slots, drawn[block_cars[0]])
+                self._blocks[i] = block = self._block(block.slots, episodes[block_cars[0]])
             for car in block_cars:
-                self._place(block, car, drawn[car])
+                self._schedule_start(block, car, episodes[car])
             if block_cars:
-                renew(block.resident)
-                arrive(block.resident)
-                self._observed[block_cars, self._own_columns :] = self._constant(block.batch)
-        for car, episode in drawn.items():
+                renew(block.resident)  # starts the scheduled episodes
+                arrive(block.resident)  # senses their first instant
+                self._observations[block_cars, self._step_columns :] = self._constant_columns(block.batch)
+        for car, episode in episodes.items():
             infos = self._add_info(infos, episode.info, car)
         return infos
 
@@ -220,7 +234,7 @@ class _VectorEnv(VectorEnv):
         return [self._block(slot, episode) for slot in slots]
 
     def _block(self, slots: slice, episode: Episode) -> CarBlock:
-        """A block of cars of an episode's kind; what it measures lies in the arrays of the environment."""
+        """Return a block of cars with the plant and profile of an episode, which writes to the environment's arrays."""
         task = self.task
         roads = range(len(task.roads))
         drives = [episode.drive] if task.randomised else [task.drive(i, episode.vehicle) for i in roads]
@@ -229,67 +243,77 @@ class _VectorEnv(VectorEnv):
             task.known_as,
         )  # fmt: skip
         size, space = slots.stop - slots.start, self.single_observation_space
-        settings = batch.mpc_settings(*self._longest, residuals=False)
-        run = batch.arena(size, int(batch.substeps.max()), settings)
+        settings = batch.mpc_settings(*self._longest_horizons, residuals=False)
+        run = batch.run_record(size, int(batch.substeps.max()), settings)
         world = batch.world
         episodes = Episodes(
-            run, self._own[slots], np.zeros((size, len(MEASUREMENT))),
+            run, self._episode_states[slots], np.zeros((size, len(MEASUREMENT))),
             ObservationSpace(self._distances, space.low.copy(), space.high.copy()),  # type: ignore[attr-defined]
-            self._observed[slots],
+            self._observations[slots],
             world.profile.move_weight, task.cost_of_failure(world.failure.distance),
         )  # fmt: skip
         return CarBlock(slots, batch, episodes, Resident(episodes))
 
-    def _place(self, block: CarBlock, car: int, episode: Episode) -> None:
-        """Mark a car as renewed in its block, at the start of its episode."""
+    def _schedule_start(self, block: CarBlock, car: int, episode: Episode) -> None:
+        """Set up a car of a block for a new episode, which the kernel `renew` then starts."""
         slot, run = car - block.slots.start, block.episodes.run
         road = 0 if self.task.randomised else episode.road
         run.given.scenario[slot], run.given.seeds[slot] = road, episode.noise_seed
         run.vehicles.start[slot] = block.batch.starts[road]
-        self._own["last"][car], self._own["renewed"][car] = block.batch.periods[road], 1
+        self._episode_states["last"][car], self._episode_states["renewed"][car] = block.batch.periods[road], 1
 
-    def _say_how(self, cars: NDArray[np.int64], infos: dict[str, Any]) -> None:
-        """How the episodes of some cars have ended."""
+    def _add_outcomes(self, cars: NDArray[np.int64], infos: dict[str, Any]) -> None:
+        """Add failure and cost of the episodes of some cars, which have ended, to the infos."""
         for block in self._blocks:
             for car in cars[(cars >= block.slots.start) & (cars < block.slots.stop)]:
                 reason = reason_of(int(block.episodes.run.memory.own["ended"][car - block.slots.start]))
-                cost = math.inf if reason else float(self._own["total"][car] / self._own["last"][car])
+                state = self._episode_states[car]
+                cost = math.inf if reason else float(state["total"] / state["last"])
                 self._add_info(infos, {"failed": reason or "", "J": cost}, int(car))
 
     _distances = np.zeros(0)
-    _longest = (1.0, 1.0)
-    """Np and Nc that may be chosen"""
-    _own_columns = 0
-    """Columns of an observation that are written at every step; those behind stay as they are."""
+    _longest_horizons = (1.0, 1.0)
+    """Largest Np and Nc of an action, control periods."""
+    _step_columns = 0
+    """Number of leading columns of an observation that change at every step; the others are constant."""
 
-    def _constant(self, batch: Batch) -> tuple[float, ...]:
-        """Constant columns at the end of an observation."""
+    def _constant_columns(self, batch: Batch) -> tuple[float, ...]:
+        """Return the values of the constant columns at the end of an observation."""
         return ()
 
 
 class PathTrackingVectorEnv(_VectorEnv):
-    """`adaptrack/PathTracking-v0` for many cars at once, compiled; spaces, rewards and ends are those of one car.
+    """`adaptrack/PathTracking-v0` for many cars at once, compiled. Each car is specified as in `PathTrackingEnv`.
 
-    Car i has the run, to the bit, of `PathTrackingEnv` with its seed. Several roads share the integration steps of the
-    fastest, and each has errors of perception of its own (`known_as`): with them the runs agree on one road only.
+    On a single road, car i has the same run, to the bit, as `PathTrackingEnv` with its seed. With several roads, runs
+    may differ from those of `PathTrackingEnv` for two reasons:
 
-    num_envs: cars; threads: over which blocks of 32 cars are spread;
-    distances, task: as there. With random cars each car is a block of its own, which takes longer. A user's plant in
-    Python cannot take part.
+    - The road with the highest speed determines the number of integration steps on all roads.
+    - Each road has its own perception errors of friction and wind (`known_as`).
 
-    A car whose episode is over begins its next one in the next step, whose action is not used and whose reward is 0
+    A car whose episode has ended starts a new episode in the next step. That step ignores its action and gives reward 0
     (`AutoresetMode.NEXT_STEP`).
+
+    Parameters
+    ----------
+    num_envs
+        Number of cars.
+    threads
+        Number of threads that share the blocks of 32 cars. With random cars each block contains one car only, which
+        takes longer.
+    distances, task
+        As in `PathTrackingEnv`, except that a user's plant must not be written in Python.
 
     Raises
     ------
     InvalidInput
-        For arguments, options or actions that are not allowed.
+        For invalid arguments, options or actions.
     """
 
     def __init__(
         self, num_envs: int = 64, *, threads: int = 1, distances: Sequence[float] = DISTANCES, **task: Any
     ) -> None:
-        self._distances = checked_distances(distances)
+        self._distances = check_distances(distances)
         super().__init__(num_envs, threads, Task(**task))
         self._commands = np.zeros(self.num_envs)
 
@@ -297,31 +321,38 @@ class PathTrackingVectorEnv(_VectorEnv):
         self.names = observation_names(self._distances)
         self.single_action_space = command_box(self.task)
         self.single_observation_space = observation_box(self._distances)
-        self._own_columns = len(self.names)
+        self._step_columns = len(self.names)
 
     def _controller(self, episode: Episode) -> Controller:
-        return Outside(episode.profile.period)
+        return ExternalCommands(episode.profile.period)
 
-    def _take(self, actions: Array) -> None:
+    def _store_actions(self, actions: Array) -> None:
         self._commands[:] = actions[:, 0]
 
     def _drive(self, block: CarBlock) -> None:
         steer(self._commands[block.slots], block.resident)
         arrive(block.resident)
 
-    def _look(self, block: CarBlock) -> None:
+    def _write_observations(self, block: CarBlock) -> None:
         write_observations(block.resident)
 
 
 class MPCTuningVectorEnv(_VectorEnv):
-    """`adaptrack/MPCTuning-v0` for many cars at once, compiled; the rest as in `PathTrackingVectorEnv`.
+    """`adaptrack/MPCTuning-v0` for many cars at once, compiled.
 
-    controller, every: as in `MPCTuningEnv`.
+    Blocks, new episodes and the agreement with single-car runs are as in `PathTrackingVectorEnv`.
+
+    Parameters
+    ----------
+    num_envs, threads
+        As in `PathTrackingVectorEnv`.
+    controller, every, task
+        As in `MPCTuningEnv`, except that a user's plant must not be written in Python.
 
     Raises
     ------
     InvalidInput
-        For arguments, options or actions that are not allowed.
+        For invalid arguments, options or actions.
     """
 
     def __init__(
@@ -337,25 +368,25 @@ class MPCTuningVectorEnv(_VectorEnv):
         super().__init__(num_envs, threads, Task(**task))
 
     def _set_spaces(self) -> None:
-        vehicle, _, profile = self.task.known_car()
+        vehicle, _, profile = self.task.base_car()
         mpc = make_mpc(self.controller, vehicle, profile)
-        within = variables_within(mpc)
-        self.names = tuple(within)
+        bounds = variable_bounds(mpc)
+        self.names = tuple(bounds)
         self.tunings = Tunings(mpc)
         self.single_action_space = self.tunings.box
-        self.single_observation_space = box(list(within.values()))
-        self._longest = float(self.tunings.high[0]), float(self.tunings.high[1])
-        self._own_columns = len(within) - (0 if mpc.learner is not None else len(first_belief(mpc)))
+        self.single_observation_space = box(list(bounds.values()))
+        self._longest_horizons = float(self.tunings.high[0]), float(self.tunings.high[1])
+        self._step_columns = len(bounds) - (0 if mpc.learner is not None else len(initial_belief(mpc)))
 
     def _controller(self, episode: Episode) -> Controller:
         return make_mpc(self.controller, episode.vehicle, episode.profile)
 
-    def _constant(self, batch: Batch) -> tuple[float, ...]:
+    def _constant_columns(self, batch: Batch) -> tuple[float, ...]:
         mpc = batch.controller
         assert isinstance(mpc, MPC)
-        return () if mpc.learner is not None else first_belief(mpc)
+        return () if mpc.learner is not None else initial_belief(mpc)
 
-    def _take(self, actions: Array) -> None:
+    def _store_actions(self, actions: Array) -> None:
         tunings = self.tunings.entries(actions)
         for block in self._blocks:
             block.episodes.run.tuning[:] = tunings[block.slots]
@@ -365,5 +396,5 @@ class MPCTuningVectorEnv(_VectorEnv):
             control(block.resident)
             arrive(block.resident)
 
-    def _look(self, block: CarBlock) -> None:
+    def _write_observations(self, block: CarBlock) -> None:
         write_variables(block.resident)

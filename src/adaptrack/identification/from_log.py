@@ -15,7 +15,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import Finite, NotNegative, checked, within
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.progress import ProgressCall, tells
+from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.computed import without_computed
@@ -73,7 +73,7 @@ class Fit(NamedTuple):
     beliefs: dict[str, Prior]
 
 
-@tells("identify")
+@reports_progress("identify")
 @checked
 def identify(
     log: str | os.PathLike[str] | Mapping[str, object] | Sequence[str | os.PathLike[str] | Mapping[str, object]],

@@ -20,7 +20,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import NotNegative, checked
 from adaptrack.base.errors import InvalidInput, did_you_mean
-from adaptrack.base.progress import ProgressCall, tells
+from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.base.statistics import Interval, Ratio, block_rms
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import MPC, BeliefState, LearnedCar, Learning, Uncertainty
@@ -160,7 +160,7 @@ class Shadow:
         return not any(log.doubts for log in self.logs)
 
 
-@tells("shadow")
+@reports_progress("shadow")
 @checked
 @checked
 def shadow(

@@ -338,7 +338,7 @@ def stability_map(task: LearningTask) -> StabilityMap:
     Good tunings are near to instability in a hard turn, so a map of turns costs more than it saves. Samples count as
     prompt, which is a little kinder than late ones.
     """
-    prompt = load_profile(task.profile).prompt
+    prompt = load_profile(task.profile).without_sample_ages
     box = task.box
     axes, values = loop_map(task.linear, task.mpc, prompt, speed=box["speed"], friction=box["friction"], turn=None)
     values[axes[0] < SLOW_SPEED] += SLOW_MARGIN

@@ -32,14 +32,14 @@ from adaptrack import __version__
 from adaptrack.base.checked import Count, checked
 from adaptrack.base.errors import AdaptrackError, ContractError, InvalidInput, StorageError
 from adaptrack.base.files import Damaged
-from adaptrack.base.progress import ProgressCall, tells
+from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
 from adaptrack.core.library import kernels_hash
 from adaptrack.paper.campaign_config import STANDARD_ROW, CampaignConfig, CampaignPlan, Setup
 from adaptrack.paper.cluster import dask_client
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.evaluator import campaign_objective
-from adaptrack.tuning.objective import Objective, Tuned
+from adaptrack.tuning.objective import Objective, PointTuning
 
 Array = NDArray[np.float64]
 StreamNumbers = NDArray[np.int64]
@@ -60,7 +60,7 @@ class TuningTask:
 class TunedPoint(NamedTuple):
     """The best tuning at an operating point, and the cost of the library there."""
 
-    best: Tuned
+    best: PointTuning
     standard_cost: float
     """m^2, of the paper's tuning"""
     landscape: Array
@@ -99,7 +99,7 @@ def tune_point(task: TuningTask, stream: int, point: Array) -> TunedPoint:
     is_standard = (library == np.array(STANDARD_ROW)).all(axis=1)
     tunings = library if is_standard.any() else np.vstack([library, STANDARD_ROW])
     best = objective.tune(point.tolist(), config.swarm, config.seed, stream, config.search.space())
-    costs = objective.landscape(point.tolist(), tunings)
+    costs = objective.costs(point.tolist(), tunings)
     standard = int(np.argmax(is_standard)) if is_standard.any() else -1
     return TunedPoint(best, float(costs[standard]), costs[: len(library)])
 
@@ -201,7 +201,7 @@ def _difference(theirs: Mapping[str, Any], ours: Mapping[str, Any], key: str) ->
 
 
 # -- the campaign -----------------------------------------------------------------------------------------------------
-@tells("campaign")
+@reports_progress("campaign")
 @checked
 def run_campaign(
     config: CampaignConfig,

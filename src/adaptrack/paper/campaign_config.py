@@ -22,7 +22,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import UnknownName, did_you_mean
 from adaptrack.base.files import SHIPPED, Record, build, printable, read_toml
-from adaptrack.base.limits import LANDSCAPE, NOISE_SEEDS, check_limit
+from adaptrack.base.limits import LANDSCAPE_COSTS, NOISE_SEEDS, check_limit
 from adaptrack.base.registry import import_plugin
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fingerprint, get_plant, twin_of
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
@@ -364,7 +364,7 @@ class CampaignPlan:
     ------
     InvalidInput
         When a vehicle or tyre does not exist or cannot be read, as `load_vehicle` and `load_tyre` say, the plant is not
-        known or none of this car, or the landscape is larger than `limits.LANDSCAPE`.
+        known or none of this car, or the landscape is larger than `limits.LANDSCAPE_COSTS`.
     """
 
     setup: Setup
@@ -382,7 +382,7 @@ class CampaignPlan:
         vehicle = load_vehicle(config.vehicle)
         tyre = load_tyre(config.tyre or vehicle.tyre)
         rows, library = config.operating_points.rows(), config.library.rows(config.search)
-        check_limit("landscape", len(rows) * len(library), LANDSCAPE)
+        check_limit("landscape", len(rows) * len(library), LANDSCAPE_COSTS)
         numbers = np.arange(len(rows))
         twins = fold(rows) if config.mirror else Fold(numbers, numbers, np.ones_like(numbers))
         setup = Setup(config, vehicle, tyre)

@@ -87,7 +87,7 @@ def evaluate_on_drives(
     comparisons = {}
     for name in known_as:
         runs = random_drive_runs(
-            task.evaluated_plant, task.mpc, numbers, EVALUATED_DURATION, task.profile, roads=roads,
+            task.evaluated_plant, task.mpc, numbers, EVALUATED_DURATION, task.profile, drive_options=roads,
             segment_seconds=SEGMENT, known_as=perception(name, task.estimated, task.profile), failure=FAILURE,
         )  # fmt: skip
         where = np.array(numbers, dtype=float)[:, None]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import whole_number
 from adaptrack.base.errors import InvalidInput, did_you_mean
-from adaptrack.base.progress import tells
+from adaptrack.base.progress import reports_progress
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Function, Learned, Schedule, SchedulingVariables
 from adaptrack.paper.landscape import LEARNED_OUTPUTS, Rescue, WeightedMoves, explore_landscape
@@ -71,7 +71,7 @@ class Improvement:
     """after each check: round, score (mean log cost of the held-out runs), failed (number of them)"""
 
 
-@tells("improve")
+@reports_progress("improve")
 def improve(
     start: Learnable, training: Training, held_out: Sequence[RunSet], *, rounds: int = LEARNING_ROUNDS, seed: int = 0,
     safe: Tuning | None = None, progress: Callable[[int, int], None] | None = None,

@@ -157,8 +157,8 @@ class LearningTask:
     ) -> RunSet:
         domain: dict[str, Any] = self.plan.setup.vehicle.domain.drive_options
         return random_drive_runs(
-            self.plant, self.mpc, range(first, first + count), duration, self.profile, roads=domain | (roads or {}),
-            segment_seconds=SEGMENT, stride=DRIVE_STRIDE, failure=FAILURE,
+            self.plant, self.mpc, range(first, first + count), duration, self.profile,
+            drive_options=domain | (roads or {}), segment_seconds=SEGMENT, stride=DRIVE_STRIDE, failure=FAILURE,
         )  # fmt: skip
 
 

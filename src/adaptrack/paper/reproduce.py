@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.progress import ProgressCall, tells
+from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Moves, Tuning, published_mpc
@@ -213,7 +213,7 @@ def grid_lookup(dataset: DataSet) -> Schedule:
 
 
 # -- the experiment ---------------------------------------------------------------------------------------------------
-@tells("reproduce")
+@reports_progress("reproduce")
 def reproduce(
     dataset: DataSet | None = None, *, quick: bool = False, seed: int = 0, progress: ProgressCall | None = None
 ) -> Reproduction:

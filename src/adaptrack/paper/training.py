@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, did_you_mean
-from adaptrack.base.progress import tells
+from adaptrack.base.progress import reports_progress
 from adaptrack.control.scheduling.functions.network import Network
 from adaptrack.control.scheduling.functions.sugeno import Sugeno
 from adaptrack.paper.anfis import ANFIS
@@ -64,7 +64,7 @@ class Trained:
         return {slot: _size_and_function(estimator)[1] for slot, estimator in self.estimators.items()}
 
 
-@tells("train")
+@reports_progress("train")
 @checked
 def train(
     dataset: DataSet, model: str = "nn", targets: str = "paper", *, holdout: float = 0.2, seed: int = 0,

@@ -1,4 +1,4 @@
-"""The result of a certificate: stability and margins of a scheduler's loop over its whole operating domain."""
+"""Result of a certificate: stability and margins of the control loop over its whole operating range."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from adaptrack.base.result import (
     ResultTable,
     Row,
     Stroke,
-    where,
+    select_entries,
 )
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.results.answers import certificate_answer
@@ -39,18 +39,18 @@ _WORST = 8
 _STROKES: dict[Driving, Stroke] = {"straight": Stroke(SERIES[0]), "turn": Stroke(SERIES[1], "long")}
 _NAMES: dict[Driving, str] = {"straight": "Driving straight", "turn": "In a hard turn"}
 _TITLES: dict[Driving, str] = {
-    "straight": "driving straight (the verdict)", "turn": "in a hard turn (no verdict)"
+    "straight": "driving straight (verdict)", "turn": "in a hard turn (warning only)"
 }  # fmt: skip
 
 MARGIN_COLUMNS = (
     Column("name", "Scheduler"),
     Column("points", "Points"),
     Column("unstable", "Unstable"),
-    Column("radius", "Largest radius", show=4),
-    Column("gain_up", "Least gain margin up", show=3),
+    Column("radius", "Largest spectral radius", show=4),
+    Column("gain_up", "Smallest gain margin up", show=3),
     Column("gain_down", "Largest gain margin down", show=3),
-    Column("delay", "Least delay margin", "ms", show=3),
-    Column("modulus_margin", "Least modulus margin", show=3),
+    Column("delay", "Smallest delay margin", "ms", show=3),
+    Column("modulus_margin", "Smallest modulus margin", show=3),
 )
 CERTIFICATE_COLUMNS = (
     Column("driving", "driving"),
@@ -65,7 +65,7 @@ CERTIFICATE_COLUMNS = (
     Column("modulus_margin", "modulus\nmargin", "", 3),
 )
 MISMATCH_COLUMNS = (
-    Column("mismatch", "the car has"),
+    Column("mismatch", "difference"),
     Column("unstable", "unstable", "", "whole"),
     *CERTIFICATE_COLUMNS[2:],
 )
@@ -78,9 +78,9 @@ _DELAY = ColourScale(1.0, 1000.0, "Delay margin (ms)", log=True)
 
 
 def certificate_result(certificate: Certificate, command: str = "", next_step: str = "") -> Result:
-    """A certificate as a result; its record holds the summary and every point.
+    """Return the result of a certificate; its record holds the summary and every point.
 
-    command: the command line that makes it again; next_step: what to do next, with the command.
+    command: command line that repeats it; next_step: suggested next command.
     """
     sweeps = _sweeps(certificate)
     worst, turn = extremes(certificate.counted.straight), int(certificate.counted.unstable_in_turn.sum())
@@ -96,7 +96,7 @@ def certificate_result(certificate: Certificate, command: str = "", next_step: s
         answer=certificate_answer(certificate),
         record={**certificate.summary(), "rows": certificate.rows()},
         tables=[*_console_tables(certificate), *_margin_tables(certificate), _worst(certificate)],
-        notes=[f"belief: {certificate.belief}."] if certificate.belief else [],
+        notes=[f"Steering model of the controller: {certificate.belief}."] if certificate.belief else [],
         pictures=[_modulus(certificate, worst["modulus_margin"]), *maps, _tunings(certificate)],
         failed=not certificate.passed,
         values={
@@ -133,10 +133,10 @@ def _console_tables(certificate: Certificate) -> list[ResultTable]:
         points = [
             {"guard": on, **point} for on, sweep in sweeps for point in certificate.worst_points(5, sweep, driving)
         ]
-        title = f"{certificate.scheduler}, {_TITLES[driving]}: the points nearest to instability"
+        title = f"{certificate.scheduler}, {_TITLES[driving]}: points nearest to instability"
         tables.append(ResultTable(f"nearest_{driving}", title, CERTIFICATE_COLUMNS, with_ratio(points), brief=True))
     if certificate.mismatched:
-        title = f"{certificate.scheduler}, driving straight with another car: the points nearest to instability"
+        title = f"{certificate.scheduler}, cars that differ from the model: points nearest to instability"
         rows = with_ratio(certificate.mismatched_rows())
         tables.append(ResultTable("nearest_mismatched", title, MISMATCH_COLUMNS, rows, brief=True))
     return tables
@@ -147,7 +147,7 @@ def _margin_tables(certificate: Certificate) -> list[ResultTable]:
         _extremes(name, getattr(sweep, driving)) | {"driving": _NAMES[driving]}
         for driving in DRIVING_CASES for name, sweep in _sweeps(certificate)
     ]  # fmt: skip
-    title = "The worst of every margin, over all points"
+    title = "Worst value of every margin over all points"
     tables = [ResultTable("margins", title, MARGIN_COLUMNS, rows, group="driving", alert=_unstable(rows))]
     if certificate.mismatched:
         cars = [_extremes(name, margins) for name, margins in certificate.mismatched.items()]
@@ -163,7 +163,7 @@ def _extremes(name: str, margins: Margins) -> dict[str, Any]:
 
 
 def _unstable(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
-    return where(rows, ["unstable", "radius"], lambda row: row["unstable"] > 0)
+    return select_entries(rows, ["unstable", "radius"], lambda row: row["unstable"] > 0)
 
 
 def _worst(certificate: Certificate) -> ResultTable:
@@ -179,10 +179,10 @@ def _worst(certificate: Certificate) -> ResultTable:
         Column("Np", "Np"),
         Column("Nc", "Nc"),
         Column("ratio", "R/Q", "m²/rad²", 3),
-        Column("radius", "Radius", "", 4),
-        Column("gain_up", "Gain up", "", 3),
-        Column("gain_down", "Gain down", "", 3),
-        Column("delay", "Delay", "ms", 3),
+        Column("radius", "Spectral radius", "", 4),
+        Column("gain_up", "Gain margin up", "", 3),
+        Column("gain_down", "Gain margin down", "", 3),
+        Column("delay", "Delay margin", "ms", 3),
         Column("modulus_margin", "Modulus margin", "", 3),
     ]
     rows = [
@@ -191,10 +191,8 @@ def _worst(certificate: Certificate) -> ResultTable:
         for driving in DRIVING_CASES
         for point in certificate.worst_points(_WORST, sweep, driving)
     ]
-    unstable = where(rows, ["radius"], lambda row: row["radius"] >= 1.0)
-    return ResultTable(
-        "worst", "The points with the smallest modulus margin", columns, rows, group="part", alert=unstable
-    )
+    unstable = select_entries(rows, ["radius"], lambda row: row["radius"] >= 1.0)
+    return ResultTable("worst", "Points with the smallest modulus margin", columns, rows, group="part", alert=unstable)
 
 
 def _point(point: Row) -> dict[str, Any]:
@@ -219,10 +217,10 @@ def _modulus(certificate: Certificate, least: float) -> Picture:
         axes.axhline(0.0, linewidth=0.9, **SHARED_STROKE.look)
         axes.set(xlabel="Speed (m/s)", ylabel="Modulus margin (–)")
 
-    panel = Panel("Modulus margin over the speed", draw, f"Driving straight at least {number(least)}.")
+    panel = Panel("Modulus margin over the speed", draw, f"Driving straight: at least {number(least)}.")
     caption = (
-        "Smallest distance of the loop gain from −1; unstable below 0. Line: the least of all frictions and other "
-        "scheduling variables; band: up to the largest."
+        "Smallest distance of the loop gain from −1; unstable below 0. Line: minimum over friction and all other "
+        "scheduling variables. Band: up to their maximum."
     )
     return Picture("modulus", caption, [panel], [(_NAMES[driving], stroke) for driving, stroke in _STROKES.items()])
 
@@ -240,7 +238,7 @@ def _margin_maps(certificate: Certificate, name: str, title: str, margins: Margi
     panels = [_map(certificate, _narrow_scale(scale, values), values, unstable) for scale, values in maps]
     crosses = " A cross marks a cell with an unstable point." if unstable.any() else ""
     caption = (
-        f"{title}. The worst over all other scheduling variables; dark is bad, on a scale of each map's own.{crosses}"
+        f"{title}. Worst value over all other scheduling variables. Dark is worse; each map has its own scale.{crosses}"
     )
     return Picture(name, caption, panels, file=f"{name}.png", columns=3, row_height=2.0)
 
@@ -261,8 +259,8 @@ def _tunings(certificate: Certificate) -> Picture:
     caption = "The scheduler's tuning: median over all other scheduling variables."
     if certificate.guarded is not None:
         share = 100.0 * certificate.cells(certificate.fallback).mean(axis=2)
-        panels.append(_map(certificate, ColourScale(0.0, 100.0, "On the fallback (%)"), share))
-        caption = f"{caption[:-1]}, the guard's fallback included where it acts; and how often it does."
+        panels.append(_map(certificate, ColourScale(0.0, 100.0, "Fallback tuning (% of points)"), share))
+        caption = f"{caption[:-1]}, including the fallback of the guard; and share of points with the fallback."
     return Picture("tunings", caption, panels, file="tunings.png", columns=len(panels) if len(panels) < 4 else 2,
                    row_height=2.0)  # fmt: skip
 

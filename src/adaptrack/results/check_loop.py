@@ -1,4 +1,4 @@
-"""The result of a check of a loop's inputs."""
+"""Result of a check for contradictory inputs of a control loop."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from adaptrack.base.result import Column, Result, ResultTable
 from adaptrack.identification.loop_check import LEAST, LoopCheck
 
 INPUT_CHECK_COLUMNS = (
-    Column("compared", "compared"),
-    Column("seconds", "for", "s", meaning="of driving in which both could be compared"),
+    Column("compared", "compared signals"),
+    Column("seconds", "time", "s", meaning="driving time in which both signals could be compared"),
     Column("verdict", "verdict"),
 )
 
 
 def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = (), command: str = "") -> Result:
-    """The contradictions of a log, then all comparisons."""
+    """Return the result with the contradictions of a log and all comparisons."""
     rows = [
         _row(finding.compared, finding.seconds, bool(finding.label), finding.seconds > LEAST)
         for finding in check.findings
@@ -22,7 +22,7 @@ def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = (), comman
         for agreement in check.agreements
     ]  # fmt: skip
     sliding = (f"The car slid for {check.sliding:.1f} s.",) if check.sliding else ()
-    answer = f"No contradiction, in {check.compared} of {len(rows)} comparisons; the others lack a column or bends."
+    answer = f"No contradictions in {check.compared} of {len(rows)} comparisons; the others lack a log column or bends."
     if check.contradictions:
         answer = f"Inputs contradict each other. {check.contradictions[0]}"
     return Result(
@@ -39,5 +39,5 @@ def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = (), comman
 
 
 def _row(compared: str, seconds: float, contradicts: bool, clear: bool) -> dict[str, str | float]:
-    verdict = "contradict each other" if contradicts else "agree" if clear else "cannot tell"
+    verdict = "contradictory" if contradicts else "consistent" if clear else "unknown"
     return {"compared": compared, "seconds": seconds, "verdict": verdict}

@@ -1,4 +1,4 @@
-"""The result of `compare`: ranking in each profile, error against steering work, failed runs, entry speeds."""
+"""Result of `compare`: ranking in each profile, error and steering effort, failed runs, and entry speeds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adaptrack.base.result import MUTED, SERIES, Column, Panel, Picture, Result, ResultTable, Row, where
+from adaptrack.base.result import MUTED, SERIES, Column, Panel, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.comparison.config import about_contender
 from adaptrack.comparison.run import Compared
 from adaptrack.comparison.table import Comparison
@@ -28,25 +28,25 @@ _OURS, _PAPERS_COLOUR, _OTHERS = SERIES[0], SERIES[1], MUTED
 COLOURS = "Blue: ours; orange: the paper's; grey: others."
 _PAPERS = ("as-written", "as-released", "nn", "anfis", "published")
 _ROW = 0.19
-"""inch, of a row of a picture with a row for each contender"""
+"""Height of a row in pictures with a row per controller (inch)."""
 MAX_FAILED_RUNS = 10
-"""Failed runs in the table on console and page."""
+"""Largest number of failed runs in the table on console and page."""
 
 CONTENDER_COLUMNS = (
-    Column("label", "Contender"),
+    Column("label", "Controller"),
     Column("rank", "Rank"),
     Column("rms_ratio", "RMS error", "ratio", 3),
-    Column("rms_interval", "95 %", "of the ratio", 3),
+    Column("rms_interval", "95 % interval", "ratio", 3),
     Column("cost_ratio", "Cost J", "ratio", 3),
-    Column("cost_interval", "95 %", "of the ratio", 3),
-    Column("rms_error", "RMS", "m", 2),
-    Column("p95_error", "p95", "m", 2),
-    Column("max_corner", "Corner", "m", 2),
-    Column("steering_rate", "Steering", "rad/s", 2),
-    Column("acceleration", "Lateral", "m/s²", 2),
-    Column("entry_speed", "3888-2", "km/h", 2),
+    Column("cost_interval", "95 % interval", "ratio", 3),
+    Column("rms_error", "RMS error", "m", 2),
+    Column("p95_error", "95 % error", "m", 2),
+    Column("max_corner", "Max. corner error", "m", 2),
+    Column("steering_rate", "RMS steering rate", "rad/s", 2),
+    Column("acceleration", "Lateral acceleration", "m/s²", 2),
+    Column("entry_speed", "Entry speed ISO 3888-2", "km/h", 2),
     Column("failures", "Failed", "runs"),
-    Column("runs", "Of", "runs"),
+    Column("runs", "Total", "runs"),
 )
 BEST_VALUES = {
     **dict.fromkeys(("rms_ratio", "cost_ratio", "rms_error", "p95_error", "max_corner", "failures"), min),
@@ -54,36 +54,37 @@ BEST_VALUES = {
 }
 """The function that picks the best value of a column."""
 RANKING_COLUMNS = (
-    Column("label", "contender"),
+    Column("label", "controller"),
     Column("rank", "rank"),
-    Column("rms", "RMS e\nratio, 95 %"),
-    Column("cost_ratio", "J\nratio", "", 3),
-    Column("rms_error", "RMS e", "m", 2),
+    Column("rms", "RMS error\nratio, 95 %"),
+    Column("cost_ratio", "cost J\nratio", "", 3),
+    Column("rms_error", "RMS error", "m", 2),
     Column("failed", "failed"),
-    Column("entry_speed", "3888-2", "km/h", "whole"),
+    Column("entry_speed", "entry", "km/h", "whole", "highest clean entry speed into ISO 3888-2"),
 )
 FAILED_RUN_COLUMNS = (
-    Column("label", "Contender"),
+    Column("label", "Controller"),
     Column("car", "Car"),
     Column("profile", "Profile"),
     Column("road", "Road"),
     Column("seed", "Seed"),
     Column("reason", "Reason"),
-    Column("failed_at", "At", "s", 3),
+    Column("failed_at", "Time", "s", 3),
 )
 LEFT_OUT_COLUMNS = (
-    Column("contender", "Left out"),
+    Column("contender", "Controller"),
     Column("where", "Profile: cars"),
     Column("why", "Reason"),
 )
 _NOTE = (
-    "Bold: best of the column. Ratios: geometric means over cars and roads of means over the noise seeds. A resample "
-    "of an interval draws cars and roads; with one car and one road, noise seeds. A failed run counts as an error of 5 "
-    "m, and as 25 m² in J = mean e² + weight of the profile × mean (change of command)². Rank: 1 + the number of "
-    "contenders whose ratio to this one has an interval below 1; equal ranks are not ordered. RMS, p95 (median of the "
-    "runs) and largest corner error count until a run's end or failure. Steering: RMS rate of the command. Lateral: "
-    "largest acceleration of a run as UN R79 evaluates it, 95th percentile of the runs. 3888-2: highest clean entry "
-    "speed into the obstacle avoidance, mean over the cars."
+    "Bold: best value of the column. Ratio: value divided by that of the reference, averaged over noise seeds, then "
+    "geometric mean over cars and roads. Intervals: bootstrap over cars and roads; with one car and one road, over "
+    "noise seeds. A failed run counts as an error of 5 m, and as 25 m² in the cost J = mean e² + weight of the "
+    "profile × mean (change of command)². Rank: 1 + number of controllers that are better with an interval of the "
+    "ratio below 1; equal ranks are not ordered. RMS error, 95 % error (median of the runs) and corner error are "
+    "measured until the end of a run or its failure. RMS steering rate: rate of the command. Lateral acceleration: "
+    "largest value of a run by UN R79, 95th percentile of the runs. Entry speed: highest clean entry speed into the "
+    "obstacle avoidance, mean over the cars."
 )
 
 
@@ -119,7 +120,7 @@ def compare_result(compared: Compared, *, command: str = "", next_step: str = ""
 
 
 def headline(profile: str, rows: Sequence[Row]) -> str:
-    """The contender with the smallest RMS error and the failed runs; rows: of `standing_rows`."""
+    """Name the controller with the smallest RMS error, and count the failed runs; rows: from `standing_rows`."""
     failed, runs = (sum(row[key] for row in rows) for key in ("failures", "runs"))
     best = f"smallest RMS error {number(rows[0]['rms_error'])} m, {rows[0]['label']}"
     return f"Profile {profile}: {best}; {number(failed)} of {number(runs)} runs failed."
@@ -160,10 +161,10 @@ def contender_table(profile: str, rows: Sequence[Row]) -> ResultTable:
         for row in rows
     ]
     columns = [column for column in CONTENDER_COLUMNS if any(row[column.name] is not None for row in table_rows)]
-    failed = where(table_rows, ["failures"], lambda row: row["failures"] > 0)
+    failed = select_entries(table_rows, ["failures"], lambda row: row["failures"] > 0)
     return ResultTable(
         profile,
-        f"Contenders in profile {profile}",
+        f"Controllers in profile {profile}",
         columns,
         table_rows,
         _NOTE,
@@ -194,7 +195,7 @@ def console_table(profile: str, rows: Sequence[Row], comparison: Comparison) -> 
     columns = [column for column in RANKING_COLUMNS if any(row[column.name] is not None for row in table_rows)]
     numbers = (len(comparison.cars), "car"), (len(comparison.roads), "road"), (len(comparison.seeds), "noise seed")
     size = ", ".join(counted(n, noun) for n, noun in numbers)
-    title = f"{profile}: {size}; ratio to {comparison.reference}"
+    title = f"Profile {profile}: {size}; ratios to {comparison.reference}"
     return ResultTable(f"console {profile}", title, columns, table_rows, brief=True)
 
 
@@ -216,7 +217,7 @@ def _failures_by_car(compared: Compared) -> ResultTable:
     ]
     alert = frozenset((i, car) for i, row in enumerate(rows) for car in cars if row[car])
     return ResultTable(
-        "failures", "Failed runs by car", [Column("label", "Contender"), *columns], rows, "", "profile", alert=alert
+        "failures", "Failed runs by car", [Column("label", "Controller"), *columns], rows, "", "profile", alert=alert
     )
 
 
@@ -252,7 +253,7 @@ def _ratios(profile: str, rows: Sequence[Row], reference: str) -> Picture:
             row["failures"] > 0)
         for row in rows
     ]  # fmt: skip
-    label = f"RMS error / that of {reference}"
+    label = f"RMS error / RMS error of {reference}"
     caption = f"Profile {profile}: {label}, with 95 % intervals. {COLOURS}"
     panel, size = dots_panel(dots, data_text(label), label, level=1.0)
     return Picture("verdict", caption + caption_notes(dots), [panel], (), "ratios.png", 1, size[1], size)
@@ -260,8 +261,7 @@ def _ratios(profile: str, rows: Sequence[Row], reference: str) -> Picture:
 
 def _work(rows: Mapping[str, Sequence[Row]]) -> Picture:
     caption = (
-        "RMS error against the RMS rate of the steering command; below and to the left is better. Tuned contenders. "
-        + COLOURS
+        "RMS error over the RMS rate of the steering command, for tuned controllers; lower left is better. " + COLOURS
     )
     panels = [_work_panel(profile, ranking) for profile, ranking in rows.items()]
     return Picture("work", caption, panels, (), "work.png", 2, 3.0)
@@ -307,8 +307,8 @@ def _entry_speeds(compared: Compared) -> list[Picture]:
         if speeds[profile]
     ]
     caption = (
-        "Highest clean entry speed into the obstacle avoidance of ISO 3888-2, of the worst of three noise seeds; a dot "
-        f"for each car, at 0 where no speed was clean, and a bar at their mean. {COLOURS}"
+        "Highest clean entry speed into the obstacle avoidance of ISO 3888-2, for the worst of three noise seeds. Dot: "
+        f"one car, at 0 if no speed was clean. Bar: mean over the cars. {COLOURS}"
     )
     height = 0.75 + _ROW * max(map(len, speeds.values()), default=0)
     return [Picture("entry", caption, panels, (), "entry.png", 1, height, (5.2, height))] if panels else []

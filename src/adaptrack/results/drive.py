@@ -1,4 +1,4 @@
-"""The result of drives, through scenarios or along a road: one headline, tables, pictures, provenance, replay."""
+"""Result of simulated drives through scenarios or along a road, with tables, pictures, provenance and replay."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from adaptrack.base.result import Picture, Result, Row, Stroke, strokes
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.drive.failure import DISTANCE, MIN_JUDGED_SPEED
 from adaptrack.drive.metrics import Metrics, compute_metrics
-from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.answers import length
 from adaptrack.results.drive_tables import (
@@ -56,9 +56,9 @@ _PAPER_FIGURES = {
 """The paper's figures of its two tests."""
 
 TRACKING_CAPTION = "Position or speed, tracking error, angle of the front wheels, yaw rate or lateral acceleration. \
-Cross: failed. Grey: the command."
-CONDITIONS_CAPTION = "Lateral gust, friction and adapted tuning. Black: shared by all runs."
-SPEED_CAPTION = "Speed: profile (dashed) and driven."
+Cross: failure. Grey: steering command."
+CONDITIONS_CAPTION = "Lateral wind, friction and variable tuning. Black: equal for all runs."
+SPEED_CAPTION = "Speed: reference (dashed) and actual speed."
 ERROR_CAPTION = "Tracking error over time."
 
 Strokes = Mapping[str, Stroke]
@@ -66,7 +66,7 @@ Strokes = Mapping[str, Stroke]
 
 @dataclass(frozen=True)
 class Run:
-    """A run as the page shows it."""
+    """A run for the page, with its label, measures, road and car."""
 
     trajectory: Trajectory
     label: str = ""
@@ -74,7 +74,7 @@ class Run:
     metrics: Metrics | None = None
     """Measures of the run; computed if None."""
     road: Road | None = None
-    """The road of the drive: the page then has the road from above and a replay."""
+    """Road of the drive; with a road, the page has a map and a replay."""
     car: Vehicle | DrawnCar = DEFAULT_DRAWN_CAR
     """The car that is drawn on the road."""
     predicted: PredictedPaths | None = None
@@ -84,26 +84,26 @@ class Run:
 def drive_result(
     runs: Sequence[Run | Trajectory], rows: Sequence[Row] = (), *, title: str = "", command: str = ""
 ) -> Result:
-    """Closed-loop runs as a result.
+    """Return the result of closed-loop runs.
 
     Runs are grouped by scenario or road; equal labels are numbered. A label keeps its colour in all pictures.
 
     Parameters
     ----------
     rows
-        The measures of all runs by name, for console and JSON.
+        Measures of all runs by name, for console and JSON.
     title
-        When left out: the scenarios and the controllers.
+        Title; by default the names of scenarios and controllers.
     command
         The command line that repeats the runs.
 
     Raises
     ------
     InvalidInput
-        When there is no run, or runs with a road are not all on the same one.
+        When there is no run, or when runs with a road use different roads.
     """
     if not runs:
-        raise InvalidInput("report: at least one run is needed.")
+        raise InvalidInput("runs: give at least one run.")
     scenarios = group_runs([run if isinstance(run, Run) else Run(run) for run in runs])
     labelled_runs = [run for group in scenarios.values() for run in group]
     line_styles = strokes(run.label for run in labelled_runs)
@@ -149,7 +149,7 @@ def write_drive_page(
     Raises
     ------
     InvalidInput
-        As `drive_result`.
+        When `drive_result` raises it.
     StorageError
         When the files cannot be written, see `page.write_result`.
     """
@@ -157,7 +157,7 @@ def write_drive_page(
 
 
 def write_page(out_dir: str | os.PathLike[str], result: Result, *, png: bool = True) -> Path:
-    """Write the page of a `drive_result`, with the replay of runs that know their road; return its path."""
+    """Write the page of a `drive_result`, with the replay of runs along a road; return its path."""
     from adaptrack.results.page import write_result
     from adaptrack.results.replay import replay
 
@@ -167,7 +167,7 @@ def write_page(out_dir: str | os.PathLike[str], result: Result, *, png: bool = T
 
 # -- groups -----------------------------------------------------------------------------------------------------------
 def group_runs(runs: Sequence[Run]) -> dict[str, list[Shown]]:
-    """Scenario -> runs, in the order given, with their measures and distinct labels."""
+    """Group runs by scenario, in their order, with measures and distinct labels."""
     groups: dict[str, list[Run]] = {}
     for run in runs:
         groups.setdefault(run.trajectory.name_of("scenario"), []).append(run)
@@ -175,7 +175,7 @@ def group_runs(runs: Sequence[Run]) -> dict[str, list[Shown]]:
 
 
 def _labelled(runs: Sequence[Run]) -> list[Shown]:
-    """The runs of one scenario under distinct labels."""
+    """Prepare the runs of one scenario, with distinct labels."""
     labels = [legible(run.label) or controller_name(run.trajectory.name_of("controller")) for run in runs]
     return [
         _prepare_run(f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label, run)
@@ -193,13 +193,13 @@ def _prepare_run(label: str, run: Run) -> Shown:
 
 # -- headlines --------------------------------------------------------------------------------------------------------
 def _title(scenarios: Mapping[str, Sequence[Shown]]) -> str:
-    """The names of scenarios and controllers, or their number if there are many."""
+    """Return the names of scenarios and controllers, or their number if there are many."""
     labels = dict.fromkeys(run.label for group in scenarios.values() for run in group)
     return f"{few([title_of(name) for name in scenarios], 'scenario')}: {few(labels, 'controller')}"
 
 
 def _answer(runs: Sequence[Shown]) -> str:
-    """The smallest RMS error with its largest error; for several scenarios the largest error of all."""
+    """Describe the run with the smallest RMS error; for several scenarios, give the largest error of all runs."""
     completed = [run for run in runs if not run.metrics.failed]
     failed = f"{len(runs) - len(completed)} of {len(runs)} runs failed."
     if not completed:
@@ -214,14 +214,14 @@ def _answer(runs: Sequence[Shown]) -> str:
 
 
 def _failure(run: Shown) -> dict[str, str]:
-    """Name, time and reason of a failed run."""
+    """Return name, time and reason of a failed run."""
     where = "" if run.drive is None else f", at s = {number(float(run.drive.station[-1]), 4)} m"
     name = f"{title_of(run.trajectory.name_of('scenario'))}, {run.label}"
     return {"name": name, "at": f"{run.metrics.failed_at:.1f} s{where}", "because": run.metrics.failed_because}
 
 
 def _failure_headline(failed: Sequence[Mapping[str, str]], runs: int) -> str:
-    """The beginning of the page's heading; empty when no run failed."""
+    """Return the start of the page's heading; empty if no run failed."""
     if failed and runs == 1:
         return f"Failed at {failed[0]['at']}: the vehicle {failed[0]['because']}"
     return f"{number(len(failed))} of {number(runs)} runs failed" if failed else ""
@@ -235,7 +235,7 @@ def _drives(runs: Sequence[Shown]) -> dict[str, DriveRecord]:
 def _pictures(
     scenarios: Mapping[str, Sequence[Shown]], stems: Mapping[str, str], line_styles: Strokes
 ) -> list[Picture]:
-    """The main picture first: the road from above, or the error of the first scenario; then all signals."""
+    """Draw the main picture (map of the road, or error in the first scenario), then pictures of all signals."""
     groups = {name: {run.label: run.trajectory for run in group} for name, group in scenarios.items()}
     drives = _drives([run for group in scenarios.values() for run in group])
     first = next(iter(groups.values()))
@@ -252,7 +252,7 @@ def _pictures(
 
 
 def _signal_pictures(runs: Mapping[str, Trajectory], line_styles: Strokes, stem: str) -> list[Picture]:
-    """Tracking, conditions and learned quantities of the runs of one scenario or road."""
+    """Draw tracking, conditions and learned quantities of the runs of one scenario or road."""
     caption = _cite(TRACKING_CAPTION, _paper_figure(runs, "tracking"))
     pictures = [tracking_picture(runs, line_styles, f"{stem}-tracking", caption)]
     caption = _cite(CONDITIONS_CAPTION, _paper_figure(runs, "conditions"))
@@ -265,17 +265,17 @@ def _signal_pictures(runs: Mapping[str, Trajectory], line_styles: Strokes, stem:
 
 
 def _paper_figure(runs: Mapping[str, Trajectory], kind: str) -> str:
-    """The number of the paper's figure of this kind; empty for a scenario that is not the paper's."""
+    """Return the number of the paper's figure of this kind; empty for scenarios outside the paper."""
     return _PAPER_FIGURES.get(next(iter(runs.values())).name_of("scenario"), {}).get(kind, "")
 
 
 def _cite(caption: str, figure: str) -> str:
-    return f"{caption} As the paper's figure {figure}." if figure else caption
+    return f"{caption} Same quantities as figure {figure} of the paper." if figure else caption
 
 
 # -- the page ---------------------------------------------------------------------------------------------------------
 def _section(name: str, group: Sequence[Shown], stem: str) -> dict[str, Any]:
-    """Names and conditions of the section on one scenario or road."""
+    """Return name and conditions of the page section on one scenario or road."""
     runs, drive = [run.trajectory for run in group], group[0].drive
     wind = np.concatenate([run.wind for run in runs])
     first = runs[0]
@@ -292,12 +292,12 @@ def _section(name: str, group: Sequence[Shown], stem: str) -> dict[str, Any]:
         conditions |= {f"Road, note {i}": note for i, note in enumerate(drive.road.notes, 1)}
         outline = drive.shape.outline
         estimated = ", ".join(name.replace("_", " ") for name in outline.estimated) or "nothing"
-        conditions["Drawn car"] = f"{number(outline.length)} by {number(outline.width)} m; estimated: {estimated}"
+        conditions["Car outline"] = f"{number(outline.length)} by {number(outline.width)} m; estimated: {estimated}"
     return {"name": name, "title": title_of(name), "conditions": list(conditions.items()), "stem": stem}
 
 
 def _records(runs: Sequence[Shown]) -> str:
-    """The full provenance of every run as JSON: scenario, profile, plant, car, controller, versions, ..."""
+    """Return the full provenance of every run as JSON: scenario, profile, plant, car, controller and versions."""
     records = {
         f"{i}. {run.label}, {run.trajectory.name_of('scenario')}": run.trajectory.meta for i, run in enumerate(runs, 1)
     }

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, where
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.base.statistics import binned_geometric_mean
 from adaptrack.comparison.table import Comparison, finite
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
@@ -38,8 +38,8 @@ EVALUATION_COLUMNS = (
     Column("cost_geomean", "Cost", "m²", 3),
     Column("regret_geomean", "Regret", "", 4),
     Column("interval", "95 %\ninterval", "", 3),
-    Column("regret_p90", "P90", "", 3),
-    Column("regret_worst", "Worst", "", 3),
+    Column("regret_p90", "Regret\n90 %", "", 3),
+    Column("regret_worst", "Regret\nworst", "", 3),
     Column("failures", "Runs\nfailed"),
     Column("fallback", "Fallback", "% of steps", "percent"),
 )
@@ -130,7 +130,7 @@ def _table(view: str, comparisons: Mapping[str, Comparison]) -> ResultTable:
     first = next(iter(comparisons.values()))
     runs = "the paper's two" if view == "tests" else counted(_runs(first), NOUNS[view])
     title = f"{title_of(view)}: {runs}, regret to {contender_label(first.reference).lower()}"
-    failed = where(rows, ["failures"], lambda row: row["failures"] > 0)
+    failed = select_entries(rows, ["failures"], lambda row: row["failures"] > 0)
     return ResultTable(view, title, columns, rows, "", several, frozenset(best), failed, brief=True)
 
 

@@ -1,4 +1,4 @@
-"""The result of an identification: estimates, residuals, and the excitation of the log."""
+"""Result of an identification: estimates, residuals, and excitation of the log."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from adaptrack.base.result import (
     ResultTable,
     Row,
     Stroke,
-    where,
+    select_entries,
 )
 from adaptrack.identification import Estimate, Identification
 from adaptrack.identification.quantities import degrees_per_g
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 
 _MEASURED, _SIMULATED, _BOUND = Stroke(SERIES[0]), Stroke(SERIES[1]), Stroke(MUTED, "dashed")
 _SECONDS = 30.0
-"""s, length of the part of the log in the first picture"""
+"""Length of the part of the log in the first picture (s)."""
 _UNITS = {"N/rad": ("kN/rad", 1e-3), "rad": ("°", 180.0 / math.pi), "rad s^2/m": ("°/g", degrees_per_g(1.0)),
           "kg m^2": ("kg m²", 1.0), "m/s^2": ("m/s²", 1.0), "-": ("", 1.0)}  # fmt: skip
 _NAMES = {
     "delay": "Delay of the steering", "lag": "Lag", "dead_time": "Dead time", "front": "Front axle",
-    "rear": "Rear axle", "offset": "Steering offset", "push_mean": "Bank, mean push", "lf": "l_f",
+    "rear": "Rear axle", "offset": "Steering offset", "push_mean": "Mean bank acceleration", "lf": "l_f",
     "rate": "Rate limit of the steering", "ratio": "Steering ratio",
 }  # fmt: skip
 _FIRST = ("delay", "understeer_gradient", "front", "rear", "offset")
@@ -46,32 +46,32 @@ _FIRST = ("delay", "understeer_gradient", "front", "rear", "offset")
 ESTIMATE_COLUMNS = (
     Column("quantity", "quantity"),
     Column("value", "value"),
-    Column("low", "90 % from"),
-    Column("high", "to"),
+    Column("low", "90 %\nfrom"),
+    Column("high", "90 %\nto"),
     Column("unit", "unit"),
-    Column("before", "believed before"),
+    Column("before", "initial\ninterval"),
 )
 QUANTITY_COLUMNS = (
     Column("label", "Quantity"),
     Column("unit", "Unit"),
     Column("value", "Value", show=3),
     Column("interval", "90 % interval", show=3),
-    Column("before", "Believed before", show=3),
+    Column("before", "Initial interval", show=3),
     Column("says", "Information in the log"),
     Column("meaning", "Meaning"),
 )
 
 
 def identification_result(identification: Identification, command: str = "") -> Result:
-    """An identification as a result; its record is that of `Identification.to_dict`."""
+    """Return the result of an identification; its record is that of `Identification.to_dict`."""
     log, checked = identification.log, identification.validation
-    simulated = f"{100 * checked.simulated:.1f} % simulated from the command"
-    explained = f"{100 * checked.one_step:.1f} % of the yaw rate's variance is explained one step ahead"
+    simulated = f"{100 * checked.simulated:.1f} % in a simulation from the command"
+    explained = f"the model explains {100 * checked.one_step:.1f} % of the yaw-rate variance one step ahead"
     logs = f"{len(identification.alone)} logs" if identification.alone else "a log"
     return Result(
         kind="identification",
-        title=f"A car from {logs}: {identification.believed.name}",
-        answer=f"{_first(identification)}; on {checked.held_out:.0f} s held out {explained}, {simulated}.",
+        title=f"Car identified from {logs}: {identification.believed.name}",
+        answer=f"{_first(identification)}. On {checked.held_out:.0f} s of held-out data, {explained} and {simulated}.",
         record=identification.to_dict(),
         tables=_tables(identification),
         notes=[f"{capital(sentence)}." for sentence in (*log.notes, *identification.findings)],
@@ -89,10 +89,10 @@ def identification_result(identification: Identification, command: str = "") -> 
 
 
 def _first(identification: Identification) -> str:
-    """Return the most important estimates as a headline."""
+    """Return the most important estimates in words."""
     rows = [_convert_units(identification[name]) for name in _FIRST[:2] if name in identification.estimates]
     words = [f"{row['label'].lower()} {row['value']:.3g} ± {row['half']:.2g} {row['unit']}" for row in rows]
-    return capital(", ".join(words)) if words else "Nothing was found of delay and understeer"
+    return capital(", ".join(words)) if words else "The log determines neither delay nor understeer gradient"
 
 
 def write_identification_page(identification: Identification, path: str | os.PathLike[str], command: str = "") -> Path:
@@ -101,7 +101,7 @@ def write_identification_page(identification: Identification, path: str | os.Pat
     Raises
     ------
     StorageError
-        When it cannot be written.
+        When the file cannot be written.
     """
     from adaptrack.results.page import render_result
 
@@ -128,7 +128,7 @@ def _tables(identification: Identification) -> list[ResultTable]:
     log = identification.log
     estimates = [
         estimate for estimate in identification.estimates.values() if estimate.spread_left > 0.0
-    ]  # the others stay as believed
+    ]  # all others keep their initial values
     plain = [
         {
             "quantity": estimate.name.replace("_", " "), "value": estimate.value, "low": estimate.low,
@@ -143,14 +143,14 @@ def _tables(identification: Identification) -> list[ResultTable]:
         ResultTable("console", title, ESTIMATE_COLUMNS, plain, brief=True),
         ResultTable(
             "quantities", "Quantities with their 90 % intervals", QUANTITY_COLUMNS, rows,
-            best=where(rows, ["value"], lambda row: True),
+            best=select_entries(rows, ["value"], lambda row: True),
         ),
         *_log_tables(identification),
     ]  # fmt: skip
 
 
 def _log_tables(identification: Identification) -> list[ResultTable]:
-    """Table of the estimates from each single log."""
+    """Return a table of the estimates from each log alone; none for a single log."""
     rows: list[Row] = []
     for name in identification.estimates:
         estimates = [log_identification.estimates.get(name) for log_identification in identification.alone]
@@ -164,7 +164,7 @@ def _log_tables(identification: Identification) -> list[ResultTable]:
     columns = [Column(f"log_{i + 1}", f"Log {i + 1}", show=3) for i in range(len(identification.alone))]
     if not identification.alone:
         return []
-    title = "90 % intervals of each log by itself"
+    title = "90 % intervals from each log alone"
     return [
         ResultTable("logs", title, (Column("quantity", "Quantity"), *columns, Column("unit", "Unit")), rows, brief=True)
     ]  # fmt: skip
@@ -179,10 +179,12 @@ def _measured_and_simulated(identification: Identification) -> Picture:
         axes.plot(series.time[part], series.simulated[part], **_SIMULATED.look)
         axes.set(xlabel="Time (s)", ylabel="Yaw rate (rad/s)")
 
-    panel = Panel("Yaw rate", draw, "Measured and simulated from the command alone, in the stretch with most turning.")
+    panel = Panel(
+        "Yaw rate", draw, "Measured yaw rate, and simulation from the command alone, in the part with the most turning."
+    )
     caption = (
-        f"The {_SECONDS:.0f} s with the most turning. Simulated from the command alone, without wind: what differs "
-        "slowly is wind and road."
+        f"The {_SECONDS:.0f} s with the most turning. The simulation uses only the command; slow differences come from "
+        "wind and road."
     )
     return Picture("yaw_rate", caption, [panel], [("measured", _MEASURED), ("simulated", _SIMULATED)])
 
@@ -194,7 +196,7 @@ def _residuals(identification: Identification) -> Picture:
     def draw_errors(axes: Axes) -> None:
         draw_dots(axes, series.time, series.innovations, marker=".", size=1.2)
         _draw_bounds(axes, 2.0)
-        axes.set(xlabel="Time (s)", ylabel="Error / its σ")
+        axes.set(xlabel="Time (s)", ylabel="Error/σ")
 
     def draw_correlation(axes: Axes) -> None:
         draw_bars(axes, np.arange(len(correlation) + 1) + 0.5, correlation, fill=0.6)
@@ -202,11 +204,17 @@ def _residuals(identification: Identification) -> Picture:
         axes.set(xlabel="Lag (samples)", ylabel="Autocorrelation", ylim=(-0.3, 0.3))
 
     panels = [
-        Panel("One-step errors", draw_errors, "Errors of the yaw rate over their standard deviation."),
-        Panel("Are they white?", draw_correlation, "Autocorrelation at lags 1 to 5 with the bounds of white noise."),
+        Panel("One-step errors", draw_errors, "One-step errors of the yaw rate, divided by their standard deviation."),
+        Panel(
+            "Autocorrelation of the errors",
+            draw_correlation,
+            "Autocorrelation at lags 1 to 5 with the bounds of white noise.",
+        ),
     ]
     return Picture(
-        "residuals", "One step ahead, in standard deviations; dashed: ±2σ, and the bounds of white noise.", panels
+        "residuals",
+        "One-step prediction errors in standard deviations. Dashed: ±2σ, and the bounds for white noise.",
+        panels,
     )
 
 
@@ -230,10 +238,12 @@ def _excited(identification: Identification) -> Picture:
         draw_dots(axes, log.speed, log.speed * log.yaw_rate, marker=".", size=1.2)
         axes.set(xlabel="Speed (m/s)", ylabel="Speed × yaw rate (m/s²)")
 
-    longest = f"How long the log was at each speed and wheel angle, up to {number(scale.high)} s."
+    longest = f"Recorded time at each speed and wheel angle, up to {number(scale.high)} s."
     panels = [
         Panel("Speed and steering", draw_time, longest),
-        Panel("Lateral acceleration", draw_acceleration, "Speed times yaw rate over the speed."),
+        Panel("Lateral acceleration", draw_acceleration, "Speed times yaw rate, for each speed."),
     ]
-    caption = "Where the log has been: stiffness shows in steering at speed, the delay in quick steering anywhere."
+    caption = (
+        "Excitation of the log. Stiffness needs steering at high speed; the delay needs quick steering at any speed."
+    )
     return Picture("excited", caption, panels)

@@ -25,14 +25,15 @@ LANE_CHANGE_COLUMNS = (
     Column("vehicle", "Car"),
     Column("profile", "Profile"),
     Column("controller", "Controller"),
-    Column("clean", "Clean to", "km/h", "whole"),
-    Column("highest_clean", "Highest", "km/h", "whole"),
-    Column("tuned_clean", "Tuned, to", "km/h", "whole"),
-    Column("tuned_highest_clean", "Highest", "km/h", "whole"),
+    Column("clean", "Clean up to", "km/h", "whole"),
+    Column("highest_clean", "Highest clean", "km/h", "whole"),
+    Column("tuned_clean", "Tuned: clean up to", "km/h", "whole"),
+    Column("tuned_highest_clean", "Tuned: highest clean", "km/h", "whole"),
 )
 _NOTE = (
-    "Clean to: all entry speeds of the grid up to there touch no cone; highest: of all that were tried. The worst of "
-    "three noise seeds counts. Tuned: the best of a small search at one speed, with other seeds. Friction 0.9."
+    "A run is clean if the car touches no cone with any of three noise seeds. Clean up to: all tested entry speeds "
+    "up to this one are clean. Highest clean: fastest clean entry speed. Tuned: best tuning of a small search at one "
+    "speed, with different seeds. Friction 0.9."
 )
 
 ROAD_BEFORE, ROAD_BEHIND = 12.0, 14.0

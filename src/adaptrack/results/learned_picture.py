@@ -1,4 +1,4 @@
-"""The quantities that controllers have learned while driving, over time."""
+"""Picture of the quantities that controllers learn while driving, over time."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ if TYPE_CHECKING:
 
 LEARNED_QUANTITIES = {
     "delay": ("Lag and dead time", "Delay (s)", "s"), "lag": ("Steering lag", "Lag (s)", "s"),
-    "stiffness": ("Stiffness over mass, of the model's", "Factor (–)", ""),
-    "bias": ("Steering bias", "Bias (rad)", "rad"), "bank": ("Pull of the bank", "Pull (m/s²)", "m/s²"),
+    "stiffness": ("Stiffness/mass, relative to the model", "Factor (–)", ""),
+    "bias": ("Steering bias", "Bias (rad)", "rad"), "bank": ("Bank acceleration", "Acceleration (m/s²)", "m/s²"),
     "friction": ("Friction", "μ (–)", ""),
 }  # fmt: skip
 """Learned quantities that are drawn: title, label and unit."""
 
 LOGARITHMIC = ("stiffness", "balance", "friction")
-"""Learned quantities whose standard deviation is that of the logarithm."""
+"""Learned quantities whose standard deviation refers to their logarithm."""
 
 
 class Learnt(NamedTuple):
-    """A quantity that a controller has learned while driving, (n,) each."""
+    """Course of a learned quantity over a drive, arrays (n,)."""
 
     mean: Array
     low: Array
-    """mean less one standard deviation"""
+    """Mean minus one standard deviation."""
     high: Array
-    """mean plus one standard deviation"""
+    """Mean plus one standard deviation."""
     truth: Array | None = None
-    """true value; None outside simulation"""
+    """True value; None outside simulation."""
 
 
 def learned_quantities(run: Trajectory) -> dict[str, Learnt]:
@@ -60,12 +60,12 @@ def learned_quantities(run: Trajectory) -> dict[str, Learnt]:
 
 
 def learned_picture(runs: Runs, line_styles: Mapping[str, Stroke] | None = None, name: str = "learned") -> Picture:
-    """The learned quantities over time, with one standard deviation to either side and, in simulation, the truth.
+    """Draw the learned quantities over time with their standard deviation and, in simulation, their true values.
 
     Raises
     ------
     InvalidInput
-        When no controller has learned.
+        When no controller learns.
     """
     lines = prepare_runs(runs, line_styles)
     learned = {line.label: learned_quantities(line.run) for line in lines}
@@ -75,10 +75,10 @@ def learned_picture(runs: Runs, line_styles: Mapping[str, Stroke] | None = None,
     panels = []
     for quantity, (title, label, unit) in LEARNED_QUANTITIES.items():
         curves = [(line, learned[line.label][quantity]) for line in learners]
-        ends = [f"{line.label}: {learnt.mean[-1]:.3g} {unit} in the end" for line, learnt in curves]
+        ends = [f"{line.label}: {learnt.mean[-1]:.3g} {unit} at the end" for line, learnt in curves]
         panels.append(Panel(title, partial(_draw_learned, curves=curves, label=label), "; ".join(ends)))
-    caption = "Learned while driving. Band: one standard deviation to either side; dashed: the simulated truth."
-    key = [*((line.label, line.stroke) for line in learners), ("Truth", REFERENCE_STROKE)]
+    caption = "Quantities learned while driving. Band: ± one standard deviation. Dashed: true value in the simulation."
+    key = [*((line.label, line.stroke) for line in learners), ("True value", REFERENCE_STROKE)]
     return Picture(name, caption, panels, key, f"{name}.png", row_height=1.9)
 
 

@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.text import printable
-from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.results.marks import deviation_colours
 from adaptrack.results.record import Array, DriveRecord
 from adaptrack.results.road_pictures import Drives, offset_scale, outline_stations, road_span

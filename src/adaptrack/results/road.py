@@ -1,4 +1,4 @@
-"""The result of a road check: summary, places that cannot be driven, and the road from above."""
+"""Result of a road check: summary, places that the car cannot drive, and pictures of the road."""
 
 from __future__ import annotations
 
@@ -32,22 +32,32 @@ if TYPE_CHECKING:
 LINE_POINTS = 4000
 """Points of the drawn line."""
 
-SUMMARY_COLUMNS = (Column("what", "what"), Column("value", "value"))
+SUMMARY_COLUMNS = (Column("what", "quantity"), Column("value", "value"), Column("unit", "unit"))
+SUMMARY_TITLES = {
+    "length": ("length", "m"), "closed": ("closed lap", ""), "smallest_radius": ("smallest radius", "m"),
+    "curvature_jumps": ("jumps of the curvature", ""), "largest_grade": ("largest grade (uphill)", ""),
+    "least_grade": ("smallest grade (downhill)", ""), "deviation": ("largest distance from the points", "m"),
+    "slowest": ("lowest planned speed", "m/s"), "fastest": ("highest planned speed", "m/s"),
+    "duration": ("planned duration", "s"),
+}  # fmt: skip
+"""Title and unit of the entries of the summary."""
 LIMIT_COLUMNS = (
-    Column("limit", "limit"), Column("share", "of the road", "%"), Column("from", "longest from", "m"),
+    Column("limit", "limit"), Column("share", "share of road", "%"), Column("from", "longest part from", "m"),
     Column("to", "to", "m"),
 )  # fmt: skip
-PLACE_COLUMNS = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "what"))
+PLACE_COLUMNS = (Column("from", "from", "m"), Column("to", "to", "m"), Column("what", "finding"))
 
 
 def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -> Result:
     """Return a road, its planned speed and the parts that cannot be driven as a result."""
     barred = [finding for finding in findings if not finding.drivable]
     summary = _summary(road, plan)
-    summary_rows = [{"what": key.replace("_", " "), "value": value} for key, value in summary.items() if key != "road"]
+    summary_rows = [
+        {"what": title, "value": summary[key], "unit": unit} for key, (title, unit) in SUMMARY_TITLES.items()
+    ]
     tables = [ResultTable("summary", road.name, SUMMARY_COLUMNS, summary_rows, brief=True)]
-    tables.append(ResultTable("limits", "What bounds the speed", LIMIT_COLUMNS, _longest(plan), brief=True))
-    for name, title, drivable in (("barred", "What cannot be driven", False), ("notes", "Notes", True)):
+    tables.append(ResultTable("limits", "Limits of the planned speed", LIMIT_COLUMNS, _longest(plan), brief=True))
+    for name, title, drivable in (("barred", "Places that the car cannot drive", False), ("notes", "Notes", True)):
         places = [
             {"from": finding.start, "to": finding.end, "what": finding.text}
             for finding in findings
@@ -137,18 +147,18 @@ def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) 
         for finding in barred:
             end = max(finding.end, finding.start + 0.003 * road.length)
             axes.axvspan(finding.start, end, color=SERIES[1], alpha=0.3, linewidth=0.0)
-        axes.set(xlabel="Along the road (m)", xlim=(0.0, road.length), ylabel=label)
+        axes.set(xlabel="Distance along the road (m)", xlim=(0.0, road.length), ylabel=label)
 
     lap = "lap of " if road.closed else ""
     title = data_text(f"{road.name}: {lap}{road.length:.0f} m, {plan.duration:.0f} s")
     panels = [
-        Panel(title, lambda axes: _draw_from_above(axes, road, plan, s, barred), "The road from above.", height=4.0),
+        Panel(title, lambda axes: _draw_from_above(axes, road, plan, s, barred), "Map of the road.", height=4.0),
         Panel("Curvature", draw_curvature, "Curvature along the road."),
         Panel("Speed", draw_speed, "Planned speed along the road."),
     ]
     if road.along("grade", s).any():
         panels.append(Panel("Grade", draw_grade, "Grade along the road, positive uphill."))
-    caption = "The road from above, coloured by the planned speed; curvature and speed along it."
+    caption = "Map of the road, coloured by the planned speed; curvature and speed along the road."
     return Picture("road", caption, panels, file="road.png", columns=1, row_height=1.25)
 
 

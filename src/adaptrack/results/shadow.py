@@ -1,4 +1,4 @@
-"""The result of shadow mode: learned car, accuracy of the predictions and warnings for each log."""
+"""Result of shadow mode: learned car, accuracy of the predictions, and warnings for each log."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from adaptrack.base.result import (
     Picture,
     Result,
     ResultTable,
+    select_entries,
     strokes,
-    where,
 )
 from adaptrack.control.controllers.learned import WITHIN
 from adaptrack.drive.prediction import TIMES
@@ -32,31 +32,36 @@ from adaptrack.results.words import capital, listed, number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PREDICTOR_LABELS = {"learned": "learned", "held": "held", "first": "first belief", "steady": "steady turn"}
-PREDICTOR_NAMES = PREDICTOR_LABELS | {"learned": "learned model", "held": "held yaw rate"}
+PREDICTOR_LABELS = {
+    "learned": "learned model", "held": "constant rate", "first": "initial model", "steady": "steady turn",
+}  # fmt: skip
+PREDICTOR_NAMES = PREDICTOR_LABELS | {"held": "constant yaw rate"}
+VERDICT_WORDS = {"not believable": "implausible", "believable": "plausible", "at a bound": "at the limit of the prior"}
 PREDICTOR_STROKES = strokes(PREDICTORS)
 SHOWN_SECONDS = 15.0
-"""s of the log that are drawn: those with the most turning."""
+"""Length of the drawn part of the log, which has the most turning (s)."""
 BELIEF_LABELS = {name: LEARNED_QUANTITIES[name] for name in ("delay", "lag", "stiffness", "bias")}
-BELIEF_LABELS["balance"] = ("Front over rear stiffness, of the model's", "Factor (–)", "")
+BELIEF_LABELS["balance"] = ("Front/rear stiffness ratio, relative to the model", "Factor (–)", "")
 LEARNED_CAR_ROWS = ("lag", "dead time", "delay", "stiffness", "front/rear", "bias")
 """Names of the rows of `LearnedCar.intervals`."""
 SOON, LATER = TIMES
 
 PREDICTION_COLUMNS = (
-    Column("name", "predicted by"),
-    Column("soon", f"{SOON:g} s", "rad/s", 3),
-    Column("later", f"{LATER:g} s", "rad/s", 3),
-    Column("interval", "95 %", show=2, meaning=f"of the error {LATER:g} s ahead"),
-    Column("ours", "learned/it", show=2, meaning="95 % of the learned model's error over this one's"),
-    Column("fastest", "fastest", "rad/s", 3, f"{LATER:g} s ahead, in the third of the log with the fastest steering"),
-    Column("y", "offset", "m", 3, f"from the path, {LATER:g} s ahead"),
+    Column("name", "prediction by"),
+    Column("soon", f"{SOON:g} s", "rad/s", 3, f"RMS error {SOON:g} s ahead"),
+    Column("later", f"{LATER:g} s", "rad/s", 3, f"RMS error {LATER:g} s ahead"),
+    Column("interval", "95 %", show=2, meaning=f"95 % interval of the error {LATER:g} s ahead (rad/s)"),
+    Column("ours", "ratio", show=2, meaning="95 % interval: error of the learned model divided by this error"),
+    Column(
+        "fastest", "fast", "rad/s", 3, f"error {LATER:g} s ahead, in the third of the log with the fastest steering"
+    ),
+    Column("y", "offset", "m", 3, f"error of the offset from the path, {LATER:g} s ahead"),
 )
 LEARNED_CAR_COLUMNS = (
-    Column("name", "believed"),
+    Column("name", "quantity"),
     Column("value", "value", show=3),
-    Column("interval", "90 %", show=3),
-    Column("before", "before the logs", show=3),
+    Column("interval", "90 % interval", show=3),
+    Column("before", "initial interval", show=3),
     Column("unit", "unit"),
 )
 
@@ -66,47 +71,48 @@ def shadow_result(shadow: Shadow, command: str = "", next_step: str = "") -> Res
     several = len(shadow.logs) > 1
     return Result(
         kind="shadow",
-        title=f"In the shadow of a driver: {shadow.car.name}",
+        title=f"Learning from logs of a driver: {shadow.car.name}",
         answer="\n".join(_answer(log, several) for log in shadow.logs),
         record=_record(shadow),
         tables=[table for log in shadow.logs for table in _tables(log, f", {log.source}" if several else "")],
         notes=_notes(shadow),
         pictures=[_predicted(shadow.logs), _believed(shadow.logs), *_commands(shadow.logs)],
         failed=not shadow.believable,
-        headline="" if shadow.believable else "Not believable",
+        headline="" if shadow.believable else "Implausible",
         command=command,
         next_step=next_step,
     )
 
 
 def _answer(log: ShadowLog, with_source: bool) -> str:
-    """The verdict on the belief, and the best predictor."""
+    """Describe the learned delay with its verdict, and the best predictor."""
     why = "; ".join(log.doubts or log.bounds)
     delay, half = log.learned.lag + log.learned.dead_time, WITHIN * log.learned.delay_sigma
-    belief = f"The belief (delay {number(delay)} ± {number(half, 2)} s) is {log.verdict}{f': {why}' if why else ''}."
-    return f"{f'{log.source}: ' if with_source else ''}{belief}\n{_winner(log)}"
+    verdict = VERDICT_WORDS.get(log.verdict, log.verdict)
+    learned = f"Learned delay {number(delay)} ± {number(half, 2)} s ({verdict}{f': {why}' if why else ''})."
+    return f"{f'{log.source}: ' if with_source else ''}{learned}\n{_winner(log)}"
 
 
 def _winner(log: ShadowLog) -> str:
-    """The best predictor of the yaw rate, and the error of the learned model."""
+    """Name the best predictor of the yaw rate, and give the error of the learned model."""
     predictions = log.of("yaw_rate", LATER)
     if not predictions:
-        return "It is too short to compare predictions."
+        return "The log is too short to compare predictions."
     ours = predictions["learned"]
     best, *rivals = sorted(predictions.values(), key=lambda prediction: prediction.rms.value)
     other = rivals[0] if best is ours else best
     over = f"{number(other.ours.mean, 2)} [{number(other.ours.low, 2)}, {number(other.ours.high, 2)}]"
     error = f"{number(ours.rms.value)} rad/s [{number(ours.rms.low)}, {number(ours.rms.high)}]"
     winner = PREDICTOR_NAMES[best.predictor]
-    sure = "" if other.ours.verdict != "level" else ", level with it"
+    sure = "" if other.ours.verdict != "level" else " (no significant difference)"
     return (
-        f"Yaw rate {LATER:g} s ahead: the {winner} predicts it best.\nThe learned model errs by {error} RMS,\n"
-        f"{over} times the {PREDICTOR_NAMES[other.predictor]}{sure}."
+        f"Best prediction of the yaw rate {LATER:g} s ahead: {winner}.\nRMS error of the learned model: {error},\n"
+        f"{over} times that of the {PREDICTOR_NAMES[other.predictor]}{sure}."
     )
 
 
 def _warning_text(warning: Warned, log: ShadowLog) -> str:
-    """A warning with its duration."""
+    """Describe a warning with its duration."""
     if math.isnan(warning.seconds):
         return f"{warning.what} (the whole log)"
     return f"{warning.what} ({warning.seconds:.0f} of {log.time[-1]:.0f} s, from {warning.first:.0f} s on)"
@@ -118,16 +124,19 @@ def _notes(shadow: Shadow) -> list[str]:
     notes = []
     for log in shadow.logs:
         warned = "; ".join(_warning_text(warning, log) for warning in log.warnings)
-        for sentence in (capital("; ".join(log.notes)), warned and f"It would have warned of: {warned}"):
+        for sentence in (capital("; ".join(log.notes)), warned and f"Warnings of the controller: {warned}"):
             notes += [f"{f'{log.source}: ' if several else ''}{sentence}."] if sentence else []
     if shadow.spoiling:
         notes.append(
-            f"Without {listed(shadow.spoiling)} less is amiss: they contradict the other signals, or are not those of "
-            "the centre of gravity."
+            f"Fewer contradictions without {listed(shadow.spoiling)}: these contradict other signals, or are not "
+            "measured at the centre of gravity."
         )
     if several:
-        notes.append("The belief is carried from log to log, in the order given.")
-    return [*notes, "Nothing was steered: a command is one step from where the driver had brought the car."]
+        notes.append("The learned values continue from log to log, in the order of the command line.")
+    return [
+        *notes,
+        "The controller did not steer: each command is one control step from the state of the driver's car.",
+    ]
 
 
 def _record(shadow: Shadow) -> dict[str, Any]:
@@ -147,7 +156,7 @@ def _record(shadow: Shadow) -> dict[str, Any]:
 
 
 def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
-    """Tables of the prediction errors and of the final belief."""
+    """Return tables of the prediction errors and of the learned values."""
     soon, later = (log.of("yaw_rate", ahead) for ahead in TIMES)
     fastest, y = log.of("yaw_rate", LATER, "fastest"), log.of("y", LATER)
     rows: list[dict[str, Any]] = [
@@ -159,19 +168,19 @@ def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
         for name, prediction in later.items()
     ]  # fmt: skip
     least = [
-        where(rows, [name], lambda row, name=name: row[name] == min(other[name] for other in rows))
+        select_entries(rows, [name], lambda row, name=name: row[name] == min(other[name] for other in rows))
         for name in ("soon", "later", "fastest", *(("y",) if y else ()))
     ]
-    believed = [
+    learned_rows = [
         {"name": name, "value": interval.value, "interval": (interval.low, interval.high),
          "before": (old.low, old.high), "unit": interval.unit}
         for name, interval, old in zip(LEARNED_CAR_ROWS, log.learned.intervals, log.before.intervals, strict=True)
     ]  # fmt: skip
-    title = f"RMS errors of yaw rate{' and offset' if y else ''}{suffix}"
+    title = f"RMS errors of predicted yaw rate{' and offset' if y else ''}{suffix}"
     columns = PREDICTION_COLUMNS if y else PREDICTION_COLUMNS[:-1]
     return [
         ResultTable(f"predicted{suffix}", title, columns, rows, best=frozenset().union(*least), brief=True),
-        ResultTable(f"believed{suffix}", f"The belief in the end{suffix}", LEARNED_CAR_COLUMNS, believed, brief=True),
+        ResultTable(f"believed{suffix}", f"Learned values{suffix}", LEARNED_CAR_COLUMNS, learned_rows, brief=True),
     ]
 
 
@@ -189,8 +198,8 @@ def _predicted(logs: Sequence[ShadowLog]) -> Picture:
         ("Measured", REFERENCE_STROKE),
     ]
     caption = (
-        f"Yaw rate predicted {LATER:g} s before, with the commands that followed. The {SHOWN_SECONDS:.0f} s with the "
-        "most turning."
+        f"Yaw rate, predicted {LATER:g} s earlier with the recorded commands, in the {SHOWN_SECONDS:.0f} s with "
+        "the most turning."
     )
     return _picture("predicted", caption, panels, key)
 
@@ -206,15 +215,17 @@ def _draw_predicted(axes: Axes, log: ShadowLog) -> None:
 
 
 def _believed(logs: Sequence[ShadowLog]) -> Picture:
-    """A picture of the belief over time, one log after the other."""
+    """Draw the learned values over time, one log after the other."""
     panels = [
         Panel(
             title, partial(_draw_believed, logs=logs, name=name, label=label),
-            f"{logs[-1].beliefs[f'belief_{name}'][-1]:.3g} {unit} in the end.",
+            f"{logs[-1].beliefs[f'belief_{name}'][-1]:.3g} {unit} at the end.",
         )
         for name, (title, label, unit) in BELIEF_LABELS.items()
     ]  # fmt: skip
-    return Picture("believed", "What is believed of the car. Band: 90 %.", panels, file="believed.png", row_height=1.9)
+    return Picture(
+        "believed", "Learned values over time. Band: 90 % interval.", panels, file="believed.png", row_height=1.9
+    )
 
 
 def _draw_believed(axes: Axes, logs: Sequence[ShadowLog], name: str, label: str) -> None:
@@ -233,14 +244,14 @@ def _draw_believed(axes: Axes, logs: Sequence[ShadowLog], name: str, label: str)
 
 
 def _commands(logs: Sequence[ShadowLog]) -> list[Picture]:
-    """A picture of the commands of driver and controller; none without a path."""
+    """Draw the commands of driver and controller; no picture without a path."""
     panels = []
     for log in logs:
         difference = (log.proposed - log.command)[np.isfinite(log.proposed)]
         if difference.size:
             description = f"{number(float(np.sqrt(np.mean(difference**2))))} rad apart (RMS of the whole log)."
             panels.append(Panel(log.source, partial(_draw_commands, log=log), description))
-    caption = "Command of the driver (line), and of the controller at that instant (points): one step, no drive."
+    caption = "Commands of the driver (line) and of the controller for the same states (points)."
     return [_picture("commands", caption, panels)] if panels else []
 
 

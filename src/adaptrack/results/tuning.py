@@ -1,4 +1,4 @@
-"""The results of `tune`: the constant of a car, and the tuning of a controller on given roads."""
+"""Results of `tune`: constant tuning of a car, and tuning of a controller on selected roads."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ CAR_COLUMNS = (
     Column("tuning", "tuning"),
     Column("Np", "Np", "periods", "whole"),
     Column("Nc", "Nc", "periods", "whole"),
-    Column("ratio", "R/Q", "", 4),
+    Column("ratio", "R/Q", "m²/rad²", 4),
     Column("cost", "cost J", "m²", 3),
     Column("failed", "failed\ndrives"),
 )
 ACCEPTANCE_NOTE = "The search replaces the default only if it is better with 95 % confidence and fails no more often."
-STAND_IN_NOTE = "The plant has no linear model: the certificate is that of the car in the controller's file."
+STAND_IN_NOTE = "The plant has no linear model: the certificate uses the car model of the controller."
 
 
 def tuned_car_result(tuned: TunedCar, files: Mapping[str, str], next_step: str) -> Result:
-    """The constant tuning of a car; files: of the car and its tuning."""
+    """Return the result for the constant tuning of a car; files: paths of car file and tuning file."""
     record = tuned.summary()
     rows = [
         {
@@ -44,7 +44,7 @@ def tuned_car_result(tuned: TunedCar, files: Mapping[str, str], next_step: str) 
         answer=tuned.headline,
         record={**record, **files},
         tables=[
-            ResultTable("tunings", f"{record['drives']} unseen drives", CAR_COLUMNS, rows, ACCEPTANCE_NOTE, brief=True)
+            ResultTable("tunings", f"{record['drives']} test drives", CAR_COLUMNS, rows, ACCEPTANCE_NOTE, brief=True)
         ],
         notes=[*notes, *(f"{name.replace('_', ' ')}: {path}" for name, path in files.items())],
         failed=not tuned.passed,
@@ -53,12 +53,12 @@ def tuned_car_result(tuned: TunedCar, files: Mapping[str, str], next_step: str) 
 
 
 def tuned_roads_result(tuned: TunedOnRoads, file: str, next_step: str) -> Result:
-    """The tuning of a controller on given roads, judged with other noise."""
+    """Return the result for the tuning of a controller on selected roads, tested with different noise."""
     search, judgement, name = tuned.search, tuned.judgement, tuned.file.controller
     over, rows = judgement.ratio("tuned", "default"), standing_rows(judgement)
     entries = [{"entry": key, "default": search.default[key], "tuned": value} for key, value in search.tuning.items()]
     columns = (Column("entry", "entry"), Column("default", "default", "", 4), Column("tuned", "tuned", "", 4))
-    at_bounds = f"At a bound of the search: {', '.join(search.at_bounds)}." if search.at_bounds else ""
+    at_bounds = f"At a limit of the search: {', '.join(search.at_bounds)}." if search.at_bounds else ""
     notes = [f"Steering model of the controller: {tuned.file.belief}."] if tuned.file.belief else []
     record: dict[str, Any] = {
         "tuning": file, "controller": name, "entries": search.tuning, "default": search.default,
@@ -69,8 +69,8 @@ def tuned_roads_result(tuned: TunedOnRoads, file: str, next_step: str) -> Result
     return Result(
         kind="tuned-roads",
         title=f"Tuning of {name}",
-        answer=f"Cost of {name}, tuned: {over.mean:.3g} times the default's, 95 % interval {over.low:.3g} to "
-        f"{over.high:.3g}, with noise that the search did not use.",
+        answer=f"Cost of the tuned {name}: {over.mean:.3g} times that of the default tuning (95 % interval "
+        f"{over.low:.3g} to {over.high:.3g}), with new sensor noise.",
         record=record,
         tables=[
             console_table(tuned.file.profile, rows, judgement),

@@ -1,8 +1,8 @@
-"""Scenarios: what a test drives through, by name, from a file, from arrays or put together from shapes."""
+"""Scenarios: reference, speed, friction and wind of a test drive. Load them by name or file, or build them."""
 
-from adaptrack.scenario.drive import RoadDrive
-from adaptrack.scenario.drives import random_drive
 from adaptrack.scenario.library import list_scenarios, load_scenario, scenario_options
+from adaptrack.scenario.random_drives import random_drive
+from adaptrack.scenario.road_drive import RoadDrive
 from adaptrack.scenario.scenario import CONTROL_PERIOD, Scenario
 from adaptrack.scenario.shapes import (
     SHAPE_TYPES,

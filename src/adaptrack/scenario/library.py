@@ -1,7 +1,8 @@
 """Scenarios by name.
 
-The two tests of the paper are data files (`adaptrack/data/scenarios`); the manoeuvres that follow from a few numbers
-are functions, whose parameters are their options. ``load_scenario(name).to_toml(path)`` makes a file of any of them.
+The two tests of the paper are data files (`adaptrack/data/scenarios`). The other manoeuvres are functions; the
+parameters of a function are the options of its scenario. ``load_scenario(name).to_toml(path)`` writes any of them to a
+file.
 """
 
 from __future__ import annotations
@@ -20,31 +21,31 @@ from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, forma
 from adaptrack.base.files import SHIPPED, read_toml
 from adaptrack.cars.domain import Domain
 from adaptrack.core.plants.forces import GRAVITY
-from adaptrack.scenario import drives
+from adaptrack.scenario import random_drives
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Gust, LaneChange, Shape, Sine, as_shape
 from adaptrack.scenario.surroundings import as_friction
 
 MAX_ROAD_HEADING = 0.25
-"""rad, heading of a road that the small angles of the prediction model still describe."""
+"""Largest heading of a reference (rad) for which the prediction model's small-angle approximation is accurate."""
 
 SignalLike = Shape | Mapping[str, Any] | float
-"""What `as_shape` accepts."""
+"""Values that `as_shape` converts."""
 
 COMMON_OPTIONS = {
     "duration": "s",
     "window": "one of the scenario's named durations",
     "mirrored": "left and right exchanged",
-    "reference": "m, another lateral reference",
+    "reference": "m, lateral reference instead of the scenario's",
     "speed": "m/s",
-    "friction": "one value, [left, right] or one for each wheel",
-    "friction_patches": "stretches of other friction",
+    "friction": "coefficient: one for all wheels, [left, right], or one per wheel",
+    "friction_patches": "stretches with a different friction",
     "wind": "m/s: lateral, or [x, y]",
     "wind_gain": "factor on the wind",
     "start_y": "m, lateral position at the start",
     "start_heading": "rad, heading at the start",
 }
-"""The options that every scenario has, with their meaning."""
+"""The options of every scenario, each with its unit or meaning."""
 
 DESCRIPTIONS = {
     "step": (
@@ -53,9 +54,9 @@ DESCRIPTIONS = {
     "lane-change": "One smooth lane change, sized to the friction, and one side gust.",
     "double-lane-change": "Out of the lane and back within the lengths of ISO 3888-1, at constant speed.",
     "sine": "A sinusoidal lateral reference: weaving, for the frequency response.",
-    "random-drive": drives.DESCRIPTION,
+    "random-drive": random_drives.DESCRIPTION,
 }
-"""Of the manoeuvres, one line each. Not read from their docstrings: ``python -OO`` drops those."""
+"""One-line descriptions of the manoeuvres. They are not docstrings because ``python -OO`` removes docstrings."""
 
 _DATA = SHIPPED / "scenarios"
 
@@ -101,9 +102,11 @@ def lane_change(
     gust : float
         Peak of the lateral 1-cosine gust, m/s.
     change_time : float, optional
-        How long the change lasts, s; without it max(2, sqrt(5.77 |amplitude| / (0.35 μ g)), 1.875 |amplitude| /
-        (0.25 v)): it asks for 35 % of the lateral acceleration that the lowest friction μ allows, heads at most
-        0.25 rad off the road at the lowest speed v (1 m/s at least), and takes at least 2 s.
+        Duration of the lane change, s. By default it is the shortest duration that meets three conditions:
+
+        - it lasts at least 2 s;
+        - it uses at most 35 % of the lowest friction μ: sqrt(5.77 |amplitude| / (0.35 μ g));
+        - its heading is at most 0.25 rad at the lowest speed v, at least 1 m/s: 1.875 |amplitude| / (0.25 v).
     """
     if change_time is None:
         times = np.linspace(0.0, duration, 1001)
@@ -139,24 +142,24 @@ def double_lane_change(
 ) -> Scenario:
     """Out of the lane and back within the lengths of ISO 3888-1, at constant speed.
 
-    The sections of ISO 3888-1 are 15, 30, 25, 25, 15 and 15 m long; the lane is left within the second and regained
-    within the fourth, 3.5 m apart. The reference is a smooth centre line: one quintic `LaneChange` in each of the two.
-    (A driver may cut through the width of the lanes. The centre line at 80 km/h would ask for 16 m/s^2, so the default
-    speed is 14 m/s = 50 km/h, where it asks for 6.3 m/s^2.)
+    The sections of ISO 3888-1 are 15, 30, 25, 25, 15 and 15 m long. The second section leads to a lane 3.5 m to the
+    side, the fourth leads back. The reference is a smooth centre line: one quintic `LaneChange` in each of these two
+    sections. A driver may cut corners within the lanes; the centre line does not. It would need 16 m/s^2 at 80 km/h.
+    The default speed is therefore 14 m/s = 50 km/h, at which it needs 6.3 m/s^2.
 
     Parameters
     ----------
     amplitude : float
         Shift between the lanes, m, positive to the left.
     speed : float
-        Constant speed, m/s; it turns the lengths into times.
+        Constant speed, m/s; it converts the section lengths into times.
     approach : float
         Time before the first section, s.
     duration : float, optional
-        Of the run, s; without it, the track and 2 s.
+        Duration of the run, s; by default the time for all sections plus 2 s.
     """
     if not _is_number(speed) or not speed > 0.0:
-        raise InvalidInput(f"speed = {speed!r}: the double lane change needs one number > 0 m/s: lengths become times.")
+        raise InvalidInput(f"speed = {speed!r}: the double lane change needs one constant speed > 0 m/s.")
     entry, departure, second_lane, back, end = (length / speed for length in (15.0, 30.0, 25.0, 25.0, 30.0))
     out = approach + entry
     home = out + departure + second_lane
@@ -190,9 +193,9 @@ def sine(
     amplitude : float
         Lateral amplitude, m; the peak acceleration is amplitude (2π frequency)².
     frequency : float
-        Hz.
+        Frequency, Hz.
     start : float
-        When the weaving begins, s.
+        Time at which the weaving begins, s.
     """
     return Scenario(
         name="sine",
@@ -209,21 +212,21 @@ def sine(
 def random_drive(seed: float = 0, duration: float = 60.0) -> Scenario:
     """Mixed driving: changing speed and friction, curves, lane changes, wind and gusts.
 
-    `adaptrack.scenario.random_drive` with its default ranges, or those of a car's domain (see `load_scenario`).
+    This is `adaptrack.scenario.random_drive` with its default ranges. `load_scenario` can use a car's ranges instead.
 
     Parameters
     ----------
     seed : float
-        Which drive, a whole number.
+        Seed of the random numbers; a whole number.
     """
     return _random_drive(seed, duration, Domain())
 
 
 def _random_drive(seed: float, duration: float, domain: Domain) -> Scenario:
-    """A drive in the domain of a car."""
+    """Random drive with the speed, friction and wind ranges of a car's domain."""
     if not float(seed).is_integer():
         raise InvalidInput(f"seed = {seed!r}: must be a whole number.")
-    return drives.random_drive(int(seed), duration, **domain.drive_options)
+    return random_drives.random_drive(int(seed), duration, **domain.drive_options)
 
 
 def _is_number(value: Any) -> bool:
@@ -247,13 +250,13 @@ def _files() -> dict[str, Path]:
 
 
 def list_scenarios() -> dict[str, str]:
-    """The named scenarios, each with one line of description; those of the paper first."""
+    """Return a one-line description of each named scenario, the scenarios of the paper first."""
     described = {name: str(read_toml(path)["description"]) for name, path in _files().items()}
     return described | DESCRIPTIONS
 
 
 def scenario_options(name: str) -> dict[str, Any]:
-    """The options that the scenario `name` has beside or instead of `COMMON_OPTIONS`, with their defaults."""
+    """Return the options of the scenario `name` with their defaults; they extend or replace `COMMON_OPTIONS`."""
     if name not in _MANOEUVRES:
         return {}
     return {key: option.default for key, option in inspect.signature(_MANOEUVRES[name]).parameters.items()}
@@ -261,21 +264,21 @@ def scenario_options(name: str) -> dict[str, Any]:
 
 @checked
 def load_scenario(name_or_path: str | os.PathLike[str], *, domain: Domain | None = None, **options: Any) -> Scenario:
-    """A scenario by its name or from a TOML or CSV file, with options.
+    """Load a scenario by its name or from a TOML or CSV file, and apply options.
 
     Parameters
     ----------
     name_or_path : str or path
-        One of `list_scenarios`, or a file that ends in ``.toml`` or ``.csv``.
+        A name from `list_scenarios`, or a file that ends in ``.toml`` or ``.csv``.
     domain : Domain, optional
-        Of the car that will drive it: what is drawn at random is drawn in it.
+        Domain of the car that will drive the scenario; it sets the ranges of ``random-drive``.
     **options
-        `COMMON_OPTIONS` for every scenario and `scenario_options` for a named one. ``None`` means: as it is.
+        Options from `COMMON_OPTIONS`, and from `scenario_options` for a named scenario. ``None`` changes nothing.
 
     Raises
     ------
     UnknownName
-        For a scenario or an option that does not exist; the message names the nearest.
+        For a scenario or an option that does not exist; the message suggests the most similar name.
     InvalidInput
         For a value that is not allowed.
     StorageError, ConfigError
@@ -295,7 +298,7 @@ def load_scenario(name_or_path: str | os.PathLike[str], *, domain: Domain | None
     if not isinstance(options.get("mirrored", False), bool):
         raise InvalidInput(f"mirrored = {options['mirrored']!r}: must be true or false.")
     if "window" in options and "duration" in options:
-        raise InvalidInput("give either a window or a duration.")
+        raise InvalidInput("window and duration are both given: give only one of them.")
     if name in _MANOEUVRES:
         chosen = {key: options.pop(key) for key in own_options if key in options}
         if name == "random-drive" and domain is not None:

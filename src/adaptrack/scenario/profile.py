@@ -1,4 +1,4 @@
-"""Profiles: what stands between a controller and an ideal car, and what a test of it charges."""
+"""Profiles: simulated steering, sensors and computation time of a car, and the cost weight of its tests."""
 
 from __future__ import annotations
 
@@ -20,68 +20,75 @@ def _noise(description: str) -> Any:
     return Field(default=0.0, ge=0, allow_inf_nan=True, description=description)
 
 
-SENSING = (
+SENSOR_FIELDS = (
     "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "noise_wheel_angle", "noise_lateral_acceleration",
     "noise_speed", "bias_yaw_rate", "bias_wheel_angle", "pose_age", "pose_age_spread", "motion_age", "missing",
     "dropout_pause", "dropout_least", "dropout_most", "noise_station", "station_age", "noise_speed_floor",
     "speed_resolution", "speed_dead_zone", "speed_age", "motion_age_spread",
 )  # fmt: skip
-"""What a profile says of sensors."""
+"""Fields of `Profile` that describe the sensors."""
 _AGES_BY_SPREAD = {"pose_age_spread": ("pose_age", "station_age"), "motion_age_spread": ("motion_age", "speed_age")}
-"""Ages that vary by each spread; it does not apply to the second one where that is 0."""
+"""Ages to which each spread applies; a second age of 0 has no spread."""
 
 
 class Profile(Record):
-    """The simulated world around a car: its steering actuator, sensors and computer, and the weight of a test's cost.
+    """Simulated steering actuator, sensors and computation time of a car, and the cost weight of its tests.
 
     Each profile is one TOML file, see `load_profile`.
     """
 
-    name: str = Field(min_length=1, description="how lists and tables call the profile")
+    name: str = Field(min_length=1, description="name of the profile in lists and tables")
     description: str = Field(default="", description="one sentence for lists")
     steering: SteeringActuator = Field(
         default_factory=SteeringActuator.ideal, description="lag, dead time, bias and limits of the steering"
     )
     drive: DriveActuator = Field(
-        default_factory=DriveActuator, description="how the driving force follows a request, unless the car file says"
+        default_factory=DriveActuator, description="response of the driving force, unless the car file has one"
     )
     brakes: BrakeActuator = Field(
-        default_factory=BrakeActuator, description="how the braking force follows a request, unless the car file says"
+        default_factory=BrakeActuator, description="response of the braking force, unless the car file has one"
     )
-    period: float = Field(
-        default=0.1, gt=0, le=10, description="s, control period, unless the controller is given another"
-    )
+    period: float = Field(default=0.1, gt=0, le=10, description="s, default control period of the controllers")
     delay: float = Field(
-        default=0.0, ge=0, description="-, control periods from a measurement until its command takes effect: 0 or 1"
+        default=0.0,
+        ge=0,
+        description="-, computation time between a measurement and its command, in control periods: 0 or 1",
     )
     preview: bool = Field(
         default=False,
-        description="whether controllers know the reference ahead, unless they say otherwise",
+        description="default for whether controllers know the reference ahead",
     )
     noise_vy: float = _noise("m/s, standard deviation of the measured lateral velocity; inf: no such sensor")
-    noise_yaw: float = _noise("rad, of the measured yaw angle")
-    noise_yaw_rate: float = _noise("rad/s, of the measured yaw rate")
-    noise_y: float = Field(default=0.0, ge=0, description="m, of the measured lateral position")
-    noise_wheel_angle: float = _noise("rad, of the measured angle of the front wheels")
+    noise_yaw: float = _noise("rad, standard deviation of the measured yaw angle")
+    noise_yaw_rate: float = _noise("rad/s, standard deviation of the measured yaw rate")
+    noise_y: float = Field(default=0.0, ge=0, description="m, standard deviation of the measured lateral position")
+    noise_wheel_angle: float = _noise("rad, standard deviation of the measured front-wheel angle")
     noise_lateral_acceleration: float = Field(
-        default=math.inf, ge=0, allow_inf_nan=True, description="m/s^2, of an accelerometer; inf: none"
+        default=math.inf,
+        ge=0,
+        allow_inf_nan=True,
+        description="m/s^2, standard deviation of the measured lateral acceleration; inf: no such sensor",
     )
-    noise_speed: float = Field(default=0.0, ge=0, le=1, description="-, of the measured speed, over the speed")
+    noise_speed: float = Field(
+        default=0.0, ge=0, le=1, description="-, standard deviation of the measured speed, as a share of the speed"
+    )
     bias_yaw_rate: float = Field(
-        default=0.0, ge=0, description="rad/s, each run has an offset of the yaw rate within +- that"
+        default=0.0, ge=0, description="rad/s, largest constant offset of the measured yaw rate; each run draws one"
     )
     bias_wheel_angle: float = Field(
-        default=0.0, ge=0, description="rad, each run has an offset of the measured wheel angle within +- that"
+        default=0.0, ge=0, description="rad, largest constant offset of the measured wheel angle; each run draws one"
     )
-    pose_age: float = Field(default=0.0, ge=0, le=2, description="s, how old yaw and y are when they arrive")
-    pose_age_spread: float = Field(default=0.0, ge=0, le=2, description="s, that age varies by +- that, and is known")
-    motion_age: float = Field(default=0.0, ge=0, le=2, description="s, how old the other samples are")
+    pose_age: float = Field(default=0.0, ge=0, le=2, description="s, mean age of yaw and y on arrival")
+    pose_age_spread: float = Field(
+        default=0.0, ge=0, le=2, description="s, largest deviation of the age of yaw and y; controllers get each age"
+    )
+    motion_age: float = Field(default=0.0, ge=0, le=2, description="s, age of all other samples on arrival")
     missing: float = Field(default=0.0, ge=0, lt=1, description="-, share of the samples that are missing")
     dropout_pause: float = Field(
-        default=0.0, ge=0, description="s, mean time between times without yaw and y; 0: there are none"
+        default=0.0, ge=0, description="s, mean pause between two dropouts of yaw and y; 0: no dropouts"
     )
-    dropout_least: float = Field(default=0.0, ge=0, le=60, description="s, shortest time without yaw and y")
-    dropout_most: float = Field(default=0.0, ge=0, le=60, description="s, longest time without yaw and y")
+    dropout_least: float = Field(default=0.0, ge=0, le=60, description="s, shortest dropout of yaw and y")
+    dropout_most: float = Field(default=0.0, ge=0, le=60, description="s, longest dropout of yaw and y")
     move_weight: float = Field(
         default=0.0,
         ge=0,
@@ -117,8 +124,8 @@ class Profile(Record):
     def _whole_periods(cls, delay: float) -> float:
         if delay not in (0.0, 1.0):
             raise ValueError(
-                "must be 0 (a command acts at once) or 1 (it is computed while the one before acts); "
-                "what the steering adds is its dead_time (s), in the section [steering]."
+                "must be 0 (each command acts at once) or 1 (each command acts one control period later); "
+                "give the delay of the steering as dead_time (s) in the section [steering]."
             )
         return delay
 
@@ -136,25 +143,25 @@ class Profile(Record):
 
     @property
     def oldest(self) -> float:
-        """How old a sample may be when it arrives (s)."""
+        """Largest age of a sample on arrival (s)."""
         return max(
             max(getattr(self, name) for name in names) + getattr(self, spread)
             for spread, names in _AGES_BY_SPREAD.items()
         )
 
     @property
-    def prompt(self) -> Self:
-        """Return a copy whose samples are never late, for linear loops: slightly optimistic."""
+    def without_sample_ages(self) -> Self:
+        """Return a copy whose samples arrive without delay, for linear loops; their margins are slightly optimistic."""
         ages = [name for spread, names in _AGES_BY_SPREAD.items() for name in (spread, *names)]
         return self.replace(**dict.fromkeys(ages, 0.0))
 
     @property
     def dead_time(self) -> float:
-        """From an instant until its command begins to act (s), at this profile's own period."""
+        """Time from a measurement until its command begins to act (s), at the period of this profile."""
         return self.delay * self.period + self.steering.dead_time
 
-    def numbers(self, period: float) -> Any:
-        """Record `core.synthesis.tuning.ControllerWorld` for a controller of this control period (s)."""
+    def controller_world(self, period: float) -> Any:
+        """Return the `core.synthesis.tuning.ControllerWorld` record for a controller with this control period (s)."""
         return row_of(
             ControllerWorld,
             self,
@@ -169,7 +176,7 @@ class Profile(Record):
         return self.noise_vy, self.noise_yaw, self.noise_yaw_rate, self.noise_y
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
-        """Write the profile as TOML; the new one has the file's name.
+        """Write the profile to a TOML file; the name of the file becomes the name of the profile.
 
         Raises
         ------
@@ -180,15 +187,15 @@ class Profile(Record):
 
 
 def list_profiles() -> list[str]:
-    """The names that `load_profile` knows, sorted."""
+    """Return the sorted names of the built-in profiles."""
     return list_data("profiles")
 
 
 def load_profile(profile: str | os.PathLike[str] | Profile) -> Profile:
-    """The named profile, the one that a TOML file describes (keys: the fields of `Profile`), or the given one.
+    """Load a built-in profile by its name, or a profile from a TOML file whose keys are the fields of `Profile`.
 
-    Text is a path when it ends in ``.toml`` or holds a directory; without the key ``name``, the file's own name is
-    taken.
+    Text that ends in ``.toml`` or contains a directory is a path. A file without the key ``name`` names its profile
+    after itself. A `Profile` is returned as it is.
 
     Raises
     ------
@@ -197,7 +204,7 @@ def load_profile(profile: str | os.PathLike[str] | Profile) -> Profile:
     StorageError
         When the file cannot be read.
     ConfigError
-        When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
+        When the file is not TOML, or has unknown, missing or invalid values; the message lists all of them.
     """
     if isinstance(profile, Profile):
         return profile

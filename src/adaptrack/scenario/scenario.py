@@ -1,4 +1,4 @@
-"""What a test drives through: reference, speed, friction and wind as functions of time, and their samples."""
+"""Scenarios: reference, speed, friction and wind of a test drive as functions of time, and their samples."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _MIRRORED = " (mirrored)"
 
 
 class Scenario(Record):
-    """One test drive: what the car shall follow, and the road and the air that it meets.
+    """Test drive on a straight road: the reference and speed to follow, the friction and the wind.
 
-    Signals are functions of time (`adaptrack.scenario.shapes`); wherever one is wanted, a number or a table of a
-    scenario file will do. Conventions: x forward, y left, SI units, radians.
+    Each signal is a function of time (`adaptrack.scenario.shapes`). A signal may also be given as a number or as a
+    table of a scenario file. Conventions: x forward, y left, SI units, radians.
 
     Raises
     ------
@@ -41,27 +41,33 @@ class Scenario(Record):
 
     name: str = Field(min_length=1)
     description: str = ""
-    source: str = ""  # where the signals come from
-    duration: float = Field(gt=0.0, description="s")
+    source: str = ""  # origin of the signals
+    duration: float = Field(gt=0.0, description="duration of the drive, s")
     windows: dict[str, Annotated[float, Field(gt=0.0)]] = Field(
-        default_factory=dict, description="durations by name, s"
+        default_factory=dict, description="named alternatives to the duration, s"
     )
     reference: Signal = Field(description="lateral position to follow, m")
-    speed: Signal = Field(description="longitudinal speed to hold, m/s")
+    speed: Signal = Field(description="longitudinal speed to follow, m/s")
     friction: Annotated[tuple[Shape, ...], BeforeValidator(as_friction)] = Field(
-        description="all wheels, sides or each"
+        description="friction coefficient: one for all wheels, [left, right], or one per wheel"
     )
     friction_patches: Annotated[tuple[Patch, ...], BeforeValidator(as_patches)] = Field(
-        default=(), description="the last one that covers an instant counts"
+        default=(), description="stretches with a different friction; where several overlap, the last one applies"
     )
-    wind: Annotated[Wind, BeforeValidator(as_wind)] = Field(default=Wind(), description="m/s")
+    wind: Annotated[Wind, BeforeValidator(as_wind)] = Field(
+        default=Wind(), description="wind velocity in the world frame, m/s"
+    )
     wind_gain: float = Field(default=1.0, description="factor on the wind")
-    bank: Signal | None = Field(default=None, description="of the road, rad, positive when it pushes to the left")
-    grade: Signal | None = Field(default=None, description="of the road, dz/ds, positive uphill")
-    start_y: float | None = Field(default=None, description="m, lateral position at the start; none: on the reference")
+    bank: Signal | None = Field(
+        default=None, description="bank angle of the road, rad, positive if it pulls the car to the left"
+    )
+    grade: Signal | None = Field(default=None, description="grade dz/ds of the road, positive uphill")
+    start_y: float | None = Field(
+        default=None, description="lateral position at the start, m; by default that of the reference"
+    )
     start_heading: float = Field(default=0.0, description="rad, heading at the start, positive to the left")
 
-    if TYPE_CHECKING:  # numbers and tables will do where a shape is wanted
+    if TYPE_CHECKING:  # type checkers: shapes may be given as numbers and tables
 
         def __init__(self, **values: Any) -> None: ...
 
@@ -107,22 +113,21 @@ class Scenario(Record):
 
     @property
     def initial_y(self) -> float:
-        """The lateral position at the start, m: `start_y`, or the reference there."""
+        """Lateral position at the start (m): `start_y`, by default the reference at t = 0."""
         return float(self.reference.at(0.0)) if self.start_y is None else self.start_y
 
     def start_pose(self) -> tuple[float, float, float]:
-        """x, y (m) and yaw (rad) at the start."""
+        """Return x (m), y (m) and yaw (rad) of the car at the start."""
         return 0.0, self.initial_y, self.start_heading
 
     @checked
     def sample(self, period: Annotated[Positive, "s"] = CONTROL_PERIOD) -> Signals:
-        """The exact signals at the instants k·period, k = 0..n, with n = round(duration/period) control periods.
+        """Sample the signals at the instants k * period, k = 0..n, with n = round(duration/period) control periods.
 
         Raises
         ------
         InvalidInput
-            When the duration has no or too many periods, or when a sampled value is
-            not allowed (see `Signals`).
+            When the drive has no control period or too many, or when a sampled value is invalid (see `Signals`).
         """
         ratio = self.duration / period
         n = round(min(ratio, 2.0 * PERIODS.most))
@@ -140,11 +145,11 @@ class Scenario(Record):
     # ---- variants
 
     def mirrored(self) -> Scenario:
-        """The scenario in a mirror: left is right. Mirroring twice gives the first one back."""
-        back = self.name.endswith(_MIRRORED)
+        """Return the scenario with left and right exchanged; mirroring twice returns the original scenario."""
+        is_mirrored = self.name.endswith(_MIRRORED)
         pairs = {1: (0,), 2: (1, 0), 4: (1, 0, 3, 2)}[len(self.friction)]
         return self.replace(
-            name=self.name.removesuffix(_MIRRORED) if back else self.name + _MIRRORED,
+            name=self.name.removesuffix(_MIRRORED) if is_mirrored else self.name + _MIRRORED,
             reference=self.reference.scaled(-1.0),
             friction=tuple(self.friction[k] for k in pairs),
             friction_patches=tuple(patch.mirrored() for patch in self.friction_patches),
@@ -155,13 +160,13 @@ class Scenario(Record):
         )
 
     def with_duration(self, duration: float) -> Scenario:
-        """Return the scenario with another duration (s); signals hold their value after the last knot."""
+        """Return the scenario with a new duration (s); signals keep their last value after their last knot."""
         return self.replace(duration=duration)
 
     def with_window(self, name: str) -> Scenario:
         """Return the scenario with one of the durations named in `windows`."""
         if name not in self.windows:
-            hint = did_you_mean(str(name), self.windows) if self.windows else "It names none: give a duration."
+            hint = did_you_mean(str(name), self.windows) if self.windows else "It has no windows; give a duration."
             raise InvalidInput(f"scenario {self.name!r} has no window {name!r}. {hint}")
         return self.replace(duration=self.windows[name])
 
@@ -181,22 +186,22 @@ class Scenario(Record):
         reference_method: Method = "linear",
         **fields: Any,
     ) -> Scenario:
-        """A scenario through samples: straight lines between them; time counts from the first sample.
+        """Build a scenario from samples, joined by straight lines; its time starts at the first sample.
 
         Parameters
         ----------
         t : (n,) array
             Increasing times, s.
         y_ref, speed : (n,) array or number
-            Lateral reference, m, and speed, m/s.
+            Lateral reference (m) and speed (m/s).
         friction : (n,), (n, 2), (n, 4) array or number
-            Of all wheels, left and right, or front-left, front-right, rear-left, rear-right.
+            Coefficient of all wheels, of [left, right], or of [front-left, front-right, rear-left, rear-right].
         wind : (n,) or (n, 2) array or number
-            Lateral, or along X and Y, m/s.
+            Lateral wind velocity, or its components along world X and Y (m/s).
         reference_method : "linear", "pchip" or "cubic"
-            The curve between the samples of the reference, see `Knots`.
+            Interpolation of the reference between its samples, see `Knots`.
         **fields
-            Any other field of `Scenario`: `description`, `duration` (default: that of the samples), `start_y`, ...
+            Further fields of `Scenario`, such as `start_y`; `duration` defaults to that of the samples.
 
         Raises
         ------
@@ -212,32 +217,33 @@ class Scenario(Record):
             k = int(np.argmax(np.diff(times) <= 0.0)) + 1
             raise InvalidInput(f"t[{k}] = {times[k]} s does not come after t[{k - 1}] = {times[k - 1]} s.")
         times = times - times[0]
-        sides = _columns("friction", friction, times, (1, 2, 4))
-        airs = _columns("wind", wind, times, (1, 2))
+        friction_columns = _columns("friction", friction, times, (1, 2, 4))
+        wind_columns = _columns("wind", wind, times, (1, 2))
         values: dict[str, Any] = {
             "name": name,
             "duration": float(times[-1]),
             "reference": _columns("y_ref", y_ref, times, (1,), reference_method)[0],
             "speed": _columns("speed", speed, times, (1,))[0],
-            "friction": sides,
-            "wind": airs[0] if len(airs) == 1 else airs,
+            "friction": friction_columns,
+            "wind": wind_columns[0] if len(wind_columns) == 1 else wind_columns,
         }
         return cls(**(values | fields))
 
     @classmethod
     @checked
     def from_csv(cls, path: str | os.PathLike[str], **fields: Any) -> Scenario:
-        """A scenario from a table with the columns t, y_ref, speed, friction, wind_y and optionally wind_x.
+        """Build a scenario from a CSV table with the columns t, y_ref, speed, friction, wind_y and optionally wind_x.
 
-        In place of ``friction``: ``friction_left``, ``friction_right``, or ``friction_front_left``, ... for each wheel.
-        Lines that are empty or start with # are skipped. `fields` as in `from_arrays`.
+        The column ``friction`` may be replaced by ``friction_left`` and ``friction_right``, or by one column per wheel
+        (``friction_front_left``, ...). Empty lines and lines that start with # are skipped. `fields` are those of
+        `from_arrays`.
 
         Raises
         ------
         StorageError
             When the file cannot be read.
         ConfigError
-            When it is no such table; the message names the line and the remedy.
+            When the table is invalid; the message names the line and the remedy.
         """
         columns = read_scenario_table(path)
         wheels = next(names for names in FRICTION_COLUMNS if names[0] in columns)
@@ -257,19 +263,19 @@ class Scenario(Record):
     @classmethod
     @checked
     def from_toml(cls, path: str | os.PathLike[str]) -> Scenario:
-        """The scenario that a TOML file describes (docs/driving.md); its name is the file's, unless it says another.
+        """Load a scenario from a TOML file (docs/driving.md); without the key ``name``, it is named after the file.
 
         Raises
         ------
         StorageError
             When the file cannot be read.
         ConfigError
-            With every problem in it: its key, the value found and what is allowed.
+            When values are invalid; the message lists each key with its value and the allowed values.
         """
         return build(cls, {"name": Path(path).stem} | read_toml(path), path)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, text, lists and tables, as in the scenario's TOML file; `None` where that is silent."""
+        """Return the entries of the scenario's TOML file as plain Python values; `None` marks entries that it omits."""
         friction = [shape.table() for shape in self.friction]
         tables = {
             "reference": self.reference.table(),
@@ -285,7 +291,7 @@ class Scenario(Record):
         return {name: tables.get(name, getattr(self, name)) for name in names}
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
-        """Write the scenario to a file that `load_scenario` reads back as its equal; whole or not at all.
+        """Write the scenario to a TOML file that `load_scenario` reads back unchanged; a failed write changes no file.
 
         Raises
         ------
@@ -302,7 +308,7 @@ class Scenario(Record):
 def _columns(
     name: str, values: ArrayLike, times: Array, widths: Sequence[int], method: Method = "linear"
 ) -> list[Shape]:
-    """One shape for each column of `values`, which has one row for each of `times`; a number is a constant."""
+    """Return one shape per column of `values`, whose rows belong to `times` (s); a number becomes a constant."""
     array = reals(name, values)
     if not np.isfinite(array).all():
         where = np.argwhere(~np.isfinite(array))[0]

@@ -1,10 +1,12 @@
-"""Named shapes: scalar functions of time, from which the signals of a scenario are put together.
+"""Named shapes: scalar functions of time that make up the signals of a scenario.
 
-A shape is a small frozen record. In Python it is ``LaneChange(amplitude=3.5, start=2.0, duration=4.0)``, in a scenario
-file the table ``{ shape = "lane-change", amplitude = 3.5, start = 2.0, duration = 4.0 }``; a plain number is a
-`Constant`. Shapes add up: ``Constant(value=5.0) + Gust(peak=10.0, start=3.0, duration=2.0)``.
+A shape is a small immutable record:
 
-Times are in seconds from the start of the scenario; values have the unit of the signal that the shape stands for.
+- in Python, ``LaneChange(amplitude=3.5, start=2.0, duration=4.0)``;
+- in a scenario file, ``{ shape = "lane-change", amplitude = 3.5, start = 2.0, duration = 4.0 }``.
+
+A plain number means a `Constant`. Shapes can be added: ``Constant(value=5.0) + Gust(peak=10.0, start=3.0,
+duration=2.0)``. Times are in seconds from the start of the scenario. Values have the unit of the signal.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from adaptrack.base.files import Record, build
 Array = NDArray[np.float64]
 
 Method = Literal["linear", "pchip", "cubic"]
-"""What lies between the points of `Knots`."""
+"""Interpolation between the points of `Knots`."""
 
 Time = Annotated[float, Field(description="s")]
 PositiveTime = Annotated[float, Field(gt=0.0, description="s")]
@@ -38,8 +40,7 @@ Frequency = Annotated[float, Field(ge=0.0, description="Hz")]
 class Shape(Record):
     """A scalar function of time, defined at every time.
 
-    A concrete shape has a `kind` (its name in files) and `at`; `linear_in` names those of its fields to which
-    its value is proportional.
+    A subclass defines `kind` (its name in files) and `at`. The function is linear in the fields listed in `linear_in`.
     """
 
     kind: ClassVar[str]
@@ -47,14 +48,14 @@ class Shape(Record):
 
     @abstractmethod
     def at(self, t: ArrayLike) -> Array:
-        """The value at the times `t` (s), in the shape of `t`; at a jump, the value after it."""
+        """Return the values at the times `t` (s) as an array of the shape of `t`; at a jump, the value after it."""
 
     def scaled(self, factor: float) -> Self:
         """Return the function of time multiplied by `factor`."""
         return self.replace(**{name: _product(factor, getattr(self, name)) for name in self.linear_in})
 
     def table(self) -> Any:
-        """The shape as a scenario file holds it; `as_shape` reads it back."""
+        """Return the table of a scenario file for this shape; `as_shape` converts it back."""
         fields = type(self).model_fields
         entries = {name: getattr(self, name) for name in fields if getattr(self, name) != fields[name].default}
         return {"shape": self.kind} | {name: _lists(value) for name, value in entries.items()}
@@ -64,12 +65,12 @@ class Shape(Record):
 
 
 def as_shape(value: Any) -> Shape:
-    """The shape that a number (a constant) or a table of a scenario file means; a shape is returned as it is.
+    """Convert a number (to a constant) or a table of a scenario file to a shape; a shape is returned as it is.
 
     Raises
     ------
     InvalidInput
-        When it means none; the message names the nearest known shape or key.
+        When the value describes no shape; the message suggests the most similar shape or key.
     """
     if isinstance(value, Shape):
         return value
@@ -86,18 +87,18 @@ def as_shape(value: Any) -> Shape:
 
 
 Signal = Annotated[Shape, BeforeValidator(as_shape)]
-"""A field that holds a shape and accepts whatever `as_shape` does."""
+"""Type of a field that holds a shape and accepts every value that `as_shape` converts."""
 
 
 def as_tuples(value: Any) -> Any:
-    """Lists and arrays as tuples, all the way down: what a frozen record holds."""
+    """Convert nested lists and arrays to nested tuples, which an immutable record can hold."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     return tuple(as_tuples(element) for element in value) if isinstance(value, list | tuple) else value
 
 
 class Constant(Shape):
-    """``value`` at all times."""
+    """Constant ``value`` at all times."""
 
     kind = "constant"
     linear_in = ("value",)
@@ -109,13 +110,13 @@ class Constant(Shape):
         return np.full(np.shape(t), self.value)
 
     def table(self) -> float:
-        """A plain number."""
+        """Return the plain number that stands for this shape in a scenario file."""
         return self.value
 
 
-@dataclass(frozen=True, eq=False)  # without its own ==, so that equal `Knots` compare by their fields
+@dataclass(frozen=True, eq=False)  # a cache, which must not take part when `Knots` are compared
 class _Curve:
-    """The points of `Knots` as arrays (n,), with the slopes of the smooth curves there."""
+    """Points (n,) of `Knots` as arrays, and the slopes (n,) of a smooth curve at these points."""
 
     t: Array
     y: Array
@@ -123,15 +124,15 @@ class _Curve:
 
 
 class Knots(Shape):
-    """A curve through ``points = [[t, value], ...]``; before the first and after the last point the value is held.
+    """Curve through ``points = [[t, value], ...]``; constant before the first point and after the last.
 
-    ``method`` is what lies between the points:
+    ``method`` is the interpolation between the points:
 
     * ``"linear"``: straight lines;
     * ``"pchip"``: monotone cubics with continuous slope, no overshoot (F. N. Fritsch, J. Butland, SIAM J. Sci. Stat.
       Comput. 5, 1984; end slopes after C. Moler, Numerical Computing with MATLAB, 2004, section 3.6);
-    * ``"cubic"``: the natural cubic spline, of continuous slope and curvature, curvature zero at both ends (C. de Boor,
-      A Practical Guide to Splines, 1978, chapter IV).
+    * ``"cubic"``: the natural cubic spline with continuous slope and curvature, and zero curvature at both ends (C. de
+      Boor, A Practical Guide to Splines, 1978, chapter IV).
     """
 
     kind = "knots"
@@ -161,13 +162,13 @@ class Knots(Shape):
 
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
-        when, y, slope = self._curve.t, self._curve.y, self._curve.slope
-        inside: Array = np.clip(np.asarray(t, dtype=np.float64), when[0], when[-1])
-        if self.method == "linear" or when.size == 1:
-            return np.asarray(np.interp(inside, when, y))
-        k = np.clip(np.searchsorted(when, inside, side="right") - 1, 0, when.size - 2)
-        step = when[k + 1] - when[k]
-        s = (inside - when[k]) / step
+        knot_times, y, slope = self._curve.t, self._curve.y, self._curve.slope
+        inside: Array = np.clip(np.asarray(t, dtype=np.float64), knot_times[0], knot_times[-1])
+        if self.method == "linear" or knot_times.size == 1:
+            return np.asarray(np.interp(inside, knot_times, y))
+        k = np.clip(np.searchsorted(knot_times, inside, side="right") - 1, 0, knot_times.size - 2)
+        step = knot_times[k + 1] - knot_times[k]
+        s = (inside - knot_times[k]) / step
         r = 1.0 - s
         return (
             r * r * (1.0 + 2.0 * s) * y[k]
@@ -181,7 +182,7 @@ class Knots(Shape):
 
 
 class Step(Shape):
-    """``before`` until ``time``, ``after`` from then on."""
+    """Step from ``before`` to ``after`` at ``time`` (s)."""
 
     kind = "step"
     linear_in = ("before", "after")
@@ -202,9 +203,9 @@ QUINTIC_SLOPE, QUINTIC_PEAK = 15.0 / 8.0, 10.0 / math.sqrt(3.0)
 class LaneChange(Shape):
     """A smooth step from 0 to ``amplitude`` between ``start`` and ``start + duration``.
 
-    With s from 0 to 1 over the duration T it is A s³(10 − 15 s + 6 s²), the quintic with zero slope and curvature at
-    both ends: least jerk (T. Flash, N. Hogan, J. Neuroscience 5, 1985). Its steepest slope is 1.875 A/T, halfway; its
-    largest acceleration is 10/√3 A/T² = 5.77 A/T².
+    The value is A s³(10 − 15 s + 6 s²), where s rises from 0 to 1 over the duration T. This quintic has zero slope and
+    curvature at both ends and the least jerk (T. Flash, N. Hogan, J. Neuroscience 5, 1985). Its steepest slope is
+    1.875 A/T at half time. Its largest acceleration is 10/√3 A/T² = 5.77 A/T².
     """
 
     kind = "lane-change"
@@ -221,7 +222,7 @@ class LaneChange(Shape):
 
 
 class TanhSteps(Shape):
-    """The sum of A/2 (1 + tanh((t − t0)/τ)) over ``steps = [[A, t0, tau], ...]``: smooth steps of height A at t0."""
+    """Smooth steps of height A at t0: the sum of A/2 (1 + tanh((t − t0)/τ)) over ``steps = [[A, t0, tau], ...]``."""
 
     kind = "tanh-steps"
 
@@ -234,8 +235,8 @@ class TanhSteps(Shape):
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
         amplitude, centre, tau = np.array(self.steps, dtype=np.float64).T
-        place = (np.asarray(t, dtype=np.float64)[..., np.newaxis] - centre) / tau
-        return (0.5 * amplitude * (1.0 + np.tanh(place))).sum(axis=-1)
+        scaled_time = (np.asarray(t, dtype=np.float64)[..., np.newaxis] - centre) / tau
+        return (0.5 * amplitude * (1.0 + np.tanh(scaled_time))).sum(axis=-1)
 
     def scaled(self, factor: float) -> Self:
         """Return the steps with every height multiplied by `factor`."""
@@ -255,15 +256,15 @@ class Sine(Shape):
 
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
-        since = np.asarray(t, dtype=np.float64) - self.start
-        wave = self.amplitude * np.sin(math.tau * self.frequency * since + self.phase)
-        return np.where(since >= 0.0, wave, 0.0)
+        elapsed = np.asarray(t, dtype=np.float64) - self.start
+        wave = self.amplitude * np.sin(math.tau * self.frequency * elapsed + self.phase)
+        return np.where(elapsed >= 0.0, wave, 0.0)
 
 
 class Gust(Shape):
     """One 1-cosine gust: ``peak``/2 (1 − cos(2π (t − ``start``)/``duration``)), 0 before and after.
 
-    The discrete gust of the airworthiness rules (EASA CS-25.341), here in time.
+    It is the discrete gust of the airworthiness rules (EASA CS-25.341), as a function of time instead of distance.
     """
 
     kind = "gust"
@@ -297,11 +298,11 @@ class Sum(Shape):
         return np.sum([term.at(t) for term in self.terms], axis=0)
 
     def scaled(self, factor: float) -> Self:
-        """The sum of its scaled terms."""
+        """Return the sum with every term multiplied by `factor`."""
         return self.replace(terms=tuple(term.scaled(factor) for term in self.terms))
 
     def table(self) -> Any:
-        """The terms' own tables in a list."""
+        """Return the table of a scenario file, which lists the tables of the terms."""
         return {"shape": self.kind, "terms": [term.table() for term in self.terms]}
 
 
@@ -312,7 +313,7 @@ SHAPE_TYPES: dict[str, type[Shape]] = {
 
 
 def _elapsed(t: ArrayLike, start: float, duration: float) -> Array:
-    """The share of the span from `start` that has passed at `t`: 0 until its start, 1 from its end on."""
+    """Elapsed share of the time from `start` to `start + duration` at `t`, limited to 0 before and 1 after."""
     return np.clip((np.asarray(t, dtype=np.float64) - start) / duration, 0.0, 1.0)
 
 
@@ -327,7 +328,8 @@ def _lists(value: Any) -> Any:
 def _natural_slopes(step: Array, secant: Array) -> Array:
     """Slopes of the natural cubic spline at its n + 1 knots, from n interval lengths and secant slopes.
 
-    Continuous curvature at each inner knot, zero curvature at both ends: a tridiagonal system, solved by elimination.
+    The curvature is continuous at each inner knot and zero at both ends. This gives a tridiagonal system, solved by
+    elimination.
     """
     n = step.size
     below = np.append(step[1:], 1.0)
@@ -345,7 +347,7 @@ def _natural_slopes(step: Array, secant: Array) -> Array:
 
 
 def _monotone_slopes(step: Array, secant: Array) -> Array:
-    """Slopes that keep each cubic monotone between its knots: weighted harmonic means of the neighbouring secants."""
+    """Slopes for which each cubic is monotone between its knots: weighted harmonic means of adjacent secant slopes."""
     if step.size == 1:
         return np.repeat(secant, 2)
     left, right = secant[:-1], secant[1:]

@@ -1,4 +1,4 @@
-"""The samples of a scenario at the control instants: plain arrays for simulations and kernels."""
+"""Samples of a scenario at the control instants: plain arrays for simulations and kernels."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from adaptrack.core.planning.drive import bank_pull, drive_instants
 from adaptrack.scenario.shapes import Array
 
 HIGHEST_FRICTION = 3.0
-"""Racing tyres stay below 2; 80 is a percentage."""
+"""Largest accepted friction coefficient. Racing tyres stay below 2; larger inputs are usually percentages."""
 STEEPEST_BANK = 0.8
-"""rad, either side"""
+"""Largest accepted bank angle of a road, to either side (rad)."""
 
 
 @checked
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """A scenario at the control instants t_k = k·period, k = 0..n: n control periods have n + 1 samples.
+    """Samples of a scenario at the control instants t_k = k * period, k = 0..n: n control periods have n + 1 samples.
 
-    Every array is a C-contiguous float64 copy of what was given. (The arrays stay writeable because compiled kernels
-    ask for it; treat them as constants.)
+    Every array is a C-contiguous float64 copy of its input. Compiled kernels need writeable arrays, but do not change
+    them.
 
     Raises
     ------
@@ -36,13 +36,13 @@ class Signals:
 
     period: Annotated[Positive, "s"]
     t: Array  # (n + 1,) s
-    y_ref: Array  # (n + 1,) m, lateral reference
+    y_ref: Array  # (n + 1,) m, lateral position to follow; on a road, offset from its centre line
     speed: Array  # (n + 1,) m/s, reference of the longitudinal speed
-    friction: Array  # (n + 1, 4) front-left, front-right, rear-left, rear-right
+    friction: Array  # (n + 1, 4) coefficients: front-left, front-right, rear-left, rear-right
     wind: Array  # (n + 1, 2) m/s, velocity of the air along world X and Y
-    bank: Array | float = 0.0  # (n + 1,) rad, of the road, positive when it pushes to the left
-    station: Array | float = 0.0  # (n + 1,) m, along a curved road, where the car is to be
-    curvature: Array | float = 0.0  # (n + 1,) 1/m, of the road there
+    bank: Array | float = 0.0  # (n + 1,) rad, bank angle of the road, positive if it pulls the car to the left
+    station: Array | float = 0.0  # (n + 1,) m, planned arc length along the road
+    curvature: Array | float = 0.0  # (n + 1,) 1/m, curvature of the road at the planned arc length
     grade: Array | float = 0.0  # (n + 1,) dz/ds of the road, positive uphill
 
     def __post_init__(self) -> None:
@@ -78,7 +78,7 @@ class Signals:
         )
 
     def _refuse(self, violations: np.ndarray, name: str, rule: str) -> None:
-        """Raise for the first sample that is `wrong`."""
+        """Raise InvalidInput for the first sample in `violations`, a mask of the array `name`."""
         if violations.any():
             first = tuple(np.argwhere(violations)[0])
             value = float(getattr(self, name)[first])
@@ -86,21 +86,21 @@ class Signals:
             raise InvalidInput(f"{name} is {value!r} at {where}: {rule}.")
 
     @property
-    def push(self) -> Array:
-        """(n + 1,) m/s^2, the pull of the banked road to the left, g sin(bank)."""
+    def bank_acceleration(self) -> Array:
+        """(n + 1,) lateral acceleration g sin(bank) by the banked road (m/s^2), positive to the left."""
         assert isinstance(self.bank, np.ndarray)  # since __post_init__
-        pull = self.bank.copy()
-        bank_pull(pull)
-        return pull
+        acceleration = self.bank.copy()
+        bank_pull(acceleration)
+        return acceleration
 
     @property
     def n(self) -> int:
-        """How many control periods there are: one less than samples."""
+        """Number of control periods, one less than the number of samples."""
         return self.t.size - 1
 
 
 def instants(n: int, period: float) -> Array:
-    """The instants 0..n: k/f where the period is 1/f, f whole, so that the third is 0.3 s, not 0.30000000000000004."""
+    """Return the control instants 0..n (s), exactly k/f for periods 1/f with whole f: 0.3, not 0.30000000000000004."""
     times = np.empty(n + 1)
     drive_instants(period, times)
     return times

@@ -1,4 +1,4 @@
-"""Road and air around the car: friction under each wheel, and wind."""
+"""Surroundings of the car: friction under each wheel, and wind."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ WHEELS = {
 
 
 class Wind(Record):
-    """The velocity of the air in the world frame, m/s: ``x`` along +X (forward at the start), ``y`` along +Y (left).
+    """Wind velocity in the world frame (m/s): ``x`` along +X (forward at the start), ``y`` along +Y (left).
 
-    Wind from the right blows towards the left: ``y`` > 0. The paper's lateral wind v_w is ``y``.
+    Wind from the right has ``y`` > 0. The lateral wind v_w of the paper is ``y``.
     """
 
     x: Signal = Constant(value=0.0)
     y: Signal = Constant(value=0.0)
 
     def at(self, t: ArrayLike) -> Array:
-        """Wind vectors (..., 2) at the times `t`."""
+        """Return the wind velocities (..., 2) in m/s at the times `t` (s)."""
         return np.stack([self.x.at(t), self.y.at(t)], axis=-1)
 
     def mirrored(self) -> Wind:
@@ -47,27 +47,27 @@ class Wind(Record):
         return self.replace(y=self.y.scaled(-1.0))
 
     def table(self) -> Any:
-        """The wind as a scenario file holds it."""
+        """Return the entry of a scenario file for this wind."""
         if self.x == Constant(value=0.0):
             return self.y.table()
         return {"x": self.x.table(), "y": self.y.table()}
 
 
 def as_wind(value: Any) -> Wind:
-    """The wind that a number or shape (lateral), a pair [x, y], or a table {x, y} means."""
+    """Convert a lateral wind (number or shape), a pair [x, y] or a table {x, y} to a `Wind`."""
     if isinstance(value, Wind):
         return value
     if isinstance(value, Mapping) and "shape" not in value:
         return build(Wind, value, "wind")
     if isinstance(value, list | tuple):
         if len(value) != 2:
-            raise InvalidInput("give one lateral wind, or the pair [x, y].")
+            raise InvalidInput("wind: give one lateral wind, or the pair [x, y].")
         return Wind(x=as_shape(value[0]), y=as_shape(value[1]))
     return Wind(y=as_shape(value))
 
 
 def as_friction(value: Any) -> tuple[Shape, ...]:
-    """Friction of all wheels, [left, right], or [front-left, front-right, rear-left, rear-right], as shapes."""
+    """Convert one friction for all wheels, [left, right] or one per wheel to a tuple of shapes."""
     if not isinstance(value, list | tuple):
         return (as_shape(value),)
     if len(value) not in (1, 2, 4):
@@ -76,7 +76,7 @@ def as_friction(value: Any) -> tuple[Shape, ...]:
 
 
 class Patch(Record):
-    """A stretch of road with another friction, from ``start`` until ``end``, under the named ``wheels``."""
+    """Different friction under the named ``wheels`` from time ``start`` until time ``end`` (s)."""
 
     start: Annotated[float, Field(description="s")]
     end: Annotated[float, Field(description="s")]
@@ -92,13 +92,13 @@ class Patch(Record):
         return self
 
     def mirrored(self) -> Patch:
-        """Return the patch on the other side of the car."""
+        """Return the patch with left and right exchanged."""
         swap = {"left": "right", "right": "left"}
         return self.replace(wheels=re.sub("left|right", lambda side: swap[side[0]], self.wheels))
 
 
 def as_patches(value: Any) -> tuple[Patch, ...]:
-    """The patches that a list of tables means."""
+    """Convert a list of tables to a tuple of patches."""
     if not isinstance(value, list | tuple):
         raise InvalidInput("give a list of patches.")
     return tuple(patch if isinstance(patch, Patch) else build(Patch, patch, "patch") for patch in value)

@@ -1,4 +1,4 @@
-"""Scenarios from CSV tables."""
+"""Reader of scenarios in CSV tables."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ FRICTION_COLUMNS = (
     ("friction_left", "friction_right"),
     ("friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right"),
 )
-"""The three ways to give the friction: all wheels, sides, or each."""
+"""The three choices of friction columns: one for all wheels, one per side, or one per wheel."""
 
 _ALL_COLUMNS = ("t", "y_ref", "speed", "wind_x", "wind_y", *(name for names in FRICTION_COLUMNS for name in names))
 _ROAD_COLUMNS = {"x", "y", "x_m", "y_m"}
 
 
 def _check_header(header: list[str]) -> None:
-    """Refuse a header that is not one of a scenario's table."""
+    """Raise InvalidInput unless the header names the columns of a scenario."""
     if "t" not in header and (_ROAD_COLUMNS & {name.lower() for name in header} or all(map(is_number, header))):
         raise InvalidInput(
-            "these are points of a road, and a scenario is a table over the time t: drive along them with "
+            "the table holds points of a road, but a scenario needs the time t: to drive along the road, use "
             "RoadDrive(load_road(FILE), speed)."
         )
     for name in header:
@@ -44,14 +44,14 @@ def _check_header(header: list[str]) -> None:
 
 
 def read_scenario_table(path: str | os.PathLike[str]) -> dict[str, Array]:
-    """The columns of a scenario's CSV file, see `Scenario.from_csv`.
+    """Read the columns of a scenario's CSV file (see `Scenario.from_csv`) into arrays by name.
 
     Raises
     ------
     StorageError
         When the file cannot be read.
     ConfigError
-        When a header or a number is not allowed; the message names the line.
+        When the header or a number is invalid; the message names the line.
     """
     lines = _lines(path)
     (first, header), rows = lines[0], lines[1:]
@@ -60,7 +60,7 @@ def read_scenario_table(path: str | os.PathLike[str]) -> dict[str, Array]:
         raise ConfigError(f"{where}: the columns are separated by ';'; write ',' between them and '.' in numbers.")
     doubled = [name for name in header if header.count(name) > 1]
     if doubled:
-        raise ConfigError(f"{where}: the column {doubled[0]!r} stands there twice; remove one.")
+        raise ConfigError(f"{where}: the column {doubled[0]!r} appears twice; remove one.")
     try:
         _check_header(header)
     except InvalidInput as error:
@@ -74,9 +74,9 @@ def read_scenario_table(path: str | os.PathLike[str]) -> dict[str, Array]:
             raise ConfigError(f"{where}: {len(row)} cells, but the header has {len(header)} columns.")
         table[k] = [_number(where, name, cell) for name, cell in zip(header, row, strict=True)]
     t = table[:, header.index("t")]
-    late = np.diff(t) <= 0.0
-    if late.any():
-        k = int(late.argmax())
+    is_unsorted = np.diff(t) <= 0.0
+    if is_unsorted.any():
+        k = int(is_unsorted.argmax())
         raise ConfigError(
             f"{os.fspath(path)}, line {rows[k + 1][0]}: t = {float(t[k + 1])!r} does not come after "
             f"t = {float(t[k])!r} in line {rows[k][0]}; sort the rows by time and remove repetitions."
@@ -85,7 +85,7 @@ def read_scenario_table(path: str | os.PathLike[str]) -> dict[str, Array]:
 
 
 def _lines(path: str | os.PathLike[str]) -> list[tuple[int, list[str]]]:
-    """The lines of a CSV file, numbered and split into cells, without empty lines and comments."""
+    """Return the numbers and cells of the lines of a CSV file, without empty lines and comments."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
             reader = csv.reader(stream)
@@ -93,7 +93,7 @@ def _lines(path: str | os.PathLike[str]) -> list[tuple[int, list[str]]]:
     except OSError as error:
         raise StorageError(f"{os.fspath(path)}: cannot be read: {error.strerror or error}.") from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{os.fspath(path)}: not a CSV text in UTF-8: {error}.") from error
+        raise ConfigError(f"{os.fspath(path)}: not a CSV file in UTF-8: {error}.") from error
     lines = [(line, row) for line, row in lines if any(row) and not row[0].startswith("#")]
     if not lines:
         raise ConfigError(f"{os.fspath(path)}: empty; its first line must name the columns.")
@@ -101,7 +101,7 @@ def _lines(path: str | os.PathLike[str]) -> list[tuple[int, list[str]]]:
 
 
 def _number(where: str, name: str, cell: str) -> float:
-    """The number in a cell of the column `name`, if it is one that the column may hold."""
+    """Return the number in a cell of the column `name`, or raise ConfigError if the column cannot hold it."""
     try:
         number = float(cell)
     except ValueError:

@@ -1,1 +1,1 @@
-"""Finding the tuning that an operating point needs: the particle swarm, the cost it minimises, and campaigns of it."""
+"""Search for the best tuning of a controller: the particle swarm, its cost functions, and the command `tune`."""

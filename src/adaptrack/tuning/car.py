@@ -1,4 +1,7 @@
-"""The constant tuning of the informed controller for a car: a search on random drives, unseen drives, a certificate."""
+"""Constant tuning of the informed controller for a car: search on random drives, test on unseen drives, certificate.
+
+A constant tuning is one set of Np, Nc, Q and R for the whole domain of the car, in contrast to a scheduler.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from adaptrack.analysis.feasibility import Feasibility, feasibility
 from adaptrack.analysis.stability import linear_twin
 from adaptrack.base.checked import checked, whole_number
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.progress import ProgressCall, tells
+from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.base.statistics import Ratio, geometric_mean, ratio
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of
@@ -32,35 +35,39 @@ from adaptrack.tuning.spaces import SearchBounds
 Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
 
-FIRST_SOUGHT, FIRST_JUDGED = 13_000_000, 13_500_000
-"""Numbers of the first random drive of the search and of the judgement: nothing else has them."""
-NOISE_SOUGHT, NOISE_JUDGED = 5_001, 5_002
-HARD_SPEEDS, HARD_DEMAND = 0.57, (0.2, 0.35)
-"""Share of the range of speeds above which hard drives are; share of the grip that their roads ask for."""
+FIRST_SEARCH_DRIVE, FIRST_UNSEEN_DRIVE = 13_000_000, 13_500_000
+"""Numbers of the first random drives of the search and of the test. No other random drives have these numbers."""
+SEARCH_NOISE_SEED, UNSEEN_NOISE_SEED = 5_001, 5_002
+"""Noise seeds of the search and of the test."""
+HARD_SPEEDS = 0.57
+"""Share of the speed range that hard drives leave out: they use the speeds above it."""
+HARD_DEMAND = (0.2, 0.35)
+"""Lowest and highest share of the grip that hard drives need."""
 
 
 @checked
 @dataclass(frozen=True)
 class TuningEffort:
-    """How much a search may cost.
+    """Computing effort of `tune`: numbers of drives, tunings and points.
 
     Raises
     ------
     InvalidInput
-        When a number is no whole one, or too small.
+        When a number is not whole, or too small.
     """
 
     drives: int = 16
-    """of the search, mixed ones"""
+    """Number of search drives at all speeds of the domain."""
     hard_drives: int = 8
-    """of the search, fast ones near the grip"""
+    """Number of search drives at high speed near the grip limit."""
     seconds: float = 30.0
-    """of each of these"""
+    """Duration of each search drive (s)."""
     swarm: SwarmSettings = field(default_factory=lambda: SwarmSettings(particles=12, generations=8))
+    """Settings of the swarm that searches."""
     judged_drives: int = 48
-    """drives of 60 s that nothing was sought on"""
+    """Number of unseen drives of 60 s, which test the result of the search."""
     levels: tuple[int, int] = (14, 3)
-    """of speed and friction, of the certificate"""
+    """Number of speeds and of frictions at which the certificate is computed."""
 
     def __post_init__(self) -> None:
         for name, least in (("drives", 1), ("hard_drives", 1), ("judged_drives", 4)):
@@ -69,38 +76,41 @@ class TuningEffort:
 
 @dataclass(frozen=True, eq=False)
 class TunedCar:
-    """The constant tuning of a car."""
+    """Result of `tune`: the constant tuning of a car with its tests."""
 
     controller: MPC
-    """with the tuning that is kept, ready to drive"""
+    """Controller with the selected tuning, ready to drive."""
     profile: Profile
     domain: Domain
-    """the car's, less the speeds and frictions that nothing holds"""
+    """Domain of the car without the infeasible speeds and frictions."""
     feasibility: Feasibility
+    """Speeds and frictions at which some tuning is stable."""
     default: Tuning
-    """of the controller, before"""
+    """Default tuning of the controller."""
     sought: Tuning
-    """the best of the search"""
+    """Best tuning of the search."""
     costs: dict[str, Array]
-    """(runs,) m^2, J of each unseen drive with "default" and "sought"; infinite where it failed"""
+    """J (m^2) of each unseen drive, (drives,), with the tunings "default" and "sought"; infinite after a failure."""
     gain: Ratio
-    """J sought over J default, drive by drive, failed ones counting the square of the failure distance"""
+    """J of the best tuning divided by J of the default on the same drives; J of a failed drive is the failure distance
+    squared."""
     certificate: Certificate
-    """of the tuning that is kept, over the domain; of a plant without a linear model, see `stability.linear_twin`"""
+    """Certificate of the selected tuning over the domain, for the plant of `stability.linear_twin`."""
     plant: str
-    """name of the driven plant"""
+    """Name of the simulated plant."""
     costly: bool
-    """whether only the unseen drives were on the plant, see `Plant.costly`"""
+    """Whether the search used the twin of the car instead of the plant, see `Plant.costly`."""
     seconds: float
+    """Computation time (s)."""
 
     @property
     def tuning(self) -> Tuning:
-        """The one that is kept: that of the search where it is better for sure, else the default."""
+        """The selected tuning: that of the search if it is better with 95 % confidence, otherwise the default."""
         return self.controller.tuning
 
     @property
     def failed(self) -> int:
-        """Unseen drives that failed with the tuning that is kept."""
+        """The number of unseen drives that failed with the selected tuning."""
         return int(np.isinf(self.costs["sought" if self.tuning is self.sought else "default"]).sum())
 
     @property
@@ -110,14 +120,14 @@ class TunedCar:
 
     @property
     def headline(self) -> str:
-        """The chosen tuning, the cost of the best of the search over the default's, and the failed drives."""
+        """A sentence with the selected tuning, the cost ratio of the search and the number of failed drives."""
         entries = f"Np {self.tuning.Np}, Nc {self.tuning.Nc}, R/Q {self.tuning.R / self.tuning.Q:.4g}"
         gain = f"{self.gain.mean:.3g} [{self.gain.low:.3g}, {self.gain.high:.3g}]"
         drives = f"{self.failed} of {len(self.costs['default'])} unseen drives failed"
         return f"{entries}; the searched tuning costs {gain} times the default; {drives}."
 
     def summary(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return the result as a mapping that JSON can represent."""
         worst = self.controller.model.vehicle.domain.failure_distance**2
         return {
             "verdict": self.headline,
@@ -146,7 +156,7 @@ def _entries(tuning: Tuning) -> dict[str, float]:
     return dict(zip(ENTRIES, tuning.as_array().tolist(), strict=True))
 
 
-@tells("tune")
+@reports_progress("tune")
 @checked
 def tune(
     car: Vehicle | str, profile: str | Profile = "road", *, plant: Plant | SteppedPlant | str | None = None,
@@ -154,86 +164,100 @@ def tune(
     uncertainty: Uncertainty | None = None, estimator: KalmanFilter | None = None, effort: TuningEffort | None = None,
     seed: int = 0, progress: ProgressCall | None = None,
 ) -> TunedCar:  # fmt: skip
-    """The constant tuning with which the controller that knows its car drives it best, checked.
+    """Find the best constant tuning of the informed controller for a car.
 
-    First which speeds and frictions any tuning holds at all, by the linear loops; then one swarm on random drives of
-    the domain that is left; then unseen drives, on which the default is kept unless it is beaten for sure (95 %); then
-    the certificate of what is kept. The linear loops take late samples as prompt; the drives do not.
+    The function has four steps:
+
+    1. Linear loops show at which speeds and frictions any tuning is stable. The domain is reduced to these.
+    2. A swarm searches the tuning with the lowest cost on random drives in this domain.
+    3. Default and best tuning are compared on unseen drives. The best tuning is selected if its cost is lower with
+       95 % confidence and it fails no more often, otherwise the default.
+    4. The selected tuning gets a certificate over the domain.
+
+    The drives include the sensor delays of the profile; the linear loops of steps 1 and 4 do not.
 
     Parameters
     ----------
     car
-        What the controller believes, or its name or file for `load_vehicle`; its domain says where it is driven.
+        Car as the controller assumes it, or its name or file for `load_vehicle`. Its domain is the range of drives.
     profile
-        The world: steering actuator, sensors, period.
+        Steering actuator, sensors and control period, or the name of a profile.
     plant
-        What is driven, or its registered name; by default the car as a dual track. Where it is `costly`
-        (`Plant.costly`) the search is on the car's twin, the unseen drives are on the plant. One that is stepped in
-        Python is driven run by run: how long that takes is logged first.
+        Simulated plant, or its registered name; by default the dual track of the car. If simulating it is expensive
+        (`Plant.costly`), the search uses the car's twin (`twin_of`) and only the unseen drives use the plant. A plant
+        that is stepped in Python is driven one run at a time; the expected time is logged before the search.
     speed, friction
-        Lowest and highest, m/s and without a unit: instead of the domain's.
+        Lowest and highest speed (m/s) and friction coefficient, instead of those of the car's domain.
     uncertainty, estimator
         As for `MPC`.
     effort
-        How much to spend; the default takes about 20 s on two cores.
+        Numbers of drives and tunings; the default takes about 20 s on two cores.
     seed
-        Of the search, and which drives.
+        Seed of the swarm, which also selects the random drives.
+    progress
+        Function that receives (stage, steps done, steps in all).
+
+    Returns
+    -------
+    TunedCar
+        The controller with its tuning, the tests and the certificate.
 
     Raises
     ------
     InvalidInput
-        When no tuning holds the loop anywhere in the domain, or a range makes no sense.
+        When no tuning is stable anywhere in the domain, or for an invalid range.
     UnknownName
-        When no car or plant has this name.
+        For an unknown car or plant.
     """
-    began, show = time.perf_counter(), progress or (lambda work, steps, of: None)
+    start_time, report = time.perf_counter(), progress or (lambda stage, steps_done, steps: None)
     effort = effort or TuningEffort()
     seed = whole_number("tune", "seed", seed, least=0)
-    car, driven_plant = _car_and_plant(car, plant)
-    world = load_profile(profile)
-    mpc = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator)
+    car, simulated_plant = _car_and_plant(car, plant)
+    profile = load_profile(profile)
+    mpc = MPC(car, profile=profile, uncertainty=uncertainty, estimator=estimator)
     limits = {name: limit for name, limit in (("speed", speed), ("friction", friction)) if limit is not None}
     requested = Domain(**{**car.domain.model_dump(), **limits})
-    show("which speeds can be held", 0, 1)
-    linear = linear_twin(driven_plant, car, requested)
-    holdable = feasibility(linear, mpc, world.prompt, speed=requested.speed, friction=requested.friction, turn=None)
-    if holdable.constant is None:
-        raise InvalidInput(f"tune: {holdable.verdict}")
-    constant, holdable_domain = holdable.constant
-    domain = requested.replace(**holdable_domain._asdict()) if holdable_domain != holdable.requested else requested
+    report("feasible speeds", 0, 1)
+    linear = linear_twin(simulated_plant, car, requested)
+    without_delay = profile.without_sample_ages
+    feasible = feasibility(linear, mpc, without_delay, speed=requested.speed, friction=requested.friction, turn=None)
+    if feasible.constant is None:
+        raise InvalidInput(f"tune: {feasible.verdict}")
+    feasible_tuning, feasible_domain = feasible.constant
+    domain = requested.replace(**feasible_domain._asdict()) if feasible_domain != feasible.requested else requested
     default = mpc.tuning
-    bench = _Bench(driven_plant, mpc, world, domain)
+    bench = _Bench(simulated_plant, mpc, profile, domain)
     runs = _search_runs(bench.on_twin(), effort, seed)
     bench.warn_of_time(effort)
-    searched = _search_tuning(runs, [default, constant], effort.swarm, seed, show)
-    show("unseen drives", 0, 1)
-    numbers = range(FIRST_JUDGED + 1000 * seed, FIRST_JUDGED + 1000 * seed + effort.judged_drives)
+    best = _search_tuning(runs, [default, feasible_tuning], effort.swarm, seed, report)
+    report("unseen drives", 0, 1)
+    numbers = range(FIRST_UNSEEN_DRIVE + 1000 * seed, FIRST_UNSEEN_DRIVE + 1000 * seed + effort.judged_drives)
     unseen = bench.drives(numbers, 60.0)
-    costs = {"default": unseen.drive(default, [NOISE_JUDGED])[:, 0]}
-    costs["sought"] = costs["default"] if searched == default else unseen.drive(searched, [NOISE_JUDGED])[:, 0]
+    costs = {"default": unseen.drive(default, [UNSEEN_NOISE_SEED])[:, 0]}
+    costs["sought"] = costs["default"] if best == default else unseen.drive(best, [UNSEEN_NOISE_SEED])[:, 0]
     bounded = {name: np.minimum(drives, unseen.failed_cost) for name, drives in costs.items()}
     gain = ratio(bounded["sought"], bounded["default"])
     failures = {name: int(np.isinf(drives).sum()) for name, drives in costs.items()}
-    tuning = searched if gain.high < 1.0 and failures["sought"] <= failures["default"] else default
+    tuning = best if gain.high < 1.0 and failures["sought"] <= failures["default"] else default
     certificate = certify(
-        tuning, linear, mpc, world.prompt, domain={"speed": domain.speed, "friction": domain.friction},
-        levels=effort.levels, progress=show,
+        tuning, linear, mpc, without_delay, domain={"speed": domain.speed, "friction": domain.friction},
+        levels=effort.levels, progress=report,
     )  # fmt: skip
-    controller = MPC(car, profile=world, uncertainty=uncertainty, estimator=estimator, tuning=tuning)
-    seconds = time.perf_counter() - began
+    controller = MPC(car, profile=profile, uncertainty=uncertainty, estimator=estimator, tuning=tuning)
+    seconds = time.perf_counter() - start_time
     return TunedCar(
-        controller, world, domain, holdable, default, searched, costs, gain, certificate, driven_plant.name,
-        driven_plant.costly, seconds,
+        controller, profile, domain, feasible, default, best, costs, gain, certificate, simulated_plant.name,
+        simulated_plant.costly, seconds,
     )  # fmt: skip
 
 
 def _car_and_plant(
     car: Vehicle | str, plant: Plant | SteppedPlant | str | None
 ) -> tuple[Vehicle, Plant | SteppedPlant]:
-    """The car that the controller believes in, and what is driven."""
-    believed = car if isinstance(car, Vehicle) else load_vehicle(car)
-    driven_plant = "dual-track" if plant is None else plant
-    return believed, get_plant(driven_plant, believed) if isinstance(driven_plant, str) else driven_plant
+    """Return the car as the controller assumes it, and the simulated plant."""
+    assumed = car if isinstance(car, Vehicle) else load_vehicle(car)
+    simulated_plant = "dual-track" if plant is None else plant
+    return assumed, get_plant(simulated_plant, assumed) if isinstance(simulated_plant, str) else simulated_plant
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,40 +266,41 @@ class _Bench:
 
     plant: Plant | SteppedPlant
     mpc: MPC
-    world: Profile
+    profile: Profile
     domain: Domain
 
-    def drives(self, numbers: range, seconds: float, **roads: Any) -> RunSet:
-        """Random drives in the domain, of so many seconds; roads: other options of `random_drive`."""
-        failure = Failure(distance=self.domain.failure_distance)
+    def drives(self, numbers: range, seconds: float, **options: Any) -> RunSet:
+        """Return random drives in the domain with a duration in seconds; options: further ones of `random_drive`."""
+        failure, options = Failure(distance=self.domain.failure_distance), self.domain.drive_options | options
         return random_drive_runs(
-            self.plant, self.mpc, numbers, seconds, self.world, roads=self.domain.drive_options | roads, failure=failure
+            self.plant, self.mpc, numbers, seconds, self.profile, drive_options=options, failure=failure
         )
 
     def on_twin(self) -> _Bench:
-        """Return the bench for a search: with the car's twin if the plant is costly."""
+        """Return the bench for the search, whose plant is the car's twin if the plant is costly."""
         car = self.mpc.model.vehicle
         return replace(self, plant=twin_of(car)) if self.plant.costly else self
 
     def warn_of_time(self, effort: TuningEffort) -> None:
-        """Log how long the drives of a stepped plant will take, from a short one."""
+        """Log the expected time of all drives with a plant that is stepped in Python, after timing a short drive."""
         if not isinstance(self.plant, SteppedPlant):
             return
         seconds = min(5.0, effort.seconds)
-        runs, began = self.drives(range(FIRST_SOUGHT, FIRST_SOUGHT + 1), seconds), time.perf_counter()
-        runs.drive(self.mpc.tuning, [NOISE_SOUGHT])
-        per_second = (time.perf_counter() - began) / seconds
+        runs = self.drives(range(FIRST_SEARCH_DRIVE, FIRST_SEARCH_DRIVE + 1), seconds)
+        start_time = time.perf_counter()
+        runs.drive(self.mpc.tuning, [SEARCH_NOISE_SEED])
+        per_second = (time.perf_counter() - start_time) / seconds
         tunings = 0 if self.plant.costly else effort.swarm.particles * effort.swarm.generations + 2
         simulated = tunings * (effort.drives + effort.hard_drives) * effort.seconds + 2 * effort.judged_drives * 60.0
         _log.warning(
-            "adaptrack: plant %r is stepped in Python: %.3g h of driving one after the other, about %.2g min.",
+            "adaptrack: plant %r is stepped in Python, one run at a time: %.3g h of driving take about %.2g min.",
             self.plant.name, simulated / 3600.0, simulated * per_second / 60.0,
         )  # fmt: skip
 
 
 def _search_runs(bench: _Bench, effort: TuningEffort, seed: int) -> list[RunSet]:
-    """Mixed drives and hard ones."""
-    first = FIRST_SOUGHT + 1000 * seed
+    """Return the drives of the search: at all speeds of the domain, and hard ones at high speed."""
+    first = FIRST_SEARCH_DRIVE + 1000 * seed
     slow, fast = bench.domain.speed
     hard_speeds = (slow + HARD_SPEEDS * (fast - slow), fast)
     hard = range(first + 500, first + 500 + effort.hard_drives)
@@ -286,9 +311,12 @@ def _search_runs(bench: _Bench, effort: TuningEffort, seed: int) -> list[RunSet]
 
 
 def _search_tuning(
-    training: list[RunSet], candidates: list[Tuning], swarm: SwarmSettings, seed: int, show: ProgressCall
+    training: list[RunSet], candidates: list[Tuning], swarm: SwarmSettings, seed: int, report: ProgressCall
 ) -> Tuning:
-    """The tuning with the lowest mean log cost over the run sets: found about the first candidate, or a candidate."""
+    """Return the tuning with the lowest mean log cost over the run sets.
+
+    The swarm searches around the first candidate; the candidates themselves are compared with its result.
+    """
     default = candidates[0]
     search = Swarm(SearchBounds.around(default).space(), swarm, seed=seed)
 
@@ -296,12 +324,12 @@ def _search_tuning(
         total = np.zeros(len(tunings))
         for runs in training:
             indices = np.tile(np.arange(len(runs)), len(tunings))
-            values = runs.costs(np.repeat(tunings, len(runs), axis=0), [NOISE_SOUGHT], indices)
+            values = runs.costs(np.repeat(tunings, len(runs), axis=0), [SEARCH_NOISE_SEED], indices)
             total += np.log(values).reshape(len(tunings), len(runs)).mean(axis=1)
         return total
 
     while not search.is_done:
-        show("search", search.generation, search.settings.generations)
+        report("search", search.generation, search.settings.generations)
         search.tell(costs(search.ask()))
     best, rows = search.result(), np.array([tuning.as_array() for tuning in candidates])
     candidate_costs = costs(rows)

@@ -1,4 +1,4 @@
-"""A constant tuning as a file: what was found, for which controller, car and profile."""
+"""File format of a constant tuning, with the controller, car and profile for which it was found."""
 
 from __future__ import annotations
 
@@ -18,25 +18,27 @@ from adaptrack.scenario.profile import Profile
 
 
 class ConstantTuning(Record):
-    """A tuning that was found for a controller on a car in a profile.
+    """Constant tuning of a controller, with the car, profile and roads of the search.
 
     Raises
     ------
     InvalidInput
-        When a value is not allowed; the message names the key and what is.
+        For an invalid value; the message names the key and the accepted values.
     """
 
-    controller: str = Field(description="registered name")
-    vehicle: str = Field(min_length=1, description="name of the car that it was found on")
-    profile: str = Field(min_length=1, description="name of the profile, likewise")
-    period: float = Field(gt=0, le=10, description="s, control period, likewise: horizons are in periods")
-    roads: Annotated[tuple[str, ...], LISTED] = Field(default=(), description="names of the roads, likewise")
-    noise_seeds: Annotated[tuple[int, ...], LISTED] = Field(default=(), description="of the search: judge with others")
-    command: str = Field(default="", description="the command line that made it")
-    belief: str = Field(default="", description="of the controller about the steering, when it was found")
-    tuning: dict[str, float] = Field(description="the controller's tuning entries")
+    controller: str = Field(description="registered name of the controller")
+    vehicle: str = Field(min_length=1, description="name of the car in the search")
+    profile: str = Field(min_length=1, description="name of the profile in the search")
+    period: float = Field(gt=0, le=10, description="s, control period in the search; horizons are in periods")
+    roads: Annotated[tuple[str, ...], LISTED] = Field(default=(), description="names of the roads in the search")
+    noise_seeds: Annotated[tuple[int, ...], LISTED] = Field(
+        default=(), description="noise seeds of the search; a comparison needs different ones"
+    )
+    command: str = Field(default="", description="command line that wrote the file")
+    belief: str = Field(default="", description="steering parameters that the controller assumed in the search")
+    tuning: dict[str, float] = Field(description="tuning entries of the controller")
     holds: HoldableSpeed | None = Field(
-        default=None, description="speeds and braking that the controller holds with it, see `HoldableSpeed`"
+        default=None, description="braking up to which the controller keeps its margins, see `HoldableSpeed`"
     )
 
     @model_validator(mode="after")
@@ -47,12 +49,23 @@ class ConstantTuning(Record):
     def make(
         self, car: Vehicle, profile: Profile, period: float, preview: bool, computation: float | None = None
     ) -> Controller:
-        """The controller with this tuning; computation: as for `MPC`.
+        """Return the controller with this tuning.
+
+        Parameters
+        ----------
+        car, profile
+            Car and profile for which the controller is built.
+        period
+            Control period (s).
+        preview
+            Whether the controller receives the road ahead.
+        computation
+            Computation time (s), as for `MPC`.
 
         Raises
         ------
         InvalidInput
-            When the entries are not those of the controller, or their values make none.
+            When the entries are not those of the controller, or it does not accept their values.
         """
         offered = {"period": period, "preview": preview, "computation": computation}
         controller = get_controller(self.controller, car, profile=profile, offered=offered)
@@ -61,19 +74,19 @@ class ConstantTuning(Record):
             raise InvalidInput(f"tuning of {self.controller!r}: entries {entries}: must be {names}.")
         return controller.with_tuning(self.tuning)
 
-    def holding(self, car: Vehicle, profile: Profile) -> ConstantTuning:
-        """Return the file with `holds`, for a controller that can be analysed: an `MPC` (some seconds)."""
+    def with_holdable_speed(self, car: Vehicle, profile: Profile) -> ConstantTuning:
+        """Return a copy with `holds` computed (some seconds) if the controller is an `MPC`, otherwise this object."""
         controller = self.make(car, profile, self.period, profile.preview)
         if not isinstance(controller, MPC) or controller.scheduler is not None:
             return self
         return self.replace(holds=holdable_speed(car, controller, profile))
 
     def label(self, path: str | os.PathLike[str]) -> str:
-        """How tables call it, read from this file."""
+        """Return the label in tables of the tuning that was read from a file."""
         return f"{self.controller}, {Path(path).stem}"
 
     def mismatches(self, car: str, profile: str, period: float) -> list[str]:
-        """A clause for each of car, profile and period that is another than the file names."""
+        """Return a clause for each of car, profile and control period (s) that differs from the file."""
         clauses = [
             f"was found for the {key} {file_name!r}, not {name!r}"
             for key, file_name, name in (("car", self.vehicle, car), ("profile", self.profile, profile))
@@ -92,6 +105,6 @@ def load_tuning(path: str | os.PathLike[str]) -> ConstantTuning:
     StorageError
         When the file cannot be read.
     ConfigError
-        When it is not TOML, or holds an unknown, missing or impossible value.
+        When it is not TOML, or has an unknown key, a missing key or an invalid value.
     """
     return build(ConstantTuning, read_toml(path), Path(path))

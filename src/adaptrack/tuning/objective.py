@@ -1,7 +1,7 @@
-"""The cost of a tuning on an operating point, and the best tuning that a swarm finds there, by compiled runs.
+"""Cost of a tuning at an operating point, and the best tuning that a swarm finds there, with compiled runs.
 
-An operating point is (speed m/s, y_ref m, friction, wind m/s), held over the run. Random numbers are counted by seed
-and stream, never shared, so a result depends on its own arguments only.
+An operating point is (speed m/s, y_ref m, friction, wind m/s), constant during the run. Random numbers depend on a seed
+and a stream number only, so a result depends on its own arguments only.
 """
 
 from __future__ import annotations
@@ -33,60 +33,63 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Tuned:
-    """Result of a swarm on one operating point."""
+class PointTuning:
+    """Best tuning that a swarm found at one operating point."""
 
     tuning: Array
-    """(4,) Np, Nc, Q, R"""
+    """Np, Nc, Q and R, (4,)."""
     cost: float
-    """m^2, inf when every run failed"""
+    """Its cost J (m^2), infinite if every run failed."""
     trace: Array
-    """(generations,) m^2, the best cost after each"""
+    """Lowest cost up to each generation (m^2), (generations,)."""
     evaluations: int
+    """Number of tunings that were evaluated."""
     control_steps: int
-    """control steps simulated; runs that could not improve any more were stopped"""
+    """Number of simulated control steps. A run stops once it cannot improve on the best cost of its particle."""
 
 
 @checked
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """J = mean e^2 + move_weight * mean (change of command)^2 of a run on an operating point.
-
-    plant, mpc: what is driven, by which controller (its tuning is ignored); a plant that is stepped in Python is driven
-    run by run, one thread at a time; test: `step` (the paper: constant y_ref
-    from y = 0) or `lane-change` (smooth, with one gust of the operating point's wind); profile: with its noise, J is
-    the mean over `noise_seeds`; move_weight: m^2/rad^2, None for the profile's; duration: s, None for 18 (step) or 8.
+    """Cost J = mean e^2 + move_weight * mean (change of command)^2 (m^2) of a test run at an operating point.
 
     Raises
     ------
     InvalidInput
-        For an unknown profile, no noise seed, or an MPC that does not run compiled.
+        For an unknown profile, an empty list of noise seeds, or an MPC that does not run compiled.
     """
 
     plant: Plant | SteppedPlant
+    """Simulated plant. A plant that is stepped in Python is driven one run at a time, in one thread."""
     mpc: MPC
+    """Controller; its tuning is ignored."""
     test: Literal["step", "lane-change"] = "step"
+    """Test: "step" (constant y_ref from y = 0) or "lane-change" (smooth, with a gust of the point's wind speed)."""
     profile: str | Profile = "paper"
+    """Steering actuator, sensors and control period, or the name of a profile."""
     noise_seeds: tuple[int, ...] = (0,)
+    """Seeds of the sensor noise; J is the mean over them."""
     move_weight: float | None = None
+    """Weight of the command changes (m^2/rad^2); None for the weight of the profile."""
     duration: float | None = None
+    """Duration of the test (s); None for 18 s (step) or 8 s (lane change)."""
     failure: Failure | None = None
-    """when a run has failed, by default as the driven car's domain says"""
+    """Rule by which a run fails; None for the rule of the domain of the plant's car."""
 
     def __post_init__(self) -> None:
         if not self.noise_seeds:
             raise InvalidInput("noise_seeds: give at least one.")
         object.__setattr__(self, "profile", load_profile(self.profile))
-        object.__setattr__(self, "_alone", threading.Lock())
+        object.__setattr__(self, "_single_thread", threading.Lock())
 
     @property
     def weight(self) -> float:
-        """The weight of steering activity in use (m^2/rad^2)."""
+        """The weight of the command changes in J (m^2/rad^2)."""
         assert isinstance(self.profile, Profile)
         return self.profile.move_weight if self.move_weight is None else self.move_weight
 
     def scenario(self, point: ArrayLike) -> Scenario:
-        """The run on an operating point."""
+        """Return the scenario of the test at an operating point (4,)."""
         speed, y_ref, friction, wind = np.asarray(point, dtype=float).tolist()
         if self.test == "step":
             duration = self.duration or 18.0
@@ -96,7 +99,7 @@ class Objective:
         )
 
     def costs(self, point: ArrayLike, tunings: ArrayLike) -> Array:
-        """J of each of the tunings (n, 4) on one operating point, (n,); inf where a run failed."""
+        """Return J (n,) of each tuning (n, 4) at an operating point (4,), infinite if a run failed."""
         rows = np.array(tunings, dtype=np.float64, ndmin=2)
         if isinstance(self.plant, SteppedPlant):
             return self._simulated_costs(point, rows)
@@ -104,12 +107,9 @@ class Objective:
         run, trial = self._trial(point, min(len(rows), SLOTS), rows[:, 0].max(), rows[:, 1].max())
         evaluation = kernels.Judged(np.ascontiguousarray(rows), np.full(len(rows), np.inf), costs)
         for first in range(0, len(rows), SLOTS):
-            run.mpc.memory["speed"] = np.nan  # nothing is formed yet
+            run.mpc.memory["speed"] = np.nan  # makes the kernel form the QP matrices anew for the next tunings
             kernels.evaluate(first, min(SLOTS, len(rows) - first), evaluation, trial)
         return costs
-
-    landscape = costs
-    """J of a common library of tunings on one operating point: the same numbers under the name that campaigns use."""
 
     def tune(
         self,
@@ -118,11 +118,23 @@ class Objective:
         seed: int = 0,
         stream: int = 0,
         space: SearchSpace | None = None,
-    ) -> Tuned:
-        """The best tuning that one swarm finds on an operating point; its random numbers are those of its stream."""
+    ) -> PointTuning:
+        """Return the best tuning that one swarm finds at an operating point.
+
+        Parameters
+        ----------
+        point
+            Operating point, (4,).
+        swarm
+            Settings of the swarm.
+        seed, stream
+            Seed and stream number of its random numbers.
+        space
+            Bounds of the tuning; None for `SearchSpace.tuning`.
+        """
         swarm, space = swarm or SwarmSettings(), space or SearchSpace.tuning()
         if isinstance(self.plant, SteppedPlant):
-            return self._searched(point, Swarm(space, swarm, seed=seed, stream=stream))
+            return self._search_by_costs(point, Swarm(space, swarm, seed=seed, stream=stream))
         slots, count = min(swarm.particles, SLOTS), swarm.particles
         _, trial = self._trial(point, slots, space.high[0], space.high[1])
         evaluation = kernels.Judged(np.zeros((count, 4)), np.empty(count), np.empty(count))
@@ -132,30 +144,33 @@ class Objective:
         )  # fmt: skip
         evaluations, steps = kernels.tune(search, trial)
         best = search.swarm
-        return Tuned(
+        return PointTuning(
             space.values(best.leader), float(best.progress[rules.LEADER_COST]), search.best, evaluations, steps
         )
 
     def _simulated_costs(self, point: ArrayLike, tunings: Array) -> Array:
-        """`costs` by `simulate`, one run after the other."""
-        with self._alone:  # type: ignore[attr-defined]
+        """Return the result of `costs` from `simulate`, one run at a time."""
+        with self._single_thread:  # type: ignore[attr-defined]
             runs = RunSet(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
             runs.weight = self.weight
             return runs.drive(tunings, self.noise_seeds, np.zeros(len(tunings), np.int64)).mean(axis=1)
 
-    def _searched(self, point: ArrayLike, swarm: Swarm) -> Tuned:
-        """`tune` by `costs`: the same answer, every run driven to its end."""
+    def _search_by_costs(self, point: ArrayLike, swarm: Swarm) -> PointTuning:
+        """Return the result of `tune` from `costs`, which drives every run to its end."""
         while not swarm.is_done:
             swarm.tell(self.costs(point, swarm.ask()))
         result, runs = swarm.result(), swarm.settings.evaluations * len(self.noise_seeds)
         steps = runs * self.scenario(point).sample(self.mpc.period).n
-        return Tuned(result.x, result.cost, result.trace, result.evaluations, steps)
+        return PointTuning(result.x, result.cost, result.trace, result.evaluations, steps)
 
-    def _trial(self, point: ArrayLike, slots: int, longest: float, most: float) -> tuple[Any, Any]:
-        """`core.tune.Trial` for up to `slots` tunings with horizons up to these; before it, its runs."""
+    def _trial(self, point: ArrayLike, slots: int, max_Np: float, max_Nc: float) -> tuple[Any, Any]:
+        """Return the runs of up to `slots` tunings at an operating point, and the `core.tune.Trial` that uses them.
+
+        max_Np and max_Nc (control periods) are the largest horizons of these tunings.
+        """
         assert isinstance(self.plant, Plant)
         batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
-        run = batch.arena(slots, int(batch.substeps[0]), batch.mpc_settings(longest, most, residuals=False))
+        run = batch.run_record(slots, int(batch.substeps[0]), batch.mpc_settings(max_Np, max_Nc, residuals=False))
         run.vehicles.start[:] = batch.starts
         noise = np.array(self.noise_seeds, dtype=np.int64)
         span = RunSpan(batch.signals[0].n, slots, 0, self.weight)

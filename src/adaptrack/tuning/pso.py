@@ -1,15 +1,15 @@
-"""The improved particle swarm of the paper's section III, eqs. (18)-(20), usable on any function.
+"""Improved particle swarm of the paper (section III, eqs. (18)-(20)), which minimises any function.
 
     best = minimise(function, space, seed=1)          # function: positions (n, dims) -> costs (n,)
 
-or, when the costs come from elsewhere, one generation at a time:
+A caller that computes the costs itself passes them one generation at a time:
 
     swarm = Swarm(space, settings, seed=1)
     while not swarm.is_done:
         swarm.tell(evaluate(swarm.ask()))
 
-The algorithm itself stands in `adaptrack.core.swarm`; this module gives it validated settings and a state that can
-be put aside and taken up again, to the last bit.
+`adaptrack.core.swarm` contains the algorithm. This module adds validated settings, and a state that can be saved and
+restored without any change of the result.
 """
 
 from __future__ import annotations
@@ -37,26 +37,28 @@ _CLASSIC_ACCELERATION = 1.49618
 
 
 class SearchSpace(Record):
-    """A box whose dimensions have names; some may hold whole numbers or be searched by decades, two may be ordered.
+    """Box with named dimensions in which a swarm searches.
 
-    A dimension with `low` = `high` is fixed. The swarm moves in the decimal logarithm of a dimension that is searched
-    by decades; bounds and positions are given and returned in values all the same.
+    - A dimension with `low` = `high` is fixed.
+    - Dimensions in `integers` have whole values.
+    - In a dimension of `decades` the swarm moves in the decimal logarithm. Bounds and positions are still plain values.
+    - The first dimension of `ordered` is at most the second.
     """
 
-    names: Annotated[tuple[str, ...], LISTED] = Field(min_length=1, description="of the dimensions")
+    names: Annotated[tuple[str, ...], LISTED] = Field(min_length=1, description="names of the dimensions")
     low: Annotated[tuple[float, ...], LISTED] = Field(description="lower bound of each dimension")
     high: Annotated[tuple[float, ...], LISTED] = Field(description="upper bound of each dimension")
     integers: Annotated[tuple[str, ...], LISTED] = Field(
-        default=(), description="names of the dimensions that hold whole numbers"
+        default=(), description="names of the dimensions with whole values"
     )
     decades: Annotated[tuple[str, ...], LISTED] = Field(
-        default=(), description="names of the dimensions that are searched by decades"
+        default=(), description="names of the dimensions that are searched in log10"
     )
     ordered: Annotated[tuple[str, str] | None, LISTED] = Field(
-        default=None, description="names of two dimensions, the first of which is never the larger"
+        default=None, description="names of a smaller and a larger dimension; they may be equal in value"
     )
     spread: float = Field(
-        default=1.0, ge=1, le=1e6, description="the first draw of the larger is at least this often the smaller"
+        default=1.0, ge=1, le=1e6, description="smallest ratio larger / smaller dimension of an initial position"
     )
 
     @model_validator(mode="after")
@@ -81,12 +83,12 @@ class SearchSpace(Record):
             if not math.isfinite(high - low):
                 raise ValueError(f"{name}: the range from {low:g} to {high:g} is not a finite number.")
             if name in self.integers and not (low.is_integer() and high.is_integer()):
-                raise ValueError(f"{name}: low = {low:g} and high = {high:g} must be whole numbers, as it is.")
+                raise ValueError(f"{name}: low = {low:g} and high = {high:g} must be whole, like the dimension.")
             if name in self.integers and max(abs(low), abs(high)) > _LARGEST_WHOLE:
                 raise ValueError(f"{name}: whole numbers beyond 2^53 cannot be distinguished.")
         if self.ordered is None:
             if self.spread != 1.0:
-                raise ValueError(f"spread = {self.spread:g}: say by `ordered` which two dimensions it holds for.")
+                raise ValueError(f"spread = {self.spread:g}: name the two dimensions that it applies to in `ordered`.")
             return self
         smaller, larger = self.ordered
         i, j = self.names.index(smaller), self.names.index(larger)
@@ -105,7 +107,7 @@ class SearchSpace(Record):
 
     @classmethod
     def tuning(cls) -> Self:
-        """The tunings Np, Nc, Q, R that the paper's swarm searches; the bounds are those of its authors' programs."""
+        """Return the space of Np, Nc, Q and R in the paper, with the bounds in its authors' programs."""
         return cls(
             names=("Np", "Nc", "Q", "R"),
             low=(1.0, 1.0, 0.1, 0.001),
@@ -117,11 +119,11 @@ class SearchSpace(Record):
 
     @property
     def dims(self) -> int:
-        """How many dimensions."""
+        """The number of dimensions."""
         return len(self.names)
 
     def packed(self) -> Array:
-        """The space as the kernels take it: (4, dims), rows `adaptrack.core.swarm.SPACE`."""
+        """Return the space for the kernels, (4, dims), with the rows of `adaptrack.core.swarm.SPACE`."""
         scale = [math.log10 if name in self.decades else float for name in self.names]
         return np.array(
             [
@@ -133,18 +135,18 @@ class SearchSpace(Record):
         )
 
     def values(self, x: Array) -> Array:
-        """Decode positions of the swarm (..., dims): powers of ten where it searches by decades."""
+        """Return the values (..., dims) of internal positions of the swarm, which are logarithms for `decades`."""
         rows = np.ascontiguousarray(x, dtype=float).reshape(-1, self.dims)
         values = np.empty_like(rows)
         decode(len(rows), self.packed(), rows, values)
         return values.reshape(x.shape)
 
     def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each position of x (..., dims) lies in the box, holds whole numbers where it must, and is ordered."""
+        """Whether each position of x (..., dims) lies in the bounds, is whole in `integers`, and is ordered."""
         x = np.asarray(x, dtype=float)
         low, high = np.array(self.low), np.array(self.high)
         is_integer = self.packed()[2]
-        slack = np.array([1e-12 if name in self.decades else 0.0 for name in self.names])  # 10**log10(x) is x nearly
+        slack = np.array([1e-12 if name in self.decades else 0.0 for name in self.names])  # error of 10**log10(x)
         inside = ((x >= low * (1 - slack)) & (x <= high * (1 + slack)) & ((is_integer < 0.5) | (x == np.round(x)))).all(
             axis=-1
         )
@@ -155,26 +157,31 @@ class SearchSpace(Record):
 
 
 class SwarmSettings(Record):
-    """How a swarm searches; the defaults are the paper's table.
+    """Settings of a swarm; the defaults are those of the paper's table.
 
-    "improved": inertia by eq. (19), accelerations by eq. (20). "classic": w, c1 and c2 are constant; their defaults
-    are then the constriction coefficients of Clerc & Kennedy (2002), w = 0.7298, c1 = c2 = 1.49618.
+    The inertia w and the accelerations c1 and c2 follow eqs. (19) and (20) if `kind` is "improved". They are constant
+    if it is "classic". The defaults of the classic swarm are the constriction coefficients of Clerc & Kennedy (2002):
+    w = 0.7298, c1 = c2 = 1.49618.
     """
 
-    particles: int = Field(default=20, ge=1, le=100_000, description="positions evaluated in each generation")
-    generations: int = Field(default=15, ge=1, le=1_000_000, description="the initial draw being the first")
-    kind: Literal["improved", "classic"] = Field(default="improved", description="law of w, c1 and c2")
-    w_max: float = Field(default=0.99, ge=0, le=10, description="eq. (19)")
-    w_min: float = Field(default=0.1, ge=0, le=10, description="eq. (19), the inertia of late generations")
-    lambda1: float = Field(default=30.0, ge=0, le=1e6, description="eq. (19), how fast the inertia falls")
-    lambda2: float = Field(default=3.0, gt=0, le=1e6, description="eq. (19), divides its exponential")
-    w: float = Field(default=0.7298, ge=0, le=10, description="inertia of the classic swarm")
-    c1: float = Field(default=2.0, ge=0, le=10, description="cognitive acceleration, of the improved swarm the first")
-    c2: float = Field(default=2.0, ge=0, le=10, description="social acceleration, of the improved swarm the first")
-    steps: Annotated[tuple[float, float, float, float], LISTED] = Field(
-        default=(0.05, 0.02, -0.035, -0.0015), description="eq. (20), alpha in its four ranges of g/G"
+    particles: int = Field(default=20, ge=1, le=100_000, description="number of positions in each generation")
+    generations: int = Field(
+        default=15, ge=1, le=1_000_000, description="number of generations, including the initial positions"
     )
-    velocity_clamp: float = Field(default=0.2, gt=0, le=1, description="largest velocity, as a share of the range")
+    kind: Literal["improved", "classic"] = Field(default="improved", description="rule for w, c1 and c2")
+    w_max: float = Field(default=0.99, ge=0, le=10, description="eq. (19); initial inertia w_min + exp(w_max)/lambda2")
+    w_min: float = Field(default=0.1, ge=0, le=10, description="eq. (19), inertia of late generations")
+    lambda1: float = Field(default=30.0, ge=0, le=1e6, description="eq. (19), rate at which the inertia falls")
+    lambda2: float = Field(default=3.0, gt=0, le=1e6, description="eq. (19), divisor of the exponential")
+    w: float = Field(default=0.7298, ge=0, le=10, description="inertia of the classic swarm")
+    c1: float = Field(
+        default=2.0, ge=0, le=10, description="cognitive acceleration; initial value for the improved swarm"
+    )
+    c2: float = Field(default=2.0, ge=0, le=10, description="social acceleration; initial value for the improved swarm")
+    steps: Annotated[tuple[float, float, float, float], LISTED] = Field(
+        default=(0.05, 0.02, -0.035, -0.0015), description="eq. (20), alpha in each of four ranges of g/G"
+    )
+    velocity_clamp: float = Field(default=0.2, gt=0, le=1, description="largest velocity / range of the dimension")
 
     @model_validator(mode="before")
     @classmethod
@@ -186,21 +193,21 @@ class SwarmSettings(Record):
     @model_validator(mode="after")
     def _falls(self) -> Self:
         if self.w_min > self.w_max:
-            raise ValueError(f"w_min = {self.w_min:g} > w_max = {self.w_max:g}: the inertia must not be meant to rise.")
+            raise ValueError(f"w_min = {self.w_min:g} > w_max = {self.w_max:g}: w_min must be at most w_max.")
         return self
 
     @classmethod
     def classic(cls, **changes: Any) -> Self:
-        """The classic swarm: constant inertia and accelerations."""
+        """Return settings of the classic swarm, with constant inertia and accelerations."""
         return cls(**{"kind": "classic", **changes})
 
     @property
     def evaluations(self) -> int:
-        """How many positions a whole run evaluates."""
+        """The number of positions that a complete search evaluates."""
         return self.particles * self.generations
 
     def packed(self, space: SearchSpace) -> Array:
-        """The settings as the kernels take them, in the order of `adaptrack.core.swarm.SWARM_SETTINGS`."""
+        """Return the settings for the kernels, in the order of `adaptrack.core.swarm.SWARM_SETTINGS`."""
         smaller, larger = (-1, -1) if space.ordered is None else (space.names.index(name) for name in space.ordered)
         return np.array(
             [
@@ -211,52 +218,58 @@ class SwarmSettings(Record):
         )  # fmt: skip
 
     def schedule(self) -> Array:
-        """(generations - 1, 3): w, c1 and c2 of each move; a look at what eqs. (19) and (20) make of the settings.
+        """Return w, c1 and c2 of each move between generations, (generations - 1, 3), by eqs. (19) and (20).
 
-        The improved swarm's first w multiplies velocities of zero. With many generations the steps of eq. (20), which
-        are per generation, add up: the paper's drive c2 below zero when there are more than 150.
+        The first w has no effect, since the initial velocities are zero. The steps of eq. (20) are added in each
+        generation. With more than 150 generations the steps of the paper make c2 negative.
         """
-        moves, constant = np.empty((self.generations - 1, 3)), self.kind == "classic"
+        moves, is_classic = np.empty((self.generations - 1, 3)), self.kind == "classic"
         c1, c2, steps = self.c1, self.c2, np.array(self.steps)
         for g in range(self.generations - 1):
-            law = (self.w_max, self.w_min, self.lambda1, self.lambda2)
-            moves[g] = self.w if constant else kernel.inertia(g, self.generations, *law), c1, c2
-            if not constant:
+            coefficients = (self.w_max, self.w_min, self.lambda1, self.lambda2)
+            moves[g] = self.w if is_classic else kernel.inertia(g, self.generations, *coefficients), c1, c2
+            if not is_classic:
                 c1, c2 = kernel.accelerations(g, self.generations, c1, c2, steps)
         return moves
 
 
 class Best(NamedTuple):
-    """The best position so far."""
+    """Best position up to the present generation."""
 
     x: Array
-    """(dims,) the best position"""
+    """Position, (dims,)."""
     cost: float
-    """inf before the first finite cost"""
+    """Its cost, infinite before the first finite cost."""
 
 
 @dataclass(frozen=True, eq=False)
 class SwarmResult:
-    """Result of a swarm."""
+    """Result of a search with a swarm."""
 
     x: Array
-    """(dims,) best position"""
+    """Best position, (dims,)."""
     cost: float
-    """its cost; inf when no position had a finite one"""
+    """Its cost, infinite if no position had a finite cost."""
     trace: Array
-    """(generations,) lowest cost up to and including each generation"""
+    """Lowest cost up to and including each generation, (generations,)."""
     evaluations: int
-    """positions evaluated"""
+    """Number of positions that were evaluated."""
 
 
 class Swarm:
-    """A swarm that asks for the costs of one generation after the other.
+    """Swarm that receives the costs of its positions one generation at a time.
 
-    space, settings: where and how to search; seed, stream: numbers that, with the costs,
-    determine every position. Different streams of one seed are independent.
+    Only the order of the costs matters, not their size. NaN counts as infinity. A particle without a finite cost so far
+    is attracted to its initial position.
 
-    Only the order of the costs matters, not their size. NaN counts as +inf, and a particle that never had a finite
-    cost is pulled back to where it began.
+    Parameters
+    ----------
+    space
+        Bounds of the positions.
+    settings
+        Settings of the swarm; None for the defaults.
+    seed, stream
+        Seed and stream number of the random numbers. Streams of one seed are independent.
     """
 
     @checked
@@ -267,7 +280,7 @@ class Swarm:
         self.settings = settings or SwarmSettings()
         self.seed, self.stream = seed, stream
         self.generation = 0
-        """of the positions that `ask` gives; once done, the number of generations"""
+        """Index of the generation that `ask` returns; after the last one, the number of generations."""
         self._space, self._settings = space.packed(), self.settings.packed(space)
         self._swarm = kernel.particles(self.settings.particles, space.dims)
         self._trace = np.full(self.settings.generations, np.nan)
@@ -275,37 +288,37 @@ class Swarm:
 
     @property
     def is_done(self) -> bool:
-        """Whether the costs of all generations are known."""
+        """Whether the swarm has received the costs of all generations."""
         return self.generation >= self.settings.generations
 
     @property
     def best(self) -> Best:
-        """The best position so far and its cost."""
+        """The best position up to the present generation, and its cost."""
         return Best(self.space.values(self._swarm.leader), float(self._swarm.progress[kernel.LEADER_COST]))
 
     @property
     def trace(self) -> Array:
-        """(generations done,) lowest cost up to and including each generation."""
+        """The lowest cost up to and including each finished generation, (finished generations,)."""
         return self._trace[: self.generation].copy()
 
     def ask(self) -> Array:
-        """(particles, dims) positions to evaluate; the same ones until `tell` takes their costs.
+        """Return the positions to evaluate, (particles, dims); they change when `tell` receives their costs.
 
         Raises
         ------
         InvalidInput
-            When the swarm is done.
+            After the last generation.
         """
         self._refuse_when_done()
         return self.space.values(self._swarm.x)
 
     def tell(self, costs: ArrayLike) -> None:
-        """Take in the costs (particles,) of the positions of the last `ask`, then move on to the next generation.
+        """Store the costs (particles,) of the positions that `ask` returned, and compute the next generation.
 
         Raises
         ------
         InvalidInput
-            When the swarm is done, or when `costs` is not one number per particle.
+            After the last generation, or when `costs` is not one number for each particle.
         """
         self._refuse_when_done()
         try:
@@ -324,12 +337,12 @@ class Swarm:
         self.generation += 1
 
     def result(self) -> SwarmResult:
-        """Return the best result so far, usually when the swarm is done."""
+        """Return the result up to the present generation."""
         return SwarmResult(*self.best, self.trace, self.settings.particles * self.generation)
 
     @property
     def state(self) -> dict[str, NDArray[Any]]:
-        """Everything that the rest of the run depends on besides the costs, as plain arrays (for `numpy.savez`)."""
+        """The state that determines the rest of the search, as arrays for `numpy.savez`."""
         return {
             **{name: np.array(array) for name, array in self._swarm._asdict().items()},
             "trace": self._trace.copy(),
@@ -340,12 +353,19 @@ class Swarm:
 
     @classmethod
     def from_state(cls, space: SearchSpace, settings: SwarmSettings | None, state: Mapping[str, ArrayLike]) -> Self:
-        """The swarm that `state` was taken from; it goes on bit-identically.
+        """Return a swarm that continues from a saved state, equal to the bit.
+
+        Parameters
+        ----------
+        space, settings
+            Those of the saved swarm.
+        state
+            Value of its `state`.
 
         Raises
         ------
         InvalidInput
-            When `state` is not that of a swarm with this space and these settings.
+            When the state belongs to a different space or different settings, or is no state of a swarm.
         """
         counters = np.asarray(state["counters"]) if "counters" in state else np.zeros(0)
         if counters.shape != (3,) or counters.dtype.kind not in "iu":
@@ -359,7 +379,7 @@ class Swarm:
             if saved is None or saved.shape != fresh.shape or saved.dtype.kind not in "fiu":
                 raise InvalidInput(f"state: {name} must be numbers of shape {fresh.shape} under these settings.")
             if name in ("space", "settings") and not np.array_equal(saved, fresh):
-                raise InvalidInput(f"state: it was saved under other {name}; give those it was saved under.")
+                raise InvalidInput(f"state: it was saved with different {name}; pass those of the saved swarm.")
         for name, array in (*swarm._swarm._asdict().items(), ("trace", swarm._trace)):
             array[...] = state[name]
         swarm.generation = generation
@@ -378,15 +398,19 @@ def minimise(
     seed: int = 0,
     stream: int = 0,
 ) -> SwarmResult:
-    """The lowest value of `function` in `space` that one swarm finds.
+    """Minimise a function with one swarm.
 
-    function: positions (particles, dims) -> costs (particles,), called once per generation; other arguments as for
-    `Swarm`.
+    Parameters
+    ----------
+    function
+        Returns the costs (particles,) of positions (particles, dims); called once per generation.
+    space, settings, seed, stream
+        As for `Swarm`.
 
     Raises
     ------
     InvalidInput
-        When `function` does not give one number per particle, or as for `Swarm`.
+        When `function` does not return one number for each particle.
     """
     swarm = Swarm(space, settings, seed=seed, stream=stream)
     while not swarm.is_done:

@@ -1,12 +1,12 @@
-"""Sets of runs, and what a policy costs on them.
+"""Sets of runs, and the cost of tunings, schedules and controllers on them.
 
-A `RunSet` holds scenarios, or drives along roads, the plant that drives them and the MPC whose tuning a policy chooses.
-The cost of a run of n control periods, with the weight w of steering activity, is
+A `RunSet` combines scenarios or drives along roads with a plant and an MPC. A policy is a tuning or a schedule of this
+MPC, or a controller that replaces it. The cost of a run of n control periods, with the weight w of command changes, is
 
     J = (1/n) sum e^2 + w (1/n) sum (change of command)^2.
 
-Schedules, tunings and compiled controllers run in batches; any other controller, and every controller of a stepped
-plant, is driven by `simulate`, run by run.
+Compiled controllers run in batches. `simulate` drives the runs of other controllers, and all runs of a plant that is
+stepped in Python, one at a time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from adaptrack.control.controllers import MPC, CompiledController, Controller, T
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Schedule
 from adaptrack.core.loop import SIGNAL
-from adaptrack.drive.batch import Batch, called_back, sampled
+from adaptrack.drive.batch import Batch, interpreted_functions, sampled
 from adaptrack.drive.failure import Failure
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.drive.simulate import rollouts, simulate
@@ -44,17 +44,21 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-class Retuned(NamedTuple):
-    """A controller with tunings instead of its own."""
+class ControllerTunings(NamedTuple):
+    """A controller, and tunings that replace its tuning."""
 
     controller: Controller
     tunings: ArrayLike
-    """(entries,) or (runs, entries) in the order of its `tuning_names`"""
+    """One tuning (entries,), or one for each run (runs, entries), in the order of `tuning_names`."""
 
 
-Policy = Schedule | Tuning | Controller | Retuned | ArrayLike
-"""What drives: a schedule, one tuning, one tuning (Np, Nc, Q, R) for each run, or a controller of its own, `Retuned`
-or as it is."""
+Policy = Schedule | Tuning | Controller | ControllerTunings | ArrayLike
+"""Way to drive a set of runs, one of
+
+- a schedule of the set's MPC;
+- a tuning of the set's MPC for all runs, or an array (runs, 4) with Np, Nc, Q and R for each run;
+- a controller, with its tuning or with others (`ControllerTunings`).
+"""
 
 PERCEPTIONS: dict[str, Perception] = {
     "noisy": Perception(noise=0.1),
@@ -63,34 +67,55 @@ PERCEPTIONS: dict[str, Perception] = {
     "biased low": Perception(bias=-0.2),
     "withheld": Perception(withheld=True),
 }
-"""Ways of knowing friction and wind by name, beside "exact" and "estimated"."""
+"""Perception errors of friction and wind by name. Two more names, "exact" and "estimated", see `perception`."""
 
 
 class Outcome(NamedTuple):
-    """Results of the runs with one noise seed."""
+    """Results of several runs with one noise seed."""
 
     costs: Array
-    """(runs,) m^2, J; inf where the run failed"""
+    """J of each run (m^2), (runs,), infinite if it failed."""
     segments: Array
-    """(runs, segments) m^2, see `RunSet.segments`; (runs, 0) where they were not requested"""
+    """Costs of the segments of each run (m^2), (runs, segments), see `RunSet.segments`; (runs, 0) if not requested."""
     counts: dict[str, NDArray[np.int64]]
-    """schedule counters by name, (runs,); empty without a schedule"""
+    """Counters of the schedule by name, (runs,); empty without a schedule."""
 
 
 class RunSet:
-    """Scenarios and drives along roads, driven by one plant in one profile; adaptation needs equally long ones.
+    """Runs of one plant in one profile.
 
-    segment: length of the segments that cost is attributed to (control periods), by default the whole run; before: how
-    long before a segment its causes may lie (periods); stride: every how many periods its inputs are looked at;
-    known_as: how schedulers know friction and wind; failure: when a run has failed; driver: None where the planned
-    speed is followed exactly.
+    Training of schedulers attributes the cost to segments of the runs and to the inputs of the scheduler shortly before
+    and within a segment. It needs runs of equal length.
+
+    Parameters
+    ----------
+    plant
+        Simulated plant.
+    mpc
+        Controller whose tuning or schedule is compared.
+    scenarios
+        Scenarios or drives along roads, one for each run.
+    profile
+        Steering actuator, sensors and control period, or the name of a profile.
+    segment
+        Length of a segment (control periods); None for the whole run.
+    before
+        Time before a segment whose inputs may have caused its cost (control periods).
+    stride
+        Distance between the inputs that are used (control periods).
+    known_as
+        How schedulers perceive friction and wind; None for the true values.
+    failure
+        Rule by which a run fails; None for the rule of the domain of the plant's car.
+    driver
+        Driver of the cars on roads; None where the planned speed is followed exactly.
     """
 
     known_as: KnownAs = None
     failure = Failure()
     controller = "mpc"
-    """name of the tuned MPC in tables: "informed" for an MPC with a belief"""
-    _latest: Batch | None = None
+    """Name of the MPC in tables: "informed" for an MPC with a belief, otherwise "mpc"."""
+    _last_batch: Batch | None = None
 
     def __init__(
         self, plant: Plant | SteppedPlant, mpc: MPC, scenarios: Sequence[Scenario | RoadDrive],
@@ -103,16 +128,18 @@ class RunSet:
         self.weight = load_profile(profile).move_weight
         self.signals, samples = sampled(World.of(plant, mpc, profile, driver, known_as, failure), self.scenarios)
         self.lengths = np.array([signals.n for signals in self.signals])
-        """(runs,) control periods"""
+        """Number of control periods of each run, (runs,)."""
         self.periods = int(self.lengths.max())
         self.segment, self.before, self.stride = segment or self.periods, before, stride
         self.variables = _scheduling_variables(samples)
-        """(runs, periods, SchedulingVariables) what a scheduler looks at; the offset, unknown before driving, zero.
-        A run that is shorter goes on with its last row."""
+        """Inputs of a scheduler, (runs, periods, `SchedulingVariables`).
+
+        The offset is zero, since it is unknown before the run. A shorter run is continued with its last row.
+        """
 
     @cached_property
     def _mpc_batch(self) -> Batch:
-        """The batch of the MPC."""
+        """The batch of the set's MPC."""
         return self._batch(self.mpc)
 
     def _batch(self, controller: Controller) -> Batch:
@@ -121,59 +148,69 @@ class RunSet:
             self.plant, controller, self.scenarios, self.profile, self.driver, self.failure, self.known_as
         )  # fmt: skip
 
-    def _batch_of(self, controller: Controller) -> Batch:
-        """The batch of a controller of its own; that of the last one is kept."""
-        if self._latest is None or self._latest.controller is not controller:
-            self._latest = self._batch(controller)
-        return self._latest
+    def _cached_batch(self, controller: Controller) -> Batch:
+        """Return the batch of a controller that replaces the MPC; the last batch is reused for the same controller."""
+        if self._last_batch is None or self._last_batch.controller is not controller:
+            self._last_batch = self._batch(controller)
+        return self._last_batch
 
     def __len__(self) -> int:
         return len(self.signals)
 
     @property
     def failed_cost(self) -> float:
-        """m^2, what a failed run counts as costing: the square of the distance at which it leaves the road."""
+        """The cost that is assigned to a failed run (m^2): the square of the failure distance."""
         return self.failure.distance**2
 
     def drive(self, policy: Policy, seeds: Sequence[int], indices: Indices | None = None) -> Array:
-        """(runs, seeds) m^2, J of each run of `which` with each noise seed; inf where it failed.
+        """Return J (m^2) of each run with each noise seed, (runs, seeds), infinite if it failed.
 
-        Of a policy (runs, 4), row i drives the run which[i].
+        Parameters
+        ----------
+        policy
+            Way to drive. Of one with a tuning for each run, row k drives the run indices[k].
+        seeds
+            Seeds of the sensor noise.
+        indices
+            Indices of the runs, also repeated ones; None for all runs of the set.
         """
         indices = np.arange(len(self)) if indices is None else indices
-        if not self._compiles(policy):
-            rows = list(enumerate(indices.tolist()))
-            return np.array([[self._simulated_cost(policy, k, i, int(seed)) for seed in seeds] for k, i in rows])
+        if not self._runs_compiled(policy):
+            runs = list(enumerate(indices.tolist()))
+            return np.array([[self._simulated_cost(policy, row, i, int(seed)) for seed in seeds] for row, i in runs])
         return np.stack([self._run(policy, int(seed), indices).costs for seed in seeds], axis=1)
 
     def costs(self, policy: Policy, seeds: Sequence[int], indices: Indices | None = None) -> Array:
-        """(runs,) m^2, mean of J over the noise seeds; a failed run counts as `failed_cost`."""
+        """Return the mean of J over the noise seeds (m^2), (runs,). A failed run costs `failed_cost`."""
         costs = self.drive(policy, seeds, indices)
         return np.where(np.isfinite(costs), costs, self.failed_cost).mean(axis=1)
 
     def trajectories(self, policy: Schedule | Tuning | Controller, seeds: Sequence[int]) -> list[list[Trajectory]]:
-        """Each run (outer list) with each noise seed (inner list): what `drive` gives the costs of."""
-        if self._compiles(policy):
+        """Return the trajectories of the runs that `drive` evaluates: for each run a list with each noise seed."""
+        if self._runs_compiled(policy):
             return rollouts(self._batch(self.controller_of(policy, 0)), [int(seed) for seed in seeds])
         return [[self._simulated(policy, i, i, int(seed)) for seed in seeds] for i in range(len(self))]
 
     def segments(self, policy: Policy, seed: int, indices: Indices) -> Array:
-        """(runs, segments) m^2, cost of each segment (sum); inf in the one where a run failed, NaN after it.
+        """Return the cost of each segment (m^2), (runs, segments): the sum of e^2 + w (change of command)^2.
+
+        It is infinite in the segment in which a run failed, and NaN in later ones. The arguments are those of `drive`.
 
         Raises
         ------
         InvalidInput
-            When the runs do not last equally long.
+            When the runs differ in length.
         """
         if (self.lengths != self.periods).any():
-            raise InvalidInput("runs: segments of the cost need runs that last equally long.")
-        if not self._compiles(policy):
-            return np.array([self._simulated_segments(policy, k, i, seed) for k, i in enumerate(indices.tolist())])
+            raise InvalidInput("runs: costs of segments need runs of equal length.")
+        if not self._runs_compiled(policy):
+            runs = enumerate(indices.tolist())
+            return np.array([self._simulated_segments(policy, row, i, seed) for row, i in runs])
         return self._run(policy, seed, indices, segmented=True).segments
 
     def counts(self, schedule: Schedule, seed: int) -> dict[str, NDArray[np.int64]]:
-        """(runs,) how many steps a schedule counted of each kind, by name: "steps", "clipped", ..."""
-        if self._compiles(schedule):
+        """Return the counters of a schedule by name ("steps", "clipped", ...), each (runs,)."""
+        if self._runs_compiled(schedule):
             return self._run(schedule, seed, np.arange(len(self))).counts
         counts = []
         for i in range(len(self)):
@@ -183,35 +220,39 @@ class RunSet:
         return {name: np.array([count[name] for count in counts]) for name in counts[0]}
 
     def _run(self, policy: Policy, seed: int, indices: Indices, segmented: bool = False) -> Outcome:
-        controller = policy.controller if isinstance(policy, Retuned) else policy
-        batch = self._batch_of(controller) if _is_controller(controller) else self._mpc_batch
+        controller = policy.controller if isinstance(policy, ControllerTunings) else policy
+        batch = self._cached_batch(controller) if _is_controller(controller) else self._mpc_batch
         tuning, scheduler = batch.tuning, batch.scheduler
         if isinstance(policy, Schedule):
             self._warn_of(policy)
             scheduler = policy
         elif not _is_controller(policy):
             scheduler = None
-            tuning = _rows(policy)
+            tuning = _tunings(policy)
         outcome = batch.run(
             indices, np.broadcast_to(tuning, (len(indices), tuning.shape[-1])).copy(),
             np.full(len(indices), seed, np.int64), os.cpu_count() or 1,
             segment=self.segment if segmented else 0, weight=self.weight, scheduler=scheduler,
         )  # fmt: skip
         costs = (outcome.result["squared_error"] + self.weight * outcome.result["squared_move"]) / self.lengths[indices]
-        return Outcome(np.where(outcome.failed, np.inf, costs), outcome.segments, outcome.counts)
+        return Outcome(np.where(outcome.has_failed, np.inf, costs), outcome.segments, outcome.counts)
 
     def _warn_of(self, schedule: Schedule) -> None:
         self.mpc.warn_of(schedule, load_profile(self.profile).name, self.plant)
 
-    def _compiles(self, policy: Policy) -> bool:
-        policy = policy.controller if isinstance(policy, Retuned) else policy
+    def _runs_compiled(self, policy: Policy) -> bool:
+        """Whether plant and policy run in compiled batches, without calls of Python functions."""
+        policy = policy.controller if isinstance(policy, ControllerTunings) else policy
         controller = policy if _is_controller(policy) else self.mpc
-        if isinstance(self.plant, SteppedPlant) or called_back(self.plant, controller):
+        if isinstance(self.plant, SteppedPlant) or interpreted_functions(self.plant, controller):
             return False
-        return not _is_controller(policy) or _compiles(policy)
+        return not _is_controller(policy) or _is_compiled(policy)
 
-    def controller_of(self, policy: Policy, k: int = 0) -> Controller:
-        """Return the controller of the k-th run: the policy itself, or the MPC with a schedule or its k-th tuning."""
+    def controller_of(self, policy: Policy, row: int = 0) -> Controller:
+        """Return the controller of a policy: a controller itself, or the MPC with a schedule or a tuning.
+
+        If the policy has a tuning for each run, `row` selects one.
+        """
         if _is_controller(policy):
             return policy
         if isinstance(policy, Schedule):
@@ -220,22 +261,23 @@ class RunSet:
             mpc.scheduler = policy
             mpc.reset()
             return mpc
-        controller = policy.controller if isinstance(policy, Retuned) else self.mpc
-        row = dict(zip(controller.tuning_names, _row(policy, k).tolist(), strict=True))
+        controller = policy.controller if isinstance(policy, ControllerTunings) else self.mpc
+        tuning = dict(zip(controller.tuning_names, _tuning(policy, row).tolist(), strict=True))
         if isinstance(controller, MPC):
-            row["Np"] = min(max(round(row["Np"]), 1), controller.longest_horizon)
-            row["Nc"] = min(max(round(row["Nc"]), 1), row["Np"], controller.most_moves)
-        return controller.with_tuning(row)
+            tuning["Np"] = min(max(round(tuning["Np"]), 1), controller.longest_horizon)
+            tuning["Nc"] = min(max(round(tuning["Nc"]), 1), tuning["Np"], controller.most_moves)
+        return controller.with_tuning(tuning)
 
-    def _simulated_cost(self, policy: Policy, k: int, i: int, seed: int) -> float:
-        run = self._simulated(policy, k, i, seed)
+    def _simulated_cost(self, policy: Policy, row: int, i: int, seed: int) -> float:
+        """Return J (m^2) of run i of the set with one noise seed; `row` as for `controller_of`."""
+        run = self._simulated(policy, row, i, seed)
         if run.failed is not None:
             return math.inf
         return float((run.error**2).mean() + self.weight * (run.command_change**2).mean())
 
-    def _simulated_segments(self, policy: Policy, k: int, i: int, seed: int) -> Array:
-        """(segments,) m^2 of one run, as `core.period` counts them."""
-        run = self._simulated(policy, k, i, seed)
+    def _simulated_segments(self, policy: Policy, row: int, i: int, seed: int) -> Array:
+        """Return the costs of the segments of run i (m^2), (segments,), as the compiled kernels compute them."""
+        run = self._simulated(policy, row, i, seed)
         step_costs = run.error**2 + self.weight * run.command_change**2
         segments = np.add.reduceat(step_costs, np.arange(0, self.periods, self.segment))
         if run.failed is not None:
@@ -243,9 +285,10 @@ class RunSet:
             segments[first], segments[first + 1 :] = math.inf, math.nan
         return segments
 
-    def _simulated(self, policy: Policy, k: int, i: int, seed: int) -> Trajectory:
-        controller, known_as = self.controller_of(policy, k), self.known_as
-        if isinstance(known_as, Perception):  # with the errors that the run has in the batch
+    def _simulated(self, policy: Policy, row: int, i: int, seed: int) -> Trajectory:
+        """Return the trajectory of run i of the set with one noise seed; `row` as for `controller_of`."""
+        controller, known_as = self.controller_of(policy, row), self.known_as
+        if isinstance(known_as, Perception):  # the same perception errors as in a compiled batch
             known_as = replace(known_as, seed=known_as.seed + i)
         return simulate(
             self.plant, controller, self.scenarios[i], profile=self.profile, driver=self.driver, seed=seed,
@@ -253,50 +296,57 @@ class RunSet:
         )  # fmt: skip
 
 
-def _rows(policy: Policy) -> Array:
-    """The tunings of a policy that gives some."""
-    tunings = policy.tunings if isinstance(policy, Retuned) else policy
+def _tunings(policy: Policy) -> Array:
+    """Return the tuning (entries,) or the tunings (runs, entries) of a policy."""
+    tunings = policy.tunings if isinstance(policy, ControllerTunings) else policy
     return tunings.as_array() if isinstance(tunings, Tuning) else np.asarray(tunings, dtype=float)
 
 
-def _row(policy: Policy, k: int) -> Array:
-    """The k-th of them; the last one where there are fewer."""
-    rows = np.atleast_2d(_rows(policy))
-    return np.asarray(rows[min(k, len(rows) - 1)])
+def _tuning(policy: Policy, row: int) -> Array:
+    """Return the tuning (entries,) in a row of a policy's tunings, or in the last row if there are fewer."""
+    rows = np.atleast_2d(_tunings(policy))
+    return np.asarray(rows[min(row, len(rows) - 1)])
 
 
 def _is_controller(policy: Any) -> TypeGuard[Controller]:
     return isinstance(policy, Controller)
 
 
-def _compiles(controller: Controller) -> bool:
-    """Whether the kernels can run it: a compiled law, or an MPC with a solver and a scheduler of theirs."""
+def _is_compiled(controller: Controller) -> bool:
+    """Whether a controller runs compiled: a `CompiledController`, or an MPC with compiled solver and scheduler."""
     if isinstance(controller, CompiledController):
         return True
-    scheduled = isinstance(controller, MPC) and not isinstance(controller.scheduler, Schedule | None)
-    return isinstance(controller, MPC) and controller.runs_in_kernel and not scheduled
+    has_python_scheduler = isinstance(controller, MPC) and not isinstance(controller.scheduler, Schedule | None)
+    return isinstance(controller, MPC) and controller.runs_in_kernel and not has_python_scheduler
 
 
 def _scheduling_variables(samples: Array) -> Array:
-    """Return the scheduler's inputs in every period of each run, with an offset of zero."""
+    """Return the inputs of a scheduler in every period of each run, with an offset of zero."""
     rows = samples[:, :, :-1]
     names = ("speed", "y_ref", "known_friction", "known_wind", "change", "acceleration")
     columns = [rows[:, getattr(SIGNAL, name)] for name in names]
     return np.stack([*columns, np.zeros_like(columns[0])], axis=-1)
 
 
-# -- makers -----------------------------------------------------------------------------------------------------------
+# -- sets of runs for training and tests ------------------------------------------------------------------------------
 def operating_point_runs(
     plant: Plant | SteppedPlant, mpc: MPC, points: ArrayLike, profile: str | Profile = "road", **options: Any
 ) -> RunSet:
-    """One smooth lane change in a gust for each operating point: speed m/s, y_ref m, friction, wind m/s (n, 4).
+    """Return a set with one smooth lane change in a gust for each operating point.
 
-    options: of `RunSet`.
+    Parameters
+    ----------
+    plant, mpc, profile
+        As for `RunSet`.
+    points
+        Speed (m/s), y_ref (m), friction and wind (m/s) of each operating point, (n, 4).
+    options
+        Further arguments of `RunSet`.
 
     Raises
     ------
     InvalidInput
-        When the points are no such rows.
+        For points of a different shape.
     """
     rows = np.asarray(points, dtype=np.float64) + 0.0  # no negative zeros: equal points are equal bit for bit
     if rows.ndim != 2 or rows.shape[1] != 4 or not len(rows):
@@ -307,15 +357,28 @@ def operating_point_runs(
 
 def random_drive_runs(
     plant: Plant | SteppedPlant, mpc: MPC, numbers: Iterable[int], duration: float = 60.0,
-    profile: str | Profile = "road", *, roads: Mapping[str, Any] | None = None, segment_seconds: float = 2.0,
+    profile: str | Profile = "road", *, drive_options: Mapping[str, Any] | None = None, segment_seconds: float = 2.0,
     **options: Any,
 ) -> RunSet:  # fmt: skip
-    """The random drives of these numbers; cost is attributed to segments, and to inputs up to one segment older.
+    """Return a set of random drives.
 
-    duration: s; roads: other options of `random_drive`, by default the domain of the plant's car; options: of `RunSet`.
+    Parameters
+    ----------
+    plant, mpc, profile
+        As for `RunSet`.
+    numbers
+        Numbers (seeds) of the random drives.
+    duration
+        Duration of each drive (s).
+    drive_options
+        Further arguments of `random_drive`, in addition to those of the domain of the plant's car.
+    segment_seconds
+        Length of a segment (s), and time before a segment whose inputs may have caused its cost.
+    options
+        Further arguments of `RunSet`.
     """
     domain = getattr(getattr(plant, "vehicle", None), "domain", Domain()).drive_options
-    drives = [random_drive(number, duration, **(domain | dict(roads or {}))) for number in numbers]
+    drives = [random_drive(number, duration, **(domain | dict(drive_options or {}))) for number in numbers]
     segment = round(segment_seconds / mpc.period)
     return RunSet(plant, mpc, drives, profile, **{"segment": segment, "before": segment, **options})
 
@@ -324,14 +387,23 @@ def road_runs(
     plant: SingleTrack | DualTrack, mpc: MPC, roads: Iterable[Road], comfort: Comfort = DEFAULT_COMFORT,
     profile: str | Profile = "road", **options: Any,
 ) -> RunSet:  # fmt: skip
-    """One drive along each road, at the speed that `plan_speed` gives the plant's vehicle.
+    """Return a set with one drive along each road, at the speed that `plan_speed` plans for the plant's car.
 
-    options: of `RunSet`.
+    Parameters
+    ----------
+    plant, mpc, profile
+        As for `RunSet`.
+    roads
+        Roads, one for each run.
+    comfort
+        Limits of the planned accelerations.
+    options
+        Further arguments of `RunSet`.
 
     Raises
     ------
     InvalidInput
-        When a road cannot be planned, or there is none.
+        For an empty list of roads, or a road along which no speed can be planned.
     """
     drives = [RoadDrive(road, plan_speed(road, plant.vehicle, comfort)) for road in roads]
     return RunSet(plant, mpc, drives, profile, **options)
@@ -340,12 +412,12 @@ def road_runs(
 def paper_test_runs(
     plant: Plant | SteppedPlant, mpc: MPC, name: str, profile: str | Profile = "road", **options: Any
 ) -> RunSet:
-    """One of the paper's two tests.
+    """Return a set with one of the two tests of the paper, by name.
 
     Raises
     ------
     InvalidInput
-        When it is neither.
+        For an unknown name.
     """
     if name not in PAPER_MSE:
         raise InvalidInput(f"test = {name!r}: must be one of {', '.join(PAPER_MSE)}.")
@@ -353,12 +425,14 @@ def paper_test_runs(
 
 
 def perception(name: str, plant: SingleTrack | DualTrack, profile: str | Profile = "road") -> KnownAs:
-    """How friction and wind are known, by name: exact, estimated, or one of `PERCEPTIONS`.
+    """Return the argument `known_as` for a perception of friction and wind by name.
+
+    The names are "exact" (true values), "estimated" (`FrictionWindEstimator`) and those of `PERCEPTIONS`.
 
     Raises
     ------
     InvalidInput
-        For another name.
+        For an unknown name.
     """
     if name == "exact":
         return None

@@ -1,4 +1,4 @@
-"""Search spaces of tunings: bounds of an MPC's tuning, and the box around a controller's default tuning."""
+"""Search spaces of tunings, for an MPC and for other controllers with `tuning_bounds`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from adaptrack.tuning.pso import SearchSpace
 
 
 def as_tuples(value: Any) -> Any:
-    """Nested lists as tuples, as immutable records hold them."""
+    """Return nested lists as nested tuples, which immutable records need."""
     return tuple(as_tuples(entry) for entry in value) if isinstance(value, list | tuple) else value
 
 
@@ -24,13 +24,16 @@ Pair = Annotated[tuple[float, float], BeforeValidator(as_tuples)]
 
 
 class SearchBounds(Record):
-    """Bounds of the tunings; the defaults are those of the authors' programs. Horizons are whole, and Nc <= Np."""
+    """Bounds of the tuning of an MPC: whole Np and Nc with Nc <= Np, Q and R.
+
+    The defaults are the bounds in the programs of the paper's authors.
+    """
 
     Np: Annotated[tuple[int, int], BeforeValidator(as_tuples)] = Field(default=(1, 55), description="control periods")
     Nc: Annotated[tuple[int, int], BeforeValidator(as_tuples)] = Field(default=(1, 18), description="control periods")
     Q: Pair = Field(default=(0.1, 10.0), description="1/m^2")
     R: Pair = Field(default=(0.001, 0.1), description="1/rad^2")
-    decades: bool = Field(default=False, description="search Q and R by decades; wide bounds ask for it")
+    decades: bool = Field(default=False, description="search log10 Q and log10 R, as wide bounds need")
 
     @model_validator(mode="after")
     def _holds_a_tuning(self) -> Self:
@@ -42,8 +45,8 @@ class SearchBounds(Record):
                 raise ValueError(f"{name} = [{low:g}, {high:g}]: must be {'>= 1' if name in ('Np', 'Nc') else '> 0'}.")
         if self.Nc[0] > self.Np[0]:
             raise ValueError(
-                f"Nc from {self.Nc[0]} and Np from {self.Np[0]}: Nc <= Np cannot hold at the lower bounds; "
-                "raise that of Np or lower that of Nc."
+                f"Nc from {self.Nc[0]} and Np from {self.Np[0]}: the lower bounds violate Nc <= Np; "
+                "raise the lower bound of Np, or reduce that of Nc."
             )
         if self.Np[1] > 500 or self.Nc[1] > 100:
             raise ValueError(f"Np up to {self.Np[1]}, Nc up to {self.Nc[1]}: must not exceed 500 and 100.")
@@ -51,12 +54,16 @@ class SearchBounds(Record):
 
     @classmethod
     def around(cls, constant: Tuning) -> Self:
-        """Six decades of R/Q around a constant tuning, and its horizons; Q is 1: only R/Q changes the control law."""
+        """Return the bounds of a search around a constant tuning: three decades of R/Q to either side.
+
+        Np goes up to 60 and Nc up to 18, or to those of the tuning if they are larger. Q is 1, since only the ratio R/Q
+        changes the control law.
+        """
         ratio, Np, Nc = constant.R / constant.Q, max(60, constant.Np), max(18, constant.Nc)
         return cls(Np=(5, Np), Nc=(1, Nc), Q=(1.0, 1.0), R=(1e-3 * ratio, 1e3 * ratio), decades=True)
 
     def space(self) -> SearchSpace:
-        """Return the search space for the swarm, whose first draw has Np >= 2 Nc as in the authors' programs."""
+        """Return the search space for a swarm. Its initial positions have Np >= 2 Nc, as in the authors' programs."""
         bounds = [tuple(float(end) for end in pair) for pair in (self.Np, self.Nc, self.Q, self.R)]
         return SearchSpace(
             names=("Np", "Nc", "Q", "R"),
@@ -70,12 +77,15 @@ class SearchBounds(Record):
 
 
 PUBLISHED_BOUNDS = SearchBounds(Np=(5, 60), Nc=(1, 18), Q=(1.0, 1.0), R=(1e-3, 1e7), decades=True)
-"""Of the paper's controller, whose best R/Q (m^2/rad^2) depends on the car: its table has 0.001, a car with lag, noise
-and delay wants thousands, on a fast road more than 1e5."""
+"""Bounds for the controller of the paper.
+
+Its best R/Q (m^2/rad^2) depends on car and road: 0.001 in the paper's table, thousands for a car with steering lag,
+noise and delay, and more than 1e5 on a fast road.
+"""
 
 
 def at_bounds(space: SearchSpace, tuning: ArrayLike) -> list[str]:
-    """The entries of a tuning (entries,) that lie at an end of a space: a better one may lie beyond."""
+    """Return the names of the entries of a tuning (entries,) that lie at a bound of a space."""
     rows = zip(space.names, np.asarray(tuning, dtype=float).tolist(), space.low, space.high, strict=True)
     return [
         name for name, value, low, high in rows if low < high and (_near(value, low) or _near(value, high))
@@ -87,23 +97,24 @@ def _near(value: float, end: float) -> bool:
 
 
 def is_tunable(controller: Controller) -> bool:
-    """Whether there is a space in which its constant is sought: it has no scheduler, and says where."""
+    """Whether a controller has a search space: it has no scheduler, and is an MPC or has `tuning_bounds`."""
     bounds = controller.tuning_bounds
     is_complete = bool(bounds) and set(bounds) == set(controller.tuning_names)
     return controller.scheduler is None and (is_complete or isinstance(controller, MPC))
 
 
 def search_space(controller: Controller) -> SearchSpace:
-    """The space in which `tune_constant` seeks the tuning of a controller; relative bounds are searched by decades.
+    """Return the default search space of a controller's tuning.
 
-    The space of an MPC is `SearchBounds.around` its tuning: Np 5-60, Nc 1-18, Q = 1, R/Q three decades to either side.
-    The space of the paper's controller is `PUBLISHED_BOUNDS`, of any other controller its `tuning_bounds`. On roads
-    with preview the best Nc is often 18: up to 36 the cost falls by 0.2 % more.
+    - For the controller of the paper it is `PUBLISHED_BOUNDS`.
+    - For any other MPC it is `SearchBounds.around` its tuning. On roads with preview the best Nc is often at the bound
+      of 18; with a bound of 36 the cost falls by 0.2 %.
+    - For other controllers it is given by their `tuning_bounds`. Entries with relative bounds are searched in log10.
 
     Raises
     ------
     InvalidInput
-        For a controller that says none: give `tune_constant` a space.
+        For a controller without `tuning_bounds`; pass a space to `tune_constant` instead.
     """
     if isinstance(controller, MPC):
         return (PUBLISHED_BOUNDS if controller.is_published else SearchBounds.around(controller.tuning)).space()

@@ -77,7 +77,7 @@ def informed_tuning(
     world = load_profile(profile)
     step = _check_period(world.period if period is None else period)
     entries = np.zeros(len(ENTRIES))
-    tune_informed(world.numbers(step), (uncertainty or Uncertainty()).caution, *_MOST, entries)
+    tune_informed(world.controller_world(step), (uncertainty or Uncertainty()).caution, *_MOST, entries)
     return _tuning(entries)
 
 
@@ -155,7 +155,7 @@ def order_of(
     method = DEFAULT_LEARNING if learning is None or learning == AUTO else learning
     uses_actuator = profile is not None and not isinstance(learning, Learning)
     computation_time = assumed_computation(computation, world, step, uses_actuator=profile is not None)
-    loop = world.numbers(step)
+    loop = world.controller_world(step)
     loop.computation = computation_time.value
     order = _order(car, loop, steering_rows(car, steering, world, uses_actuator), uncertainty, method)
     order.learning = kernel.NEVER if learning is None else kernel.UNLESS_SAID if learning == AUTO else kernel.ALWAYS

@@ -34,7 +34,7 @@ class About:
 
 
 _SHIPPED: dict[str, tuple[str, About]] = {
-    "informed": ("control.controllers.mpc:MPC", About("MPC that knows its car", ours=True)),
+    "informed": ("control.controllers.mpc:MPC", About("informed MPC, with steering model", ours=True)),
     "informed-learning": ("control.variants:learning", About("informed MPC, learning while it drives", ours=True)),
     "informed-from-sheet": (
         "control.variants:learning_from_sheet",

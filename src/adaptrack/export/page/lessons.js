@@ -52,7 +52,7 @@ const LESSONS = [
     plots: "schedule",
     act: () => { page.clock.setRate(Infinity); page.clock.play(); },
     done: () => page.drive?.over,
-    after: "5.1 cm against 3.4 cm. The MPC that knows its car needs no schedule for 1.8 cm: try it as the second car.",
+    after: "5.1 cm against 3.4 cm. The informed MPC needs no schedule for 1.8 cm: try it as the second car.",
   },
   {
     id: "learning", short: "Unknown car", title: "An unknown car, learned in a minute",
@@ -91,7 +91,7 @@ const PAPER_TESTS = [
   {
     id: "general-trajectory", short: "General trajectory", title: "The paper’s general trajectory",
     text: "200 s of a winding drive up to 155 m aside: the paper’s second test. Without preview every controller runs after the reference.",
-    todo: "Put the MPC that knows its car beside it.", does: "Put it there",
+    todo: "Add the informed MPC.", does: "Add it",
     setup: () => makeSetup({car: {name: "paper"}, road: {test: "general-trajectory"}, profile: "paper", speed: {constant: 15}, controllers: [oneController("published")]}),
     plots: "paper", span: 0,
     act: () => chooseController(1, "informed"),

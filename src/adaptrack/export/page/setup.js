@@ -9,12 +9,12 @@
 const MOST_BYTES = 5e6;
 const MOST_DRAWN = 100;  // points of a drawn road, all of which a link holds
 const CONTROLLERS = {
-  informed: "an MPC that knows its car", learning: "an MPC that learns its car", published: "the paper’s MPC",
+  informed: "the informed MPC", learning: "the informed MPC with learning", published: "the paper’s MPC",
   "published-nn": "the paper’s MPC scheduled by a network (NN)", "published-anfis": "the paper’s MPC scheduled by fuzzy rules (ANFIS)",
   "pure-pursuit": "pure pursuit", stanley: "Stanley", lqr: "an LQR",
 };
 const SHORT = {
-  informed: "knows its car", learning: "learns its car", published: "paper’s MPC", "published-nn": "paper’s MPC + NN",
+  informed: "informed MPC", learning: "informed MPC + learning", published: "paper’s MPC", "published-nn": "paper’s MPC + NN",
   "published-anfis": "paper’s MPC + ANFIS", "pure-pursuit": "pure pursuit", stanley: "Stanley", lqr: "LQR",
 };
 const TESTS = {"triple-lane-change": "the paper’s triple lane change", "general-trajectory": "the paper’s general trajectory"};

@@ -1,4 +1,4 @@
-"""One car in its run: what both environments of a single car share."""
+"""The run of a car in an episode, as both environments with a single car use it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,18 @@ from adaptrack.drive.world import World
 from adaptrack.gym.task import Episode, Task
 
 
-class Driven:
-    """A run that is driven from outside, with what it costs."""
+class EpisodeRun:
+    """A simulated run whose commands the environment passes in, one per control period, with its accumulated cost.
+
+    Parameters
+    ----------
+    task
+        Task of the environment.
+    episode
+        Car, road, profile and noise seed of the episode.
+    controller
+        Controller of the car, whose settings the simulation needs. The environment calls it and passes on its commands.
+    """
 
     def __init__(self, task: Task, episode: Episode, controller: Controller) -> None:
         world = World.of(
@@ -25,30 +35,33 @@ class Driven:
         self._failure_cost = task.cost_of_failure(world.failure.distance)
         self._total = 0.0
         self.terminated = self.truncated = False
-        self.sensed: Sensed = self._arrive()
+        self.sensed: Sensed = self._sense()
 
     @property
     def over(self) -> bool:
-        """Whether the episode is."""
+        """Whether the episode has ended."""
         return self.terminated or self.truncated
 
-    def drive(self, command: float) -> float:
-        """Drive a period with a command (rad); what it costs (m^2): e^2 + w (change of command)^2.
+    def drive_period(self, command: float) -> float:
+        """Drive one control period with a command (rad) and return its cost e^2 + w (change of command)^2 (m^2).
 
-        A failure adds the cost of all instants that are not driven.
+        A failure adds the failure cost of every remaining instant.
         """
         loop = self.loop
         error, move = loop.error, command - loop.command
         cost = error * error + self._move_weight * move * move
         loop.send(command)
         loop.advance()
-        self.sensed = self._arrive()
+        self.sensed = self._sense()
         cost += (loop.signals.n - loop.instant) * self._failure_cost if self.terminated else 0.0
         self._total += cost
         return cost
 
-    def _arrive(self) -> Sensed:
-        """Sense the next instant; a car whose state is not finite keeps its previous signals."""
+    def _sense(self) -> Sensed:
+        """Return the sensor signals at the present instant and note whether the episode has ended.
+
+        If the state of the car is not finite, the previous signals are returned.
+        """
         loop = self.loop
         sensed = loop.sense()
         self.terminated = loop.ended
@@ -59,15 +72,21 @@ class Driven:
 
     @property
     def info(self) -> dict[str, Any]:
-        """Return the ``info`` of ``step``."""
+        """The ``info`` of ``step``: empty before the end, then the reason of a failure and the cost J (m^2)."""
         if not self.over:
             return {}
         reason = self.loop.failure()[0]
         return {"failed": reason or "", "J": math.inf if reason else self._total / self.loop.signals.n}
 
 
-def needs_reset(drive: Driven | None) -> Driven:
-    """The run; `gymnasium.error.ResetNeeded` when there is none, or it is over."""
-    if drive is None or drive.over:
+def require_running(run: EpisodeRun | None) -> EpisodeRun:
+    """Return a run that has not ended.
+
+    Raises
+    ------
+    gymnasium.error.ResetNeeded
+        When there is no run, or it has ended.
+    """
+    if run is None or run.over:
         raise gymnasium.error.ResetNeeded("call reset() first: no run has begun, or it is over.")
-    return drive
+    return run

@@ -1,4 +1,4 @@
-"""A drive along a road: which road, how fast, from where, in what wind."""
+"""A test drive along a road: the road, the speed plan, the start pose and the wind."""
 
 from __future__ import annotations
 
@@ -26,52 +26,56 @@ if TYPE_CHECKING:
 @checked
 @dataclass(frozen=True, eq=False)
 class RoadDrive:
-    """A road to drive along, from its start to its end or for some laps, at a planned speed.
+    """A test drive along a road at a planned speed, from its start to its end or for several laps.
 
-    The plan is kept in time, stops included. Where a car is early or late, friction, bank and grade are those of
-    the place where it is. Conventions as for `Scenario`; offsets and headings count from the path, positive to the
-    left.
+    The reference position along the road is a function of time and includes the stops of the plan. A car may be ahead
+    of or behind this position; it meets the friction, bank and grade of its actual position. Conventions are those
+    of `Scenario`. Offsets and headings are relative to the road's centre line, positive to the left.
 
     Raises
     ------
     InvalidInput
-        When the plan is of another road or never arrives, or the road of several laps is open.
+        When the plan belongs to a different road or never reaches the end, or when an open road has several laps.
     """
 
     road: Road
     speed: SpeedPlan | float
-    """a plan (`plan_speed`), or one speed (m/s)"""
+    """Speed plan (`plan_speed`), or one constant speed (m/s)."""
     laps: Count = 1
-    """of a closed road"""
+    """Number of laps; more than one needs a closed road."""
     reference: Shape | float = 0.0
-    """m, offset from the centre line to follow, over time"""
+    """Desired offset from the centre line (m) as a function of time."""
     wind: Wind | Any = 0.0
-    """m/s, over time, in the world; what `Scenario` takes"""
+    """Wind velocity in the world frame (m/s) as a function of time; same forms as `Scenario.wind`."""
     start_offset: Annotated[Finite, "m"] | None = None
-    """at the start; None: on the reference"""
+    """Offset of the car from the centre line at the start (m); None for the reference there."""
     start_heading: Annotated[
         Finite, Field(gt=-0.5 * math.pi, lt=0.5 * math.pi), "rad", Hint("within a right angle")
     ] = 0.0
-    """at the start, against the road"""
+    """Heading of the car relative to the road at the start (rad)."""
     name: str = ""
-    """the road's, when empty"""
+    """Name of the drive; the road's name when empty."""
 
     def __post_init__(self) -> None:
-        from adaptrack.road.road import Road  # here: who loads a scenario without a road loads no roads
+        from adaptrack.road.road import Road  # a local import: scenarios without a road need no road package
         from adaptrack.road.speed import SpeedPlan, constant_speed
 
         if not isinstance(self.road, Road):
-            raise InvalidInput(f"RoadDrive: road = {self.road!r}: must be a Road; load_road(file) gives one.")
+            raise InvalidInput(f"RoadDrive: road = {self.road!r}: must be a Road, such as load_road(file) returns.")
         plan = self.speed if isinstance(self.speed, SpeedPlan) else constant_speed(self.road, self.speed)
         if plan.closed != self.road.closed or not math.isclose(plan.s[-1], self.road.length, rel_tol=1e-9):
-            raise InvalidInput("RoadDrive: speed: a plan of another road; plan_speed(road, ...) makes one.")
+            raise InvalidInput(
+                "RoadDrive: speed: the plan belongs to a different road; make one by plan_speed(road, ...)."
+            )
         if self.laps > 1 and not self.road.closed:
             raise InvalidInput(
                 f"RoadDrive: laps = {self.laps}: the road {self.road.name!r} is open; leave laps out, or load its "
                 "points with closed=True (--closed)."
             )
         if not math.isfinite(plan.duration):
-            raise InvalidInput("RoadDrive: speed: the plan never arrives: its speed is 0 over a stretch.")
+            raise InvalidInput(
+                "RoadDrive: speed: the plan never reaches the end of the road: its speed is 0 over a stretch."
+            )
         changed = {
             "speed": plan,
             "reference": as_shape(self.reference),
@@ -83,17 +87,17 @@ class RoadDrive:
 
     @property
     def plan(self) -> SpeedPlan:
-        """The speed along the road."""
+        """Speed plan along the road."""
         return self.speed  # type: ignore[return-value]  # since __post_init__
 
     @property
     def duration(self) -> float:
-        """s, of all laps, stops included."""
+        """Planned duration of all laps, including stops (s)."""
         return self.plan.duration * self.laps
 
     @property
     def length(self) -> float:
-        """m, of all laps."""
+        """Length of all laps (m)."""
         return self.road.length * self.laps
 
     @property
@@ -103,12 +107,12 @@ class RoadDrive:
 
     @checked
     def sample(self, period: Annotated[Positive, "s"] = 0.1) -> Signals:
-        """Sample the drive at the instants k·period until the end of the road (see `Signals`).
+        """Sample the drive at the control instants k * period until the end of the road (see `Signals`).
 
         Raises
         ------
         InvalidInput
-            When the drive has no or too many control periods.
+            When the drive has no control period or too many.
         """
         count = kernel.drive_periods(self.plan.duration, self.laps, period)
         if not 1 <= count <= PERIODS.most:
@@ -126,11 +130,11 @@ class RoadDrive:
         wheels = samples[SIGNAL.friction_front_left : SIGNAL.friction_rear_right + 1]
         return Signals(
             period, t, samples[SIGNAL.y_ref], samples[SIGNAL.speed], wheels.T, wind, samples[SIGNAL.bank],
-            samples[SIGNAL.station], samples[SIGNAL.acceleration], samples[SIGNAL.grade],
+            samples[SIGNAL.station], samples[SIGNAL.acceleration], samples[SIGNAL.grade],  # curvature in `acceleration`
         )  # fmt: skip
 
     def start_pose(self) -> tuple[float, float, float]:
-        """x, y (m) and yaw (rad) at the start."""
+        """Return x (m), y (m) and yaw (rad) of the car at the start."""
         offset = float(self._offset.at(0.0)) if self.start_offset is None else float(self.start_offset)
         pose = np.empty(3)
         kernel.drive_start(self.road.packed(), offset, self.start_heading, pose)
@@ -138,5 +142,5 @@ class RoadDrive:
         return x, y, yaw
 
     def replace(self, **changes: Any) -> Self:
-        """A copy with other values."""
+        """Return a copy with some fields changed."""
         return replace(self, **changes)

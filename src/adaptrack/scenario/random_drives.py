@@ -1,8 +1,8 @@
-"""Random drives: minutes of mixed driving on roads that nobody tuned or trained on, and that a car can follow.
+"""Random drives: mixed driving for tests, on roads that no controller was tuned or trained on.
 
-Speed, friction, curves, lane changes and wind are drawn one after the other, each from random numbers of its own. A
-manoeuvre is sized by what the drive leaves it: the lowest friction and speed that it will meet, less what the curve
-under it takes. So a controller that loses a drive does so by its own fault.
+Speed, friction, curves, lane changes and wind are drawn in this order, each from its own random stream. The lowest
+friction and the lowest speed during a manoeuvre limit its size. A lane change in a curve uses only the acceleration and
+heading that the curve leaves unused. A suitable controller can therefore complete every drive.
 """
 
 from __future__ import annotations
@@ -28,38 +28,38 @@ Array = NDArray[np.float64]
 DESCRIPTION = "Mixed driving: changing speed and friction, curves, lane changes, wind and gusts."
 
 LONGEST_DRIVE = 86_400.0
-"""s"""
+"""Longest allowed duration of a random drive (s)."""
 
 MAX_TRACTION, MAX_BRAKING = 2.0, 3.0
-"""Largest acceleration and deceleration along the road, m/s^2."""
+"""Largest longitudinal acceleration and deceleration (m/s^2)."""
 
-GRIP_ALONG = 0.5
-"""Largest share of the friction that changes of speed ask for."""
+MAX_LONGITUDINAL_SHARE = 0.5
+"""Largest share of the friction limit that a change of speed may use."""
 
 DRY_SHARE = 0.25
-"""Share of the drives whose friction keeps to the highest 30 % of its range."""
+"""Share of the drives that stay in the highest 30 % of the friction range."""
 
 PASSENGER_CAR_DOMAIN = Domain()
-"""Speeds, friction, wind and lanes of the roads that passenger cars drive."""
+"""Ranges of speed, friction, wind and lane width for passenger cars."""
 
-CHANGE_WIDTH = (2.0, 12.0)
-"""Amplitudes of lane changes, in sevenths of the width of a lane: 1 to 6 m where it is 3.5 m."""
+LANE_CHANGE_SEVENTHS = (2.0, 12.0)
+"""Smallest and largest amplitude of a lane change, in sevenths of the lane width (1 m and 6 m for a 3.5 m lane)."""
 
-SHORTEST_CHANGE, LONGEST_CHANGE = 2.0, 12.0
-"""Durations of lane changes, s; one that would need longer is not driven."""
+SHORTEST_LANE_CHANGE, LONGEST_LANE_CHANGE = 2.0, 12.0
+"""Shortest and longest duration of a lane change (s); a change that would need longer is left out."""
 
 CURVE_TIME = (5.0, 14.0)
-"""Durations of curves, s."""
+"""Shortest and longest duration of a curve (s)."""
 
-CURVE_HEADING = (0.3, 0.8)
-"""Shares of the largest heading that curves may take; the rest is for the lane changes in them."""
+CURVE_HEADING_SHARE = (0.3, 0.8)
+"""Range of the share of the heading limit that a curve uses; lane changes in the curve use the rest."""
 
-EDGE = 0.5
-"""How long before and after a step of friction the lower side counts, s."""
+FRICTION_MARGIN = 0.5
+"""Time before and after a friction step during which the lower friction is assumed (s)."""
 
-_SMOOTHSTEP_SLOPE = 1.5  # steepest slope of a cubic between two level stretches, of unit height and duration
-_STEP = 0.05  # s, between the instants at which a drive is known while it is made
-_FRICTION, _SPEED, _CURVES, _CHANGES, _WIND = range(5)  # what random numbers are for
+_SMOOTHSTEP_SLOPE = 1.5  # steepest slope of a smoothstep cubic with unit height and duration
+_STEP = 0.05  # s, sampling time of the arrays in `_DriveGenerator`
+_FRICTION, _SPEED, _CURVES, _CHANGES, _WIND = range(5)  # numbers of the random streams
 
 
 _Friction = Annotated[Positive, Field(le=HIGHEST_FRICTION)]
@@ -80,38 +80,40 @@ def random_drive(
 ) -> Scenario:
     """Mixed driving: changing speed and friction, curves, lane changes, wind and gusts.
 
-    A seed gives the same drive on every machine. Drives of one duration have equally many samples. The reference is
-    twice continuously differentiable.
+    A seed gives the same drive on every machine. Drives with equal durations have equally many samples. The reference
+    is twice continuously differentiable.
 
     Parameters
     ----------
     seed : int
-        Which drive.
+        Seed of the random numbers.
     duration : float
-        A longer drive is another drive, not the continuation of a shorter one.
+        Duration (s). A longer drive with the same seed is a different drive, not a continuation.
     speed : (float, float)
-        Lowest and highest speed. It changes smoothly between level stretches, by at most 2 m/s^2 up, 3 m/s^2 down
-        and half the friction.
+        Lowest and highest speed (m/s). The speed changes smoothly between stretches of constant speed. It rises by at
+        most 2 m/s^2, falls by at most 3 m/s^2, and uses at most half of the friction limit.
     friction : (float, float)
-        Lowest and highest coefficient. It steps every 10 s on average; a quarter of the drives are dry: they keep to
-        the highest 30 % of the range.
+        Lowest and highest friction coefficient. The friction steps every 10 s on average. A quarter of the drives are
+        dry: they stay in the highest 30 % of the range.
     wind : float
-        Largest lateral wind: a steady one of at most a third of it, and gusts to either side.
+        Largest lateral wind speed (m/s). The steady part is at most a third of it; gusts blow to either side.
     demand : (float, float)
-        Every curve and lane change draws a share from this range. Its lateral acceleration d²y_ref/dt², for a lane
-        change together with that of the curves under it, never exceeds this share of what the lowest friction during
-        the manoeuvre allows.
+        Range of the share of the friction limit that a manoeuvre may use. Each curve and each lane change draws its
+        share. The lateral acceleration d²y_ref/dt², including that of a curve during a lane change, never exceeds this
+        share of the limit at the lowest friction during the manoeuvre.
     heading : float
-        Largest heading of the reference, asin(dy_ref/dt / speed).
+        Largest heading of the reference (rad), asin(dy_ref/dt / speed).
     lane_width : float
-        Lane changes are 2/7 to 12/7 of it.
+        Lane width (m). Lane changes have amplitudes of 2/7 to 12/7 of it.
 
-    A car's own ranges: ``random_drive(7, **car.domain.drive_options)``.
+    Examples
+    --------
+    The ranges of a car: ``random_drive(7, **car.domain.drive_options)``.
     """
     options: dict[str, Any] = {"speed": speed, "friction": friction, "wind": wind, "demand": demand, "heading": heading}
     if lane_width != PASSENGER_CAR_DOMAIN.lane_width:
         options["lane_width"] = lane_width
-    drive = _Drive(seed, duration, demand, (heading, lane_width))
+    drive = _DriveGenerator(seed, duration, demand, heading, lane_width)
     drawn_friction, drawn_speed = drive.draw_friction(*friction), drive.draw_speed(*speed)
     manoeuvres = (*drive.draw_curves(), *drive.draw_lane_changes())
     return Scenario(
@@ -126,29 +128,32 @@ def random_drive(
     )
 
 
-class _Drive:
-    """A drive in the making: what is known of it at the instants k·_STEP, and what the manoeuvres may still claim."""
+class _DriveGenerator:
+    """Generator of the signals of one random drive; its arrays hold the signals drawn so far at the instants k * _STEP.
+
+    Draw friction and speed first, then curves, then lane changes: each manoeuvre depends on the signals before it.
+    """
 
     def __init__(
-        self, seed: int, duration: float, demand: tuple[float, float], room: tuple[float, float]
+        self, seed: int, duration: float, demand: tuple[float, float], max_heading: float, lane_width: float
     ) -> None:  # fmt: skip
-        """room: largest heading (rad), width of a lane (m)."""
-        self.seed, self.duration, self.demand, self.slope = seed, duration, demand, math.sin(room[0])
-        self.widths = tuple(sevenths * room[1] / 7.0 for sevenths in CHANGE_WIDTH)
+        """Take the arguments of `random_drive` in s, rad and m."""
+        self.seed, self.duration, self.demand, self.slope = seed, duration, demand, math.sin(max_heading)
+        self.widths = tuple(sevenths * lane_width / 7.0 for sevenths in LANE_CHANGE_SEVENTHS)
         self.t = _STEP * np.arange(math.ceil(duration / _STEP) + 1)
         self.friction, self.speed = np.empty_like(self.t), np.empty_like(self.t)
         self.curve_acceleration, self.curve_rate = np.zeros_like(self.t), np.zeros_like(self.t)
 
     def random(self, purpose: int) -> np.random.Generator:
-        """The random numbers for one purpose: other options elsewhere do not shift them."""
+        """Return the random stream of one signal; the options of other signals do not change its numbers."""
         return np.random.default_rng((self.seed, purpose))
 
     def grip(self, start: float, span: float) -> float:
-        """The acceleration that the lowest friction between `start` and `start + span` allows, m/s^2."""
-        return GRAVITY * float(self.friction[_window(start - EDGE, span + 2.0 * EDGE)].min())
+        """Acceleration limit (m/s^2) of the lowest friction between `start` and `start + span` (s)."""
+        return GRAVITY * float(self.friction[_window(start - FRICTION_MARGIN, span + 2.0 * FRICTION_MARGIN)].min())
 
     def draw_friction(self, low: float, high: float) -> Shape:
-        """Friction in steps, under all wheels."""
+        """Draw the friction, which changes in steps and is equal under all wheels."""
         rng = self.random(_FRICTION)
         if rng.random() < DRY_SHARE:
             low = high - 0.3 * (high - low)
@@ -156,40 +161,41 @@ class _Drive:
         terms: list[Shape] = [Constant(value=level)]
         start = _between(rng, 2.0, 14.0)
         while start < self.duration:
-            then = _between(rng, low, high)
-            terms.append(Step(after=round(then - level, 6), time=start))
-            level, start = then, round(start + _between(rng, 4.0, 16.0), 2)
+            next_level = _between(rng, low, high)
+            terms.append(Step(after=round(next_level - level, 6), time=start))
+            level, start = next_level, round(start + _between(rng, 4.0, 16.0), 2)
         steps = Sum(terms=tuple(terms))
         self.friction[:] = steps.at(self.t)
         return steps
 
     def draw_speed(self, low: float, high: float) -> Shape:
-        """Level stretches, joined by cubics."""
+        """Draw the speed: constant stretches joined by cubics."""
         rng = self.random(_SPEED)
         speed = _between(rng, low, high)
         t, start, points = 0.0, _between(rng, 1.0, 6.0), [(0.0, speed)]
         while start < self.duration:
-            then, strength = _between(rng, low, high), rng.uniform(0.5, 1.0)
-            most = strength * (MAX_TRACTION if then > speed else MAX_BRAKING)
-            t = round(start + _shortest(self.speed_time, 2.0, math.inf, start, abs(then - speed), most), 2)
-            points += [(start, speed), (t, then)]
-            speed, start = then, round(t + _between(rng, 1.0, 6.0), 2)
+            next_speed, strength = _between(rng, low, high), rng.uniform(0.5, 1.0)
+            limit = strength * (MAX_TRACTION if next_speed > speed else MAX_BRAKING)
+            span = _shortest_span(self.speed_change_time, 2.0, math.inf, start, abs(next_speed - speed), limit)
+            t = round(start + span, 2)
+            points += [(start, speed), (t, next_speed)]
+            speed, start = next_speed, round(t + _between(rng, 1.0, 6.0), 2)
         curve = Knots(points=(*points, (t + 1.0, speed)), method="pchip")
         self.speed[:] = curve.at(self.t)
         return curve
 
-    def speed_time(self, span: float, start: float, change: float, most: float) -> float:
-        """How long a change of speed must last when it meets what lies within `span`, s."""
-        return _SMOOTHSTEP_SLOPE * change / min(most, GRIP_ALONG * self.grip(start, span))
+    def speed_change_time(self, span: float, start: float, change: float, limit: float) -> float:
+        """Duration (s) that a speed change (m/s) needs, given the lowest friction within `span` (s); limit: m/s^2."""
+        return _SMOOTHSTEP_SLOPE * change / min(limit, MAX_LONGITUDINAL_SHARE * self.grip(start, span))
 
     def draw_curves(self) -> list[LaneChange]:
-        """The road turns aside and back again: wide lane changes, as far as friction and heading allow."""
+        """Draw the curves as wide lane changes, limited by friction and heading."""
         rng = self.random(_CURVES)
         curves: list[LaneChange] = []
         start = _between(rng, 1.0, 8.0)
         while start < self.duration:
             span, share = _between(rng, *CURVE_TIME), rng.uniform(*self.demand)
-            turn, side = rng.uniform(*CURVE_HEADING), _side(rng)
+            turn, side = rng.uniform(*CURVE_HEADING_SHARE), _side(rng)
             during = _window(start, span)
             width = min(
                 share * self.grip(start, span) * span**2 / QUINTIC_PEAK,
@@ -203,21 +209,21 @@ class _Drive:
         return curves
 
     def draw_lane_changes(self) -> list[LaneChange]:
-        """Lane changes in what the curves leave of friction and heading; where that is too little, there is none."""
+        """Draw the lane changes that fit into the friction and heading left by the curves."""
         rng = self.random(_CHANGES)
         changes: list[LaneChange] = []
         start = _between(rng, 1.0, 6.0)
         while start < self.duration:
             width, share, side = _between(rng, *self.widths), rng.uniform(*self.demand), _side(rng)
-            span = _shortest(self.lane_change_time, SHORTEST_CHANGE, LONGEST_CHANGE, start, width, share)
-            if span <= LONGEST_CHANGE:
+            span = _shortest_span(self.lane_change_time, SHORTEST_LANE_CHANGE, LONGEST_LANE_CHANGE, start, width, share)
+            if span <= LONGEST_LANE_CHANGE:
                 changes.append(LaneChange(amplitude=side * width, start=start, duration=span))
                 start += span
             start = round(start + _between(rng, 1.0, 8.0), 2)
         return changes
 
     def lane_change_time(self, span: float, start: float, width: float, share: float) -> float:
-        """How long a lane change must last when it meets what lies within `span`, s."""
+        """Duration (s) that a lane change of `width` (m) needs, given friction, speed and curves within `span` (s)."""
         during = _window(start, span)
         acceleration = share * self.grip(start, span) - self.curve_acceleration[during].max()
         rate = self.slope * self.speed[during].min() - self.curve_rate[during].max()
@@ -226,7 +232,7 @@ class _Drive:
         return max(math.sqrt(QUINTIC_PEAK * width / acceleration), QUINTIC_SLOPE * width / rate)
 
     def draw_wind(self, limit: float) -> Shape:
-        """A steady lateral wind and gusts; the wind at the peak of a gust is up to `limit` to either side."""
+        """Draw a steady lateral wind and gusts; the total wind never exceeds `limit` (m/s) to either side."""
         rng = self.random(_WIND)
         steady = _between(rng, -limit / 3.0, limit / 3.0)
         terms: list[Shape] = [Constant(value=steady)]
@@ -239,25 +245,27 @@ class _Drive:
 
 
 def _between(rng: np.random.Generator, low: float, high: float) -> float:
-    """A number between two, with two decimals unless one of the two has more."""
+    """Draw a number between `low` and `high`, rounded to two decimals and clamped to the limits."""
     return min(max(round(rng.uniform(low, high), 2), low), high)
 
 
 def _side(rng: np.random.Generator) -> float:
+    """Draw a side: 1 for left or -1 for right."""
     return 1.0 if rng.random() < 0.5 else -1.0
 
 
 def _window(start: float, span: float) -> slice:
-    """The known instants from the last one before `start` to the first one after `start + span`."""
+    """Indices from the last instant before `start` to the first instant after `start + span` (s)."""
     return slice(max(0, math.floor(start / _STEP)), math.ceil((start + span) / _STEP) + 1)
 
 
-def _shortest(needed: Callable[..., float], least: float, most: float, *arguments: float) -> float:
-    """The shortest time in whole 0.01 s, at least `least`, that is as long as it needs to be; or one above `most`.
+def _shortest_span(needed: Callable[..., float], shortest: float, longest: float, *arguments: float) -> float:
+    """Shortest duration (s), in steps of 0.01 s from `shortest`, that is at least ``needed(duration, *arguments)``.
 
-    What is ``needed(time, *arguments)`` grows with the time, for a longer manoeuvre meets lower friction.
+    The needed duration rises with the duration, because a longer manoeuvre may meet lower friction. The search
+    therefore repeats until both agree. A result above `longest` means that no duration is long enough.
     """
-    span = least
-    while span <= most and (needed_span := needed(span, *arguments)) > span:
-        span = math.ceil(100.0 * needed_span) / 100.0 if needed_span < most else math.inf
+    span = shortest
+    while span <= longest and (needed_span := needed(span, *arguments)) > span:
+        span = math.ceil(100.0 * needed_span) / 100.0 if needed_span < longest else math.inf
     return span

@@ -15,7 +15,7 @@ from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import Failure
 from adaptrack.scenario import LaneChange, Scenario, Step, list_scenarios, load_scenario, random_drive
-from adaptrack.scenario.drives import GRIP_ALONG, MAX_BRAKING, MAX_TRACTION
+from adaptrack.scenario.random_drives import MAX_BRAKING, MAX_LONGITUDINAL_SHARE, MAX_TRACTION
 
 STEP = 0.01
 T = np.arange(0.0, 60.0 + STEP / 2, STEP)
@@ -109,7 +109,7 @@ def test_speed_stays_in_its_range_and_changes_as_a_car_can(promised: tuple[dict[
         assert speed.max() <= ranges["speed"][1] + 1e-9
         assert along.min() >= -MAX_BRAKING - 1e-6
         assert along.max() <= MAX_TRACTION + 1e-6
-        assert (np.abs(along) <= GRIP_ALONG * available(drive) + 1e-6).all()
+        assert (np.abs(along) <= MAX_LONGITUDINAL_SHARE * available(drive) + 1e-6).all()
         assert np.abs(np.diff(along)).max() < 8.0 * STEP  # smoothly: no jump of the acceleration
 
 
