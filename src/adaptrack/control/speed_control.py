@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from adaptrack.base.checked import Bound, NotNegative, Positive, Share, checked
+from adaptrack.base.checked import Bound, Positive, Share, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
 from adaptrack.core import speed_control as kernel
+from adaptrack.core import speed_learning as learning
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road import Comfort, Road, SpeedPlan
 
@@ -86,7 +87,8 @@ class SpeedControl:
     friction : float or pair of float
         Friction of the road: a value that is certain, or the ends of an interval, whose lower one counts.
     drive, brakes : optional
-        Actuators that are assumed; by default those of the car file, otherwise ideal ones.
+        Actuators whose delays are known; by default those of the car file, otherwise they are learned while driving, as
+        are gain over mass and what disturbs the acceleration.
 
     Raises
     ------
@@ -98,8 +100,7 @@ class SpeedControl:
     friction: Annotated[float, Field(gt=0.0, le=1.5)] | tuple[float, float] = 0.9
     drive: DriveActuator | None = None
     brakes: BrakeActuator | None = None
-    gain: Annotated[Positive, "1/s"] = 1.2
-    integral: Annotated[NotNegative, "1/s^2"] = 0.25
+    gain: Annotated[Positive, "1/s"] = 1.0
     governor: Share = 0.9
     """of the friction that bends ahead may use"""
     guard: Share = 0.85
@@ -125,7 +126,7 @@ class SpeedControl:
     def settings(self, period: float, comfort: Comfort) -> Any:
         """Record of the kernel for a control period (s) and the comfort of a plan."""
         car, (low, high) = self.car, self.friction_interval
-        drive, brakes = self.drive or car.drive or DriveActuator(), self.brakes or car.brakes or BrakeActuator()
+        drive, brakes = self.drive or car.drive, self.brakes or car.brakes
         names = ("mass", "lf", "lr", "cg_height", "drive_front", "brake_front", "engine_power", "traction_limit",
                  "brake_limit")  # fmt: skip
         return kernel.SpeedSettings(
@@ -135,8 +136,9 @@ class SpeedControl:
             rolling=car.rolling_resistance * GRAVITY,
             accelerate=comfort.accelerate, brake=comfort.brake, emergency=self.emergency, stop_jerk=self.stop_jerk,
             friction=low, friction_high=high, governor=self.governor, guard=self.guard,
-            drive_delay=drive.dead_time, drive_lag=drive.lag, brake_delay=brakes.dead_time, brake_lag=brakes.lag,
-            gain=self.gain, integral=self.integral,
+            drive_lag=drive.lag if drive else math.nan, drive_dead_time=drive.dead_time if drive else math.nan,
+            brake_lag=brakes.lag if brakes else math.nan, brake_dead_time=brakes.dead_time if brakes else math.nan,
+            gain=self.gain,
         )  # fmt: skip
 
 
@@ -156,12 +158,29 @@ def speed_path(path: Road, plan: SpeedPlan) -> Any:
     )  # fmt: skip
 
 
+def _banks(settings: Any, period: float) -> Any:
+    """Banks of hypotheses: one of an actuator whose delays are known, all of another."""
+    longest = learning.MAX_DEAD_TIME
+    sizes = []
+    for lag, dead_time in (
+        (settings.drive_lag, settings.drive_dead_time), (settings.brake_lag, settings.brake_dead_time)
+    ):  # fmt: skip
+        is_learned = math.isnan(lag)
+        sizes.append(learning.LAG_HYPOTHESES * learning.DEAD_TIME_HYPOTHESES if is_learned else 1)
+        longest = longest if is_learned else max(longest, dead_time)
+    drive, brakes = (learning.HYPOTHESIS.new(size) for size in sizes)
+    return learning.SpeedBanks(drive, brakes, np.zeros(2 * (math.ceil(longest / period) + 2)))
+
+
 class SpeedController:
     """A speed control on its way along a path, called once a control period."""
 
     def __init__(self, control: SpeedControl, path: Road, plan: SpeedPlan, period: float) -> None:
         self.control, self._period = control, period
         self._memory = kernel.SPEED_MEMORY.new(1)
+        self._settings = control.settings(period, plan.comfort)
+        self._banks = _banks(self._settings, period)
+        kernel.speed_control_begin(self._settings, self._banks)
         self.follow(path, plan)
 
     def follow(self, path: Road, plan: SpeedPlan) -> None:
@@ -177,7 +196,9 @@ class SpeedController:
 
         station: m, of the car on its path over all laps; speed: m/s; yaw_rate: rad/s. NaN: not measured.
         """
-        kernel.speed_control_step(station, speed, yaw_rate, self._memory, self._settings, self._path, self._ahead)
+        kernel.speed_control_step(
+            station, speed, yaw_rate, self._memory, self._settings, self._path, self._banks, self._ahead
+        )
         memory = self._memory[0]
         return SpeedCommand(
             float(memory.acceleration), float(memory.force), float(memory.hold), float(memory.target_speed),

@@ -18,6 +18,7 @@ from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import power
 from .plants.forces import GRAVITY
+from .speed_learning import SpeedBanks, begin_bank, learn_actuators, mean_of_bank, remember_request
 
 SPEED_SETTINGS = (
     "period",  # s
@@ -27,8 +28,8 @@ SPEED_SETTINGS = (
     "accelerate", "brake", "emergency", "stop_jerk",  # m/s^2, m/s^2, m/s^2, m/s^3
     "friction", "friction_high",  # -, assumed: the low and the high end of its interval
     "governor", "guard",  # -, shares: of the friction sideways ahead; of what the axles have left now
-    "drive_delay", "drive_lag", "brake_delay", "brake_lag",  # s, as assumed
-    "gain", "integral",  # 1/s, 1/s^2
+    "drive_lag", "drive_dead_time", "brake_lag", "brake_dead_time",  # s, NaN: learned while driving
+    "gain",  # 1/s
 )  # fmt: skip
 SpeedSettings = record("SpeedSettings", SPEED_SETTINGS)
 """Car, comfort, friction and gains of a speed controller."""
@@ -52,7 +53,6 @@ SPEED_MEMORY = record(
     "SpeedMemory",
     (
         "state", "limited_by", "next_stop",  # the last one: of `SpeedPath.stops`, those of past laps included
-        "disturbance",  # m/s^2, learned difference of the acceleration
         "standing",  # s, at the present stop
         "acceleration", "force", "hold",  # m/s^2, N, N: requests in force; hold: of the brakes besides the force
         "target_speed", "grip_used",  # m/s, -: lateral and longitudinal acceleration over the assumed friction
@@ -76,12 +76,12 @@ HOLD_RESERVE = 1.0
 """m/s^2, by which the brakes hold more than the slope demands."""
 LEAD_DISTANCE = 2.0
 """m, over which the acceleration of the plan is taken."""
+BRAKE_CAUTION = 1.0
+"""Standard deviations by which the delay of the brakes is assumed longer than its mean."""
 COMFORT_RESERVE = 1.2
 """Factor on the accelerations of comfort within which errors of the speed are corrected."""
 LEAST_SPEED_AHEAD = 0.3
 """m/s, with which a car is taken to go on at a stop ahead."""
-LARGEST_DISTURBANCE = 3.0
-"""m/s^2."""
 
 
 # -- the path ---------------------------------------------------------------------------------------------------------
@@ -174,16 +174,29 @@ def _hold(slope, settings, memory):
 
 
 @inlined
-def _request(acceleration, speed, slope, lateral, settings, memory):
-    """Turn an acceleration (m/s^2) into a force (N) within powertrain, brakes and guard; whether it was bounded."""
-    resistance = settings.drag * speed * speed + settings.rolling * settings.mass * clip(2.0 * speed, 0.0, 1.0)
-    wanted = settings.mass * (acceleration + slope) + resistance
+def _resistance(speed, slope, settings):
+    """Deceleration (m/s^2) by air, rolling and the known slope."""
+    return settings.drag * speed * speed / settings.mass + settings.rolling * clip(2.0 * speed, 0.0, 1.0) + slope
+
+
+@inlined
+def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memory):
+    """Turn an acceleration (m/s^2) into a force (N) within powertrain, brakes and guard; whether it was bounded.
+
+    drive, brakes: `speed_learning.ActuatorBelief`.
+    """
+    braking_now = brakes.acting > drive.acting
+    disturbance = brakes.disturbance if braking_now else drive.disturbance
+    resistance = _resistance(speed, slope, settings) - disturbance
+    tyres = acceleration + resistance  # m/s^2, of all tyres
+    ratio = drive.ratio if tyres > 0.0 else brakes.ratio
+    wanted = settings.mass * tyres / ratio
     friction = settings.friction if memory.state != EMERGENCY else settings.friction_high
     driving, braking = _axle_limits(friction, min(lateral, LARGEST_BEND_SHARE * friction * GRAVITY), settings)
     strongest = min(settings.guard * driving, min(settings.traction_limit, settings.engine_power / max(speed, 1.0)))
     weakest = -min(max(settings.guard * braking, LEAST_BRAKING * settings.mass), settings.brake_limit)
     force = clip(wanted, weakest, strongest)
-    memory.force, memory.acceleration = force, (force - resistance) / settings.mass - slope
+    memory.force, memory.acceleration = force, ratio * force / settings.mass - resistance
     return force != wanted
 
 
@@ -204,13 +217,12 @@ def _pass_stop(station, speed, settings, path, memory):
 
 
 @inlined
-def _follow(station, speed, lateral, settings, path, memory, ahead):
+def _follow(station, speed, lateral, drive, brakes, settings, path, memory, ahead):
     """Follow the governed speeds and the next stop; write the requests."""
     slope = path.slope[_cell(station, path)]
-    braking = memory.acceleration < 0.0
-    delay, lag = settings.drive_delay, settings.drive_lag
-    if braking:
-        delay, lag = settings.brake_delay, settings.brake_lag
+    delay, lag = drive.dead_time, drive.lag
+    if memory.acceleration < 0.0:
+        delay, lag = brakes.dead_time + BRAKE_CAUTION * brakes.delay_sigma, brakes.lag
     coming_speed = max(speed + memory.acceleration * delay, 0.0)
     place = station + 0.5 * (speed + coming_speed) * delay
     lead = place + coming_speed * lag
@@ -226,7 +238,8 @@ def _follow(station, speed, lateral, settings, path, memory, ahead):
         target = stop_speed
         _, lead_acceleration = _stopping_motion(stop - lead, settings)
         acceleration = 0.5 * (stop_acceleration + lead_acceleration)
-        if square(coming_speed) > 2.0 * EMERGENCY_RATIO * settings.brake * max(stop - place, REACHED):
+        is_far = stop - place > STOP_TOLERANCE
+        if is_far and square(coming_speed) > 2.0 * EMERGENCY_RATIO * settings.brake * (stop - place):
             memory.state = EMERGENCY
     elif memory.state == STOPPING or memory.state == EMERGENCY:
         memory.state = DRIVING
@@ -234,7 +247,7 @@ def _follow(station, speed, lateral, settings, path, memory, ahead):
     if memory.state == EMERGENCY:
         memory.hold = 0.0
         needed = 0.5 * square(coming_speed) / max(stop - place, REACHED)
-        _request(-min(needed, settings.emergency), speed, slope, lateral, settings, memory)
+        _request(-min(needed, settings.emergency), speed, slope, lateral, drive, brakes, settings, memory)
         return
     if memory.state == STOPPING and speed < STANDING_SPEED and stop - station < STOP_TOLERANCE:
         _hold(slope, settings, memory)
@@ -243,29 +256,24 @@ def _follow(station, speed, lateral, settings, path, memory, ahead):
     bounded = clip(wanted, -COMFORT_RESERVE * settings.brake, COMFORT_RESERVE * settings.accelerate)
     if bounded != wanted and memory.limited_by == BY_PLAN:
         memory.limited_by = BY_COMFORT
-    limited = _request(bounded + memory.disturbance, speed, slope, lateral, settings, memory)
-    memory.acceleration -= memory.disturbance
-    if limited:
+    if _request(bounded, speed, slope, lateral, drive, brakes, settings, memory):
         memory.limited_by = BY_GRIP
     memory.hold = 0.0
     if memory.force > 0.0 and speed < STANDING_SPEED and slope > 0.0:
         memory.hold = settings.mass * slope  # until the drive carries the slope
-    if not limited and speed > STANDING_SPEED:
-        now = sqrt(max(_square_at(station, station, path, ahead), 0.0))
-        if memory.state == STOPPING:
-            now, _ = _stopping_motion(stop - station, settings)
-        change = settings.integral * (now - speed) * settings.period
-        memory.disturbance = clip(memory.disturbance + change, -LARGEST_DISTURBANCE, LARGEST_DISTURBANCE)
 
 
 @inlined
-def speed_control(station, speed, yaw_rate, settings, path, memory, ahead):
+def speed_control(station, speed, yaw_rate, settings, path, memory, banks, ahead):
     """One control period: write state, requests and causes to the memory, and the governed squares to ahead.
+
+    Drive and brakes are learned first, from the speed that the requests so far have made.
 
     station: m, over all laps; NaN: no position; speed: m/s; yaw_rate: rad/s; NaN: not measured. ahead: (n,), at the
     cells from the station on.
     """
-    if speed == speed:
+    learnable = speed == speed
+    if learnable:
         memory.speed = speed
     elif memory.state != OFF:
         memory.speed = max(memory.speed + memory.acceleration * settings.period, 0.0)
@@ -286,6 +294,9 @@ def speed_control(station, speed, yaw_rate, settings, path, memory, ahead):
         memory.state = DRIVING
         while _stop_place(memory.next_stop, path) < station - OVERSHOOT:
             memory.next_stop += 1
+    if learnable and memory.state != STOPPED:
+        learn_actuators(speed, _resistance(speed, path.slope[cell], settings), settings.period, banks)
+    drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
     _govern(station, settings, path, ahead)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (settings.friction * GRAVITY)
     if not known:
@@ -294,20 +305,30 @@ def speed_control(station, speed, yaw_rate, settings, path, memory, ahead):
             _hold(path.slope[cell], settings, memory)
             return
         memory.target_speed, memory.hold = 0.0, 0.0
-        _request(-settings.brake, speed, path.slope[cell], lateral, settings, memory)
+        _request(-settings.brake, speed, path.slope[cell], lateral, drive, brakes, settings, memory)
+        remember_request(memory.force / settings.mass, banks.requests)
         return
     _pass_stop(station, speed, settings, path, memory)
     if memory.state == STOPPED:
         memory.limited_by = BY_STOP
         _hold(path.slope[cell], settings, memory)
         return
-    _follow(station, speed, lateral, settings, path, memory, ahead)
+    _follow(station, speed, lateral, drive, brakes, settings, path, memory, ahead)
+    remember_request(memory.force / settings.mass, banks.requests)
 
 
-@exported(void(float64, float64, float64, rows(SPEED_MEMORY), SpeedSettings, SpeedPath, vector))
-def speed_control_step(station, speed, yaw_rate, memory, settings, path, ahead):
+@exported(void(float64, float64, float64, rows(SPEED_MEMORY), SpeedSettings, SpeedPath, SpeedBanks, vector))
+def speed_control_step(station, speed, yaw_rate, memory, settings, path, banks, ahead):
     """One control period of the only controller, see `speed_control`."""
-    speed_control(station, speed, yaw_rate, settings, path, memory[0], ahead)
+    speed_control(station, speed, yaw_rate, settings, path, memory[0], banks, ahead)
+
+
+@exported(void(SpeedSettings, SpeedBanks))
+def speed_control_begin(settings, banks):
+    """Forget what was learned of drive and brakes."""
+    begin_bank(settings.drive_lag, settings.drive_dead_time, banks.drive)
+    begin_bank(settings.brake_lag, settings.brake_dead_time, banks.brakes)
+    banks.requests[:] = 0.0
 
 
 @exported(void(float64, float64, float64, vector, vector))

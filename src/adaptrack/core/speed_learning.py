@@ -1,0 +1,191 @@
+"""Learning of drive and brakes while driving: a bank of Kalman filters over lag and dead time for each of the two.
+
+Each hypothesis predicts the speed from the requests of its dead time ago behind its lag:
+
+    dv/dt = ratio a - resistance - slope + disturbance,   a: requested force over the mass of the car file, filtered
+
+and estimates the ratio (gain of the actuator over the change of mass, which are not separable) and the disturbance
+(slope, drag and wind that are not known, which are not separable either). Its weight follows from the likelihood of the
+measured speeds, with forgetting. A bank learns while its actuator acts and the car moves; the ratio is observable only
+in changes of force. Sign of a: positive forward for the drive and backward for the brakes.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .kernel import inlined, record, rows, vector
+from .maths.bits import whole
+from .maths.exact import clip, floor, sqrt, square
+from .maths.exponential import exp, log
+
+MAX_LAG, MAX_DEAD_TIME = 0.6, 0.4
+"""s, ends of the prior ranges."""
+LAG_HYPOTHESES, DEAD_TIME_HYPOTHESES = 5, 5
+"""Hypotheses of each bank, evenly within these ranges."""
+HYPOTHESIS = record(
+    "ActuatorHypothesis",
+    (
+        "lag", "dead_time",  # s, s
+        "filtered",  # m/s^2, requested force over mass behind dead time and lag
+        "speed", "ratio", "disturbance",  # m/s, -, m/s^2: the estimate
+        "p_speed", "p_speed_ratio", "p_speed_disturbance", "p_ratio", "p_ratio_disturbance", "p_disturbance",
+        "score",  # logarithm of the weight
+    ),
+)  # fmt: skip
+"""A hypothesis about drive or brakes, with its filter."""
+ActuatorBelief = record(
+    "ActuatorBelief", ("lag", "dead_time", "delay_sigma", "ratio", "ratio_sigma", "disturbance", "acting")
+)
+"""Weighted mean of a bank: s, s, s (of lag plus dead time), -, -, m/s^2; acting: m/s^2, filtered request."""
+SpeedBanks = record("SpeedBanks", (("drive", rows(HYPOTHESIS)), ("brakes", rows(HYPOTHESIS)), ("requests", vector)))
+"""The two banks; requests: m/s^2, of the drive and then of the brakes, each the latest first."""
+
+RATIO_SIGMA, DISTURBANCE_SIGMA = 0.2, 0.5
+"""Standard deviations at the start: -, m/s^2."""
+RATIO_DRIFT, DISTURBANCE_DRIFT, SPEED_DRIFT = 0.004, 0.12, 0.03
+"""Random walks, after a second: -, m/s^2, m/s."""
+SPEED_NOISE, SPEED_NOISE_SHARE = 0.02, 0.006
+"""m/s, -: standard deviation of a measured speed, absolute and over the speed."""
+EVIDENCE_TIME = 40.0
+"""s of action, after which evidence about lag and dead time is forgotten."""
+LEARNING_SPEED, LEAST_ACTION = 0.3, 0.15
+"""m/s; m/s^2: below these nothing is learned of an actuator."""
+LEAST_RATIO, LARGEST_RATIO = 0.4, 2.0
+INNOVATION_BOUND = 4.0
+"""Standard deviations up to which an innovation counts."""
+
+
+@inlined
+def begin_bank(lag, dead_time, bank):
+    """Begin a bank: all hypotheses alike, or one at a known lag and dead time (s); NaN: not known."""
+    for i in range(bank.size):
+        h = bank[i]
+        h.lag, h.dead_time = lag, dead_time
+        if lag != lag:
+            h.lag = MAX_LAG * (i % LAG_HYPOTHESES) / (LAG_HYPOTHESES - 1)
+            h.dead_time = MAX_DEAD_TIME * (i // LAG_HYPOTHESES) / (DEAD_TIME_HYPOTHESES - 1)
+        h.filtered, h.speed, h.ratio, h.disturbance, h.score = 0.0, math.nan, 1.0, 0.0, 0.0
+        h.p_speed, h.p_speed_ratio, h.p_speed_disturbance = square(SPEED_NOISE), 0.0, 0.0
+        h.p_ratio, h.p_ratio_disturbance, h.p_disturbance = square(RATIO_SIGMA), 0.0, square(DISTURBANCE_SIGMA)
+
+
+@inlined
+def mean_of_bank(bank):
+    """Return the weighted mean of a bank as `ActuatorBelief`."""
+    best = -math.inf
+    for i in range(bank.size):
+        best = max(best, bank[i].score)
+    total = lag = dead_time = delay_square = ratio = ratio_square = disturbance = acting = 0.0
+    for i in range(bank.size):
+        h = bank[i]
+        weight = exp(h.score - best)
+        total += weight
+        lag += weight * h.lag
+        dead_time += weight * h.dead_time
+        delay_square += weight * square(h.lag + h.dead_time)
+        ratio += weight * h.ratio
+        ratio_square += weight * (square(h.ratio) + h.p_ratio)
+        disturbance += weight * h.disturbance
+        acting += weight * h.filtered
+    lag, dead_time, ratio = lag / total, dead_time / total, ratio / total
+    delay_variance = max(delay_square / total - square(lag + dead_time), 0.0)
+    ratio_variance = max(ratio_square / total - square(ratio), 0.0)
+    return ActuatorBelief(
+        lag, dead_time, sqrt(delay_variance), ratio, sqrt(ratio_variance), disturbance / total, acting / total
+    )
+
+
+@inlined
+def _requested(dead_time, period, requests):
+    """Mean request (m/s^2) that acts in the last period after a dead time (s)."""
+    periods = dead_time / period
+    first = min(whole(floor(periods)), requests.size - 2)
+    share = clip(periods - first, 0.0, 1.0)
+    return (1.0 - share) * requests[first] + share * requests[first + 1]
+
+
+@inlined
+def _act(h, period, requests):
+    """Let the actuator of a hypothesis follow its requests over a period (s); its mean (m/s^2)."""
+    target = _requested(h.dead_time, period, requests)
+    if h.lag <= 0.0:
+        h.filtered = target
+        return target
+    decay = exp(-period / h.lag)
+    gap = target - h.filtered
+    h.filtered = target - gap * decay
+    return target - gap * (1.0 - decay) * h.lag / period
+
+
+@inlined
+def _update(h, acceleration, known, speed, learns, period):
+    """Predict and correct the filter of a hypothesis with a measured speed (m/s).
+
+    acceleration: signed mean of its actuator (m/s^2); known: m/s^2, of all that is known besides.
+    """
+    if h.speed != h.speed:
+        h.speed = speed
+    h.speed += period * (h.ratio * acceleration + known + h.disturbance)
+    a, t = acceleration * period, period  # derivatives of the speed by ratio and disturbance
+    p_v, p_vr, p_vd = h.p_speed, h.p_speed_ratio, h.p_speed_disturbance
+    p_r, p_rd, p_d = h.p_ratio, h.p_ratio_disturbance, h.p_disturbance
+    v_r, v_d = p_vr + a * p_r + t * p_rd, p_vd + a * p_rd + t * p_d
+    v_v = p_v + a * p_vr + t * p_vd + a * v_r + t * v_d + square(SPEED_DRIFT) * period
+    p_d += square(DISTURBANCE_DRIFT) * period
+    p_r = min(p_r + (square(RATIO_DRIFT) * period if learns else 0.0), square(RATIO_SIGMA))
+    noise = square(SPEED_NOISE + SPEED_NOISE_SHARE * speed)
+    spread = v_v + noise
+    innovation = speed - h.speed
+    if learns:
+        counted = min(square(innovation) / spread, square(INNOVATION_BOUND))
+        h.score += -0.5 * (counted + log(spread)) - h.score * period / EVIDENCE_TIME
+    limit = INNOVATION_BOUND * sqrt(spread)
+    bounded = clip(innovation, -limit, limit)
+    k_v, k_r, k_d = v_v / spread, v_r / spread, v_d / spread
+    if not learns:
+        k_r = 0.0
+    h.speed += k_v * bounded
+    h.ratio = clip(h.ratio + k_r * bounded, LEAST_RATIO, LARGEST_RATIO)
+    h.disturbance += k_d * bounded
+    h.p_speed = v_v - 2.0 * k_v * v_v + k_v * k_v * spread  # for any gain: P - k h P - P h' k' + k S k'
+    h.p_speed_ratio = v_r - k_v * v_r - k_r * v_v + k_v * k_r * spread
+    h.p_speed_disturbance = v_d - k_v * v_d - k_d * v_v + k_v * k_d * spread
+    h.p_ratio = p_r - 2.0 * k_r * v_r + k_r * k_r * spread
+    h.p_ratio_disturbance = p_rd - k_r * v_d - k_d * v_r + k_r * k_d * spread
+    h.p_disturbance = p_d - 2.0 * k_d * v_d + k_d * k_d * spread
+
+
+@inlined
+def _run_bank(bank, sign, other, resistance, speed, learns, period, requests):
+    """One period of a bank; other: m/s^2, signed acceleration by the other actuator; resistance: m/s^2, with slope."""
+    for i in range(bank.size):
+        h = bank[i]
+        mean = _act(h, period, requests)
+        _update(h, sign * mean, other - resistance, speed, learns, period)
+
+
+@inlined
+def learn_actuators(speed, resistance, period, banks):
+    """Take in the speed (m/s) at the end of a period; resistance: m/s^2, of air, rolling and known slope."""
+    drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
+    count = banks.requests.size // 2
+    moves = speed > LEARNING_SPEED
+    drives = drive.acting > brakes.acting
+    _run_bank(
+        banks.drive, 1.0, -brakes.ratio * brakes.acting, resistance, speed,
+        moves and drives and drive.acting > LEAST_ACTION, period, banks.requests[:count],
+    )  # fmt: skip
+    _run_bank(
+        banks.brakes, -1.0, drive.ratio * drive.acting, resistance, speed,
+        moves and not drives and brakes.acting > LEAST_ACTION, period, banks.requests[count:],
+    )  # fmt: skip
+
+
+@inlined
+def remember_request(acceleration, requests):
+    """Add a requested force over mass (m/s^2) to those of drive and brakes, the latest first."""
+    count = requests.size // 2
+    for j in range(requests.size - 1, 0, -1):
+        requests[j] = requests[j - 1]
+    requests[0], requests[count] = max(acceleration, 0.0), max(-acceleration, 0.0)
