@@ -26,7 +26,7 @@ LoopSettings = record(
     (
         "period",  # s
         "substeps",  # Runge-Kutta steps per period
-        "prescribed_speed",  # `FORCES`, `PRESCRIBED` or `PRESCRIBED_WITHOUT_ROAD`
+        "prescribed_speed",  # `DRIVER_FORCES`, `PRESCRIBED` or `PRESCRIBED_WITHOUT_ROAD`
         "dead_whole", "dead_share",  # periods from an instant until its command acts: whole ones, and the share of one
         "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y",  # m/s, rad, rad/s, m, standard deviations; inf: no sensor
         "noise_wheel_angle", "noise_lateral_acceleration",  # rad, m/s^2
@@ -59,7 +59,7 @@ LoopSettings = record(
 )  # fmt: skip
 """The world around the controller, fixed over a run."""
 
-FORCES, PRESCRIBED, PRESCRIBED_WITHOUT_ROAD = range(3)
+DRIVER_FORCES, PRESCRIBED, PRESCRIBED_WITHOUT_ROAD = range(3)
 """What moves a car: the forces that its driver requests; a speed that it follows exactly; that in scenarios without a
 road, and forces on roads."""
 

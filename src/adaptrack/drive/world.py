@@ -169,7 +169,7 @@ class World:
             if driver is None
             else loop_kernel.PRESCRIBED_WITHOUT_ROAD
             if driver.roads_only
-            else loop_kernel.FORCES,
+            else loop_kernel.DRIVER_FORCES,
             dead_whole=self.dead_periods[0],
             dead_share=self.dead_periods[1],
             **{name: getattr(profile, name) for name in SENSOR_FIELDS},
