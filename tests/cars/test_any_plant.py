@@ -109,7 +109,7 @@ def test_segments_counted_from_simulated_runs_are_those_of_the_kernel_failed_one
 
 
 def test_compiled_runs_refuse_a_stepped_plant_with_the_remedy():
-    with pytest.raises(at.InvalidInput, match=r"simulate\(\.\.\.\) drives a stepped one"):
+    with pytest.raises(at.InvalidInput, match=r"simulate\(\.\.\.\) drives a SteppedPlant"):
         at.rollout_batch(Sliding(CAR), at.MPC(CAR, profile="road"), [at.load_scenario("sine")], profile="road")
 
 
@@ -132,7 +132,7 @@ def test_costs_and_swarms_run_by_run_are_those_of_the_kernel():
     np.testing.assert_allclose(target._simulated_costs(POINTS[0], tunings), target.costs(POINTS[0], tunings), rtol=1e-9)
     settings, space = SwarmSettings(particles=4, generations=3), SearchSpace.tuning()
     compiled = target.tune(POINTS[0], settings, 5, 7, space)
-    searched = target._searched(POINTS[0], Swarm(space, settings, seed=5, stream=7))
+    searched = target._search_by_costs(POINTS[0], Swarm(space, settings, seed=5, stream=7))
     np.testing.assert_array_equal(searched.tuning, compiled.tuning)
     assert searched.evaluations == compiled.evaluations
 

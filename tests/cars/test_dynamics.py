@@ -37,8 +37,9 @@ every_plant = pytest.mark.parametrize("plant", PLANTS, ids=label)
 
 
 def inputs(command=0.0, force=0.0, acceleration=0.0, friction=0.9, wind=(0.0, 0.0), bank=0.0):
-    """A row of INPUTS; acceleration NaN lets the force act."""
-    return np.array([command, force, acceleration, *np.broadcast_to(friction, 4), *wind, bank], dtype=float)
+    """A row of PLANT_INPUT on a level road; acceleration NaN lets the force act, which brakes if it is negative."""
+    brake = max(-force, 0.0)
+    return np.array([command, force, acceleration, *np.broadcast_to(friction, 4), *wind, bank, 0.0, brake], dtype=float)
 
 
 def moving(speed, **states):
@@ -76,7 +77,7 @@ def mirrored(x):
 
 
 def mirrored_inputs(u):
-    return (u * [-1, 1, 1, 1, 1, 1, 1, 1, -1, -1])[[0, 1, 2, 4, 3, 6, 5, 7, 8, 9]]
+    return (u * [-1, 1, 1, 1, 1, 1, 1, 1, -1, -1, 1, 1])[[0, 1, 2, 4, 3, 6, 5, 7, 8, 9, 10, 11]]
 
 
 def wild_state(rng, plant):
@@ -89,15 +90,13 @@ def wild_state(rng, plant):
 
 
 def wild_inputs(rng, is_driven):
-    return np.array(
-        [
-            rng.uniform(-0.6, 0.6),
-            rng.uniform(-16000, 9000) if is_driven else 0.0,
-            np.nan if is_driven else rng.uniform(-6, 4),
-            *rng.uniform(0.05, 1.2, 4),
-            *rng.uniform(-40, 40, 2),
-            rng.uniform(-2, 2),
-        ]
+    return inputs(
+        rng.uniform(-0.6, 0.6),
+        rng.uniform(-16000, 9000) if is_driven else 0.0,
+        np.nan if is_driven else rng.uniform(-6, 4),
+        friction=rng.uniform(0.05, 1.2, 4),
+        wind=rng.uniform(-40, 40, 2),
+        bank=rng.uniform(-2, 2),
     )
 
 
@@ -109,7 +108,7 @@ def test_the_compiled_derivative_agrees_with_an_independent_one(plant, is_driven
     count = len(plant.state_names)
     for _ in range(120):
         x, u = wild_state(rng, plant), wild_inputs(rng, is_driven)
-        expected = written(plant.vehicle, plant.tyre, x[:count], u[:2], u[3:], None if is_driven else u[2])
+        expected = written(plant.vehicle, plant.tyre, x[:count], u[:2], u[3:10], None if is_driven else u[2])
         computed = slope(plant, x, u)
         np.testing.assert_allclose(computed[:count], expected, rtol=1e-10, atol=1e-10)
         assert (computed[count:] == 0.0).all()

@@ -49,9 +49,11 @@ PLANTS = pytest.mark.parametrize("plant", [SingleTrack(SALOON), DualTrack(SALOON
 @pytest.mark.parametrize("grade", [0.12, -0.12])
 def test_brakes_hold_a_car_on_a_slope_up_to_their_force_and_not_beyond(plant: Plant, grade: float) -> None:
     pull = SALOON.mass * GRAVITY * math.sin(math.atan(grade))
-    held = _states(plant, {**_dry(), "grade": grade, "force": -1.01 * abs(pull), "brake": 1.01 * abs(pull)}, 0.0, 2.0)
+    held_states = _states(
+        plant, {**_dry(), "grade": grade, "force": -1.01 * abs(pull), "brake": 1.01 * abs(pull)}, 0.0, 2.0
+    )
     slides = _states(plant, {**_dry(), "grade": grade, "force": -0.9 * abs(pull), "brake": 0.9 * abs(pull)}, 0.0, 2.0)
-    assert (held == 0.0).all()
+    assert (held_states == 0.0).all()
     assert slides[-1, 1] == pytest.approx(-0.1 * pull / SALOON.mass * 2.0, rel=1e-3)
 
 

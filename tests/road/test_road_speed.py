@@ -321,8 +321,8 @@ def test_plot_writes_a_picture(run_command, tmp_path, monkeypatch):
     ("arguments", "words"),
     [
         ("check contry", "Did you mean 'country'"),
-        ("check country --speed 5 --lateral-acceleration 3", "either"),
-        ("check country --speed 5 --speed-column v", "either --speed or --speed-column"),
+        ("check country --speed 5 --lateral-acceleration 3", "give only one of them"),
+        ("check country --speed 5 --speed-column v", "--speed and --speed-column: give only one"),
         ("plot country --vehicle papr", "paper"),
     ],
 )

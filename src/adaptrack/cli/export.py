@@ -146,8 +146,8 @@ def export_c(arguments: ExportOptions) -> None:
     """Export a controller as a C library.
 
     The folder contains a C header, compiled kernels, the constants of the controller, and a recorded drive of one
-    minute. `make check` in the folder verifies that the library repeats this drive. You need no compiler for the
-    export. The library needs neither Python nor adaptrack.
+    minute. The command make check in the folder verifies that the library repeats this drive. You need no compiler for
+    the export. The library needs neither Python nor adaptrack.
     """
     from dataclasses import asdict
 

@@ -199,7 +199,7 @@ class World:
             return loop_kernel.PRESCRIBED
         if isinstance(self.driver, SpeedControl):
             return loop_kernel.REQUESTED
-        return loop_kernel.PRESCRIBED_WITHOUT_ROAD if self.driver.roads_only else loop_kernel.FORCES
+        return loop_kernel.PRESCRIBED_WITHOUT_ROAD if self.driver.roads_only else loop_kernel.DRIVER_FORCES
 
     @property
     def drive(self) -> DriveActuator:
