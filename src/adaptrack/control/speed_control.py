@@ -100,13 +100,15 @@ class SpeedControl:
     friction: Annotated[float, Field(gt=0.0, le=1.5)] | tuple[float, float] = 0.9
     drive: DriveActuator | None = None
     brakes: BrakeActuator | None = None
-    gain: Annotated[Positive, "1/s"] = 1.0
+    gain: Annotated[Positive, "1/s"] = 2.0
     governor: Share = 0.9
     """of the friction that bends ahead may use"""
     guard: Share = 0.85
     """of the force that each axle has left"""
     stop_jerk: Annotated[Positive, "m/s^3"] = 2.0
     """at the end of a stop"""
+    stop_at_end: bool = True
+    """whether a `Tracker` stops at the end of an open path; a simulated drive ends as its plan does"""
     emergency: Annotated[Bound, "m/s^2"] = 8.0
     """largest deceleration where a stop is too near for comfort"""
 
@@ -142,14 +144,14 @@ class SpeedControl:
         )  # fmt: skip
 
 
-def speed_path(path: Road, plan: SpeedPlan) -> Any:
+def speed_path(path: Road, plan: SpeedPlan, stop_at_end: bool) -> Any:
     """Plan of a road at even places, for the kernel."""
     count = max(2, math.ceil(path.length / SPACING - 1e-9) + (0 if path.closed else 1))
     spacing = path.length / (count if path.closed else count - 1)
     s = np.arange(count) * spacing
     inside = np.minimum(s, path.length * (1.0 - 1e-12))
     slope, bank = (GRAVITY * np.sin(values) for values in (np.arctan(path.along("grade", s)), path.along("bank", s)))
-    ends = [(path.length, math.inf)] if not path.closed and plan.speed[-1] == 0.0 else []
+    ends = [(path.length, math.inf)] if not path.closed and (stop_at_end or plan.speed[-1] == 0.0) else []
     stops = np.array([*plan.stops, *ends], dtype=float).reshape(-1, 2)
     return kernel.SpeedPath(
         square=plan.at(s) ** 2, curvature=path.at(inside).curvature.copy(), slope=slope, bank=bank,
@@ -175,8 +177,10 @@ def _banks(settings: Any, period: float) -> Any:
 class SpeedController:
     """A speed control on its way along a path, called once a control period."""
 
-    def __init__(self, control: SpeedControl, path: Road, plan: SpeedPlan, period: float) -> None:
-        self.control, self._period = control, period
+    def __init__(
+        self, control: SpeedControl, path: Road, plan: SpeedPlan, period: float, stop_at_end: bool = False
+    ) -> None:
+        self.control, self._period, self._stop_at_end = control, period, stop_at_end
         self._memory = kernel.SPEED_MEMORY.new(1)
         self._settings = control.settings(period, plan.comfort)
         self._banks = _banks(self._settings, period)
@@ -185,7 +189,10 @@ class SpeedController:
 
     def follow(self, path: Road, plan: SpeedPlan) -> None:
         """Follow another plan from now on; what was learned of resistance and slope stays."""
-        self._settings, self._path = self.control.settings(self._period, plan.comfort), speed_path(path, plan)
+        self._settings, self._path = (
+            self.control.settings(self._period, plan.comfort),
+            speed_path(path, plan, self._stop_at_end),
+        )
         way = float(plan.speed.max()) ** 2 / (2.0 * min(plan.comfort.brake, 2.0)) + MARGIN_OF_HORIZON
         self._ahead = np.zeros(max(4, math.ceil(way / self._path.spacing)))
         self._memory[0].next_stop = 0
@@ -199,15 +206,25 @@ class SpeedController:
         kernel.speed_control_step(
             station, speed, yaw_rate, self._memory, self._settings, self._path, self._banks, self._ahead
         )
+        return self.command
+
+    @property
+    def command(self) -> SpeedCommand:
+        """Requests in force."""
         memory = self._memory[0]
         return SpeedCommand(
             float(memory.acceleration), float(memory.force), float(memory.hold), float(memory.target_speed),
             float(memory.grip_used), _STATES[int(memory.state)], _LIMITS[int(memory.limited_by)],
         )  # fmt: skip
 
+    @property
+    def learned(self) -> dict[str, Any]:
+        """What is estimated of ``drive`` and ``brakes``: `core.speed_learning.ActuatorBelief` of each."""
+        return {name: learning.mean_of_bank(getattr(self._banks, name)) for name in ("drive", "brakes")}
+
     def release(self) -> None:
-        """Leave the stop at which the car stands, whatever its time."""
-        self._memory[0].standing = math.inf
+        """Leave the stop at which the car stands, whatever its time; at the end of a path it stays."""
+        self._memory[0].standing = np.finfo(float).max
 
     def speeds_ahead(self, speed: float, count: int) -> Array:
         """(count,) m/s, governed speeds at the coming control instants, the first one the present speed (m/s)."""

@@ -26,6 +26,7 @@ from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCComma
 from adaptrack.control.controllers.belief import SourcedValue
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
+from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
 from adaptrack.control.speed_target import SpeedTarget
 from adaptrack.control.tracking import packed_plan, tracker_of
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
@@ -71,6 +72,10 @@ _STATUSES = tuple(Status)
 """In the order of `core.tracker.records`."""
 
 
+STEERED = frozenset({Status.OK, Status.ESTIMATED, Status.STANDING, Status.SLIDING, Status.END})
+"""Statuses in which a speed control follows its plan; in all others it stops the car."""
+
+
 class Tracked(NamedTuple):
     """Result of one call of a tracker."""
 
@@ -89,6 +94,8 @@ class Tracked(NamedTuple):
     """sentences on inputs that contradict each other, since the tracker engaged; see `control.input_check`"""
     target_speed: float = math.nan
     """m/s, planned one period ahead, and 0 at a stop until its time is over; NaN without a plan or a position"""
+    longitudinal: SpeedCommand | None = None
+    """requests of the speed control: acceleration, force, hold pressure; None without one"""
 
 
 class Timing(NamedTuple):
@@ -124,6 +131,9 @@ class Tracker:
         From points, OpenDRIVE or segments. On one that crosses itself the car begins on the branch in its direction.
     plan : SpeedPlan, optional
         The speed that is planned along it; without one the present speed is expected to stay.
+    speed : SpeedControl, optional
+        Controls the speed along the plan: `Tracked.longitudinal` then requests acceleration and force. Without a
+        position, off the path and in reverse the car is stopped with the deceleration of comfort.
     furthest : float
         From the path, beyond which the status says so.
     record : path, optional
@@ -145,6 +155,7 @@ class Tracker:
         path: Road,
         *,
         plan: SpeedPlan | None = None,
+        speed: SpeedControl | None = None,
         furthest: Annotated[Bound, "m"] = 10.0,
         record: str | os.PathLike[str] | None = None,
     ) -> None:
@@ -160,7 +171,12 @@ class Tracker:
         self._times_doubted = False
         self.timing: Timing | None = None
         """of the loop; None before `TIMED_STEPS` control steps"""
+        self._speed: SpeedController | None = None
+        if speed is not None and plan is None:
+            raise InvalidInput("Tracker: speed: a speed control follows a plan; give plan=plan_speed(path, car).")
         self._set_path(path, plan)
+        if speed is not None and plan is not None:
+            self._speed = SpeedController(speed, path, plan, self.period, speed.stop_at_end)
         self._check = InputCheck(controller.vehicle, self.period)
         self._load(tracker_of(controller, path, plan, furthest, self._check))
         self._recorder = None if record is None else Recorder(record)
@@ -241,6 +257,10 @@ class Tracker:
             self._target = None if plan is None else SpeedTarget(plan)
         else:
             self._target.follow(plan)
+        if self._speed is not None:
+            if plan is None:
+                raise InvalidInput("Tracker.follow: the speed control follows a plan; give plan=plan_speed(path, car).")
+            self._speed.follow(path, plan)
         self._load(self._kernel._replace(path=stacked(path), plan=packed_plan(plan)))
         tracker_follow(math.nan if near is None else near, self._resident)
         self._obey()
@@ -292,6 +312,8 @@ class Tracker:
             steps += 1
         self._obey()
         tracked = self._answer(at)
+        if self._speed is not None:
+            tracked = tracked._replace(longitudinal=self._longitudinal(self._speed, tracked, row, steps))
         if steps:
             self._take_times(at - row[0], time.perf_counter() - call_start)
         if self._recorder is not None and tracked.status is not Status.REPEATED:
@@ -312,6 +334,20 @@ class Tracker:
             target = self._target.at(time, station, speed, self.period)
         suspects = self._check.suspect
         return Tracked(command, _STATUSES[int(status)], offset, heading_error, station, state, suspects, target)
+
+    def _longitudinal(
+        self, control: SpeedController, tracked: Tracked, sample: list[float], steps: int
+    ) -> SpeedCommand:
+        """Requests of the speed control: once a control instant, otherwise those in force.
+
+        A car that stands without a position is not started.
+        """
+        if steps == 0:
+            return control.command
+        _, _, x, _, _, speed, yaw_rate, *_ = sample
+        starts_blind = tracked.status is Status.STANDING and not math.isfinite(x)
+        station = tracked.station if tracked.status in STEERED and not starts_blind else math.nan
+        return control.step(station, speed, yaw_rate)
 
     def _obey(self) -> None:
         """Do with the controller what the kernels ask for."""

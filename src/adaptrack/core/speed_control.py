@@ -234,7 +234,8 @@ def _follow(station, speed, lateral, drive, brakes, settings, path, memory, ahea
     stop = _stop_place(memory.next_stop, path)
     stop_speed, stop_acceleration = _stopping_motion(stop - place, settings)
     if stop_speed < target or stop - place <= 0.0:
-        memory.state, memory.limited_by = STOPPING, BY_STOP
+        is_end = path.seconds[memory.next_stop % path.stops.size] == math.inf
+        memory.state, memory.limited_by = STOPPING, BY_PATH_END if is_end else BY_STOP
         target = stop_speed
         _, lead_acceleration = _stopping_motion(stop - lead, settings)
         acceleration = 0.5 * (stop_acceleration + lead_acceleration)

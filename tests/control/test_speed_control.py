@@ -1,0 +1,172 @@
+"""Speed control: stops, governor, learning of drive and brakes, and the tracker that requests forces."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack import MPC, DualTrack, RoadDrive, Tracker, load_vehicle, simulate
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
+from adaptrack.control.speed_control import SpeedControl, SpeedController, SpeedLimit, SpeedState
+from adaptrack.core import speed_control as kernel
+from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.road import Comfort, Line, Road, Stop, generate_road, plan_speed
+
+CAR = load_vehicle("midsize-sedan")
+PERIOD = 0.05
+COMFORT = Comfort(accelerate=1.5, brake=2.0)
+
+
+def _straight(length: float, **along: object) -> Road:
+    return Road.from_segments([Line(length=length)], name="straight").replace(**along)
+
+
+class PointMass:
+    """A car on a straight road behind drive and brakes with lags and dead times, by Euler steps of 1 ms."""
+
+    def __init__(
+        self, speed: float, mass: float, drive: DriveActuator, brakes: BrakeActuator, slope: float = 0.0
+    ) -> None:
+        self.s, self.v, self._mass, self._slope = 0.0, speed, mass, slope
+        self._actuators, self._forces = (drive, brakes), [0.0, 0.0]
+        self._queues = [[0.0] * (1 + round(a.dead_time / 0.001)) for a in self._actuators]
+
+    def move(self, force: float, hold: float) -> None:
+        for _ in range(round(PERIOD / 0.001)):
+            for i, request in enumerate((max(force, 0.0), max(-force, 0.0) + hold)):
+                self._queues[i].append(request * self._actuators[i].gain)
+                target = self._queues[i].pop(0)
+                self._forces[i] += (target - self._forces[i]) * 0.001 / max(self._actuators[i].lag, 0.001)
+            push = self._forces[0] / self._mass - self._slope
+            if self.v <= 0.0 and abs(push) <= self._forces[1] / self._mass:
+                self.v = 0.0
+                continue
+            self.v += 0.001 * (push - math.copysign(self._forces[1] / self._mass, self.v if self.v else push))
+            self.s += 0.001 * self.v
+
+
+def test_on_the_way_to_a_stop_the_acceleration_is_the_derivative_of_the_speed() -> None:
+    control = SpeedControl(CAR).settings(PERIOD, COMFORT)
+    ways = np.linspace(0.001, 40.0, 40000)
+    speeds, accelerations = np.array([kernel._stopping_motion(way, control) for way in ways]).T
+    slope = np.gradient(speeds**2, ways) / 2.0
+    np.testing.assert_allclose(-slope[5:-5], accelerations[5:-5], atol=0.02)
+    assert accelerations[0] > -0.5  # both reach 0 together
+    assert accelerations.min() == -COMFORT.brake
+
+
+@pytest.mark.parametrize(("mass", "slope"), [(1.0, 0.0), (1.3, 0.6), (0.9, -0.6)])
+def test_a_car_whose_delays_mass_and_slope_are_not_known_stops_near_its_stop_and_drives_on(mass, slope) -> None:
+    drive, brakes = DriveActuator(lag=0.3, dead_time=0.2, gain=0.95), BrakeActuator(lag=0.15, dead_time=0.15)
+    road = _straight(700.0)
+    plan = plan_speed(road, CAR, COMFORT, stops=[Stop(300.0, 2.0)], top_speed=14.0)
+    controller = SpeedController(SpeedControl(CAR, drive=None, brakes=None), road, plan, PERIOD)
+    car = PointMass(float(plan.speed[0]), CAR.mass * mass, drive, brakes, slope)
+    stands, errors = [], []
+    for _ in range(1500):
+        request = controller.step(car.s, car.v, 0.0)
+        if request.state == SpeedState.STOPPED:
+            stands.append(car.s)
+        elif 100.0 < car.s < 250.0:
+            errors.append(car.v - float(plan.at(car.s)))
+        car.move(request.force, request.hold)
+        if car.s > 600.0:
+            break
+    assert abs(stands[-1] - 300.0) < 0.35
+    assert np.ptp(stands) < 0.02
+    assert np.sqrt(np.mean(np.square(errors))) < 0.25
+    assert car.s > 600.0
+
+
+def test_the_bank_finds_delay_and_ratio_of_drive_and_brakes() -> None:
+    drive, brakes = DriveActuator(lag=0.45, dead_time=0.1, gain=0.85), BrakeActuator(lag=0.15, dead_time=0.3)
+    road = _straight(3000.0)
+    stops = [Stop(200.0 * k, 0.0) for k in range(1, 12)]
+    plan = plan_speed(road, CAR, COMFORT, stops=stops, top_speed=14.0)
+    controller = SpeedController(SpeedControl(CAR, drive=None, brakes=None), road, plan, PERIOD)
+    car = PointMass(float(plan.speed[0]), CAR.mass, drive, brakes)
+    for _ in range(3000):
+        request = controller.step(car.s, car.v, 0.0)
+        car.move(request.force, request.hold)
+    learned = controller.learned
+    assert learned["drive"].lag + learned["drive"].dead_time == pytest.approx(0.55, abs=0.08)
+    assert learned["brakes"].lag + learned["brakes"].dead_time == pytest.approx(0.45, abs=0.08)
+    assert learned["drive"].ratio == pytest.approx(0.85, abs=0.06)
+    assert learned["brakes"].ratio == pytest.approx(1.0, abs=0.06)
+
+
+def test_governed_speeds_keep_their_share_of_the_assumed_friction_and_the_braking_of_comfort() -> None:
+    road = generate_road("mountain", 3, 1500.0).replace(speed_limit=None)
+    plan = plan_speed(road, CAR, Comfort(lateral=20.0))
+    control = SpeedControl(CAR, friction=(0.4, 0.9))
+    controller = SpeedController(control, road, plan, PERIOD)
+    for station in np.linspace(0.0, road.length - 150.0, 40):
+        controller.step(station, float(plan.at(station)), math.nan)
+        squares, spacing = controller._ahead, controller._path.spacing
+        first = math.floor(station / spacing)
+        places = (first + np.arange(squares.size) + 0.5) * spacing
+        inside = places < road.length
+        curvature = road.at(np.minimum(places, road.length - 1e-6)).curvature
+        lateral = squares * np.abs(curvature)
+        assert (lateral[inside] <= control.governor * 0.4 * GRAVITY + 0.3).all()  # cells of half a metre
+        assert (-np.diff(squares) / (2.0 * spacing) <= plan.comfort.brake + 1e-9).all()
+        assert (squares <= plan.at(places) ** 2 * 1.01 + 0.3)[inside].all()
+
+
+def test_a_simulated_car_is_driven_by_a_speed_control_as_near_to_its_plan_as_by_a_driver() -> None:
+    road = generate_road("country", 3, 800.0)
+    plan = plan_speed(road, CAR)
+    run = simulate(
+        DualTrack(CAR), MPC(CAR, profile="road"), RoadDrive(road, plan), profile="road", driver=SpeedControl(CAR)
+    )
+    assert run.failed is None
+    moved = run.road["station"] > 100.0
+    error = run.vx[moved] - plan.at(run.road["station"][moved])
+    assert np.sqrt(np.mean(error**2)) < 0.2
+
+
+def _track(tracker: Tracker, car: PointMass, periods: int, known=lambda k: True) -> list:
+    answers = []
+    for k in range(periods):
+        x = car.s if known(k) else math.nan
+        answers.append(
+            tracker.step(k * PERIOD, x, 0.0 if known(k) else math.nan, 0.0 if known(k) else math.nan, car.v, 0.0)
+        )
+        request = answers[-1].longitudinal
+        car.move(request.force, request.hold)
+    return answers
+
+
+def test_a_tracker_stops_at_the_end_of_its_path_and_holds_the_car() -> None:
+    road = _straight(200.0)
+    tracker = Tracker(
+        MPC(CAR, profile="road"), road, plan=plan_speed(road, CAR, top_speed=10.0), speed=SpeedControl(CAR)
+    )
+    car = PointMass(10.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
+    answers = _track(tracker, car, 700)
+    assert car.v == 0.0
+    assert car.s == pytest.approx(200.0, abs=0.4)
+    assert answers[-1].longitudinal.limited_by in {SpeedLimit.PATH_END, SpeedLimit.STOP}
+    assert answers[-1].longitudinal.hold > 0.0
+
+
+def test_without_a_position_a_tracker_stops_the_car_with_the_braking_of_comfort() -> None:
+    road = _straight(900.0)
+    plan = plan_speed(road, CAR, COMFORT, top_speed=12.0)
+    tracker = Tracker(MPC(CAR, profile="road"), road, plan=plan, speed=SpeedControl(CAR))
+    car = PointMass(12.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
+    answers = _track(tracker, car, 600, known=lambda k: k < 60)
+    assert car.v == 0.0
+    requests = [answer.longitudinal for answer in answers[150:]]
+    assert {request.limited_by for request in requests} == {SpeedLimit.FAULT}
+    assert min(request.acceleration for request in requests) > -1.3 * COMFORT.brake
+
+
+def test_impossible_speed_controls_are_refused_with_the_remedy() -> None:
+    with pytest.raises(InvalidInput, match=r"friction = \(0.9, 0.6\): must be a value such as 0.9"):
+        SpeedControl(CAR, friction=(0.9, 0.6))
+    with pytest.raises(InvalidInput, match=r"give plan=plan_speed\(path, car\)"):
+        Tracker(MPC(CAR, profile="road"), _straight(100.0), speed=SpeedControl(CAR))
