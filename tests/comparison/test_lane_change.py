@@ -214,7 +214,7 @@ def test_the_command_gives_a_table_and_a_page(run_command, monkeypatch, tmp_path
     command = ["compare", "--lane-change", "iso3888-2", "--vehicle", "compact-ev", "--controller", "pure-pursuit"]
     code, out, err = run_command(*command, "--out", tmp_path)
     assert code == 0, err
-    assert "Clean to" in out
+    assert "Highest clean entry speed" in out
     assert (tmp_path / "compact-ev-road.png").read_bytes().startswith(b"\x89PNG")
     (row,) = json.loads(run_command(*command, "--budget", "0", "--json")[1])["rows"]
     assert (row["vehicle"], row["controller"], row["tuned"]) == ("compact-ev", "pure-pursuit", False)

@@ -200,9 +200,9 @@ def test_the_true_steering_drives_no_worse_than_an_unknown_one():
 @pytest.mark.parametrize(
     ("mpc", "profile", "differs"),
     [
-        (MPC(KNOWN), "road", "0 s (default), profile 'road' simulates 0.05 s"),
-        (MPC(KNOWN, computation=0.05), "paper", "0.05 s (given), profile 'paper' simulates 0 s"),
-        (KinematicMPC(KNOWN), "road", "0 s (default), profile 'road' simulates 0.05 s"),
+        (MPC(KNOWN), "road", "0 s (default), but profile 'road' simulates 0.05 s"),
+        (MPC(KNOWN, computation=0.05), "paper", "0.05 s (given), but profile 'paper' simulates 0 s"),
+        (KinematicMPC(KNOWN), "road", "0 s (default), but profile 'road' simulates 0.05 s"),
         (MPC(CAR), "road", None),
         (MPC(KNOWN, profile="road"), "road", None),
         (MPC(KNOWN.replace(steering=Steering(lag=0.1, dead_time=0.1))), "road", None),
@@ -245,7 +245,7 @@ def test_a_certificate_of_who_learns_is_of_how_it_begins_and_names_the_belief():
     certificate = certify(mpc.tuning, DualTrack(SHEET), mpc, "road", levels=(3, 1))
     assert certificate.belief == f"{mpc.belief}; {mpc.learns}"
     result = certificate_result(certificate)
-    assert result.notes == [f"belief: {certificate.belief}."]
+    assert result.notes == [f"Steering model of the controller: {certificate.belief}."]
     assert result.record["belief"] == certificate.belief
     heavier = Tuning(mpc.tuning.Np, mpc.tuning.Nc, 1.0, mpc.first_caution * mpc.tuning.R)
     frozen = MPC(SHEET, model=mpc.model, estimator=mpc.estimator)

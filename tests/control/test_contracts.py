@@ -213,9 +213,9 @@ def plugged(run_command, monkeypatch, tmp_path):
 def test_a_plant_without_a_name_a_plug_in_without_a_file_and_a_certificate_of_steps_are_refused(plugged):
     for command, words in (
         ("drive step --plant bicycle", "There is no plant 'bicycle'"),
-        ("drive step --plugin tricycles", "--plugin tricycles: there is no such module"),
-        ("drive step --plugin .", "--plugin .: there is no such module"),
-        ("certify road-nn --plugin bicycles --plant bicycle", "is stepped in Python"),
+        ("drive step --plugin tricycles", "--plugin tricycles: no such module"),
+        ("drive step --plugin .", "--plugin .: no such module"),
+        ("certify road-nn --plugin bicycles --plant bicycle", "has no equations that a certificate can linearise"),
     ):
         code, _, err = plugged(*command.split())
         assert code == 2

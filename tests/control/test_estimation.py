@@ -338,7 +338,7 @@ def test_the_scheduler_knows_the_estimates():
                 DualTrack(CAR), published_mpc(CAR, period=0.1), road(duration=1.0), known_as=FrictionWindEstimator(CAR)
             ),
             "",
-            "same instants",
+            "give both the same period",
         ),
         (lambda: FrictionWindEstimator(CAR, noise_vy=math.nan), "noise_vy", "finite"),
         (lambda: FrictionWindEstimator(CAR, noise_acceleration="fast"), "noise_acceleration", "number"),

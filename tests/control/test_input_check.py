@@ -296,7 +296,7 @@ def test_check_loop_answers_first_and_by_its_exit_code(monkeypatch, capsys, reco
     path, _ = recorded
     code, out, _ = run(monkeypatch, capsys, "check-loop", path, "--vehicle", "paper")
     assert code == 0
-    assert out.startswith("No contradiction, in 6 of 9 comparisons")
+    assert out.startswith("No contradictions in 6 of 9 comparisons")
     code, out, _ = run(monkeypatch, capsys, "check-loop", path, "--flip", "yaw_rate", "--json")
     assert code == 3
     assert "yaw_rate: " in json.loads(out)["contradictions"][0], out
@@ -306,7 +306,7 @@ def test_check_loop_answers_first_and_by_its_exit_code(monkeypatch, capsys, reco
     ("columns", "words"),
     [
         ("t,steer", "no column for speed"),
-        ("t,vx", "nothing could be compared: no column for yaw_rate"),
+        ("t,vx", "no signals could be compared: no column for yaw_rate"),
     ],
 )
 def test_check_loop_says_why_it_could_not_compare(monkeypatch, capsys, tmp_path, columns, words):

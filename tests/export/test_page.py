@@ -102,7 +102,7 @@ def test_the_command_writes_the_same_page_and_says_how_large_it_is(monkeypatch, 
 def test_the_command_refuses_a_folder_by_name(monkeypatch, capsys, tmp_path):
     code, _, message = run_command(monkeypatch, capsys, "--out", tmp_path)
     assert code == 2
-    assert "is a folder; name a file" in message
+    assert "it is a folder; give a file name" in message
 
 
 # -- it opens ---------------------------------------------------------------------------------------------------------
