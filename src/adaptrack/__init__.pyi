@@ -94,6 +94,7 @@ from .control.scheduling import (
     load_scheduler as load_scheduler,
     save_scheduler as save_scheduler,
 )
+from .control.speed_control import SpeedControl as SpeedControl
 from .control.tracker import Status as Status, Tracker as Tracker, yaw_of as yaw_of
 from .core.member import CFunction as CFunction
 from .drive.batch import rollout_batch as rollout_batch

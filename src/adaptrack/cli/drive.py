@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import controllers, interrupt, options, show
 from adaptrack.cli.next_step import command, next_line, repeat_command_with, replace_option
 from adaptrack.cli.places import DrivenPlaces, PlaceOptions
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
     from adaptrack.cli.road import CheckedRoad
     from adaptrack.control.controllers import Controller
+    from adaptrack.control.speed_control import SpeedControl
+    from adaptrack.drive.world import Driver
     from adaptrack.results import Run
     from adaptrack.road.holdable_speed import HoldableSpeed
 
@@ -134,6 +137,28 @@ def _held_speeds(arguments: DriveOptions) -> HoldableSpeed | None:
     return next((load_tuning(file).holds for file in arguments.tuning or []), None)
 
 
+def _make_driver(
+    settings: options.DriveSettings, loop: DrivenLoop, friction: float | None
+) -> Driver | SpeedControl | None:
+    """Return what moves the car along its plan; None for a prescribed speed.
+
+    Raises
+    ------
+    InvalidInput
+        When a speed control is requested without a road, or with a prescribed speed.
+    """
+    from adaptrack.control.speed_control import SpeedControl
+    from adaptrack.drive.world import ROAD_DRIVER
+
+    if not settings.speed_control:
+        return None if settings.prescribed_speed else ROAD_DRIVER
+    if settings.prescribed_speed or loop.places.road is None:
+        raise InvalidInput(
+            "--speed-control: moves a car along a road by forces: name a road, without --prescribed-speed."
+        )
+    return SpeedControl(loop.car) if friction is None else SpeedControl(loop.car, friction=friction)
+
+
 def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: float | None) -> Iterator[Run]:
     """Simulate all drives with all controllers; save each trajectory at once.
 
@@ -144,12 +169,11 @@ def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: float | 
     from adaptrack.drive.metrics import compute_metrics
     from adaptrack.drive.predicted_paths import PredictedPaths
     from adaptrack.drive.simulate import simulate
-    from adaptrack.drive.world import ROAD_DRIVER
     from adaptrack.results import Run
 
     places, out = loop.places, settings.out
     known_as = None if friction is None else Perception(friction=friction)
-    driver = None if settings.prescribed_speed else ROAD_DRIVER
+    driver = _make_driver(settings, loop, friction)
     pairs = [(drive, *labelled) for drive in places.drives for labelled in loop.drivers]
     files = safe_names(f"{drive.name}-{label}" for drive, label, _ in pairs)
     where = f"their trajectories are in {out}, without a page" if out else "nothing was written"

@@ -142,6 +142,10 @@ class DriveSettings:
     """Options for the simulation of a closed loop and for the saved files."""
 
     prescribed_speed: PrescribedSpeed = False
+    speed_control: Annotated[
+        bool,
+        Option("--speed-control", hidden=True, help="Road: control the speed with governor, stops and learned brakes."),
+    ] = False
     period: Annotated[
         float | None, Option("--period", metavar="S", hidden=True, help="Control period (s); default: the profile's.")
     ] = None
