@@ -78,6 +78,8 @@ LEAD_DISTANCE = 2.0
 """m, over which the acceleration of the plan is taken."""
 BRAKE_CAUTION = 1.0
 """Standard deviations by which the delay of the brakes is assumed longer than its mean."""
+STOP_LEAD = 0.1
+"""Share of the lag by which a car comes nearer to its stop than its speed says, chosen on 60 cars: no bias."""
 COMFORT_RESERVE = 1.2
 """Factor on the accelerations of comfort within which errors of the speed are corrected."""
 LEAST_SPEED_AHEAD = 0.3
@@ -232,7 +234,8 @@ def _follow(station, speed, lateral, drive, brakes, settings, path, memory, ahea
     acceleration = 0.5 * change / LEAD_DISTANCE
     memory.limited_by = BY_PLAN if target_square >= path.square[_cell(place, path)] * 0.999 else BY_GRIP
     stop = _stop_place(memory.next_stop, path)
-    stop_speed, stop_acceleration = _stopping_motion(stop - place, settings)
+    lag_way = STOP_LEAD * lag * coming_speed
+    stop_speed, stop_acceleration = _stopping_motion(stop - place - lag_way, settings)
     if stop_speed < target or stop - place <= 0.0:
         is_end = path.seconds[memory.next_stop % path.stops.size] == math.inf
         memory.state, memory.limited_by = STOPPING, BY_PATH_END if is_end else BY_STOP
