@@ -18,10 +18,13 @@ from adaptrack.core import speed_control as kernel
 from adaptrack.core import speed_learning as learning
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road import Comfort, Road, SpeedPlan
+from adaptrack.road.cornering import cornering_limit
 
 Array = NDArray[np.float64]
 SPACING = 0.5
 """m, of the places of a plan, and of the horizon."""
+TYPICAL_CURVATURE = 0.02
+"""1/m, of the bend in which the car's share of the friction is taken."""
 MARGIN_OF_HORIZON = 20.0
 """m, by which the horizon is longer than the way to stop from the highest planned speed."""
 
@@ -127,7 +130,8 @@ class SpeedControl:
 
     def settings(self, period: float, comfort: Comfort) -> Any:
         """Record of the kernel for a control period (s) and the comfort of a plan."""
-        car, (low, high) = self.car, self.friction_interval
+        car = self.car
+        low, high = (friction * _grip_share(car, friction) for friction in self.friction_interval)
         drive, brakes = self.drive or car.drive, self.brakes or car.brakes
         names = ("mass", "lf", "lr", "cg_height", "drive_front", "brake_front", "engine_power", "traction_limit",
                  "brake_limit")  # fmt: skip
@@ -142,6 +146,12 @@ class SpeedControl:
             brake_lag=brakes.lag if brakes else math.nan, brake_dead_time=brakes.dead_time if brakes else math.nan,
             gain=self.gain,
         )  # fmt: skip
+
+
+def _grip_share(car: Vehicle, friction: float) -> float:
+    """Share of the friction that the car reaches in a bend: load transfer takes some from tyres that lose with load."""
+    (limit,) = cornering_limit(car, [TYPICAL_CURVATURE], [friction])
+    return min(float(limit) / (friction * GRAVITY), 1.0)
 
 
 def speed_path(path: Road, plan: SpeedPlan, stop_at_end: bool) -> Any:
