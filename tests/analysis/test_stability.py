@@ -14,6 +14,7 @@ from adaptrack import (
     InvalidInput,
     Moves,
     SingleTrack,
+    Steering,
     Tuning,
     UserEstimator,
     UserPlant,
@@ -125,6 +126,22 @@ def test_in_a_turn_tyres_are_softer_and_an_aggressive_loop_becomes_unstable():
             names, a, _ = linearised(PLANT, 24.0, 0.6, turn)
             slopes.append(abs(a[names.index("yaw_rate"), names.index(f"slip_{wheel}")]))
         assert slopes[1] < share * slopes[0]
+
+
+def test_the_relaxation_of_its_tyres_makes_the_vans_loop_unstable_unless_the_model_contains_it():
+    van, profile = load_vehicle("van"), load_profile("production").without_sample_ages
+    plant, mpc = DualTrack(van), MPC(van, profile=profile)
+    relaxation = mpc.model.dead_time - profile.dead_time
+    unaware = MPC(van, profile=profile, belief=Steering(lag=0.2, dead_time=profile.steering.dead_time - relaxation))
+    assert unaware.model.dead_time == pytest.approx(profile.dead_time)
+    rigid = DualTrack(van, plant.tyre.replace(relaxation_length=0.0))
+    stable = {
+        (tyres, model): spectral_radius(car, controller, 27.0, profile=profile) < 1.0
+        for tyres, car in (("relaxing", plant), ("rigid", rigid))
+        for model, controller in (("aware", mpc), ("unaware", unaware))
+    }
+    assert [loop for loop, is_stable in stable.items() if not is_stable] == [("relaxing", "unaware")]
+    assert MPC(van, profile="road").model.dead_time == ROAD.dead_time  # the lateral velocity is measured
 
 
 def wandering(x, u, environment, p, dx):

@@ -73,6 +73,27 @@ def test_what_is_given_of_a_car_stays_and_has_no_spread():
     assert not math.isnan(within.stiffness_front)
 
 
+@pytest.mark.parametrize(("mass", "stiffness"), [(1500.0, 25e3), (1500.0, 60e3), (2800.0, 110e3)])
+def test_the_relaxation_delay_is_the_phase_that_relaxing_tyres_add_to_the_yaw_rate(mass, stiffness):
+    """Single track with forces C alpha/(1 + s sigma/v); neutral, with I_z = m l_f l_r."""
+    lf, lr, speed, frequency = 1.2, 1.5, car.RELAXATION_SPEED, car.RELAXATION_FREQUENCY
+    front, rear = 2.0 * stiffness * lr / (lf + lr), 2.0 * stiffness * lf / (lf + lr)  # N/rad of a tyre
+    row = row_of(car.CarRow, mass=mass, lf=lf, lr=lr, stiffness_front=front, stiffness_rear=rear)
+    relaxation_time = stiffness / car.TYRE_LATERAL_STIFFNESS / speed
+
+    def phase(time):
+        force = 1.0 / (1.0 + 1j * frequency * time)
+        c, turning, inertia = 2.0 * (front + rear) * force, 2.0 * (lf**2 * front + lr**2 * rear) * force, mass * lf * lr
+        response = np.linalg.solve(
+            [[1j * frequency + c / (mass * speed), speed], [0.0, 1j * frequency + turning / (inertia * speed)]],
+            [2.0 * front * force / mass, 2.0 * lf * front * force / inertia],
+        )
+        return float(np.angle(response[1]))
+
+    added = (phase(0.0) - phase(relaxation_time)) / frequency
+    assert car.relaxation_delay(row) == pytest.approx(added, rel=0.15, abs=0.0005)  # of first order, rounded to 1 ms
+
+
 def test_a_car_that_cannot_be_is_a_status_and_nothing_is_written():
     for values, status in [
         ({"mass": 599.0}, car.MASS_OUTSIDE), ({"mass": math.nan}, car.MASS_OUTSIDE),

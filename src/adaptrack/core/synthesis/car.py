@@ -198,3 +198,28 @@ def wind_turn(car):
 def understeer_gradient(car):
     """K (rad s^2/m) = m (l_r/(2 C_f) - l_f/(2 C_r))/L (Rajamani, *Vehicle Dynamics and Control*, section 3.3)."""
     return car.mass / (car.lf + car.lr) * (car.lr / (2.0 * car.stiffness_front) - car.lf / (2.0 * car.stiffness_rear))
+
+
+# -- tyres that build up their force over a distance -------------------------------------------------------------------
+TYRE_LATERAL_STIFFNESS = 1.3e5
+"""N/m, of a standing tyre; the relaxation length is the cornering stiffness over it (Besselink, Schmeitz, Pacejka,
+*Vehicle System Dynamics* 48, 2010). The tyres of the shipped cars have 0.7e5 to 1.8e5, of the paper's car 1.9e5 and
+3.3e5."""
+RELAXATION_SPEED, RELAXATION_FREQUENCY = 27.0, 8.0
+"""m/s and rad/s, at which `relaxation_delay` holds: the top speed of the shipped passenger cars, and the frequency at
+which their loops become unstable there without a measured lateral velocity (0.9 to 1.5 Hz)."""
+
+
+@exported(float64(Row(CarRow)))
+def relaxation_delay(car):
+    """Dead time (s) with the phase that relaxation of the tyres adds to the yaw rate behind the wheel angle.
+
+        T = sigma/v w^2/(w^2 + a^2),   a = 2 (C_f + C_r)/(m v),   sigma = (C_f + C_r)/2/`TYRE_LATERAL_STIFFNESS`
+
+    To first order in sigma/v, with forces C alpha/(1 + s sigma/v), for a neutral car with I_z = m l_f l_r. It hardly
+    changes with the speed v above a m v/w, 18 m/s for the van, and vanishes below.
+    """
+    stiffness = car.stiffness_front + car.stiffness_rear
+    relaxation = 0.5 * stiffness / TYRE_LATERAL_STIFFNESS / RELAXATION_SPEED
+    turning = 2.0 * stiffness / (car.mass * RELAXATION_SPEED) / RELAXATION_FREQUENCY
+    return to_places(relaxation / (1.0 + turning * turning), 3)

@@ -45,7 +45,7 @@ from .belief import (
     uncertainty_of_car,
     widen_drifts,
 )  # fmt: skip
-from .car import CarRow, KnownWithinRow, SteeringRow
+from .car import CarRow, KnownWithinRow, SteeringRow, relaxation_delay
 from .filter import DEFAULT_DRIFTS, Filter, filter_numbers, filter_periods, filter_size, sensor_noise
 from .learner import (
     UNKNOWN_CAR_ROW,
@@ -123,7 +123,11 @@ LARGEST_CORRECTION = 0.25
 
 @inlined
 def _set_fixed_belief(order, parts):
-    """Make the parts of a controller that does not learn: it assumes a high quantile of the delay."""
+    """Make the parts of a controller that does not learn: it assumes a high quantile of the delay.
+
+    Where the lateral velocity is not measured the model's dead time includes `relaxation_delay`: without it the loop of
+    a heavy car is unstable at speed. With that sensor the loop is stable without it.
+    """
     belief, unsure, world = parts.belief, parts.unsure, order.world
     if order.unsure_given == 0:
         uncertainty_of_car(order.within, belief, unsure)
@@ -136,6 +140,8 @@ def _set_fixed_belief(order, parts):
         widen_drifts(unsure, 1 if world.noise_vy < math.inf else 0, parts.filter.drifts)
     bound_commands(belief, world.period, parts.bounds)
     parts.lag, parts.dead_time = belief.lag, belief.computation + belief.dead_time
+    if world.noise_vy == math.inf:
+        parts.dead_time += relaxation_delay(order.car)
 
 
 @inlined
