@@ -10,12 +10,14 @@ instants the filter carries z along with the commands that acted; what it hands 
 the new command begins to act, carried on through the commands already sent.
 
 Each sensor is taken in by itself, as value = h z + noise, so one that is missing (not finite) is left out. A sample of
-a known age belongs to the control instant next to the time at which it was taken: the filter keeps z of `late` periods
-ago and goes through the instants since then anew at every step, with all that has arrived of them. A pose that was taken
-a little before or after its instant is compared with z carried there, psi - tau r and y - tau (v_y + v psi) +
-tau^2/2 v r. A motion sample belongs to the next instant: it is compared with h z there, less the share tau/T of the
-predicted change of h z in the period before. A sample that repeats the one before to the last bit, from a sensor that has noise, is an old one and left
-out; not so a heading or position against a path that has turned since: the car has turned with it.
+a known age belongs to a control instant: the filter keeps z of `late` periods ago and goes through the instants since
+then anew at every step, with all that has arrived of them. A pose belongs to the nearest instant. What was taken a
+little before or after it is compared with z carried there, psi - tau r and y - tau (v_y + v psi) + tau^2/2 v r. A
+motion sample belongs to the instant after it: it is compared with h z there, less the share tau/T of the predicted
+change of h z in that period. A lateral acceleration counts the less the later it is: its standard deviation is
+multiplied by 1 plus the whole periods of its age. A sample that repeats the one before to the last bit, from a sensor
+that has noise, is an old one and left out; not so a heading or position against a path that has turned since: the car
+has turned with it.
 
 A sensor that is stuck behind its own noise disagrees: the mean of its squared innovations over their variance, 1 for a
 filter that is right, grows. Beyond `distrust` the sensor that disagrees the most is left out until it agrees again, one
@@ -374,7 +376,7 @@ def _correct(instant, arrival, advance, change, p, m, samples):
         innovation = samples[instant, sensor] - expected
         noise = p.variance[sensor]
         if sensor == MEASUREMENT.lateral_acceleration:
-            noise += m.felt_error
+            noise = noise * square(1.0 + arrival) + m.felt_error  # a force that was unexpected has changed since
         variance = extended_kalman.scatter(noise, h, m.P, cross)
         is_left_out = m.excluded == sensor + 1
         if instant == p.late:  # every sample once

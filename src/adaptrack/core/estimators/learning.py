@@ -466,13 +466,7 @@ def _learn_noise(sensor, p, measured, m):
         return
     last, second_last, third_last = m.last[sensor], m.second_last[sensor], m.third_last[sensor]
     squared = _squared_difference(value, last, second_last, third_last, m)
-    if (
-        math.isfinite(squared)
-        and value != last
-        and last != second_last
-        and second_last != third_last
-        and m.slow < 0.5
-    ):
+    if math.isfinite(squared) and value != last and last != second_last and second_last != third_last and m.slow < 0.5:
         m.noise_count[sensor] += 1.0
         count, noise = m.noise_count[sensor], m.noise[sensor]
         widening = p.method.noise_range * p.method.noise_range

@@ -98,6 +98,7 @@ def _give(values, sample):
     )
     sample[TRACKER_SAMPLE.friction] = _value_if(values[STEERING_VALUE.friction], values[STEERING_VALUE.friction_known])
     sample[TRACKER_SAMPLE.wind] = _value_if(values[STEERING_VALUE.wind], values[STEERING_VALUE.wind_known])
+    sample[TRACKER_SAMPLE.motion_t] = math.nan
 
 
 @inlined
