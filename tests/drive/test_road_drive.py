@@ -14,7 +14,7 @@ from adaptrack.control.controllers import LQR, MPC, PurePursuit, Stanley
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.drive.batch import rollout_batch
-from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Pose, Road, Stop, generate_road, plan_speed
 from adaptrack.road.road_ahead import RoadAhead

@@ -15,7 +15,7 @@ from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.core import library
 from adaptrack.core.controllers.mpc import MPC_ANSWER
 from adaptrack.export.c_library import export_c
-from adaptrack.export.recorded import DRIVEN_SHARE, record_drive
+from adaptrack.export.recorded_drive import DRIVEN_SHARE, record_drive
 from adaptrack.export.tracking import tracking_block
 from adaptrack.scenario.profile import load_profile
 from programs import try_program

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.results.test_replay import ask_page
 
-from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.results.drive import write_drive_page
 from made_drives import bend, made_drive, made_run, recorded
 

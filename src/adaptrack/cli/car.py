@@ -228,7 +228,7 @@ def _say_fit(fit: TyreFit) -> None:
 
 def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
     """A row for each number of a car that is known or estimated."""
-    from adaptrack.cars.known_within import KnownWithin
+    from adaptrack.cars.tolerances import KnownWithin
 
     tolerances = vehicle.known_within or KnownWithin()
     rows = []

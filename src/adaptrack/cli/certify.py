@@ -134,7 +134,7 @@ def _next_step(arguments: CertifyOptions, certificate: Certificate) -> tuple[str
 def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule | None) -> MPC:
     """The MPC by name, with horizons as long as the schedule asks for."""
     from adaptrack.control.controllers import MPC, published_mpc
-    from adaptrack.control.controllers.made_for import is_for_published
+    from adaptrack.control.controllers.compatibility import is_for_published
     from adaptrack.scenario.profile import load_profile
 
     if name is None:

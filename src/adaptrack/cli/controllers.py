@@ -83,7 +83,7 @@ class ControllerSettings:
     @property
     def default_name(self) -> str:
         """The controller that drives unless one is named."""
-        from adaptrack.control.controllers.made_for import is_for_published
+        from adaptrack.control.controllers.compatibility import is_for_published
 
         if self.schedule is not None:
             return STANDARD_NAME if is_for_published(self.schedule.made_for) else INFORMED_NAME
@@ -135,7 +135,7 @@ def make_controller(name: str, settings: ControllerSettings) -> tuple[str, Contr
 def _informed_arguments(settings: ControllerSettings, moves: Moves) -> dict[str, Any]:
     """The arguments of the informed MPC, beyond those that every controller is offered."""
     from adaptrack.control.controllers import informed_tuning
-    from adaptrack.control.controllers.made_for import is_for_published
+    from adaptrack.control.controllers.compatibility import is_for_published
 
     arguments: dict[str, Any] = {"moves": moves, "solver": settings.solver}
     if settings.learning is not None:

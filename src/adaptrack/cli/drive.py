@@ -143,7 +143,7 @@ def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: float | 
     from adaptrack.base.files import safe_names
     from adaptrack.control.estimation import Perception
     from adaptrack.drive.metrics import compute_metrics
-    from adaptrack.drive.predicted import PredictedPaths
+    from adaptrack.drive.predicted_paths import PredictedPaths
     from adaptrack.drive.simulate import simulate
     from adaptrack.drive.world import ROAD_DRIVER
     from adaptrack.results import Run

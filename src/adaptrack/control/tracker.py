@@ -30,11 +30,11 @@ from adaptrack.control.speed_target import SpeedTarget
 from adaptrack.control.tracking import packed_plan, tracker_of
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.kernel import Resident
-from adaptrack.core.tracker.after import tracker_after
-from adaptrack.core.tracker.before import tracker_before
-from adaptrack.core.tracker.follow import tracker_follow
-from adaptrack.core.tracker.give import tracker_engage, tracker_give
+from adaptrack.core.tracker.change_path import tracker_follow
+from adaptrack.core.tracker.conclude_instant import tracker_conclude
+from adaptrack.core.tracker.prepare_instant import tracker_prepare
 from adaptrack.core.tracker.records import NO_BELIEF, REQUEST, TRACKER_SAMPLE
+from adaptrack.core.tracker.take_call import tracker_engage, tracker_take
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import RoadAhead, stacked
 
@@ -287,13 +287,13 @@ class Tracker:
         motion_t = row[0] if motion_time is None else real("Tracker.step", "motion_time", motion_time)
         kernel.sample[: len(row)] = row
         kernel.sample[TRACKER_SAMPLE.motion_t] = motion_t
-        tracker_give(resident)
+        tracker_take(resident)
         self._obey()
         steps = 0
-        while tracker_before(resident) > 0:
+        while tracker_prepare(resident) > 0:
             self._obey()
             self._control()
-            tracker_after(resident)
+            tracker_conclude(resident)
             steps += 1
         self._obey()
         tracked = self._answer(at)

@@ -27,7 +27,7 @@ from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, Failure
-from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
 from adaptrack.drive.world import Driver, KnownAs, World
 from adaptrack.scenario import RoadDrive, Scenario, Signals

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import whole_number
 from adaptrack.core.public import BELIEF_NAMES
-from adaptrack.gym.driven import Driven, needs_reset
+from adaptrack.gym.single_car import Driven, needs_reset
 from adaptrack.gym.spaces import BELIEF_STATE, Tunings, box, checked_action, first_belief, make_mpc, variables_within
 from adaptrack.gym.task import Task
 

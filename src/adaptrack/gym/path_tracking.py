@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.core.public import ObservationSpace, Resident, write_one_observation
-from adaptrack.gym.driven import Driven, needs_reset
+from adaptrack.gym.single_car import Driven, needs_reset
 from adaptrack.gym.spaces import (
     DISTANCES,
     checked_action,

@@ -17,7 +17,7 @@ from adaptrack.base.result import Picture, Result, Row, Stroke, strokes
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.drive.failure import DISTANCE, MIN_JUDGED_SPEED
 from adaptrack.drive.metrics import Metrics, compute_metrics
-from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.answers import length
 from adaptrack.results.drive_tables import (

@@ -15,7 +15,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.drive.failure import find_failure
-from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import Road
 from adaptrack.road.road_ahead import foot_near

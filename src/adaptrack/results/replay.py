@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.text import printable
-from adaptrack.drive.predicted import PredictedPaths
+from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.results.marks import deviation_colours
 from adaptrack.results.record import Array, DriveRecord
 from adaptrack.results.road_pictures import Drives, offset_scale, outline_stations, road_span
@@ -147,7 +147,7 @@ def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
             "lf": shape.lf, "lr": shape.lr, "track_front": shape.track_front, "track_rear": shape.track_rear,
         },
         "columns": {name: pack_column(values, REPLAY_UNITS[name]) for name, values in columns.items()},
-        "predicted": None if drive.predicted is None else _predicted(drive.predicted, drive, keep),
+        "predicted": None if drive.predicted_paths is None else _predicted(drive.predicted_paths, drive, keep),
     }  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from ..kernel import Place, exported, float64, inlined, int64, void
 from ..maths.bits import whole
 from ..maths.exact import floor
 from ..maths.exponential import hypot
-from .place import (
+from .pose import (
     begin_anew,
     carried,
     find_on_path,
@@ -68,7 +68,7 @@ def tracker_engage(angle, near, tracker):
 
 
 @exported(void(Place(TrackerRecord)))
-def tracker_give(tracker):
+def tracker_take(tracker):
     """Take in the call in `tracker.sample`, see SAMPLE."""
     m, sample = tracker.memory[0], tracker.sample
     m.open, m.due, m.first, m.waiting, m.answered = 1, 0, 0, 0, 0

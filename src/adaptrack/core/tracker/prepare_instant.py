@@ -13,7 +13,7 @@ from ..maths.exact import clip
 from ..models.contract import MEASUREMENT
 from ..road import CLOSED, foot_near, point_at
 from ..speed_plan import planned_speeds
-from .place import (
+from .pose import (
     PoseRow,
     carried,
     forward,
@@ -52,7 +52,7 @@ CARRIED = 0.25
 
 
 @exported(int64(Place(TrackerRecord)))
-def tracker_before(tracker):
+def tracker_prepare(tracker):
     """Go on to the next instant of a call: 1 and what the controller is given there; 0 when the call is over.
 
     Written are `measured`, `ahead`, `speeds` and, first of all to be done, `request`; at the end `tracked`. A

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-_ROOM = "adaptrack.results.shown"
+_ROOM = "adaptrack.results.presentation"
 
 
 def figure_of(result: Any, *options: Any) -> Any:
