@@ -28,7 +28,7 @@ import adaptrack as at
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.vehicle import Steering, load_tyre
 from adaptrack.control.controllers import Learning
-from adaptrack.control.controllers.learned import WITHIN
+from adaptrack.control.controllers.learned_car import WITHIN
 from adaptrack.core.estimators.learning import BELIEF_NAMES
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.batch import Batch

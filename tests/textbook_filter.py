@@ -79,6 +79,7 @@ class TextbookFilter:
         self.past = self.z.copy(), self.P.copy()
         self.sent, self.turned = [command] * (self.whole + self.late + 2), [0.0] * (self.late + 1)
         self.samples, self.earlier = [{} for _ in self.turned], [0.0 for _ in self.turned]
+        self.advances = [0.0 for _ in self.turned]
         self.last = dict(zip(SENSORS, measured, strict=False))
         self.offsets, self.disagreement = dict.fromkeys(SENSORS, 0.0), dict.fromkeys(SENSORS, 0.0)
         self.left_out, self.steps, self.blind, self.far = None, 0, 0, 0
@@ -95,21 +96,25 @@ class TextbookFilter:
         """Give each sample to the instant at which it was taken: value, and how much earlier (s) than that."""
         *values, pose_age, motion_age, turned = measured
         self.samples, self.earlier = [{}, *self.samples[:-1]], [0.0, *self.earlier[:-1]]
-        self.turned = [turned, *self.turned[:-1]]
+        self.turned, self.advances = [turned, *self.turned[:-1]], [0.0, *self.advances[:-1]]
         self.blind += 1
+        motion_periods = (motion_age if math.isfinite(motion_age) else 0.0) / self.model.period
+        self.arrival = max(math.floor(motion_periods + 1e-9), 0)
         for name, value, least in zip(SENSORS, values, LEAST_NOISE, strict=True):
             variance, age = self.variances[name], pose_age if name in POSE else motion_age
             age = age if math.isfinite(age) else 0.0
             moved = name in POSE and turned != 0.0
             repeated = value == self.last[name] and variance > least**2 and not moved
             self.last[name] = value
-            instant = math.floor(age / self.model.period + 0.5)
+            instant = math.floor(age / self.model.period + 0.5) if name in POSE else self.arrival
             if not (math.isfinite(value) and math.isfinite(variance) and 0 <= instant <= self.late):
                 continue
             if not repeated:
                 self.samples[instant][name] = value
                 if name in POSE:
                     self.earlier[instant] = age - instant * self.model.period
+                else:
+                    self.advances[instant] = age - instant * self.model.period
             agrees = abs(value - self.z[self.n - 1]) <= self.own.bound * math.sqrt(variance)
             if name == "y" and (agrees or not repeated):
                 self.blind = 0
@@ -190,13 +195,17 @@ class TextbookFilter:
                 continue
             h, noise = self.reading(name, instant, self.earlier[instant], speed)
             value = self.samples[instant][name] - noise - self.offsets[name]
-            variance = self.variances[name] + (self.felt_error if name == "lateral_acceleration" else 0.0)
+            if name not in POSE:
+                value += self.advances[instant] / self.model.period * (h @ self.change)
+            variance = self.variances[name]
+            if name == "lateral_acceleration":
+                variance = variance * (1.0 + self.arrival) ** 2 + self.felt_error
             if instant == self.late:  # every sample once
                 self.judge(name, (value - h @ self.z) ** 2 / (h @ self.P @ h + variance))
             if name == self.left_out:
                 continue
             innovation = self.correct(h, value, variance)
-            if instant == 0 and name in ("lateral_acceleration", "wheel_angle"):
+            if instant == self.arrival and name in ("lateral_acceleration", "wheel_angle"):
                 self.offsets[name] += min(1.0, self.model.period / self.own.settling) * innovation
 
     def judge(self, name, innovations):
@@ -227,7 +236,9 @@ class TextbookFilter:
         if self.late:
             self.z, self.P = self.past
         for instant in range(min(self.late, self.steps - 1), -1, -1):
+            before = self.z.copy()
             self.predict(speed, instant)
+            self.change = self.z - before
             self.take_in(instant, speed)
             self.z = self.z.copy()  # a push is no larger than what the tyres can still answer
             self.z[self.n : self.n + 2] *= self.spare / max(abs(self.z[self.n]), self.spare)

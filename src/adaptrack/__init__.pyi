@@ -11,7 +11,7 @@ from .base.errors import (
 )
 from .cars.data_sheet import vehicle_from_data_sheet as vehicle_from_data_sheet
 from .cars.domain import Domain as Domain
-from .cars.known_within import KnownWithin as KnownWithin
+from .cars.tolerances import KnownWithin as KnownWithin
 from .cars.plant import (
     DualTrack as DualTrack,
     Plant as Plant,

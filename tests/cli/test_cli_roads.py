@@ -13,7 +13,7 @@ from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.cli.app import app
-from adaptrack.control.controllers.learned import LearnedCar
+from adaptrack.control.controllers.learned_car import LearnedCar
 from adaptrack.drive.simulate import rollout
 from adaptrack.drive.world import ROAD_DRIVER
 from adaptrack.road import load_road, plan_speed

@@ -14,7 +14,7 @@ from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Steering, load_vehicle
 from adaptrack.control.controllers import MPC, LearnedCar, Learning, Uncertainty, load_learned_car
-from adaptrack.control.controllers.learned import BeliefState
+from adaptrack.control.controllers.learned_car import BeliefState
 from adaptrack.control.estimation import NOTHING_MEASURED
 from adaptrack.control.models import PathModel, SingleTrackModel
 from adaptrack.control.tracker import Tracker

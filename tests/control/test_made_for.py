@@ -9,7 +9,7 @@ import pytest
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC, published_mpc
-from adaptrack.control.controllers.made_for import car_of
+from adaptrack.control.controllers.compatibility import car_of
 from adaptrack.control.scheduling import Constant, list_schedulers, load_scheduler, made_for
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.simulate import simulate

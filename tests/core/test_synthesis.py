@@ -13,7 +13,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 import adaptrack as at
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.control.controllers.learned import Learning
+from adaptrack.control.controllers.learned_car import Learning
 from adaptrack.core import library
 from adaptrack.core.controllers.mpc import MPCSettings
 from adaptrack.core.estimators import learning

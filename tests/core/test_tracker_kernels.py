@@ -14,10 +14,10 @@ from adaptrack.control.scheduling import SchedulingVariables, load_scheduler
 from adaptrack.control.tracker import Status, Tracker
 from adaptrack.control.tracking import packed_plan, tracking_of
 from adaptrack.core.kernel import direct
-from adaptrack.core.tracker.follow import tracker_follow
-from adaptrack.core.tracker.give import tracker_engage
+from adaptrack.core.tracker.change_path import tracker_follow
 from adaptrack.core.tracker.records import FOLLOWING, HELD, NO_TIME, REPEATED, TRACKED
 from adaptrack.core.tracker.step import tracker_step, tracker_step_law
+from adaptrack.core.tracker.take_call import tracker_engage
 from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
 from adaptrack.road.road_ahead import pack_roads, stacked
 from tracker_calls import calls, in_python

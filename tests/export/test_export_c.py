@@ -58,7 +58,7 @@ EACH = int(os.environ.get("ADAPTRACK_TEST_STEPS", "3000"))
 class Sample(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_double) for name in (
         "t", "now", "x", "y", "yaw", "speed", "yaw_rate", "lateral_velocity", "lateral_acceleration", "wheel_angle",
-        "friction", "wind",
+        "friction", "wind", "motion_time",
     ))  # fmt: skip
 
 
@@ -171,7 +171,7 @@ class CTracker:
 
     def step(self, sample):
         answer = Answer(math.nan, status=-1)
-        row = Sample(*sample, *[math.nan] * (12 - len(sample)))
+        row = Sample(*sample, *[math.nan] * (13 - len(sample)))
         error = self.c.adaptrack_step(self.place, ctypes.byref(row), ctypes.byref(answer))
         return error, answer
 

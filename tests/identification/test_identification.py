@@ -20,9 +20,9 @@ from adaptrack.cli.app import app
 from adaptrack.identification import CarRanges, random_car
 from adaptrack.identification.calibration import CORRECTIONS, corrected
 from adaptrack.identification.conventions import check_conventions, guessed_ratio
-from adaptrack.identification.from_log import fitted, prepare, reported
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import log_of
+from adaptrack.identification.log_identification import fitted, prepare, reported
 from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of, values_of
 from adaptrack.identification.reading import Reading, read_columns
 from adaptrack.road import generate_road

@@ -15,11 +15,11 @@ from typer.testing import CliRunner
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli.app import app
-from adaptrack.identification.computed import without_computed
+from adaptrack.identification.computed_columns import without_computed
 from adaptrack.identification.consistency import Moments, contradictions
 from adaptrack.identification.conventions import check_conventions, check_positions
-from adaptrack.identification.from_log import prepare
 from adaptrack.identification.log import log_of
+from adaptrack.identification.log_identification import prepare
 from adaptrack.identification.long_log import SHORTENED, shorten_log
 from adaptrack.identification.reading import Reading, read_columns
 

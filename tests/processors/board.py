@@ -15,7 +15,7 @@ from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.core import library
 from adaptrack.core.controllers.mpc import MPC_ANSWER
 from adaptrack.export.c_library import export_c
-from adaptrack.export.recorded import DRIVEN_SHARE, record_drive
+from adaptrack.export.recorded_drive import DRIVEN_SHARE, record_drive
 from adaptrack.export.tracking import tracking_block
 from adaptrack.scenario.profile import load_profile
 from programs import try_program
@@ -98,7 +98,7 @@ class Program:
         self.folder, self.count = folder, len(samples)
         self.made = export_c(controller, folder / "made", targets=[_own(), *([target] if target else [])],
                              road=way[0], plan=way[1])  # fmt: skip
-        rows = np.full((self.count, 12), np.nan)
+        rows = np.full((self.count, 13), np.nan)
         rows[:, :10] = samples
         np.concatenate([np.array([self.count], np.int64), rows.ravel().view(np.int64)]).tofile(folder / "samples")
         block = tracking_block(controller)

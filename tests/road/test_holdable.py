@@ -11,7 +11,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Stanley
-from adaptrack.control.controllers.learned import Learning
+from adaptrack.control.controllers.learned_car import Learning
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed

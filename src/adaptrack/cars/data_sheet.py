@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from adaptrack.base.checked import Finite, Hint, NotNegative, checked, real, within
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.cars.known_within import KnownWithin
+from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.synthesis import car as kernel
 from adaptrack.core.synthesis.car import MASSES, WHEELBASES

@@ -17,10 +17,10 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, SHIPPED, Record, build, meanings, read_toml, write_toml
-from adaptrack.base.shown import figure_of, html_of
+from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.cars.domain import Domain
-from adaptrack.cars.known_within import KnownWithin
 from adaptrack.cars.outline import Outline
+from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.core.kernel import OK
 from adaptrack.core.plants.forces import GRAVITY as GRAVITY
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS

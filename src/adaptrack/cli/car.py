@@ -236,7 +236,7 @@ def _say_fit(fit: TyreFit) -> None:
 
 def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
     """Return a row for each parameter of a car."""
-    from adaptrack.cars.known_within import KnownWithin
+    from adaptrack.cars.tolerances import KnownWithin
 
     tolerances = vehicle.known_within or KnownWithin()
     rows = []

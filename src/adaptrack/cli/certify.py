@@ -139,7 +139,7 @@ def _next_step(arguments: CertifyOptions, certificate: Certificate) -> tuple[str
 def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule | None) -> MPC:
     """Make the MPC of this name with horizons that are long enough for the schedule."""
     from adaptrack.control.controllers import MPC, published_mpc
-    from adaptrack.control.controllers.made_for import is_for_published
+    from adaptrack.control.controllers.compatibility import is_for_published
     from adaptrack.scenario.profile import load_profile
 
     if name is None:

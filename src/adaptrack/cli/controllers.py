@@ -91,7 +91,7 @@ class ControllerSettings:
     @property
     def default_name(self) -> str:
         """Name of the default controller for these options."""
-        from adaptrack.control.controllers.made_for import is_for_published
+        from adaptrack.control.controllers.compatibility import is_for_published
 
         if self.schedule is not None:
             return STANDARD_NAME if is_for_published(self.schedule.made_for) else INFORMED_NAME
@@ -143,7 +143,7 @@ def make_controller(name: str, settings: ControllerSettings) -> tuple[str, Contr
 def _informed_arguments(settings: ControllerSettings, moves: Moves) -> dict[str, Any]:
     """Return the arguments of the informed MPC in addition to those of every controller."""
     from adaptrack.control.controllers import informed_tuning
-    from adaptrack.control.controllers.made_for import is_for_published
+    from adaptrack.control.controllers.compatibility import is_for_published
 
     arguments: dict[str, Any] = {"moves": moves, "solver": settings.solver}
     if settings.learning is not None:

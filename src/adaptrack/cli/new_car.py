@@ -29,7 +29,7 @@ def certify_meeting(label: str, mpc: MPC, plant: Any, car: Vehicle, world: Profi
     InvalidInput
         When a loop is unstable when driving straight and `allowed` is False.
     """
-    from adaptrack.control.controllers.made_for import car_of
+    from adaptrack.control.controllers.compatibility import car_of
     from adaptrack.control.scheduling import Schedule
 
     schedule = mpc.scheduler

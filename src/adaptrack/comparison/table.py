@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.shown import figure_of, html_of
+from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.base.statistics import Ratio, geometric_mean, ratio, regret_percentiles
 from adaptrack.drive.failure import Failure
 

@@ -31,11 +31,11 @@ from adaptrack.control.speed_target import SpeedTarget
 from adaptrack.control.tracking import packed_plan, tracker_of
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.kernel import Resident
-from adaptrack.core.tracker.after import tracker_after
-from adaptrack.core.tracker.before import tracker_before
-from adaptrack.core.tracker.follow import tracker_follow
-from adaptrack.core.tracker.give import tracker_engage, tracker_give
-from adaptrack.core.tracker.records import NO_BELIEF, REQUEST
+from adaptrack.core.tracker.change_path import tracker_follow
+from adaptrack.core.tracker.conclude_instant import tracker_conclude
+from adaptrack.core.tracker.prepare_instant import tracker_prepare
+from adaptrack.core.tracker.records import NO_BELIEF, REQUEST, TRACKER_SAMPLE
+from adaptrack.core.tracker.take_call import tracker_engage, tracker_take
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import RoadAhead, stacked
 
@@ -278,14 +278,17 @@ class Tracker:
         lateral_acceleration: float = math.nan,
         wheel_angle: float | None = None,
         now: float | None = None,
+        motion_time: float | None = None,
     ) -> Tracked:
-        """One call: the command for now.
+        """Process one sample and return the steering command for the current instant.
 
         t: s, when the sample was taken; x, y: m, of the centre of mass; yaw: rad, wrapped or not; speed: m/s, negative
         backwards; yaw_rate: rad/s; lateral_velocity: m/s; lateral_acceleration: m/s^2, without the pull of a bank;
         wheel_angle: rad, of the road wheels: where it is given, the first command is near it; now: s, on the same
-        clock, when later than t. What is not known is NaN; a call without a position is one as well. What no car can
-        have, and all but the speed of a sample that is 2 s old, counts as not known (`core.tracker.records`).
+        clock, when later than t; motion_time: s, on the same clock, when speed, yaw rate, lateral velocity and
+        acceleration and wheel angle were taken, if not at t: then t is the time of x, y and yaw. What is not known is
+        NaN; a call without a position is one as well. What no car can have, and all but the speed of a sample that is
+        2 s old, counts as not known (`core.tracker.records`).
 
         Raises
         ------
@@ -301,14 +304,16 @@ class Tracker:
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
         row[1] = at
         kernel, resident = self._kernel, self._resident
+        motion_t = row[0] if motion_time is None else real("Tracker.step", "motion_time", motion_time)
         kernel.sample[: len(row)] = row
-        tracker_give(resident)
+        kernel.sample[TRACKER_SAMPLE.motion_t] = motion_t
+        tracker_take(resident)
         self._obey()
         steps = 0
-        while tracker_before(resident) > 0:
+        while tracker_prepare(resident) > 0:
             self._obey()
             self._control()
-            tracker_after(resident)
+            tracker_conclude(resident)
             steps += 1
         self._obey()
         tracked = self._answer(at)
@@ -318,6 +323,8 @@ class Tracker:
             self._take_times(at - row[0], time.perf_counter() - call_start)
         if self._recorder is not None and tracked.status is not Status.REPEATED:
             sample_time, _, *where, forward, rate, vy, pull, angle = kernel.sample[: len(row)].tolist()
+            if abs(motion_t - sample_time) > 0.0:
+                where, sample_time = _carried(where, motion_t - sample_time, forward, rate), motion_t
             self._recorder.add(
                 sample_time, at, (forward, rate, vy, pull, angle, *where), tracked.command, tracked.offset
             )
@@ -415,7 +422,7 @@ class Tracker:
             "adaptrack: a sample came %.3g s late, and the controller takes in none older than %.3g s: its "
             "position is carried on by its speed and yaw rate. Better: an MPC with "
             "estimator=KalmanFilter(..., oldest=%.2g).",
-            age, late * self.period, 1.5 * age,
+            age, (late + 1) * self.period, 1.5 * age,
         )  # fmt: skip
 
     def predicted_path(self) -> Array:
@@ -430,6 +437,14 @@ class Tracker:
         if not isinstance(self.controller, MPC) or not memory.started:
             raise InvalidInput("Tracker.predicted_path: needs an MPC that has made a step.")
         return self.controller.predicted_path(self._ahead)
+
+
+def _carried(pose: Sequence[float], time: float, speed: float, yaw_rate: float) -> list[float]:
+    """Carry a pose x, y (m), yaw (rad) over a time (s) at a speed (m/s) and a yaw rate (rad/s); NaN: none."""
+    turned = time * yaw_rate if math.isfinite(yaw_rate) else 0.0
+    x, y, yaw = pose
+    middle, way = yaw + 0.5 * turned, time * speed
+    return [x + way * math.cos(middle), y + way * math.sin(middle), yaw + turned]
 
 
 def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:

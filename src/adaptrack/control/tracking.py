@@ -19,7 +19,7 @@ from adaptrack.core.controllers.mpc_step import STEP_INPUT, MPCStep
 from adaptrack.core.rollout import law_batch
 from adaptrack.core.schedule import no_schedule
 from adaptrack.core.tracker import records
-from adaptrack.core.tracker.give import tracker_engage
+from adaptrack.core.tracker.take_call import tracker_engage
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import stacked
 

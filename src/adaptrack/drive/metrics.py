@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import NotNegative, Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.shown import html_of
+from adaptrack.base.presentation import html_of
 from adaptrack.cars.outline import Outline
-from adaptrack.control.controllers.learned import BeliefState, bounded_quantity
+from adaptrack.control.controllers.learned_car import BeliefState, bounded_quantity
 from adaptrack.control.models import PredictionModel
 from adaptrack.drive.failure import MIN_JUDGED_SPEED, Failure, find_failure, state_is_finite
 from adaptrack.drive.prediction import TIMES, run_prediction_error

@@ -28,7 +28,7 @@ from adaptrack.base.files import (
     read_bytes,
     write_atomically,
 )
-from adaptrack.base.shown import figure_of, html_of
+from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.core.library import kernels_hash
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from adaptrack.core.kernel import Array as KernelArray
 from adaptrack.core.tracker.records import TRACKED, TRACKER_SAMPLE, LawTracking, TrackerRecord, Tracking
 from adaptrack.export import bounds
 from adaptrack.export.block import Block
-from adaptrack.export.recorded import Recorded, record_drive
+from adaptrack.export.recorded_drive import Recorded, record_drive
 from adaptrack.export.tracking import Room, refuse, step_kernel, tracking_block
 from adaptrack.road import Road, SpeedPlan, load_road, plan_speed
 from adaptrack.scenario.profile import Profile, load_profile

@@ -16,7 +16,7 @@ from adaptrack.base.checked import allowed
 from adaptrack.base.files import Record
 from adaptrack.cars import data_sheet
 from adaptrack.cars.domain import MAX_DOMAIN, Domain
-from adaptrack.cars.known_within import KnownWithin
+from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.cars.vehicle import Body, Steering, Tyre, Vehicle, load_tyre
 from adaptrack.core import path
 from adaptrack.core.kernel import OK

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.identification.conventions import smoothed
-from adaptrack.identification.identified import HARDLY, Estimate
+from adaptrack.identification.identified_car import HARDLY, Estimate
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.log import Log
 from adaptrack.identification.quantities import INDEX, Prior

@@ -26,7 +26,7 @@ from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import MPC, BeliefState, LearnedCar, Learning, Uncertainty
 from adaptrack.control.controllers.belief import UNKNOWN, GivenSteering
 from adaptrack.control.controllers.informed import DEFAULT_PROFILE
-from adaptrack.control.controllers.learned import UNKNOWN_CAR
+from adaptrack.control.controllers.learned_car import UNKNOWN_CAR
 from adaptrack.control.kalman import SENSORS
 from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.estimators.learning import SHORTEST_LAG

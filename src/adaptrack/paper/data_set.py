@@ -23,7 +23,7 @@ from adaptrack.base.files import (
     safe_name,
     write_atomically,
 )
-from adaptrack.base.shown import figure_of, html_of
+from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.paper import operating_points as points
 from adaptrack.paper.operating_points import POINT_NAMES, check_operating_points, fold
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.control.controllers.made_for import INCREMENTAL
+from adaptrack.control.controllers.compatibility import INCREMENTAL
 from adaptrack.control.scheduling import ENTRIES, Learned, Schedule
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.training import Trained

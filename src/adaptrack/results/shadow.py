@@ -20,7 +20,7 @@ from adaptrack.base.result import (
     select_entries,
     strokes,
 )
-from adaptrack.control.controllers.learned import WITHIN
+from adaptrack.control.controllers.learned_car import WITHIN
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
 from adaptrack.identification.shadow_predictions import PREDICTORS

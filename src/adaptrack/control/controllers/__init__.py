@@ -4,7 +4,7 @@ from adaptrack.control.controllers.base import Command, CompiledController, Cont
 from adaptrack.control.controllers.belief import Belief, Uncertainty
 from adaptrack.control.controllers.check import check_controller
 from adaptrack.control.controllers.informed import informed_tuning
-from adaptrack.control.controllers.learned import BeliefState, LearnedCar, Learning, load_learned_car
+from adaptrack.control.controllers.learned_car import BeliefState, LearnedCar, Learning, load_learned_car
 from adaptrack.control.controllers.limits import Limits, Moves
 from adaptrack.control.controllers.lqr import LQR
 from adaptrack.control.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler

@@ -23,7 +23,7 @@ from adaptrack.control.controllers.belief import (
     limits_of,
     steering_rows,
 )
-from adaptrack.control.controllers.learned import Learner, Learning
+from adaptrack.control.controllers.learned_car import Learner, Learning
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.controllers.tuning import ENTRIES, Tuning
 from adaptrack.control.estimation import Estimator

@@ -24,11 +24,11 @@ from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import MOST_COMPUTATION, GivenSteering, Uncertainty
+from adaptrack.control.controllers.compatibility import INCREMENTAL, car_of, mismatches
 from adaptrack.control.controllers.informed import AUTO, MPCParts, informed_parts
 from adaptrack.control.controllers.inputs import KernelInput, change_of_path, number, road_ahead, vector, wheel_angle
-from adaptrack.control.controllers.learned import BeliefState, LearnedCar, Learning, bounded_quantity
+from adaptrack.control.controllers.learned_car import BeliefState, LearnedCar, Learning, bounded_quantity
 from adaptrack.control.controllers.limits import Limits, LimitsArgument, Moves
-from adaptrack.control.controllers.made_for import INCREMENTAL, car_of, mismatches
 from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.control.estimation import NOTHING_MEASURED, Deadbeat, Estimator, get_estimator
 from adaptrack.control.kalman import KalmanFilter

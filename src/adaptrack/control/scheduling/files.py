@@ -11,7 +11,7 @@ from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import SHIPPED
 from adaptrack.control.controllers import MPC
-from adaptrack.control.controllers.made_for import car_of
+from adaptrack.control.controllers.compatibility import car_of
 from adaptrack.control.scheduling.document import read_document
 from adaptrack.control.scheduling.schedule import Schedule
 from adaptrack.core.library import kernels_hash

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import checked, real, reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
-from adaptrack.base.shown import figure_of, html_of
+from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.controllers.tuning import ENTRIES
 from adaptrack.control.scheduling.document import write_document

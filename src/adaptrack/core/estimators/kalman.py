@@ -10,11 +10,14 @@ instants the filter carries z along with the commands that acted; what it hands 
 the new command begins to act, carried on through the commands already sent.
 
 Each sensor is taken in by itself, as value = h z + noise, so one that is missing (not finite) is left out. A sample of
-a known age belongs to the control instant next to the time at which it was taken: the filter keeps z of `late` periods
-ago and goes through the instants since then anew at every step, with all that has arrived of them. What was taken a
-little before or after its instant is compared with z carried there, psi - tau r and y - tau (v_y + v psi) +
-tau^2/2 v r. A sample that repeats the one before to the last bit, from a sensor that has noise, is an old one and left
-out; not so a heading or position against a path that has turned since: the car has turned with it.
+a known age belongs to a control instant: the filter keeps z of `late` periods ago and goes through the instants since
+then anew at every step, with all that has arrived of them. A pose belongs to the nearest instant. What was taken a
+little before or after it is compared with z carried there, psi - tau r and y - tau (v_y + v psi) + tau^2/2 v r. A
+motion sample belongs to the instant after it: it is compared with h z there, less the share tau/T of the predicted
+change of h z in that period. A lateral acceleration counts the less the later it is: its standard deviation is
+multiplied by 1 plus the whole periods of its age. A sample that repeats the one before to the last bit, from a sensor
+that has noise, is an old one and left out; not so a heading or position against a path that has turned since: the car
+has turned with it.
 
 A sensor that is stuck behind its own noise disagrees: the mean of its squared innovations over their variance, 1 for a
 filter that is right, grows. Beyond `distrust` the sensor that disagrees the most is left out until it agrees again, one
@@ -50,7 +53,7 @@ from ..kernel import (
 )
 from ..maths.bits import whole
 from ..maths.exact import floor, sqrt, square
-from ..maths.vectors import VECTOR_WIDTH, add, load, mul, splat, store, total, zeros
+from ..maths.vectors import VECTOR_WIDTH, add, load, mul, splat, store, sub, total, zeros
 from ..models import path
 from ..models.contract import MEASUREMENT
 from . import extended_kalman
@@ -127,7 +130,8 @@ Memory = record(
         ("disagreement", (float64, SENSOR_COUNT)),  # mean of their squared innovations over their variance
     ],
 )
-"""Head of the memory; rows of `FILTER_SAMPLE` follow, then the commands that were sent, both the latest first."""
+"""Head of the memory; rows of `FILTER_SAMPLE` follow, then by how much the motion was sampled before each instant (s),
+then the commands that were sent, each the latest first."""
 memory_of = viewer(Memory)
 _AFTER = size_of(Memory)
 _state, _rows = local(FILTER_STATES), local(path.PATH_STATES, FILTER_STATES)
@@ -135,7 +139,7 @@ _state, _rows = local(FILTER_STATES), local(path.PATH_STATES, FILTER_STATES)
 
 def memory_size(longest: int, late: int) -> int:
     """Numbers that the filter remembers, for a dead time of at most `longest` periods and a share."""
-    return _AFTER + VECTOR_WIDTH * (late + 1) + longest + late + 2
+    return _AFTER + (VECTOR_WIDTH + 1) * (late + 1) + longest + late + 2
 
 
 @exported(void(vector, int64, float64, float64))
@@ -209,7 +213,7 @@ def _copy(z, covariance, to_z, to_covariance):
 
 
 @inlined
-def _begin(measured, command, p, m, samples, commands):
+def _begin(measured, command, p, m, samples, advances, commands):
     """z and its covariance from the first sample."""
     store(m.z, 0, zeros())
     for i in range(FILTER_STATES):
@@ -230,7 +234,7 @@ def _begin(measured, command, p, m, samples, commands):
         commands[i] = command
     for i in range(whole(p.late) + 1):
         store(samples, i, 0, splat(math.nan))
-        samples[i, FILTER_SAMPLE.turned] = 0.0
+        samples[i, FILTER_SAMPLE.turned], advances[i] = 0.0, 0.0
     _copy(m.z, m.P, m.past_z, m.past_P)
 
 
@@ -247,20 +251,34 @@ def is_repeated(sensor, last, variance, measured):
 
 
 @inlined
-def _sort_in(measured, p, m, samples):
+def _age_of(sensor, measured):
+    """Age (s) of a sensor's sample."""
+    age = measured[MEASUREMENT.pose_age] if _is_of_pose(sensor) else measured[MEASUREMENT.motion_age]
+    return age if math.isfinite(age) else 0.0
+
+
+@inlined
+def _motion_instant(measured, p):
+    """The first instant after the motion samples, in periods before the present one."""
+    return max(floor(_age_of(MEASUREMENT.yaw_rate, measured) / p.period + 1e-9), 0.0)
+
+
+@inlined
+def _sort_in(measured, p, m, samples, advances):
     """Add the samples that have arrived to the instants at which they were taken."""
     for i in range(whole(p.late), 0, -1):
         store(samples, i, 0, load(samples, i - 1, 0))
+        advances[i] = advances[i - 1]
     store(samples, 0, 0, splat(math.nan))
+    advances[0] = 0.0
     samples[0, FILTER_SAMPLE.turned] = measured[MEASUREMENT.turned]
     m.blind += 1.0
     for sensor in range(SENSOR_COUNT):
         value, variance = measured[sensor], p.variance[sensor]
         repeated = is_repeated(sensor, m.last[sensor], variance, measured)
         m.last[sensor] = value
-        age = measured[MEASUREMENT.pose_age] if _is_of_pose(sensor) else measured[MEASUREMENT.motion_age]
-        age = age if math.isfinite(age) else 0.0
-        instants = floor(age / p.period + 0.5)
+        age = _age_of(sensor, measured)
+        instants = floor(age / p.period + 0.5) if _is_of_pose(sensor) else _motion_instant(measured, p)
         if not (math.isfinite(value) and variance < math.inf and 0.0 <= instants <= p.late):
             continue
         if sensor == MEASUREMENT.y and (not repeated or abs(value - m.z[FILTER_STATE.y]) <= p.bound * sqrt(variance)):
@@ -270,6 +288,8 @@ def _sort_in(measured, p, m, samples):
         samples[whole(instants), sensor] = value
         if _is_of_pose(sensor):
             samples[whole(instants), FILTER_SAMPLE.earlier] = age - instants * p.period
+        else:
+            advances[whole(instants)] = age - instants * p.period
 
 
 @inlined
@@ -337,8 +357,12 @@ def _read(sensor, tau, turned, p, m, h):
 
 
 @inlined
-def _correct(instant, p, m, samples):
-    """Take in the samples of an instant, so many before the present one."""
+def _correct(instant, arrival, advance, change, p, m, samples):
+    """Take in the samples of an instant, so many before the present one.
+
+    arrival: the instant of the motion samples that are new; advance: s, by which the motion was sampled before this
+    instant; change: of z in the period before.
+    """
     for sensor in range(SENSOR_COUNT):
         if not math.isfinite(samples[instant, sensor]):
             continue
@@ -347,10 +371,12 @@ def _correct(instant, p, m, samples):
             sensor, samples[instant, FILTER_SAMPLE.earlier], samples[instant, FILTER_SAMPLE.turned], p, m, h
         )
         expected = total(mul(load(h, 0), load(m.z, 0))) + constant + m.offset[sensor]
+        if advance != 0.0 and not _is_of_pose(sensor):
+            expected -= advance / p.period * total(mul(load(h, 0), load(change, 0)))
         innovation = samples[instant, sensor] - expected
         noise = p.variance[sensor]
         if sensor == MEASUREMENT.lateral_acceleration:
-            noise += m.felt_error
+            noise = noise * square(1.0 + arrival) + m.felt_error  # a force that was unexpected has changed since
         variance = extended_kalman.scatter(noise, h, m.P, cross)
         is_left_out = m.excluded == sensor + 1
         if instant == p.late:  # every sample once
@@ -361,7 +387,7 @@ def _correct(instant, p, m, samples):
             continue
         innovation = extended_kalman.bounded(innovation, variance, p.bound)
         extended_kalman.correct(innovation, variance, cross, m.z, m.P)
-        if instant == 0 and (sensor == MEASUREMENT.lateral_acceleration or sensor == MEASUREMENT.wheel_angle):
+        if instant == arrival and (sensor == MEASUREMENT.lateral_acceleration or sensor == MEASUREMENT.wheel_angle):
             m.offset[sensor] += p.settling * innovation
 
 
@@ -388,15 +414,17 @@ def _choose_left_out(p, m):
 
 
 @inlined
-def _go_on(p, m, samples, commands):
+def _go_on(arrival, p, m, samples, advances, commands):
     """From z of `late` periods before the last instant to the present one."""
-    late = whole(p.late)
+    late, change = whole(p.late), _state()
     if late > 0:
         _copy(m.past_z, m.past_P, m.z, m.P)
     for instant in range(min(late, whole(m.steps) - 1), -1, -1):
         newer = whole(p.periods) + instant
+        store(change, 0, load(m.z, 0))
         _predict(samples[instant, FILTER_SAMPLE.turned], commands[newer + 1], commands[newer], p, m)
-        _correct(instant, p, m, samples)
+        store(change, 0, sub(load(m.z, 0), load(change, 0)))
+        _correct(instant, arrival, advances[instant], change, p, m, samples)
         most = m.spare / max(abs(m.z[FILTER_STATE.side]), m.spare)
         m.z[FILTER_STATE.side] *= most
         m.z[FILTER_STATE.turn] *= most
@@ -444,7 +472,8 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     p, m = parameters_of(parameters, 0), memory_of(memory, 0)
     late = whole(p.late)
     after = _AFTER + VECTOR_WIDTH * (late + 1)
-    samples, commands = shaped(memory[_AFTER:after], late + 1, VECTOR_WIDTH), memory[after:]
+    samples, advances = shaped(memory[_AFTER:after], late + 1, VECTOR_WIDTH), memory[after:]
+    commands = memory[after + late + 1 :]
     if _is_not_finite(m) or _is_far_off(measured, m):
         memory[:] = 0.0
         m.speed = math.nan
@@ -453,10 +482,10 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     if m.steps > 0.5:
         for i in range(whole(p.longest) + late + 2):
             commands[i], command = command, commands[i]
-        _sort_in(measured, p, m, samples)
-        _go_on(p, m, samples, commands)
+        _sort_in(measured, p, m, samples, advances)
+        _go_on(whole(_motion_instant(measured, p)), p, m, samples, advances, commands)
     else:
-        _begin(measured, command, p, m, samples, commands)
+        _begin(measured, command, p, m, samples, advances, commands)
     m.steps += 1.0
     z, push = _state(), _state()
     store(z, 0, load(m.z, 0))

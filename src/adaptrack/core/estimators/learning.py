@@ -35,7 +35,8 @@ then grow to the prior's, and the evidence about the delay is forgotten. A quant
 range is reported as uncertain as before the first sample, however small the variance of the filters.
 
 The noise of each sensor is that of third differences of its samples, E(x_k - 3 x_(k-1) + 3 x_(k-2) - x_(k-3))^2 =
-20 sigma^2 for white noise: the motion of a car hardly shows in them.
+20 sigma^2 for white noise: the motion of a car hardly shows in them. Samples whose ages vary are not evenly spaced:
+divided differences replace these differences, and a filter moves on by the time between two samples.
 """
 
 from __future__ import annotations
@@ -133,6 +134,8 @@ Memory = record("Memory", (
     ("beliefs", Beliefs),
     "count",  # steps so far
     "slow",  # 1 while the car is too slow to learn from
+    "age",  # s, of the motion in the hypotheses, at the present instant
+    "step", "second_step", "third_step",  # s, between the last motion samples, the latest first
     "bias_before",  # rad, bias in the controller's filter
     "disagreement",  # mean of squared innovations over their variance
     "doubt",  # 0 to 1, of what is at a bound or contradicted: by which R is raised
@@ -165,6 +168,8 @@ _TAKEN_IN = (MEASUREMENT.yaw_rate, MEASUREMENT.vy, MEASUREMENT.lateral_accelerat
 """Sensors, in the order in which a hypothesis takes them in."""
 SHORTEST_LAG = 0.02
 """s, a lag that makes no difference at a control period of 0.05 s: the least that is sought where nobody says more."""
+SHORTEST_STEP, LONGEST_STEP, STEP_ERROR = 0.1, 2.0, 0.1
+"""Control periods from one motion sample to the next: least and most; error up to which a sample is taken in."""
 MIN_LEARNING_SPEED = 2.0
 """m/s, below which nothing is learned."""
 UNKNOWN_MOTION_VARIANCE = 0.1
@@ -221,16 +226,20 @@ def _steer(candidate, time, rate, command):
 
 
 @inlined
-def _follow(candidate, age, p, memory):
-    """The wheels of a hypothesis over the period before a sample of an age (s)."""
-    late, sent = (candidate.x[DEAD_TIME] + age) / p.period, memory[_SENT:]
-    periods = min(whole(late + 1e-9), whole(p.commands) - 2)
-    share, before = clip(late - periods, 0.0, 1.0), periods + 1
+def _follow(candidate, step, p, m, memory):
+    """Move the wheels of a hypothesis over a time (s), up to the motion in it."""
+    late, sent = max((candidate.x[DEAD_TIME] + m.age) / p.period, 0.0), memory[_SENT:]
+    periods = min(whole(late + 1e-9), whole(p.commands) - 3)
+    share = clip(late - periods, 0.0, 1.0)
+    older = share + (step / p.period - 1.0)
+    newer = 1.0 - share + min(older, 0.0)
     candidate.swept, candidate.swept_by_lag = 0.0, 0.0
-    if share > 0.0:
-        _steer(candidate, share * p.period, p.rate, sent[before])
-    if share < 1.0:
-        _steer(candidate, (1.0 - share) * p.period, p.rate, sent[periods])
+    if older > 1.0:
+        _steer(candidate, (older - 1.0) * p.period, p.rate, sent[periods + 2])
+    if older > 0.0:
+        _steer(candidate, min(older, 1.0) * p.period, p.rate, sent[periods + 1])
+    if newer > 0.0:
+        _steer(candidate, newer * p.period, p.rate, sent[periods])
 
 
 @inlined
@@ -310,13 +319,13 @@ def _phi1(vv, vr, rv, rr):
 
 
 @inlined
-def _predict_state(candidate, speed, by_dead_time, p, mixed):
-    """x a period later, by the exponential Euler method, and F's rows of v_y and r; the axles' forces (m/s^2).
+def _predict_state(candidate, speed, by_dead_time, h, p, mixed):
+    """x a time h (s) later, by the exponential Euler method, and F's rows of v_y and r; the axles' forces (m/s^2).
 
-    With A = d(dv_y/dt, dr/dt)/dx, J its columns of v_y and r and h the period, dx = h phi_1(h J) (dv_y/dt, dr/dt) and
+    With A = d(dv_y/dt, dr/dt)/dx, J its columns of v_y and r, dx = h phi_1(h J) (dv_y/dt, dr/dt) and
     F = [I 0] + h phi_1(h J) A. by_dead_time: derivative of the wheel angle (rad/s).
     """
-    x, h, of_front, of_rear = candidate.x, p.period, _states(), _states()
+    x, of_front, of_rear = candidate.x, _states(), _states()
     front, rear = _axles(candidate, speed, candidate.swept / h, p)
     _derive(front, rear, speed, candidate.swept_by_lag / h, by_dead_time, p, of_front, of_rear)
     pull, turn = _accelerations(front.force, rear.force, p)
@@ -356,8 +365,8 @@ def _predict_state(candidate, speed, by_dead_time, p, mixed):
 
 
 @inlined
-def _predict_covariance(candidate, mixed, f, g, p):
-    """P = F P F' + drift; f, g: forces of the axles over the mass (m/s^2)."""
+def _predict_covariance(candidate, mixed, f, g, step, p):
+    """P = F P F' + drift over a time (s); f, g: forces of the axles over the mass (m/s^2)."""
     P, shares = candidate.covariance, _states()
     for state in range(LEARNER_STATES):
         shares[state] = 1.0
@@ -365,13 +374,14 @@ def _predict_covariance(candidate, mixed, f, g, p):
     carry(mixed, shares, P, _motion())
     turning, weight = p.mass / p.yaw_inertia, GRAVITY / (p.lf + p.lr)
     front, rear = f * f / (weight * p.lr), g * g / (weight * p.lf)
-    sliding = square(p.method.sliding) * p.period
+    sliding, share = square(p.method.sliding) * step, step / p.period
     by_front, by_rear = sliding * front * front, sliding * rear * rear
     both = turning * (p.lf * by_front - p.lr * by_rear)
-    P[LATERAL_VELOCITY, LATERAL_VELOCITY] += p.drift_vy + by_front + by_rear
+    P[LATERAL_VELOCITY, LATERAL_VELOCITY] += share * p.drift_vy + by_front + by_rear
     P[LATERAL_VELOCITY, YAW_RATE] += both
     P[YAW_RATE, LATERAL_VELOCITY] += both
-    P[YAW_RATE, YAW_RATE] += p.drift_yaw_rate + turning * turning * (p.lf * p.lf * by_front + p.lr * p.lr * by_rear)
+    by_both = turning * turning * (p.lf * p.lf * by_front + p.lr * p.lr * by_rear)
+    P[YAW_RATE, YAW_RATE] += share * p.drift_yaw_rate + by_both
     P[WIND_FORCE, WIND_FORCE] += p.drift_wind
     P[BANK, BANK] += p.drift_bank
     P[FRICTION, FRICTION] += p.drift_friction
@@ -437,23 +447,29 @@ def _is_usable(sensor, excluded, p, measured, m):
 
 
 @inlined
+def _squared_difference(value, last, second_last, third_last, m):
+    """Square of the third divided difference of samples; its expectation is the variance of white noise."""
+    a, b, c = m.step, m.second_step, m.third_step
+    if a == b and b == c:
+        difference = value - 3.0 * last + 3.0 * second_last - third_last
+        return difference * difference / 20.0
+    w, x = 1.0 / (a * (a + b) * (a + b + c)), -1.0 / (a * b * (b + c))
+    y, z = 1.0 / ((a + b) * b * c), -1.0 / ((a + b + c) * (b + c) * c)
+    return square(w * value + x * last + y * second_last + z * third_last) / (w * w + x * x + y * y + z * z)
+
+
+@inlined
 def _learn_noise(sensor, p, measured, m):
     """The variance of a sensor, by third differences of its samples."""
     declared, value = p.variance[sensor], measured[sensor]
     if not declared < math.inf:
         return
     last, second_last, third_last = m.last[sensor], m.second_last[sensor], m.third_last[sensor]
-    difference = value - 3.0 * last + 3.0 * second_last - third_last
-    if (
-        math.isfinite(difference)
-        and value != last
-        and last != second_last
-        and second_last != third_last
-        and m.slow < 0.5
-    ):
+    squared = _squared_difference(value, last, second_last, third_last, m)
+    if math.isfinite(squared) and value != last and last != second_last and second_last != third_last and m.slow < 0.5:
         m.noise_count[sensor] += 1.0
         count, noise = m.noise_count[sensor], m.noise[sensor]
-        squared, widening = difference * difference / 20.0, p.method.noise_range * p.method.noise_range
+        widening = p.method.noise_range * p.method.noise_range
         if count > SETTLED:
             squared = min(squared, LIVELY * LIVELY * noise)
         noise += max(1.0 / count, p.noise_share) * (squared - noise)
@@ -489,11 +505,11 @@ def _begin(p, measured, command, m, memory):
 
 
 @inlined
-def _creep(age, p, memory):
+def _creep(step, p, m, memory):
     """Move only the wheels of a car that stands or creeps; its motion is unknown afterwards."""
     for i in range(whole(p.hypotheses)):
         candidate = hypothesis(i, p.commands, memory)
-        _follow(candidate, age, p, memory)
+        _follow(candidate, step, p, m, memory)
         _lose_motion(candidate)
 
 
@@ -676,16 +692,16 @@ def _write_beliefs(p, m, memory):
 
 
 @inlined
-def _advance(candidate, speed, age, measured, variance, p, memory):
-    """A hypothesis a period later, by what was measured; the log-likelihood of that.
+def _advance(candidate, speed, step, measured, variance, p, m, memory):
+    """Move a hypothesis to the next motion sample and take it in; return the log-likelihood of the sample.
 
-    age: of the samples (s); variance: of the sensors, inf: not to be taken in.
+    step: s, since the last sample; variance: of the sensors, inf: not to be taken in.
     """
     before = candidate.wheels
-    _follow(candidate, age, p, memory)
-    mixed, by_dead_time = _motion(), (before - candidate.wheels) / p.period
-    f, g = _predict_state(candidate, speed, by_dead_time, p, mixed)
-    _predict_covariance(candidate, mixed, f, g, p)
+    _follow(candidate, step, p, m, memory)
+    mixed, by_dead_time = _motion(), (before - candidate.wheels) / step
+    f, g = _predict_state(candidate, speed, by_dead_time, step, p, mixed)
+    _predict_covariance(candidate, mixed, f, g, step, p)
     lag, dead_time, likelihood, taken_in = candidate.x[STEERING_LAG], candidate.x[DEAD_TIME], 0.0, 0.0
     candidate.disagreement = 0.0
     for sensor in _TAKEN_IN:
@@ -713,11 +729,24 @@ def _judge(p, m, memory):
         _return_to_prior(p, memory)
 
 
+@inlined
+def _motion_age(measured, p, m):
+    """Age (s) of the motion samples; without one that of the motion in the hypotheses."""
+    age, is_measured = measured[MEASUREMENT.motion_age], False
+    for sensor in _TAKEN_IN:
+        is_measured = is_measured or math.isfinite(measured[sensor])
+    if not is_measured:
+        return m.age
+    return max(age, -0.5 * p.period) if abs(age) < IMPOSSIBLE_SIGNAL else 0.0
+
+
 @exported(LEARN, name="learn_car")
 def learn(speed, measured, command, excluded, parameters, memory):
     """See `LEARN`."""
     p, m = parameters_of(parameters, 0), memory_of(memory, 0)
+    age = _motion_age(measured, p, m)
     if m.count < 0.5:
+        m.age, m.step, m.second_step = age, p.period, p.period
         _begin(p, measured, command, m, memory)
         m.count = 1.0
         return
@@ -725,21 +754,23 @@ def learn(speed, measured, command, excluded, parameters, memory):
     sent, latest = memory[_SENT:], command
     for i in range(whole(p.commands)):
         sent[i], latest = latest, sent[i]
-    age = measured[MEASUREMENT.motion_age]
-    age = age if 0.0 < age < IMPOSSIBLE_SIGNAL else 0.0
+    step = clip(p.period + (m.age - age), SHORTEST_STEP * p.period, LONGEST_STEP * p.period)
+    m.age += p.period - step
+    m.step, m.second_step, m.third_step = step, m.step, m.second_step
+    in_time = abs(m.age - age) <= STEP_ERROR * p.period
     m.slow = 0.0 if abs(speed) >= MIN_LEARNING_SPEED and math.isfinite(speed) else 1.0
     variance = _sensors()
     for sensor in range(kalman.SENSOR_COUNT):
-        usable = _is_usable(sensor, excluded, p, measured, m)
+        usable = in_time and _is_usable(sensor, excluded, p, measured, m)
         _learn_noise(sensor, p, measured, m)
         variance[sensor] = m.noise[sensor] if usable else math.inf
     variance[MEASUREMENT.wheel_angle] += square(p.method.angle_error)
     if m.slow > 0.5:
-        _creep(age, p, memory)
+        _creep(step, p, m, memory)
         return
     for i in range(whole(p.hypotheses)):
         candidate = hypothesis(i, p.commands, memory)
-        candidate.weight = _advance(candidate, speed, age, measured, variance, p, memory)
+        candidate.weight = _advance(candidate, speed, step, measured, variance, p, m, memory)
     if _difference(p, memory) > LEAST_DIFFERENCE * LEAST_DIFFERENCE:
         for i in range(whole(p.hypotheses)):
             candidate = hypothesis(i, p.commands, memory)

@@ -48,7 +48,7 @@ def begin_check(check):
     check.memory[:] = 0.0
     memory = memory_of(check.memory, 0)
     memory.now = memory.t = memory.tick = -math.inf
-    memory.origin = memory.pose[0] = memory.sideslip = math.nan
+    memory.origin = memory.pose[0] = memory.sideslip = memory.skid = math.nan
     begin_pose(memory)
     memory.yaw_least, memory.yaw_most, memory.course = math.inf, -math.inf, -1
 
@@ -135,7 +135,7 @@ def _look(memory, settings):
     start = TICKS - 1 - min(WINDOW, memory.tick_count - 1)
     last = memory.ticks[TICKS - 1]
     if last[T.speed] < SLOW:
-        memory.sliding = 0
+        memory.sliding, memory.skid = 0, math.nan
     if last[T.speed] < CRAWLING:
         begin_pose(memory)
         return
@@ -153,9 +153,9 @@ def _look(memory, settings):
     if math.isfinite(turned + rates) and not (math.isfinite(aside) and memory.askew > 0):
         compare_turn(turned, rates, start, last[T.t] - memory.ticks[start, T.t], memory)
         compare_clocks(memory)
+    judge_sliding(memory, settings)
     compare_pull(memory)
     compare_steering(turned, rates, aside, memory, settings)
-    judge_sliding(memory, settings)
 
 
 @inlined

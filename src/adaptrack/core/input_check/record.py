@@ -102,6 +102,7 @@ Memory = record("Memory", (
     ("against_steering", int64),  # 1: the car turns against its commands
     ("sliding", int64),  # 1: the car slides
     "sideslip",  # rad; NaN: not known
+    "skid",  # rad, sideslip beyond that of a rolling turn and the noise of positions; NaN: not known
     ("measured", (float64, len(SUBJECTS), NUMBERS)),  # what was measured where a mistake was named
     "now", "t", "begun_at", "tick",  # s: the last call, sample, beginning of the commands and look
     ("pose", (float64, 3)),  # of the last call

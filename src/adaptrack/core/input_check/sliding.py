@@ -10,7 +10,7 @@ from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2
 from .record import POSITION, SUBJECTS, TICK, TICKS, T, is_reported
 
-SLIDING, NOT_SLIDING, SLIDES = math.radians(8.5), math.radians(5.0), math.radians(4.5)
+SLIDING, NOT_SLIDING, SKID = math.radians(8.5), math.radians(5.0), math.radians(4.5)
 """Sideslip from which the car slides, below which it no longer does, and of it what a rolling turn does not explain."""
 RELEASE = 0.5
 """s, for which the sideslip must be small before the sliding is over."""
@@ -34,7 +34,8 @@ def judge_sliding(memory, settings):
     rate = last[T.yaw_rate] if measured else last[T.turned] / max(last[T.time], TICK)
     rolling = settings.lr * rate / last[T.speed]
     slip = abs(memory.sideslip) - unsure
-    if slip > SLIDING and abs(memory.sideslip - rolling) - unsure > SLIDES:
+    memory.skid = abs(memory.sideslip - rolling) - unsure
+    if slip > SLIDING and memory.skid > SKID:
         memory.slips += 1
         memory.calm = 0.0
         if memory.slips >= looks:

@@ -27,6 +27,7 @@ from .record import (
 )
 from .regression import LOOKS, add_window, compare, judge, start_window
 from .requests import back_to, command_range, left_of_beginning, requested
+from .sliding import SKID
 
 YAW_NOISE = 0.005
 """rad, noise of a difference of two samples."""
@@ -164,8 +165,10 @@ def _compare_range(rate, last, memory, settings):
     gain = speed / settings.length
     low = LEAST_GAIN / (1.0 + SOFTNESS * speed * speed / settings.length)
     offset, grip = OFFSET * gain, GRIP / speed
-    too_large = (most > 0.0 and rate > MOST_GAIN * gain * most + offset) or (
-        least < 0.0 and rate < MOST_GAIN * gain * least - offset
+    rolls = not memory.skid > SKID  # a car that slides may turn as fast as it likes
+    too_large = rolls and (
+        (most > 0.0 and rate > MOST_GAIN * gain * most + offset)
+        or (least < 0.0 and rate < MOST_GAIN * gain * least - offset)
     )
     too_small = (least > 0.0 and -offset < rate < min(low * gain * least, grip) - offset) or (
         most < 0.0 and max(low * gain * most, -grip) + offset < rate < offset
@@ -198,7 +201,8 @@ def compare_steering(turned, rates, aside, memory, settings):
     sure = against and abs(rate) > 0.05 and not apart > 0.4 * most
     hypotheses = COMPARED.steering if settings.known > 0.0 else UNKNOWN_STEERING
     label = judge(memory, COMPARED.steering, hypotheses, 3.0 if has_wheel else 1.0, sure)  # wheels that are measured
-    if label > 0:  # show it themselves
+    is_skid = label == 1 + MISTAKES.command_too_large and memory.skid > SKID
+    if label > 0 and not is_skid:  # show it themselves
         report(memory, SUBJECTS.steering, label - 1, 0.0, 0.0, 0.0)
         if label == 1 + MISTAKES.steering_sign:
             memory.against_steering = 1

@@ -164,7 +164,7 @@ def begin_learner(method, start, car, within, belief, uncertainty, by_caller, se
     learner.delay_tolerance = method.delay_tolerance if measures_vy else method.delay_tolerance_blind
     learner.stiffness_tolerance = method.stiffness_tolerance if measures_vy else method.stiffness_tolerance_blind
     learner.longest = learner.dead_time.most + learner.computation
-    learner.commands = whole(ceil((learner.longest + sensing.oldest) / period)) + 3
+    learner.commands = whole(ceil((learner.longest + sensing.oldest) / period)) + 4
     _set_first_belief(learner, start)
 
 

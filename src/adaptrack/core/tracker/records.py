@@ -100,6 +100,7 @@ MEMORY = record(
         "near",  # m, about which a foot is looked for at the beginning; NaN: on the whole path
         "given_t", "given_x", "given_y", "given_yaw",  # s, m, m, rad: of the sample at hand as it is used
         "given_yaw_rate", "given_vy", "given_lateral_acceleration", "given_wheel_angle",  # rad/s, m/s, m/s^2, rad
+        "given_motion_t",  # s, of the motion in the sample at hand
         "belief_state",  # of the controller's last step, as in TRACKED
         "belief_at_bound",  # likewise
     ),
@@ -110,7 +111,7 @@ MEMORY = record(
 """What a tracker remembers: all of it."""
 
 TRACKER_SAMPLE = columns(
-    "t",  # s, when the sample was taken
+    "t",  # s, when the pose was taken, and the motion without a time of its own
     "now",  # s, of the call, on the same clock; NaN: t
     "x", "y",  # m, m: of the centre of mass
     "yaw",  # rad, wrapped or not
@@ -121,6 +122,7 @@ TRACKER_SAMPLE = columns(
     "wheel_angle",  # rad, of the road wheels: the first command is near it
     "friction",  # -, of the road, for a schedule; NaN: not known
     "wind",  # m/s, of the air to the left, for a schedule; NaN: not known
+    "motion_t",  # s, when speed, yaw rate, v_y, lateral acceleration and wheel angle were taken; NaN: t
 )  # fmt: skip
 """A call. What is not known is NaN; what no car can have is made NaN here."""
 

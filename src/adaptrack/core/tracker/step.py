@@ -16,11 +16,11 @@ from ..road import RoadAheadRecord, bend_ahead
 from ..rollout import COMMAND
 from ..schedule import schedule
 from ..variables import VARIABLE_COLUMNS
-from .after import tracker_after
-from .before import tracker_before
-from .give import tracker_give
-from .place import line
+from .conclude_instant import tracker_conclude
+from .pose import line
+from .prepare_instant import tracker_prepare
 from .records import CONTROLLER_ANSWER, INSTANT, NO_BELIEF, REQUEST, TRACKER_SAMPLE, LawTracking, Tracking
+from .take_call import tracker_take
 
 PLACE = columns(*SITUATION)
 _reference = local(1)
@@ -30,11 +30,11 @@ _reference = local(1)
 def tracker_step(tracking):
     """A call of a tracker with an MPC: the sample in `tracker.sample`, the answer in `tracker.tracked`."""
     tracker = tracking.tracker
-    tracker_give(tracker)
-    while tracker_before(tracker) > 0:
+    tracker_take(tracker)
+    while tracker_prepare(tracker) > 0:
         _obey(tracking)
         _control(tracking)
-        tracker_after(tracker)
+        tracker_conclude(tracker)
     _obey(tracking)
 
 
@@ -42,11 +42,11 @@ def tracker_step(tracking):
 def tracker_step_law(tracking):
     """`tracker_step`, with a control law."""
     tracker = tracking.tracker
-    tracker_give(tracker)
-    while tracker_before(tracker) > 0:
+    tracker_take(tracker)
+    while tracker_prepare(tracker) > 0:
         _obey_law(tracking)
         _control_law(tracking)
-        tracker_after(tracker)
+        tracker_conclude(tracker)
     _obey_law(tracking)
 
 

@@ -11,9 +11,9 @@ from ..kernel import OK, Place, columns, exported, inlined, int64, int_vector, l
 from ..maths.bits import whole
 from ..road import CLOSED
 from ..speed_plan import planned_speeds
-from ..tracker.give import tracker_engage
 from ..tracker.records import TRACKED, TRACKER_SAMPLE, LawTracking, Tracking
 from ..tracker.step import tracker_step, tracker_step_law
+from ..tracker.take_call import tracker_engage
 from .contract import outside
 
 STEERING_CONSTANTS = (
@@ -98,6 +98,7 @@ def _give(values, sample):
     )
     sample[TRACKER_SAMPLE.friction] = _value_if(values[STEERING_VALUE.friction], values[STEERING_VALUE.friction_known])
     sample[TRACKER_SAMPLE.wind] = _value_if(values[STEERING_VALUE.wind], values[STEERING_VALUE.wind_known])
+    sample[TRACKER_SAMPLE.motion_t] = math.nan
 
 
 @inlined

@@ -240,6 +240,7 @@ adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, ad
         given[ADAPTRACK_SAMPLE_LATERAL_ACCELERATION] = sample->lateral_acceleration;
         given[ADAPTRACK_SAMPLE_WHEEL_ANGLE] = sample->wheel_angle;
         given[ADAPTRACK_SAMPLE_FRICTION] = sample->friction, given[ADAPTRACK_SAMPLE_WIND] = sample->wind;
+        given[ADAPTRACK_SAMPLE_MOTION_T] = sample->motion_time;
         adaptrack_parts_step(record_of(tracker));
         read_answer(numbers_at(record_of(tracker), ADAPTRACK_TRACKED_AT), answer);
     }

@@ -77,7 +77,7 @@ adaptrack_error adaptrack_follow(void *tracker, const void *path, double near, c
 
 /* -- a call ------------------------------------------------------------------------------------------------------- */
 typedef struct {
-    double t;                    /* s, when the sample was taken */
+    double t;                    /* s, when the pose was taken, and the motion without a time of its own */
     double now;                  /* s, of the call, on the same clock; NaN: t */
     double x, y;                 /* m, of the centre of mass */
     double yaw;                  /* rad, from the path's x axis, wrapped or not */
@@ -88,8 +88,10 @@ typedef struct {
     double wheel_angle;          /* rad, of the road wheels; where it is given, the first command is near it */
     double friction;             /* of tyre and road, for a controller with a schedule */
     double wind;                 /* m/s, of the air to the left, for a controller with a schedule */
+    double motion_time;          /* s, when speed, yaw rate, lateral velocity and acceleration and wheel angle were
+                                    taken; NaN: t */
 } adaptrack_sample;
-#define ADAPTRACK_UNKNOWN {NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN}
+#define ADAPTRACK_UNKNOWN {NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN}
 
 /* What a call was. */
 typedef enum {

@@ -46,7 +46,7 @@ adaptrack_error drive_recorded(const void *constants, size_t size, int *differ, 
         adaptrack_sample sample;
         memcpy(&sample, adaptrack_recorded[k], sizeof sample);
         error = adaptrack_step(&tracker, &sample, answer);
-        if (error == ADAPTRACK_OK && fingerprint(answer) != (uint32_t)adaptrack_recorded[k][12]) ++*differ;
+        if (error == ADAPTRACK_OK && fingerprint(answer) != (uint32_t)adaptrack_recorded[k][sizeof sample / 8u]) ++*differ;
     }
     return error;
 }

@@ -9,7 +9,7 @@ from ..kernel import Place, exported, float64, inlined, int64, void
 from ..maths.bits import whole
 from ..maths.exact import floor
 from ..maths.exponential import hypot
-from .place import (
+from .pose import (
     begin_anew,
     carried,
     find_on_path,
@@ -68,7 +68,7 @@ def tracker_engage(angle, near, tracker):
 
 
 @exported(void(Place(TrackerRecord)))
-def tracker_give(tracker):
+def tracker_take(tracker):
     """Take in the call in `tracker.sample`, see SAMPLE."""
     m, sample = tracker.memory[0], tracker.sample
     m.open, m.due, m.first, m.waiting, m.answered = 1, 0, 0, 0, 0
@@ -80,7 +80,9 @@ def tracker_give(tracker):
     if m.rejection > 0:
         return
     sample[TRACKER_SAMPLE.now] = at
-    _keep(m, sample, abs(at - t) > LONGEST_GAP)
+    if not math.isfinite(sample[TRACKER_SAMPLE.motion_t]):
+        sample[TRACKER_SAMPLE.motion_t] = t
+    _keep(m, sample, at)
     if math.isfinite(sample[TRACKER_SAMPLE.speed]):
         m.speed = sample[TRACKER_SAMPLE.speed]
     if m.started > 0 and (m.speed < -STANDSTILL_SPEED or abs(at - m.last) > LONGEST_GAP):
@@ -111,13 +113,15 @@ def _rejection(m, at):
 
 
 @inlined
-def _keep(m, sample, old):
-    """The sample as it is used: one that is too old says nothing."""
-    nothing = math.nan
+def _keep(m, sample, at):
+    """Keep the sample of a call at a time (s) without the pose or the motion that is older than `LONGEST_GAP`."""
+    nothing, old = math.nan, abs(at - sample[TRACKER_SAMPLE.t]) > LONGEST_GAP
     m.given_t = nothing if old else sample[TRACKER_SAMPLE.t]
     m.given_x = nothing if old else sample[TRACKER_SAMPLE.x]
     m.given_y = nothing if old else sample[TRACKER_SAMPLE.y]
     m.given_yaw = nothing if old else sample[TRACKER_SAMPLE.yaw]
+    old = abs(at - sample[TRACKER_SAMPLE.motion_t]) > LONGEST_GAP
+    m.given_motion_t = nothing if old else sample[TRACKER_SAMPLE.motion_t]
     m.given_yaw_rate = nothing if old else sample[TRACKER_SAMPLE.yaw_rate]
     m.given_vy = nothing if old else sample[TRACKER_SAMPLE.vy]
     m.given_lateral_acceleration = nothing if old else sample[TRACKER_SAMPLE.lateral_acceleration]

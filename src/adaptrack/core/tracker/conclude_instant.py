@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..kernel import Place, exported, inlined, void
-from .place import hold, is_beyond
+from .pose import hold, is_beyond
 from .records import (
     BEYOND_END,
     CONTROLLER_ANSWER,
@@ -20,7 +20,7 @@ from .records import (
 
 
 @exported(void(Place(TrackerRecord)))
-def tracker_after(tracker):
+def tracker_conclude(tracker):
     """Take in the controller's answer (`tracker.answer`) at an instant; nothing where none is waited for.
 
     A command that is no number holds the last one.

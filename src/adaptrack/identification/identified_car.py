@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import dump_toml, write_atomically
-from adaptrack.cars.known_within import KnownWithin
+from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.cars.vehicle import Steering, Tyre, Vehicle
 from adaptrack.identification.log import Log
 

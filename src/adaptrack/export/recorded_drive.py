@@ -197,7 +197,8 @@ def _wild(
                 values[name] = factor * values[name] + step + deviation * stretch.noise * rng.normal()
             sample = np.full(len(CALL), math.nan)
             sample[: CALL.friction] = time - stretch.age * rng.random(), time, *values.values()
-            sample[CALL.friction :] = 0.4 + 0.5 * rng.random(), 5.0 * rng.normal()
+            sample[CALL.friction : CALL.motion_t] = 0.4 + 0.5 * rng.random(), 5.0 * rng.normal()
+            sample[CALL.motion_t] = 0.5 * (sample[CALL.t] + time)
             sample[CALL.x :][rng.random(len(CALL) - CALL.x) < stretch.missing] = math.nan
             sample[[getattr(CALL, name) for name in stretch.without]] = math.nan
             yield sample
@@ -261,6 +262,8 @@ class _Driver(Controller):
         signals = [float(measured[i]) for i in (MEASUREMENT.yaw_rate, MEASUREMENT.vy, MEASUREMENT.lateral_acceleration)]
         sample = np.full(len(CALL), math.nan)
         sample[: CALL.friction] = time - age, time, x, y, yaw, speed, *signals, measured[MEASUREMENT.wheel_angle]
+        motion_age = float(measured[MEASUREMENT.motion_age])
+        sample[CALL.motion_t] = time - (motion_age if math.isfinite(motion_age) else 0.0)
         self._instant += 1
         return self.call(sample) if time < self._seconds else 0.0
 

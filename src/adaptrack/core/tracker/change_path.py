@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..controllers.contract import wrapped
 from ..kernel import Place, exported, float64, inlined, void
-from .place import find_on_path, has_path, hint, restart
+from .pose import find_on_path, has_path, hint, restart
 from .records import MAX_SIGNAL, REQUEST, TrackerRecord
 
 

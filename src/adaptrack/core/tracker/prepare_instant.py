@@ -7,13 +7,14 @@ import math
 from ..controllers.contract import wrapped
 from ..estimators.kalman import SENSOR_COUNT
 from ..input_check.call import check_call
-from ..input_check.record import memory_of
-from ..kernel import Place, exported, inlined, int64
+from ..input_check.record import SAMPLE, memory_of
+from ..kernel import Place, exported, inlined, int64, local
 from ..maths.exact import clip
 from ..models.contract import MEASUREMENT
 from ..road import CLOSED, foot_near, point_at
 from ..speed_plan import planned_speeds
-from .place import (
+from .pose import (
+    PoseRow,
     carried,
     forward,
     has_position,
@@ -39,17 +40,19 @@ from .records import (
     REVERSE,
     STANDSTILL_SPEED,
     TRACKED,
+    TRACKER_SAMPLE,
     TrackerRecord,
 )
 
-LATEST = 0.499
-"""Periods, by which a sample may be later than the last instant that a filter goes through anew."""
+_aligned = local(len(SAMPLE))
+LATEST_POSE, LATEST_MOTION = 0.499, 0.999
+"""Periods, by which a pose and a motion may be older than the last instant that a filter goes through anew."""
 CARRIED = 0.25
 """Periods, by which what moves the car may be carried: by then it is another."""
 
 
 @exported(int64(Place(TrackerRecord)))
-def tracker_before(tracker):
+def tracker_prepare(tracker):
     """Go on to the next instant of a call: 1 and what the controller is given there; 0 when the call is over.
 
     Written are `measured`, `ahead`, `speeds` and, first of all to be done, `request`; at the end `tracked`. A
@@ -76,7 +79,9 @@ def _end(tracker, m):
     """The end of a call: what its inputs say of each other, and what it gives."""
     m.open = 0
     if m.rejection == 0:
-        tracker.tracked[TRACKED.suspect] = check_call(tracker.sample, m.command, tracker.check)
+        aligned = _aligned()
+        _align(tracker.sample, aligned)
+        tracker.tracked[TRACKED.suspect] = check_call(aligned, m.command, tracker.check)
         _judge(tracker, m)
     tell(m, tracker.tracked)
 
@@ -146,20 +151,40 @@ def _steady_drift(m, settings):
 
 
 @inlined
+def _ages(t, most, m, period):
+    """Return the age (s) of what was taken at a time (s), and the nearest age from -1/2 to `most` periods."""
+    age = time_of(m, period) - t if math.isfinite(t) else 0.0
+    return age, clip(age, -0.5 * period, most * period)
+
+
+@inlined
+def _align(sample, aligned):
+    """Write the sample with its pose carried to the time of its motion: the inputs are compared at one time."""
+    for i in range(len(SAMPLE)):
+        aligned[i] = sample[i]
+    time = sample[TRACKER_SAMPLE.motion_t] - sample[TRACKER_SAMPLE.t]
+    speed, yaw_rate = sample[TRACKER_SAMPLE.speed], sample[TRACKER_SAMPLE.yaw_rate]
+    if time != 0.0 and abs(time) <= LONGEST_CARRY and math.isfinite(speed):
+        pose = PoseRow(sample[TRACKER_SAMPLE.x], sample[TRACKER_SAMPLE.y], sample[TRACKER_SAMPLE.yaw])
+        pose = carried(pose, time, speed, yaw_rate if math.isfinite(yaw_rate) else 0.0)
+        aligned[SAMPLE.x], aligned[SAMPLE.y], aligned[SAMPLE.yaw] = pose.x, pose.y, pose.yaw
+        aligned[SAMPLE.t] = sample[TRACKER_SAMPLE.motion_t]
+
+
+@inlined
 def _take(tracker, m, measured):
     """Write what the sample at hand says and how old it is; whether it has a position that can be used."""
-    settings = tracker.settings[0]
-    period, late = settings.period, settings.late
-    age = time_of(m, period) - m.given_t if math.isfinite(m.given_t) else 0.0
-    declared = clip(age, -0.5 * period, (late + LATEST) * period)
+    period, late = tracker.settings[0].period, tracker.settings[0].late
+    age, declared = _ages(m.given_t, late + LATEST_POSE, m, period)
+    motion_age, declared_motion_age = _ages(m.given_motion_t, late + LATEST_MOTION, m, period)
     carry = age - declared
-    if abs(carry) <= CARRIED * period:
+    if max(age, motion_age) > (late + LATEST_MOTION + CARRIED) * period and has_position(m):
+        tracker.request[REQUEST.late] = max(age, motion_age)
+    if abs(motion_age - declared_motion_age) <= CARRIED * period:
         measured[MEASUREMENT.vy], measured[MEASUREMENT.yaw_rate] = m.given_vy, m.given_yaw_rate
         measured[MEASUREMENT.wheel_angle] = m.given_wheel_angle
         measured[MEASUREMENT.lateral_acceleration] = m.given_lateral_acceleration
-    elif has_position(m):
-        tracker.request[REQUEST.late] = age
-    measured[MEASUREMENT.pose_age] = measured[MEASUREMENT.motion_age] = declared
+    measured[MEASUREMENT.pose_age], measured[MEASUREMENT.motion_age] = declared, declared_motion_age
     is_seen = m.given_t <= m.newest and m.instant > 0
     if not (has_position(m) and -period <= carry <= LONGEST_CARRY) or (is_seen and late == 0):
         return False

@@ -18,12 +18,13 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.calibration import corrected
-from adaptrack.identification.computed import without_computed
+from adaptrack.identification.computed_columns import without_computed
 from adaptrack.identification.consistency import Moments, contradictions, implausible_estimates
 from adaptrack.identification.conventions import check_conventions, check_positions, guessed_ratio
-from adaptrack.identification.identified import Estimate, Identification, Series, Validation
+from adaptrack.identification.identified_car import Estimate, Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.log import Log, log_of
+from adaptrack.identification.log_combination import combined, shared_by
 from adaptrack.identification.long_log import shorten_log
 from adaptrack.identification.quantities import (
     INDEX,
@@ -35,7 +36,6 @@ from adaptrack.identification.quantities import (
 )
 from adaptrack.identification.ratio import OPEN, gain_of, judged, of_found
 from adaptrack.identification.reading import Columns, Reading, read_columns
-from adaptrack.identification.several import combined, shared_by
 from adaptrack.identification.starts import find_optima
 from adaptrack.identification.words import findings
 

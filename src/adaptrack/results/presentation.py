@@ -1,4 +1,4 @@
-"""Figure and notebook form of each type (`base.shown`)."""
+"""Figure and notebook form of each type (`base.presentation`)."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-_DRAWING_MODULE = "adaptrack.results.shown"
+_DRAWING_MODULE = "adaptrack.results.presentation"
 
 
 def figure_of(result: Any, *options: Any) -> Any:
