@@ -203,13 +203,15 @@ def test_a_contradiction_is_said_and_returns_to_the_priors_spread_step_by_step()
         hypothesis.covariance[kernel.STIFFNESS_SCALE, kernel.STIFFNESS_SCALE] = 1e-4
     information = 2.0 * 1e-2
     memory.disagreement = 20.0
+    delay = belief(mpc, "belief_delay_sigma")
     sigmas, cautions = [], []
     for seed in range(20):
         drive_steps(mpc, 1, seed + 1)
         sigmas.append(belief(mpc, "belief_stiffness_sigma"))
         cautions.append(belief(mpc, "used_caution"))
     assert belief(mpc, "belief_state") == BeliefState.CONTRADICTORY
-    assert sigmas[-1] > 2.0 * sigmas[0] > information
+    assert sigmas[-1] > sigmas[0] > information
+    assert belief(mpc, "belief_delay_sigma") < 1.1 * delay
     assert np.abs(np.diff(sigmas)).max() < 0.1 * learner().learner.stiffness_spread
     assert np.diff(cautions).max() < 1.0
 
