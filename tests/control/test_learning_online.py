@@ -193,7 +193,7 @@ def test_what_is_believed_stays_within_what_was_told_even_when_the_truth_does_no
 
 
 # -- when it doubts ---------------------------------------------------------------------------------------------------
-def test_a_contradiction_is_said_and_returns_to_the_priors_spread_step_by_step():
+def test_a_contradiction_is_reported_step_by_step_and_leaves_the_delay():
     mpc = learner()
     drive_steps(mpc, 40)
     memory = kernel.memory_of(mpc._mpc.informed.learned[0], 0)
@@ -201,17 +201,27 @@ def test_a_contradiction_is_said_and_returns_to_the_priors_spread_step_by_step()
         hypothesis = kernel.hypothesis(i, mpc.learner.commands, mpc._mpc.informed.learned[0])
         hypothesis.covariance[kernel.STIFFNESS_SCALE] = hypothesis.covariance[:, kernel.STIFFNESS_SCALE] = 0.0
         hypothesis.covariance[kernel.STIFFNESS_SCALE, kernel.STIFFNESS_SCALE] = 1e-4
-    information = 2.0 * 1e-2
     memory.disagreement = 20.0
+    delay = belief(mpc, "belief_delay_sigma")
     sigmas, cautions = [], []
     for seed in range(20):
         drive_steps(mpc, 1, seed + 1)
         sigmas.append(belief(mpc, "belief_stiffness_sigma"))
         cautions.append(belief(mpc, "used_caution"))
     assert belief(mpc, "belief_state") == BeliefState.CONTRADICTORY
-    assert sigmas[-1] > 2.0 * sigmas[0] > information
+    assert belief(mpc, "belief_delay_sigma") < 1.1 * delay
     assert np.abs(np.diff(sigmas)).max() < 0.1 * learner().learner.stiffness_spread
     assert np.diff(cautions).max() < 1.0
+
+
+@pytest.mark.parametrize(("gain", "time"), [(1e9, 30.0), (10.0, 3.0 / (10.0 * 1e-2)), (1.0, 300.0), (0.0, math.inf)])
+def test_a_variance_returns_no_faster_than_driving_reduces_it(gain, time):
+    mpc, hypothesis = learner(), first_hypothesis(learner())
+    hypothesis.covariance[kernel.STIFFNESS_SCALE, kernel.STIFFNESS_SCALE] = 1e-2
+    hypothesis.gain[kernel.STIFFNESS_SCALE] = gain
+    entry(kernel._grow)(kernel.STIFFNESS_SCALE, 0.5, hypothesis, numbers(mpc))
+    growth = hypothesis.covariance[kernel.STIFFNESS_SCALE, kernel.STIFFNESS_SCALE] - 1e-2
+    assert growth == pytest.approx(PERIOD / time * (0.25 - 1e-2))
 
 
 # -- when it is still -------------------------------------------------------------------------------------------------

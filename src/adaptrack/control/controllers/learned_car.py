@@ -39,7 +39,7 @@ class BeliefState(IntEnum):
     AT_BOUND = kernel.AT_BOUND
     """a quantity is at the end of its range: R is raised"""
     CONTRADICTORY = kernel.CONTRADICTORY
-    """the car contradicts the belief, which becomes as uncertain as before the first sample"""
+    """the car contradicts the belief: all but the delay becomes more uncertain"""
 
     def words(self, at_bound: str | None = None) -> str:
         """The state in words; at_bound: the quantity that is at its bound."""

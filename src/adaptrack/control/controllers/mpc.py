@@ -291,7 +291,8 @@ class MPC(Controller):
         if self.learner is None:
             return ""
         beliefs = memory_of(self._mpc.informed.learned[0], 0).beliefs
-        return BeliefState(int(beliefs.belief_state)).words(bounded_quantity(float(beliefs.belief_at_bound)))
+        words = BeliefState(int(beliefs.belief_state)).words(bounded_quantity(float(beliefs.belief_at_bound)))
+        return f"{words} (the steering delay has changed)" if beliefs.belief_change > 0.0 else words
 
     @property
     def name(self) -> str:

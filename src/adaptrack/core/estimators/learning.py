@@ -30,8 +30,9 @@ that are missing, repeated to the last bit or left out by the controller's filte
 The belief is in one state at a time. A mean of the squared innovations over their variance, 1 or less for filters that
 are right, above `CONTRADICTION_BEGIN` says that what is measured contradicts what is believed (the NIS test: Y.
 Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and Navigation* (2001), section 5.4):
-the variances
-then grow to the prior's, and the evidence about the delay is forgotten. A quantity whose mean is at the end of its
+the variances of stiffness, balance and friction then grow to the prior's, and far from the grip that of the bias.
+The delay has a test of its own, in excited driving far from the grip (`_test_delay`), and is not learned near the grip.
+ A quantity whose mean is at the end of its
 range is reported as uncertain as before the first sample, however small the variance of the filters.
 
 The noise of each sensor is that of third differences of its samples, E(x_k - 3 x_(k-1) + 3 x_(k-2) - x_(k-3))^2 =
@@ -79,6 +80,8 @@ LearnerParameters = record("LearnerParameters", (
     "max_delay_step",  # s per period, by which the lag and the dead time in use change at most
     "max_stiffness_step", "max_bias_step",  # 1 and rad per period, likewise
     ("variance", (float64, kalman.SENSOR_COUNT)),  # of the sensors, as given; inf: none
+    "change_share",  # of a period in the time over which the delay is tested
+    "prior_friction",  # standard deviation of the logarithm of friction
 ))  # fmt: skip
 """The parameters."""
 parameters_of = viewer(LearnerParameters)
@@ -94,6 +97,8 @@ BELIEF_NAMES = (
     "belief_noise",  # of the yaw rate, over what was given
     "used_lag", "used_dead_time", "used_stiffness", "used_balance", "used_bias", "used_caution",  # by the controller
     "belief_state", "belief_at_bound",  # `LEARNING_BELIEF`, ...; 0 or 1 + a place in `QUANTITIES_BOUNDED`
+    "belief_change",  # 1: the innovations showed another delay, and it has not settled since
+    "belief_grip_use",  # largest share of its grip that an axle uses
 )  # fmt: skip
 """What is learned, and what the controller believes of it, at every step."""
 QUANTITIES_BOUNDED = ("lag", "dead_time", "stiffness", "balance", "bias")
@@ -130,6 +135,11 @@ LEARNER_STATES = 11
 _ROW = 2 * VECTOR_WIDTH
 """x and the rows of its covariance are padded to so many."""
 
+DelayChange = record(
+    "DelayChange", ("score_lag", "score_dead_time", "information_lag", "information_both", "information_dead_time")
+)
+"""Score (1/s) and information (1/s^2, a symmetric matrix) of an error of lag and dead time."""
+
 Memory = record("Memory", (
     ("beliefs", Beliefs),
     "count",  # steps so far
@@ -143,6 +153,8 @@ Memory = record("Memory", (
     ("noise_count", (float64, kalman.SENSOR_COUNT)),  # from so many samples
     ("last", (float64, kalman.SENSOR_COUNT)), ("second_last", (float64, kalman.SENSOR_COUNT)),
     ("third_last", (float64, kalman.SENSOR_COUNT)),  # samples
+    ("change", DelayChange),  # over the last seconds of excited driving
+    "excited",  # s, of excited driving so far
 ))  # fmt: skip
 """What the memory begins with; the commands that were sent follow, then the hypotheses."""
 memory_of = viewer(Memory)
@@ -156,6 +168,9 @@ Hypothesis = record("Hypothesis", (
     "disagreement",  # squared innovations over their variance, mean of the sensors at the last sample
     "evidence", "weight",  # logarithm of its likelihood; weight in the mixture
     ("x", (float64, _ROW)), ("covariance", (float64, LEARNER_STATES, _ROW)),
+    "grip_use",  # largest share of its grip that an axle uses
+    ("change", DelayChange),  # by the last samples
+    ("gain", (float64, LEARNER_STATES)),  # information about a state (1 over its variance) that a second has added
 ))  # fmt: skip
 """A filter."""
 _hypothesis, _HYPOTHESIS = viewer(Hypothesis), size_of(Hypothesis)
@@ -183,6 +198,10 @@ LOWEST = -40.0
 LIVELY, SETTLED = 3.0, 8
 """A third difference counts up to so many standard deviations, so that a jump is no noise; after so many samples."""
 _TERMS = 7
+LEAST_DELAY_VARIANCE = 1e-9
+"""s^2"""
+RETURNING = (STIFFNESS_SCALE, BALANCE, FRICTION, BIAS)
+"""What returns to its prior in a contradiction; the bias only far from the grip."""
 
 LEARN = void(float64, vector, float64, int64, vector, vector)
 """``learn(speed, measured, command, excluded, parameters, memory)``: take in what was measured (`MEASUREMENT`) at a
@@ -373,6 +392,7 @@ def _predict_covariance(candidate, mixed, f, g, step, p):
     shares[WIND_FORCE], shares[BANK], shares[FRICTION] = p.wind_left, p.bank_left, p.friction_left
     carry(mixed, shares, P, _motion())
     turning, weight = p.mass / p.yaw_inertia, GRAVITY / (p.lf + p.lr)
+    candidate.grip_use = max(abs(f) / p.lr, abs(g) / p.lf) / (weight * exp(candidate.x[FRICTION]))
     front, rear = f * f / (weight * p.lr), g * g / (weight * p.lf)
     sliding, share = square(p.method.sliding) * step, step / p.period
     by_front, by_rear = sliding * front * front, sliding * rear * rear
@@ -413,14 +433,42 @@ def _reading(sensor, candidate, speed, by_dead_time, p, h):
 
 
 @inlined
+def _add_score(innovation, variance, cross, candidate):
+    """Add what an innovation of a variance says of an error of lag and dead time; cross: P h'.
+
+    The slopes of the innovation over the two are P_dd^-1 (P h')_d, with P_dd their covariance.
+    """
+    P, change = candidate.covariance, candidate.change
+    of_lag, both, of_dead_time = P[STEERING_LAG, STEERING_LAG], P[STEERING_LAG, DEAD_TIME], P[DEAD_TIME, DEAD_TIME]
+    of_lag, of_dead_time = of_lag + LEAST_DELAY_VARIANCE, of_dead_time + LEAST_DELAY_VARIANCE
+    determinant = of_lag * of_dead_time - both * both
+    by_lag = (of_dead_time * cross[STEERING_LAG] - both * cross[DEAD_TIME]) / determinant
+    by_dead_time = (of_lag * cross[DEAD_TIME] - both * cross[STEERING_LAG]) / determinant
+    change.score_lag += by_lag * innovation / variance
+    change.score_dead_time += by_dead_time * innovation / variance
+    change.information_lag += by_lag * by_lag / variance
+    change.information_both += by_lag * by_dead_time / variance
+    change.information_dead_time += by_dead_time * by_dead_time / variance
+
+
+@inlined
 def _take_in(sensor, value, variance, candidate, speed, by_dead_time, p):
     """Correct x and P by a sensor of a variance; the log-likelihood of what it reads."""
     h, cross = _states(), _states()
     innovation = value - _reading(sensor, candidate, speed, by_dead_time, p, h)
-    variance = scatter(variance, h, candidate.covariance, cross)
-    correct(
-        bounded(innovation, variance, p.method.innovation_bound), variance, cross, candidate.x, candidate.covariance
-    )
+    P = candidate.covariance
+    variance = scatter(variance, h, P, cross)
+    nu = bounded(innovation, variance, p.method.innovation_bound)
+    lag, dead_time = candidate.x[STEERING_LAG], candidate.x[DEAD_TIME]
+    _add_score(nu, variance, cross, candidate)
+    correct(nu, variance, cross, candidate.x, P)
+    if candidate.grip_use > p.method.delay_grip_use:
+        # the model is wrong near the grip: no innovation there moves the delay, nor makes it certain
+        candidate.x[STEERING_LAG], candidate.x[DEAD_TIME] = lag, dead_time
+        P[STEERING_LAG, STEERING_LAG] += square(cross[STEERING_LAG])
+        P[DEAD_TIME, DEAD_TIME] += square(cross[DEAD_TIME])
+        P[STEERING_LAG, DEAD_TIME] += cross[STEERING_LAG] * cross[DEAD_TIME]
+        P[DEAD_TIME, STEERING_LAG] = P[STEERING_LAG, DEAD_TIME]
     surprise = min(square(innovation) / variance, square(p.method.innovation_bound))
     candidate.disagreement += surprise
     return -0.5 * (surprise + log(variance))
@@ -618,6 +666,7 @@ def _find_state(p, m, memory):
     delay = sqrt(max(both + 2.0 * _covariance(STEERING_LAG, DEAD_TIME, p, memory), 0.0))
     stiffness = sqrt(max(_covariance(STIFFNESS_SCALE, STIFFNESS_SCALE, p, memory), 0.0))
     most_delay, most_stiffness = CERTAIN if was == LEARNING_BELIEF else UNCERTAIN
+    b.belief_change = 0.0 if was == SETTLED_BELIEF and delay < CERTAIN[0] else b.belief_change
     b.belief_state = SETTLED_BELIEF if delay < most_delay and stiffness < most_stiffness else LEARNING_BELIEF
     if b.belief_at_bound > 0.0:
         b.belief_state = AT_BOUND
@@ -628,21 +677,25 @@ def _find_state(p, m, memory):
 
 @inlined
 def _return_to_prior(p, memory):
-    """In a contradiction the variances of what is learned grow to the prior's, and evidence is forgotten."""
+    """In a contradiction the variances of what a slide contradicts grow to the prior's."""
     for i in range(whole(p.hypotheses)):
         candidate = hypothesis(i, p.commands, memory)
-        candidate.evidence *= 1.0 - p.return_share
-        _grow(STEERING_LAG, p.prior_lag, candidate, p)
-        _grow(DEAD_TIME, p.prior_dead_time, candidate, p)
         _grow(STIFFNESS_SCALE, p.prior_stiffness, candidate, p)
         _grow(BALANCE, 0.5 * p.prior_balance, candidate, p)
-        _grow(BIAS, p.prior_bias, candidate, p)
+        _grow(FRICTION, p.prior_friction, candidate, p)
+        if candidate.grip_use < p.method.test_grip_use:
+            _grow(BIAS, p.prior_bias, candidate, p)
 
 
 @inlined
 def _grow(state, prior, candidate, p):
-    """A variance on its way to the prior's."""
-    candidate.covariance[state, state] += p.return_share * max(square(prior) - candidate.covariance[state, state], 0.0)
+    """Let a variance grow towards the prior's, not faster than driving like that of the last seconds reduces it.
+
+    Of an information i per second, a variance P falls to a quarter, thus its standard deviation to half, in 3/(i P).
+    """
+    variance = candidate.covariance[state, state]
+    share = min(p.return_share, candidate.gain[state] * variance / 3.0 * p.period)
+    candidate.covariance[state, state] += share * max(square(prior) - variance, 0.0)
 
 
 @inlined
@@ -704,11 +757,20 @@ def _advance(candidate, speed, step, measured, variance, p, m, memory):
     _predict_covariance(candidate, mixed, f, g, step, p)
     lag, dead_time, likelihood, taken_in = candidate.x[STEERING_LAG], candidate.x[DEAD_TIME], 0.0, 0.0
     candidate.disagreement = 0.0
+    change = candidate.change
+    change.score_lag, change.score_dead_time = 0.0, 0.0
+    change.information_lag, change.information_both, change.information_dead_time = 0.0, 0.0, 0.0
+    for state in RETURNING:
+        candidate.gain[state] -= p.contradiction_share * (
+            candidate.gain[state] + 1.0 / (p.period * candidate.covariance[state, state])
+        )
     for sensor in _TAKEN_IN:
         if variance[sensor] < math.inf:
             taken_in += 1.0
             likelihood += _take_in(sensor, measured[sensor], variance[sensor], candidate, speed, by_dead_time, p)
     candidate.disagreement = candidate.disagreement / taken_in if taken_in > 0.0 else math.nan
+    for state in RETURNING:
+        candidate.gain[state] += p.contradiction_share / (p.period * candidate.covariance[state, state])
     _bound(candidate, p)
     candidate.wheels += candidate.by_lag * (candidate.x[STEERING_LAG] - lag) + by_dead_time * (
         candidate.x[DEAD_TIME] - dead_time
@@ -719,14 +781,69 @@ def _advance(candidate, speed, step, measured, variance, p, m, memory):
 @inlined
 def _judge(p, m, memory):
     """Compare what was measured with what was expected; in a contradiction, believe less."""
-    surprise = 0.0
+    surprise, information, grip_use = 0.0, 0.0, 0.0
     for i in range(whole(p.hypotheses)):
         candidate = hypothesis(i, p.commands, memory)
         surprise += candidate.weight * candidate.disagreement
+        information += candidate.weight * candidate.change.information_dead_time
+        grip_use += candidate.weight * candidate.grip_use
     if math.isfinite(surprise):
         m.disagreement += p.contradiction_share * (surprise - m.disagreement)
     if m.beliefs.belief_state == CONTRADICTORY:
         _return_to_prior(p, memory)
+    if grip_use < p.method.test_grip_use and information > p.method.least_information * p.period:
+        _test_delay(p, m, memory)
+    m.beliefs.belief_grip_use = grip_use
+
+
+@inlined
+def _test_delay(p, m, memory):
+    """Test whether the innovations of the last seconds of excited driving show another delay; if so, widen it.
+
+    With score U and information I, the change is I^-1 U. Without one, U' I^-1 U has a chi^2 distribution of two
+    degrees of freedom times the normalised innovations squared (score test: C. R. Rao, Proc. Cambridge Phil. Soc. 44
+    (1948)).
+    """
+    c, left = m.change, 1.0 - p.change_share
+    c.score_lag, c.score_dead_time = left * c.score_lag, left * c.score_dead_time
+    c.information_lag, c.information_both, c.information_dead_time = (
+        left * c.information_lag,
+        left * c.information_both,
+        left * c.information_dead_time,
+    )
+    for i in range(whole(p.hypotheses)):
+        candidate = hypothesis(i, p.commands, memory)
+        w, change = candidate.weight, candidate.change
+        c.score_lag += w * change.score_lag
+        c.score_dead_time += w * change.score_dead_time
+        c.information_lag += w * change.information_lag
+        c.information_both += w * change.information_both
+        c.information_dead_time += w * change.information_dead_time
+    weak = p.method.weak_information
+    of_lag, of_dead_time = c.information_lag + weak, c.information_dead_time + weak
+    determinant = of_lag * of_dead_time - square(c.information_both)
+    lag = (of_dead_time * c.score_lag - c.information_both * c.score_dead_time) / determinant
+    dead_time = (of_lag * c.score_dead_time - c.information_both * c.score_lag) / determinant
+    evidence = lag * c.score_lag + dead_time * c.score_dead_time
+    m.excited += p.period
+    threshold = square(p.method.change_threshold) * max(m.disagreement, 1.0)
+    is_large = square(lag) + square(dead_time) > square(p.method.least_change)
+    if m.excited > p.method.change_begin and evidence > threshold and is_large:
+        _widen_delay(lag, dead_time, p, m, memory)
+
+
+@inlined
+def _widen_delay(lag, dead_time, p, m, memory):
+    """Widen the covariance of the delay by a change (s) of both its parts, and raise R at once."""
+    for i in range(whole(p.hypotheses)):
+        P = hypothesis(i, p.commands, memory).covariance
+        P[STEERING_LAG, STEERING_LAG] += square(min(abs(lag), p.prior_lag, p.method.max_change))
+        P[DEAD_TIME, DEAD_TIME] += square(min(abs(dead_time), p.prior_dead_time, p.method.max_change))
+    c = m.change
+    c.score_lag, c.score_dead_time = 0.0, 0.0
+    c.information_lag, c.information_both, c.information_dead_time = 0.0, 0.0, 0.0
+    m.disagreement = min(m.disagreement, CONTRADICTION_END)  # the change explains it
+    m.doubt, m.beliefs.belief_change = 1.0, 1.0
 
 
 @inlined

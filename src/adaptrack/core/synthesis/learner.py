@@ -216,6 +216,7 @@ def _set_first_belief(learner, start):
     b.belief_bias, b.belief_bias_sigma = bias, bias_sigma
     b.belief_bank, b.belief_bank_sigma = 0.0, method.bank
     b.belief_friction, b.belief_friction_sigma = method.friction, method.friction_sigma
+    b.belief_change, b.belief_grip_use = 0.0, 0.0
     b.belief_noise, b.belief_state, b.belief_at_bound = 1.0, float(learning.LEARNING_BELIEF), 0.0
     later = method.delay_quantile / sigma
     b.used_lag = clip(lag + later * lag_variance, lags.least, lags.most)
@@ -338,3 +339,4 @@ def learner_numbers(learner, sensing, numbers):
     p.max_delay_step, p.max_stiffness_step = method.max_delay_rate * period, method.max_stiffness_rate * period
     p.max_bias_step = method.max_bias_rate * period
     sensor_variances(sensing.noise, p.variance)
+    p.change_share, p.prior_friction = min(1.0, period / method.change_time), method.friction_sigma
