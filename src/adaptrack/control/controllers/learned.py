@@ -133,8 +133,9 @@ class Learning(RecordSettings, record=LearningMethod):
 
 
 MAX_BIAS_PULL = 5.5
-"""m/s^2, pull of an unknown steering bias with which a drive may begin. Of 2,000 unknown cars that began at 20 to 30 m/s,
-13 of 463 were lost above it and 1 of 1,527 below. Every one of the 14 was also lost with R four times as large."""
+"""m/s^2, pull of an unknown steering bias with which a drive may begin. Of 1,990 unknown cars that began at 20 to
+30 m/s, 13 of 463 were lost above it and 1 of 1,527 below. All 14 were
+lost with R four times as large, too."""
 
 
 class Ranges(NamedTuple):
