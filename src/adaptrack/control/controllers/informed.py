@@ -203,4 +203,5 @@ def _learned_ranges(learner: Learner) -> str:
     first = f"lag {short:.3g} to {long:.3g} s, dead time {soon:.3g} to {late:.3g} s"
     (least, most), (_, latest) = learner.limits
     limits = "" if learner.limits == learner.ranges else f" (not beyond {least:.3g} to {most:.3g} s and {latest:.3g} s)"
-    return f"{first}{limits}, stiffness x or / {factor:.3g}"
+    top = f"; drive below {learner.first_top_speed:.3g} m/s first" if learner.first_top_speed < math.inf else ""
+    return f"{first}{limits}, stiffness x or / {factor:.3g}{top}"

@@ -178,11 +178,11 @@ def _set_learner(order, parts):
     sensing.drifts.wheel_angle = hypot(DEFAULT_DRIFTS.wheel_angle, wheel_drift)
     sensing.longest = learner.longest
     tune_informed(world, 1.0, order.longest_horizon, order.most_moves, parts.tuning)
-    bound_commands(belief, world.period, parts.bounds)
     learned_before = not math.isnan(order.start.lag)
-    belief.lag, belief.dead_time = lag, dead_time
     belief.lag_source = _source_at_start(belief.lag_source, learned_before)
     belief.dead_time_source = _source_at_start(belief.dead_time_source, learned_before)
+    bound_commands(belief, world.period, parts.bounds)
+    belief.lag, belief.dead_time = lag, dead_time
     parts.lag, parts.dead_time = lag, dead_time + belief.computation
 
 
