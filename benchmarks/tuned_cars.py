@@ -39,7 +39,7 @@ def main() -> None:
     ask.add_argument("--profile", nargs="+", default=["road", "production"])
     ask.add_argument("--json", action="store_true")
     asked, rows = ask.parse_args(), []
-    at.tune("paper", effort=TuningEffort(drives=1, hard_drives=1, seconds=5.0, judged_drives=4))  # compile
+    at.tune("paper", effort=TuningEffort(drives=1, hard_drives=1, seconds=5.0, unseen_drives=4))  # compile
     for profile in asked.profile:
         for name in asked.vehicle:
             found, words = tuned(name, asked.plant, profile)

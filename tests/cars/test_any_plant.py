@@ -36,7 +36,7 @@ SMALL = TuningEffort(
     hard_drives=1,
     seconds=5.0,
     swarm=SwarmSettings(particles=4, generations=2),
-    judged_drives=4,
+    unseen_drives=4,
     levels=(3, 2),
 )
 

@@ -250,6 +250,7 @@ def test_what_is_seen_of_a_bend_is_its_curvature():
         ({"car": at.UserPlant(lambda x, u, environment, p, dx: None, {}, 1500.0)}, r"UserPlant\(..., vehicle="),
         ({"car": at.load_vehicle("van"), "random_cars": True}, "random_cars: car = "),
         ({"failure_cost": -1.0}, "failure_cost"),
+        ({"failure_cost": "high"}, "Task: failure_cost = 'high'"),
         ({"distances": (-1.0,)}, "distances"),
     ],
 )

@@ -14,7 +14,7 @@ from adaptrack.tuning.car import FIRST_SEARCH_DRIVE, FIRST_UNSEEN_DRIVE, TuningE
 from adaptrack.tuning.pso import SwarmSettings
 
 SWARM = SwarmSettings(particles=6, generations=3)
-SMALL = TuningEffort(drives=3, hard_drives=2, seconds=10.0, swarm=SWARM, judged_drives=6, levels=(4, 2))
+SMALL = TuningEffort(drives=3, hard_drives=2, seconds=10.0, swarm=SWARM, unseen_drives=6, levels=(4, 2))
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_a_domain_that_nothing_holds_is_refused():
 @pytest.mark.parametrize(
     ("call", "error", "words"),
     [
-        (lambda: TuningEffort(judged_drives=1), InvalidInput, "judged_drives"),
+        (lambda: TuningEffort(unseen_drives=1), InvalidInput, "unseen_drives"),
         (lambda: tune("paper", speed=(20.0, 5.0)), ValueError, "lowest"),
         (lambda: tune("paper", seed=-1), InvalidInput, "seed"),
         (lambda: tune("paper", plant="hovercraft"), UnknownName, "hovercraft"),

@@ -285,7 +285,7 @@ def _entry(value: Any) -> float:
 
 # -- annotations ------------------------------------------------------------------------------------------------------
 class _Names(dict[str, Any]):
-    """Namespace in which an annotation is evaluated; names imported for type checkers only accept any object."""
+    """Namespace in which an annotation is evaluated. A name that only type checkers import stands for any object."""
 
     def __init__(self, namespaces: Sequence[Mapping[str, Any]]) -> None:
         self._defined = ChainMap(*map(dict, namespaces), globals(), vars(builtins))
@@ -335,7 +335,8 @@ class _Class(NamedTuple):
 def _with_classes(annotation: Any) -> Any:
     """Return the annotation with an instance check for every class in it.
 
-    It is returned unchanged if it contains no class of `_is_checked_class`, or a part without a check.
+    The annotation is returned unchanged in two cases: no part is a class of `_is_checked_class`, or some part cannot
+    be checked.
     """
     parts = _parts(annotation)
     checks = [_class_check(part) for part in parts]

@@ -62,6 +62,6 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
     """Return the known name that is most similar to `name`, ignoring case, or None if none is similar."""
-    by_letters = {candidate.casefold(): candidate for candidate in names}
-    near = difflib.get_close_matches(name.casefold(), by_letters, n=1, cutoff=0.6)
-    return by_letters[near[0]] if near else None
+    names_by_folded_case = {candidate.casefold(): candidate for candidate in names}
+    near = difflib.get_close_matches(name.casefold(), names_by_folded_case, n=1, cutoff=0.6)
+    return names_by_folded_case[near[0]] if near else None

@@ -421,13 +421,13 @@ def encode_parquet(kind: str, version: int, columns: Sequence[ParquetColumn], me
         arrays.append(array)
         fields.append(pa.field(name, array.type, nullable=False, metadata=field_metadata))
     text = json.dumps(dict(metadata), sort_keys=True)
-    proof = _checksum({column.name: column.values for column in columns}, text)
+    checksum = _checksum({column.name: column.values for column in columns}, text)
     content = io.BytesIO()
     pq.write_table(
         pa.Table.from_arrays(
             arrays,
             schema=pa.schema(
-                fields, metadata={"format": kind, "format_version": str(version), "about": text, "sha256": proof}
+                fields, metadata={"format": kind, "format_version": str(version), "about": text, "sha256": checksum}
             ),
         ),
         content,
@@ -484,10 +484,10 @@ def decode_parquet(
                 raise ValueError(f"there is no column {name!r}")
         columns = {name: _array(name, table.column(name)) for name in table.column_names}
         metadata = json.loads(stored["about"])
-        proof = stored["sha256"]
+        checksum = stored["sha256"]
     except (KeyError, ValueError, TypeError, RecursionError) as error:
         raise Damaged(f"{where}: damaged, or edited by another program: {printable(str(error))}.") from error
-    if _checksum(columns, stored["about"]) != proof:
+    if _checksum(columns, stored["about"]) != checksum:
         raise Damaged(f"{where}: damaged, or edited by another program: the checksum of its content does not fit.")
     return columns, metadata
 
@@ -578,7 +578,7 @@ def _problem(detail: dict[str, Any], model_class: type[BaseModel], data: Mapping
         )
     if kind == "union_tag_not_found":
         selector = detail["ctx"]["discriminator"].strip("'")
-        return f"{key}.{selector}: missing; it says which shape this table describes."
+        return f"{key}.{selector}: missing; it selects the kind of this table."
     if kind in ("value_error", "assertion_error"):  # a validator of this package wrote a full sentence
         sentence = str(detail["ctx"]["error"])
         if not key:

@@ -55,8 +55,8 @@ MAX_STEPS = RequestLimit(
 # -- a road -----------------------------------------------------------------------------------------------------------
 ROAD_LENGTH = RequestLimit(2_000_000, "m of road", "its speed is planned at every metre: 3 GB, and some minutes")
 MAX_GRADE = 0.4
-"""dz/ds of a road, either way: the steepest streets have 0.35, and 5 is per cent."""
-TURNS = RequestLimit(10_000, "rad", "for one element: every turn adds pieces of road, 3 MB in all")
+"""dz/ds of a road, either way: the steepest streets have 0.35. A value of 5 is probably in per cent."""
+TURNS = RequestLimit(10_000, "rad", "heading change of one road element; 10,000 rad need 3 MB")
 
 # -- a controller -----------------------------------------------------------------------------------------------------
 PREDICTION_HORIZON = RequestLimit(1000, "control periods", "100 s at 0.1 s; a step then takes milliseconds")
@@ -66,7 +66,7 @@ CONTROL_HORIZON = RequestLimit(
 LAGUERRE_TERMS = RequestLimit(200, "functions", CONTROL_HORIZON.reason)
 
 # -- a campaign -------------------------------------------------------------------------------------------------------
-NOISE_SEEDS = RequestLimit(1000, "noise seeds", "each multiplies the time of a campaign; 4 are usual")
+NOISE_SEEDS = RequestLimit(1000, "noise seeds", "the time is proportional to their number; 4 are usual")
 LANDSCAPE_COSTS = RequestLimit(500_000_000, "costs (operating points x tunings of the library)", "2 GB")
 WORKERS = RequestLimit(1024, "threads", "more than the cores of any machine")
 

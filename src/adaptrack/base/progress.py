@@ -114,7 +114,7 @@ _visible_work: list[TrackedWork] = []
 
 
 @contextmanager
-def nested_in_reports(work: TrackedWork) -> Iterator[bool]:
+def registered_work(work: TrackedWork) -> Iterator[bool]:
     """Register a running computation; yields whether it is the outermost one and must report its progress."""
     _visible_work.append(work)
     try:
@@ -127,7 +127,7 @@ def nested_in_reports(work: TrackedWork) -> Iterator[bool]:
 def _reported(label: str) -> Iterator[Callable[..., None]]:
     """Report the progress of the `with` block from a thread; yields the function that takes the progress."""
     work, end = TrackedWork(label), threading.Event()
-    with nested_in_reports(work) as is_outermost:
+    with registered_work(work) as is_outermost:
         if not is_outermost:
             yield work.update
             return

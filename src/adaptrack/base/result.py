@@ -106,11 +106,11 @@ BACKGROUND_STROKE = Stroke(MUTED)
 """Stroke of lines behind the main curves."""
 
 _DASH_CYCLE: tuple[Dash, ...] = ("solid", "long", "dotted")
-"""Dash patterns for the first pass through the colours of `SERIES`, the second and the third."""
+"""Dash patterns for the first, second and third pass through the colours of `SERIES`."""
 
 
 def strokes(labels: Iterable[str]) -> dict[str, Stroke]:
-    """Return one stroke per distinct label, in order; up to three times the number of colours they are distinct."""
+    """Return one stroke per distinct label, in order; strokes repeat after three times the number of colours."""
     return {
         label: Stroke(SERIES[i % len(SERIES)], _DASH_CYCLE[i // len(SERIES) % len(_DASH_CYCLE)])
         for i, label in enumerate(dict.fromkeys(labels))

@@ -25,7 +25,7 @@ class Ratio(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """Return "cheaper" or "dearer", or "level" if the interval contains 1 and so shows no difference."""
+        """Return whether the numerator is "cheaper" or "dearer", or "level" if the interval contains 1."""
         return "cheaper" if self.high < 1.0 else "dearer" if self.low > 1.0 else "level"
 
 
@@ -144,7 +144,7 @@ def block_rms(squared: ArrayLike, block: ArrayLike) -> list[tuple[Interval, Rati
     -------
     list of (Interval, Ratio)
         For each contender the RMS error, and RMS error of the first contender / RMS error of this contender. The ratio
-        is 1 if the mean square of this contender is 0 in a resample.
+        is 1 in all resamples if the mean square of this contender is 0 in any of them.
     """
     values, block_index = np.atleast_2d(np.asarray(squared, dtype=float)), np.unique(block, return_inverse=True)[1]
     count = _resampled_sums(np.bincount(block_index).astype(float))

@@ -50,7 +50,11 @@ class CompareOptions:
     ] = None
     vehicle: Annotated[
         list[str] | None,
-        Option("--vehicle", metavar="CAR[/PLANT]", help="Car: see `list cars`, or a .toml file; may be repeated."),
+        Option(
+            "--vehicle",
+            metavar="CAR[/PLANT]",
+            help="Car: see `list cars`, or a .toml file. PLANT: dual-track (default) or single-track. May be repeated.",
+        ),
     ] = None
     profile: Annotated[
         list[str] | None,
@@ -70,7 +74,7 @@ class CompareOptions:
         str | None,
         Option(
             "--config", metavar="NAME",
-            help="See `list comparisons`, or a .toml file; default: quick without ROAD, roads with it.",
+            help="See `list comparisons`, or a .toml file; default: `quick`; if ROAD is given: `roads`.",
         ),
     ] = None  # fmt: skip
     prescribed_speed: options.PrescribedSpeed = False

@@ -113,7 +113,7 @@ class ExportOptions:
             metavar="S",
             min=0.0,
             max=1.0,
-            help="Computation time from a call of the library to its command (s).",
+            help="Time from calling the library until it returns the command (s).",
         ),
     ] = 0.0
     target: Annotated[
@@ -125,7 +125,7 @@ class ExportOptions:
         Option(
             "--objects",
             metavar="FOLDER",
-            help="Unpacked folder with kernels for other processors, from `make targets`.",
+            help="Unpacked folder with kernels of other processors, which `make targets` builds in a source checkout.",
         ),
     ] = None
     room: Annotated[

@@ -65,7 +65,7 @@ class PlaceOptions:
         Option(
             "--profile",
             metavar="NAME",
-            help="paper: ideal (default: scenarios); road: lag, noise, delay (default: roads); or a .toml file.",
+            help="paper: ideal, default for scenarios; road: lag, noise, delay, default for roads; or a .toml file.",
         ),
     ] = None
     option: Annotated[

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from adaptrack.base.progress import TrackedWork, call_until, nested_in_reports
+from adaptrack.base.progress import TrackedWork, call_until, registered_work
 from adaptrack.base.progress import duration as duration
 from adaptrack.base.result import Column, Result, ResultTable
 from adaptrack.base.text import printable as escaped
@@ -70,7 +70,7 @@ def progress(label: str, total: int = 1) -> Iterator[Show]:
     `base.progress.TrackedWork`. Inside another computation that shows its progress nothing is shown.
     """
     work = TrackedWork(label, total)
-    with nested_in_reports(work) as is_outermost:
+    with registered_work(work) as is_outermost:
         if not is_outermost:
             yield work.update
             return

@@ -104,7 +104,8 @@ def rollout_batch(
         limited to 1 <= Nc <= Np, to its longest horizon and to its largest number of moves. By default each run uses
         the scheduler of the MPC, or the tuning of the controller.
     scenario_indices : (runs,) array, optional
-        Index of each run's scenario. By default one run per scenario without `tunings`, and index 0 with them.
+        Index of each run's scenario. Default without `tunings`: one run
+        per scenario. Default with `tunings`: all runs drive scenario 0.
     profile
         Steering, sensors and computation time, see `Profile`.
     driver
@@ -365,7 +366,7 @@ class Batch:
         )
 
     def chunks(self, runs: NDArray[np.int64], threads: int = 1) -> list[NDArray[np.int64]]:
-        """Split runs into chunks of equal duration and equal integration steps, which one kernel call can drive.
+        """Split runs into chunks for one kernel call each, with equal duration and integration steps within a chunk.
 
         A user plant is advanced one run at a time, so its runs are divided evenly among the threads.
 

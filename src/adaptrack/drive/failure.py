@@ -66,7 +66,7 @@ class Failed:
     time: float
     """Time of this instant (s)."""
     reason: str
-    """A `Reason`, or the text with which another simulation ended the run."""
+    """A `Reason`, or the reason in a trajectory of a different program."""
     clause: str
     """Reason with numbers; completes a sentence that starts with "the vehicle"."""
 

@@ -1,4 +1,4 @@
-"""Measures of a drive: tracking, corners, effort, comfort, limits, solver and time, and the cost J of tuning.
+"""Measures of a drive: tracking, corners of the car body, effort, comfort, limits, solver, time, and the cost J.
 
 If smaller values are better and a sample is not finite, the measure is infinite. A run that ends in NaN therefore sorts
 last. Signs are those of ISO 8855: positive to the left.

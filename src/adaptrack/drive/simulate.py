@@ -241,7 +241,7 @@ _UNITS = {
 def _columns_by_name(names: tuple[str, ...], columns: Array, is_driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     """Return the columns by name, whole-number quantities as integers.
 
-    Instants without a command have the QP status of data that are not finite.
+    At instants without a command, the QP status is `QPStatus.NON_FINITE`.
     """
     columns_by_name: dict[str, NDArray[Any]] = {}
     for name, values in zip(names, columns.T, strict=True):
@@ -256,7 +256,7 @@ def _true_values(world: World, controller: Controller) -> dict[str, Any]:
     learner, steering = controller.learner, world.steering
     if learner is None:
         return {}
-    dead_time = sum(world.dead_periods) * world.period - learner.computation  # s, unknown part
+    dead_time = sum(world.dead_periods) * world.period - learner.computation  # s, without computation
     return {"truth": learner.truth(steering.replace(dead_time=max(dead_time, 0.0)), world.plant)}
 
 

@@ -211,7 +211,7 @@ class Trajectory:
 
     @property
     def error(self) -> Array:
-        """Lateral error Y − y_ref, on a road offset − y_ref, positive if the car is left of the reference (m), (n,)."""
+        """Lateral error (m), (n,): Y − y_ref, or offset − y_ref on a road; positive to the left of the reference."""
         return (self.road["offset"] if self.road else self.Y) - self.y_ref
 
     @property

@@ -67,7 +67,7 @@ class World:
     """Simulated car and everything else around the controller; all runs of a batch share it."""
 
     plant: Plant | SteppedPlant
-    """Simulated car, moved by its steering actuator."""
+    """Simulated car including its steering actuator."""
     profile: Profile
     """Steering, sensors and computation time."""
     period: float

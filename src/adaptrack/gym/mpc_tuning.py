@@ -32,7 +32,7 @@ class AgentScheduler:
 
 
 class MPCTuningEnv(gymnasium.Env):
-    """`adaptrack/MPCTuning-v0`: choose horizons and weights of a car's MPC every `every` control periods.
+    """`adaptrack/MPCTuning-v0`: choose horizons and weights of a car's MPC at intervals of `every` periods.
 
     The MPC drives as in `adaptrack.simulate`; the agent takes the place of its scheduler. QP, prediction model and
     estimator stay those of the MPC.
@@ -61,7 +61,7 @@ class MPCTuningEnv(gymnasium.Env):
     wind                m/s     side wind as perceived by the controller, +-100
     change              m       largest change of the reference over the next 3 s, 0 to 1000
     acceleration        m/s^2   largest lateral acceleration of reference and road over the next 3 s, 0 to 100
-    offset              m       y_ref minus measured y, +-100
+    offset              m       y_ref minus measured y, +-100; `adaptrack/PathTracking-v0` has the opposite sign
     belief_lag          s       only `informed`: assumed lag of the steering, 0 to 10
     belief_delay        s       only `informed`: assumed time until a command begins to act, 0 to 10
     ==================  ======  ==============================================================================

@@ -36,7 +36,7 @@ class PathTrackingEnv(gymnasium.Env):
 
     Observation
     -----------
-    Box(7 + 2 m,), float64, with the columns below (`names`), where m is the number of `distances`. The profile
+    Box(7 + 2 n,), float64, with the columns below (`names`), where n is the number of `distances`. The profile
     determines delay, noise and missing samples of the sensors. A missing sample keeps its last value. Every column is
     clipped to its bounds.
 
@@ -50,12 +50,12 @@ class PathTrackingEnv(gymnasium.Env):
     wheel_angle     rad      measured angle of the front wheels, +-pi/2
     command         rad      last command, +-pi/2
     pose_age        s        age of offset and heading error, 0 to 600
-    reference_dm    m        y_ref at d metres ahead minus present y_ref, positive to the left, +-100; m columns
-    curvature_dm    1/m      curvature of the road d metres ahead, positive to the left, +-1; m columns
+    reference_<d>m  m        y_ref at d metres ahead minus present y_ref, positive to the left, +-100; n columns
+    curvature_<d>m  1/m      curvature of the road d metres ahead, positive to the left, +-1; n columns
     ==============  =======  ===============================================================================
 
-    The reference is a function of time. `reference_dm` takes it at the time at which the car, at its present speed but
-    at least 1 m/s, has driven d metres.
+    The reference is a function of time. `reference_<d>m`, such as `reference_20m`, takes it at the time at which the
+    car, at its present speed but at least 1 m/s, has driven d metres.
 
     Reward
     ------

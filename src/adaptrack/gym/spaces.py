@@ -1,4 +1,8 @@
-"""Action and observation spaces of the environments, their bounds, and the MPC that an agent tunes."""
+"""Action and observation spaces of the environments, their bounds, and the MPC that an agent tunes.
+
+A belief consists of the steering parameters that an MPC assumes, or of the quantities that it learns while driving.
+The controller `as-written` is the published MPC.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,8 @@ from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.control.controllers import MPC, Learning, published_mpc
 from adaptrack.control.controllers.setup import LoopSetup
-from adaptrack.core.public import BELIEF_NAMES, LEARNED
+from adaptrack.core.public import BELIEF_NAMES
+from adaptrack.core.public import LEARNED as BELIEFS_OFFSET
 from adaptrack.gym.task import Task
 
 Array = NDArray[np.float64]
@@ -137,7 +142,7 @@ class Tunings:
         return self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
 
     def entries(self, actions: Array) -> Array:
-        """Return Np, Nc, Q and R (..., 4) of actions (..., 3), equal to the bit for one action and for many."""
+        """Return Np, Nc, Q and R (..., 4) of actions (..., 3), the same bits for one action as for many."""
         tunings = self.of(actions)
         ones = np.ones_like(tunings[..., 2:])
         return np.concatenate([tunings[..., :2], ones, np.power(10.0 * ones, tunings[..., 2:])], axis=-1)
@@ -169,5 +174,5 @@ def variable_bounds(mpc: MPC) -> dict[str, tuple[float, float]]:
 def initial_belief(mpc: MPC) -> tuple[float, ...]:
     """Return the initial values of the columns after the scheduling variables, see `variable_bounds`."""
     if mpc.learner is not None:
-        return tuple(mpc.learner.fresh()[LEARNED : LEARNED + len(BELIEF_NAMES)].tolist())
+        return tuple(mpc.learner.fresh()[BELIEFS_OFFSET : BELIEFS_OFFSET + len(BELIEF_NAMES)].tolist())
     return () if mpc.belief is None else (mpc.belief.lag.value, mpc.belief.delay)

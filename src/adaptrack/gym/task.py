@@ -112,7 +112,7 @@ class Task:
                 raise InvalidInput(f"road = {name!r}: must be a name, a file, a Scenario or a RoadDrive.")
         if self.randomised and not isinstance(self.car, str | None):
             raise InvalidInput(f"random_cars: car = {self.car!r}: must be the name of a shipped car, or left out.")
-        if self.failure_cost is not None and not 0.0 <= real("failure_cost", "m^2", self.failure_cost) < math.inf:
+        if self.failure_cost is not None and not 0.0 <= real("Task", "failure_cost", self.failure_cost) < math.inf:
             raise InvalidInput(f"failure_cost = {self.failure_cost!r} m^2: must be finite and not negative.")
         self.draw(np.random.default_rng(0), None)  # raises for cars and roads that cannot be loaded
 

@@ -26,7 +26,7 @@ from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Gust, LaneChange, Shape, Sine, as_shape
 from adaptrack.scenario.surroundings import as_friction
 
-MAX_ROAD_HEADING = 0.25
+MAX_REFERENCE_HEADING = 0.25
 """Largest heading of a reference (rad) for which the prediction model's small-angle approximation is accurate."""
 
 SignalLike = Shape | Mapping[str, Any] | float
@@ -48,9 +48,7 @@ COMMON_OPTIONS = {
 """The options of every scenario, each with its unit or meaning."""
 
 DESCRIPTIONS = {
-    "step": (
-        "A constant lateral reference beside the car, under constant conditions: the test behind the paper's tuning."
-    ),
+    "step": ("A step of the lateral reference under constant conditions, as in the tuning of the published MPC."),
     "lane-change": "One smooth lane change, sized to the friction, and one side gust.",
     "double-lane-change": "Out of the lane and back within the lengths of ISO 3888-1, at constant speed.",
     "sine": "A sinusoidal lateral reference: weaving, for the frequency response.",
@@ -68,7 +66,7 @@ def step(
     wind: Any = 0.0,
     duration: float = 18.0,
 ) -> Scenario:
-    """A constant lateral reference beside the car, under constant conditions: the test behind the paper's tuning."""
+    """A step of the lateral reference under constant conditions, as in the tuning of the published MPC."""
     return Scenario(
         name="step",
         description=DESCRIPTIONS["step"],
@@ -117,7 +115,7 @@ def lane_change(
         change_time = max(
             2.0,
             math.sqrt(QUINTIC_PEAK * abs(amplitude) / (0.35 * lowest * GRAVITY)),
-            QUINTIC_SLOPE * abs(amplitude) / (MAX_ROAD_HEADING * slowest),
+            QUINTIC_SLOPE * abs(amplitude) / (MAX_REFERENCE_HEADING * slowest),
         )
     return Scenario(
         name="lane-change",
@@ -161,15 +159,15 @@ def double_lane_change(
     if not _is_number(speed) or not speed > 0.0:
         raise InvalidInput(f"speed = {speed!r}: the double lane change needs one constant speed > 0 m/s.")
     entry, departure, second_lane, back, end = (length / speed for length in (15.0, 30.0, 25.0, 25.0, 30.0))
-    out = approach + entry
-    home = out + departure + second_lane
+    first_change = approach + entry
+    second_change = first_change + departure + second_lane
     return Scenario(
         name="double-lane-change",
         description=DESCRIPTIONS["double-lane-change"],
         source="Section lengths and lane offset of ISO 3888-1 (passenger cars, double lane change); quintic centre.",
-        duration=home + back + end + 2.0 if duration is None else duration,
-        reference=LaneChange(amplitude=amplitude, start=out, duration=departure)
-        + LaneChange(amplitude=-amplitude, start=home, duration=back),
+        duration=second_change + back + end + 2.0 if duration is None else duration,
+        reference=LaneChange(amplitude=amplitude, start=first_change, duration=departure)
+        + LaneChange(amplitude=-amplitude, start=second_change, duration=back),
         speed=speed,
         friction=friction,
         wind=wind,

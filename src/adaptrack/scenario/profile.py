@@ -1,4 +1,4 @@
-"""Profiles: simulated steering, sensors and computation time of a car, and the cost weight of its tests."""
+"""Profiles: simulated steering, sensors and computation time of a car, and the weight of steering in the cost."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ SENSOR_FIELDS = (
 )  # fmt: skip
 """Fields of `Profile` that describe the sensors."""
 _AGES_BY_SPREAD = {"pose_age_spread": ("pose_age", "station_age"), "motion_age_spread": ("motion_age", "speed_age")}
-"""Ages to which each spread applies; a second age of 0 has no spread."""
+"""Ages to which each spread applies. The spread does not apply to the second age if this age is 0."""
 
 
 class Profile(Record):
-    """Simulated steering actuator, sensors and computation time of a car, and the cost weight of its tests.
+    """Simulated steering actuator, sensors and computation time of a car, and the weight of steering in the cost.
 
     Each profile is one TOML file, see `load_profile`.
     """
@@ -80,9 +80,14 @@ class Profile(Record):
     )
     pose_age: float = Field(default=0.0, ge=0, le=2, description="s, mean age of yaw and y on arrival")
     pose_age_spread: float = Field(
-        default=0.0, ge=0, le=2, description="s, largest deviation of the age of yaw and y; controllers get each age"
+        default=0.0,
+        ge=0,
+        le=2,
+        description="s, largest deviation of pose_age; the controller receives the age of each sample",
     )
-    motion_age: float = Field(default=0.0, ge=0, le=2, description="s, age of all other samples on arrival")
+    motion_age: float = Field(
+        default=0.0, ge=0, le=2, description="s, mean age of all samples except pose, station and speed, on arrival"
+    )
     missing: float = Field(default=0.0, ge=0, lt=1, description="-, share of the samples that are missing")
     dropout_pause: float = Field(
         default=0.0, ge=0, description="s, mean pause between two dropouts of yaw and y; 0: no dropouts"
@@ -98,7 +103,10 @@ class Profile(Record):
         default=0.0, ge=0, le=100, description="m, standard deviation of the measured position along the road"
     )
     station_age: float = Field(
-        default=0.0, ge=0, le=2, description="s, age of this position, +- pose_age_spread; 0: current"
+        default=0.0,
+        ge=0,
+        le=2,
+        description="s, mean age of the position along the road (pose_age_spread applies); 0: none",
     )
     noise_speed_floor: float = Field(
         default=0.0,
@@ -116,7 +124,10 @@ class Profile(Record):
         default=0.0, ge=0, le=2, description="s, age of the measured speed, +- motion_age_spread; 0: current"
     )
     motion_age_spread: float = Field(
-        default=0.0, ge=0, le=2, description="s, motion_age varies by +- that, together with pose_age, and is known"
+        default=0.0,
+        ge=0,
+        le=2,
+        description="s, largest deviation of motion_age; controllers receive each age",
     )
 
     @field_validator("delay")
@@ -151,7 +162,10 @@ class Profile(Record):
 
     @property
     def without_sample_ages(self) -> Self:
-        """Return a copy whose samples arrive without delay, for linear loops; their margins are slightly optimistic."""
+        """Return a copy whose samples arrive without delay.
+
+        Linear stability analysis uses it. The computed margins are slightly larger than those with delay.
+        """
         ages = [name for spread, names in _AGES_BY_SPREAD.items() for name in (spread, *names)]
         return self.replace(**dict.fromkeys(ages, 0.0))
 

@@ -195,11 +195,11 @@ class _DriveGenerator:
         start = _between(rng, 1.0, 8.0)
         while start < self.duration:
             span, share = _between(rng, *CURVE_TIME), rng.uniform(*self.demand)
-            turn, side = rng.uniform(*CURVE_HEADING_SHARE), _side(rng)
+            heading_share, side = rng.uniform(*CURVE_HEADING_SHARE), _side(rng)
             during = _window(start, span)
             width = min(
                 share * self.grip(start, span) * span**2 / QUINTIC_PEAK,
-                turn * self.slope * float(self.speed[during].min()) * span / QUINTIC_SLOPE,
+                heading_share * self.slope * float(self.speed[during].min()) * span / QUINTIC_SLOPE,
             )
             width = math.floor(100.0 * width) / 100.0
             curves.append(LaneChange(amplitude=side * width, start=start, duration=span))
@@ -262,8 +262,8 @@ def _window(start: float, span: float) -> slice:
 def _shortest_span(needed: Callable[..., float], shortest: float, longest: float, *arguments: float) -> float:
     """Shortest duration (s), in steps of 0.01 s from `shortest`, that is at least ``needed(duration, *arguments)``.
 
-    The needed duration rises with the duration, because a longer manoeuvre may meet lower friction. The search
-    therefore repeats until both agree. A result above `longest` means that no duration is long enough.
+    A longer manoeuvre may meet lower friction, and then needs even more time. The search therefore repeats until the
+    tried duration is at least the needed one. A result above `longest` means that no duration is long enough.
     """
     span = shortest
     while span <= longest and (needed_span := needed(span, *arguments)) > span:

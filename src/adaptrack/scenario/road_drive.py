@@ -127,10 +127,11 @@ class RoadDrive:
             self.road.route(), self.plan.packed(), period, self._offset.at(t), wind[:, 0].copy(), wind[:, 1].copy()
         )
         kernel.drive_along_road(drive, samples)
+        curvature = samples[SIGNAL.acceleration]  # `drive_along_road` stores the curvature in this row
         wheels = samples[SIGNAL.friction_front_left : SIGNAL.friction_rear_right + 1]
         return Signals(
             period, t, samples[SIGNAL.y_ref], samples[SIGNAL.speed], wheels.T, wind, samples[SIGNAL.bank],
-            samples[SIGNAL.station], samples[SIGNAL.acceleration], samples[SIGNAL.grade],  # curvature in `acceleration`
+            samples[SIGNAL.station], curvature, samples[SIGNAL.grade],
         )  # fmt: skip
 
     def start_pose(self) -> tuple[float, float, float]:

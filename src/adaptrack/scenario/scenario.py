@@ -22,7 +22,7 @@ from adaptrack.scenario.surroundings import WHEELS, Patch, Wind, as_friction, as
 from adaptrack.scenario.tables import FRICTION_COLUMNS, read_scenario_table
 
 CONTROL_PERIOD = 0.1
-"""The sampling time of the paper's controller, s."""
+"""Control period of the published MPC (s)."""
 
 _MIRRORED = " (mirrored)"
 
@@ -44,7 +44,7 @@ class Scenario(Record):
     source: str = ""  # origin of the signals
     duration: float = Field(gt=0.0, description="duration of the drive, s")
     windows: dict[str, Annotated[float, Field(gt=0.0)]] = Field(
-        default_factory=dict, description="named alternatives to the duration, s"
+        default_factory=dict, description="durations of parts of the drive by name, s"
     )
     reference: Signal = Field(description="lateral position to follow, m")
     speed: Signal = Field(description="longitudinal speed to follow, m/s")
@@ -100,7 +100,7 @@ class Scenario(Record):
         return friction
 
     def wind_at(self, t: ArrayLike) -> Array:
-        """Wind vectors (..., 2) along world X and Y, m/s, times `wind_gain`, at the times `t` (s)."""
+        """Wind vectors (..., 2) along world X and Y (m/s) at the times `t` (s), multiplied by `wind_gain`."""
         return self.wind_gain * self.wind.at(t)
 
     def bank_at(self, t: ArrayLike) -> Array:

@@ -100,7 +100,11 @@ class Signals:
 
 
 def instants(n: int, period: float) -> Array:
-    """Return the control instants 0..n (s), exactly k/f for periods 1/f with whole f: 0.3, not 0.30000000000000004."""
+    """Return the control instants 0..n (s), k * period.
+
+    If the frequency f = 1 / period is a whole number, instant k is k / f, rounded once (0.3 instead of
+    0.30000000000000004).
+    """
     times = np.empty(n + 1)
     drive_instants(period, times)
     return times

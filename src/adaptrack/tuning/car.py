@@ -39,8 +39,8 @@ FIRST_SEARCH_DRIVE, FIRST_UNSEEN_DRIVE = 13_000_000, 13_500_000
 """Numbers of the first random drives of the search and of the test. No other random drives have these numbers."""
 SEARCH_NOISE_SEED, UNSEEN_NOISE_SEED = 5_001, 5_002
 """Noise seeds of the search and of the test."""
-HARD_SPEEDS = 0.57
-"""Share of the speed range that hard drives leave out: they use the speeds above it."""
+HARD_SPEED_START = 0.57
+"""Position in the speed range above which hard drives take their speeds (0: lowest, 1: highest speed)."""
 HARD_DEMAND = (0.2, 0.35)
 """Lowest and highest share of the grip that hard drives need."""
 
@@ -64,13 +64,13 @@ class TuningEffort:
     """Duration of each search drive (s)."""
     swarm: SwarmSettings = field(default_factory=lambda: SwarmSettings(particles=12, generations=8))
     """Settings of the swarm that searches."""
-    judged_drives: int = 48
+    unseen_drives: int = 48
     """Number of unseen drives of 60 s, which test the result of the search."""
     levels: tuple[int, int] = (14, 3)
     """Number of speeds and of frictions at which the certificate is computed."""
 
     def __post_init__(self) -> None:
-        for name, least in (("drives", 1), ("hard_drives", 1), ("judged_drives", 4)):
+        for name, least in (("drives", 1), ("hard_drives", 1), ("unseen_drives", 4)):
             whole_number("TuningEffort", name, getattr(self, name), least=least)
 
 
@@ -88,18 +88,18 @@ class TunedCar:
     default: Tuning
     """Default tuning of the controller."""
     sought: Tuning
-    """Best tuning of the search."""
+    """Best tuning that the search found."""
     costs: dict[str, Array]
     """J (m^2) of each unseen drive, (drives,), with the tunings "default" and "sought"; infinite after a failure."""
     gain: Ratio
-    """J of the best tuning divided by J of the default on the same drives; J of a failed drive is the failure distance
-    squared."""
+    """Cost ratio on the same drives: J of the best tuning divided by J of the default; an improvement is below 1.
+    J of a failed drive is the failure distance squared."""
     certificate: Certificate
     """Certificate of the selected tuning over the domain, for the plant of `stability.linear_twin`."""
     plant: str
     """Name of the simulated plant."""
     costly: bool
-    """Whether the search used the twin of the car instead of the plant, see `Plant.costly`."""
+    """Whether simulating the plant is expensive (`Plant.costly`). The search then used the dual track of the car."""
     seconds: float
     """Computation time (s)."""
 
@@ -184,8 +184,8 @@ def tune(
         Steering actuator, sensors and control period, or the name of a profile.
     plant
         Simulated plant, or its registered name; by default the dual track of the car. If simulating it is expensive
-        (`Plant.costly`), the search uses the car's twin (`twin_of`) and only the unseen drives use the plant. A plant
-        that is stepped in Python is driven one run at a time; the expected time is logged before the search.
+        (`Plant.costly`), the search uses the car's dual track (`twin_of`); only the unseen drives use the plant. A
+        plant that is stepped in Python is driven one run at a time; the expected time is logged before the search.
     speed, friction
         Lowest and highest speed (m/s) and friction coefficient, instead of those of the car's domain.
     uncertainty, estimator
@@ -231,7 +231,7 @@ def tune(
     bench.warn_of_time(effort)
     best = _search_tuning(runs, [default, feasible_tuning], effort.swarm, seed, report)
     report("unseen drives", 0, 1)
-    numbers = range(FIRST_UNSEEN_DRIVE + 1000 * seed, FIRST_UNSEEN_DRIVE + 1000 * seed + effort.judged_drives)
+    numbers = range(FIRST_UNSEEN_DRIVE + 1000 * seed, FIRST_UNSEEN_DRIVE + 1000 * seed + effort.unseen_drives)
     unseen = bench.drives(numbers, 60.0)
     costs = {"default": unseen.drive(default, [UNSEEN_NOISE_SEED])[:, 0]}
     costs["sought"] = costs["default"] if best == default else unseen.drive(best, [UNSEEN_NOISE_SEED])[:, 0]
@@ -291,7 +291,7 @@ class _Bench:
         runs.drive(self.mpc.tuning, [SEARCH_NOISE_SEED])
         per_second = (time.perf_counter() - start_time) / seconds
         tunings = 0 if self.plant.costly else effort.swarm.particles * effort.swarm.generations + 2
-        simulated = tunings * (effort.drives + effort.hard_drives) * effort.seconds + 2 * effort.judged_drives * 60.0
+        simulated = tunings * (effort.drives + effort.hard_drives) * effort.seconds + 2 * effort.unseen_drives * 60.0
         _log.warning(
             "adaptrack: plant %r is stepped in Python, one run at a time: %.3g h of driving take about %.2g min.",
             self.plant.name, simulated / 3600.0, simulated * per_second / 60.0,
@@ -302,7 +302,7 @@ def _search_runs(bench: _Bench, effort: TuningEffort, seed: int) -> list[RunSet]
     """Return the drives of the search: at all speeds of the domain, and hard ones at high speed."""
     first = FIRST_SEARCH_DRIVE + 1000 * seed
     slow, fast = bench.domain.speed
-    hard_speeds = (slow + HARD_SPEEDS * (fast - slow), fast)
+    hard_speeds = (slow + HARD_SPEED_START * (fast - slow), fast)
     hard = range(first + 500, first + 500 + effort.hard_drives)
     return [
         bench.drives(range(first, first + effort.drives), effort.seconds),

@@ -23,7 +23,7 @@ def tune_constant(
     controller: Controller | None = None, space: SearchSpace | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> SwarmResult:  # fmt: skip
-    """Return the constant tuning with the lowest mean cost over a set of runs that one swarm finds.
+    """Search with one swarm for the constant tuning with the lowest mean cost over a set of runs.
 
     The cost is the mean of J (m^2, see `adaptrack.tuning.runs`) over the runs and the noise seeds. A failed run costs
     `RunSet.failed_cost`.

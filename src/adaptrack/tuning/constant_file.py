@@ -38,7 +38,7 @@ class ConstantTuning(Record):
     belief: str = Field(default="", description="steering parameters that the controller assumed in the search")
     tuning: dict[str, float] = Field(description="tuning entries of the controller")
     holds: HoldableSpeed | None = Field(
-        default=None, description="braking up to which the controller keeps its margins, see `HoldableSpeed`"
+        default=None, description="largest braking with sufficient stability margins, see `HoldableSpeed`"
     )
 
     @model_validator(mode="after")
@@ -75,7 +75,10 @@ class ConstantTuning(Record):
         return controller.with_tuning(self.tuning)
 
     def with_holdable_speed(self, car: Vehicle, profile: Profile) -> ConstantTuning:
-        """Return a copy with `holds` computed (some seconds) if the controller is an `MPC`, otherwise this object."""
+        """Return a copy with the largest braking `holds`, which takes some seconds.
+
+        A controller that is not an `MPC`, or has a scheduler, gets this object instead.
+        """
         controller = self.make(car, profile, self.period, profile.preview)
         if not isinstance(controller, MPC) or controller.scheduler is not None:
             return self

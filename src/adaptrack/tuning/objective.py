@@ -17,7 +17,7 @@ from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC
-from adaptrack.core import swarm as rules
+from adaptrack.core import swarm as swarm_kernel
 from adaptrack.core import tune as kernels
 from adaptrack.core.kernel import Resident
 from adaptrack.core.period import RunSpan
@@ -105,6 +105,7 @@ class Objective:
             return self._simulated_costs(point, rows)
         costs = np.empty(len(rows))
         run, trial = self._trial(point, min(len(rows), SLOTS), rows[:, 0].max(), rows[:, 1].max())
+        # tunings, the cost at which each run stops, and the computed costs
         evaluation = kernels.Judged(np.ascontiguousarray(rows), np.full(len(rows), np.inf), costs)
         for first in range(0, len(rows), SLOTS):
             run.mpc.memory["speed"] = np.nan  # makes the kernel form the QP matrices anew for the next tunings
@@ -139,13 +140,18 @@ class Objective:
         _, trial = self._trial(point, slots, space.high[0], space.high[1])
         evaluation = kernels.Judged(np.zeros((count, 4)), np.empty(count), np.empty(count))
         search = kernels.SearchRecord(
-            seed, stream, swarm.packed(space), space.packed(), rules.particles(count, 4), evaluation,
+            seed, stream, swarm.packed(space), space.packed(), swarm_kernel.particles(count, 4), evaluation,
             np.empty(swarm.generations),
         )  # fmt: skip
         evaluations, steps = kernels.tune(search, trial)
-        best = search.swarm
+        leader_cost = float(search.swarm.progress[swarm_kernel.LEADER_COST])
+        # `search.best` contains the lowest cost up to each generation
         return PointTuning(
-            space.values(best.leader), float(best.progress[rules.LEADER_COST]), search.best, evaluations, steps
+            space.values(search.swarm.leader),
+            leader_cost,
+            search.best,
+            evaluations,
+            steps,
         )
 
     def _simulated_costs(self, point: ArrayLike, tunings: Array) -> Array:

@@ -79,7 +79,7 @@ class SearchSpace(Record):
             if name in self.decades and not low > 0.0:
                 raise ValueError(f"{name}: low = {low:g} must be positive to be searched by decades.")
             if name in self.decades and name in (*self.integers, *(self.ordered or ())):
-                raise ValueError(f"{name}: cannot be searched by decades and be whole or ordered.")
+                raise ValueError(f"{name}: a dimension of `decades` must be neither in `integers` nor in `ordered`.")
             if not math.isfinite(high - low):
                 raise ValueError(f"{name}: the range from {low:g} to {high:g} is not a finite number.")
             if name in self.integers and not (low.is_integer() and high.is_integer()):
@@ -179,7 +179,8 @@ class SwarmSettings(Record):
     )
     c2: float = Field(default=2.0, ge=0, le=10, description="social acceleration; initial value for the improved swarm")
     steps: Annotated[tuple[float, float, float, float], LISTED] = Field(
-        default=(0.05, 0.02, -0.035, -0.0015), description="eq. (20), alpha in each of four ranges of g/G"
+        default=(0.05, 0.02, -0.035, -0.0015),
+        description="eq. (20), step alpha of c1 and c2 in four ranges of generation g / last G",
     )
     velocity_clamp: float = Field(default=0.2, gt=0, le=1, description="largest velocity / range of the dimension")
 
@@ -191,7 +192,7 @@ class SwarmSettings(Record):
         return values
 
     @model_validator(mode="after")
-    def _falls(self) -> Self:
+    def _has_falling_inertia(self) -> Self:
         if self.w_min > self.w_max:
             raise ValueError(f"w_min = {self.w_min:g} > w_max = {self.w_max:g}: w_min must be at most w_max.")
         return self

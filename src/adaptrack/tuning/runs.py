@@ -67,7 +67,7 @@ PERCEPTIONS: dict[str, Perception] = {
     "biased low": Perception(bias=-0.2),
     "withheld": Perception(withheld=True),
 }
-"""Perception errors of friction and wind by name. Two more names, "exact" and "estimated", see `perception`."""
+"""Perception errors of friction and wind by name. `perception` also accepts "exact" and "estimated"."""
 
 
 class Outcome(NamedTuple):
@@ -84,8 +84,8 @@ class Outcome(NamedTuple):
 class RunSet:
     """Runs of one plant in one profile.
 
-    Training of schedulers attributes the cost to segments of the runs and to the inputs of the scheduler shortly before
-    and within a segment. It needs runs of equal length.
+    Training of schedulers divides each run into segments. It attributes the cost of a segment to the inputs of the
+    scheduler within the segment and shortly before it. It needs runs of equal length.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class RunSet:
     segment
         Length of a segment (control periods); None for the whole run.
     before
-        Time before a segment whose inputs may have caused its cost (control periods).
+        Time before a segment (control periods) in which inputs of the scheduler may influence the cost of the segment.
     stride
         Distance between the inputs that are used (control periods).
     known_as
@@ -168,7 +168,7 @@ class RunSet:
         Parameters
         ----------
         policy
-            Way to drive. Of one with a tuning for each run, row k drives the run indices[k].
+            Way to drive. If it has a tuning for each run, row k is the tuning of run indices[k].
         seeds
             Seeds of the sensor noise.
         indices
@@ -373,7 +373,7 @@ def random_drive_runs(
     drive_options
         Further arguments of `random_drive`, in addition to those of the domain of the plant's car.
     segment_seconds
-        Length of a segment (s), and time before a segment whose inputs may have caused its cost.
+        Length of a segment (s), and time before a segment in which inputs may influence its cost.
     options
         Further arguments of `RunSet`.
     """
