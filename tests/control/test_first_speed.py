@@ -5,7 +5,7 @@ import math
 import pytest
 
 from adaptrack import MPC, Learning, load_vehicle
-from adaptrack.control.controllers.learned import MAX_BIAS_PULL
+from adaptrack.control.controllers.learned_car import MAX_BIAS_PULL
 from adaptrack.core.synthesis.belief import LEAST_STEERING_RATE
 
 
