@@ -98,7 +98,7 @@ def test_in_gentle_driving_the_prediction_is_that_of_the_path_model(speed):
     block = np.zeros((3, 3))
     block[:2, :2], block[:2, 2] = a[np.ix_([0, 2], [0, 2])], inputs[[0, 2], 0]
     exact = (expm(block * PERIOD) @ [2e-3, 1e-3, angle])[:2]
-    entry(kernel._predict_state)(hypothesis, speed, 0.0, numbers(mpc), np.zeros((2, 16)))
+    entry(kernel._predict_state)(hypothesis, speed, 0.0, PERIOD, numbers(mpc), np.zeros((2, 16)))
     np.testing.assert_allclose(hypothesis.x[[kernel.LATERAL_VELOCITY, kernel.YAW_RATE]], exact, rtol=3e-4, atol=1e-9)
 
 
@@ -111,7 +111,7 @@ def test_rows_of_the_prediction_are_its_derivatives():
         hypothesis.x[: kernel.STEERING_LAG] = 0.01, 0.005, 0.02, 0.0003, 0.01, 0.2, 0.05, -0.1
         hypothesis.x[state] += change
         hypothesis.swept = 0.002 * PERIOD
-        step(hypothesis, SPEED, 0.0, p, rows)
+        step(hypothesis, SPEED, 0.0, PERIOD, p, rows)
         return hypothesis.x[[kernel.LATERAL_VELOCITY, kernel.YAW_RATE]], rows
 
     _, rows = after(kernel.LATERAL_VELOCITY, 0.0)
