@@ -512,8 +512,8 @@ SIX_NUMBERS = Vehicle(
 FULL_SIZE = [name for name in list_vehicles() if name != "model-car"]
 CARS = {"six": SIX_NUMBERS, **{name: load_vehicle(name) for name in FULL_SIZE}}
 LOST = {("small-car", "paper"), ("six", "production-bus")}
-"""The light weight of moves in the ideal world without preview lets the small car's soft tyres swing; with all samples
-0.1 s late the car whose tyres are not those of its model leaves the road in one of 24 steps, at 20 m/s on friction 0.4."""
+"""The light weight of moves in the ideal world without preview lets the small car's soft tyres swing. With all samples
+0.1 s late the car on other tyres than its model has leaves the road in one of 24 steps (20 m/s, friction 0.4)."""
 IDEAL = [(name, profile) for name in CARS for profile in list_profiles() if (name, profile) not in LOST]
 
 
