@@ -31,12 +31,12 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 
 CEILINGS: Mapping[str, int] = {
     "base": 2100,
-    "core": 21900,
+    "core": 22700,
     "cars": 2300,
     "road": 4500,
     "scenario": 2050,
-    "control": 7500,
-    "drive": 2750,
+    "control": 7850,
+    "drive": 2850,
     "analysis": 1950,
     "identification": 4200,
     "tuning": 1800,
@@ -45,11 +45,11 @@ CEILINGS: Mapping[str, int] = {
     "export": 3150,
     "gym": 1250,
     "results": 5400,
-    "cli": 3900,
+    "cli": 3950,
     "adaptrack": 50,
     "JavaScript, templates, C": 9200,
-    "tests": 36500,
-    "benchmarks, tools, experiments, examples": 9600,
+    "tests": 36700,
+    "benchmarks, tools, experiments, examples": 9750,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 

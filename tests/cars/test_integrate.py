@@ -46,6 +46,7 @@ def crowd(rng, plant):
     rows[16:20] = rng.uniform(0.2, 1.1, (4, SLOTS))
     rows[20:22] = rng.uniform(-30, 30, (2, SLOTS))
     rows[22] = rng.uniform(-2, 2, SLOTS)
+    rows[PLANT_STATES + PLANT_INPUT.brake] = np.maximum(-rows[14], 0.0)
     return rows
 
 
@@ -98,7 +99,7 @@ def test_a_step_is_the_classical_runge_kutta_step(plant, law, rng):
     rows = crowd(rng, car)
     after = advance(car, rows, np.arange(6), substeps=1, h=h)
     for slot in range(6):
-        x, u, environment = rows[:count, slot], rows[13:15, slot], rows[16:, slot]
+        x, u, environment = rows[:count, slot], rows[13:15, slot], rows[16:23, slot]
         acceleration = None if np.isnan(rows[15, slot]) else rows[15, slot]
 
         def f(x, u=u, environment=environment, acceleration=acceleration):
@@ -116,7 +117,7 @@ def test_a_step_is_the_classical_runge_kutta_step(plant, law, rng):
 
 def custom_ride(function, parameters, steering, start, inputs, substeps, h, count=6):
     """A block's first slot (STATES + INPUTS,) and the plant's own states after a ride of a user's plant."""
-    packed = np.array([steering.lag, steering.rate, steering.limit, *parameters])
+    packed = np.array([steering.lag, steering.rate, steering.limit, 0.0, *parameters])  # 0: does not take the grade
     batch = vehicle_batch(compile_plant(function), packed, np.zeros((SLOTS, count)))
     rows = batch.block.reshape(-1, SLOTS)
     rows[:6], rows[PLANT_STATES:] = start[:6, None], inputs[:, None]
@@ -137,7 +138,7 @@ def pendulum_beside_the_car(x, u, environment, p, dx):
 def test_a_users_own_states_are_integrated_and_see_steering_and_environment():
     omega, command, wind = 3.0, 0.2, 1.5
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
-    inputs = np.array([command, 0.0, np.nan, 1.0, 1.0, 1.0, 1.0, 0.0, wind, 0.0])
+    inputs = np.array([command, 0.0, np.nan, 1.0, 1.0, 1.0, 1.0, 0.0, wind, 0.0, 0.0, 0.0])
     _, states = custom_ride(pendulum_beside_the_car, (omega,), SteeringActuator.ideal(), start, inputs, 200, 0.005, 8)
     equilibrium = (command + wind) / omega**2
     assert states[0, 6] == pytest.approx(equilibrium * (1 - np.cos(omega * 1.0)), rel=1e-7)

@@ -128,12 +128,14 @@ def test_a_simulated_car_is_driven_by_a_speed_control_as_near_to_its_plan_as_by_
     assert np.sqrt(np.mean(error**2)) < 0.2
 
 
-def _track(tracker: Tracker, car: PointMass, periods: int, known=lambda k: True) -> list:
+def _track(tracker: Tracker, car: PointMass, periods: int, has_position=lambda k: True) -> list:
     answers = []
     for k in range(periods):
-        x = car.s if known(k) else math.nan
+        x = car.s if has_position(k) else math.nan
         answers.append(
-            tracker.step(k * PERIOD, x, 0.0 if known(k) else math.nan, 0.0 if known(k) else math.nan, car.v, 0.0)
+            tracker.step(
+                k * PERIOD, x, 0.0 if has_position(k) else math.nan, 0.0 if has_position(k) else math.nan, car.v, 0.0
+            )
         )
         request = answers[-1].longitudinal
         car.move(request.force, request.hold)
@@ -158,7 +160,7 @@ def test_without_a_position_a_tracker_stops_the_car_with_the_braking_of_comfort(
     plan = plan_speed(road, CAR, COMFORT, top_speed=12.0)
     tracker = Tracker(MPC(CAR, profile="road"), road, plan=plan, speed=SpeedControl(CAR))
     car = PointMass(12.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
-    answers = _track(tracker, car, 600, known=lambda k: k < 60)
+    answers = _track(tracker, car, 600, has_position=lambda k: k < 60)
     assert car.v == 0.0
     requests = [answer.longitudinal for answer in answers[150:]]
     assert {request.limited_by for request in requests} == {SpeedLimit.FAULT}

@@ -149,7 +149,7 @@ def test_arrays_cannot_be_changed_in_place_and_the_callers_stay_writable():
         ({"tuning": {"../x": np.zeros(8)}, "units": {}}, r"'\.\./x' must be a name"),
         ({"units": {"tuning.gain": "-"}}, "`units` names 'tuning.gain'"),
         ({"failed": "spun"}, "`failed` and `failed_at` go together"),
-        ({"meta": {"scenario": "a\0b"}}, r"`meta`: scenario = 'a\\x00b': holds a NUL"),
+        ({"meta": {"scenario": "a\0b"}}, r"`meta`: scenario = 'a\\x00b': contains a NUL"),
         ({"meta": {"plant": {"name": "\ud800"}}}, r"`meta`: plant.name = '\\ud800'"),
         ({"vx": np.array(["10"] * 8)}, "`vx` must hold float64 values"),
         ({"t": np.zeros(8)}, "one period"),

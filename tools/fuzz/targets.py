@@ -143,7 +143,7 @@ class Steering:
         wheels = float(mpc._mpc.informed.x[mpc.model.states.index("wheel_angle")])
         allowed = mpc.limits.ahead
         if mpc.learner is not None:
-            allowed *= max(1.0, (mpc.learner.ranges.lag[1] + mpc.period) / (mpc.learner.lag + mpc.period))
+            allowed *= max(1.0, (mpc.learner.limits.lag[1] + mpc.period) / (mpc.belief.lag.value + mpc.period))
         return (wheels - allowed, wheels + allowed) if math.isfinite(wheels) else None
 
 

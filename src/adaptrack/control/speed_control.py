@@ -43,7 +43,7 @@ class SpeedState(StrEnum):
 
 
 class SpeedLimit(StrEnum):
-    """What limits the requested speed or acceleration."""
+    """Cause that limits the requested speed or acceleration."""
 
     PLAN = "plan"
     COMFORT = "comfort"
@@ -180,7 +180,7 @@ def _banks(settings: Any, period: float) -> Any:
         is_learned = math.isnan(lag)
         sizes.append(learning.LAG_HYPOTHESES * learning.DEAD_TIME_HYPOTHESES if is_learned else 1)
         longest = longest if is_learned else max(longest, dead_time)
-    drive, brakes = (learning.HYPOTHESIS.new(size) for size in sizes)
+    drive, brakes = (learning.ACTUATOR_HYPOTHESIS.new(size) for size in sizes)
     return learning.SpeedBanks(drive, brakes, np.zeros(2 * (math.ceil(longest / period) + 2)))
 
 
@@ -229,7 +229,7 @@ class SpeedController:
 
     @property
     def learned(self) -> dict[str, Any]:
-        """What is estimated of ``drive`` and ``brakes``: `core.speed_learning.ActuatorBelief` of each."""
+        """Estimates of ``drive`` and ``brakes``: `core.speed_learning.ActuatorBelief` of each."""
         return {name: learning.mean_of_bank(getattr(self._banks, name)) for name in ("drive", "brakes")}
 
     def release(self) -> None:

@@ -26,7 +26,7 @@ LoopSettings = record(
     (
         "period",  # s
         "substeps",  # Runge-Kutta steps per period
-        "prescribed_speed",  # `DRIVER_FORCES`, `PRESCRIBED`, `PRESCRIBED_WITHOUT_ROAD` or `REQUESTED`
+        "prescribed_speed",  # `DRIVER_FORCES`, `PRESCRIBED`, `PRESCRIBED_WITHOUT_ROAD` or `EXTERNAL_FORCES`
         "dead_whole", "dead_share",  # periods from an instant until its command acts: whole ones, and the share of one
         "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y",  # m/s, rad, rad/s, m, standard deviations; inf: no sensor
         "noise_wheel_angle", "noise_lateral_acceleration",  # rad, m/s^2
@@ -59,7 +59,7 @@ LoopSettings = record(
 )  # fmt: skip
 """The world around the controller, fixed over a run."""
 
-DRIVER_FORCES, PRESCRIBED, PRESCRIBED_WITHOUT_ROAD, REQUESTED = range(4)
+DRIVER_FORCES, PRESCRIBED, PRESCRIBED_WITHOUT_ROAD, EXTERNAL_FORCES = range(4)
 """What moves a car: the forces that its driver requests; a speed that it follows exactly; that in scenarios without a
 road, and forces on roads; forces that a speed controller outside the loop requests."""
 
@@ -586,7 +586,7 @@ def actuate(slot, command, run):
         block[input_at(PLANT_INPUT.force, slot)], block[input_at(PLANT_INPUT.brake, slot)] = 0.0, 0.0
         block[input_at(PLANT_INPUT.acceleration, slot)] = (following - vx) / world.period
     else:
-        if world.prescribed_speed == REQUESTED:
+        if world.prescribed_speed == EXTERNAL_FORCES:
             driving, braking = _move_pedals(drive.requested_force, drive.requested_hold, slot, run)
         else:
             driving, braking = _move_pedals(_drive(slot, run), 0.0, slot, run)

@@ -44,7 +44,7 @@ SpeedPath = record(
 """A plan at even places (n,): squares of the speed (m^2/s^2), curvature (1/m), g sin(slope) and g sin(bank) (m/s^2);
 stops (m, ascending) and how long to stand there (s); spacing and length (m); closed: 1 for a lap."""
 
-OFF, DRIVING, STOPPING, STOPPED, EMERGENCY = range(5)
+OFF, DRIVING, STOPPING, WAITING, EMERGENCY = range(5)
 """States."""
 BY_PLAN, BY_COMFORT, BY_GRIP, BY_STOP, BY_PATH_END, BY_FAULT = range(6)
 """Causes that limit the speed or the acceleration."""
@@ -192,14 +192,14 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
     resistance = _resistance(speed, slope, settings) - disturbance
     tyres = acceleration + resistance  # m/s^2, of all tyres
     ratio = drive.ratio if tyres > 0.0 else brakes.ratio
-    wanted = settings.mass * tyres / ratio
+    demand = settings.mass * tyres / ratio
     friction = settings.friction if memory.state != EMERGENCY else settings.friction_high
     driving, braking = _axle_limits(friction, min(lateral, LARGEST_BEND_SHARE * friction * GRAVITY), settings)
     strongest = min(settings.guard * driving, min(settings.traction_limit, settings.engine_power / max(speed, 1.0)))
     weakest = -min(max(settings.guard * braking, LEAST_BRAKING * settings.mass), settings.brake_limit)
-    force = clip(wanted, weakest, strongest)
+    force = clip(demand, weakest, strongest)
     memory.force, memory.acceleration = force, ratio * force / settings.mass - resistance
-    return force != wanted
+    return force != demand
 
 
 @inlined
@@ -208,8 +208,8 @@ def _pass_stop(station, speed, settings, path, memory):
     place = _stop_place(memory.next_stop, path)
     near = abs(speed) < STANDING_SPEED and -STOP_TOLERANCE <= station - place <= OVERSHOOT
     if near and (memory.state == STOPPING or memory.state == EMERGENCY):
-        memory.state, memory.standing = STOPPED, 0.0
-    if memory.state == STOPPED:
+        memory.state, memory.standing = WAITING, 0.0
+    if memory.state == WAITING:
         memory.standing += settings.period
         if memory.standing >= path.seconds[memory.next_stop % path.stops.size]:
             memory.next_stop += 1
@@ -256,9 +256,9 @@ def _follow(station, speed, lateral, drive, brakes, settings, path, memory, ahea
     if memory.state == STOPPING and speed < STANDING_SPEED and stop - station < STOP_TOLERANCE:
         _hold(slope, settings, memory)
         return
-    wanted = acceleration + settings.gain * (target - coming_speed)
-    bounded = clip(wanted, -COMFORT_RESERVE * settings.brake, COMFORT_RESERVE * settings.accelerate)
-    if bounded != wanted and memory.limited_by == BY_PLAN:
+    demand = acceleration + settings.gain * (target - coming_speed)
+    bounded = clip(demand, -COMFORT_RESERVE * settings.brake, COMFORT_RESERVE * settings.accelerate)
+    if bounded != demand and memory.limited_by == BY_PLAN:
         memory.limited_by = BY_COMFORT
     if _request(bounded, speed, slope, lateral, drive, brakes, settings, memory):
         memory.limited_by = BY_GRIP
@@ -282,8 +282,8 @@ def speed_control(station, speed, yaw_rate, settings, path, memory, banks, ahead
     elif memory.state != OFF:
         memory.speed = max(memory.speed + memory.acceleration * settings.period, 0.0)
     speed = memory.speed
-    known = station == station
-    if known:
+    is_located = station == station
+    if is_located:
         memory.station, memory.lost_time = station, 0.0
     else:
         memory.station += speed * settings.period
@@ -298,12 +298,12 @@ def speed_control(station, speed, yaw_rate, settings, path, memory, banks, ahead
         memory.state = DRIVING
         while _stop_place(memory.next_stop, path) < station - OVERSHOOT:
             memory.next_stop += 1
-    if learnable and memory.state != STOPPED:
+    if learnable and memory.state != WAITING:
         learn_actuators(speed, _resistance(speed, path.slope[cell], settings), settings.period, banks)
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
     _govern(station, settings, path, ahead)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (settings.friction * GRAVITY)
-    if not known:
+    if not is_located:
         memory.limited_by = BY_FAULT
         if speed < STANDING_SPEED:
             _hold(path.slope[cell], settings, memory)
@@ -313,7 +313,7 @@ def speed_control(station, speed, yaw_rate, settings, path, memory, banks, ahead
         remember_request(memory.force / settings.mass, banks.requests)
         return
     _pass_stop(station, speed, settings, path, memory)
-    if memory.state == STOPPED:
+    if memory.state == WAITING:
         memory.limited_by = BY_STOP
         _hold(path.slope[cell], settings, memory)
         return

@@ -23,7 +23,7 @@ MAX_LAG, MAX_DEAD_TIME = 0.6, 0.4
 """s, ends of the prior ranges."""
 LAG_HYPOTHESES, DEAD_TIME_HYPOTHESES = 5, 5
 """Hypotheses of each bank, evenly within these ranges."""
-HYPOTHESIS = record(
+ACTUATOR_HYPOTHESIS = record(
     "ActuatorHypothesis",
     (
         "lag", "dead_time",  # s, s
@@ -38,7 +38,9 @@ ActuatorBelief = record(
     "ActuatorBelief", ("lag", "dead_time", "delay_sigma", "ratio", "ratio_sigma", "disturbance", "acting")
 )
 """Weighted mean of a bank: s, s, s (of lag plus dead time), -, -, m/s^2; acting: m/s^2, filtered request."""
-SpeedBanks = record("SpeedBanks", (("drive", rows(HYPOTHESIS)), ("brakes", rows(HYPOTHESIS)), ("requests", vector)))
+SpeedBanks = record(
+    "SpeedBanks", (("drive", rows(ACTUATOR_HYPOTHESIS)), ("brakes", rows(ACTUATOR_HYPOTHESIS)), ("requests", vector))
+)
 """The two banks; requests: m/s^2, of the drive and then of the brakes, each the latest first."""
 
 RATIO_SIGMA, DISTURBANCE_SIGMA = 0.2, 0.5
@@ -51,7 +53,7 @@ EVIDENCE_TIME = 40.0
 """s of action, after which evidence about lag and dead time is forgotten."""
 LEARNING_SPEED, LEAST_ACTION = 0.3, 0.15
 """m/s; m/s^2: below these nothing is learned of an actuator."""
-LEAST_RATIO, LARGEST_RATIO = 0.4, 2.0
+LEAST_FORCE_RATIO, LARGEST_FORCE_RATIO = 0.4, 2.0
 INNOVATION_BOUND = 4.0
 """Standard deviations up to which an innovation counts."""
 
@@ -119,14 +121,15 @@ def _act(h, period, requests):
 
 
 @inlined
-def _update(h, acceleration, known, speed, learns, period):
+def _update(h, acceleration, other_acceleration, speed, learns, period):
     """Predict and correct the filter of a hypothesis with a measured speed (m/s).
 
-    acceleration: signed mean of its actuator (m/s^2); known: m/s^2, of all that is known besides.
+    acceleration: signed mean of its actuator (m/s^2); other_acceleration: m/s^2, of the other actuator, air, rolling
+    and the known slope.
     """
     if h.speed != h.speed:
         h.speed = speed
-    h.speed += period * (h.ratio * acceleration + known + h.disturbance)
+    h.speed += period * (h.ratio * acceleration + other_acceleration + h.disturbance)
     a, t = acceleration * period, period  # derivatives of the speed by ratio and disturbance
     p_v, p_vr, p_vd = h.p_speed, h.p_speed_ratio, h.p_speed_disturbance
     p_r, p_rd, p_d = h.p_ratio, h.p_ratio_disturbance, h.p_disturbance
@@ -146,7 +149,7 @@ def _update(h, acceleration, known, speed, learns, period):
     if not learns:
         k_r = 0.0
     h.speed += k_v * bounded
-    h.ratio = clip(h.ratio + k_r * bounded, LEAST_RATIO, LARGEST_RATIO)
+    h.ratio = clip(h.ratio + k_r * bounded, LEAST_FORCE_RATIO, LARGEST_FORCE_RATIO)
     h.disturbance += k_d * bounded
     h.p_speed = v_v - 2.0 * k_v * v_v + k_v * k_v * spread  # for any gain: P - k h P - P h' k' + k S k'
     h.p_speed_ratio = v_r - k_v * v_r - k_r * v_v + k_v * k_r * spread

@@ -174,11 +174,11 @@ class ClosedLoop:
         """
         period_kernel.sense_one(self._span, self.resident)
         if self.speed_controller is not None:
-            own, measured = self._own[0], self.run.measured
+            memory, measured = self._own[0], self.run.measured
             request = self.speed_controller.step(
-                float(own["station_estimate"]), float(own["speed"]), float(measured[MEASUREMENT.yaw_rate])
+                float(memory["station_estimate"]), float(memory["speed"]), float(measured[MEASUREMENT.yaw_rate])
             )
-            own["requested_force"], own["requested_hold"] = request.force, request.hold
+            memory["requested_force"], memory["requested_hold"] = request.force, request.hold
         variables = SchedulingVariables(*self.run.variables.tolist())
         return Sensed(self.run.measured, float(self._own["speed"][0]), self._references[self.instant :], variables)
 

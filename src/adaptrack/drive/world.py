@@ -194,11 +194,11 @@ class World:
 
     @property
     def _speed_kind(self) -> int:
-        """What moves the car, an entry of `core.loop.LoopSettings`."""
+        """Kind of speed in `core.loop.LoopSettings`: prescribed, a driver, or requested forces."""
         if self.driver is None:
             return loop_kernel.PRESCRIBED
         if isinstance(self.driver, SpeedControl):
-            return loop_kernel.REQUESTED
+            return loop_kernel.EXTERNAL_FORCES
         return loop_kernel.PRESCRIBED_WITHOUT_ROAD if self.driver.roads_only else loop_kernel.DRIVER_FORCES
 
     @property

@@ -26,7 +26,7 @@ from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Gust, LaneChange, Shape, Sine, as_shape
 from adaptrack.scenario.surroundings import as_friction
 
-MAX_REFERENCE_HEADING = 0.25
+MAX_SCENARIO_HEADING = 0.25
 """Largest heading of a reference (rad) for which the prediction model's small-angle approximation is accurate."""
 
 SignalLike = Shape | Mapping[str, Any] | float
@@ -115,7 +115,7 @@ def lane_change(
         change_time = max(
             2.0,
             math.sqrt(QUINTIC_PEAK * abs(amplitude) / (0.35 * lowest * GRAVITY)),
-            QUINTIC_SLOPE * abs(amplitude) / (MAX_REFERENCE_HEADING * slowest),
+            QUINTIC_SLOPE * abs(amplitude) / (MAX_SCENARIO_HEADING * slowest),
         )
     return Scenario(
         name="lane-change",

@@ -83,13 +83,20 @@ def _check_face(controller: Any) -> None:
         ) from error
 
 
+AHEAD_REACH = 4.0
+"""Multiple of `Limits.ahead` by which a first move may exceed the limit on moves: from behind the wheels to ahead of
+them, with a lag that was learned to be up to twice the assumed one."""
+
+
 class _Asking:
     """Puts questions to a controller and tests the clauses that hold for every answer."""
 
     def __init__(self, controller: Controller, variables: Variables | None) -> None:
         self.controller, self.variables = controller, variables
         limits = controller.limits
-        self.move = (-math.pi, math.pi) if limits is None else limits.move
+        low, high = (-math.pi, math.pi) if limits is None else limits.move
+        reach = 0.0 if limits is None else AHEAD_REACH * limits.ahead
+        self.move = (low - reach, high + reach)
         self.angle = (-math.pi / 2, math.pi / 2) if limits is None else limits.angle
         self.last = 0.0
 
