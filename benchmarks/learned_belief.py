@@ -99,7 +99,7 @@ def drive(number: int, profile: Profile) -> tuple[Array, ...] | None:
     mpc = at.MPC(vehicle, profile=profile, belief=Steering(**middle), uncertainty=unsure, learning=Learning())
     batch = Batch(at.DualTrack(car.vehicle, car.tyre), mpc, [random_drive(FIRST + number, SECONDS)], car.profile)
     run = batch.run(np.zeros(1, np.int64), batch.tuning[None], np.array([number]), 1, traced=True)
-    if run.failed[0]:
+    if run.has_failed[0]:
         return None
     world, signals, n = car.profile, batch.signals[0], round(SECONDS / profile.period)
     state, answer, seen = run.trace.state[0, :n], run.trace.answer[0, :n], run.trace.noted[0, :n]
@@ -376,7 +376,7 @@ def driven(numbers: Array, estimated: dict[str, Array], profile: Profile) -> dic
             unsure = Uncertainty(lag=0.015, dead_time=0.015, stiffness=1.1)
             mpc = at.MPC(middle.replace(**stiffness), profile=profile, belief=belief, uncertainty=unsure)
             batch = Batch(at.DualTrack(car.vehicle, car.tyre), mpc, [trip], world)
-            run = batch.run(np.zeros(1, np.int64), batch.tuning[None], np.array([number]), 1).measured()
+            run = batch.run(np.zeros(1, np.int64), batch.tuning[None], np.array([number]), 1).summary()
             cost = run.mse[0] + world.move_weight * run.mean_squared_move[0]
             found[name].append(25.0 if run.failed[0] is not None else float(cost))
     return {name: np.array(each) for name, each in found.items()}

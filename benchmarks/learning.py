@@ -110,7 +110,7 @@ def costs(car: Car, controller: Any, world: Profile) -> tuple[np.ndarray, bool]:
         weight=world.move_weight,
     )  # fmt: skip
     found = runs.segments[0] / segment
-    return np.where(np.isfinite(found), found, FAILED), bool(runs.failed[0])
+    return np.where(np.isfinite(found), found, FAILED), bool(runs.has_failed[0])
 
 
 def compared(name: str, cost: np.ndarray, failed: np.ndarray, truth: np.ndarray, lost: np.ndarray) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def driven(car: Car, controller: Any, world: Profile, judged: int) -> Driven:
         np.zeros(1, np.int64), batch.tuning[None], np.array([number]), 1, segment=segment, weight=world.move_weight,
         traced=learns,
     )  # fmt: skip
-    ended = float(runs.result["ended_at"][0]) if runs.failed[0] else math.nan
+    ended = float(runs.result["ended_at"][0]) if runs.has_failed[0] else math.nan
     said = (
         {name: runs.trace.answer[0, :, i - len(BELIEF_NAMES)] for i, name in enumerate(BELIEF_NAMES)} if learns else {}
     )
