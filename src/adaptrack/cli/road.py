@@ -28,9 +28,6 @@ ROADS_HELP = "a name from `list roads`, or a file: .csv of x, y (m), .toml, Open
 RoadName = Annotated[str, typer.Argument(metavar="ROAD", help=f"Road: {ROADS_HELP}")]
 
 
-MAX_ASSUMED_FRICTION = 1.5
-
-
 @dataclass(frozen=True)
 class RoadOptions:
     """Options of all commands with a road: how to read the road and how fast to drive."""
@@ -117,6 +114,8 @@ class RoadOptions:
         """
         if self.assumed_friction is None:
             return None
+        from adaptrack.control.speed_control import MAX_ASSUMED_FRICTION
+
         try:
             low, *high = (float(number) for number in self.assumed_friction.split(":"))
             if len(high) > 1 or not 0.0 < low <= max(high, default=low) <= MAX_ASSUMED_FRICTION:

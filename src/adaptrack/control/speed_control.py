@@ -21,6 +21,8 @@ from adaptrack.road import Comfort, Road, SpeedPlan
 from adaptrack.road.cornering import cornering_limit
 
 Array = NDArray[np.float64]
+MAX_ASSUMED_FRICTION = 1.5
+"""Coefficient of friction above which an assumption is refused."""
 SPACING = 0.5
 """m, of the places of a plan, and of the horizon."""
 TYPICAL_CURVATURE = 0.02
@@ -100,7 +102,7 @@ class SpeedControl:
     """
 
     car: Vehicle
-    friction: Annotated[float, Field(gt=0.0, le=1.5)] | tuple[float, float] = 0.9
+    friction: Annotated[float, Field(gt=0.0, le=MAX_ASSUMED_FRICTION)] | tuple[float, float] = 0.9
     drive: DriveActuator | None = None
     brakes: BrakeActuator | None = None
     gain: Annotated[Positive, "1/s"] = 2.0
@@ -117,10 +119,10 @@ class SpeedControl:
 
     def __post_init__(self) -> None:
         low, high = self.friction_interval
-        if not 0.0 < low <= high <= 1.5:
+        if not 0.0 < low <= high <= MAX_ASSUMED_FRICTION:
             raise InvalidInput(
                 f"SpeedControl: friction = {self.friction!r}: must be a value such as 0.9, or (low, high) such as "
-                "(0.65, 0.9), above 0 and at most 1.5."
+                f"(0.65, 0.9), above 0 and at most {MAX_ASSUMED_FRICTION:g}."
             )
 
     @property
@@ -192,17 +194,14 @@ class SpeedController:
     ) -> None:
         self.control, self._period, self._stop_at_end = control, period, stop_at_end
         self._memory = kernel.SPEED_MEMORY.new(1)
-        self._settings = control.settings(period, plan.comfort)
+        self.follow(path, plan)
         self._banks = _banks(self._settings, period)
         kernel.speed_control_begin(self._settings, self._banks)
-        self.follow(path, plan)
 
     def follow(self, path: Road, plan: SpeedPlan) -> None:
         """Follow another plan from now on; what was learned of resistance and slope stays."""
-        self._settings, self._path = (
-            self.control.settings(self._period, plan.comfort),
-            speed_path(path, plan, self._stop_at_end),
-        )
+        self._settings = self.control.settings(self._period, plan.comfort)
+        self._path = speed_path(path, plan, self._stop_at_end)
         way = float(plan.speed.max()) ** 2 / (2.0 * min(plan.comfort.brake, 2.0)) + MARGIN_OF_HORIZON
         self._ahead = np.zeros(max(4, math.ceil(way / self._path.spacing)))
         self._memory[0].next_stop = 0

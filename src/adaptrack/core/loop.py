@@ -11,7 +11,7 @@ from .force_actuator import ForceActuator, actuator_step
 from .kernel import columns, cube, inlined, local, matrix, record, rows
 from .layout import put
 from .maths.bits import whole
-from .maths.exact import ceil, clip, floor, sqrt, square
+from .maths.exact import ceil, clip, floor
 from .maths.exponential import hypot
 from .maths.random import counted_normal, counted_uniform
 from .maths.trigonometric import atan2
@@ -19,6 +19,7 @@ from .models.contract import MEASUREMENT
 from .plants.contract import ENVIRONMENT, OBSERVED, PLANT_INPUT, PLANT_STATE, input_at, observe, state_at
 from .plants.forces import GRAVITY, slope_sine_and_cosine, wheel_angle
 from .road import foot_near, line_of, point_at
+from .traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
 from .variables import VARIABLE_COLUMNS
 
 LoopSettings = record(
@@ -123,8 +124,6 @@ STANDING_SPEED, HOLDING_SPEED, HOLDING_DECELERATION = 0.05, 0.3, 1.0
 """m/s, below which a car counts as standing; m/s, below which the driver holds it at a stop; m/s^2, with which."""
 CREEP_SPEED = 2.0
 """m/s, at which creeping has faded out."""
-LARGEST_BEND_SHARE, LEAST_BRAKING = 0.98, 0.5
-"""-, share of the grip that a bend asks for at most; m/s^2, that the guard always leaves to the brakes."""
 TOLERATED, CATCH_UP, MOST_CATCH_UP = 0.5, 2.0, 0.1
 """m, by which a car may be early or late on its plan; s, in which it makes up for the rest; share of the speed, at
 most."""
@@ -436,51 +435,21 @@ def _wait(stop, speed, drive, speeds):
 
 
 @inlined
-def axle_force_limit(share, load, lateral, transfer, friction):
-    """Largest force (N) along the car of which an axle can take a share beside its lateral force (N); inf: none.
-
-    The axle carries load + transfer F (N) under a force F: F is the smallest positive root of the quadratic equation
-    (share F)^2 + lateral^2 = friction^2 (load + transfer F)^2.
-    """
-    constant = lateral * lateral - square(friction * load)
-    if constant >= 0.0:
-        return 0.0
-    half_slope = -square(friction) * load * transfer
-    discriminant = half_slope * half_slope - (square(share) - square(friction * transfer)) * constant
-    if discriminant < 0.0:
-        return math.inf
-    denominator = half_slope + sqrt(discriminant)
-    return -constant / denominator if denominator > 0.0 else math.inf
-
-
-@inlined
-def _traction_and_braking_limits(friction, slot, run):
+def _guarded_limits(friction, slot, run):
     """Largest driving and braking forces (N) that the driver requests: a share of what each axle has left.
 
     Each axle carries its part of the lateral acceleration that the car has, or that the bend asks of it, whichever is
-    larger; the force itself moves load between the axles.
+    larger.
     """
     world, drive, block = run.settings, run.memory.own[slot], run.vehicles.block
     if not world.guard < math.inf:
         return math.inf, math.inf
     vx, r = block[state_at(PLANT_STATE.vx, slot)], block[state_at(PLANT_STATE.yaw_rate, slot)]
-    bank, (_, cosine) = (
-        block[input_at(PLANT_INPUT.bank, slot)],
-        slope_sine_and_cosine(block[input_at(PLANT_INPUT.grade, slot)]),
-    )
+    bank = block[input_at(PLANT_INPUT.bank, slot)]
+    _, cosine = slope_sine_and_cosine(block[input_at(PLANT_INPUT.grade, slot)])
     grip = friction * GRAVITY * cosine
     lateral = max(abs(vx * r - bank), min(abs(vx * vx * drive.curvature - bank), LARGEST_BEND_SHARE * grip))
-    wheelbase = world.lf + world.lr
-    front, rear, transfer = world.lr / wheelbase, world.lf / wheelbase, world.cg_height / wheelbase
-    weight, side = world.mass * GRAVITY * cosine, world.mass * lateral
-    driving = min(
-        axle_force_limit(world.drive_front, weight * front, side * front, -transfer, friction),
-        axle_force_limit(1.0 - world.drive_front, weight * rear, side * rear, transfer, friction),
-    )
-    braking = min(
-        axle_force_limit(world.brake_front, weight * front, side * front, transfer, friction),
-        axle_force_limit(1.0 - world.brake_front, weight * rear, side * rear, -transfer, friction),
-    )
+    driving, braking = axle_limits(friction, world.mass * GRAVITY * cosine, lateral, world)
     return world.guard * driving, max(world.guard * braking, LEAST_BRAKING * world.mass)
 
 
@@ -511,7 +480,7 @@ def _drive(slot, run):
             drive.integral = 0.0
             return -world.mass * (HOLDING_DECELERATION + GRAVITY * abs(sine))
     friction = signals[SIGNAL.known_friction, min(drive.place if drive.located > 0 else drive.sample, speeds.size - 1)]
-    traction, braking = _traction_and_braking_limits(friction, slot, run)
+    traction, braking = _guarded_limits(friction, slot, run)
     strongest = min(traction, min(world.traction_limit, world.engine_power / max(speed, 1.0)))
     force = clip(requested, -min(braking, world.brake_limit), strongest)
     if force == requested:

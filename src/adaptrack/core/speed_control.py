@@ -13,12 +13,13 @@ from __future__ import annotations
 import math
 
 from .kernel import exported, float64, inlined, int64, record, rows, vector, void
-from .loop import LARGEST_BEND_SHARE, LEAST_BRAKING, STANDING_SPEED, axle_force_limit
+from .loop import STANDING_SPEED
 from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import power
 from .plants.forces import GRAVITY
 from .speed_learning import SpeedBanks, begin_bank, learn_actuators, mean_of_bank, remember_request
+from .traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
 
 SPEED_SETTINGS = (
     "period",  # s
@@ -58,7 +59,6 @@ SPEED_MEMORY = record(
         "target_speed", "grip_used",  # m/s, -: lateral and longitudinal acceleration over the assumed friction
         "speed", "station",  # m/s, m: last known
         "lateral",  # m/s^2, filtered
-        "lost_time",  # s, without a position
     ),
     integers=("state", "limited_by", "next_stop"),
 )  # fmt: skip
@@ -115,24 +115,6 @@ def _square_at(place, station, path, ahead):
 
 # -- the governor -----------------------------------------------------------------------------------------------------
 @inlined
-def _axle_limits(friction, lateral, settings):
-    """Largest driving and braking force (N) that both axles leave at a lateral acceleration (m/s^2) of the tyres."""
-    c = settings
-    wheelbase = c.lf + c.lr
-    front, rear, transfer = c.lr / wheelbase, c.lf / wheelbase, c.cg_height / wheelbase
-    weight, side = c.mass * GRAVITY, c.mass * lateral
-    driving = min(
-        axle_force_limit(c.drive_front, weight * front, side * front, -transfer, friction),
-        axle_force_limit(1.0 - c.drive_front, weight * rear, side * rear, transfer, friction),
-    )
-    braking = min(
-        axle_force_limit(c.brake_front, weight * front, side * front, transfer, friction),
-        axle_force_limit(1.0 - c.brake_front, weight * rear, side * rear, -transfer, friction),
-    )
-    return driving, braking
-
-
-@inlined
 def _govern(station, settings, path, ahead):
     """Write the squares of the speeds (m^2/s^2) that friction and comfort allow at the cells from the station on."""
     first, grip = whole(floor(station / path.spacing)), settings.friction * GRAVITY
@@ -148,7 +130,7 @@ def _govern(station, settings, path, ahead):
             continue
         cell = _cell((first + j + 0.5) * path.spacing, path)
         lateral = min(abs(ahead[j + 1] * path.curvature[cell] - path.bank[cell]), LARGEST_BEND_SHARE * grip)
-        _, braking = _axle_limits(settings.friction, lateral, settings)
+        _, braking = axle_limits(settings.friction, settings.mass * GRAVITY, lateral, settings)
         deceleration = min(settings.guard * braking / settings.mass + path.slope[cell], settings.brake)
         ahead[j] = min(ahead[j], ahead[j + 1] + 2.0 * path.spacing * max(deceleration, LEAST_BRAKING))
 
@@ -194,7 +176,8 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
     ratio = drive.ratio if tyres > 0.0 else brakes.ratio
     demand = settings.mass * tyres / ratio
     friction = settings.friction if memory.state != EMERGENCY else settings.friction_high
-    driving, braking = _axle_limits(friction, min(lateral, LARGEST_BEND_SHARE * friction * GRAVITY), settings)
+    bend = min(lateral, LARGEST_BEND_SHARE * friction * GRAVITY)
+    driving, braking = axle_limits(friction, settings.mass * GRAVITY, bend, settings)
     strongest = min(settings.guard * driving, min(settings.traction_limit, settings.engine_power / max(speed, 1.0)))
     weakest = -min(max(settings.guard * braking, LEAST_BRAKING * settings.mass), settings.brake_limit)
     force = clip(demand, weakest, strongest)
@@ -284,10 +267,9 @@ def speed_control(station, speed, yaw_rate, settings, path, memory, banks, ahead
     speed = memory.speed
     is_located = station == station
     if is_located:
-        memory.station, memory.lost_time = station, 0.0
+        memory.station = station
     else:
         memory.station += speed * settings.period
-        memory.lost_time += settings.period
     station = memory.station
     cell = _cell(station, path)
     bend = abs(speed * speed * path.curvature[cell] - path.bank[cell])

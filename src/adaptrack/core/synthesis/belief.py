@@ -160,8 +160,7 @@ def bound_commands(belief, period, bounds):
     Behind a delay that is assumed, thus probably too long, bounded moves lose the car: the change has then the bound of
     the paper's table, as it has where there is no rate limit. A controller that learns the delay needs the bound, an
     unknown rate being `LEAST_STEERING_RATE`: wheels that turn at their limit are late by more than the delay, and of
-    2,000 unknown cars that start at 20 to 30 m/s it loses
-    75 without the bound and 14 with it.
+    2,000 unknown cars that start at 20 to 30 m/s it loses 75 without the bound and 14 with it.
     """
     assumed = belief.lag_source == SLOW_ASSUMED or belief.dead_time_source == SLOW_ASSUMED
     bounded = belief.rate < math.inf and not assumed
