@@ -270,7 +270,7 @@ def _steering_notes(label: str, controller: Controller, loop: DrivenLoop) -> lis
     belief, profile = controller.belief, loop.places.profile
     if belief is None:
         return []
-    learns = f" {controller.learns}, starting from" if controller.learner is not None else ""
+    learns = f" {controller.learns}; it starts from" if controller.learner is not None else ""
     notes = [f"Steering model of {label}:{learns} {belief}."]
     actuator = getattr(loop.plant, "steering", None) or profile.steering
     delay = profile.delay * controller.period + actuator.dead_time

@@ -202,6 +202,7 @@ def _learned_ranges(learner: Learner) -> str:
     factor = math.exp(learner.stiffness)
     first = f"lag {short:.3g} to {long:.3g} s, dead time {soon:.3g} to {late:.3g} s"
     (least, most), (_, latest) = learner.limits
-    limits = "" if learner.limits == learner.ranges else f" (not beyond {least:.3g} to {most:.3g} s and {latest:.3g} s)"
+    beyond = f" (hard limits: lag {least:.3g} to {most:.3g} s, dead time {latest:.3g} s)"
+    limits = "" if learner.limits == learner.ranges else beyond
     top = f"; drive below {learner.first_top_speed:.3g} m/s first" if learner.first_top_speed < math.inf else ""
     return f"{first}{limits}, stiffness x or / {factor:.3g}{top}"

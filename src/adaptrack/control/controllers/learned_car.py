@@ -93,8 +93,8 @@ class LearnedCar(Record):
             _interval("lag of the steering", self.lag, self.lag_sigma, "s", 0.0),
             _interval("dead time of the steering", self.dead_time, self.dead_time_sigma, "s", 0.0),
             _interval("lag and dead time together", delay, self.delay_sigma, "s", 0.0),
-            _factor("stiffness over mass, times what is known", self.stiffness, self.stiffness_sigma),
-            _factor("front over rear stiffness, times what is known", self.balance, self.balance_sigma),
+            _factor("stiffness/mass, relative to the car file", self.stiffness, self.stiffness_sigma),
+            _factor("front/rear stiffness, relative to the car file", self.balance, self.balance_sigma),
             _interval("bias of the wheels", self.bias, self.bias_sigma, "rad", -math.inf),
         )
 
