@@ -193,7 +193,8 @@ class SpeedController:
         self, control: SpeedControl, path: Road, plan: SpeedPlan, period: float, stop_at_end: bool = False
     ) -> None:
         self.control, self._period, self._stop_at_end = control, period, stop_at_end
-        self._memory = kernel.SPEED_MEMORY.new(1)
+        self._memory, self._sample = kernel.SPEED_MEMORY.new(1), kernel.SPEED_SAMPLE.new(1)
+        self._sample[0].acceleration, self._sample[0].top_speed = math.nan, math.inf
         self.follow(path, plan)
         self._banks = _banks(self._settings, period)
         kernel.speed_control_begin(self._settings, self._banks)
@@ -212,9 +213,9 @@ class SpeedController:
 
         station: m, of the car on its path over all laps; speed: m/s; yaw_rate: rad/s. NaN: not measured.
         """
-        kernel.speed_control_step(
-            station, speed, yaw_rate, self._memory, self._settings, self._path, self._banks, self._ahead
-        )
+        sample = self._sample[0]
+        sample.station, sample.speed, sample.yaw_rate = station, speed, yaw_rate
+        kernel.speed_control_step(self._sample, self._memory, self._settings, self._path, self._banks, self._ahead)
         return self.command
 
     @property

@@ -45,6 +45,17 @@ SpeedPath = record(
 """A plan at even places (n,): squares of the speed (m^2/s^2), curvature (1/m), g sin(slope) and g sin(bank) (m/s^2);
 stops (m, ascending) and how long to stand there (s); spacing and length (m); closed: 1 for a lap."""
 
+SPEED_SAMPLE = record(
+    "SpeedSample",
+    (
+        "station", "speed", "yaw_rate",  # m, over all laps; m/s; rad/s. NaN: no position, not measured
+        "acceleration",  # m/s^2, measured along the car, without gravity; NaN: not measured
+        "driver",  # 1: a driver uses the pedals
+        "top_speed",  # m/s, up to which the steering of the car is known
+    ),
+)  # fmt: skip
+"""What a speed controller is given once a control period."""
+
 OFF, DRIVING, STOPPING, WAITING, EMERGENCY = range(5)
 """States."""
 BY_PLAN, BY_COMFORT, BY_GRIP, BY_STOP, BY_PATH_END, BY_FAULT = range(6)
@@ -251,14 +262,14 @@ def _follow(station, speed, lateral, drive, brakes, settings, path, memory, ahea
 
 
 @inlined
-def speed_control(station, speed, yaw_rate, settings, path, memory, banks, ahead):
+def speed_control(sample, settings, path, memory, banks, ahead):
     """One control period: write state, requests and causes to the memory, and the governed squares to ahead.
 
     Drive and brakes are learned first, from the speed that the requests so far have made.
 
-    station: m, over all laps; NaN: no position; speed: m/s; yaw_rate: rad/s; NaN: not measured. ahead: (n,), at the
-    cells from the station on.
+    sample: `SPEED_SAMPLE`; ahead: (n,), at the cells from the station on.
     """
+    station, speed, yaw_rate = sample.station, sample.speed, sample.yaw_rate
     learnable = speed == speed
     if learnable:
         memory.speed = speed
@@ -303,10 +314,10 @@ def speed_control(station, speed, yaw_rate, settings, path, memory, banks, ahead
     remember_request(memory.force / settings.mass, banks.requests)
 
 
-@exported(void(float64, float64, float64, rows(SPEED_MEMORY), SpeedSettings, SpeedPath, SpeedBanks, vector))
-def speed_control_step(station, speed, yaw_rate, memory, settings, path, banks, ahead):
+@exported(void(rows(SPEED_SAMPLE), rows(SPEED_MEMORY), SpeedSettings, SpeedPath, SpeedBanks, vector))
+def speed_control_step(sample, memory, settings, path, banks, ahead):
     """One control period of the only controller, see `speed_control`."""
-    speed_control(station, speed, yaw_rate, settings, path, memory[0], banks, ahead)
+    speed_control(sample[0], settings, path, memory[0], banks, ahead)
 
 
 @exported(void(SpeedSettings, SpeedBanks))
