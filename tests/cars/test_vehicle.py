@@ -354,12 +354,8 @@ class TestPage:
     def page(self, project):
         return (project / "docs" / "vehicles.md").read_text(encoding="utf-8")
 
-    @pytest.mark.parametrize("model", [Vehicle, Tyre, SteeringActuator])
-    def test_the_page_has_a_row_for_every_key_and_names_every_set(self, page, model):
-        section = page.split(f"\n## {'Steering actuator' if model is SteeringActuator else model.__name__}\n")[1]
-        rows = [line.split("|")[1] for line in section.split("\n## ")[0].splitlines() if line.startswith("| `")]
-        assert set(re.findall(r"`(\w+)`", " ".join(rows))) == set(model.model_fields)
-        assert all(f"**`{name}`**" in page for name in (*list_vehicles(), *list_tyres()))
+    def test_the_page_names_every_shipped_car_and_tyre(self, page):
+        assert [name for name in (*list_vehicles(), *list_tyres()) if f"**`{name}`**" not in page] == []
 
     def test_the_refusal_shown_on_the_page_is_the_real_one(self, page, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
