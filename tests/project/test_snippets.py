@@ -42,7 +42,6 @@ LONG_COMMANDS = {
 """Commands that are parsed only, by how they begin, with the time that they take on two cores."""
 
 LONG_SNIPPETS = {
-    ("schedulers.md", "improve("): "1 minute",
     ("schedulers.md", "run_campaign("): "5 minutes",
     ("certify.md", "loop_map("): "10 s",
     ("identify.md", 'at.identify("drive.csv"'): "10 s, and needs a log",
