@@ -1,6 +1,6 @@
 """An exported tracker on microcontrollers that QEMU emulates: the same bits, code, memory, stack, counted instructions.
 
-``python -m processors.board`` in ``tests`` prints the numbers of docs/compatibility.md.
+``python -m processors.board`` in ``tests`` prints the numbers of docs/install.md.
 """
 
 import subprocess
