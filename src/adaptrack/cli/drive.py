@@ -271,7 +271,7 @@ def _steering_notes(label: str, controller: Controller, loop: DrivenLoop) -> lis
     if belief is None:
         return []
     learns = f" {controller.learns}; it starts from" if controller.learner is not None else ""
-    notes = [f"Steering model of {label}:{learns} {belief}."]
+    notes = [f"Steering model of the controller {label}:{learns} {belief}."]
     actuator = getattr(loop.plant, "steering", None) or profile.steering
     delay = profile.delay * controller.period + actuator.dead_time
     simulated = (actuator.lag, delay, actuator.rate)
