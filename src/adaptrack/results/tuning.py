@@ -69,7 +69,7 @@ def tuned_roads_result(tuned: TunedOnRoads, file: str, next_step: str) -> Result
     return Result(
         kind="tuned-roads",
         title=f"Tuning of {name}",
-        answer=f"The searched tuning of {name} costs {over.mean:.3g} times the default tuning (95 % interval "
+        answer=f"The best tuning found for {name} costs {over.mean:.3g} times the default tuning (95 % interval "
         f"{over.low:.3g} to {over.high:.3g}), with new sensor noise.",
         record=record,
         tables=[
