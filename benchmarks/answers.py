@@ -545,15 +545,15 @@ def batches(at: Any) -> Named:
             found = at.rollout_batch(plant, controller, roads, profile=profile, seeds=1, threads=2)
             yield f"{profile}, {name} on roads", numbers(found)
     scheduled = at.published_mpc(car, scheduler=at.load_scheduler("road-nn"), period=0.05, preview=True)
-    known_as = {
+    perception = {
         "exactly": None, "estimated": at.FrictionWindEstimator.of(plant, "road"),
         "with errors": at.Perception(noise=0.2, bias=0.1, delay=0.5), "not": at.Perception(withheld=True),
     }  # fmt: skip
     options = {"scenario_indices": seeds, "profile": "road", "seeds": seeds}
-    for name, known in known_as.items():
-        batch = at.rollout_batch(plant, scheduled, changes, known_as=known, **options)
+    for name, known in perception.items():
+        batch = at.rollout_batch(plant, scheduled, changes, perception=known, **options)
         yield f"friction known {name}", numbers(batch)
-        run = at.simulate(plant, scheduled, changes[0], profile="road", seed=4, known_as=known)
+        run = at.simulate(plant, scheduled, changes[0], profile="road", seed=4, perception=known)
         yield f"friction known {name}, from Python", trace(run)
     for name, (driven, controller) in {
         "user's plant": (users_plant(at), at.MPC(car, profile="road")), "user's law": (plant, users_law(at)),

@@ -102,7 +102,7 @@ def drive(number: int, profile: Profile) -> tuple[Array, ...] | None:
     if run.has_failed[0]:
         return None
     world, signals, n = car.profile, batch.signals[0], round(SECONDS / profile.period)
-    state, answer, seen = run.trace.state[0, :n], run.trace.answer[0, :n], run.trace.noted[0, :n]
+    state, answer, seen = run.trace.state[0, :n], run.trace.answer[0, :n], run.trace.signals[0, :n]
     rng = np.random.default_rng((11, number))
     has_vy = math.isfinite(world.noise_vy)
     sensors = [(state[:, PLANT_STATE.yaw_rate], world.noise_yaw_rate)]

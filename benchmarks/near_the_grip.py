@@ -53,7 +53,7 @@ def near_the_grip(car_name: str, share: float, profile: str, friction: float) ->
         runs = [
             simulate(
                 DualTrack(car), controller, RoadDrive(road.replace(friction=friction), plan), profile=profile,
-                driver=make_driver(car), seed=1, known_as=Perception(friction=0.9),
+                driver=make_driver(car), seed=1, perception=Perception(friction=0.9),
             )
             for road, plan in zip(roads, plans, strict=True)
         ]  # fmt: skip

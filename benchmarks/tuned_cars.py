@@ -27,7 +27,7 @@ def tuned(name: str, plant: str | None, profile: str) -> tuple[dict[str, Any], s
     return found, (
         f"Np {tuning['Np']:.0f}, Nc {tuning['Nc']:.0f}, R/Q {tuning['R'] / tuning['Q']:.3g}  "
         f"J {found['cost']['default']:.5f} -> x{gain['mean']:.3f} [{gain['low']:.3f}, {gain['high']:.3f}]  "
-        f"failed {found['failed']['sought']} of {found['drives']}"
+        f"failed {found['failed']['candidate']} of {found['drives']}"
     )
 
 

@@ -7,7 +7,7 @@
 
 A car that is not ours (single track, tyres that saturate, gusts, a steering with lag, dead time, rate and bias) drives
 roads of all kinds through `Tracker` at 20 Hz, with the noise of `road` or of `production`, late and lost samples. The
-controller has a data sheet and learns, or is given the car. Judged seeds begin at `JUDGED`; everything in
+controller has a data sheet and learns, or is given the car. TuningCosts seeds begin at `JUDGED`; everything in
 `adaptrack.core.input_check` was chosen on those from `TUNING` on (``--tuning``).
 
 wrong: one input is wrong from the first call; at which distance from the path it was reported. lies: the pose drifts or

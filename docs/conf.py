@@ -37,7 +37,16 @@ autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 autodoc_type_aliases = {
     name: name
-    for name in ("Array", "ArrayLike", "KnownAs", "Policy", "ProgressCall", "Segment", "SignalLike", "Variables")
+    for name in (
+        "Array",
+        "ArrayLike",
+        "PerceptionSource",
+        "Policy",
+        "ProgressCall",
+        "Segment",
+        "SignalLike",
+        "Variables",
+    )
 }
 maximum_signature_line_length = 88
 python_use_unqualified_type_names = True

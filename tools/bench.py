@@ -38,7 +38,7 @@ from adaptrack.control.qp import QPStatus
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.core.library import kernels_hash
 from adaptrack.drive.batch import rollout_batch
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import Constant, Scenario, Sine, load_scenario, random_drive
 
@@ -48,7 +48,7 @@ NP, NC, Q, R = (1, 55), (1, 18), (0.1, 10.0), (0.001, 0.1)
 """The authors' bounds of the particle swarm."""
 SPEEDS, AMPLITUDES, FRICTIONS, WINDS = (3.0, 27.0), (-15.0, 15.0), (0.5, 0.9), (-30.0, 30.0)
 """The paper's operating domain: m/s, m, -, m/s."""
-NEVER = Failure(1000.0, math.inf)
+NEVER = FailureLimits(1000.0, math.inf)
 """No run is ended before its time: what is timed is always the same work."""
 
 

@@ -17,7 +17,7 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Controller, Learning, Limits, Moves, MPCCommand, Tuning, published_mpc
 from adaptrack.control.qp import QP, QPStatus
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import load_scenario
 
@@ -92,7 +92,7 @@ def _drive(rng: Rng) -> Iterator[Problem]:
         duration=6.0, **wind,
     )  # fmt: skip
     recorder = _Recorder(mpc, rng)
-    end = Failure(distance=50.0, sideslip=math.inf)
+    end = FailureLimits(distance=50.0, sideslip=math.inf)
     simulate(DualTrack(car), recorder, drive, profile=profile, seed=int(rng.integers(1 << 30)), failure=end)
     for qp, applied in recorder.met:
         yield Problem("informed" if informed else "published", qp, True, applied)

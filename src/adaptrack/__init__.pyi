@@ -98,7 +98,7 @@ from .control.speed_control import SpeedControl as SpeedControl
 from .control.tracker import Status as Status, Tracker as Tracker, yaw_of as yaw_of
 from .core.member import CFunction as CFunction
 from .drive.batch import rollout_batch as rollout_batch
-from .drive.failure import Failure as Failure
+from .drive.failure import FailureLimits as FailureLimits
 from .drive.metrics import (
     Metrics as Metrics,
     PathRecord as PathRecord,

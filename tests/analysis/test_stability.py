@@ -39,7 +39,7 @@ from adaptrack.analysis.stability import hard_turn, loop_map, loops, margins, mo
 from adaptrack.cars.plant import SteppedPlant
 from adaptrack.control.kalman import KalmanFilter, SensorNoise
 from adaptrack.control.models import PathModel
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.simulate import rollout
 from adaptrack.scenario import Scenario, Wind
 from adaptrack.scenario.profile import load_profile
@@ -76,7 +76,7 @@ def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, speed
         name="offset", duration=20.0, reference=0.0, speed=speed, friction=0.75, wind=Wind(y=0.0), start_y=offset
     )
     mpc = published_mpc(CAR, Tuning(*tuning), period=0.05)
-    run = rollout(PLANT, mpc, scenario, profile=QUIET, failure=Failure(math.inf, math.inf)).Y
+    run = rollout(PLANT, mpc, scenario, profile=QUIET, failure=FailureLimits(math.inf, math.inf)).Y
     law = laws(mpc, speed, tuning)
     body = sampled(PLANT, 0.05, speed, friction=0.75, profile="road")
     matrix = loops(body, law)[0]

@@ -17,7 +17,7 @@ from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.synthesis.belief import widen_drifts
 from adaptrack.core.synthesis.car import AXLE_COEFFICIENTS
 from adaptrack.drive.batch import rollout_batch
-from adaptrack.drive.failure import Failure, find_failure
+from adaptrack.drive.failure import FailureLimits, find_failure
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import load_scenario, random_drive
@@ -171,12 +171,12 @@ def test_a_run_has_failed_where_the_cars_own_domain_says(tmp_path):
     assert run.failed is None
     assert run.meta["failure_distance"] == 0.5
     near = plant.vehicle.domain.failure_distance
-    assert Failure.of(plant) == Failure(distance=near)
+    assert FailureLimits.of(plant) == FailureLimits(distance=near)
     scenario = load_scenario("step", amplitude=0.05, speed=3.0, duration=3.0, start_y=0.0)
     assert [run.failed for run in runs] == [None, None] or all(run.failed == "off-road" for run in runs)
     moved = dataclasses.replace(run, Y=run.y_ref + np.linspace(0.0, 0.6, len(run)))
     assert find_failure(moved).reason == "off-road"
     assert compute_metrics(moved).failed
-    assert find_failure(moved, Failure()) is None
+    assert find_failure(moved, FailureLimits()) is None
     batch = rollout_batch(plant, mpc, [off, scenario], profile="road")
     assert (batch.failed[0] is None) == (runs[1].failed is None)

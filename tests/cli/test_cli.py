@@ -74,7 +74,7 @@ def places(tmp_path):
         ("paper evaluate --operating-points 0", ["--operating-points = 0", "at least 1"]),
         ("paper evaluate --drives many", ["--drives", "integer"]),
         ("paper evaluate --seed 1000000000000000000000000000000", ["--seed", "at most 10,000"]),
-        ("paper evaluate --known-as nosy", ["'nosy'", "noisy", "withheld"]),
+        ("paper evaluate --perception nosy", ["'nosy'", "noisy", "withheld"]),
         ("certify --controller informd", ["'informd'", "Did you mean 'informed'"]),
         ("certify {mine} --feasible", ["--feasible", "leave out the schedule"]),
         ("certify --feasible --out {out}", ["--feasible", "--out"]),

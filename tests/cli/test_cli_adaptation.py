@@ -51,12 +51,12 @@ def test_adapt_reads_a_finished_folder_and_evaluate_compares_its_schedules(
     monkeypatch.setattr("adaptrack.results.evaluation.SURFACE_NODES", (9, 7))
     page = tmp_path / "page"
     command = ("paper", "evaluate", folder, "--campaign", chain.file, "--operating-points", 4, "--drives", 1, "--tests",
-               "--known-as", "noisy", "--scheduler", mine)  # fmt: skip
+               "--perception", "noisy", "--scheduler", mine)  # fmt: skip
     code, out, err = run_command(*command, "--out", page, "--json")
     assert code == 0, err
     rows = strict(out)["rows"]
     assert {row["view"] for row in rows} == {"operating points", "drives", "tests"}
-    exact = {row["contender"]: row for row in rows if row.get("known_as") == "exact" and row["view"] != "drives"}
+    exact = {row["contender"]: row for row in rows if row.get("perception") == "exact" and row["view"] != "drives"}
     assert set(exact) == {"best constant", "look-up", "nn", "anfis", "mine", "optimum"}
     assert all(row["regret_worst"] >= row["regret_p90"] >= row["regret_p50"] > 0.0 for row in exact.values())
     assert "adaptrack paper evaluate" in (page / "index.html").read_text()

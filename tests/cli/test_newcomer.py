@@ -78,7 +78,7 @@ def test_a_newcomers_controller_and_plant_are_admitted_and_drive(run):
     (row,) = run("drive", "lane-change", *OWN, "--controller", "heading-law")["rows"]
     assert not row["failed"]
     car = at.load_vehicle("paper")
-    at.check_controller(at.get_controller("heading-law", car, offered={"period": 0.05}))
+    at.check_controller(at.get_controller("heading-law", car, optional={"period": 0.05}))
     at.check_plant(at.get_plant("bicycle", car))
 
 
@@ -103,7 +103,7 @@ def test_its_plant_is_steered_by_its_controller_in_an_environment(run):
 
     load_plugins(["newcomers_module"])
     env = gymnasium.make("adaptrack/PathTracking-v0", car="paper/bicycle", road="town:0", length=120.0)
-    law = at.get_controller("heading-law", at.load_vehicle("paper"), offered={"period": 0.05})
+    law = at.get_controller("heading-law", at.load_vehicle("paper"), optional={"period": 0.05})
     observation, _ = env.reset(seed=1)
     names, over = list(env.unwrapped.names), False
     while not over:

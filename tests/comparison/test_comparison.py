@@ -191,7 +191,7 @@ NAMES = ("lqr", "pure-pursuit", "stanley")
 @pytest.mark.compiled
 def test_registered_controllers_and_a_compiled_one_of_ones_own_cost_what_simulate_says():
     runs = run_set(lane_changes(2, 3.0))
-    laws = {name: get_controller(name, CAR, profile="road", offered={"period": runs.mpc.period}) for name in NAMES}
+    laws = {name: get_controller(name, CAR, profile="road", optional={"period": runs.mpc.period}) for name in NAMES}
     entered = [Contender("standard", Tuning()), *(Contender(name, law) for name, law in laws.items())]
     entered.append(Contender("mine", owned(runs)))
     comparison = compare(runs, entered, [3, 4], "standard")

@@ -24,7 +24,7 @@ from adaptrack.control.models import SingleTrackModel
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.core.estimators import friction_wind as kernel
 from adaptrack.core.plants.parameters import unpack
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.scenario.profile import load_profile
@@ -42,7 +42,7 @@ NOMINAL, PRIOR_STD = PRIOR.nominal_friction, PRIOR.nominal_friction * PRIOR.fric
 SILENT_ROAD = ROAD.replace(noise_vy=0.0, noise_yaw=0.0, noise_yaw_rate=0.0, noise_y=0.0)
 
 
-NEVER = Failure(distance=math.inf, sideslip=math.inf)
+NEVER = FailureLimits(distance=math.inf, sideslip=math.inf)
 
 
 class Recording:
@@ -77,7 +77,7 @@ def drive(scenario, steering, profile=ROAD, plant=None, estimator=None, seed=0):
     controller = Scripted(steering) if callable(steering) else steering
     estimator = Recording(estimator or FrictionWindEstimator.of(plant, profile), controller)
     trajectory = simulate(
-        plant, controller, scenario, profile=profile, seed=seed, known_as=estimator.own, failure=NEVER
+        plant, controller, scenario, profile=profile, seed=seed, perception=estimator.own, failure=NEVER
     )
     return trajectory, np.array(estimator.estimates)
 
@@ -322,7 +322,7 @@ def test_the_scheduler_knows_the_estimates():
     mpc = published_mpc(CAR, period=0.05, scheduler=scheduler)
     estimator = Recording(FrictionWindEstimator.of(DualTrack(CAR)), mpc)
     trajectory = simulate(
-        DualTrack(CAR), mpc, road(20.0, 0.9, 15.0, 1.0), profile="road", known_as=estimator.own
+        DualTrack(CAR), mpc, road(20.0, 0.9, 15.0, 1.0), profile="road", perception=estimator.own
     )  # fmt: skip
     assert [(v.friction, v.wind) for v in calls] == [(e.friction, e.wind) for e in estimator.estimates]
     assert [v.speed for v in calls] == trajectory.vx.tolist()
@@ -335,7 +335,10 @@ def test_the_scheduler_knows_the_estimates():
         (lambda: FrictionWindEstimator(CAR, period=0.0), "period", "> 0"),
         (
             lambda: simulate(
-                DualTrack(CAR), published_mpc(CAR, period=0.1), road(duration=1.0), known_as=FrictionWindEstimator(CAR)
+                DualTrack(CAR),
+                published_mpc(CAR, period=0.1),
+                road(duration=1.0),
+                perception=FrictionWindEstimator(CAR),
             ),
             "",
             "give both the same period",

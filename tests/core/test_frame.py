@@ -9,7 +9,7 @@ from adaptrack.core.controllers.mpc import MPC_ANSWER
 from adaptrack.core.frame import FRAME
 from adaptrack.core.kernel import Resident
 from adaptrack.core.loop import OFF_ROAD, RUNNING
-from adaptrack.core.period import NOTED, RunSpan
+from adaptrack.core.period import TRACE_SIGNALS, RunSpan
 from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch
 from adaptrack.road import Arc, Line, Road
@@ -27,7 +27,7 @@ def run_of(controller, scenario, profile="road", traced=False, scheduler=None, *
         1, int(batch.substeps[0]), batch.mpc_settings(np.inf, np.inf, residuals=True), 0, n if traced else 0,
         batch.scheduler,
     )  # fmt: skip
-    run.given.seeds[:], run.vehicles.start[:], run.tuning[:] = 3, batch.starts[0], batch.tuning
+    run.inputs.seeds[:], run.vehicles.start[:], run.tuning[:] = 3, batch.starts[0], batch.tuning
     rollout.begin(1, Resident(run))
     return run, RunSpan(n, 1, 0, 0.0)
 
@@ -73,7 +73,7 @@ def test_the_frames_of_a_drive_in_pieces_are_its_trace_to_the_bit(name):
         ("yaw_rate", trace.state[0, :, PLANT_STATE.yaw_rate]),
     ):
         assert np.array_equal(numbers[:, getattr(FRAME, column)], expected)
-    assert np.array_equal(numbers[:, : len(NOTED)], trace.noted[0])
+    assert np.array_equal(numbers[:, : len(TRACE_SIGNALS)], trace.signals[0])
     assert np.array_equal(numbers[:, FRAME.command], trace.answer[0, :, MPC_ANSWER.command])
     assert np.array_equal(numbers[:, len(FRAME) :], trace.answer[0, :, 1:], equal_nan=True)
     assert run.result.tobytes() == unbroken.result.tobytes()
@@ -88,8 +88,8 @@ def test_a_run_that_fails_ends_and_says_why():
     run.vehicles.block[PLANT_STATE.y * 32] += 30.0
     numbers, _, _ = frames_of(run, span, [5, 5])
     assert len(numbers) == 0
-    assert int(run.memory.own[0].ended) == OFF_ROAD != RUNNING
-    assert run.memory.own[0].ended_at == pytest.approx(20 * run.settings.period)
+    assert int(run.memory.drives[0].ended) == OFF_ROAD != RUNNING
+    assert run.memory.drives[0].ended_at == pytest.approx(20 * run.settings.period)
 
 
 def test_on_a_straight_road_the_predicted_path_is_what_is_driven():

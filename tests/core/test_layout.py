@@ -46,13 +46,13 @@ def counts_of(run):
     loop, controller, law, plan = run, run.mpc, run.law, run.schedule
     turning = controller.feed.turning
     (row,) = rollout.RunCounts.new(1, tuning=run.tuning.shape[1])
-    inputs = loop.given
+    inputs = loop.inputs
     for name, value in {
         "slots": len(run.tuning), "parameters": loop.vehicles.parameters.size, "states": loop.vehicles.start.shape[1],
         "scenarios": len(inputs.scenario) and inputs.signals.shape[0], "samples": inputs.signals.shape[2],
         "roads": len(inputs.roads.numbers), "starts": inputs.roads.start.size, "pieces": len(inputs.roads.pieces),
-        "headings": inputs.roads.headings.size, "perceiving": loop.perceiving.parameters.size,
-        "perceiving_settings": loop.perceiving.settings.size, "dead_whole": loop.settings.dead_whole,
+        "headings": inputs.roads.headings.size, "estimator_parameters": loop.variable_estimator.parameters.size,
+        "estimator_settings": loop.variable_estimator.settings.size, "dead_whole": loop.settings.dead_whole,
         "past": loop.memory.past.shape[1], "segments": loop.segments.shape[1], "traced": loop.trace.state.shape[1],
         "answers": loop.trace.answer.shape[2], "requested": loop.memory.requested.shape[1],
     }.items():  # fmt: skip
@@ -66,7 +66,7 @@ def counts_of(run):
     }.items():  # fmt: skip
         row.mpc[name] = value
     row.law, row.law_parameters, row.law_memory = run.features.law, law.parameters.size, law.memory.shape[1]
-    row.diagnostics = max(law.own_answer.size - 1, 0)
+    row.diagnostics = max(law.law_answer.size - 1, 0)
     row.integers, row.numbers, row.scratch = plan.integers.size, plan.numbers.size, plan.scratch.size
     return row
 
@@ -75,8 +75,8 @@ def counts_of(run):
 def test_the_sizes_that_kernels_say_are_those_that_python_lays(name):
     make, scenario, profile, estimator = CASES[name]
     controller = make()
-    known_as = None if estimator is None else estimator(CAR, period=controller.period)
-    batch = Batch(at.DualTrack(CAR), controller, [scenario, scenario], profile, known_as=known_as)
+    perception = None if estimator is None else estimator(CAR, period=controller.period)
+    batch = Batch(at.DualTrack(CAR), controller, [scenario, scenario], profile, perception=perception)
     limits = batch.mpc_settings(np.inf, np.inf, residuals=True)
     run = batch.run_record(3, int(batch.substeps[0]), limits, 4, 50, batch.scheduler)
     (settings,) = mpc.MPCSettings.new(1, **run.mpc.settings._asdict())

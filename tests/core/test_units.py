@@ -34,7 +34,8 @@ def test_a_car_and_a_closed_loop_agree_to_the_bit_at_every_instant(profile):
         assert np.array_equal(measured, (sample.measured[1], sample.measured[3]), equal_nan=True)
         assert values[car.CAR_VALUE.measured_speed] == sample.speed
         assert (
-            np.isnan(sample.measured[3]) or values[car.CAR_VALUE.measured_x] == loop.run.memory.own["pose_station"][0]
+            np.isnan(sample.measured[3])
+            or values[car.CAR_VALUE.measured_x] == loop.run.memory.drives["pose_station"][0]
         )
         values[car.CAR_VALUE.command] = 0.01 * k
         values[car.CAR_VALUE.speed], values[car.CAR_VALUE.speed_ahead] = signals.speed[k : k + 2]

@@ -5,7 +5,7 @@ import pytest
 from tests.drive.test_metrics import NAN, record
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.drive.failure import Failure, Reason, find_failure
+from adaptrack.drive.failure import FailureLimits, Reason, find_failure
 
 
 def test_a_run_has_failed_beyond_the_limit_not_on_it():
@@ -14,7 +14,7 @@ def test_a_run_has_failed_beyond_the_limit_not_on_it():
     failed = find_failure(record(Y=left))
     assert (failed.step, failed.time) == (3, pytest.approx(0.3))
     assert failed.clause == "left the road (more than 5 m from the reference)"
-    assert find_failure(record(Y=left), Failure(distance=7.0)) is None
+    assert find_failure(record(Y=left), FailureLimits(distance=7.0)) is None
 
 
 def test_a_large_step_is_judged_once_it_has_arrived_and_has_failed_from_its_start_if_never():
@@ -39,8 +39,8 @@ def test_a_spin_is_a_failure_at_driving_speed_only_and_the_first_event_gives_the
 
 @pytest.mark.parametrize("limits", [{"distance": 0.0}, {"distance": NAN}, {"sideslip": -1.0}, {"sideslip": "wide"}])
 def test_a_limit_that_makes_no_sense_is_refused(limits):
-    with pytest.raises(InvalidInput, match="Failure: "):
-        Failure(**limits)
+    with pytest.raises(InvalidInput, match="FailureLimits: "):
+        FailureLimits(**limits)
 
 
 def test_what_the_loop_knew_counts_when_it_came_first():

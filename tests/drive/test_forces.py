@@ -181,7 +181,7 @@ def test_a_plan_for_an_assumed_friction_asks_no_more_than_that_of_the_tyres() ->
         drive,
         profile="road",
         driver=Driver(),
-        known_as=Perception(friction=0.4),
+        perception=Perception(friction=0.4),
     )
     assert run.failed is None
     in_arc = (run.road["station"] > 150.0) & (run.road["station"] < 220.0)

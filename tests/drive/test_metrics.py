@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Body, load_vehicle
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.metrics import PathRecord, compute_metrics, path_metrics, published_mse
 from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.road import Arc, Line
@@ -124,7 +124,7 @@ def test_a_row_is_strict_json_even_for_a_failed_run():
 def test_a_run_fails_by_the_rule_that_is_chosen_and_one_that_diverges_gives_numbers_not_warnings():
     off = record(Y=[0.0] * 7 + [6.0])
     assert compute_metrics(off).failed
-    assert not compute_metrics(off, failure=Failure(distance=7.0)).failed
+    assert not compute_metrics(off, failure=FailureLimits(distance=7.0)).failed
     huge = compute_metrics(record(Y=np.geomspace(1.0, 1e300, 8), lateral_acceleration=np.geomspace(1, 1e308, 8)))
     assert (huge.failed, huge.mse) == (True, INF)
 

@@ -14,7 +14,7 @@ from adaptrack.core.maths.random import counted_normal, counted_uniform
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.contract import PLANT_STATE, state_at
 from adaptrack.drive.closed_loop import ClosedLoop
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import World
 from adaptrack.road import Arc, Line, Road
 from adaptrack.scenario import RoadDrive, Scenario
@@ -38,9 +38,11 @@ class Readings:
     """Arrays of a drive by name: `MEASUREMENT`, the memory of the loop and the true yaw, yaw rate and speed."""
 
     def __init__(self, profile, drive=CRUISE, instants=80, seed=3):
-        world = World.of(PLANT, at.Stanley(PLANT.vehicle, period=PERIOD), profile, None, None, Failure(distance=1e3))
+        world = World.of(
+            PLANT, at.Stanley(PLANT.vehicle, period=PERIOD), profile, None, None, FailureLimits(distance=1e3)
+        )
         self.loop, rows = ClosedLoop(world, drive, seed), {}
-        memory, block = self.loop.run.memory.own, self.loop.run.vehicles.block
+        memory, block = self.loop.run.memory.drives, self.loop.run.vehicles.block
         for k in range(instants):
             sample = self.loop.sense()
             row = {f"measured_{name}": sample.measured[i] for i, name in enumerate(MEASUREMENT._fields)}

@@ -15,7 +15,7 @@ from adaptrack.control.qp import QPStatus
 from adaptrack.control.scheduling import Constant, Lookup, SchedulingVariables
 from adaptrack.core.maths.random import counted_normal
 from adaptrack.drive.batch import rollout_batch
-from adaptrack.drive.failure import Failure, Reason, find_failure
+from adaptrack.drive.failure import FailureLimits, Reason, find_failure
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.world import Driver
 from adaptrack.scenario import Knots, Scenario, load_scenario
@@ -143,7 +143,7 @@ def test_a_run_of_a_batch_depends_neither_on_the_others_nor_on_the_threads(plant
 def test_a_batch_measures_what_its_trajectories_show(drives, rng):
     tunings, indices, seeds = random_runs(rng, 6)
     plant, mpc = DualTrack(CAR), published_mpc(CAR, preview=True)
-    driven_on = {"profile": "road", "driver": Driver(), "failure": Failure(1000.0, math.inf)}
+    driven_on = {"profile": "road", "driver": Driver(), "failure": FailureLimits(1000.0, math.inf)}
     batch = rollout_batch(plant, mpc, drives, tunings, scenario_indices=indices, seeds=seeds, **driven_on)
     for i in range(6):
         Np, Nc, Q, R = tunings[i]
@@ -215,7 +215,7 @@ def test_the_mirrored_scenario_gives_the_mirrored_trajectory(plant, driver):
 # -- failed runs ------------------------------------------------------------------------------------------------------
 def test_a_failed_run_ends_with_not_a_number_and_says_so():
     leaving = straight_then(reference=ramp(0.0, 20.0, start=0.5, duration=1.0), duration=2.0)
-    rule = Failure(distance=2.0)
+    rule = FailureLimits(distance=2.0)
     run = simulate(SingleTrack(CAR), published_mpc(CAR, CALM), leaving, failure=rule)
     assert run.failed == Reason.OFF_ROAD
     first = round(run.failed_at / run.period)
@@ -262,7 +262,7 @@ FAILURES = {
     "spun": (lambda: driven_by(drifts), straight_then(duration=2.0), Reason.SPUN),
     "not finite": (lambda: driven_by(breaks), straight_then(duration=2.0), Reason.NOT_FINITE),
 }
-NO_RULE = Failure(distance=math.inf, sideslip=math.inf)
+NO_RULE = FailureLimits(distance=math.inf, sideslip=math.inf)
 
 
 @pytest.mark.parametrize("profile", ["paper", "road"])
@@ -296,9 +296,9 @@ def test_a_run_that_failed_is_judged_at_each_instant_and_not_after_the_last():
     def times(rule):
         return simulate(SingleTrack(CAR), published_mpc(CAR, CALM), LEAVING, failure=rule).failed_at
 
-    near, late = times(Failure(distance=2.0)), times(Failure(distance=5.0))
+    near, late = times(FailureLimits(distance=2.0)), times(FailureLimits(distance=5.0))
     assert 0.5 < near < late < 2.0
-    assert math.isnan(times(Failure(distance=50.0)))
+    assert math.isnan(times(FailureLimits(distance=50.0)))
 
 
 def scripted(*angles):
@@ -350,7 +350,7 @@ KNOWN = {
 
 def known_run(drive, conditions, **options):
     mpc = published_mpc(CAR, period=ROAD.period, preview=True, scheduler=by_friction_and_wind())
-    return drive(DualTrack(CAR), mpc, WINDY, profile="road", known_as=KNOWN[conditions], **options)
+    return drive(DualTrack(CAR), mpc, WINDY, profile="road", perception=KNOWN[conditions], **options)
 
 
 @pytest.mark.parametrize("conditions", KNOWN)
@@ -514,7 +514,7 @@ def test_the_default_steps_leave_less_than_a_millimetre(profile, plant, tyre):
         {"controller": published_mpc(CAR, scheduler=Constant(CALM))},
         {"controller": None},
         {"failure": 5.0},
-        {"known_as": FrictionWindEstimator(CAR, period=0.05)},
+        {"perception": FrictionWindEstimator(CAR, period=0.05)},
         {"seeds": [1, 2, 3]},
     ],
     ids=lambda arguments: next(iter(arguments)),

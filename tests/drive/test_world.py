@@ -9,7 +9,7 @@ import pytest
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import Scenario
 from adaptrack.scenario.profile import load_profile
@@ -25,7 +25,7 @@ STRAIGHT = Scenario(name="straight", duration=8.0, reference=0.0, speed=15.0, fr
 def drive(profile, command=0.0, scenario=STRAIGHT, seed=3):
     """The trajectory, and what the controller was told (n, 5): x_c and the speed."""
     controller = Scripted(lambda t: command)
-    run = simulate(PLANT, controller, scenario, profile=profile, seed=seed, failure=Failure(distance=1000.0))
+    run = simulate(PLANT, controller, scenario, profile=profile, seed=seed, failure=FailureLimits(distance=1000.0))
     return run, np.array(controller.samples)
 
 

@@ -137,7 +137,7 @@ def by_python(before, touch, after):
     batch = Batch(at.DualTrack(car), controller, [road_drive], profile)
     settings = batch.mpc_settings(np.inf, np.inf, residuals=True)
     run = batch.run_record(1, int(batch.substeps[0]), settings)
-    run.given.seeds[:], run.vehicles.start[:], run.tuning[:] = TOUCHED["seed"], batch.starts[0], batch.tuning
+    run.inputs.seeds[:], run.vehicles.start[:], run.tuning[:] = TOUCHED["seed"], batch.starts[0], batch.tuning
     run = run._replace(memory=run.memory._replace(sent=np.zeros((1, 40))))  # room for a longer dead time
     span, states = RunSpan(int(batch.periods[0]), 1, 0, 0.0), []
     rollout.begin(1, Resident(run))
@@ -184,7 +184,7 @@ def believing(run, batch):
 
 
 def icy(run, batch):
-    signals, station = run.given.signals[0], run.given.signals[0, SIGNAL.station]
+    signals, station = run.inputs.signals[0], run.inputs.signals[0, SIGNAL.station]
     for row in (*range(SIGNAL.friction_front_left, SIGNAL.friction_rear_right + 1), SIGNAL.known_friction):
         signals[row, (station >= 400.0) & (station <= 500.0)] = 0.4
     return run

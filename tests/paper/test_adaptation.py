@@ -337,7 +337,7 @@ def test_on_operating_points_the_reference_is_the_optimum_and_the_table_knows_th
 
     monkeypatch.setattr(evaluation, "compare", note)
     schedules = chain.schedules | {"mine": Constant(Tuning(30, 5, 1.0, 4000.0))}
-    comparisons = evaluate_on_operating_points(chain.task, schedules, 4, 7, known_as=("exact", "noisy"))
+    comparisons = evaluate_on_operating_points(chain.task, schedules, 4, 7, perception=("exact", "noisy"))
     exact, noisy = comparisons["exact"], comparisons["noisy"]
     assert set(exact.contenders) == {*EVALUATED, "mine", "optimum"}
     assert (exact.regret("optimum") == 1.0).all()

@@ -93,7 +93,7 @@ def test_swapped_arguments_are_named_with_what_they_must_be() -> None:
     assert "plan_speed: road = Vehicle(" in refusal(at.plan_speed, CAR, ROAD)
     assert refusal(at.plan_speed, CAR, ROAD).endswith(": must be a Road.")
     assert refusal(at.compute_metrics, ROAD).endswith("50 m>: must be a Trajectory.")
-    assert refusal(lambda: at.compute_metrics(run, failure=CAR)).endswith(": must be a Failure or None.")
+    assert refusal(lambda: at.compute_metrics(run, failure=CAR)).endswith(": must be a FailureLimits or None.")
     assert refusal(at.check_road, CAR, ROAD).endswith(": must be a Road.")
     assert refusal(at.Tracker, ROAD, at.MPC(CAR)).endswith(": must be a Controller; such as MPC(car).")
     assert refusal(at.DualTrack, ROAD).endswith(": must be a Vehicle; load_vehicle(name) gives one.")

@@ -97,7 +97,7 @@ def test_the_table_marks_the_best_without_hindsight_and_the_failed_runs(report):
 def test_the_record_has_a_row_for_each_contender_in_each_view():
     rows = view_rows(VIEWS)
     assert len(rows) == 2 * len(POINTS) + len(DRIVES) + 2
-    noisy = {row["contender"]: row for row in rows if row.get("known_as") == "noisy"}
+    noisy = {row["contender"]: row for row in rows if row.get("perception") == "noisy"}
     over = VIEWS["operating points"]["noisy"].ratio("nn", "best constant")
     assert noisy["nn"]["constant_geomean"] == over.mean
     assert noisy["optimum"]["regret_worst"] == 1.0

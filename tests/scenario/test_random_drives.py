@@ -13,7 +13,7 @@ import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.batch import rollout_batch
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.scenario import LaneChange, Scenario, Step, list_scenarios, load_scenario, random_drive
 from adaptrack.scenario.random_drives import MAX_BRAKING, MAX_LONGITUDINAL_SHARE, MAX_TRACTION
 
@@ -202,7 +202,7 @@ def test_one_good_tuning_keeps_to_most_drives() -> None:
     mpc = at.published_mpc(car, period=0.05, preview=True)
     result = rollout_batch(
         at.DualTrack(car), mpc, drives, tunings, scenario_indices=np.arange(len(drives)), profile="road",
-        failure=Failure(distance=5.0),
+        failure=FailureLimits(distance=5.0),
     )  # fmt: skip
     assert sum(reason is not None for reason in result.failed) <= 5
     assert np.median(result.max_abs_error) < 0.5

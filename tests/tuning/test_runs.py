@@ -18,7 +18,7 @@ from adaptrack.core import loop
 from adaptrack.core.controllers.mpc import MPC_ANSWER
 from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import load_scenario, random_drive
 from adaptrack.scenario.profile import load_profile
@@ -28,7 +28,7 @@ from adaptrack.tuning.runs import (
 )
 from small_runs import CAR, HASTY, START, controller, lane_changes, run_set
 
-DISTANCE = Failure().distance
+DISTANCE = FailureLimits().distance
 FAILED_COST = DISTANCE**2
 
 
@@ -92,7 +92,7 @@ def test_a_run_that_spins_has_failed_though_it_stays_on_the_road():
         np.array(values) for values in ([np.abs(p.vy / p.vx) for p in paths], [np.abs(p.error) for p in paths])
     )
     for periods, spinning in ((90, False), (100, True)):
-        spun = (sideways[:, : periods + 1] > math.tan(Failure().sideslip)).any(axis=1)
+        spun = (sideways[:, : periods + 1] > math.tan(FailureLimits().sideslip)).any(axis=1)
         left = (errors[:, : periods + 1] > DISTANCE).any(axis=1)
         assert (spun & ~left).any() == spinning
         shortened = run_set([swerve.with_duration(periods * load_profile("road").period)])
@@ -216,13 +216,13 @@ def tunings_of(batch, schedule, seed=0):
 )
 def test_a_batch_tells_its_scheduler_what_its_perception_says_and_the_car_feels_the_truth(perception):
     scenario = random_drive(3, 4.0)
-    batch = Batch(SingleTrack(CAR), controller(), [scenario], "road", known_as=perception)
+    batch = Batch(SingleTrack(CAR), controller(), [scenario], "road", perception=perception)
     signals = scenario.sample(load_profile("road").period)
     estimate = truth = signals.friction.mean(axis=1), signals.wind[:, 1]
     if perception is not None:
         estimate = perception.perceive(*truth, load_profile("road").period, 0)
         np.testing.assert_array_equal(
-            run_set([scenario], known_as=perception).variables[0, :, 2:4].T, np.stack(estimate)[:, :-1]
+            run_set([scenario], perception=perception).variables[0, :, 2:4].T, np.stack(estimate)[:, :-1]
         )
     tunings, _, _ = tunings_of(batch, by_friction())
     np.testing.assert_allclose(tunings[:, 3], 1e3 + 1e4 * np.clip(estimate[0][:-1], 0.0, 2.0), rtol=1e-12)
@@ -245,9 +245,9 @@ def test_an_estimator_tells_the_scheduler_of_a_batch_the_same_as_from_python(pla
 
     slow = simulate(
         plant(CAR), controller(scheduler=watched), scenario, profile="road", seed=5,
-        known_as=FrictionWindEstimator.of(plant(CAR)),
+        perception=FrictionWindEstimator.of(plant(CAR)),
     )  # fmt: skip
-    batch = Batch(plant(CAR), controller(), [scenario], "road", known_as=estimator)
+    batch = Batch(plant(CAR), controller(), [scenario], "road", perception=estimator)
     tunings, states, answers = tunings_of(batch, schedule, seed=5)
     estimates = np.array(estimates)
     np.testing.assert_allclose(tunings[:, 3], 1e3 + 1e4 * estimates[:, 0], rtol=1e-9)
@@ -314,7 +314,7 @@ class Curious(Proportional):
 
 def test_a_controller_in_python_knows_what_the_perception_says_in_every_run_as_compiled_ones_do():
     runs = run_set(
-        [scenario.with_duration(0.5) for scenario in lane_changes(3)], known_as=Perception(noise=0.1, seed=4)
+        [scenario.with_duration(0.5) for scenario in lane_changes(3)], perception=Perception(noise=0.1, seed=4)
     )
     watching = Curious()
     runs.drive(watching, [1])

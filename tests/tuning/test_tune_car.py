@@ -36,9 +36,9 @@ def test_what_is_kept_is_ready_to_drive_and_passes_its_certificate(tuned):
 @pytest.mark.compiled
 def test_the_default_is_kept_unless_it_is_beaten_for_sure(tuned):
     better = tuned.gain.high < 1.0
-    assert (tuned.tuning == tuned.sought) == (better or tuned.sought == tuned.default)
+    assert (tuned.tuning == tuned.candidate) == (better or tuned.candidate == tuned.default)
     assert tuned.default == MPC(at.load_vehicle("van"), profile="production").tuning
-    ratios = np.log(tuned.costs["sought"] / tuned.costs["default"])
+    ratios = np.log(tuned.costs["candidate"] / tuned.costs["default"])
     assert tuned.gain.mean == pytest.approx(math.exp(ratios.mean()))
 
 
@@ -46,7 +46,7 @@ def test_the_default_is_kept_unless_it_is_beaten_for_sure(tuned):
 def test_a_seed_gives_the_same_tuning_again(tuned):
     again = tune(at.load_vehicle("van"), "production", effort=SMALL, seed=3)
     assert again.tuning == tuned.tuning
-    assert (again.costs["sought"] == tuned.costs["sought"]).all()
+    assert (again.costs["candidate"] == tuned.costs["candidate"]).all()
     assert {"verdict", "tuning", "gain", "failed", "cost", "passed"} <= set(tuned.summary())
 
 
@@ -94,5 +94,5 @@ def test_nonsense_is_refused(call, error, words):
 
 def test_a_search_drives_what_no_judgement_does():
     for seed in range(3):
-        sought = range(FIRST_SEARCH_DRIVE + 1000 * seed, FIRST_SEARCH_DRIVE + 1000 * (seed + 1))
-        assert sought.stop <= FIRST_UNSEEN_DRIVE
+        candidate = range(FIRST_SEARCH_DRIVE + 1000 * seed, FIRST_SEARCH_DRIVE + 1000 * (seed + 1))
+        assert candidate.stop <= FIRST_UNSEEN_DRIVE

@@ -127,7 +127,7 @@ def checked(target: CheckedTarget) -> CheckedTarget:
 
 
 def check_parameters(instance: object) -> None:
-    """Check the attributes of an object by the annotations of the arguments of `__init__` with the same names.
+    """Check each attribute of an object against the annotation of the argument of `__init__` with the same name.
 
     scikit-learn requires that an estimator stores its arguments unchecked; `fit` calls this function.
     """
@@ -267,7 +267,7 @@ def reals(name: str, values: Any) -> Array:
         return array
     if array.dtype.kind not in "iuf":
         raise InvalidInput(f"{name} = {format_value(values)}: must be real numbers.")
-    with np.errstate(over="ignore"):  # wider than float64
+    with np.errstate(over="ignore"):  # the given type may hold larger numbers than float64
         row = array.astype(np.float64)
     if isinstance(values, np.ma.MaskedArray):
         row[np.ma.getmaskarray(values)] = np.nan
@@ -335,8 +335,8 @@ class _Class(NamedTuple):
 def _with_classes(annotation: Any) -> Any:
     """Return the annotation with an instance check for every class in it.
 
-    The annotation is returned unchanged in two cases: no part is a class of `_is_checked_class`, or some part cannot
-    be checked.
+    The annotation is returned unchanged in two cases: `_is_checked_class` holds for no part, or some part
+    cannot be checked.
     """
     parts = _parts(annotation)
     checks = [_class_check(part) for part in parts]

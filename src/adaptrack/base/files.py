@@ -333,7 +333,7 @@ def dump_toml(data: Mapping[str, Any], comments: Mapping[str, str] | None = None
 
 
 def _remarked(key: str, value: Any, remark: str) -> str:
-    """Return a TOML entry. A one-line value is followed by its remark; a list of numbers is put on one line for it."""
+    """Return a TOML entry. A remark follows a value of one line; lists of numbers are put on one line."""
     text, remark = tomli_w.dumps({key: value}).rstrip("\n"), " ".join(remark.split())
     if remark and isinstance(value, list) and not any(isinstance(element, str | list) for element in value):
         text = re.sub(r",\n\]$", "]", text).replace("[\n    ", "[").replace("\n    ", " ")
@@ -591,7 +591,7 @@ def _problem(detail: dict[str, Any], model_class: type[BaseModel], data: Mapping
 
 
 def _key_in_file(location: tuple[int | str, ...], data: Any) -> str:
-    """Return the key of a location in the file, without the parts by which pydantic marks the member of a union."""
+    """Return the key of a location in the file; parts that name no key of the file are left out."""
     key = ""
     for position, part in enumerate(location):
         inside = (isinstance(data, Mapping) and part in data) or (

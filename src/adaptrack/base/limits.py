@@ -33,7 +33,7 @@ class RequestLimit(NamedTuple):
         return f"at most {self.most:,}{self.unit and ' '}{self.unit} ({self.reason})"
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Check the bound after the annotated type: `Annotated[Finite, MAX_SPEED]`."""
+        """Check the type first and then the bound, as in `Annotated[Finite, MAX_SPEED]`."""
         from pydantic_core.core_schema import no_info_after_validator_function  # slow import that `--help` avoids
 
         def within(value: float) -> float:
@@ -65,15 +65,15 @@ CONTROL_HORIZON = RequestLimit(
 )
 LAGUERRE_TERMS = RequestLimit(200, "functions", CONTROL_HORIZON.reason)
 
-# -- a campaign -------------------------------------------------------------------------------------------------------
+# -- a campaign of the paper ------------------------------------------------------------------------------------------
 NOISE_SEEDS = RequestLimit(1000, "noise seeds", "the time is proportional to their number; 4 are usual")
-LANDSCAPE_COSTS = RequestLimit(500_000_000, "costs (operating points x tunings of the library)", "2 GB")
+LANDSCAPE_COSTS = RequestLimit(500_000_000, "costs of all tunings at all operating points", "2 GB")
 WORKERS = RequestLimit(1024, "threads", "more than the cores of any machine")
 
 # -- a comparison -----------------------------------------------------------------------------------------------------
 DRIVES = RequestLimit(10_000, "random drives", "1.3 GB; more drives would repeat those of the next seed")
 OPERATING_POINTS = RequestLimit(100_000, "operating points", "1.7 GB, and a search of 0.5 s on one core for each")
-MAX_SEED = RequestLimit(10_000, "", "the seed is part of the number of each random drive")
+MAX_SEED = RequestLimit(10_000, "", "the number of a random drive is computed from the seed")
 
 
 def check_limit(quantity: str, value: float, limit: RequestLimit) -> None:

@@ -28,7 +28,7 @@ _R = TypeVar("_R")
 
 
 def reports_progress(label: str) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
-    """Decorate a function with an argument `progress` so that a call without this argument reports its progress.
+    """Decorator for functions with an argument `progress`: a call without this argument reports on the terminal.
 
     The function must call `progress` with (stage, steps done, steps in all) or (steps done, steps in all). Inside
     another computation that shows its progress, the function reports nothing.
@@ -109,18 +109,18 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
-_visible_work: list[TrackedWork] = []
+_running_work: list[TrackedWork] = []
 """Nested computations that are running, outermost first. Only the first one reports its progress."""
 
 
 @contextmanager
 def registered_work(work: TrackedWork) -> Iterator[bool]:
     """Register a running computation; yields whether it is the outermost one and must report its progress."""
-    _visible_work.append(work)
+    _running_work.append(work)
     try:
-        yield _visible_work[0] is work
+        yield _running_work[0] is work
     finally:
-        _visible_work.remove(work)
+        _running_work.remove(work)
 
 
 @contextmanager

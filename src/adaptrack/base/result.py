@@ -59,7 +59,7 @@ class ResultTable:
 def select_entries(
     rows: Sequence[Row], columns: Iterable[str], condition: Callable[..., Any]
 ) -> frozenset[tuple[int, str]]:
-    """Return (row index, column name) for every row that fulfils a condition and each of some columns.
+    """Return all pairs (row index, column name) of the given columns and the rows that fulfil a condition.
 
     The result serves as `ResultTable.best` or `ResultTable.alert`.
     """

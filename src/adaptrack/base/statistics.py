@@ -127,7 +127,7 @@ class Interval(NamedTuple):
 
 
 def block_rms(squared: ArrayLike, block: ArrayLike) -> list[tuple[Interval, Ratio]]:
-    """Return the RMS error of each contender, and the ratio of the first contender's RMS error to it.
+    """Return the RMS error of each contender, and the first contender's RMS error divided by it.
 
     Errors at neighbouring instants are correlated, so each resample draws whole blocks of instants. The blocks do not
     overlap, unlike those of H. R. Künsch, "The jackknife and the bootstrap for general stationary observations", Annals
@@ -143,8 +143,8 @@ def block_rms(squared: ArrayLike, block: ArrayLike) -> list[tuple[Interval, Rati
     Returns
     -------
     list of (Interval, Ratio)
-        For each contender the RMS error, and RMS error of the first contender / RMS error of this contender. The ratio
-        is 1 in all resamples if the mean square of this contender is 0 in any of them.
+        For each contender the RMS error, and the RMS error of the first contender divided by it. If a contender has no
+        error at all in one of the resamples, its ratio is defined as 1.
     """
     values, block_index = np.atleast_2d(np.asarray(squared, dtype=float)), np.unique(block, return_inverse=True)[1]
     count = _resampled_sums(np.bincount(block_index).astype(float))

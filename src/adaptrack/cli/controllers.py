@@ -124,10 +124,10 @@ def make_controller(name: str, settings: ControllerSettings) -> tuple[str, Contr
     moves = {STANDARD_NAME: chosen, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, chosen.terms)}
     registered = [other for other in list_controllers() if other not in moves]
     if name in registered:
-        offered = {key: getattr(settings, key) for key in ("period", "preview", "computation")}
+        optional = {key: getattr(settings, key) for key in ("period", "preview", "computation")}
         arguments = _informed_arguments(settings, chosen) if name == INFORMED_NAME else _no_schedule(name, settings)
         label = settings.label if settings.schedule is not None else name
-        return label, get_controller(name, settings.car, profile=settings.profile, offered=offered, **arguments)
+        return label, get_controller(name, settings.car, profile=settings.profile, optional=optional, **arguments)
     if name not in moves:
         raise UnknownName(f"no controller is named {name!r}. {did_you_mean(name, [*moves, *registered])}")
     tuning = settings.tuned(Tuning())

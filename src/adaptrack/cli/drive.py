@@ -172,7 +172,7 @@ def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: float | 
     from adaptrack.results import Run
 
     places, out = loop.places, settings.out
-    known_as = None if friction is None else Perception(friction=friction)
+    perception = None if friction is None else Perception(friction=friction)
     driver = _make_driver(settings, loop, friction)
     pairs = [(drive, *labelled) for drive in places.drives for labelled in loop.drivers]
     files = safe_names(f"{drive.name}-{label}" for drive, label, _ in pairs)
@@ -181,7 +181,7 @@ def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: float | 
         for i, (file, (drive, label, controller)) in enumerate(zip(files, pairs, strict=True), 1):
             paths = None if out is None or places.road is None else PredictedPaths()
             run = simulate(
-                loop.plant, controller, drive, profile=places.profile, driver=driver, known_as=known_as,
+                loop.plant, controller, drive, profile=places.profile, driver=driver, perception=perception,
                 seed=settings.seed, predicted=paths, progress=partial(advance, f"{drive.name}, {label}"),
             )  # fmt: skip
             if out is not None:

@@ -53,10 +53,10 @@ class EvaluateOptions:
         str, Option("--campaign", metavar="NAME", hidden=True, help="Campaign of the schedules: name or .toml file.")
     ] = "road-sobol"
     profile: options.OtherProfile = None
-    known_as: Annotated[
+    perception: Annotated[
         list[str] | None,
         Option(
-            "--known-as", metavar="WAY", hidden=True,
+            "--perception", metavar="WAY", hidden=True,
             help="Friction and wind that schedules get, besides exact: noisy, lagged, estimated, withheld, ...",
         ),
     ] = None  # fmt: skip
@@ -78,13 +78,13 @@ def evaluate(arguments: EvaluateOptions) -> None:
     from adaptrack.paper.learning_task import LearningTask
     from adaptrack.results.evaluation import evaluation_result
     from adaptrack.results.page import write_result
-    from adaptrack.tuning.runs import perception
+    from adaptrack.tuning.runs import make_perception
 
     task = LearningTask.of(load_campaign(arguments.campaign).with_profile(arguments.profile))
     schedules = shipped_schedules() if arguments.folder is None else read_schedules(arguments.folder)
     schedules = check_schedules(task, schedules, arguments.scheduler or [])
-    for way in arguments.known_as or []:
-        perception(way, task.estimated, task.profile)  # raises InvalidInput for unknown names
+    for way in arguments.perception or []:
+        make_perception(way, task.estimated, task.profile)  # raises InvalidInput for unknown names
     if arguments.out is not None:
         options.make_folder(arguments.out)
     with show.progress("evaluate") as advance:
@@ -106,8 +106,8 @@ def _views(arguments: EvaluateOptions, task: LearningTask, schedules: dict[str, 
     points, drives, seed = arguments.operating_points, arguments.drives, arguments.seed
     if points is None and drives is None and not arguments.tests:
         points = DEFAULT_POINTS
-    ways = tuple(dict.fromkeys(["exact", *(arguments.known_as or [])]))
-    settings: dict[str, Any] = {"known_as": ways, "progress": progress}
+    ways = tuple(dict.fromkeys(["exact", *(arguments.perception or [])]))
+    settings: dict[str, Any] = {"perception": ways, "progress": progress}
     return {
         "operating points": evaluate_on_operating_points(task, schedules, points, seed, **settings) if points else {},
         "drives": evaluate_on_drives(task, schedules, drives, seed, **settings) if drives else {},

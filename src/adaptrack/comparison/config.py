@@ -199,8 +199,8 @@ class ControllerSetting:
         InvalidInput
             When the controller belongs to a different car or profile.
         """
-        offered = {"period": self.profile.period, "preview": True}
-        return get_controller(name, self.car, profile=self.profile, offered=offered)
+        optional = {"period": self.profile.period, "preview": True}
+        return get_controller(name, self.car, profile=self.profile, optional=optional)
 
 
 def load_setting(car: str, profile: str) -> ControllerSetting:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.base.statistics import Ratio, geometric_mean, ratio, regret_percentiles
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ class Comparison:
     """Coordinates of the roads, (roads, k): operating points, or the numbers of the drives."""
     over: tuple[str, ...] = ("road",)
     """Axes that the bootstrap resamples. A measure is first averaged over the other axes."""
-    failure: Failure = field(default_factory=Failure)
+    failure: FailureLimits = field(default_factory=FailureLimits)
     """Rule by which a run fails."""
     _tables: dict[tuple[str, str], Array] = field(default_factory=dict, init=False, repr=False)
     _ratios: dict[tuple[str, str, str], Ratio] = field(default_factory=dict, init=False, repr=False)
@@ -99,7 +99,7 @@ class Comparison:
         cls, runs: Mapping[str, Mapping[str, ArrayLike]], reference: str, *, car: str = "",
         roads: Sequence[str] | None = None, seeds: Sequence[int] | None = None, where: ArrayLike | None = None,
         roles: Mapping[str, ContenderRole] | None = None, overall: Mapping[str, Mapping[str, float]] | None = None,
-        over: tuple[str, ...] = ("road",), failure: Failure | None = None,
+        over: tuple[str, ...] = ("road",), failure: FailureLimits | None = None,
     ) -> Comparison:  # fmt: skip
         """Return a comparison on one car.
 
@@ -128,7 +128,7 @@ class Comparison:
             tuple(runs), (car,), tuple(map(str, range(n) if roads is None else roads)),
             tuple(range(m) if seeds is None else map(int, seeds)), cells, reference, roles or {}, overall or {},
             np.arange(n, dtype=float)[:, None] if where is None else np.asarray(where, dtype=float), over,
-            failure or Failure(),
+            failure or FailureLimits(),
         )  # fmt: skip
 
     @classmethod

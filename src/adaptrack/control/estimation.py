@@ -26,7 +26,7 @@ from adaptrack.control.models import PredictionModel
 from adaptrack.core.estimators import friction_wind
 from adaptrack.core.estimators.contract import compile_estimator
 from adaptrack.core.member import MemberFunction
-from adaptrack.core.period import Perceiving
+from adaptrack.core.period import VariableEstimator
 from adaptrack.core.synthesis.plant import lateral_rate
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -339,8 +339,8 @@ class FrictionWindEstimator:
         return self._packed.copy()
 
     def packed_for(self, slots: int) -> Any:
-        """So many fresh estimators like this one, as `core.period.Perceiving`."""
-        return Perceiving(self._packed, self._settings, friction_wind.Memory.new(slots))
+        """So many fresh estimators like this one, as `core.period.VariableEstimator`."""
+        return VariableEstimator(self._packed, self._settings, friction_wind.Memory.new(slots))
 
     def reset(self, memory: Array | None = None) -> None:
         """Forget the past: the next step is the first, with the wheels straight ahead.

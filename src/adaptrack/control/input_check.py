@@ -146,9 +146,9 @@ class InputCheck:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Results of all comparisons."""
-        own, names = self._memory, ("", *MISTAKES._fields)
+        memory, names = self._memory, ("", *MISTAKES._fields)
         return tuple(
-            Finding(words, float(own.seconds[i]), names[own.label[i]])
+            Finding(words, float(memory.seconds[i]), names[memory.label[i]])
             for name, words in NAMES.items()
             if (i := COMPARED._fields.index(name)) >= 0 and (self.vehicle or name not in NEED_A_CAR)
         )

@@ -33,7 +33,7 @@ EPISODE_RUNS, EPISODE_FAILED, EPISODE_ARRIVED = range(3)
 Episodes = record(
     "Episodes",
     (
-        ("run", RunRecord), ("own", rows(EPISODE)), ("measured", matrix), ("space", ObservationSpace),
+        ("run", RunRecord), ("states", rows(EPISODE)), ("measured", matrix), ("space", ObservationSpace),
         ("observations", matrix), ("move_weight", float64), ("failure_cost", float64),
     ),
 )  # fmt: skip
@@ -45,14 +45,14 @@ cost of a step (m^2/rad^2), and what each instant costs that a failed run does n
 @inlined
 def _span_of(slot, episodes):
     """Return the span of a slot's drive."""
-    return RunSpan(episodes.own[slot].last, 1, 0, 0.0)
+    return RunSpan(episodes.states[slot].last, 1, 0, 0.0)
 
 
 @inlined
 def _arrive(slot, episodes):
     """Judge the run of a slot at its present instant and take in what sensors give; one that is over is parked."""
-    episode, run = episodes.own[slot], episodes.run
-    memory = run.memory.own[slot]
+    episode, run = episodes.states[slot], episodes.run
+    memory = run.memory.drives[slot]
     before_control(slot, _span_of(slot, episodes), run)
     if memory.ended != STATE_NOT_FINITE:
         for j in range(len(MEASUREMENT)):
@@ -68,17 +68,17 @@ def _arrive(slot, episodes):
 @exported(void(Place(Episodes)))
 def arrive(episodes):
     """Sense, for all slots of an `Episodes` that have come to another instant."""
-    for slot in range(episodes.own.size):
-        if episodes.own[slot].due > 0:
-            episodes.own[slot].due = 0
+    for slot in range(episodes.states.size):
+        if episodes.states[slot].due > 0:
+            episodes.states[slot].due = 0
             _arrive(slot, episodes)
 
 
 @inlined
 def depart(slot, command, episodes):
     """Count what the present instant costs with a command (rad), and send it."""
-    episode, run = episodes.own[slot], episodes.run
-    memory = run.memory.own[slot]
+    episode, run = episodes.states[slot], episodes.run
+    memory = run.memory.drives[slot]
     change = command - memory.command
     episode.cost += memory.error * memory.error + episodes.move_weight * change * change
     after_control(slot, command, change, _span_of(slot, episodes), run)
@@ -88,10 +88,10 @@ def depart(slot, command, episodes):
 @inlined
 def move_on(episodes):
     """Move all vehicles on by a period; those whose run is over stay where they are parked."""
-    vehicles, slots = episodes.run.vehicles, episodes.own.size
+    vehicles, slots = episodes.run.vehicles, episodes.states.size
     move(slots, episodes.run)
     for slot in range(slots):
-        if episodes.own[slot].over != EPISODE_RUNS:
+        if episodes.states[slot].over != EPISODE_RUNS:
             place_one(slot, vehicles.start, vehicles.block, vehicles.states)
 
 
@@ -99,8 +99,8 @@ def move_on(episodes):
 def renew(episodes):
     """Put the slots of an `Episodes` that are marked as renewed before the first instant of their scenarios."""
     run = episodes.run
-    for slot in range(episodes.own.size):
-        episode = episodes.own[slot]
+    for slot in range(episodes.states.size):
+        episode = episodes.states[slot]
         if episode.renewed == 0:
             continue
         episode.over, episode.renewed, episode.due, episode.cost, episode.total = EPISODE_RUNS, 0, 1, 0.0, 0.0

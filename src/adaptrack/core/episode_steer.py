@@ -10,14 +10,14 @@ from .observation import write_observation
 @exported(void(Place(Episodes)))
 def write_observations(episodes):
     """Write the observation of each slot (`observation.OBSERVATION`)."""
-    for slot in range(episodes.own.size):
+    for slot in range(episodes.states.size):
         write_observation(slot, episodes.measured[slot], episodes.run, episodes.space, episodes.observations[slot])
 
 
 @exported(void(vector, Place(Episodes)))
 def steer(commands, episodes):
     """Drive a period with the commands (slots,) rad, those whose episode is over excepted."""
-    for slot in range(episodes.own.size):
-        if episodes.own[slot].over == EPISODE_RUNS:
+    for slot in range(episodes.states.size):
+        if episodes.states[slot].over == EPISODE_RUNS:
             depart(slot, commands[slot], episodes)
     move_on(episodes)

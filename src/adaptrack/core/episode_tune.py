@@ -16,7 +16,7 @@ from .variables import VARIABLE_COLUMNS
 def write_variables(episodes):
     """Write the scheduling variables of each slot, and behind them what its MPC has learned."""
     run = episodes.run
-    for slot in range(episodes.own.size):
+    for slot in range(episodes.states.size):
         row = episodes.observations[slot]
         look(slot, episodes.measured[slot], run)
         for j in range(len(VARIABLE_COLUMNS)):
@@ -31,8 +31,8 @@ def write_variables(episodes):
 def control(episodes):
     """Drive a period with the tunings of the batch, those whose episode is over excepted."""
     run = episodes.run
-    for slot in range(episodes.own.size):
-        if episodes.own[slot].over == EPISODE_RUNS:
+    for slot in range(episodes.states.size):
+        if episodes.states[slot].over == EPISODE_RUNS:
             for j in range(len(MEASUREMENT)):
                 run.measured[j] = episodes.measured[slot, j]
             (answer,) = control_slot(slot, run)

@@ -13,7 +13,7 @@ from .kernel import Place, columns, exported, inlined, int64, matrix
 from .loop import SIGNAL
 from .maths.bits import whole
 from .maths.trigonometric import cos, sin
-from .period import NOTED, RunSpan, move, note
+from .period import TRACE_SIGNALS, RunSpan, move, write_trace_signals
 from .planning.drive import instant
 from .plants.contract import PLANT_INPUT, PLANT_STATE, input_at, state_at
 from .road import line_of, points_ahead
@@ -21,7 +21,7 @@ from .rollout import COMMON_ANSWER, RunRecord, close_all, control_all
 
 _DRIVEN = PLANT_STATE._fields[: PLANT_STATE.yaw_rate + 1]
 FRAME = columns(
-    *NOTED._fields,
+    *TRACE_SIGNALS._fields,
     *_DRIVEN,
     "time",  # s
     "command",  # rad
@@ -33,8 +33,8 @@ FRAME = columns(
     "wind",  # m/s, across the car, positive to the left
     "guard",  # steps in which the guard of a schedule has limited its tuning, made it give way or replaced it, so far
 )
-"""Of an instant, its command known, the car not yet moved: `period.NOTED` and the first entries of `plants.STATE`, then
-these. Behind them is the controller's answer but for its command, and of control laws the tuning."""
+"""Of an instant, its command known, the car not yet moved: `period.TRACE_SIGNALS`, the first entries of
+`plants.STATE`, then these. Behind them is the controller's answer but for its command, and of control laws the tuning."""
 
 
 @inlined
@@ -49,9 +49,9 @@ def _guarded(slot, run):
 @inlined
 def _write_numbers(k, slot, run, answer, row):
     """A frame; k: the instant."""
-    drive, block, signals = run.memory.own[slot], run.vehicles.block, run.given.signals
-    scenario, sample = run.given.scenario[slot], drive.sample - 1
-    note(slot, run, row[: len(NOTED)])
+    drive, block, signals = run.memory.drives[slot], run.vehicles.block, run.inputs.signals
+    scenario, sample = run.inputs.scenario[slot], drive.sample - 1
+    write_trace_signals(slot, run, row[: len(TRACE_SIGNALS)])
     for j in range(PLANT_STATE.yaw_rate + 1):
         row[FRAME.x + j] = block[state_at(j, slot)]
     row[FRAME.time], row[FRAME.command] = instant(k, run.settings.period), answer[COMMON_ANSWER.command]
@@ -80,7 +80,7 @@ def _write_numbers(k, slot, run, answer, row):
 @inlined
 def _write_path(k, slot, run, points):
     """The predicted path: x and y (m) in turn; on a curved road by the offsets from it that are predicted."""
-    drive, inputs, model = run.memory.own[slot], run.given, run.mpc
+    drive, inputs, model = run.memory.drives[slot], run.inputs, run.mpc
     scenario = inputs.scenario[slot]
     horizon, most = whole(model.answer[slot, mpc.MPC_ANSWER.Np]), points.size // 2
     offsets = points[most : most + horizon]
@@ -122,7 +122,7 @@ def drive_and_show(count, span, run, numbers, predicted, moves):
     """
     periods = 0
     while periods < count and control_all(span, run) > 0:
-        k = run.memory.own[0].instant - 1
+        k = run.memory.drives[0].instant - 1
         answer = run.law.answer[0] if run.features.law else run.mpc.answer[0]
         _write_numbers(k, 0, run, answer, numbers[periods])
         _write_plan(k, 0, run, predicted[periods], moves[periods])

@@ -39,7 +39,7 @@ def arrays_of(kind: Any) -> int:
     return sum(1 if isinstance(k, Array) else 0 if isinstance(k, Scalar) else arrays_of(k) for k in kinds)
 
 
-def room(kind: Any, sizes: Any, *counts: Any) -> Any:
+def allocate(kind: Any, sizes: Any, *counts: Any) -> Any:
     """A record whose numbers and arrays are zero; sizes: what writes its rows, ``sizes(*counts, table, row)``."""
     table = np.zeros((arrays_of(kind), SIZES), np.int64)
     if sizes(*counts, table, 0) != len(table):

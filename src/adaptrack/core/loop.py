@@ -96,7 +96,7 @@ LOOP_MEMORY = record(
 )  # fmt: skip
 """What the loop remembers of each slot: its scalars."""
 
-Memory = record("Memory", (("own", rows(LOOP_MEMORY)), ("sent", matrix), ("past", cube), ("requested", matrix)))
+Memory = record("Memory", (("drives", rows(LOOP_MEMORY)), ("sent", matrix), ("past", cube), ("requested", matrix)))
 """What the loop remembers of each slot (slots,): its scalars; commands, the latest first (slots, whole periods of dead
 time + 2); what there was to measure at the last instants, the latest first (slots, instants, PAST_SIGNAL), empty where
 all sensors are prompt; forces (N) that were requested of the drive and, behind them, of the brakes, the latest first
@@ -133,9 +133,9 @@ most."""
 @inlined
 def locate(slot, run):
     """Find the car on its road: offset and heading error against the path, the foot and the place in the plan."""
-    drive, block = run.memory.own[slot], run.vehicles.block
-    signals, scenario = run.given.signals, run.given.scenario[slot]
-    road = run.given.roads.of[scenario]
+    drive, block = run.memory.drives[slot], run.vehicles.block
+    signals, scenario = run.inputs.signals, run.inputs.scenario[slot]
+    road = run.inputs.roads.of[scenario]
     x, y, yaw = (
         block[state_at(PLANT_STATE.x, slot)],
         block[state_at(PLANT_STATE.y, slot)],
@@ -147,7 +147,7 @@ def locate(slot, run):
     near = signals[scenario, SIGNAL.station, 0]
     if drive.located > 0:
         near = drive.station + block[state_at(PLANT_STATE.vx, slot)] * run.settings.period
-    station, offset, heading, drive.curvature = foot_near(x, y, near, line_of(road, run.given.roads))
+    station, offset, heading, drive.curvature = foot_near(x, y, near, line_of(road, run.inputs.roads))
     drive.turned = heading - drive.heading if drive.located > 0 else 0.0
     drive.station, drive.offset, drive.heading, drive.located = station, offset, heading, 1
     turns = (yaw - heading) / (2.0 * math.pi)
@@ -166,7 +166,7 @@ def locate(slot, run):
 def is_prescribed(slot, run):
     """Whether a car follows its planned speed exactly, without forces along the road."""
     kind = run.settings.prescribed_speed
-    return kind == PRESCRIBED or (kind == PRESCRIBED_WITHOUT_ROAD and run.memory.own[slot].located == 0)
+    return kind == PRESCRIBED or (kind == PRESCRIBED_WITHOUT_ROAD and run.memory.drives[slot].located == 0)
 
 
 @inlined
@@ -178,7 +178,7 @@ def _is_stop(place, drive, signals):
 @inlined
 def plan_instant(slot, run):
     """Instant of the plan that counts for a car: that of its place if a driver follows a road, else the present."""
-    drive = run.memory.own[slot]
+    drive = run.memory.drives[slot]
     return drive.place if drive.located > 0 and not is_prescribed(slot, run) else drive.instant
 
 
@@ -190,7 +190,7 @@ def judge(slot, run):
     Not finite: a state. Spun: a sideslip angle |atan2(v_y, v_x)| beyond the limit at 1 m/s or more. Off the road:
     the error against the reference beyond the distance, once the vehicle has arrived within it.
     """
-    drive, block, world = run.memory.own[slot], run.vehicles.block, run.settings
+    drive, block, world = run.memory.drives[slot], run.vehicles.block, run.settings
     within = abs(drive.error) <= world.failure_distance
     if within:
         drive.arrived = 1
@@ -309,8 +309,8 @@ def _estimate_station(slot, station, age, run):
     If the position is missing, the estimate moves on with the speed. The measured heading error is relative to the
     road at the estimated position at the time of the pose, as in `tracker`.
     """
-    drive, world, measured = run.memory.own[slot], run.settings, run.measured
-    k, seed = drive.instant, run.given.seeds[slot]
+    drive, world, measured = run.memory.drives[slot], run.settings, run.measured
+    k, seed = drive.instant, run.inputs.seeds[slot]
     if k == 0 or math.isfinite(measured[MEASUREMENT.y]):
         estimate = _noisy(station, world.noise_station, k, _STATION, seed) + age * drive.speed
     else:
@@ -319,7 +319,7 @@ def _estimate_station(slot, station, age, run):
     drive.station_estimate = estimate
     drive.pose_station = estimate - measured[MEASUREMENT.pose_age] * drive.speed
     if drive.located > 0:
-        line = line_of(run.given.roads.of[run.given.scenario[slot]], run.given.roads)
+        line = line_of(run.inputs.roads.of[run.inputs.scenario[slot]], run.inputs.roads)
         _, _, true_heading, _ = point_at(true_station, line)
         _, _, pose_heading, _ = point_at(drive.pose_station, line)
         _, _, heading, _ = point_at(estimate, line)
@@ -331,8 +331,8 @@ def _estimate_station(slot, station, age, run):
 @inlined
 def sense(slot, run):
     """Write what the sensors of a slot's vehicle give: `models.contract.MEASUREMENT`, its speed and its station."""
-    drive, block, world, measured = run.memory.own[slot], run.vehicles.block, run.settings, run.measured
-    k, seed = drive.instant, run.given.seeds[slot]
+    drive, block, world, measured = run.memory.drives[slot], run.vehicles.block, run.settings, run.measured
+    k, seed = drive.instant, run.inputs.seeds[slot]
     if world.noise_lateral_acceleration < math.inf:
         observed = _observed()
         observe(slot, run.vehicles, observed)
@@ -376,9 +376,9 @@ def sense(slot, run):
 def look(slot, measured, run):
     """Write the scheduling variables (`VARIABLE_COLUMNS`) of a slot; measured: see `sense`."""
     drive, signals, scenario, variables = (
-        run.memory.own[slot],
-        run.given.signals,
-        run.given.scenario[slot],
+        run.memory.drives[slot],
+        run.inputs.signals,
+        run.inputs.scenario[slot],
         run.variables,
     )
     k = drive.sample
@@ -441,7 +441,7 @@ def _guarded_limits(friction, slot, run):
     Each axle carries its part of the lateral acceleration that the car has, or that the bend asks of it, whichever is
     larger.
     """
-    world, drive, block = run.settings, run.memory.own[slot], run.vehicles.block
+    world, drive, block = run.settings, run.memory.drives[slot], run.vehicles.block
     if not world.guard < math.inf:
         return math.inf, math.inf
     vx, r = block[state_at(PLANT_STATE.vx, slot)], block[state_at(PLANT_STATE.yaw_rate, slot)]
@@ -462,7 +462,7 @@ def _drive(slot, run):
     car waits as long as planned. Limited by engine power, traction, brakes and the guard, the integral standing still
     while a limit holds.
     """
-    drive, world, signals = run.memory.own[slot], run.settings, run.given.signals[run.given.scenario[slot]]
+    drive, world, signals = run.memory.drives[slot], run.settings, run.inputs.signals[run.inputs.scenario[slot]]
     speed, speeds = run.vehicles.block[state_at(PLANT_STATE.vx, slot)], signals[SIGNAL.speed]
     instant = float(drive.sample)
     if drive.located > 0:
@@ -494,7 +494,7 @@ def _move_pedals(request, hold, slot, run):
 
     hold: N, of the brakes besides the force.
     """
-    drive, world, requests = run.memory.own[slot], run.settings, run.memory.requested[slot]
+    drive, world, requests = run.memory.drives[slot], run.settings, run.memory.requested[slot]
     speed = run.vehicles.block[state_at(PLANT_STATE.vx, slot)]
     remembered = requests.size // 2
     for j in range(requests.size - 1, 0, -1):
@@ -536,8 +536,8 @@ def actuate(slot, command, run):
 
     command: the controller's new one (rad); with a dead time, one before acts.
     """
-    drive, block, world = run.memory.own[slot], run.vehicles.block, run.settings
-    signals, scenario, k = run.given.signals, run.given.scenario[slot], drive.sample
+    drive, block, world = run.memory.drives[slot], run.vehicles.block, run.settings
+    signals, scenario, k = run.inputs.signals, run.inputs.scenario[slot], drive.sample
     vx = block[state_at(PLANT_STATE.vx, slot)]
     place = drive.place if drive.located > 0 else k
     for j in range(ENVIRONMENT):
@@ -602,7 +602,7 @@ def instants_back(oldest, period):
 @inlined
 def forget(slot, memory):
     """Back to before the first instant."""
-    drive = memory.own[slot]
+    drive = memory.drives[slot]
     drive.instant, drive.sample, drive.arrived, drive.ended = 0, 0, 0, RUNNING
     drive.command, drive.integral, drive.ended_at = 0.0, 0.0, 0.0
     drive.station, drive.turned, drive.located, drive.place, drive.blind_until, drive.speed = 0.0, 0.0, 0, 0, 0.0, 0.0

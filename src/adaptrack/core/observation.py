@@ -47,8 +47,8 @@ def write_observation(slot, measured, run, space, row):
 
     The row holds the observation of the instant before, zeros at the first one.
     """
-    drive, scenario, period = run.memory.own[slot], run.given.scenario[slot], run.settings.period
-    references, road = run.given.signals[scenario, SIGNAL.y_ref], run.given.roads.of[scenario]
+    drive, scenario, period = run.memory.drives[slot], run.inputs.scenario[slot], run.settings.period
+    references, road = run.inputs.signals[scenario, SIGNAL.y_ref], run.inputs.roads.of[scenario]
     k, last = drive.instant, references.size - 1
     y_ref = references[k]
     posed = math.isfinite(measured[MEASUREMENT.y]) and math.isfinite(measured[MEASUREMENT.yaw])
@@ -67,7 +67,7 @@ def write_observation(slot, measured, run, space, row):
         row[len(OBSERVATION) + j] = reference + (instant - floor(instant)) * (following - reference) - y_ref
         curvature = 0.0
         if road >= 0:
-            _, _, _, curvature = point_at(drive.station_estimate + space.distances[j], line_of(road, run.given.roads))
+            _, _, _, curvature = point_at(drive.station_estimate + space.distances[j], line_of(road, run.inputs.roads))
         keep(curvature, row, len(OBSERVATION) + count + j)
     bounded(row, space)
 

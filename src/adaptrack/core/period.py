@@ -30,7 +30,7 @@ from .kernel import (
     vector,
     void,
 )
-from .layout import put, room
+from .layout import allocate, put
 from .loop import (
     NEVER_ARRIVED,
     RUNNING,
@@ -93,34 +93,37 @@ RESULT = record(
 )
 """What is measured of each run."""
 
-Given = record("Given", (("signals", cube), ("roads", Roads), ("scenario", int_vector), ("seeds", int_vector)))
-"""What happens: signals (scenarios, SIGNAL, instants) and roads of the scenarios; which of them a slot drives, and its
-noise seed (slots,)."""
+RunInputs = record("RunInputs", (("signals", cube), ("roads", Roads), ("scenario", int_vector), ("seeds", int_vector)))
+"""Inputs of runs: signals (scenarios, SIGNAL, instants) and roads of the scenarios; the scenario and the noise seed of
+each slot (slots,)."""
 
-Perceiving = record(
-    "Perceiving", (("parameters", vector), ("settings", vector), ("memory", rows(friction_wind.Memory)))
+VariableEstimator = record(
+    "VariableEstimator", (("parameters", vector), ("settings", vector), ("memory", rows(friction_wind.Memory)))
 )
 """An estimator of friction and wind for the scheduler (see `estimators.friction_wind`): the vehicle that it believes
 in, its settings, its memory (slots,)."""
 
-NOTED = columns("lateral_acceleration", "wheel_angle", "station", "offset", "heading_error")
+TRACE_SIGNALS = columns("lateral_acceleration", "wheel_angle", "station", "offset", "heading_error")
 """Of an instant: `plants.contract.OBSERVED` under the new input (m/s^2, rad), then where the car is on its road (m, m,
 rad)."""
-Trace = record("Trace", (("state", cube), ("answer", cube), ("noted", cube)))
+Trace = record("Trace", (("state", cube), ("answer", cube), ("signals", cube)))
 """Of every instant: state (slots, periods, STATES), the controller's answer with the tuning as used (slots, periods,
-.), NOTED (slots, periods, NOTED)."""
+.), TRACE_SIGNALS (slots, periods, TRACE_SIGNALS)."""
 
 RUN_LOOP = (
     ("settings", LoopSettings),
     ("features", Features),
     ("vehicles", Vehicles),
-    ("given", Given),
-    ("perceiving", Perceiving),
+    ("inputs", RunInputs),
+    ("variable_estimator", VariableEstimator),
     ("measured", vector),  # (MEASURED,)
     ("variables", vector),  # (variables.VARIABLES,)
     ("memory", Memory),
     ("result", rows(RESULT)),  # (slots,)
-    ("ceiling", vector),  # (slots,) sum of squared error plus weight times squared move at which a run stops; NaN: none
+    (
+        "cost_limit",
+        vector,
+    ),  # (slots,) squared error plus weight times squared move that stop a run; NaN: none
     ("segments", matrix),  # (slots, .) cost of each segment of a run
     ("trace", Trace),
 )
@@ -136,16 +139,17 @@ LoopCounts = record(
     "LoopCounts",
     (
         "slots", "parameters", "states",  # of the plant
-        "scenarios", "samples", "roads", "starts", "pieces", "headings",  # of `Given`: samples of each scenario
-        "perceiving", "perceiving_settings",  # numbers of `Perceiving`; 0: nobody estimates
+        "scenarios", "samples", "roads", "starts", "pieces", "headings",  # of `RunInputs`: samples of each scenario
+        "estimator_parameters", "estimator_settings",  # numbers of `VariableEstimator`; 0: nobody estimates
         "dead_whole", "past",  # periods and instants, see `loop.memory_sizes`
         "segments",  # of each run
         "traced", "answers",  # instants and columns of a trace; 0: none
         "requested",  # forces that are remembered, see `loop.Memory`
     ),
     integers=(
-        "slots", "parameters", "states", "scenarios", "samples", "roads", "starts", "pieces", "headings", "perceiving",
-        "perceiving_settings", "dead_whole", "past", "segments", "traced", "answers", "requested",
+        "slots", "parameters", "states", "scenarios", "samples", "roads", "starts", "pieces", "headings",
+        "estimator_parameters", "estimator_settings", "dead_whole", "past", "segments", "traced", "answers",
+        "requested",
     ),
 )  # fmt: skip
 """What the sizes of a `RunLoop` follow from."""
@@ -157,11 +161,11 @@ def trace_sizes(slots, traced, answers, table, row):
     count = slots if traced > 0 else 0
     row = put(table, row, count, traced, PLANT_STATES)
     row = put(table, row, count, traced, answers)
-    return put(table, row, count, traced, len(NOTED))
+    return put(table, row, count, traced, len(TRACE_SIGNALS))
 
 
 @inlined
-def put_sizes(counts, table, row):
+def run_sizes(counts, table, row):
     """Sizes of the arrays of a `RunLoop` (in `Run`, `measured` is that of the MPC), see `layout`."""
     slots = counts.slots
     row = vehicle_sizes(slots, counts.parameters, counts.states, table, row)
@@ -173,13 +177,13 @@ def put_sizes(counts, table, row):
     row = put(table, row, counts.headings)
     for _ in range(2):  # scenario, seeds
         row = put(table, row, slots)
-    row = put(table, row, counts.perceiving)
-    row = put(table, row, counts.perceiving_settings)
-    row = put(table, row, slots if counts.perceiving > 0 else 0)
+    row = put(table, row, counts.estimator_parameters)
+    row = put(table, row, counts.estimator_settings)
+    row = put(table, row, slots if counts.estimator_parameters > 0 else 0)
     row = put(table, row, len(MEASUREMENT))
     row = put(table, row, len(VARIABLE_COLUMNS))
     row = memory_sizes(slots, counts.dead_whole, counts.past, counts.requested, table, row)
-    for _ in range(2):  # result, ceiling
+    for _ in range(2):  # result, cost limit
         row = put(table, row, slots)
     row = put(table, row, slots, counts.segments)
     return trace_sizes(slots, counts.traced, counts.answers, table, row)
@@ -192,7 +196,7 @@ def no_trace() -> Any:
 
 def traces(slots: int, periods: int, answers: int) -> Any:
     """Traces before the first instant, NaN, with so many columns of answers."""
-    trace = room(Trace, trace_sizes, slots, periods, answers)
+    trace = allocate(Trace, trace_sizes, slots, periods, answers)
     for array in trace:
         array[:] = math.nan
     return trace
@@ -219,7 +223,7 @@ def before_control(slot, span, run):
     A run that fails says so in `memory`; the instant at the end of the last period is not judged. Nothing is measured
     of a car whose state is not finite.
     """
-    drive = run.memory.own[slot]
+    drive = run.memory.drives[slot]
     locate(slot, run)
     if drive.instant < span.periods:
         _judge_and_count(slot, span, run)
@@ -235,9 +239,9 @@ def before_control(slot, span, run):
 @inlined
 def _judge_and_count(slot, span, run):
     """Judge the run; count its error, unless it ends here."""
-    drive, result, block = run.memory.own[slot], run.result[slot], run.vehicles.block
+    drive, result, block = run.memory.drives[slot], run.result[slot], run.vehicles.block
     k = drive.instant
-    drive.error = drive.offset - run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, drive.sample]
+    drive.error = drive.offset - run.inputs.signals[run.inputs.scenario[slot], SIGNAL.y_ref, drive.sample]
     drive.ended = judge(slot, run)
     if run.features.traces:
         for j in range(PLANT_STATES):
@@ -256,12 +260,19 @@ def _judge_and_count(slot, span, run):
 @inlined
 def _estimate_friction_and_wind(slot, run):
     """Let the scheduling variables have friction and wind as they are estimated."""
-    drive, knowing = run.memory.own[slot], run.perceiving
+    drive, estimator = run.memory.drives[slot], run.variable_estimator
     friction_wind.estimate(
-        slot, run.measured, drive.speed, drive.command, math.nan, knowing.parameters, knowing.settings, knowing.memory
+        slot,
+        run.measured,
+        drive.speed,
+        drive.command,
+        math.nan,
+        estimator.parameters,
+        estimator.settings,
+        estimator.memory,
     )
-    run.variables[VARIABLE_COLUMNS.friction] = knowing.memory[slot].friction
-    run.variables[VARIABLE_COLUMNS.wind] = knowing.memory[slot].wind
+    run.variables[VARIABLE_COLUMNS.friction] = estimator.memory[slot].friction
+    run.variables[VARIABLE_COLUMNS.wind] = estimator.memory[slot].wind
 
 
 # -- from the controller's command on ---------------------------------------------------------------------------------
@@ -269,27 +280,28 @@ def _estimate_friction_and_wind(slot, run):
 def after_control(slot, command, change, span, run):
     """From the controller's command and its change (rad) until the vehicle is about to move.
 
-    The run ends when its cost has reached its ceiling.
+    The run ends when its cost has reached its limit.
     """
-    drive, result = run.memory.own[slot], run.result[slot]
+    drive, result = run.memory.drives[slot], run.result[slot]
     actuate(slot, command, run)
     if run.features.traces:
-        note(slot, run, run.trace.noted[slot, drive.instant])
+        write_trace_signals(slot, run, run.trace.signals[slot, drive.instant])
     result.squared_move += change * change
     if span.segment > 0:
         run.segments[slot, drive.instant // span.segment] += span.weight * change * change
-    if result.squared_error + span.weight * result.squared_move >= run.ceiling[slot]:
+    if result.squared_error + span.weight * result.squared_move >= run.cost_limit[slot]:
         drive.ended = STOPPED
     drive.instant += 1
     drive.sample += 1
 
 
 @inlined
-def note(slot, run, row):
-    """Write NOTED: what is measured under the new input, and where the car is."""
-    drive = run.memory.own[slot]
+def write_trace_signals(slot, run, row):
+    """Write TRACE_SIGNALS: what is measured under the new input, and where the car is."""
+    drive = run.memory.drives[slot]
     observe(slot, run.vehicles, row)
-    row[NOTED.station], row[NOTED.offset], row[NOTED.heading_error] = drive.station, drive.offset, drive.heading_error
+    row[TRACE_SIGNALS.station], row[TRACE_SIGNALS.offset] = drive.station, drive.offset
+    row[TRACE_SIGNALS.heading_error] = drive.heading_error
 
 
 @inlined
@@ -306,7 +318,7 @@ def move(slots, run):
 @inlined
 def close(slot, run):
     """Say of a run that is over how it ended: one whose car never came near its reference has failed at once."""
-    drive, result = run.memory.own[slot], run.result[slot]
+    drive, result = run.memory.drives[slot], run.result[slot]
     if drive.arrived == 0 and drive.ended != STOPPED:
         drive.ended, drive.ended_at = NEVER_ARRIVED, 0.0
     result.ended, result.ended_at = drive.ended, drive.ended_at

@@ -29,7 +29,7 @@ from .kernel import (
     vector,
     void,
 )
-from .layout import put, room
+from .layout import allocate, put
 from .loop import RUNNING, SIGNAL, plan_instant
 from .maths.bits import whole
 from .models.contract import MEASUREMENT
@@ -48,7 +48,7 @@ Law = record(
     "Law",
     (
         ("function", int64), ("parameters", vector), ("memory", matrix), ("situation", vector),
-        ("own_answer", vector), ("answer", matrix), ("held", int64), ("preview", int64),
+        ("law_answer", vector), ("answer", matrix), ("held", int64), ("preview", int64),
     ),
 )  # fmt: skip
 """A batch of controllers that are not the MPC: address of the law; memory (slots, m); what the law answers
@@ -100,9 +100,9 @@ def sizes(settings, counts, table):
     The two arrays `measured`, of the loop and of the MPC, are one.
     """
     slots = counts.loop.slots
-    row = period.put_sizes(counts.loop, table, 0)
+    row = period.run_sizes(counts.loop, table, 0)
     mpc.complete_settings(settings, counts.mpc)
-    row = mpc.put_sizes(settings, counts.mpc, table, row)
+    row = mpc.mpc_sizes(settings, counts.mpc, table, row)
     law_slots = slots if counts.law > 0 else 0
     row = law_sizes(law_slots, counts.law_parameters, counts.law_memory, counts.diagnostics, table, row)
     row = schedule_sizes(slots, counts.integers, counts.numbers, counts.scratch, table, row)
@@ -111,13 +111,13 @@ def sizes(settings, counts, table):
 
 def no_law_batch() -> Any:
     """The laws of a batch that the MPC drives."""
-    return room(Law, law_sizes, 0, 0, 0, 0)._replace(function=address_of(None))
+    return allocate(Law, law_sizes, 0, 0, 0, 0)._replace(function=address_of(None))
 
 
 def law_batch(slots: int, law: Any) -> Any:
     """Fresh control laws for `slots` slots, of a `CompiledController`."""
     diagnostics, parameters = law.diagnostic_names, np.array(law.parameters(), float)
-    law_record = room(Law, law_sizes, slots, parameters.size, law.memory_size, len(diagnostics))
+    law_record = allocate(Law, law_sizes, slots, parameters.size, law.memory_size, len(diagnostics))
     law_record.parameters[:] = parameters
     held_place = 1 + diagnostics.index("held") if "held" in diagnostics else 0
     return law_record._replace(function=address_of(law.function), held=held_place, preview=int(law.preview))
@@ -127,9 +127,9 @@ def law_batch(slots: int, law: Any) -> Any:
 @inlined
 def _apply_law(slot, reference, run):
     """A control law; a command that is not finite holds the last one."""
-    drive, out, situation, measured = run.memory.own[slot], run.law.answer[slot], run.law.situation, run.measured
-    roads, scenario = run.given.roads, run.given.scenario[slot]
-    speeds = run.given.signals[scenario, SIGNAL.speed]
+    drive, out, situation, measured = run.memory.drives[slot], run.law.answer[slot], run.law.situation, run.measured
+    roads, scenario = run.inputs.roads, run.inputs.scenario[slot]
+    speeds = run.inputs.signals[scenario, SIGNAL.speed]
     first = plan_instant(slot, run) if roads.of[scenario] >= 0 else speeds.size
     road = RoadAheadRecord(line_of(roads.of[scenario], roads), drive.station_estimate, speeds[first:])
     no_vy = run.settings.noise_vy == math.inf  # a car without a sensor of it
@@ -143,7 +143,7 @@ def _apply_law(slot, reference, run):
     )
     for i in range(len(current)):
         situation[i] = current[i]
-    answer = run.law.own_answer
+    answer = run.law.law_answer
     ahead = reference if run.law.preview > 0 else reference[:1]
     call_law(
         run.law.function, situation, ahead, road, run.tuning[slot], run.law.parameters, run.law.memory[slot], answer
@@ -160,23 +160,23 @@ def _apply_law(slot, reference, run):
 @inlined
 def _see_bend(slot, speed, run):
     """Show the MPC the road ahead."""
-    settings, scenario = run.mpc.settings, run.given.scenario[slot]
-    road = run.given.roads.of[scenario]
+    settings, scenario = run.mpc.settings, run.inputs.scenario[slot]
+    road = run.inputs.roads.of[scenario]
     if road < 0:
         run.mpc.bend[:] = 0.0
         return
-    speeds = run.given.signals[scenario, SIGNAL.speed, plan_instant(slot, run) :]
+    speeds = run.inputs.signals[scenario, SIGNAL.speed, plan_instant(slot, run) :]
     bend_ahead(
-        run.memory.own[slot].station_estimate, speeds, max(speed, settings.speed_floor), mpc.delay_of(slot, run.mpc),
-        settings.period, road, run.given.roads, run.mpc.bend,
+        run.memory.drives[slot].station_estimate, speeds, max(speed, settings.speed_floor), mpc.delay_of(slot, run.mpc),
+        settings.period, road, run.inputs.roads, run.mpc.bend,
     )  # fmt: skip
 
 
 @inlined
 def control_slot(slot, run):
     """The controller's answer."""
-    k, speed = run.memory.own[slot].instant, run.memory.own[slot].speed
-    reference = run.given.signals[run.given.scenario[slot], SIGNAL.y_ref, k:]
+    k, speed = run.memory.drives[slot].instant, run.memory.drives[slot].speed
+    reference = run.inputs.signals[run.inputs.scenario[slot], SIGNAL.y_ref, k:]
     if run.features.law:
         _apply_law(slot, reference, run)
         return (run.law.answer[slot],)
@@ -209,7 +209,7 @@ def _count_answer(k, slot, answer, run):
 @inlined
 def _drive_slot(k, slot, span, run):
     """Instant k of a run: the two halves of `period` around its controller."""
-    drive = run.memory.own[slot]
+    drive = run.memory.drives[slot]
     before_control(slot, span, run)
     if drive.ended != RUNNING:
         return
@@ -249,7 +249,7 @@ def control_all(span, run):
     """The present instant of all slots that are under way; how many drive on from it."""
     running = 0
     for i in range(span.slots):
-        drive = run.memory.own[i]
+        drive = run.memory.drives[i]
         k = drive.instant
         if drive.ended != RUNNING or k >= span.periods:
             continue
@@ -265,7 +265,7 @@ def control_all(span, run):
 def close_all(span, run):
     """Close the runs that have come to their end."""
     for i in range(span.slots):
-        if run.memory.own[i].ended == RUNNING and run.memory.own[i].instant >= span.periods:
+        if run.memory.drives[i].ended == RUNNING and run.memory.drives[i].instant >= span.periods:
             close(i, run)
 
 
@@ -273,7 +273,7 @@ def close_all(span, run):
 def roll_on(count, span, run):
     """Up to so many further periods of runs, from where `begin` or the last call left each; how many were driven.
 
-    A run ends early when it has failed (`loop.judge`), or, as STOPPED, once its cost has reached its ceiling and can
+    A run ends early when it has failed (`loop.judge`), or, as STOPPED, once its cost has reached its limit and can
     only grow. The cost of each segment is written to `segments`: inf for the one in which a run ends, NaN after.
     """
     periods = 0

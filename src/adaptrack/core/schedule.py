@@ -16,7 +16,7 @@ import numpy as np
 from .functions import evaluate
 from .guard import COUNTS, GUARD, MAP_AXES, MAX_ENTRIES, MEMORY, NC_ENTRY, NP_ENTRY, supervise
 from .kernel import Place, exported, float64, inlined, int64, int_vector, matrix, record, rows, vector, void
-from .layout import put, room
+from .layout import allocate, put
 from .maths.exact import clip, floor
 from .maths.exponential import power
 from .variables import VARIABLE_COLUMNS
@@ -82,7 +82,7 @@ def schedule_sizes(slots, integers, numbers, scratch, table, row):
 
 def no_schedule() -> Any:
     """Return the empty schedule of a run without a scheduler."""
-    return room(ScheduleRecord, schedule_sizes, 0, 0, 0, 0)
+    return allocate(ScheduleRecord, schedule_sizes, 0, 0, 0, 0)
 
 
 def counted(memory: Any) -> Any:

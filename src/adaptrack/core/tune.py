@@ -15,30 +15,30 @@ Trial = record("Trial", (("run", RunRecord), ("span", RunSpan), ("noise", int_ve
 """What a tuning is tried on: a batch of runs, what is driven (its
 slots are the most at a time), and the noise seeds over which a cost is the mean."""
 
-Judged = record("Judged", (("tunings", matrix), ("ceilings", vector), ("costs", vector)))
+TuningCosts = record("TuningCosts", (("tunings", matrix), ("cost_limits", vector), ("costs", vector)))
 """Tunings (n, entries), the cost (n,) below which each must come out, and its cost (n,), which is written."""
 
 SearchRecord = record(
     "SearchRecord",
     (
         ("seed", int64), ("stream", int64), ("settings", vector), ("space", matrix), ("swarm", Particles),
-        ("judged", Judged), ("best", vector),
+        ("tuning_costs", TuningCosts), ("best", vector),
     ),
 )  # fmt: skip
 """A swarm: seed and stream of its random numbers, settings and space (see `swarm`), particles, scratch for all of them,
 and the best cost after each generation (generations,), which is written."""
 
 
-@exported(int64(int64, int64, Judged, Place(Trial)), name="evaluate_tunings")
-def evaluate(first, slots, verdicts, trial):
+@exported(int64(int64, int64, TuningCosts, Place(Trial)), name="evaluate_tunings")
+def evaluate(first, slots, candidates, trial):
     """Write the cost of so many tunings from `first` on: J = mean e^2 + weight * mean (change of command)^2.
 
     The mean of J over the noise seeds; inf when a run has failed, or was stopped because J cannot come out below its
-    ceiling any more. Returns the control steps done.
+    limit any more. Returns the control steps done.
     """
     run, span, count = trial.run, trial.span, trial.noise.size
     span = RunSpan(span.periods, slots, span.segment, span.weight)
-    tunings, ceilings, costs = verdicts.tunings[first:], verdicts.ceilings[first:], verdicts.costs[first:]
+    tunings, cost_limits, costs = candidates.tunings[first:], candidates.cost_limits[first:], candidates.costs[first:]
     steps = 0
     _, entries = tunings.shape
     for i in range(slots):
@@ -48,10 +48,10 @@ def evaluate(first, slots, verdicts, trial):
         for i in range(slots):
             for j in range(entries):
                 run.tuning[i, j] = tunings[i, j]
-            run.given.seeds[i] = trial.noise[s]
-            run.ceiling[i] = (ceilings[i] * count - costs[i]) * span.periods
+            run.inputs.seeds[i] = trial.noise[s]
+            run.cost_limit[i] = (cost_limits[i] * count - costs[i]) * span.periods
             if not costs[i] < math.inf:
-                run.memory.own[i].ended = STOPPED
+                run.memory.drives[i].ended = STOPPED
         rollout(span, run)
         for i in range(slots):
             result = run.result[i]
@@ -73,15 +73,15 @@ def tune(search, trial):
     is stopped once it cannot improve on that particle's best: the swarm takes the same way as without, in less time.
     """
     steps = 0
-    swarm, verdicts, slots = search.swarm, search.judged, trial.span.slots
-    verdicts = Judged(verdicts.tunings, swarm.best_costs, verdicts.costs)
+    swarm, candidates, slots = search.swarm, search.tuning_costs, trial.span.slots
+    candidates = TuningCosts(candidates.tunings, swarm.best_costs, candidates.costs)
     begin_swarm(search.seed, search.stream, search.settings, search.space, swarm)
     generations, count = search.best.size, len(swarm.x)
     for g in range(generations):
-        decode(count, search.space, swarm.x, verdicts.tunings)
+        decode(count, search.space, swarm.x, candidates.tunings)
         for first in range(0, count, slots):
-            steps += evaluate(first, min(slots, count - first), verdicts, trial)
-        learn(verdicts.costs, swarm)
+            steps += evaluate(first, min(slots, count - first), candidates, trial)
+        learn(candidates.costs, swarm)
         search.best[g] = swarm.progress[LEADER_COST]
         if g < generations - 1:
             move(g, search.seed, search.stream, search.settings, search.space, swarm)

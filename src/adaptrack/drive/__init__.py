@@ -1,1 +1,1 @@
-"""Driving: the world, one run, a batch of runs, what they record and what is measured of them."""
+"""Driving: the world, single runs and batches, their records (`Trajectory`) and measures (`Metrics`)."""

@@ -25,8 +25,8 @@ from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.kernel import Resident
 from adaptrack.core.plants.contract import SLOTS, vehicle_batch
 from adaptrack.core.schedule import no_schedule
-from adaptrack.drive.failure import Failure
-from adaptrack.drive.world import Driver, KnownAs, World, reason_of
+from adaptrack.drive.failure import FailureLimits
+from adaptrack.drive.world import Driver, PerceptionSource, World, reason_of
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
@@ -83,8 +83,8 @@ def rollout_batch(
     profile: str | Profile = "paper",
     driver: Driver | None = None,
     seeds: ArrayLike = 0,
-    known_as: KnownAs = None,
-    failure: Failure | None = None,
+    perception: PerceptionSource = None,
+    failure: FailureLimits | None = None,
     threads: int | None = None,
 ) -> BatchResult:
     """Simulate many compiled runs in parallel. The result of a run does not depend on other runs or on `threads`.
@@ -112,8 +112,8 @@ def rollout_batch(
         Longitudinal driver; None to follow the speed reference exactly.
     seeds : int or (runs,) array
         Seed of the sensor noise.
-    known_as
-        Friction and wind that a scheduler receives, see `KnownAs`.
+    perception
+        Friction and wind that a scheduler receives, see `PerceptionSource`.
     failure
         Limits beyond which a run fails; by default those of the car.
     threads
@@ -126,7 +126,7 @@ def rollout_batch(
         needs Python at every step.
     """
     scenario_list = [scenarios] if isinstance(scenarios, Scenario | RoadDrive) else scenarios
-    batch = Batch(plant, controller, scenario_list, profile, driver, failure, known_as)
+    batch = Batch(plant, controller, scenario_list, profile, driver, failure, perception)
     if tunings is None:
         scenario_indices = np.arange(len(batch.signals)) if scenario_indices is None else scenario_indices
         tunings = np.repeat(batch.tuning[None], np.size(scenario_indices), axis=0)
@@ -241,10 +241,10 @@ class Batch:
         scenarios: Sequence[Scenario | RoadDrive],
         profile: str | Profile = "paper",
         driver: Driver | None = None,
-        failure: Failure | None = None,
-        known_as: KnownAs = None,
+        failure: FailureLimits | None = None,
+        perception: PerceptionSource = None,
     ) -> None:
-        self.world = World.of(plant, controller, profile, driver, known_as, failure)
+        self.world = World.of(plant, controller, profile, driver, perception, failure)
         self.controller, self.scheduler = controller, controller.scheduler
         self.scenarios = scenarios
         self._check_compiled()
@@ -347,7 +347,7 @@ class Batch:
             functions = controller.functions
             width = mpc.answer.shape[1]
         loop = self.world.loop(
-            period_kernel.Given(self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
+            period_kernel.RunInputs(self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
             vehicle_batch(plant.compiled, plant.packed(), np.zeros((slots, self.starts.shape[1]))),
             self.settings[steps],
             needs_variables=scheduler is not None,
@@ -470,11 +470,11 @@ class Batch:
         n = int(self.periods[scenarios[0]])
         segments = math.ceil(n / inputs.segment) if inputs.segment else 0
         steps, run = int(self.substeps[scenarios[0]]), previous_record
-        is_reusable = run is not None and len(run.memory.own) == size and run.settings is self.settings[steps]
+        is_reusable = run is not None and len(run.memory.drives) == size and run.settings is self.settings[steps]
         is_reusable = is_reusable and run.segments.shape[1] == segments
         if not is_reusable or inputs.traced_periods or inputs.scheduler is not None:
             run = self.run_record(size, steps, mpc_settings, segments, inputs.traced_periods, inputs.scheduler)
-        run.given.scenario[:], run.given.seeds[:] = scenarios, inputs.seeds[chunk]
+        run.inputs.scenario[:], run.inputs.seeds[:] = scenarios, inputs.seeds[chunk]
         run.vehicles.start[:], run.tuning[:] = self.starts[scenarios], inputs.tunings[chunk]
         resident = Resident(run)
         rollout.begin(size, resident)

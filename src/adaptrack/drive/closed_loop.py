@@ -32,7 +32,7 @@ from adaptrack.scenario import RoadDrive, Scenario
 Array = NDArray[np.float64]
 
 LONGEST_SPEEDS_AHEAD = 120
-"""Control instants ahead for which a controller is given the governed speed."""
+"""Number of control instants for which a controller receives the speed ahead that the speed control allows."""
 LONGEST_PREVIEW = 400
 """Number of control instants for which a controller in Python receives the planned speed."""
 
@@ -125,7 +125,7 @@ class ClosedLoop:
         self.world = world
         self.signals = scenario.sample(world.period)
         self.road: Any = getattr(scenario, "road", None)
-        inputs = period_kernel.Given(
+        inputs = period_kernel.RunInputs(
             world.samples(self.signals, 0)[None], pack_roads([self.road]), np.zeros(1, np.int64), np.array([seed])
         )
         start, n = world.start(scenario, self.signals), self.signals.n
@@ -140,32 +140,32 @@ class ClosedLoop:
             inputs, vehicles, world.settings(world.substeps(float(self.signals.speed.max()))),
             needs_variables=True, trace=period_kernel.traces(1, n, 0) if traced else None,
         )  # fmt: skip
-        if isinstance(world.known_as, FrictionWindEstimator):
-            world.known_as.reset(self.run.perceiving.memory)
+        if isinstance(world.perception, FrictionWindEstimator):
+            world.perception.reset(self.run.variable_estimator.memory)
         self.resident, self._span = Resident(self.run), Resident(period_kernel.RunSpan(n, 1, 0, 0.0))
         """`run` and the limits of its loop in the memory of the kernels."""
         self.speed_controller = _speed_controller(world, scenario)
-        self._own, self._references = self.run.memory.own, inputs.signals[0, loop_kernel.SIGNAL.y_ref]
+        self._drives, self._references = self.run.memory.drives, inputs.signals[0, loop_kernel.SIGNAL.y_ref]
 
     @property
     def instant(self) -> int:
         """Index of the current control instant."""
-        return int(self._own["instant"][0])
+        return int(self._drives["instant"][0])
 
     @property
     def command(self) -> float:
         """Last command (rad)."""
-        return float(self._own["command"][0])
+        return float(self._drives["command"][0])
 
     @property
     def error(self) -> float:
         """Y - y_ref (m) at the last call of `sense`."""
-        return float(self._own["error"][0])
+        return float(self._drives["error"][0])
 
     @property
     def ended(self) -> bool:
         """Whether a failure has ended the run."""
-        return bool(self._own["ended"][0] != loop_kernel.RUNNING)
+        return bool(self._drives["ended"][0] != loop_kernel.RUNNING)
 
     def sense(self) -> Sensed:
         """Check the run for a failure and return the signals at this instant.
@@ -174,23 +174,23 @@ class ClosedLoop:
         """
         period_kernel.sense_one(self._span, self.resident)
         if self.speed_controller is not None:
-            memory, measured = self._own[0], self.run.measured
+            memory, measured = self._drives[0], self.run.measured
             request = self.speed_controller.step(
                 float(memory["station_estimate"]), float(memory["speed"]), float(measured[MEASUREMENT.yaw_rate])
             )
             memory["requested_force"], memory["requested_hold"] = request.force, request.hold
         variables = SchedulingVariables(*self.run.variables.tolist())
-        return Sensed(self.run.measured, float(self._own["speed"][0]), self._references[self.instant :], variables)
+        return Sensed(self.run.measured, float(self._drives["speed"][0]), self._references[self.instant :], variables)
 
     def road_ahead(self, speed: float) -> RoadAhead:
         """Return the road ahead as measured, with the speed plan shifted to start at the current speed (m/s)."""
         if self.speed_controller is not None:
             planned = self.speed_controller.speeds_ahead(speed, LONGEST_SPEEDS_AHEAD)
-            return RoadAhead(self.road, float(self._own["station_estimate"][0]), planned)
+            return RoadAhead(self.road, float(self._drives["station_estimate"][0]), planned)
         by_place = self.road is not None and self.world.driver is not None
-        first = int(self._own["place"][0]) if by_place else self.instant
+        first = int(self._drives["place"][0]) if by_place else self.instant
         planned = self.signals.speed[first:][:LONGEST_PREVIEW]
-        station = float(self._own["station_estimate"][0])
+        station = float(self._drives["station_estimate"][0])
         return RoadAhead(self.road, station, np.maximum(planned + (speed - planned[0]), 0.0))
 
     def send(self, command: float) -> bool:
@@ -198,7 +198,7 @@ class ClosedLoop:
         if math.isfinite(command):
             period_kernel.send_one(command, command - self.command, self._span, self.resident)
             return True
-        self._own["ended"], self._own["ended_at"] = loop_kernel.STATE_NOT_FINITE, self.instant * self.world.period
+        self._drives["ended"], self._drives["ended_at"] = loop_kernel.STATE_NOT_FINITE, self.instant * self.world.period
         return False
 
     def advance(self) -> None:
@@ -219,7 +219,7 @@ class ClosedLoop:
         A car that never came near its reference has also failed.
         """
         period_kernel.close_one(self.resident)
-        return failure_of(int(self._own["ended"][0]), float(self._own["ended_at"][0]))
+        return failure_of(int(self._drives["ended"][0]), float(self._drives["ended_at"][0]))
 
 
 def _speed_controller(world: World, scenario: Scenario | RoadDrive) -> SpeedController | None:

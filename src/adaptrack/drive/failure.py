@@ -14,7 +14,7 @@ from adaptrack.base.checked import Bound, Hint, checked
 from adaptrack.drive.trajectory import Trajectory
 
 DISTANCE = 5.0
-"""Largest distance from the reference (m). A vehicle that was once nearer and exceeds it is off the road."""
+"""Largest distance from the reference (m). A vehicle that was nearer before and is farther away is off the road."""
 
 SIDESLIP = math.pi / 4
 """Largest sideslip angle (rad); beyond it, a vehicle has spun. Drivers rarely catch a car beyond 10 to 15°."""
@@ -42,11 +42,11 @@ class Reason(StrEnum):
 
 @checked
 @dataclass(frozen=True)
-class Failure:
+class FailureLimits:
     """Limits beyond which a run counts as failed; infinity disables a limit."""
 
     distance: Annotated[Bound, "m", Hint("inf: no limit")] = DISTANCE
-    """Largest distance from the reference (m), evaluated after the vehicle was first nearer than it."""
+    """Largest distance from the reference (m). It counts from the first instant at which the vehicle is nearer."""
     sideslip: Annotated[Bound, "rad", Hint("inf: no limit")] = SIDESLIP
     """Largest sideslip angle (rad), evaluated at 1 m/s or more."""
 
@@ -72,7 +72,7 @@ class Failed:
 
 
 @checked
-def find_failure(trajectory: Trajectory, rule: Failure | None = None) -> Failed | None:
+def find_failure(trajectory: Trajectory, rule: FailureLimits | None = None) -> Failed | None:
     """Return the time and reason of a run's failure; None if it did not fail.
 
     The earliest of these events is the failure:
@@ -88,9 +88,9 @@ def find_failure(trajectory: Trajectory, rule: Failure | None = None) -> Failed 
     trajectory
         The run.
     rule
-        Limits; by default those of the car (`Trajectory.meta`: ``failure_distance``), otherwise `Failure()`.
+        Limits; by default those of the car (`Trajectory.meta`: ``failure_distance``), otherwise `FailureLimits()`.
     """
-    rule = rule or Failure(distance=trajectory.meta.get("failure_distance", DISTANCE))
+    rule = rule or FailureLimits(distance=trajectory.meta.get("failure_distance", DISTANCE))
     not_finite = ~state_is_finite(trajectory)
     with np.errstate(invalid="ignore", over="ignore"):
         inside = np.abs(trajectory.error) <= rule.distance

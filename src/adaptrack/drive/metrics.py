@@ -1,6 +1,6 @@
 """Measures of a drive: tracking, corners of the car body, effort, comfort, limits, solver, time, and the cost J.
 
-If smaller values are better and a sample is not finite, the measure is infinite. A run that ends in NaN therefore sorts
+A measure whose smaller values are better is infinite if a sample is not finite, so a run that ends in NaN sorts
 last. Signs are those of ISO 8855: positive to the left.
 """
 
@@ -21,7 +21,7 @@ from adaptrack.base.presentation import html_of
 from adaptrack.cars.outline import Outline
 from adaptrack.control.controllers.learned_car import BeliefState, bounded_quantity
 from adaptrack.control.models import PredictionModel
-from adaptrack.drive.failure import MIN_JUDGED_SPEED, Failure, find_failure, state_is_finite
+from adaptrack.drive.failure import MIN_JUDGED_SPEED, FailureLimits, find_failure, state_is_finite
 from adaptrack.drive.prediction import TIMES, run_prediction_error
 from adaptrack.drive.signal_statistics import (
     largest_known,
@@ -104,7 +104,7 @@ class Metrics:
     qp_solved: int = _measure("-", "QPs solved to tolerance", 0)
     qp_capped: int = _measure("-", "QPs stopped at the iteration limit", 0)
     qp_failed: int = _measure("-", "QPs without a solution", 0)
-    held: int = _measure("-", "periods without a new command, safe angle kept", 0)
+    held: int = _measure("-", "periods in which the controller computed no new command", 0)
     dead_reckoning: int = _measure("-", "periods without a new position measurement", 0)
     dead_reckoning_max: float = _measure("s", "longest time without a position measurement")
     qp_residual_max: float = _measure("-", "largest KKT residual of the QPs")
@@ -165,7 +165,7 @@ def compute_metrics(
     trajectory: Trajectory,
     *,
     move_weight: Annotated[NotNegative, "m^2/rad^2"] | None = None,
-    failure: Failure | None = None,
+    failure: FailureLimits | None = None,
     model: PredictionModel | None = None,
     outline: Outline | None = None,
 ) -> Metrics:

@@ -27,10 +27,10 @@ from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
-from adaptrack.drive.failure import DISTANCE, Failure
+from adaptrack.drive.failure import DISTANCE, FailureLimits
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
-from adaptrack.drive.world import Driver, KnownAs, World
+from adaptrack.drive.world import Driver, PerceptionSource, World
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
 
@@ -81,8 +81,8 @@ def simulate(
     profile: str | Profile = "paper",
     driver: Driver | SpeedControl | None = None,
     seed: Annotated[Natural, Field(lt=2**63)] = 0,
-    known_as: KnownAs = None,
-    failure: Failure | None = None,
+    perception: PerceptionSource = None,
+    failure: FailureLimits | None = None,
     predicted: PredictedPaths | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
@@ -104,11 +104,11 @@ def simulate(
         reference exactly.
     seed
         Seed of the sensor noise.
-    known_as
-        Friction and wind that a scheduler receives, see `KnownAs`.
+    perception
+        Friction and wind that a scheduler receives, see `PerceptionSource`.
     failure
-        Limits beyond which the run fails; by default those of the car (`Failure.of`). A failure ends the run: later
-        samples are NaN, and `Trajectory.failed` and `Trajectory.failed_at` have its reason and time.
+        Limits beyond which the run fails; by default those of the car (`FailureLimits.of`). A failure ends the run:
+        later samples are NaN, and `Trajectory.failed` and `Trajectory.failed_at` have its reason and time.
     predicted
         Recorder of the paths that an MPC predicts along a road.
     progress
@@ -119,10 +119,10 @@ def simulate(
     InvalidInput
         When arguments do not match each other.
     """
-    world = World.of(plant, controller, profile, driver, known_as, failure)
+    world = World.of(plant, controller, profile, driver, perception, failure)
     loop = ClosedLoop(world, scenario, seed, traced=True)
     signals, trace = loop.signals, loop.run.trace
-    record = _Recorder(signals.n, controller, trace.state[0], trace.noted[0])
+    record = _Recorder(signals.n, controller, trace.state[0], trace.signals[0])
     has_no_vy = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)
     controller.reset()
     for k in range(signals.n):
@@ -162,8 +162,8 @@ def rollout(
     profile: str | Profile = "paper",
     driver: Driver | None = None,
     seed: Annotated[Natural, Field(lt=2**63)] = 0,
-    known_as: KnownAs = None,
-    failure: Failure | None = None,
+    perception: PerceptionSource = None,
+    failure: FailureLimits | None = None,
 ) -> Trajectory:
     """Simulate one run in the compiled kernels.
 
@@ -175,7 +175,8 @@ def rollout(
         When a component needs Python at every step, such as a `SteppedPlant`, or a controller, scheduler or QP solver
         outside the kernels.
     """
-    return rollouts(Batch(plant, controller, [scenario], profile, driver, failure, known_as), (seed,), threads=1)[0][0]
+    batch = Batch(plant, controller, [scenario], profile, driver, failure, perception)
+    return rollouts(batch, (seed,), threads=1)[0][0]
 
 
 def rollouts(batch: Batch, seeds: Sequence[int], threads: int | None = None) -> list[list[Trajectory]]:
@@ -213,14 +214,15 @@ def _batch_trajectory(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) 
     """Return the trajectory of run i of a batch, which drives scenario k."""
     controller, n = batch.controller, batch.signals[k].n
     trace = runs.trace
-    record = _Recorder(n, controller, trace.state[i, :n].copy(), trace.noted[i, :n].copy())
-    result, T, answer = runs.result[i], len(record.tuning_names), trace.answer[i, :n]
-    record.command[:] = answer[:, :3]
+    record = _Recorder(n, controller, trace.state[i, :n].copy(), trace.signals[i, :n].copy())
+    result, answer = runs.result[i], trace.answer[i, :n]
+    record.command[:], columns = answer[:, :3], answer[:, 3:]  # an MPC writes its tuning first, other controllers last
     if isinstance(controller, MPC):
-        record.tuning[:], record.diagnostics[:] = answer[:, 3 : 3 + T], answer[:, 3 + T :]
+        count = len(record.tuning_names)
+        record.tuning[:], record.diagnostics[:] = columns[:, :count], columns[:, count:]
     else:
-        D = len(record.diagnostic_names)
-        record.diagnostics[:], record.tuning[:] = answer[:, 3 : 3 + D], answer[:, 3 + D :]
+        count = len(record.diagnostic_names)
+        record.diagnostics[:], record.tuning[:] = columns[:, :count], columns[:, count:]
     record.failed, record.failed_at = failure_of(int(result.ended), float(result.ended_at))
     record.counted = {name: int(values[i]) for name, values in runs.counts.items()}
     return _trajectory(batch.world, controller, batch.scenarios[k], batch.signals[k], seed, record)
@@ -322,5 +324,5 @@ def _trajectory(
 
 def _failure_distance(plant: Plant | SteppedPlant) -> dict[str, float]:
     """Return the failure distance (m) of the car as an entry of the provenance, if it differs from the default."""
-    plant_limit = Failure.of(plant).distance
+    plant_limit = FailureLimits.of(plant).distance
     return {} if plant_limit == DISTANCE else {"failure_distance": plant_limit}

@@ -421,11 +421,11 @@ def _checked(column: StoredArray, values: Any, steps: int) -> Array:
     return view
 
 
-def _storable_arrays(group: str, groups: Mapping[str, Any], steps: int) -> Mapping[str, Array]:
+def _storable_arrays(group: str, group_arrays: Mapping[str, Any], steps: int) -> Mapping[str, Array]:
     """Convert arrays by name to the types that a file can store, or raise InvalidInput."""
     kinds: dict[str, Literal["real", "whole", "truth"]] = {"f": "real", "i": "whole", "u": "whole", "b": "truth"}
     arrays = {}
-    for name, values in groups.items():
+    for name, values in group_arrays.items():
         if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
             raise InvalidInput(f"trajectory: {group}: {name!r} must be a name of letters, digits and _.")
         kind = kinds.get(np.asarray(values).dtype.kind)

@@ -24,17 +24,17 @@ from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.speed_control import SpeedControl
 from adaptrack.core import loop as loop_kernel
 from adaptrack.core import period as period_kernel
-from adaptrack.core.layout import room
+from adaptrack.core.layout import allocate
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.planning.drive import complete_samples
 from adaptrack.core.synthesis.plant import dead_periods
-from adaptrack.drive.failure import Failure, Reason
+from adaptrack.drive.failure import FailureLimits, Reason
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import SENSOR_FIELDS, Profile, load_profile
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
-KnownAs = Perception | FrictionWindEstimator | None
+PerceptionSource = Perception | FrictionWindEstimator | None
 """Friction and wind that a scheduler receives: true values (None), values with errors, or estimates."""
 
 
@@ -43,12 +43,12 @@ KnownAs = Perception | FrictionWindEstimator | None
 class Driver:
     """Longitudinal driver: requests the force that reaches the planned speed a preview time ahead.
 
-    dv = (v_plan - v_x)/preview + integral * (integral of v_plan - v_x), times the mass, plus the slope of the road,
-    within engine power, traction, brakes and the guard. On a road the plan is followed by place, so a late car does
-    not hurry; at a stop the car waits as long as planned. A scenario without a road plans its speed over time.
+    The force is m ((v_plan - v_x)/preview + integral * (integral of v_plan - v_x)) plus the force of the slope. It is
+    limited by engine power, traction, brakes and the guard. On a road the planned speed depends on the station, so a
+    late car does not hurry; at a stop the car waits as long as planned. Without a road it depends on time.
 
-    guard: share of the force that each driven or braked axle has left in addition to its lateral force; inf: a naive
-    driver, who uses the pedals in a bend as on a straight.
+    guard: the largest force is this share of what the driven or braked axles can transmit in addition to their lateral
+    force. With inf the driver is naive: it uses the pedals in a bend as on a straight.
     """
 
     preview: Annotated[Positive, "s"] = 0.5
@@ -74,16 +74,16 @@ class World:
     """Control period of the controller (s)."""
     driver: Driver | SpeedControl | None
     """Longitudinal driver; None to follow the speed reference exactly."""
-    known_as: KnownAs
+    perception: PerceptionSource
     """Friction and wind that a scheduler receives."""
-    failure: Failure
+    failure: FailureLimits
     """Limits beyond which a run fails."""
 
     @classmethod
     def of(
         cls, plant: Plant | SteppedPlant, controller: Controller, profile: str | Profile,
         driver: Driver | SpeedControl | None,
-        known_as: KnownAs, failure: Failure | None,
+        perception: PerceptionSource, failure: FailureLimits | None,
     ) -> World:  # fmt: skip
         """Build the world of a controller. The arguments are those of `simulate`.
 
@@ -102,15 +102,15 @@ class World:
         profile = load_profile(profile)
         if isinstance(plant, Plant) and getattr(plant, "steering", None) is None:
             plant = plant.with_steering(profile.steering)
-        if failure is not None and not isinstance(failure, Failure):
-            raise InvalidInput(f"failure = {failure!r}: must be a Failure(distance=..., sideslip=...).")
-        if isinstance(known_as, FrictionWindEstimator) and not math.isclose(known_as.period, controller.period):
+        if failure is not None and not isinstance(failure, FailureLimits):
+            raise InvalidInput(f"failure = {failure!r}: must be a FailureLimits(distance=..., sideslip=...).")
+        if isinstance(perception, FrictionWindEstimator) and not math.isclose(perception.period, controller.period):
             raise InvalidInput(
-                f"known_as: the estimator's period is {known_as.period!r} s, the controller's {controller.period!r} s: "
-                "give both the same period."
+                f"perception: the estimator's period is {perception.period!r} s, that of the controller "
+                f"{controller.period!r} s: give both the same period."
             )
         _refuse_missing_sensors(controller, profile)
-        world = cls(plant, profile, controller.period, driver, known_as, failure or Failure.of(plant))
+        world = cls(plant, profile, controller.period, driver, perception, failure or FailureLimits.of(plant))
         if isinstance(controller, MPC):
             controller.warn_of(controller.scheduler, profile.name, plant)
         world.warn_of_different_delay(controller)
@@ -134,7 +134,7 @@ class World:
         simulated_delay = self.steering.lag + sum(self.dead_periods) * self.period
         computation = self.profile.delay * self.period
         computation_error = computation - steering_model.computation.value
-        # a learning controller corrects any delay error except a computation time assumed too long
+        # a learning controller corrects all delays but a computation time that it assumes too long
         delay_error = simulated_delay - assumed_delay if controller.learner is None else min(computation_error, 0.0)
         if abs(computation_error) > tolerance and delay_error * math.copysign(1.0, computation_error) > tolerance:
             _warn(
@@ -194,7 +194,7 @@ class World:
 
     @property
     def _speed_kind(self) -> int:
-        """Kind of speed in `core.loop.LoopSettings`: prescribed, a driver, or requested forces."""
+        """Value of `prescribed_speed` in `core.loop.LoopSettings`: prescribed, a driver, or requested forces."""
         if self.driver is None:
             return loop_kernel.PRESCRIBED
         if isinstance(self.driver, SpeedControl):
@@ -230,7 +230,7 @@ class World:
         Parameters
         ----------
         inputs
-            Samples, roads and seeds (`core.period.Given`).
+            Samples, roads and seeds (`core.period.RunInputs`).
         vehicles
             Batch of vehicles.
         settings
@@ -243,14 +243,14 @@ class World:
             Number of segments whose cost is recorded in each run.
         """
         past = self.remembered
-        estimator = self.known_as if needs_variables and isinstance(self.known_as, FrictionWindEstimator) else None
+        estimator = self.perception if needs_variables and isinstance(self.perception, FrictionWindEstimator) else None
         counts = period_kernel.LoopCounts(**dict.fromkeys(period_kernel.LoopCounts._fields, 0))
         counts = counts._replace(
             slots=len(vehicles.start), dead_whole=self.dead_periods[0], past=past, segments=segments,
             requested=2 * (2 + max(settings.drive_whole, settings.brake_whole)),
         )  # fmt: skip
-        loop = room(period_kernel.RunLoop, period_kernel.put_sizes, counts)
-        loop.ceiling[:] = np.nan
+        loop = allocate(period_kernel.RunLoop, period_kernel.run_sizes, counts)
+        loop.cost_limit[:] = np.nan
         return loop._replace(
             settings=settings,
             features=period_kernel.Features(
@@ -261,8 +261,8 @@ class World:
                 law=0,
             ),
             vehicles=vehicles,
-            given=inputs,
-            perceiving=loop.perceiving if estimator is None else estimator.packed_for(len(vehicles.start)),
+            inputs=inputs,
+            variable_estimator=estimator.packed_for(len(vehicles.start)) if estimator else loop.variable_estimator,
             trace=loop.trace if trace is None else trace,
         )
 
@@ -292,9 +292,9 @@ class World:
             rows[getattr(SIGNAL, name)] = values
         rows[SIGNAL.friction_front_left : SIGNAL.friction_rear_right + 1] = signals.friction.T
         complete_samples(signals.period, rows)
-        if isinstance(self.known_as, Perception):
+        if isinstance(self.perception, Perception):
             friction, wind = rows[SIGNAL.known_friction].copy(), rows[SIGNAL.known_wind].copy()
-            rows[SIGNAL.known_friction], rows[SIGNAL.known_wind] = self.known_as.perceive(
+            rows[SIGNAL.known_friction], rows[SIGNAL.known_wind] = self.perception.perceive(
                 friction, wind, signals.period, number
             )
         return rows
@@ -332,7 +332,7 @@ def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:
 
 
 def reason_of(ended: int) -> str | None:
-    """Return the name of the reason that ended a run early; None for a complete run and for one stopped by its cost."""
+    """Return the name of the failure that ended a run; None if it is complete or was stopped at a limit of its cost."""
     return {
         loop_kernel.OFF_ROAD: Reason.OFF_ROAD.value,
         loop_kernel.NEVER_ARRIVED: Reason.OFF_ROAD.value,

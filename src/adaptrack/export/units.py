@@ -18,10 +18,10 @@ from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.core.build.header import remarks
 from adaptrack.core.loop import SIGNAL
-from adaptrack.core.period import Given
+from adaptrack.core.period import RunInputs
 from adaptrack.core.plants.contract import place, vehicle_batch
 from adaptrack.core.units import car, controller
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, World
 from adaptrack.export.block import ArrayRole
 from adaptrack.export.tracking import ROLES, refuse, small_record_of
@@ -134,7 +134,7 @@ def car_unit(
     motion = np.array([*pose, speed, 0.0, 0.0])
     vehicles = vehicle_batch(world.plant.compiled, world.plant.packed(), world.plant.initial_state(motion)[None])  # type: ignore[union-attr]
     place(1, vehicles.start, vehicles.block, vehicles.states)
-    inputs = Given(
+    inputs = RunInputs(
         np.zeros((1, len(SIGNAL), samples)), pack_roads([road]), np.zeros(1, np.int64), np.zeros(1, np.int64)
     )
     loop = world.loop(inputs, vehicles, world.settings(world.substeps(fastest)), needs_variables=False)
@@ -157,7 +157,7 @@ def car_unit(
     values = described(car.__name__, groups, starts)
     record = car.CarUnit(*_columns(values), loop=loop)
     title = f"car {(getattr(plant, 'vehicle', None) or plant).name}, {plant.name}, profile {world.profile.name}"
-    roles = dict.fromkeys(("loop.vehicles.parameters", "loop.given.roads"), ArrayRole.FIXED)
+    roles = dict.fromkeys(("loop.vehicles.parameters", "loop.inputs.roads"), ArrayRole.FIXED)
     return Unit("car", title, record, values, FIXED_ROLES | roles)
 
 
@@ -219,5 +219,5 @@ def _world(plant: Plant, profile: str | Profile, driver: Driver | None, period: 
     world = load_profile(profile)
     if getattr(plant, "steering", None) is None:
         plant = plant.with_steering(world.steering)
-    rule = Failure(distance=math.inf, sideslip=Failure.of(plant).sideslip)
+    rule = FailureLimits(distance=math.inf, sideslip=FailureLimits.of(plant).sideslip)
     return World(plant, world, world.period if period is None else period, driver, None, rule)

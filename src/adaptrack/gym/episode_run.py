@@ -28,7 +28,7 @@ class EpisodeRun:
 
     def __init__(self, task: Task, episode: Episode, controller: Controller) -> None:
         world = World.of(
-            episode.plant, controller, episode.profile, task.driver, task.known_as, task.failure
+            episode.plant, controller, episode.profile, task.driver, task.perception, task.failure
         )  # fmt: skip
         self.loop = ClosedLoop(world, episode.drive, episode.noise_seed)
         self._move_weight = world.profile.move_weight

@@ -57,7 +57,7 @@ class MPCTuningEnv(gymnasium.Env):
     ==================  ======  ==============================================================================
     speed               m/s     measured speed, 0 to 100
     y_ref               m       lateral reference at the present instant, +-1000
-    friction            --      friction as perceived by the controller (`known_as`), 0 to 2
+    friction            --      friction as perceived by the controller (`perception`), 0 to 2
     wind                m/s     side wind as perceived by the controller, +-100
     change              m       largest change of the reference over the next 3 s, 0 to 1000
     acceleration        m/s^2   largest lateral acceleration of reference and road over the next 3 s, 0 to 100

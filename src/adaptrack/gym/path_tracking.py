@@ -66,7 +66,7 @@ class PathTrackingEnv(gymnasium.Env):
 
     End
     ---
-    A failure by the rule of `Failure` sets `terminated`; the end of the road sets `truncated`. Then info contains
+    A failure by the rule of `FailureLimits` sets `terminated`; the end of the road sets `truncated`. Then info contains
 
     - `failed`: "" for success, or "off-road", "spun" or "not-finite";
     - `J`: cost (m^2), infinite after a failure.

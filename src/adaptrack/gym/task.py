@@ -15,8 +15,8 @@ from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.config import load_drive, load_setting
 from adaptrack.control.controllers import CompiledController
-from adaptrack.drive.failure import DISTANCE, Failure
-from adaptrack.drive.world import ROAD_DRIVER, Driver, KnownAs
+from adaptrack.drive.failure import DISTANCE, FailureLimits
+from adaptrack.drive.world import ROAD_DRIVER, Driver, PerceptionSource
 from adaptrack.identification import CarRanges, random_car
 from adaptrack.identification.random_cars import BASES
 from adaptrack.scenario import RoadDrive, Scenario
@@ -87,9 +87,9 @@ class Task:
     """Whether each episode draws a new car with its own steering and sensor noise, or the ranges to draw from."""
     driver: Driver | None = ROAD_DRIVER
     """Speed control of the car; None if the speed follows its plan exactly."""
-    known_as: KnownAs = None
+    perception: PerceptionSource = None
     """How the controller perceives friction and wind, as in `adaptrack.simulate`."""
-    failure: Failure | None = None
+    failure: FailureLimits | None = None
     """Rule by which a run fails; None for the rule of the car's domain."""
     failure_cost: float | None = None
     """Cost of each remaining instant after a failure (m^2); None for the square of the failure distance."""

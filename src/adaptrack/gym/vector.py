@@ -83,8 +83,8 @@ class _VectorEnv(VectorEnv):
     def __init__(self, num_envs: int, threads: int, task: Task) -> None:
         self.num_envs, self.task = whole_number("num_envs", "num_envs", num_envs), task
         self.threads = whole_number("vector environment", "threads", threads)
-        if isinstance(task.known_as, FrictionWindEstimator):
-            raise InvalidInput("known_as: a FrictionWindEstimator needs Python at every step: one car at a time.")
+        if isinstance(task.perception, FrictionWindEstimator):
+            raise InvalidInput("perception: a FrictionWindEstimator needs Python at every step: one car at a time.")
         self._set_spaces()
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -111,7 +111,7 @@ class _VectorEnv(VectorEnv):
         Copying or unpickling an environment separates the arrays.
         """
         states, observations = self._episode_states[block.slots], self._observations[block.slots]
-        episodes = block.episodes._replace(own=states, observations=observations)
+        episodes = block.episodes._replace(states=states, observations=observations)
         return block._replace(episodes=episodes, resident=Resident(episodes))
 
     names: tuple[str, ...]
@@ -240,7 +240,7 @@ class _VectorEnv(VectorEnv):
         drives = [episode.drive] if task.randomised else [task.drive(i, episode.vehicle) for i in roads]
         batch = Batch(
             episode.plant, self._controller(episode), drives, episode.profile, task.driver, task.failure,  # type: ignore[arg-type]
-            task.known_as,
+            task.perception,
         )  # fmt: skip
         size, space = slots.stop - slots.start, self.single_observation_space
         settings = batch.mpc_settings(*self._longest_horizons, residuals=False)
@@ -258,7 +258,7 @@ class _VectorEnv(VectorEnv):
         """Set up a car of a block for a new episode, which the kernel `renew` then starts."""
         slot, run = car - block.slots.start, block.episodes.run
         road = 0 if self.task.randomised else episode.road
-        run.given.scenario[slot], run.given.seeds[slot] = road, episode.noise_seed
+        run.inputs.scenario[slot], run.inputs.seeds[slot] = road, episode.noise_seed
         run.vehicles.start[slot] = block.batch.starts[road]
         self._episode_states["last"][car], self._episode_states["renewed"][car] = block.batch.periods[road], 1
 
@@ -266,7 +266,7 @@ class _VectorEnv(VectorEnv):
         """Add failure and cost of the episodes of some cars, which have ended, to the infos."""
         for block in self._blocks:
             for car in cars[(cars >= block.slots.start) & (cars < block.slots.stop)]:
-                reason = reason_of(int(block.episodes.run.memory.own["ended"][car - block.slots.start]))
+                reason = reason_of(int(block.episodes.run.memory.drives["ended"][car - block.slots.start]))
                 state = self._episode_states[car]
                 cost = math.inf if reason else float(state["total"] / state["last"])
                 self._add_info(infos, {"failed": reason or "", "J": cost}, int(car))
@@ -289,7 +289,7 @@ class PathTrackingVectorEnv(_VectorEnv):
     may differ from those of `PathTrackingEnv` for two reasons:
 
     - The road with the highest speed determines the number of integration steps on all roads.
-    - Each road has its own perception errors of friction and wind (`known_as`).
+    - Each road has its own perception errors of friction and wind (`perception`).
 
     A car whose episode has ended starts a new episode in the next step. That step ignores its action and gives reward 0
     (`AutoresetMode.NEXT_STEP`).

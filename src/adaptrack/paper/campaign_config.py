@@ -27,7 +27,7 @@ from adaptrack.base.registry import import_plugin
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fingerprint, get_plant, twin_of
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.control.controllers import Tuning
-from adaptrack.drive.failure import DISTANCE, SIDESLIP, Failure
+from adaptrack.drive.failure import DISTANCE, SIDESLIP, FailureLimits
 from adaptrack.paper.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.scenario.profile import list_profiles, load_profile
 from adaptrack.tuning.pso import SwarmSettings
@@ -154,15 +154,15 @@ def spread_tunings(size: int, search: SearchBounds, seed: int = 0) -> Array:
 
 # -- failure ----------------------------------------------------------------------------------------------------------
 class FailureRule(Record):
-    """When a run has failed and its cost is infinite, see `failure.Failure`; `inf` switches a limit off."""
+    """When a run has failed and its cost is infinite, see `failure.FailureLimits`; `inf` switches a limit off."""
 
     distance: float = Field(default=DISTANCE, gt=0, allow_inf_nan=True, description="m off the reference")
     sideslip: float = Field(default=SIDESLIP, gt=0, allow_inf_nan=True, description="rad, at 1 m/s or more")
 
     @property
-    def rule(self) -> Failure:
+    def rule(self) -> FailureLimits:
         """The rule by which runs are judged."""
-        return Failure(self.distance, self.sideslip)
+        return FailureLimits(self.distance, self.sideslip)
 
 
 # -- the file ---------------------------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from adaptrack.paper.adaptation import ANYWHERE, Schedules
 from adaptrack.paper.learning_task import FAILURE, HELD_OUT_POINTS, SEGMENT, TRAINING_POINTS, LearningTask
 from adaptrack.paper.operating_points import sobol
 from adaptrack.tuning.objective import Objective
-from adaptrack.tuning.runs import operating_point_runs, paper_test_runs, perception, random_drive_runs
+from adaptrack.tuning.runs import make_perception, operating_point_runs, paper_test_runs, random_drive_runs
 
 Array = NDArray[np.float64]
 BEST_CONSTANT, DRIVE_CONSTANT, POINT_OPTIMUM = "best constant", "best constant on drives", "optimum"
@@ -47,7 +47,7 @@ CHOICE_NOISE = tuple(range(810_001, 810_009))
 
 def evaluate_on_operating_points(
     task: LearningTask, schedules: Schedules, count: int, seed: int = EVALUATION_SEED, *,
-    known_as: Sequence[str] = ("exact",), progress: ProgressCall | None = None,
+    perception: Sequence[str] = ("exact",), progress: ProgressCall | None = None,
 ) -> dict[str, Comparison]:  # fmt: skip
     """On `count` Sobol points of the campaign's box, for each way of knowing friction and wind (see `perception`).
 
@@ -67,9 +67,9 @@ def evaluate_on_operating_points(
         contenders.append(Contender(POINT_OPTIMUM, tunings, hindsight=True))
         reference = POINT_OPTIMUM
     comparisons = {}
-    for name in known_as:
-        knowledge = perception(name, task.estimated, task.profile)
-        runs = operating_point_runs(plant, task.mpc, points, task.profile, known_as=knowledge, failure=FAILURE)
+    for name in perception:
+        knowledge = make_perception(name, task.estimated, task.profile)
+        runs = operating_point_runs(plant, task.mpc, points, task.profile, perception=knowledge, failure=FAILURE)
         comparisons[name] = compare(
             runs, _select_contenders(contenders, name), EVALUATION_NOISE, reference, points, progress
         )
@@ -78,17 +78,17 @@ def evaluate_on_operating_points(
 
 def evaluate_on_drives(
     task: LearningTask, schedules: Schedules, count: int, seed: int = EVALUATION_SEED, *,
-    known_as: Sequence[str] = ("exact",), progress: ProgressCall | None = None,
+    perception: Sequence[str] = ("exact",), progress: ProgressCall | None = None,
 ) -> dict[str, Comparison]:  # fmt: skip
     """On `count` random drives, for each way of knowing friction and wind; the reference is the best constant."""
     numbers = evaluation_drives(count, seed)
     roads = task.plan.setup.vehicle.domain.drive_options
     contenders = _moving_contenders(schedules)
     comparisons = {}
-    for name in known_as:
+    for name in perception:
         runs = random_drive_runs(
             task.evaluated_plant, task.mpc, numbers, EVALUATED_DURATION, task.profile, drive_options=roads,
-            segment_seconds=SEGMENT, known_as=perception(name, task.estimated, task.profile), failure=FAILURE,
+            segment_seconds=SEGMENT, perception=make_perception(name, task.estimated, task.profile), failure=FAILURE,
         )  # fmt: skip
         where = np.array(numbers, dtype=float)[:, None]
         comparisons[name] = compare(
@@ -144,9 +144,9 @@ def _moving_contenders(schedules: Schedules) -> list[Contender]:
     ]  # fmt: skip
 
 
-def _select_contenders(contenders: Sequence[Contender], known_as: str) -> list[Contender]:
+def _select_contenders(contenders: Sequence[Contender], perception: str) -> list[Contender]:
     """All contenders where friction and wind are known exactly, otherwise `PERCEIVING`."""
-    return [contender for contender in contenders if known_as == "exact" or contender.name in PERCEIVING]
+    return [contender for contender in contenders if perception == "exact" or contender.name in PERCEIVING]
 
 
 def find_optimum(

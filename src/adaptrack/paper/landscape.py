@@ -88,7 +88,7 @@ def explore_landscape(
     InvalidInput
         When the runs estimate friction and wind: the estimates are unknown before driving.
     """
-    if isinstance(runs.known_as, FrictionWindEstimator):
+    if isinstance(runs.perception, FrictionWindEstimator):
         raise InvalidInput("runs with estimated friction and wind cannot be learned from: use the exact values.")
 
     def costs(shift: Array) -> Array:

@@ -15,7 +15,7 @@ from adaptrack.analysis.stability import linear_twin
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.control.controllers import MPC, Tuning
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.paper.campaign_config import CampaignConfig, CampaignPlan, Sobol
 from adaptrack.paper.evaluator import tuned_mpc
 from adaptrack.paper.improvement import LEARNING_ROUNDS, Training
@@ -45,7 +45,7 @@ SEGMENT = 2.0
 """s, length of the segments of a drive, and how long before a segment the cause of its cost may lie."""
 DRIVE_STRIDE, POINT_STRIDE = 20, 8
 """Periods between two samples of the inputs, on drives and on lane changes (8 s)."""
-FAILURE = Failure(5.0, 0.7853981633974483)
+FAILURE = FailureLimits(5.0, 0.7853981633974483)
 """A run fails 5 m off the reference or with 45 degrees of sideslip."""
 
 

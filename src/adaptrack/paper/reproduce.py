@@ -29,7 +29,7 @@ from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Moves, Tuning, published_mpc
 from adaptrack.control.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables
 from adaptrack.drive.batch import rollout_batch
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.metrics import PAPER_MSE, compute_metrics, published_mse
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.trajectory import Trajectory
@@ -46,7 +46,7 @@ Row = dict[str, Any]
 PAPER_TESTS = tuple(PAPER_MSE)
 """The scenarios for which the paper gives mean square errors."""
 
-DRIVEN_ON = Failure(distance=1000.0, sideslip=math.inf)
+DRIVEN_ON = FailureLimits(distance=1000.0, sideslip=math.inf)
 """The paper's runs end only where nothing is left to drive; whether one failed is judged afterwards, as everywhere."""
 
 LEARNED_MODELS = ("nn", "anfis")

@@ -105,7 +105,7 @@ def _runs(comparison: Comparison) -> int:
 def view_rows(views: Views) -> list[dict[str, Any]]:
     """One row for each contender in each view; constant_...: its cost over that of the best constant."""
     return [
-        {"view": view, "scenario" if view == "tests" else "known_as": name, "reference": comparison.reference, **row}
+        {"view": view, "scenario" if view == "tests" else "perception": name, "reference": comparison.reference, **row}
         for view, comparisons in views.items()
         for name, comparison in comparisons.items()
         for row in finite([row | _over_constant(comparison, row["contender"]) for row in comparison.rows()])

@@ -32,7 +32,7 @@ def tuned_car_result(tuned: TunedCar, files: Mapping[str, str], next_step: str) 
             "tuning": f"{name}{' (chosen)' if tuned.tuning == tuning else ''}", "Np": tuning.Np, "Nc": tuning.Nc,
             "ratio": tuning.R / tuning.Q, "cost": record["cost"][name], "failed": record["failed"][name],
         }
-        for name, tuning in (("default", tuned.default), ("sought", tuned.sought))
+        for name, tuning in (("default", tuned.default), ("candidate", tuned.candidate))
     ]  # fmt: skip
     notes = [f"Certificate: {tuned.certificate.verdict}"]
     notes += [] if tuned.feasibility.passed else [tuned.feasibility.verdict]

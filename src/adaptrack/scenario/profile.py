@@ -78,7 +78,7 @@ class Profile(Record):
     bias_wheel_angle: float = Field(
         default=0.0, ge=0, description="rad, largest constant offset of the measured wheel angle; each run draws one"
     )
-    pose_age: float = Field(default=0.0, ge=0, le=2, description="s, mean age of yaw and y on arrival")
+    pose_age: float = Field(default=0.0, ge=0, le=2, description="s, mean age of yaw and y when they arrive")
     pose_age_spread: float = Field(
         default=0.0,
         ge=0,
@@ -86,7 +86,10 @@ class Profile(Record):
         description="s, largest deviation of pose_age; the controller receives the age of each sample",
     )
     motion_age: float = Field(
-        default=0.0, ge=0, le=2, description="s, mean age of all samples except pose, station and speed, on arrival"
+        default=0.0,
+        ge=0,
+        le=2,
+        description="s, mean age of yaw rate, lateral velocity and acceleration when they arrive",
     )
     missing: float = Field(default=0.0, ge=0, lt=1, description="-, share of the samples that are missing")
     dropout_pause: float = Field(
@@ -112,16 +115,14 @@ class Profile(Record):
         default=0.0,
         ge=0,
         le=10,
-        description="m/s, standard deviation of the measured speed, added to that of noise_speed",
+        description="m/s, standard deviation of a noise of the speed in addition to noise_speed",
     )
     speed_resolution: float = Field(
         default=0.0, ge=0, le=5, description="m/s, measured speeds are multiples of it; 0: continuous"
     )
-    speed_dead_zone: float = Field(
-        default=0.0, ge=0, le=5, description="m/s, measured speeds below it are 0, as near standstill"
-    )
+    speed_dead_zone: float = Field(default=0.0, ge=0, le=5, description="m/s, lower speeds are measured as 0")
     speed_age: float = Field(
-        default=0.0, ge=0, le=2, description="s, age of the measured speed, +- motion_age_spread; 0: current"
+        default=0.0, ge=0, le=2, description="s, mean age of the measured speed, which varies by motion_age_spread"
     )
     motion_age_spread: float = Field(
         default=0.0,
@@ -175,7 +176,7 @@ class Profile(Record):
         return self.delay * self.period + self.steering.dead_time
 
     def controller_world(self, period: float) -> Any:
-        """Return the `core.synthesis.tuning.ControllerWorld` record for a controller with this control period (s)."""
+        """Return what a controller must know of the profile, for its control period (s): record `ControllerWorld`."""
         return row_of(
             ControllerWorld,
             self,

@@ -142,7 +142,8 @@ class _DriveGenerator:
         self.widths = tuple(sevenths * lane_width / 7.0 for sevenths in LANE_CHANGE_SEVENTHS)
         self.t = _STEP * np.arange(math.ceil(duration / _STEP) + 1)
         self.friction, self.speed = np.empty_like(self.t), np.empty_like(self.t)
-        self.curve_acceleration, self.curve_rate = np.zeros_like(self.t), np.zeros_like(self.t)
+        # lateral acceleration and lateral velocity in curves
+        self.curve_acceleration, self.curve_velocity = np.zeros_like(self.t), np.zeros_like(self.t)
 
     def random(self, purpose: int) -> np.random.Generator:
         """Return the random stream of one signal; the options of other signals do not change its numbers."""
@@ -189,7 +190,7 @@ class _DriveGenerator:
         return _SMOOTHSTEP_SLOPE * change / min(limit, MAX_LONGITUDINAL_SHARE * self.grip(start, span))
 
     def draw_curves(self) -> list[LaneChange]:
-        """Draw the curves as wide lane changes, limited by friction and heading."""
+        """Draw curves: lateral moves like lane changes but wider, within friction and heading."""
         rng = self.random(_CURVES)
         curves: list[LaneChange] = []
         start = _between(rng, 1.0, 8.0)
@@ -204,7 +205,7 @@ class _DriveGenerator:
             width = math.floor(100.0 * width) / 100.0
             curves.append(LaneChange(amplitude=side * width, start=start, duration=span))
             self.curve_acceleration[during] = QUINTIC_PEAK * width / span**2
-            self.curve_rate[during] = QUINTIC_SLOPE * width / span
+            self.curve_velocity[during] = QUINTIC_SLOPE * width / span
             start = round(start + span + _between(rng, 1.0, 12.0), 2)
         return curves
 
@@ -226,7 +227,7 @@ class _DriveGenerator:
         """Duration (s) that a lane change of `width` (m) needs, given friction, speed and curves within `span` (s)."""
         during = _window(start, span)
         acceleration = share * self.grip(start, span) - self.curve_acceleration[during].max()
-        rate = self.slope * self.speed[during].min() - self.curve_rate[during].max()
+        rate = self.slope * self.speed[during].min() - self.curve_velocity[during].max()
         if min(acceleration, rate) <= 0.0:
             return math.inf
         return max(math.sqrt(QUINTIC_PEAK * width / acceleration), QUINTIC_SLOPE * width / rate)

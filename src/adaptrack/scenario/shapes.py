@@ -114,7 +114,7 @@ class Constant(Shape):
         return self.value
 
 
-@dataclass(frozen=True, eq=False)  # a cache, which must not take part when `Knots` are compared
+@dataclass(frozen=True, eq=False)  # `Knots` hold it as a cache, which must not count when they are compared
 class _Curve:
     """Points (n,) of `Knots` as arrays, and the slopes (n,) of a smooth curve at these points."""
 

@@ -26,7 +26,7 @@ from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.pso import Swarm, SwarmSettings
 from adaptrack.tuning.runs import RunSet, random_drive_runs
@@ -40,7 +40,7 @@ FIRST_SEARCH_DRIVE, FIRST_UNSEEN_DRIVE = 13_000_000, 13_500_000
 SEARCH_NOISE_SEED, UNSEEN_NOISE_SEED = 5_001, 5_002
 """Noise seeds of the search and of the test."""
 HARD_SPEED_START = 0.57
-"""Position in the speed range above which hard drives take their speeds (0: lowest, 1: highest speed)."""
+"""Hard drives have speeds above this position in the speed range (0: lowest, 1: highest speed)."""
 HARD_DEMAND = (0.2, 0.35)
 """Lowest and highest share of the grip that hard drives need."""
 
@@ -84,15 +84,15 @@ class TunedCar:
     domain: Domain
     """Domain of the car without the infeasible speeds and frictions."""
     feasibility: Feasibility
-    """Speeds and frictions at which some tuning is stable."""
+    """Speeds and frictions at which at least one tuning is stable."""
     default: Tuning
     """Default tuning of the controller."""
-    sought: Tuning
+    candidate: Tuning
     """Best tuning that the search found."""
     costs: dict[str, Array]
-    """J (m^2) of each unseen drive, (drives,), with the tunings "default" and "sought"; infinite after a failure."""
+    """J (m^2) of each unseen drive, (drives,), with the tunings "default" and "candidate"; infinite after a failure."""
     gain: Ratio
-    """Cost ratio on the same drives: J of the best tuning divided by J of the default; an improvement is below 1.
+    """Cost ratio on the same drives: J of the best tuning divided by J of the default; below 1 it is better.
     J of a failed drive is the failure distance squared."""
     certificate: Certificate
     """Certificate of the selected tuning over the domain, for the plant of `stability.linear_twin`."""
@@ -111,7 +111,7 @@ class TunedCar:
     @property
     def failed(self) -> int:
         """The number of unseen drives that failed with the selected tuning."""
-        return int(np.isinf(self.costs["sought" if self.tuning is self.sought else "default"]).sum())
+        return int(np.isinf(self.costs["candidate" if self.tuning is self.candidate else "default"]).sum())
 
     @property
     def passed(self) -> bool:
@@ -140,7 +140,7 @@ class TunedCar:
             "domain": self.domain.model_dump(mode="json"),
             "tuning": _entries(self.tuning),
             "default": _entries(self.default),
-            "sought": _entries(self.sought),
+            "candidate": _entries(self.candidate),
             "gain": self.gain._asdict(),
             "drives": len(self.costs["default"]),
             "failed": {name: int(np.isinf(drives).sum()) for name, drives in self.costs.items()},
@@ -168,7 +168,7 @@ def tune(
 
     The function has four steps:
 
-    1. Linear loops show at which speeds and frictions any tuning is stable. The domain is reduced to these.
+    1. Linear loops show at which speeds and frictions at least one tuning is stable. The domain is reduced to these.
     2. A swarm searches the tuning with the lowest cost on random drives in this domain.
     3. Default and best tuning are compared on unseen drives. The best tuning is selected if its cost is lower with
        95 % confidence and it fails no more often, otherwise the default.
@@ -234,11 +234,11 @@ def tune(
     numbers = range(FIRST_UNSEEN_DRIVE + 1000 * seed, FIRST_UNSEEN_DRIVE + 1000 * seed + effort.unseen_drives)
     unseen = bench.drives(numbers, 60.0)
     costs = {"default": unseen.drive(default, [UNSEEN_NOISE_SEED])[:, 0]}
-    costs["sought"] = costs["default"] if best == default else unseen.drive(best, [UNSEEN_NOISE_SEED])[:, 0]
+    costs["candidate"] = costs["default"] if best == default else unseen.drive(best, [UNSEEN_NOISE_SEED])[:, 0]
     bounded = {name: np.minimum(drives, unseen.failed_cost) for name, drives in costs.items()}
-    gain = ratio(bounded["sought"], bounded["default"])
+    gain = ratio(bounded["candidate"], bounded["default"])
     failures = {name: int(np.isinf(drives).sum()) for name, drives in costs.items()}
-    tuning = best if gain.high < 1.0 and failures["sought"] <= failures["default"] else default
+    tuning = best if gain.high < 1.0 and failures["candidate"] <= failures["default"] else default
     certificate = certify(
         tuning, linear, mpc, without_delay, domain={"speed": domain.speed, "friction": domain.friction},
         levels=effort.levels, progress=report,
@@ -271,7 +271,7 @@ class _Bench:
 
     def drives(self, numbers: range, seconds: float, **options: Any) -> RunSet:
         """Return random drives in the domain with a duration in seconds; options: further ones of `random_drive`."""
-        failure, options = Failure(distance=self.domain.failure_distance), self.domain.drive_options | options
+        failure, options = FailureLimits(distance=self.domain.failure_distance), self.domain.drive_options | options
         return random_drive_runs(
             self.plant, self.mpc, numbers, seconds, self.profile, drive_options=options, failure=failure
         )

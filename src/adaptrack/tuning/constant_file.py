@@ -38,7 +38,7 @@ class ConstantTuning(Record):
     belief: str = Field(default="", description="steering parameters that the controller assumed in the search")
     tuning: dict[str, float] = Field(description="tuning entries of the controller")
     holds: HoldableSpeed | None = Field(
-        default=None, description="largest braking with sufficient stability margins, see `HoldableSpeed`"
+        default=None, description="largest braking (m/s^2) at which the stability margins suffice, see `HoldableSpeed`"
     )
 
     @model_validator(mode="after")
@@ -67,8 +67,8 @@ class ConstantTuning(Record):
         InvalidInput
             When the entries are not those of the controller, or it does not accept their values.
         """
-        offered = {"period": period, "preview": preview, "computation": computation}
-        controller = get_controller(self.controller, car, profile=profile, offered=offered)
+        optional = {"period": period, "preview": preview, "computation": computation}
+        controller = get_controller(self.controller, car, profile=profile, optional=optional)
         if set(self.tuning) != set(controller.tuning_names):
             entries, names = ", ".join(self.tuning), ", ".join(controller.tuning_names)
             raise InvalidInput(f"tuning of {self.controller!r}: entries {entries}: must be {names}.")
@@ -77,7 +77,7 @@ class ConstantTuning(Record):
     def with_holdable_speed(self, car: Vehicle, profile: Profile) -> ConstantTuning:
         """Return a copy with the largest braking `holds`, which takes some seconds.
 
-        A controller that is not an `MPC`, or has a scheduler, gets this object instead.
+        If the controller is no `MPC`, or has a scheduler, the result is this object itself.
         """
         controller = self.make(car, profile, self.period, profile.preview)
         if not isinstance(controller, MPC) or controller.scheduler is not None:

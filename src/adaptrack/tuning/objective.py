@@ -23,7 +23,7 @@ from adaptrack.core.kernel import Resident
 from adaptrack.core.period import RunSpan
 from adaptrack.core.plants.contract import SLOTS
 from adaptrack.drive.batch import Batch
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings
@@ -73,7 +73,7 @@ class Objective:
     """Weight of the command changes (m^2/rad^2); None for the weight of the profile."""
     duration: float | None = None
     """Duration of the test (s); None for 18 s (step) or 8 s (lane change)."""
-    failure: Failure | None = None
+    failure: FailureLimits | None = None
     """Rule by which a run fails; None for the rule of the domain of the plant's car."""
 
     def __post_init__(self) -> None:
@@ -106,7 +106,7 @@ class Objective:
         costs = np.empty(len(rows))
         run, trial = self._trial(point, min(len(rows), SLOTS), rows[:, 0].max(), rows[:, 1].max())
         # tunings, the cost at which each run stops, and the computed costs
-        evaluation = kernels.Judged(np.ascontiguousarray(rows), np.full(len(rows), np.inf), costs)
+        evaluation = kernels.TuningCosts(np.ascontiguousarray(rows), np.full(len(rows), np.inf), costs)
         for first in range(0, len(rows), SLOTS):
             run.mpc.memory["speed"] = np.nan  # makes the kernel form the QP matrices anew for the next tunings
             kernels.evaluate(first, min(SLOTS, len(rows) - first), evaluation, trial)
@@ -138,7 +138,7 @@ class Objective:
             return self._search_by_costs(point, Swarm(space, swarm, seed=seed, stream=stream))
         slots, count = min(swarm.particles, SLOTS), swarm.particles
         _, trial = self._trial(point, slots, space.high[0], space.high[1])
-        evaluation = kernels.Judged(np.zeros((count, 4)), np.empty(count), np.empty(count))
+        evaluation = kernels.TuningCosts(np.zeros((count, 4)), np.empty(count), np.empty(count))
         search = kernels.SearchRecord(
             seed, stream, swarm.packed(space), space.packed(), swarm_kernel.particles(count, 4), evaluation,
             np.empty(swarm.generations),
@@ -155,14 +155,14 @@ class Objective:
         )
 
     def _simulated_costs(self, point: ArrayLike, tunings: Array) -> Array:
-        """Return the result of `costs` from `simulate`, one run at a time."""
+        """Compute `costs` with `simulate`, one run at a time."""
         with self._single_thread:  # type: ignore[attr-defined]
             runs = RunSet(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
             runs.weight = self.weight
             return runs.drive(tunings, self.noise_seeds, np.zeros(len(tunings), np.int64)).mean(axis=1)
 
     def _search_by_costs(self, point: ArrayLike, swarm: Swarm) -> PointTuning:
-        """Return the result of `tune` from `costs`, which drives every run to its end."""
+        """Search like `tune`, but with costs that `costs` computes: every run is driven to its end."""
         while not swarm.is_done:
             swarm.tell(self.costs(point, swarm.ask()))
         result, runs = swarm.result(), swarm.settings.evaluations * len(self.noise_seeds)

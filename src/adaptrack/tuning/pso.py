@@ -58,7 +58,10 @@ class SearchSpace(Record):
         default=None, description="names of a smaller and a larger dimension; they may be equal in value"
     )
     spread: float = Field(
-        default=1.0, ge=1, le=1e6, description="smallest ratio larger / smaller dimension of an initial position"
+        default=1.0,
+        ge=1,
+        le=1e6,
+        description="in an initial position the larger of `ordered` is at least this many times the smaller",
     )
 
     @model_validator(mode="after")
@@ -169,7 +172,9 @@ class SwarmSettings(Record):
         default=15, ge=1, le=1_000_000, description="number of generations, including the initial positions"
     )
     kind: Literal["improved", "classic"] = Field(default="improved", description="rule for w, c1 and c2")
-    w_max: float = Field(default=0.99, ge=0, le=10, description="eq. (19); initial inertia w_min + e^w_max/lambda2")
+    w_max: float = Field(
+        default=0.99, ge=0, le=10, description="eq. (19); the initial inertia is w_min + exp(w_max)/lambda2"
+    )
     w_min: float = Field(default=0.1, ge=0, le=10, description="eq. (19), inertia of late generations")
     lambda1: float = Field(default=30.0, ge=0, le=1e6, description="eq. (19), rate at which the inertia falls")
     lambda2: float = Field(default=3.0, gt=0, le=1e6, description="eq. (19), divisor of the exponential")
@@ -180,9 +185,11 @@ class SwarmSettings(Record):
     c2: float = Field(default=2.0, ge=0, le=10, description="social acceleration; initial value for the improved swarm")
     steps: Annotated[tuple[float, float, float, float], LISTED] = Field(
         default=(0.05, 0.02, -0.035, -0.0015),
-        description="eq. (20), step alpha of c1 and c2 in four ranges of generation g / last G",
+        description="eq. (20), change of c1 per generation in the first 20 %, to 35 %, to 75 % and in the rest",
     )
-    velocity_clamp: float = Field(default=0.2, gt=0, le=1, description="largest velocity / range of the dimension")
+    velocity_clamp: float = Field(
+        default=0.2, gt=0, le=1, description="largest velocity as a share of the range of the dimension"
+    )
 
     @model_validator(mode="before")
     @classmethod

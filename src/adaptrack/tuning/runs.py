@@ -30,11 +30,11 @@ from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Schedule
 from adaptrack.core.loop import SIGNAL
 from adaptrack.drive.batch import Batch, interpreted_functions, sampled
-from adaptrack.drive.failure import Failure
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.drive.simulate import rollouts, simulate
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.drive.world import Driver, KnownAs, World
+from adaptrack.drive.world import Driver, PerceptionSource, World
 from adaptrack.road import Comfort, Road, plan_speed
 from adaptrack.road.speed import DEFAULT_COMFORT
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
@@ -84,8 +84,8 @@ class Outcome(NamedTuple):
 class RunSet:
     """Runs of one plant in one profile.
 
-    Training of schedulers divides each run into segments. It attributes the cost of a segment to the inputs of the
-    scheduler within the segment and shortly before it. It needs runs of equal length.
+    When schedulers are trained, each run is divided into segments. The cost of a segment is attributed to the inputs of
+    the scheduler within the segment and shortly before it. This needs runs of equal length.
 
     Parameters
     ----------
@@ -102,8 +102,8 @@ class RunSet:
     before
         Time before a segment (control periods) in which inputs of the scheduler may influence the cost of the segment.
     stride
-        Distance between the inputs that are used (control periods).
-    known_as
+        Every how many control periods the inputs of the scheduler are used for training.
+    perception
         How schedulers perceive friction and wind; None for the true values.
     failure
         Rule by which a run fails; None for the rule of the domain of the plant's car.
@@ -111,22 +111,22 @@ class RunSet:
         Driver of the cars on roads; None where the planned speed is followed exactly.
     """
 
-    known_as: KnownAs = None
-    failure = Failure()
+    perception: PerceptionSource = None
+    failure = FailureLimits()
     controller = "mpc"
-    """Name of the MPC in tables: "informed" for an MPC with a belief, otherwise "mpc"."""
+    """Label of the MPC in tables: "informed" for an MPC with a belief, otherwise "mpc"."""
     _last_batch: Batch | None = None
 
     def __init__(
         self, plant: Plant | SteppedPlant, mpc: MPC, scenarios: Sequence[Scenario | RoadDrive],
         profile: str | Profile = "road", *, segment: int | None = None, before: int = 0, stride: int = 20,
-        known_as: KnownAs = None, failure: Failure | None = None, driver: Driver | None = None,
+        perception: PerceptionSource = None, failure: FailureLimits | None = None, driver: Driver | None = None,
     ) -> None:  # fmt: skip
         self.plant, self.mpc, self.scenarios, self.profile, self.driver = plant, mpc, list(scenarios), profile, driver
-        self.known_as, self.failure = known_as, failure or Failure.of(plant)
+        self.perception, self.failure = perception, failure or FailureLimits.of(plant)
         self.controller = "mpc" if mpc.belief is None else "informed"
         self.weight = load_profile(profile).move_weight
-        self.signals, samples = sampled(World.of(plant, mpc, profile, driver, known_as, failure), self.scenarios)
+        self.signals, samples = sampled(World.of(plant, mpc, profile, driver, perception, failure), self.scenarios)
         self.lengths = np.array([signals.n for signals in self.signals])
         """Number of control periods of each run, (runs,)."""
         self.periods = int(self.lengths.max())
@@ -145,7 +145,7 @@ class RunSet:
     def _batch(self, controller: Controller) -> Batch:
         assert not isinstance(self.plant, SteppedPlant)
         return Batch(
-            self.plant, controller, self.scenarios, self.profile, self.driver, self.failure, self.known_as
+            self.plant, controller, self.scenarios, self.profile, self.driver, self.failure, self.perception
         )  # fmt: skip
 
     def _cached_batch(self, controller: Controller) -> Batch:
@@ -287,12 +287,12 @@ class RunSet:
 
     def _simulated(self, policy: Policy, row: int, i: int, seed: int) -> Trajectory:
         """Return the trajectory of run i of the set with one noise seed; `row` as for `controller_of`."""
-        controller, known_as = self.controller_of(policy, row), self.known_as
-        if isinstance(known_as, Perception):  # the same perception errors as in a compiled batch
-            known_as = replace(known_as, seed=known_as.seed + i)
+        controller, perception = self.controller_of(policy, row), self.perception
+        if isinstance(perception, Perception):  # the same perception errors as in a compiled batch
+            perception = replace(perception, seed=perception.seed + i)
         return simulate(
             self.plant, controller, self.scenarios[i], profile=self.profile, driver=self.driver, seed=seed,
-            known_as=known_as, failure=self.failure,
+            perception=perception, failure=self.failure,
         )  # fmt: skip
 
 
@@ -424,8 +424,8 @@ def paper_test_runs(
     return RunSet(plant, mpc, [load_scenario(name)], profile, **options)
 
 
-def perception(name: str, plant: SingleTrack | DualTrack, profile: str | Profile = "road") -> KnownAs:
-    """Return the argument `known_as` for a perception of friction and wind by name.
+def make_perception(name: str, plant: SingleTrack | DualTrack, profile: str | Profile = "road") -> PerceptionSource:
+    """Return the argument `perception` for a perception of friction and wind by name.
 
     The names are "exact" (true values), "estimated" (`FrictionWindEstimator`) and those of `PERCEPTIONS`.
 
@@ -439,5 +439,5 @@ def perception(name: str, plant: SingleTrack | DualTrack, profile: str | Profile
     if name == "estimated":
         return FrictionWindEstimator.of(plant, profile)
     if name not in PERCEPTIONS:
-        raise InvalidInput(f"known_as = {name!r}: must be exact, estimated, {', '.join(PERCEPTIONS)}.")
+        raise InvalidInput(f"perception = {name!r}: must be exact, estimated, {', '.join(PERCEPTIONS)}.")
     return PERCEPTIONS[name]

@@ -33,7 +33,7 @@ class SearchBounds(Record):
     Nc: Annotated[tuple[int, int], BeforeValidator(as_tuples)] = Field(default=(1, 18), description="control periods")
     Q: Pair = Field(default=(0.1, 10.0), description="1/m^2")
     R: Pair = Field(default=(0.001, 0.1), description="1/rad^2")
-    decades: bool = Field(default=False, description="search log10 Q and log10 R, as wide bounds need")
+    decades: bool = Field(default=False, description="whether log10 Q and log10 R are searched")
 
     @model_validator(mode="after")
     def _holds_a_tuning(self) -> Self:

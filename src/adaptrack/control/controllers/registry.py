@@ -92,12 +92,12 @@ def get_controller(
     vehicle: Vehicle | str,
     *,
     profile: str | Profile | None = None,
-    offered: Mapping[str, Any] | None = None,
+    optional: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> Controller:
     """A new controller for a vehicle (or its name or file); ``options`` go to its factory.
 
-    profile: what the controller runs on; goes to a factory that has an argument of this name; offered: likewise, what
+    profile: what the controller runs on; goes to a factory that has an argument of this name; optional: likewise, what
     else it may take, by name; None is not passed on.
 
     Raises
@@ -110,7 +110,7 @@ def get_controller(
     if profile is not None and "profile" in parameters:
         options["profile"] = profile
     anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
-    values = {key: value for key, value in (offered or {}).items() if value is not None}
+    values = {key: value for key, value in (optional or {}).items() if value is not None}
     arguments = {key: value for key, value in values.items() if key in parameters or anything}
     return factory(vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle), **arguments, **options)
 

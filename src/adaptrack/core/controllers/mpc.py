@@ -34,7 +34,7 @@ from ..kernel import (
     viewer,
     void,
 )
-from ..layout import put, room
+from ..layout import allocate, put
 from ..maths import vectors
 from ..models.contract import MEASUREMENT
 from ..qp import problem as qp
@@ -199,7 +199,7 @@ MPCCounts = record(
 
 
 @inlined
-def put_sizes(settings, counts, table, row):
+def mpc_sizes(settings, counts, table, row):
     """Sizes of the arrays of an `Mpc` under `MPCSettings`, from a row of a table on, see `layout`; the next row."""
     slots, n = counts.slots, counts.states
     horizon, moves = settings.longest_horizon, most_moves(settings)
@@ -265,7 +265,7 @@ def sizes(settings, counts, table):
     The settings lie at the beginning of an `Mpc`: these may be those.
     """
     complete_settings(settings, counts)
-    return put_sizes(settings, counts, table, 0)
+    return mpc_sizes(settings, counts, table, 0)
 
 
 @exported(void(MPC_PLACE), name="mpc_prepare")
@@ -317,7 +317,7 @@ def _room(settings: Any, counts: Any) -> Any:
     """Zeroed memory of MPCs under settings, those completed."""
     (settled,) = MPCSettings.new(1, **settings._asdict())
     complete_settings(settled, counts)
-    return room(Mpc, put_sizes, settled, counts)._replace(settings=MPCSettings(*settled.tolist()))
+    return allocate(Mpc, mpc_sizes, settled, counts)._replace(settings=MPCSettings(*settled.tolist()))
 
 
 def _lag_of(turning: Any) -> float:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..kernel import Caller, address_of, columns, exported, float64, inlined, int64, matrix, record, vector, void
-from ..layout import put, room
+from ..layout import allocate, put
 
 SLOTS = 32
 """Vehicles of a batch."""
@@ -98,7 +98,7 @@ def vehicle_sizes(slots, parameters, states, table, row):
 def vehicle_batch(compiled: Any, parameters: Any, start: Any) -> Any:
     """A batch of a `CompiledPlant`'s vehicles before their first period: initial states `start` (slots, n)."""
     slots, n = np.shape(start)
-    vehicles = room(Vehicles, vehicle_sizes, slots, len(parameters), n)
+    vehicles = allocate(Vehicles, vehicle_sizes, slots, len(parameters), n)
     vehicles.parameters[:], vehicles.start[:] = parameters, start
     return vehicles._replace(**{name: address_of(getattr(compiled, name)) for name in ("advance", "observe", "member")})
 

@@ -117,7 +117,7 @@ def _control_law(tracking):
     situation[PLACE.speed], situation[PLACE.command] = ahead[INSTANT.speed], tracker.memory[0].command
     if tracking.scheduling.schedule.settings[0].n_entries > 0:
         _schedule(tracker, tracking.scheduling, tuning)
-    output = law.own_answer
+    output = law.law_answer
     call_law(law.function, situation, _reference(), road, tuning, law.parameters, law.memory[0], output)
     answer[CONTROLLER_ANSWER.command] = output[COMMAND]
     answer[CONTROLLER_ANSWER.held] = 1.0 if law.held > 0 and output[law.held] > 0.5 else 0.0

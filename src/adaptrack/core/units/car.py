@@ -92,7 +92,7 @@ def _span():
 @inlined
 def _open_window(car):
     """Write what is planned and what surrounds the car to the signals from now on."""
-    values, signals, drive = car.values, car.loop.given.signals, car.loop.memory.own[0]
+    values, signals, drive = car.values, car.loop.inputs.signals, car.loop.memory.drives[0]
     signals[0, SIGNAL.speed, :] = values[CAR_VALUE.speed_ahead]
     signals[0, SIGNAL.speed, 0] = values[CAR_VALUE.speed]
     signals[0, SIGNAL.station, :] = math.inf  # the plan, whose place is the first sample, is not looked for
@@ -106,7 +106,7 @@ def _open_window(car):
 def _sense(car):
     """Write the outputs of the present instant; the status."""
     values, loop = car.values, car.loop
-    drive, block, measured = loop.memory.own[0], loop.vehicles.block, loop.measured
+    drive, block, measured = loop.memory.drives[0], loop.vehicles.block, loop.measured
     before_control(0, _span(), loop)
     if drive.ended == STATE_NOT_FINITE:
         return UNIT_FAILED
@@ -115,7 +115,7 @@ def _sense(car):
     offset, error, station = measured[MEASUREMENT.y], measured[MEASUREMENT.yaw], drive.pose_station
     x, y, heading = station, 0.0, 0.0
     if drive.located > 0:
-        x, y, heading, _ = point_at(station, line_of(loop.given.roads.of[0], loop.given.roads))
+        x, y, heading, _ = point_at(station, line_of(loop.inputs.roads.of[0], loop.inputs.roads))
     values[CAR_VALUE.measured_x], values[CAR_VALUE.measured_y] = x - sin(heading) * offset, y + cos(heading) * offset
     values[CAR_VALUE.measured_yaw] = heading + error
     values[CAR_VALUE.measured_offset], values[CAR_VALUE.measured_heading_error] = offset, error
@@ -147,13 +147,13 @@ def car_begin(car):
         return invalid
     if values[CAR_VALUE.parallel_exchange] > 0.5 and loop.settings.dead_whole == 0:
         return NO_DELAY
-    loop.given.seeds[0] = whole(values[CAR_VALUE.seed])
+    loop.inputs.seeds[0] = whole(values[CAR_VALUE.seed])
     start = loop.vehicles.start
     start[0, PLANT_STATE.x], start[0, PLANT_STATE.y] = values[CAR_VALUE.start_x], values[CAR_VALUE.start_y]
     start[0, PLANT_STATE.yaw], start[0, PLANT_STATE.vx] = values[CAR_VALUE.start_yaw], values[CAR_VALUE.start_speed]
     begin_slot(0, loop)
     _open_window(car)
-    loop.given.signals[0, SIGNAL.station, 0] = values[CAR_VALUE.start_station]
+    loop.inputs.signals[0, SIGNAL.station, 0] = values[CAR_VALUE.start_station]
     values[CAR_VALUE.ended] = float(RUNNING)
     return _sense(car)
 
@@ -173,8 +173,8 @@ def car_step(car):
     if values[CAR_VALUE.parallel_exchange] > 0.5:
         loop.memory.sent[0, 0] = command
     _open_window(car)
-    after_control(0, command, command - loop.memory.own[0].command, _span(), loop)
+    after_control(0, command, command - loop.memory.drives[0].command, _span(), loop)
     move(1, loop)
-    drive = loop.memory.own[0]
+    drive = loop.memory.drives[0]
     drive.sample = drive.place = drive.departed = drive.standing = 0  # the window begins at the car
     return _sense(car)
