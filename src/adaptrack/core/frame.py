@@ -34,7 +34,8 @@ FRAME = columns(
     "guard",  # steps in which the guard of a schedule has limited its tuning, made it give way or replaced it, so far
 )
 """Of an instant, its command known, the car not yet moved: `period.TRACE_SIGNALS`, the first entries of
-`plants.STATE`, then these. Behind them is the controller's answer but for its command, and of control laws the tuning."""
+`plants.STATE`, then these. Behind them is the answer of the controller without its command; control laws add the
+tuning."""
 
 
 @inlined
