@@ -143,8 +143,8 @@ function runOf({ controller, parts, plant, measured, world }, { car, of, samples
       parameters: share(plant.parameters),
       start: first,
     },
-    given: { signals: share(view(signals, 0, [1, rows, count])), roads, seeds: [BigInt(seed)] },
-    measured: share(measured), ceiling: [NaN], mpc: { ...parts.values.mpc, measured: share(measured) },
+    inputs: { signals: share(view(signals, 0, [1, rows, count])), roads, seeds: [BigInt(seed)] },
+    measured: share(measured), cost_limit: [NaN], mpc: { ...parts.values.mpc, measured: share(measured) },
     functions: controller.known.functions
       ? {
           discretise: linked(controller.known.functions.discretise),
@@ -258,7 +258,7 @@ const ENDINGS = [null, "it left the road", "it spun", "its motion is no number a
 
 /** When a car has ended, and why: null at the end of its road; null while it drives. */
 function ending({ run, span }) {
-  const record = run.memory.own.row(0);
+  const record = run.memory.drives.row(0);
   if (record.ended === 0 && record.instant < span.periods) return null;
   return {
     at: record.ended === 0 ? span.periods * run.settings.period : record.ended_at,
@@ -316,7 +316,7 @@ function belief(cars, given) {
 function exchange(own, controller) {
   const old = own.run, kept = old.mpc.memory.row(0).$numbers;
   const other = ready(own, controller, drive), { run } = other;
-  for (const name of ["vehicles", "memory", "given", "schedule"]) keepArrays(run[name], old[name]);
+  for (const name of ["vehicles", "memory", "inputs", "schedule"]) keepArrays(run[name], old[name]);
   run.settings.$copy(old.settings);
   run.result.row(0).$copy(old.result.row(0));
   const { command, reference, planned, age } = kept;
