@@ -23,10 +23,10 @@ from adaptrack.gym import (  # noqa: E402
     PathTrackingVectorEnv,
 )
 from adaptrack.gym.spaces import make_mpc  # noqa: E402
+from episodes import STEP, same_as_alone  # noqa: E402
 from foreign_loop import example  # noqa: E402
 
 SHORT = {"road": "country:3", "length": 100.0}
-STEP = at.load_scenario("step").replace(duration=4.0)
 TUNING = (25.0, 6.0, 1.5)  # Np, Nc, log10 R/Q
 
 
@@ -75,8 +75,9 @@ def test_a_law_that_steers_the_environment_has_the_run_of_simulate_to_the_bit(pr
     law.reset()
     car = at.load_vehicle("van")
     run = at.simulate(
-        at.get_plant("dual-track", car), law, env.task.drive(0, car), profile=profile, seed=first["noise_seed"]
-    )
+        at.get_plant("dual-track", car), law, env.task.drive(0, car), profile=profile, driver=at.Driver(),
+        seed=first["noise_seed"],
+    )  # fmt: skip
     assert np.array_equal(observations[1:, 5], run.command[np.isfinite(run.command)])
     assert info["failed"] == (run.failed or "")
     assert flags == (bool(run.failed), not run.failed)
@@ -94,43 +95,15 @@ def test_a_constant_choice_has_the_run_of_simulate_with_that_tuning_to_the_bit()
     assert entries == pytest.approx([25, 6, 1.0, 10.0**1.5], rel=1e-12)
     mpc = make_mpc("informed", car, at.load_profile("road"), lambda variables: entries)
     run = at.simulate(
-        at.get_plant("dual-track", car), mpc, env.task.drive(0, car), profile="road", seed=first["noise_seed"]
-    )
+        at.get_plant("dual-track", car), mpc, env.task.drive(0, car), profile="road", driver=at.Driver(),
+        seed=first["noise_seed"],
+    )  # fmt: skip
     cost = at.compute_metrics(run, move_weight=at.load_profile("road").move_weight).cost
     assert info["J"] == pytest.approx(cost, rel=1e-12)
     assert len(rewards) == math.ceil(len(run) / 7)
 
 
 # -- many cars --------------------------------------------------------------------------------------------------------
-def same_as_alone(several, alone, choose):
-    """Drive two episodes of each car in both forms and compare all but the action that begins the second one."""
-    count, seed = several.num_envs, 11
-    observations, infos = several.reset(seed=seed)
-    lonely = [alone() for _ in range(count)]
-    begun = [env.reset(seed=seed + i) for i, env in enumerate(lonely)]
-    assert infos["noise_seed"].tolist() == [info["noise_seed"] for _, info in begun]
-    assert np.array_equal(observations, [row for row, _ in begun])
-    over, episodes = np.zeros(count, bool), 0
-    while episodes < 2 * count:
-        actions = np.array([choose(row) for row in observations])
-        observations, rewards, terminated, truncated, infos = several.step(actions)
-        for i, env in enumerate(lonely):
-            if over[i]:
-                expected = (env.reset()[0], 0.0, False, False)
-            else:
-                *expected, info = env.step(actions[i])
-                assert ("belief_state" in info) == ("belief_state" in several.names)
-                assert "belief_state" not in info or infos["belief_state"][i] == info["belief_state"]
-                if expected[2] or expected[3]:
-                    assert infos["failed"][i] == info["failed"]
-                    assert infos["J"][i] == pytest.approx(info["J"], rel=1e-12)
-            assert np.array_equal(observations[i], expected[0])
-            assert rewards[i] == expected[1]
-            assert (terminated[i], truncated[i]) == tuple(expected[2:])
-        over = terminated | truncated
-        episodes += int(over.sum())
-
-
 @pytest.mark.compiled
 @pytest.mark.parametrize("options", [{}, {"random_cars": True}, {"profile": "production"}], ids=str)
 def test_a_steered_car_has_the_same_run_alone_and_among_others_to_the_bit(options):

@@ -21,6 +21,7 @@ def write_variables(episodes):
         look(slot, episodes.measured[slot], run)
         for j in range(len(VARIABLE_COLUMNS)):
             keep(run.variables[j], row, j)
+        keep(-run.variables[VARIABLE_COLUMNS.offset], row, VARIABLE_COLUMNS.offset)  # of the car, positive to the left
         if run.mpc.settings.learns > 0:
             for j in range(len(BELIEF_NAMES)):
                 keep(run.mpc.informed.learned[slot, BELIEFS_OFFSET + j], row, len(VARIABLE_COLUMNS) + j)

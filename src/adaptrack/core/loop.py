@@ -155,7 +155,7 @@ def locate(slot, run):
     _, _, samples = signals.shape
     last, first = samples - 1, drive.departed
     while drive.place < last and signals[scenario, SIGNAL.station, drive.place + 1] <= station:
-        if not is_prescribed(slot, run) and _is_stop(drive.place, drive, signals[scenario]):
+        if waits_at_stops(slot, run) and _is_stop(drive.place, drive, signals[scenario]):
             break
         drive.place += 1
     while drive.place > first and signals[scenario, SIGNAL.station, drive.place] > station:
@@ -167,6 +167,12 @@ def is_prescribed(slot, run):
     """Whether a car follows its planned speed exactly, without forces along the road."""
     kind = run.settings.prescribed_speed
     return kind == PRESCRIBED or (kind == PRESCRIBED_WITHOUT_ROAD and run.memory.drives[slot].located == 0)
+
+
+@inlined
+def waits_at_stops(slot, run):
+    """Whether the driver of the loop moves a car and waits at the stops of its plan."""
+    return not is_prescribed(slot, run) and run.settings.prescribed_speed != EXTERNAL_FORCES
 
 
 @inlined

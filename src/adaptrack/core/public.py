@@ -21,7 +21,7 @@ a plant                `MOTION_STATES` and `PlantState`, the input of a right-ha
 a control period       its two halves, between which a controller stands: `before_control` and `after_control`, then
                        `move`; whole episodes of a batch: `Episodes`, `renew`, `arrive`, `steer`, `control`; what an
                        agent observes: `ObservationSpace`, `write_one_observation`, `write_observations`,
-                       `write_variables`
+                       `write_variables`; rows of the signals and of the state of a plant, `SIGNAL` and `PLANT_STATE`
 =====================  =============================================================================================
 """
 
@@ -72,6 +72,7 @@ from .kernel import (
     viewer,
     void,
 )
+from .loop import HOLDING_DECELERATION, SIGNAL, STANDING_SPEED
 from .maths.bits import whole
 from .maths.exact import ceil, clip, floor, fmod, sqrt, square
 from .maths.exponential import exp, hypot, log
@@ -84,9 +85,9 @@ from .maths.vectors import padded
 from .member import compiles, member
 from .models import path as path_model
 from .models.contract import MEASUREMENT
-from .observation import ObservationSpace, write_one_observation
+from .observation import MIN_APPROACH_SPEED, ObservationSpace, write_one_observation
 from .period import after_control, before_control, move
-from .plants.contract import MOTION_STATES, SLOTS
+from .plants.contract import MOTION_STATES, PLANT_STATE, SLOTS
 from .plants.contract import PlantState as PlantState
 from .plants.forces import GRAVITY, wind_load
 from .plants.foreign import compiled_foreign
@@ -104,13 +105,18 @@ __all__ = [
     "EPISODE_FAILED",
     "EPISODE_RUNS",
     "GRAVITY",
+    "HOLDING_DECELERATION",
     "LAW_SIGNATURE",
     "LEARNED",
     "MEASUREMENT",
+    "MIN_APPROACH_SPEED",
     "MIN_LAW_SPEED",
     "MOTION_STATES",
     "PLANT_INPUT",
+    "PLANT_STATE",
+    "SIGNAL",
     "SLOTS",
+    "STANDING_SPEED",
     "STANDSTILL_SPEED",
     "Caller",
     "Direction",

@@ -26,7 +26,7 @@ from adaptrack.core.kernel import Resident
 from adaptrack.core.plants.contract import SLOTS, vehicle_batch
 from adaptrack.core.schedule import no_schedule
 from adaptrack.drive.failure import FailureLimits
-from adaptrack.drive.world import Driver, PerceptionSource, World, reason_of
+from adaptrack.drive.world import Driver, PerceptionSource, RequestedForces, World, reason_of
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
@@ -240,7 +240,7 @@ class Batch:
         controller: Controller,
         scenarios: Sequence[Scenario | RoadDrive],
         profile: str | Profile = "paper",
-        driver: Driver | None = None,
+        driver: Driver | RequestedForces | None = None,
         failure: FailureLimits | None = None,
         perception: PerceptionSource = None,
     ) -> None:

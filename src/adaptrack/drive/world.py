@@ -58,8 +58,15 @@ class Driver:
     """whether a scenario without a road follows its planned speed exactly, without a driver"""
 
 
+MAX_REQUESTED_SPEED = 70.0
+"""m/s, up to which a plant is integrated accurately if forces are requested without a plan."""
 ROAD_DRIVER = Driver(roads_only=True)
 """Default driver of commands and environments."""
+
+
+@dataclass(frozen=True)
+class RequestedForces:
+    """Driver of a run whose caller writes the requested forces to the memory of the loop before each command."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +79,7 @@ class World:
     """Steering, sensors and computation time."""
     period: float
     """Control period of the controller (s)."""
-    driver: Driver | SpeedControl | None
+    driver: Driver | SpeedControl | RequestedForces | None
     """Longitudinal driver; None to follow the speed reference exactly."""
     perception: PerceptionSource
     """Friction and wind that a scheduler receives."""
@@ -82,7 +89,7 @@ class World:
     @classmethod
     def of(
         cls, plant: Plant | SteppedPlant, controller: Controller, profile: str | Profile,
-        driver: Driver | SpeedControl | None,
+        driver: Driver | SpeedControl | RequestedForces | None,
         perception: PerceptionSource, failure: FailureLimits | None,
     ) -> World:  # fmt: skip
         """Build the world of a controller. The arguments are those of `simulate`.
@@ -159,6 +166,8 @@ class World:
         """Number of integration steps per control period for speeds up to `top_speed` (m/s)."""
         if isinstance(self.plant, SteppedPlant):
             return steps_in(self.period, self.plant)
+        if isinstance(self.driver, RequestedForces):
+            top_speed = max(top_speed, MAX_REQUESTED_SPEED)
         return self.plant.substeps(self.period, top_speed)
 
     def settings(self, substeps: int) -> Any:
@@ -197,7 +206,7 @@ class World:
         """Value of `prescribed_speed` in `core.loop.LoopSettings`: prescribed, a driver, or requested forces."""
         if self.driver is None:
             return loop_kernel.PRESCRIBED
-        if isinstance(self.driver, SpeedControl):
+        if isinstance(self.driver, SpeedControl | RequestedForces):
             return loop_kernel.EXTERNAL_FORCES
         return loop_kernel.PRESCRIBED_WITHOUT_ROAD if self.driver.roads_only else loop_kernel.DRIVER_FORCES
 

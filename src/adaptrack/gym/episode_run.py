@@ -42,14 +42,19 @@ class EpisodeRun:
         """Whether the episode has ended."""
         return self.terminated or self.truncated
 
-    def drive_period(self, command: float) -> float:
+    def drive_period(self, command: float, speed_cost: float = 0.0) -> float:
         """Drive one control period with a command (rad) and return its cost e^2 + w (change of command)^2 (m^2).
 
         A failure adds the failure cost of every remaining instant.
+
+        Parameters
+        ----------
+        speed_cost
+            Cost of speed and acceleration in this period (m^2), if the agent commands the acceleration.
         """
         loop = self.loop
         error, move = loop.error, command - loop.command
-        cost = error * error + self._move_weight * move * move
+        cost = speed_cost + (error * error + self._move_weight * move * move)
         loop.send(command)
         loop.advance()
         self.sensed = self._sense()

@@ -61,7 +61,7 @@ class MPCTuningEnv(gymnasium.Env):
     wind                m/s     side wind as perceived by the controller, +-100
     change              m       largest change of the reference over the next 3 s, 0 to 1000
     acceleration        m/s^2   largest lateral acceleration of reference and road over the next 3 s, 0 to 100
-    offset              m       y_ref minus measured y, +-100; `adaptrack/PathTracking-v0` has the opposite sign
+    offset              m       measured y minus y_ref, positive to the left, +-100
     belief_lag          s       only `informed`: assumed lag of the steering, 0 to 10
     belief_delay        s       only `informed`: assumed time until a command begins to act, 0 to 10
     ==================  ======  ==============================================================================
@@ -141,7 +141,8 @@ class MPCTuningEnv(gymnasium.Env):
         return {} if self._mpc.learner is None else {BELIEF_STATE: int(self._belief[BELIEF_NAMES.index(BELIEF_STATE)])}
 
     def _observe(self, run: EpisodeRun) -> Array:
-        inputs = np.array([*run.sensed.variables, *self._belief])
+        variables = run.sensed.variables
+        inputs = np.array([*variables._replace(offset=-variables.offset), *self._belief])
         space, present = self.observation_space, np.isfinite(inputs)
         self._observation = np.clip(np.where(present, inputs, self._observation), space.low, space.high)  # type: ignore[attr-defined]
         return self._observation.copy()

@@ -65,22 +65,22 @@ def check_distances(distances: Sequence[float]) -> Array:
     return metres
 
 
-def observation_box(distances: Array) -> spaces.Box:
-    """Return the observation space of an agent that steers, for its preview distances (m)."""
+def observation_bounds(distances: Array) -> list[tuple[float, float]]:
+    """Return the bounds of the columns of an agent that steers, for its preview distances (m)."""
     count = len(distances)
-    return box([*OBSERVATION_BOUNDS.values(), *[PREVIEW_REFERENCE_BOUNDS] * count, *[PREVIEW_CURVATURE_BOUNDS] * count])
+    return [*OBSERVATION_BOUNDS.values(), *[PREVIEW_REFERENCE_BOUNDS] * count, *[PREVIEW_CURVATURE_BOUNDS] * count]
 
 
 def observation_names(distances: Array) -> tuple[str, ...]:
-    """Return the names of the columns of `observation_box`."""
+    """Return the names of the columns of `observation_bounds`."""
     preview = [f"{signal}_{distance:g}m" for signal in ("reference", "curvature") for distance in distances]
     return (*OBSERVATION_BOUNDS, *preview)
 
 
-def command_box(task: Task) -> spaces.Box:
-    """Return the action space of an agent that steers: commands (rad) within the limits of all controllers."""
+def command_bounds(task: Task) -> tuple[float, float]:
+    """Return the limits that all controllers have for steering commands (rad)."""
     vehicle, _, profile = task.base_car()
-    return box([LoopSetup.of("PathTracking", vehicle, profile, None, None, None, None).limits.angle])
+    return LoopSetup.of("PathTracking", vehicle, profile, None, None, None, None).limits.angle
 
 
 def check_action(action: Any, space: spaces.Box) -> Array:

@@ -16,7 +16,7 @@ from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.config import load_drive, load_setting
 from adaptrack.control.controllers import CompiledController
 from adaptrack.drive.failure import DISTANCE, FailureLimits
-from adaptrack.drive.world import ROAD_DRIVER, Driver, PerceptionSource
+from adaptrack.drive.world import ROAD_DRIVER, Driver, PerceptionSource, RequestedForces
 from adaptrack.identification import CarRanges, random_car
 from adaptrack.identification.random_cars import BASES
 from adaptrack.scenario import RoadDrive, Scenario
@@ -85,7 +85,7 @@ class Task:
     """Steering, sensors, control period and cost weights, or the name of a shipped profile."""
     random_cars: bool | CarRanges = False
     """Whether each episode draws a new car with its own steering and sensor noise, or the ranges to draw from."""
-    driver: Driver | None = ROAD_DRIVER
+    driver: Driver | RequestedForces | None = ROAD_DRIVER
     """Speed control of the car; None if the speed follows its plan exactly."""
     perception: PerceptionSource = None
     """How the controller perceives friction and wind, as in `adaptrack.simulate`."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import whole_number
 from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.core.public import (
@@ -37,7 +38,9 @@ from adaptrack.core.public import (
 )
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.world import reason_of
+from adaptrack.gym.acceleration import ACCELERATION_WEIGHT, SPEED_WEIGHT, AccelerationInput, task_of
 from adaptrack.gym.mpc_tuning import TUNING_PERIODS
+from adaptrack.gym.path_tracking import joint_spaces
 from adaptrack.gym.spaces import (
     BELIEF_STATE,
     DISTANCES,
@@ -45,11 +48,8 @@ from adaptrack.gym.spaces import (
     box,
     check_action,
     check_distances,
-    command_box,
     initial_belief,
     make_mpc,
-    observation_box,
-    observation_names,
     variable_bounds,
 )
 from adaptrack.gym.task import Episode, ExternalCommands, Task
@@ -64,6 +64,8 @@ class CarBlock(NamedTuple):
     """Indices of the cars in the environment."""
     batch: Batch
     """Plant, controller, drives and profile of the cars."""
+    vehicle: Vehicle
+    """Data sheet of the cars."""
     episodes: Any
     """State of the episodes, a record `core.episode.Episodes`."""
     resident: Any
@@ -252,7 +254,7 @@ class _VectorEnv(VectorEnv):
             self._observations[slots],
             world.profile.move_weight, task.cost_of_failure(world.failure.distance),
         )  # fmt: skip
-        return CarBlock(slots, batch, episodes, Resident(episodes))
+        return CarBlock(slots, batch, episode.vehicle, episodes, Resident(episodes))
 
     def _schedule_start(self, block: CarBlock, car: int, episode: Episode) -> None:
         """Set up a car of a block for a new episode, which the kernel `renew` then starts."""
@@ -301,7 +303,7 @@ class PathTrackingVectorEnv(_VectorEnv):
     threads
         Number of threads that share the blocks of 32 cars. With random cars each block contains one car only, which
         takes longer.
-    distances, task
+    distances, acceleration, speed_weight, acceleration_weight, task
         As in `PathTrackingEnv`, except that a user's plant must not be written in Python.
 
     Raises
@@ -311,30 +313,52 @@ class PathTrackingVectorEnv(_VectorEnv):
     """
 
     def __init__(
-        self, num_envs: int = 64, *, threads: int = 1, distances: Sequence[float] = DISTANCES, **task: Any
+        self,
+        num_envs: int = 64,
+        *,
+        threads: int = 1,
+        distances: Sequence[float] = DISTANCES,
+        acceleration: bool = False,
+        speed_weight: float = SPEED_WEIGHT,
+        acceleration_weight: float = ACCELERATION_WEIGHT,
+        **task: Any,
     ) -> None:
         self._distances = check_distances(distances)
-        super().__init__(num_envs, threads, Task(**task))
-        self._commands = np.zeros(self.num_envs)
+        speed = AccelerationInput(self._distances, speed_weight, acceleration_weight)
+        self._speed = speed if acceleration else None
+        super().__init__(num_envs, threads, task_of(acceleration, task))
+        self._actions = np.zeros((self.num_envs, *self.single_action_space.shape))  # type: ignore[misc]
+        self._accelerations = np.zeros(self.num_envs)
 
     def _set_spaces(self) -> None:
-        self.names = observation_names(self._distances)
-        self.single_action_space = command_box(self.task)
-        self.single_observation_space = observation_box(self._distances)
+        self.single_action_space, self.single_observation_space, self.names = joint_spaces(
+            self.task, self._distances, self._speed
+        )
         self._step_columns = len(self.names)
 
     def _controller(self, episode: Episode) -> Controller:
         return ExternalCommands(episode.profile.period)
 
+    def _schedule_start(self, block: CarBlock, car: int, episode: Episode) -> None:
+        super()._schedule_start(block, car, episode)
+        self._accelerations[car] = 0.0
+
     def _store_actions(self, actions: Array) -> None:
-        self._commands[:] = actions[:, 0]
+        self._actions[:] = actions
 
     def _drive(self, block: CarBlock) -> None:
-        steer(self._commands[block.slots], block.resident)
+        if self._speed is not None:
+            states, last = self._episode_states[block.slots], self._accelerations[block.slots]
+            cost = self._speed.request(self._actions[block.slots, 1], last, block.vehicle, block.episodes.run)
+            states["cost"] += np.where(states["over"] == EPISODE_RUNS, cost, 0.0)
+        steer(self._actions[block.slots, 0].copy(), block.resident)
         arrive(block.resident)
 
     def _write_observations(self, block: CarBlock) -> None:
         write_observations(block.resident)
+        if self._speed is not None:
+            run, last = block.episodes.run, self._accelerations[block.slots]
+            self._speed.observe(last, run, self._observations[block.slots])
 
 
 class MPCTuningVectorEnv(_VectorEnv):
