@@ -9,6 +9,7 @@ PLACES = ((registry._registry, "factories"), (registry, "_descriptions"), (plant
 BEFORE = [dict(getattr(owner, name)) for owner, name in PLACES]
 
 import commonroad_cars  # noqa: E402, F401
+import lpv_mpc  # noqa: E402, F401
 import mppi  # noqa: E402, F401
 import nmpc  # noqa: E402, F401
 

@@ -13,7 +13,8 @@ FOLDER = Path(__file__).parents[2] / "examples" / "plugins"
 CONTRACTS = {
     "cars.plant", "cars.vehicle", "control.controllers.base", "control.controllers.belief",
     "control.controllers.informed", "control.controllers.inputs", "control.controllers.limits",
-    "control.controllers.registry", "control.controllers.setup", "control.kalman", "control.models", "core.public",
+    "control.controllers.registry", "control.controllers.setup", "control.kalman", "control.models", "control.qp",
+    "core.public",
     "road.road_ahead", "scenario.profile",
 }  # fmt: skip
 """Modules that a plug-in may import, in addition to those of `base`."""

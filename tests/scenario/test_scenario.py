@@ -51,6 +51,8 @@ ONE_OF_EACH: list[Shape] = [
 NAMES = [
     "triple-lane-change",
     "general-trajectory",
+    "accelerating-trajectory",
+    "accelerating-double-lane-change",
     "step",
     "lane-change",
     "double-lane-change",
