@@ -92,8 +92,8 @@ class AccelerationInput:
             Batch or run, `core.period.RunLoop`.
         """
         loop, signals = run.memory.own, run.given.signals
-        at_road = np.where(loop["located"] > 0, loop["place"], np.minimum(loop["sample"], signals.shape[2] - 1))
-        grade = signals[run.given.scenario, SIGNAL.grade, at_road]
+        place = np.where(loop["located"] > 0, loop["place"], np.minimum(loop["sample"], signals.shape[2] - 1))
+        grade = signals[run.given.scenario, SIGNAL.grade, place]
         slope = GRAVITY * grade / np.sqrt(1.0 + grade * grade)
         speed, mass = loop["speed"], run.settings.mass
         drag = 0.5 * vehicle.air_density * vehicle.frontal_area * vehicle.drag_coefficient
