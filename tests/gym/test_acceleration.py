@@ -85,12 +85,12 @@ def test_planned_speeds_ahead_are_those_of_the_plan_also_beyond_a_stop_that_is_p
     env = PathTrackingEnv(road=at.RoadDrive(road, plan), profile="paper", acceleration=True, distances=(0.0, 30.0))
     observation, _ = env.reset(seed=1)
     run = env._run.loop.run
-    while run.memory.own["station"][0] < 200.0:
-        station = float(run.memory.own["station"][0])
+    while run.memory.drives["station"][0] < 200.0:
+        station = float(run.memory.drives["station"][0])
         assert observation[-2:] == pytest.approx(plan.at(np.array([station, station + 30.0])), abs=0.5)
         observation, *_ = env.step([0.0, 1.0])
     signals = env._run.loop.signals
-    assert signals.station[run.memory.own["place"][0]] == pytest.approx(200.0, abs=5.0)
+    assert signals.station[run.memory.drives["place"][0]] == pytest.approx(200.0, abs=5.0)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_the_offset_is_positive_to_the_left_of_the_path_in_both_environments():
     for env in (PathTrackingEnv(road=scenario), MPCTuningEnv(road=scenario)):
         observation, _ = env.reset(seed=1)
         run = env._run.loop.run
-        expected = run.measured[3] - run.given.signals[0, 0, 0]
+        expected = run.measured[3] - run.inputs.signals[0, 0, 0]
         assert observation[env.names.index("offset")] == expected
 
 

@@ -91,9 +91,9 @@ class AccelerationInput:
         run
             Batch or run, `core.period.RunLoop`.
         """
-        loop, signals = run.memory.own, run.given.signals
+        loop, signals = run.memory.drives, run.inputs.signals
         place = np.where(loop["located"] > 0, loop["place"], np.minimum(loop["sample"], signals.shape[2] - 1))
-        grade = signals[run.given.scenario, SIGNAL.grade, place]
+        grade = signals[run.inputs.scenario, SIGNAL.grade, place]
         slope = GRAVITY * grade / np.sqrt(1.0 + grade * grade)
         speed, mass = loop["speed"], run.settings.mass
         drag = 0.5 * vehicle.air_density * vehicle.frontal_area * vehicle.drag_coefficient
@@ -115,7 +115,7 @@ class AccelerationInput:
         """Write the last columns of the observations (slots, columns): last acceleration and planned speeds ahead."""
         first = observations.shape[1] - len(self.names)
         observations[:, first] = np.clip(last, *ACCELERATION_BOUNDS)
-        speeds = self._planned_speeds(run.memory.own["station_estimate"], self.distances, run)
+        speeds = self._planned_speeds(run.memory.drives["station_estimate"], self.distances, run)
         np.copyto(observations[:, first + 1 :], np.clip(speeds, *PLANNED_SPEED_BOUNDS), where=np.isfinite(speeds))
 
     def _planned_speeds(self, stations: Array, distances: Array, run: Any) -> Array:
@@ -123,7 +123,7 @@ class AccelerationInput:
 
         Without a road the plan is a function of time, and the car comes to a distance with its present speed.
         """
-        loop, inputs = run.memory.own, run.given
+        loop, inputs = run.memory.drives, run.inputs
         speeds = np.empty((loop.size, len(distances)))
         for scenario in np.unique(inputs.scenario):
             cars = np.flatnonzero(inputs.scenario == scenario)
