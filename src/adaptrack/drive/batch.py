@@ -17,7 +17,6 @@ from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.control.controllers import MPC, CompiledController, CompiledScheduler, Controller
-from adaptrack.control.speed_control import SpeedControl
 from adaptrack.core import guard as guard_kernel
 from adaptrack.core import period as period_kernel
 from adaptrack.core import rollout
@@ -259,8 +258,10 @@ class Batch:
     def _check_compiled(self) -> None:
         """Raise an error if a component of the runs cannot be compiled."""
         controller = self.controller
-        if isinstance(self.world.driver, SpeedControl):
-            raise InvalidInput("driver: compiled runs have no SpeedControl; simulate(...) drives with one.")
+        if not (self.world.driver is None or isinstance(self.world.driver, Driver | RequestedForces)):
+            raise InvalidInput(
+                f"driver: compiled runs have no {type(self.world.driver).__name__}; simulate(...) drives with one."
+            )
         if names := interpreted_functions(self.world.plant, controller):
             raise MissingExtra(
                 f"{', '.join(names)}: batches of runs need compiled functions. To compile them, install numba: "

@@ -18,14 +18,14 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import SteppedPlant
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.scheduling.variables import SchedulingVariables
-from adaptrack.control.speed_control import SpeedControl, SpeedController
+from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
 from adaptrack.core import loop as loop_kernel
 from adaptrack.core import period as period_kernel
 from adaptrack.core.kernel import Resident
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants import contract, stepped
 from adaptrack.core.plants.contract import place, vehicle_batch
-from adaptrack.drive.world import World, reason_of
+from adaptrack.drive.world import Driver, RequestedForces, SpeedFollower, World, reason_of
 from adaptrack.road.road_ahead import RoadAhead, pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
 
@@ -144,7 +144,9 @@ class ClosedLoop:
             world.perception.reset(self.run.variable_estimator.memory)
         self.resident, self._span = Resident(self.run), Resident(period_kernel.RunSpan(n, 1, 0, 0.0))
         """`run` and the limits of its loop in the memory of the kernels."""
-        self.speed_controller = _speed_controller(world, scenario)
+        self.speed_controller = _speed_follower(world, scenario)
+        self.request: SpeedCommand | None = None
+        """Last requests of the speed controller."""
         self._drives, self._references = self.run.memory.drives, inputs.signals[0, loop_kernel.SIGNAL.y_ref]
 
     @property
@@ -175,16 +177,21 @@ class ClosedLoop:
         period_kernel.sense_one(self._span, self.resident)
         if self.speed_controller is not None:
             memory, measured = self._drives[0], self.run.measured
-            request = self.speed_controller.step(
+            request = self.request = self.speed_controller.step(
                 float(memory["station_estimate"]), float(memory["speed"]), float(measured[MEASUREMENT.yaw_rate])
             )
+            if not (math.isfinite(request.force) and request.hold >= 0.0):
+                raise InvalidInput(
+                    f"driver: step() gave force = {request.force!r} N, hold = {request.hold!r} N: the force must be "
+                    "finite, the hold at least 0."
+                )
             memory["requested_force"], memory["requested_hold"] = request.force, request.hold
         variables = SchedulingVariables(*self.run.variables.tolist())
         return Sensed(self.run.measured, float(self._drives["speed"][0]), self._references[self.instant :], variables)
 
     def road_ahead(self, speed: float) -> RoadAhead:
         """Return the road ahead as measured, with the speed plan shifted to start at the current speed (m/s)."""
-        if self.speed_controller is not None:
+        if isinstance(self.speed_controller, SpeedController):
             planned = self.speed_controller.speeds_ahead(speed, LONGEST_SPEEDS_AHEAD)
             return RoadAhead(self.road, float(self._drives["station_estimate"][0]), planned)
         by_place = self.road is not None and self.world.driver is not None
@@ -222,7 +229,7 @@ class ClosedLoop:
         return failure_of(int(self._drives["ended"][0]), float(self._drives["ended_at"][0]))
 
 
-def _speed_controller(world: World, scenario: Scenario | RoadDrive) -> SpeedController | None:
+def _speed_follower(world: World, scenario: Scenario | RoadDrive) -> SpeedFollower | None:
     """The speed controller of a run, if the world has one.
 
     Raises
@@ -230,13 +237,17 @@ def _speed_controller(world: World, scenario: Scenario | RoadDrive) -> SpeedCont
     InvalidInput
         When the scenario has no road.
     """
-    if not isinstance(world.driver, SpeedControl):
+    driver = world.driver
+    if driver is None or isinstance(driver, Driver | RequestedForces):
         return None
     if not isinstance(scenario, RoadDrive):
         raise InvalidInput(
-            f"driver: a SpeedControl follows a plan along a road, and {scenario.name!r} has none: give a RoadDrive."
+            f"driver: a {type(driver).__name__} follows a plan along a road, and {scenario.name!r} has none: give a "
+            "RoadDrive."
         )
-    return SpeedController(world.driver, scenario.road, scenario.plan, world.period)
+    if isinstance(driver, SpeedControl):
+        return SpeedController(driver, scenario.road, scenario.plan, world.period)
+    return driver.begin(scenario.road, scenario.plan, world.period)
 
 
 def failure_of(ended: int, at: float) -> tuple[str | None, float]:

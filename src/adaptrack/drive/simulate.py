@@ -22,7 +22,6 @@ from adaptrack.base.checked import Hint, Natural, checked
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of
 from adaptrack.control.qp import QPStatus
-from adaptrack.control.speed_control import SpeedControl
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
@@ -30,7 +29,7 @@ from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, FailureLimits
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
-from adaptrack.drive.world import Driver, PerceptionSource, World
+from adaptrack.drive.world import Driver, PerceptionSource, LongitudinalDriver, World
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
 
@@ -53,6 +52,7 @@ class _Recorder:
         self.fixed_tuning = controller.packed_tuning()
         self.tuning = np.full((n, len(self.tuning_names)), np.nan)
         self.diagnostics = np.full((n, len(self.diagnostic_names)), np.nan)
+        self.requests = np.full((n, 2), np.nan)  # acceleration, force less hold of a speed controller
         self.times = np.full(n, np.nan)
         self.failed: str | None = None
         self.failed_at = math.nan
@@ -79,7 +79,7 @@ def simulate(
     scenario: DriveArgument,
     *,
     profile: str | Profile = "paper",
-    driver: Driver | SpeedControl | None = None,
+    driver: LongitudinalDriver = None,
     seed: Annotated[Natural, Field(lt=2**63)] = 0,
     perception: PerceptionSource = None,
     failure: FailureLimits | None = None,
@@ -100,8 +100,8 @@ def simulate(
         Steering, sensors and computation time: ``"paper"`` (ideal), ``"road"`` (steering actuator, noise, delay), a
         TOML file or a `Profile`.
     driver
-        Longitudinal driver or `SpeedControl`, which moves the car by its powertrain; None to follow the speed
-        reference exactly.
+        Longitudinal driver, `SpeedControl`, or your own `SpeedDriver`, which moves the car by its powertrain; None to
+        follow the speed reference exactly.
     seed
         Seed of the sensor noise.
     perception
@@ -131,6 +131,8 @@ def simulate(
         instant = loop.sense()
         if loop.ended:
             break
+        if loop.request is not None:
+            record.requests[k] = loop.request.acceleration, loop.request.force - loop.request.hold
         if has_no_vy:
             instant.measured[MEASUREMENT.vy] = 0.0  # the car has no sensor for the lateral velocity
         # only some controllers use the wheel angle and the accelerometer
@@ -233,6 +235,7 @@ _WHOLE = {"Np", "Nc", "qp_status", "qp_iterations", "at_limit"}
 _UNITS = {
     "tuning.Q": "1/m^2", "tuning.R": "1/rad^2", "diagnostics.dead_reckoning": "s", "road.station": "m",
     "road.offset": "m", "road.heading_error": "rad", "road.curvature": "1/m",
+    "diagnostics.requested_acceleration": "m/s^2", "diagnostics.requested_force": "N",
     **{f"diagnostics.{name}{end}": unit for end in ("", "_sigma") for name, unit in (
         ("belief_lag", "s"), ("belief_dead_time", "s"), ("belief_delay", "s"), ("belief_bias", "rad"),
         ("belief_bank", "m/s^2"), ("used_lag", "s"), ("used_dead_time", "s"), ("used_bias", "rad"),
@@ -272,7 +275,10 @@ def _trajectory(
     if isinstance(scenario, RoadDrive):
         road = dict(zip(("station", "offset", "heading_error"), record.signals[:, 2:].T, strict=True))
         road["curvature"] = scenario.road.at(np.nan_to_num(road["station"])).curvature
-    groups = {"tuning": record.tuning_names, "diagnostics": record.diagnostic_names, "road": road}
+    diagnostics = _columns_by_name(record.diagnostic_names, record.diagnostics, is_driven)
+    if np.isfinite(record.requests).any():
+        diagnostics |= dict(zip(("requested_acceleration", "requested_force"), record.requests.T, strict=True))
+    groups = {"tuning": record.tuning_names, "diagnostics": diagnostics, "road": road}
     recorded = {f"{group}.{name}" for group, names in groups.items() for name in names}
     return Trajectory(
         t=signals.t[:n],
@@ -294,7 +300,7 @@ def _trajectory(
         step_time=record.times,
         period=signals.period,
         tuning=_columns_by_name(record.tuning_names, record.tuning, is_driven),
-        diagnostics=_columns_by_name(record.diagnostic_names, record.diagnostics, is_driven),
+        diagnostics=diagnostics,
         road=road,
         units={key: unit for key, unit in _UNITS.items() if key in recorded},
         failed=record.failed,

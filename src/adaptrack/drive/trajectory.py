@@ -161,6 +161,9 @@ class Trajectory:
     - ``qp_residual``: largest KKT residual of the solution, NaN without a solution;
     - ``at_limit``, int64: sum of 1 (Δu), 2 (u) and 4 (y) for the active limits;
     - ``dead_reckoning``: time since the last position measurement (s), 0 at instants with a measurement.
+
+    A drive with a speed controller has ``requested_acceleration`` (m/s²) and ``requested_force`` (N at the wheels,
+    positive forward, less what holds the car at rest).
     """
     road: Mapping[str, Array] = field(default_factory=dict)
     """Signals relative to the centre line of a road, arrays (n,) by name; empty for a scenario without a road.

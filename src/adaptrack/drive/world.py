@@ -10,7 +10,7 @@ import logging
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from adaptrack.cars.plant import Plant, SteppedPlant, steps_in
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator
 from adaptrack.control.controllers import MPC, Controller
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
-from adaptrack.control.speed_control import SpeedControl
+from adaptrack.control.speed_control import SpeedCommand, SpeedControl
 from adaptrack.core import loop as loop_kernel
 from adaptrack.core import period as period_kernel
 from adaptrack.core.layout import allocate
@@ -29,6 +29,7 @@ from adaptrack.core.loop import SIGNAL
 from adaptrack.core.planning.drive import complete_samples
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.failure import FailureLimits, Reason
+from adaptrack.road import Road, SpeedPlan
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import SENSOR_FIELDS, Profile, load_profile
 
@@ -64,6 +65,30 @@ ROAD_DRIVER = Driver(roads_only=True)
 """Default driver of commands and environments."""
 
 
+class SpeedFollower(Protocol):
+    """A speed controller on its way along a path."""
+
+    def step(self, station: float, speed: float, yaw_rate: float) -> SpeedCommand:
+        """Return the requests for the present period.
+
+        station: m, of the car on its path over all laps; speed: m/s; yaw_rate: rad/s. NaN: not measured.
+        """
+        ...
+
+
+@runtime_checkable
+class SpeedDriver(Protocol):
+    """Your own speed controller, as ``driver`` of `simulate`; `SpeedControl` is the one of this package."""
+
+    def begin(self, path: Road, plan: SpeedPlan, period: float) -> SpeedFollower:
+        """Begin a run along a path with its planned speeds, called once a control period (s)."""
+        ...
+
+
+LongitudinalDriver = Driver | SpeedControl | SpeedDriver | None
+"""What moves a simulated car; None: it follows its speed reference exactly."""
+
+
 @dataclass(frozen=True)
 class RequestedForces:
     """Driver of a run whose caller writes the requested forces to the memory of the loop before each command."""
@@ -79,7 +104,7 @@ class World:
     """Steering, sensors and computation time."""
     period: float
     """Control period of the controller (s)."""
-    driver: Driver | SpeedControl | RequestedForces | None
+    driver: LongitudinalDriver | RequestedForces
     """Longitudinal driver; None to follow the speed reference exactly."""
     perception: PerceptionSource
     """Friction and wind that a scheduler receives."""
@@ -89,7 +114,7 @@ class World:
     @classmethod
     def of(
         cls, plant: Plant | SteppedPlant, controller: Controller, profile: str | Profile,
-        driver: Driver | SpeedControl | RequestedForces | None,
+        driver: LongitudinalDriver | RequestedForces,
         perception: PerceptionSource, failure: FailureLimits | None,
     ) -> World:  # fmt: skip
         """Build the world of a controller. The arguments are those of `simulate`.
@@ -206,7 +231,7 @@ class World:
         """Value of `prescribed_speed` in `core.loop.LoopSettings`: prescribed, a driver, or requested forces."""
         if self.driver is None:
             return loop_kernel.PRESCRIBED
-        if isinstance(self.driver, SpeedControl | RequestedForces):
+        if not isinstance(self.driver, Driver):
             return loop_kernel.EXTERNAL_FORCES
         return loop_kernel.PRESCRIBED_WITHOUT_ROAD if self.driver.roads_only else loop_kernel.DRIVER_FORCES
 

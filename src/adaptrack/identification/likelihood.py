@@ -11,6 +11,7 @@ sum(e' e'^T/S + S' S'^T/(2 S^2)) + I, derivatives by differences (L. Ljung, *Sys
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -41,13 +42,103 @@ STRETCH = 10.0
 """s, of the stretches whose estimates are compared: longer than what innovations may be correlated."""
 
 
-class Likelihood:
+class InnovationLikelihood(ABC):
+    """Likelihood of the innovations of a filter along a log, at points z of a standard normal prior."""
+
+    time: Array
+    """(n,) s, of the samples"""
+    counts: NDArray[np.bool_]
+    """(..., n) innovations that count"""
+    median: Array
+    spread: Array
+    free: NDArray[np.intp]
+    """entries of z that are estimated"""
+
+    @abstractmethod
+    def values(self, z: Array) -> Array:
+        """The quantities at a point z, in their units."""
+
+    @abstractmethod
+    def innovations(self, z: Array) -> tuple[Array, Array]:
+        """All innovations and variances, shaped as `counts`, NaN where nothing is measured."""
+
+    def counted(self, z: Array) -> tuple[Array, Array]:
+        """Innovations and variances that count, flat."""
+        e, s = self.innovations(z)
+        return e[self.counts], s[self.counts]
+
+    def objective(self, z: Array) -> float:
+        """-ln p, up to a constant; infinite where the filter is not finite."""
+        return _objective(*self.counted(z), z)
+
+    def scored(self, z: Array) -> Scored:
+        """Objective, gradient and information at a point; `InvalidInput` where they are not finite."""
+        e, s = self.counted(z)
+        de, ds = np.empty((self.free.size, e.size)), np.empty((self.free.size, e.size))
+        for i, place in enumerate(self.free):
+            there = z.copy()
+            there[place] += DIFFERENCE_STEP
+            e_up, s_up = self.counted(there)
+            de[i], ds[i] = (e_up - e) / DIFFERENCE_STEP, (s_up - s) / DIFFERENCE_STEP
+        with np.errstate(all="ignore"):  # what comes of it is looked at
+            scores = de * (e / s) + ds * ((1.0 - e**2 / s) / (2.0 * s))
+            by_error, by_size = de / np.sqrt(s), ds / (np.sqrt(2.0) * s)
+            information = _squares(by_error) + _squares(by_size) + np.eye(self.free.size)
+        if not (np.isfinite(information).all() and np.isfinite(scores).all()):
+            raise InvalidInput(
+                "identify: what the log tells is not finite: a signal is off by orders of magnitude; check columns and "
+                "units (--columns, --units)."
+            )
+        return Scored(_objective(e, s, z), scores.sum(axis=1) + z[self.free], information, scores, by_error, by_size)
+
+    def fit(self, z: Array, enough: float = ENOUGH) -> tuple[Array, Scored]:
+        """The most likely point from a start, and what is known there."""
+        current, damping = self.scored(z), 1e-3
+        for _ in range(MOST_STEPS):
+            moved = z.copy()
+            scaled = current.information + damping * np.diag(np.diag(current.information))
+            moved[self.free] -= np.clip(np.linalg.solve(scaled, current.gradient), -1.5, 1.5)
+            there = self.objective(moved)
+            if there < current.objective:
+                fell = current.objective - there
+                z, damping = moved, max(0.2 * damping, 1e-6)
+                current = self.scored(z)
+                if fell < enough:
+                    break
+            else:
+                damping = max(10.0 * damping, 1e-3)
+                if damping > 1e6:
+                    break
+        return z, current
+
+    def covariance(self, at: Scored) -> Array:
+        """Covariance of z where it is free: the inverse information, wider where stretches of the log disagree.
+
+        The scatter of the estimates that leave out one stretch each holds whatever the noise is, and what differs from
+        stretch to stretch (the delete-one jackknife in its linear form, CR3 of J. G. MacKinnon, M. O. Nielsen and M. D.
+        Webb, J. Econometrics 232 (2023) 272-299). It is never less than the information says, nor more than was
+        believed before.
+        """
+        inverse = np.linalg.inv(at.information)
+        stretch = np.broadcast_to(np.floor(self.time / STRETCH).astype(np.int64), self.counts.shape)[self.counts]
+        scatter = inverse @ inverse  # of the prior
+        for number in np.unique(stretch):
+            rows = stretch == number
+            its = _squares(at.by_error[:, rows]) + _squares(at.by_size[:, rows])
+            moved = np.linalg.solve(at.information - its, at.scores[:, rows].sum(axis=1))
+            scatter += np.outer(moved, moved)
+        variance = np.clip(np.diag(scatter), np.diag(inverse), 1.0)
+        widened = np.sqrt(variance / np.diag(inverse))
+        return widened[:, None] * inverse * widened
+
+
+class Likelihood(InnovationLikelihood):
     """Likelihood of a log: innovations and objective at any point z."""
 
     def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Prior], used: Array | None = None) -> None:
         """used: (n,) 1 where a sample is taken in and counts; all when left out."""
         self._kernel = kernel
-        self.log, self.car = log, car
+        self.log, self.car, self.time = log, car, log.time
         self.median = np.array([beliefs[quantity.name].median for quantity in QUANTITIES])
         self.spread = np.array([beliefs[quantity.name].spread for quantity in QUANTITIES])
         rows = np.zeros((len(kernel.LOG_ROW), log.samples))
@@ -158,75 +249,6 @@ class Likelihood:
         part = Likelihood(replace(self.log, begins=begins, **signals), self.car, self.beliefs)
         part._rows[self._kernel.LOG_ROW.gusts] = self._rows[self._kernel.LOG_ROW.gusts, rows]
         return part
-
-    def counted(self, z: Array) -> tuple[Array, Array]:
-        """Innovations and variances that count, flat."""
-        e, s = self.innovations(z)
-        return e[self.counts], s[self.counts]
-
-    def objective(self, z: Array) -> float:
-        """-ln p, up to a constant; infinite where the filter is not finite."""
-        return _objective(*self.counted(z), z)
-
-    def scored(self, z: Array) -> Scored:
-        """Objective, gradient and information at a point; `InvalidInput` where they are not finite."""
-        e, s = self.counted(z)
-        de, ds = np.empty((self.free.size, e.size)), np.empty((self.free.size, e.size))
-        for i, place in enumerate(self.free):
-            there = z.copy()
-            there[place] += DIFFERENCE_STEP
-            e_up, s_up = self.counted(there)
-            de[i], ds[i] = (e_up - e) / DIFFERENCE_STEP, (s_up - s) / DIFFERENCE_STEP
-        with np.errstate(all="ignore"):  # what comes of it is looked at
-            scores = de * (e / s) + ds * ((1.0 - e**2 / s) / (2.0 * s))
-            by_error, by_size = de / np.sqrt(s), ds / (np.sqrt(2.0) * s)
-            information = _squares(by_error) + _squares(by_size) + np.eye(self.free.size)
-        if not (np.isfinite(information).all() and np.isfinite(scores).all()):
-            raise InvalidInput(
-                "identify: what the log tells is not finite: a signal is off by orders of magnitude; check columns and "
-                "units (--columns, --units)."
-            )
-        return Scored(_objective(e, s, z), scores.sum(axis=1) + z[self.free], information, scores, by_error, by_size)
-
-    def fit(self, z: Array, enough: float = ENOUGH) -> tuple[Array, Scored]:
-        """The most likely point from a start, and what is known there."""
-        current, damping = self.scored(z), 1e-3
-        for _ in range(MOST_STEPS):
-            moved = z.copy()
-            scaled = current.information + damping * np.diag(np.diag(current.information))
-            moved[self.free] -= np.clip(np.linalg.solve(scaled, current.gradient), -1.5, 1.5)
-            there = self.objective(moved)
-            if there < current.objective:
-                fell = current.objective - there
-                z, damping = moved, max(0.2 * damping, 1e-6)
-                current = self.scored(z)
-                if fell < enough:
-                    break
-            else:
-                damping = max(10.0 * damping, 1e-3)
-                if damping > 1e6:
-                    break
-        return z, current
-
-    def covariance(self, at: Scored) -> Array:
-        """Covariance of z where it is free: the inverse information, wider where stretches of the log disagree.
-
-        The scatter of the estimates that leave out one stretch each holds whatever the noise is, and what differs from
-        stretch to stretch (the delete-one jackknife in its linear form, CR3 of J. G. MacKinnon, M. O. Nielsen and M. D.
-        Webb, J. Econometrics 232 (2023) 272-299). It is never less than the information says, nor more than was
-        believed before.
-        """
-        inverse = np.linalg.inv(at.information)
-        stretch = np.broadcast_to(np.floor(self.log.time / STRETCH).astype(np.int64), self.counts.shape)[self.counts]
-        scatter = inverse @ inverse  # of the prior
-        for number in np.unique(stretch):
-            rows = stretch == number
-            its = _squares(at.by_error[:, rows]) + _squares(at.by_size[:, rows])
-            moved = np.linalg.solve(at.information - its, at.scores[:, rows].sum(axis=1))
-            scatter += np.outer(moved, moved)
-        variance = np.clip(np.diag(scatter), np.diag(inverse), 1.0)
-        widened = np.sqrt(variance / np.diag(inverse))
-        return widened[:, None] * inverse * widened
 
 
 def _smoothed(log: Log) -> Array:

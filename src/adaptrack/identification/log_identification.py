@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from adaptrack.identification.calibration import corrected
 from adaptrack.identification.computed_columns import without_computed
 from adaptrack.identification.consistency import Moments, contradictions, implausible_estimates
 from adaptrack.identification.conventions import check_conventions, check_positions, guessed_ratio
+from adaptrack.identification.estimates import ReportedRow, estimates_at, slopes_at, values_at
 from adaptrack.identification.identified_car import Estimate, Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.log import Log, log_of
@@ -41,8 +42,6 @@ from adaptrack.identification.words import findings
 
 Array = NDArray[np.float64]
 
-NORMAL_90 = 1.6448536269514722
-"""Half width of a 90 % interval in standard errors."""
 VALIDATION_BLOCK, HELD_OUT_EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
 RATIO_SPREAD = (0.3, 0.1)
@@ -53,7 +52,6 @@ SHARED = (
     "delay", "lag", "dead_time", "understeer_gradient", "front", "rear", "lf", "ratio", "rate", "relaxation",
 )  # fmt: skip
 """Estimates that belong to the car: logs of one car share them."""
-_STEP = 1e-4
 
 
 Source = str | os.PathLike[str] | Mapping[str, object]
@@ -288,7 +286,7 @@ def _value(name: str) -> Callable[[Array], float]:
     return lambda values: float(values[INDEX[name]])
 
 
-def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callable[[Array], float]]]:
+def _reported(likelihood: Likelihood) -> list[ReportedRow]:
     """Name, unit, meaning, whether it is positive, and how it follows from the quantities."""
     wheelbase = likelihood.car.wheelbase
     share, delay = INDEX["lag_share"], INDEX["delay"]
@@ -299,7 +297,7 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
     delayed = "lag and dead time together, from the command to the wheels"
     if not likelihood.present["wheel"]:
         delayed = "from the command to the logged yaw rate: lag and dead time of the wheels, and how late a gyro is"
-    rows: list[tuple[str, str, str, bool, Callable[[Array], float]]] = []
+    rows: list[ReportedRow] = []
     if likelihood.log.commanded:
         rows += [
             ("delay", "s", delayed, True, _value("delay")),
@@ -334,51 +332,9 @@ def _reported(likelihood: Likelihood) -> list[tuple[str, str, str, bool, Callabl
     return rows
 
 
-def _values(likelihood: Likelihood, rows: Sequence[tuple[Any, ...]], z: Array) -> Array:
-    """Reported quantities at a point; logarithms of positive quantities."""
-    values = likelihood.values(z)
-    return np.array([math.log(max(f(values), 1e-12)) if positive else f(values) for *_, positive, f in rows])
-
-
-def _slopes(likelihood: Likelihood, rows: Sequence[tuple[Any, ...]], z: Array) -> Array:
-    """Derivatives of `_values` over the free entries of z."""
-    out = np.empty((len(rows), likelihood.free.size))
-    for i, place in enumerate(likelihood.free):
-        up, down = z.copy(), z.copy()
-        up[place] += _STEP
-        down[place] -= _STEP
-        out[:, i] = (_values(likelihood, rows, up) - _values(likelihood, rows, down)) / (2.0 * _STEP)
-    return out
-
-
 def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dict[str, Estimate], Array]:
-    """All that is reported, by the delta method, errors corrected; derivatives over free entries, scaled likewise."""
-    rows, origin = _reported(likelihood), np.zeros(z.size)
-    jacobian = _slopes(likelihood, rows, z)
-    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
-    prior = np.linalg.norm(_slopes(likelihood, rows, origin), axis=1)
-    centre, first = _values(likelihood, rows, z), _values(likelihood, rows, origin)
-    wider = np.ones(len(rows))
-    for i, (name, _, _, positive, _) in enumerate(rows):
-        if spread[i] > 0.0:
-            value = math.exp(centre[i]) if positive else float(centre[i])
-            wider[i] = corrected(name, spread[i], value, positive, prior[i], likelihood.log.tightest) / spread[i]
-    spread *= wider
-    estimates = {}
-    for i, (name, unit, meaning, positive, _) in enumerate(rows):
-        ends = [centre[i] - NORMAL_90 * spread[i], centre[i] + NORMAL_90 * spread[i]]
-        before = [first[i] - NORMAL_90 * prior[i], first[i] + NORMAL_90 * prior[i]]
-        value, error = float(centre[i]), float(spread[i])
-        if positive:
-            value, error = math.exp(value), error * math.exp(value)
-            ends, before = [math.exp(e) for e in ends], [math.exp(min(e, 700.0)) for e in before]
-        left = float(spread[i] / prior[i]) if prior[i] > 0.0 else 0.0
-        shift = float((centre[i] - first[i]) / prior[i]) if prior[i] > 0.0 else 0.0
-        estimates[name] = Estimate(
-            name, unit, meaning, value, error, float(ends[0]), float(ends[1]), (float(before[0]), float(before[1])),
-            left, shift,
-        )  # fmt: skip
-    return estimates, wider[:, None] * jacobian
+    """Estimates of what is reported of a fit, and their derivatives over free entries."""
+    return estimates_at(likelihood, _reported(likelihood), z, covariance, likelihood.log.tightest)
 
 
 def _rivals_sentence(likelihood: Likelihood, z: Array, rivals: Sequence[Array]) -> tuple[str, ...]:
@@ -420,10 +376,10 @@ def _moments_of_fits(fits: Sequence[Fit], main: Fit) -> tuple[list[str], Moments
     return [row[0] for row in rows], prior, statements
 
 
-def _moments(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Moments:
+def _moments(fit: Fit, rows: Sequence[ReportedRow]) -> Moments:
     """Mean and variance of the reported quantities, errors corrected."""
-    jacobian = _slopes(fit.likelihood, rows, fit.z)
-    mean = _values(fit.likelihood, rows, fit.z)
+    jacobian = slopes_at(fit.likelihood, rows, fit.z)
+    mean = values_at(fit.likelihood, rows, fit.z)
     spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, fit.covariance, jacobian), 0.0))
     before = np.linalg.norm(jacobian, axis=1)
     for i, (name, _, _, positive, _) in enumerate(rows):
@@ -432,11 +388,11 @@ def _moments(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Moments:
     return Moments(mean, spread**2)
 
 
-def _prior(fit: Fit, rows: Sequence[tuple[Any, ...]]) -> Moments:
+def _prior(fit: Fit, rows: Sequence[ReportedRow]) -> Moments:
     """Prior of the reported quantities, linearised at the fit."""
     likelihood = fit.likelihood
-    jacobian = _slopes(likelihood, rows, fit.z)
-    mean = _values(likelihood, rows, fit.z) - jacobian @ fit.z[likelihood.free]
+    jacobian = slopes_at(likelihood, rows, fit.z)
+    mean = values_at(likelihood, rows, fit.z) - jacobian @ fit.z[likelihood.free]
     return Moments(mean, np.sum(jacobian**2, axis=1))
 
 

@@ -8,7 +8,7 @@ standard normal prior; all fits are in z.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -37,6 +37,11 @@ class Prior(NamedTuple):
     median: float
     spread: float
     """of its logarithm, value or logit; 0: it is kept"""
+
+
+def kinds_of(quantities: Sequence[Quantity]) -> NDArray[np.intp]:
+    """Kinds of quantities as numbers, for `values_of`."""
+    return np.array([("positive", "real", "share").index(quantity.kind) for quantity in quantities])
 
 
 QUANTITIES = (
@@ -75,7 +80,7 @@ QUANTITIES = (
 )
 """All, in the order of the fit."""
 INDEX = {quantity.name: i for i, quantity in enumerate(QUANTITIES)}
-_KINDS = np.array([("positive", "real", "share").index(quantity.kind) for quantity in QUANTITIES])
+_KINDS = kinds_of(QUANTITIES)
 
 AXLE_OVER_LOAD = 11.0
 """1/rad, cornering stiffness of an axle over its load where nothing is known of the tyres."""
@@ -99,14 +104,14 @@ DISTURBANCES: Mapping[str, Prior] = {
 """What is believed of steering, sensors and weather: wide enough for any car on a road."""
 
 
-def values_of(z: Array, median: Array, spread: Array) -> Array:
-    """The quantities of a point z (in spreads from the medians), in their units; all of shape (len(QUANTITIES),)."""
+def values_of(z: Array, median: Array, spread: Array, kinds: NDArray[np.intp] = _KINDS) -> Array:
+    """The quantities of a point z (in spreads from the medians), in their units; all of one shape."""
     moved = spread * z
-    share = np.where(_KINDS == 2, median, 0.5)
+    share = np.where(kinds == 2, median, 0.5)
     logit = np.log(share / (1.0 - share))
     return np.where(
-        _KINDS == 0, median * np.exp(np.where(_KINDS == 0, moved, 0.0)),
-        np.where(_KINDS == 1, median + moved, 1.0 / (1.0 + np.exp(-(logit + moved)))),
+        kinds == 0, median * np.exp(np.where(kinds == 0, moved, 0.0)),
+        np.where(kinds == 1, median + moved, 1.0 / (1.0 + np.exp(-(logit + moved)))),
     )  # fmt: skip
 
 

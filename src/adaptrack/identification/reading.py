@@ -39,11 +39,23 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     "acceleration": (
         "acceleration", "lateral_acceleration", "ay", "a_y", "acc_y", "accy", "accel_y", "acceleration_y", "a_lat",
     ),
+    "acceleration_command": (
+        "acceleration_command", "acceleration_cmd", "accel_command", "accel_cmd", "acc_cmd", "desired_acceleration",
+        "requested_acceleration", "target_acceleration",
+    ),
+    "force_command": (
+        "force_command", "force_cmd", "requested_force", "desired_force", "wheel_force_command",
+    ),
+    "longitudinal_acceleration": (
+        "longitudinal_acceleration", "ax", "a_x", "acc_x", "accx", "accel_x", "acceleration_x", "a_long",
+    ),
     "yaw": ("yaw", "psi", "heading", "yaw_angle"),
     "x": ("x", "pos_x", "position_x", "east"),
     "y": ("y", "pos_y", "position_y", "north"),
 }  # fmt: skip
 """Names by which columns are known, without their unit."""
+HELD_SIGNALS = ("command", "acceleration_command", "force_command")
+"""Commands: each is in force until the next one."""
 _ANGLES = ("command", "wheel", "steering_wheel", "yaw")
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -51,6 +63,7 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "yaw_rate": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
     "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704},
     "acceleration": {"m/s^2": 1.0, "g": 9.80665},
+    "force": {"N": 1.0, "kN": 1e3},
     "length": {"m": 1.0},
 }
 _SHORT = {
@@ -60,7 +73,7 @@ _SHORT = {
     "degrees_per_second": "deg/s", "rads": "rad/s", "rad_per_s": "rad/s", "rad_sec": "rad/s", "rad_per_sec": "rad/s",
     "rad/sec": "rad/s", "kmh": "km/h", "kph": "km/h", "km_h": "km/h", "kmph": "km/h", "km/h": "km/h", "mph": "mph",
     "mps": "m/s", "m_s": "m/s", "m/s": "m/s", "ms": "ms", "us": "us", "ns": "ns", "s": "s", "g": "g",
-    "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m",
+    "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m", "n": "N", "kn": "kN",
 }  # fmt: skip
 """Units as column names have them."""
 NEEDED_SIGNALS = ("speed", "yaw_rate", "command", "wheel", "steering_wheel")
@@ -157,7 +170,7 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
         else:
             notes.append(f"{signal} is left out: the column {column!r} holds no numbers")
             continue
-        if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m") or sign < 0.0:
+        if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m", "N") or sign < 0.0:
             notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
     _on_one_clock(values, _clocks(table, reading, origin), reading.late, notes)
     commanded, unknown = _at_road_wheels(values, mapping, reading.steering_ratio, notes)
@@ -257,7 +270,7 @@ def _resampled(signal: str, time: Array, clock: Array, values: Array) -> Array:
     at = time[ask]
     before = np.clip(np.searchsorted(clock, at + 1e-9, side="right") - 1, 0, clock.size - 1)
     after = np.minimum(before + 1, clock.size - 1)
-    if signal == "command":
+    if signal in HELD_SIGNALS:
         near, samples = (at + 1e-9 >= clock[before]) & (at - clock[before] <= hole), values[before]
     else:
         near = (at >= clock[0]) & (at <= clock[-1]) & (clock[after] - clock[before] <= hole)
@@ -338,7 +351,11 @@ def _assign_columns(table: Mapping[str, CellArray], reading: Reading, where: str
 def _dimension(signal: str) -> str:
     if signal in _ANGLES:
         return "angle"
-    return {"x": "length", "y": "length", "vy": "speed"}.get(signal, signal)
+    dimensions = {
+        "x": "length", "y": "length", "vy": "speed", "acceleration_command": "acceleration",
+        "longitudinal_acceleration": "acceleration", "force_command": "force",
+    }  # fmt: skip
+    return dimensions.get(signal, signal)
 
 
 def _unit(signal: str, column: str, reading: Reading, row: Mapping[str, str]) -> tuple[str, float]:

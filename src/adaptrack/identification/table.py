@@ -99,6 +99,8 @@ def _parquet(path: Path, content: bytes) -> LogTable:
         run = Trajectory.load(path)
         names = {"time": run.t, "command": run.command, "speed": run.vx, "yaw_rate": run.yaw_rate,
                  "wheel": run.steering, "acceleration": run.lateral_acceleration}  # fmt: skip
+        if "requested_force" in run.diagnostics:
+            names["force_command"] = run.diagnostics["requested_force"]
         return LogTable(
             {name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, {}, _computation(run)
         )
