@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Option
@@ -14,6 +14,9 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.columns import ColumnOptions
 from adaptrack.cli.next_step import command, repeat_command_with, say_next
+
+if TYPE_CHECKING:
+    from adaptrack.identification import Reading
 
 NOT_CONSISTENT = 3
 """Exit code if estimates contradict each other or the initial car."""
@@ -56,6 +59,13 @@ class IdentifyOptions:
     anyway: Annotated[
         bool, Option("--anyway", help="Write --out and exit with code 0 even if the estimates are inconsistent.")
     ] = False
+    longitudinal: Annotated[
+        bool,
+        Option(
+            "--longitudinal",
+            help="Identify drive, brakes and resistance only, from speed and commands of acceleration or force.",
+        ),
+    ] = False
     page: Annotated[Path | None, Option("--page", metavar="FILE", help="Page to write (.html).")] = None
     as_json: options.Json = False
 
@@ -65,9 +75,14 @@ def identify(arguments: IdentifyOptions) -> None:
     """Identify a car from logs of driving.
 
     The command estimates steering delay, tyre stiffness, offsets and noise, each with a 90 % interval. A log needs
-    time, speed, yaw rate, and steering command or wheel angle, at 10 Hz or more. The exit code is 3 if estimates from
-    different logs, or from different parts of a log, contradict each other. It is also 3 if an estimate contradicts the
-    initial car.
+    time, speed, yaw rate, and steering command or wheel angle, at 10 Hz or more.
+
+    A log that also has a command of acceleration (acceleration_command, m/s^2) or force (force_command, N) gives lag,
+    dead time and gain of drive and brakes, and resistance. Gain and mass are one number: the gain is relative to the
+    mass of the car.
+
+    The exit code is 3 if estimates from different logs, or from different parts of a log, contradict each other. It is
+    also 3 if an estimate contradicts the initial car.
     """
     from adaptrack.identification import identify as fit
     from adaptrack.results.identify import identification_result, write_identification_page
@@ -79,6 +94,9 @@ def identify(arguments: IdentifyOptions) -> None:
         raise InvalidInput(f"--page {page}: a page ends in .html.")
     reading = arguments.log_columns.reading
     options.make_place(out)
+    if arguments.longitudinal:
+        _identify_drive(arguments, reading)
+        return
     options.make_place(page)
     with show.progress("identify") as advance:
         identified = fit(
@@ -100,6 +118,25 @@ def identify(arguments: IdentifyOptions) -> None:
         say_next(*_next_step(arguments, identified.findings, refused))
     if refused:
         raise typer.Exit(NOT_CONSISTENT)
+
+
+def _identify_drive(arguments: IdentifyOptions, reading: Reading) -> None:
+    """Identify drive, brakes and resistance only."""
+    from adaptrack.identification import identify_drive
+    from adaptrack.results.identify import drive_identification_result
+
+    out = arguments.out
+    if arguments.car is None or arguments.page is not None:
+        raise InvalidInput("--longitudinal: needs --car, whose mass turns force into acceleration, and has no page.")
+    identified = identify_drive(list(arguments.logs), arguments.car, reading=reading)
+    show.say_result(drive_identification_result(identified), arguments.as_json)
+    if out is not None:
+        identified.to_toml(out)
+        show.say(f"Car: {out}", aside=arguments.as_json)
+    if not arguments.as_json and out is None:
+        say_next("to keep the car", repeat_command_with("--out", "my-car.toml"))
+    elif not arguments.as_json:
+        say_next("to drive it", command("drive", "country", "--vehicle", out, "--speed-control"))
 
 
 def _next_step(arguments: IdentifyOptions, findings: Sequence[str], refused: bool) -> tuple[str, str]:

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
+from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.core import drive_identification as kernel
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.identification.estimates import ReportedRow, estimates_at
-from adaptrack.identification.identified_car import HARDLY, Estimate
+from adaptrack.identification.identified_car import DriveIdentification
 from adaptrack.identification.likelihood import NEARLY, SETTLING, InnovationLikelihood
 from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times
 from adaptrack.identification.outliers import find_outliers
 from adaptrack.identification.quantities import Prior, Quantity, kinds_of, values_of
-from adaptrack.identification.reading import Columns
+from adaptrack.identification.reading import Columns, Reading, Source, read_columns
 
 Array = NDArray[np.float64]
 
@@ -62,7 +61,7 @@ def has_drive_commands(columns: Columns) -> bool:
 class DriveLikelihood(InnovationLikelihood):
     """Likelihood of the speed along a log.
 
-    rows: (4, n) as `core.drive_identification.DRIVE_ROW`; period: s; beliefs: by the names of `DRIVE_QUANTITIES`
+    rows: (4, n) as `core.drive_identification.DRIVE_ROW`; beliefs: by the names of `DRIVE_QUANTITIES`
     """
 
     def __init__(self, rows: Array, beliefs: Mapping[str, Prior]) -> None:
@@ -114,65 +113,39 @@ class DriveLikelihood(InnovationLikelihood):
         return rows
 
 
-@dataclass(frozen=True, eq=False)
-class DriveIdentification:
-    """Result of `identify_drive`: estimates of drive, brakes and resistance with their 90 % intervals."""
-
-    estimates: Mapping[str, Estimate]
-    findings: tuple[str, ...]
-    """in words: what limits what is known"""
-    believed: Vehicle
-    """the car before the log"""
-    command: str
-    """``force_command`` or ``acceleration_command``"""
-    seconds: float
-    """of driving in which the speed was compared"""
-
-    @property
-    def car(self) -> Vehicle:
-        """The car with the sections ``[drive]`` and ``[brakes]``, and with its resistance where the log tells."""
-        return self.written_to(self.believed)
-
-    def written_to(self, car: Vehicle) -> Vehicle:
-        """A car with these drive, brakes and resistance."""
-        value = {name: float(f"{estimate.value:.5g}") for name, estimate in self.estimates.items()}
-        changes: dict[str, Any] = {}
-        sections = (("drive", "drive", DriveActuator), ("brake", "brakes", BrakeActuator))
-        for name, section, kind in sections:
-            if f"{name}_gain" in value:
-                parts = {part: value[f"{name}_{part}"] for part in ("lag", "dead_time", "gain")}
-                changes[section] = (getattr(car, section) or kind()).replace(**parts)
-        area = 0.5 * car.air_density * car.frontal_area / car.mass
-        if self._tells("drag") and area > 0.0:
-            changes["drag_coefficient"] = float(f"{max(value['drag'], 0.0) / area:.4g}")
-        if self._tells("rolling"):
-            changes["rolling_resistance"] = float(f"{max(value['rolling'], 0.0) / GRAVITY:.4g}")
-        return car.replace(**changes)
-
-    def _tells(self, name: str) -> bool:
-        """Whether the log tells a resistance: behind an acceleration command some of it may be compensated."""
-        return self.command == "force_command" and self.estimates[name].spread_left < HARDLY
-
-
-def identify_drive(logs: Sequence[Columns], car: Vehicle) -> DriveIdentification:
-    """Identify drive, brakes and resistance from logs of one car.
+def identify_drive(
+    log: Source | Sequence[Source], car: str | os.PathLike[str] | Vehicle, *, reading: Reading | None = None
+) -> DriveIdentification:
+    """Identify drive, brakes and resistance from a log of commands and the speed, or several logs of one car.
 
     A request is positive for the drive and negative for the brakes. Gain and mass are one number: the gain of each
     actuator is relative to the mass of the car. The fit is the one of the steering: the likelihood of innovations.
 
     Parameters
     ----------
-    logs
-        Columns ``time``, ``speed`` (m/s) and ``force_command`` (N at the wheels) or ``acceleration_command`` (m/s^2),
-        see `read_columns`.
+    log
+        A file or arrays by name, see `identify`: ``time`` (s), ``speed`` (m/s), and ``force_command`` (N at the wheels)
+        or ``acceleration_command`` (m/s^2).
     car
         Its mass turns force into acceleration; its resistance is the prior.
+    reading
+        Columns, units, signs and clocks, where they are not as the names say.
 
     Raises
     ------
+    StorageError
+        When a file cannot be read.
     InvalidInput
-        When a column is missing, the log is too slow or too short, or neither drive nor brakes act in it.
+        When a column is missing, the log is too slow or too short, neither drive nor brakes act in it, or the speed
+        contradicts the command.
     """
+    sources = [log] if isinstance(log, str | os.PathLike | Mapping) else list(log)
+    columns = [read_columns(source, reading or Reading()) for source in sources]
+    return drive_of_columns(columns, car if isinstance(car, Vehicle) else load_vehicle(car))
+
+
+def drive_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentification:
+    """Identify drive, brakes and resistance from columns; errors as `identify_drive`."""
     command = next((name for name in COMMANDS if all(name in columns.values for columns in logs)), "")
     if not command or not logs:
         raise InvalidInput(

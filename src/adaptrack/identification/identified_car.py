@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import dump_toml, write_atomically
 from adaptrack.cars.tolerances import KnownWithin
-from adaptrack.cars.vehicle import Steering, Tyre, Vehicle
+from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Steering, Tyre, Vehicle
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.identification.log import Log
 
 Array = NDArray[np.float64]
@@ -44,6 +46,93 @@ class Estimate:
     """share of the spread that was believed before which is left: near 1 the log says nothing"""
     shift: float = 0.0
     """standard deviations of what was believed before, from there to the value"""
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the content of ``--json``."""
+        return {
+            "value": self.value, "unit": self.unit, "standard_error": self.standard_error, "low": self.low,
+            "high": self.high, "before": list(self.before), "spread_left": self.spread_left, "shift": self.shift,
+        }  # fmt: skip
+
+    @property
+    def interval(self) -> str:
+        """Name and 90 % interval, in words."""
+        return f"{self.name}: {self.low:.4g} to {self.high:.4g} {self.unit}"
+
+
+def write_car(path: Path, car: Vehicle, head: Sequence[str]) -> None:
+    """Write a car file that begins with comments (``head``); a tyre file is named relative to the car's."""
+    values = car.model_dump()
+    if Path(car.tyre).suffix:
+        values["tyre"] = os.path.relpath(car.tyre, path.parent)
+    meanings = {name: field.description or "" for name, field in Vehicle.model_fields.items()}
+    write_atomically(path, ("\n".join(f"# {line}" for line in head) + "\n\n" + dump_toml(values, meanings)).encode())
+
+
+@dataclass(frozen=True, eq=False)
+class DriveIdentification:
+    """Drive, brakes and resistance of a car as identified from logs of commands and the speed."""
+
+    estimates: Mapping[str, Estimate]
+    """with 90 % intervals; drive and brakes only where they act in the log"""
+    findings: tuple[str, ...]
+    """in words: what limits what is known"""
+    believed: Vehicle
+    """the car before the log"""
+    command: str
+    """``force_command`` or ``acceleration_command``"""
+    seconds: float
+    """of driving in which the speed was compared"""
+
+    @property
+    def car(self) -> Vehicle:
+        """The car with the sections ``[drive]`` and ``[brakes]``, and with its resistance where the log tells."""
+        return self.added_to(self.believed)
+
+    def added_to(self, car: Vehicle) -> Vehicle:
+        """A car with these drive, brakes and resistance."""
+        value = {name: float(f"{estimate.value:.5g}") for name, estimate in self.estimates.items()}
+        changes: dict[str, Any] = {}
+        sections: Sequence[tuple[str, str, type[DriveActuator | BrakeActuator]]] = (
+            ("drive", "drive", DriveActuator), ("brake", "brakes", BrakeActuator),
+        )  # fmt: skip
+        for name, section, kind in sections:
+            if f"{name}_gain" in value:
+                parts = {part: value[f"{name}_{part}"] for part in ("lag", "dead_time", "gain")}
+                changes[section] = (getattr(car, section) or kind()).replace(**parts)
+        area = 0.5 * car.air_density * car.frontal_area / car.mass
+        if self._tells("drag") and area > 0.0:
+            changes["drag_coefficient"] = float(f"{max(value['drag'], 0.0) / area:.4g}")
+        if self._tells("rolling"):
+            changes["rolling_resistance"] = float(f"{max(value['rolling'], 0.0) / GRAVITY:.4g}")
+        return car.replace(**changes)
+
+    def _tells(self, name: str) -> bool:
+        """Whether the log tells a resistance: behind an acceleration command some of it may be compensated."""
+        return self.command == "force_command" and self.estimates[name].spread_left < HARDLY
+
+    @property
+    def comments(self) -> list[str]:
+        """Lines of a car file: intervals and findings."""
+        return [*(estimate.interval for estimate in self.estimates.values()), *self.findings]
+
+    def to_toml(self, path: str | os.PathLike[str]) -> None:
+        """Write the car as TOML, with intervals in comments; it gets the file's name.
+
+        Raises
+        ------
+        StorageError
+            When the file cannot be written.
+        """
+        car = self.car.replace(name=Path(path).stem)
+        write_car(Path(path), car, ["Drive and brakes identified from a log; 90 % intervals:", *self.comments])
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the content of ``--json``."""
+        return {
+            "estimates": {name: estimate.to_dict() for name, estimate in self.estimates.items()},
+            "findings": list(self.findings), "command": self.command, "seconds": self.seconds,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -99,6 +188,9 @@ class Identification:
     alone: tuple[Identification, ...] = field(default=(), repr=False)
     """of several logs, what each says by itself; `log`, `validation` and `series` are those of the longest"""
 
+    drive: DriveIdentification | None = None
+    """drive, brakes and resistance, where the logs have commands of acceleration or force"""
+
     @property
     def consistent(self) -> bool:
         """Whether the estimates fit what was believed, physics, and each other from stretch to stretch, log to log."""
@@ -120,7 +212,8 @@ class Identification:
             steering = steering.replace(rate=value["rate"])
         if "ratio" in value:
             steering = steering.replace(ratio=value["ratio"])
-        return self.believed.replace(
+        believed = self.believed if self.drive is None else self.drive.added_to(self.believed)
+        return believed.replace(
             stiffness_front=0.5 * value["front"], stiffness_rear=0.5 * value["rear"],
             lf=value["lf"], lr=self.believed.wheelbase - value["lf"],
             steering=steering if steering != Steering() else None,
@@ -182,28 +275,17 @@ class Identification:
             name=path.stem, description="Identified from a log", tyre=str(tyre_path), known_within=tolerances,
             estimated=tuple(name for name in self.car.estimated if name not in FACTOR_ESTIMATES),
         )  # fmt: skip
-        values = car.model_dump() | {"tyre": tyre_path.name}
-        meanings = {name: field.description or "" for name, field in Vehicle.model_fields.items()}
-        head = ["# Identified from a log; 90 % intervals:"]
-        for estimate in self.estimates.values():
-            head.append(f"# {estimate.name}: {estimate.low:.4g} to {estimate.high:.4g} {estimate.unit}")
+        head = ["Identified from a log; 90 % intervals:", *(estimate.interval for estimate in self.estimates.values())]
         if self.computation:
-            head.append(f"# steering.dead_time is without {self.computation:g} s of the controller's computation")
-        head += [f"# not consistent: {reason}" for reason in self.reasons]
-        head += [f"# {sentence}" for sentence in self.findings]
-        write_atomically(path, ("\n".join(head) + "\n\n" + dump_toml(values, meanings)).encode())
+            head.append(f"steering.dead_time is without {self.computation:g} s of the controller's computation")
+        head += [f"not consistent: {reason}" for reason in self.reasons]
+        head += [*self.findings, *(self.drive.comments if self.drive is not None else ())]
+        write_car(path, car, head)
 
     def to_dict(self) -> dict[str, object]:
         """Return the content of ``--json``."""
         return {
-            "estimates": {
-                name: {
-                    "value": estimate.value, "unit": estimate.unit, "standard_error": estimate.standard_error,
-                    "low": estimate.low, "high": estimate.high, "before": list(estimate.before),
-                    "spread_left": estimate.spread_left, "shift": estimate.shift,
-                }
-                for name, estimate in self.estimates.items()
-            },
+            "estimates": {name: estimate.to_dict() for name, estimate in self.estimates.items()},
             "validation": {
                 "one_step_vaf": self.validation.one_step, "simulated_vaf": self.validation.simulated,
                 "held_out": self.validation.held_out, "autocorrelation": list(self.validation.autocorrelation),
@@ -216,5 +298,6 @@ class Identification:
                 "segments": self.log.segments, "notes": list(self.log.notes),
             },
             "computation": self.computation,
+            "drive": None if self.drive is None else self.drive.to_dict(),
             "alone": [identification.to_dict() for identification in self.alone],
         }  # fmt: skip

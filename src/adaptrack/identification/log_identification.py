@@ -21,6 +21,7 @@ from adaptrack.identification.calibration import corrected
 from adaptrack.identification.computed_columns import without_computed
 from adaptrack.identification.consistency import Moments, contradictions, implausible_estimates
 from adaptrack.identification.conventions import check_conventions, check_positions, guessed_ratio
+from adaptrack.identification.drive_identification import drive_of_columns, has_drive_commands
 from adaptrack.identification.estimates import ReportedRow, estimates_at, slopes_at, values_at
 from adaptrack.identification.identified_car import Estimate, Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood
@@ -36,7 +37,7 @@ from adaptrack.identification.quantities import (
     understeer,
 )
 from adaptrack.identification.ratio import OPEN, gain_of, judged, of_found
-from adaptrack.identification.reading import Columns, Reading, read_columns
+from adaptrack.identification.reading import Columns, Reading, Source, read_columns
 from adaptrack.identification.starts import find_optima
 from adaptrack.identification.words import findings
 
@@ -52,10 +53,6 @@ SHARED = (
     "delay", "lag", "dead_time", "understeer_gradient", "front", "rear", "lf", "ratio", "rate", "relaxation",
 )  # fmt: skip
 """Estimates that belong to the car: logs of one car share them."""
-
-
-Source = str | os.PathLike[str] | Mapping[str, object]
-"""A log: a file, or arrays by name."""
 
 
 class Fit(NamedTuple):
@@ -74,7 +71,7 @@ class Fit(NamedTuple):
 @reports_progress("identify")
 @checked
 def identify(
-    log: str | os.PathLike[str] | Mapping[str, object] | Sequence[str | os.PathLike[str] | Mapping[str, object]],
+    log: Source | Sequence[Source],
     car: str | os.PathLike[str] | Vehicle | None = None,
     *,
     mass: Annotated[Finite, within(1.0, 1e5), "kg"] | None = None,
@@ -90,8 +87,9 @@ def identify(
     ----------
     log
         A .csv or .parquet file, one of `Trajectory.save`, or arrays by name: time (s), command (rad, road wheels; or
-        wheel, a measured angle), speed (m/s), yaw_rate (rad/s), and, where there are, vy, acceleration, yaw. Several
-        logs of one car in a sequence share what belongs to the car (`SHARED`).
+        wheel, a measured angle), speed (m/s), yaw_rate (rad/s), and, where there are, vy, acceleration, yaw. With
+        force_command (N) or acceleration_command (m/s^2) drive and brakes are identified, too, as by
+        `identify_drive`. Several logs of one car in a sequence share what belongs to the car (`SHARED`).
     car
         What is believed of the car: mass and geometry are kept, the rest is estimated about it.
     mass, wheelbase
@@ -127,7 +125,19 @@ def identify(
     for fit in fits:
         show("validation", len(alone), len(fits))
         alone.append(_alone(fit, curve))
-    return alone[0] if len(alone) == 1 else _together(fits, alone)
+    return _with_drive(alone[0] if len(alone) == 1 else _together(fits, alone), read)
+
+
+def _with_drive(identification: Identification, read: Sequence[Columns]) -> Identification:
+    """An identification with drive and brakes, where logs have commands of acceleration or force."""
+    logs = [columns for columns in read if has_drive_commands(columns)]
+    if not logs:
+        return identification
+    try:
+        return replace(identification, drive=drive_of_columns(logs, identification.believed))
+    except InvalidInput as error:
+        finding = f"drive and brakes are not identified: {str(error).removeprefix('log: ').rstrip('.')}"
+        return replace(identification, findings=(*identification.findings, finding))
 
 
 def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prior], show: ProgressCall) -> list[Fit]:

@@ -18,6 +18,8 @@ from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.identification.table import CellArray, LogTable, find_origin, load_table, parse_instants, seconds
 
 Array = NDArray[np.float64]
+Source = str | os.PathLike[str] | Mapping[str, object]
+"""A log: a file, or arrays by name."""
 
 ALIASES: Mapping[str, tuple[str, ...]] = {
     "time": ("time", "t", "timestamp", "timestamps", "stamp", "seconds", "sec"),

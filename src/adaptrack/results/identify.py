@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,7 @@ from adaptrack.base.result import (
     Stroke,
     select_entries,
 )
-from adaptrack.identification import Estimate, Identification
+from adaptrack.identification import DriveIdentification, Estimate, Identification
 from adaptrack.identification.quantities import degrees_per_g
 from adaptrack.results.marks import ColourScale, draw_bars, draw_dots, draw_heat_map
 from adaptrack.results.run_pictures import turning_part
@@ -67,6 +68,7 @@ def identification_result(identification: Identification, command: str = "") -> 
     log, checked = identification.log, identification.validation
     simulated = f"{100 * checked.simulated:.1f} % in a simulation from the command"
     explained = f"the model explains {100 * checked.one_step:.1f} % of the yaw-rate variance one step ahead"
+    findings = (*identification.findings, *(identification.drive.findings if identification.drive else ()))
     logs = f"{len(identification.alone)} logs" if identification.alone else "a log"
     return Result(
         kind="identification",
@@ -74,13 +76,13 @@ def identification_result(identification: Identification, command: str = "") -> 
         answer=f"{_first(identification)}. On {checked.held_out:.0f} s of held-out data, {explained} and {simulated}.",
         record=identification.to_dict(),
         tables=_tables(identification),
-        notes=[f"{capital(sentence)}." for sentence in (*log.notes, *identification.findings)],
+        notes=[f"{capital(sentence)}." for sentence in (*log.notes, *findings)],
         pictures=[_measured_and_simulated(identification), _residuals(identification), _excited(identification)],
         failed=not (identification.consistent and checked.simulated > 0.5),
         headline="" if identification.consistent else "Not consistent",
         values={
             "checked": checked, "log": log, "believed": identification.believed, "rate": 1.0 / log.period,
-            "findings": [f"{capital(finding)}." for finding in identification.findings],
+            "findings": [f"{capital(finding)}." for finding in findings],
             "reasons": [f"{capital(reason)}." for reason in identification.reasons],
             "first": [_convert_units(identification[name]) for name in _FIRST if name in identification.estimates],
         },
@@ -126,17 +128,11 @@ def _convert_units(estimate: Estimate) -> Row:
 
 def _tables(identification: Identification) -> list[ResultTable]:
     log = identification.log
+    drive = identification.drive.estimates if identification.drive is not None else {}
     estimates = [
-        estimate for estimate in identification.estimates.values() if estimate.spread_left > 0.0
+        estimate for estimate in (*identification.estimates.values(), *drive.values()) if estimate.spread_left > 0.0
     ]  # all others keep their initial values
-    plain = [
-        {
-            "quantity": estimate.name.replace("_", " "), "value": estimate.value, "low": estimate.low,
-            "high": estimate.high, "unit": estimate.unit,
-            "before": f"{estimate.before[0]:.3g} to {estimate.before[1]:.3g}",
-        }
-        for estimate in estimates
-    ]  # fmt: skip
+    plain = [_plain_row(estimate) for estimate in estimates]
     rows = [_convert_units(estimate) for estimate in estimates]
     title = f"{log.driven:.0f} s of driving, {log.samples} samples at {1.0 / log.period:.0f} Hz"
     return [
@@ -147,6 +143,41 @@ def _tables(identification: Identification) -> list[ResultTable]:
         ),
         *_log_tables(identification),
     ]  # fmt: skip
+
+
+def _plain_row(estimate: Estimate) -> Row:
+    """Return an estimate for the console."""
+    return {
+        "quantity": estimate.name.replace("_", " "), "value": estimate.value, "low": estimate.low,
+        "high": estimate.high, "unit": estimate.unit, "before": f"{estimate.before[0]:.3g} to {estimate.before[1]:.3g}",
+    }  # fmt: skip
+
+
+def drive_identification_result(identification: DriveIdentification) -> Result:
+    """Return the result of `identify_drive`; its record is that of `DriveIdentification.to_dict`."""
+    rows = [_plain_row(estimate) for estimate in identification.estimates.values()]
+    words = [
+        f"{title}: lag {estimate('lag')} s, dead time {estimate('dead_time')} s, gain/mass {estimate('gain')}"
+        for title, name in (("Drive", "drive"), ("brakes", "brake"))
+        if f"{name}_gain" in identification.estimates
+        for estimate in (partial(_value_with_half_width, identification, name),)
+    ]
+    return Result(
+        kind="drive-identification",
+        title=f"Drive and brakes identified from a log: {identification.believed.name}",
+        answer=f"{'; '.join(words)}. Gain and mass are one number, relative to the mass of the car.",
+        record=identification.to_dict(),
+        tables=[
+            ResultTable("console", f"{identification.seconds:.0f} s of driving", ESTIMATE_COLUMNS, rows, brief=True)
+        ],
+        notes=[f"{capital(sentence)}." for sentence in identification.findings],
+    )
+
+
+def _value_with_half_width(identification: DriveIdentification, actuator: str, part: str) -> str:
+    """Return an estimate and the half width of its 90 % interval in words."""
+    estimate = identification.estimates[f"{actuator}_{part}"]
+    return f"{estimate.value:.3g} ± {0.5 * (estimate.high - estimate.low):.2g}"
 
 
 def _log_tables(identification: Identification) -> list[ResultTable]:

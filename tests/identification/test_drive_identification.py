@@ -1,0 +1,151 @@
+"""Drive, brakes and resistance from logs whose truth is known."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from adaptrack import MPC, DualTrack, RoadDrive, SpeedControl, load_vehicle, simulate
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
+from adaptrack.cli.app import app
+from adaptrack.core import drive_identification as kernel
+from adaptrack.identification import DriveIdentification, identify_drive
+from adaptrack.road import Comfort, Line, Road, Stop, plan_speed
+
+pytestmark = pytest.mark.kernels
+
+CAR = load_vehicle("midsize-sedan")
+PERIOD, STEP = 0.05, 0.001
+DRIVE, BRAKES = DriveActuator(lag=0.3, dead_time=0.18, gain=0.9), BrakeActuator(lag=0.12, dead_time=0.26, gain=1.05)
+DRAG, ROLLING = 4e-4, 0.12
+TRUTH = {
+    "drive_lag": 0.3, "drive_dead_time": 0.18, "drive_gain": 0.9, "brake_lag": 0.12, "brake_dead_time": 0.26,
+    "brake_gain": 1.05, "drag": DRAG, "rolling": ROLLING,
+}  # fmt: skip
+
+
+@cache
+def _integrated(seed: int) -> tuple[np.ndarray, ...]:
+    """Time, request (m/s^2) and speed of a car of point mass behind drive and brakes, by Euler steps of 1 ms."""
+    rng = np.random.default_rng(seed)
+    time = PERIOD * np.arange(1800)
+    levels = np.repeat(rng.uniform(-2.0, 2.2, 180), 10)
+    request, speed = np.empty(1800), np.empty(1800)
+    v, responses = 12.0, [0.0, 0.0]
+    for k in range(1800):
+        request[k], speed[k] = levels[k] + 0.15 * (14.0 - v), v
+        for i in range(round(PERIOD / STEP)):
+            for j, (actuator, sign) in enumerate(((DRIVE, 1.0), (BRAKES, -1.0))):
+                late = int((k * PERIOD + i * STEP - actuator.dead_time) / PERIOD + 1e-9)
+                target = actuator.gain * max(sign * request[max(late, 0)], 0.0)
+                responses[j] += STEP / actuator.lag * (target - responses[j])
+            v += STEP * (responses[0] - responses[1] - ROLLING - DRAG * v * v)
+    return time, request, speed
+
+
+def _log(command: str = "force_command", noise: float = 0.02, seed: int = 0) -> dict[str, np.ndarray]:
+    time, request, speed = _integrated(seed)
+    scale = CAR.mass if command == "force_command" else 1.0
+    measured = speed + noise * np.random.default_rng(seed).standard_normal(speed.size)
+    return {"time": time, "speed": measured, command: scale * request}
+
+
+@cache
+def _identified() -> DriveIdentification:
+    return identify_drive(_log(), CAR)
+
+
+def test_with_the_true_quantities_the_innovations_are_those_of_the_integration_step() -> None:
+    time, request, speed = _integrated(0)
+    rows = np.stack([time, request, speed, np.eye(1, time.size)[0]])
+    values = TRUTH | {"push_spread": 0.1, "push_time": 5.0, "jolt": 0.01, "noise_speed": 0.01}
+    answer = np.empty((3, time.size))
+    kernel.speed_innovations(np.array([values[name] for name in kernel.DriveQuantities._fields]), rows, answer)
+    assert np.nanmax(np.abs(answer[0, 40:])) < 5.0 * STEP
+
+
+@pytest.mark.compiled
+def test_lag_dead_time_gain_and_resistance_come_back_within_their_intervals() -> None:
+    for name, value in TRUTH.items():
+        estimate = _identified().estimates[name]
+        assert estimate.low <= value <= estimate.high, name
+        assert estimate.spread_left < 0.7, name
+
+
+@pytest.mark.compiled
+def test_a_force_and_the_same_acceleration_give_the_same_drive_and_brakes() -> None:
+    accelerated = identify_drive(_log("acceleration_command"), CAR)
+    for name in ("drive_lag", "drive_dead_time", "drive_gain", "brake_lag", "brake_gain"):
+        estimate = _identified().estimates[name]
+        assert accelerated.estimates[name].value == pytest.approx(
+            estimate.value, abs=0.3 * (estimate.high - estimate.low)
+        )
+    assert accelerated.car.drag_coefficient == CAR.drag_coefficient  # may be compensated behind the command
+
+
+@pytest.mark.compiled
+def test_a_simulated_drive_with_a_speed_control_gives_its_actuators_back() -> None:
+    road = Road.from_segments([Line(length=900.0)], name="straight")
+    road = road.replace(grade=([0.0, 300.0, 350.0, 900.0], [0.0, 0.0, 0.03, -0.02]))
+    plan = plan_speed(road, CAR, Comfort(accelerate=1.5), stops=[Stop(280.0, 1.0), Stop(600.0, 1.0)], top_speed=16.0)
+    car = CAR.replace(drive=DRIVE, brakes=BRAKES)
+    run = simulate(
+        DualTrack(car), MPC(CAR, profile="road"), RoadDrive(road, plan), profile="road", driver=SpeedControl(CAR)
+    )
+    log = {"time": run.t, "speed": run.vx, "force_command": run.diagnostics["requested_force"]}
+    estimates = identify_drive(log, CAR).estimates
+    for name in ("drive_lag", "drive_dead_time", "drive_gain", "brake_gain"):
+        assert estimates[name].low <= TRUTH[name] <= estimates[name].high, name
+
+
+@pytest.mark.compiled
+def test_two_logs_of_one_car_narrow_the_intervals() -> None:
+    both = identify_drive([_log(), _log(seed=1)], CAR)
+    for name in ("drive_lag", "brake_gain"):
+        one, two = _identified().estimates[name], both.estimates[name]
+        assert two.high - two.low < one.high - one.low
+        assert two.low <= TRUTH[name] <= two.high
+
+
+@pytest.mark.compiled
+def test_a_car_file_of_the_command_drives_a_speed_control_with_known_delays(tmp_path) -> None:
+    log, car = tmp_path / "log.csv", tmp_path / "my-car.toml"
+    columns = _log()
+    np.savetxt(log, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    result = CliRunner().invoke(
+        app, ["identify", str(log), "--car", "midsize-sedan", "--longitudinal", "--out", str(car)]
+    )
+    assert result.exit_code == 0, result.output
+    assert "Gain and mass are one number" in " ".join(result.output.split())
+    vehicle = load_vehicle(car)
+    assert vehicle.drive.lag == pytest.approx(_identified().estimates["drive_lag"].value, rel=1e-3)
+    settings = SpeedControl(vehicle).settings(PERIOD, Comfort())
+    assert settings.brake_dead_time == vehicle.brakes.dead_time
+
+
+@pytest.mark.compiled
+def test_what_the_log_cannot_tell_keeps_its_value_and_is_reported() -> None:
+    log = _log()
+    log["force_command"] = np.maximum(log["force_command"], 0.0)
+    identification = identify_drive(log, CAR.replace(brakes=BRAKES))
+    assert "brake_gain" not in identification.estimates
+    assert identification.car.brakes == BRAKES
+    assert any("braking in the log" in finding for finding in identification.findings)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"force_command": None}, "no column for force_command"),
+        ({"speed": np.full(1800, 1.5)}, "s above 2 m/s: at least 20 s"),
+        ({"force_command": np.full(1800, 100.0)}, "drive with changing force, and brake"),
+    ],
+)
+def test_a_log_that_tells_nothing_is_refused_with_the_remedy(changes, message) -> None:
+    log = {name: values for name, values in (_log() | changes).items() if values is not None}
+    with pytest.raises(InvalidInput, match=message):
+        identify_drive(log, CAR)
