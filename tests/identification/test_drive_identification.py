@@ -106,9 +106,9 @@ def test_a_simulated_drive_with_a_speed_control_gives_its_actuators_back() -> No
 def test_two_logs_of_one_car_narrow_the_intervals() -> None:
     both = identify_drive([_log(), _log(seed=1)], CAR)
     for name in ("drive_lag", "brake_gain"):
-        one, two = _identified().estimates[name], both.estimates[name]
-        assert two.high - two.low < one.high - one.low
-        assert two.low <= TRUTH[name] <= two.high
+        single, joint = _identified().estimates[name], both.estimates[name]
+        assert joint.high - joint.low < single.high - single.low
+        assert joint.low <= TRUTH[name] <= joint.high
 
 
 @pytest.mark.compiled

@@ -33,6 +33,9 @@ DRIVE_ROW = columns("time", "request", "speed", "begins")
 DRIVE_ANSWER = columns("innovation", "variance", "disturbance")
 """m/s, m^2/s^2, m/s^2 at each sample; the first two are NaN where no speed is compared."""
 
+SPEED_ERROR = 0.005
+"""m/s, of the speed of any sensor and model: for logs of simulations without noise."""
+
 
 @inlined
 def _respond(response, lag, dead_time, sign, acting, start, h, log):
@@ -69,7 +72,7 @@ def speed_innovations(quantities, log, answer):
     q = _quantities_of(quantities, 0)
     drive_row = brake_row = 0
     drive = brakes = speed = push = p_vv = p_vd = p_dd = 0.0
-    known = False
+    is_estimated = False
     for k in range(log.shape[1]):
         for i in range(answer.shape[0]):
             answer[i, k] = math.nan
@@ -77,7 +80,7 @@ def speed_innovations(quantities, log, answer):
         if log[DRIVE_ROW.begins, k] > 0.0:
             drive_row = brake_row = k
             drive, brakes = max(log[DRIVE_ROW.request, k], 0.0), max(-log[DRIVE_ROW.request, k], 0.0)
-            known = False
+            is_estimated = False
         else:
             start = log[DRIVE_ROW.time, k - 1]
             h = log[DRIVE_ROW.time, k] - start
@@ -95,11 +98,11 @@ def speed_innovations(quantities, log, answer):
             p_vd = decay * (slope * p_vd + reach * p_dd)
             p_dd = square(decay) * p_dd + square(q.push_spread) * (1.0 - square(decay))
         if measured != measured:
-            known = False
+            is_estimated = False
             continue
-        noise = square(q.noise_speed) + 1e-10
-        if not known:
-            known, speed, push, p_vv, p_vd, p_dd = True, measured, 0.0, noise, 0.0, square(q.push_spread)
+        noise = square(q.noise_speed) + square(SPEED_ERROR)
+        if not is_estimated:
+            is_estimated, speed, push, p_vv, p_vd, p_dd = True, measured, 0.0, noise, 0.0, square(q.push_spread)
             continue
         innovation, variance = measured - speed, p_vv + noise
         k_v, k_d = p_vv / variance, p_vd / variance

@@ -23,7 +23,7 @@ from adaptrack.identification.reading import Columns, Reading, Source, read_colu
 
 Array = NDArray[np.float64]
 
-COMMANDS = ("force_command", "acceleration_command")
+LONGITUDINAL_COMMANDS = ("force_command", "acceleration_command")
 MIN_COMPARED_SPEED = 2.0
 """m/s, below which speeds are not compared: drives creep, and brakes hold a car at rest."""
 LEAST_COMPARED = 20.0
@@ -33,8 +33,8 @@ LEAST_REQUEST, LEAST_ACTING = 0.3, 4.0
 LEAST_CHANGE = 0.15
 """m/s^2, standard deviation of the requests of an actuator while it acts, below which gain and slope are one."""
 ACTUATORS = ("drive", "brake")
-START_DELAYS = (0.12, 0.35, 0.75)
-"""s, of both actuators, from which the fit starts."""
+DELAY_SHIFTS = (-0.9, 0.15, 0.9)
+"""Spreads from the prior of both delays, from which the fit starts."""
 
 DRIVE_QUANTITIES = (
     *(quantity for name, words in (("drive", "of the drive"), ("brake", "of the brakes")) for quantity in (
@@ -55,7 +55,7 @@ _KINDS = kinds_of(DRIVE_QUANTITIES)
 
 def has_drive_commands(columns: Columns) -> bool:
     """Whether a log has a column from which drive and brakes can be identified."""
-    return any(name in columns.values and np.isfinite(columns.values[name]).any() for name in COMMANDS)
+    return any(name in columns.values and np.isfinite(columns.values[name]).any() for name in LONGITUDINAL_COMMANDS)
 
 
 class DriveLikelihood(InnovationLikelihood):
@@ -90,27 +90,28 @@ class DriveLikelihood(InnovationLikelihood):
 
     @property
     def reported(self) -> list[ReportedRow]:
-        """What is reported of the free quantities."""
-        rows: list[ReportedRow] = []
+        """Rows of the free quantities that are reported."""
         free = {DRIVE_QUANTITIES[place].name for place in self.free}
-        for name in ACTUATORS:
-            if f"{name}_delay" not in free:
-                continue
-            delay, share, gain = (_INDEX[f"{name}_{part}"] for part in ("delay", "lag_share", "gain"))
-            words = "drive" if name == "drive" else "brakes"
-            rows += [
-                (f"{name}_lag", "s", f"time constant of the {words}", True,
-                 lambda v, d=delay, s=share: float(v[s] * v[d])),  # type: ignore[misc]
-                (f"{name}_dead_time", "s", f"from a request until the {words} begin to act on the logged speed", True,
-                 lambda v, d=delay, s=share: float((1.0 - v[s]) * v[d])),  # type: ignore[misc]
-                (f"{name}_gain", "-", DRIVE_QUANTITIES[gain].meaning, True,
-                 lambda v, g=gain: float(v[g])),  # type: ignore[misc]
-            ]  # fmt: skip
-        for name in ("drag", "rolling"):
-            place = _INDEX[name]
-            rows.append((name, DRIVE_QUANTITIES[place].unit, DRIVE_QUANTITIES[place].meaning, False,
-                         lambda v, p=place: float(v[p])))  # type: ignore[misc]  # fmt: skip
-        return rows
+        actuators = [row for name in ACTUATORS if f"{name}_gain" in free for row in _actuator_rows(name)]
+        return [*actuators, _value_row("drag"), _value_row("rolling")]
+
+
+def _value_row(name: str) -> ReportedRow:
+    """Row of a quantity that is reported as it is."""
+    place = _INDEX[name]
+    quantity = DRIVE_QUANTITIES[place]
+    return name, quantity.unit, quantity.meaning, quantity.kind == "positive", lambda v: float(v[place])
+
+
+def _actuator_rows(name: str) -> list[ReportedRow]:
+    """Rows of drive or brakes."""
+    delay, share = _INDEX[f"{name}_delay"], _INDEX[f"{name}_lag_share"]
+    late = "from a request until it begins to act on the logged speed"
+    return [
+        (f"{name}_lag", "s", "time constant", True, lambda v: float(v[share] * v[delay])),
+        (f"{name}_dead_time", "s", late, True, lambda v: float((1.0 - v[share]) * v[delay])),
+        _value_row(f"{name}_gain"),
+    ]
 
 
 def identify_drive(
@@ -146,7 +147,7 @@ def identify_drive(
 
 def drive_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentification:
     """Identify drive, brakes and resistance from columns; errors as `identify_drive`."""
-    command = next((name for name in COMMANDS if all(name in columns.values for columns in logs)), "")
+    command = next((name for name in LONGITUDINAL_COMMANDS if all(name in columns.values for columns in logs)), "")
     if not command or not logs:
         raise InvalidInput(
             "log: no column for force_command (N) or acceleration_command (m/s^2): name it, --columns "
@@ -156,14 +157,14 @@ def drive_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentificati
         [_rows(columns.values, command, 1.0 if command == "acceleration_command" else car.mass) for columns in logs],
         axis=1,
     )
-    shift = 0.0
-    for first in np.flatnonzero(np.diff(rows[kernel.DRIVE_ROW.time]) <= 0.0) + 1:  # one log after the other
-        shift = rows[kernel.DRIVE_ROW.time, first - 1] + 1.0 - rows[kernel.DRIVE_ROW.time, first]
-        rows[kernel.DRIVE_ROW.time, first:] += shift
-    seconds = _refuse_idle(rows)
+    time = rows[kernel.DRIVE_ROW.time]
+    for first in np.flatnonzero(np.diff(time) <= 0.0) + 1:  # one log after the other
+        time[first:] += time[first - 1] + 1.0 - time[first]
+    seconds = _compared_seconds(rows)
     beliefs, findings = _beliefs(rows, car, command)
     likelihood = DriveLikelihood(rows, beliefs)
-    starts = [likelihood.fit(_start(likelihood, delay), NEARLY)[0] for delay in START_DELAYS]
+    delays = np.array([quantity.name.endswith("_delay") for quantity in DRIVE_QUANTITIES]) & (likelihood.spread > 0.0)
+    starts = [likelihood.fit(np.where(delays, shift, 0.0), NEARLY)[0] for shift in DELAY_SHIFTS]
     z, at = likelihood.fit(min(starts, key=likelihood.objective))
     estimates, _ = estimates_at(likelihood, likelihood.reported, z, likelihood.covariance(at))
     return DriveIdentification(estimates, tuple(findings), car, command, seconds)
@@ -186,16 +187,16 @@ def _rows(values: Mapping[str, Array], command: str, mass: float) -> Array:
     return np.stack([time, request / mass, compared, begins.astype(np.float64)])
 
 
-def _refuse_idle(rows: Array) -> float:
-    """s of driving in which the speed is compared."""
+def _compared_seconds(rows: Array) -> float:
+    """s of driving in which the speed is compared; `InvalidInput` where they are few."""
     time, _, speed, begins = rows
-    driven = float(np.sum(np.diff(time)[np.isfinite(speed[1:]) & np.isfinite(speed[:-1]) & (begins[1:] <= 0.0)]))
-    if driven < LEAST_COMPARED:
+    seconds = float(np.sum(np.diff(time)[np.isfinite(speed[1:]) & np.isfinite(speed[:-1]) & (begins[1:] <= 0.0)]))
+    if seconds < LEAST_COMPARED:
         raise InvalidInput(
-            f"log: {driven:.3g} s above {MIN_COMPARED_SPEED:g} m/s: at least {LEAST_COMPARED:g} s of driving, "
+            f"log: {seconds:.3g} s above {MIN_COMPARED_SPEED:g} m/s: at least {LEAST_COMPARED:g} s of driving, "
             "accelerating and braking are needed."
         )
-    return driven
+    return seconds
 
 
 def _beliefs(rows: Array, car: Vehicle, command: str) -> tuple[dict[str, Prior], list[str]]:
@@ -234,13 +235,3 @@ def _beliefs(rows: Array, car: Vehicle, command: str) -> tuple[dict[str, Prior],
     if command == "acceleration_command":
         findings.append("resistance stays as in the car file: behind an acceleration command it may be compensated")
     return beliefs, findings
-
-
-def _start(likelihood: DriveLikelihood, delay: float) -> Array:
-    """A point z with a delay (s) of both actuators."""
-    z = np.zeros(len(DRIVE_QUANTITIES))
-    for name in ACTUATORS:
-        place = _INDEX[f"{name}_delay"]
-        if place in likelihood.free:
-            z[place] = math.log(delay / likelihood.median[place]) / likelihood.spread[place]
-    return z
