@@ -14,6 +14,7 @@ from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
 from adaptrack.cli.app import app
 from adaptrack.core import drive_identification as kernel
 from adaptrack.identification import DriveIdentification, identify_drive
+from adaptrack.identification.longitudinal_conventions import compare_longitudinal
 from adaptrack.road import Comfort, Line, Road, Stop, plan_speed
 
 pytestmark = pytest.mark.kernels
@@ -149,3 +150,55 @@ def test_a_log_that_tells_nothing_is_refused_with_the_remedy(changes, message) -
     log = {name: values for name, values in (_log() | changes).items() if values is not None}
     with pytest.raises(InvalidInput, match=message):
         identify_drive(log, CAR)
+
+
+_TIME, _REQUEST, _SPEED = _integrated(0)
+_CHANGE = np.gradient(_SPEED, _TIME)
+_GRAVITY = 9.81 * 0.03 * np.sin(2.0 * np.pi * _TIME / 30.0)
+_PEDAL = np.where(_REQUEST > 0.0, _REQUEST / 5.0, _REQUEST / 9.0)
+
+
+@pytest.mark.parametrize(
+    ("signal", "values", "message"),
+    [
+        ("acceleration_command", _REQUEST, ""),
+        ("acceleration_command", -_REQUEST, "--flip acceleration_command"),
+        ("acceleration_command", _REQUEST / 9.81, "in g"),
+        ("acceleration_command", 100.0 * _PEDAL, "per cent"),
+        ("acceleration_command", _PEDAL, "a pedal of 0 to 1"),
+        ("force_command", CAR.mass * _REQUEST, ""),
+        ("force_command", 1e-3 * CAR.mass * _REQUEST, "in kN"),
+        ("longitudinal_acceleration", _CHANGE, ""),
+        ("longitudinal_acceleration", -_CHANGE, "--flip longitudinal_acceleration"),
+        ("longitudinal_acceleration", _CHANGE / 9.81, "in g"),
+    ],
+)
+def test_a_longitudinal_signal_contradicts_the_speed_only_where_its_sign_or_unit_is_wrong(
+    signal, values, message
+) -> None:
+    contradictions = [
+        agreement.contradiction
+        for agreement in compare_longitudinal({"time": _TIME, "speed": _SPEED, signal: values}, CAR.mass)
+        if agreement.clear
+    ]
+    assert len(contradictions) == 1
+    assert message in contradictions[0]
+    assert bool(message) == bool(contradictions[0])
+
+
+def test_gravity_in_a_measured_acceleration_is_possible_and_no_contradiction() -> None:
+    values = {"time": _TIME, "speed": _SPEED, "longitudinal_acceleration": _CHANGE + _GRAVITY}
+    *_, agreement = compare_longitudinal(values, CAR.mass)
+    assert not agreement.contradiction
+    assert "possibly it contains gravity" in agreement.possibility
+
+
+def test_a_command_in_the_wrong_unit_is_found_by_the_command_and_refused_by_the_fit(tmp_path) -> None:
+    file = tmp_path / "loop.csv"
+    columns = {"time": _TIME, "speed": _SPEED, "accel_cmd": 100.0 * _PEDAL}
+    np.savetxt(file, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    result = CliRunner().invoke(app, ["check-loop", str(file)])
+    assert result.exit_code == 3, result.output
+    assert "per cent" in " ".join(result.output.split())
+    with pytest.raises(InvalidInput, match="per cent"):
+        identify_drive(file, CAR)

@@ -80,6 +80,8 @@ class Agreement(NamedTuple):
     """whether they are correlated enough to conclude anything"""
     contradiction: str
     """a sentence that names the mistake and the option that mends it; empty where they agree"""
+    possibility: str = ""
+    """a sentence on a mistake that is possible, but not certain"""
 
 
 class _Slope(NamedTuple):
@@ -130,7 +132,7 @@ def compare_positions(values: Mapping[str, Array]) -> Agreement:
         for place in (values["x"][present][first], values["y"][present][first])
     )
     factor = float(np.median(np.hypot(x, y) / (2.0 * WINDOW * np.abs(speed[drives]))))
-    meaning = _meaning(factor, POSITIONS)
+    meaning = find_meaning(factor, POSITIONS)
     sentence = f"the positions move at {factor:.3g} times the speed: {meaning}." if meaning else ""
     return Agreement(compared, True, sentence)
 
@@ -152,7 +154,7 @@ def _steered(log: Log) -> str:
     return "command" if log.commanded else "wheel"
 
 
-def _meaning(factor: float, table: tuple[tuple[float, float, str], ...]) -> str:
+def find_meaning(factor: float, table: tuple[tuple[float, float, str], ...]) -> str:
     """The meaning of a factor: that of the first range in which it lies."""
     return next(meaning for low, high, meaning in table if low <= factor <= high)
 
@@ -172,7 +174,7 @@ def _explain_felt(felt: _Slope, turning: _Slope) -> str:
         return (
             f"lateral acceleration and yaw rate have opposite signs. Both must be positive to the left: --flip {which}."
         )
-    meaning = _meaning(felt.factor, ACCELERATIONS)
+    meaning = find_meaning(felt.factor, ACCELERATIONS)
     return f"the lateral acceleration is {felt.factor:.3g} times speed times yaw rate: {meaning}." if meaning else ""
 
 
@@ -190,7 +192,7 @@ def _explain_turning(log: Log, turning: _Slope, wheelbase: float) -> str:
     if float(np.percentile(np.abs(log.yaw_rate[np.isfinite(log.yaw_rate)]), 99)) > FASTEST_TURN:
         meaning = "angles in degrees: --units deg" + (f" --steering-ratio {ratio:.0f}" if ratio > 8.0 else "")
     else:
-        meaning = _meaning(turning.factor, TURNINGS)
+        meaning = find_meaning(turning.factor, TURNINGS)
     if not meaning:
         return ""
     meaning = meaning.format(steered=steered, ratio=ratio, in_degrees=math.radians(ratio))

@@ -17,6 +17,7 @@ from adaptrack.identification.estimates import ReportedRow, estimates_at
 from adaptrack.identification.identified_car import DriveIdentification
 from adaptrack.identification.likelihood import NEARLY, SETTLING, InnovationLikelihood
 from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times
+from adaptrack.identification.longitudinal_conventions import compare_longitudinal
 from adaptrack.identification.outliers import find_outliers
 from adaptrack.identification.quantities import Prior, Quantity, kinds_of, values_of
 from adaptrack.identification.reading import Columns, Reading, Source, read_columns
@@ -153,6 +154,10 @@ def drive_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentificati
             "log: no column for force_command (N) or acceleration_command (m/s^2): name it, --columns "
             "force_command=NAME."
         )
+    for columns in logs:
+        for agreement in compare_longitudinal(columns.values, car.mass):
+            if agreement.contradiction:
+                raise InvalidInput(f"log: {agreement.contradiction}")
     rows = np.concatenate(
         [_rows(columns.values, command, 1.0 if command == "acceleration_command" else car.mass) for columns in logs],
         axis=1,

@@ -14,11 +14,14 @@ from adaptrack.control.input_check import Finding, InputCheck
 from adaptrack.identification.conventions import Agreement, compare_positions, compare_signals, guessed_ratio
 from adaptrack.identification.log import check_times, log_of
 from adaptrack.identification.long_log import shorten_log
+from adaptrack.identification.longitudinal_conventions import compare_longitudinal
 from adaptrack.identification.reading import Columns
 
 SIGNALS = ("speed", "yaw_rate", "vy", "acceleration", "wheel", "command")
 USUAL_WHEELBASE = 2.8
 """m, of a car that is not given."""
+USUAL_MASS = 1600.0
+"""kg, of a car that is not given."""
 LEAST = 2.0
 """s, from which on a comparison of windows tells something."""
 
@@ -38,6 +41,11 @@ class LoopCheck(NamedTuple):
     """s, for which the car slid"""
     limit: str
     """why the whole log could not be compared; empty where it was"""
+
+    @property
+    def possibilities(self) -> tuple[str, ...]:
+        """Sentences on mistakes that are possible, but not certain."""
+        return tuple(agreement.possibility for agreement in self.agreements if agreement.possibility)
 
     @property
     def compared(self) -> int:
@@ -66,6 +74,7 @@ def check_loop(columns: Columns, vehicle: Vehicle | None = None) -> LoopCheck:
         check_times(instants)
     check, sliding = _run_check(columns, vehicle)
     agreements, limit = _compare_whole_log(columns, vehicle.wheelbase if vehicle else USUAL_WHEELBASE)
+    agreements += compare_longitudinal(values, vehicle.mass if vehicle else USUAL_MASS)
     sentences = tuple(agreement.contradiction for agreement in agreements if agreement.contradiction)
     return LoopCheck(
         sentences + check.suspect, check.findings, tuple(agreements), float(np.ptp(instants)), sliding, limit

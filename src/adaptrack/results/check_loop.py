@@ -30,9 +30,10 @@ def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = (), comman
         title=f"Inputs of a loop: {log}",
         answer=answer,
         record={"log": log, "seconds": check.seconds, "sliding": check.sliding,
-                "contradictions": list(check.contradictions), "compared": rows},
+                "contradictions": list(check.contradictions), "possibilities": list(check.possibilities),
+                "compared": rows},
         tables=[ResultTable("console", f"{check.seconds:.0f} s of {log}", INPUT_CHECK_COLUMNS, rows, brief=True)],
-        notes=[*check.contradictions[1:], *(f"{note}." for note in notes), *sliding],
+        notes=[*check.contradictions[1:], *check.possibilities, *(f"{note}." for note in notes), *sliding],
         failed=bool(check.contradictions),
         command=command,
     )  # fmt: skip
