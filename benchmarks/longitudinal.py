@@ -1,15 +1,18 @@
 """How well the speed control follows a plan and stops, behind drive and brakes that it does not know.
 
-    python benchmarks/longitudinal.py [--cars 200] [--driver]
+    python benchmarks/longitudinal.py [--cars 200] [--driver control|naive|autoware]
 
 Each car draws lag (to 0.6 s), dead time (to 0.4 s) and gain (0.85 to 1.1) of drive and of brakes, a mass of 0.85 to 1.4
 times the one in its file, and a slope of -10 to 10 % from 300 m on, all from seed 20261126. It drives 900 m at up to
-15 m/s with stops at 250 and 600 m. --driver: with the naive driver of the simulation instead.
+15 m/s with stops at 250 and 600 m. --driver: the speed control, the naive driver of the simulation, or Autoware's
+structure with its published parameters (the plug-in `autoware_speed` in examples/plugins/, in PYTHONPATH).
 """
 
 from __future__ import annotations
 
 import argparse
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +27,14 @@ SETTLED = 20.0
 """s, after which the error of the speed counts."""
 
 
-def drive_one(rng: np.random.Generator, seed: int, naive: bool) -> tuple[float, list[float], list[float], list[float]]:
+DRIVERS = {
+    "control": (SpeedControl, "speed control, nothing known"), "naive": (lambda car: Driver(), "naive driver"),
+    "autoware": (lambda car: import_module("autoware_speed").AutowareSpeed(car), "Autoware's structure, as published"),
+}  # fmt: skip
+"""Factories that take the car of the file, and what the table calls them."""
+
+
+def drive_one(rng: np.random.Generator, seed: int, driver: Any) -> tuple[float, list[float], list[float], list[float]]:
     """RMS error of the speed (m/s), and of each stop error, largest jerk in the last metre (m/s^3), way back (m)."""
     delays = [{"lag": rng.uniform(0.0, 0.6), "dead_time": rng.uniform(0.0, 0.4), "gain": rng.uniform(0.85, 1.1)}
               for _ in range(2)]  # fmt: skip
@@ -37,7 +47,6 @@ def drive_one(rng: np.random.Generator, seed: int, naive: bool) -> tuple[float, 
         mass=CAR.mass * mass, yaw_inertia=CAR.yaw_inertia * mass, drive=DriveActuator(**delays[0]),
         brakes=BrakeActuator(**delays[1]),
     )  # fmt: skip
-    driver = Driver() if naive else SpeedControl(CAR)
     run = simulate(
         DualTrack(car), MPC(CAR, profile="road"), RoadDrive(road, plan), profile="road", driver=driver, seed=seed
     )
@@ -63,13 +72,14 @@ def main() -> None:
     """Drive the cars and print quantiles."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cars", type=int, default=200)
-    parser.add_argument("--driver", action="store_true", help="the naive driver")
+    parser.add_argument("--driver", choices=list(DRIVERS), default="control")
     arguments = parser.parse_args()
     rng = np.random.default_rng(20261126)
-    runs = [drive_one(rng, seed, arguments.driver) for seed in range(arguments.cars)]
+    make_driver, title = DRIVERS[arguments.driver]
+    runs = [drive_one(rng, seed, make_driver(CAR)) for seed in range(arguments.cars)]
     speed = np.array([run[0] for run in runs])
     errors, jerks, back = (np.array([value for run in runs for value in run[i]]) for i in (1, 2, 3))
-    print(f"{arguments.cars} cars, {'naive driver' if arguments.driver else 'speed control, nothing known'}")
+    print(f"{arguments.cars} cars, {title}")
     print(f"speed RMS (m/s) after {SETTLED:.0f} s: mean {speed.mean():.3f}, 95 % {np.quantile(speed, 0.95):.3f}, "
           f"largest {speed.max():.3f}")  # fmt: skip
     print(f"stops (m): within 0.15 m {100 * np.mean(np.abs(errors) < 0.15):.0f} %, median {np.median(errors):+.3f}, "
