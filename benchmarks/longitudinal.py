@@ -1,11 +1,13 @@
 """How well the speed control follows a plan and stops, behind drive and brakes that it does not know.
 
-    python benchmarks/longitudinal.py [--cars 200] [--driver control|naive|autoware]
+    python benchmarks/longitudinal.py [--cars 200] [--driver control|naive|autoware] [--smooth-plan]
 
 Each car draws lag (to 0.6 s), dead time (to 0.4 s) and gain (0.85 to 1.1) of drive and of brakes, a mass of 0.85 to 1.4
 times the one in its file, and a slope of -10 to 10 % from 300 m on, all from seed 20261126. It drives 900 m at up to
 15 m/s with stops at 250 and 600 m. --driver: the speed control, the naive driver of the simulation, or Autoware's
 structure with its published parameters (the plug-in `autoware_speed` in examples/plugins/, in PYTHONPATH).
+--smooth-plan: 1 m/s^2 and 1 m/s^3 at most, as Autoware's planner has it, instead of 1.5 and 2 m/s^2 without a limit of
+jerk.
 """
 
 from __future__ import annotations
@@ -34,14 +36,16 @@ DRIVERS = {
 """Factories that take the car of the file, and what the table calls them."""
 
 
-def drive_one(rng: np.random.Generator, seed: int, driver: Any) -> tuple[float, list[float], list[float], list[float]]:
+def drive_one(
+    rng: np.random.Generator, seed: int, driver: Any, is_smooth: bool
+) -> tuple[float, list[float], list[float], list[float]]:
     """RMS error of the speed (m/s), and of each stop error, largest jerk in the last metre (m/s^3), way back (m)."""
     delays = [{"lag": rng.uniform(0.0, 0.6), "dead_time": rng.uniform(0.0, 0.4), "gain": rng.uniform(0.85, 1.1)}
               for _ in range(2)]  # fmt: skip
     mass, grade = rng.uniform(0.85, 1.4), rng.uniform(-0.1, 0.1)
     road = Road.from_segments([Line(length=900.0)], name="straight")
     road = road.replace(grade=([0.0, 300.0, 320.0, 900.0], [0.0, 0.0, grade, grade]))
-    comfort = Comfort(accelerate=1.5, brake=2.0)
+    comfort = Comfort(accelerate=1.0, brake=1.0, jerk=1.0) if is_smooth else Comfort(accelerate=1.5, brake=2.0)
     plan = plan_speed(road, CAR, comfort, stops=[Stop(s, 3.0) for s in STOPS], top_speed=15.0)
     car = CAR.replace(
         mass=CAR.mass * mass, yaw_inertia=CAR.yaw_inertia * mass, drive=DriveActuator(**delays[0]),
@@ -73,10 +77,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cars", type=int, default=200)
     parser.add_argument("--driver", choices=list(DRIVERS), default="control")
+    parser.add_argument("--smooth-plan", action="store_true", help="1 m/s^2 and 1 m/s^3 at most")
     arguments = parser.parse_args()
     rng = np.random.default_rng(20261126)
     make_driver, title = DRIVERS[arguments.driver]
-    runs = [drive_one(rng, seed, make_driver(CAR)) for seed in range(arguments.cars)]
+    runs = [drive_one(rng, seed, make_driver(CAR), arguments.smooth_plan) for seed in range(arguments.cars)]
     speed = np.array([run[0] for run in runs])
     errors, jerks, back = (np.array([value for run in runs for value in run[i]]) for i in (1, 2, 3))
     print(f"{arguments.cars} cars, {title}")

@@ -30,6 +30,8 @@ DEPARTURE = 0.3
 """m, ahead of a stop that is left, at which the plan is read: planners begin above speed 0 there."""
 STEP = 0.5
 """m, over which the planned acceleration is taken."""
+SPEED_HISTORY = 0.5
+"""s, of the speeds from which the time until the car stands is predicted."""
 MAX_PITCH = 0.1
 """rad, of a slope that is compensated."""
 
@@ -92,6 +94,7 @@ class AutowareFollower:
         self._strong_acc = settings.max_strong_acc
         periods = max(math.ceil(settings.delay_compensation_time / period - 1e-9), 1)
         self._sent: deque[float] = deque([0.0] * periods, maxlen=periods)
+        self._speeds: deque[float] = deque(maxlen=max(round(SPEED_HISTORY / period), 2))
 
     def step(self, station: float, speed: float, yaw_rate: float) -> SpeedCommand:
         """Return the requests for the present period, see `adaptrack.drive.world.SpeedFollower`."""
@@ -100,6 +103,7 @@ class AutowareFollower:
         base = math.floor(station / lap) * lap if self._plan.closed else 0.0
         distance = self._stops[0].s + base - station if self._stops else math.inf
         self._standing = self._standing + self._period if speed < p.stopped_state_entry_vel else 0.0
+        self._speeds.append(speed)
         self._change_state(distance, speed)
         target, limits = 0.0, (p.min_jerk, p.max_jerk)
         if self._state == SpeedState.DRIVING:
@@ -137,7 +141,9 @@ class AutowareFollower:
             self._state = SpeedState.EMERGENCY
         elif self._state == SpeedState.DRIVING and distance < p.stopping_state_stop_dist:
             self._state, self._still = SpeedState.STOPPING, 0.0
-            needed = -(speed**2) / (2.0 * max(distance, 0.01))
+            later = max(speed + p.delay_compensation_time * float(np.mean(self._sent)), 0.0)
+            left = distance - 0.5 * (speed + later) * p.delay_compensation_time
+            needed = -(later**2) / (2.0 * max(left, 0.01))
             self._strong_acc = min(max(needed, p.min_strong_acc), p.max_strong_acc)
 
     def _follow(self, station: float, distance: float, speed: float) -> tuple[float, float]:
@@ -159,13 +165,20 @@ class AutowareFollower:
         return target, min(max(feed_forward + min(max(feedback, -p.max_out), p.max_out), p.min_acc), p.max_acc)
 
     def _stop_smoothly(self, distance: float, speed: float) -> float:
-        """Deceleration (m/s^2) of the last half metre: strong while the car is fast, then weak, until it stands."""
+        """Deceleration (m/s^2) of the last half metre: strong, weak once the car stands within the delay, then hard.
+
+        The time until the car stands follows from the straight line through its last speeds.
+        """
         p = self.settings
         if distance < p.strong_stop_dist:
             return p.strong_stop_acc
         if distance < p.weak_stop_dist:
             return p.weak_stop_acc
-        if speed > p.max_fast_vel:
-            return self._strong_acc
-        self._still = self._still + self._period if speed < p.stopped_state_entry_vel else 0.0
-        return p.weak_acc if self._still < p.weak_stop_time else p.strong_stop_acc
+        if speed < p.stopped_state_entry_vel:
+            self._still += self._period
+            return p.weak_acc if self._still < p.weak_stop_time else p.strong_stop_acc
+        self._still = 0.0
+        count = len(self._speeds)
+        slope = np.polyfit(self._period * np.arange(count), self._speeds, 1)[0] if count > 1 else 0.0
+        is_far = -speed / slope > p.delay_compensation_time if slope < 0.0 else speed > p.max_fast_vel
+        return self._strong_acc if is_far else p.weak_acc
