@@ -95,7 +95,7 @@ class _Slope(NamedTuple):
 
 def check_positions(values: Mapping[str, Array]) -> None:
     """Refuse raw columns (SI units, (n,) each) whose positions do not fit their speed; see `check_conventions`."""
-    _refuse([compare_positions(values)])
+    refuse_contradictions([compare_positions(values)])
 
 
 def check_conventions(log: Log, wheelbase: float) -> None:
@@ -106,10 +106,11 @@ def check_conventions(log: Log, wheelbase: float) -> None:
     InvalidInput
         Naming what is wrong and the option that mends it.
     """
-    _refuse(compare_signals(log, wheelbase))
+    refuse_contradictions(compare_signals(log, wheelbase))
 
 
-def _refuse(agreements: list[Agreement]) -> None:
+def refuse_contradictions(agreements: list[Agreement]) -> None:
+    """Raise `InvalidInput` with the first contradiction."""
     for agreement in agreements:
         if agreement.contradiction:
             raise InvalidInput(f"log: {agreement.contradiction}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 
@@ -13,10 +12,11 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.core import drive_identification as kernel
 from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.identification.conventions import refuse_contradictions
 from adaptrack.identification.estimates import ReportedRow, estimates_at
 from adaptrack.identification.identified_car import DriveIdentification
 from adaptrack.identification.likelihood import NEARLY, SETTLING, InnovationLikelihood
-from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times
+from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, noise_of
 from adaptrack.identification.longitudinal_conventions import compare_longitudinal
 from adaptrack.identification.outliers import find_outliers
 from adaptrack.identification.quantities import Prior, Quantity, kinds_of, values_of
@@ -52,11 +52,6 @@ DRIVE_QUANTITIES = (
 )  # fmt: skip
 _INDEX = {quantity.name: i for i, quantity in enumerate(DRIVE_QUANTITIES)}
 _KINDS = kinds_of(DRIVE_QUANTITIES)
-
-
-def has_drive_commands(columns: Columns) -> bool:
-    """Whether a log has a column from which drive and brakes can be identified."""
-    return any(name in columns.values and np.isfinite(columns.values[name]).any() for name in LONGITUDINAL_COMMANDS)
 
 
 class DriveLikelihood(InnovationLikelihood):
@@ -155,9 +150,7 @@ def drive_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentificati
             "force_command=NAME."
         )
     for columns in logs:
-        for agreement in compare_longitudinal(columns.values, car.mass):
-            if agreement.contradiction:
-                raise InvalidInput(f"log: {agreement.contradiction}")
+        refuse_contradictions(compare_longitudinal(columns.values, car.mass))
     rows = np.concatenate(
         [_rows(columns.values, command, 1.0 if command == "acceleration_command" else car.mass) for columns in logs],
         axis=1,
@@ -209,14 +202,11 @@ def _beliefs(rows: Array, car: Vehicle, command: str) -> tuple[dict[str, Prior],
     time, request, speed, _ = rows
     drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass
     rolling = car.rolling_resistance * GRAVITY
-    third = np.diff(speed, 3)
-    third = third[np.isfinite(third)]
-    noise = float(np.median(np.abs(third))) / 0.6745 / math.sqrt(20.0) if third.size else 0.01
     share = 1.0 if command == "force_command" else 0.5  # some of it may be compensated behind an acceleration command
     beliefs = {
         "drag": Prior(share * drag, max(drag, 1e-4) * (1.5 - share)), "rolling": Prior(share * rolling, 0.15),
         "push_spread": Prior(0.2, 1.0), "push_time": Prior(8.0, 0.7), "jolt": Prior(0.03, 1.5),
-        "noise_speed": Prior(max(noise, 1e-4), 1.5),
+        "noise_speed": Prior(max(noise_of(speed), 1e-4), 1.5),
     }  # fmt: skip
     findings, steps = [], np.append(np.diff(time), 0.0)
     for name, sign, verb in (("drive", 1.0, "accelerating"), ("brake", -1.0, "braking")):
@@ -225,8 +215,8 @@ def _beliefs(rows: Array, car: Vehicle, command: str) -> tuple[dict[str, Prior],
         is_told = acting >= LEAST_ACTING and float(np.std(request[acts])) >= LEAST_CHANGE
         spreads = (1.0, 1.8, 0.25) if is_told else (0.0, 0.0, 0.0)
         believed = car.drive if name == "drive" else car.brakes
-        delay = max(believed.lag + believed.dead_time, 0.05) if believed else 0.3
-        for part, median, spread in zip(("delay", "lag_share", "gain"), (delay, 0.5, 1.0), spreads, strict=True):
+        medians = (max(believed.lag + believed.dead_time, 0.05), 0.5, believed.gain) if believed else (0.3, 0.5, 1.0)
+        for part, median, spread in zip(("delay", "lag_share", "gain"), medians, spreads, strict=True):
             beliefs[f"{name}_{part}"] = Prior(median, spread)
         if not is_told:
             cause = "hardly any" if acting < LEAST_ACTING else "only even"

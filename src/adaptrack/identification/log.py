@@ -85,6 +85,13 @@ class Log:
         return float(np.sum(np.diff(self.time)[~self.begins[1:]]))
 
 
+def noise_of(values: Array) -> float:
+    """First guess of the noise of a sensor: third differences hold little else. NaN without samples."""
+    third = np.diff(values, 3)
+    third = third[np.isfinite(third)]
+    return float(np.median(np.abs(third))) / 0.6745 / math.sqrt(20.0) if third.size else math.nan
+
+
 def log_of(
     columns: dict[str, Array], wheelbase: float, notes: tuple[str, ...] = (), commanded: bool = True
 ) -> Log:  # fmt: skip

@@ -21,11 +21,11 @@ from adaptrack.identification.calibration import corrected
 from adaptrack.identification.computed_columns import without_computed
 from adaptrack.identification.consistency import Moments, contradictions, implausible_estimates
 from adaptrack.identification.conventions import check_conventions, check_positions, guessed_ratio
-from adaptrack.identification.drive_identification import drive_of_columns, has_drive_commands
+from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS, drive_of_columns
 from adaptrack.identification.estimates import ReportedRow, estimates_at, slopes_at, values_at
 from adaptrack.identification.identified_car import Estimate, Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood
-from adaptrack.identification.log import Log, log_of
+from adaptrack.identification.log import Log, log_of, noise_of
 from adaptrack.identification.log_combination import combined, shared_by
 from adaptrack.identification.long_log import shorten_log
 from adaptrack.identification.quantities import (
@@ -130,7 +130,7 @@ def identify(
 
 def _with_drive(identification: Identification, read: Sequence[Columns]) -> Identification:
     """An identification with drive and brakes, where logs have commands of acceleration or force."""
-    logs = [columns for columns in read if has_drive_commands(columns)]
+    logs = [columns for columns in read if not columns.values.keys().isdisjoint(LONGITUDINAL_COMMANDS)]
     if not logs:
         return identification
     try:
@@ -257,15 +257,10 @@ def _believed(
 
 
 def _noises(log: Log) -> dict[str, Prior]:
-    """First guesses of the noise of each sensor: third differences hold little else."""
-    guesses = {}
-    for signal in ("yaw_rate", "vy", "acceleration", "yaw", "wheel"):
-        values = getattr(log, signal)
-        third = np.diff(values[np.isfinite(values)], 3)
-        if third.size:
-            typical = float(np.median(np.abs(third))) / 0.6745 / math.sqrt(20.0)
-            guesses[f"noise_{signal}"] = Prior(max(typical, 1e-5), 1.5)
-    return guesses
+    """First guesses of the noise of each sensor."""
+    signals = ("yaw_rate", "vy", "acceleration", "yaw", "wheel")
+    noises = {name: noise_of((values := getattr(log, name))[np.isfinite(values)]) for name in signals}
+    return {f"noise_{name}": Prior(max(noise, 1e-5), 1.5) for name, noise in noises.items() if math.isfinite(noise)}
 
 
 def fitted(likelihood: Likelihood) -> tuple[Array, Array]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -155,29 +154,16 @@ def _plain_row(estimate: Estimate) -> Row:
 
 def drive_identification_result(identification: DriveIdentification) -> Result:
     """Return the result of `identify_drive`; its record is that of `DriveIdentification.to_dict`."""
-    rows = [_plain_row(estimate) for estimate in identification.estimates.values()]
-    words = [
-        f"{title}: lag {estimate('lag')} s, dead time {estimate('dead_time')} s, gain/mass {estimate('gain')}"
-        for title, name in (("Drive", "drive"), ("brakes", "brake"))
-        if f"{name}_gain" in identification.estimates
-        for estimate in (partial(_value_with_half_width, identification, name),)
+    names = [
+        name for name, key in (("drive", "drive_gain"), ("brakes", "brake_gain")) if key in identification.estimates
     ]
+    rows = [_plain_row(estimate) for estimate in identification.estimates.values()]
+    title = f"{capital(' and '.join(names))} identified from {identification.seconds:.0f} s of driving"
     return Result(
-        kind="drive-identification",
-        title=f"Drive and brakes identified from a log: {identification.believed.name}",
-        answer=f"{'; '.join(words)}. Gain and mass are one number, relative to the mass of the car.",
-        record=identification.to_dict(),
-        tables=[
-            ResultTable("console", f"{identification.seconds:.0f} s of driving", ESTIMATE_COLUMNS, rows, brief=True)
-        ],
+        kind="drive-identification", title=title, answer=f"{title}, relative to {identification.believed.name}.",
+        record=identification.to_dict(), tables=[ResultTable("console", title, ESTIMATE_COLUMNS, rows, brief=True)],
         notes=[f"{capital(sentence)}." for sentence in identification.findings],
-    )
-
-
-def _value_with_half_width(identification: DriveIdentification, actuator: str, part: str) -> str:
-    """Return an estimate and the half width of its 90 % interval in words."""
-    estimate = identification.estimates[f"{actuator}_{part}"]
-    return f"{estimate.value:.3g} ± {0.5 * (estimate.high - estimate.low):.2g}"
+    )  # fmt: skip
 
 
 def _log_tables(identification: Identification) -> list[ResultTable]:
