@@ -31,14 +31,14 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 
 CEILINGS: Mapping[str, int] = {
     "base": 2100,
-    "core": 22700,
+    "core": 22850,
     "cars": 2300,
     "road": 4500,
     "scenario": 2050,
     "control": 7850,
     "drive": 2850,
     "analysis": 1950,
-    "identification": 4200,
+    "identification": 4750,
     "tuning": 1800,
     "comparison": 2200,
     "paper": 4950,
@@ -48,8 +48,8 @@ CEILINGS: Mapping[str, int] = {
     "cli": 3950,
     "adaptrack": 50,
     "JavaScript, templates, C": 9200,
-    "tests": 36700,
-    "benchmarks, tools, experiments, examples": 10200,
+    "tests": 36800,
+    "benchmarks, tools, experiments, examples": 10600,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 

@@ -29,7 +29,7 @@ from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, FailureLimits
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
-from adaptrack.drive.world import Driver, PerceptionSource, LongitudinalDriver, World
+from adaptrack.drive.world import Driver, LongitudinalDriver, PerceptionSource, World
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
 

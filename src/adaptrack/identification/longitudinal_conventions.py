@@ -22,7 +22,7 @@ LONGITUDINAL_DELAYS = np.arange(0.0, 1.21, 0.1)
 """s, between a command and the change of speed."""
 LEAST_LONGITUDINAL_SPEED = 2.0
 """m/s, below which nothing is compared: the car creeps or is held."""
-LEAST_CHANGE = 0.1
+LEAST_SPEED_CHANGE = 0.1
 """m/s^2, standard deviation of dv/dt below which the car keeps its speed."""
 SLOPE_WINDOW, LEAST_SLOPE = 2.5, 0.12
 """s to either side of the mean of a difference that a slope makes; m/s^2, its standard deviation."""
@@ -74,11 +74,11 @@ def _compare_with_speed(name: str, values: Mapping[str, Array], scale: float) ->
     if compared.sum() < LEAST_BOTH:
         return unknown
     is_measured, factor, correlation = name == "longitudinal_acceleration", 1.0, 0.0
-    if float(np.std(change[compared])) >= LEAST_CHANGE:
+    if float(np.std(change[compared])) >= LEAST_SPEED_CHANGE:
         for delay in LONGITUDINAL_DELAYS[: 1 if is_measured else None]:
             late = smoothed(time, signal[np.maximum(np.searchsorted(time, time - delay + 1e-9, side="right") - 1, 0)])
-            others = np.column_stack([np.ones(time.size), speed**2])
-            fit = _partial_slope(late[compared], change[compared], others[compared])
+            nuisance = np.column_stack([np.ones(time.size), speed**2])
+            fit = _partial_slope(late[compared], change[compared], nuisance[compared])
             factor, correlation = max((factor, correlation), fit, key=lambda fit: abs(fit[1]))
     is_clear, contradiction, possibility = abs(correlation) >= CLEAR, "", ""
     if is_clear and factor < 0.0:
@@ -96,8 +96,8 @@ def _compare_with_speed(name: str, values: Mapping[str, Array], scale: float) ->
     return unknown._replace(clear=is_clear, contradiction=contradiction, possibility=possibility)
 
 
-def _partial_slope(x: Array, y: Array, others: Array) -> tuple[float, float]:
+def _partial_slope(x: Array, y: Array, nuisance: Array) -> tuple[float, float]:
     """Slope of y over x, and their correlation, with other regressors (columns) removed from both."""
-    x, y = (signal - others @ np.linalg.lstsq(others, signal, rcond=None)[0] for signal in (x, y))
+    x, y = (signal - nuisance @ np.linalg.lstsq(nuisance, signal, rcond=None)[0] for signal in (x, y))
     size = math.sqrt(float(x @ x) * float(y @ y))
     return (float(x @ y) / float(x @ x), float(x @ y) / size) if size > 0.0 else (1.0, 0.0)
