@@ -1,12 +1,18 @@
 """Starts of a controller that learns: bounded moves, and the speed below which a drive should begin."""
 
+import logging
 import math
 
 import pytest
 
-from adaptrack import MPC, Learning, load_vehicle
+from adaptrack import MPC, Learning, Tracker, load_vehicle
+from adaptrack.control.controllers import BeliefState
 from adaptrack.control.controllers.learned_car import MAX_BIAS_PULL
 from adaptrack.core.synthesis.belief import LEAST_STEERING_RATE
+from adaptrack.core.tracker.records import CONTROLLER_ANSWER
+from adaptrack.road import Line, Road
+
+STRAIGHT = Road.from_segments([Line(length=300.0)])
 
 
 def test_at_the_first_top_speed_the_largest_bias_pulls_the_steady_car_by_the_limit() -> None:
@@ -41,3 +47,45 @@ def test_commands_of_a_learner_turn_no_faster_than_the_slowest_published_steerin
     assert learning.limits.move[1] == pytest.approx(LEAST_STEERING_RATE * learning.period)
     fixed = MPC(load_vehicle("midsize-sedan"), belief="unknown", learning=None)
     assert fixed.limits.move[1] == pytest.approx(math.pi / 12)
+
+
+def drive(tracker: Tracker, speed: float, calls: int = 3) -> list[float]:
+    """Top speeds (m/s) that a tracker gives a car on a straight."""
+    return [tracker.step(0.05 * k, 0.05 * k * speed, 0.0, 0.0, speed, 0.0).first_top_speed for k in range(calls)]
+
+
+@pytest.mark.parametrize(("beyond", "warnings"), [(-1.0, 0), (1.0, 1)])
+def test_a_tracker_gives_the_first_top_speed_and_warns_once_above_it(
+    beyond: float, warnings: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    mpc = MPC(load_vehicle("midsize-sedan"), belief="unknown", learning=Learning())
+    assert mpc.learner is not None
+    top = mpc.learner.first_top_speed
+    with caplog.at_level(logging.WARNING, logger="adaptrack"):
+        assert drive(Tracker(mpc, STRAIGHT), top + beyond) == [top] * 3
+    assert sum("before the controller has learned it" in record.message for record in caplog.records) == warnings
+
+
+class StatedTracker(Tracker):
+    """A tracker whose learner is in a stated condition."""
+
+    state = BeliefState.LEARNING
+
+    def _control(self) -> None:
+        super()._control()
+        self._kernel.answer[CONTROLLER_ANSWER.belief_state] = self.state
+
+
+def test_the_first_top_speed_ends_when_the_learner_settles_and_does_not_come_back() -> None:
+    tracker = StatedTracker(MPC(load_vehicle("midsize-sedan"), belief="unknown", learning=Learning()), STRAIGHT)
+    assert max(drive(tracker, 30.0)) < math.inf
+    tracker.state = BeliefState.SETTLED
+    tracker.engage()
+    assert drive(tracker, 30.0) == [math.inf] * 3
+    tracker.state = BeliefState.LEARNING
+    tracker.engage()
+    assert drive(tracker, 30.0) == [math.inf] * 3
+
+
+def test_without_learning_there_is_no_first_top_speed() -> None:
+    assert drive(Tracker(MPC(load_vehicle("midsize-sedan"), learning=None), STRAIGHT), 30.0) == [math.inf] * 3

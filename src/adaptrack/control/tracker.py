@@ -96,6 +96,8 @@ class Tracked(NamedTuple):
     """m/s, planned one period ahead, and 0 at a stop until its time is over; NaN without a plan or a position"""
     longitudinal: SpeedCommand | None = None
     """requests of the speed control: acceleration, force, hold pressure; None without one"""
+    first_top_speed: float = math.inf
+    """m/s, below which to drive until the controller has learned its car; then, and without learning, infinite"""
 
 
 class Timing(NamedTuple):
@@ -165,7 +167,7 @@ class Tracker:
                 "controller with a constant tuning."
             )
         self.controller: Any = controller
-        self._warned = False
+        self._warned = self._warned_of_speed = False
         self._doubted: set[int] = set()
         self._times: list[tuple[float, float]] = []
         self._times_doubted = False
@@ -317,6 +319,8 @@ class Tracker:
             steps += 1
         self._obey()
         tracked = self._answer(at)
+        if kernel.memory[0].speed > tracked.first_top_speed and not self._warned_of_speed:
+            self._warn_of_speed(kernel.memory[0].speed, tracked.first_top_speed)
         if self._speed is not None:
             tracked = tracked._replace(longitudinal=self._longitudinal(self._speed, tracked, row, steps))
         if steps:
@@ -332,7 +336,7 @@ class Tracker:
 
     def _answer(self, time: float) -> Tracked:
         """Convert a kernel row to the result of a call."""
-        command, status, offset, heading_error, station, belief, _, suspect = self._kernel.tracked.tolist()
+        command, status, offset, heading_error, station, belief, _, suspect, top = self._kernel.tracked.tolist()
         for sentence in self._check.say(int(suspect)):
             _log.warning("adaptrack: inputs contradict each other. %s", sentence)
         state = None if belief == NO_BELIEF else BeliefState(int(belief))
@@ -340,7 +344,8 @@ class Tracker:
         if self._target is not None:
             target = self._target.at(time, station, speed, self.period)
         suspects = self._check.suspect
-        return Tracked(command, _STATUSES[int(status)], offset, heading_error, station, state, suspects, target)
+        kind = _STATUSES[int(status)]
+        return Tracked(command, kind, offset, heading_error, station, state, suspects, target, first_top_speed=top)
 
     def _longitudinal(
         self, control: SpeedController, tracked: Tracked, sample: list[float], steps: int
@@ -413,6 +418,14 @@ class Tracker:
             "after %.2g s: if your loop sends the command at once, give the controller computation=%.3g. The tracker "
             "accounts for the age of the samples, %.2g s, separately.",
             assumed.value, assumed.source, timing.computation, round(timing.computation, 3), timing.sample_age,
+        )  # fmt: skip
+
+    def _warn_of_speed(self, speed: float, top_speed: float) -> None:
+        self._warned_of_speed = True
+        _log.warning(
+            "adaptrack: the car drives %.3g m/s before the controller has learned it: drive below %.3g m/s until "
+            "Tracked.belief is settled, or give a narrower range of the steering bias, Learning(bias=...).",
+            speed, top_speed,
         )  # fmt: skip
 
     def _warn_of_late_samples(self, age: float) -> None:

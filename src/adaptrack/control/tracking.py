@@ -41,6 +41,7 @@ def _settings(controller: Any, furthest: float) -> Any:
     filtered = isinstance(controller, MPC) and isinstance(controller.estimator, KalmanFilter)
     low, high = (-math.inf, math.inf) if limits is None else limits.angle
     has_car = car is not None
+    learner = controller.learner if isinstance(controller, MPC) else None
     return records.TRACKER_SETTINGS.new(
         period=period,
         angle_min=max(low, -MOST_WHEEL_ANGLE),
@@ -53,6 +54,7 @@ def _settings(controller: Any, furthest: float) -> Any:
         drift_load=car.mass * car.lf if has_car else 0.0,
         drift_stiffness=2.0 * car.stiffness_rear * car.wheelbase if has_car else 1.0,
         nominal_friction=Perception().nominal_friction,
+        first_top_speed=math.inf if learner is None else learner.first_top_speed,
     )
 
 

@@ -257,8 +257,11 @@ class Follower:
             "age of the odometry (s)": f"{now - self._newest:.3f}",
             "steering angle (rad)": f"{command.angle:.4f}",
             "speed (m/s)": f"{command.speed:.2f}",
+            "top speed until the car is learned (m/s)": f"{last.first_top_speed:.1f}" if last else "",
         }
         doubts = last.suspect if last else ()
+        if last and self._speed > last.first_top_speed:
+            doubts = (*doubts, f"drive below {last.first_top_speed:.3g} m/s until the car is learned")
         trouble = "; ".join([*(f"{what} left out: {why}" for what, why in self._trouble.items()), *doubts])
         if not self._engaged:
             return OK, "not engaged", values

@@ -284,6 +284,7 @@ Diagnosis Follower::diagnosis(double now) const {
         {"age of the odometry (s)", text_of("%.3f", now - newest_)},
         {"steering angle (rad)", text_of("%.4f", command_.angle)},
         {"speed (m/s)", text_of("%.2f", command_.speed)},
+        {"top speed until the car is learned (m/s)", number("%.1f", answer_ ? answer_->first_top_speed : 0.0)},
     };
     std::vector<std::string> troubles;
     if (!odometry_trouble_.empty()) troubles.push_back("odometry left out: " + odometry_trouble_);
@@ -291,6 +292,8 @@ Diagnosis Follower::diagnosis(double now) const {
     if (answer_ && answer_->suspect != 0)
         troubles.push_back(text_of("inputs contradict each other: suspect = %lu",
                                    static_cast<unsigned long>(answer_->suspect)));
+    if (answer_ && speed_ > answer_->first_top_speed)
+        troubles.push_back(text_of("drive below %.3g m/s until the car is learned", answer_->first_top_speed));
     if (engaged_ && !command_.stopping.empty()) troubles.insert(troubles.begin(), "stopping: " + command_.stopping);
     std::string all;
     for (const std::string &each : troubles) all += (all.empty() ? "" : "; ") + each;

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from ..controllers.contract import wrapped
+from ..estimators.learning import SETTLED_BELIEF
 from ..kernel import inlined, record
 from ..maths.exact import clip
 from ..maths.trigonometric import cos, sin
@@ -150,10 +151,20 @@ def restart(tracker, m):
 
 
 @inlined
-def tell(m, tracked):
+def _first_top_speed(m, settings):
+    """Top speed (m/s) of a car that is not learned yet; it ends for good when the learner settles."""
+    if m.belief_state == SETTLED_BELIEF:
+        m.ended_top_speed = settings.first_top_speed  # constants of a different learner bring a different speed
+    return math.inf if m.ended_top_speed == settings.first_top_speed else settings.first_top_speed
+
+
+@inlined
+def tell(tracker, m):
     """Write what a call gives, see TRACKED; a call that was left out gives what the one before gave."""
+    tracked = tracker.tracked
     tracked[TRACKED.command] = m.command
     tracked[TRACKED.status] = m.rejection if m.rejection > 0 else m.status
     tracked[TRACKED.offset], tracked[TRACKED.heading_error] = m.offset, m.heading_error
     tracked[TRACKED.station] = m.station if m.offset == m.offset else math.nan
     tracked[TRACKED.belief_state], tracked[TRACKED.belief_at_bound] = m.belief_state, m.belief_at_bound
+    tracked[TRACKED.first_top_speed] = _first_top_speed(m, tracker.settings[0])

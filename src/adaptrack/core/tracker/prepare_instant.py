@@ -83,7 +83,7 @@ def _end(tracker, m):
         _align(tracker.sample, aligned)
         tracker.tracked[TRACKED.suspect] = check_call(aligned, m.command, tracker.check)
         _judge(tracker, m)
-    tell(m, tracker.tracked)
+    tell(tracker, m)
 
 
 @inlined

@@ -65,6 +65,7 @@ TRACKER_SETTINGS = record(
         "drift_load",  # kg m, m l_f
         "drift_stiffness",  # N m/rad, 2 C_r L
         "nominal_friction",  # of a road whose friction is not known, for schedules
+        "first_top_speed",  # m/s, below which to drive until the controller has learned its car; infinite: no limit
     ),
     integers=("late", "filtered"),
 )  # fmt: skip
@@ -103,6 +104,7 @@ MEMORY = record(
         "given_motion_t",  # s, of the motion in the sample at hand
         "belief_state",  # of the controller's last step, as in TRACKED
         "belief_at_bound",  # likewise
+        "ended_top_speed",  # m/s, first top speed that ended when the learner settled; 0: none
     ),
     integers=(
         "started", "instant", "due", "first", "waiting", "open", "status", "rejection", "answered", "fresh", "jumps",
@@ -159,6 +161,7 @@ TRACKED = columns(
     "belief_state",  # 0 learning, 1 settled, 2 at a bound, 3 contradictory; -1 where nothing is learned
     "belief_at_bound",  # 0, or 1 lag, 2 dead time, 3 stiffness, 4 balance, 5 bias: whose belief is at a bound
     "suspect",  # sum of 2^k for each of `input_check.record.MISTAKES` that was found in the inputs
+    "first_top_speed",  # m/s, below which to drive until the controller has learned its car; infinite: no limit
 )  # fmt: skip
 """What a call gives."""
 

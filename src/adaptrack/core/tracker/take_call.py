@@ -63,7 +63,7 @@ def tracker_engage(angle, near, tracker):
     m.open, m.answered, m.rejection = 0, 0, 0
     tracker.request[REQUEST.late], tracker.tracked[TRACKED.suspect] = math.nan, 0.0
     begin_check(tracker.check)
-    tell(m, tracker.tracked)
+    tell(tracker, m)
     return 1
 
 

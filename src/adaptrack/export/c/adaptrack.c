@@ -212,6 +212,7 @@ static void read_answer(const double *tracked, adaptrack_answer *answer) {
     answer->at_bound = small(tracked[ADAPTRACK_TRACKED_BELIEF_AT_BOUND]);
     suspect = tracked[ADAPTRACK_TRACKED_SUSPECT];
     answer->suspect = suspect >= 1.0 && suspect < 9e15 ? (uint64_t)suspect : 0u;
+    answer->first_top_speed = tracked[ADAPTRACK_TRACKED_FIRST_TOP_SPEED];
 }
 
 /* ADAPTRACK_BAD_PATH where the path that is followed has been overwritten. */

@@ -118,6 +118,8 @@ typedef struct {
                              3 contradictory; -1 where nothing is learned */
     int at_bound;         /* 1, 2, ...: the learned quantity that is at the end of its range (docs/learning.md) */
     uint64_t suspect;     /* ADAPTRACK_SUSPECT_...: inputs that contradict each other, since the tracker engaged */
+    double first_top_speed; /* m/s, below which to drive until the controller has learned its car; then, and without
+                               learning, infinite */
 } adaptrack_answer;
 
 /* One call, at any time: a control instant is one period after the other, and a call belongs to the nearest. A number

@@ -18,12 +18,13 @@ static uint32_t crc32_of(const unsigned char *bytes, size_t size) {
 }
 
 static uint32_t fingerprint(const adaptrack_answer *answer) {
-    double numbers[8];
+    double numbers[9];
     unsigned char bytes[sizeof numbers];
     numbers[0] = answer->command, numbers[1] = (double)answer->status, numbers[2] = answer->offset;
     numbers[3] = answer->heading_error, numbers[4] = answer->station, numbers[5] = (double)answer->belief;
     numbers[6] = (double)answer->at_bound, numbers[7] = (double)answer->suspect;
-    for (int i = 0; i < 8; i++) {
+    numbers[8] = answer->first_top_speed;
+    for (int i = 0; i < 9; i++) {
         uint64_t bits = 0x7ff8000000000000u; /* any NaN */
         if (numbers[i] == numbers[i]) memcpy(&bits, numbers + i, sizeof bits);
         for (int k = 0; k < 8; k++) bytes[8 * i + k] = (unsigned char)(bits >> (8 * k) & 0xffu);
