@@ -148,6 +148,7 @@ def test_a_step_of_several_periods_is_several_steps(folder):
 SAMPLES = {
     "x": "measured_x", "y": "measured_y", "yaw": "measured_yaw", "speed": "measured_speed",
     "yaw_rate": "measured_yaw_rate", "wheel_angle": "measured_wheel_angle", "age": "measured_pose_age",
+    "motion_age": "measured_motion_age",
 }  # fmt: skip
 """What is connected: the controller's input, the car's output."""
 
@@ -164,12 +165,12 @@ def pilot(folder, name, version="3.0"):
     return path
 
 
-def drive(folder, name, parallel=False, version="3.0", periods=120, watch=None):
+def drive(folder, name, parallel=False, version="3.0", periods=120, watch=None, has_motion_age=True):
     """The car's true states with a controller in a loop; parallel: both step from what the other gave before."""
     _, profile, driver, _ = LOOPS[name]
     vehicle = car(folder, version, country(), profile, driver, controller_of(name).period)
     body = Instance(vehicle, folder, seed=2, parallel_exchange=parallel)
-    mind = Instance(pilot(folder, name, version), folder, wheel_angle_known=True)
+    mind = Instance(pilot(folder, name, version), folder, wheel_angle_known=True, motion_age_known=has_motion_age)
     signals, states = Signals(PLANT, controller_of(name), country(), profile, driver), []
     for k in range(periods):
         states.append(body.get(*TRUE))
@@ -183,21 +184,27 @@ def drive(folder, name, parallel=False, version="3.0", periods=120, watch=None):
     return states
 
 
-@pytest.mark.parametrize("name", ["published", "informed", "learning", "stanley", "lqr"])
-def test_the_controller_is_the_tracker_to_the_bit(name, folder):
+@pytest.mark.parametrize(
+    ("name", "has_motion_age"),
+    [*((name, True) for name in ("published", "informed", "learning", "stanley", "lqr")), ("learning", False)],
+)
+def test_the_controller_is_the_tracker_to_the_bit(name, has_motion_age, folder):
     tracker, differ = at.Tracker(LOOPS[name][0](), country().road, plan=country().plan), []
     names = ("command", "offset", "heading_error", "station")
 
     def watch(k, sample, mind):
         instant = k * mind.period
         place = [sample[name] for name in ("x", "y", "yaw", "speed", "yaw_rate")]
-        answer = tracker.step(instant - sample["age"], *place, wheel_angle=sample["wheel_angle"], now=instant)
+        motion_time = instant - sample["motion_age"] if has_motion_age else None
+        answer = tracker.step(
+            instant - sample["age"], *place, wheel_angle=sample["wheel_angle"], now=instant, motion_time=motion_time
+        )
         status = list(at.Status).index(answer.status)
         differ.append(
             not same([getattr(answer, name) for name in names], mind.get(*names)) or status != mind.get("status")
         )
 
-    states = drive(folder, name, watch=watch)
+    states = drive(folder, name, watch=watch, has_motion_age=has_motion_age)
     assert sum(differ) == 0
     assert states[-1][0] != states[0][0]
 

@@ -43,6 +43,8 @@ STEERING_INPUTS = (
     "wheel_angle_known",  # true: wheel_angle is measured
     "friction_known",  # true: friction is known
     "wind_known",  # true: wind is known
+    "motion_age",  # s, how old speed, yaw_rate, vy, lateral_acceleration and wheel_angle are
+    "motion_age_known",  # true: motion_age is used, and age belongs to the pose; false: age belongs to the whole sample
 )  # fmt: skip
 STEERING_OUTPUTS = (
     "command",  # rad, requested angle of the road wheels, positive to the left
@@ -98,7 +100,9 @@ def _give(values, sample):
     )
     sample[TRACKER_SAMPLE.friction] = _value_if(values[STEERING_VALUE.friction], values[STEERING_VALUE.friction_known])
     sample[TRACKER_SAMPLE.wind] = _value_if(values[STEERING_VALUE.wind], values[STEERING_VALUE.wind_known])
-    sample[TRACKER_SAMPLE.motion_t] = math.nan
+    sample[TRACKER_SAMPLE.motion_t] = time - _value_if(
+        values[STEERING_VALUE.motion_age], values[STEERING_VALUE.motion_age_known]
+    )
 
 
 @inlined
