@@ -66,6 +66,7 @@ class Channel:
     missing: int = 0  # every so many calls do not happen
     late: float = 0.0  # s
     reorder: float = 0.0  # s, the lateness varies by +- that, so that samples overtake each other
+    prompt_motion: bool = False  # speed and yaw rate come at once, the pose alone is late
     repeat: int = 0  # at every so many calls the sample before comes again
     wrapped: bool = False
     noise: tuple[float, ...] = NOISE
@@ -89,9 +90,11 @@ class Channel:
         there = [each for each in self.samples[-12:] if each[0] <= t - late + 1e-9]
         if self.missing and count % self.missing == 0:
             return None
-        if self.repeat and count % self.repeat == 0 and len(there) > 1:
-            return there[-2]
-        return there[-1] if there else (math.nan,) * 4 + (car.speed, math.nan)
+        if not there:
+            return (math.nan,) * 4 + (car.speed, math.nan)
+        is_repeated = self.repeat and count % self.repeat == 0 and len(there) > 1
+        arrived = there[-2 if is_repeated else -1]
+        return (*arrived[:4], *self.samples[-1][4:]) if self.prompt_motion else arrived
 
 
 @dataclass
@@ -129,7 +132,9 @@ def drive(tracker, road, seconds=30.0, car=None, before_call=None, wheel_angle=N
                 before_call(t, car, tracker)
             sample = line.arriving(t, car, count)
             if sample is not None:
-                calls.append((t, tracker.step(*sample, now=t, wheel_angle=wheel_angle if count == 1 else None)))
+                first_angle, motion_time = wheel_angle if count == 1 else None, t if line.prompt_motion else None
+                result = tracker.step(*sample, now=t, wheel_angle=first_angle, motion_time=motion_time)
+                calls.append((t, result))
                 command = calls[-1][1].command
         car.step(command, DT)
         if k % 10 == 0:

@@ -32,7 +32,8 @@ def calls(rng, count, path):
             sample[:2] = [t + 5.0, t + 5.0]
         if rng.uniform() < 0.004:
             sample[:2] = [t - 4.0, t - 4.0]
-        yield sample
+        motion_time = rng.choice([math.nan, now_time, 0.5 * (t + now_time), t - 0.07])
+        yield [*sample, math.nan, math.nan, motion_time]
 
 
 STATUSES = [status.value for status in Status]
@@ -40,8 +41,9 @@ STATUSES = [status.value for status in Status]
 
 def in_python(tracker, sample):
     """A call of the class."""
-    t, clock, x, y, yaw, speed, yaw_rate, vy, pull, wheel = sample
+    t, clock, x, y, yaw, speed, yaw_rate, vy, pull, wheel, _, _, motion_time = sample
     answer = tracker.step(t, x, y, yaw, speed, yaw_rate, now=clock if math.isfinite(clock) else None,
-                          lateral_velocity=vy, lateral_acceleration=pull, wheel_angle=wheel)  # fmt: skip
+                          lateral_velocity=vy, lateral_acceleration=pull, wheel_angle=wheel,
+                          motion_time=None if math.isnan(motion_time) else motion_time)  # fmt: skip
     status = STATUSES.index(answer.status)
     return answer.command, float(status), answer.offset, answer.heading_error, answer.station

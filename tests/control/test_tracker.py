@@ -17,6 +17,7 @@ from adaptrack.control.tracker import Status, Tracker, yaw_of
 from adaptrack.road import Arc, Clothoid, Line, Road, generate_road, plan_speed
 from adaptrack.scenario.profile import load_profile
 from foreign_loop import drive, on_road, steady_turn, window
+from tracker_calls import calls
 
 CAR = load_vehicle("paper")
 ROAD = generate_road("country", seed=1, length=1500.0)
@@ -30,6 +31,7 @@ SPOILT = {
     "every seventh missing": {"missing": 7},
     "wrap": {"wrapped": True},
     "late": {"late": 0.1},
+    "late pose, prompt motion": {"late": 0.1, "prompt_motion": True},
     "late and reordered": {"late": 0.1, "reorder": 0.05},
     "repeated": {"repeat": 5},
 }
@@ -79,6 +81,34 @@ def test_a_filter_that_takes_nothing_late_is_told_of(caplog):
         run = drive(Tracker(informed(0.0), ROAD), ROAD, 10.0, late=0.1)
     assert [record.message.count("0.1 s late") for record in caplog.records] == [1]
     assert np.abs(run.offset).max() < 0.1
+
+
+def test_a_pose_that_is_late_alone_gives_the_errors_and_the_command_of_the_prompt_car():
+    """On a circle the late pose, moved on by the prompt motion, is the present one but for the chord of its arc."""
+    rate, speed, late = 0.15, 0.15 * (60.0 - 0.3), 0.1
+    trackers = [Tracker(LQR(CAR), CIRCLE), Tracker(LQR(CAR), CIRCLE)]
+    for k in range(1, 40):
+        t = 0.05 * k
+        answers = []
+        for tracker, age in zip(trackers, (0.0, late), strict=True):
+            place = CIRCLE.at(1.0 + 60.0 * rate * (t - age))
+            x = float(place.x) - 0.3 * math.sin(place.heading)
+            y = float(place.y) + 0.3 * math.cos(place.heading)
+            yaw = float(place.heading)
+            answers.append(tracker.step(t - age, x, y, yaw, speed, rate, now=t, motion_time=t))
+        np.testing.assert_allclose(answers[1][2:5], answers[0][2:5], atol=1e-5)
+        assert answers[1].command == pytest.approx(answers[0].command, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", ["informed", "LQR"])
+def test_the_time_of_the_pose_as_that_of_the_motion_changes_no_bit(name, rng):
+    first, other = (Tracker(informed() if name == "informed" else LQR(CAR), ROAD) for _ in range(2))
+    for row in calls(rng, 150, ROAD):
+        t, now = row[:2]
+        if not math.isfinite(t):
+            continue
+        options = {"now": now if math.isfinite(now) else None, "lateral_acceleration": row[8]}
+        assert repr(first.step(t, *row[2:7], **options)) == repr(other.step(t, *row[2:7], **options, motion_time=t))
 
 
 def test_what_is_not_measured_may_be_left_out():
