@@ -14,6 +14,7 @@ from adaptrack.control.scheduling import Constant, Guarded, Lookup, SchedulingVa
 from adaptrack.results import write_result
 from adaptrack.results.certificate import certificate_result
 from adaptrack.scenario import random_drive
+from adaptrack.scenario.profile import load_profile
 from pictures import pictures
 
 CAR = load_vehicle("paper")
@@ -241,3 +242,27 @@ def test_the_page_shows_the_verdict_the_maps_and_the_worst_points(scrambled, sta
     assert "Failed" in text
     assert "A cross marks" in text
     assert not (tmp_path / "bare" / "margins-bare.png").exists()
+
+
+def test_changing_ages_are_certified_at_the_mean_and_the_largest_and_said():
+    profile = load_profile("production")
+    mpc = MPC(CAR, profile=profile)
+    options = {"domain": {"speed": (8.0, 24.0), "friction": (0.6, 0.6)}, "levels": (3, 1)}
+    changing = certify(mpc.tuning, PLANT, mpc, profile, **options)
+    constant = [certify(mpc.tuning, PLANT, mpc, world, **options) for world in profile.with_constant_ages]
+    worst = constant[0].counted.straight.worst(constant[1].counted.straight)
+    for name in ("radius", "gain_up", "gain_down", "delay", "modulus_margin"):
+        np.testing.assert_array_equal(getattr(changing.counted.straight, name), getattr(worst, name))
+    assert "the pose is 0.1 s old; ages that change by up to 0.02 s (pose) were analysed" in changing.verdict
+    assert constant[0].sample_ages == "On arrival the pose is 0.1 s old."
+
+
+def test_a_late_pose_takes_margin_from_the_loop():
+    profile = load_profile("production")
+    mpc = MPC(CAR, profile=profile)
+    options = {"domain": {"speed": (8.0, 24.0), "friction": (0.6, 0.6)}, "levels": (3, 1)}
+    late, prompt = (
+        certify(mpc.tuning, PLANT, mpc, world, **options).counted.straight.modulus_margin
+        for world in (profile.with_constant_ages[0], profile.without_sample_ages)
+    )
+    assert (late < prompt).all()

@@ -25,8 +25,10 @@ from adaptrack import (
     published_mpc,
 )
 from adaptrack.analysis.linearisation import (
+    EstimatorAt,
     LinearControllers,
     Mismatch,
+    SampleAges,
     Sampled,
     laws,
     linear_estimator,
@@ -67,23 +69,35 @@ def some_tunings(seed, n):
     )
 
 
-@pytest.mark.parametrize("tuning", [(35, 5, 1.0, 1e4), (28, 8, 1.0, 2800.0), (40, 2, 1.0, 2000.0), (12, 2, 1.0, 3e3)])
+@pytest.mark.parametrize(
+    ("tuning", "ages"),
+    [
+        *((tuning, {}) for tuning in ((35, 5, 1.0, 1e4), (28, 8, 1.0, 2800.0), (40, 2, 1.0, 2000.0))),
+        ((12, 2, 1.0, 3e3), {}),
+        ((35, 5, 1.0, 1e4), {"pose_age": 0.07, "motion_age": 0.03}),
+        ((35, 5, 1.0, 1e4), {"pose_age": 0.1}),
+    ],
+)
 @pytest.mark.parametrize("speed", [12.0, 24.0])
-def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, speed):
+def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, ages, speed):
     """Whether it dies or grows: so it does at the rate of the spectral radius."""
     offset = 1e-7
     scenario = Scenario(
         name="offset", duration=20.0, reference=0.0, speed=speed, friction=0.75, wind=Wind(y=0.0), start_y=offset
     )
     mpc = published_mpc(CAR, Tuning(*tuning), period=0.05)
-    run = rollout(PLANT, mpc, scenario, profile=QUIET, failure=FailureLimits(math.inf, math.inf)).Y
+    run = rollout(PLANT, mpc, scenario, profile=QUIET.replace(**ages), failure=FailureLimits(math.inf, math.inf)).Y
     law = laws(mpc, speed, tuning)
-    body = sampled(PLANT, 0.05, speed, friction=0.75, profile="road")
-    matrix = loops(body, law)[0]
+    body, prompt = (sampled(PLANT, 0.05, speed, friction=0.75, profile=p) for p in (ROAD.replace(**ages), ROAD))
+    matrix, size = loops(body, law)[0], len(prompt.b)
     z = np.zeros(len(matrix))
-    z[:-1] = offset * body.c[3]
+    z[:size] = offset * prompt.c[3]
+    for _ in range(2):  # it was there before
+        z[size:-1] = (body.a @ z[:-1])[size:]
     z[-1] = -law.k[0, 3] / law.k[0, 4] * offset  # the sum of y that makes the last command zero
-    foretold = [z := z if i == 0 else matrix @ z for i in range(len(run))] @ np.append(body.c[3], 0.0)
+    foretold = [z := z if i == 0 else matrix @ z for i in range(len(run))] @ np.append(
+        prompt.c[3], np.zeros(len(z) - size)
+    )
     small = np.maximum.accumulate(np.abs(foretold)) < 1e-3  # tyres are linear
     np.testing.assert_allclose(run[small], foretold[small], atol=2e-4 * np.abs(foretold[small]).max())
     # its last 8 s obey a linear recurrence, whose slowest mode is the rate
@@ -92,6 +106,36 @@ def test_in_the_simulator_a_tiny_offset_goes_the_way_of_the_matrix(tuning, speed
     coefficients = np.linalg.lstsq(rows[:, :4], rows[:, 4])[0]
     rate = np.abs(np.roots([1.0, *-coefficients[::-1]])).max()
     assert rate == pytest.approx(radii(matrix), abs=1e-3)
+
+
+@pytest.mark.parametrize("speed", [8.0, 24.0])
+def test_samples_that_are_all_late_act_as_dead_time_of_the_commands(speed):
+    """The controller without an estimator knows of neither, and in a loop it does not matter where the delay is."""
+    tuning, late = Tuning(35, 5, 1.0, 1e4).as_array(), ROAD.replace(pose_age=0.1, motion_age=0.1)
+    law = laws(ROAD_MPC, speed, tuning)
+    by_samples = margins(sampled(PLANT, 0.05, speed, profile=late), law, 0.05)
+    by_commands = margins(sampled(PLANT, 0.05, speed, profile="road", delay=0.1), law, 0.05)
+    for name in ("radius", "gain_up", "gain_down", "delay", "modulus_margin"):
+        np.testing.assert_allclose(getattr(by_samples, name), getattr(by_commands, name), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("ages", [(0.0, 0.0), (0.1, 0.0), (0.12, 0.0), (0.1, 0.1), (0.12, 0.12)])
+def test_the_linear_estimator_is_the_filter_with_samples_of_these_ages(ages, rng):
+    """Over a second of small random measurements and commands, after the filter has settled."""
+    filtering = EstimatorAt(MPC(CAR, profile="production"), 15.0, SampleAges(*ages))
+    linear, memory = filtering.straight, np.zeros(filtering._memory)
+    for k in range(4000):
+        filtering._step(np.array([*[(-1) ** k * 1e-30] * 6, *ages, 0.0]), 0.0, memory)
+    s = np.zeros(len(linear.a))
+    for _ in range(20):
+        m = np.array([*1e-5 * rng.normal(size=6), *ages])
+        m[0] = 0.0  # not measured
+        result = filtering._answer(0.0, np.concatenate([memory, m, [s[-1]]]))
+        xi = linear.c @ s + linear.d @ np.array([*m[:6], 0.0, 0.0])
+        np.testing.assert_allclose(result[filtering._memory :], xi, atol=1e-9)
+        u = 1e-5 * rng.normal()
+        s = linear.a @ s + linear.e @ np.array([*m[:6], 0.0, 0.0]) + linear.f * u
+        memory = result[: filtering._memory]
 
 
 # -- the steady turn --------------------------------------------------------------------------------------------------
@@ -174,8 +218,8 @@ def test_what_has_no_linear_loop_is_refused():
         sampled(Stepped(), 0.05, 15.0)
     with pytest.raises(InvalidInput, match=r"2 periods before it is given"):
         sampled(PLANT, 0.05, 15.0, profile="paper", delay=-0.1)
-    with pytest.raises(InvalidInput, match="cannot represent its sensor delays"):
-        sampled(PLANT, 0.05, 15.0, profile="production")
+    with pytest.raises(InvalidInput, match=r"samples are 0.1 s old, and the controller's filter takes in none older"):
+        spectral_radius(PLANT, INFORMED, 15.0, profile="production")
     feels = MPC(
         CAR, period=0.05, model=PathModel(CAR, 0.05, 0.1), estimator=KalmanFilter(SensorNoise(wheel_angle=0.01))
     )

@@ -13,13 +13,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import lru_cache, partial
+from functools import lru_cache, partial, reduce
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.analysis.linearisation import LinearPlant, Mismatch, Turn, laws, linear_estimator, linear_plants
+from adaptrack.analysis.linearisation import (
+    LinearPlant,
+    Mismatch,
+    SampleAges,
+    Turn,
+    laws,
+    linear_estimator,
+    linear_plants,
+)
 from adaptrack.analysis.stability import Margins, hard_turn, margins
 from adaptrack.base.checked import real
 from adaptrack.base.errors import ContractError, InvalidInput
@@ -92,6 +100,8 @@ class Certificate:
     """Control period (s)."""
     belief: str = ""
     """Steering parameters that the controller assumes, and their source; empty with a user's model or estimator."""
+    sample_ages: str = ""
+    """Ages of the samples that were analysed, in words; empty for prompt samples."""
 
     @property
     def counted(self) -> Sweep:
@@ -113,7 +123,7 @@ class Certificate:
             f"{'Passed' if self.passed else 'Failed'}: the closed loop is {straight} points of the operating domain "
             f"driving straight, and unstable at {turn:,} of them in a hard turn, which does not change the verdict "
             f"({self.plant}, {self.tyre} tyres, {self.profile} profile; model {self.model}, estimator "
-            f"{self.estimator}).{self._mismatches_in_words()}"
+            f"{self.estimator}).{self._mismatches_in_words()}{' ' * bool(self.sample_ages)}{self.sample_ages}"
         )
 
     def _mismatches_in_words(self) -> str:
@@ -191,6 +201,7 @@ class Certificate:
             "model": self.model,
             "estimator": self.estimator,
             "belief": self.belief,
+            "sample_ages": self.sample_ages,
             "verdict": self.verdict,
             "passed": self.passed,
             "points": len(self.points),
@@ -258,7 +269,8 @@ def certify(
     scheduler
         A `Schedule` with or without guard, a function of `SchedulingVariables`, or a tuning.
     plant, profile
-        The true car, and its true steering, dead time and sensors.
+        The true car, its true steering, dead time and sensors. Ages of samples that change are analysed as constants, the
+        mean and the largest age.
     mpc
         Controller with its prediction model, estimator, period, moves and longest horizons. Its own tuning and
         scheduler are ignored. A controller that learns is analysed in its initial state.
@@ -294,7 +306,10 @@ def certify(
     guarded = scheduler if isinstance(scheduler, Schedule) and scheduler.guard is not None else None
     bare = replace(guarded, guard=None) if guarded is not None else scheduler
     tunings = [_as_used(_tunings(variant, points), mpc) for variant in (bare, guarded) if variant is not None]
-    plants = linear_plants(plant, mpc.period, profile, turn, mismatches)
+    plants = {
+        SampleAges.of(world): linear_plants(plant, mpc.period, world, turn, mismatches)
+        for world in profile.with_constant_ages
+    }
     sweep_margins = _sweep(points, tunings, mpc, plants, progress or (lambda stage, steps_done, steps: None))
     sweeps = [Sweep(used, *used_margins[:2]) for used, used_margins in zip(tunings, sweep_margins, strict=True)]
     return Certificate(
@@ -303,8 +318,18 @@ def certify(
         axes["speed"], axes["friction"], points,
         sweeps[0], sweeps[1] if guarded is not None else None,
         dict(zip([mismatch.name for mismatch in mismatches], sweep_margins[-1][2:], strict=True)),
-        mpc.period, mpc.belief_at_first,
+        mpc.period, mpc.belief_at_first, _ages_in_words(profile),
     )  # fmt: skip
+
+
+def _ages_in_words(profile: Profile) -> str:
+    """Return the ages of the samples in a profile as a sentence, and what is analysed of changing ages."""
+    groups = (("pose", profile.pose_age, profile.pose_age_spread),
+              ("motion", profile.motion_age, profile.motion_age_spread))  # fmt: skip
+    ages = " and ".join(f"the {name} is {age:.3g} s old" for name, age, _ in groups if age > 0.0)
+    spreads = " and ".join(f"{spread:.3g} s ({name})" for name, _, spread in groups if spread > 0.0)
+    changing = f"; ages that change by up to {spreads} were analysed as constants, the mean and the largest age"
+    return f"On arrival {ages}{changing if spreads else ''}." if ages else ""
 
 
 def _axes(
@@ -382,23 +407,31 @@ def _as_used(tunings: Array, mpc: MPC) -> Array:
 
 
 def _sweep(
-    points: Array, tunings: list[Array], mpc: MPC, plants: Sequence[LinearPlant], progress: ProgressCall
-) -> list[list[Margins]]:
-    """Return the margins of each set of tunings with each plant; repeated speeds, frictions and tunings are reused."""
+    points: Array, tunings: list[Array], mpc: MPC, plants: Mapping[SampleAges, Sequence[LinearPlant]],
+    progress: ProgressCall,
+) -> list[list[Margins]]:  # fmt: skip
+    """Return the margins of each set of tunings with each plant, the worst over the ages of the samples.
+
+    Repeated speeds, frictions and tunings are reused.
+    """
     n, names = len(points), [field.name for field in fields(Margins)]
-    results = np.empty((len(tunings), len(plants), len(names), n))
+    results = np.empty((len(tunings), len(next(iter(plants.values()))), len(names), n))
     coordinates = points[:, [SchedulingVariables._fields.index(name) for name in ("speed", "friction")]]
     cells, cell_index = np.unique(coordinates, axis=0, return_inverse=True)
-    at_speed = lru_cache(maxsize=1)(partial(linear_estimator, mpc))  # cells are sorted by speed
+    at_speed = lru_cache(maxsize=len(plants))(partial(linear_estimator, mpc))  # cells are sorted by speed
     for cell, (speed, friction) in enumerate(cells.tolist()):
         progress("certify", cell, len(cells))
         rows = np.flatnonzero(cell_index.ravel() == cell)
         unique, unique_index = np.unique(
             np.concatenate([point_tunings[rows] for point_tunings in tunings]), axis=0, return_inverse=True
         )
-        law = laws(mpc, speed, unique, at_speed(speed))
-        for i, plant in enumerate(plants):
-            cell_margins = margins(plant(speed, friction), law, mpc.period)
+        aged_laws = [laws(mpc, speed, unique, at_speed(speed, ages)) for ages in plants]
+        for i, aged_plants in enumerate(zip(*plants.values(), strict=True)):
+            aged_margins = [
+                margins(plant(speed, friction), law, mpc.period)
+                for plant, law in zip(aged_plants, aged_laws, strict=True)
+            ]
+            cell_margins = reduce(Margins.worst, aged_margins)
             values = np.array([getattr(cell_margins, name) for name in names])[:, unique_index.ravel()]
             results[:, i, :, rows] = values.reshape(len(names), len(tunings), len(rows)).transpose(2, 1, 0)
     progress("certify", len(cells), len(cells))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from adaptrack.analysis.linearisation import Mismatch, Turn, linear_plants
+from adaptrack.analysis.linearisation import Mismatch, SampleAges, Turn, linear_plants
 from adaptrack.analysis.stability import hard_turn, margin_map, speed_nodes
 from adaptrack.base.checked import RISING, Positive, checked
 from adaptrack.base.errors import InvalidInput
@@ -224,7 +224,7 @@ def feasibility(
     Parameters
     ----------
     plant, profile
-        The true car, and its true steering, dead time and sensors.
+        The true car, its true steering, dead time and sensors, and the mean ages of its samples.
     mpc
         Controller; its own tuning and scheduler are ignored.
     speed, friction
@@ -257,7 +257,8 @@ def feasibility(
         np.linspace(*friction, 3 if friction[1] > friction[0] else 1),
         *allowed,
     )
-    margins = margin_map(mpc, linear_plants(plant, mpc.period, profile, turn, mismatches), axes, _ANGLES)
+    plants = linear_plants(plant, mpc.period, profile, turn, mismatches)
+    margins = margin_map(mpc, plants, axes, _ANGLES, SampleAges.of(profile))
     return Feasibility.from_map(axes, margins, margin)
 
 

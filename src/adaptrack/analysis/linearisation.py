@@ -22,6 +22,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.cars.vehicle import SteeringActuator
 from adaptrack.control.controllers import MPC
+from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PredictionModel, laguerre_basis
 from adaptrack.core.models import contract
 from adaptrack.scenario.profile import Profile, load_profile
@@ -30,6 +31,8 @@ Array = NDArray[np.float64]
 
 SENSED_STATES = ("vy", "psi", "yaw_rate", "Y")
 """States of the plant that sensors measure."""
+POSE_SENSORS = ("yaw", "y")
+"""Signals of the sensors that have the age of the pose; all others have the age of the motion."""
 
 _FIXED = ("X", "vx", "felt_ax")  # X has no influence; speed and longitudinal load transfer stay constant
 _STEP = 1e-6  # step of central differences
@@ -228,11 +231,31 @@ def _refuse_jumps(plant: Plant, a: Array, wider: Array, names: list[str]) -> Non
         )
 
 
+class SampleAges(NamedTuple):
+    """Constant ages (s) of measured poses and motions on arrival."""
+
+    pose: float = 0.0
+    motion: float = 0.0
+
+    @classmethod
+    def of(cls, profile: str | Profile) -> SampleAges:
+        """Return the mean ages in a profile."""
+        world = load_profile(profile)
+        return cls(world.pose_age, world.motion_age)
+
+    def of_sensor(self, name: str) -> float:
+        """Return the age (s) of a signal of `sensed`."""
+        return self.pose if name in POSE_SENSORS else self.motion
+
+
+PROMPT_SAMPLES = SampleAges()
+
+
 class Sampled(NamedTuple):
     """Plant with its steering over one control period: z(k+1) = A z(k) + b u(k), with measurements C z(k).
 
-    z consists of the states of the plant, the front-wheel angle if the steering has a lag, and the commands that have
-    not yet acted.
+    z consists of the states of the plant, the front-wheel angle if the steering has a lag, the commands that have not
+    yet acted, and the earlier values of signals that are measured late.
     """
 
     a: Array
@@ -258,15 +281,14 @@ def sampled(
     period
         Control period (s).
     profile
-        Steering and dead time of the car.
+        Steering and dead time of the car, and mean ages of its samples.
     delay
         Dead time (s) in addition to that of the profile, also fractions of a period.
 
     Raises
     ------
     InvalidInput
-        When a command would act before its instant, when the sensors of the profile have delays, and as for
-        `steady_turn`.
+        When a command would act before its instant, and as for `steady_turn`.
     """
     return sampled_about(
         plant, period, Steady.of(plant, speed, friction, lateral_acceleration), load_profile(profile), delay
@@ -275,11 +297,6 @@ def sampled(
 
 def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, delay: float = 0.0) -> Sampled:
     """Return the result of `sampled` about a steady motion."""
-    if world.oldest > 0.0:
-        raise InvalidInput(
-            f"profile {world.name!r}: the linear loop cannot represent its sensor delays: analyse its "
-            "`without_sample_ages`; the result is then slightly optimistic."
-        )
     steering = _steering(plant, world)
     late = world.delay + (steering.dead_time + real("sampled", "delay", delay)) / period
     if not -1e-9 < late < np.inf:
@@ -298,7 +315,23 @@ def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, del
     felt[names.index("yaw_rate")] += turn.speed
     if lag == 0.0 and size >= len(flow):
         felt[size - 1] += flow[names.index("vy"), -1]  # the command that acts
-    return Sampled(step[:, :size], step[:, size], outputs)
+    return _with_late_outputs(Sampled(step[:, :size], step[:, size], outputs), SampleAges.of(world), period)
+
+
+def _with_late_outputs(prompt: Sampled, ages: SampleAges, period: float) -> Sampled:
+    """Return the plant with its measurements delayed, linear between two control instants as in `core.loop`."""
+    periods = {i: ages.of_sensor(name) / period for i, name in enumerate(sensed()) if prompt.c[i].any()}
+    size = len(prompt.b)
+    total = size + sum(math.ceil(late) for late in periods.values())
+    a, b, c = np.zeros((total, total)), np.zeros(total), np.zeros((len(prompt.c), total))
+    a[:size, :size], b[:size], c[:, :size] = prompt.a, prompt.b, prompt.c
+    for i, late in periods.items():
+        count, whole = math.ceil(late), math.floor(late)
+        rows = np.vstack([c[i], np.eye(total)[size : size + count]])  # the signal now, one period ago, ...
+        a[size : size + count] = rows[:count]
+        c[i] = rows[whole] + (late - whole) * (rows[min(whole + 1, count)] - rows[whole])
+        size += count
+    return Sampled(a, b, c)
 
 
 def _steering(plant: Plant, world: Profile) -> SteeringActuator:
@@ -474,22 +507,28 @@ class LinearEstimator(NamedTuple):
     """Row h of the memory, (q,)."""
 
 
-def linear_estimator(mpc: MPC, speed: float) -> LinearEstimator:
-    """Return the linear estimator of an MPC at a speed (m/s), in steady state.
+def linear_estimator(mpc: MPC, speed: float, ages: SampleAges = PROMPT_SAMPLES) -> LinearEstimator:
+    """Return the linear estimator of an MPC at a speed (m/s) with samples of known ages, in steady state.
 
     A Kalman filter is linear as long as its innovations are small. The matrices are difference quotients of the
     compiled estimator with respect to its inputs and its memory, so user-defined estimators are analysed in the same
     way. Entries of the memory that do not depend on the measurements (gains, covariances) or do not influence the
     command are left out.
+
+    Raises
+    ------
+    InvalidInput
+        When the Kalman filter takes in no samples that are so old.
     """
-    return EstimatorAt(mpc, speed).straight
+    return EstimatorAt(mpc, speed, ages).straight
 
 
 class EstimatorAt:
     """The compiled estimator of an MPC at one speed (m/s), as `linear_estimator` analyses it."""
 
-    def __init__(self, mpc: MPC, speed: float) -> None:
-        self.model, self._own = mpc.model, mpc.estimator
+    def __init__(self, mpc: MPC, speed: float, ages: SampleAges = PROMPT_SAMPLES) -> None:
+        self.model, self._own, self._ages = mpc.model, mpc.estimator, ages
+        _check_ages(mpc, ages)
         self._speed = max(speed, mpc.speed_floor)
         self._is_deadbeat = self._own.function is None
         if self._is_deadbeat:
@@ -498,6 +537,11 @@ class EstimatorAt:
         self._a, self._b, _ = self.model.discrete(self._speed)
         self._memory, self._sensors = self._own.memory_size(self.model), len(sensed())
         self._x, self._d = np.zeros(self.model.n), np.zeros(self.model.n)
+
+    @property
+    def _age_places(self) -> slice:
+        """Places of both ages in the inputs [memory, measurements, command] of a step."""
+        return slice(self._memory + self._sensors - 2, self._memory + self._sensors)
 
     def _step(self, measured: Array, command: float, memory: Array) -> None:
         self._own.function(
@@ -518,8 +562,9 @@ class EstimatorAt:
     @cached_property
     def _straight(self) -> tuple[LinearEstimator, list[int]]:
         equilibrium = np.zeros(self._memory + self._sensors + 1)
+        equilibrium[self._age_places] = self._ages
         remembered = equilibrium[: self._memory]
-        swing, back = np.zeros(self._sensors + 1), np.zeros(self._sensors + 1)
+        swing, back = (np.append(equilibrium[self._memory : -1], 0.0) for _ in range(2))
         swing[: self._sensors - 2], back[: self._sensors - 2] = -_DITHER, _DITHER
         before, change = remembered.copy(), np.full(self._memory, np.inf)
         for k in range(_MAX_SETTLING_STEPS):
@@ -529,7 +574,7 @@ class EstimatorAt:
                 if _within(change - earlier, _SETTLED * np.nanmax(np.abs(before), initial=0.0)):
                     break
                 before = remembered.copy()
-        derivatives = _differences(partial(self._answer, 0.0), equilibrium, self._memory)
+        derivatives = _differences(partial(self._answer, 0.0), equilibrium, self._memory, self._age_places)
         moved = [i for i in derivatives if i < self._memory]
         moves = np.array([derivatives[i] for i in moved]).reshape(len(moved), self._memory + self.model.n + 1)
         relevant = _relevant_places(moves, moved, self._memory)
@@ -556,6 +601,7 @@ class EstimatorAt:
         if self._is_deadbeat:
             return self.straight
         places, memory = self._straight[1], np.zeros(self._memory)
+        measured = np.concatenate([measured[: self._sensors - 2], self._ages, measured[-1:]])
         swing = np.zeros_like(measured)
         swing[: self._sensors - 2] = _TURN_DITHER
         for k in range(math.ceil(_TURN_DURATION / self.model.period)):
@@ -567,10 +613,21 @@ class EstimatorAt:
             inputs = equilibrium.copy()
             inputs[place] += _STEP
             derivatives[place] = (self._answer(measured[-1], inputs) - settled) / _STEP
-        ages = slice(self._memory + self._sensors - 2, self._memory + self._sensors)
-        for place in range(ages.start, ages.stop):
+        for place in range(self._age_places.start, self._age_places.stop):
             derivatives[place] = np.zeros_like(settled)  # the age of samples is constant
         return self._linearise_changes(derivatives, places)
+
+
+def _check_ages(mpc: MPC, ages: SampleAges) -> None:
+    """Refuse samples that the Kalman filter of an MPC leaves out because of their age."""
+    if not isinstance(mpc.estimator, KalmanFilter):
+        return
+    longest, oldest = mpc.estimator.late(mpc.model) * mpc.model.period, max(ages)
+    if oldest > longest + 0.5 * mpc.model.period:
+        raise InvalidInput(
+            f"the samples are {oldest:.3g} s old, and the controller's filter takes in none older than {longest:.3g} "
+            f"s: give MPC(..., estimator=KalmanFilter(..., oldest={oldest:.3g})), or an MPC of this profile."
+        )
 
 
 def _within(values: Array, limit: float) -> bool:
@@ -591,12 +648,14 @@ def _increments(model: PredictionModel) -> LinearEstimator:
     )
 
 
-def _differences(step: Callable[[Array], Array], equilibrium: Array, memory: int) -> dict[int, Array]:
+def _differences(step: Callable[[Array], Array], equilibrium: Array, memory: int, constant: slice) -> dict[int, Array]:
     """Return the derivatives of a step by index in `equilibrium`.
 
-    The indices are those of all inputs, and of the memory entries that depend on them. `memory` is the memory size.
+    The indices are those of all inputs, and of the memory entries that depend on them. `memory` is the memory size;
+    the inputs at `constant` do not change.
     """
-    settled, derivatives, waiting = step(equilibrium), {}, list(range(memory, len(equilibrium)))
+    settled, waiting = step(equilibrium), [*range(memory, constant.start), *range(constant.stop, len(equilibrium))]
+    derivatives = {i: np.zeros_like(settled) for i in range(constant.start, constant.stop)}
     while waiting:
         place = waiting.pop()
         inputs = equilibrium.copy()

@@ -15,12 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.analysis.linearisation import (
+    PROMPT_SAMPLES,
     SENSED_STATES,
     LinearControllers,
     LinearPlant,
+    SampleAges,
     Sampled,
     Turn,
     laws,
+    linear_estimator,
     linear_plants,
     linearised,
     sampled,
@@ -90,7 +93,8 @@ def closed_loop(
         plant, mpc.period, speed, friction=friction, profile=profile, lateral_acceleration=lateral_acceleration,
         delay=delay,
     )  # fmt: skip
-    return loops(linear, laws(mpc, speed, (tuning or mpc.tuning).as_array()))[0]
+    estimator = linear_estimator(mpc, speed, SampleAges.of(profile))
+    return loops(linear, laws(mpc, speed, (tuning or mpc.tuning).as_array(), estimator))[0]
 
 
 def spectral_radius(
@@ -287,7 +291,10 @@ def speed_nodes(low: float, high: float) -> Array:
     return np.array(nodes)
 
 
-def margin_map(mpc: MPC, plants: Sequence[LinearPlant], axes: Sequence[Array], angles: ArrayLike = _ANGLES) -> Array:
+def margin_map(
+    mpc: MPC, plants: Sequence[LinearPlant], axes: Sequence[Array], angles: ArrayLike = _ANGLES,
+    ages: SampleAges = PROMPT_SAMPLES,
+) -> Array:  # fmt: skip
     """Return the smallest modulus margin of an MPC with several plants, on a grid of operating points and tunings.
 
     Parameters
@@ -300,12 +307,14 @@ def margin_map(mpc: MPC, plants: Sequence[LinearPlant], axes: Sequence[Array], a
         Values of speed (m/s), friction, Np, Nc and log10 R/Q. A node with Nc > Np is computed with Nc = Np.
     angles
         Frequencies of the loop gain (rad per control period).
+    ages
+        Ages of the samples in the plants.
     """
     horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
     tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), 10.0**ratio])
     least = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
     for i, v in enumerate(axes[0].tolist()):
-        law = laws(mpc, v, tunings)
+        law = laws(mpc, v, tunings, linear_estimator(mpc, v, ages))
         # The last linear plant and its margins; in straight driving most tyres do not depend on friction.
         sampled_plants: dict[LinearPlant, tuple[Sampled, Array]] = {}
         for j, mu in enumerate(axes[1].tolist()):
@@ -339,7 +348,7 @@ def loop_map(
     Parameters
     ----------
     plant, profile
-        The true car, and its true steering, dead time and sensors.
+        The true car, its true steering, dead time and sensors, and the mean ages of its samples.
     mpc
         Controller; its own tuning is ignored.
     speed, friction
@@ -357,5 +366,5 @@ def loop_map(
     """
     tuning_nodes = guard_nodes(mpc) if nodes is None else nodes
     axes = (speed_nodes(*speed), np.array(friction), *(np.asarray(axis, dtype=np.float64) for axis in tuning_nodes))
-    least = margin_map(mpc, linear_plants(plant, mpc.period, profile, turn), axes)
+    least = margin_map(mpc, linear_plants(plant, mpc.period, profile, turn), axes, ages=SampleAges.of(profile))
     return axes, np.ceil(1000.0 * (1.0 - least)) / 1000.0

@@ -162,11 +162,20 @@ class Profile(Record):
         )
 
     @property
-    def without_sample_ages(self) -> Self:
-        """Return a copy whose samples arrive without delay.
+    def with_constant_ages(self) -> tuple[Self, ...]:
+        """Return copies whose samples have the mean ages and the largest ages; one copy if the ages do not change."""
+        spreads = dict.fromkeys(_AGES_BY_SPREAD, 0.0)
+        largest = {
+            name: getattr(self, name) + (getattr(self, spread) if getattr(self, name) > 0.0 else 0.0)
+            for spread, names in _AGES_BY_SPREAD.items()
+            for name in names
+        }
+        mean, oldest = self.replace(**spreads), self.replace(**spreads, **largest)
+        return (mean,) if mean == oldest else (mean, oldest)
 
-        Linear stability analysis uses it. The computed margins are slightly larger than those with delay.
-        """
+    @property
+    def without_sample_ages(self) -> Self:
+        """Return a copy whose samples arrive without delay, for analyses that neglect it."""
         ages = [name for spread, names in _AGES_BY_SPREAD.items() for name in (spread, *names)]
         return self.replace(**dict.fromkeys(ages, 0.0))
 
