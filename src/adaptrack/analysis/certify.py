@@ -269,8 +269,8 @@ def certify(
     scheduler
         A `Schedule` with or without guard, a function of `SchedulingVariables`, or a tuning.
     plant, profile
-        The true car, its true steering, dead time and sensors. Ages of samples that change are analysed as constants, the
-        mean and the largest age.
+        The true car, its true steering, dead time and sensors. Ages of samples that change are analysed as
+        constants, the mean and the largest age.
     mpc
         Controller with its prediction model, estimator, period, moves and longest horizons. Its own tuning and
         scheduler are ignored. A controller that learns is analysed in its initial state.
