@@ -278,6 +278,29 @@ def test_without_a_position_the_mpc_says_how_long_it_steers_on_its_estimate_and_
     assert steps[35].diagnostics[mpc.diagnostic_names.index("dead_reckoning")] == is_dead_reckoning[35]
 
 
+@pytest.mark.parametrize(
+    ("profile", "oldest", "text"),
+    [
+        ("road", None, ""),
+        ("production", None, "position, yaw 0.1 s (used at their time)"),
+        (
+            "production-bus",
+            None,
+            "position, yaw 0.1 s (used at their time); yaw rate, lateral acceleration 0.1 s (used at their time, lateral "
+            "acceleration with 3 times its noise)",
+        ),
+        ("production", 0.0, "position, yaw 0.1 s (not used, the filter takes in none older than 0 s)"),
+    ],
+)
+def test_a_controller_says_which_signals_are_late_and_how_it_uses_them(profile, oldest, text):
+    sensors = KalmanFilter.from_profile(load_profile(profile))
+    mpc = MPC(
+        CAR, profile=profile, estimator=sensors if oldest is None else dataclasses.replace(sensors, oldest=oldest)
+    )
+    assert mpc.late_signals == text
+    assert (f"late signals: {text}; steering" in repr(mpc)) is bool(text)
+
+
 @pytest.mark.compiled
 def test_gaps_of_the_pose_are_in_the_trajectory_and_counted():
     profile = load_profile("production").replace(dropout_pause=2.0, dropout_least=0.3, dropout_most=0.3)

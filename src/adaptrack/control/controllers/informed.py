@@ -99,6 +99,8 @@ class MPCParts(NamedTuple):
     learner: Learner | None = None
     learns: str = ""
     """whether it learns, why, and within what; empty where the model was given"""
+    late_signals: str = ""
+    """which signals are late in the profile, and how they are used; empty if none is late"""
 
 
 def informed_parts(
@@ -135,7 +137,29 @@ def informed_parts(
         belief=belief,
         learner=learner,
         learns=f"{'learns' if parts.learns else 'does not learn'}, {_learning_reason(order, knowledge[2])}{learns}",
+        late_signals=_late_signals(world, filtering, step),
     )
+
+
+def _late_signals(world: Profile, filtering: KalmanFilter, period: float) -> str:
+    """Which signals are late in a profile, and how a filter with this period (s) uses them; empty if none is late."""
+    noise = filtering.noise
+    motion = {"yaw rate": noise.yaw_rate, "lateral velocity": noise.vy, "wheel angle": noise.wheel_angle,
+              "lateral acceleration": noise.lateral_acceleration}  # fmt: skip
+    groups = ((["position", "yaw"], world.pose_age),
+              ([name for name, sigma in motion.items() if sigma < math.inf], world.motion_age))  # fmt: skip
+    sentences = []
+    for names, age in groups:
+        if age > filtering.oldest + 0.5 * period:
+            use = f"not used, the filter takes in none older than {filtering.oldest:.3g} s"
+        elif age > 0.0 and "lateral acceleration" in names:
+            factor = 1 + math.floor(age / period + 1e-9)
+            use = f"used at their time, lateral acceleration with {factor} times its noise"
+        else:
+            use = "used at their time"
+        if age > 0.0 and names:
+            sentences.append(f"{', '.join(names)} {age:.3g} s ({use})")
+    return "; ".join(sentences)
 
 
 def order_of(

@@ -221,7 +221,7 @@ class MPC(Controller):
             parts = _given_parts(vehicle, model, filtering, period)
         self.tuning = parts.tuning if tuning is None else tuning
         self.model, self.estimator, self.belief = parts.model, parts.estimator, parts.belief
-        self.learner, self.learns = parts.learner, parts.learns
+        self.learner, self.learns, self.late_signals = parts.learner, parts.learns, parts.late_signals
         self.vehicle = getattr(self.model, "vehicle", None)
         self.estimator.check_fits(self.model)
         self.limits = limits or parts.limits
@@ -313,7 +313,8 @@ class MPC(Controller):
     def __repr__(self) -> str:
         car, tuning = getattr(self.model, "vehicle", None), self.tuning
         numbers = f"{tuning.Np}/{tuning.Nc}/{tuning.Q:g}/{tuning.R:g}"
-        belief = f"; {self.learns}; steering: {self.belief}" if self.belief is not None else ""
+        late = f"; late signals: {self.late_signals}" if self.late_signals else ""
+        belief = f"; {self.learns}{late}; steering: {self.belief}" if self.belief is not None else ""
         return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{belief}>"
 
     @property
