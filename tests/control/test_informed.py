@@ -286,8 +286,8 @@ def test_without_a_position_the_mpc_says_how_long_it_steers_on_its_estimate_and_
         (
             "production-bus",
             None,
-            "position, yaw 0.1 s (used at their time); yaw rate, lateral acceleration 0.1 s (used at their time, lateral "
-            "acceleration with 3 times its noise)",
+            "position, yaw 0.1 s (used at their time); yaw rate, lateral acceleration 0.1 s (used at their time, "
+            "lateral acceleration with 3 times its noise)",
         ),
         ("production", 0.0, "position, yaw 0.1 s (not used, the filter takes in none older than 0 s)"),
     ],
