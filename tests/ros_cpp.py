@@ -16,7 +16,8 @@ follower, seconds = package_module("follower"), package_module("messages").secon
 CPP = PACKAGE.parent / "adaptrack_ros_cpp"
 STAND_INS = PACKAGE.parents[2] / "tests" / "ros2"
 HEADERS = (
-    "rclcpp/rclcpp", "nav_msgs/msg/odometry", "nav_msgs/msg/path", "std_msgs/msg/bool",
+    "rclcpp/rclcpp", "geometry_msgs/msg/twist_stamped", "sensor_msgs/msg/imu",
+    "nav_msgs/msg/odometry", "nav_msgs/msg/path", "std_msgs/msg/bool",
     "ackermann_msgs/msg/ackermann_drive_stamped", "diagnostic_msgs/msg/diagnostic_array",
     "autoware_planning_msgs/msg/trajectory",
 )  # fmt: skip
@@ -125,6 +126,10 @@ class CppFollower:
         )
         frames = message.header.frame_id.encode(), message.child_frame_id.encode()
         self._library.ros_odometry(self._made, numbers(values), *frames)
+
+    def motion(self, message):
+        values = package_module("messages").motion_of(message)
+        self._library.ros_motion(self._made, *map(ctypes.c_double, values))
 
     def path(self, message):
         if hasattr(message, "points"):

@@ -53,6 +53,17 @@ def odometry(t=0.0, x=0.0, y=0.0, yaw=0.0, speed=0.0, rate=0.0):
     )
 
 
+def twist_stamped(t=0.0, speed=0.0, rate=0.0):
+    """geometry_msgs/TwistStamped"""
+    twist = Record(linear=Record(x=speed, y=0.0, z=0.0), angular=Record(x=0.0, y=0.0, z=rate))
+    return Record(header=header(t, "base_link"), twist=twist)
+
+
+def imu(t=0.0, rate=0.0):
+    """sensor_msgs/Imu"""
+    return Record(header=header(t, "imu"), angular_velocity=Record(x=0.0, y=0.0, z=rate))
+
+
 def path(points, times=None, frame="map"):
     """nav_msgs/Path"""
     times = [0.0] * len(points) if times is None else times
@@ -144,7 +155,11 @@ def fake_ros(monkeypatch):
             "DiagnosticStatus": lambda: Record(level=b"\0", name="", message="", hardware_id="", values=[]),
             "KeyValue": Record,
         },
-        "geometry_msgs.msg": {"PoseStamped": lambda: Record(header=header(), pose=pose())},
+        "geometry_msgs.msg": {
+            "PoseStamped": lambda: Record(header=header(), pose=pose()),
+            "TwistStamped": twist_stamped,
+        },
+        "sensor_msgs.msg": {"Imu": imu},
         "nav_msgs.msg": {"Odometry": odometry, "Path": lambda: path([])},
         "std_msgs.msg": {"Bool": Record},
     }

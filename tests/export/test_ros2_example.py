@@ -14,7 +14,17 @@ import pytest
 
 import adaptrack as at
 from programs import find_program
-from ros_messages import PACKAGE, drive_stamped, fake_ros, odometry, package_module, path, trajectory
+from ros_messages import (
+    PACKAGE,
+    drive_stamped,
+    fake_ros,
+    imu,
+    odometry,
+    package_module,
+    path,
+    trajectory,
+    twist_stamped,
+)
 
 messages, follower, stand_in = map(package_module, ("messages", "follower", "stand_in"))
 Parameters = follower.Parameters
@@ -106,11 +116,15 @@ class Loop:
         self.waiting, self.offset, self.commands, self.now = [], [], [], 0.0
         self.follower.path(path(stand_in.window(road, start)))
 
-    def drive(self, seconds, late=lambda k: 0.0, lost=lambda k: False):
+    def drive(self, seconds, late=lambda k: 0.0, lost=lambda k: False, has_motion=False):
         ticks = round(seconds / 0.05)
         for k in range(ticks):
             message = odometry(self.now)
             self.car.fill_odometry(message)
+            if has_motion:
+                twist = message.twist.twist
+                self.follower.motion(twist_stamped(self.now, twist.linear.x, twist.angular.z))
+                message.twist.twist = Record(linear=Record(x=99.0), angular=Record(z=9.0))  # is not read
             if not lost(k):
                 self.waiting.append((self.now + late(k), message))
             for arriving in [message for message in self.waiting if message[0] <= self.now + 1e-9]:
@@ -147,11 +161,12 @@ def test_the_car_follows_bends_within_five_centimetres(Follower):
     "channel",
     [
         {"late": lambda k: 0.15},
+        {"late": lambda k: 0.15, "has_motion": True},
         {"late": lambda k: 0.2 if k % 2 else 0.1},
         {"lost": lambda k: k % 4 == 3},
         {"lost": lambda k: 100 <= k < 104},
     ],
-    ids=["0.15 s late", "overtaking one another", "every fourth lost", "0.2 s lost"],
+    ids=["0.15 s late", "0.15 s late, prompt motion", "overtaking one another", "every fourth lost", "0.2 s lost"],
 )
 def test_late_and_lost_messages_do_not_lose_the_car(Follower, channel):
     loop = Loop(Follower).drive(10.0, **channel)
@@ -313,7 +328,7 @@ def test_parameters_that_are_not_possible_are_refused(values):
 
 # -- the C++ node -----------------------------------------------------------------------------------------------------
 @pytest.mark.compiled
-@pytest.mark.parametrize("kind", ["trajectory", "stamped path"])
+@pytest.mark.parametrize("kind", ["trajectory", "stamped path", "twist", "imu"])
 def test_both_nodes_send_the_same_commands_to_the_bit(cpp, kind):
     """Samples late, lost and overtaking each other, a path that moves, a silence, an engagement."""
     nodes = [follower.Follower(), cpp[0].CppFollower(cpp[1])]
@@ -325,10 +340,14 @@ def test_both_nodes_send_the_same_commands_to_the_bit(cpp, kind):
         x = 10.0 + 5.0 * time + rng.normal(0.0, 0.02)
         y, yaw = 8.0 * np.sin(x / 25.0) + rng.normal(0.0, 0.02), np.arctan(0.32 * np.cos(x / 25.0))
         message = odometry(time - 0.05 * int(rng.integers(3)), x, y, yaw, 5.0 + rng.normal(0.0, 0.05), 0.0)
+        motion_time, rate = time - 0.01 * int(rng.integers(3)), rng.normal(0.0, 0.02)
+        motion = twist_stamped(motion_time, 5.05, rate) if kind == "twist" else imu(motion_time, rate)
         lost, moved = 60 <= k < 75 or rng.random() < 0.2, paths[int(k >= 100)]
         for node, commands in zip(nodes, sent, strict=True):
             if k % 20 == 0:
-                node.path(trajectory(moved, 4.0 + _X[:200] / 64) if kind == "trajectory" else path(moved, 9.0 + t))
+                node.path(path(moved, 9.0 + t) if kind == "stamped path" else trajectory(moved, 4.0 + _X[:200] / 64))
+            if kind in ("twist", "imu") and k % 7:
+                node.motion(motion)
             if not lost:
                 node.odometry(message)
             if k in (120, 124):
@@ -414,7 +433,10 @@ def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path)
     includes = ";".join(option.removeprefix("-I") for option in cpp[0].includes(folder)[2:])
     target = "add_library(rclcpp::rclcpp INTERFACE IMPORTED)\n"
     target += f"target_include_directories(rclcpp::rclcpp INTERFACE {includes})"
-    for name in ("ament_cmake", "rclcpp", "ackermann_msgs", "diagnostic_msgs", "nav_msgs", "std_msgs"):
+    for name in (
+        "ament_cmake", "rclcpp", "ackermann_msgs", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs",
+        "std_msgs",
+    ):  # fmt: skip
         content = {"ament_cmake": "macro(ament_package)\nendmacro()", "rclcpp": target}.get(
             name, f"set({name}_TARGETS)"
         )

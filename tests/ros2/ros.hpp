@@ -43,6 +43,11 @@ struct Pose {
 struct Twist {
     Vector3 linear, angular;
 };
+struct TwistStamped {
+    using ConstSharedPtr = std::shared_ptr<const TwistStamped>;
+    std_msgs::msg::Header header;
+    Twist twist;
+};
 struct PoseStamped {
     std_msgs::msg::Header header;
     Pose pose;
@@ -54,6 +59,14 @@ struct TwistWithCovariance {
     Twist twist;
 };
 } // namespace geometry_msgs::msg
+
+namespace sensor_msgs::msg {
+struct Imu {
+    using ConstSharedPtr = std::shared_ptr<const Imu>;
+    std_msgs::msg::Header header;
+    geometry_msgs::msg::Vector3 angular_velocity;
+};
+} // namespace sensor_msgs::msg
 
 namespace nav_msgs::msg {
 struct Odometry {

@@ -73,6 +73,18 @@ void ros_drop(Handle *made) { delete made; }
 void ros_odometry(Handle *made, const double *numbers, const char *frame, const char *child) {
     made->give(odometry_of(numbers), frame, child);
 }
+// t, speed (NaN: an Imu), yaw rate
+void ros_motion(Handle *made, double t, double speed, double yaw_rate) {
+    if (std::isnan(speed)) {
+        sensor_msgs::msg::Imu imu;
+        imu.header.stamp = stamp_of(t), imu.angular_velocity.z = yaw_rate;
+        made->follower.motion(adaptrack_ros::motion_of_imu(imu));
+    } else {
+        geometry_msgs::msg::TwistStamped message;
+        message.header.stamp = stamp_of(t), message.twist.linear.x = speed, message.twist.angular.z = yaw_rate;
+        made->follower.motion(adaptrack_ros::motion_of(message.header.stamp, message.twist));
+    }
+}
 // rows: t, x, y
 void ros_path(Handle *made, const double *rows, std::size_t count, const char *frame) {
     made->give(path_of(rows, count), frame);

@@ -11,12 +11,14 @@ import numpy as np
 import adaptrack as at
 from adaptrack.control.tracker import Tracked
 from adaptrack.road import Comfort, SpeedPlan
-from adaptrack_ros.messages import Array, Sample, points_of, sample_of, speeds_of
+from adaptrack_ros.messages import Array, Motion, Sample, motion_of, points_of, sample_of, speeds_of
 
 OK, WARN, ERROR = 0, 1, 2
 """Levels of a diagnostic_msgs/DiagnosticStatus."""
 CLOCK_JUMP = 2.0
 """s: stamps that are older than the newest by more begin anew, as when a bag starts again."""
+MOTION_MESSAGES = "geometry_msgs/TwistStamped", "nav_msgs/Odometry", "sensor_msgs/Imu"
+"""Messages from which speed and yaw rate can come, of an Imu the yaw rate alone."""
 STOPPING = {
     at.Status.HELD: "no position for 3 s, no solution, or a steering of the other sign",
     at.Status.REVERSE: "the car rolls backwards",
@@ -42,6 +44,8 @@ class Parameters:
     """child frame that the odometry must have"""
     base_ahead: float = 0.0
     """m, from the centre of the rear axle forwards to the origin of the base frame"""
+    motion_message: str = ""
+    """one of `MOTION_MESSAGES` on the topic `motion`, with stamps of its own; empty: the motion is that of `odom`"""
     path_message: str = "nav_msgs/Path"
     """or autoware_planning_msgs/Trajectory"""
     path_latched: bool = False
@@ -63,6 +67,10 @@ class Parameters:
         for name in ("top_speed", "acceleration", "stop_deceleration", "longest_silence", "furthest"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise at.InvalidInput(f"{name} = {getattr(self, name)!r}: must be positive and finite.")
+        if self.motion_message not in ("", *MOTION_MESSAGES):
+            raise at.InvalidInput(
+                f"motion_message = {self.motion_message!r}: must be empty, or one of {', '.join(MOTION_MESSAGES)}."
+            )
         if self.path_message not in ("nav_msgs/Path", "autoware_planning_msgs/Trajectory"):
             raise at.InvalidInput(
                 f"path_message = {self.path_message!r}: must be nav_msgs/Path or autoware_planning_msgs/Trajectory."
@@ -100,6 +108,8 @@ class Follower:
         self._speeds: Array | None = None
         self._path_frame, self._odometry_frame = "", ""
         self._fresh: Sample | None = None
+        self._fresh_motion: Motion | None = None
+        self._newest_motion, self._has_motion_speed = -math.inf, False
         self._newest, self._speed, self._braked = -math.inf, 0.0, -math.inf
         self._halted, self._engaged, self._angle = False, True, 0.0
         self._trouble: dict[str, str] = {}
@@ -141,7 +151,23 @@ class Follower:
             if self._fresh is None and sample.t < self._newest:
                 self._fresh = sample  # overtaken by one that has been used; the filter takes it in where it belongs
             return
-        self._fresh, self._newest, self._speed = sample, sample.t, sample.speed
+        self._fresh, self._newest = sample, sample.t
+        if not self._has_motion_speed:
+            self._speed = sample.speed
+
+    def motion(self, message: Any) -> None:
+        """One of `MOTION_MESSAGES`; from the first one on the twist of the odometry is not used, but for its speed."""
+        try:
+            motion = motion_of(message)
+        except at.InvalidInput as error:
+            self._trouble["motion"] = str(error)
+            return
+        self._trouble.pop("motion", None)
+        if self._newest_motion - CLOCK_JUMP <= motion.t <= self._newest_motion:
+            return
+        self._fresh_motion, self._newest_motion = motion, motion.t
+        if math.isfinite(motion.speed):
+            self._speed, self._has_motion_speed = motion.speed, True
 
     def path(self, message: Any) -> None:
         """A nav_msgs/Path or an autoware_planning_msgs/Trajectory; an empty one stops the car.
@@ -201,6 +227,7 @@ class Follower:
     def tick(self, now: float) -> Command | None:
         """The command for now (s, on the clock of the stamps), once per period; None while somebody else drives."""
         fresh, self._fresh = self._fresh, None
+        motion, self._fresh_motion = self._fresh_motion, None
         if not self._engaged:
             return None
         if self._tracker is None:
@@ -212,7 +239,11 @@ class Follower:
             sample = Sample(now, math.nan, math.nan, math.nan, speed, math.nan)
         else:
             sample = fresh
-        self._tracked = self._tracker.step(*sample, now=now)
+        motion_time = None
+        if self._newest_motion > -math.inf and not why:
+            sample = sample._replace(speed=self._speed, yaw_rate=motion.yaw_rate if motion else math.nan)
+            motion_time = motion.t if motion else None
+        self._tracked = self._tracker.step(*sample, now=now, motion_time=motion_time)
         if self._tracked.status is not at.Status.REPEATED:
             self._angle = self._tracked.command
             why = why or STOPPING.get(self._tracked.status, "") or ("the path is empty" if self._halted else "")

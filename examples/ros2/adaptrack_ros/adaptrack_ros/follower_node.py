@@ -8,10 +8,12 @@ from typing import Any
 import rclpy
 from ackermann_msgs.msg import AckermannDriveStamped
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from sensor_msgs.msg import Imu
 from std_msgs.msg import Bool
 
 from adaptrack_ros.follower import Follower, Parameters
@@ -19,6 +21,7 @@ from adaptrack_ros.messages import fill_drive, fill_status
 
 DIAGNOSTICS_PERIOD = 0.5
 """s"""
+MOTION_TYPES = {"geometry_msgs/TwistStamped": TwistStamped, "nav_msgs/Odometry": Odometry, "sensor_msgs/Imu": Imu}
 
 
 class FollowerNode(Node):
@@ -34,6 +37,9 @@ class FollowerNode(Node):
         self._drive = self.create_publisher(AckermannDriveStamped, "drive", 1)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_subscription(Odometry, "odom", self._follower.odometry, qos_profile_sensor_data)
+        if parameters.motion_message:
+            kind = MOTION_TYPES[parameters.motion_message]
+            self.create_subscription(kind, "motion", self._follower.motion, qos_profile_sensor_data)
         self.create_subscription(_path_type(parameters), "path", self._follower.path, _path_qos(parameters))
         self.create_subscription(AckermannDriveStamped, "wheel_angle", self._take_angle, qos_profile_sensor_data)
         self.create_subscription(Bool, "engage", self._engage, 1)

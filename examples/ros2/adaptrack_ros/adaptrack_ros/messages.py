@@ -28,6 +28,14 @@ class Sample(NamedTuple):
     yaw_rate: float
 
 
+class Motion(NamedTuple):
+    """Motion with a stamp of its own: s, m/s (NaN: not measured), rad/s."""
+
+    t: float
+    speed: float
+    yaw_rate: float
+
+
 def seconds(stamp: Any) -> float:
     """s of a builtin_interfaces/Time; exact to 0.3 microseconds in this century."""
     return stamp.sec + 1e-9 * stamp.nanosec
@@ -51,6 +59,24 @@ def sample_of(odometry: Any, ahead: float) -> Sample:
     if not all(map(math.isfinite, sample)):
         raise at.InvalidInput(f"odometry: {sample}: must be finite.")
     return sample
+
+
+def motion_of(message: Any) -> Motion:
+    """Motion in a geometry_msgs/TwistStamped or in the twist of a nav_msgs/Odometry; of a sensor_msgs/Imu the yaw rate.
+
+    Raises
+    ------
+    adaptrack.InvalidInput
+        When the yaw rate is not finite.
+    """
+    if hasattr(message, "angular_velocity"):
+        speed, yaw_rate = math.nan, message.angular_velocity.z
+    else:
+        twist = getattr(message.twist, "twist", message.twist)
+        speed, yaw_rate = twist.linear.x, twist.angular.z
+    if not math.isfinite(yaw_rate):
+        raise at.InvalidInput(f"motion: yaw rate {yaw_rate}: must be finite.")
+    return Motion(seconds(message.header.stamp), speed, yaw_rate)
 
 
 def points_of(message: Any) -> Array:

@@ -80,7 +80,17 @@ void Follower::odometry(const Sample &sample, const std::string &frame, const st
     }
     fresh_ = sample;
     newest_ = sample.t;
-    speed_ = sample.speed;
+    if (!has_motion_speed_) speed_ = sample.speed;
+}
+
+void Follower::motion(const Motion &motion) {
+    motion_trouble_ = std::isfinite(motion.yaw_rate) ? "" : "its yaw rate must be finite";
+    if (!motion_trouble_.empty() || (newest_motion_ - clock_jump <= motion.t && motion.t <= newest_motion_)) return;
+    fresh_motion_ = motion;
+    newest_motion_ = motion.t;
+    if (!std::isfinite(motion.speed)) return;
+    speed_ = motion.speed;
+    has_motion_speed_ = true;
 }
 
 void Follower::path(const std::vector<double> &points, const std::vector<double> &speeds, const std::string &frame) {
@@ -175,7 +185,9 @@ double Follower::Planned::speed_at(double place) const {
 // -- what goes out ---------------------------------------------------------------------------------------------------
 const Command *Follower::tick(double now) {
     std::optional<Sample> fresh;
+    std::optional<Motion> motion;
     std::swap(fresh, fresh_);
+    std::swap(motion, fresh_motion_);
     if (!engaged_) return nullptr;
     if (!has_path_) {
         stop("no path yet");
@@ -190,6 +202,11 @@ const Command *Follower::tick(double now) {
     } else {
         sample.t = now;
         sample.speed = why.empty() ? speed_ : braking_speed(now);
+    }
+    if (std::isfinite(newest_motion_) && why.empty()) {
+        sample.speed = speed_;
+        sample.yaw_rate = motion ? motion->yaw_rate : NAN;
+        if (motion) sample.motion_time = motion->t;
     }
     sample_speed_ = sample.speed;
     adaptrack_answer answer{};
@@ -288,6 +305,7 @@ Diagnosis Follower::diagnosis(double now) const {
     };
     std::vector<std::string> troubles;
     if (!odometry_trouble_.empty()) troubles.push_back("odometry left out: " + odometry_trouble_);
+    if (!motion_trouble_.empty()) troubles.push_back("motion left out: " + motion_trouble_);
     if (!path_trouble_.empty()) troubles.push_back("path left out: " + path_trouble_);
     if (answer_ && answer_->suspect != 0)
         troubles.push_back(text_of("inputs contradict each other: suspect = %lu",

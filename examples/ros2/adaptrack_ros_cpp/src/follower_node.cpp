@@ -7,9 +7,11 @@
 #include <autoware_planning_msgs/msg/trajectory.hpp>
 #endif
 #include <diagnostic_msgs/msg/diagnostic_array.hpp>
+#include <geometry_msgs/msg/twist_stamped.hpp>
 #include <nav_msgs/msg/odometry.hpp>
 #include <nav_msgs/msg/path.hpp>
 #include <rclcpp/rclcpp.hpp>
+#include <sensor_msgs/msg/imu.hpp>
 #include <std_msgs/msg/bool.hpp>
 
 #include <fstream>
@@ -65,6 +67,7 @@ class FollowerNode : public rclcpp::Node {
                 follower_->odometry(sample_of(*message, follower_->base_ahead_of_mass()), message->header.frame_id,
                                     message->child_frame_id);
             });
+        subscribe_to_motion(declare_parameter("motion_message", std::string()));
         subscribe_to_path(declare_parameter("path_message", std::string("nav_msgs/Path")),
                           declare_parameter("path_latched", false));
         wheel_angle_ = create_subscription<AckermannDriveStamped>(
@@ -82,6 +85,28 @@ class FollowerNode : public rclcpp::Node {
     }
 
   private:
+    template <class Message, class Reader>
+    void subscribe_to_motion_as(Reader read) {
+        motion_ = create_subscription<Message>(
+            "motion", rclcpp::SensorDataQoS(),
+            [this, read](const typename Message::ConstSharedPtr &message) { follower_->motion(read(*message)); });
+    }
+
+    void subscribe_to_motion(const std::string &kind) {
+        using geometry_msgs::msg::TwistStamped;
+        using sensor_msgs::msg::Imu;
+        if (kind == "geometry_msgs/TwistStamped")
+            subscribe_to_motion_as<TwistStamped>([](const auto &m) { return motion_of(m.header.stamp, m.twist); });
+        else if (kind == "nav_msgs/Odometry")
+            subscribe_to_motion_as<Odometry>([](const auto &m) { return motion_of(m.header.stamp, m.twist.twist); });
+        else if (kind == "sensor_msgs/Imu")
+            subscribe_to_motion_as<Imu>([](const auto &m) { return motion_of_imu(m); });
+        else if (!kind.empty())
+            throw std::invalid_argument("motion_message = '" + kind +
+                                        "': must be empty, geometry_msgs/TwistStamped, nav_msgs/Odometry or "
+                                        "sensor_msgs/Imu.");
+    }
+
     void subscribe_to_path(const std::string &kind, bool latched) {
         rclcpp::QoS qos(1); // reliable, the newest only; latched: given to those who come later, if both sides ask for it
         qos.reliable();
@@ -137,7 +162,7 @@ class FollowerNode : public rclcpp::Node {
     rclcpp::Publisher<AckermannDriveStamped>::SharedPtr drive_;
     rclcpp::Publisher<DiagnosticArray>::SharedPtr diagnostics_;
     rclcpp::Subscription<Odometry>::SharedPtr odometry_;
-    rclcpp::SubscriptionBase::SharedPtr path_;
+    rclcpp::SubscriptionBase::SharedPtr motion_, path_;
     rclcpp::Subscription<AckermannDriveStamped>::SharedPtr wheel_angle_;
     rclcpp::Subscription<Bool>::SharedPtr engage_;
     std::vector<rclcpp::TimerBase::SharedPtr> timers_;

@@ -31,6 +31,11 @@ struct Sample {
     double t = NAN, x = NAN, y = NAN, yaw = NAN, speed = NAN, yaw_rate = NAN;
 };
 
+// Motion with a stamp of its own: s, m/s (NaN: not measured), rad/s.
+struct Motion {
+    double t = NAN, speed = NAN, yaw_rate = NAN;
+};
+
 // What is sent.
 struct Command {
     double angle = 0.0;        // rad, of the road wheels, positive to the left
@@ -64,6 +69,8 @@ class Follower {
 
     // An odometry, in whatever order; one that cannot be used is left out, and the diagnostics say why.
     void odometry(const Sample &sample, const std::string &frame, const std::string &child_frame);
+    // From the first one on the twist of the odometry is not used, but for its speed where a motion has none.
+    void motion(const Motion &motion);
     // A path through points x, y (m), one behind the other, and speeds (m/s) at them, or none; an empty one stops the
     // car. One that cannot be driven is refused, the one before is followed on, and the diagnostics say why.
     void path(const std::vector<double> &points, const std::vector<double> &speeds, const std::string &frame);
@@ -99,9 +106,12 @@ class Follower {
     double sample_speed_ = 0.0;      // m/s, of the last call
     double left_ = 0.0, next_ = 0.0; // m, where it began to drive along the path, and its next stop; NaN: a new path
     std::vector<double> points_, speeds_;
-    std::string path_frame_, odometry_frame_, path_trouble_, odometry_trouble_;
+    std::string path_frame_, odometry_frame_, path_trouble_, odometry_trouble_, motion_trouble_;
     std::optional<Sample> fresh_;
+    std::optional<Motion> fresh_motion_;
+    bool has_motion_speed_ = false;
     double newest_ = -std::numeric_limits<double>::infinity(), speed_ = 0.0, braked_ = newest_, angle_ = 0.0;
+    double newest_motion_ = newest_;
     std::optional<adaptrack_answer> answer_;
     adaptrack_error error_ = ADAPTRACK_OK;
     Command command_;

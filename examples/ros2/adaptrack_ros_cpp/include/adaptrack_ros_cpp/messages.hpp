@@ -35,6 +35,18 @@ Sample sample_of(const Odometry &odometry, double ahead) {
             pose.position.y - ahead * std::sin(yaw), yaw, twist.linear.x, twist.angular.z};
 }
 
+// Motion in a geometry_msgs/Twist with its stamp.
+template <class Time, class Twist>
+Motion motion_of(const Time &stamp, const Twist &twist) {
+    return {seconds(stamp), twist.linear.x, twist.angular.z};
+}
+
+// Yaw rate in a sensor_msgs/Imu.
+template <class Imu>
+Motion motion_of_imu(const Imu &imu) {
+    return {seconds(imu.header.stamp), NAN, imu.angular_velocity.z};
+}
+
 // x, y (m) of a nav_msgs/Path's `poses` or an autoware_planning_msgs/Trajectory's `points`, one behind the other.
 template <class Places>
 void points_of(const Places &places, std::vector<double> &points) {
