@@ -243,7 +243,7 @@ class SampleAges(NamedTuple):
         world = load_profile(profile)
         return cls(world.pose_age, world.motion_age)
 
-    def of_sensor(self, name: str) -> float:
+    def sensor_age(self, name: str) -> float:
         """Return the age (s) of a signal of `sensed`."""
         return self.pose if name in POSE_SENSORS else self.motion
 
@@ -320,16 +320,16 @@ def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, del
 
 def _with_late_outputs(prompt: Sampled, ages: SampleAges, period: float) -> Sampled:
     """Return the plant with its measurements delayed, linear between two control instants as in `core.loop`."""
-    periods = {i: ages.of_sensor(name) / period for i, name in enumerate(sensed()) if prompt.c[i].any()}
+    periods = {i: ages.sensor_age(name) / period for i, name in enumerate(sensed()) if prompt.c[i].any()}
     size = len(prompt.b)
     total = size + sum(math.ceil(late) for late in periods.values())
     a, b, c = np.zeros((total, total)), np.zeros(total), np.zeros((len(prompt.c), total))
     a[:size, :size], b[:size], c[:, :size] = prompt.a, prompt.b, prompt.c
     for i, late in periods.items():
-        count, whole = math.ceil(late), math.floor(late)
+        count, first = math.ceil(late), math.floor(late)
         rows = np.vstack([c[i], np.eye(total)[size : size + count]])  # the signal now, one period ago, ...
         a[size : size + count] = rows[:count]
-        c[i] = rows[whole] + (late - whole) * (rows[min(whole + 1, count)] - rows[whole])
+        c[i] = rows[first] + (late - first) * (rows[min(first + 1, count)] - rows[first])
         size += count
     return Sampled(a, b, c)
 
