@@ -132,8 +132,8 @@ def drive(tracker, road, seconds=30.0, car=None, before_call=None, wheel_angle=N
                 before_call(t, car, tracker)
             sample = line.arriving(t, car, count)
             if sample is not None:
-                first_angle, motion_time = wheel_angle if count == 1 else None, t if line.prompt_motion else None
-                result = tracker.step(*sample, now=t, wheel_angle=first_angle, motion_time=motion_time)
+                times = {"now": t, "motion_time": t} if line.prompt_motion else {"now": t}
+                result = tracker.step(*sample, wheel_angle=wheel_angle if count == 1 else None, **times)
                 calls.append((t, result))
                 command = calls[-1][1].command
         car.step(command, DT)

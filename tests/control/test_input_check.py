@@ -95,6 +95,36 @@ def test_honest_inputs_are_not_doubted(seed):
     assert Status.SLIDING not in driven.statuses
 
 
+class DelayedCommands:
+    """A tracker whose commands reach the car some calls later."""
+
+    def __init__(self, tracker, calls):
+        self.tracker, self.commands = tracker, [0.0] * calls
+
+    def step(self, *sample, **times):
+        answer = self.tracker.step(*sample, **times)
+        self.commands.append(answer.command)
+        return answer._replace(command=self.commands.pop(0))
+
+
+@pytest.mark.parametrize(
+    ("calls", "learning", "is_reported"), [(0, None, False), (3, None, True), (3, Learning(), False)]
+)
+def test_a_specified_delay_that_driving_contradicts_is_reported_once_and_a_learned_one_never(
+    calls, learning, is_reported, caplog
+):
+    belief = Steering(lag=0.15, dead_time=0.0, rate=0.5)
+    mpc = MPC(CAR, profile="road", belief=belief, computation=0.05, learning=learning)
+    with caplog.at_level(logging.WARNING, logger="adaptrack"):
+        driven = drive(DelayedCommands(Tracker(mpc, BEND), calls), BEND, 20.0, car=on_road(BEND, s=2.0, speed=10.0))
+    records = [
+        record.message for record in caplog.records if "later than the specified steering delay" in record.message
+    ]
+    assert len(records) == is_reported
+    assert all("of 0.20 s explains: learn the delay, MPC(..., learning=Learning())" in message for message in records)
+    assert len(driven.calls[-1][1].suspect) == is_reported
+
+
 def test_a_wrong_steering_sign_ends_the_steering_and_engaging_begins_anew():
     own = tracker()
     driven = drive(Wrong(own, command=-1.0), BEND, 4.0, car=on_road(BEND, s=20.0), wheel_angle=0.0)

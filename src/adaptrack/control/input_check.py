@@ -59,6 +59,10 @@ _PULL = "lateral_acceleration: it is {0:.2g} m/s^2 where speed times yaw_rate is
 _WHEEL = "wheel_angle: it is {0:.2g} rad at a command of {1:.2g}: "
 _LATE = "{} are of clocks that are some 0.2 s apart, one of them is late: give each the time at which it was taken."
 _SIGN = "its sign is wrong; give it positive to the left."
+_LATE_STEERING = (
+    "command: the car turns {0:.2f} s after it, later than the specified steering delay of {1:.2f} s explains: learn "
+    "the delay, MPC(..., learning=Learning()), or specify the true one."
+)
 _COMMAND = "; give the actuator radians at the road wheels."
 SENTENCES = type(MISTAKES)(*[
     _CLOCK + "milliseconds; give it in seconds.",
@@ -101,6 +105,7 @@ SENTENCES = type(MISTAKES)(*[
     "check the localisation.",
     "yaw: within seconds it changed by {0:.2g} rad more than yaw_rate says: it drifts or has jumped; check the "
     "localisation.",
+    _LATE_STEERING,
 ])  # fmt: skip
 """What each mistake is said as, with what was measured."""
 
@@ -109,17 +114,18 @@ class InputCheck:
     """Compares the inputs of a loop with each other as they come.
 
     vehicle: the car as believed; without one only signs and units are compared that need no car. period: s, of the
-    loop, for the unit of its time; NaN: not known.
+    loop, for the unit of its time; NaN: not known. delay: s, specified lag and dead time of the steering, computation
+    included; infinite: not specified, or learned.
     """
 
-    def __init__(self, vehicle: Vehicle | None = None, period: float = math.nan) -> None:
+    def __init__(self, vehicle: Vehicle | None = None, period: float = math.nan, delay: float = math.inf) -> None:
         self.vehicle = vehicle
         self.suspect: tuple[str, ...] = ()
         self.check = Check(np.zeros(SETTINGS_SIZE), np.zeros(MEMORY_SIZE))
         car = (0.0,) * 5
         if vehicle is not None:
             car = (vehicle.mass, vehicle.lf, vehicle.lr, vehicle.stiffness_front, vehicle.stiffness_rear)
-        check_settings(*car, period, self.check.settings)
+        check_settings(*car, period, delay, self.check.settings)
         begin_check(self.check)
         self._resident, self._sample, self._bits = Resident(self.check), np.empty(len(SAMPLE)), 0
 

@@ -24,11 +24,10 @@ from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of
 from adaptrack.control.controllers.belief import SourcedValue
-from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
 from adaptrack.control.speed_target import SpeedTarget
-from adaptrack.control.tracking import packed_plan, tracker_of
+from adaptrack.control.tracking import input_check_of, packed_plan, tracker_of
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.kernel import Resident
 from adaptrack.core.tracker.change_path import tracker_follow
@@ -179,7 +178,7 @@ class Tracker:
         self._set_path(path, plan)
         if speed is not None and plan is not None:
             self._speed = SpeedController(speed, path, plan, self.period, speed.stop_at_end)
-        self._check = InputCheck(controller.vehicle, self.period)
+        self._check = input_check_of(controller)
         self._load(tracker_of(controller, path, plan, furthest, self._check))
         self._recorder = None if record is None else Recorder(record)
         if self._recorder is not None:

@@ -24,6 +24,13 @@ from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import stacked
 
 
+def input_check_of(controller: Any) -> InputCheck:
+    """The check of the inputs of a controller; it tests the delay of the steering that is specified and not learned."""
+    is_specified = isinstance(controller, MPC) and controller.belief is not None and controller.learner is None
+    delay = controller.model.lag + controller.model.dead_time if is_specified else math.inf
+    return InputCheck(controller.vehicle, float(controller.period), delay)
+
+
 def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: float, check: InputCheck) -> Any:
     """A tracker around any controller before it engages (`core.tracker.records.TrackerRecord`)."""
     return records.tracker(_settings(controller, furthest), stacked(path), packed_plan(plan), check.check)
@@ -73,7 +80,7 @@ def tracking_of(controller: Controller, path: Road, plan: SpeedPlan | None = Non
         raise InvalidInput(f"tracking_of: scheduler {scheduler!r} is not compiled: give a scheduler of files.")
     tuning = controller.packed_tuning()
     plans = records.scheduling(no_schedule() if scheduler is None else scheduler.plan(1), tuning)
-    tracker = tracker_of(controller, path, plan, furthest, InputCheck(controller.vehicle, controller.period))
+    tracker = tracker_of(controller, path, plan, furthest, input_check_of(controller))
     tracker_engage(0.0, math.nan, tracker)
     if isinstance(controller, MPC):
         if not controller.runs_in_kernel:

@@ -43,16 +43,17 @@ MISTAKES = columns(
     "wheel_angle_sign", "wheel_angle_in_degrees", "wheel_angle_of_steering_wheel",
     "steering_sign", "command_too_small", "command_too_large",
     "position_drifts", "yaw_drifts",
+    "steering_late",
 )  # fmt: skip
 """Bits of `Memory.suspect`: mistakes of the inputs that are recognised."""
 _FIRST = (
     MISTAKES.time_in_milliseconds, MISTAKES.speed_of_no_car, MISTAKES.speed_late, MISTAKES.yaw_in_degrees,
     MISTAKES.yaw_late, MISTAKES.yaw_rate_sign, MISTAKES.lateral_velocity_sign, MISTAKES.position_of_rear_axle,
     MISTAKES.lateral_acceleration_sign, MISTAKES.wheel_angle_sign, MISTAKES.steering_sign, MISTAKES.position_drifts,
-    len(MISTAKES),
+    MISTAKES.steering_late, len(MISTAKES),
 )  # fmt: skip
 SUBJECTS = columns("time", "speed", "speed_late", "course", "yaw_late", "yaw_rate", "lateral", "point", "pull", "wheel",
-                   "steering", "pose")  # fmt: skip
+                   "steering", "pose", "delay")  # fmt: skip
 """Subjects of mistakes: of each one mistake is reported."""
 ABOUT = tuple((1 << end) - (1 << first) for first, end in pairwise(_FIRST))
 """The bits of each subject."""
@@ -82,6 +83,7 @@ Settings = record("Settings", (
     "lf", "lr",  # m, m: from the centre of mass to the axles
     "length", "gradient",  # m, s^2/m: a steady turn has the yaw rate angle speed/(length + gradient speed^2)
     "slip",  # s^2 m^-1 m: sideways speed by the slip of the rear tyres over yaw rate times speed^2
+    "delay",  # s, specified lag and dead time from a command on; infinite: not specified, or learned
 ))  # fmt: skip
 """What a check knows of the loop and its car."""
 settings_of = viewer(Settings)
@@ -126,6 +128,7 @@ Memory = record("Memory", (
     ("drifts", (float64, 2, 3)), ("honest_drifts", (float64, 2, 2)),  # m, m, rad; m, rad: in a short and a long time
     "pull",  # m/s^2, mean lateral acceleration
     ("steady", int64), ("drifting", int64),  # looks at which the pose did not drift; in a row at which it did
+    ("late", int64),  # looks in a row at which the car turned later than specified
 ))  # fmt: skip
 """All that a check remembers."""
 memory_of = viewer(Memory)
@@ -149,14 +152,14 @@ def is_reported(memory, subject):
     return memory.suspect & ABOUT[subject] != 0
 
 
-@exported(void(float64, float64, float64, float64, float64, float64, vector))
-def check_settings(mass, lf, lr, stiffness_front, stiffness_rear, period, settings):
+@exported(void(float64, float64, float64, float64, float64, float64, float64, vector))
+def check_settings(mass, lf, lr, stiffness_front, stiffness_rear, period, delay, settings):
     """Write `Settings` of a car; mass 0: one that is not known, of which only signs and units are compared.
 
     stiffness: N/rad of a tyre, two on an axle. The turning is that of Rajamani, 2nd ed., section 3.3.
     """
     to = settings_of(settings, 0)
-    to.period = period
+    to.period, to.delay = period, delay
     if mass > 0.0:
         to.known, to.lf, to.lr, to.length = 1.0, lf, lr, lf + lr
         to.gradient = 0.5 * mass / (lf + lr) * (lr / stiffness_front - lf / stiffness_rear)

@@ -11,9 +11,10 @@ import math
 
 from ..kernel import inlined, local
 from ..maths.bits import whole
+from ..maths.exact import clip
 from ..maths.exponential import exp
-from .hypotheses import FIRST, FIRST_GRAM, HYPOTHESES, HYPOTHESIS, LEAST_EVIDENCE, RULE, RULES, SURE
-from .record import GRAMS_OF, MISTAKES, THROWN
+from .hypotheses import EVIDENCE, FIRST, FIRST_GRAM, GAINS, HYPOTHESES, HYPOTHESIS, LEAST_EVIDENCE, RULE, RULES, SURE
+from .record import COMPARED, DELAY, DELAYS, GRAMS_OF, MISTAKES, THROWN
 
 MEMORY = 12.0
 """s, after which a window counts 1/e."""
@@ -21,6 +22,8 @@ LOOKS = 2
 """Looks in a row at which there must be enough evidence."""
 X1, X2, X3, Y, ONE = range(5)
 REGRESSORS = 5
+LATE_GAINS = 0.6, 1.6
+"""Ratio of the car's turning to that of a steady turn, least and most, where the steering is later than specified."""
 LOOSE = 2.5
 """How many times wider the intercept is for wheels that are thrown about."""
 
@@ -125,6 +128,38 @@ def judge(memory, comparison, hypotheses, factor, sure):
     if memory.repeated[comparison] >= (1 if sure else LOOKS):
         memory.label[comparison] = label
     return memory.label[comparison]
+
+
+@inlined
+def _least_misfit(memory, alternative, least, most, square):
+    """The squared misfit of an alternative of the steering with the best gain from `least` to `most`."""
+    _reduce(memory, COMPARED.steering, alternative, square)
+    both = square[X1, X2] - square[X1, Y]
+    gain = clip(-both / square[X1, X1], least, most) if square[X1, X1] > 0.0 else 1.0
+    rest = square[X2, X2] - 2.0 * square[X2, Y] + square[Y, Y]
+    return gain * (gain * square[X1, X1] + 2.0 * both) + rest
+
+
+@inlined
+def late_steering(memory, lag, latest):
+    """Compare the delays of the steering up to `latest` (s) with longer ones; return the best longer one, 0: none.
+
+    lag: s, that the models of the wheels add to the delays that are tried. A car that turns much less or more than
+    its commands ask for has a different flaw, as has one that the longest delay explains best: it may not turn at all.
+    """
+    honest, late, delay, square = math.inf, math.inf, 0.0, _square()
+    for alternative in range(THROWN):
+        total = lag + DELAY * (alternative % DELAYS)
+        if total <= latest:
+            honest = min(honest, _least_misfit(memory, alternative, GAINS[0], GAINS[-1], square))
+            continue
+        misfit = _least_misfit(memory, alternative, LATE_GAINS[0], LATE_GAINS[1], square)
+        if misfit < late:
+            late, delay = misfit, total
+    enough = EVIDENCE * RULES[COMPARED.steering, RULE.overlap]
+    better = honest - late > enough * max(1.0, late / memory.count[COMPARED.steering])
+    memory.late = memory.late + 1 if better and delay < lag + DELAY * (DELAYS - 1.5) else 0
+    return delay if memory.late >= LOOKS else 0.0
 
 
 @inlined

@@ -25,8 +25,8 @@ from .record import (
     is_reported,
     report,
 )
-from .regression import LOOKS, add_window, compare, judge, start_window
-from .requests import back_to, command_range, left_of_beginning, requested
+from .regression import LOOKS, add_window, compare, judge, late_steering, start_window
+from .requests import LAG, back_to, command_range, left_of_beginning, requested
 from .sliding import SKID
 
 YAW_NOISE = 0.005
@@ -40,6 +40,8 @@ it must."""
 LEAST_GAIN, MOST_GAIN, SOFTNESS, OFFSET = 0.65, 1.6, 0.006, 0.03
 """Turning over that of the kinematic model: least, at rest, and most; s^2/m^2 m, by which understeer lowers the least;
 rad, offset of the wheels."""
+LATEST = 0.15
+"""s, by which the yaw rate of a car may follow its wheels, so much later than the specified delay."""
 _integrals = local(TICKS, 2)
 
 
@@ -206,3 +208,7 @@ def compare_steering(turned, rates, aside, memory, settings):
         report(memory, SUBJECTS.steering, label - 1, 0.0, 0.0, 0.0)
         if label == 1 + MISTAKES.steering_sign:
             memory.against_steering = 1
+    elif label == 0 and settings.known > 0.0 and settings.delay < math.inf:
+        delay = late_steering(memory, LAG, settings.delay + LATEST)
+        if delay > 0.0:
+            report(memory, SUBJECTS.delay, MISTAKES.steering_late, delay, settings.delay, 0.0)
