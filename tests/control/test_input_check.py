@@ -116,13 +116,13 @@ def test_a_specified_delay_that_driving_contradicts_is_reported_once_and_a_learn
     belief = Steering(lag=0.15, dead_time=0.0, rate=0.5)
     mpc = MPC(CAR, profile="road", belief=belief, computation=0.05, learning=learning)
     with caplog.at_level(logging.WARNING, logger="adaptrack"):
-        driven = drive(DelayedCommands(Tracker(mpc, BEND), calls), BEND, 20.0, car=on_road(BEND, s=2.0, speed=10.0))
+        run = drive(DelayedCommands(Tracker(mpc, BEND), calls), BEND, 20.0, car=on_road(BEND, s=2.0, speed=10.0))
     records = [
         record.message for record in caplog.records if "later than the specified steering delay" in record.message
     ]
     assert len(records) == is_reported
     assert all("of 0.20 s explains: learn the delay, MPC(..., learning=Learning())" in message for message in records)
-    assert len(driven.calls[-1][1].suspect) == is_reported
+    assert len(run.calls[-1][1].suspect) == is_reported
 
 
 def test_a_wrong_steering_sign_ends_the_steering_and_engaging_begins_anew():

@@ -104,10 +104,10 @@ def test_a_pose_that_is_late_alone_gives_the_errors_and_the_command_of_the_promp
 def test_the_time_of_the_pose_as_that_of_the_motion_changes_no_bit(name, rng):
     first, other = (Tracker(informed() if name == "informed" else LQR(CAR), ROAD) for _ in range(2))
     for row in calls(rng, 150, ROAD):
-        t, now = row[:2]
+        t, call_time = row[:2]
         if not math.isfinite(t):
             continue
-        options = {"now": now if math.isfinite(now) else None, "lateral_acceleration": row[8]}
+        options = {"now": call_time if math.isfinite(call_time) else None, "lateral_acceleration": row[8]}
         assert repr(first.step(t, *row[2:7], **options)) == repr(other.step(t, *row[2:7], **options, motion_time=t))
 
 

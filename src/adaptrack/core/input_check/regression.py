@@ -136,8 +136,8 @@ def _least_misfit(memory, alternative, least, most, square):
     _reduce(memory, COMPARED.steering, alternative, square)
     both = square[X1, X2] - square[X1, Y]
     gain = clip(-both / square[X1, X1], least, most) if square[X1, X1] > 0.0 else 1.0
-    rest = square[X2, X2] - 2.0 * square[X2, Y] + square[Y, Y]
-    return gain * (gain * square[X1, X1] + 2.0 * both) + rest
+    remainder = square[X2, X2] - 2.0 * square[X2, Y] + square[Y, Y]
+    return gain * (gain * square[X1, X1] + 2.0 * both) + remainder
 
 
 @inlined
