@@ -162,6 +162,8 @@ class AutowareFollower:
             self._integral = min(max(self._integral + self._error * self._period, -most), most)
         feedback = min(max(p.kp * self._error, -p.max_out), p.max_out) + p.ki * self._integral
         feed_forward = (after**2 - before**2) / (2.0 * STEP)
+        if speed < p.stopped_state_entry_vel:
+            feed_forward = max(feed_forward, 0.0)  # a planner plans from the present speed
         return target, min(max(feed_forward + min(max(feedback, -p.max_out), p.max_out), p.min_acc), p.max_acc)
 
     def _stop_smoothly(self, distance: float, speed: float) -> float:

@@ -7,7 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack import MPC, DualTrack, Perception, RoadDrive, SingleTrack, UserPlant, load_vehicle, simulate
+from adaptrack import (
+    MPC,
+    DualTrack,
+    Perception,
+    RoadDrive,
+    SingleTrack,
+    SpeedControl,
+    UserPlant,
+    load_vehicle,
+    simulate,
+)
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
@@ -148,6 +158,20 @@ def test_a_driver_keeps_its_speed_on_a_slope_and_holds_the_car_at_a_stop(grade: 
     assert np.ptp(run.road["station"][stands]) == 0.0
     assert np.count_nonzero(stands) * run.period >= 2.5
     assert run.vx.min() >= 0.0
+
+
+@pytest.mark.compiled
+def test_behind_a_stop_of_a_speed_control_the_car_is_on_the_slope_of_its_place() -> None:
+    car, grade = SALOON, 0.08
+    road = Road.from_segments([Line(length=90.0)], name="straight")
+    road = road.replace(grade=([0.0, 30.0, 35.0, 90.0], [0.0, 0.0, grade, grade]))
+    plan = plan_speed(road, car, Comfort(accelerate=1.5, brake=2.0), stops=[Stop(20.0, 0.5)], top_speed=8.0)
+    run = simulate(
+        DualTrack(car), MPC(car, profile="road"), RoadDrive(road, plan), profile="road", driver=SpeedControl(car)
+    )
+    on_slope = (run.road["station"] > 60.0) & (run.road["station"] < 80.0)
+    surplus = run.diagnostics["requested_force"] / car.mass - np.gradient(run.vx, run.period)
+    assert float(np.mean(surplus[on_slope])) == pytest.approx(GRAVITY * math.sin(math.atan(grade)), rel=0.15)
 
 
 def test_a_plant_that_does_not_take_the_grade_is_refused_by_name_on_a_slope() -> None:
