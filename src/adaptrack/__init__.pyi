@@ -111,7 +111,12 @@ from .drive.world import Driver as Driver
 from .export.c_library import export_c as export_c
 from .export.fmu import export_fmu as export_fmu
 from .export.page_file import export_page as export_page
-from .identification import Identification as Identification, Reading as Reading, identify as identify
+from .identification import (
+    Identification as Identification,
+    Reading as Reading,
+    SteeringTest as SteeringTest,
+    identify as identify,
+)
 from .road import (
     Road as Road,
     check_road as check_road,
