@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 MIN_TEST_SPEED, MAX_TEST_SPEED = 1.5, 3.0
 """m/s, between which the yaw rate shows the wheels; with a wheel-angle sensor the car may also be slower, or stand."""
+ACCEPTED_SPEEDS = (0.9 * MIN_TEST_SPEED, 1.1 * MAX_TEST_SPEED)
+"""m/s, between which a measured speed, with its noise, may lie."""
 TEST_DISTANCE, TEST_DURATION = 10.0, 6.0
 """m and s, after the earlier of which the test is complete."""
 MAX_TEST_ANGLE = 0.15
@@ -126,15 +128,16 @@ class SteeringTest:
         self.is_complete = progress >= 1.0
         command = self.angle * TEST_STEPS[min(int(len(TEST_STEPS) * progress), len(TEST_STEPS) - 1)]
         # steered wheels do not turn a car that hardly rolls
-        self._rows.append((time, sent, command, v, r if v >= MIN_TEST_SPEED else math.nan, wheel))
+        self._rows.append((time, sent, command, v, r if v >= ACCEPTED_SPEEDS[0] else math.nan, wheel))
         return command
 
     def _find_fault(self, time: float, speed: float, yaw_rate: float, wheel: float) -> str:
         """Sentence on a sample that the test cannot use; empty: none."""
         remedy = f"drive {MIN_TEST_SPEED:g} to {MAX_TEST_SPEED:g} m/s, or measure the wheel angle and stand"
-        if not math.isfinite(speed) or speed > MAX_TEST_SPEED or speed < -0.1:
+        slowest, fastest = ACCEPTED_SPEEDS
+        if not math.isfinite(speed) or speed > fastest or speed < -0.1:
             return f"speed = {speed:.3g} m/s at t = {time:.3f} s: {remedy}."
-        if not math.isfinite(wheel) and (speed < MIN_TEST_SPEED or not math.isfinite(yaw_rate)):
+        if not math.isfinite(wheel) and (speed < slowest or not math.isfinite(yaw_rate)):
             why = "no wheel angle" if math.isfinite(yaw_rate) else "neither wheel angle nor yaw rate"
             return f"speed = {speed:.3g} m/s and {why} measured at t = {time:.3f} s: {remedy}."
         if self._rows and time - self._rows[-1][0] > 2.0 * LONGEST_PERIOD:
