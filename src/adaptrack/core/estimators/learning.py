@@ -35,6 +35,11 @@ The delay has a test of its own, in excited driving far from the grip (`_test_de
  A quantity whose mean is at the end of its
 range is reported as uncertain as before the first sample, however small the variance of the filters.
 
+The filters know neither the relaxation of the tyres nor longitudinal forces. At low speed a relaxing tyre responds as
+late as a soft one, so without v_y stiffness, balance and friction are held below `least_tyre_speed`, and no
+contradiction is sought. Under drive and brake forces all is learned: braking with 4 m/s^2 shifts the balance by up to
+0.1 and the stiffness by up to 0.1 of their logarithms, less than is reported as uncertain except on low friction.
+
 The noise of each sensor is that of third differences of its samples, E(x_k - 3 x_(k-1) + 3 x_(k-2) - x_(k-3))^2 =
 20 sigma^2 for white noise: the motion of a car hardly shows in them. Samples whose ages vary are not evenly spaced:
 divided differences replace these differences, and a filter moves on by the time between two samples.
@@ -155,6 +160,7 @@ Memory = record("Memory", (
     ("third_last", (float64, kalman.SENSOR_COUNT)),  # samples
     ("change", DelayChange),  # over the last seconds of excited driving
     "excited",  # s, of excited driving so far
+    "holds_tyres",  # 1 while the states of the tyres are not learned
 ))  # fmt: skip
 """What the memory begins with; the commands that were sent follow, then the hypotheses."""
 memory_of = viewer(Memory)
@@ -202,6 +208,8 @@ LEAST_DELAY_VARIANCE = 1e-9
 """s^2"""
 RETURNING = (STIFFNESS_SCALE, BALANCE, FRICTION, BIAS)
 """What returns to its prior in a contradiction; the bias only far from the grip."""
+OF_STEERING, OF_TYRES = (STEERING_LAG, DEAD_TIME), (STIFFNESS_SCALE, BALANCE, FRICTION)
+"""States that are held where the model is wrong: near the grip; at low speed without v_y."""
 
 LEARN = void(float64, vector, float64, int64, vector, vector)
 """``learn(speed, measured, command, excluded, parameters, memory)``: take in what was measured (`MEASUREMENT`) at a
@@ -452,23 +460,31 @@ def _add_score(innovation, variance, cross, candidate):
 
 
 @inlined
-def _take_in(sensor, value, variance, candidate, speed, by_dead_time, p):
+def _hold(states, before, cross, candidate):
+    """Undo a correction of states and of their covariance, as for the considered states of a Schmidt filter."""
+    for i in states:
+        candidate.x[i] = before[i]
+        for j in states:
+            candidate.covariance[i, j] += cross[i] * cross[j]
+
+
+@inlined
+def _take_in(sensor, value, variance, candidate, speed, by_dead_time, p, m):
     """Correct x and P by a sensor of a variance; the log-likelihood of what it reads."""
     h, cross = _states(), _states()
     innovation = value - _reading(sensor, candidate, speed, by_dead_time, p, h)
     P = candidate.covariance
     variance = scatter(variance, h, P, cross)
     nu = bounded(innovation, variance, p.method.innovation_bound)
-    lag, dead_time = candidate.x[STEERING_LAG], candidate.x[DEAD_TIME]
+    before = _states()
+    for state in range(LEARNER_STATES):
+        before[state] = candidate.x[state]
     _add_score(nu, variance, cross, candidate)
     correct(nu, variance, cross, candidate.x, P)
-    if candidate.grip_use > p.method.delay_grip_use:
-        # the model is wrong near the grip: no innovation there moves the delay, nor makes it certain
-        candidate.x[STEERING_LAG], candidate.x[DEAD_TIME] = lag, dead_time
-        P[STEERING_LAG, STEERING_LAG] += square(cross[STEERING_LAG])
-        P[DEAD_TIME, DEAD_TIME] += square(cross[DEAD_TIME])
-        P[STEERING_LAG, DEAD_TIME] += cross[STEERING_LAG] * cross[DEAD_TIME]
-        P[DEAD_TIME, STEERING_LAG] = P[STEERING_LAG, DEAD_TIME]
+    if candidate.grip_use > p.method.delay_grip_use:  # the model is wrong near the grip
+        _hold(OF_STEERING, before, cross, candidate)
+    if m.holds_tyres > 0.5:
+        _hold(OF_TYRES, before, cross, candidate)
     surprise = min(square(innovation) / variance, square(p.method.innovation_bound))
     candidate.disagreement += surprise
     return -0.5 * (surprise + log(variance))
@@ -767,7 +783,7 @@ def _advance(candidate, speed, step, measured, variance, p, m, memory):
     for sensor in _TAKEN_IN:
         if variance[sensor] < math.inf:
             taken_in += 1.0
-            likelihood += _take_in(sensor, measured[sensor], variance[sensor], candidate, speed, by_dead_time, p)
+            likelihood += _take_in(sensor, measured[sensor], variance[sensor], candidate, speed, by_dead_time, p, m)
     candidate.disagreement = candidate.disagreement / taken_in if taken_in > 0.0 else math.nan
     for state in RETURNING:
         candidate.gain[state] += p.contradiction_share / (p.period * candidate.covariance[state, state])
@@ -787,6 +803,7 @@ def _judge(p, m, memory):
         surprise += candidate.weight * candidate.disagreement
         information += candidate.weight * candidate.change.information_dead_time
         grip_use += candidate.weight * candidate.grip_use
+    surprise = 1.0 if m.holds_tyres > 0.5 else surprise
     if math.isfinite(surprise):
         m.disagreement += p.contradiction_share * (surprise - m.disagreement)
     if m.beliefs.belief_state == CONTRADICTORY:
@@ -876,6 +893,8 @@ def learn(speed, measured, command, excluded, parameters, memory):
     m.step, m.second_step, m.third_step = step, m.step, m.second_step
     in_time = abs(m.age - age) <= STEP_ERROR * p.period
     m.slow = 0.0 if abs(speed) >= MIN_LEARNING_SPEED and math.isfinite(speed) else 1.0
+    measures_vy = p.variance[MEASUREMENT.vy] < math.inf
+    m.holds_tyres = 1.0 if speed < p.method.least_tyre_speed and not measures_vy else 0.0
     variance = _sensors()
     for sensor in range(kalman.SENSOR_COUNT):
         usable = in_time and _is_usable(sensor, excluded, p, measured, m)
