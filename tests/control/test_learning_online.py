@@ -225,17 +225,29 @@ def test_a_variance_returns_no_faster_than_driving_reduces_it(gain, time):
 
 
 # -- when it is still -------------------------------------------------------------------------------------------------
-def drive_steps(mpc, steps=60, seed=0):
+def drive_steps(mpc, steps=60, seed=0, speed=SPEED):
     """Steps behind noisy samples of a car that wanders."""
     rng = np.random.default_rng(seed)
     for _ in range(steps):
         state = NOTHING_MEASURED.copy()
         state[:4] = rng.normal(size=4) * [0.05, 0.003, 0.02, 0.03]
-        mpc.step(state, SPEED, np.zeros(40))
+        mpc.step(state, speed, np.zeros(40))
 
 
 def learned_of(mpc):
     return [belief(mpc, name) for name in ("belief_delay", "belief_stiffness", "belief_bias")]
+
+
+@pytest.mark.parametrize(
+    ("profile", "speed", "learns"), [("production", 5.0, False), ("production", 9.0, True), ("road", 5.0, True)]
+)
+def test_relaxing_tyres_teach_no_stiffness_at_low_speed_without_a_lateral_velocity(profile, speed, learns):
+    mpc = learner(profile)
+    names = [f"belief_{name}{part}" for name in ("stiffness", "balance", "friction") for part in ("", "_sigma")]
+    drive_steps(mpc, 1, speed=speed)
+    before = [belief(mpc, name) for name in names]
+    drive_steps(mpc, 20, seed=1, speed=speed)
+    assert (np.abs(np.subtract([belief(mpc, name) for name in names], before)).max() > 0.02) == learns
 
 
 @pytest.mark.compiled
