@@ -1,9 +1,9 @@
 """Measurement of the steering delay before a drive: the car creeps or stands, and its wheels make a few steps.
 
 The likelihood of `identify` is fitted to the samples of the test. Only lag, dead time, rate limit, gain and the errors
-of the sensors are open, as the tyres hardly slip at walking speed. The response of the wheels that a yaw rate shows is
-late by the tyres' relaxation length over the speed (Pacejka, *Tire and Vehicle Dynamics*, 3rd ed., section 7.2), which
-the likelihood models; its uncertainty is part of the interval.
+of the sensors are open, as the tyres hardly slip at walking speed. A yaw rate shows the wheels through relaxing tyres
+(Pacejka, *Tire and Vehicle Dynamics*, 3rd ed., section 7.2). The likelihood models them; their uncertainty is part of
+the interval.
 """
 
 from __future__ import annotations
@@ -156,8 +156,10 @@ class SteeringTest:
         if self.fault or not self.is_complete:
             raise InvalidInput(f"SteeringTest: {self.fault or 'not complete: call step until is_complete is true.'}")
         log = _log_of(np.array(self._rows))
-        priors = {name: Prior(prior.median, prior.spread if name in FREE_QUANTITIES else 0.0)
-                  for name, prior in beliefs_of(self.car).items()}  # fmt: skip
+        priors = {
+            name: prior if name in FREE_QUANTITIES else Prior(prior.median, 0.0)
+            for name, prior in beliefs_of(self.car).items()
+        }
         priors |= {"gain": GAIN_PRIOR, "wind_mean": Prior(0.0, 0.0)}
         likelihood = Likelihood(log, self.car, priors)
         fits = [likelihood.fit(_start(likelihood, delay)) for delay in START_DELAYS]
@@ -189,7 +191,7 @@ class SteeringTest:
 def _log_of(rows: Array) -> Log:
     """A log with a row for each sample and for each command, of which each has its own time."""
     sampled, sent = (np.round((times - rows[0, 0]) / TIME_GRID) * TIME_GRID for times in (rows[:, 0], rows[:, 1]))
-    time = np.union1d(sampled, sent)
+    time, sent = np.union1d(sampled, sent), np.maximum.accumulate(sent)
     latest = np.searchsorted(sent, time, side="right") - 1
     command = np.where(latest >= 0, rows[latest, 2], 0.0)
     yaw_rate, wheel = np.full(time.size, np.nan), np.full(time.size, np.nan)
