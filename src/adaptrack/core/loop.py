@@ -155,11 +155,7 @@ def locate(slot, run):
     _, _, samples = signals.shape
     last, first = samples - 1, drive.departed
     while drive.place < last and signals[scenario, SIGNAL.station, drive.place + 1] <= station:
-<<<<<<< HEAD
         if waits_at_stops(slot, run) and _is_stop(drive.place, drive, signals[scenario]):
-=======
-        if _waits_at_stops(slot, run) and _is_stop(drive.place, drive, signals[scenario]):
->>>>>>> e3b8a473 (Move a car with a speed controller on behind its stops)
             break
         drive.place += 1
     while drive.place > first and signals[scenario, SIGNAL.station, drive.place] > station:
@@ -175,12 +171,6 @@ def is_prescribed(slot, run):
 
 @inlined
 def waits_at_stops(slot, run):
-    """Whether the driver of the loop moves a car and waits at the stops of its plan."""
-    return not is_prescribed(slot, run) and run.settings.prescribed_speed != EXTERNAL_FORCES
-
-
-@inlined
-def _waits_at_stops(slot, run):
     """Whether the driver of the loop counts the seconds at a stop; a speed controller outside counts them itself."""
     return not is_prescribed(slot, run) and run.settings.prescribed_speed != EXTERNAL_FORCES
 
