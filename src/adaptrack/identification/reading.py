@@ -75,7 +75,7 @@ _SHORT = {
     "degrees_per_second": "deg/s", "rads": "rad/s", "rad_per_s": "rad/s", "rad_sec": "rad/s", "rad_per_sec": "rad/s",
     "rad/sec": "rad/s", "kmh": "km/h", "kph": "km/h", "km_h": "km/h", "kmph": "km/h", "km/h": "km/h", "mph": "mph",
     "mps": "m/s", "m_s": "m/s", "m/s": "m/s", "ms": "ms", "us": "us", "ns": "ns", "s": "s", "g": "g",
-    "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m", "n": "N", "kn": "kN",
+    "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m",
 }  # fmt: skip
 """Units as column names have them."""
 NEEDED_SIGNALS = ("speed", "yaw_rate", "command", "wheel", "steering_wheel")
