@@ -7,11 +7,20 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack import MPC, DualTrack, RoadDrive, Tracker, load_vehicle, simulate
+from adaptrack import MPC, DualTrack, Learning, RoadDrive, Tracker, load_vehicle, simulate
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
-from adaptrack.control.speed_control import SpeedControl, SpeedController, SpeedLimit, SpeedState
+from adaptrack.control.speed_control import (
+    SPEED_ACTIONS,
+    SpeedAction,
+    SpeedControl,
+    SpeedController,
+    SpeedLimit,
+    SpeedState,
+)
+from adaptrack.control.tracker import Status
 from adaptrack.core import speed_control as kernel
+from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road import Comfort, Line, Road, Stop, generate_road, plan_speed
 
@@ -151,20 +160,112 @@ def test_a_tracker_stops_at_the_end_of_its_path_and_holds_the_car() -> None:
     answers = _track(tracker, car, 700)
     assert car.v == 0.0
     assert car.s == pytest.approx(200.0, abs=0.4)
-    assert answers[-1].longitudinal.limited_by in {SpeedLimit.PATH_END, SpeedLimit.STOP}
+    assert answers[-1].longitudinal.limited_by == SpeedLimit.PATH_END
     assert answers[-1].longitudinal.hold > 0.0
 
 
-def test_without_a_position_a_tracker_stops_the_car_with_the_braking_of_comfort() -> None:
+@pytest.mark.parametrize(("speed", "strongest"), [(4.0, 1.3 * COMFORT.brake), (13.0, 8.0)])
+def test_without_a_position_a_car_stands_before_the_steering_loses_its_estimate(speed, strongest) -> None:
+    road = _straight(900.0)
+    plan = plan_speed(road, CAR, COMFORT, top_speed=speed)
+    tracker = Tracker(MPC(CAR, profile="road"), road, plan=plan, speed=SpeedControl(CAR))
+    assert speed < tracker.blind_top_speed
+    car = PointMass(speed, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
+    answers = _track(tracker, car, 200, has_position=lambda k: k < 60)
+    assert car.v == 0.0
+    moving = [answer for answer in answers[60:] if answer.status is not Status.STANDING]
+    assert {answer.status for answer in moving} == {Status.ESTIMATED}
+    assert min(answer.longitudinal.acceleration for answer in answers) > -strongest
+    assert answers[-1].longitudinal.limited_by == SpeedLimit.FAULT
+    assert answers[-1].longitudinal.hold > 0.0
+
+
+@pytest.mark.parametrize("has_position", [True, False])
+@pytest.mark.parametrize("status", list(Status))
+def test_the_tracker_obeys_each_row_of_the_table_of_actions(status, has_position, monkeypatch) -> None:
     road = _straight(900.0)
     plan = plan_speed(road, CAR, COMFORT, top_speed=12.0)
     tracker = Tracker(MPC(CAR, profile="road"), road, plan=plan, speed=SpeedControl(CAR))
     car = PointMass(12.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
-    answers = _track(tracker, car, 600, has_position=lambda k: k < 60)
+    before = _track(tracker, car, 40)[-1].longitudinal
+    answer = tracker._answer
+    monkeypatch.setattr(tracker, "_answer", lambda time: answer(time)._replace(status=status))
+    for k in range(40, 40 + round(0.7 / PERIOD)):
+        car.move(before.force, 0.0)  # its speed stays, whatever is requested
+        pose = (car.s, 0.0, 0.0) if has_position else (math.nan,) * 3
+        command = tracker.step(k * PERIOD, *pose, car.v, 0.0).longitudinal
+    action = SPEED_ACTIONS[status][0 if has_position else 1]
+    if action is SpeedAction.FOLLOW:
+        assert command.state == SpeedState.DRIVING
+        assert command.acceleration == pytest.approx(0.0, abs=0.2)
+    elif action is SpeedAction.SLOW:
+        needed = 12.0 / (3.0 - 0.7 - 0.5)  # s: patience of the filter, time without a position, mean delay of brakes
+        assert command.acceleration == pytest.approx(-needed, rel=0.1)
+    elif action is SpeedAction.COMFORT_STOP:
+        assert command.acceleration == pytest.approx(-COMFORT.brake)
+        assert command.limited_by == SpeedLimit.FAULT
+    elif action is SpeedAction.EMERGENCY_STOP:
+        assert command.state == SpeedState.EMERGENCY
+        assert command.acceleration < -2.0 * COMFORT.brake
+    else:
+        assert command == before
+
+
+def test_without_a_speed_the_car_makes_a_comfortable_stop() -> None:
+    road = _straight(900.0)
+    controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=8.0), PERIOD)
+    car = PointMass(8.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
+    requests = []
+    for k in range(240):
+        requests.append(controller.step(car.s, car.v if k < 40 else math.nan, 0.0))
+        car.move(requests[-1].force, requests[-1].hold)
     assert car.v == 0.0
-    requests = [answer.longitudinal for answer in answers[150:]]
-    assert {request.limited_by for request in requests} == {SpeedLimit.FAULT}
+    assert requests[-1].limited_by == SpeedLimit.FAULT
     assert min(request.acceleration for request in requests) > -1.3 * COMFORT.brake
+
+
+def test_a_driver_hands_over_without_a_bump_and_teaches_nothing() -> None:
+    road = _straight(900.0)
+    controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=14.0), PERIOD)
+    car = PointMass(10.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1), slope=0.4)
+    before = {name: belief._replace(acting=0.0) for name, belief in controller.learned.items()}
+    for k in range(200):
+        driver = k < 60
+        request = controller.step(car.s, car.v, 0.0, driver=driver)
+        force = (car._slope + 0.8) * car._mass if driver else request.force
+        if driver and k > 30:
+            assert (request.state, request.limited_by) == (SpeedState.OFF, SpeedLimit.DRIVER)
+            assert request.acceleration == pytest.approx(0.8, abs=0.05)
+            learned = {name: belief._replace(acting=0.0) for name, belief in controller.learned.items()}
+            assert learned == before
+            last = request.acceleration
+        elif not driver and k < 70:
+            assert abs(request.acceleration - last) < 0.3  # 5 m/s^3 and the follower's own
+            last = request.acceleration
+        car.move(force, request.hold)
+    assert request.state == SpeedState.DRIVING
+    assert car.v == pytest.approx(14.0, abs=0.2)
+
+
+def test_the_speed_is_limited_until_the_delay_of_the_steering_is_learned() -> None:
+    mpc = MPC(CAR, belief="unknown", learning=Learning())
+    road = _straight(900.0)
+    controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=30.0), PERIOD)
+    controller.limit_speed(mpc)
+    assert controller.top_speed == mpc.learner.first_top_speed < 30.0
+    car = PointMass(10.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
+    for _ in range(400):
+        request = controller.step(car.s, car.v, 0.0)
+        car.move(request.force, request.hold)
+    assert car.v == pytest.approx(mpc.learner.first_top_speed, abs=0.1)
+    assert request.limited_by == SpeedLimit.STEERING
+    answer = mpc.step(np.zeros(4), 10.0, np.zeros(60))
+    controller.limit_speed(mpc, answer)
+    assert controller.top_speed == mpc.learner.first_top_speed
+    learned = list(answer.learned)
+    learned[BELIEF_COLUMNS.belief_delay_sigma] = 0.01
+    controller.limit_speed(mpc, answer._replace(learned=tuple(learned)))
+    assert controller.top_speed == math.inf
 
 
 def test_impossible_speed_controls_are_refused_with_the_remedy() -> None:

@@ -14,8 +14,10 @@ from pydantic import Field
 from adaptrack.base.checked import Bound, Positive, Share, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
+from adaptrack.control.controllers import MPC, Controller, MPCCommand
 from adaptrack.core import speed_control as kernel
 from adaptrack.core import speed_learning as learning
+from adaptrack.core.estimators.learning import BELIEF_COLUMNS, CERTAIN
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road import Comfort, Road, SpeedPlan
 from adaptrack.road.cornering import cornering_limit
@@ -54,10 +56,50 @@ class SpeedLimit(StrEnum):
     STOP = "stop"
     PATH_END = "path end"
     FAULT = "fault"
-    """no position"""
+    """no position or no speed: the car stops"""
+    DRIVER = "driver"
+    """a driver uses the pedals: the requests follow the motion of the car"""
+    STEERING = "steering unknown"
+    """the steering of the car is not known well enough to drive faster, see `Learner.first_top_speed`"""
+    POWERTRAIN = "powertrain"
+    """engine power, largest drive or brake force of the car"""
 
 
 _STATES, _LIMITS = tuple(SpeedState), tuple(SpeedLimit)
+
+
+class SpeedAction(StrEnum):
+    """Action of the speed control after a call of a tracker."""
+
+    FOLLOW = "follow"
+    """follow the plan"""
+    SLOW = "slow"
+    """follow the plan as long as the car can stand before the steering loses its estimate, otherwise brake for that"""
+    COMFORT_STOP = "comfort stop"
+    """stop with the deceleration of comfort, and keep the car at rest"""
+    EMERGENCY_STOP = "emergency stop"
+    """stop with the largest deceleration that friction allows, and keep the car at rest"""
+    NONE = "none"
+    """keep the requests in force"""
+
+
+SPEED_ACTIONS = {
+    "ok": (SpeedAction.FOLLOW, SpeedAction.SLOW),
+    "estimated": (SpeedAction.FOLLOW, SpeedAction.SLOW),
+    "sliding": (SpeedAction.FOLLOW, SpeedAction.SLOW),
+    "end": (SpeedAction.FOLLOW, SpeedAction.SLOW),
+    "standing": (SpeedAction.FOLLOW, SpeedAction.COMFORT_STOP),
+    "held": (SpeedAction.COMFORT_STOP, SpeedAction.EMERGENCY_STOP),
+    "off-path": (SpeedAction.COMFORT_STOP, SpeedAction.COMFORT_STOP),
+    "reverse": (SpeedAction.COMFORT_STOP, SpeedAction.COMFORT_STOP),
+    "repeated": (SpeedAction.NONE, SpeedAction.NONE),
+}
+"""By status of a tracker: the action with a position of the last `BLIND_GRACE` seconds, and without one.
+
+A speed that is missing for so long leads to a comfort stop, whatever the status.
+"""
+BLIND_GRACE = kernel.BLIND_GRACE
+"""s without a position or a speed, during which the plan is followed."""
 
 
 class SpeedCommand(NamedTuple):
@@ -130,8 +172,8 @@ class SpeedControl:
         """Low and high end of the assumed friction."""
         return self.friction if isinstance(self.friction, tuple) else (self.friction, self.friction)
 
-    def settings(self, period: float, comfort: Comfort) -> Any:
-        """Record of the kernel for a control period (s) and the comfort of a plan."""
+    def settings(self, period: float, comfort: Comfort, patience: float = 0.0) -> Any:
+        """Record of the kernel for a control period (s), the comfort of a plan and the patience (s) of the steering."""
         car = self.car
         low, high = (friction * _grip_share(car, friction) for friction in self.friction_interval)
         drive, brakes = self.drive or car.drive, self.brakes or car.brakes
@@ -146,7 +188,7 @@ class SpeedControl:
             friction=low, friction_high=high, governor=self.governor, guard=self.guard,
             drive_lag=drive.lag if drive else math.nan, drive_dead_time=drive.dead_time if drive else math.nan,
             brake_lag=brakes.lag if brakes else math.nan, brake_dead_time=brakes.dead_time if brakes else math.nan,
-            gain=self.gain,
+            gain=self.gain, patience=patience,
         )  # fmt: skip
 
 
@@ -187,36 +229,88 @@ def _banks(settings: Any, period: float) -> Any:
 
 
 class SpeedController:
-    """A speed control on its way along a path, called once a control period."""
+    """A speed control on its way along a path, called once a control period.
+
+    patience: s without a position, after which the steering has no estimate; 0: unlimited.
+    """
 
     def __init__(
-        self, control: SpeedControl, path: Road, plan: SpeedPlan, period: float, stop_at_end: bool = False
-    ) -> None:
-        self.control, self._period, self._stop_at_end = control, period, stop_at_end
+        self, control: SpeedControl, path: Road, plan: SpeedPlan, period: float, *, stop_at_end: bool = False,
+        patience: float = 0.0,
+    ) -> None:  # fmt: skip
+        self.control, self._period, self._stop_at_end, self._patience = control, period, stop_at_end, patience
         self._memory, self._sample = kernel.SPEED_MEMORY.new(1), kernel.SPEED_SAMPLE.new(1)
-        self._sample[0].acceleration, self._sample[0].top_speed = math.nan, math.inf
+        self.top_speed = math.inf
+        """m/s, up to which the steering is known"""
         self.follow(path, plan)
         self._banks = _banks(self._settings, period)
         kernel.speed_control_begin(self._settings, self._banks)
 
     def follow(self, path: Road, plan: SpeedPlan) -> None:
         """Follow another plan from now on; what was learned of resistance and slope stays."""
-        self._settings = self.control.settings(self._period, plan.comfort)
+        self._settings = self.control.settings(self._period, plan.comfort, self._patience)
         self._path = speed_path(path, plan, self._stop_at_end)
         way = float(plan.speed.max()) ** 2 / (2.0 * min(plan.comfort.brake, 2.0)) + MARGIN_OF_HORIZON
         self._ahead = np.zeros(max(4, math.ceil(way / self._path.spacing)))
         self._memory[0].next_stop = 0
         self._memory[0].state = kernel.OFF
 
-    def step(self, station: float, speed: float, yaw_rate: float) -> SpeedCommand:
+    def step(
+        self, station: float, speed: float, yaw_rate: float, *, acceleration: float = math.nan, driver: bool = False,
+        blind_time: float = 0.0,
+    ) -> SpeedCommand:  # fmt: skip
         """Return the requests for the present period.
 
-        station: m, of the car on its path over all laps; speed: m/s; yaw_rate: rad/s. NaN: not measured.
+        Parameters
+        ----------
+        station
+            m, of the car on its path over all laps; NaN: unknown.
+        speed, yaw_rate
+            m/s and rad/s; NaN: not measured.
+        acceleration
+            m/s^2, measured along the car, without gravity; NaN: not measured.
+        driver
+            Whether a driver uses the pedals. The requests then follow the motion of the car, and nothing is learned.
+        blind_time
+            s, since the last position.
         """
-        sample = self._sample[0]
-        sample.station, sample.speed, sample.yaw_rate = station, speed, yaw_rate
+        self._sample[0] = station, speed, yaw_rate, acceleration, driver, self.top_speed, blind_time
         kernel.speed_control_step(self._sample, self._memory, self._settings, self._path, self._banks, self._ahead)
         return self.command
+
+    def act(self, action: SpeedAction, station: float, blind_time: float, **sample: Any) -> SpeedCommand:
+        """Return the requests of an action; `station`, `blind_time` and sample: see `step`."""
+        if action is SpeedAction.NONE:
+            return self.command
+        is_guided = action in {SpeedAction.FOLLOW, SpeedAction.SLOW}
+        is_blind = action in {SpeedAction.SLOW, SpeedAction.EMERGENCY_STOP}
+        return self.step(station if is_guided else math.nan, blind_time=blind_time if is_blind else 0.0, **sample)
+
+    def limit_speed(self, controller: Controller, answer: object = None) -> None:
+        """Limit the speed to `Learner.first_top_speed` until the controller has learned the delay of its steering.
+
+        answer: of the latest step of the controller; None before the first.
+        """
+        if not isinstance(controller, MPC) or controller.learner is None:
+            return
+        if answer is None:
+            self.top_speed = controller.learner.first_top_speed
+        elif isinstance(answer, MPCCommand) and answer.learned[BELIEF_COLUMNS.belief_delay_sigma] < CERTAIN[0]:
+            self.top_speed = math.inf
+
+    @property
+    def blind_top_speed(self) -> float:
+        """m/s, up to which the car can stand before the steering loses its estimate; inf: it never does.
+
+        A car that loses its position brakes `BLIND_GRACE` and the delay of its brakes later, with at most `emergency`
+        and what the guard leaves of the lowest assumed friction.
+        """
+        if self._patience <= 0.0:
+            return math.inf
+        brakes = self.learned["brakes"]
+        braking_time = self._patience - BLIND_GRACE - brakes.lag - brakes.dead_time
+        grip = self.control.guard * self._settings.friction * GRAVITY
+        return max(braking_time, 0.0) * min(self.control.emergency, grip)
 
     @property
     def command(self) -> SpeedCommand:

@@ -24,8 +24,9 @@ from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of
 from adaptrack.control.controllers.belief import SourcedValue
+from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.recording import Recorder
-from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
+from adaptrack.control.speed_control import BLIND_GRACE, SPEED_ACTIONS, SpeedCommand, SpeedControl, SpeedController
 from adaptrack.control.speed_target import SpeedTarget
 from adaptrack.control.tracking import input_check_of, packed_plan, tracker_of
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
@@ -33,7 +34,7 @@ from adaptrack.core.kernel import Resident
 from adaptrack.core.tracker.change_path import tracker_follow
 from adaptrack.core.tracker.conclude_instant import tracker_conclude
 from adaptrack.core.tracker.prepare_instant import tracker_prepare
-from adaptrack.core.tracker.records import NO_BELIEF, REQUEST, TRACKER_SAMPLE
+from adaptrack.core.tracker.records import LONGEST_GAP, NO_BELIEF, REQUEST, TRACKER_SAMPLE
 from adaptrack.core.tracker.take_call import tracker_engage, tracker_take
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import RoadAhead, stacked
@@ -71,10 +72,6 @@ _STATUSES = tuple(Status)
 """In the order of `core.tracker.records`."""
 
 
-STEERED = frozenset({Status.OK, Status.ESTIMATED, Status.STANDING, Status.SLIDING, Status.END})
-"""Statuses in which a speed control follows its plan; in all others it stops the car."""
-
-
 class Tracked(NamedTuple):
     """Result of one call of a tracker."""
 
@@ -108,6 +105,8 @@ class Timing(NamedTuple):
     """s, from a call to its command"""
 
 
+SHORTEST_PERIOD_SHARE = 0.9
+"""Control periods between two steps of the speed control while there are no control instants."""
 TIMED_STEPS = 50
 """Control steps after which their times are compared with the computation time that the controller assumes."""
 PERIOD_TOLERANCE = 0.4
@@ -133,8 +132,8 @@ class Tracker:
     plan : SpeedPlan, optional
         The speed that is planned along it; without one the present speed is expected to stay.
     speed : SpeedControl, optional
-        Controls the speed along the plan: `Tracked.longitudinal` then requests acceleration and force. Without a
-        position, off the path and in reverse the car is stopped with the deceleration of comfort.
+        Controls the speed along the plan: `Tracked.longitudinal` then requests acceleration and force. The status
+        decides whether the car follows the plan or stops, see `control.speed_control.SPEED_ACTIONS`.
     furthest : float
         From the path, beyond which the status says so.
     record : path, optional
@@ -173,11 +172,17 @@ class Tracker:
         self.timing: Timing | None = None
         """of the loop; None before `TIMED_STEPS` control steps"""
         self._speed: SpeedController | None = None
+        self._speed_time = -math.inf
         if speed is not None and plan is None:
             raise InvalidInput("Tracker: speed: a speed control follows a plan; give plan=plan_speed(path, car).")
         self._set_path(path, plan)
         if speed is not None and plan is not None:
-            self._speed = SpeedController(speed, path, plan, self.period, speed.stop_at_end)
+            estimator = getattr(controller, "estimator", None)
+            patience = estimator.patience if isinstance(estimator, KalmanFilter) else LONGEST_GAP
+            self._speed = SpeedController(
+                speed, path, plan, self.period, stop_at_end=speed.stop_at_end, patience=patience
+            )
+            self._speed.limit_speed(controller)
         self._check = input_check_of(controller)
         self._load(tracker_of(controller, path, plan, furthest, self._check))
         self._recorder = None if record is None else Recorder(record)
@@ -212,6 +217,14 @@ class Tracker:
     def furthest(self) -> float:
         """m, from the path, beyond which the status says so."""
         return float(self._kernel.settings[0].furthest)
+
+    @property
+    def blind_top_speed(self) -> float:
+        """m/s, up to which a car that loses its position can stand before the steering loses its estimate.
+
+        inf without a speed control; see `control.speed_control.SpeedController.blind_top_speed`.
+        """
+        return math.inf if self._speed is None else self._speed.blind_top_speed
 
     @checked
     def engage(self, wheel_angle: Annotated[Finite, "rad"] = 0.0, near: Annotated[Finite, "m"] | None = None) -> None:
@@ -280,6 +293,8 @@ class Tracker:
         wheel_angle: float | None = None,
         now: float | None = None,
         motion_time: float | None = None,
+        longitudinal_acceleration: float = math.nan,
+        driver: bool = False,
     ) -> Tracked:
         """Process one sample and return the steering command for the current instant.
 
@@ -287,9 +302,11 @@ class Tracker:
         backwards; yaw_rate: rad/s; lateral_velocity: m/s; lateral_acceleration: m/s^2, without the pull of a bank;
         wheel_angle: rad, of the road wheels: where it is given, the first command is near it; now: s, on the same
         clock, when later than t; motion_time: s, on the same clock, when speed, yaw rate, lateral velocity and
-        acceleration and wheel angle were taken, if not at t: then t is the time of x, y and yaw. What is not known is
-        NaN; a call without a position is one as well. What no car can have, and all but the speed of a sample that is
-        2 s old, counts as not known (`core.tracker.records`).
+        acceleration and wheel angle were taken, if not at t: then t is the time of x, y and yaw;
+        longitudinal_acceleration: m/s^2, dv/dt without gravity; driver: whether a driver uses the pedals: the speed
+        control then learns nothing, and its requests follow the motion of the car. What is not known is NaN; a call
+        without a position is one as well. What no car can have, and all but the speed of a sample that is 2 s old,
+        counts as not known (`core.tracker.records`).
 
         Raises
         ------
@@ -321,7 +338,9 @@ class Tracker:
         if kernel.memory[0].speed > tracked.first_top_speed and not self._warned_of_speed:
             self._warn_of_speed(kernel.memory[0].speed, tracked.first_top_speed)
         if self._speed is not None:
-            tracked = tracked._replace(longitudinal=self._longitudinal(self._speed, tracked, row, steps))
+            acceleration = real("Tracker.step", "longitudinal_acceleration", longitudinal_acceleration)
+            motion = {"speed": row[5], "yaw_rate": row[6], "acceleration": acceleration, "driver": bool(driver)}
+            tracked = tracked._replace(longitudinal=self._longitudinal(self._speed, tracked, at, motion, steps))
         if steps:
             self._take_times(at - row[0], time.perf_counter() - call_start)
         if self._recorder is not None and tracked.status is not Status.REPEATED:
@@ -347,18 +366,19 @@ class Tracker:
         return Tracked(command, kind, offset, heading_error, station, state, suspects, target, first_top_speed=top)
 
     def _longitudinal(
-        self, control: SpeedController, tracked: Tracked, sample: list[float], steps: int
+        self, control: SpeedController, tracked: Tracked, time: float, motion: dict[str, Any], steps: int
     ) -> SpeedCommand:
         """Requests of the speed control: once a control instant, otherwise those in force.
 
-        A car that stands without a position is not started.
+        Without a position since the beginning there are no control instants, but calls of a period or more apart.
         """
-        if steps == 0:
+        memory = self._kernel.memory[0]
+        if steps == 0 and (memory.started or abs(time - self._speed_time) < SHORTEST_PERIOD_SHARE * self.period):
             return control.command
-        _, _, x, _, _, speed, yaw_rate, *_ = sample
-        starts_blind = tracked.status is Status.STANDING and not math.isfinite(x)
-        station = tracked.station if tracked.status in STEERED and not starts_blind else math.nan
-        return control.step(station, speed, yaw_rate)
+        self._speed_time = time
+        blind_time = time - float(memory.newest)
+        action = SPEED_ACTIONS[tracked.status][0 if blind_time <= BLIND_GRACE else 1]
+        return control.act(action, tracked.station, blind_time, **motion)
 
     def _obey(self) -> None:
         """Do with the controller what the kernels ask for."""
@@ -383,6 +403,8 @@ class Tracker:
         ahead = {"road": self._ahead} if self.controller.sees_road else {}
         answered = self.controller.step(state.copy(), speed, np.zeros(1), **ahead)
         answer = command_of(answered, float(kernel.memory[0].command))
+        if self._speed is not None:
+            self._speed.limit_speed(self.controller, answered)
         state, bound = self._belief_of(answered)
         kernel.answer[:] = answer.angle, answer.held, state, bound
 

@@ -5,7 +5,9 @@
     stop       before a stop constant jerk, so that speed and acceleration reach 0 together; hold pressure after it
     guard      a share of the force that each axle has left in addition to its lateral force
 
-The plan lies on an even grid of places. Without a position the car stops with the deceleration of comfort.
+The plan lies on an even grid of places. While a driver uses the pedals, the requests follow the motion of the car.
+Without a position the car brakes so that it stands before the steering loses its estimate; without any estimate, or
+without a speed, it stops with the deceleration of comfort.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import power
 from .plants.forces import GRAVITY
-from .speed_learning import SpeedBanks, begin_bank, learn_actuators, mean_of_bank, remember_request
+from .speed_learning import SpeedBanks, begin_bank, learn_actuators, mean_of_bank, remember_request, settle_actuators
 from .traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
 
 SPEED_SETTINGS = (
@@ -31,6 +33,7 @@ SPEED_SETTINGS = (
     "governor", "guard",  # -, shares: of the friction sideways ahead; of what the axles have left now
     "drive_lag", "drive_dead_time", "brake_lag", "brake_dead_time",  # s, NaN: learned while driving
     "gain",  # 1/s
+    "patience",  # s without a position, after which the steering has no estimate; 0: unlimited
 )  # fmt: skip
 SpeedSettings = record("SpeedSettings", SPEED_SETTINGS)
 """Car, comfort, friction and gains of a speed controller."""
@@ -52,13 +55,16 @@ SPEED_SAMPLE = record(
         "acceleration",  # m/s^2, measured along the car, without gravity; NaN: not measured
         "driver",  # 1: a driver uses the pedals
         "top_speed",  # m/s, up to which the steering of the car is known
+        "blind_time",  # s, since the last position
     ),
 )  # fmt: skip
 """What a speed controller is given once a control period."""
 
 OFF, DRIVING, STOPPING, WAITING, EMERGENCY = range(5)
 """States."""
-BY_PLAN, BY_COMFORT, BY_GRIP, BY_STOP, BY_PATH_END, BY_FAULT = range(6)
+(
+    BY_PLAN, BY_COMFORT, BY_GRIP, BY_STOP, BY_PATH_END, BY_FAULT, BY_DRIVER, BY_UNKNOWN_STEERING, BY_POWERTRAIN,
+) = range(9)  # fmt: skip
 """Causes that limit the speed or the acceleration."""
 
 SPEED_MEMORY = record(
@@ -70,6 +76,9 @@ SPEED_MEMORY = record(
         "target_speed", "grip_used",  # m/s, -: lateral and longitudinal acceleration over the assumed friction
         "speed", "station",  # m/s, m: last known
         "lateral",  # m/s^2, filtered
+        "motion",  # m/s^2, acceleration of the car, filtered
+        "handover",  # m/s^2, of the request beyond the follower's after a driver's; NaN: while one drives
+        "speed_age",  # s, since a speed was measured
     ),
     integers=("state", "limited_by", "next_stop"),
 )  # fmt: skip
@@ -93,6 +102,14 @@ STOP_LEAD = 0.1
 """Share of the lag by which a car comes nearer to its stop than its speed says, chosen on 60 cars: no bias."""
 COMFORT_RESERVE = 1.2
 """Factor on the accelerations of comfort within which errors of the speed are corrected."""
+MOTION_SMOOTHING = 0.35
+"""Share of a new measurement in the filtered acceleration."""
+HANDOVER_JERK = 5.0
+"""m/s^3, with which a request goes from a driver's to less; to more with the jerk of stops."""
+BLIND_GRACE = 0.5
+"""s without a position or a speed, during which the plan is followed."""
+BLIND_SHARE = 0.8
+"""Of the deceleration of comfort: where a car without a position needs so much to stand in time, it brakes."""
 LEAST_SPEED_AHEAD = 0.3
 """m/s, with which a car is taken to go on at a stop ahead."""
 
@@ -126,12 +143,15 @@ def _square_at(place, station, path, ahead):
 
 # -- the governor -----------------------------------------------------------------------------------------------------
 @inlined
-def _govern(station, settings, path, ahead):
-    """Write the squares of the speeds (m^2/s^2) that friction and comfort allow at the cells from the station on."""
+def _govern(station, top_square, settings, path, ahead):
+    """Write the squares of the speeds (m^2/s^2) that friction and comfort allow at the cells from the station on.
+
+    top_square: m^2/s^2, of the speed up to which the steering is known.
+    """
     first, grip = whole(floor(station / path.spacing)), settings.friction * GRAVITY
     for j in range(ahead.size):
         cell = _cell((first + j + 0.5) * path.spacing, path)
-        square_speed, curvature = path.square[cell], path.curvature[cell]
+        square_speed, curvature = min(path.square[cell], top_square), path.curvature[cell]
         if abs(curvature) > STRAIGHT:
             tilt = path.bank[cell] if curvature > 0.0 else -path.bank[cell]
             square_speed = min(square_speed, max(settings.governor * grip + tilt, 0.0) / abs(curvature))
@@ -176,7 +196,7 @@ def _resistance(speed, slope, settings):
 
 @inlined
 def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memory):
-    """Turn an acceleration (m/s^2) into a force (N) within powertrain, brakes and guard; whether it was bounded.
+    """Turn an acceleration (m/s^2) into a force (N) within powertrain, brakes and guard, and report what bounds it.
 
     drive, brakes: `speed_learning.ActuatorBelief`.
     """
@@ -189,11 +209,14 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
     friction = settings.friction if memory.state != EMERGENCY else settings.friction_high
     bend = min(lateral, LARGEST_BEND_SHARE * friction * GRAVITY)
     driving, braking = axle_limits(friction, settings.mass * GRAVITY, bend, settings)
-    strongest = min(settings.guard * driving, min(settings.traction_limit, settings.engine_power / max(speed, 1.0)))
-    weakest = -min(max(settings.guard * braking, LEAST_BRAKING * settings.mass), settings.brake_limit)
-    force = clip(demand, weakest, strongest)
+    powertrain = min(settings.traction_limit, settings.engine_power / max(speed, 1.0))
+    strongest, weakest = settings.guard * driving, -max(settings.guard * braking, LEAST_BRAKING * settings.mass)
+    force = clip(clip(demand, weakest, strongest), -settings.brake_limit, powertrain)
     memory.force, memory.acceleration = force, ratio * force / settings.mass - resistance
-    return force != demand
+    if not weakest <= demand <= strongest:
+        memory.limited_by = BY_GRIP
+    elif force != demand:
+        memory.limited_by = BY_POWERTRAIN
 
 
 @inlined
@@ -213,7 +236,62 @@ def _pass_stop(station, speed, settings, path, memory):
 
 
 @inlined
-def _follow(station, speed, lateral, drive, brakes, settings, path, memory, ahead):
+def _stop_cause(path, memory):
+    """Cause of the next stop."""
+    return BY_PATH_END if path.seconds[memory.next_stop % path.seconds.size] == math.inf else BY_STOP
+
+
+@inlined
+def _blind_deceleration(speed, blind_time, delay, settings):
+    """Deceleration (m/s^2) with which a car stands before the steering loses its estimate; 0: none is needed yet.
+
+    It is v over the time left less the delay (s) of the brakes.
+    """
+    if settings.patience <= 0.0 or blind_time <= BLIND_GRACE:
+        return 0.0
+    needed = speed / max(settings.patience - blind_time - delay, settings.period)
+    return min(needed, settings.emergency) if needed > BLIND_SHARE * settings.brake else 0.0
+
+
+@inlined
+def _yield_to_driver(speed, slope, lateral, drive, brakes, settings, memory, banks):
+    """Let the requests follow the motion that a driver gives to the car; nothing is learned."""
+    memory.state, memory.handover = OFF, math.nan
+    if speed < STANDING_SPEED:
+        _hold(slope, settings, memory)
+    else:
+        memory.hold = 0.0
+        _request(memory.motion, speed, slope, lateral, drive, brakes, settings, memory)
+    memory.limited_by, memory.target_speed = BY_DRIVER, speed
+    settle_actuators(speed, memory.force / settings.mass, banks)
+
+
+@inlined
+def _hand_over(demand, settings, memory):
+    """Return the demand (m/s^2) with what is left of the acceleration that a driver has handed over."""
+    if memory.handover != memory.handover:
+        memory.handover = memory.acceleration - demand
+    else:
+        less, more = HANDOVER_JERK * settings.period, settings.stop_jerk * settings.period
+        memory.handover -= clip(memory.handover, -more, less)
+    return demand + memory.handover
+
+
+@inlined
+def _stop_unguided(deceleration, speed, slope, lateral, drive, brakes, settings, memory):
+    """Brake (m/s^2) to a standstill wherever the car is, and hold it there."""
+    memory.handover = 0.0
+    if speed < STANDING_SPEED:
+        _hold(slope, settings, memory)
+    else:
+        memory.state = EMERGENCY if deceleration > EMERGENCY_RATIO * settings.brake else DRIVING
+        memory.target_speed, memory.hold = 0.0, 0.0
+        _request(-deceleration, speed, slope, lateral, drive, brakes, settings, memory)
+    memory.limited_by = BY_FAULT
+
+
+@inlined
+def _follow(station, speed, top_square, lateral, drive, brakes, settings, path, memory, ahead):
     """Follow the governed speeds and the next stop; write the requests."""
     slope = path.slope[_cell(station, path)]
     delay, lag = drive.dead_time, drive.lag
@@ -226,13 +304,16 @@ def _follow(station, speed, lateral, drive, brakes, settings, path, memory, ahea
     target = sqrt(max(target_square, 0.0))
     change = _square_at(lead + LEAD_DISTANCE, station, path, ahead) - _square_at(lead, station, path, ahead)
     acceleration = 0.5 * change / LEAD_DISTANCE
-    memory.limited_by = BY_PLAN if target_square >= path.square[_cell(place, path)] * 0.999 else BY_GRIP
+    memory.limited_by = BY_GRIP
+    if target_square >= path.square[_cell(place, path)] * 0.999:
+        memory.limited_by = BY_PLAN
+    elif target_square >= top_square * 0.999:
+        memory.limited_by = BY_UNKNOWN_STEERING
     stop = _stop_place(memory.next_stop, path)
     lag_way = STOP_LEAD * lag * coming_speed
     stop_speed, stop_acceleration = _stopping_motion(stop - place - lag_way, settings)
     if stop_speed < target or stop - place <= 0.0:
-        is_end = path.seconds[memory.next_stop % path.stops.size] == math.inf
-        memory.state, memory.limited_by = STOPPING, BY_PATH_END if is_end else BY_STOP
+        memory.state, memory.limited_by = STOPPING, _stop_cause(path, memory)
         target = stop_speed
         _, lead_acceleration = _stopping_motion(stop - lead, settings)
         acceleration = 0.5 * (stop_acceleration + lead_acceleration)
@@ -243,7 +324,7 @@ def _follow(station, speed, lateral, drive, brakes, settings, path, memory, ahea
         memory.state = DRIVING
     memory.target_speed = target
     if memory.state == EMERGENCY:
-        memory.hold = 0.0
+        memory.hold, memory.handover = 0.0, 0.0
         needed = 0.5 * square(coming_speed) / max(stop - place, REACHED)
         _request(-min(needed, settings.emergency), speed, slope, lateral, drive, brakes, settings, memory)
         return
@@ -254,11 +335,27 @@ def _follow(station, speed, lateral, drive, brakes, settings, path, memory, ahea
     bounded = clip(demand, -COMFORT_RESERVE * settings.brake, COMFORT_RESERVE * settings.accelerate)
     if bounded != demand and memory.limited_by == BY_PLAN:
         memory.limited_by = BY_COMFORT
-    if _request(bounded, speed, slope, lateral, drive, brakes, settings, memory):
-        memory.limited_by = BY_GRIP
+    _request(_hand_over(bounded, settings, memory), speed, slope, lateral, drive, brakes, settings, memory)
     memory.hold = 0.0
     if memory.force > 0.0 and speed < STANDING_SPEED and slope > 0.0:
         memory.hold = settings.mass * slope  # until the drive carries the slope
+
+
+@inlined
+def _take_motion(sample, settings, memory):
+    """Take in speed, station and acceleration of a sample; where they are missing, carry on the last ones."""
+    before, is_first = memory.speed, memory.state == OFF and memory.limited_by == BY_PLAN
+    if sample.speed == sample.speed:
+        memory.speed, memory.speed_age = sample.speed, 0.0
+    else:
+        memory.speed_age += settings.period
+        if memory.state != OFF:
+            memory.speed = max(memory.speed + memory.acceleration * settings.period, 0.0)
+    acceleration = sample.acceleration
+    if acceleration != acceleration:
+        acceleration = 0.0 if is_first else (memory.speed - before) / settings.period
+    memory.motion += MOTION_SMOOTHING * (acceleration - memory.motion)
+    memory.station = sample.station if sample.station == sample.station else before * settings.period + memory.station
 
 
 @inlined
@@ -269,48 +366,44 @@ def speed_control(sample, settings, path, memory, banks, ahead):
 
     sample: `SPEED_SAMPLE`; ahead: (n,), at the cells from the station on.
     """
-    station, speed, yaw_rate = sample.station, sample.speed, sample.yaw_rate
-    learnable = speed == speed
-    if learnable:
-        memory.speed = speed
-    elif memory.state != OFF:
-        memory.speed = max(memory.speed + memory.acceleration * settings.period, 0.0)
-    speed = memory.speed
-    is_located = station == station
-    if is_located:
-        memory.station = station
-    else:
-        memory.station += speed * settings.period
-    station = memory.station
+    yaw_rate, top_square = sample.yaw_rate, square(sample.top_speed)
+    _take_motion(sample, settings, memory)
+    station, speed = memory.station, memory.speed
     cell = _cell(station, path)
+    slope = path.slope[cell]
     bend = abs(speed * speed * path.curvature[cell] - path.bank[cell])
     if yaw_rate == yaw_rate:
         memory.lateral += LATERAL_SMOOTHING * (abs(speed * yaw_rate - path.bank[cell]) - memory.lateral)
     lateral = max(memory.lateral, bend)
     if memory.state == OFF:
-        memory.state = DRIVING
         while _stop_place(memory.next_stop, path) < station - OVERSHOOT:
             memory.next_stop += 1
-    if learnable and memory.state != WAITING:
-        learn_actuators(speed, _resistance(speed, path.slope[cell], settings), settings.period, banks)
+    is_driven = sample.driver > 0.0
+    if memory.speed_age == 0.0 and memory.state != WAITING and not is_driven:
+        learn_actuators(speed, _resistance(speed, slope, settings), settings.period, banks)
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
-    _govern(station, settings, path, ahead)
+    _govern(station, top_square, settings, path, ahead)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (settings.friction * GRAVITY)
-    if not is_located:
-        memory.limited_by = BY_FAULT
-        if speed < STANDING_SPEED:
-            _hold(path.slope[cell], settings, memory)
-            return
-        memory.target_speed, memory.hold = 0.0, 0.0
-        _request(-settings.brake, speed, path.slope[cell], lateral, drive, brakes, settings, memory)
+    if is_driven:
+        _yield_to_driver(speed, slope, lateral, drive, brakes, settings, memory, banks)
+        return
+    was_off = memory.state == OFF
+    needed = 0.0 if was_off else _blind_deceleration(speed, sample.blind_time, brakes.lag + brakes.dead_time, settings)
+    if sample.station != sample.station or memory.speed_age > BLIND_GRACE:
+        needed = max(needed, settings.brake)
+    if needed > 0.0:
+        _stop_unguided(needed, speed, slope, lateral, drive, brakes, settings, memory)
+        memory.state = OFF if was_off else memory.state
         remember_request(memory.force / settings.mass, banks.requests)
         return
+    if was_off:
+        memory.state = DRIVING
     _pass_stop(station, speed, settings, path, memory)
     if memory.state == WAITING:
-        memory.limited_by = BY_STOP
-        _hold(path.slope[cell], settings, memory)
+        memory.limited_by = _stop_cause(path, memory)
+        _hold(slope, settings, memory)
         return
-    _follow(station, speed, lateral, drive, brakes, settings, path, memory, ahead)
+    _follow(station, speed, top_square, lateral, drive, brakes, settings, path, memory, ahead)
     remember_request(memory.force / settings.mass, banks.requests)
 
 

@@ -192,3 +192,22 @@ def remember_request(acceleration, requests):
     for j in range(requests.size - 1, 0, -1):
         requests[j] = requests[j - 1]
     requests[0], requests[count] = max(acceleration, 0.0), max(-acceleration, 0.0)
+
+
+@inlined
+def _settle_bank(bank, acceleration, speed):
+    """Let every hypothesis be at a requested acceleration (m/s^2) and at a speed (m/s), as if it had been for long."""
+    for i in range(bank.size):
+        h = bank[i]
+        h.filtered, h.speed = acceleration, speed
+        h.p_speed, h.p_speed_ratio, h.p_speed_disturbance = square(SPEED_NOISE), 0.0, 0.0
+
+
+@inlined
+def settle_actuators(speed, acceleration, banks):
+    """Restart the filters at a speed (m/s) and a requested force over mass (m/s^2), without learning from either."""
+    count = banks.requests.size // 2
+    driving, braking = max(acceleration, 0.0), max(-acceleration, 0.0)
+    _settle_bank(banks.drive, driving, speed)
+    _settle_bank(banks.brakes, braking, speed)
+    banks.requests[:count], banks.requests[count:] = driving, braking
