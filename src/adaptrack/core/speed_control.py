@@ -20,7 +20,15 @@ from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import power
 from .plants.forces import GRAVITY
-from .speed_learning import SpeedBanks, begin_bank, learn_actuators, mean_of_bank, remember_request, settle_actuators
+from .speed_learning import (
+    SpeedBanks,
+    begin_bank,
+    coming_motion,
+    learn_actuators,
+    mean_of_bank,
+    remember_request,
+    settle_actuators,
+)
 from .traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
 
 SPEED_SETTINGS = (
@@ -96,10 +104,8 @@ HOLD_RESERVE = 1.0
 """m/s^2, by which the brakes hold more than the slope demands."""
 LEAD_DISTANCE = 2.0
 """m, over which the acceleration of the plan is taken."""
-BRAKE_CAUTION = 1.0
-"""Standard deviations by which the delay of the brakes is assumed longer than its mean."""
-STOP_LEAD = 0.1
-"""Share of the lag by which a car comes nearer to its stop than its speed says, chosen on 60 cars: no bias."""
+STOP_SOFTENING = 0.6
+"""1/s, by which the jerk of a stop decreases with the lag of the brakes, chosen on 40 cars."""
 COMFORT_RESERVE = 1.2
 """Factor on the accelerations of comfort within which errors of the speed are corrected."""
 MOTION_SMOOTHING = 0.35
@@ -168,16 +174,19 @@ def _govern(station, top_square, settings, path, ahead):
 
 # -- one period -------------------------------------------------------------------------------------------------------
 @inlined
-def _stopping_motion(way, settings):
-    """Speed (m/s) and acceleration (m/s^2) on the way (m) to a stop: constant deceleration, then constant jerk."""
+def _stopping_motion(way, lead, jerk, settings):
+    """Speed (m/s) on the way (m) to a stop, and acceleration (m/s^2) there a lead (s) later.
+
+    The deceleration of comfort is followed by a constant jerk (m/s^3), with which both reach 0 together.
+    """
     if way <= 0.0:
         return 0.0, 0.0
-    easing = settings.brake / settings.stop_jerk  # s, of the jerk
-    easing_way = settings.stop_jerk * easing * easing * easing / 6.0
+    easing = settings.brake / jerk  # s, of the jerk
+    easing_way = jerk * easing * easing * easing / 6.0
     if way >= easing_way:
         return sqrt(square(0.5 * settings.brake * easing) + 2.0 * settings.brake * (way - easing_way)), -settings.brake
-    remaining = power(6.0 * way / settings.stop_jerk, 1.0 / 3.0)
-    return 0.5 * settings.stop_jerk * remaining * remaining, -settings.stop_jerk * remaining
+    remaining = power(6.0 * way / jerk, 1.0 / 3.0)
+    return 0.5 * jerk * remaining * remaining, -jerk * max(remaining - lead, 0.0)
 
 
 @inlined
@@ -291,14 +300,15 @@ def _stop_unguided(deceleration, speed, slope, lateral, drive, brakes, settings,
 
 
 @inlined
-def _follow(station, speed, top_square, lateral, drive, brakes, settings, path, memory, ahead):
+def _follow(station, speed, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead):
     """Follow the governed speeds and the next stop; write the requests."""
     slope = path.slope[_cell(station, path)]
     delay, lag = drive.dead_time, drive.lag
     if memory.acceleration < 0.0:
-        delay, lag = brakes.dead_time + BRAKE_CAUTION * brakes.delay_sigma, brakes.lag
-    coming_speed = max(speed + memory.acceleration * delay, 0.0)
-    place = station + 0.5 * (speed + coming_speed) * delay
+        delay, lag = brakes.dead_time, brakes.lag
+    resistance = _resistance(speed, slope, settings)
+    coming_speed, coming_way = coming_motion(speed, delay, resistance, drive, brakes, settings.period, banks)
+    place = station + coming_way
     lead = place + coming_speed * lag
     target_square = _square_at(place, station, path, ahead)
     target = sqrt(max(target_square, 0.0))
@@ -310,13 +320,12 @@ def _follow(station, speed, top_square, lateral, drive, brakes, settings, path, 
     elif target_square >= top_square * 0.999:
         memory.limited_by = BY_UNKNOWN_STEERING
     stop = _stop_place(memory.next_stop, path)
-    lag_way = STOP_LEAD * lag * coming_speed
-    stop_speed, stop_acceleration = _stopping_motion(stop - place - lag_way, settings)
+    jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * lag)
+    stop_speed, stop_acceleration = _stopping_motion(stop - place, lag, jerk, settings)
     if stop_speed < target or stop - place <= 0.0:
         memory.state, memory.limited_by = STOPPING, _stop_cause(path, memory)
         target = stop_speed
-        _, lead_acceleration = _stopping_motion(stop - lead, settings)
-        acceleration = 0.5 * (stop_acceleration + lead_acceleration)
+        acceleration = stop_acceleration
         is_far = stop - place > STOP_TOLERANCE
         if is_far and square(coming_speed) > 2.0 * EMERGENCY_RATIO * settings.brake * (stop - place):
             memory.state = EMERGENCY
@@ -403,7 +412,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         memory.limited_by = _stop_cause(path, memory)
         _hold(slope, settings, memory)
         return
-    _follow(station, speed, top_square, lateral, drive, brakes, settings, path, memory, ahead)
+    _follow(station, speed, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead)
     remember_request(memory.force / settings.mass, banks.requests)
 
 

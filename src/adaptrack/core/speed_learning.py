@@ -186,6 +186,37 @@ def learn_actuators(speed, resistance, period, banks):
 
 
 @inlined
+def _decay(lag, period):
+    """Share of a gap that a lag (s) leaves after a period (s)."""
+    return exp(-period / lag) if lag > 0.0 else 0.0
+
+
+@inlined
+def coming_motion(speed, delay, resistance, drive, brakes, period, banks):
+    """Speed (m/s) after a delay (s), and the way (m) until then, by the requests so far.
+
+    drive, brakes: `ActuatorBelief`; resistance: m/s^2, of air, rolling and known slope.
+    """
+    count = banks.requests.size // 2
+    drive_decay, brake_decay = _decay(drive.lag, period), _decay(brakes.lag, period)
+    external = (brakes.disturbance if brakes.acting > drive.acting else drive.disturbance) - resistance
+    driving, braking, time, way = drive.acting, brakes.acting, 0.0, 0.0
+    while time < delay:
+        step = min(period, delay - time)
+        time += period
+        driving_target = _requested(max(drive.dead_time - time, 0.0), period, banks.requests[:count])
+        braking_target = _requested(max(brakes.dead_time - time, 0.0), period, banks.requests[count:])
+        driving_after = driving_target + (driving - driving_target) * drive_decay
+        braking_after = braking_target + (braking - braking_target) * brake_decay
+        mean_driving, mean_braking = 0.5 * (driving + driving_after), 0.5 * (braking + braking_after)
+        driving, braking = driving_after, braking_after
+        before = speed
+        speed = max(speed + step * (drive.ratio * mean_driving - brakes.ratio * mean_braking + external), 0.0)
+        way += 0.5 * step * (before + speed)
+    return speed, way
+
+
+@inlined
 def remember_request(acceleration, requests):
     """Add a requested force over mass (m/s^2) to those of drive and brakes, the latest first."""
     count = requests.size // 2
