@@ -22,7 +22,7 @@ from adaptrack.control.tracker import Status
 from adaptrack.core import speed_control as kernel
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.plants.forces import GRAVITY
-from adaptrack.road import Comfort, Line, Road, Stop, generate_road, plan_speed
+from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed
 
 CAR = load_vehicle("midsize-sedan")
 PERIOD = 0.05
@@ -43,9 +43,9 @@ class PointMass:
         self._actuators, self._forces = (drive, brakes), [0.0, 0.0]
         self._queues = [[0.0] * (1 + round(a.dead_time / 0.001)) for a in self._actuators]
 
-    def move(self, force: float, hold: float) -> None:
+    def move(self, force: float, hold: float, *, stuck_drive: float = 0.0, has_brakes: bool = True) -> None:
         for _ in range(round(PERIOD / 0.001)):
-            for i, request in enumerate((max(force, 0.0), max(-force, 0.0) + hold)):
+            for i, request in enumerate((max(force, stuck_drive), (max(-force, 0.0) + hold) * has_brakes)):
                 self._queues[i].append(request * self._actuators[i].gain)
                 target = self._queues[i].pop(0)
                 self._forces[i] += (target - self._forces[i]) * 0.001 / max(self._actuators[i].lag, 0.001)
@@ -266,6 +266,137 @@ def test_the_speed_is_limited_until_the_delay_of_the_steering_is_learned() -> No
     learned[BELIEF_COLUMNS.belief_delay_sigma] = 0.01
     controller.limit_speed(mpc, answer._replace(learned=tuple(learned)))
     assert controller.top_speed == math.inf
+
+
+def _drive(car: PointMass, controller: SpeedController, periods: int, **faults: object) -> list:
+    """Answers while a car is driven, with its speed and place before each: (request, speed, place)."""
+    rows = []
+    for _ in range(periods):
+        rows.append((controller.step(car.s, car.v, 0.0), car.v, car.s))
+        car.move(rows[-1][0].force, rows[-1][0].hold, **faults)
+    return rows
+
+
+@pytest.mark.parametrize(("lag", "dead_time"), [(0.1, 0.1), (0.4, 0.2)])
+def test_brakes_without_effect_are_reported_within_a_second(lag, dead_time) -> None:
+    road = _straight(900.0)
+    plan = plan_speed(road, CAR, COMFORT, stops=[Stop(150.0, 1.0), Stop(300.0, 1.0)], top_speed=12.0)
+    car = PointMass(10.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=lag, dead_time=dead_time))
+    controller = SpeedController(SpeedControl(CAR, drive=None, brakes=None), road, plan, PERIOD)
+    rows = _drive(car, controller, 450)
+    assert 160.0 < car.s < 270.0
+    assert rows[-1][0].limited_by is not SpeedLimit.BRAKE_FAULT
+    rows = _drive(car, controller, 400, has_brakes=False)
+    braking = next(k for k, (request, *_) in enumerate(rows) if request.acceleration < -1.0)
+    report = next(k for k, (request, *_) in enumerate(rows) if request.limited_by is SpeedLimit.BRAKE_FAULT)
+    assert 0.0 < (report - braking) * PERIOD <= 1.0
+    assert rows[-1][0].limited_by is SpeedLimit.BRAKE_FAULT
+    assert rows[-1][0].force < 0.0
+    rows = _drive(car, controller, 60)  # the brakes work again
+    assert rows[-1][0].limited_by is not SpeedLimit.BRAKE_FAULT
+
+
+@pytest.mark.parametrize("stuck", [2.5, 4.0])
+def test_a_stuck_throttle_is_braked_against_reported_and_stopped(stuck) -> None:
+    road = _straight(900.0)
+    plan = plan_speed(road, CAR, COMFORT, top_speed=12.0)
+    car = PointMass(12.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.2, dead_time=0.1))
+    controller = SpeedController(SpeedControl(CAR), road, plan, PERIOD)
+    _drive(car, controller, 60)
+    rows = _drive(car, controller, 400, stuck_drive=stuck * CAR.mass)
+    faults = {SpeedLimit.DRIVE_FAULT, SpeedLimit.BRAKE_FAULT}  # a pull that the brakes nearly balance could be either
+    report = next(k for k, (request, *_) in enumerate(rows) if request.limited_by in faults)
+    assert report * PERIOD < 2.0
+    assert max(speed for _, speed, _ in rows) < 14.0
+    assert car.v == 0.0
+    if stuck > 3.0:
+        assert rows[-1][0].limited_by is SpeedLimit.DRIVE_FAULT
+        _drive(car, controller, 40)
+        assert car.v == 0.0  # until a driver has used the pedals
+    controller.step(car.s, car.v, 0.0, driver=True)
+    assert _drive(car, controller, 20)[-1][0].limited_by not in faults
+
+
+def _stopping_drive(stop: Stop, *, station: float = 0.0, speed: float = 8.0, length: float = 400.0):
+    """A car at a station on a straight road with one stop, and its controller."""
+    road = _straight(length)
+    plan = plan_speed(road, CAR, COMFORT, stops=[stop], top_speed=speed)
+    car = PointMass(speed, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.15, dead_time=0.1))
+    car.s = station
+    control = SpeedControl(CAR, drive=DriveActuator(lag=0.2), brakes=BrakeActuator(lag=0.15, dead_time=0.1))
+    return car, SpeedController(control, road, plan, PERIOD)
+
+
+def test_a_car_stops_in_a_bend_at_friction_0_3_within_its_grip() -> None:
+    radius, friction = 25.0, 0.3
+    road = Road.from_segments([Line(length=60.0), Arc(length=70.0, curvature=1.0 / radius)], name="bend")
+    plan = plan_speed(road, CAR, COMFORT, stops=[Stop(110.0, 5.0)])
+    controller = SpeedController(SpeedControl(CAR, friction=friction), road, plan, PERIOD)
+    car = PointMass(8.0, CAR.mass, DriveActuator(lag=0.1), BrakeActuator(lag=0.1, dead_time=0.1))
+    for _ in range(500):
+        curvature = 1.0 / radius if car.s > 60.0 else 0.0
+        request = controller.step(car.s, car.v, car.v * curvature)
+        assert math.hypot(request.acceleration, car.v**2 * curvature) < friction * GRAVITY
+        if request.state is SpeedState.STOPPED:
+            break
+        car.move(request.force, request.hold)
+    assert car.s == pytest.approx(110.0, abs=0.3)
+
+
+def test_a_stop_nearer_than_comfort_reaches_is_an_emergency_and_is_reached_where_friction_allows() -> None:
+    car, controller = _stopping_drive(Stop(100.0, 5.0), station=80.0, speed=12.0)
+    rows = _drive(car, controller, 100)
+    assert SpeedState.EMERGENCY in {request.state for request, *_ in rows}
+    assert rows[-1][0].state is SpeedState.STOPPED
+    assert car.s == pytest.approx(100.0, abs=1.0)
+
+
+def test_a_car_dwells_at_a_stop_for_its_seconds_or_until_it_is_released() -> None:
+    car, controller = _stopping_drive(Stop(60.0, 3.0))
+    stands = [request.state is SpeedState.STOPPED for request, *_ in _drive(car, controller, 400)]
+    assert sum(stands) * PERIOD == pytest.approx(3.0, abs=0.11)
+    assert car.s > 70.0
+    car, controller = _stopping_drive(Stop(60.0, 1e6))
+    assert _drive(car, controller, 400)[-1][0].limited_by is SpeedLimit.STOP
+    assert car.v == 0.0
+    controller.release()
+    assert _drive(car, controller, 60)[-1][0].state is SpeedState.DRIVING
+    assert car.v > 1.0
+
+
+def test_a_plan_that_is_replaced_on_the_way_to_a_stop_changes_neither_place_nor_braking() -> None:
+    def places(replaces: bool) -> tuple[float, float]:
+        car, controller = _stopping_drive(Stop(60.0, 1e6))
+        path, plan = (
+            _straight(400.0),
+            plan_speed(_straight(400.0), CAR, COMFORT, stops=[Stop(60.0, 1e6)], top_speed=8.0),
+        )
+        strongest = 0.0
+        for k in range(300):
+            if replaces and k % 7 == 0 and car.s > 40.0 and car.v > 0.0:
+                controller.follow(path, plan)
+            (request, *_), *_ = _drive(car, controller, 1)
+            strongest = min(strongest, request.acceleration)
+        return car.s, strongest
+
+    kept, replaced = places(replaces=False), places(replaces=True)
+    assert kept[0] == pytest.approx(60.0, abs=0.15)
+    assert replaced == pytest.approx(kept, abs=0.1)
+
+
+@pytest.mark.parametrize("grade", [-0.05, 0.05])
+def test_a_grade_that_is_wrong_by_5_percent_is_absorbed(grade) -> None:
+    road = _straight(600.0)
+    controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=14.0), PERIOD)
+    car = PointMass(14.0, CAR.mass, DriveActuator(lag=0.3, dead_time=0.1), BrakeActuator(lag=0.15, dead_time=0.15))
+    errors = []
+    for _ in range(700):
+        car._slope = GRAVITY * grade * min(max((car.s - 100.0) / 20.0, 0.0), 1.0)
+        (_, speed, place), *_ = _drive(car, controller, 1)
+        if 80.0 < place < 400.0:
+            errors.append(speed - 14.0)
+    assert len(errors) > 400
+    assert np.sqrt(np.mean(np.square(errors))) < 0.3
 
 
 def test_impossible_speed_controls_are_refused_with_the_remedy() -> None:

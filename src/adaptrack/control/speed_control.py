@@ -63,6 +63,11 @@ class SpeedLimit(StrEnum):
     """the steering of the car is not known well enough to drive faster, see `Learner.first_top_speed`"""
     POWERTRAIN = "powertrain"
     """engine power, largest drive or brake force of the car"""
+    BRAKE_FAULT = "brake fault"
+    """the brakes have hardly any effect, or the drive pulls against them: the car brakes as in an emergency, until the
+    brakes work or a driver uses the pedals"""
+    DRIVE_FAULT = "drive fault"
+    """the drive pulls without a request: the car stops, and stands until a driver uses the pedals"""
 
 
 _STATES, _LIMITS = tuple(SpeedState), tuple(SpeedLimit)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 
+from .actuator_faults import BRAKES_FAIL, NO_FAULT, forget_faults, watch_actuators
 from .kernel import exported, float64, inlined, int64, record, rows, vector, void
 from .loop import STANDING_SPEED
 from .maths.bits import whole
@@ -72,7 +73,8 @@ OFF, DRIVING, STOPPING, WAITING, EMERGENCY = range(5)
 """States."""
 (
     BY_PLAN, BY_COMFORT, BY_GRIP, BY_STOP, BY_PATH_END, BY_FAULT, BY_DRIVER, BY_UNKNOWN_STEERING, BY_POWERTRAIN,
-) = range(9)  # fmt: skip
+    BY_BRAKE_FAULT, BY_DRIVE_FAULT,
+) = range(11)  # fmt: skip
 """Causes that limit the speed or the acceleration."""
 
 SPEED_MEMORY = record(
@@ -87,8 +89,10 @@ SPEED_MEMORY = record(
         "motion",  # m/s^2, acceleration of the car, filtered
         "handover",  # m/s^2, of the request beyond the follower's after a driver's; NaN: while one drives
         "speed_age",  # s, since a speed was measured
+        "fault",  # see `actuator_faults`, and its window:
+        "mean_speed", "expected_loss", "braking", "usual_disturbance",  # m/s, m/s, m/s, m/s^2
     ),
-    integers=("state", "limited_by", "next_stop"),
+    integers=("state", "limited_by", "next_stop", "fault"),
 )  # fmt: skip
 """What a speed controller remembers, and its answer."""
 
@@ -104,6 +108,8 @@ HOLD_RESERVE = 1.0
 """m/s^2, by which the brakes hold more than the slope demands."""
 LEAD_DISTANCE = 2.0
 """m, over which the acceleration of the plan is taken."""
+KNOWN_DELAY = 0.05
+"""s, standard deviation of the delay of the brakes, beyond which a stop begins earlier by the way in the rest of it."""
 STOP_SOFTENING = 0.6
 """1/s, by which the jerk of a stop decreases with the lag of the brakes, chosen on 40 cars."""
 COMFORT_RESERVE = 1.2
@@ -271,7 +277,7 @@ def _yield_to_driver(speed, slope, lateral, drive, brakes, settings, memory, ban
     else:
         memory.hold = 0.0
         _request(memory.motion, speed, slope, lateral, drive, brakes, settings, memory)
-    memory.limited_by, memory.target_speed = BY_DRIVER, speed
+    memory.limited_by, memory.target_speed, memory.fault = BY_DRIVER, speed, NO_FAULT
     settle_actuators(speed, memory.force / settings.mass, banks)
 
 
@@ -292,11 +298,16 @@ def _stop_unguided(deceleration, speed, slope, lateral, drive, brakes, settings,
     memory.handover = 0.0
     if speed < STANDING_SPEED:
         _hold(slope, settings, memory)
+        if memory.fault != NO_FAULT:
+            memory.hold = settings.brake_limit
     else:
         memory.state = EMERGENCY if deceleration > EMERGENCY_RATIO * settings.brake else DRIVING
         memory.target_speed, memory.hold = 0.0, 0.0
         _request(-deceleration, speed, slope, lateral, drive, brakes, settings, memory)
     memory.limited_by = BY_FAULT
+    if memory.fault != NO_FAULT:
+        memory.force = min(memory.force, 0.0)
+        memory.state, memory.limited_by = EMERGENCY, BY_BRAKE_FAULT if memory.fault == BRAKES_FAIL else BY_DRIVE_FAULT
 
 
 @inlined
@@ -321,7 +332,8 @@ def _follow(station, speed, top_square, lateral, drive, brakes, settings, path, 
         memory.limited_by = BY_UNKNOWN_STEERING
     stop = _stop_place(memory.next_stop, path)
     jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * lag)
-    stop_speed, stop_acceleration = _stopping_motion(stop - place, lag, jerk, settings)
+    caution_way = max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * coming_speed  # until the brakes are known
+    stop_speed, stop_acceleration = _stopping_motion(stop - place - caution_way, lag, jerk, settings)
     if stop_speed < target or stop - place <= 0.0:
         memory.state, memory.limited_by = STOPPING, _stop_cause(path, memory)
         target = stop_speed
@@ -388,9 +400,15 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         while _stop_place(memory.next_stop, path) < station - OVERSHOOT:
             memory.next_stop += 1
     is_driven = sample.driver > 0.0
-    if memory.speed_age == 0.0 and memory.state != WAITING and not is_driven:
+    if memory.fault == BRAKES_FAIL:
+        settle_actuators(speed, memory.force / settings.mass, banks)
+    elif memory.speed_age == 0.0 and memory.state != WAITING and not is_driven:
         learn_actuators(speed, _resistance(speed, slope, settings), settings.period, banks)
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
+    if memory.state == OFF or memory.speed_age > 0.0:
+        forget_faults(speed, memory)
+    else:
+        watch_actuators(speed, _resistance(speed, slope, settings), drive, brakes, settings.period, memory)
     _govern(station, top_square, settings, path, ahead)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (settings.friction * GRAVITY)
     if is_driven:
@@ -398,8 +416,8 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         return
     was_off = memory.state == OFF
     needed = 0.0 if was_off else _blind_deceleration(speed, sample.blind_time, brakes.lag + brakes.dead_time, settings)
-    if sample.station != sample.station or memory.speed_age > BLIND_GRACE:
-        needed = max(needed, settings.brake)
+    if sample.station != sample.station or memory.speed_age > BLIND_GRACE or memory.fault != NO_FAULT:
+        needed = max(needed, settings.emergency if memory.fault == BRAKES_FAIL else settings.brake)
     if needed > 0.0:
         _stop_unguided(needed, speed, slope, lateral, drive, brakes, settings, memory)
         memory.state = OFF if was_off else memory.state

@@ -169,12 +169,21 @@ def _run_bank(bank, sign, other, resistance, speed, learns, period, requests):
 
 
 @inlined
+def _share_mass(ratio, bank):
+    """Assume the ratio of the other actuator, which shares the mass of the car, until a bank has learned its own."""
+    for i in range(bank.size):
+        if bank[i].p_ratio >= square(RATIO_SIGMA):
+            bank[i].ratio = ratio
+
+
+@inlined
 def learn_actuators(speed, resistance, period, banks):
     """Take in the speed (m/s) at the end of a period; resistance: m/s^2, of air, rolling and known slope."""
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
     count = banks.requests.size // 2
     moves = speed > LEARNING_SPEED
     drives = drive.acting > brakes.acting
+    _share_mass(drive.ratio, banks.brakes)
     _run_bank(
         banks.drive, 1.0, -brakes.ratio * brakes.acting, resistance, speed,
         moves and drives and drive.acting > LEAST_ACTION, period, banks.requests[:count],

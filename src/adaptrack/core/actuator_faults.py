@@ -1,0 +1,58 @@
+"""Detection of brakes without effect and of a drive that pulls without a request.
+
+Over an exponential window the loss of speed is compared with the loss that air, rolling, slope, drive and the usual
+disturbance explain; the difference is the effect of the brakes. Brakes fail if their effect is much less than
+requested, or if a drive pulls against them. The drive sticks if the car is much faster than it would be without any
+brakes. A slope that begins within
+the window and is unknown looks like a fault, so the margins exceed the effect of 10 %.
+"""
+
+from __future__ import annotations
+
+from .kernel import inlined
+from .maths.exponential import exp
+from .speed_learning import LEARNING_SPEED
+
+NO_FAULT, BRAKES_FAIL, DRIVE_STICKS = range(3)
+"""Faults."""
+FAULT_WINDOW, DISTURBANCE_TIME = 1.5, 2.5
+"""s: time constants of the window, and of the usual disturbance behind the estimated one."""
+LEAST_EFFECT, EFFECT_MARGIN, JUDGED_BRAKING = 0.35, 0.25, 0.9
+"""-, m/s, m/s: brakes that work have at least this share of a requested effect, less the margin, where it is as large.
+"""
+RESTORED_EFFECT, RESTORED_BRAKING = 0.7, 1.0
+"""-, m/s: share of a requested effect of at least so much, from which brakes work again."""
+STICKING_MARGIN = 1.2
+"""m/s, by which a drive that does not stick makes the car faster than expected."""
+
+
+@inlined
+def forget_faults(speed, memory):
+    """Restart the window at a speed (m/s)."""
+    memory.mean_speed, memory.expected_loss, memory.braking = speed, 0.0, 0.0
+
+
+@inlined
+def watch_actuators(speed, resistance, drive, brakes, period, memory):
+    """Update the window and the fault in a memory of the speed control.
+
+    speed: m/s; resistance: m/s^2, of air, rolling and known slope; drive, brakes: `speed_learning.ActuatorBelief`.
+    """
+    if speed < LEARNING_SPEED:
+        forget_faults(speed, memory)
+        return
+    disturbance = brakes.disturbance if brakes.acting > drive.acting else drive.disturbance
+    if memory.fault == NO_FAULT:
+        memory.usual_disturbance += (disturbance - memory.usual_disturbance) * period / DISTURBANCE_TIME
+    share = exp(-period / FAULT_WINDOW)
+    memory.mean_speed += (1.0 - share) * (speed - memory.mean_speed)
+    free = resistance - memory.usual_disturbance - drive.ratio * drive.acting
+    memory.expected_loss = share * memory.expected_loss + period * free
+    memory.braking = share * memory.braking + period * brakes.acting
+    effect = memory.mean_speed - speed - memory.expected_loss  # the first difference is the loss in the window
+    if effect < -STICKING_MARGIN:
+        memory.fault = DRIVE_STICKS
+    elif memory.braking > JUDGED_BRAKING and effect < LEAST_EFFECT * memory.braking - EFFECT_MARGIN:
+        memory.fault = max(memory.fault, BRAKES_FAIL)
+    elif memory.fault == BRAKES_FAIL and effect > RESTORED_EFFECT * memory.braking > RESTORED_EFFECT * RESTORED_BRAKING:
+        memory.fault = NO_FAULT
