@@ -379,9 +379,9 @@ def test_a_plan_that_is_replaced_on_the_way_to_a_stop_changes_neither_place_nor_
             strongest = min(strongest, request.acceleration)
         return car.s, strongest
 
-    kept, replaced = places(replaces=False), places(replaces=True)
-    assert kept[0] == pytest.approx(60.0, abs=0.15)
-    assert replaced == pytest.approx(kept, abs=0.1)
+    original = places(replaces=False)
+    assert original[0] == pytest.approx(60.0, abs=0.15)
+    assert places(replaces=True) == pytest.approx(original, abs=0.1)
 
 
 @pytest.mark.parametrize("grade", [-0.05, 0.05])

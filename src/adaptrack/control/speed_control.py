@@ -103,8 +103,6 @@ SPEED_ACTIONS = {
 
 A speed that is missing for so long leads to a comfort stop, whatever the status.
 """
-BLIND_GRACE = kernel.BLIND_GRACE
-"""s without a position or a speed, during which the plan is followed."""
 
 
 class SpeedCommand(NamedTuple):
@@ -313,7 +311,7 @@ class SpeedController:
         if self._patience <= 0.0:
             return math.inf
         brakes = self.learned["brakes"]
-        braking_time = self._patience - BLIND_GRACE - brakes.lag - brakes.dead_time
+        braking_time = self._patience - kernel.BLIND_GRACE - brakes.lag - brakes.dead_time
         grip = self.control.guard * self._settings.friction * GRAVITY
         return max(braking_time, 0.0) * min(self.control.emergency, grip)
 

@@ -26,11 +26,12 @@ from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCComma
 from adaptrack.control.controllers.belief import SourcedValue
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.recording import Recorder
-from adaptrack.control.speed_control import BLIND_GRACE, SPEED_ACTIONS, SpeedCommand, SpeedControl, SpeedController
+from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedCommand, SpeedControl, SpeedController
 from adaptrack.control.speed_target import SpeedTarget
 from adaptrack.control.tracking import input_check_of, packed_plan, tracker_of
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.kernel import Resident
+from adaptrack.core.speed_control import BLIND_GRACE
 from adaptrack.core.tracker.change_path import tracker_follow
 from adaptrack.core.tracker.conclude_instant import tracker_conclude
 from adaptrack.core.tracker.prepare_instant import tracker_prepare

@@ -15,14 +15,16 @@ from .speed_learning import LEARNING_SPEED
 
 NO_FAULT, BRAKES_FAIL, DRIVE_STICKS = range(3)
 """Faults."""
-FAULT_WINDOW, DISTURBANCE_TIME = 1.5, 2.5
-"""s: time constants of the window, and of the usual disturbance behind the estimated one."""
-LEAST_EFFECT, EFFECT_MARGIN, JUDGED_BRAKING = 0.35, 0.25, 0.9
+FAULT_WINDOW = 1.5
+"""s, time constant of the window."""
+DISTURBANCE_TIME, BRAKING_DISTURBANCE_TIME, LITTLE_BRAKING = 0.8, 2.5, 0.05
+"""s, s, m/s: time constants of the usual disturbance behind the estimated one, with less and with more braking."""
+LEAST_EFFECT, EFFECT_MARGIN, JUDGED_BRAKING = 0.35, 0.2, 0.8
 """-, m/s, m/s: brakes that work have at least this share of a requested effect, less the margin, where it is as large.
 """
 RESTORED_EFFECT, RESTORED_BRAKING = 0.7, 1.0
 """-, m/s: share of a requested effect of at least so much, from which brakes work again."""
-STICKING_MARGIN = 1.2
+STICKING_MARGIN = 1.0
 """m/s, by which a drive that does not stick makes the car faster than expected."""
 
 
@@ -43,7 +45,8 @@ def watch_actuators(speed, resistance, drive, brakes, period, memory):
         return
     disturbance = brakes.disturbance if brakes.acting > drive.acting else drive.disturbance
     if memory.fault == NO_FAULT:
-        memory.usual_disturbance += (disturbance - memory.usual_disturbance) * period / DISTURBANCE_TIME
+        time = DISTURBANCE_TIME if memory.braking < LITTLE_BRAKING else BRAKING_DISTURBANCE_TIME
+        memory.usual_disturbance += (disturbance - memory.usual_disturbance) * period / time
     share = exp(-period / FAULT_WINDOW)
     memory.mean_speed += (1.0 - share) * (speed - memory.mean_speed)
     free = resistance - memory.usual_disturbance - drive.ratio * drive.acting

@@ -211,7 +211,7 @@ def _resistance(speed, slope, settings):
 
 @inlined
 def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memory):
-    """Turn an acceleration (m/s^2) into a force (N) within powertrain, brakes and guard, and report what bounds it.
+    """Turn an acceleration (m/s^2) into a force (N) within powertrain, brakes and guard; note a bound as the cause.
 
     drive, brakes: `speed_learning.ActuatorBelief`.
     """
@@ -287,8 +287,7 @@ def _hand_over(demand, settings, memory):
     if memory.handover != memory.handover:
         memory.handover = memory.acceleration - demand
     else:
-        less, more = HANDOVER_JERK * settings.period, settings.stop_jerk * settings.period
-        memory.handover -= clip(memory.handover, -more, less)
+        memory.handover -= clip(memory.handover, -settings.stop_jerk * settings.period, HANDOVER_JERK * settings.period)
     return demand + memory.handover
 
 
