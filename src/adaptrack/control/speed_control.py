@@ -74,10 +74,9 @@ _STATES, _LIMITS = tuple(SpeedState), tuple(SpeedLimit)
 
 
 class SpeedAction(StrEnum):
-    """Action of the speed control after a call of a tracker."""
+    """Action of the speed control after a call of a tracker: follow the plan, or one of the others."""
 
     FOLLOW = "follow"
-    """follow the plan"""
     SLOW = "slow"
     """follow the plan as long as the car can stand before the steering loses its estimate, otherwise brake for that"""
     COMFORT_STOP = "comfort stop"
@@ -264,18 +263,9 @@ class SpeedController:
     ) -> SpeedCommand:  # fmt: skip
         """Return the requests for the present period.
 
-        Parameters
-        ----------
-        station
-            m, of the car on its path over all laps; NaN: unknown.
-        speed, yaw_rate
-            m/s and rad/s; NaN: not measured.
-        acceleration
-            m/s^2, measured along the car, without gravity; NaN: not measured.
-        driver
-            Whether a driver uses the pedals. The requests then follow the motion of the car, and nothing is learned.
-        blind_time
-            s, since the last position.
+        station: m, of the car on its path over all laps; speed: m/s; yaw_rate: rad/s; acceleration: m/s^2, along the
+        car, without gravity. NaN: not measured. driver: whether a driver uses the pedals: the requests then follow the
+        motion of the car, and nothing is learned; blind_time: s, since the last position.
         """
         self._sample[0] = station, speed, yaw_rate, acceleration, driver, self.top_speed, blind_time
         kernel.speed_control_step(self._sample, self._memory, self._settings, self._path, self._banks, self._ahead)

@@ -20,8 +20,7 @@ FAULT_WINDOW = 1.5
 DISTURBANCE_TIME, BRAKING_DISTURBANCE_TIME, LITTLE_BRAKING = 0.8, 2.5, 0.05
 """s, s, m/s: time constants of the usual disturbance behind the estimated one, with less and with more braking."""
 LEAST_EFFECT, EFFECT_MARGIN, JUDGED_BRAKING = 0.35, 0.2, 0.8
-"""-, m/s, m/s: brakes that work have at least this share of a requested effect, less the margin, where it is as large.
-"""
+"""-, m/s, m/s: brakes that work have this share of a requested effect, less the margin, where it is as large."""
 RESTORED_EFFECT, RESTORED_BRAKING = 0.7, 1.0
 """-, m/s: share of a requested effect of at least so much, from which brakes work again."""
 STICKING_MARGIN = 1.0

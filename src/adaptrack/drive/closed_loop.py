@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import SteppedPlant
-from adaptrack.control.controllers import Controller
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.scheduling.variables import SchedulingVariables
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
@@ -169,11 +168,6 @@ class ClosedLoop:
     def ended(self) -> bool:
         """Whether a failure has ended the run."""
         return bool(self._drives["ended"][0] != loop_kernel.RUNNING)
-
-    def limit_speed(self, controller: Controller, answer: object = None) -> None:
-        """Limit the speed while the steering is not known well enough, see `SpeedController.limit_speed`."""
-        if self.speed_controller is not None:
-            self.speed_controller.limit_speed(controller, answer)
 
     def sense(self) -> Sensed:
         """Check the run for a failure and return the signals at this instant.

@@ -125,7 +125,8 @@ def simulate(
     record = _Recorder(signals.n, controller, trace.state[0], trace.signals[0])
     has_no_vy = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)
     controller.reset()
-    loop.limit_speed(controller)
+    if loop.speed_controller is not None:
+        loop.speed_controller.limit_speed(controller)
     for k in range(signals.n):
         if progress is not None and k % 64 == 0:
             progress(k, signals.n)
@@ -143,7 +144,8 @@ def simulate(
         road_ahead: dict[str, Any] = {"road": loop.road_ahead(instant.speed)} if uses_road else {}
         answer = controller.step(measured, instant.speed, instant.reference, instant.variables, **road_ahead)
         record.times[k] = time.perf_counter() - start_time
-        loop.limit_speed(controller, answer)
+        if loop.speed_controller is not None:
+            loop.speed_controller.limit_speed(controller, answer)
         command = record.record(k, answer, loop.command)
         if predicted is not None and record.command[k, 2] < 0.5:
             predicted.record(k * world.period, controller, road_ahead.get("road"))
