@@ -74,7 +74,7 @@ _STATES, _LIMITS = tuple(SpeedState), tuple(SpeedLimit)
 
 
 class SpeedAction(StrEnum):
-    """Action of the speed control after a call of a tracker: follow the plan, or one of the others."""
+    """Action of the speed control after a call of a tracker."""
 
     FOLLOW = "follow"
     SLOW = "slow"

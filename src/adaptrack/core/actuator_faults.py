@@ -21,6 +21,8 @@ DISTURBANCE_TIME, BRAKING_DISTURBANCE_TIME, LITTLE_BRAKING = 0.8, 2.5, 0.05
 """s, s, m/s: time constants of the usual disturbance behind the estimated one, with less and with more braking."""
 LEAST_EFFECT, EFFECT_MARGIN, JUDGED_BRAKING = 0.35, 0.2, 0.8
 """-, m/s, m/s: brakes that work have this share of a requested effect, less the margin, where it is as large."""
+JUDGED_DECELERATION = 1.0
+"""m/s^2, requested: below it brakes may hold the car on a slope that is not known."""
 RESTORED_EFFECT, RESTORED_BRAKING = 0.7, 1.0
 """-, m/s: share of a requested effect of at least so much, from which brakes work again."""
 STICKING_MARGIN = 1.0
@@ -52,9 +54,10 @@ def watch_actuators(speed, resistance, drive, brakes, period, memory):
     memory.expected_loss = share * memory.expected_loss + period * free
     memory.braking = share * memory.braking + period * brakes.acting
     effect = memory.mean_speed - speed - memory.expected_loss  # the first difference is the loss in the window
+    is_judged = memory.braking > JUDGED_BRAKING and memory.acceleration < -JUDGED_DECELERATION
     if effect < -STICKING_MARGIN:
         memory.fault = DRIVE_STICKS
-    elif memory.braking > JUDGED_BRAKING and effect < LEAST_EFFECT * memory.braking - EFFECT_MARGIN:
+    elif is_judged and effect < LEAST_EFFECT * memory.braking - EFFECT_MARGIN:
         memory.fault = max(memory.fault, BRAKES_FAIL)
     elif memory.fault == BRAKES_FAIL and effect > RESTORED_EFFECT * memory.braking > RESTORED_EFFECT * RESTORED_BRAKING:
         memory.fault = NO_FAULT
