@@ -1,18 +1,23 @@
 """C sources of an export, compiled and called from the tests."""
 
 import ctypes
+import math
 import subprocess
 import zlib
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import adaptrack.export
+from adaptrack.core import library
 from adaptrack.core.kernel import EXPORTED
+from adaptrack.export.c_library import own_target
 from programs import find_program
 
 SOURCES = Path(adaptrack.export.__file__).parent / "c"
+TARGET = own_target()
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror"]
 (OK, BAD_ARGUMENT, TOO_SMALL, NOT_READY, BUSY, DAMAGED, OTHER_VERSION, OTHER_KIND, OTHER_SIZES, OTHER_CONSTANTS,
  OTHER_PATH, ARITHMETIC, BAD_PATH, OUT_OF_ORDER) = range(14)  # fmt: skip
@@ -87,3 +92,110 @@ class Memory:
         """The first numbers of an array of the record."""
         first = 8 + self.block.words[name]
         return self.raw[first : first + count].view(np.float64)
+
+
+class Sample(ctypes.Structure):
+    _fields_ = tuple((name, ctypes.c_double) for name in (
+        "t", "now", "x", "y", "yaw", "speed", "yaw_rate", "lateral_velocity", "lateral_acceleration", "wheel_angle",
+        "friction", "wind", "motion_time", "longitudinal_acceleration", "driver",
+    ))  # fmt: skip
+
+
+class Answer(ctypes.Structure):
+    _fields_ = (("command", ctypes.c_double), ("offset", ctypes.c_double), ("heading_error", ctypes.c_double),
+                ("station", ctypes.c_double), ("status", ctypes.c_int), ("belief", ctypes.c_int),
+                ("at_bound", ctypes.c_int), ("suspect", ctypes.c_uint64),
+                ("first_top_speed", ctypes.c_double))  # fmt: skip
+
+
+class Plan(ctypes.Structure):
+    _fields_ = (("s", ctypes.c_void_p), ("speed", ctypes.c_void_p), ("count", ctypes.c_size_t))
+
+
+class Exported:
+    """An export, linked into a shared library."""
+
+    def __init__(self, folder, controller):
+        self.folder, self.controller = folder, controller
+        sources = [*sorted((folder / "src").glob("*.c")), folder / "lib" / TARGET / "adaptrack_kernels.o"]
+        command = [find_program("gcc"), *STRICT, "-O1", "-shared", "-fPIC", f"-I{folder}/include",
+                   f"-I{folder}/src", *map(str, sources), "-o", str(folder / "tracker.so")]  # fmt: skip
+        process = subprocess.run(command, capture_output=True, text=True)
+        assert process.returncode == 0, process.stderr
+        self.c = ctypes.CDLL(str(folder / "tracker.so"))
+        for name in ("size", "path_size", "state_size"):
+            getattr(self.c, f"adaptrack_{name}").restype = ctypes.c_size_t
+        self.constants = (folder / "constants.bin").read_bytes()
+
+    def path(self, points, closed=False):
+        return CPath(self.c, points, closed)
+
+
+class CPath:
+    def __init__(self, c, points, closed=False, surplus=0):
+        self.points = np.ascontiguousarray(points, float)
+        address = ctypes.c_void_p(self.points.ctypes.data)
+        size = c.adaptrack_path_size(address, ctypes.c_size_t(len(points)), int(closed)) + surplus
+        self.raw, self.flaw = np.zeros(size // 8 + 1), ctypes.c_size_t(0)
+        self.place = ctypes.c_void_p(self.raw.ctypes.data)
+        self.error = c.adaptrack_path(address, ctypes.c_size_t(len(points)), int(closed), self.place,
+                                      ctypes.c_size_t(size), ctypes.byref(self.flaw))  # fmt: skip
+
+
+class CTracker:
+    """A tracker in memory of this process, with margins that nobody may write to."""
+
+    MARGIN = 64
+
+    def __init__(self, library, constants=None):
+        self.c, self.constants = library.c, library.constants if constants is None else constants
+        self.size = self.c.adaptrack_size(self.constants, ctypes.c_size_t(len(self.constants)))
+        self.raw = np.full(self.size // 8 + 2 * self.MARGIN, 0xA5A5A5A5A5A5A5A5, np.uint64)
+        self.place = ctypes.c_void_p(self.raw[self.MARGIN :].ctypes.data)
+        self.error = self.init(self.constants)
+
+    def init(self, constants):
+        return self.c.adaptrack_init(self.place, ctypes.c_size_t(self.size), constants, ctypes.c_size_t(len(constants)))
+
+    def load(self, constants):
+        return self.c.adaptrack_load(self.place, constants, ctypes.c_size_t(len(constants)))
+
+    def engage(self, angle=0.0, near=math.nan):
+        return self.c.adaptrack_engage(self.place, ctypes.c_double(angle), ctypes.c_double(near))
+
+    def follow(self, path, plan=None, near=math.nan):
+        self._path = path, plan
+        speed_plan = None
+        if plan is not None:
+            self._s, self._v = (np.ascontiguousarray(column, float) for column in (plan.s, plan.speed))
+            speed_plan = ctypes.byref(Plan(self._s.ctypes.data, self._v.ctypes.data, self._s.size))
+        return self.c.adaptrack_follow(self.place, path.place, ctypes.c_double(near), speed_plan)
+
+    def step(self, sample):
+        answer = Answer(math.nan, status=-1)
+        row = Sample(*sample, *[math.nan] * (15 - len(sample)))
+        error = self.c.adaptrack_step(self.place, ctypes.byref(row), ctypes.byref(answer))
+        return error, answer
+
+    def save(self):
+        state = ctypes.create_string_buffer(self.c.adaptrack_state_size(self.place))
+        assert self.c.adaptrack_save(self.place, state, ctypes.c_size_t(len(state))) == OK
+        return state.raw
+
+    def restore(self, state):
+        return self.c.adaptrack_restore(self.place, state, ctypes.c_size_t(len(state)))
+
+    @property
+    def untouched(self):
+        return all(
+            (margin == 0xA5A5A5A5A5A5A5A5).all() for margin in (self.raw[: self.MARGIN], self.raw[-self.MARGIN :])
+        )
+
+
+def skip_without_exports():
+    """Skip a test where the kernels that are exported, or the compiler, are not there."""
+    find_program("gcc")
+    try:
+        library.exported(TARGET)
+    except library.UNUSABLE:
+        pytest.skip(f"the kernels that are exported have not been compiled: {library.BUILD}")

@@ -34,13 +34,13 @@ def run(*command):
 
 
 @cache
-def controller(folder):
+def controller(folder, speed_control=False):
     """The folder of the exported controller, and the objects of its C sources."""
     find_program("g++")
     find_program("gcc")
     if own_target() not in list_targets():
         pytest.skip("the kernels were built without object files: python -m adaptrack.core.build --export")
-    package_module("export_controller").export(follower.Parameters(), folder)
+    package_module("export_controller").export(follower.Parameters(speed_control=speed_control), folder)
     objects = []
     for source in sorted((folder / "src").glob("*.c")):
         objects.append(str(folder / f"{source.stem}.o"))
@@ -59,9 +59,9 @@ def includes(folder):
 
 
 @cache
-def shim(folder, *options):
+def shim(folder, *options, speed_control=False):
     """The logic as a library."""
-    parts, shared_object = controller(folder), folder / "follower.so"
+    parts, shared_object = controller(folder, speed_control), folder / "follower.so"
     sources = CPP / "src" / "follower.cpp", STAND_INS / "shim.cpp"
     run(
         "g++",

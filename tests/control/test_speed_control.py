@@ -10,6 +10,7 @@ import pytest
 from adaptrack import MPC, DualTrack, Learning, RoadDrive, Tracker, load_vehicle, simulate
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
+from adaptrack.control import speed_control
 from adaptrack.control.speed_control import (
     SPEED_ACTIONS,
     SpeedAction,
@@ -17,12 +18,15 @@ from adaptrack.control.speed_control import (
     SpeedController,
     SpeedLimit,
     SpeedState,
+    speed_path,
 )
 from adaptrack.control.tracker import Status
 from adaptrack.core import speed_control as kernel
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.plants.forces import GRAVITY
-from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed
+from adaptrack.core.tracker.longitudinal import longitudinal_step
+from adaptrack.core.tracker.records import TRACKED
+from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
 
 CAR = load_vehicle("midsize-sedan")
 PERIOD = 0.05
@@ -107,6 +111,24 @@ def test_the_bank_finds_delay_and_ratio_of_drive_and_brakes() -> None:
     assert learned["brakes"].ratio == pytest.approx(1.0, abs=0.06)
 
 
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_plan_at_even_places_has_the_speed_curvature_slope_and_bank_of_its_road(closed) -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 100, endpoint=False)
+    road = road_through(np.stack([60.0 * np.cos(angle), 40.0 * np.sin(angle)], axis=-1), closed=closed)
+    road = road.replace(grade=((0.0, 50.0, 90.0), (0.1, -0.05, 0.02)), bank=((20.0, 70.0), (0.0, 0.1)))
+    plan = plan_speed(road, CAR, COMFORT, stops=[Stop(100.0, 3.0)])
+    path = speed_path(road, plan, stop_at_end=True)
+    s = np.arange(path.square.size) * path.spacing
+    assert path.spacing == pytest.approx(0.5, rel=0.01)
+    np.testing.assert_allclose(path.square, plan.at(s) ** 2, rtol=1e-12)
+    np.testing.assert_allclose(path.curvature, road.at(np.minimum(s, road.length - 1e-9)).curvature, rtol=1e-6)
+    np.testing.assert_allclose(path.slope, GRAVITY * np.sin(np.arctan(road.along("grade", s))), rtol=1e-12)
+    np.testing.assert_allclose(path.bank, GRAVITY * np.sin(road.along("bank", s)), rtol=1e-12)
+    assert (path.stops.tolist(), path.seconds.tolist()) == (
+        ([100.0], [3.0]) if closed else ([100.0, road.length], [3.0, math.inf])
+    )
+
+
 def test_governed_speeds_keep_their_share_of_the_assumed_friction_and_the_braking_of_comfort() -> None:
     road = generate_road("mountain", 3, 1500.0).replace(speed_limit=None)
     plan = plan_speed(road, CAR, Comfort(lateral=20.0))
@@ -114,7 +136,7 @@ def test_governed_speeds_keep_their_share_of_the_assumed_friction_and_the_brakin
     controller = SpeedController(control, road, plan, PERIOD)
     for station in np.linspace(0.0, road.length - 150.0, 40):
         controller.step(station, float(plan.at(station)), math.nan)
-        squares, spacing = controller._ahead, controller._path.spacing
+        squares, spacing = controller._record.ahead, controller._record.path.spacing
         first = math.floor(station / spacing)
         places = (first + np.arange(squares.size) + 0.5) * spacing
         inside = places < road.length
@@ -188,8 +210,12 @@ def test_the_tracker_obeys_each_row_of_the_table_of_actions(status, has_position
     tracker = Tracker(MPC(CAR, profile="road"), road, plan=plan, speed=SpeedControl(CAR))
     car = PointMass(12.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
     before = _track(tracker, car, 40)[-1].longitudinal
-    answer = tracker._answer
-    monkeypatch.setattr(tracker, "_answer", lambda time: answer(time)._replace(status=status))
+
+    def step_with_status(resident, longitudinal) -> None:
+        tracker._kernel.tracked[TRACKED.status] = list(Status).index(status)
+        longitudinal_step(resident, longitudinal)
+
+    monkeypatch.setattr(speed_control, "longitudinal_step", step_with_status)
     for k in range(40, 40 + round(0.7 / PERIOD)):
         car.move(before.force, 0.0)  # its speed stays, whatever is requested
         pose = (car.s, 0.0, 0.0) if has_position else (math.nan,) * 3

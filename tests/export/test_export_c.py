@@ -24,9 +24,10 @@ from adaptrack.cli.app import app
 from adaptrack.control.tracker import Tracker
 from adaptrack.core import library
 from adaptrack.core.kernel import INTERPRETED
-from adaptrack.export.c_library import export_c, own_target
+from adaptrack.export.c_library import export_c
 from adaptrack.export.tracking import Twin, tracking_block
 from adaptrack.road import Comfort, plan_speed, road_through
+from exported import CPath, CTracker, Exported
 from programs import find_program
 from references.daqp import Daqp
 from small_controllers import Scripted
@@ -35,7 +36,7 @@ from tracker_calls import calls, in_python
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
 HERE = Path(__file__).parents[1]
 CAR = at.load_vehicle("midsize-sedan")
-TARGET = own_target()
+TARGET = exported.TARGET
 ALONG = np.arange(0.0, 300.0, 5.0)
 POINTS = np.stack([ALONG, 12.0 * (1.0 - np.cos(ALONG / 45.0))], axis=-1)
 CONTROLLERS = {
@@ -55,31 +56,9 @@ EACH = int(os.environ.get("ADAPTRACK_TEST_STEPS", "3000"))
 """Calls of each controller in the long comparisons."""
 
 
-class Sample(ctypes.Structure):
-    _fields_ = tuple((name, ctypes.c_double) for name in (
-        "t", "now", "x", "y", "yaw", "speed", "yaw_rate", "lateral_velocity", "lateral_acceleration", "wheel_angle",
-        "friction", "wind", "motion_time",
-    ))  # fmt: skip
-
-
-class Answer(ctypes.Structure):
-    _fields_ = (("command", ctypes.c_double), ("offset", ctypes.c_double), ("heading_error", ctypes.c_double),
-                ("station", ctypes.c_double), ("status", ctypes.c_int), ("belief", ctypes.c_int),
-                ("at_bound", ctypes.c_int), ("suspect", ctypes.c_uint64),
-                ("first_top_speed", ctypes.c_double))  # fmt: skip
-
-
-class Plan(ctypes.Structure):
-    _fields_ = (("s", ctypes.c_void_p), ("speed", ctypes.c_void_p), ("count", ctypes.c_size_t))
-
-
 @pytest.fixture(scope="module", autouse=True)
 def _exports_are_built():
-    find_program("gcc")
-    try:
-        library.exported(TARGET)
-    except library.UNUSABLE:
-        pytest.skip(f"the kernels that are exported have not been compiled: {library.BUILD}")
+    exported.skip_without_exports()
 
 
 @pytest.fixture(scope="module")
@@ -109,86 +88,6 @@ def library_of(folder, way):
         return libraries[key]
 
     return make
-
-
-class Exported:
-    """An export, linked into a shared library."""
-
-    def __init__(self, folder, controller):
-        self.folder, self.controller = folder, controller
-        sources = [*sorted((folder / "src").glob("*.c")), folder / "lib" / TARGET / "adaptrack_kernels.o"]
-        command = [find_program("gcc"), *exported.STRICT, "-O1", "-shared", "-fPIC", f"-I{folder}/include",
-                   f"-I{folder}/src", *map(str, sources), "-o", str(folder / "tracker.so")]  # fmt: skip
-        process = subprocess.run(command, capture_output=True, text=True)
-        assert process.returncode == 0, process.stderr
-        self.c = ctypes.CDLL(str(folder / "tracker.so"))
-        for name in ("size", "path_size", "state_size"):
-            getattr(self.c, f"adaptrack_{name}").restype = ctypes.c_size_t
-        self.constants = (folder / "constants.bin").read_bytes()
-
-    def path(self, points, closed=False):
-        return CPath(self.c, points, closed)
-
-
-class CPath:
-    def __init__(self, c, points, closed=False, surplus=0):
-        self.points = np.ascontiguousarray(points, float)
-        address = ctypes.c_void_p(self.points.ctypes.data)
-        size = c.adaptrack_path_size(address, ctypes.c_size_t(len(points)), int(closed)) + surplus
-        self.raw, self.flaw = np.zeros(size // 8 + 1), ctypes.c_size_t(0)
-        self.place = ctypes.c_void_p(self.raw.ctypes.data)
-        self.error = c.adaptrack_path(address, ctypes.c_size_t(len(points)), int(closed), self.place,
-                                      ctypes.c_size_t(size), ctypes.byref(self.flaw))  # fmt: skip
-
-
-class CTracker:
-    """A tracker in memory of this process, with margins that nobody may write to."""
-
-    MARGIN = 64
-
-    def __init__(self, library, constants=None):
-        self.c, self.constants = library.c, library.constants if constants is None else constants
-        self.size = self.c.adaptrack_size(self.constants, ctypes.c_size_t(len(self.constants)))
-        self.raw = np.full(self.size // 8 + 2 * self.MARGIN, 0xA5A5A5A5A5A5A5A5, np.uint64)
-        self.place = ctypes.c_void_p(self.raw[self.MARGIN :].ctypes.data)
-        self.error = self.init(self.constants)
-
-    def init(self, constants):
-        return self.c.adaptrack_init(self.place, ctypes.c_size_t(self.size), constants, ctypes.c_size_t(len(constants)))
-
-    def load(self, constants):
-        return self.c.adaptrack_load(self.place, constants, ctypes.c_size_t(len(constants)))
-
-    def engage(self, angle=0.0, near=math.nan):
-        return self.c.adaptrack_engage(self.place, ctypes.c_double(angle), ctypes.c_double(near))
-
-    def follow(self, path, plan=None, near=math.nan):
-        self._path = path, plan
-        speed_plan = None
-        if plan is not None:
-            self._s, self._v = (np.ascontiguousarray(column, float) for column in (plan.s, plan.speed))
-            speed_plan = ctypes.byref(Plan(self._s.ctypes.data, self._v.ctypes.data, self._s.size))
-        return self.c.adaptrack_follow(self.place, path.place, ctypes.c_double(near), speed_plan)
-
-    def step(self, sample):
-        answer = Answer(math.nan, status=-1)
-        row = Sample(*sample, *[math.nan] * (13 - len(sample)))
-        error = self.c.adaptrack_step(self.place, ctypes.byref(row), ctypes.byref(answer))
-        return error, answer
-
-    def save(self):
-        state = ctypes.create_string_buffer(self.c.adaptrack_state_size(self.place))
-        assert self.c.adaptrack_save(self.place, state, ctypes.c_size_t(len(state))) == exported.OK
-        return state.raw
-
-    def restore(self, state):
-        return self.c.adaptrack_restore(self.place, state, ctypes.c_size_t(len(state)))
-
-    @property
-    def untouched(self):
-        return all(
-            (margin == 0xA5A5A5A5A5A5A5A5).all() for margin in (self.raw[: self.MARGIN], self.raw[-self.MARGIN :])
-        )
 
 
 def start_tracker(library, way):
@@ -531,6 +430,7 @@ def test_a_car_of_which_nobody_says_the_steering_leaves_learning(tmp_path):
         process = CliRunner().invoke(app, words)
         assert process.exit_code == 0, process.output
         assert ("Steering model" in process.output and "learns" in process.output) == learns
+        assert "Warning" not in process.output  # it learns below the speed at which the steering must be known
 
 
 # -- other processors -------------------------------------------------------------------------------------------------

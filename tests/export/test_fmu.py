@@ -16,6 +16,7 @@ import pytest
 import adaptrack as at
 import adaptrack.export
 from adaptrack import cli
+from adaptrack.control.speed_control import SpeedState
 from adaptrack.core.kernel import Resident, direct
 from adaptrack.core.tracker.records import TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_step
@@ -24,6 +25,7 @@ from adaptrack.export import fmu_build
 from adaptrack.export.fmu import constants, write_fmu
 from adaptrack.export.tracking import record_of
 from adaptrack.export.units import car_unit, controller_unit
+from adaptrack.road import Stop
 from exported import STRICT
 from fmus import Instance, Signals, needed
 from programs import find_program
@@ -243,6 +245,32 @@ def test_the_two_drive_a_planned_road_by_themselves(folder):
         assert abs(body.get("offset")) < 0.3
     assert speed == pytest.approx(country().plan.at(mind.get("station")), rel=1e-12)
     assert body.get("vx") == pytest.approx(speed, abs=0.5)
+
+
+def test_the_two_stop_and_drive_on_by_force_with_the_requests_of_the_tracker(folder):
+    road = country().road.replace(grade=0.04)
+    plan, speed = at.plan_speed(road, CAR, stops=[Stop(70.0, 1.0)]), at.SpeedControl(CAR, friction=(0.6, 0.9))
+    route, controller = at.RoadDrive(road, plan), at.MPC(CAR, profile="road")
+    units = (
+        car_unit(PLANT, route, profile="road", driver=speed, period=0.05),
+        controller_unit(controller, road, plan, speed=speed),
+    )
+    body, mind = (Instance(write_fmu(unit, folder / f"speed-{unit.name}.fmu"), folder) for unit in units)
+    tracker, names = at.Tracker(controller, road, plan=plan, speed=speed), ("acceleration", "force", "hold")
+    stands, stations = [], []
+    for k in range(340):
+        sample = {name: body.get(output) for name, output in SAMPLES.items() if name != "wheel_angle"}
+        mind.step(**sample)
+        command, force, hold, state = mind.get("command", "force", "hold", "speed_state")
+        place = [sample[name] for name in ("x", "y", "yaw", "speed", "yaw_rate")]
+        request = tracker.step(k * 0.05 - sample["age"], *place, now=k * 0.05).longitudinal
+        assert same(mind.get(*names), request[:3])
+        body.step(command=command, force=force, hold=hold, grade=0.04)
+        stations.append(body.get("station"))
+        if state == list(SpeedState).index(SpeedState.STOPPED):
+            stands.append(stations[-1])
+    assert stands[-1] == pytest.approx(70.0, abs=0.4)
+    assert stations[-1] > 80.0
 
 
 def test_both_versions_drive_alike_to_the_bit(folder):

@@ -328,10 +328,12 @@ def test_parameters_that_are_not_possible_are_refused(values):
 
 # -- the C++ node -----------------------------------------------------------------------------------------------------
 @pytest.mark.compiled
-@pytest.mark.parametrize("kind", ["trajectory", "stamped path", "twist", "imu"])
-def test_both_nodes_send_the_same_commands_to_the_bit(cpp, kind):
+@pytest.mark.parametrize("kind", ["trajectory", "stamped path", "twist", "imu", "speed control"])
+def test_both_nodes_send_the_same_commands_to_the_bit(cpp, kind, tmp_path):
     """Samples late, lost and overtaking each other, a path that moves, a silence, an engagement."""
-    nodes = [follower.Follower(), cpp[0].CppFollower(cpp[1])]
+    parameters = Parameters(speed_control=kind == "speed control")
+    library = cpp[0].shim(tmp_path, speed_control=True) if parameters.speed_control else cpp[1]
+    nodes = [follower.Follower(parameters), cpp[0].CppFollower(library, parameters)]
     t, points = 0.2 * np.arange(200.0), np.stack([_X[:200], 8.0 * np.sin(_X[:200] / 25.0)], axis=-1)
     paths = [points, points + np.array([0.0, 0.4])]
     rng, sent = np.random.default_rng(1), ([], [])
@@ -514,6 +516,12 @@ def test_the_cpp_node_has_parameters_of_the_file_with_their_defaults():
     header = header[header.index("struct Parameters") : header.index("struct Sample")]
     declared = set(re.findall(r'declare_parameter\("(\w+)"', node))
     assert declared - defaults.keys() == {"constants"}
-    assert defaults.keys() - declared == {"vehicle", "profile", "command_delay", "oldest_sample"}  # of the export
+    assert defaults.keys() - declared == {
+        "vehicle",
+        "profile",
+        "command_delay",
+        "oldest_sample",
+        "speed_control",
+    }  # of export
     for name, value in re.findall(r"^    [\w:]+ (\w+) = (.+?);", header, re.MULTILINE):
         assert yaml.safe_load(value) == defaults[name], name

@@ -98,7 +98,7 @@ class Program:
         self.folder, self.count = folder, len(samples)
         self.made = export_c(controller, folder / "made", targets=[_own(), *([target] if target else [])],
                              road=way[0], plan=way[1])  # fmt: skip
-        rows = np.full((self.count, 13), np.nan)
+        rows = np.full((self.count, 15), np.nan)
         rows[:, :10] = samples
         np.concatenate([np.array([self.count], np.int64), rows.ravel().view(np.int64)]).tofile(folder / "samples")
         block = tracking_block(controller)

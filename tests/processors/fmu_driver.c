@@ -49,7 +49,7 @@ int main(int count, char **given) {
         if (put(one, &reference, 1, &command, 1) || go(one, (double)k * period, period, true, &a, &b, &c, &last)) return 4;
     }
     fprintf(stderr, "%.3g us a step\n", 1e6 * (double)(clock() - begun) / CLOCKS_PER_SEC / (double)steps);
-    for (uint32_t i = reference + 13; i < reference + 36; i++) { /* the outputs of a car that are numbers */
+    for (uint32_t i = reference + 15; i < reference + 38; i++) { /* the outputs of a car that are numbers */
         uint64_t bits;
         if (take(one, &i, 1, &value, 1)) return 5;
         memcpy(&bits, &value, 8);

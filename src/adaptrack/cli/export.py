@@ -17,6 +17,7 @@ from adaptrack.cli.next_step import next_line
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
     from adaptrack.control.controllers import Controller
+    from adaptrack.control.speed_control import SpeedControl
     from adaptrack.scenario.profile import Profile
 
 app = typer.Typer(
@@ -45,6 +46,17 @@ class ExportedController:
     speed: Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned.")] = (
         None
     )
+    speed_control: Annotated[
+        bool,
+        Option("--speed-control", help="Export the speed control too: acceleration, force, stops at planned places."),
+    ] = False
+    assumed_friction: Annotated[
+        str | None,
+        Option(
+            "--assumed-friction", metavar="MU|LOW:HIGH", hidden=True,
+            help="Friction that speed control and plan assume, of an interval its lower end; default: 0.9.",
+        ),
+    ] = None  # fmt: skip
     profile: options.ProfileOption = "road"
     learn: Annotated[
         bool,
@@ -59,7 +71,28 @@ class ExportedController:
 
     def checked_road(self, car: Vehicle, world: Profile) -> roads.CheckedRoad:
         """Load and check the road and its speed plan."""
-        return roads.RoadOptions(speed=self.speed, road_seed=self.road_seed).look(self.road, car, world)
+        return self._road_options.look(self.road, car, world)
+
+    @property
+    def _road_options(self) -> roads.RoadOptions:
+        return roads.RoadOptions(speed=self.speed, road_seed=self.road_seed, assumed_friction=self.assumed_friction)
+
+    def make_speed_control(self, car: Vehicle) -> SpeedControl | None:
+        """Make the speed control; None without --speed-control.
+
+        Raises
+        ------
+        InvalidInput
+            When a friction is assumed without it.
+        """
+        from adaptrack.control.speed_control import SpeedControl
+
+        friction = self._road_options.assumed_interval
+        if self.speed_control:
+            return SpeedControl(car) if friction is None else SpeedControl(car, friction=friction)
+        if friction is not None:
+            raise InvalidInput("--assumed-friction: is an assumption of the speed control; add --speed-control.")
+        return None
 
     def make(self, car: Vehicle, world: Profile, computation: float | None = None) -> Controller:
         """Make the controller; computation: computation time (s), by default that of the profile.
@@ -159,6 +192,7 @@ def export_c(arguments: ExportOptions) -> None:
     car, plant = arguments.exported.car.load()
     world = load_profile(arguments.exported.profile)
     controller = arguments.exported.make(car, world, arguments.computation)
+    speed = arguments.exported.make_speed_control(car)
     refuse(controller)
     kernel_files(arguments.target or (), arguments.objects)
     options.make_folder(arguments.out)
@@ -166,7 +200,7 @@ def export_c(arguments: ExportOptions) -> None:
     with show.progress("record a drive"):
         files = export(
             controller, arguments.out, targets=arguments.target or (), road=checked.road, plan=checked.plan,
-            plant=plant, profile=world, room=arguments.room, objects=arguments.objects,
+            plant=plant, profile=world, room=arguments.room, objects=arguments.objects, speed=speed,
         )  # fmt: skip
     if arguments.as_json:
         show.say_json({**asdict(files), "folder": str(files.folder)})
@@ -175,6 +209,9 @@ def export_c(arguments: ExportOptions) -> None:
     show.say(
         f"Constants {files.constants_size:,} bytes, tracker {files.memory_size:,}, saved state {files.state_size:,}."
     )
+    if speed is not None:
+        low, high = speed.friction_interval
+        show.say(f"Speed control: assumed friction {low:g}" + (f" to {high:g}." if high > low else "."))
     if controller.belief_at_first:
         show.say(f"Steering model: {controller.belief_at_first}.")
     if files.failed:

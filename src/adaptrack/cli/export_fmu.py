@@ -48,10 +48,15 @@ def export_fmu(arguments: FMUOptions) -> None:
     controller = arguments.exported.make(car, world)
     checked = arguments.exported.checked_road(car, world)
     route = RoadDrive(checked.road, checked.plan)
-    driver = None if arguments.prescribed_speed else Driver()
+    speed = arguments.exported.make_speed_control(car)
+    driver = speed or (None if arguments.prescribed_speed else Driver())
     units = (
         controller_unit(
-            controller, checked.road, checked.plan, speed_preview=None if driver is None else driver.preview
+            controller,
+            checked.road,
+            checked.plan,
+            speed_preview=driver.preview if isinstance(driver, Driver) else None,
+            speed=speed,
         ),
         car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
     )

@@ -105,7 +105,13 @@ class RoadOptions:
 
     @property
     def assumed(self) -> float | None:
-        """Friction for which the speed is planned, the lower end of an interval; None: that of the road.
+        """Friction for which the speed is planned, the lower end of an interval; None: that of the road."""
+        interval = self.assumed_interval
+        return None if interval is None else interval[0]
+
+    @property
+    def assumed_interval(self) -> tuple[float, float] | None:
+        """Low and high end of the assumed friction; None: that of the road.
 
         Raises
         ------
@@ -125,7 +131,7 @@ class RoadOptions:
                 f"--assumed-friction {self.assumed_friction}: must be a friction such as 0.9 or an interval such as "
                 f"0.65:0.9, above 0 and at most {MAX_ASSUMED_FRICTION:g}."
             ) from None
-        return low
+        return low, max(high, default=low)
 
     def look(
         self, name: str, car: Vehicle, profile: str | Profile = "road", holdable: HoldableSpeed | None = None

@@ -15,22 +15,23 @@ from adaptrack.base.checked import Bound, Positive, Share, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
 from adaptrack.control.controllers import MPC, Controller, MPCCommand
+from adaptrack.control.kalman import KalmanFilter
 from adaptrack.core import speed_control as kernel
 from adaptrack.core import speed_learning as learning
+from adaptrack.core import speed_path as path_kernel
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS, CERTAIN
+from adaptrack.core.kernel import OK, Resident
 from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.tracker.longitudinal import STATUS_ACTIONS, Longitudinal, longitudinal_follow, longitudinal_step
+from adaptrack.core.tracker.records import LONGEST_GAP, STATUS
 from adaptrack.road import Comfort, Road, SpeedPlan
 from adaptrack.road.cornering import cornering_limit
 
 Array = NDArray[np.float64]
 MAX_ASSUMED_FRICTION = 1.5
 """Coefficient of friction above which an assumption is refused."""
-SPACING = 0.5
-"""m, of the places of a plan, and of the horizon."""
 TYPICAL_CURVATURE = 0.02
 """1/m, of the bend in which the car's share of the friction is taken."""
-MARGIN_OF_HORIZON = 20.0
-"""m, by which the horizon is longer than the way to stop from the highest planned speed."""
 
 
 class SpeedState(StrEnum):
@@ -74,7 +75,7 @@ _STATES, _LIMITS = tuple(SpeedState), tuple(SpeedLimit)
 
 
 class SpeedAction(StrEnum):
-    """Action of the speed control after a call of a tracker."""
+    """Action of the speed control after a call of a tracker, as `core.tracker.longitudinal` numbers them."""
 
     FOLLOW = "follow"
     SLOW = "slow"
@@ -87,18 +88,12 @@ class SpeedAction(StrEnum):
     """keep the requests in force"""
 
 
+_ACTIONS = tuple(SpeedAction)
 SPEED_ACTIONS = {
-    "ok": (SpeedAction.FOLLOW, SpeedAction.SLOW),
-    "estimated": (SpeedAction.FOLLOW, SpeedAction.SLOW),
-    "sliding": (SpeedAction.FOLLOW, SpeedAction.SLOW),
-    "end": (SpeedAction.FOLLOW, SpeedAction.SLOW),
-    "standing": (SpeedAction.FOLLOW, SpeedAction.COMFORT_STOP),
-    "held": (SpeedAction.COMFORT_STOP, SpeedAction.EMERGENCY_STOP),
-    "off-path": (SpeedAction.COMFORT_STOP, SpeedAction.COMFORT_STOP),
-    "reverse": (SpeedAction.COMFORT_STOP, SpeedAction.COMFORT_STOP),
-    "repeated": (SpeedAction.NONE, SpeedAction.NONE),
+    status.replace("_", "-"): tuple(_ACTIONS[action] for action in actions)
+    for status, actions in zip(STATUS._fields, STATUS_ACTIONS.tolist(), strict=True)
 }
-"""By status of a tracker: the action with a position of the last `BLIND_GRACE` seconds, and without one.
+"""By status of a tracker: the action with a position of the last `BLIND_GRACE` (s) of the kernel, and without one.
 
 A speed that is missing for so long leads to a comfort stop, whatever the status.
 """
@@ -200,20 +195,64 @@ def _grip_share(car: Vehicle, friction: float) -> float:
     return min(float(limit) / (friction * GRAVITY), 1.0)
 
 
-def speed_path(path: Road, plan: SpeedPlan, stop_at_end: bool) -> Any:
-    """Plan of a road at even places, for the kernel."""
-    count = max(2, math.ceil(path.length / SPACING - 1e-9) + (0 if path.closed else 1))
-    spacing = path.length / (count if path.closed else count - 1)
-    s = np.arange(count) * spacing
-    inside = np.minimum(s, path.length * (1.0 - 1e-12))
-    slope, bank = (GRAVITY * np.sin(values) for values in (np.arctan(path.along("grade", s)), path.along("bank", s)))
-    ends = [(path.length, math.inf)] if not path.closed and (stop_at_end or plan.speed[-1] == 0.0) else []
-    stops = np.array([*plan.stops, *ends], dtype=float).reshape(-1, 2)
-    return kernel.SpeedPath(
-        square=plan.at(s) ** 2, curvature=path.at(inside).curvature.copy(), slope=slope, bank=bank,
-        stops=stops[:, 0].copy(), seconds=stops[:, 1].copy(), spacing=spacing, length=path.length,
-        closed=int(path.closed),
+def speed_path(path: Road, plan: Any, stop_at_end: bool) -> Any:
+    """Plan of a road at even places, for the kernel; plan: with `s`, `speed` and `stops`, such as a `SpeedPlan`.
+
+    Raises
+    ------
+    InvalidInput
+        When a speed, a grade, a bank or a stop is not possible, or the speed is 0 away from a stop.
+    """
+    stops = np.array(plan.stops, dtype=float).reshape(-1, 2)
+    arrays = path_kernel.PlanArrays(
+        line=path.packed(), s=np.ascontiguousarray(plan.s), speed=np.ascontiguousarray(plan.speed),
+        grade=path.grade.packed(), bank=path.bank.packed(),
+        stops=stops[:, 0].copy(), seconds=stops[:, 1].copy(), stops_at_end=int(stop_at_end),
     )  # fmt: skip
+    memory = np.zeros(path_kernel.speed_path_words(path.length, int(path.closed), len(stops)))
+    status, number = path_kernel.write_speed_path(arrays, memory)
+    if status != OK:
+        raise InvalidInput(
+            f"speed_path: entry {number} of the {path_kernel.PLAN_ARRAYS[status]} of the plan is not possible."
+        )
+    count = (memory.size - 2 * (len(stops) + 1)) // 4
+    square, curvature, slope, bank = memory[: 4 * count].reshape(4, count)
+    places, seconds = memory[4 * count : 4 * count + 2 * number].reshape(2, number)
+    spacing = path.length / (count if path.closed else count - 1)
+    return kernel.SpeedPath(square, curvature, slope, bank, places, seconds, spacing, path.length, int(path.closed))
+
+
+class SpeedStart(NamedTuple):
+    """Start of a speed control."""
+
+    comfort: Comfort
+    top_speed: float
+    """m/s, largest speed of the plan: it decides how far ahead the governor looks"""
+    patience: float = 0.0
+    """s without a position, after which the steering has no estimate; 0: unlimited"""
+    first_top_speed: float = math.inf
+    """m/s, up to which the car is driven before its steering is known"""
+
+
+def patience_of(controller: Controller) -> float:
+    """s without a position, after which a controller behind a tracker has no estimate."""
+    estimator = getattr(controller, "estimator", None)
+    return float(estimator.patience) if isinstance(estimator, KalmanFilter) else LONGEST_GAP
+
+
+def longitudinal_of(control: SpeedControl, period: float, start: SpeedStart, path: Any) -> Any:
+    """A speed control at its start along a `SpeedPath` (`core.tracker.longitudinal.Longitudinal`)."""
+    settings = control.settings(period, start.comfort, start.patience)
+    banks = _banks(settings, period)
+    kernel.speed_control_begin(settings, banks)
+    sample = kernel.SPEED_SAMPLE.new(1, acceleration=math.nan, top_speed=start.first_top_speed)
+    memory, ahead = kernel.SPEED_MEMORY.new(1, time=-math.inf), np.zeros(horizon_cells(start.top_speed, settings))
+    return Longitudinal(sample, memory, settings, path, banks, ahead)
+
+
+def horizon_cells(top_speed: float, settings: Any) -> int:
+    """How many cells the governor looks ahead for a top speed (m/s)."""
+    return int(path_kernel.horizon_cells(top_speed, settings.brake, path_kernel.PLACE_SPACING))
 
 
 def _banks(settings: Any, period: float) -> Any:
@@ -241,21 +280,31 @@ class SpeedController:
         patience: float = 0.0,
     ) -> None:  # fmt: skip
         self.control, self._period, self._stop_at_end, self._patience = control, period, stop_at_end, patience
-        self._memory, self._sample = kernel.SPEED_MEMORY.new(1), kernel.SPEED_SAMPLE.new(1)
-        self.top_speed = math.inf
-        """m/s, up to which the steering is known"""
-        self.follow(path, plan)
-        self._banks = _banks(self._settings, period)
-        kernel.speed_control_begin(self._settings, self._banks)
+        start = SpeedStart(plan.comfort, float(plan.speed.max()), patience)
+        self._load(longitudinal_of(control, period, start, speed_path(path, plan, stop_at_end)))
+
+    def _load(self, record: Any) -> None:
+        """Let the kernels work on this record (`core.tracker.longitudinal.Longitudinal`)."""
+        self._record, self._resident = record, Resident(record)
 
     def follow(self, path: Road, plan: SpeedPlan) -> None:
         """Follow another plan from now on; what was learned of resistance and slope stays."""
-        self._settings = self.control.settings(self._period, plan.comfort, self._patience)
-        self._path = speed_path(path, plan, self._stop_at_end)
-        way = float(plan.speed.max()) ** 2 / (2.0 * min(plan.comfort.brake, 2.0)) + MARGIN_OF_HORIZON
-        self._ahead = np.zeros(max(4, math.ceil(way / self._path.spacing)))
-        self._memory[0].next_stop = 0
-        self._memory[0].state = kernel.OFF
+        settings = self.control.settings(self._period, plan.comfort, self._patience)
+        self._load(
+            self._record._replace(
+                settings=settings, path=speed_path(path, plan, self._stop_at_end),
+                ahead=np.zeros(horizon_cells(float(plan.speed.max()), settings)),
+            )
+        )  # fmt: skip
+        longitudinal_follow(self._resident)
+
+    def step_behind(self, tracker: Any) -> SpeedCommand:
+        """Return the requests after a call of a tracker (`core.tracker.records.TrackerRecord`, resident).
+
+        Once a control instant they are new, otherwise those in force.
+        """
+        longitudinal_step(tracker, self._resident)
+        return self.command
 
     def step(
         self, station: float, speed: float, yaw_rate: float, *, acceleration: float = math.nan, driver: bool = False,
@@ -267,17 +316,10 @@ class SpeedController:
         car, without gravity. NaN: not measured. driver: whether a driver uses the pedals: the requests then follow the
         motion of the car, and nothing is learned; blind_time: s, since the last position.
         """
-        self._sample[0] = station, speed, yaw_rate, acceleration, driver, self.top_speed, blind_time
-        kernel.speed_control_step(self._sample, self._memory, self._settings, self._path, self._banks, self._ahead)
+        sample = self._record.sample
+        sample[0] = station, speed, yaw_rate, acceleration, driver, sample[0].top_speed, blind_time
+        kernel.speed_control_step(*self._record)
         return self.command
-
-    def act(self, action: SpeedAction, station: float, blind_time: float, **sample: Any) -> SpeedCommand:
-        """Return the requests of an action; `station`, `blind_time` and sample: see `step`."""
-        if action is SpeedAction.NONE:
-            return self.command
-        is_guided = action in {SpeedAction.FOLLOW, SpeedAction.SLOW}
-        is_blind = action in {SpeedAction.SLOW, SpeedAction.EMERGENCY_STOP}
-        return self.step(station if is_guided else math.nan, blind_time=blind_time if is_blind else 0.0, **sample)
 
     def limit_speed(self, controller: Controller, answer: object = None) -> None:
         """Limit the speed to `Learner.first_top_speed` until the controller has learned the delay of its steering.
@@ -287,9 +329,14 @@ class SpeedController:
         if not isinstance(controller, MPC) or controller.learner is None:
             return
         if answer is None:
-            self.top_speed = controller.learner.first_top_speed
+            self._record.sample[0].top_speed = controller.learner.first_top_speed
         elif isinstance(answer, MPCCommand) and answer.learned[BELIEF_COLUMNS.belief_delay_sigma] < CERTAIN[0]:
-            self.top_speed = math.inf
+            self._record.sample[0].top_speed = math.inf
+
+    @property
+    def top_speed(self) -> float:
+        """m/s, up to which the steering is known."""
+        return float(self._record.sample[0].top_speed)
 
     @property
     def blind_top_speed(self) -> float:
@@ -302,13 +349,13 @@ class SpeedController:
             return math.inf
         brakes = self.learned["brakes"]
         braking_time = self._patience - kernel.BLIND_GRACE - brakes.lag - brakes.dead_time
-        grip = self.control.guard * self._settings.friction * GRAVITY
+        grip = self.control.guard * self._record.settings.friction * GRAVITY
         return max(braking_time, 0.0) * min(self.control.emergency, grip)
 
     @property
     def command(self) -> SpeedCommand:
         """Requests in force."""
-        memory = self._memory[0]
+        memory = self._record.memory[0]
         return SpeedCommand(
             float(memory.acceleration), float(memory.force), float(memory.hold), float(memory.target_speed),
             float(memory.grip_used), _STATES[int(memory.state)], _LIMITS[int(memory.limited_by)],
@@ -317,14 +364,14 @@ class SpeedController:
     @property
     def learned(self) -> dict[str, Any]:
         """Estimates of ``drive`` and ``brakes``: `core.speed_learning.ActuatorBelief` of each."""
-        return {name: learning.mean_of_bank(getattr(self._banks, name)) for name in ("drive", "brakes")}
+        return {name: learning.mean_of_bank(getattr(self._record.banks, name)) for name in ("drive", "brakes")}
 
     def release(self) -> None:
         """Leave the stop at which the car stands, whatever its time; at the end of a path it stays."""
-        self._memory[0].standing = np.finfo(float).max
+        self._record.memory[0].standing = np.finfo(float).max
 
     def speeds_ahead(self, speed: float, count: int) -> Array:
         """(count,) m/s, governed speeds at the coming control instants, the first one the present speed (m/s)."""
         speeds = np.empty(count)
-        kernel.governed_speeds(speed, self._period, self._path.spacing, self._ahead, speeds)
+        kernel.governed_speeds(speed, self._period, self._record.path.spacing, self._record.ahead, speeds)
         return speeds

@@ -26,16 +26,15 @@ from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCComma
 from adaptrack.control.controllers.belief import SourcedValue
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.recording import Recorder
-from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedCommand, SpeedControl, SpeedController
+from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
 from adaptrack.control.speed_target import SpeedTarget
 from adaptrack.control.tracking import input_check_of, packed_plan, tracker_of
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.kernel import Resident
-from adaptrack.core.speed_control import BLIND_GRACE
 from adaptrack.core.tracker.change_path import tracker_follow
 from adaptrack.core.tracker.conclude_instant import tracker_conclude
 from adaptrack.core.tracker.prepare_instant import tracker_prepare
-from adaptrack.core.tracker.records import LONGEST_GAP, NO_BELIEF, REQUEST, TRACKER_SAMPLE
+from adaptrack.core.tracker.records import NO_BELIEF, REQUEST, TRACKER_SAMPLE
 from adaptrack.core.tracker.take_call import tracker_engage, tracker_take
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import RoadAhead, stacked
@@ -106,8 +105,6 @@ class Timing(NamedTuple):
     """s, from a call to its command"""
 
 
-SHORTEST_PERIOD_SHARE = 0.9
-"""Control periods between two steps of the speed control while there are no control instants."""
 TIMED_STEPS = 50
 """Control steps after which their times are compared with the computation time that the controller assumes."""
 PERIOD_TOLERANCE = 0.4
@@ -173,15 +170,12 @@ class Tracker:
         self.timing: Timing | None = None
         """of the loop; None before `TIMED_STEPS` control steps"""
         self._speed: SpeedController | None = None
-        self._speed_time = -math.inf
         if speed is not None and plan is None:
             raise InvalidInput("Tracker: speed: a speed control follows a plan; give plan=plan_speed(path, car).")
         self._set_path(path, plan)
         if speed is not None and plan is not None:
-            estimator = getattr(controller, "estimator", None)
-            patience = estimator.patience if isinstance(estimator, KalmanFilter) else LONGEST_GAP
             self._speed = SpeedController(
-                speed, path, plan, self.period, stop_at_end=speed.stop_at_end, patience=patience
+                speed, path, plan, self.period, stop_at_end=speed.stop_at_end, patience=patience_of(controller)
             )
             self._speed.limit_speed(controller)
         self._check = input_check_of(controller)
@@ -325,24 +319,23 @@ class Tracker:
         kernel, resident = self._kernel, self._resident
         motion_t = row[0] if motion_time is None else real("Tracker.step", "motion_time", motion_time)
         kernel.sample[: len(row)] = row
-        kernel.sample[TRACKER_SAMPLE.motion_t] = motion_t
+        acceleration = real("Tracker.step", "longitudinal_acceleration", longitudinal_acceleration)
+        kernel.sample[TRACKER_SAMPLE.motion_t :] = motion_t, acceleration, driver
         tracker_take(resident)
         self._obey()
-        steps = 0
+        has_stepped = False
         while tracker_prepare(resident) > 0:
             self._obey()
             self._control()
             tracker_conclude(resident)
-            steps += 1
+            has_stepped = True
         self._obey()
         tracked = self._answer(at)
         if kernel.memory[0].speed > tracked.first_top_speed and not self._warned_of_speed:
             self._warn_of_speed(kernel.memory[0].speed, tracked.first_top_speed)
         if self._speed is not None:
-            acceleration = real("Tracker.step", "longitudinal_acceleration", longitudinal_acceleration)
-            motion = {"speed": row[5], "yaw_rate": row[6], "acceleration": acceleration, "driver": bool(driver)}
-            tracked = tracked._replace(longitudinal=self._longitudinal(self._speed, tracked, at, motion, steps))
-        if steps:
+            tracked = tracked._replace(longitudinal=self._speed.step_behind(resident))
+        if has_stepped:
             self._take_times(at - row[0], time.perf_counter() - call_start)
         if self._recorder is not None and tracked.status is not Status.REPEATED:
             sample_time, _, *where, forward, rate, vy, pull, angle = kernel.sample[: len(row)].tolist()
@@ -365,21 +358,6 @@ class Tracker:
         suspects = self._check.suspect
         kind = _STATUSES[int(status)]
         return Tracked(command, kind, offset, heading_error, station, state, suspects, target, first_top_speed=top)
-
-    def _longitudinal(
-        self, control: SpeedController, tracked: Tracked, time: float, motion: dict[str, Any], steps: int
-    ) -> SpeedCommand:
-        """Requests of the speed control: once a control instant, otherwise those in force.
-
-        Without a position since the beginning there are no control instants, but calls of a period or more apart.
-        """
-        memory = self._kernel.memory[0]
-        if steps == 0 and (memory.started or abs(time - self._speed_time) < SHORTEST_PERIOD_SHARE * self.period):
-            return control.command
-        self._speed_time = time
-        blind_time = time - float(memory.newest)
-        action = SPEED_ACTIONS[tracked.status][0 if blind_time <= BLIND_GRACE else 1]
-        return control.act(action, tracked.station, blind_time, **motion)
 
     def _obey(self) -> None:
         """Do with the controller what the kernels ask for."""
@@ -404,21 +382,19 @@ class Tracker:
         ahead = {"road": self._ahead} if self.controller.sees_road else {}
         answered = self.controller.step(state.copy(), speed, np.zeros(1), **ahead)
         answer = command_of(answered, float(kernel.memory[0].command))
-        if self._speed is not None:
-            self._speed.limit_speed(self.controller, answered)
-        state, bound = self._belief_of(answered)
-        kernel.answer[:] = answer.angle, answer.held, state, bound
+        kernel.answer[:] = answer.angle, answer.held, *self._belief_of(answered)
 
-    def _belief_of(self, answer: object) -> tuple[float, float]:
-        """The state of the belief and which quantity is at its bound, warned of where it is doubtful."""
+    def _belief_of(self, answer: object) -> tuple[float, float, float]:
+        """The state of the belief, the quantity at its bound, and sigma of the delay (s); warn of a doubtful state."""
         if not isinstance(answer, MPCCommand) or answer.belief_state is None:
-            return NO_BELIEF, NO_BELIEF
+            return NO_BELIEF, NO_BELIEF, 0.0
         state, bound = answer.belief_state, answer.belief_at_bound
         if state in DOUBTFUL and state not in self._doubted:
             self._doubted.add(state)
             _log.warning("adaptrack: the belief about the car is in doubt: %s%s; drive slower, see docs/learning.md.",
                          DOUBTFUL[state], f" ({bound.replace('_', ' ')})" if bound else "")  # fmt: skip
-        return float(state), answer.learned[BELIEF_COLUMNS.belief_at_bound]
+        learned = answer.learned
+        return float(state), learned[BELIEF_COLUMNS.belief_at_bound], learned[BELIEF_COLUMNS.belief_delay_sigma]
 
     def _take_times(self, age: float, computation: float) -> None:
         """Take in the age of a sample (s) and the time (s) of the call; report what contradicts the controller."""

@@ -18,12 +18,15 @@ from adaptrack.core.input_check.record import Settings as CheckSettings
 from adaptrack.core.kernel import Scalar, int64, size_of
 from adaptrack.core.layout import arrays_of
 from adaptrack.core.models.contract import MEASUREMENT
-from adaptrack.core.tracker.records import MEMORY, TRACKER_SETTINGS, Tracking
+from adaptrack.core.tracker.records import MEMORY, TRACKER_SETTINGS
 from adaptrack.core.variables import VARIABLE_COLUMNS
 from adaptrack.export.block import ArrayLayout, ArrayRole, Block
 
 LONGEST_LAG = 10
 """s, of a steering in constants."""
+UNKNOWN_DELAYS = ("drive_lag", "drive_dead_time", "brake_lag", "brake_dead_time")
+"""Numbers of a speed control that are NaN where they are learned."""
+NAN_WORD = int(np.array(math.nan).view(np.uint64))
 _FLAG, _PLACE = (0, 1), (0, 2**31 - 1)
 NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "laguerre": _FLAG, "preview": _FLAG, "informed": _FLAG, "curved": (1, 1), "feeds_forward": _FLAG, "learns": _FLAG,
@@ -32,6 +35,7 @@ NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "speed_floor": (0.01, 100.0), "late": (0, 1000), "filtered": _FLAG,
     "n_inputs": (0, len(VARIABLE_COLUMNS)), "n_entries": (0, guard.MAX_ENTRIES), "tunes_mpc": _FLAG,
     "place": (0, len(VARIABLE_COLUMNS) - 1), "kind": (0, functions.MULTILINEAR), "log10": _FLAG, "horizon": _FLAG,
+    **dict.fromkeys(UNKNOWN_DELAYS, (0.0, LONGEST_LAG)),
     "integers": _PLACE, "numbers": _PLACE, "used": _FLAG, "mapped": _FLAG, "hold": (0, 10**9),
 }  # fmt: skip
 """Bounds of numbers of the record and its rows, by name; other doubles are free, other whole numbers as exported."""
@@ -86,7 +90,7 @@ def _is_open(name: str) -> bool:
 def places(block: Block, kind: Any) -> dict[str, int]:
     """Numbers that the C source calls by name, less their prefix."""
     at = {array.name: i for i, array in enumerate(block.arrays)}
-    tunes_mpc = kind is Tracking
+    tunes_mpc = "step" in kind.kinds
     names = ARRAY_PLACES | (MPC_PLACES if tunes_mpc else LAW_PLACES)
     numbers = {f"AT_{name.upper()}": at[array] for name, array in names.items()}
     numbers |= {
@@ -203,7 +207,7 @@ def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
         name: _place(TRACKER_SETTINGS, name) for name in ("period", "angle_min", "angle_max", "move", "drift_arm")
     }
     pairs = [("period", "tracker.check.settings", 0), ("drift_arm", "tracker.check.settings", CHECK_PLACES["CAR_LR"])]
-    if kind is Tracking:
+    if "step" in kind.kinds:
         records = {"estimator": kalman.FilterParameters, "learner": learning.LearnerParameters}
         pairs += [("period", MPC_PLACES[name], _place(record, "period")) for name, record in records.items()]
         for name, field in (*((name, name) for name in ("period", "angle_min", "angle_max")), ("move", "move_max")):
@@ -211,9 +215,11 @@ def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
     else:
         pairs += [("period", "law.parameters", 0), ("move", "law.parameters", 2)]
         pairs += [("angle_min", "law.parameters", 3), ("angle_max", "law.parameters", 4)]
+    if "longitudinal" in kind.kinds:
+        yield at["tracker.settings"], settings["period"], len(at), block.words["longitudinal.settings.period"]
     for name, array, word in pairs:
         yield at["tracker.settings"], settings[name], at[array], word
-    tuning = (MPC_PLACES if kind is Tracking else LAW_PLACES)["tuning"]
+    tuning = (MPC_PLACES if "step" in kind.kinds else LAW_PLACES)["tuning"]
     for word in range(block.arrays[at[tuning]].sizes[0]):
         yield at["scheduling.first"], word, at[tuning], word
 
@@ -224,9 +230,11 @@ def _rows_of(name: str) -> Any:
 
 
 def _bounds_of(name: str, is_int: bool, value: int) -> tuple[int, float, float]:
-    """Return whether a number is whole, and its bounds; value: its word in this block."""
+    """Return the kind of a number (1 whole, 2 NaN, otherwise 0) and its bounds; value: its word in this block."""
     if is_int:
         return 1, *NUMBER_BOUNDS.get(name, (value, value))
+    if name in UNKNOWN_DELAYS and value % 2**64 == NAN_WORD:
+        return 2, 0.0, 0.0
     return 0, *NUMBER_BOUNDS.get(name, (-math.inf, math.inf))
 
 

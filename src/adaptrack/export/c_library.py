@@ -17,15 +17,27 @@ from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, did_you_mean
 from adaptrack.base.files import write_atomically
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
-from adaptrack.control.controllers import MPC, Controller
+from adaptrack.control.controllers import Controller
+from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLimit, SpeedState
 from adaptrack.core import library, path, road
 from adaptrack.core.input_check.record import MISTAKES
 from adaptrack.core.kernel import Array as KernelArray
-from adaptrack.core.tracker.records import TRACKED, TRACKER_SAMPLE, LawTracking, TrackerRecord, Tracking
+from adaptrack.core.speed_control import SPEED_MEMORY
+from adaptrack.core.speed_path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, PlanArrays, speed_path_words
+from adaptrack.core.tracker.records import TRACKED, TRACKER_SAMPLE, TrackerRecord
 from adaptrack.export import bounds
 from adaptrack.export.block import Block
 from adaptrack.export.recorded_drive import Recorded, record_drive
-from adaptrack.export.tracking import Room, refuse, step_kernel, tracking_block
+from adaptrack.export.tracking import (
+    REQUESTS,
+    Room,
+    SpeedPart,
+    kind_of,
+    refuse,
+    speed_part,
+    step_kernel,
+    tracking_block,
+)
 from adaptrack.road import Road, SpeedPlan, load_road, plan_speed
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -33,7 +45,7 @@ C_SOURCES = Path(__file__).parent / "c"
 FOLDERS = {
     "include": ("adaptrack.h", "adaptrack.hpp", "adaptrack_error.h"),
     "src": ("adaptrack.c", "adaptrack_block.c", "adaptrack_block.h", "adaptrack_bounds.c", "adaptrack_bounds.h"),
-    ".": ("main.c", "times.c", "Makefile", "CMakeLists.txt", "README.md", "LICENSE"),
+    ".": ("main.c", "times.c", "adaptrack_replay.h", "Makefile", "CMakeLists.txt", "README.md", "LICENSE"),
 }
 """Where the files that are the same for all go."""
 KERNELS_FILE = "adaptrack_kernels.o"
@@ -73,6 +85,7 @@ def export_c(
     furthest: float = 10.0,
     room: Room | None = None,
     objects: str | os.PathLike[str] | None = None,
+    speed: SpeedControl | None = None,
 ) -> CExport:
     """Write a C library of a controller with its tracker: header, compiled kernels, constants, sources around them, and
     a recorded minute that shows that it drives as it does here.
@@ -96,6 +109,9 @@ def export_c(
         Of an MPC: the largest Np and Nc that constants which are loaded later may have; by default its own.
     objects : path, optional
         Folder of an unpacked archive of `make targets`, for targets that the package does not hold.
+    speed : SpeedControl, optional
+        Speed control behind the tracker. Its comfort is that of the plan. It follows plans up to the highest speed of
+        the plan or of the car's domain, the larger of the two.
 
     Raises
     ------
@@ -105,15 +121,16 @@ def export_c(
         When something cannot be written.
     """
     refuse(controller)
-    block = tracking_block(controller, room, furthest)
-    files = kernel_files(targets, objects)
     world = load_profile(profile)
     way = load_road(road) if isinstance(road, str) else road
+    speed_plan = plan_speed(way, controller.vehicle) if plan is None else plan
+    part = None if speed is None else speed_part(speed, controller, speed_plan, speed.car.domain.speed[1])
+    block = tracking_block(controller, room, furthest, part)
+    files = kernel_files(targets, objects)
     driven_car = DualTrack(controller.vehicle) if plant is None else plant
-    speed = plan_speed(way, controller.vehicle) if plan is None else plan
-    recorded = record_drive(controller, driven_car, way, speed, world, furthest=furthest)
+    recorded = record_drive(controller, driven_car, way, speed_plan, world, furthest=furthest, speed=part)
     name = next(iter(files))
-    texts = _texts(controller, block, recorded, name, tuple(files))
+    texts = _texts(controller, block, recorded, name, tuple(files), part)
     target = Path(folder)
     for place, content in {**texts, CONSTANTS_FILE: block.content}.items():
         _write(target / place, content)
@@ -170,26 +187,37 @@ def kernel_files(targets: Sequence[str], objects: str | os.PathLike[str] | None 
 
 # -- texts ------------------------------------------------------------------------------------------------------------
 def _texts(
-    controller: Controller, block: Block, recorded: Recorded, target: str, targets: Sequence[str]
+    controller: Controller,
+    block: Block,
+    recorded: Recorded,
+    target: str,
+    targets: Sequence[str],
+    speed: SpeedPart | None,
 ) -> dict[str, bytes]:
     """The files that are text, by their places in the folder."""
     words = {
         "TARGET": target, "TARGETS": ", ".join(targets), "VERSION": __version__, "CONTROLLER": repr(controller),
         "CONSTANTS_SIZE": f"{len(block.content):,}", "SIZE": f"{block.laid_size:,}",
         "STATE_SIZE": f"{block.saved_size:,}", "PERIOD": f"{controller.period:g}",
-        "STEPS": f"{len(recorded.samples):,}", "KERNELS": library.kernels_hash(),
+        "STEPS": f"{len(recorded.samples):,}", "KERNELS": library.kernels_hash(), "ACTIONS": _actions(),
     }  # fmt: skip
     texts = {}
     for folder, names in FOLDERS.items():
         for name in names:
             texts[f"{folder}/{name}"] = _filled((C_SOURCES / name).read_text(encoding="utf-8"), words)
-    kind = Tracking if isinstance(controller, MPC) else LawTracking
-    texts["include/adaptrack_config.h"] = _config(controller, block)
+    kind = kind_of(controller, speed)
+    texts["include/adaptrack_config.h"] = _config(controller, block, speed)
     texts["src/adaptrack_parts.h"] = _parts_header(block, kind)
-    texts["src/adaptrack_parts.c"] = _parts(controller, block, kind)
+    texts["src/adaptrack_parts.c"] = _parts(block, kind)
     texts["src/adaptrack_constants.c"] = _constants(block)
-    texts["adaptrack_recorded.h"] = _recorded(recorded)
+    texts["adaptrack_recorded.h"] = _recorded(recorded, speed)
     return {name: text.encode() for name, text in texts.items()}
+
+
+def _actions() -> str:
+    """The table of the header: actions of the speed control by status."""
+    rows = {"status": ("with a position", "without one")} | SPEED_ACTIONS
+    return "\n".join(f"   {status:<12}{located:<16}{blind}" for status, (located, blind) in rows.items())
 
 
 def _filled(text: str, words: Mapping[str, str]) -> str:
@@ -198,7 +226,7 @@ def _filled(text: str, words: Mapping[str, str]) -> str:
     return text
 
 
-def _config(controller: Controller, block: Block) -> str:
+def _config(controller: Controller, block: Block, speed: SpeedPart | None) -> str:
     suspects = "\n".join(
         f"#define ADAPTRACK_SUSPECT_{name.upper()} (UINT64_C(1) << {bit})" for bit, name in enumerate(MISTAKES._fields)
     )
@@ -218,7 +246,7 @@ def _config(controller: Controller, block: Block) -> str:
 
 /* Bits of adaptrack_answer.suspect: what an input seems to be. */
 {suspects}
-
+{_speed_config(speed)}
 #ifdef __cplusplus
 extern "C" {{
 #endif
@@ -230,6 +258,25 @@ extern const unsigned char adaptrack_constants[ADAPTRACK_CONSTANTS_SIZE];
 """
 
 
+def _speed_config(speed: SpeedPart | None) -> str:
+    """Names of states and limits of the speed control; nothing without one."""
+    if speed is None:
+        return ""
+    states = ",\n".join(f"    ADAPTRACK_SPEED_{state.name} = {i}" for i, state in enumerate(SpeedState))
+    limits = ",\n".join(f"    ADAPTRACK_LIMIT_{limit.name} = {i}" for i, limit in enumerate(SpeedLimit))
+    return f"""
+#define ADAPTRACK_SPEED_CONTROL 1 /* {_printable(f"assumed friction {speed.control.friction!r}")} */
+#define ADAPTRACK_TOP_SPEED {speed.start.top_speed!r} /* m/s, of a plan at most */
+typedef enum {{
+{states}
+}} adaptrack_speed_state;
+/* What limits the requested speed or acceleration. */
+typedef enum {{
+{limits}
+}} adaptrack_speed_limit;
+"""
+
+
 def _printable(text: str) -> str:
     return text.encode("ascii", "replace").decode().replace("*/", "* /")
 
@@ -237,8 +284,8 @@ def _printable(text: str) -> str:
 def _parts_header(block: Block, kind: Any) -> str:
     """Places in records and rows, as the kernels' own files have them."""
     words = dict(_words("", TrackerRecord, 0))
-    shared = dict(_words("", Tracking, 0)), dict(_words("", LawTracking, 0))
-    assert all(places[f"tracker_{name}"] == at for places in shared for name, at in words.items())
+    places = dict(_words("", kind, 0))
+    assert all(places[f"tracker_{name}"] == at for name, at in words.items())
     lines = [
         f"    ADAPTRACK_{name.upper()} = {at}," for name, at in words.items() if name.startswith(("path_", "plan_"))
     ]
@@ -253,6 +300,7 @@ def _parts_header(block: Block, kind: Any) -> str:
         f"    ADAPTRACK_PIECE_COLUMNS = {road.PIECE_COLUMNS},",
         f"    ADAPTRACK_PATH_TOO_SMALL = {path.TOO_SMALL},",
     ]
+    lines += _speed_places(block, places)
     numbers = bounds.places(block, kind)
     return "\n".join(
         [
@@ -266,6 +314,27 @@ def _parts_header(block: Block, kind: Any) -> str:
             "void adaptrack_parts_step(void *record);", "#endif", "",
         ]
     )  # fmt: skip
+
+
+def _speed_places(block: Block, places: Mapping[str, int]) -> list[str]:
+    """Places of the speed control in the record, in its memory and in the arrays of a plan; none without one."""
+    before = "longitudinal_"
+    if f"{before}ahead" not in places:
+        return []
+    numbers = {
+        "LONGITUDINAL": places[f"{before}sample"], "LONGITUDINAL_MEMORY_AT": places[f"{before}memory"],
+        "LONGITUDINAL_SETTINGS": places[f"{before}settings_period"],
+        "LONGITUDINAL_BRAKE": places[f"{before}settings_brake"],
+        "LONGITUDINAL_BANKS": places[f"{before}banks_drive"], "LONGITUDINAL_AHEAD": places[f"{before}ahead"],
+        "LONGITUDINAL_CELLS": next(array.sizes[0] for array in block.arrays if array.name == "longitudinal.ahead"),
+        "LONGITUDINAL_PATH_END": places[f"{before}banks_drive"], "PLAN_ARRAYS_WORDS": words_of(PlanArrays),
+        **{name.upper(): at for name, at in places.items() if name.startswith(f"{before}path_")},
+        **{f"REQUEST_{name.upper()}": SPEED_MEMORY._fields.index(name) for name in REQUESTS},
+        **{f"PLAN_ARRAYS_{name.upper()}": at for name, at in _words("", PlanArrays, 0)},
+        "PLAN_MEMORY_TOO_SMALL": PLAN_MEMORY_TOO_SMALL,
+    }  # fmt: skip
+    lines = [f"    ADAPTRACK_{name} = {number}," for name, number in numbers.items()]
+    return [*lines, f"#define ADAPTRACK_PLAN_SPACING {PLACE_SPACING!r} /* m */"]
 
 
 def _words(before: str, kind: Any, at: int) -> Iterator[tuple[str, int]]:
@@ -295,20 +364,23 @@ def words_of(kind: Any) -> int:
     )
 
 
-def _parts(controller: Controller, block: Block, kind: Any) -> str:
+def _parts(block: Block, kind: Any) -> str:
     """Which kernels the constants call, and the bounds of their numbers."""
-    step, header = step_kernel(controller), block.header
+    step, header = step_kernel(kind), block.header
+    has_speed = "longitudinal" in kind.kinds
+    behind = " adaptrack_longitudinal_step(record, (uint64_t *)record + ADAPTRACK_LONGITUDINAL);" if has_speed else ""
     declarations = [f"extern void adaptrack_{name}(void);" for name in block.functions]
     rows = [f"    {{{zlib.crc32(name.encode()):#010x}u, adaptrack_{name}}}," for name in block.functions]
     return "\n".join(
         [
             "/* adaptrack: the kernels that the constants call. Written by adaptrack.export. */",
             '#include "adaptrack_parts.h"', "", "#include <math.h>", "", *declarations,
-            f"extern void adaptrack_{step}(void *record);", "",
+            f"extern void adaptrack_{step}(void *record);",
+            *(["extern void adaptrack_longitudinal_step(void *tracker, void *longitudinal);"] if has_speed else []), "",
             "static const adaptrack_function FUNCTIONS[] = {", *rows, "};",
             f"const adaptrack_reader adaptrack_parts = {{UINT64_C({header.kernels:#018x}), {header.kind:#010x}u, "
             f"FUNCTIONS, {len(rows)}, adaptrack_check_bounds}};", "", *bounds.tables(block, kind), "",
-            f"void adaptrack_parts_step(void *record) {{ adaptrack_{step}(record); }}", "",
+            f"void adaptrack_parts_step(void *record) {{ adaptrack_{step}(record);{behind} }}", "",
         ]
     )  # fmt: skip
 
@@ -325,7 +397,7 @@ def _constants(block: Block) -> str:
 
 
 # -- the recorded minute ----------------------------------------------------------------------------------------------
-def _recorded(recorded: Recorded) -> str:
+def _recorded(recorded: Recorded, speed: SpeedPart | None) -> str:
     points = ",\n    ".join(f"{x!r}, {y!r}" for x, y in recorded.points.tolist())
     rows = [
         ", ".join(f"{word:#x}u" for word in [*_canonical(sample), fingerprint(answer)])
@@ -351,9 +423,30 @@ static const double adaptrack_recorded_plan_s[] = {{ /* m */
     {_numbers(recorded.plan.s)}}};
 static const double adaptrack_recorded_plan_speed[] = {{ /* m/s */
     {_numbers(recorded.plan.speed)}}};
+{_recorded_speeds(recorded, speed)}
 /* For each call the bits of an adaptrack_sample, then the CRC-32 of what Python answered. */
 static const uint64_t adaptrack_recorded[][{len(TRACKER_SAMPLE) + 1}] = {{
     {{{sets}}}}};
+"""
+
+
+def _recorded_speeds(recorded: Recorded, speed: SpeedPart | None) -> str:
+    """Grade and stops of the recorded drive; nothing without a speed control."""
+    if speed is None:
+        return ""
+    grade, (stops, seconds) = recorded.path.grade, zip(*recorded.plan.stops, strict=True)
+    length = recorded.path.length
+    words = speed_path_words(length, 0, len(stops)) + 2 * recorded.plan.s.size
+    return f"""
+enum {{
+    ADAPTRACK_RECORDED_GRADES = {len(grade.s)}, ADAPTRACK_RECORDED_STOPS = {len(stops)},
+    ADAPTRACK_RECORDED_STAYS = {int(speed.control.stop_at_end)},
+    ADAPTRACK_RECORDED_SPEED_PLAN_SIZE = {64 + 8 * words} /* bytes, of adaptrack_speed_plan_size */
+}};
+static const double adaptrack_recorded_grade_s[] = {{{_numbers(grade.s)}}}; /* m */
+static const double adaptrack_recorded_grade[] = {{{_numbers(grade.value)}}};
+static const double adaptrack_recorded_stops[] = {{{_numbers(stops)}}}; /* m */
+static const double adaptrack_recorded_seconds[] = {{{_numbers(seconds)}}}; /* s */
 """
 
 
@@ -369,7 +462,7 @@ def _canonical(values: Any) -> list[int]:
 
 
 def fingerprint(answer: Any) -> int:
-    """CRC-32 of an answer, a row of `recorded.ANSWER_COLUMNS`, as main.c makes it."""
+    """CRC-32 of an answer, a row of `export.tracking.Twin.call`, as main.c makes it."""
     return zlib.crc32(struct.pack(f"<{len(answer)}Q", *_canonical(answer)))
 
 

@@ -22,6 +22,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import write_atomically
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import Controller
+from adaptrack.control.speed_control import SpeedControl
 from adaptrack.core import library
 from adaptrack.drive.world import Driver
 from adaptrack.export import fmu_build
@@ -45,6 +46,7 @@ VERSIONS = ("2.0", "3.0")
 _BASE_UNITS = {
     "s": {"s": 1}, "m": {"m": 1}, "rad": {"rad": 1}, "m/s": {"m": 1, "s": -1}, "m/s^2": {"m": 1, "s": -2},
     "rad/s": {"rad": 1, "s": -1}, "1/m": {"m": -1},
+    "N": {"kg": 1, "m": 1, "s": -2},
 }  # fmt: skip
 _TYPES = {"2.0": {REAL: "Real", WHOLE_VALUE: "Integer", TRUTH: "Boolean"},
           "3.0": {REAL: "Float64", WHOLE_VALUE: "Int64", TRUTH: "Boolean"}}  # fmt: skip
@@ -62,7 +64,7 @@ def export_fmu(
     *,
     version: Literal["2.0", "3.0"] = "3.0",
     profile: str | Profile = "road",
-    driver: Driver | None = None,
+    driver: Driver | SpeedControl | None = None,
     period: Positive | None = None,
     furthest: Annotated[Bound, "m"] = 10.0,
 ) -> Path:
@@ -70,8 +72,9 @@ def export_fmu(
 
     part: a plant, or a controller that is compiled ahead of time; route: of a car where it starts, and the road from
     which its offset counts; of a controller the road that it follows, with its plan; version: of the interface;
-    profile, driver, period: of a car, as for `simulate`; period: by default the profile's; furthest: of a controller,
-    m, from the path, beyond which a status says so.
+    profile, period: of a car, as for `simulate`; period: by default the profile's; driver: of a car, as for `simulate`:
+    with a `SpeedControl` its inputs ``force`` and ``hold`` move it; of a controller: a `SpeedControl` that it runs;
+    furthest: of a controller, m, from the path, beyond which a status says so.
 
     Raises
     ------
@@ -84,7 +87,8 @@ def export_fmu(
         return write_fmu(car_unit(part, route, profile=profile, driver=driver, period=period), path, version)
     if not isinstance(route, RoadDrive):
         raise InvalidInput("export_fmu: route: a controller follows a road: give a RoadDrive.")
-    return write_fmu(controller_unit(part, route.road, route.plan, furthest=furthest), path, version)
+    speed = driver if isinstance(driver, SpeedControl) else None
+    return write_fmu(controller_unit(part, route.road, route.plan, furthest=furthest, speed=speed), path, version)
 
 
 @checked

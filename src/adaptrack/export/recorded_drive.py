@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -24,8 +24,8 @@ from adaptrack.core.tracker.records import TRACKED
 from adaptrack.core.tracker.records import TRACKER_SAMPLE as CALL
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.simulate import simulate
-from adaptrack.export.tracking import Twin
-from adaptrack.road import Road, SpeedPlan, plan_speed, road_through
+from adaptrack.export.tracking import SpeedPart, Twin
+from adaptrack.road import Along, Road, SpeedPlan, Stop, plan_speed, road_through
 from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.road.speed import constant_speed
 from adaptrack.scenario import RoadDrive
@@ -36,8 +36,10 @@ RECORDED_SPACING = 5.0
 """m, between the points of the path: what a planner would send."""
 RECORDED_LOOKAHEAD = 10.0
 """s, at the highest speed, that the path goes on behind the end of the record."""
-ANSWER_COLUMNS = TRACKED._fields
-"""Columns of `Recorded.answers`."""
+STOP_PLACE, STOP_SECONDS = 100.0, 1.5
+"""m, s: of the stop, with a speed control."""
+HILL_LENGTH, HILL_GRADE = 80.0, 0.05
+"""m, -: length and steepest grade of the hills of a level road, with a speed control."""
 DRIVEN_SHARE = 0.4
 """Share of the record that the controller drives."""
 MOST_ANGLE = 1.2
@@ -76,6 +78,8 @@ class RecordedStretch(NamedTuple):
     """factor on numbers of the sample and what is added to them, in the first half of each wave; by their names"""
     without: tuple[str, ...] = ()
     """numbers that are missing throughout"""
+    driver: bool = False
+    """whether a driver uses the pedals"""
 
 
 STRETCHES = (
@@ -91,7 +95,7 @@ STRETCHES = (
     ),
     RecordedStretch(3.0, -80.0, 15.0, wave=0.7, faults={"lateral_acceleration": (1.0, 3.0), "yaw": (1.0, 0.1)}),
     RecordedStretch(2.0, -50.0, 20.0, without=("x", "y")),
-    RecordedStretch(2.0, -40.0, 3.0, -1.5),
+    RecordedStretch(2.0, -40.0, 3.0, -1.5, driver=True),
     RecordedStretch(3.0, -40.0, 8.0, offset=math.inf, wave=6.0),
     RecordedStretch(2.0, -20.0, 5.0),
 )
@@ -101,18 +105,29 @@ SENSOR_NOISE = {"x": 0.02, "y": 0.02, "yaw": 0.003, "speed": 0.02, "yaw_rate": 0
 """Standard deviations: m, rad, m/s, rad/s, m/s^2."""
 
 
+class RecordedPlan(NamedTuple):
+    """Speed along the recorded path."""
+
+    s: Array
+    """m, every `RECORDED_SPACING`"""
+    speed: Array
+    """Speed at these places (m/s)."""
+    stops: tuple[Stop, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Recorded:
     """A path through points, a planned speed along it, calls, and answers."""
 
     points: Array
     """(n, 2) m"""
-    plan: SpeedPlan
-    """every `RECORDED_SPACING`; of it the tracker knows place and speed"""
+    path: Road
+    """the path through them, with its grade"""
+    plan: RecordedPlan
     samples: Array
     """(calls, columns of a `core.tracker.records.TRACKER_SAMPLE`)"""
     answers: Array
-    """(calls, ANSWER)"""
+    """(calls, columns), see `Twin.call`"""
     driven_calls: int
     """calls of the simulated drive, the first ones"""
     failed: str = ""
@@ -126,15 +141,17 @@ def record_drive(
     plan: SpeedPlan,
     profile: Profile,
     seconds: float = 60.0,
-    seed: int = 0,
     furthest: float = 10.0,
+    speed: SpeedPart | None = None,
 ) -> Recorded:
     """Drive the beginning of a road with a controller behind a tracker, then `STRETCHES`; keep what went in and out.
 
     The road is driven through points `RECORDED_SPACING` apart, at a speed planned as `plan` is; profile: of the
     sensors;
-    furthest: m, from the path, as of the exported tracker. A command takes effect a period after its sample if the
-    controller assumes such a computation time, else at once.
+    furthest: m, from the path, as of the exported tracker; speed: the speed control behind it: the drive then has a
+    stop, and hills where the road is level. A command takes effect a period after its sample if the controller assumes
+    such a computation time, else at once. A controller that learns its steering drives below
+    `Learner.first_top_speed`.
 
     Raises
     ------
@@ -146,15 +163,16 @@ def record_drive(
     path = road_through(points, name=road.name)
     points = np.concatenate([points, _bends(path, _tightest(controller))])
     full_path = road_through(points, name=road.name)
-    steady = float(np.ptp(plan.speed)) == 0.0
-    car = getattr(controller, "vehicle", None)
-    planned = (
-        constant_speed(path, float(plan.speed[0])) if steady or car is None else plan_speed(path, car, plan.comfort)
-    )
-    driver = _Driver(controller, full_path, _extended(planned, full_path.length), DRIVEN_SHARE * seconds, furthest)
+    if speed is not None:
+        grade = _hills(road, length)
+        path, full_path = path.replace(grade=grade), full_path.replace(grade=grade)
+    planned = _plan(controller, path, plan, speed)
+    recorded_plan = _extended(planned, full_path.length)
+    driver = _Driver(controller, Twin(controller, full_path, recorded_plan, furthest, speed), DRIVEN_SHARE * seconds)
     if controller.belief is not None:
         profile = profile.replace(delay=float(controller.belief.computation.value > 0.5 * controller.period))
-    run = simulate(plant, driver, RoadDrive(path, planned), profile=profile, seed=seed)
+    control = None if speed is None else speed.control
+    run = simulate(plant, driver, RoadDrive(path, planned), profile=profile, driver=control)
     failure = find_failure(run)
     failed = ""
     if failure is not None and failure.time < DRIVEN_SHARE * seconds:
@@ -163,9 +181,9 @@ def record_drive(
     if calls == 0:
         raise InvalidInput(f"export: the road {road.name!r} is too short to be driven.")
     weaves = [stretch._replace(offset=min(stretch.offset, 1.005 * min(furthest, MAX_OFFSET))) for stretch in STRETCHES]
-    for sample in _wild(weaves, full_path, path.length, controller, driver.samples[-1][1], np.random.default_rng(seed)):
+    for sample in _wild(weaves, full_path, path.length, controller, driver.samples[-1][1], np.random.default_rng(0)):
         driver.call(sample)
-    return Recorded(points, driver.plan, np.array(driver.samples), np.array(driver.answers), calls, failed)
+    return Recorded(points, full_path, recorded_plan, np.array(driver.samples), np.array(driver.answers), calls, failed)
 
 
 def _wild(
@@ -199,18 +217,39 @@ def _wild(
             sample[: CALL.friction] = time - stretch.age * rng.random(), time, *values.values()
             sample[CALL.friction : CALL.motion_t] = 0.4 + 0.5 * rng.random(), 5.0 * rng.normal()
             sample[CALL.motion_t] = 0.5 * (sample[CALL.t] + time)
+            sample[CALL.longitudinal_acceleration] = stretch.acceleration + 0.1 * rng.normal()
+            sample[CALL.driver] = float(stretch.driver)
             sample[CALL.x :][rng.random(len(CALL) - CALL.x) < stretch.missing] = math.nan
             sample[[getattr(CALL, name) for name in stretch.without]] = math.nan
             yield sample
 
 
-def _extended(plan: SpeedPlan, length: float) -> SpeedPlan:
+def _plan(controller: Controller, path: Road, plan: SpeedPlan, speed: SpeedPart | None) -> SpeedPlan:
+    """The speed that the simulated car drives: as a plan is, and not above that at which learning begins."""
+    is_steady, car = float(np.ptp(plan.speed)) == 0.0, controller.vehicle
+    learner = getattr(controller, "learner", None)
+    top_speed = min(float(plan.speed.max()), math.inf if learner is None else learner.first_top_speed)
+    if speed is not None:
+        stop = Stop(min(STOP_PLACE, 0.5 * path.length), STOP_SECONDS)
+        return plan_speed(path, speed.control.car, plan.comfort, stops=[stop], top_speed=top_speed)
+    if is_steady or car is None:
+        return constant_speed(path, top_speed)
+    return plan_speed(path, car, plan.comfort, top_speed=None if top_speed == plan.speed.max() else top_speed)
+
+
+def _hills(road: Road, length: float) -> Along:
+    """The grade of the beginning of a road, or of hills where it is level."""
+    s = np.linspace(0.0, length, max(2, math.ceil(length / RECORDED_SPACING)))
+    grade = road.along("grade", s)
+    return Along.through(s, grade if grade.any() else HILL_GRADE * np.sin(2.0 * np.pi * s / HILL_LENGTH))
+
+
+def _extended(plan: SpeedPlan, length: float) -> RecordedPlan:
     """The speed at fewer places, and slow in the bends up to a length (m)."""
     last = float(plan.s[-1])
     s = np.linspace(0.0, last, max(2, math.ceil(last / RECORDED_SPACING)))
-    return replace(
-        plan, s=np.array([*s, last + RECORDED_SPACING, length]), speed=np.array([*plan.at(s), BEND_SPEED, BEND_SPEED])
-    )
+    places, speeds = [*s, last + RECORDED_SPACING, length], [*plan.at(s), BEND_SPEED, BEND_SPEED]
+    return RecordedPlan(np.array(places), np.array(speeds), tuple(plan.stops))
 
 
 def _tightest(controller: Controller) -> float:
@@ -242,10 +281,9 @@ class _Driver(Controller):
     period: float
     sees_all_sensors = True
 
-    def __init__(self, controller: Controller, path: Road, plan: SpeedPlan, seconds: float, furthest: float) -> None:
+    def __init__(self, controller: Controller, twin: Twin, seconds: float) -> None:
         self.period, self.limits, self.vehicle = controller.period, controller.limits, controller.vehicle
-        self.plan, self._twin = plan, Twin(controller, path, plan, furthest)
-        self._instant, self._seconds = 0, seconds
+        self._twin, self._instant, self._seconds = twin, 0, seconds
         self.samples: list[Array] = []
         self.answers: list[Array] = []
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import LQR, MPC, Controller, PurePursuit, Stanley
 from adaptrack.control.controllers.mpc import CompiledScheduler
+from adaptrack.control.speed_control import SpeedControl, SpeedStart, longitudinal_of, patience_of, speed_path
 from adaptrack.control.tracking import tracking_of
-from adaptrack.core.kernel import direct
+from adaptrack.core.kernel import Resident, direct, record
+from adaptrack.core.speed_control import SpeedPath
+from adaptrack.core.tracker.longitudinal import Longitudinal, longitudinal_step
 from adaptrack.core.tracker.records import LawTracking, Tracking
 from adaptrack.core.tracker.step import tracker_step, tracker_step_law
 from adaptrack.export.block import ArrayRole, ArrayStart, Block, pack
@@ -47,11 +50,38 @@ RESETS = {"step.mpc.memory": {"speed": math.nan}}
 """The model, and all that follows from it, is formed anew."""
 OUTSIDE = ("tracker.path", "tracker.plan")
 Room = tuple[int, int]
+SpeedTracking = record("SpeedTracking", (*Tracking.kinds.items(), ("longitudinal", Longitudinal)))
+SpeedLawTracking = record("SpeedLawTracking", (*LawTracking.kinds.items(), ("longitudinal", Longitudinal)))
+"""`Tracking` and `LawTracking` with a speed control behind them."""
+REQUESTS = ("acceleration", "force", "hold", "target_speed", "grip_used", "state", "limited_by")
+"""Fields of `core.speed_control.SPEED_MEMORY` that an exported speed control returns."""
 
 
-def step_kernel(controller: Controller) -> str:
-    """The kernel of a whole call with a controller."""
-    return "tracker_step" if isinstance(controller, MPC) else "tracker_step_law"
+class SpeedPart(NamedTuple):
+    """Speed control of an export."""
+
+    control: SpeedControl
+    start: SpeedStart
+
+
+def speed_part(control: SpeedControl, controller: Controller, plan: SpeedPlan, top_speed: float = 0.0) -> SpeedPart:
+    """The speed control behind a tracker with a controller, for plans up to that of `plan` or a top speed (m/s)."""
+    learner = getattr(controller, "learner", None)
+    first_top_speed = math.inf if learner is None else learner.first_top_speed
+    fastest = max(float(plan.speed.max()), top_speed)
+    return SpeedPart(control, SpeedStart(plan.comfort, fastest, patience_of(controller), first_top_speed))
+
+
+def kind_of(controller: Controller, speed: SpeedPart | None = None) -> Any:
+    """The kind of record of an export."""
+    if speed is None:
+        return Tracking if isinstance(controller, MPC) else LawTracking
+    return SpeedTracking if isinstance(controller, MPC) else SpeedLawTracking
+
+
+def step_kernel(kind: Any) -> str:
+    """The kernel of a whole call with a controller, by the kind of its record."""
+    return "tracker_step" if "step" in kind.kinds else "tracker_step_law"
 
 
 def refuse(controller: Any) -> None:
@@ -102,10 +132,13 @@ def room_of(controller: MPC, room: Room | None = None) -> Room:
     return horizons
 
 
-def tracking_block(controller: Any, room: Room | None = None, furthest: float = 10.0) -> Block:
+def tracking_block(
+    controller: Any, room: Room | None = None, furthest: float = 10.0, speed: SpeedPart | None = None
+) -> Block:
     """The block of a controller behind a tracker, with what it has learned so far; the controller stays as it is.
 
-    room: of an MPC the largest Np and Nc that constants which are loaded later may have; furthest: m, from the path.
+    room: of an MPC the largest Np and Nc that constants which are loaded later may have; furthest: m, from the path;
+    speed: the speed control behind the tracker. It learns drive and brakes from `adaptrack_init` on.
 
     Raises
     ------
@@ -115,8 +148,15 @@ def tracking_block(controller: Any, room: Room | None = None, furthest: float = 
     refuse(controller)
     none: Any = None  # the C program gives path and plan
     record = small_record_of(controller, none, None, furthest, room)
-    kind = Tracking if isinstance(controller, MPC) else LawTracking
-    return pack(record, kind.__name__, ROLES, STARTS, RESETS, OUTSIDE)
+    kind, outside = kind_of(controller, speed), list(OUTSIDE)
+    if speed is not None:
+        path = SpeedPath(*(np.zeros(0) for _ in range(6)), 0.0, 0.0, 0)
+        longitudinal = longitudinal_of(speed.control, controller.period, speed.start, path)
+        for bank in (longitudinal.banks.drive, longitudinal.banks.brakes):
+            bank[:] = np.zeros_like(bank)
+        record = kind(*record, longitudinal)
+        outside.append("longitudinal.path")
+    return pack(record, kind.__name__, ROLES, STARTS, RESETS, outside)
 
 
 def record_of(controller: Any, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0) -> Any:
@@ -161,16 +201,34 @@ class Twin:
     """The calls of an exported controller, made by the same kernels in this process; used to verify exports."""
 
     def __init__(
-        self, controller: Controller, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0
+        self,
+        controller: Controller,
+        path: Road,
+        plan: Any = None,
+        furthest: float = 10.0,
+        speed: SpeedPart | None = None,
     ) -> None:
         refuse(controller)
         record = record_of(controller, path, plan, furthest)
         self._sample, self._tracked = record.tracker.sample, record.tracker.tracked
         self._run = direct(tracker_step if isinstance(controller, MPC) else tracker_step_law, record)
+        self._tracker, self._longitudinal = Resident(record.tracker), None
+        if speed is not None:
+            way = speed_path(path, plan, speed.control.stop_at_end)
+            start = speed.start._replace(top_speed=float(max(plan.speed)))
+            self._longitudinal = longitudinal_of(speed.control, controller.period, start, way)
+            self._resident = Resident(self._longitudinal)
 
     def call(self, sample: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return one call's result, a row of `core.tracker.records.TRACKED`; sample: start of a `SAMPLE` row."""
+        """Return one call's result: a row of `core.tracker.records.TRACKED`, with a speed control then `REQUESTS`.
+
+        sample: start of a `SAMPLE` row.
+        """
         self._sample[:] = math.nan
         self._sample[: len(sample)] = sample
         self._run()
-        return self._tracked.copy()
+        if self._longitudinal is None:
+            return self._tracked.copy()
+        longitudinal_step(self._tracker, self._resident)
+        requests = self._longitudinal.memory[0]
+        return np.array([*self._tracked, *(float(requests[name]) for name in REQUESTS)])

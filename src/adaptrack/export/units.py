@@ -16,6 +16,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_GRADE
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import MPC, Controller
+from adaptrack.control.speed_control import SpeedControl, longitudinal_of, speed_path
 from adaptrack.core.build.header import remarks
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.period import RunInputs
@@ -24,7 +25,7 @@ from adaptrack.core.units import car, controller
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, World
 from adaptrack.export.block import ArrayRole
-from adaptrack.export.tracking import ROLES, refuse, small_record_of
+from adaptrack.export.tracking import ROLES, refuse, small_record_of, speed_part
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
@@ -35,7 +36,9 @@ REAL, WHOLE_VALUE, TRUTH, PARAMETER, INPUT_VALUE, CONSTANT_VALUE = 0, 1, 2, 4, 8
 MAX_FMU_SEED = 2.0**53
 MAX_FREE_SPEED = 70.0
 """m/s, to which a car is integrated where no drive says how fast it goes."""
-_UNIT = re.compile(r"(?P<unit>1/m|m/s\^2|m/s|rad/s|rad|m|s|-|true)(?P<end>[,:] |$)")
+MAX_FORCE = 1e6
+"""N, of a request."""
+_UNIT = re.compile(r"(?P<unit>1/m|m/s\^2|m/s|rad/s|rad|m|s|N|-|true)(?P<end>[,:] |$)")
 
 
 @dataclass(frozen=True)
@@ -108,12 +111,13 @@ def car_unit(
     route: Scenario | RoadDrive | None = None,
     *,
     profile: str | Profile = "paper",
-    driver: Driver | None = None,
+    driver: Driver | SpeedControl | None = None,
     period: Positive | None = None,
 ) -> Unit:
     """A car of the simulated world as a unit: what `simulate` puts around a controller, without plan and environment.
 
-    route: where it starts and how fast, and the road from which its offset counts; None: at the origin, at 20 m/s.
+    route: where it starts and how fast, and the road from which its offset counts; None: at the origin, at 20 m/s;
+    driver: with a `SpeedControl` the inputs ``force`` and ``hold`` move the car through its drive and brakes.
 
     Raises
     ------
@@ -127,7 +131,7 @@ def car_unit(
     else:
         signals = route.sample(world.period)
         pose, speed, fastest = route.start_pose(), float(signals.speed[0]), float(signals.speed.max())
-    ahead = world.period if driver is None else driver.preview
+    ahead = driver.preview if isinstance(driver, Driver) else world.period
     if ahead < world.period:
         raise InvalidInput(f"driver: preview = {ahead:g} s: must be a control period at least, {world.period:g} s.")
     samples = math.floor(ahead / world.period) + 2
@@ -144,7 +148,7 @@ def car_unit(
         "speed": (speed, 0.0, 100.0), "speed_ahead": (speed, 0.0, 100.0), "on_plan": (0.0, 0.0, 1.0),
         **dict(zip(("start_x", "start_y", "start_yaw"), ((coordinate, -1e8, 1e8) for coordinate in pose), strict=True)),
         "start_station": (0.0, -1e8, 1e8), "plan_station": (0.0, -1e8, 1e8), "bank": (0.0, -10.0, 10.0),
-        "grade": (0.0, -MAX_GRADE, MAX_GRADE),
+        "grade": (0.0, -MAX_GRADE, MAX_GRADE), "force": (0.0, -MAX_FORCE, MAX_FORCE), "hold": (0.0, 0.0, MAX_FORCE),
         **{name: (0.9, 1e-3, 3.0) for name in car.CAR_INPUTS if name.startswith("friction")},
         **{name: (0.0, -100.0, 100.0) for name in ("wind_x", "wind_y")},
     }  # fmt: skip
@@ -169,18 +173,22 @@ def controller_unit(
     *,
     furthest: Annotated[Bound, "m"] = 10.0,
     speed_preview: Annotated[NotNegative, "s"] | None = None,
+    speed: SpeedControl | None = None,
 ) -> Unit:
     """A controller with its tracker on a path as a unit: what `Tracker.step` does, once a period.
 
     plan, furthest: as of `Tracker`; speed_preview: how far ahead the driven car needs its planned speed, by default a
-    period. What the controller has learned so far travels along; it stays as it is.
+    period; speed: the speed control behind the tracker, for which the plan counts; the slope is that of the path. What
+    the controller has learned so far travels along; it stays as it is.
 
     Raises
     ------
     InvalidInput
-        When the controller, or a part of it, is not compiled ahead of time.
+        When the controller, or a part of it, is not compiled ahead of time, or a speed control has no plan.
     """
     refuse(built_controller)
+    if speed is not None and plan is None:
+        raise InvalidInput("controller_unit: speed: a speed control follows a plan; give plan=plan_speed(path, car).")
     tracking = small_record_of(built_controller, path, plan, furthest)
     first = 0.0 if plan is None else float(plan.speed[0])
     ahead = built_controller.period if speed_preview is None else speed_preview
@@ -193,14 +201,20 @@ def controller_unit(
     }  # fmt: skip
     groups = {
         CONSTANT_VALUE: controller.STEERING_CONSTANTS, PARAMETER: controller.PARAMETERS,
-        INPUT_VALUE: controller.STEERING_INPUTS, 0: controller.STEERING_OUTPUTS,
+        INPUT_VALUE: controller.STEERING_INPUTS,
+        0: controller.STEERING_OUTPUTS + (() if speed is None else controller.SPEED_OUTPUTS),
     }  # fmt: skip
     values = described(controller.__name__, groups, starts)
-    kind = controller.SteeringUnit if isinstance(built_controller, MPC) else controller.LawSteeringUnit
     roles = {f"tracking.{name}": role for name, role in ROLES.items()}
-    roles |= dict.fromkeys(("tracking.tracker.path", "tracking.tracker.plan"), ArrayRole.FIXED)
+    roles |= dict.fromkeys(("tracking.tracker.path", "tracking.tracker.plan", "longitudinal.path"), ArrayRole.FIXED)
     title = f"controller {built_controller.name} on {path.name}"
-    return Unit("controller", title, kind(*_columns(values), tracking=tracking), values, FIXED_ROLES | roles)
+    parts, kinds = {"tracking": tracking}, (controller.SteeringUnit, controller.LawSteeringUnit)
+    if speed is not None and plan is not None:
+        start, way = speed_part(speed, built_controller, plan).start, speed_path(path, plan, speed.stop_at_end)
+        parts["longitudinal"] = longitudinal_of(speed, built_controller.period, start, way)
+        title, kinds = f"{title}, with speed control", (controller.SpeedSteeringUnit, controller.LawSpeedSteeringUnit)
+    kind = kinds[0 if isinstance(built_controller, MPC) else 1]
+    return Unit("controller", title, kind(*_columns(values), **parts), values, FIXED_ROLES | roles)
 
 
 FIXED_ROLES = dict.fromkeys(("kinds", "least", "most"), ArrayRole.FIXED)
@@ -214,7 +228,7 @@ def _columns(values: tuple[UnitValue, ...]) -> tuple[NDArray[Any], ...]:
             np.array([value.most for value in values]))  # fmt: skip
 
 
-def _world(plant: Plant, profile: str | Profile, driver: Driver | None, period: float | None) -> World:
+def _world(plant: Plant, profile: str | Profile, driver: Driver | SpeedControl | None, period: float | None) -> World:
     """The world of a car alone: it has no reference, from which it could come away."""
     world = load_profile(profile)
     if getattr(plant, "steering", None) is None:

@@ -15,7 +15,9 @@ from adaptrack_ros.follower import Follower, Parameters
 
 
 def export(parameters: Parameters, folder: str | Path, targets: Sequence[str] = ()) -> Any:
-    """Write it: of `vehicle`, `profile`, `command_delay`, `oldest_sample` and `furthest`; the node reads the others.
+    """Write it. The node itself reads the parameters that the export does not use.
+
+    These are `vehicle`, `profile`, `command_delay`, `oldest_sample`, `furthest`, `speed_control` and `acceleration`.
 
     targets: processors as `adaptrack.export_c` names them, this one without any.
 
@@ -26,10 +28,11 @@ def export(parameters: Parameters, folder: str | Path, targets: Sequence[str] = 
     adaptrack.StorageError
         When a file cannot be written.
     """
-    follower = Follower(parameters)
+    follower, road = Follower(parameters), at.load_road("country")
     return at.export_c(
-        follower.controller(), folder, targets=targets, profile=follower.profile, furthest=parameters.furthest
-    )
+        follower.controller(), folder, targets=targets, profile=follower.profile, furthest=parameters.furthest,
+        road=road, plan=at.plan_speed(road, follower.car, follower.comfort), speed=follower.speed_control(),
+    )  # fmt: skip
 
 
 def main() -> None:

@@ -26,6 +26,8 @@ STOPPING = {
     at.Status.END: "the car is beyond the end of the path",
 }
 """Statuses on which the car is stopped, and what the diagnostics say."""
+LEAST_ACCELERATION = 0.01
+"""m/s^2, smallest magnitude that is sent: 0 means as quickly as possible in an AckermannDrive."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,8 @@ class Parameters:
     """plan to stand at the end of every path; not where the path has speeds"""
     acceleration: float = 1.5
     """m/s^2, how fast the speed may be changed"""
+    speed_control: bool = False
+    """control the speed: speed and acceleration of a command are then requests of adaptrack's speed control"""
     stop_deceleration: float = 3.0
     """m/s^2, of the safe command"""
     longest_silence: float = 0.3
@@ -126,11 +130,20 @@ class Follower:
         sensors = replace(at.KalmanFilter.from_profile(self.profile), oldest=self.parameters.oldest_sample)
         return at.MPC(self.car, profile=self.profile, computation=self.parameters.command_delay, estimator=sensors)
 
+    def speed_control(self) -> at.SpeedControl | None:
+        """The speed control of this car; None without the parameter. Whether a path ends in a stop, its plan says."""
+        return at.SpeedControl(self.car, stop_at_end=False) if self.parameters.speed_control else None
+
+    @property
+    def comfort(self) -> Comfort:
+        """Accelerations of a plan."""
+        return Comfort(accelerate=self.parameters.acceleration, brake=self.parameters.acceleration)
+
     def warm_up(self) -> None:
         """Have everything compiled and loaded before the car moves: on a straight, with a controller of its own."""
         straight = np.stack([np.arange(50.0), np.zeros(50)], axis=-1)
         road, plan = self._planned(straight, None)
-        tracker = at.Tracker(self.controller(), road, plan=plan)
+        tracker = at.Tracker(self.controller(), road, plan=plan, speed=self.speed_control())
         for k in range(3):
             tracker.step(k * self.period, 5.0 + k * self.period * 5.0, 0.1, 0.0, 5.0, 0.0)
 
@@ -181,7 +194,9 @@ class Follower:
         try:
             road, plan = self._planned(points, speeds)
             if self._tracker is None:
-                self._tracker = at.Tracker(self.controller(), road, plan=plan, furthest=self.parameters.furthest)
+                self._tracker = at.Tracker(
+                    self.controller(), road, plan=plan, speed=self.speed_control(), furthest=self.parameters.furthest
+                )
                 self._tracker.engage(self._angle)
             else:
                 self._tracker.follow(road, plan)
@@ -208,7 +223,7 @@ class Follower:
     def _planned(self, points: Array, speeds: Array | None) -> tuple[at.Road, SpeedPlan]:
         """A path as a road, and the speed along it."""
         p, road = self.parameters, at.road_through(points)
-        comfort = Comfort(accelerate=p.acceleration, brake=p.acceleration)
+        comfort = self.comfort
         if speeds is None:
             end = 0.0 if p.stop_at_end else None
             return road, at.plan_speed(road, self.car, comfort, end=end, top_speed=p.top_speed)
@@ -271,9 +286,15 @@ class Follower:
         return Command(self._angle, 0.0, self.parameters.stop_deceleration, why)
 
     def _going(self) -> Command:
-        """The speed that is planned where the car will be in one period, and 0 from a stop on."""
+        """The request of the speed control; without one the speed planned one period ahead, and 0 from a stop on."""
         if self._tracked is None:
             return self._stopped("no path yet")
+        request = self._tracked.longitudinal
+        if request is not None:
+            rate = max(abs(request.acceleration), LEAST_ACCELERATION)
+            return Command(
+                self._angle, request.target_speed, self.parameters.acceleration if request.hold > 0.0 else rate
+            )
         speed = self._tracked.target_speed
         return Command(self._angle, speed if math.isfinite(speed) else 0.0, self.parameters.acceleration)
 

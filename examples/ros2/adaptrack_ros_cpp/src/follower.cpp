@@ -15,6 +15,9 @@ constexpr double standing = 0.1;  // m/s
 constexpr double at_stop = 0.25;  // m, of a standing car from a stop that counts as reached
 constexpr double overshot = 3.0;  // m, of a car that is stopping from the stop of another path that counts as the same
 constexpr double jump = 20.0;     // m, beyond the last and the next stop: the car has been moved rather than driven
+#if ADAPTRACK_SPEED_CONTROL
+constexpr double least_acceleration = 0.01; // m/s^2: in an AckermannDrive 0 means as quickly as possible
+#endif
 constexpr double nowhere = std::numeric_limits<double>::quiet_NaN();
 
 template <class... Arguments>
@@ -54,6 +57,11 @@ Follower::Follower(const Parameters &given, const void *constants, std::size_t s
         if (!(value > 0.0 && std::isfinite(value)))
             throw std::invalid_argument(text_of("%s = %g: must be positive and finite.", name, value));
     if (!std::isfinite(given.base_ahead)) throw std::invalid_argument("base_ahead: must be finite.");
+#if ADAPTRACK_SPEED_CONTROL
+    if (given.top_speed > ADAPTRACK_TOP_SPEED)
+        throw std::invalid_argument(text_of("top_speed = %g: the exported speed control drives up to %g m/s.",
+                                            given.top_speed, ADAPTRACK_TOP_SPEED));
+#endif
     tracker_.resize((adaptrack_size(constants, size) + 7) / 8);
     const adaptrack_error error = adaptrack_init(tracker_.data(), 8 * tracker_.size(), constants, size);
     if (error != ADAPTRACK_OK) throw std::runtime_error(text_of("constants: adaptrack error %d.", static_cast<int>(error)));
@@ -99,9 +107,8 @@ void Follower::path(const std::vector<double> &points, const std::vector<double>
     Planned &next = paths_[1 - followed_];
     path_trouble_ = why_not(next, points, speeds);
     if (!path_trouble_.empty()) return;
-    const adaptrack_plan plan = next.plan();
     adaptrack_error error = has_path_ ? ADAPTRACK_OK : adaptrack_engage(tracker_.data(), angle_, NAN);
-    if (error == ADAPTRACK_OK) error = adaptrack_follow(tracker_.data(), next.road.data(), NAN, &plan);
+    if (error == ADAPTRACK_OK) error = next.follow(tracker_.data());
     if (error != ADAPTRACK_OK) {
         path_trouble_ = text_of("adaptrack error %d", static_cast<int>(error));
         return;
@@ -150,8 +157,38 @@ std::string Follower::why_not(Planned &planned, const std::vector<double> &point
     else
         std::transform(speeds.begin(), speeds.end(), planned.speed.begin(),
                        [this](double speed) { return std::min(speed, parameters.top_speed); });
+#if ADAPTRACK_SPEED_CONTROL
+    return planned.make_plan();
+#else
     return {};
+#endif
 }
+
+#if ADAPTRACK_SPEED_CONTROL
+// Make the plan of the speed control, with a stop wherever the speed is 0; why there is none, empty when there is.
+std::string Follower::Planned::make_plan() {
+    stops.clear();
+    for (std::size_t k = 1; k + 1 < s.size(); k++)
+        if (speed[k] == 0.0) stops.push_back(s[k]);
+    seconds.assign(stops.size(), std::numeric_limits<double>::infinity()); // until another path comes
+    adaptrack_speeds speeds{};
+    speeds.s = s.data(), speeds.speed = speed.data(), speeds.count = s.size();
+    speeds.stops = stops.data(), speeds.seconds = seconds.data(), speeds.stop_count = stops.size();
+    plan.resize(std::max(plan.size(), (adaptrack_speed_plan_size(road.data(), &speeds) + 7) / 8));
+    adaptrack_flaw flaw{};
+    const adaptrack_error error = adaptrack_speed_plan(road.data(), &speeds, plan.data(), 8 * plan.size(), &flaw);
+    return error == ADAPTRACK_OK ? std::string() : text_of("its speed at point %zu is not possible", flaw.index);
+}
+
+adaptrack_error Follower::Planned::follow(void *tracker) const {
+    return adaptrack_follow_plan(tracker, road.data(), NAN, plan.data());
+}
+#else
+adaptrack_error Follower::Planned::follow(void *tracker) const {
+    const adaptrack_plan speeds = {s.data(), speed.data(), s.size()};
+    return adaptrack_follow(tracker, road.data(), NAN, &speeds);
+}
+#endif
 
 // The fastest speeds within `lateral` and `acceleration`: one pass forward, one backward over the square of the speed.
 void Follower::plan_speeds(Planned &planned, const std::vector<double> &points) const {
@@ -285,8 +322,14 @@ double Follower::Planned::stop_beyond(double place) const {
 
 void Follower::go() {
     command_.angle = angle_;
+#if ADAPTRACK_SPEED_CONTROL
+    const double rate = std::max(std::abs(answer_->acceleration), least_acceleration);
+    command_.speed = answer_->target_speed;
+    command_.acceleration = answer_->hold > 0.0 ? parameters.acceleration : rate;
+#else
     command_.speed = target_speed(answer_->station);
     command_.acceleration = parameters.acceleration;
+#endif
     command_.stopping.clear();
 }
 

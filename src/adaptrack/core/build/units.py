@@ -4,6 +4,8 @@ UNIT_KERNELS = {
     "CarUnit": ("car_begin", "car_step"),
     "SteeringUnit": ("steering_begin", "steering_step"),
     "LawSteeringUnit": ("law_steering_begin", "law_steering_step"),
+    "SpeedSteeringUnit": ("steering_begin", "speed_steering_step"),
+    "LawSpeedSteeringUnit": ("law_steering_begin", "law_speed_steering_step"),
 }
 """Of each unit of co-simulation (`core.units`) the kernels that begin and step, by the name of its record."""
 PLANTS = tuple(

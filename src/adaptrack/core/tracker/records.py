@@ -125,6 +125,8 @@ TRACKER_SAMPLE = columns(
     "friction",  # -, of the road, for a schedule; NaN: not known
     "wind",  # m/s, of the air to the left, for a schedule; NaN: not known
     "motion_t",  # s, when speed, yaw rate, v_y, lateral acceleration and wheel angle were taken; NaN: t
+    "longitudinal_acceleration",  # m/s^2, dv/dt without gravity, for a speed control
+    "driver",  # 1: a driver uses the pedals, for a speed control
 )  # fmt: skip
 """A call. What is not known is NaN; what no car can have is made NaN here."""
 
@@ -140,6 +142,7 @@ CONTROLLER_ANSWER = columns(
     "held",  # 1: it is no new one
     "belief_state",  # as in TRACKED
     "belief_at_bound",  # likewise
+    "delay_sigma",  # s, standard deviation of the learned delay of the steering; 0 where nothing is learned
 )  # fmt: skip
 """What a controller answers."""
 

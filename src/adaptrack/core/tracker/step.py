@@ -91,8 +91,10 @@ def _control(tracking):
         learned = output[len(MPC_ANSWER) :]
         answer[CONTROLLER_ANSWER.belief_state] = learned[learning.BELIEF_COLUMNS.belief_state]
         answer[CONTROLLER_ANSWER.belief_at_bound] = learned[learning.BELIEF_COLUMNS.belief_at_bound]
+        answer[CONTROLLER_ANSWER.delay_sigma] = learned[learning.BELIEF_COLUMNS.belief_delay_sigma]
     else:
         answer[CONTROLLER_ANSWER.belief_state] = answer[CONTROLLER_ANSWER.belief_at_bound] = NO_BELIEF
+        answer[CONTROLLER_ANSWER.delay_sigma] = 0.0
 
 
 # -- a law ------------------------------------------------------------------------------------------------------------
@@ -122,6 +124,7 @@ def _control_law(tracking):
     answer[CONTROLLER_ANSWER.command] = output[COMMAND]
     answer[CONTROLLER_ANSWER.held] = 1.0 if law.held > 0 and output[law.held] > 0.5 else 0.0
     answer[CONTROLLER_ANSWER.belief_state] = answer[CONTROLLER_ANSWER.belief_at_bound] = NO_BELIEF
+    answer[CONTROLLER_ANSWER.delay_sigma] = 0.0
 
 
 # -- a schedule -------------------------------------------------------------------------------------------------------

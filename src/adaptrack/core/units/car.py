@@ -42,6 +42,8 @@ CAR_INPUTS = (
     "wind_x", "wind_y",  # m/s, m/s: velocity of the air in the world
     "bank",  # m/s^2, what the pull of a banked road adds to dv_y/dt, positive to the left
     "grade",  # -, dz/ds of the road, positive uphill
+    "force",  # N, requested at the wheels, positive forward; acts in a car that is exported for a speed control
+    "hold",  # N, of the brakes in addition to the force; acts in a car that is exported for a speed control
 )  # fmt: skip
 CAR_OUTPUTS = (
     "measured_x", "measured_y",  # m, m: measured position in the world, measured_pose_age ago; NaN: missing
@@ -100,6 +102,10 @@ def _open_window(car):
     for j in range(ENVIRONMENT):
         signals[0, SIGNAL.friction_front_left + j, 0] = values[CAR_VALUE.friction_front_left + j]
     signals[0, SIGNAL.grade, 0] = values[CAR_VALUE.grade]
+    friction = 0.0  # the driver knows its mean
+    for j in range(4):
+        friction += values[CAR_VALUE.friction_front_left + j]
+    signals[0, SIGNAL.known_friction, 0] = friction / 4.0
 
 
 @inlined
@@ -169,12 +175,12 @@ def car_step(car):
     invalid = outside(_INPUT, _OUTPUT, values, car.least, car.most)
     if invalid != OK:
         return invalid
-    command = values[CAR_VALUE.command]
+    command, drive = values[CAR_VALUE.command], loop.memory.drives[0]
+    drive.requested_force, drive.requested_hold = values[CAR_VALUE.force], values[CAR_VALUE.hold]
     if values[CAR_VALUE.parallel_exchange] > 0.5:
         loop.memory.sent[0, 0] = command
     _open_window(car)
     after_control(0, command, command - loop.memory.drives[0].command, _span(), loop)
     move(1, loop)
-    drive = loop.memory.drives[0]
     drive.sample = drive.place = drive.departed = drive.standing = 0  # the window begins at the car
     return _sense(car)

@@ -11,6 +11,7 @@ from ..kernel import OK, Place, columns, exported, inlined, int64, int_vector, l
 from ..maths.bits import whole
 from ..road import CLOSED
 from ..speed_plan import planned_speeds
+from ..tracker.longitudinal import Longitudinal, longitudinal_step
 from ..tracker.records import TRACKED, TRACKER_SAMPLE, LawTracking, Tracking
 from ..tracker.step import tracker_step, tracker_step_law
 from ..tracker.take_call import tracker_engage
@@ -58,8 +59,20 @@ STEERING_OUTPUTS = (
     "planned_speed",  # m/s, planned where the car is; without a plan the present speed
     "planned_speed_ahead",  # m/s, planned where the car will be after speed_preview
 )  # fmt: skip
+SPEED_OUTPUTS = (
+    "acceleration",  # m/s^2, requested dv/dt along the road, without gravity
+    "force",  # N, requested at the wheels, positive forward
+    "hold",  # N, of the brakes in addition to the force: pressure that holds the car at rest
+    "target_speed",  # m/s, where the request acts
+    "grip_used",  # -, acceleration of the car over what the assumed friction gives
+    "speed_state",  # 0 off, 1 driving, 2 stopping, 3 stopped, 4 emergency; see core.speed_control
+    "limited_by",  # 0 plan, 1 comfort, 2 grip, 3 stop, 4 path end, 5 fault, 6 driver, ...: core.speed_control
+)  # fmt: skip
+"""Outputs of a unit with speed control, behind the others."""
 STEERING_VALUE = columns(*STEERING_CONSTANTS, *PARAMETERS, *STEERING_INPUTS, *STEERING_OUTPUTS)
 """The values of a controller."""
+SPEED_VALUE = columns(*STEERING_VALUE._fields, *SPEED_OUTPUTS)
+"""The values of a controller with speed control."""
 _PARAMETER, _INPUT = STEERING_VALUE.start_wheel_angle, STEERING_VALUE.x
 
 _places = local(2)
@@ -67,6 +80,11 @@ _VALUES = (("values", vector), ("kinds", int_vector), ("least", vector), ("most"
 SteeringUnit = record("SteeringUnit", (*_VALUES, ("tracking", Tracking)))
 """A unit of co-simulation (see `contract`) around an MPC, its values by `STEERING_VALUE`."""
 LawSteeringUnit = record("LawSteeringUnit", (*_VALUES, ("tracking", LawTracking)))
+"""The same around a control law."""
+SpeedSteeringUnit = record("SpeedSteeringUnit", (*SteeringUnit.kinds.items(), ("longitudinal", Longitudinal)))
+"""A unit around an MPC with a speed control behind it, its values by `SPEED_VALUE`. It begins as a `SteeringUnit` does,
+with which its record begins."""
+LawSpeedSteeringUnit = record("LawSpeedSteeringUnit", (*LawSteeringUnit.kinds.items(), ("longitudinal", Longitudinal)))
 """The same around a control law."""
 
 
@@ -185,6 +203,42 @@ def law_steering_step(unit):
     values, tracker = unit.values, unit.tracking.tracker
     _give(values, tracker.sample)
     tracker_step_law(unit.tracking)
+    _tell(tracker, values)
+    _go_on(values)
+    return OK
+
+
+# -- with a speed control ---------------------------------------------------------------------------------------------
+@inlined
+def _write_requests(unit):
+    """Run the speed control and write its requests."""
+    values, memory = unit.values, unit.longitudinal.memory[0]
+    longitudinal_step(unit.tracking.tracker, unit.longitudinal)
+    values[SPEED_VALUE.acceleration], values[SPEED_VALUE.force] = memory.acceleration, memory.force
+    values[SPEED_VALUE.hold], values[SPEED_VALUE.target_speed] = memory.hold, memory.target_speed
+    values[SPEED_VALUE.grip_used] = memory.grip_used
+    values[SPEED_VALUE.speed_state], values[SPEED_VALUE.limited_by] = float(memory.state), float(memory.limited_by)
+
+
+@exported(int64(Place(SpeedSteeringUnit)))
+def speed_steering_step(unit):
+    """`steering_step`, with a speed control."""
+    values, tracker = unit.values, unit.tracking.tracker
+    _give(values, tracker.sample)
+    tracker_step(unit.tracking)
+    _write_requests(unit)
+    _tell(tracker, values)
+    _go_on(values)
+    return OK
+
+
+@exported(int64(Place(LawSpeedSteeringUnit)))
+def law_speed_steering_step(unit):
+    """`steering_step`, with a control law and a speed control."""
+    values, tracker = unit.values, unit.tracking.tracker
+    _give(values, tracker.sample)
+    tracker_step_law(unit.tracking)
+    _write_requests(unit)
     _tell(tracker, values)
     _go_on(values)
     return OK

@@ -12,6 +12,13 @@ typedef union {
 extern int64_t adaptrack_tracker_engage(double wheel_angle, double near, void *tracker);
 extern void adaptrack_tracker_follow(double near, void *tracker);
 extern int64_t adaptrack_path_words(const double *points, int64_t count, int64_t two, int64_t closed);
+#if ADAPTRACK_SPEED_CONTROL
+extern void adaptrack_longitudinal_follow(void *longitudinal);
+extern void adaptrack_speed_control_begin(void *settings, void *banks);
+extern int64_t adaptrack_speed_path_words(double length, int64_t closed, int64_t stops);
+extern void adaptrack_write_speed_path(void *arrays, double *memory, int64_t size, word answers[2]);
+extern int64_t adaptrack_horizon_cells(double top_speed, double braking, double spacing);
+#endif
 extern void adaptrack_path_through(const double *points, int64_t count, int64_t two, int64_t closed, double *memory,
                                    int64_t size, word answers[2]);
 
@@ -33,10 +40,6 @@ typedef struct {
 typedef char path_head_has_64_bytes[sizeof(path_head) == 64 ? 1 : -1];
 static const uint64_t PATH = 0x687461706b726461u; /* "adrkpath" */
 enum { NUMBERS = ADAPTRACK_ROAD_NUMBERS, COLUMNS = ADAPTRACK_PIECE_COLUMNS };
-
-static int is_finite(double value) { return value - value == 0.0; }
-
-static double magnitude(double value) { return value < 0.0 ? -value : value; }
 
 static const path_head *head_of(const void *path) {
     const path_head *head = (const path_head *)path;
@@ -80,6 +83,16 @@ double adaptrack_path_length(const void *path) {
     return head ? road_of(head)[ADAPTRACK_ROAD_LENGTH] : NAN;
 }
 
+typedef struct {
+    const double *s, *speed;
+    size_t count;
+} speed_table; /* a planned speed; none without entries */
+
+#if !ADAPTRACK_SPEED_CONTROL
+static int is_finite(double value) { return value - value == 0.0; }
+
+static double magnitude(double value) { return value < 0.0 ? -value : value; }
+
 static adaptrack_error check_plan(const adaptrack_plan *plan, const path_head *head) {
     if (!plan || plan->count == 0) return ADAPTRACK_OK;
     if (!plan->s || !plan->speed || plan->count < 2) return ADAPTRACK_BAD_ARGUMENT;
@@ -92,6 +105,7 @@ static adaptrack_error check_plan(const adaptrack_plan *plan, const path_head *h
     return magnitude(plan->s[plan->count - 1] - road_of(head)[ADAPTRACK_ROAD_LENGTH]) <= 1.0 ? ADAPTRACK_OK
                                                                                                : ADAPTRACK_BAD_ARGUMENT;
 }
+#endif
 
 static void put_array(uint64_t *record, size_t place, const double *at, int64_t size) {
     record[place] = (uint64_t)(uintptr_t)at;
@@ -99,7 +113,7 @@ static void put_array(uint64_t *record, size_t place, const double *at, int64_t 
 }
 
 /* Let the record's road and plan be those of the caller. */
-static void put_path(uint64_t *record, const path_head *head, const adaptrack_plan *plan) {
+static void put_path(uint64_t *record, const path_head *head, const speed_table *plan) {
     const double *memory = road_of(head), *start = memory + NUMBERS + COLUMNS * head->pieces;
     record[ADAPTRACK_PATH_OF] = (uint64_t)(uintptr_t)&head->of, record[ADAPTRACK_PATH_OF + 1] = 1;
     record[ADAPTRACK_PATH_NUMBERS] = (uint64_t)(uintptr_t)memory;
@@ -108,19 +122,165 @@ static void put_path(uint64_t *record, const path_head *head, const adaptrack_pl
     record[ADAPTRACK_PATH_PIECES] = (uint64_t)(uintptr_t)(memory + NUMBERS);
     record[ADAPTRACK_PATH_PIECES + 1] = (uint64_t)head->pieces, record[ADAPTRACK_PATH_PIECES + 2] = COLUMNS;
     put_array(record, ADAPTRACK_PATH_HEADINGS, start + head->pieces + 1, head->headings);
-    if (plan && plan->count > 0) {
-        put_array(record, ADAPTRACK_PLAN_S, plan->s, (int64_t)plan->count);
-        put_array(record, ADAPTRACK_PLAN_SPEED, plan->speed, (int64_t)plan->count);
-    } else {
-        put_array(record, ADAPTRACK_PLAN_S, 0, 0);
-        put_array(record, ADAPTRACK_PLAN_SPEED, 0, 0);
-    }
+    put_array(record, ADAPTRACK_PLAN_S, plan->s, (int64_t)plan->count);
+    put_array(record, ADAPTRACK_PLAN_SPEED, plan->speed, (int64_t)plan->count);
 }
 
+/* -- a plan: a head, places and speeds, then what the kernel writes ----------------------------------------------- */
+#if ADAPTRACK_SPEED_CONTROL
+typedef struct {
+    uint64_t mark;
+    uint32_t id;   /* CRC-32 of what follows the head */
+    uint32_t path; /* of path_head */
+    int64_t count, cells, stops;
+    double top_speed, length;
+    int64_t closed;
+} plan_head;       /* 64 bytes, a cache line */
+typedef char plan_head_has_64_bytes[sizeof(plan_head) == 64 ? 1 : -1];
+static const uint64_t PLAN = 0x6e616c706b726461u; /* "adrkplan" */
+enum {
+    PATH_WORDS = ADAPTRACK_PATH_END - ADAPTRACK_PATH_OF,
+    CALLER_WORDS = PATH_WORDS + ADAPTRACK_LONGITUDINAL_PATH_END - ADAPTRACK_LONGITUDINAL_PATH_SQUARE + 1
+};
+
+/* Words of the record that the caller's path and plan decide; the last one: how far the governor looks ahead. */
+static size_t caller_word(size_t i) {
+    if (i < PATH_WORDS) return ADAPTRACK_PATH_OF + i;
+    return i + 1 < CALLER_WORDS ? ADAPTRACK_LONGITUDINAL_PATH_SQUARE + i - PATH_WORDS : ADAPTRACK_LONGITUDINAL_AHEAD + 1u;
+}
+
+static const plan_head *plan_of(const void *plan) {
+    const plan_head *head = (const plan_head *)plan;
+    return plan && (uintptr_t)plan % 8u == 0 && head->mark == PLAN ? head : 0;
+}
+
+static uint32_t plan_id(const void *memory) { return plan_of(memory)->id; }
+
+static uint64_t bits_of(double number) {
+    word content;
+    content.number = number;
+    return (uint64_t)content.whole;
+}
+
+/* How many numbers a plan takes besides its head. */
+static size_t plan_numbers(const path_head *path, const adaptrack_speeds *speeds) {
+    const double length = road_of(path)[ADAPTRACK_ROAD_LENGTH];
+    return 2u * speeds->count +
+           (size_t)adaptrack_speed_path_words(length, (int64_t)path->closed, (int64_t)speeds->stop_count);
+}
+
+static int is_table(const double *first, const double *second, size_t count) {
+    return count <= ADAPTRACK_MOST_POINTS && (count == 0 || (first && second));
+}
+
+static int are_tables(const adaptrack_speeds *speeds) {
+    return speeds && speeds->count > 0 && is_table(speeds->s, speeds->speed, speeds->count) &&
+           is_table(speeds->grade.s, speeds->grade.value, speeds->grade.count) &&
+           is_table(speeds->bank.s, speeds->bank.value, speeds->bank.count) &&
+           is_table(speeds->stops, speeds->seconds, speeds->stop_count);
+}
+
+size_t adaptrack_speed_plan_size(const void *path, const adaptrack_speeds *speeds) {
+    const path_head *head = head_of(path);
+    return head && are_tables(speeds) ? sizeof(plan_head) + 8u * plan_numbers(head, speeds) : 0;
+}
+
+adaptrack_error adaptrack_speed_plan(const void *path, const adaptrack_speeds *speeds, void *plan, size_t plan_size,
+                                     adaptrack_flaw *flaw) {
+    const path_head *road = head_of(path);
+    plan_head *head = (plan_head *)plan;
+    uint64_t arrays[ADAPTRACK_PLAN_ARRAYS_WORDS];
+    double *numbers;
+    const double *line;
+    size_t tables, count;
+    word answers[2];
+    if (flaw) flaw->array = ADAPTRACK_PLAN_NO_FLAW, flaw->index = 0;
+    if (!road) return ADAPTRACK_BAD_PATH;
+    if (!are_tables(speeds) || !plan || (uintptr_t)plan % 8u != 0) return ADAPTRACK_BAD_ARGUMENT;
+    if (adaptrack_arithmetic() != ADAPTRACK_OK) return ADAPTRACK_ARITHMETIC;
+    if (plan_size < adaptrack_speed_plan_size(path, speeds)) return ADAPTRACK_TOO_SMALL;
+    count = speeds->count, tables = 2u * count;
+    head->mark = 0;
+    numbers = (double *)(void *)(head + 1);
+    line = road_of(road);
+    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_LINE_START, line + NUMBERS + COLUMNS * road->pieces, road->pieces + 1);
+    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_LINE_PIECES, line + NUMBERS, road->pieces);
+    arrays[ADAPTRACK_PLAN_ARRAYS_LINE_PIECES + 2] = COLUMNS;
+    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_LINE_NUMBERS, line, NUMBERS);
+    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_S, speeds->s, (int64_t)count);
+    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_SPEED, speeds->speed, (int64_t)count);
+    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_GRADE_S, speeds->grade.s, (int64_t)speeds->grade.count);
+    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_GRADE_VALUE, speeds->grade.value, (int64_t)speeds->grade.count);
+    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_BANK_S, speeds->bank.s, (int64_t)speeds->bank.count);
+    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_BANK_VALUE, speeds->bank.value, (int64_t)speeds->bank.count);
+    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_STOPS, speeds->stops, (int64_t)speeds->stop_count);
+    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_SECONDS, speeds->seconds, (int64_t)speeds->stop_count);
+    arrays[ADAPTRACK_PLAN_ARRAYS_GRADE_STEPS] = arrays[ADAPTRACK_PLAN_ARRAYS_BANK_STEPS] = 0;
+    arrays[ADAPTRACK_PLAN_ARRAYS_STOPS_AT_END] = speeds->stays_at_end != 0;
+    head->length = line[ADAPTRACK_ROAD_LENGTH], head->closed = (int64_t)road->closed, head->count = (int64_t)count;
+    head->cells = (adaptrack_speed_path_words(head->length, head->closed, 0) - 2) / 4;
+    adaptrack_write_speed_path(arrays, numbers + tables, (int64_t)(plan_numbers(road, speeds) - tables), answers);
+    if (answers[0].whole == ADAPTRACK_PLAN_MEMORY_TOO_SMALL) return ADAPTRACK_TOO_SMALL;
+    if (answers[0].whole != 0) {
+        if (flaw) flaw->array = (adaptrack_plan_array)answers[0].whole, flaw->index = (size_t)answers[1].whole;
+        return ADAPTRACK_BAD_PLAN;
+    }
+    head->stops = answers[1].whole, head->top_speed = 0.0;
+    for (size_t i = 0; i < count; i++) {
+        numbers[i] = speeds->s[i], numbers[count + i] = speeds->speed[i];
+        if (speeds->speed[i] > head->top_speed) head->top_speed = speeds->speed[i];
+    }
+    head->path = road->id;
+    head->id = adaptrack_crc32(numbers, 8u * (tables + 4u * (size_t)head->cells + 2u * (size_t)head->stops));
+    head->mark = PLAN;
+    return ADAPTRACK_OK;
+}
+
+/* Let the record's speed control follow a plan from its start. */
+static adaptrack_error put_plan(uint64_t *record, const void *memory) {
+    const plan_head *head = plan_of(memory);
+    const double *numbers = (const double *)(const void *)(head + 1) + 2 * head->count;
+    const double *stops = numbers + 4 * head->cells;
+    const double spacing = head->length / (double)(head->closed ? head->cells : head->cells - 1);
+    const double brake = ((const word *)(const void *)record)[ADAPTRACK_LONGITUDINAL_BRAKE].number;
+    const int64_t horizon = adaptrack_horizon_cells(head->top_speed, brake, ADAPTRACK_PLAN_SPACING);
+    if (horizon > ADAPTRACK_LONGITUDINAL_CELLS) return ADAPTRACK_BAD_PLAN;
+    put_array(record, ADAPTRACK_LONGITUDINAL_PATH_SQUARE, numbers, head->cells);
+    put_array(record, ADAPTRACK_LONGITUDINAL_PATH_CURVATURE, numbers + head->cells, head->cells);
+    put_array(record, ADAPTRACK_LONGITUDINAL_PATH_SLOPE, numbers + 2 * head->cells, head->cells);
+    put_array(record, ADAPTRACK_LONGITUDINAL_PATH_BANK, numbers + 3 * head->cells, head->cells);
+    put_array(record, ADAPTRACK_LONGITUDINAL_PATH_STOPS, stops, head->stops);
+    put_array(record, ADAPTRACK_LONGITUDINAL_PATH_SECONDS, stops + head->stops, head->stops);
+    record[ADAPTRACK_LONGITUDINAL_PATH_SPACING] = bits_of(spacing);
+    record[ADAPTRACK_LONGITUDINAL_PATH_LENGTH] = bits_of(head->length);
+    record[ADAPTRACK_LONGITUDINAL_PATH_CLOSED] = (uint64_t)head->closed;
+    record[ADAPTRACK_LONGITUDINAL_AHEAD + 1] = (uint64_t)horizon;
+    adaptrack_longitudinal_follow(record + ADAPTRACK_LONGITUDINAL);
+    return ADAPTRACK_OK;
+}
+
+static void read_requests(const uint64_t *record, adaptrack_answer *answer) {
+    const word *memory = (const word *)(const void *)numbers_at(record, ADAPTRACK_LONGITUDINAL_MEMORY_AT);
+    answer->acceleration = memory[ADAPTRACK_REQUEST_ACCELERATION].number;
+    answer->force = memory[ADAPTRACK_REQUEST_FORCE].number, answer->hold = memory[ADAPTRACK_REQUEST_HOLD].number;
+    answer->target_speed = memory[ADAPTRACK_REQUEST_TARGET_SPEED].number;
+    answer->grip_used = memory[ADAPTRACK_REQUEST_GRIP_USED].number;
+    answer->speed_state = (adaptrack_speed_state)memory[ADAPTRACK_REQUEST_STATE].whole;
+    answer->limited_by = (adaptrack_speed_limit)memory[ADAPTRACK_REQUEST_LIMITED_BY].whole;
+}
+#else
+enum { CALLER_WORDS = ADAPTRACK_PATH_END - ADAPTRACK_PATH_OF };
+static size_t caller_word(size_t i) { return ADAPTRACK_PATH_OF + i; }
+static uint32_t plan_id(const void *memory) { return memory ? 1u : 0u; }
+static adaptrack_error put_plan(uint64_t *record, const void *memory) {
+    return record && !memory ? ADAPTRACK_OK : ADAPTRACK_BAD_ARGUMENT;
+}
+#endif
+
 /* By which a path and its plan are known again. */
-static uint32_t path_id(const path_head *head, const adaptrack_plan *plan) {
+static uint32_t path_id(const path_head *head, const speed_table *plan) {
     uint32_t parts[3] = {head->id, 0, 0};
-    if (plan && plan->count > 0) {
+    if (plan->count > 0) {
         parts[1] = adaptrack_crc32(plan->s, 8u * plan->count);
         parts[2] = adaptrack_crc32(plan->speed, 8u * plan->count);
     }
@@ -150,21 +310,28 @@ const char *adaptrack_error_name(adaptrack_error error) {
         NAME(ADAPTRACK_ARITHMETIC);
         NAME(ADAPTRACK_BAD_PATH);
         NAME(ADAPTRACK_OUT_OF_ORDER);
+        NAME(ADAPTRACK_BAD_PLAN);
     }
     return "an unknown error";
 }
 
 adaptrack_error adaptrack_init(void *tracker, size_t tracker_size, const void *constants, size_t size) {
-    return adaptrack_block_lay(&adaptrack_parts, tracker, tracker_size, constants, size);
+    adaptrack_error error = adaptrack_block_lay(&adaptrack_parts, tracker, tracker_size, constants, size);
+#if ADAPTRACK_SPEED_CONTROL
+    if (error == ADAPTRACK_OK)
+        adaptrack_speed_control_begin(record_of(tracker) + ADAPTRACK_LONGITUDINAL_SETTINGS,
+                                      record_of(tracker) + ADAPTRACK_LONGITUDINAL_BANKS);
+#endif
+    return error;
 }
 
 adaptrack_error adaptrack_load(void *tracker, const void *constants, size_t size) {
-    uint64_t path[ADAPTRACK_PATH_END - ADAPTRACK_PATH_OF];
+    uint64_t words[CALLER_WORDS];
     adaptrack_error error = adaptrack_block_take(tracker);
     if (error != ADAPTRACK_OK) return error;
-    for (size_t i = 0; i < sizeof path / 8u; i++) path[i] = record_of(tracker)[ADAPTRACK_PATH_OF + i];
+    for (size_t i = 0; i < CALLER_WORDS; i++) words[i] = record_of(tracker)[caller_word(i)];
     error = adaptrack_block_renew(&adaptrack_parts, tracker, constants, size);
-    for (size_t i = 0; i < sizeof path / 8u; i++) record_of(tracker)[ADAPTRACK_PATH_OF + i] = path[i];
+    for (size_t i = 0; i < CALLER_WORDS; i++) record_of(tracker)[caller_word(i)] = words[i];
     adaptrack_block_give(tracker);
     return error;
 }
@@ -178,25 +345,46 @@ adaptrack_error adaptrack_engage(void *tracker, double wheel_angle, double near)
     return error;
 }
 
-adaptrack_error adaptrack_follow(void *tracker, const void *path, double near, const adaptrack_plan *plan) {
-    const path_head *head = head_of(path);
-    adaptrack_error error;
-    if (!head) return ADAPTRACK_BAD_PATH;
-    error = check_plan(plan, head);
+/* Go over to a path and its plan; `memory`: of the plan, null in an export without speed control. */
+static adaptrack_error follow(void *tracker, const path_head *head, double near, const speed_table *plan,
+                              const void *memory) {
+    adaptrack_error error = adaptrack_block_take(tracker);
     if (error != ADAPTRACK_OK) return error;
-    error = adaptrack_block_take(tracker);
-    if (error != ADAPTRACK_OK) return error;
-    if (adaptrack_arithmetic() != ADAPTRACK_OK) {
-        error = ADAPTRACK_ARITHMETIC;
-    } else {
+    if (adaptrack_arithmetic() != ADAPTRACK_OK) error = ADAPTRACK_ARITHMETIC;
+    else error = put_plan(record_of(tracker), memory);
+    if (error == ADAPTRACK_OK) {
         put_path(record_of(tracker), head, plan);
         adaptrack_tracker_follow(near, record_of(tracker));
-        ((adaptrack_head *)tracker)->path = path_id(head, plan);
+        ((adaptrack_head *)tracker)->path = path_id(head, plan) ^ plan_id(memory);
         ((adaptrack_head *)tracker)->points = head->id;
     }
     adaptrack_block_give(tracker);
     return error;
 }
+
+#if ADAPTRACK_SPEED_CONTROL
+adaptrack_error adaptrack_follow_plan(void *tracker, const void *path, double near, const void *plan) {
+    const path_head *head = head_of(path);
+    const plan_head *own = plan_of(plan);
+    speed_table table;
+    if (!head) return ADAPTRACK_BAD_PATH;
+    if (!own || own->path != head->id) return ADAPTRACK_BAD_PLAN;
+    table.s = (const double *)(const void *)(own + 1), table.count = (size_t)own->count;
+    table.speed = table.s + own->count;
+    return follow(tracker, head, near, &table, plan);
+}
+#else
+adaptrack_error adaptrack_follow(void *tracker, const void *path, double near, const adaptrack_plan *plan) {
+    const path_head *head = head_of(path);
+    speed_table table = {0, 0, 0};
+    adaptrack_error error;
+    if (!head) return ADAPTRACK_BAD_PATH;
+    error = check_plan(plan, head);
+    if (error != ADAPTRACK_OK) return error;
+    if (plan && plan->count > 0) table.s = plan->s, table.speed = plan->speed, table.count = plan->count;
+    return follow(tracker, head, near, &table, 0);
+}
+#endif
 
 /* A number that stands for a status or a state, 0 where it is none. */
 static int small(double value) { return value > -1000.0 && value < 1000.0 ? (int)value : 0; }
@@ -221,7 +409,12 @@ static adaptrack_error check_path(void *tracker) {
     const path_head *head;
     if (own->path == 0) return ADAPTRACK_OUT_OF_ORDER;
     head = (const path_head *)(uintptr_t)record_of(tracker)[ADAPTRACK_PATH_NUMBERS] - 1;
-    return head->mark == PATH && head->id == own->points ? ADAPTRACK_OK : ADAPTRACK_BAD_PATH;
+    if (head->mark != PATH || head->id != own->points) return ADAPTRACK_BAD_PATH;
+#if ADAPTRACK_SPEED_CONTROL
+    if (((const plan_head *)(uintptr_t)record_of(tracker)[ADAPTRACK_PLAN_S] - 1)->mark != PLAN)
+        return ADAPTRACK_BAD_PLAN;
+#endif
+    return ADAPTRACK_OK;
 }
 
 adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, adaptrack_answer *answer) {
@@ -242,8 +435,13 @@ adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, ad
         given[ADAPTRACK_SAMPLE_WHEEL_ANGLE] = sample->wheel_angle;
         given[ADAPTRACK_SAMPLE_FRICTION] = sample->friction, given[ADAPTRACK_SAMPLE_WIND] = sample->wind;
         given[ADAPTRACK_SAMPLE_MOTION_T] = sample->motion_time;
+        given[ADAPTRACK_SAMPLE_LONGITUDINAL_ACCELERATION] = sample->longitudinal_acceleration;
+        given[ADAPTRACK_SAMPLE_DRIVER] = sample->driver;
         adaptrack_parts_step(record_of(tracker));
         read_answer(numbers_at(record_of(tracker), ADAPTRACK_TRACKED_AT), answer);
+#if ADAPTRACK_SPEED_CONTROL
+        read_requests(record_of(tracker), answer);
+#endif
     }
     adaptrack_block_give(tracker);
     return error;

@@ -62,6 +62,7 @@ adaptrack_error adaptrack_path(const double *points, size_t count, int closed, v
 /* m */
 double adaptrack_path_length(const void *path);
 
+#if !ADAPTRACK_SPEED_CONTROL
 /* A planned speed along a path: s (m) from 0 upwards to its length, speed (m/s). Arrays of the caller.
    ADAPTRACK_BAD_ARGUMENT for more than ADAPTRACK_MOST_POINTS. */
 typedef struct {
@@ -74,6 +75,57 @@ typedef struct {
    `near` (m): along the path, within 400 m of which the car is; NaN: anywhere, which takes longer. What was learned
    stays. Begin a path behind the car, by the age of the oldest samples at least. `plan` may be null. */
 adaptrack_error adaptrack_follow(void *tracker, const void *path, double near, const adaptrack_plan *plan);
+#else
+/* -- a plan of the speed ------------------------------------------------------------------------------------------ */
+/* A quantity along a path at ascending s (m): straight lines in between, constant before the first place and after the
+   last one. Arrays of the caller. count 0: zero everywhere. */
+typedef struct {
+    const double *s;
+    const double *value;
+    size_t count;
+} adaptrack_along;
+
+/* What the car shall drive along a path. Arrays of the caller, which adaptrack_speed_plan copies. */
+typedef struct {
+    const double *s;       /* m, from 0 upwards to the path's length */
+    const double *speed;   /* m/s, at most ADAPTRACK_TOP_SPEED; between two places its square is straight. It may stay
+                              above 0 at a stop. It is 0 only within 0.5 m of a stop, and at the ends of an open path. */
+    size_t count;          /* of s and speed, at least 2 */
+    adaptrack_along grade; /* dz/ds, positive uphill, at most 0.4 to either side */
+    adaptrack_along bank;  /* rad, positive where gravity pulls to the left, at most 1.4 to either side */
+    const double *stops;   /* m, ascending, where the car stops */
+    const double *seconds; /* s, how long it stands there; INFINITY: it stays */
+    size_t stop_count;
+    int stays_at_end;      /* 1: the car stops at the end of an open path and stays, as after a last speed of 0 */
+} adaptrack_speeds;
+
+typedef enum {
+    ADAPTRACK_PLAN_NO_FLAW = 0,
+    ADAPTRACK_PLAN_SPEEDS = 1, /* s or speed */
+    ADAPTRACK_PLAN_GRADE = 2,
+    ADAPTRACK_PLAN_BANK = 3,
+    ADAPTRACK_PLAN_STOPS = 4   /* stops or seconds */
+} adaptrack_plan_array;
+
+/* Which entry of which array makes no plan. */
+typedef struct {
+    adaptrack_plan_array array;
+    size_t index;
+} adaptrack_flaw;
+
+/* Bytes of memory for a plan along a path; 0 for no path, or more than ADAPTRACK_MOST_POINTS entries. */
+size_t adaptrack_speed_plan_size(const void *path, const adaptrack_speeds *speeds);
+/* Make a plan along a path, in memory of the caller that is aligned to 8 bytes: at places half a metre apart the speed,
+   the slope, the bank, and the curvature of the path. ADAPTRACK_BAD_PLAN where an entry is not possible; `flaw`, unless
+   null, then says which one. The size of the memory grows with the length of the path, by 64 bytes a metre. */
+adaptrack_error adaptrack_speed_plan(const void *path, const adaptrack_speeds *speeds, void *plan, size_t plan_size,
+                                     adaptrack_flaw *flaw);
+/* Follow a path and a plan along it from the next control instant on: both must stay as they are while they are
+   followed. `near` (m): along the path, within 400 m of which the car is; NaN: anywhere, which takes longer. What was
+   learned stays. Begin a path behind the car, by the age of the oldest samples at least. ADAPTRACK_BAD_PLAN for a plan
+   of a different path, or faster than ADAPTRACK_TOP_SPEED. */
+adaptrack_error adaptrack_follow_plan(void *tracker, const void *path, double near, const void *plan);
+#endif
 
 /* -- a call ------------------------------------------------------------------------------------------------------- */
 typedef struct {
@@ -90,8 +142,11 @@ typedef struct {
     double wind;                 /* m/s, of the air to the left, for a controller with a schedule */
     double motion_time;          /* s, when speed, yaw rate, lateral velocity and acceleration and wheel angle were
                                     taken; NaN: t */
+    double longitudinal_acceleration; /* m/s^2, dv/dt without gravity, for a speed control */
+    double driver;               /* 1: a driver uses the pedals, for a speed control: it learns nothing, and its requests
+                                    follow the motion of the car; 0 or NaN: no driver does */
 } adaptrack_sample;
-#define ADAPTRACK_UNKNOWN {NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN}
+#define ADAPTRACK_UNKNOWN {NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN}
 
 /* What a call was. */
 typedef enum {
@@ -120,7 +175,31 @@ typedef struct {
     uint64_t suspect;     /* ADAPTRACK_SUSPECT_...: inputs that contradict each other, since the tracker engaged */
     double first_top_speed; /* m/s, below which to drive until the controller has learned its car; then, and without
                                learning, infinite */
+#if ADAPTRACK_SPEED_CONTROL
+    /* Requests of the speed control for the present period. Pass on `force` or `acceleration`, not both, and `hold`. */
+    double acceleration;  /* m/s^2, dv/dt along the road, without gravity; negative: slower */
+    double force;         /* N, of all wheels: positive forward, by the drive; negative backward, by the brakes */
+    double hold;          /* N, never negative: of the brakes in addition to the force, holds the car at rest */
+    double target_speed;  /* m/s, where the request acts */
+    double grip_used;     /* -, acceleration of the car over what the assumed friction gives */
+    adaptrack_speed_state speed_state;
+    adaptrack_speed_limit limited_by;
+#endif
 } adaptrack_answer;
+
+#if ADAPTRACK_SPEED_CONTROL
+/* Who brakes, and when:
+   answer of adaptrack_step                 requests of the speed control                     your program
+   OK, with a status below                  by the status                                     passes them on
+   OK, status REPEATED or NO_TIME           the same as before                                passes them on
+   OK, sample.driver is 1                   those that the car has by its driver; DRIVER      lets the driver drive
+   an error; or you cannot call             none: the answer is not written                   brakes by itself
+@ACTIONS@
+   follow: the plan and its stops. slow: the same, but the car stands before the steering loses its estimate. comfort
+   stop: with the deceleration of comfort. emergency stop: as hard as the assumed friction allows. Both keep the car at
+   rest by `hold`. none: the requests stay. A position counts as missing 0.5 s after the last one, and so does a speed:
+   without a speed the car makes a comfort stop. */
+#endif
 
 /* One call, at any time: a control instant is one period after the other, and a call belongs to the nearest. A number
    beyond what a car can have counts as not known. ADAPTRACK_OUT_OF_ORDER before there is a path, ADAPTRACK_BAD_PATH

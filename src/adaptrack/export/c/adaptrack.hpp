@@ -13,7 +13,12 @@ namespace adaptrack {
 using Error = adaptrack_error;
 using Status = adaptrack_status;
 using Answer = adaptrack_answer;
+#if ADAPTRACK_SPEED_CONTROL
+using Speeds = adaptrack_speeds;
+using Flaw = adaptrack_flaw;
+#else
 using Plan = adaptrack_plan;
+#endif
 inline constexpr double unknown = std::numeric_limits<double>::quiet_NaN();
 
 // What is not known stays NaN.
@@ -40,6 +45,26 @@ class Path {
     alignas(ADAPTRACK_ALIGNMENT) std::array<std::uint64_t, Words> memory_{};
 };
 
+#if ADAPTRACK_SPEED_CONTROL
+// A plan along a path, for as many words of 8 bytes; see adaptrack_speed_plan_size.
+template <std::size_t Words>
+class Plan {
+  public:
+    Plan() noexcept = default;
+    Plan(const Plan &) = delete;
+    Plan &operator=(const Plan &) = delete;
+    // A tracker must not be following it.
+    template <std::size_t PathWords>
+    [[nodiscard]] Error along(const Path<PathWords> &path, const Speeds &speeds, Flaw *flaw = nullptr) noexcept {
+        return adaptrack_speed_plan(path.data(), &speeds, memory_.data(), 8 * Words, flaw);
+    }
+    [[nodiscard]] const void *data() const noexcept { return memory_.data(); }
+
+  private:
+    alignas(ADAPTRACK_ALIGNMENT) std::array<std::uint64_t, Words> memory_{};
+};
+#endif
+
 // A controller that follows a path; `Size` (bytes) for constants that ask for more than the exported ones.
 template <std::size_t Size = ADAPTRACK_SIZE>
 class BasicTracker {
@@ -59,6 +84,15 @@ class BasicTracker {
         return adaptrack_engage(memory_.data(), wheel_angle, near);
     }
     // Path and plan must outlive it, or the next call of this.
+#if ADAPTRACK_SPEED_CONTROL
+    template <std::size_t PathWords, std::size_t Words>
+    [[nodiscard]] Error follow(const Path<PathWords> &path, const Plan<Words> &plan, double near = unknown) noexcept {
+        return follow(path.data(), plan.data(), near);
+    }
+    [[nodiscard]] Error follow(const void *path, const void *plan, double near = unknown) noexcept {
+        return adaptrack_follow_plan(memory_.data(), path, near, plan);
+    }
+#else
     template <std::size_t Words>
     [[nodiscard]] Error follow(const Path<Words> &path, const Plan *plan = nullptr, double near = unknown) noexcept {
         return adaptrack_follow(memory_.data(), path.data(), near, plan);
@@ -66,6 +100,7 @@ class BasicTracker {
     [[nodiscard]] Error follow(const void *path, const Plan *plan = nullptr, double near = unknown) noexcept {
         return adaptrack_follow(memory_.data(), path, near, plan);
     }
+#endif
     [[nodiscard]] Error step(const adaptrack_sample &sample, Answer &answer) noexcept {
         return adaptrack_step(memory_.data(), &sample, &answer);
     }

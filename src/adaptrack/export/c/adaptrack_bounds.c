@@ -1,6 +1,7 @@
 /* adaptrack: bounds of all sizes, counts and numbers of constants, so that no kernel leaves its arrays. */
 #include "adaptrack_bounds.h"
 
+#include "adaptrack_config.h"
 #include "adaptrack_parts.h"
 
 enum { CACHE_LINE = 8, MOST_WORDS = 1 << 26 };
@@ -80,6 +81,10 @@ static adaptrack_error check_links(const adaptrack_block *b) {
     for (uint32_t i = 0; i < 2 * ADAPTRACK_LINKS; i++)
         if (adaptrack_block_number(b->link, i) != adaptrack_links[i]) return ADAPTRACK_OTHER_KIND;
     for (uint32_t i = ADAPTRACK_PATH_OF; i < ADAPTRACK_PATH_END; i++) BOUND(word_at(b, i).bits == 0);
+#if ADAPTRACK_SPEED_CONTROL
+    for (uint32_t i = ADAPTRACK_LONGITUDINAL_PATH_SQUARE; i < ADAPTRACK_LONGITUDINAL_PATH_END; i++)
+        BOUND(word_at(b, i).bits == 0);
+#endif
     return ADAPTRACK_OK;
 }
 
@@ -90,9 +95,9 @@ static adaptrack_error check_numbers(const adaptrack_block *b) {
     for (uint32_t i = 0; i < ADAPTRACK_BOUNDS; i++) {
         const adaptrack_bound *bound = adaptrack_bounds + i;
         content found = number_of(b, bound->array, bound->word);
-        double number = bound->whole ? (double)found.whole : found.number;
+        double number = bound->whole == 1 ? (double)found.whole : found.number;
         if (bound->array < ADAPTRACK_ARRAYS && words_of(b, bound->array) == 0) continue; /* no such part */
-        BOUND(number >= bound->least && number <= bound->most);
+        BOUND(bound->whole == 2 ? number != number : number >= bound->least && number <= bound->most);
     }
     for (uint32_t i = 0; i < ADAPTRACK_EQUALS; i++) {
         const adaptrack_equal *equal = adaptrack_equals + i;

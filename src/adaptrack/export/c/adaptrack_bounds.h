@@ -20,7 +20,7 @@ typedef struct {
 typedef struct {
     uint32_t array; /* in which it lies; beyond the last one: the record itself */
     uint32_t word;  /* of the array */
-    uint32_t whole; /* 1: a whole number, 0: a double */
+    uint32_t whole; /* 1: a whole number, 0: a double, 2: NaN, a delay that is learned */
     double least, most;
 } adaptrack_bound;
 

@@ -1,6 +1,6 @@
 /* Drives the recorded minute: how many of its steps differ from those in Python, byte by byte (any NaN is any NaN). */
 #include "adaptrack.h"
-#include "adaptrack_recorded.h"
+#include "adaptrack_replay.h"
 
 #include <stdio.h>
 #include <string.h>
@@ -18,16 +18,25 @@ static uint32_t crc32_of(const unsigned char *bytes, size_t size) {
 }
 
 static uint32_t fingerprint(const adaptrack_answer *answer) {
+#if ADAPTRACK_SPEED_CONTROL
+    double numbers[16];
+#else
     double numbers[9];
+#endif
     unsigned char bytes[sizeof numbers];
     numbers[0] = answer->command, numbers[1] = (double)answer->status, numbers[2] = answer->offset;
     numbers[3] = answer->heading_error, numbers[4] = answer->station, numbers[5] = (double)answer->belief;
     numbers[6] = (double)answer->at_bound, numbers[7] = (double)answer->suspect;
     numbers[8] = answer->first_top_speed;
-    for (int i = 0; i < 9; i++) {
+#if ADAPTRACK_SPEED_CONTROL
+    numbers[9] = answer->acceleration, numbers[10] = answer->force, numbers[11] = answer->hold;
+    numbers[12] = answer->target_speed, numbers[13] = answer->grip_used;
+    numbers[14] = (double)answer->speed_state, numbers[15] = (double)answer->limited_by;
+#endif
+    for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++) {
         uint64_t bits = 0x7ff8000000000000u; /* any NaN */
         if (numbers[i] == numbers[i]) memcpy(&bits, numbers + i, sizeof bits);
-        for (int k = 0; k < 8; k++) bytes[8 * i + k] = (unsigned char)(bits >> (8 * k) & 0xffu);
+        for (size_t k = 0; k < 8; k++) bytes[8 * i + k] = (unsigned char)(bits >> (8 * k) & 0xffu);
     }
     return crc32_of(bytes, sizeof bytes);
 }
@@ -36,13 +45,12 @@ static uint32_t fingerprint(const adaptrack_answer *answer) {
 adaptrack_error drive_recorded(const void *constants, size_t size, int *differ, adaptrack_answer *answer);
 
 adaptrack_error drive_recorded(const void *constants, size_t size, int *differ, adaptrack_answer *answer) {
-    const adaptrack_plan plan = {adaptrack_recorded_plan_s, adaptrack_recorded_plan_speed, ADAPTRACK_RECORDED_PLAN};
     adaptrack_error error = adaptrack_init(&tracker, sizeof tracker, constants, size);
     *differ = 0;
     if (error == ADAPTRACK_OK)
         error = adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, 0, path, sizeof path, 0);
     if (error == ADAPTRACK_OK) error = adaptrack_engage(&tracker, 0.0, NAN);
-    if (error == ADAPTRACK_OK) error = adaptrack_follow(&tracker, path, NAN, &plan);
+    if (error == ADAPTRACK_OK) error = follow_recorded(&tracker, path);
     for (int k = 0; k < ADAPTRACK_RECORDED_STEPS && error == ADAPTRACK_OK; k++) {
         adaptrack_sample sample;
         memcpy(&sample, adaptrack_recorded[k], sizeof sample);

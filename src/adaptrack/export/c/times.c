@@ -3,7 +3,7 @@
    usage: times [STEPS] */
 #define _POSIX_C_SOURCE 199309L
 #include "adaptrack.h"
-#include "adaptrack_recorded.h"
+#include "adaptrack_replay.h"
 
 #include <stdio.h>
 #include <stdlib.h>
@@ -27,7 +27,6 @@ static int ascending(const void *a, const void *b) {
 int main(int count, char **words) {
     const long steps = count > 1 ? strtol(words[1], 0, 10) : 1000000;
     float *times = malloc((size_t)steps * sizeof *times); /* of this program, not of the library */
-    adaptrack_plan plan = {adaptrack_recorded_plan_s, adaptrack_recorded_plan_speed, ADAPTRACK_RECORDED_PLAN};
     adaptrack_answer answer;
     float undisturbed = 0.0f;
     double begun, mean = 0.0;
@@ -42,7 +41,7 @@ int main(int count, char **words) {
         adaptrack_sample sample;
         if (i % ADAPTRACK_RECORDED_DRIVEN == 0) {
             if (adaptrack_engage(&tracker, 0.0, NAN) != ADAPTRACK_OK) return 1;
-            if (adaptrack_follow(&tracker, path, NAN, &plan) != ADAPTRACK_OK) return 1;
+            if (follow_recorded(&tracker, path) != ADAPTRACK_OK) return 1;
         }
         memcpy(&sample, adaptrack_recorded[i % ADAPTRACK_RECORDED_DRIVEN], sizeof sample);
         begun = now();

@@ -40,7 +40,7 @@ struct Motion {
 struct Command {
     double angle = 0.0;        // rad, of the road wheels, positive to the left
     double speed = 0.0;        // m/s
-    double acceleration = 0.0; // m/s^2, > 0, how fast to change to it
+    double acceleration = 0.0; // m/s^2, > 0, how fast to change to it; of the speed control where it was exported
     std::string stopping;      // why it is the safe command; empty when it is not
 };
 
@@ -85,7 +85,12 @@ class Follower {
     struct Planned {
         std::vector<std::uint64_t> road;
         std::vector<double> s, speed; // m, m/s
-        adaptrack_plan plan() const { return {s.data(), speed.data(), s.size()}; }
+#if ADAPTRACK_SPEED_CONTROL
+        std::vector<std::uint64_t> plan;
+        std::vector<double> stops, seconds; // m, s
+        std::string make_plan();
+#endif
+        adaptrack_error follow(void *tracker) const;
         double speed_at(double place) const;
         double stop_beyond(double place) const;
     };

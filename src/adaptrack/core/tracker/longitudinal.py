@@ -1,0 +1,93 @@
+"""Speed control behind a tracker: who brakes and when, by the status of the tracker, once a control instant."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..estimators.learning import CERTAIN
+from ..kernel import Place, exported, inlined, record, rows, vector, void
+from ..maths.bits import whole
+from ..speed_control import BLIND_GRACE, OFF, SPEED_MEMORY, SPEED_SAMPLE, SpeedPath, SpeedSettings, speed_control
+from ..speed_learning import SpeedBanks
+from .records import CONTROLLER_ANSWER, MAX_SIGNAL, TRACKED, TRACKER_SAMPLE, TrackerRecord
+
+Longitudinal = record(
+    "Longitudinal",
+    (
+        ("sample", rows(SPEED_SAMPLE)), ("memory", rows(SPEED_MEMORY)), ("settings", SpeedSettings),
+        ("path", SpeedPath), ("banks", SpeedBanks), ("ahead", vector),
+    ),
+)  # fmt: skip
+"""A speed control: sample and memory (1,), settings, plan, banks, and the governed squares ahead (m^2/s^2)."""
+
+FOLLOW, FOLLOW_SLOWLY, COMFORT_STOP, EMERGENCY_STOP, NO_ACTION = range(5)
+"""Actions: follow the plan; follow it, but stand before the steering loses its estimate; stop with the deceleration of
+comfort; stop with the largest deceleration that friction allows; keep the requests in force."""
+STATUS_ACTIONS = np.array(
+    [
+        (FOLLOW, FOLLOW_SLOWLY),  # ok
+        (FOLLOW, FOLLOW_SLOWLY),  # estimated
+        (COMFORT_STOP, EMERGENCY_STOP),  # held
+        (FOLLOW, COMFORT_STOP),  # standing
+        (COMFORT_STOP, COMFORT_STOP),  # reverse
+        (COMFORT_STOP, COMFORT_STOP),  # off_path
+        (FOLLOW, FOLLOW_SLOWLY),  # end
+        (FOLLOW, FOLLOW_SLOWLY),  # sliding
+        (NO_ACTION, NO_ACTION),  # repeated
+        (NO_ACTION, NO_ACTION),  # no_time
+    ]
+)
+"""By `core.tracker.records.STATUS`: the action with a position of the last `BLIND_GRACE` seconds, and without one."""
+SHORTEST_PERIOD_SHARE = 0.9
+"""Control periods between two steps of the speed control while there are no control instants."""
+
+
+@inlined
+def _is_due(time, m, memory, period):
+    """Whether the speed control steps in a call at a time (s): at control instants.
+
+    Without a position since the beginning there are none, but calls of a period or more apart.
+    """
+    if m.started > 0:
+        return m.answered > 0
+    return abs(time - memory.time) >= SHORTEST_PERIOD_SHARE * period
+
+
+@inlined
+def _write_sample(tracker, blind_time, action, sample):
+    """Write the sample of the speed control after a call of the tracker; blind_time: s, since the last position."""
+    is_guided, is_blind = action in (FOLLOW, FOLLOW_SLOWLY), action in (FOLLOW_SLOWLY, EMERGENCY_STOP)
+    sample.station = tracker.tracked[TRACKED.station] if is_guided else math.nan
+    sample.blind_time = blind_time if is_blind else 0.0
+    sample.speed, sample.yaw_rate = tracker.sample[TRACKER_SAMPLE.speed], tracker.sample[TRACKER_SAMPLE.yaw_rate]
+    acceleration = tracker.sample[TRACKER_SAMPLE.longitudinal_acceleration]
+    sample.acceleration = acceleration if abs(acceleration) < MAX_SIGNAL else math.nan
+    sample.driver = 1.0 if tracker.sample[TRACKER_SAMPLE.driver] > 0.5 else 0.0
+
+
+@exported(void(Place(TrackerRecord), Place(Longitudinal)))
+def longitudinal_step(tracker, longitudinal):
+    """Run the speed control after a call of the tracker, once a control instant.
+
+    The requests are in `longitudinal.memory`, see `core.speed_control.SPEED_MEMORY`. The speed is limited to
+    `sample.top_speed` until the controller knows the delay of its steering.
+    """
+    m, sample, memory = tracker.memory[0], longitudinal.sample[0], longitudinal.memory[0]
+    time = tracker.sample[TRACKER_SAMPLE.now]
+    blind_time = time - m.newest
+    action = STATUS_ACTIONS[whole(tracker.tracked[TRACKED.status]), 0 if blind_time <= BLIND_GRACE else 1]
+    if action == NO_ACTION or not _is_due(time, m, memory, longitudinal.settings.period):
+        return
+    memory.time = time
+    if m.started > 0 and tracker.answer[CONTROLLER_ANSWER.delay_sigma] < CERTAIN[0]:
+        sample.top_speed = math.inf
+    _write_sample(tracker, blind_time, action, sample)
+    speed_control(sample, longitudinal.settings, longitudinal.path, memory, longitudinal.banks, longitudinal.ahead)
+
+
+@exported(void(Place(Longitudinal)))
+def longitudinal_follow(longitudinal):
+    """Go over to the plan that `longitudinal` has now; what was learned of drive and brakes stays."""
+    longitudinal.memory[0].next_stop, longitudinal.memory[0].state = 0, OFF
