@@ -24,7 +24,6 @@ from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of
 from adaptrack.control.controllers.belief import SourcedValue
-from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
 from adaptrack.control.speed_target import SpeedTarget
