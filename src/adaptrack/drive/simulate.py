@@ -22,6 +22,7 @@ from adaptrack.base.checked import Hint, Natural, checked
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of
 from adaptrack.control.qp import QPStatus
+from adaptrack.control.speed_control import SpeedController
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
@@ -125,8 +126,9 @@ def simulate(
     record = _Recorder(signals.n, controller, trace.state[0], trace.signals[0])
     has_no_vy = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)
     controller.reset()
-    if loop.speed_controller is not None:
-        loop.speed_controller.limit_speed(controller)
+    speed_control = loop.speed_controller if isinstance(loop.speed_controller, SpeedController) else None
+    if speed_control is not None:
+        speed_control.limit_speed(controller)
     for k in range(signals.n):
         if progress is not None and k % 64 == 0:
             progress(k, signals.n)
@@ -144,8 +146,8 @@ def simulate(
         road_ahead: dict[str, Any] = {"road": loop.road_ahead(instant.speed)} if uses_road else {}
         answer = controller.step(measured, instant.speed, instant.reference, instant.variables, **road_ahead)
         record.times[k] = time.perf_counter() - start_time
-        if loop.speed_controller is not None:
-            loop.speed_controller.limit_speed(controller, answer)
+        if speed_control is not None:
+            speed_control.limit_speed(controller, answer)
         command = record.record(k, answer, loop.command)
         if predicted is not None and record.command[k, 2] < 0.5:
             predicted.record(k * world.period, controller, road_ahead.get("road"))
