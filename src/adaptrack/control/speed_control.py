@@ -129,7 +129,8 @@ class SpeedControl:
     car : Vehicle
         Mass, resistance, powertrain, axles; its sections ``[drive]`` and ``[brakes]`` give the delays that are assumed.
     friction : float or pair of float
-        Friction of the road: a value that is certain, or the ends of an interval, whose lower one counts.
+        Friction of the road: a value that is certain, or the ends of an interval. The interval becomes narrower while
+        the car drives near its grip, where the controller has a steering model; its low end counts.
     drive, brakes : optional
         Actuators whose delays are known; by default those of the car file, otherwise they are learned while driving, as
         are gain over mass and what disturbs the acceleration.
@@ -360,6 +361,12 @@ class SpeedController:
             float(memory.acceleration), float(memory.force), float(memory.hold), float(memory.target_speed),
             float(memory.grip_used), _STATES[int(memory.state)], _LIMITS[int(memory.limited_by)],
         )  # fmt: skip
+
+    @property
+    def records(self) -> tuple[Any, Any, Any, Any]:
+        """Settings, path, banks of drive and brakes, and memory, for the kernels of other estimators."""
+        record = self._record
+        return record.settings, record.path, record.banks, record.memory
 
     @property
     def learned(self) -> dict[str, Any]:

@@ -92,6 +92,7 @@ SPEED_MEMORY = record(
         "fault",  # see `actuator_faults`, and its window:
         "mean_speed", "expected_loss", "braking", "usual_disturbance",  # m/s, m/s, m/s, m/s^2
         "time",  # s, of the last period behind a tracker
+        "friction", "friction_high",  # -, ends of its interval, see `friction_estimate`; 0: those of the settings
     ),
     integers=("state", "limited_by", "next_stop", "fault"),
 )  # fmt: skip
@@ -156,12 +157,12 @@ def _square_at(place, station, path, ahead):
 
 # -- the governor -----------------------------------------------------------------------------------------------------
 @inlined
-def _govern(station, top_square, settings, path, ahead):
+def _govern(station, friction, top_square, settings, path, ahead):
     """Write the squares of the speeds (m^2/s^2) that friction and comfort allow at the cells from the station on.
 
     top_square: m^2/s^2, of the speed up to which the steering is known.
     """
-    first, grip = whole(floor(station / path.spacing)), settings.friction * GRAVITY
+    first, grip = whole(floor(station / path.spacing)), friction * GRAVITY
     for j in range(ahead.size):
         cell = _cell((first + j + 0.5) * path.spacing, path)
         square_speed, curvature = min(path.square[cell], top_square), path.curvature[cell]
@@ -174,7 +175,7 @@ def _govern(station, top_square, settings, path, ahead):
             continue
         cell = _cell((first + j + 0.5) * path.spacing, path)
         lateral = min(abs(ahead[j + 1] * path.curvature[cell] - path.bank[cell]), LARGEST_BEND_SHARE * grip)
-        _, braking = axle_limits(settings.friction, settings.mass * GRAVITY, lateral, settings)
+        _, braking = axle_limits(friction, settings.mass * GRAVITY, lateral, settings)
         deceleration = min(settings.guard * braking / settings.mass + path.slope[cell], settings.brake)
         ahead[j] = min(ahead[j], ahead[j + 1] + 2.0 * path.spacing * max(deceleration, LEAST_BRAKING))
 
@@ -222,7 +223,7 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
     tyres = acceleration + resistance  # m/s^2, of all tyres
     ratio = drive.ratio if tyres > 0.0 else brakes.ratio
     demand = settings.mass * tyres / ratio
-    friction = settings.friction if memory.state != EMERGENCY else settings.friction_high
+    friction = memory.friction if memory.state != EMERGENCY else memory.friction_high
     bend = min(lateral, LARGEST_BEND_SHARE * friction * GRAVITY)
     driving, braking = axle_limits(friction, settings.mass * GRAVITY, bend, settings)
     powertrain = min(settings.traction_limit, settings.engine_power / max(speed, 1.0))
@@ -388,6 +389,8 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     sample: `SPEED_SAMPLE`; ahead: (n,), at the cells from the station on.
     """
     yaw_rate, top_square = sample.yaw_rate, square(sample.top_speed)
+    if memory.friction <= 0.0:
+        memory.friction, memory.friction_high = settings.friction, settings.friction_high
     _take_motion(sample, settings, memory)
     station, speed = memory.station, memory.speed
     cell = _cell(station, path)
@@ -409,8 +412,8 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         forget_faults(speed, memory)
     else:
         watch_actuators(speed, _resistance(speed, slope, settings), drive, brakes, settings.period, memory)
-    _govern(station, top_square, settings, path, ahead)
-    memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (settings.friction * GRAVITY)
+    _govern(station, memory.friction, top_square, settings, path, ahead)
+    memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (memory.friction * GRAVITY)
     if is_driven:
         _yield_to_driver(speed, slope, lateral, drive, brakes, settings, memory, banks)
         return

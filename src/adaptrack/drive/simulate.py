@@ -122,6 +122,7 @@ def simulate(
     """
     world = World.of(plant, controller, profile, driver, perception, failure)
     loop = ClosedLoop(world, scenario, seed, traced=True)
+    loop.estimate_friction(controller)
     signals, trace = loop.signals, loop.run.trace
     record = _Recorder(signals.n, controller, trace.state[0], trace.signals[0])
     has_no_vy = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)

@@ -1,0 +1,113 @@
+"""Friction as an interval: what a car in a bend, on a straight and with a certain friction makes of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from adaptrack import MPC, DualTrack, RoadDrive, load_vehicle
+from adaptrack.cars.vehicle import SteeringActuator, load_tyre, pack_plant
+from adaptrack.control.controllers import command_of
+from adaptrack.control.speed_control import SpeedControl
+from adaptrack.core import friction_estimate as kernel
+from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.drive.closed_loop import ClosedLoop
+from adaptrack.drive.world import World
+from adaptrack.road import Comfort, generate_road, plan_speed
+
+CAR = load_vehicle("midsize-sedan")
+LOW, HIGH, PERIOD = 0.4, 1.0, 0.05
+KNOWLEDGE = kernel.SteeringKnowledge(
+    lag=0.1, dead_time=0.05, delay_sigma=0.01, stiffness=1.0, stiffness_sigma=0.1, balance=1.0, balance_sigma=0.05,
+    bias=0.0, bias_sigma=0.005,
+)  # fmt: skip
+
+
+def _estimate(low: float, high: float) -> kernel.FrictionEstimate:
+    actuator = SteeringActuator(lag=0.1, rate=1.0, limit=0.5)
+    estimate = kernel.FrictionEstimate(
+        kernel.FRICTION_MEMORY.new(1), kernel.FRICTION_HYPOTHESIS.new(7), np.zeros(8),
+        pack_plant(CAR, load_tyre(CAR.tyre), actuator), PERIOD,
+        np.array([math.inf, 1e-5, 0.01]),
+    )  # fmt: skip
+    kernel.friction_begin(low, high, estimate)
+    return estimate
+
+
+def _take_in(estimate: kernel.FrictionEstimate, **motion: float) -> tuple[float, float]:
+    """Ends of the interval after a sample of an unforced car at 20 m/s on a flat road."""
+    values = {name: math.nan for name in kernel.FrictionSample._fields} | {"speed": 20.0, "age": 0.0, "command": 0.0}
+    kernel.estimate_friction_step(kernel.FrictionSample(**{**values, **motion}), KNOWLEDGE, 0.0, 0.0, estimate)
+    return float(estimate.memory[0].low), float(estimate.memory[0].high)
+
+
+def _drive(friction: float, control: SpeedControl, seconds: float) -> ClosedLoop:
+    """A drive near the limit of the road for some seconds."""
+    road = generate_road("lap", 11, 1000.0).replace(speed_limit=None, friction=friction)
+    plan = plan_speed(road, CAR, Comfort(lateral=20.0, grip_share=0.95))
+    controller = MPC(CAR, profile="production")
+    world = World.of(DualTrack(CAR), controller, "production", control, None, None)
+    loop = ClosedLoop(world, RoadDrive(road, plan), 1)
+    loop.estimate_friction(controller)
+    controller.reset()
+    for _ in range(round(seconds / PERIOD)):
+        sensed = loop.sense()
+        assert not loop.ended
+        sensed.measured[MEASUREMENT.vy] = 0.0
+        ahead = loop.road_ahead(sensed.speed)
+        answer = controller.step(sensed.measured, sensed.speed, sensed.reference, sensed.variables, road=ahead)
+        loop.send(command_of(answer, loop.command).angle)
+        loop.advance()
+    return loop
+
+
+@pytest.mark.compiled
+def test_cars_near_their_limit_without_lateral_velocity_tell_slippery_from_dry_roads() -> None:
+    intervals = []
+    for friction in (0.5, 0.9):
+        estimator = _drive(friction, SpeedControl(CAR, friction=(LOW, HIGH)), 20.0).friction_estimator
+        assert estimator is not None
+        low, high = estimator.interval
+        assert low <= friction <= high
+        intervals.append((low, estimator.friction, high))
+    slippery, dry = np.array(intervals)
+    assert slippery[2] < HIGH - 0.2
+    assert dry[0] > LOW + 0.05
+    assert dry[1] > slippery[1] + 0.15
+
+
+@pytest.mark.compiled
+def test_a_certain_friction_stays() -> None:
+    loop = _drive(0.9, SpeedControl(CAR, friction=0.6), 10.0)
+    assert loop.friction_estimator is not None
+    assert loop.speed_controller is not None
+    assert not loop.friction_estimator.runs
+    settings, _, _, memory = loop.speed_controller.records
+    assert memory[0].friction == memory[0].friction_high == settings.friction
+
+
+def test_a_straight_leaves_the_interval() -> None:
+    estimate = _estimate(LOW, HIGH)
+    for _ in range(60):
+        low, high = _take_in(estimate, yaw_rate=0.0, lateral_acceleration=0.0)
+    spacing = (HIGH - LOW) / 6
+    assert (low, high) == pytest.approx((LOW, HIGH), abs=0.3 * spacing)
+
+
+def test_the_force_that_the_tyres_have_used_is_a_lower_bound() -> None:
+    estimate, used = _estimate(LOW, HIGH), 0.8
+    for _ in range(300):
+        low, _ = _take_in(estimate, lateral_acceleration=used * GRAVITY)
+    assert low > kernel.USED_MARGIN * used - (HIGH - LOW) / 6
+
+
+def test_an_interval_that_has_narrowed_widens_slowly_on_a_straight() -> None:
+    estimate = _estimate(LOW, HIGH)
+    for _ in range(300):
+        narrow, _ = _take_in(estimate, lateral_acceleration=0.8 * GRAVITY)
+    after = [_take_in(estimate, yaw_rate=0.0, lateral_acceleration=0.0)[0] for _ in range(600)]
+    assert after[50] > narrow - 0.03
+    assert after[-1] < narrow - 0.05
