@@ -130,7 +130,7 @@ LEAST_SPEED_AHEAD = 0.3
 
 # -- the path ---------------------------------------------------------------------------------------------------------
 @inlined
-def _cell(place, path):
+def cell_at(place, path):
     """Return the cell of a place (m) on the grid, within an open path or around a closed one."""
     index = whole(floor(place / path.spacing))
     if path.closed > 0:
@@ -164,7 +164,7 @@ def _govern(station, friction, top_square, settings, path, ahead):
     """
     first, grip = whole(floor(station / path.spacing)), friction * GRAVITY
     for j in range(ahead.size):
-        cell = _cell((first + j + 0.5) * path.spacing, path)
+        cell = cell_at((first + j + 0.5) * path.spacing, path)
         square_speed, curvature = min(path.square[cell], top_square), path.curvature[cell]
         if abs(curvature) > STRAIGHT:
             tilt = path.bank[cell] if curvature > 0.0 else -path.bank[cell]
@@ -173,7 +173,7 @@ def _govern(station, friction, top_square, settings, path, ahead):
     for j in range(ahead.size - 2, -1, -1):
         if ahead[j] <= ahead[j + 1]:
             continue
-        cell = _cell((first + j + 0.5) * path.spacing, path)
+        cell = cell_at((first + j + 0.5) * path.spacing, path)
         lateral = min(abs(ahead[j + 1] * path.curvature[cell] - path.bank[cell]), LARGEST_BEND_SHARE * grip)
         _, braking = axle_limits(friction, settings.mass * GRAVITY, lateral, settings)
         deceleration = min(settings.guard * braking / settings.mass + path.slope[cell], settings.brake)
@@ -314,7 +314,7 @@ def _stop_unguided(deceleration, speed, slope, lateral, drive, brakes, settings,
 @inlined
 def _follow(station, speed, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead):
     """Follow the governed speeds and the next stop; write the requests."""
-    slope = path.slope[_cell(station, path)]
+    slope = path.slope[cell_at(station, path)]
     delay, lag = drive.dead_time, drive.lag
     if memory.acceleration < 0.0:
         delay, lag = brakes.dead_time, brakes.lag
@@ -327,7 +327,7 @@ def _follow(station, speed, top_square, lateral, drive, brakes, settings, path, 
     change = _square_at(lead + LEAD_DISTANCE, station, path, ahead) - _square_at(lead, station, path, ahead)
     acceleration = 0.5 * change / LEAD_DISTANCE
     memory.limited_by = BY_GRIP
-    if target_square >= path.square[_cell(place, path)] * 0.999:
+    if target_square >= path.square[cell_at(place, path)] * 0.999:
         memory.limited_by = BY_PLAN
     elif target_square >= top_square * 0.999:
         memory.limited_by = BY_UNKNOWN_STEERING
@@ -393,7 +393,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         memory.friction, memory.friction_high = settings.friction, settings.friction_high
     _take_motion(sample, settings, memory)
     station, speed = memory.station, memory.speed
-    cell = _cell(station, path)
+    cell = cell_at(station, path)
     slope = path.slope[cell]
     bend = abs(speed * speed * path.curvature[cell] - path.bank[cell])
     if yaw_rate == yaw_rate:
