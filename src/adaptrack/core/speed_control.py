@@ -110,8 +110,9 @@ HOLD_RESERVE = 1.0
 """m/s^2, by which the brakes hold more than the slope demands."""
 LEAD_DISTANCE = 2.0
 """m, over which the acceleration of the plan is taken."""
-KNOWN_DELAY = 0.05
-"""s, standard deviation of the delay of the brakes, beyond which a stop begins earlier by the way in the rest of it."""
+BRAKE_CAUTION, KNOWN_DELAY = 2.0, 0.05
+"""-, s: a stop begins earlier by the way in the caution times the standard deviation of the delay of the brakes beyond
+that of known ones, chosen on 16 cars."""
 STOP_SOFTENING = 0.6
 """1/s, by which the jerk of a stop decreases with the lag of the brakes, chosen on 40 cars."""
 COMFORT_RESERVE = 1.2
@@ -333,7 +334,9 @@ def _follow(station, speed, top_square, lateral, drive, brakes, settings, path, 
         memory.limited_by = BY_UNKNOWN_STEERING
     stop = _stop_place(memory.next_stop, path)
     jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * lag)
-    caution_way = max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * coming_speed  # until the brakes are known
+    caution_way = (
+        BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * coming_speed
+    )  # until the brakes are known
     stop_speed, stop_acceleration = _stopping_motion(stop - place - caution_way, lag, jerk, settings)
     if stop_speed < target or stop - place <= 0.0:
         memory.state, memory.limited_by = STOPPING, _stop_cause(path, memory)
