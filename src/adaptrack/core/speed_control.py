@@ -334,9 +334,7 @@ def _follow(station, speed, top_square, lateral, drive, brakes, settings, path, 
         memory.limited_by = BY_UNKNOWN_STEERING
     stop = _stop_place(memory.next_stop, path)
     jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * lag)
-    caution_way = (
-        BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * coming_speed
-    )  # until the brakes are known
+    caution_way = BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * coming_speed
     stop_speed, stop_acceleration = _stopping_motion(stop - place - caution_way, lag, jerk, settings)
     if stop_speed < target or stop - place <= 0.0:
         memory.state, memory.limited_by = STOPPING, _stop_cause(path, memory)
