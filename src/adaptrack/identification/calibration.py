@@ -9,8 +9,8 @@ there driving and braking forces, which no log of this kind holds, turn the car,
 The factors are such that 90 % intervals held the truth in 90 % of training logs: of a foreign plant
 (`identifying_foreign.py` in the benchmarks of commit c623557, seeds from 40000), and for the steering offset and the
 understeer gradient our windy drives (`identifying.py` there, seeds 1300 to 1359). Drive and brakes have floors alone,
-for what wheels that slip and bends add to the speed. docs/identify.md says how well intervals hold on other kinds of
-logs.
+for what slopes, bends and wheels that slip add to the speed. docs/identify.md says how well intervals hold on other
+kinds of logs.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ CORRECTIONS: Mapping[str, Correction] = {
     "ratio": Correction(share=0.002),
     "drive_lag": Correction(floor=0.005),
     "drive_dead_time": Correction(floor=0.005),
-    "drive_gain": Correction(share=0.01),
+    "drive_gain": Correction(share=0.02),
     "brake_lag": Correction(floor=0.005),
     "brake_dead_time": Correction(floor=0.005),
-    "brake_gain": Correction(share=0.01),
+    "brake_gain": Correction(share=0.02),
     "drag": Correction(share=0.05),
     "rolling": Correction(floor=0.01),
 }
