@@ -6,7 +6,6 @@ import math
 import pytest
 
 from adaptrack import MPC, Learning, Tracker, load_vehicle
-from adaptrack.control.controllers import BeliefState
 from adaptrack.control.controllers.learned_car import MAX_BIAS_PULL
 from adaptrack.core.synthesis.belief import LEAST_STEERING_RATE
 from adaptrack.core.tracker.records import CONTROLLER_ANSWER
@@ -67,22 +66,23 @@ def test_a_tracker_gives_the_first_top_speed_and_warns_once_above_it(
 
 
 class StatedTracker(Tracker):
-    """A tracker whose learner is in a stated condition."""
+    """A tracker whose learner states the standard deviation of its delay."""
 
-    state = BeliefState.LEARNING
+    delay_sigma = 0.1
+    """s"""
 
     def _control(self) -> None:
         super()._control()
-        self._kernel.answer[CONTROLLER_ANSWER.belief_state] = self.state
+        self._kernel.answer[CONTROLLER_ANSWER.delay_sigma] = self.delay_sigma
 
 
-def test_the_first_top_speed_ends_when_the_learner_settles_and_does_not_come_back() -> None:
+def test_the_first_top_speed_ends_when_the_delay_is_learned_and_does_not_come_back() -> None:
     tracker = StatedTracker(MPC(load_vehicle("midsize-sedan"), belief="unknown", learning=Learning()), STRAIGHT)
     assert max(drive(tracker, 30.0)) < math.inf
-    tracker.state = BeliefState.SETTLED
+    tracker.delay_sigma = 0.01
     tracker.engage()
     assert drive(tracker, 30.0) == [math.inf] * 3
-    tracker.state = BeliefState.LEARNING
+    tracker.delay_sigma = 0.1
     tracker.engage()
     assert drive(tracker, 30.0) == [math.inf] * 3
 

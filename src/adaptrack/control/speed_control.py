@@ -231,7 +231,6 @@ class SpeedStart(NamedTuple):
     """m/s, largest speed of the plan: it decides how far ahead the governor looks"""
     patience: float = 0.0
     """s without a position, after which the steering has no estimate; 0: unlimited"""
-    first_top_speed: float = math.inf
     """m/s, up to which the car is driven before its steering is known"""
 
 
@@ -246,7 +245,7 @@ def longitudinal_of(control: SpeedControl, period: float, start: SpeedStart, pat
     settings = control.settings(period, start.comfort, start.patience)
     banks = _banks(settings, period)
     kernel.speed_control_begin(settings, banks)
-    sample = kernel.SPEED_SAMPLE.new(1, acceleration=math.nan, top_speed=start.first_top_speed)
+    sample = kernel.SPEED_SAMPLE.new(1, acceleration=math.nan, top_speed=math.inf)
     memory, ahead = kernel.SPEED_MEMORY.new(1, time=-math.inf), np.zeros(horizon_cells(start.top_speed, settings))
     return Longitudinal(sample, memory, settings, path, banks, ahead)
 

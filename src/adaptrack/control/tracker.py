@@ -178,7 +178,6 @@ class Tracker:
             self._speed = SpeedController(
                 speed, path, plan, self.period, stop_at_end=speed.stop_at_end, patience=patience_of(controller)
             )
-            self._speed.limit_speed(controller)
             self._friction = FrictionEstimator(self._speed, controller)
         self._check = input_check_of(controller)
         self._load(tracker_of(controller, path, plan, furthest, self._check))

@@ -66,10 +66,8 @@ class SpeedPart(NamedTuple):
 
 def speed_part(control: SpeedControl, controller: Controller, plan: SpeedPlan, top_speed: float = 0.0) -> SpeedPart:
     """The speed control behind a tracker with a controller, for plans up to that of `plan` or a top speed (m/s)."""
-    learner = getattr(controller, "learner", None)
-    first_top_speed = math.inf if learner is None else learner.first_top_speed
     fastest = max(float(plan.speed.max()), top_speed)
-    return SpeedPart(control, SpeedStart(plan.comfort, fastest, patience_of(controller), first_top_speed))
+    return SpeedPart(control, SpeedStart(plan.comfort, fastest, patience_of(controller)))
 
 
 def kind_of(controller: Controller, speed: SpeedPart | None = None) -> Any:

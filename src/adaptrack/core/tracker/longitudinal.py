@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 
-from ..estimators.learning import CERTAIN
 from ..kernel import Place, exported, inlined, record, rows, vector, void
 from ..maths.bits import whole
 from ..speed_control import BLIND_GRACE, OFF, SPEED_MEMORY, SPEED_SAMPLE, SpeedPath, SpeedSettings, speed_control
 from ..speed_learning import SpeedBanks
-from .records import CONTROLLER_ANSWER, MAX_SIGNAL, TRACKED, TRACKER_SAMPLE, TrackerRecord
+from .records import MAX_SIGNAL, TRACKED, TRACKER_SAMPLE, TrackerRecord
 
 Longitudinal = record(
     "Longitudinal",
@@ -71,8 +70,8 @@ def _write_sample(tracker, blind_time, action, sample):
 def longitudinal_step(tracker, longitudinal):
     """Run the speed control after a call of the tracker, once a control instant.
 
-    The requests are in `longitudinal.memory`, see `core.speed_control.SPEED_MEMORY`. The speed is limited to
-    `sample.top_speed` until the controller knows the delay of its steering.
+    The requests are in `longitudinal.memory`, see `core.speed_control.SPEED_MEMORY`. The speed is limited to the
+    tracker's first top speed.
     """
     m, sample, memory = tracker.memory[0], longitudinal.sample[0], longitudinal.memory[0]
     time = tracker.sample[TRACKER_SAMPLE.now]
@@ -81,8 +80,7 @@ def longitudinal_step(tracker, longitudinal):
     if action == NO_ACTION or not _is_due(time, m, memory, longitudinal.settings.period):
         return
     memory.time = time
-    if m.started > 0 and tracker.answer[CONTROLLER_ANSWER.delay_sigma] < CERTAIN[0]:
-        sample.top_speed = math.inf
+    sample.top_speed = tracker.tracked[TRACKED.first_top_speed]
     _write_sample(tracker, blind_time, action, sample)
     speed_control(sample, longitudinal.settings, longitudinal.path, memory, longitudinal.banks, longitudinal.ahead)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 from ..controllers.contract import wrapped
-from ..estimators.learning import SETTLED_BELIEF
+from ..estimators.learning import CERTAIN
 from ..kernel import inlined, record
 from ..maths.exact import clip
 from ..maths.trigonometric import cos, sin
 from ..road import CLOSED, LENGTH, foot_near, line_of, nearest, point_at
-from .records import ACROSS_PENALTY, HELD, MAX_POSITION, NO_BELIEF, REQUEST, TRACKED
+from .records import ACROSS_PENALTY, CONTROLLER_ANSWER, HELD, MAX_POSITION, NO_BELIEF, REQUEST, TRACKED
 
 PoseRow = record("PoseRow", ("x", "y", "yaw"))
 """m, m, rad."""
@@ -151,11 +151,12 @@ def restart(tracker, m):
 
 
 @inlined
-def _first_top_speed(m, settings):
-    """Top speed (m/s) of a car that is not learned yet; it ends for good when the learner settles."""
-    if m.belief_state == SETTLED_BELIEF:
-        m.ended_top_speed = settings.first_top_speed  # constants of a different learner bring a different speed
-    return math.inf if m.ended_top_speed == settings.first_top_speed else settings.first_top_speed
+def _first_top_speed(tracker, m):
+    """Top speed (m/s) of a car that is not learned yet; it ends for good once the delay of its steering is learned."""
+    first = tracker.settings[0].first_top_speed
+    if m.started > 0 and tracker.answer[CONTROLLER_ANSWER.delay_sigma] < CERTAIN[0]:
+        m.ended_top_speed = first  # constants of a different learner bring a different speed
+    return math.inf if m.ended_top_speed == first else first
 
 
 @inlined
@@ -167,4 +168,4 @@ def tell(tracker, m):
     tracked[TRACKED.offset], tracked[TRACKED.heading_error] = m.offset, m.heading_error
     tracked[TRACKED.station] = m.station if m.offset == m.offset else math.nan
     tracked[TRACKED.belief_state], tracked[TRACKED.belief_at_bound] = m.belief_state, m.belief_at_bound
-    tracked[TRACKED.first_top_speed] = _first_top_speed(m, tracker.settings[0])
+    tracked[TRACKED.first_top_speed] = _first_top_speed(tracker, m)

@@ -104,7 +104,7 @@ MEMORY = record(
         "given_motion_t",  # s, of the motion in the sample at hand
         "belief_state",  # of the controller's last step, as in TRACKED
         "belief_at_bound",  # likewise
-        "ended_top_speed",  # m/s, first top speed that ended when the learner settled; 0: none
+        "ended_top_speed",  # m/s, first top speed that ended when the delay of the steering was learned; 0: none
     ),
     integers=(
         "started", "instant", "due", "first", "waiting", "open", "status", "rejection", "answered", "fresh", "jumps",
