@@ -26,7 +26,7 @@ ALONG = np.arange(0.0, 300.0, 5.0)
 POINTS = np.stack([ALONG, 12.0 * (1.0 - np.cos(ALONG / 45.0))], axis=-1)
 BAD_PLAN = 14
 SPEED, GRADE, BANK, STOP = range(1, 5)
-CONTROL = SpeedControl(CAR, (0.5, 0.9))
+CONTROL = SpeedControl(CAR, 0.6)  # certain: Python would narrow an interval
 PERIOD = 0.05
 PATH = road_through(POINTS).replace(grade=((0.0, 60.0, 120.0, 200.0), (0.0, 0.06, -0.08, 0.02)), bank=((0.0,), (0.03,)))
 PLAN = plan_speed(PATH, CAR, Comfort(lateral=2.0), stops=[Stop(110.0, 1.0), Stop(180.0, 0.5)], top_speed=14.0)

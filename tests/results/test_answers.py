@@ -82,7 +82,7 @@ def test_what_a_drive_has_learned_is_printed_with_its_intervals(lines):
         (["road", "check", "town", "--speed", "20"], r"The road cannot be driven at 11 places ", ["road", "check"]),
         (["car", "midsize-sedan"], r"midsize-sedan: 1093.3 kg, wheelbase 2.58 m, understeers by ", ["drive"]),
         (["car", "--mass", "1500", "--wheelbase", "2.7"], r"new-car: .*; 21 of its numbers are estimated", ["car"]),
-        (["list", "scenarios"], "7 scenarios", ["drive"]),
+        (["list", "scenarios"], "9 scenarios", ["drive"]),
         (["paper", "campaign", "paper-grid"], r"paper-grid: 6.435 operating points; ", ["paper", "train"]),
     ],
 )

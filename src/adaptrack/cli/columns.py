@@ -52,7 +52,7 @@ class ColumnOptions:
     late: Annotated[
         list[str] | None,
         Option(
-            "--late", metavar="SIGNAL=S,...", help="Delay of a signal after its time stamps (s), such as yaw_rate=0.2."
+            "--late", metavar="SIGNAL=S,...", help="Time by which a signal lags its stamps (s), such as yaw_rate=0.2."
         ),
     ] = None
 

@@ -63,7 +63,7 @@ class IdentifyOptions:
         bool,
         Option(
             "--longitudinal",
-            help="Identify drive, brakes and resistance only, from speed and commands of acceleration or force.",
+            help="Identify drive and brakes only.",
         ),
     ] = False
     page: Annotated[Path | None, Option("--page", metavar="FILE", help="Page to write (.html).")] = None
@@ -75,14 +75,10 @@ def identify(arguments: IdentifyOptions) -> None:
     """Identify a car from logs of driving.
 
     The command estimates steering delay, tyre stiffness, offsets and noise, each with a 90 % interval. A log needs
-    time, speed, yaw rate, and steering command or wheel angle, at 10 Hz or more.
+    time, speed, yaw rate, and steering command or wheel angle, at 10 Hz or more. With commands of acceleration
+    (acceleration_command, m/s^2) or force (force_command, N) it also gives drive, brakes and resistance.
 
-    A log that also has a command of acceleration (acceleration_command, m/s^2) or force (force_command, N) gives lag,
-    dead time and gain of drive and brakes, and resistance. Gain and mass are one number: the gain is relative to the
-    mass of the car.
-
-    The exit code is 3 if estimates from different logs, or from different parts of a log, contradict each other. It is
-    also 3 if an estimate contradicts the initial car.
+    The exit code is 3 if estimates of logs, or of parts of a log, contradict each other or the initial car.
     """
     from adaptrack.identification import identify as fit
     from adaptrack.results.identify import identification_result, write_identification_page

@@ -24,6 +24,7 @@ from adaptrack.core.input_check.record import MISTAKES
 from adaptrack.core.kernel import Array as KernelArray
 from adaptrack.core.speed_control import SPEED_MEMORY
 from adaptrack.core.speed_path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, PlanArrays, speed_path_words
+from adaptrack.core.tracker.longitudinal import longitudinal_step
 from adaptrack.core.tracker.records import TRACKED, TRACKER_SAMPLE, TrackerRecord
 from adaptrack.export import bounds
 from adaptrack.export.block import Block
@@ -368,7 +369,8 @@ def _parts(block: Block, kind: Any) -> str:
     """Which kernels the constants call, and the bounds of their numbers."""
     step, header = step_kernel(kind), block.header
     has_speed = "longitudinal" in kind.kinds
-    behind = " adaptrack_longitudinal_step(record, (uint64_t *)record + ADAPTRACK_LONGITUDINAL);" if has_speed else ""
+    speed_step = f"adaptrack_{longitudinal_step.__name__}"
+    behind = f" {speed_step}(record, (uint64_t *)record + ADAPTRACK_LONGITUDINAL);" if has_speed else ""
     declarations = [f"extern void adaptrack_{name}(void);" for name in block.functions]
     rows = [f"    {{{zlib.crc32(name.encode()):#010x}u, adaptrack_{name}}}," for name in block.functions]
     return "\n".join(
@@ -376,7 +378,7 @@ def _parts(block: Block, kind: Any) -> str:
             "/* adaptrack: the kernels that the constants call. Written by adaptrack.export. */",
             '#include "adaptrack_parts.h"', "", "#include <math.h>", "", *declarations,
             f"extern void adaptrack_{step}(void *record);",
-            *(["extern void adaptrack_longitudinal_step(void *tracker, void *longitudinal);"] if has_speed else []), "",
+            *([f"extern void {speed_step}(void *tracker, void *longitudinal);"] if has_speed else []), "",
             "static const adaptrack_function FUNCTIONS[] = {", *rows, "};",
             f"const adaptrack_reader adaptrack_parts = {{UINT64_C({header.kernels:#018x}), {header.kind:#010x}u, "
             f"FUNCTIONS, {len(rows)}, adaptrack_check_bounds}};", "", *bounds.tables(block, kind), "",

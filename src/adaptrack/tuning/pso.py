@@ -173,7 +173,7 @@ class SwarmSettings(Record):
     )
     kind: Literal["improved", "classic"] = Field(default="improved", description="rule for w, c1 and c2")
     w_max: float = Field(
-        default=0.99, ge=0, le=10, description="eq. (19); the initial inertia is w_min + exp(w_max)/lambda2"
+        default=0.99, ge=0, le=10, description="eq. (19); the initial inertia is w_min + (e^w_max)/lambda2"
     )
     w_min: float = Field(default=0.1, ge=0, le=10, description="eq. (19), inertia of late generations")
     lambda1: float = Field(default=30.0, ge=0, le=1e6, description="eq. (19), rate at which the inertia falls")
