@@ -108,6 +108,10 @@ LATERAL_SMOOTHING = 0.35
 """Share of a new measurement in the filtered lateral acceleration."""
 HOLD_RESERVE = 1.0
 """m/s^2, by which the brakes hold more than the slope demands."""
+HOLDING_LAGS = 2.0
+"""Lags of the brakes, in addition to their dead time, after which they hold the car."""
+START_RESERVE = 0.3
+"""m/s^2, by which the drive carries more than an ascent before the brakes are released."""
 LEAD_DISTANCE = 2.0
 """m, over which the acceleration of the plan is taken."""
 BRAKE_CAUTION, KNOWN_DELAY = 2.0, 0.05
@@ -238,6 +242,17 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
 
 
 @inlined
+def _stand(slope, lateral, drive, brakes, settings, memory):
+    """Stand at a stop; until the brakes hold, the drive carries an ascent."""
+    is_held = memory.standing > brakes.dead_time + HOLDING_LAGS * brakes.lag + brakes.delay_sigma
+    cause = memory.limited_by
+    _request(0.0, 0.0, slope, lateral, drive, brakes, settings, memory)
+    force = memory.force
+    _hold(slope, settings, memory)
+    memory.force, memory.limited_by = 0.0 if is_held or slope <= 0.0 else max(force, 0.0), cause
+
+
+@inlined
 def _pass_stop(station, speed, settings, path, memory):
     """Count the time at a stop; go on to the next one when it is over, or the car is far beyond it."""
     place = _stop_place(memory.next_stop, path)
@@ -352,7 +367,8 @@ def _follow(station, speed, top_square, lateral, drive, brakes, settings, path, 
         _request(-min(needed, settings.emergency), speed, slope, lateral, drive, brakes, settings, memory)
         return
     if memory.state == STOPPING and speed < STANDING_SPEED and stop - station < STOP_TOLERANCE:
-        _hold(slope, settings, memory)
+        memory.standing = 0.0
+        _stand(slope, lateral, drive, brakes, settings, memory)
         return
     demand = acceleration + settings.gain * (target - coming_speed)
     bounded = clip(demand, -COMFORT_RESERVE * settings.brake, COMFORT_RESERVE * settings.accelerate)
@@ -360,8 +376,8 @@ def _follow(station, speed, top_square, lateral, drive, brakes, settings, path, 
         memory.limited_by = BY_COMFORT
     _request(_hand_over(bounded, settings, memory), speed, slope, lateral, drive, brakes, settings, memory)
     memory.hold = 0.0
-    if memory.force > 0.0 and speed < STANDING_SPEED and slope > 0.0:
-        memory.hold = settings.mass * slope  # until the drive carries the slope
+    if memory.force > 0.0 and speed < STANDING_SPEED and drive.ratio * drive.acting < slope + START_RESERVE:
+        memory.hold = settings.mass * (slope + HOLD_RESERVE) if slope > 0.0 else 0.0  # until the drive carries it
 
 
 @inlined
@@ -432,7 +448,8 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     _pass_stop(station, speed, settings, path, memory)
     if memory.state == WAITING:
         memory.limited_by = _stop_cause(path, memory)
-        _hold(slope, settings, memory)
+        _stand(slope, lateral, drive, brakes, settings, memory)
+        remember_request(memory.force / settings.mass, banks.requests)
         return
     _follow(station, speed, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead)
     remember_request(memory.force / settings.mass, banks.requests)

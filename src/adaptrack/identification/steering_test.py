@@ -69,7 +69,7 @@ class SteeringTest:
     In each control period call `step` with the latest sample and send the command that it returns. The wheels turn to
     `angle`, to -`angle` and back, within 10 m and 6 s. The car leaves its line by about 0.25 m, a biased steering by up
     to 1 m. With a wheel-angle sensor the car may stand. Otherwise it must drive at 1.5 to 3 m/s, and the delay includes
-    that of the gyro. Begin with straight wheels.
+    that of the gyro. Begin with straight wheels::
 
         test = SteeringTest(car)
         while not test.is_complete:
