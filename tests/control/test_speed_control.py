@@ -94,6 +94,22 @@ def test_a_car_whose_delays_mass_and_slope_are_not_known_stops_near_its_stop_and
     assert car.s > 600.0
 
 
+def test_a_car_does_not_roll_back_at_a_stop_on_an_ascent_of_ten_per_cent() -> None:
+    drive, brakes = DriveActuator(lag=0.05, dead_time=0.05), BrakeActuator(lag=0.6, dead_time=0.4)
+    road = _straight(400.0, grade=0.1)
+    plan = plan_speed(road, CAR, COMFORT, stops=[Stop(150.0, 2.0)], top_speed=12.0)
+    controller = SpeedController(SpeedControl(CAR, drive=None, brakes=None), road, plan, PERIOD)
+    car = PointMass(float(plan.speed[0]), 1.3 * CAR.mass, drive, brakes, GRAVITY * math.sin(math.atan(0.1)))
+    farthest, rolled_back = 0.0, 0.0
+    for _ in range(1200):
+        request = controller.step(car.s, car.v, 0.0)
+        car.move(request.force, request.hold)
+        farthest = max(farthest, car.s)
+        rolled_back = max(rolled_back, farthest - car.s)
+    assert car.s > 300.0
+    assert rolled_back < 0.02
+
+
 def test_the_bank_finds_delay_and_ratio_of_drive_and_brakes() -> None:
     drive, brakes = DriveActuator(lag=0.45, dead_time=0.1, gain=0.85), BrakeActuator(lag=0.15, dead_time=0.3)
     road = _straight(3000.0)
