@@ -1,4 +1,4 @@
-"""Twenty drives of the page, and what Python drives with the same setups: for Node and for browsers."""
+"""Drives of the page, and what Python drives with the same setups: for Node and for browsers."""
 
 import functools
 
@@ -45,6 +45,11 @@ def _tuned(kind, Np, Nc, Q, R, **belief):
     return {"kind": kind, "tuning": {"Np": Np, "Nc": Nc, "Q": Q, "R": R}, "belief": belief or None}
 
 
+def _assuming(friction, kind, **more):
+    """A controller behind a speed control that assumes a friction."""
+    return {"kind": kind, "speed_control": {"friction": friction}, **more}
+
+
 SETUPS = {
     "informed": _setup(PAPER, {"name": "mountain"}, {"lateral": 3.0}, "road", "informed"),
     "learning": _setup(PAPER, {"name": "country"}, {"lateral": 3.0}, "road", "learning"),
@@ -70,6 +75,13 @@ SETUPS = {
                             lag=0.22, dead_time=0.07, bias=0.01, noise=2.0, friction=0.6, wind=8.0),
     "paper, drawn": _setup({"sheet": {**SHEET, "load": 75.0}}, WAVE, {"constant": 14.0}, "paper", "pure-pursuit",
                            _tuned("published", 20, 4, 5.0, 0.05)),
+    # driven by a speed control
+    "speed control": _setup(SEDAN, {"name": "mountain"}, {"lateral": 3.0}, "road", _assuming(0.9, "informed"),
+                            _assuming(0.4, "stanley"), friction=0.35),
+    "speed control, unknown": _setup({"name": "van"}, WAVE, {"constant": 14.0}, "production",
+                                     _assuming(0.8, "learning", knows="sheet"), "learning", seed=7),
+    "speed control, networks": _setup(PAPER, {"name": "town"}, {"lateral": 2.5}, "road",
+                                      _assuming(0.3, "published-nn"), _assuming(0.7, "lqr"), seed=2, wind=5.0),
     "tests, typed": _setup(TYPED, {"test": "triple-lane-change"}, {}, "road", "learning", "published-nn", wind=5.0),
 }  # fmt: skip
 

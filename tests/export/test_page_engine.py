@@ -99,7 +99,7 @@ def refusals_of(answers):
     return [(answer["where"], answer["message"]) for answer in answers if answer["type"] == "refused"]
 
 
-FEW = "informed", "sheet"
+FEW = "informed", "sheet", "speed control"
 """Drives that are always compared; all of them where there is time."""
 
 

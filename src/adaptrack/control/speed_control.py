@@ -22,16 +22,15 @@ from adaptrack.core import speed_path as path_kernel
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS, CERTAIN
 from adaptrack.core.kernel import OK, Resident
 from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.synthesis.speed import resistance, usable_friction
 from adaptrack.core.tracker.longitudinal import STATUS_ACTIONS, Longitudinal, longitudinal_follow, longitudinal_step
 from adaptrack.core.tracker.records import LONGEST_GAP, STATUS
 from adaptrack.road import Comfort, Road, SpeedPlan
-from adaptrack.road.cornering import cornering_limit
+from adaptrack.road.cornering import packed, steering_limit
 
 Array = NDArray[np.float64]
 MAX_ASSUMED_FRICTION = 1.5
 """Coefficient of friction above which an assumption is refused."""
-TYPICAL_CURVATURE = 0.02
-"""1/m, of the bend in which the car's share of the friction is taken."""
 
 
 class SpeedState(StrEnum):
@@ -173,27 +172,22 @@ class SpeedControl:
     def settings(self, period: float, comfort: Comfort, patience: float = 0.0) -> Any:
         """Record of the kernel for a control period (s), the comfort of a plan and the patience (s) of the steering."""
         car = self.car
-        low, high = (friction * _grip_share(car, friction) for friction in self.friction_interval)
+        low, high = (usable_friction(packed(car), steering_limit(car), friction) for friction in self.friction_interval)
+        drag, rolling = resistance(car.air_density, car.frontal_area, car.drag_coefficient, car.rolling_resistance)
         drive, brakes = self.drive or car.drive, self.brakes or car.brakes
         names = ("mass", "lf", "lr", "cg_height", "drive_front", "brake_front", "engine_power", "traction_limit",
                  "brake_limit")  # fmt: skip
         return kernel.SpeedSettings(
             **{name: getattr(car, name) for name in names},
             period=period,
-            drag=0.5 * car.air_density * car.frontal_area * car.drag_coefficient,
-            rolling=car.rolling_resistance * GRAVITY,
+            drag=drag,
+            rolling=rolling,
             accelerate=comfort.accelerate, brake=comfort.brake, emergency=self.emergency, stop_jerk=self.stop_jerk,
             friction=low, friction_high=high, governor=self.governor, guard=self.guard,
             drive_lag=drive.lag if drive else math.nan, drive_dead_time=drive.dead_time if drive else math.nan,
             brake_lag=brakes.lag if brakes else math.nan, brake_dead_time=brakes.dead_time if brakes else math.nan,
             gain=self.gain, patience=patience,
         )  # fmt: skip
-
-
-def _grip_share(car: Vehicle, friction: float) -> float:
-    """Share of the friction that the car reaches in a bend: load transfer takes some from tyres that lose with load."""
-    (limit,) = cornering_limit(car, [TYPICAL_CURVATURE], [friction])
-    return min(float(limit) / (friction * GRAVITY), 1.0)
 
 
 def speed_path(path: Road, plan: Any, stop_at_end: bool) -> Any:
@@ -243,7 +237,7 @@ def patience_of(controller: Controller) -> float:
 def longitudinal_of(control: SpeedControl, period: float, start: SpeedStart, path: Any) -> Any:
     """A speed control at its start along a `SpeedPath` (`core.tracker.longitudinal.Longitudinal`)."""
     settings = control.settings(period, start.comfort, start.patience)
-    banks = _banks(settings, period)
+    banks = speed_banks(settings, period)
     kernel.speed_control_begin(settings, banks)
     sample = kernel.SPEED_SAMPLE.new(1, acceleration=math.nan, top_speed=math.inf)
     memory, ahead = kernel.SPEED_MEMORY.new(1, time=-math.inf), np.zeros(horizon_cells(start.top_speed, settings))
@@ -255,8 +249,8 @@ def horizon_cells(top_speed: float, settings: Any) -> int:
     return int(path_kernel.horizon_cells(top_speed, settings.brake, path_kernel.PLACE_SPACING))
 
 
-def _banks(settings: Any, period: float) -> Any:
-    """Banks of hypotheses: one of an actuator whose delays are known, all of another."""
+def speed_banks(settings: Any, period: float) -> Any:
+    """Banks of hypotheses for a control period (s): one of an actuator whose delays are known, all of another."""
     longest = learning.MAX_DEAD_TIME
     sizes = []
     for lag, dead_time in (

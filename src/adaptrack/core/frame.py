@@ -1,6 +1,7 @@
 """What of a drive is shown: a row of numbers a control period, the path that the MPC predicts, the moves that it plans.
 
-A program that shows a drive lets it go on by `drive_and_show`, a few periods at a time.
+A program that shows a drive lets it go on by `drive_and_show`, or behind a speed control by
+`drive_with_speed_control`, a few periods at a time.
 """
 
 from __future__ import annotations
@@ -9,15 +10,20 @@ import math
 
 from .controllers import mpc
 from .controllers.receding import plan_moves, predict_outputs
-from .kernel import Place, columns, exported, inlined, int64, matrix
-from .loop import SIGNAL
+from .estimators.learning import BELIEF_COLUMNS, CERTAIN
+from .kernel import Place, columns, exported, inlined, int64, matrix, vector
+from .loop import RUNNING, SIGNAL
 from .maths.bits import whole
+from .maths.exact import sqrt
 from .maths.trigonometric import cos, sin
-from .period import TRACE_SIGNALS, RunSpan, move, write_trace_signals
+from .models.contract import MEASUREMENT
+from .period import TRACE_SIGNALS, RunSpan, before_control, move, write_trace_signals
 from .planning.drive import instant
 from .plants.contract import PLANT_INPUT, PLANT_STATE, input_at, state_at
 from .road import line_of, points_ahead
-from .rollout import COMMON_ANSWER, RunRecord, close_all, control_all
+from .rollout import COMMON_ANSWER, RunRecord, answer_instant, close_all, control_all, end_slot
+from .speed_control import cell_at, governed_speeds, speed_control
+from .tracker.longitudinal import Longitudinal
 
 _DRIVEN = PLANT_STATE._fields[: PLANT_STATE.yaw_rate + 1]
 FRAME = columns(
@@ -36,6 +42,17 @@ FRAME = columns(
 """Of an instant, its command known, the car not yet moved: `period.TRACE_SIGNALS`, the first entries of
 `plants.STATE`, then these. Behind them is the answer of the controller without its command; control laws add the
 tuning."""
+
+SPEED_FRAME = columns(
+    "planned_speed",  # m/s, of the plan where the car is
+    "governed_speed",  # m/s, there, that friction, comfort and steering allow
+    "target_speed",  # m/s, where the request acts
+    "grip_used",  # -, see `core.speed_control.SPEED_MEMORY`
+    "requested_acceleration",  # m/s^2
+    "requested_force",  # N, at the wheels, less the hold of the brakes
+    "speed_state", "limited_by",  # numbers of `core.speed_control`
+)  # fmt: skip
+"""Of an instant behind a speed control: the last numbers of its row."""
 
 
 @inlined
@@ -79,7 +96,7 @@ def _write_numbers(k, slot, run, answer, row):
 
 
 @inlined
-def _write_path(k, slot, run, points):
+def _write_path(slot, run, speeds, points):
     """The predicted path: x and y (m) in turn; on a curved road by the offsets from it that are predicted."""
     drive, inputs, model = run.memory.drives[slot], run.inputs, run.mpc
     scenario = inputs.scenario[slot]
@@ -93,7 +110,7 @@ def _write_path(k, slot, run, points):
     station = drive.station_estimate if road >= 0 else run.vehicles.block[state_at(PLANT_STATE.x, slot)]
     speed = max(drive.speed, model.settings.speed_floor)
     points_ahead(
-        station, inputs.signals[scenario, SIGNAL.speed, k:], speed, mpc.delay_of(slot, model), model.settings.period,
+        station, speeds, speed, mpc.delay_of(slot, model), model.settings.period,
         line_of(road, inputs.roads), offsets, points,
     )  # fmt: skip
     for j in range(2 * horizon, points.size):
@@ -101,13 +118,13 @@ def _write_path(k, slot, run, points):
 
 
 @inlined
-def _write_plan(k, slot, run, points, moves):
-    """Write the planned moves of an MPC; NaN where there is no plan at this instant."""
+def _write_plan(slot, run, speeds, points, moves):
+    """Write the planned moves of an MPC; NaN where there is no plan at this instant. speeds: m/s, from now on."""
     if run.features.law or run.mpc.answer[slot, mpc.MPC_ANSWER.held] > 0.5:
         points[:], moves[:] = math.nan, math.nan
         return
     count = whole(run.mpc.answer[slot, mpc.MPC_ANSWER.Nc])
-    _write_path(k, slot, run, points)
+    _write_path(slot, run, speeds, points)
     plan_moves(slot, run.mpc, moves[:count])
     moves[count:] = math.nan
 
@@ -126,7 +143,62 @@ def drive_and_show(count, span, run, numbers, predicted, moves):
         k = run.memory.drives[0].instant - 1
         answer = run.law.answer[0] if run.features.law else run.mpc.answer[0]
         _write_numbers(k, 0, run, answer, numbers[periods])
-        _write_plan(k, 0, run, predicted[periods], moves[periods])
+        speeds = run.inputs.signals[run.inputs.scenario[0], SIGNAL.speed, k:]
+        _write_plan(0, run, speeds, predicted[periods], moves[periods])
+        move(span.slots, run)
+        periods += 1
+    close_all(span, run)
+    return periods
+
+
+@inlined
+def _control_speed(run, longitudinal, speeds):
+    """Step the speed control at the present instant; write its requests, and the governed speeds (m/s) from now on."""
+    drive, sample, memory = run.memory.drives[0], longitudinal.sample[0], longitudinal.memory[0]
+    settings, path, ahead = longitudinal.settings, longitudinal.path, longitudinal.ahead
+    sample.station, sample.speed = drive.station_estimate, drive.speed
+    sample.yaw_rate = run.measured[MEASUREMENT.yaw_rate]
+    speed_control(sample, settings, path, memory, longitudinal.banks, ahead)
+    drive.requested_force, drive.requested_hold = memory.force, memory.hold
+    governed_speeds(drive.speed, settings.period, path.spacing, ahead, speeds)
+
+
+@inlined
+def _write_speed_numbers(longitudinal, row):
+    """Write SPEED_FRAME."""
+    memory, path = longitudinal.memory[0], longitudinal.path
+    row[SPEED_FRAME.planned_speed] = sqrt(path.square[cell_at(memory.station, path)])
+    row[SPEED_FRAME.governed_speed] = sqrt(longitudinal.ahead[0])
+    row[SPEED_FRAME.target_speed], row[SPEED_FRAME.grip_used] = memory.target_speed, memory.grip_used
+    row[SPEED_FRAME.requested_acceleration] = memory.acceleration
+    row[SPEED_FRAME.requested_force] = memory.force - memory.hold
+    row[SPEED_FRAME.speed_state], row[SPEED_FRAME.limited_by] = memory.state, memory.limited_by
+
+
+@exported(int64(int64, RunSpan, Place(RunRecord), Place(Longitudinal), vector, matrix, matrix, matrix))
+def drive_with_speed_control(count, span, run, longitudinal, speeds, numbers, predicted, moves):
+    """`drive_and_show` of a run whose forces a speed control requests (`loop.EXTERNAL_FORCES`).
+
+    speeds: (n,) m/s, room for the governed speeds that the controller is given. The rows of numbers end with
+    SPEED_FRAME. The speed is limited to `sample.top_speed` until the controller knows the delay of its steering.
+    """
+    drive, periods, width = run.memory.drives[0], 0, numbers.shape[1] - len(SPEED_FRAME)
+    while periods < count and drive.ended == RUNNING and drive.instant < span.periods:
+        k, row = drive.instant, numbers[periods]
+        before_control(0, span, run)
+        if drive.ended == RUNNING:
+            _control_speed(run, longitudinal, speeds)
+            answer_instant(k, 0, speeds, span, run)
+        if drive.ended != RUNNING:
+            end_slot(k, 0, span, run)
+            break
+        answer = run.law.answer[0] if run.features.law else run.mpc.answer[0]
+        sigma = len(mpc.MPC_ANSWER) + BELIEF_COLUMNS.belief_delay_sigma
+        if run.mpc.settings.learns > 0 and answer[sigma] < CERTAIN[0]:
+            longitudinal.sample[0].top_speed = math.inf
+        _write_numbers(k, 0, run, answer, row[:width])
+        _write_speed_numbers(longitudinal, row[width:])
+        _write_plan(0, run, speeds, predicted[periods], moves[periods])
         move(span.slots, run)
         periods += 1
     close_all(span, run)

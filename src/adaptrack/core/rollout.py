@@ -125,13 +125,11 @@ def law_batch(slots: int, law: Any) -> Any:
 
 # -- the controller ---------------------------------------------------------------------------------------------------
 @inlined
-def _apply_law(slot, reference, run):
+def _apply_law(slot, reference, speeds, run):
     """A control law; a command that is not finite holds the last one."""
     drive, out, situation, measured = run.memory.drives[slot], run.law.answer[slot], run.law.situation, run.measured
     roads, scenario = run.inputs.roads, run.inputs.scenario[slot]
-    speeds = run.inputs.signals[scenario, SIGNAL.speed]
-    first = plan_instant(slot, run) if roads.of[scenario] >= 0 else speeds.size
-    road = RoadAheadRecord(line_of(roads.of[scenario], roads), drive.station_estimate, speeds[first:])
+    road = RoadAheadRecord(line_of(roads.of[scenario], roads), drive.station_estimate, speeds)
     no_vy = run.settings.noise_vy == math.inf  # a car without a sensor of it
     current = Situation(
         0.0 if no_vy else measured[MEASUREMENT.vy],
@@ -158,14 +156,13 @@ def _apply_law(slot, reference, run):
 
 
 @inlined
-def _see_bend(slot, speed, run):
+def _see_bend(slot, speed, speeds, run):
     """Show the MPC the road ahead."""
-    settings, scenario = run.mpc.settings, run.inputs.scenario[slot]
-    road = run.inputs.roads.of[scenario]
+    settings = run.mpc.settings
+    road = run.inputs.roads.of[run.inputs.scenario[slot]]
     if road < 0:
         run.mpc.bend[:] = 0.0
         return
-    speeds = run.inputs.signals[scenario, SIGNAL.speed, plan_instant(slot, run) :]
     bend_ahead(
         run.memory.drives[slot].station_estimate, speeds, max(speed, settings.speed_floor), mpc.delay_of(slot, run.mpc),
         settings.period, road, run.inputs.roads, run.mpc.bend,
@@ -173,15 +170,31 @@ def _see_bend(slot, speed, run):
 
 
 @inlined
+def _speeds_ahead(slot, run):
+    """Speeds (m/s) that are planned for the instants from now on; none without a road."""
+    scenario = run.inputs.scenario[slot]
+    speeds = run.inputs.signals[scenario, SIGNAL.speed]
+    first = plan_instant(slot, run) if run.inputs.roads.of[scenario] >= 0 else speeds.size
+    return (speeds[first:],)
+
+
+@inlined
 def control_slot(slot, run):
-    """The controller's answer."""
+    """The controller's answer at the planned speeds."""
+    (speeds,) = _speeds_ahead(slot, run)
+    return _control_along(slot, speeds, run)
+
+
+@inlined
+def _control_along(slot, speeds, run):
+    """The controller's answer; speeds: m/s, at the instants from now on."""
     k, speed = run.memory.drives[slot].instant, run.memory.drives[slot].speed
     reference = run.inputs.signals[run.inputs.scenario[slot], SIGNAL.y_ref, k:]
     if run.features.law:
-        _apply_law(slot, reference, run)
+        _apply_law(slot, reference, speeds, run)
         return (run.law.answer[slot],)
     if run.mpc.settings.curved > 0:
-        _see_bend(slot, speed, run)
+        _see_bend(slot, speed, speeds, run)
     step_with(slot, speed, reference, run.tuning[slot], run.mpc, run.functions)
     return (run.mpc.answer[slot],)
 
@@ -209,19 +222,24 @@ def _count_answer(k, slot, answer, run):
 @inlined
 def _drive_slot(k, slot, span, run):
     """Instant k of a run: the two halves of `period` around its controller."""
-    drive = run.memory.drives[slot]
     before_control(slot, span, run)
-    if drive.ended != RUNNING:
-        return
+    if run.memory.drives[slot].ended == RUNNING:
+        (speeds,) = _speeds_ahead(slot, run)
+        answer_instant(k, slot, speeds, span, run)
+
+
+@inlined
+def answer_instant(k, slot, speeds, span, run):
+    """Instant k of a run from what its controller is given; speeds: m/s, at the instants from now on."""
     if run.features.variables:
         schedule(slot, run.variables, run.schedule, run.tuning[slot])
-    (answer,) = control_slot(slot, run)
+    (answer,) = _control_along(slot, speeds, run)
     after_control(slot, answer[COMMON_ANSWER.command], answer[COMMON_ANSWER.command_change], span, run)
     _count_answer(k, slot, answer, run)
 
 
 @inlined
-def _end_slot(k, slot, span, run):
+def end_slot(k, slot, span, run):
     """Close a run that ends at instant k before its time, and park its slot in its initial state."""
     close(slot, run)
     if span.segment > 0:
@@ -257,7 +275,7 @@ def control_all(span, run):
         if drive.ended == RUNNING:
             running += 1
         else:
-            _end_slot(k, i, span, run)
+            end_slot(k, i, span, run)
     return running
 
 

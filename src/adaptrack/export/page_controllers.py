@@ -43,6 +43,15 @@ When the truth changes while it drives, 1 and 2 are called again with a changed 
 **The published MPC** (`published`, and with a schedule): 4. with ``published_constants(car, period, constants)``; five
 arrays of `Constants` may be empty, ``states`` has 4 entries. On a road ``curved`` is 1 and ``feeds_forward`` 0.
 
+**A speed control**: `speed_numbers`.
+
+1. ``settings`` in a row of `core.speed_control.SpeedSettings`, completed by the period, the car and what ``resistance``
+   and ``usable_friction`` answer.
+2. ``write_speed_path`` of the plan, then a `core.tracker.longitudinal.Longitudinal` with ``bank`` hypotheses each of
+   drive and brakes and ``speed_requests``; ``horizon_cells`` counts the cells ahead. ``top_speed`` of its sample is
+   inf, or ``first_top_speed`` of a learner. ``speed_control_begin``.
+3. ``prescribed_speed`` of the loop is ``external_forces``; `drive_with_speed_control` drives.
+
 **A law** (`pure-pursuit`, `stanley`, `lqr`): ``common`` is a row of `synthesis.laws.Common`; ``size`` numbers are made
 by the kernel that ``made_by`` names, from car and common, of the LQR from its first three tuning entries as well; of
 ``tuning`` the entry that is NaN is ``steering_delay(file)``.
@@ -59,9 +68,14 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import LQR, MPC, CompiledController, Learning, PurePursuit, Stanley, published_mpc
 from adaptrack.control.controllers.informed import order_of
+from adaptrack.control.speed_control import SpeedControl, speed_banks
+from adaptrack.core.loop import EXTERNAL_FORCES
 from adaptrack.core.plants.tyre import TYRE_NAMES
+from adaptrack.core.speed_path import PLACE_SPACING
 from adaptrack.core.synthesis import laws
+from adaptrack.drive.closed_loop import LONGEST_SPEEDS_AHEAD
 from adaptrack.drive.world import World
+from adaptrack.road import Comfort
 from adaptrack.scenario.profile import Profile, load_profile
 
 INFORMED_KINDS = ("informed", "learning")
@@ -78,12 +92,15 @@ def world_numbers(profile: str | Profile) -> dict[str, Any]:
     """A profile for a program without Python, see the module.
 
     ``period`` (s), ``delay`` (periods), ``actuator`` (`synthesis.plant.Actuator`), ``settings``
-    (`core.loop.LoopSettings`, all that is not of car or drive), ``remembered`` (instants whose samples are kept) and
-    ``plants``, the names of the functions for each answer of ``plant_law``.
+    (`core.loop.LoopSettings`, all that is not of car or drive), ``remembered`` (instants whose samples are kept),
+    ``requested`` (forces that are remembered), ``speed_requests`` (those of a speed control) and ``plants``, the names
+    of the functions for each answer of ``plant_law``.
     """
     profile_world, car = load_profile(profile), _any_car()
     world = World.of(DualTrack(car), MPC(car, profile=profile_world), profile_world, None, None, None)
     settings = world.settings(1)._asdict()
+    requested = 2 * (2 + max(settings["drive_whole"], settings["brake_whole"]))
+    speed = SpeedControl(car).settings(world.period, Comfort())
     theirs = (*DRIVE_FIELDS, "failure_distance", *(key for key in settings if key.startswith("steering_")))
     for key in (*theirs, *world.plant.powertrain):
         del settings[key]
@@ -92,7 +109,18 @@ def world_numbers(profile: str | Profile) -> dict[str, Any]:
     ]
     return {
         "period": profile_world.period, "delay": profile_world.delay, "actuator": profile_world.steering.model_dump(),
-        "settings": settings, "remembered": world.remembered, "plants": plants,
+        "settings": settings, "remembered": world.remembered, "plants": plants, "requested": requested,
+        "speed_requests": speed_banks(speed, world.period).requests.size,
+    }  # fmt: skip
+
+
+def speed_numbers() -> dict[str, Any]:
+    """A speed control for a program without Python, see the module; all that is not of car, plan or period."""
+    settings = SpeedControl(_any_car()).settings(1.0, Comfort())
+    names = ("accelerate", "brake", "emergency", "stop_jerk", "governor", "guard", "gain", "patience")
+    return {
+        "settings": {name: getattr(settings, name) for name in names}, "bank": speed_banks(settings, 1.0).drive.size,
+        "speeds_ahead": LONGEST_SPEEDS_AHEAD, "spacing": PLACE_SPACING, "external_forces": EXTERNAL_FORCES,
     }  # fmt: skip
 
 

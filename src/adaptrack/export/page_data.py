@@ -15,12 +15,12 @@ from adaptrack.base.limits import CONTROL_HORIZON, MAX_SPEED, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_vehicle
 from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
-from adaptrack.core import path, path_parts, road, rollout  # noqa: F401 (kernels that the page calls)
+from adaptrack.core import path, path_parts, road, rollout, speed_path  # noqa: F401 (kernels that the page calls)
 from adaptrack.core.build.page import CALLED
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.feed_forward import TurnIn
 from adaptrack.core.estimators import kalman, learning
-from adaptrack.core.frame import FRAME
+from adaptrack.core.frame import FRAME, SPEED_FRAME
 from adaptrack.core.kernel import size_of
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.models import path as path_model
@@ -34,7 +34,8 @@ from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.schedule import no_schedule
 from adaptrack.core.synthesis import car, laws, plant, published  # noqa: F401
 from adaptrack.core.synthesis.informed import Constants, InformedParts, Order
-from adaptrack.export.page_controllers import controller_numbers, world_numbers
+from adaptrack.core.tracker.longitudinal import Longitudinal
+from adaptrack.export.page_controllers import controller_numbers, speed_numbers, world_numbers
 from adaptrack.export.page_inputs import car_fields, page_car, plain
 from adaptrack.export.page_layout import calls, image, layouts, packed
 from adaptrack.export.page_setup import GENERATED, PAGE_ROADS, PAPER_ROADS, controller_of, page_road
@@ -47,7 +48,8 @@ from adaptrack.scenario.profile import list_profiles, load_profile
 RECORDS = (
     rollout.RunRecord, rollout.RunCounts, RunSpan, road.Centreline, station_table.AlongRecord, speed.Planning,
     drive.RoadDriveRecord, Order, InformedParts, Constants, laws.Common, car.CarRow, car.KnownWithinRow,
-    car.SteeringRow, plant.Chassis, plant.TyreRow, plant.Actuator, plant.BodyRow, plant.OutlineRow,
+    car.SteeringRow, plant.Chassis, plant.TyreRow, plant.Actuator, plant.BodyRow, plant.OutlineRow, Longitudinal,
+    speed_path.PlanArrays,
 )  # fmt: skip
 """What the engine lays into memory."""
 CONTROLLER_KINDS = {
@@ -60,8 +62,9 @@ INPUT_BOUNDS = {
     "lag": (0.0, 1.0), "dead_time": (0.0, 1.0), "bias": (-0.1, 0.1), "noise": (0.0, 20.0), "friction": (0.05, 1.5),
     "wind": (-40.0, 40.0), "vy": (-10.0, 10.0), "yaw_rate": (-3.0, 3.0), "angle": (-0.3, 0.3), "duration": (0.0, 10.0),
     "constant": (1.0, 60.0), "lateral": (0.5, 12.0), "road_length": (10.0, 100_000.0),
+    "assumed_friction": (0.05, 1.5),
 }  # fmt: skip
-"""Of what is set: s, s, rad, factor, -, m/s, m/s, rad/s, rad, s, m/s, m/s^2, m."""
+"""Of what is set: s, s, rad, factor, -, m/s, m/s, rad/s, rad, s, m/s, m/s^2, m, -."""
 
 
 def page_data() -> dict[str, Any]:
@@ -71,7 +74,8 @@ def page_data() -> dict[str, Any]:
         "words": _words(),
         "cars": {name: page_car(load_vehicle(name)) for name in list_vehicles()}, "inputs": car_fields(),
         "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
-        "frame": list(FRAME._fields), "answer": list(mpc.MPC_ANSWER._fields), "beliefs": list(learning.BELIEF_NAMES),
+        "frame": list(FRAME._fields), "speed_frame": list(SPEED_FRAME._fields), "speed_control": speed_numbers(),
+        "answer": list(mpc.MPC_ANSWER._fields), "beliefs": list(learning.BELIEF_NAMES),
         "no_schedule": image(no_schedule()),
         "profiles": {name: world_numbers(name) for name in list_profiles()},
         "controllers": {kind: {name: _controller(kind, name) for name in list_profiles()} for kind in CONTROLLER_KINDS},
@@ -179,7 +183,8 @@ def _words() -> dict[str, Any]:
                   "noise": "The factor on the noise", "friction": "The friction", "wind": "The wind (m/s)",
                   "vy": "The push to the side (m/s)", "yaw_rate": "The push that turns (rad/s)",
                   "angle": "The pull of the wheel (rad)", "duration": "How long the wheel is pulled (s)",
-                  "constant": "The speed (m/s)", "lateral": "The lateral acceleration (m/s²)"},
+                  "constant": "The speed (m/s)", "lateral": "The lateral acceleration (m/s²)",
+                  "assumed_friction": "The friction that the speed control assumes"},
         "informed": ["", *(f"The controller cannot be made: {informed._WRONG.get(k, 'its memory is too small.')}"
                            for k in range(1, 7))],
     }  # fmt: skip

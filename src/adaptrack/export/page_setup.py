@@ -9,7 +9,8 @@ A setup is plain data for JSON:
     truth        {lag, dead_time, bias, noise, friction, wind} where the world differs, else null; noise: a factor
     seed         of the noise
     controllers  one or two {kind, tuning: null | {Np, Nc, Q, R}, belief: null | {lag, dead_time}}; with knows: "sheet"
-                 one knows mass and wheelbase of the car, no more
+                 one knows mass and wheelbase of the car, no more; with speed_control: {friction} a speed control that
+                 assumes this friction drives and brakes the car, on roads, otherwise the speed is kept exactly
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import LQR, MPC, Controller, Learning, PurePursuit, Stanley, Tuning, published_mpc
 from adaptrack.control.scheduling import load_scheduler
+from adaptrack.control.speed_control import SpeedControl
 from adaptrack.drive.batch import Batch
-from adaptrack.drive.simulate import rollouts
+from adaptrack.drive.simulate import rollouts, simulate
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed, road_through
 from adaptrack.scenario import RoadDrive, Scenario
@@ -70,8 +72,12 @@ def simulate_setup(setup: Mapping[str, Any]) -> list[Trajectory]:
         model_car = (
             at.vehicle_from_data_sheet(car.name, car.mass, car.wheelbase) if controller.get("knows") == "sheet" else car
         )
-        batch = Batch(DualTrack(car), controller_of(controller, model_car, profile), [drive], world)
-        runs += rollouts(batch, (int(setup.get("seed", 0)),), threads=1)[0]
+        made, seed = controller_of(controller, model_car, profile), int(setup.get("seed", 0))
+        if speed_control := controller.get("speed_control"):
+            driver = SpeedControl(model_car, **speed_control)
+            runs.append(simulate(DualTrack(car), made, drive, profile=world, driver=driver, seed=seed))
+        else:
+            runs += rollouts(Batch(DualTrack(car), made, [drive], world), (seed,), threads=1)[0]
     return runs
 
 

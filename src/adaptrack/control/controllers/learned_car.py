@@ -132,12 +132,6 @@ class Learning(RecordSettings, record=LearningMethod):
     start: Annotated[LearnedCar, Hint("load_learned_car(file) gives one")] | None = None
 
 
-MAX_BIAS_PULL = 5.5
-"""m/s^2, pull of an unknown steering bias with which a drive may begin: chosen on 1,990 unknown cars that began at 20
-to 30 m/s, of which 14 of 1,095 above `Learner.first_top_speed` were lost and 0 of 895 below. Four times R loses these
-14 as well, R raised up to 30 times 10 of them and five others."""
-
-
 class Ranges(NamedTuple):
     """Ranges (s) of lag and dead time of the steering."""
 
@@ -166,16 +160,8 @@ class Learner:
 
     @property
     def first_top_speed(self) -> float:
-        """m/s, above which a drive should not begin; inf: no limit.
-
-        There the largest steering bias of the prior pulls the assumed car by b v^2/(L + K v^2) = `MAX_BIAS_PULL`
-        (Rajamani, Vehicle Dynamics and Control, 2nd ed., eq. (3.12)) before it is learned.
-        """
-        car, bias = self.car, float(self._row[0].first.belief_bias_sigma) / synthesis.UNIFORM_SIGMA
-        length = car.lf + car.lr
-        understeer = car.mass / (2.0 * length) * (car.lr / car.stiffness_front - car.lf / car.stiffness_rear)
-        spare = bias - MAX_BIAS_PULL * understeer
-        return math.sqrt(MAX_BIAS_PULL * length / spare) if spare > 0.0 else math.inf
+        """m/s, above which a drive should not begin, see `core.synthesis.learner.first_top_speed`; inf: no limit."""
+        return float(synthesis.first_top_speed(self._row[0]))
 
     def parameters(self) -> Array:
         """As `core.estimators.learning.LearnerParameters` has them."""

@@ -4,7 +4,7 @@ from .units import PLANTS
 
 CALLED = (
     # a run, and what is shown of it
-    "run_sizes", "mpc_prepare", "begin_runs", "drive_and_show",
+    "run_sizes", "mpc_prepare", "begin_runs", "drive_and_show", "drive_with_speed_control",
     # roads
     "path_words", "path_through", "path_parts", "heading_count", "headings_along", "points_at", "road_edges",
     # cars and plants
@@ -13,6 +13,9 @@ CALLED = (
     # controllers
     "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
     "pure_pursuit_parameters", "stanley_parameters", "lqr_parameters",
+    # speed controls
+    "resistance", "usable_friction", "first_top_speed", "speed_control_begin", "horizon_cells", "speed_path_words",
+    "write_speed_path",
     # speeds and drives
     "plan_places", "plan_along_road", "plan_constant", "drive_periods", "drive_samples", "drive_start",
     "complete_samples",

@@ -340,3 +340,23 @@ def learner_numbers(learner, sensing, numbers):
     p.max_bias_step = method.max_bias_rate * period
     sensor_variances(sensing.noise, p.variance)
     p.change_share, p.prior_friction = min(1.0, period / method.change_time), method.friction_sigma
+
+
+MAX_BIAS_PULL = 5.5
+"""m/s^2, pull of an unknown steering bias with which a drive may begin: chosen on 1,990 unknown cars that began at 20
+to 30 m/s, of which 14 of 1,095 above `first_top_speed` were lost and 0 of 895 below. Four times R loses these 14 as
+well, R raised up to 30 times 10 of them and five others."""
+
+
+@exported(float64(Row(LearnerRow)))
+def first_top_speed(learner):
+    """m/s, above which a drive should not begin; inf: no limit.
+
+    There the largest steering bias of the prior pulls the assumed car by b v^2/(L + K v^2) = `MAX_BIAS_PULL`
+    (Rajamani, Vehicle Dynamics and Control, 2nd ed., eq. (3.12)) before it is learned.
+    """
+    car, bias = learner.car, learner.first.belief_bias_sigma / UNIFORM_SIGMA
+    length = car.lf + car.lr
+    understeer = car.mass / (2.0 * length) * (car.lr / car.stiffness_front - car.lf / car.stiffness_rear)
+    spare = bias - MAX_BIAS_PULL * understeer
+    return sqrt(MAX_BIAS_PULL * length / spare) if spare > 0.0 else math.inf

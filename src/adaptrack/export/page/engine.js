@@ -77,11 +77,14 @@ function carRun(entry, made, where) {
   state.plant = plantOf(car, state.world, topSpeedOf(samples));
   state.measured = mine(memory.array("F", [written.sizes.measured]));
   state.span = mine(memory.row("period.RunSpan", { periods: samples.periods, slots: 1, segment: 0, weight: 0 }));
+  if (entry?.speed_control) state.world.settings.prescribed_speed = written.speed_control.external_forces;
   owning(state.made, () => {
     const controller = controllerOf(entry, car, state.world, where);
     Object.assign(state, ready(state, controller, made));
   });
-  state.columns = [...written.frame, ...state.parts.said.map((name) => (written.frame.includes(name) ? `answered_${name}` : name))];
+  state.speed = entry.speed_control ? speedControlOf(entry, carKnownTo(entry, car), state.controller, made, where) : null;
+  const said = state.parts.said.map((name) => (written.frame.includes(name) ? `answered_${name}` : name));
+  state.columns = [...written.frame, ...said, ...(state.speed ? written.speed_frame : [])];
   state.horizon = state.run.mpc.settings.longest_horizon;
   state.moves = state.run.mpc.settings.most_moves;
 }
@@ -121,7 +124,7 @@ function runOf({ controller, parts, plant, measured, world }, { car, of, samples
       roads: size(roads.numbers),
       starts: size(roads.start), pieces: size(roads.pieces), headings: size(roads.headings),
       dead_whole: memory.call("dead_periods", world.delay, written.bounds.dead_time[1], world.period)[0] + 1,
-      past: world.remembered,
+      past: world.remembered, requested: world.requested,
     },
     ...(schedule
       ? { integers: size(schedule.integers), numbers: size(schedule.numbers), scratch: size(schedule.scratch) }
@@ -229,10 +232,11 @@ function advanceCar(own, count) {
   while (periods < count) {
     const chunk = Math.min(count - periods, pulledFor(own));
     const advanced = memory.call(
-      "drive_and_show",
+      own.speed ? "drive_with_speed_control" : "drive_and_show",
       chunk,
       own.span,
       own.run,
+      ...(own.speed ? [own.speed.record, own.speed.speeds] : []),
       below(numbers, periods),
       below(predicted, periods),
       below(moves, periods),

@@ -5,6 +5,7 @@
 //   roadOf(setup.road)                          -> { name, closed, length, line, roads } or { test, ... }
 //   samplesOf(setup, road, car, world)          -> { signals, periods, plan, laps, pose, duration }
 //   controllerOf(entry, car, world, where)      -> { kind, mpc | law, tuning, functions, schedule, columns, limits }
+//   speedControlOf(entry, car, controller, { world, of, samples }, where)      -> { record, speeds, grip }
 //
 // What they lay into memory is given back by `forget(list)`, where `owning(list, make)` has called them.
 "use strict";
@@ -152,9 +153,9 @@ function worldOf(name, truth) {
       "profile",
       `There is no profile named “${name}”: choose one of ${Object.keys(written.profiles).join(", ")}.`,
     );
-  const { period, delay, remembered, plants } = profile;
+  const { period, delay, remembered, plants, requested, speed_requests } = profile;
   const world = {
-    name, period, delay, remembered, plants, usual: profile.settings, sees_vy: real(profile.settings.noise_vy) < Infinity,
+    name, period, delay, remembered, plants, requested, speed_requests, usual: profile.settings, sees_vy: real(profile.settings.noise_vy) < Infinity,
     actuator: copied("synthesis.plant.Actuator", profile.actuator), usual_actuator: profile.actuator,
     settings: Object.fromEntries(Object.entries(profile.settings).map(([key, value]) => [key, real(value)])),
   };
@@ -549,6 +550,48 @@ function lawOf(entry, known, car, where) {
   if (tuningArgument.length && !fine)
     throw new Refusal(where, "There is no gain for weights so far apart: bring them nearer to one another.");
   return { kind: entry.kind, known, law: true, parameters, tuning, learns: false };
+}
+
+// -- speed control ----------------------------------------------------------------------------------------------------
+/** The speed control of a car along its plan; grip: of the car, by the friction that is assumed. */
+function speedControlOf(entry, car, controller, { world, of, samples }, where) {
+  if (of.test) throw new Refusal(where, "The paper's tests prescribe their speed: a speed control needs a road.");
+  const given = written.speed_control, { plan } = samples, { chassis, file } = car.rows;
+  const grip = (friction) => memory.call("usable_friction", car.plain, file.limit, checked(where, "assumed_friction", friction));
+  const { air_density, frontal_area, drag_coefficient, rolling_resistance } = chassis;
+  const [drag, rolling] = memory.call("resistance", air_density, frontal_area, drag_coefficient, rolling_resistance);
+  const friction = grip(entry.speed_control.friction), { period } = world;
+  const settings = copied("speed_control.SpeedSettings",
+    { period, drag, rolling, friction, friction_high: friction }, given.settings, chassis.$numbers);
+  const top = plan.speed.values.reduce((most, each) => Math.max(most, each), 0);
+  const record = mine(memory.make("tracker.longitudinal.Longitudinal", {
+    sample: { shape: [1] }, memory: { shape: [1] }, settings, path: speedPathOf(of, plan),
+    banks: { drive: { shape: [given.bank] }, brakes: { shape: [given.bank] }, requests: { shape: [world.speed_requests] } },
+    ahead: { shape: [memory.call("horizon_cells", top, settings.brake, given.spacing)] },
+  }));
+  memory.call("speed_control_begin", record.settings, record.banks);
+  const top_speed = controller.learns ? memory.call("first_top_speed", controller.parts.learner) : Infinity;
+  record.sample.row(0).$set({ acceleration: NaN, top_speed });
+  record.memory.row(0).$set({ time: -Infinity });
+  return { record, speeds: mine(memory.array("F", [given.speeds_ahead])), grip };
+}
+
+/** A plan at even places of its road. */
+function speedPathOf(of, plan) {
+  const { line, length, closed } = of, none = { s: { shape: [0] }, value: { shape: [0] } };
+  const arrays = mine(memory.make("speed_path.PlanArrays", {
+    line: { start: share(line.start), pieces: share(line.pieces), numbers: share(line.numbers) },
+    s: share(plan.s), speed: share(plan.speed), grade: none, bank: none, stops_at_end: 0,
+  }));
+  const words = mine(memory.array("F", [memory.call("speed_path_words", length, closed ? 1 : 0, 0)]));
+  const [status, stops] = memory.call("write_speed_path", arrays, words);
+  if (status !== OK) throw new Refusal("speed", "The speed control cannot follow this plan: choose another speed or road.");
+  const count = (words.shape[0] - 2) / 4, part = (first, size) => share(view(words, first, [size]));
+  return {
+    square: part(0, count), curvature: part(count, count), slope: part(2 * count, count), bank: part(3 * count, count),
+    stops: part(4 * count, stops), seconds: part(4 * count + stops, stops),
+    spacing: length / (closed ? count : count - 1), length, closed: closed ? 1 : 0,
+  };
 }
 
 // -- into a run -------------------------------------------------------------------------------------------------------

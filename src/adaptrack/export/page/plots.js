@@ -51,7 +51,12 @@ const PLOTS = [
     name: "speed", title: "Speed", unit: "m/s", digits: 2, least: 2,
     lines: [
       {column: "vx", or: "speed", label: "speed"}, {column: "planned_speed", or: "v_ref", label: "planned", once: true},
+      {column: "governed_speed", label: "governed"},
     ],
+  },
+  {
+    name: "grip", title: "Used share of the assumed grip", unit: "", digits: 2, least: 1,
+    lines: [{column: "grip_used", label: "used grip"}], limits: [{value: 1, label: "all that is assumed"}],
   },
   {
     name: "acceleration", title: "Lateral acceleration", unit: "m/s²", digits: 2, least: 1, around0: true,
