@@ -18,11 +18,13 @@ function pythonOf(setup) {
   setup.controllers.forEach((controller, i) => {
     const name = setup.controllers.length > 1 ? ` # ${i ? "second" : "first"}` : "";
     lines.push("", `controller = ${pythonController(controller)}${name && ` ${name}`}`,
-      `run = at.simulate(at.DualTrack(car), controller, drive, profile=world, seed=${seed})`,
+      `run = at.simulate(at.DualTrack(car), controller, drive, profile=world, seed=${seed}${pythonDriver(controller)})`,
       "print(run.failed, at.compute_metrics(run).mse ** 0.5)  # None, or why it ended; m, RMS");
   });
   return lines.join("\n");
 }
+
+const pythonDriver = ({speed_control}) => speed_control ? `, driver=at.SpeedControl(car, friction=${pythonNumber(speed_control.friction)})` : "";
 
 function pythonCar({name, sheet, file}) {
   if (name) return [`car = at.load_vehicle(${text(name)})`];
@@ -89,6 +91,9 @@ function commandOf(setup) {
   if (!road.test) parts.push(isSet(speed?.constant) ? `--speed ${speed.constant}` : `--lateral-acceleration ${speed?.lateral ?? TOP.lateral}`);
   if (generatedLength(road)) parts.push(`--length ${generatedLength(road)}`);
   if (seed) parts.push(`--seed ${seed}`);
+  const assumed = [...new Set(controllers.map(({speed_control}) => speed_control?.friction))];
+  if (assumed.length > 1) missing.push("the frictions that the speed controls assume");
+  else if (isSet(assumed[0])) parts.push(`--speed-control --assumed-friction ${assumed[0]}`);
   const names = {informed: "informed", learning: "informed", published: "standard", "pure-pursuit": "pure-pursuit", stanley: "stanley", lqr: "lqr"};
   for (const {kind, tuning, belief} of controllers) {
     if (names[kind]) parts.push(`--controller ${names[kind]}`);

@@ -283,7 +283,7 @@ function change({ id, car, what }) {
   return [{ type: "changed", id }];
 }
 
-const TOUCHES = { tuning, belief, truth, push, pull, ice, sensors };
+const TOUCHES = { tuning, belief, truth, push, pull, ice, sensors, speed_control: assumeFriction };
 
 function tuning(cars, given) {
   for (const car of cars) {
@@ -296,6 +296,16 @@ function tuning(cars, given) {
       throw new Refusal(where, `Np = ${Np}, Nc = ${Nc}: there is room for ${car.horizon} and ${car.moves}.`);
     controller.tuning = [Np, Nc, Q, R];
     car.run.tuning.values.set(controller.tuning);
+  }
+}
+
+/** Another friction that the speed control assumes. */
+function assumeFriction(cars, given) {
+  for (const { speed, where } of cars) {
+    if (!speed) throw new Refusal(where, "The speed of this car is kept exactly: no speed control assumes a friction.");
+    const friction = speed.grip(given.friction);
+    speed.record.settings.$set({ friction, friction_high: friction });
+    speed.record.memory.row(0).friction = 0; // that of the settings, from the next instant on
   }
 }
 

@@ -76,6 +76,19 @@ const LESSONS = [
     done: () => trueValue("friction") <= 0.3,
     after: "2.9 m/s² are less than the next bend asks for, and no steering can help: only driving more slowly does.",
   },
+  {
+    id: "slippery", short: "Assumed friction", title: "The road is more slippery than assumed",
+    text: "A speed control drives and brakes both cars. It lowers the planned speed to what the friction that it assumes allows: the first car assumes 0.9, which is true now, and the second 0.4. In a lap the second loses two seconds.",
+    todo: "Lower the friction of the road to 0.5.", does: "Lower it for me",
+    setup: () => makeSetup({
+      road: {name: "oval"}, truth: {friction: 0.9},
+      controllers: [0.9, 0.4].map(friction => oneController("informed", {speed_control: {friction}})),
+    }),
+    plots: "speed",
+    act: () => touchSlider("friction", 0.5),
+    done: () => trueValue("friction") <= 0.5,
+    after: "The first car asks its tyres for more than they have, and is lost within a lap; the second stays within a decimetre. Assume the lowest friction that the road may have.",
+  },
 ];
 const PAPER_TESTS = [
   {
@@ -127,7 +140,7 @@ function setUpLessons() {
     item.append(a);
     return item;
   };
-  list.append(label("Six lessons:"), ...LESSONS.map((lesson, i) => link(lesson, i + 1)), label("The paper’s tests:"), ...PAPER_TESTS.map(lesson => link(lesson, 0)));
+  list.append(label("Seven lessons:"), ...LESSONS.map((lesson, i) => link(lesson, i + 1)), label("The paper’s tests:"), ...PAPER_TESTS.map(lesson => link(lesson, 0)));
   byId("lesson-do").onclick = () => lesson?.act();
   byId("lesson-next").onclick = () => openLesson(ALL_LESSONS[(ALL_LESSONS.indexOf(lesson) + 1) % ALL_LESSONS.length]);
   page.on("tick", tickLesson);

@@ -23,9 +23,10 @@ function addressOf(setup, touches = []) {
   words.set("profile", setup.profile);
   if (setup.seed) words.set("seed", setup.seed);
   for (const name of TRUTHS) if (truth?.[name] != null) words.set(name, shortNumber(truth[name]));
-  controllers.forEach(({kind, tuning, belief, told}, i) => {
+  controllers.forEach(({kind, tuning, belief, told, speed_control}, i) => {
     words.set(`c${i + 1}`, kind);
     if (told) words.set(`c${i + 1}.told`, "1");
+    if (speed_control) words.set(`c${i + 1}.friction`, shortNumber(speed_control.friction));
     for (const name of TUNINGS) if (tuning?.[name] != null) words.set(`c${i + 1}.${name}`, shortNumber(tuning[name]));
     for (const name of BELIEFS) if (belief?.[name] != null) words.set(`c${i + 1}.belief.${name}`, shortNumber(belief[name]));
   });
@@ -76,7 +77,8 @@ function setupOf(hash) {
       const values = Object.fromEntries(names.map(name => [name, number(`${prefix}.${name}`, 0)]).filter(([, value]) => value !== null));
       return Object.keys(values).length ? values : null;
     };
-    return oneController(words.get(key), {tuning: some(TUNINGS, key), belief: some(BELIEFS, `${key}.belief`), ...(words.get(`${key}.told`) === "1" ? {told: true} : {})});
+    const friction = number(`${key}.friction`, 0.05);
+    return oneController(words.get(key), {...(friction === null ? {} : {speed_control: {friction}}), tuning: some(TUNINGS, key), belief: some(BELIEFS, `${key}.belief`), ...(words.get(`${key}.told`) === "1" ? {told: true} : {})});
   });
   for (const {kind} of controllers) if (!CONTROLLERS[kind]) notes.push(`The link names a controller ${kind}, which this page does not have.`);
   const supported = controllers.filter(({kind}) => CONTROLLERS[kind]);

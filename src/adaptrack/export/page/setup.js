@@ -27,6 +27,9 @@ const TOP = {lateral: 3, constant: 15};
 
 const noTruth = () => ({lag: null, dead_time: null, bias: null, noise: null, friction: null, wind: null});
 const oneController = (kind, more = {}) => ({kind, tuning: null, belief: null, ...more});
+const ASSUMED_FRICTION = 0.9;  // of a speed control
+const withSpeedControl = (controllers, friction = ASSUMED_FRICTION) => controllers.map(controller => ({...controller, speed_control: {friction}}));
+const withoutSpeedControl = controllers => controllers.map(({speed_control, ...controller}) => controller);
 
 function makeSetup(more = {}) {
   return {
@@ -49,11 +52,12 @@ const roadName = road => road.test ? TESTS[road.test] ?? road.test
 
 // What tells it from the one beside it.
 function nameOfCar(i) {
-  const {controllers} = page.setup, {kind, belief, told, tuning} = controllers[i] ?? {}, other = controllers[1 - i];
+  const {controllers} = page.setup, {kind, belief, told, tuning, speed_control} = controllers[i] ?? {}, other = controllers[1 - i];
   const short = nameOfController(kind, SHORT), own = kind === "informed" ? "MPC" : short;
   if (told) return `${own} that is told the lag`;
   if (isSet(belief?.lag)) return `${own} that believes ${belief.lag.toFixed(2)} s of lag`;
   if (other?.kind !== kind) return short;
+  if (speed_control && speed_control.friction !== other.speed_control?.friction) return `${own} that assumes a friction of ${speed_control.friction.toFixed(2)}`;
   const differs = tuning && TUNINGS.filter(name => tuning[name] !== other.tuning?.[name]);
   return differs?.length ? `${own}, ${differs.map(name => `${name} ${niceNumber(tuning[name])}`).join(", ")}` : `${short} (${i ? "second" : "first"})`;
 }
@@ -81,8 +85,9 @@ function showChoices() {
   const constant = setup.speed?.constant != null, field = byId("setup-speed");
   byId("setup-speed-kind").value = constant ? "constant" : "lateral";
   field.value = constant ? setup.speed.constant : setup.speed?.lateral ?? TOP.lateral;
+  byId("setup-speed-control").value = setup.controllers.some(controller => controller.speed_control) ? "on" : "";
   const prescribed = Boolean(road.test);  // a test says its own speed
-  field.disabled = byId("setup-speed-kind").disabled = prescribed;
+  field.disabled = byId("setup-speed-kind").disabled = byId("setup-speed-control").disabled = prescribed;
   for (const id of ["sheet", "file-car", "file-road", "draw"]) byId(id).hidden = true;
   if (!CSS.supports("field-sizing", "content")) document.querySelectorAll("#setup select").forEach(fit);
 }
@@ -109,6 +114,8 @@ function setUpChoosing() {
   byId("setup-car").onchange = event => chooseCar(event.target.value);
   byId("setup-road").onchange = event => chooseRoad(event.target.value);
   byId("setup-speed").onchange = byId("setup-speed-kind").onchange = chooseSpeed;
+  byId("setup-speed-control").onchange = event =>
+    choose({controllers: (event.target.value ? withSpeedControl : withoutSpeedControl)(page.setup.controllers)});
   byId("setup-profile").onchange = event => choose({profile: event.target.value, truth: {...page.setup.truth, lag: null, dead_time: null, bias: null}});
   for (const i of [0, 1]) byId(`setup-controller-${i}`).onchange = event => chooseController(i, event.target.value);
   byId("again").onclick = () => choose({});
@@ -133,7 +140,7 @@ function chooseCar(value) {
 function chooseRoad(value) {
   const [kind, name] = value.split(":");
   if (kind === "name") choose({road: {name}});
-  else if (kind === "test") choose({road: {test: name}, car: page.setup.car});
+  else if (kind === "test") choose({road: {test: name}, car: page.setup.car, controllers: withoutSpeedControl(page.setup.controllers)});
   else if (kind === "draw") openDrawing();
   else if (kind === "file") open("file-road");
 }
@@ -151,7 +158,8 @@ function chooseSpeed(event) {
 
 function chooseController(i, kind) {
   const controllers = copyOf(page.setup.controllers);
-  if (kind) controllers[i] = oneController(kind);
+  const {speed_control} = controllers[i] ?? controllers[0];
+  if (kind) controllers[i] = oneController(kind, speed_control ? {speed_control} : {});
   else controllers.length = 1;
   choose({controllers});
 }

@@ -11,6 +11,7 @@ const SLIDERS = [
   {id: "lag", box: "main", kind: "truth", name: "lag", label: "True lag of the steering", unit: "s", least: 0, most: 1, step: 0.01, digits: 2},
   {id: "belief-lag", box: "main", kind: "belief", name: "lag", label: "Lag that the controller believes", unit: "s", least: 0, most: 1, step: 0.01, digits: 2},
   {id: "friction", box: "main", kind: "truth", name: "friction", label: "Friction of the road", unit: "", least: 0.1, most: 1.2, step: 0.01, digits: 2},
+  {id: "assumed-friction", box: "main", kind: "speed_control", name: "friction", label: "Friction that the speed control assumes", unit: "", least: 0.1, most: 1.2, step: 0.01, digits: 2},
   {id: "dead-time", box: "world", kind: "truth", name: "dead_time", label: "True dead time of the steering", unit: "s", least: 0, most: 0.5, step: 0.01, digits: 2},
   {id: "bias", box: "world", kind: "truth", name: "bias", label: "Wheels turned beyond the command", unit: "°", least: -3, most: 3, step: 0.1, digits: 1, scale: Math.PI / 180},
   {id: "noise", box: "world", kind: "truth", name: "noise", label: "Noise of the sensors, times the usual", unit: "×", least: 0, most: 5, step: 0.1, digits: 1},
@@ -61,12 +62,14 @@ function tuningValue(name, i) {
 function valueOf(slider) {
   if (slider.kind === "truth") return trueValue(slider.name);
   if (slider.kind === "belief") return believedValue(slider.name, chosenCar);
+  if (slider.kind === "speed_control") return controllerNow().speed_control?.friction ?? null;
   return tuningValue(slider.name, chosenCar);
 }
 
 // Why a slider has nothing to set, "" where it has.
 function unused({kind}) {
   const controller = controllerNow();
+  if (kind === "speed_control" && !controller.speed_control) return "The speed of this car is kept exactly.";
   if (kind === "belief" && controller.kind === "learning") return "It learns this by itself: see the plot of its belief.";
   if (kind === "belief" && controller.kind !== BELIEVES) return "This controller has no belief about the steering.";
   if (kind === "tuning" && !PREDICTS.has(controller.kind)) return "This controller has no horizon and no weights.";
@@ -182,6 +185,10 @@ function set(setup, kind, name, value) {
   if (kind === "belief") {
     controller.belief = {lag: believedValue("lag", chosenCar), dead_time: believedValue("dead_time", chosenCar), ...controller.belief, [name]: value};
     return {belief: {...controller.belief}};
+  }
+  if (kind === "speed_control") {
+    controller.speed_control = {friction: value};
+    return {speed_control: {friction: value}};
   }
   const current = Object.fromEntries(["Np", "Nc", "Q", "R"].map(entry => [entry, tuningValue(entry, chosenCar)]));
   controller.tuning = {...current, [name]: value};
