@@ -99,7 +99,7 @@ def refusals_of(answers):
     return [(answer["where"], answer["message"]) for answer in answers if answer["type"] == "refused"]
 
 
-FEW = "informed", "sheet", "speed control"
+FEW = "informed", "sheet", "speed control", "speed control, heavy"
 """Drives that are always compared; all of them where there is time."""
 
 
@@ -113,6 +113,16 @@ def test_a_drive_of_the_page_is_the_drive_of_the_package(name, ask):
     assert len(cars) == len(expected)
     assert [differing(car, there) for car, there in zip(cars, expected, strict=True)] == [{}] * len(cars)
     assert [len(car["x"]) for car in cars] == [len(there["x"]) for there in expected]
+
+
+def test_truth_and_assumption_changed_before_the_first_instant_are_those_of_a_setup(ask):
+    setup = page_drives.SETUPS["speed control, heavy"]
+    level = {**setup, "truth": {}, "controllers": [{**setup["controllers"][0], "speed_control": {"friction": 0.5}}]}
+    start, *advances = drive(level)
+    truth = {name: value for name, value in setup["truth"].items() if value is not None}
+    answers = ask(start, change_message({"truth": truth, "speed_control": {"friction": 0.8}}), *advances)
+    assert refusals_of(answers) == []
+    assert differing(*frames(answers), page_drives.drive_columns("speed control, heavy")[0]) == {}
 
 
 # -- what is touched while it drives ----------------------------------------------------------------------------------
@@ -259,6 +269,7 @@ HOSTILE = {
     "controllers": [
         [], [{"kind": "none"}], [{"kind": "informed", "tuning": {"Np": 10, "Nc": 20, "Q": 1, "R": 1}}],
         [{"kind": "informed", "belief": {"lag": 7}}], [{"kind": "informed"}] * 3, None,
+        [{"kind": "informed", "speed_control": {"friction": 9}}], [{"kind": "informed", "speed_control": {}}],
     ],
 }  # fmt: skip
 
@@ -267,7 +278,13 @@ def test_what_cannot_be_is_refused_in_a_sentence_and_the_engine_goes_on(ask):
     wrong_setups = [_wrong(**{name: value}) for name, values in HOSTILE.items() for value in values]
     reading = {"type": "read", "what": "csv", "text": "x"}
     requests = [change_message({"truth": {"lag": 1}}), advance_message(5), {"type": "none"}, reading]
-    touches = [{"tuning": {"Np": 0}}, {"ice": {"from": 5, "to": 1, "friction": 0.3}}, {"none": 1}]
+    touches = [
+        {"speed_control": {"friction": 0.5}},
+        {"truth": {"slope": 1}},
+        {"tuning": {"Np": 0}},
+        {"ice": {"from": 5, "to": 1, "friction": 0.3}},
+        {"none": 1},
+    ]
     good_requests = [{"type": "start", "id": 2, "setup": TOUCHED}, advance_message(20)]
     answers = ask(*wrong_setups, *requests, *good_requests, *map(change_message, touches), advance_message(10))
     words = refusals_of(answers)
@@ -279,7 +296,9 @@ def test_what_cannot_be_is_refused_in_a_sentence_and_the_engine_goes_on(ask):
 @pytest.mark.slow
 def test_all_sliders_at_their_ends_neither_hang_nor_fail(ask):
     names = ("lag", "dead_time", "bias", "noise", "friction", "wind")
-    least, most, mixed = (0, 0, -0.1, 0, 0.05, -40), (1, 1, 0.1, 20, 1.5, 40), (0, 1, 0, 1, 1, 0)
+    names += ("brake_lag", "slope", "mass")
+    least, most = (0, 0, -0.1, 0, 0.05, -40, 0.01, -0.15, 0.5), (1, 1, 0.1, 20, 1.5, 40, 1, 0.15, 2)
+    mixed = (0, 1, 0, 1, 1, 0, 1, 0, 1)
     ends = [{"truth": dict(zip(names, values, strict=True))} for values in (least, most, mixed)]
     weights = (60, 20, 0, 1e-12), (1, 1, 1e9, 1e9)
     tunings = [{"tuning": dict(zip(("Np", "Nc", "Q", "R"), weights_at_end, strict=True))} for weights_at_end in weights]

@@ -62,9 +62,9 @@ INPUT_BOUNDS = {
     "lag": (0.0, 1.0), "dead_time": (0.0, 1.0), "bias": (-0.1, 0.1), "noise": (0.0, 20.0), "friction": (0.05, 1.5),
     "wind": (-40.0, 40.0), "vy": (-10.0, 10.0), "yaw_rate": (-3.0, 3.0), "angle": (-0.3, 0.3), "duration": (0.0, 10.0),
     "constant": (1.0, 60.0), "lateral": (0.5, 12.0), "road_length": (10.0, 100_000.0),
-    "assumed_friction": (0.05, 1.5),
+    "assumed_friction": (0.05, 1.5), "brake_lag": (0.01, 1.0), "slope": (-0.15, 0.15), "mass": (0.5, 2.0),
 }  # fmt: skip
-"""Of what is set: s, s, rad, factor, -, m/s, m/s, rad/s, rad, s, m/s, m/s^2, m, -."""
+"""Of what is set: s, s, rad, factor, -, m/s, m/s, rad/s, rad, s, m/s, m/s^2, m, -, s, -, factor."""
 
 
 def page_data() -> dict[str, Any]:
@@ -184,7 +184,9 @@ def _words() -> dict[str, Any]:
                   "vy": "The push to the side (m/s)", "yaw_rate": "The push that turns (rad/s)",
                   "angle": "The pull of the wheel (rad)", "duration": "How long the wheel is pulled (s)",
                   "constant": "The speed (m/s)", "lateral": "The lateral acceleration (m/s²)",
-                  "assumed_friction": "The friction that the speed control assumes"},
+                  "assumed_friction": "The friction that the speed control assumes",
+                  "brake_lag": "The lag of the brakes (s)", "slope": "The slope of the road",
+                  "mass": "The factor on the mass"},
         "informed": ["", *(f"The controller cannot be made: {informed._WRONG.get(k, 'its memory is too small.')}"
                            for k in range(1, 7))],
     }  # fmt: skip

@@ -6,7 +6,8 @@ A setup is plain data for JSON:
     road         {name} of `PAGE_ROADS` | {points: [[x, y], ...], closed, name} | {test} of `PAPER_ROADS`
     speed        {constant: m/s} | {lateral: m/s^2}, planned; a test has its own
     profile      name; what the controllers are made for
-    truth        {lag, dead_time, bias, noise, friction, wind} where the world differs, else null; noise: a factor
+    truth        {lag, dead_time, bias, noise, friction, wind, brake_lag, slope, mass} where the world differs, else
+                 null; noise and mass: factors; slope: dz/ds of a road, which a speed control knows
     seed         of the noise
     controllers  one or two {kind, tuning: null | {Np, Nc, Q, R}, belief: null | {lag, dead_time}}; with knows: "sheet"
                  one knows mass and wheelbase of the car, no more; with speed_control: {friction} a speed control that
@@ -67,6 +68,8 @@ def simulate_setup(setup: Mapping[str, Any]) -> list[Trajectory]:
     """The drives of a setup, one for each controller."""
     car, profile = car_of(setup["car"]), load_profile(setup["profile"])
     drive, world = drive_of(setup, car), world_of(profile, setup.get("truth") or {})
+    mass = (setup.get("truth") or {}).get("mass")
+    plant = DualTrack(car if mass is None else car.replace(mass=car.mass * mass))
     runs = []
     for controller in setup["controllers"]:
         model_car = (
@@ -75,9 +78,9 @@ def simulate_setup(setup: Mapping[str, Any]) -> list[Trajectory]:
         made, seed = controller_of(controller, model_car, profile), int(setup.get("seed", 0))
         if speed_control := controller.get("speed_control"):
             driver = SpeedControl(model_car, **speed_control)
-            runs.append(simulate(DualTrack(car), made, drive, profile=world, driver=driver, seed=seed))
+            runs.append(simulate(plant, made, drive, profile=world, driver=driver, seed=seed))
         else:
-            runs += rollouts(Batch(DualTrack(car), made, [drive], world), (seed,), threads=1)[0]
+            runs += rollouts(Batch(plant, made, [drive], world), (seed,), threads=1)[0]
     return runs
 
 
@@ -110,7 +113,9 @@ def drive_of(setup: Mapping[str, Any], car: Vehicle) -> RoadDrive | Scenario:
         return scenario.replace(**changes) if changes else scenario
     road, speed = road_of(road_setup), setup["speed"]
     plan = speed["constant"] if "constant" in speed else plan_speed(road, car, Comfort(lateral=speed["lateral"]))
-    drive = RoadDrive(road if friction is None else road.replace(friction=friction), plan, wind=wind or 0.0)
+    surface = {"friction": friction, "grade": truth.get("slope")}
+    true_road = road.replace(**{name: value for name, value in surface.items() if value is not None})
+    drive = RoadDrive(true_road, plan, wind=wind or 0.0)
     return drive.replace(laps=max(1, math.floor(CLOSED_ROAD_DURATION / drive.duration))) if road.closed else drive
 
 
@@ -122,6 +127,8 @@ def world_of(profile: Profile, truth: Mapping[str, Any]) -> Profile:
     factor = 1.0 if truth.get("noise") is None else float(truth["noise"])
     noises = {name: getattr(profile, name) for name in type(profile).model_fields if name.startswith("noise_")}
     changed = {name: value * factor for name, value in noises.items() if math.isfinite(value)}
+    if (brake_lag := truth.get("brake_lag")) is not None:
+        changed["brakes"] = profile.brakes.replace(lag=brake_lag)
     return profile.replace(steering=profile.steering.replace(**steering), **changed)
 
 

@@ -18,7 +18,7 @@ function pythonOf(setup) {
   setup.controllers.forEach((controller, i) => {
     const name = setup.controllers.length > 1 ? ` # ${i ? "second" : "first"}` : "";
     lines.push("", `controller = ${pythonController(controller)}${name && ` ${name}`}`,
-      `run = at.simulate(at.DualTrack(car), controller, drive, profile=world, seed=${seed}${pythonDriver(controller)})`,
+      `run = at.simulate(at.DualTrack(${isSet(truth?.mass) ? `car.replace(mass=car.mass * ${pythonNumber(truth.mass)})` : "car"}), controller, drive, profile=world, seed=${seed}${pythonDriver(controller)})`,
       "print(run.failed, at.compute_metrics(run).mse ** 0.5)  # None, or why it ended; m, RMS");
   });
   return lines.join("\n");
@@ -37,6 +37,7 @@ function pythonWorld(profile, truth = {}) {
   let steering = pythonArguments({lag: truth.lag, dead_time: truth.dead_time, bias: truth.bias});
   if (truth.lag === 0) steering += ", rate=float('inf')";
   if (steering) lines.push(`world = world.replace(steering=world.steering.replace(${steering}))  # the true steering`);
+  if (isSet(truth.brake_lag)) lines.push(`world = world.replace(brakes=world.brakes.replace(lag=${pythonNumber(truth.brake_lag)}))  # the true brakes`);
   if (isSet(truth.noise) && truth.noise !== 1)
     lines.push(`noises = {n: ${pythonNumber(truth.noise)} * v for n, v in dict(world).items() if n.startswith("noise_") and v < float("inf")}`, "world = world.replace(**noises)");
   return lines;
@@ -63,7 +64,8 @@ function pythonDrive(road, speed, truth = {}) {
   if (road.points?.length > MOST_DRAWN) lines.push("from adaptrack.road.points import read_points", `points = read_points(${text(`${road.name ?? "road"}.csv`)}).points`);
   lines.push(`road = ${pythonRoad(road, "")}`);
   if (planned) lines.push(`plan = at.plan_speed(road, car, Comfort(lateral=${pythonNumber(speed?.lateral ?? TOP.lateral)}))`);
-  if (friction) lines.push(`road = ${pythonRoad(road, friction)}  # as it is; the plan does not know`);
+  const surface = pythonArguments({friction: truth.friction, grade: truth.slope});
+  if (surface) lines.push(`road = ${pythonRoad(road, surface)}  # as it is; the plan does not know`);
   const laps = road.points ? road.closed : road.name === "lap" || road.name === "oval";
   lines.push(`drive = at.RoadDrive(road, ${planned ? "plan" : pythonNumber(speed.constant)}${wind && `, ${wind}`})${laps ? "  # one lap; laps=... for more" : ""}`);
   return lines;
@@ -105,7 +107,7 @@ function commandOf(setup) {
     else if (tuning) missing.push("the tuning");
   }
   if (road.points) missing.push("the points of the road (write them to road.csv, x,y a line)");
-  if (TRUTHS.some(name => isSet(truth[name]))) missing.push("the true steering, noise, friction and wind (a profile of your own says the first two)");
+  if (TRUTHS.some(name => isSet(truth[name]))) missing.push("the true car, steering, noise, friction, slope and wind (a profile of your own says the first two)");
   const lines = [...first, `${[...new Set(parts)].join(" ")} --out drive`];
   if (missing.length) lines.push(`# not in the command, see the Python lines: ${[...new Set(missing)].join(", ")}`);
   return lines.join("\n");

@@ -131,7 +131,7 @@ function runOf({ controller, parts, plant, measured, world }, { car, of, samples
       : {}),
   };
   return runOfSizes(parts.settings, counts, {
-    settings: settingsOf(car, world, plant.substeps),
+    settings: settingsOf(car, world, plant),
     features: {
       late: world.remembered > 0 ? 1 : 0,
       variables: schedule ? 1 : 0,
@@ -357,16 +357,24 @@ function truth(cars, given) {
   }
   if ("friction" in given) everywhere(FRICTION, given.friction, "friction");
   if ("wind" in given) everywhere(WIND, given.wind, "wind");
+  if ("slope" in given) climb(given);
   layIce();
 }
+/** Another slope of the road, which speed controls know. */
+function climb(given) {
+  const slope = slopeOf(given);
+  if (drive.of.test) throw new Refusal("truth", "The paper's tests are level: a slope needs a road.");
+  everywhere(["grade"], slope, "slope");
+  for (const { speed } of drive.cars) speed?.climb(slope);
+}
 function applyTruth(own, lagBefore) {
-  const { run, plant } = own, settings = settingsOf(drive.car, own.world, plant.substeps);
+  const { run, plant } = own;
+  writePlant(plant, drive.car, own.world);
+  const settings = settingsOf(drive.car, own.world, plant);
   for (const name of Object.keys(own.sensors)) settings[`noise_${name}`] = Infinity;
   if (own.pull) settings.steering_bias += own.pull.angle;
   const angle = wheelAngle(own);
   run.settings.$set(settings);
-  const { chassis, tyre } = drive.car.rows;
-  memory.call("plant_parameters", chassis, tyre, own.world.actuator, plant.parameters);
   if (!(lagBefore > 0) && settings.steering_lag > 0) setState(own, "steering", angle);
 }
 

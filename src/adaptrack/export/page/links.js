@@ -6,7 +6,7 @@
 //   setupOfAddress()            of this page's own address; a lesson's link opens the lesson; same: it is shown already
 
 const LONGEST_LINK = 7500;  // letters
-const TRUTHS = ["lag", "dead_time", "bias", "noise", "friction", "wind"];
+const TRUTHS = ["lag", "dead_time", "bias", "noise", "friction", "wind", "brake_lag", "slope", "mass"];
 const TUNINGS = ["Np", "Nc", "Q", "R"];
 const BELIEFS = ["lag", "dead_time"];
 const shortNumber = value => String(+(+value).toPrecision(12));

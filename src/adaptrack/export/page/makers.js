@@ -5,7 +5,7 @@
 //   roadOf(setup.road)                          -> { name, closed, length, line, roads } or { test, ... }
 //   samplesOf(setup, road, car, world)          -> { signals, periods, plan, laps, pose, duration }
 //   controllerOf(entry, car, world, where)      -> { kind, mpc | law, tuning, functions, schedule, columns, limits }
-//   speedControlOf(entry, car, controller, { world, of, samples }, where)      -> { record, speeds, grip }
+//   speedControlOf(entry, car, controller, { world, of, samples, setup }, where)      -> { record, speeds, grip, climb }
 //
 // What they lay into memory is given back by `forget(list)`, where `owning(list, make)` has called them.
 "use strict";
@@ -157,6 +157,7 @@ function worldOf(name, truth) {
   const world = {
     name, period, delay, remembered, plants, requested, speed_requests, usual: profile.settings, sees_vy: real(profile.settings.noise_vy) < Infinity,
     actuator: copied("synthesis.plant.Actuator", profile.actuator), usual_actuator: profile.actuator,
+    mass: 1,
     settings: Object.fromEntries(Object.entries(profile.settings).map(([key, value]) => [key, real(value)])),
   };
   changeTruth(world, truth ?? {});
@@ -170,6 +171,9 @@ function changeTruth(world, truth) {
     const fallback = real(world.usual_actuator[name]);
     world.actuator[name] = truth[name] == null ? fallback : checked("truth", name, truth[name]);
   }
+  if ("brake_lag" in truth)
+    world.settings.brake_lag = truth.brake_lag == null ? real(world.usual.brake_lag) : checked("truth", "brake_lag", truth.brake_lag);
+  if ("mass" in truth) world.mass = truth.mass == null ? 1 : checked("truth", "mass", truth.mass);
   if ("noise" in truth) {
     const factor = truth.noise == null ? 1 : checked("truth", "noise", truth.noise);
     for (const name of Object.keys(world.settings).filter((setting) => setting.startsWith("noise_"))) {
@@ -179,16 +183,23 @@ function changeTruth(world, truth) {
   }
 }
 
-/** The settings of the loop for a car up to a speed (m/s), and the plant's parameters and functions. */
+/** The plant of a car up to a speed (m/s), as it truly is: chassis, parameters, steps and functions. */
 function plantOf(car, world, topSpeed) {
-  const { chassis, tyre } = car.rows, { actuator, period } = world;
-  const parameters = mine(memory.array("F", [written.sizes.parameters]));
-  memory.call("plant_parameters", chassis, tyre, actuator, parameters);
-  const substeps = memory.call("plant_substeps", chassis, tyre, 1, period, topSpeed);
-  return { parameters, substeps, functions: world.plants[memory.call("plant_law", tyre)] };
+  const plant = {
+    topSpeed, chassis: copied("synthesis.plant.Chassis", car.rows.chassis.$numbers),
+    parameters: mine(memory.array("F", [written.sizes.parameters])), functions: world.plants[memory.call("plant_law", car.rows.tyre)],
+  };
+  writePlant(plant, car, world);
+  return plant;
 }
-function settingsOf(car, world, substeps) {
-  const { actuator, period, delay } = world, { mass, engine_power, traction_limit, brake_limit } = car.rows.chassis;
+function writePlant(plant, car, world) {
+  const { chassis } = plant, { tyre } = car.rows;
+  chassis.mass = car.rows.chassis.mass * world.mass;
+  memory.call("plant_parameters", chassis, tyre, world.actuator, plant.parameters);
+  plant.substeps = memory.call("plant_substeps", chassis, tyre, 1, world.period, plant.topSpeed);
+}
+function settingsOf(car, world, { substeps, chassis }) {
+  const { actuator, period, delay } = world, { mass, engine_power, traction_limit, brake_limit } = chassis;
   const [dead_whole, dead_share] = memory.call("dead_periods", delay, actuator.dead_time, period);
   return {
     ...world.settings, substeps, dead_whole, dead_share, steering_lag: actuator.lag, steering_limit: actuator.limit,
@@ -399,6 +410,7 @@ function samplesOf(setup, of, car, world) {
   const route = {
     ...plan.route,
     friction: alongOf(truth.friction == null ? of.friction : checked("truth", "friction", truth.friction)),
+    grade: alongOf(slopeOf(truth)),
   };
   const wind = truth.wind == null ? 0 : checked("truth", "wind", truth.wind);
   const drive = mine(memory.make("planning.drive.RoadDriveRecord", {
@@ -419,8 +431,11 @@ function samplesOf(setup, of, car, world) {
   return { signals, periods, plan, laps, pose: [...pose.values], duration: periods * period };
 }
 
+const slopeOf = ({ slope }) => (slope == null ? 0 : checked("truth", "slope", slope));
+
 /** The samples of a test: what is known of it, completed by the kernel. */
 function samplesOfTest(of, world, truth) {
+  if (slopeOf(truth) !== 0) throw new Refusal("truth", "The paper's tests are level: a slope needs a road.");
   const every = Math.round(world.period / of.period),
     periods = Math.floor((of.samples - 1) / every),
     count = periods + 1;
@@ -553,8 +568,8 @@ function lawOf(entry, known, car, where) {
 }
 
 // -- speed control ----------------------------------------------------------------------------------------------------
-/** The speed control of a car along its plan; grip: of the car, by the friction that is assumed. */
-function speedControlOf(entry, car, controller, { world, of, samples }, where) {
+/** The speed control of a car along its plan; grip: of the car, by the friction that is assumed; climb: on a slope. */
+function speedControlOf(entry, car, controller, { world, of, samples, setup }, where) {
   if (of.test) throw new Refusal(where, "The paper's tests prescribe their speed: a speed control needs a road.");
   const given = written.speed_control, { plan } = samples, { chassis, file } = car.rows;
   const grip = (friction) => memory.call("usable_friction", car.plain, file.limit, checked(where, "assumed_friction", friction));
@@ -564,8 +579,9 @@ function speedControlOf(entry, car, controller, { world, of, samples }, where) {
   const settings = copied("speed_control.SpeedSettings",
     { period, drag, rolling, friction, friction_high: friction }, given.settings, chassis.$numbers);
   const top = plan.speed.values.reduce((most, each) => Math.max(most, each), 0);
+  const { path, climb } = speedPathOf(of, plan, slopeOf(setup.truth ?? {}));
   const record = mine(memory.make("tracker.longitudinal.Longitudinal", {
-    sample: { shape: [1] }, memory: { shape: [1] }, settings, path: speedPathOf(of, plan),
+    sample: { shape: [1] }, memory: { shape: [1] }, settings, path,
     banks: { drive: { shape: [given.bank] }, brakes: { shape: [given.bank] }, requests: { shape: [world.speed_requests] } },
     ahead: { shape: [memory.call("horizon_cells", top, settings.brake, given.spacing)] },
   }));
@@ -573,25 +589,30 @@ function speedControlOf(entry, car, controller, { world, of, samples }, where) {
   const top_speed = controller.learns ? memory.call("first_top_speed", controller.parts.learner) : Infinity;
   record.sample.row(0).$set({ acceleration: NaN, top_speed });
   record.memory.row(0).$set({ time: -Infinity });
-  return { record, speeds: mine(memory.array("F", [given.speeds_ahead])), grip };
+  return { record, speeds: mine(memory.array("F", [given.speeds_ahead])), grip, climb };
 }
 
-/** A plan at even places of its road. */
-function speedPathOf(of, plan) {
-  const { line, length, closed } = of, none = { s: { shape: [0] }, value: { shape: [0] } };
+/** A plan at even places of its road of a slope, and what writes it for another slope. */
+function speedPathOf(of, plan, slope) {
+  const { line, length, closed } = of;
   const arrays = mine(memory.make("speed_path.PlanArrays", {
     line: { start: share(line.start), pieces: share(line.pieces), numbers: share(line.numbers) },
-    s: share(plan.s), speed: share(plan.speed), grade: none, bank: none, stops_at_end: 0,
+    s: share(plan.s), speed: share(plan.speed), grade: alongOf(slope), bank: alongOf(Infinity), stops_at_end: 0,
   }));
   const words = mine(memory.array("F", [memory.call("speed_path_words", length, closed ? 1 : 0, 0)]));
   const [status, stops] = memory.call("write_speed_path", arrays, words);
   if (status !== OK) throw new Refusal("speed", "The speed control cannot follow this plan: choose another speed or road.");
+  const climb = (value) => {
+    arrays.grade.value.values.fill(value);
+    memory.call("write_speed_path", arrays, words);
+  };
   const count = (words.shape[0] - 2) / 4, part = (first, size) => share(view(words, first, [size]));
-  return {
+  const path = {
     square: part(0, count), curvature: part(count, count), slope: part(2 * count, count), bank: part(3 * count, count),
     stops: part(4 * count, stops), seconds: part(4 * count + stops, stops),
     spacing: length / (closed ? count : count - 1), length, closed: closed ? 1 : 0,
   };
+  return { path, climb };
 }
 
 // -- into a run -------------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ const CARS = {
 const ROADS = {mountain: "a mountain road", country: "a country road", town: "a town road", motorway: "a motorway", lap: "a closed lap", oval: "an oval"};
 const TOP = {lateral: 3, constant: 15};
 
-const noTruth = () => ({lag: null, dead_time: null, bias: null, noise: null, friction: null, wind: null});
+const noTruth = () => ({lag: null, dead_time: null, bias: null, noise: null, friction: null, wind: null, brake_lag: null, slope: null, mass: null});
 const oneController = (kind, more = {}) => ({kind, tuning: null, belief: null, ...more});
 const ASSUMED_FRICTION = 0.9;  // of a speed control
 const withSpeedControl = (controllers, friction = ASSUMED_FRICTION) => controllers.map(controller => ({...controller, speed_control: {friction}}));
@@ -140,7 +140,7 @@ function chooseCar(value) {
 function chooseRoad(value) {
   const [kind, name] = value.split(":");
   if (kind === "name") choose({road: {name}});
-  else if (kind === "test") choose({road: {test: name}, car: page.setup.car, controllers: withoutSpeedControl(page.setup.controllers)});
+  else if (kind === "test") choose({road: {test: name}, car: page.setup.car, controllers: withoutSpeedControl(page.setup.controllers), truth: {...page.setup.truth, slope: null}});
   else if (kind === "draw") openDrawing();
   else if (kind === "file") open("file-road");
 }

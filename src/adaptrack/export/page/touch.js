@@ -16,6 +16,9 @@ const SLIDERS = [
   {id: "bias", box: "world", kind: "truth", name: "bias", label: "Wheels turned beyond the command", unit: "°", least: -3, most: 3, step: 0.1, digits: 1, scale: Math.PI / 180},
   {id: "noise", box: "world", kind: "truth", name: "noise", label: "Noise of the sensors, times the usual", unit: "×", least: 0, most: 5, step: 0.1, digits: 1},
   {id: "wind", box: "world", kind: "truth", name: "wind", label: "Wind along y", unit: "m/s", least: -30, most: 30, step: 1, digits: 0},
+  {id: "brake-lag", box: "world", kind: "truth", name: "brake_lag", label: "True lag of the brakes", unit: "s", least: 0.01, most: 1, step: 0.01, digits: 2, forces: true},
+  {id: "slope", box: "world", kind: "truth", name: "slope", label: "Slope of the road, positive uphill", unit: "%", least: -12, most: 12, step: 0.5, digits: 1, scale: 0.01, forces: true},
+  {id: "mass", box: "world", kind: "truth", name: "mass", label: "True mass, times that of the car", unit: "×", least: 0.7, most: 1.6, step: 0.05, digits: 2},
   {id: "belief-dead-time", box: "controller", kind: "belief", name: "dead_time", label: "Dead time that the controller believes", unit: "s", least: 0, most: 0.5, step: 0.01, digits: 2},
   {id: "np", box: "controller", kind: "tuning", name: "Np", label: "Horizon Np", unit: "periods", least: 2, most: 60, step: 1, digits: 0},
   {id: "nc", box: "controller", kind: "tuning", name: "Nc", label: "Moves Nc", unit: "", least: 1, most: 20, step: 1, digits: 0},
@@ -36,7 +39,7 @@ let chosenCar = 0;  // whose belief and tuning the sliders set
 
 // ---- what is so now
 
-const USUAL = {noise: 1, wind: 0};
+const USUAL = {noise: 1, wind: 0, slope: 0, mass: 1};
 const OF_TESTS = new Set(["friction", "wind"]);  // a test of the paper says them, and they change
 const steeringOf = profile => page.data.profiles[profile]?.actuator ?? {};
 
@@ -45,6 +48,7 @@ function trueValue(name) {
   if (given !== null && given !== undefined) return given;
   if (road.test && OF_TESTS.has(name)) return null;
   if (name === "friction") return (page.data.roads[road.name] ?? page.data.road_defaults)?.friction ?? null;
+  if (name === "brake_lag") return page.data.profiles[profile]?.settings.brake_lag ?? null;
   return USUAL[name] ?? steeringOf(profile)[name] ?? null;
 }
 
@@ -67,8 +71,9 @@ function valueOf(slider) {
 }
 
 // Why a slider has nothing to set, "" where it has.
-function unused({kind}) {
+function unused({kind, forces}) {
   const controller = controllerNow();
+  if (forces && !page.setup.controllers.some(({speed_control}) => speed_control)) return "The speed is kept exactly.";
   if (kind === "speed_control" && !controller.speed_control) return "The speed of this car is kept exactly.";
   if (kind === "belief" && controller.kind === "learning") return "It learns this by itself: see the plot of its belief.";
   if (kind === "belief" && controller.kind !== BELIEVES) return "This controller has no belief about the steering.";
