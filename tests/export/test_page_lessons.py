@@ -112,19 +112,19 @@ def test_below_the_grip_that_the_bends_need_no_steering_helps(lessons):
 def test_a_speed_control_that_assumes_too_much_friction_loses_the_car_and_one_that_assumes_little_does_not(lessons):
     true, little = drive(lessons["slippery"])
     assert max(true[1], little[1]) < 0.06
-    lost, kept = drive(lessons["slippery"], {"friction": 0.5})
-    assert lost[3] in ("off-road", "spun")
-    assert (kept[1] < 0.1, kept[3]) == (True, None)
+    bold, careful = drive(lessons["slippery"], {"friction": 0.5})
+    assert bold[3] in ("off-road", "spun")
+    assert (careful[1] < 0.1, careful[3]) == (True, None)
 
 
 def test_link_and_python_lines_hold_the_speed_control_and_the_true_car():
-    more = {"truth": {"slope": 0.04, "mass": 1.2, "brake_lag": 0.3}}
+    settings = {"truth": {"slope": 0.04, "mass": 1.2, "brake_lag": 0.3}}
     expression = """(() => {
       const setup = page.setup = makeSetup({...asked, road: {name: "mountain"}});
       setup.controllers = withSpeedControl(setup.controllers, 0.6);
       return [setup, setupOf(addressOf(setup).hash).setup, pythonOf(setup)];
     })()"""
-    setup, linked, lines = evaluate(expression, more)
+    setup, linked, lines = evaluate(expression, settings)
     assert linked == setup
     for part in ("driver=at.SpeedControl(car, friction=0.6)", "grade=0.04", "mass=car.mass * 1.2", "lag=0.3"):
         assert part in lines

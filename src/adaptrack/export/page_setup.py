@@ -75,12 +75,12 @@ def simulate_setup(setup: Mapping[str, Any]) -> list[Trajectory]:
         model_car = (
             at.vehicle_from_data_sheet(car.name, car.mass, car.wheelbase) if controller.get("knows") == "sheet" else car
         )
-        made, seed = controller_of(controller, model_car, profile), int(setup.get("seed", 0))
+        steering_controller, seed = controller_of(controller, model_car, profile), int(setup.get("seed", 0))
         if speed_control := controller.get("speed_control"):
             driver = SpeedControl(model_car, **speed_control)
-            runs.append(simulate(plant, made, drive, profile=world, driver=driver, seed=seed))
+            runs.append(simulate(plant, steering_controller, drive, profile=world, driver=driver, seed=seed))
         else:
-            runs += rollouts(Batch(plant, made, [drive], world), (seed,), threads=1)[0]
+            runs += rollouts(Batch(plant, steering_controller, [drive], world), (seed,), threads=1)[0]
     return runs
 
 

@@ -83,8 +83,8 @@ function carRun(entry, made, where) {
     Object.assign(state, ready(state, controller, made));
   });
   state.speed = entry.speed_control ? speedControlOf(entry, carKnownTo(entry, car), state.controller, made, where) : null;
-  const said = state.parts.said.map((name) => (written.frame.includes(name) ? `answered_${name}` : name));
-  state.columns = [...written.frame, ...said, ...(state.speed ? written.speed_frame : [])];
+  const answerColumns = state.parts.said.map((name) => (written.frame.includes(name) ? `answered_${name}` : name));
+  state.columns = [...written.frame, ...answerColumns, ...(state.speed ? written.speed_frame : [])];
   state.horizon = state.run.mpc.settings.longest_horizon;
   state.moves = state.run.mpc.settings.most_moves;
 }

@@ -571,25 +571,25 @@ function lawOf(entry, known, car, where) {
 /** The speed control of a car along its plan; grip: of the car, by the friction that is assumed; climb: on a slope. */
 function speedControlOf(entry, car, controller, { world, of, samples, setup }, where) {
   if (of.test) throw new Refusal(where, "The paper's tests prescribe their speed: a speed control needs a road.");
-  const given = written.speed_control, { plan } = samples, { chassis, file } = car.rows;
+  const constants = written.speed_control, { plan } = samples, { chassis, file } = car.rows;
   const grip = (friction) => memory.call("usable_friction", car.plain, file.limit, checked(where, "assumed_friction", friction));
   const { air_density, frontal_area, drag_coefficient, rolling_resistance } = chassis;
   const [drag, rolling] = memory.call("resistance", air_density, frontal_area, drag_coefficient, rolling_resistance);
   const friction = grip(entry.speed_control.friction), { period } = world;
   const settings = copied("speed_control.SpeedSettings",
-    { period, drag, rolling, friction, friction_high: friction }, given.settings, chassis.$numbers);
+    { period, drag, rolling, friction, friction_high: friction }, constants.settings, chassis.$numbers);
   const top = plan.speed.values.reduce((most, each) => Math.max(most, each), 0);
   const { path, climb } = speedPathOf(of, plan, slopeOf(setup.truth ?? {}));
   const record = mine(memory.make("tracker.longitudinal.Longitudinal", {
     sample: { shape: [1] }, memory: { shape: [1] }, settings, path,
-    banks: { drive: { shape: [given.bank] }, brakes: { shape: [given.bank] }, requests: { shape: [world.speed_requests] } },
-    ahead: { shape: [memory.call("horizon_cells", top, settings.brake, given.spacing)] },
+    banks: { drive: { shape: [constants.bank] }, brakes: { shape: [constants.bank] }, requests: { shape: [world.speed_requests] } },
+    ahead: { shape: [memory.call("horizon_cells", top, settings.brake, constants.spacing)] },
   }));
   memory.call("speed_control_begin", record.settings, record.banks);
   const top_speed = controller.learns ? memory.call("first_top_speed", controller.parts.learner) : Infinity;
   record.sample.row(0).$set({ acceleration: NaN, top_speed });
   record.memory.row(0).$set({ time: -Infinity });
-  return { record, speeds: mine(memory.array("F", [given.speeds_ahead])), grip, climb };
+  return { record, speeds: mine(memory.array("F", [constants.speeds_ahead])), grip, climb };
 }
 
 /** A plan at even places of its road of a slope, and what writes it for another slope. */

@@ -13,7 +13,8 @@
 //     draw()                 now, all of them
 //
 //   spec = {name, title, unit, digits, scale (factor to the unit), least (smallest span of the axis), log, around0,
-//           lines: [{column, or, label, step, once, ink}],   of each car, or of the first (once); a second car has its
+//           lines: [{column, or, label, step, once, ink}],   of each car, or of the first (once: true, or the column for
+//                                                 which that counts); a second car has its
 //                                                 own colour and dashes; or: the column where there is no such one;
 //                                                 ink: a truth. A car without the first of them has no line
 //           limits: [{value, label}] | history => [...],   drawn where within the axis; reach: always within
@@ -50,13 +51,13 @@ const PLOTS = [
   {
     name: "speed", title: "Speed", unit: "m/s", digits: 2, least: 2,
     lines: [
-      {column: "vx", or: "speed", label: "speed"}, {column: "planned_speed", or: "v_ref", label: "planned", once: true},
+      {column: "vx", or: "speed", label: "speed"}, {column: "planned_speed", or: "v_ref", label: "planned", once: "v_ref"},
       {column: "governed_speed", label: "governed"},
     ],
   },
   {
     name: "grip", title: "Used share of the assumed grip", unit: "", digits: 2, least: 1,
-    lines: [{column: "grip_used", label: "used grip"}], limits: [{value: 1, label: "all that is assumed"}],
+    lines: [{column: "grip_used", label: "used grip"}], limits: [{value: 1, label: "assumed grip"}],
   },
   {
     name: "acceleration", title: "Lateral acceleration", unit: "m/s²", digits: 2, least: 1, around0: true,
@@ -230,9 +231,10 @@ function linesOf(spec, history) {
   const drawnCars = history.cars.filter(car => columnOf(car, spec.lines[0]));
   return history.cars.flatMap((car, k) => spec.lines.flatMap((line, j) => {
     const column = columnOf(car, line);
-    if (!column || !drawnCars.includes(car) || line.once && car !== drawnCars[0]) return [];
+    const once = line.once === true || line.once === column;
+    if (!column || !drawnCars.includes(car) || once && car !== drawnCars[0]) return [];
     const label = several && alone ? car.name : line.label, colour = line.ink ? "ink" : k % 6;
-    const name = several && !alone && !line.once ? `${car.name}, ${line.label}` : label;
+    const name = several && !alone && !once ? `${car.name}, ${line.label}` : label;
     return [{car, k, column, label, name, colour, step: line.step, dash: line.ink ? TRUTH : dashOf(k, j)}];
   }));
 }
@@ -533,7 +535,7 @@ function makeTimePlot(spec, history, clock, window_) {
   // The values beside the labels.
   function tell() {
     const t = clock.shown, limit = limits.find(candidate => candidate.value > 0);
-    if (limit) write(frame.limit, ` ${limit.label} ±${inUnits(limit.value * scale)}`);
+    if (limit) write(frame.limit, ` ${limit.label} ${sidesOf(limit)}${inUnits(limit.value * scale)}`);
     if (spec.marks) write(frame.limit, marked().length ? ` bars below: ${spec.marks.label}` : "");
     lines.forEach((line, i) => write(values[i], textAt(line, t)));
     if (truthValue) truthValue.parentNode.hidden = !hasTruth();
@@ -579,11 +581,13 @@ function makeTimePlot(spec, history, clock, window_) {
     return ` ${line.name}: from ${at(lineRange.low, lineRange.lowAt)} to ${at(lineRange.high, lineRange.highAt)}.`;
   }
 
+  const sidesOf = ({value}) => limits.some(other => other.value === -value) ? "±" : "";
+
   function describe() {
     [plot.from, plot.to] = window_(plot);
     const ends = `Between ${signed(plot.from, 1)} and ${signed(Math.min(plot.to, clock.end), 1)} s:`;
     const above = limits.filter(({value}) => value > 0);
-    const met = above.map(({label, value}) => ` The ${label} is ±${inUnits(value * scale)}.`);
+    const met = above.map(limit => ` The ${limit.label} is ${sidesOf(limit)}${inUnits(limit.value * scale)}.`);
     const summary = `${spec.title} at ${signed(clock.shown, 2)} s: ${spoken(clock.shown)}.`;
     return `${summary} ${ends}${[...lines.map(rangeText), ...met, ...marked()].join("")}`;
   }
