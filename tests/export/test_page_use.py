@@ -153,12 +153,14 @@ SETUP = {
     "car": {"sheet": {"mass": 1300, "wheelbase": 2.5}},
     "road": {"points": [[12 * k, round(9 * np.sin(k / 5), 1)] for k in range(100)], "closed": False, "name": "drawn"},
     "speed": {"lateral": 2}, "profile": "production", "seed": 5,
-    "truth": {"lag": 0.31, "dead_time": 0.1, "bias": 0.01, "noise": 2, "friction": 0.8, "wind": -4},
+    "truth": {"lag": 0.31, "dead_time": 0.1, "bias": 0.01, "noise": 2, "friction": 0.8, "wind": -4,
+              "brake_lag": 0.3, "slope": 0.02, "mass": 1.2},
     "controllers": [
         {
             "kind": "informed",
             "tuning": {"Np": 25, "Nc": 6, "Q": 2.5, "R": 300},
             "belief": {"lag": 0.2, "dead_time": 0.05},
+            "speed_control": {"friction": 0.7},
         },
         {"kind": "stanley", "tuning": None, "belief": None},
     ],

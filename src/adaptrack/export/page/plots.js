@@ -13,8 +13,8 @@
 //     draw()                 now, all of them
 //
 //   spec = {name, title, unit, digits, scale (factor to the unit), least (smallest span of the axis), log, around0,
-//           lines: [{column, or, label, step, once, ink}],   of each car, or of the first (once: true, or the column for
-//                                                 which that counts); a second car has its
+//           lines: [{column, or, label, step, once, ink}],   of each car, or of the first (once; unless it has
+//                                                 the column `unless`); a second car has its
 //                                                 own colour and dashes; or: the column where there is no such one;
 //                                                 ink: a truth. A car without the first of them has no line
 //           limits: [{value, label}] | history => [...],   drawn where within the axis; reach: always within
@@ -51,7 +51,7 @@ const PLOTS = [
   {
     name: "speed", title: "Speed", unit: "m/s", digits: 2, least: 2,
     lines: [
-      {column: "vx", or: "speed", label: "speed"}, {column: "planned_speed", or: "v_ref", label: "planned", once: "v_ref"},
+      {column: "vx", or: "speed", label: "speed"}, {column: "planned_speed", or: "v_ref", label: "planned", once: true, unless: "governed_speed"},
       {column: "governed_speed", label: "governed"},
     ],
   },
@@ -231,7 +231,7 @@ function linesOf(spec, history) {
   const drawnCars = history.cars.filter(car => columnOf(car, spec.lines[0]));
   return history.cars.flatMap((car, k) => spec.lines.flatMap((line, j) => {
     const column = columnOf(car, line);
-    const once = line.once === true || line.once === column;
+    const once = line.once && !car.columns[line.unless];
     if (!column || !drawnCars.includes(car) || once && car !== drawnCars[0]) return [];
     const label = several && alone ? car.name : line.label, colour = line.ink ? "ink" : k % 6;
     const name = several && !alone && !once ? `${car.name}, ${line.label}` : label;
