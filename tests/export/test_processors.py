@@ -22,7 +22,10 @@ from adaptrack.core.kernel import INTERPRETED
 from adaptrack.core.maths.values import FUNCTION_NAMES
 from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.rows import row_of
+from adaptrack.core.tracker.records import TRACKER_SAMPLE as CALL
 from adaptrack.drive.batch import Batch
+from adaptrack.export.recorded_drive import record_drive
+from adaptrack.export.tracking import speed_part
 from adaptrack.road import plan_speed, road_through
 from by_kernels import CASES, make_parts
 from processors import board
@@ -179,7 +182,7 @@ def same(answers, expected):
 # -- who calls it -----------------------------------------------------------------------------------------------------
 def by_emulator(name, image, folder):
     compiler, emulator = EMULATED[name]
-    compiler_path, emulator_path = find_program(compiler), find_program(emulator)
+    compiler_path = find_program(compiler)
     names = image.functions
     (folder / "functions.h").write_text(
         "".join(f"extern void adaptrack_{name}(void);\n" for name in names)
@@ -189,8 +192,13 @@ def by_emulator(name, image, folder):
     driver = str(folder / "driver.exe")
     inputs = str(HERE / "driver.c"), library_of_it
     subprocess.run([compiler_path, "-O1", f"-I{folder}", *inputs, "-o", driver], check=True)
+    return [*emulated(compiler, emulator), driver, str(folder / "image"), str(folder / "answers")]
+
+
+def emulated(compiler, emulator):
+    """What runs a program of a compiler here."""
     home = [] if emulator == "wine64" else ["-L", f"/usr/{compiler.removesuffix('-gcc')}"]
-    return [emulator_path, *home, driver, str(folder / "image"), str(folder / "answers")]
+    return [find_program(emulator), *home]
 
 
 def by_node(name, image, folder):
@@ -230,12 +238,22 @@ SMALL = {
     "informed": lambda: at.MPC(CAR, profile="road", learning=None),
     "learning": lambda: at.MPC(CAR, profile="road", learning=at.Learning()),
     "published": lambda: at.published_mpc(CAR),
+    "speed control": lambda: at.MPC(CAR, profile="road", learning=at.Learning()),
 }
 
 
 def program(name, count, folder, target=None):
-    way = road_through(POINTS), plan_speed(road_through(POINTS), CAR)
-    return board.Program(SMALL[name](), list(calls(np.random.default_rng(2), count, way[0])), way, folder, target)
+    """With a speed control: half of the samples are those of a drive with a stop and hills."""
+    path, controller = road_through(POINTS), SMALL[name]()
+    plan, samples = plan_speed(path, CAR), np.array(list(calls(np.random.default_rng(2), count, path)))
+    speed = at.SpeedControl(CAR, (0.6, 0.9)) if name == "speed control" else None
+    if speed is not None:
+        part = speed_part(speed, controller, plan)
+        drive = record_drive(controller, at.DualTrack(CAR), path, plan, at.load_profile("road"), speed=part)
+        samples[:, [CALL.t, CALL.now, CALL.motion_t]] += drive.samples[count // 2, CALL.now] + 10.0
+        samples = np.pad(samples, ((0, 0), (0, len(CALL) - samples.shape[1])), constant_values=np.nan)
+        samples = np.concatenate([drive.samples[: count // 2], samples[: count - count // 2]])
+    return board.Program(controller, samples, (path, plan), folder, target, speed)
 
 
 @pytest.mark.slow
@@ -248,19 +266,20 @@ def test_a_microcontroller_gives_the_same_bits_in_its_memory(target, name, tmp_p
     assert ran.differ == 0
     assert ran.code < 400_000
     assert ran.constants < 64_000
-    assert ran.memory < (80_000 if name == "learning" else 64_000)
+    assert ran.memory < {"learning": 80_000, "speed control": 96_000}.get(name, 64_000)
     assert ran.stack < 16_000
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SMALL)
-def test_what_is_exported_gives_the_same_bits_on_windows(name, tmp_path):
-    target = "windows-x86-64-v3"
+@pytest.mark.parametrize("target", EMULATED)
+def test_what_is_exported_gives_the_same_bits_on_another_processor(target, name, tmp_path):
     compiler, emulator = EMULATED[target]
     if why := board.missing(target, (compiler, emulator, "gcc")):
         pytest.skip(why)
     built_program = program(name, 2000, tmp_path, target)
-    assert board.differing(built_program.here(), built_program.here(target, compiler, [find_program(emulator)])) == 0
+    answers = built_program.here(target, compiler, emulated(compiler, emulator))
+    assert board.differing(built_program.here(), answers) == 0
 
 
 @pytest.mark.slow

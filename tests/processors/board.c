@@ -1,12 +1,13 @@
 /* Runs an exported tracker on a microcontroller of QEMU's, or with -DHOST on this machine: the same samples, the same
    answers. Start-up, vectors and semihosting are here, so that no C library is needed.
 
-   Samples (argument, or at SAMPLES in memory): count, words of a path, then 15 doubles a call. Written, to `answers`
-   here and through the debugger there: of each call 9 words (command, offset, heading error, station, status, belief,
-   at bound, suspect, error); on the microcontroller to `counts` as well: ticks (8/5 of an instruction) and iterations of the QP of each
-   call, then those of init, path and follow, and bytes of stack. */
+   Samples (argument, or at SAMPLES in memory): their number, then 15 doubles a call. Written, to `answers` here and
+   through the debugger there: of each call 16 words (command, offset, heading error, station, requests of the speed
+   control; status, belief, at bound, suspect, state and limit of the speed control, error); on the microcontroller to
+   `counts` as well: ticks (8/5 of an instruction) and iterations of the QP of each call, then those of init, of path
+   and of follow with the plan, and bytes of stack. */
 #include "adaptrack.h"
-#include "adaptrack_recorded.h"
+#include "adaptrack_replay.h"
 
 #include <string.h>
 #ifndef QP_ITERATIONS
@@ -14,10 +15,9 @@
 #endif
 void *adaptrack_block_record(void *memory);
 
-typedef struct { double numbers[4]; int64_t more[5]; } told;
+typedef struct { double numbers[9]; int64_t more[7]; } told;
 static uint32_t counted(void);
 static int drive(adaptrack_tracker *tracker, double *path, const int64_t *given, told *answers, int64_t *counts) {
-    const adaptrack_plan plan = {adaptrack_recorded_plan_s, adaptrack_recorded_plan_speed, ADAPTRACK_RECORDED_PLAN};
     const int64_t count = given[0];
     const double *rows = (const double *)(const void *)(given + 1);
     uint32_t begun = counted();
@@ -26,20 +26,27 @@ static int drive(adaptrack_tracker *tracker, double *path, const int64_t *given,
     if (adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, 0, path,
                        ADAPTRACK_RECORDED_PATH_SIZE, 0)) return 2;
     counts[2 * count + 1] = counted() - begun, begun = counted();
-    if (adaptrack_follow(tracker, path, NAN, &plan)) return 3;
+    if (follow_recorded(tracker, path)) return 3;
     counts[2 * count + 2] = counted() - begun;
     for (int64_t k = 0; k < count; k++) {
         adaptrack_sample sample;
         adaptrack_answer answer = {0};
         memcpy(&sample, rows + 15 * k, sizeof sample);
         begun = counted();
-        answers[k].more[4] = adaptrack_step(tracker, &sample, &answer);
+        const adaptrack_error error = adaptrack_step(tracker, &sample, &answer);
         counts[2 * k] = counted() - begun;
+        answers[k] = (told){.more = {0, 0, 0, 0, 0, 0, error}};
         memcpy(counts + 2 * k + 1, (const int64_t *)adaptrack_block_record(tracker) + QP_ITERATIONS, 8);
         answers[k].numbers[0] = answer.command, answers[k].numbers[1] = answer.offset;
         answers[k].numbers[2] = answer.heading_error, answers[k].numbers[3] = answer.station;
         answers[k].more[0] = answer.status, answers[k].more[1] = answer.belief, answers[k].more[2] = answer.at_bound;
         answers[k].more[3] = (int64_t)answer.suspect;
+#if ADAPTRACK_SPEED_CONTROL
+        answers[k].numbers[4] = answer.acceleration, answers[k].numbers[5] = answer.force;
+        answers[k].numbers[6] = answer.hold, answers[k].numbers[7] = answer.target_speed;
+        answers[k].numbers[8] = answer.grip_used;
+        answers[k].more[4] = answer.speed_state, answers[k].more[5] = answer.limited_by;
+#endif
     }
     return 0;
 }

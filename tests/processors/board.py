@@ -1,4 +1,4 @@
-"""An exported tracker on microcontrollers that QEMU emulates: the same bits, code, memory, stack, counted instructions.
+"""Exported trackers on microcontrollers that QEMU emulates: the same bits, code, memory, stack, counted instructions.
 
 ``python -m processors.board`` in ``tests`` prints the numbers of docs/install.md.
 """
@@ -10,20 +10,21 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptrack import MPC, DualTrack, Learning, load_road, load_vehicle, plan_speed, published_mpc
+from adaptrack import MPC, DualTrack, Learning, SpeedControl, load_road, load_vehicle, plan_speed, published_mpc
 from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.core import library
 from adaptrack.core.controllers.mpc import MPC_ANSWER
+from adaptrack.core.tracker.records import TRACKER_SAMPLE as CALL
 from adaptrack.export.c_library import export_c
 from adaptrack.export.recorded_drive import DRIVEN_SHARE, record_drive
-from adaptrack.export.tracking import tracking_block
+from adaptrack.export.tracking import speed_part, tracking_block
 from adaptrack.scenario.profile import load_profile
 from programs import try_program
 
 HERE = Path(__file__).parent
 TOOLS = ("arm-none-eabi-gcc", "qemu-system-arm", "gcc")
-WORDS = 9
-"""of an answer, of which the first four are floats"""
+WORDS, FLOATS = 16, 9
+"""of an answer, of which the first ones are floats"""
 CONSTANTS = "adaptrack_constants"
 HEADERS = {
     "math.h": '#define NAN __builtin_nanf("")\n',
@@ -91,17 +92,19 @@ class Ran:
 class Program:
     """An export of a controller with samples, and the program that drives it.
 
-    samples: (calls, 10); way: road and plan; target: a further one, of `BOARDS`.
+    samples: (calls, up to 15 numbers of a sample); way: road and plan; target: a further one, of `BOARDS`.
     """
 
-    def __init__(self, controller, samples, way, folder, target=None):
+    def __init__(self, controller, samples, way, folder, target=None, speed=None):
         self.folder, self.count = folder, len(samples)
         self.made = export_c(controller, folder / "made", targets=[_own(), *([target] if target else [])],
-                             road=way[0], plan=way[1])  # fmt: skip
+                             road=way[0], plan=way[1], speed=speed)  # fmt: skip
+        samples = np.asarray(samples)
         rows = np.full((self.count, 15), np.nan)
-        rows[:, :10] = samples
+        rows[:, : samples.shape[1]] = samples
         np.concatenate([np.array([self.count], np.int64), rows.ravel().view(np.int64)]).tofile(folder / "samples")
-        block = tracking_block(controller)
+        part = None if speed is None else speed_part(speed, controller, way[1], speed.car.domain.speed[1])
+        block = tracking_block(controller, speed=part)
         at = block.words["step.mpc.answer"] + MPC_ANSWER.qp_iterations if "step.mpc.answer" in block.words else 0
         self.given = ["-std=gnu11", "-O2", "-ffunction-sections", "-fdata-sections", f"-DQP_ITERATIONS={at}",
                       *[f"-I{self.made.folder}/{folder}" for folder in (".", "include", "src")], str(HERE / "board.c"),
@@ -156,9 +159,9 @@ def differing(first, there):
     """How many answers differ."""
     if first.shape != there.shape:
         raise RuntimeError(f"{len(there)} answers of {len(first)}")
-    numbers = first[:, :4].copy().view(float), there[:, :4].copy().view(float)
+    numbers = first[:, :FLOATS].copy().view(float), there[:, :FLOATS].copy().view(float)
     unlike = first != there
-    unlike[:, :4] &= ~(np.isnan(numbers[0]) & np.isnan(numbers[1]))
+    unlike[:, :FLOATS] &= ~(np.isnan(numbers[0]) & np.isnan(numbers[1]))
     return int(unlike.any(axis=1).sum())
 
 
@@ -187,16 +190,20 @@ def _do(command, folder):
         raise RuntimeError(f"{' '.join(command)}: {process.returncode}: {process.stderr}")
 
 
-def driven(controller, road, plan, vehicle, rng, disturbed):
-    """10,800 calls of one period: nine recorded drives, measured ever worse where they are to be disturbed."""
+def driven(controller, road, plan, vehicle, rng, disturbed, speed=None):
+    """10,800 calls of one period: nine recorded drives, measured ever worse where they are to be disturbed.
+
+    speed: the speed control of the drives, which then have a stop and hills.
+    """
     step = controller.period / 0.05
     record = record_drive(
         MPC(vehicle, profile="road", learning=None), DualTrack(vehicle), road, plan, load_profile("road"),
-        seconds=60.0 / DRIVEN_SHARE,
+        seconds=60.0 / DRIVEN_SHARE, speed=None if speed is None else speed_part(speed, controller, plan),
     )  # fmt: skip
     rows, begun = [], 0.0
     for wild in (0.0, 0.1, 0.3, 0.5, 1.0, 1.0, 2.0, 2.0, 3.0):
-        calls = record.samples[: record.driven_calls : max(1, round(step)), :10].copy()
+        calls = record.samples[: record.driven_calls : max(1, round(step))].copy()
+        calls[:, CALL.motion_t] = np.nan
         calls[:, :2] += begun
         begun += calls[-1, 1] - calls[0, 1] + 10.0
         if disturbed:
@@ -213,15 +220,19 @@ def main():
     plan = plan_speed(road, vehicle)
     controllers = {
         "informed": MPC(vehicle, profile="road", learning=None),
+        "informed, speed control": MPC(vehicle, profile="road", learning=None),
         "informed, 8 changes at most": MPC(vehicle, profile="road", learning=None, solver=ActiveSet(8)),
         "learning": MPC(vehicle, profile="road", learning=Learning()),
+        "learning, speed control": MPC(vehicle, profile="road", learning=Learning()),
         "paper": published_mpc(vehicle),
     }
     for name, controller in controllers.items():
+        speed = SpeedControl(vehicle, (0.6, 0.9)) if "speed control" in name else None
         for disturbed in (False, True):
-            calls = driven(controller, road, plan, vehicle, np.random.default_rng(0), disturbed)
+            calls = driven(controller, road, plan, vehicle, np.random.default_rng(0), disturbed, speed)
             with tempfile.TemporaryDirectory() as folder:
-                ran = Program(controller, calls, (road, plan), Path(folder), "cortex-m7").on("cortex-m7")
+                built_program = Program(controller, calls, (road, plan), Path(folder), "cortex-m7", speed)
+                ran = built_program.on("cortex-m7")
             is_many = ran.iterations >= 3
             slope = (
                 np.polyfit(ran.iterations[is_many], ran.instructions[is_many], 1)[0] if is_many.sum() > 99 else np.nan
