@@ -249,7 +249,7 @@ def test_the_two_drive_a_planned_road_by_themselves(folder):
 
 def test_the_two_stop_and_drive_on_by_force_with_the_requests_of_the_tracker(folder):
     road = country().road.replace(grade=0.04)
-    plan, speed = at.plan_speed(road, CAR, stops=[Stop(70.0, 1.0)]), at.SpeedControl(CAR, friction=(0.6, 0.9))
+    plan, speed = at.plan_speed(road, CAR, stops=[Stop(70.0, 1.0)]), at.SpeedControl(CAR, friction=0.6)
     route, controller = at.RoadDrive(road, plan), at.MPC(CAR, profile="road")
     units = (
         car_unit(PLANT, route, profile="road", driver=speed, period=0.05),

@@ -27,7 +27,7 @@ WORDS, FLOATS = 16, 9
 """of an answer, of which the first ones are floats"""
 CONSTANTS = "adaptrack_constants"
 HEADERS = {
-    "math.h": '#define NAN __builtin_nanf("")\n',
+    "math.h": '#define NAN __builtin_nanf("")\n#define HUGE_VAL __builtin_huge_val()\n',
     "string.h": "#include <stddef.h>\nvoid *memcpy(void *, const void *, size_t);\n",
 }
 """What the sources take of C's library, which is not there."""

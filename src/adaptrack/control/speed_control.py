@@ -129,7 +129,8 @@ class SpeedControl:
         Mass, resistance, powertrain, axles; its sections ``[drive]`` and ``[brakes]`` give the delays that are assumed.
     friction : float or pair of float
         Friction of the road: a value that is certain, or the ends of an interval. The interval becomes narrower while
-        the car drives near its grip, where the controller has a steering model; its low end counts.
+        the car drives near its grip, where the controller has a steering model; its low end counts. In an export to C
+        or FMU the interval stays as it is.
     drive, brakes : optional
         Actuators whose delays are known; by default those of the car file, otherwise they are learned while driving, as
         are gain over mass and what disturbs the acceleration.

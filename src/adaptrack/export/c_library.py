@@ -112,7 +112,8 @@ def export_c(
         Folder of an unpacked archive of `make targets`, for targets that the package does not hold.
     speed : SpeedControl, optional
         Speed control behind the tracker. Its comfort is that of the plan. It follows plans up to the highest speed of
-        the plan or of the car's domain, the larger of the two.
+        the plan or of the car's domain, the larger of the two. An interval of friction stays as it is in the export:
+        only Python narrows it while driving.
 
     Raises
     ------
@@ -266,7 +267,7 @@ def _speed_config(speed: SpeedPart | None) -> str:
     states = ",\n".join(f"    ADAPTRACK_SPEED_{state.name} = {i}" for i, state in enumerate(SpeedState))
     limits = ",\n".join(f"    ADAPTRACK_LIMIT_{limit.name} = {i}" for i, limit in enumerate(SpeedLimit))
     return f"""
-#define ADAPTRACK_SPEED_CONTROL 1 /* {_printable(f"assumed friction {speed.control.friction!r}")} */
+#define ADAPTRACK_SPEED_CONTROL 1 /* {_printable(f"assumed friction {speed.control.friction!r}")}, never narrowed */
 #define ADAPTRACK_TOP_SPEED {speed.start.top_speed!r} /* m/s, of a plan at most */
 typedef enum {{
 {states}
