@@ -16,7 +16,7 @@ from adaptrack.core import library
 from adaptrack.core.controllers.mpc import MPC_ANSWER
 from adaptrack.core.tracker.records import TRACKER_SAMPLE as CALL
 from adaptrack.export.c_library import export_c
-from adaptrack.export.recorded_drive import DRIVEN_SHARE, record_drive
+from adaptrack.export.recorded_drive import record_drive
 from adaptrack.export.tracking import speed_part, tracking_block
 from adaptrack.scenario.profile import load_profile
 from programs import try_program
@@ -191,17 +191,16 @@ def _do(command, folder):
 
 
 def driven(controller, road, plan, vehicle, rng, disturbed, speed=None):
-    """10,800 calls of one period: nine recorded drives, measured ever worse where they are to be disturbed.
+    """10,560 calls of one period: 22 drives of the recorded path, measured ever worse where they are to be disturbed.
 
     speed: the speed control of the drives, which then have a stop and hills.
     """
     step = controller.period / 0.05
-    record = record_drive(
-        MPC(vehicle, profile="road", learning=None), DualTrack(vehicle), road, plan, load_profile("road"),
-        seconds=60.0 / DRIVEN_SHARE, speed=None if speed is None else speed_part(speed, controller, plan),
-    )  # fmt: skip
+    pilot = MPC(vehicle, profile="road", learning=None) if speed is None else controller
+    part = None if speed is None else speed_part(speed, controller, plan)
+    record = record_drive(pilot, DualTrack(vehicle), road, plan, load_profile("road"), speed=part)
     rows, begun = [], 0.0
-    for wild in (0.0, 0.1, 0.3, 0.5, 1.0, 1.0, 2.0, 2.0, 3.0):
+    for wild in np.linspace(0.0, 3.0, 22):
         calls = record.samples[: record.driven_calls : max(1, round(step))].copy()
         calls[:, CALL.motion_t] = np.nan
         calls[:, :2] += begun

@@ -268,6 +268,7 @@ def _speed_config(speed: SpeedPart | None) -> str:
     limits = ",\n".join(f"    ADAPTRACK_LIMIT_{limit.name} = {i}" for i, limit in enumerate(SpeedLimit))
     return f"""
 #define ADAPTRACK_SPEED_CONTROL 1 /* {_printable(f"assumed friction {speed.control.friction!r}")}, never narrowed */
+#define ADAPTRACK_MASS {speed.control.car.mass!r} /* kg, that the requested force is for */
 #define ADAPTRACK_TOP_SPEED {speed.start.top_speed!r} /* m/s, of a plan at most */
 typedef enum {{
 {states}

@@ -178,7 +178,8 @@ typedef struct {
 #if ADAPTRACK_SPEED_CONTROL
     /* Requests of the speed control for the present period. Pass on `force` or `acceleration`, not both, and `hold`. */
     double acceleration;  /* m/s^2, dv/dt along the road, without gravity; negative: slower */
-    double force;         /* N, of all wheels: positive forward, by the drive; negative backward, by the brakes */
+    double force;         /* N, of all wheels: positive forward, by the drive; negative backward, by the brakes. It is for
+                             a car of ADAPTRACK_MASS; its limits of friction do not adapt to a different mass. */
     double hold;          /* N, never negative: of the brakes in addition to the force, holds the car at rest */
     double target_speed;  /* m/s, where the request acts */
     double grip_used;     /* -, acceleration of the car over what the assumed friction gives */
