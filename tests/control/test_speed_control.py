@@ -94,6 +94,20 @@ def test_a_car_whose_delays_mass_and_slope_are_not_known_stops_near_its_stop_and
     assert car.s > 600.0
 
 
+def test_a_car_of_twice_the_mass_that_slides_past_the_end_of_its_path_stops_behind_it() -> None:
+    drive, brakes = DriveActuator(lag=0.2, dead_time=0.1), BrakeActuator(lag=0.1, dead_time=0.1)
+    road = _straight(100.0)
+    plan = plan_speed(road, CAR, COMFORT, top_speed=14.0)
+    controller = SpeedController(SpeedControl(CAR, friction=0.5), road, plan, PERIOD, stop_at_end=True)
+    car = PointMass(14.0, 2.0 * CAR.mass, drive, brakes)
+    car.s = 60.0
+    for _ in range(300):
+        request = controller.step(car.s, car.v, 0.0)
+        car.move(request.force, request.hold)
+    assert 102.0 < car.s < 150.0
+    assert (request.state, car.v) == (SpeedState.STOPPED, 0.0)
+
+
 def test_a_car_does_not_roll_back_at_a_stop_on_an_ascent_of_ten_per_cent() -> None:
     drive, brakes = DriveActuator(lag=0.05, dead_time=0.05), BrakeActuator(lag=0.6, dead_time=0.4)
     road = _straight(400.0, grade=0.1)

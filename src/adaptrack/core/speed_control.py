@@ -254,9 +254,10 @@ def _stand(slope, lateral, drive, brakes, settings, memory):
 
 @inlined
 def _pass_stop(station, speed, settings, path, memory):
-    """Count the time at a stop; go on to the next one when it is over, or the car is far beyond it."""
-    place = _stop_place(memory.next_stop, path)
-    near = abs(speed) < STANDING_SPEED and -STOP_TOLERANCE <= station - place <= OVERSHOOT
+    """Count the time at a stop; go on to the next one when it is over, or the car is far beyond one that ends."""
+    beyond = station - _stop_place(memory.next_stop, path)
+    is_missed = beyond > OVERSHOOT and path.seconds[memory.next_stop % path.stops.size] < math.inf
+    near = abs(speed) < STANDING_SPEED and beyond >= -STOP_TOLERANCE and not is_missed
     if near and (memory.state == STOPPING or memory.state == EMERGENCY):
         memory.state, memory.standing = WAITING, 0.0
     if memory.state == WAITING:
@@ -264,7 +265,7 @@ def _pass_stop(station, speed, settings, path, memory):
         if memory.standing >= path.seconds[memory.next_stop % path.stops.size]:
             memory.next_stop += 1
             memory.state, memory.standing = DRIVING, 0.0
-    elif station - place > OVERSHOOT:
+    elif is_missed:
         memory.next_stop += 1
 
 
