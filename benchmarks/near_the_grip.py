@@ -2,20 +2,25 @@
 
     python benchmarks/near_the_grip.py [--cars van ...] [--profile road]    0.8 and 0.98 of the grip, 16 roads
     python benchmarks/near_the_grip.py --friction 0.9 0.78 0.69             plans for 0.9 on these true frictions
+    python benchmarks/near_the_grip.py --ways sheet soft --drivers "0.65 to 0.9"    controllers that do not know the car
     python benchmarks/near_the_grip.py --comfort                            J with forces over prescribed, 4 m/s^2
 
 Roads and seeds are those of `ROADS` and `SEEDS`, written down before the first run. The controller is the informed one,
-which knows its car; plan and driver know the friction.
+which knows its car, or one of `WAYS`; the plan, of the true car, and the driver assume a friction of 0.9.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Iterable, Sequence
+from itertools import product
 
 import numpy as np
 
-from adaptrack import MPC, DualTrack, Perception, RoadDrive, load_vehicle, rollout_batch, simulate
+from adaptrack import MPC, DualTrack, Learning, Perception, RoadDrive, load_vehicle, rollout_batch, simulate
+from adaptrack.cars.data_sheet import vehicle_from_data_sheet
+from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.speed_control import SpeedControl
 from adaptrack.drive.world import Driver
 from adaptrack.road import Comfort, Road, generate_road, plan_speed
@@ -33,27 +38,51 @@ DRIVERS = {
     "0.65 to 0.9": lambda car: SpeedControl(car, friction=(0.65, 0.9)),
 }
 """Last: a speed control that knows an interval of the friction."""
+STIFFNESS_ERROR = 1.6
+
+
+def _wrong_stiffness(car: Vehicle, factor: float) -> Vehicle:
+    return car.replace(stiffness_front=factor * car.stiffness_front, stiffness_rear=factor * car.stiffness_rear)
+
+
+WAYS = {
+    "known": (lambda car: car, False),
+    "sheet": (lambda car: vehicle_from_data_sheet(car.name, car.mass, car.wheelbase), True),
+    "soft": (lambda car: _wrong_stiffness(car, 1.0 / STIFFNESS_ERROR), False),
+    "stiff": (lambda car: _wrong_stiffness(car, STIFFNESS_ERROR), False),
+    "soft-learning": (lambda car: _wrong_stiffness(car, 1.0 / STIFFNESS_ERROR), True),
+    "stiff-learning": (lambda car: _wrong_stiffness(car, STIFFNESS_ERROR), True),
+}
+"""The car as controller and speed control assume it, and whether they learn it with the steering; others know the
+steering from the profile. soft, stiff: tyres whose stiffness is assumed wrong by a factor."""
 
 
 def _road(kind: str, seed: int) -> Road:
     return generate_road(kind, seed, LENGTH).replace(speed_limit=None)
 
 
-def near_the_grip(car_name: str, share: float, profile: str, friction: float) -> None:
-    """Print a row for each driver: cars lost, RMS and largest error (m), distance lost (%); friction: the true one."""
-    car = load_vehicle(car_name)
-    controller, roads = MPC(car, profile=profile), [_road(*road) for road in ROADS]
+def near_the_grip(
+    car_name: str, share: float, profile: str, friction: float, way: str = "known",
+    drivers: Iterable[str] = DRIVERS, places: Sequence[tuple[str, int]] = ROADS,
+) -> None:  # fmt: skip
+    """Print a row for each driver: cars lost, RMS and largest error (m), distance lost (%).
+
+    friction: the true one; way: of `WAYS`; places: kinds and seeds of the roads.
+    """
+    car, (known_as, learns) = load_vehicle(car_name), WAYS[way]
+    known_car, roads = known_as(car), [_road(*place) for place in places]
+    controller = MPC(known_car, profile=profile, **{"learning": Learning()} if learns else {})
     plans = [plan_speed(road, car, Comfort(lateral=20.0, grip_share=share)) for road in roads]
     peaks = [
         np.abs(plan.at(plan.s) ** 2 * road.at(plan.s).curvature).max() for road, plan in zip(roads, plans, strict=True)
     ]
-    print(f"{car_name}, {share:g} of the grip, {profile}, friction {friction:g}: "
+    print(f"{car_name}, {way}, {share:g} of the grip, {profile}, friction {friction:g}: "
           f"plans reach {min(peaks):.2f} to {max(peaks):.2f} m/s^2 sideways")  # fmt: skip
-    for label, make_driver in DRIVERS.items():
+    for label in drivers:
         runs = [
             simulate(
                 DualTrack(car), controller, RoadDrive(road.replace(friction=friction), plan), profile=profile,
-                driver=make_driver(car), seed=1, perception=Perception(friction=0.9),
+                driver=DRIVERS[label](known_car), seed=1, perception=Perception(friction=0.9),
             )
             for road, plan in zip(roads, plans, strict=True)
         ]  # fmt: skip
@@ -92,15 +121,19 @@ def main() -> None:
     parser.add_argument("--cars", nargs="+", default=CARS)
     parser.add_argument("--profile", default="road")
     parser.add_argument("--friction", nargs="+", type=float, default=[0.9], help="true frictions; assumed are 0.9")
+    parser.add_argument("--shares", nargs="+", type=float, default=SHARES, help="of the grip, in the plan")
+    parser.add_argument("--ways", nargs="+", default=["known"], choices=WAYS, help="what controller and driver know")
+    parser.add_argument("--drivers", nargs="+", default=DRIVERS, choices=DRIVERS)
+    parser.add_argument("--seeds", nargs="+", type=int, default=(11, 12, 13, 14), help="of the roads")
     parser.add_argument("--comfort", action="store_true", help="at 4 m/s^2: J with forces over prescribed speed")
     arguments = parser.parse_args()
-    for car in arguments.cars:
-        if arguments.comfort:
+    if arguments.comfort:
+        for car in arguments.cars:
             price_of_forces(car, arguments.profile)
-        else:
-            for share in SHARES:
-                for friction in arguments.friction:
-                    near_the_grip(car, share, arguments.profile, friction)
+        return
+    places = [(kind, seed) for kind in dict(ROADS) for seed in arguments.seeds]
+    for way, car, share, friction in product(arguments.ways, arguments.cars, arguments.shares, arguments.friction):
+        near_the_grip(car, share, arguments.profile, friction, way, arguments.drivers, places)
 
 
 if __name__ == "__main__":
