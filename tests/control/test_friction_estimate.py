@@ -10,13 +10,13 @@ import pytest
 from adaptrack import MPC, DualTrack, RoadDrive, load_vehicle
 from adaptrack.cars.vehicle import SteeringActuator, load_tyre, pack_plant
 from adaptrack.control.controllers import command_of
-from adaptrack.control.speed_control import SpeedControl
+from adaptrack.control.speed_control import SpeedControl, SpeedController
 from adaptrack.core import friction_estimate as kernel
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import World
-from adaptrack.road import Comfort, generate_road, plan_speed
+from adaptrack.road import Comfort, Line, Road, generate_road, plan_speed
 
 CAR = load_vehicle("midsize-sedan")
 LOW, HIGH, PERIOD = 0.4, 1.0, 0.05
@@ -86,7 +86,21 @@ def test_a_certain_friction_stays() -> None:
     assert loop.speed_controller is not None
     assert not loop.friction_estimator.runs
     settings, _, _, memory = loop.speed_controller.records
-    assert memory[0].friction == memory[0].friction_high == settings.friction
+    assert memory[0].friction == memory[0].friction_high == memory[0].cautious_friction == settings.friction
+
+
+def test_caution_lowers_drive_forces_and_spares_the_brakes() -> None:
+    road = Road.from_segments([Line(length=300.0)], name="straight")
+    plan, low = plan_speed(road, CAR, Comfort(), top_speed=14.0), 0.3
+
+    def force(speed: float, cautious: float) -> float:
+        controller = SpeedController(SpeedControl(CAR, friction=(low, 1.0)), road, plan, PERIOD)
+        memory = controller.records[3][0]
+        memory.friction, memory.friction_high, memory.cautious_friction = low, 1.0, cautious
+        return controller.step(20.0, speed, 0.0).force
+
+    assert force(25.0, 0.2) == force(25.0, low) < -0.7 * low * GRAVITY * CAR.mass
+    assert 0.0 < force(5.0, 0.2) < 0.8 * force(5.0, low)
 
 
 def test_a_straight_leaves_the_interval() -> None:

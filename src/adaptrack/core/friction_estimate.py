@@ -448,7 +448,8 @@ def narrow_friction(sample, knowledge, estimate, settings, path, banks, control)
     if last > first:
         slope = (settings.friction_high - settings.friction) / (last - first)
         caution = 1.0 - min(WIDTH_CAUTION * (memory.high - memory.low) / memory.high, LARGEST_CAUTION)
-        control.friction = caution * (settings.friction + slope * (memory.low - first))
+        control.friction = settings.friction + slope * (memory.low - first)
+        control.cautious_friction = caution * control.friction
         control.friction_high = settings.friction + slope * (memory.high - first)
 
 

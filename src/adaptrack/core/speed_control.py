@@ -93,6 +93,7 @@ SPEED_MEMORY = record(
         "mean_speed", "expected_loss", "braking", "usual_disturbance",  # m/s, m/s, m/s, m/s^2
         "time",  # s, of the last period behind a tracker
         "friction", "friction_high",  # -, ends of its interval, see `friction_estimate`; 0: those of the settings
+        "cautious_friction",  # -, of bends ahead and of drive forces: at most the low end
     ),
     integers=("state", "limited_by", "next_stop", "fault"),
 )  # fmt: skip
@@ -229,6 +230,8 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
     ratio = drive.ratio if tyres > 0.0 else brakes.ratio
     demand = settings.mass * tyres / ratio
     friction = memory.friction if memory.state != EMERGENCY else memory.friction_high
+    if tyres > 0.0:
+        friction = memory.cautious_friction
     bend = min(lateral, LARGEST_BEND_SHARE * friction * GRAVITY)
     driving, braking = axle_limits(friction, settings.mass * GRAVITY, bend, settings)
     powertrain = min(settings.traction_limit, settings.engine_power / max(speed, 1.0))
@@ -409,6 +412,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     yaw_rate, top_square = sample.yaw_rate, square(sample.top_speed)
     if memory.friction <= 0.0:
         memory.friction, memory.friction_high = settings.friction, settings.friction_high
+        memory.cautious_friction = settings.friction
     _take_motion(sample, settings, memory)
     station, speed = memory.station, memory.speed
     cell = cell_at(station, path)
@@ -430,7 +434,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         forget_faults(speed, memory)
     else:
         watch_actuators(speed, _resistance(speed, slope, settings), drive, brakes, settings.period, memory)
-    _govern(station, memory.friction, top_square, settings, path, ahead)
+    _govern(station, memory.cautious_friction, top_square, settings, path, ahead)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (memory.friction * GRAVITY)
     if is_driven:
         _yield_to_driver(speed, slope, lateral, drive, brakes, settings, memory, banks)
