@@ -117,8 +117,8 @@ LEAST_WEIGHT = 1e-3
 RISE_DISTANCE = 80.0
 """m, over which the low end rises."""
 WIDTH_CAUTION, LARGEST_CAUTION = 0.35, 0.15
-"""Share by which a speed control uses less than the low end, over the width of the interval relative to its high end;
-at most."""
+"""Share of the low end that bends ahead and drive forces do not use, over the width of the interval relative to its
+high end; at most. Brakes use the low end."""
 EVIDENCE_SHARE = 0.3
 """Of the log-likelihood of a sample: errors of the model last for some samples."""
 FRICTION_INNOVATION_BOUND = 3.0

@@ -93,7 +93,7 @@ SPEED_MEMORY = record(
         "mean_speed", "expected_loss", "braking", "usual_disturbance",  # m/s, m/s, m/s, m/s^2
         "time",  # s, of the last period behind a tracker
         "friction", "friction_high",  # -, ends of its interval, see `friction_estimate`; 0: those of the settings
-        "cautious_friction",  # -, of bends ahead and of drive forces: at most the low end
+        "cautious_friction",  # -, at most the low end: of bends ahead and drive forces
     ),
     integers=("state", "limited_by", "next_stop", "fault"),
 )  # fmt: skip
@@ -163,25 +163,26 @@ def _square_at(place, station, path, ahead):
 
 # -- the governor -----------------------------------------------------------------------------------------------------
 @inlined
-def _govern(station, friction, top_square, settings, path, ahead):
+def _govern(station, top_square, settings, path, memory, ahead):
     """Write the squares of the speeds (m^2/s^2) that friction and comfort allow at the cells from the station on.
 
     top_square: m^2/s^2, of the speed up to which the steering is known.
     """
-    first, grip = whole(floor(station / path.spacing)), friction * GRAVITY
+    first, grip = whole(floor(station / path.spacing)), memory.friction * GRAVITY
+    cautious_grip = memory.cautious_friction * GRAVITY
     for j in range(ahead.size):
         cell = cell_at((first + j + 0.5) * path.spacing, path)
         square_speed, curvature = min(path.square[cell], top_square), path.curvature[cell]
         if abs(curvature) > STRAIGHT:
             tilt = path.bank[cell] if curvature > 0.0 else -path.bank[cell]
-            square_speed = min(square_speed, max(settings.governor * grip + tilt, 0.0) / abs(curvature))
+            square_speed = min(square_speed, max(settings.governor * cautious_grip + tilt, 0.0) / abs(curvature))
         ahead[j] = square_speed
     for j in range(ahead.size - 2, -1, -1):
         if ahead[j] <= ahead[j + 1]:
             continue
         cell = cell_at((first + j + 0.5) * path.spacing, path)
         lateral = min(abs(ahead[j + 1] * path.curvature[cell] - path.bank[cell]), LARGEST_BEND_SHARE * grip)
-        _, braking = axle_limits(friction, settings.mass * GRAVITY, lateral, settings)
+        _, braking = axle_limits(memory.friction, settings.mass * GRAVITY, lateral, settings)
         deceleration = min(settings.guard * braking / settings.mass + path.slope[cell], settings.brake)
         ahead[j] = min(ahead[j], ahead[j + 1] + 2.0 * path.spacing * max(deceleration, LEAST_BRAKING))
 
@@ -434,7 +435,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         forget_faults(speed, memory)
     else:
         watch_actuators(speed, _resistance(speed, slope, settings), drive, brakes, settings.period, memory)
-    _govern(station, memory.cautious_friction, top_square, settings, path, ahead)
+    _govern(station, top_square, settings, path, memory, ahead)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (memory.friction * GRAVITY)
     if is_driven:
         _yield_to_driver(speed, slope, lateral, drive, brakes, settings, memory, banks)
