@@ -99,7 +99,9 @@ def test_caution_lowers_drive_forces_and_spares_the_brakes() -> None:
         memory.friction, memory.friction_high, memory.cautious_friction = low, 1.0, cautious
         return controller.step(20.0, speed, 0.0).force
 
-    assert force(25.0, 0.2) == force(25.0, low) < -0.7 * low * GRAVITY * CAR.mass
+    within_low_end = -low * GRAVITY * CAR.mass
+    assert within_low_end < force(15.4, 0.2) == force(15.4, low) < 0.7 * within_low_end  # as hard as comfort
+    assert force(25.0, 0.2) < within_low_end  # harder: up to the middle of the interval
     assert 0.0 < force(5.0, 0.2) < 0.8 * force(5.0, low)
 
 

@@ -230,9 +230,13 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
     tyres = acceleration + resistance  # m/s^2, of all tyres
     ratio = drive.ratio if tyres > 0.0 else brakes.ratio
     demand = settings.mass * tyres / ratio
-    friction = memory.friction if memory.state != EMERGENCY else memory.friction_high
-    if tyres > 0.0:
+    friction = memory.friction
+    if memory.state == EMERGENCY:
+        friction = memory.friction_high
+    elif tyres > 0.0:
         friction = memory.cautious_friction
+    elif acceleration < -settings.brake:
+        friction = 0.5 * (memory.friction + memory.friction_high)
     bend = min(lateral, LARGEST_BEND_SHARE * friction * GRAVITY)
     driving, braking = axle_limits(friction, settings.mass * GRAVITY, bend, settings)
     powertrain = min(settings.traction_limit, settings.engine_power / max(speed, 1.0))
