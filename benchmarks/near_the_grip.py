@@ -69,8 +69,8 @@ def near_the_grip(
 
     friction: the true one; way: of `WAYS`; places: kinds and seeds of the roads.
     """
-    car, (known_as, learns) = load_vehicle(car_name), WAYS[way]
-    known_car, roads = known_as(car), [_road(*place) for place in places]
+    car, (perception, learns) = load_vehicle(car_name), WAYS[way]
+    known_car, roads = perception(car), [_road(*place) for place in places]
     controller = MPC(known_car, profile=profile, **{"learning": Learning()} if learns else {})
     plans = [plan_speed(road, car, Comfort(lateral=20.0, grip_share=share)) for road in roads]
     peaks = [
