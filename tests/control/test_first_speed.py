@@ -6,8 +6,8 @@ import math
 import pytest
 
 from adaptrack import MPC, Learning, Tracker, load_vehicle
-from adaptrack.control.controllers.learned_car import MAX_BIAS_PULL
 from adaptrack.core.synthesis.belief import LEAST_STEERING_RATE
+from adaptrack.core.synthesis.learner import MAX_BIAS_PULL
 from adaptrack.core.tracker.records import CONTROLLER_ANSWER
 from adaptrack.road import Line, Road
 

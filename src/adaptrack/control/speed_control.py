@@ -19,7 +19,7 @@ from adaptrack.control.kalman import KalmanFilter
 from adaptrack.core import speed_control as kernel
 from adaptrack.core import speed_learning as learning
 from adaptrack.core import speed_path as path_kernel
-from adaptrack.core.estimators.learning import BELIEF_COLUMNS, CERTAIN
+from adaptrack.core.estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
 from adaptrack.core.kernel import OK, Resident
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.synthesis.speed import resistance, usable_friction
@@ -325,7 +325,7 @@ class SpeedController:
             return
         if answer is None:
             self._record.sample[0].top_speed = controller.learner.first_top_speed
-        elif isinstance(answer, MPCCommand) and answer.learned[BELIEF_COLUMNS.belief_delay_sigma] < CERTAIN[0]:
+        elif isinstance(answer, MPCCommand) and answer.learned[BELIEF_COLUMNS.belief_delay_sigma] < KNOWN_DELAY_SIGMA:
             self._record.sample[0].top_speed = math.inf
 
     @property

@@ -10,7 +10,7 @@ import math
 
 from .controllers import mpc
 from .controllers.receding import plan_moves, predict_outputs
-from .estimators.learning import BELIEF_COLUMNS, CERTAIN
+from .estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
 from .kernel import Place, columns, exported, inlined, int64, matrix, vector
 from .loop import RUNNING, SIGNAL
 from .maths.bits import whole
@@ -194,7 +194,7 @@ def drive_with_speed_control(count, span, run, longitudinal, speeds, numbers, pr
             break
         answer = run.law.answer[0] if run.features.law else run.mpc.answer[0]
         sigma = len(mpc.MPC_ANSWER) + BELIEF_COLUMNS.belief_delay_sigma
-        if run.mpc.settings.learns > 0 and answer[sigma] < CERTAIN[0]:
+        if run.mpc.settings.learns > 0 and answer[sigma] < KNOWN_DELAY_SIGMA:
             longitudinal.sample[0].top_speed = math.inf
         _write_numbers(k, 0, run, answer, row[:width])
         _write_speed_numbers(longitudinal, row[width:])

@@ -93,6 +93,7 @@ SPEED_MEMORY = record(
         "mean_speed", "expected_loss", "braking", "usual_disturbance",  # m/s, m/s, m/s, m/s^2
         "time",  # s, of the last period behind a tracker
         "friction", "friction_high",  # -, ends of its interval, see `friction_estimate`; 0: those of the settings
+        "watched_periods", "suspect_periods",  # of the window of faults, see `actuator_faults`
         "cautious_friction",  # -, at most the low end: of bends ahead and drive forces
     ),
     integers=("state", "limited_by", "next_stop", "fault"),

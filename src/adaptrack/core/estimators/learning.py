@@ -116,6 +116,8 @@ CONTRADICTION_BEGIN, CONTRADICTION_END = 3.0, 1.5
 CERTAIN, UNCERTAIN = (0.015, 0.06), (0.0225, 0.09)
 """Standard deviations of the delay (s) and of s, in the filters, below both of which the belief settles, and above one
 of which it does so no longer."""
+KNOWN_DELAY_SIGMA = 0.035
+"""s, standard deviation as it is reported, inflated: below it the delay is known well enough to drive at any speed."""
 RIGID = 1.3
 """Logarithm of the factor on the stiffness from which on a car turns as if its tyres did not slip."""
 BOUND_ENTRY_SHARE, BOUND_EXIT_SHARE = 0.01, 0.03

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..controllers.contract import wrapped
-from ..estimators.learning import CERTAIN
+from ..estimators.learning import KNOWN_DELAY_SIGMA
 from ..kernel import inlined, record
 from ..maths.exact import clip
 from ..maths.trigonometric import cos, sin
@@ -154,7 +154,7 @@ def restart(tracker, m):
 def _first_top_speed(tracker, m):
     """Top speed (m/s) of a car that is not learned yet; it ends for good once the delay of its steering is learned."""
     first = tracker.settings[0].first_top_speed
-    if m.started > 0 and tracker.answer[CONTROLLER_ANSWER.delay_sigma] < CERTAIN[0]:
+    if m.started > 0 and tracker.answer[CONTROLLER_ANSWER.delay_sigma] < KNOWN_DELAY_SIGMA:
         m.ended_top_speed = first  # constants of a different learner bring a different speed
     return math.inf if m.ended_top_speed == first else first
 
