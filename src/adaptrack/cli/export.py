@@ -158,7 +158,7 @@ class ExportOptions:
         Option(
             "--objects",
             metavar="FOLDER",
-            help="Unpacked folder with kernels of other processors, which `make targets` builds in a source checkout.",
+            help="Folder with kernels of other processors; `make targets` builds them in a source checkout.",
         ),
     ] = None
     room: Annotated[

@@ -71,7 +71,7 @@ class TuneOptions:
 def tune(settings: TuneOptions) -> None:
     """Find the best constant tuning for a car.
 
-    Without --road, the command tunes the informed controller. It finds the speeds and frictions with a stable tuning,
+    Without --road, the command tunes the informed controller. It finds the speeds and frictions at which a tuning is stable,
     searches on random drives, tests the result on new drives and certifies it. The car file written to
     FOLDER has only the stable speeds and frictions. The exit code is 3 if a test drive fails or the loop is unstable.
 
