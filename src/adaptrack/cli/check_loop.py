@@ -41,9 +41,9 @@ def check_loop(arguments: CheckLoopOptions) -> None:
 
     The check finds wrong signs, units, reference frames and time stamps. It compares position, yaw, speed, yaw rate,
     lateral velocity, lateral acceleration, wheel angle and steering command with each other. It compares the change of
-    speed with longitudinal acceleration and with commands of acceleration or force, and reports
-    whether this acceleration possibly contains gravity. The exit code is 3 if signals contradict each other, and 2 if no
-    signals could be compared.
+    speed with longitudinal acceleration and with commands of acceleration or force, and reports whether this
+    acceleration possibly contains gravity. The exit code is 3 if signals contradict each other, and 2 if no signals
+    could be compared.
     """
     from adaptrack.base.errors import InvalidInput
     from adaptrack.cars.vehicle import load_vehicle

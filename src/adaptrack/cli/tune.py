@@ -71,9 +71,9 @@ class TuneOptions:
 def tune(settings: TuneOptions) -> None:
     """Find the best constant tuning for a car.
 
-    Without --road, the command tunes the informed controller. It finds the speeds and frictions at which a tuning is stable,
-    searches on random drives, tests the result on new drives and certifies it. The car file written to
-    FOLDER has only the stable speeds and frictions. The exit code is 3 if a test drive fails or the loop is unstable.
+    Without --road, the command tunes the informed controller. It finds the speeds and frictions at which a tuning is
+    stable, searches on random drives, tests the result on new drives and certifies it. The car file written to FOLDER
+    has only the stable speeds and frictions. The exit code is 3 if a test drive fails or the loop is unstable.
 
     With --road, it tunes any controller on these roads, then compares the default and the new tuning with different
     noise. Failed runs are counted; the exit code is 0.
