@@ -132,7 +132,7 @@ def add_drive(image, batch):
     periods, steps = int(batch.periods[0]), int(batch.substeps[0])
     settings = batch.mpc_settings(np.inf, np.inf, residuals=True)
     run_record = batch.run_record(1, steps, settings, 0, periods)
-    run_record.inputs.scenario[:], run_record.given.seeds[:] = 0, 7
+    run_record.inputs.scenario[:], run_record.inputs.seeds[:] = 0, 7
     run_record.vehicles.start[:], run_record.tuning[:] = batch.starts[0], batch.tuning
     place = image.record(run_record)
     span = image.put(np.array([periods, 1, 0, bits(0.0)], np.int64))
