@@ -1,7 +1,8 @@
-"""A car in a physics engine that is not ours, MuJoCo, driven through `Tracker`.
+"""A car in physics engines that are not ours, MuJoCo and Bullet, driven through `Tracker`.
 
-    pip install --target DIR mujoco          # it does not belong to this package; DIR must not shadow our NumPy
+    pip install --target DIR mujoco pybullet      # not dependencies of this package; DIR must not shadow our NumPy
     PYTHONPATH=src:DIR python benchmarks/foreign_engines.py [--engine mujoco mujoco-creep] [--only learning] [--json]
+    PYTHONPATH=src:DIR python benchmarks/foreign_engines.py --speed-control [--engine mujoco pybullet] [--seeds 3]
 
 Four wheels touch the ground by the engine's own contact and friction (`mujoco-creep`: as soft as real tyres at 15 m/s);
 nothing of our plants or tyres is in it. Front wheels turn by Ackermann's law behind an actuator of .6 rad/s whose lag
@@ -11,6 +12,12 @@ told mass and wheelbase (`vehicle_from_data_sheet`), "delay told" the steering a
 m/s^2, a town, lane changes at 15 and 25 m/s, two random drives (set speed, friction .5 to 1, gusts). RMS and worst
 distance from the road (m) from the first second on; a run is lost 5 m off, or 45 degrees sideways. Also printed: the
 statuses of the tracker, and states of the belief, that are not `ok`, with the number of calls.
+
+--speed-control: the tracker also controls the speed. Torque at the rear wheels and brakes at all wheels follow
+`force` and `hold`, behind a lag and a dead time that the controller does not know. The first road of each kind, and a
+country road with slopes from -10 to 8 % (known, or assumed half as steep), have stops at 250, 500 and 700 m; the last
+one is the end of the country road. Gravity is tilted for a slope. Printed in addition: RMS error of the speed after
+20 s, where the plan is above 1 m/s, and for each stop the largest distance from it while the car stands.
 """
 
 from __future__ import annotations
@@ -18,10 +25,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import tempfile
 import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -29,7 +38,7 @@ import numpy as np
 import adaptrack as at
 from adaptrack.drive.failure import DISTANCE, SIDESLIP
 from adaptrack.road.road_ahead import foot_near
-from adaptrack.road.speed import Comfort
+from adaptrack.road.speed import Comfort, Stop
 
 PERIOD, DT = 0.05, 0.002
 """s, between calls, and of the engines."""
@@ -43,9 +52,22 @@ INERTIA = (550.0, 2400.0, 2700.0)
 """kg m^2, of the body, about its axes"""
 RATE = 0.6
 """rad/s"""
-DELAYS = {"mujoco": (0.20, 0.10), "mujoco-creep": (0.20, 0.10)}
+DELAYS = {"mujoco": (0.20, 0.10), "mujoco-creep": (0.20, 0.10), "pybullet": (0.15, 0.15)}
+"""s, lag and dead time of the steering"""
+DRIVE_DELAY, BRAKE_DELAY = (0.25, 0.15), (0.12, 0.10)
 """s, lag and dead time"""
-SEEDS = {"mountain": (8101, 8102), "town": (8201,), "lanes": (8301, 8302), "random": (8401, 8402)}
+GRAVITY = 9.81
+"""m/s^2"""
+STOPS, DWELL = (250.0, 500.0, 700.0), 2.0
+"""m, s"""
+SLOPES = (0.0, 150.0, 200.0, 350.0, 400.0, 550.0, 600.0, 700.0), (0.0, 0.0, 0.08, 0.08, -0.1, -0.1, 0.05, 0.05)
+"""m, -: grades along the hilly road (name "hills"); on "map" the controller assumes half of them"""
+SETTLED, STANDING = 20.0, 0.02
+"""s, m/s"""
+SEEDS = {
+    "mountain": (8101, 8102), "town": (8201,), "lanes": (8301, 8302), "random": (8401, 8402), "hills": (8501,),
+    "map": (8501,),
+}  # fmt: skip
 """Of the judged runs. The cars were made to stand and roll on seeds below 100."""
 ARMS = (FRONT, FRONT, FRONT - WHEELBASE, FRONT - WHEELBASE)
 SIDES = (0.5 * TRACK, -0.5 * TRACK) * 2
@@ -68,14 +90,17 @@ class Engine(Protocol):
     def place(self, x: float, y: float, yaw: float, speed: float) -> None:
         """Put it on the ground, driving."""
 
-    def step(self, angle: float, force: float, push: float) -> None:
-        """`DT` on: mean angle of the front wheels (rad), force at the wheels along, gust across (N)."""
+    def step(self, angle: float, force: float, push: float, brake: float = 0.0) -> None:
+        """`DT` on: mean angle of the front wheels (rad), force at the wheels along, gust across, of the brakes (N)."""
 
     def state(self) -> State:
         """Where it is."""
 
     def friction(self, value: float) -> None:
         """Friction of the ground."""
+
+    def gravity(self, east: float, north: float) -> None:
+        """Horizontal components of gravity (m/s^2): the level ground becomes a slope."""
 
 
 def ackermann(angle: float) -> tuple[float, float]:
@@ -98,6 +123,7 @@ class MuJoCo:
         self.model = mujoco.MjModel.from_xml_string(self._xml())
         self.data = mujoco.MjData(self.model)
         self.body = self.model.body("body").id
+        self.spins = [int(self.model.joint(f"spin{i}").dofadr[0]) for i in range(4)]
 
     def _xml(self) -> str:
         wheels, pairs, motors = "", "", ""
@@ -138,8 +164,9 @@ class MuJoCo:
             self.data.joint(f"spin{i}").qvel[0] = speed / RADIUS
         self.mujoco.mj_forward(self.model, self.data)
 
-    def step(self, angle: float, force: float, push: float) -> None:
+    def step(self, angle: float, force: float, push: float, brake: float = 0.0) -> None:
         torques = wheel_torques(force)
+        self.model.dof_frictionloss[self.spins] = 0.25 * brake * RADIUS
         left, right = ackermann(angle)
         self.data.ctrl[:] = torques[0], left, torques[1], right, torques[2], torques[3]
         yaw = self.state().yaw
@@ -154,11 +181,110 @@ class MuJoCo:
     def friction(self, value: float) -> None:
         self.model.pair_friction[:, :2] = value
 
+    def gravity(self, east: float, north: float) -> None:
+        self.model.opt.gravity[:] = east, north, -math.sqrt(GRAVITY**2 - east**2 - north**2)
+        self.model.opt.noslip_iterations = 100 if east or north else 0  # otherwise locked wheels slide down a slope
+
+
+class PyBullet:
+    """Rigid axles on spheres that roll by Bullet's contact: Coulomb friction without creep (E. Coumans)."""
+
+    def __init__(self) -> None:
+        import pybullet
+
+        self.bullet = pybullet
+        self.client = pybullet.connect(pybullet.DIRECT)
+        pybullet.setTimeStep(DT)
+        self.ground = pybullet.createMultiBody(0.0, pybullet.createCollisionShape(pybullet.GEOM_PLANE))
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "car.urdf"
+            path.write_text(self._urdf())
+            self.car = pybullet.loadURDF(str(path), [0.0, 0.0, HEIGHT], flags=pybullet.URDF_USE_INERTIA_FROM_FILE)
+        names = [pybullet.getJointInfo(self.car, j)[1].decode() for j in range(pybullet.getNumJoints(self.car))]
+        self.steers = [names.index(f"steer{i}") for i in range(2)]
+        self.spins = [names.index(f"spin{i}") for i in range(4)]
+        for body, link in [(self.ground, -1), *((self.car, j) for j in range(-1, len(names)))]:
+            pybullet.changeDynamics(
+                body, link, lateralFriction=1.0, rollingFriction=0.0, spinningFriction=0.0, linearDamping=0.0,
+                angularDamping=0.0, jointDamping=0.0,
+            )  # fmt: skip
+        for joint in self.spins:
+            pybullet.setJointMotorControl2(self.car, joint, pybullet.VELOCITY_CONTROL, force=0.0)
+
+    @staticmethod
+    def _link(name: str, mass: float, inertia: tuple[float, ...], shape: str = "") -> str:
+        ixx, iyy, izz = inertia
+        return (
+            f'<link name="{name}"><inertial><mass value="{mass}"/><inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" '
+            f'ixy="0" ixz="0" iyz="0"/></inertial>{shape}</link>'
+        )
+
+    def _urdf(self) -> str:
+        parts = self._link("body", MASS - 4.0 * WHEEL, INERTIA)
+        sphere = f'<collision><geometry><sphere radius="{RADIUS}"/></geometry></collision>'
+        for i, (arm, side) in enumerate(zip(ARMS, SIDES, strict=True)):
+            place = f'<origin xyz="{arm} {side} {RADIUS - HEIGHT}"/>'
+            parent = "body"
+            if i < 2:
+                parent = f"hub{i}"
+                parts += self._link(parent, 4.0, (0.1, 0.1, 0.1))
+                parts += (
+                    f'<joint name="steer{i}" type="revolute"><parent link="body"/><child link="{parent}"/>{place}'
+                    '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1e6" velocity="100"/></joint>'
+                )
+                place = ""
+            parts += self._link(f"wheel{i}", WHEEL - (4.0 if i < 2 else 0.0), (0.5, 0.9, 0.5), sphere)
+            parts += (
+                f'<joint name="spin{i}" type="continuous"><parent link="{parent}"/><child link="wheel{i}"/>{place}'
+                '<axis xyz="0 1 0"/></joint>'
+            )
+        return f'<robot name="car">{parts}</robot>'
+
+    def place(self, x: float, y: float, yaw: float, speed: float) -> None:
+        turned = self.bullet.getQuaternionFromEuler([0.0, 0.0, yaw])
+        self.bullet.resetBasePositionAndOrientation(self.car, [x, y, HEIGHT], turned)
+        self.before = (0.0, 0.0)
+        self.bullet.resetBaseVelocity(self.car, [speed * math.cos(yaw), speed * math.sin(yaw), 0.0], [0.0] * 3)
+        for joint in self.steers:
+            self.bullet.resetJointState(self.car, joint, 0.0, 0.0)
+        for joint in self.spins:
+            self.bullet.resetJointState(self.car, joint, 0.0, speed / RADIUS)
+
+    def step(self, angle: float, force: float, push: float, brake: float = 0.0) -> None:
+        angles = ackermann(angle)
+        rates = [(new - old) / DT for new, old in zip(angles, self.before, strict=True)]
+        self.before = angles
+        self.bullet.setJointMotorControlArray(
+            self.car, self.steers, self.bullet.POSITION_CONTROL, targetPositions=angles, targetVelocities=rates,
+            forces=[2e4, 2e4], positionGains=[0.4, 0.4], velocityGains=[1.0, 1.0],
+        )  # fmt: skip
+        self.bullet.setJointMotorControlArray(
+            self.car, self.spins, self.bullet.VELOCITY_CONTROL, forces=[0.25 * brake * RADIUS] * 4
+        )  # a motor for speed 0 with a bounded torque is a brake
+        self.bullet.setJointMotorControlArray(
+            self.car, self.spins, self.bullet.TORQUE_CONTROL, forces=wheel_torques(force)
+        )
+        if push:
+            self.bullet.applyExternalForce(self.car, -1, [0.0, push, 0.0], [0.0] * 3, self.bullet.LINK_FRAME)
+        self.bullet.stepSimulation()
+
+    def state(self) -> State:
+        where, turned = self.bullet.getBasePositionAndOrientation(self.car)
+        linear, angular = self.bullet.getBaseVelocity(self.car)
+        yaw = self.bullet.getEulerFromQuaternion(turned)[2]
+        return planar(where[0], where[1], yaw, linear[0], linear[1], angular[2])
+
+    def friction(self, value: float) -> None:
+        self.bullet.changeDynamics(self.ground, -1, lateralFriction=value)
+
+    def gravity(self, east: float, north: float) -> None:
+        self.bullet.setGravity(east, north, -math.sqrt(GRAVITY**2 - east**2 - north**2))
+
 
 CREEP = (0.13, 0.11)
 """s: understeering by 1.5 deg/g at 6 m/s, .6 at 15, .4 at 25"""
 ENGINES: dict[str, Callable[[], Engine]] = {
-    "mujoco": MuJoCo, "mujoco-creep": lambda: MuJoCo(CREEP),
+    "mujoco": MuJoCo, "mujoco-creep": lambda: MuJoCo(CREEP), "pybullet": PyBullet,
 }  # fmt: skip
 
 
@@ -173,19 +299,19 @@ def planar(x: float, y: float, yaw: float, east: float, north: float, yaw_rate: 
     return State(float(x), float(y), yaw, float(c * east + s * north), float(c * north - s * east), float(yaw_rate))
 
 
-class Steering:
-    """Dead time, lag and rate limit between a command and the wheels."""
+class Actuator:
+    """Dead time, lag and rate limit between a command and the wheels' angle (rad) or force (N)."""
 
-    def __init__(self, lag: float, dead_time: float) -> None:
-        self.lag, self.angle = lag, 0.0
+    def __init__(self, lag: float, dead_time: float, rate: float = math.inf) -> None:
+        self.lag, self.rate, self.value = lag, rate, 0.0
         self.under_way = deque([0.0] * round(dead_time / DT))
 
     def step(self, command: float) -> float:
-        """The wheels' angle (rad) after `DT`."""
+        """Angle or force after `DT`."""
         self.under_way.append(command)
-        rate = (self.under_way.popleft() - self.angle) / self.lag
-        self.angle += DT * min(max(rate, -RATE), RATE)
-        return self.angle
+        rate = (self.under_way.popleft() - self.value) / self.lag
+        self.value += DT * min(max(rate, -self.rate), self.rate)
+        return self.value
 
 
 @dataclass(frozen=True)
@@ -199,6 +325,8 @@ class Trip:
     seconds: float
     events: bool = False
     """whether friction and gusts change"""
+    slopes: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0,), (0.0,))
+    """m, -: true grades along the road"""
 
 
 def trips() -> list[Trip]:
@@ -207,6 +335,27 @@ def trips() -> list[Trip]:
     found += [_generated("town", seed, 3.0, 120.0) for seed in SEEDS["town"]]
     found += [_lanes(seed, speed) for seed, speed in zip(SEEDS["lanes"], (15.0, 25.0), strict=True)]
     return found + [_random(seed) for seed in SEEDS["random"]]
+
+
+def stop_trips(seeds: int) -> list[Trip]:
+    """Trips with stops: the first road of each kind and two with slopes, each with several seeds of the noise."""
+    first_trips = list({trip.name: trip for trip in reversed(trips())}.values())[::-1]
+    for name, share in (("hills", 1.0), ("map", 0.5)):
+        road = at.generate_road("country", seed=SEEDS[name][0], length=STOPS[-1])
+        road = road.replace(grade=(SLOPES[0], [share * grade for grade in SLOPES[1]]))
+        first_trips.append(Trip(name, SEEDS[name][0], road, at.plan_speed(road, top_speed=16.0), 0.0, slopes=SLOPES))
+    stop_trips = []
+    for trip in first_trips:
+        comfort = Comfort(lateral=min(trip.plan.comfort.lateral, 3.5), accelerate=1.5, brake=2.0)
+        stops, top_speed = [Stop(s, DWELL) for s in STOPS], min(float(trip.plan.speed.max()), 20.0)
+        plan = at.plan_speed(trip.road, _sheet(), comfort, stops=stops, top_speed=top_speed)
+        stop_trips += [replace(trip, seed=10 * trip.seed + k, plan=plan, seconds=180.0) for k in range(seeds)]
+    return stop_trips
+
+
+def _sheet() -> at.Vehicle:
+    """The car with all that the controllers know of it."""
+    return at.vehicle_from_data_sheet("sheet", MASS, WHEELBASE)
 
 
 def _generated(kind: str, seed: int, lateral: float, seconds: float) -> Trip:
@@ -238,7 +387,7 @@ def _random(seed: int) -> Trip:
 
 def controllers(delays: tuple[float, float]) -> dict[str, Any]:
     """Name -> controller, each told mass and wheelbase; "delay told" the steering as well, and it does not learn."""
-    sheet = at.vehicle_from_data_sheet("sheet", MASS, WHEELBASE)
+    sheet = _sheet()
     steering = at.Steering(lag=delays[0], dead_time=delays[1] - PERIOD, rate=RATE)  # one period is its computation
     sampled = {"period": PERIOD, "preview": True}
     return {
@@ -249,14 +398,20 @@ def controllers(delays: tuple[float, float]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def drive(engine: Engine, delays: tuple[float, float], controller: Any, trip: Trip) -> dict[str, Any]:
-    """What came out of a run, in m."""
+def drive(
+    engine: Engine, delays: tuple[float, float], controller: Any, trip: Trip, control: at.SpeedControl | None = None
+) -> dict[str, Any]:  # fmt: skip
+    """Result of a run, in m and m/s."""
     rng, own = np.random.default_rng(trip.seed), np.random.default_rng((trip.seed, 1))
-    noise, steering = at.load_profile("road"), Steering(*delays)
+    noise, steering = at.load_profile("road"), Actuator(*delays, RATE)
+    powertrain, brakes, hold, speed_errors = Actuator(*DRIVE_DELAY), Actuator(*BRAKE_DELAY), 0.0, []
+    standing: dict[float, list[float]] = {stop: [] for stop in STOPS}
     start = trip.road.at(1.0)
     engine.friction(1.0)
+    engine.gravity(0.0, 0.0)
     engine.place(float(start.x), float(start.y), float(start.heading), float(trip.plan.at(1.0)))
-    tracker, command, near, push, lost = at.Tracker(controller, trip.road, plan=trip.plan), 0.0, 1.0, 0.0, None
+    tracker = at.Tracker(controller, trip.road, plan=trip.plan, speed=control)
+    command, near, push, lost = 0.0, 1.0, 0.0, None
     offsets: list[float] = []
     said: Counter[str] = Counter()
     for k in range(round(trip.seconds / DT)):
@@ -264,7 +419,7 @@ def drive(engine: Engine, delays: tuple[float, float], controller: Any, trip: Tr
         if k % round(PERIOD / DT) == 0:
             foot = foot_near(trip.road, car.x, car.y, near)
             near, offset = float(foot.s), float(foot.offset)
-            if near > trip.road.length - 30.0:
+            if control is None and near > trip.road.length - 30.0:
                 break
             if not abs(offset) < DISTANCE or abs(math.atan2(car.vy, max(car.speed, 1.0))) > SIDESLIP:
                 lost = t
@@ -280,17 +435,36 @@ def drive(engine: Engine, delays: tuple[float, float], controller: Any, trip: Tr
             said.update([told.status.value] + ([told.belief.name.lower()] if getattr(told, "belief", None) else []))
             now, soon = trip.plan.at([near, near + 0.1 * car.speed])
             force = MASS * ((soon - now) / 0.1 + 1.5 * (now - car.speed))
+            if control is not None:
+                force, hold = told.longitudinal.force, told.longitudinal.hold
+                if t > SETTLED and now > 1.0:
+                    speed_errors.append(car.speed - now)
+                stop = min(STOPS, key=lambda place: abs(place - near))
+                if abs(car.speed) < STANDING and abs(stop - near) < 8.0:
+                    standing[stop].append(near - stop)
+                if len(standing[STOPS[-1]]) > DWELL / PERIOD:
+                    break
+                heading = float(trip.road.at(near).heading)
+                pull = -GRAVITY * math.sin(math.atan(np.interp(near, *trip.slopes)))
+                engine.gravity(pull * math.cos(heading), pull * math.sin(heading))
             if trip.events:
                 push += PERIOD * (-push / 3.0) + 0.35 * MASS * math.sqrt(PERIOD) * own.normal()
                 if k % round(8.0 / DT) == 0:
                     engine.friction(float(own.uniform(0.5, 1.0)))
-        engine.step(steering.step(command), force, push)
+        if control is None:
+            engine.step(steering.step(command), force, push)
+        else:
+            brake = brakes.step(max(-force, 0.0) + hold)
+            engine.step(steering.step(command), powertrain.step(max(force, 0.0)), push, brake)
     judged = np.array(offsets[round(1.0 / PERIOD) :] or [math.nan])
     return {
         "rms": float(np.sqrt(np.mean(judged**2))), "worst": float(np.max(np.abs(judged))), "lost": lost,
         "seconds": PERIOD * len(offsets), "learned": learned(controller),
         "said": {word: count for word, count in said.items() if word != "ok"},
-    }  # fmt: skip
+    } | ({} if control is None else {
+        "speed": float(np.sqrt(np.mean(np.square(speed_errors or [math.nan])))),
+        "stops": [max(errors, key=abs, default=math.inf) for errors in standing.values()],
+    })  # fmt: skip
 
 
 def learned(controller: Any) -> dict[str, float] | None:
@@ -305,9 +479,11 @@ def line(row: dict[str, Any]) -> str:
     """A run in a line."""
     end = "" if row["lost"] is None else f"  lost at {row['lost']:.1f} s"
     words = [f"{word} {count}" for word, count in row["said"].items()]
+    if "stops" in row:
+        words.insert(0, f"speed {row['speed']:.3f} m/s  stops " + " ".join(f"{error:+.3f}" for error in row["stops"]))
     words += [f"{key} {value:.3g}" for key, value in (row["learned"] or {}).items()]
     return (
-        f"{row['engine']:12s} {row['road']:9s} {row['seed']} {row['controller']:13s} RMS {row['rms']:.4f}  worst "
+        f"{row['engine']:12s} {row['road']:9s} {row['seed']:5d} {row['controller']:13s} RMS {row['rms']:.4f}  worst "
         f"{row['worst']:.3f}  {row['seconds']:4.0f} s{end}  {'  '.join(words)}"
     )
 
@@ -315,21 +491,25 @@ def line(row: dict[str, Any]) -> str:
 def main() -> None:
     """Print a row for each run, and what is lost in all."""
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    ask.add_argument("--engine", nargs="+", default=list(ENGINES), choices=list(ENGINES))
+    ask.add_argument("--engine", nargs="+", default=["mujoco", "mujoco-creep"], choices=list(ENGINES))
     ask.add_argument("--only", nargs="+", help="names of controllers")
     ask.add_argument("--seconds", type=float, default=math.inf, help="of each run at most")
+    ask.add_argument("--speed-control", action="store_true", help="the tracker controls the speed as well, with stops")
+    ask.add_argument("--seeds", type=int, default=3, help="of the noise on each road, with --speed-control")
     ask.add_argument("--json", action="store_true")
     given = ask.parse_args()
     found: list[dict[str, Any]] = []
     for name in given.engine:
         engine = ENGINES[name]()
-        for trip in (replace(trip, seconds=min(trip.seconds, given.seconds)) for trip in trips()):
+        all_trips = stop_trips(given.seeds) if given.speed_control else trips()
+        for trip in (replace(trip, seconds=min(trip.seconds, given.seconds)) for trip in all_trips):
             for label, controller in controllers(DELAYS[name]).items():
-                if given.only and label not in given.only:
+                if label not in (given.only or (["learning", "delay told"] if given.speed_control else [label])):
                     continue
                 begun = time.perf_counter()
                 row = {"engine": name, "road": trip.name, "seed": trip.seed, "controller": label}
-                row |= drive(engine, DELAYS[name], controller, trip)
+                control = at.SpeedControl(_sheet()) if given.speed_control else None
+                row |= drive(engine, DELAYS[name], controller, trip, control)
                 found.append(row)
                 if not given.json:
                     print(line(row), f"({time.perf_counter() - begun:.0f} s)", flush=True)
@@ -339,6 +519,11 @@ def main() -> None:
     for label in dict.fromkeys(row["controller"] for row in found):
         rows = [row for row in found if row["controller"] == label]
         print(f"{label}: {sum(row['lost'] is not None for row in rows)} of {len(rows)} lost")
+    if given.speed_control:
+        errors = np.abs([row["stops"] for row in found])
+        accurate = int(np.sum(errors <= 0.2))
+        print(f"largest RMS error of the speed: {max(row['speed'] for row in found):.3f} m/s")
+        print(f"{accurate} of {errors.size} stops within 0.2 m, largest error {errors.max():.3f} m")
 
 
 if __name__ == "__main__":

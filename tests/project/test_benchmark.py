@@ -69,9 +69,10 @@ def test_the_quick_form_of_a_benchmark_prints_its_table(command, project, tmp_pa
 
 @pytest.mark.compiled
 @pytest.mark.slow
-def test_a_car_in_an_engine_that_is_not_ours_is_driven(project):
+@pytest.mark.parametrize("option", ["", "--speed-control --seeds 1"])
+def test_a_car_in_an_engine_that_is_not_ours_is_driven(option, project):
     pytest.importorskip("mujoco", reason="needs mujoco: see benchmarks/foreign_engines.py")
-    process = run_benchmark("foreign_engines.py --engine mujoco --only learning --seconds 3", project)
+    process = run_benchmark(f"foreign_engines.py --engine mujoco --only learning --seconds 3 {option}", project)
     assert process.returncode == 0, process.stderr
 
 
