@@ -49,7 +49,7 @@ CEILINGS: Mapping[str, int] = {
     "adaptrack": 50,
     "JavaScript, templates, C": 9700,
     "tests": 38300,
-    "benchmarks, tools, experiments, examples": 10600,
+    "benchmarks, tools, experiments, examples": 10800,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 

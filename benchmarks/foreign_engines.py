@@ -348,12 +348,12 @@ def stop_trips(seeds: int) -> list[Trip]:
     for trip in first_trips:
         comfort = Comfort(lateral=min(trip.plan.comfort.lateral, 3.5), accelerate=1.5, brake=2.0)
         stops, top_speed = [Stop(s, DWELL) for s in STOPS], min(float(trip.plan.speed.max()), 20.0)
-        plan = at.plan_speed(trip.road, _sheet(), comfort, stops=stops, top_speed=top_speed)
+        plan = at.plan_speed(trip.road, car_sheet(), comfort, stops=stops, top_speed=top_speed)
         stop_trips += [replace(trip, seed=10 * trip.seed + k, plan=plan, seconds=180.0) for k in range(seeds)]
     return stop_trips
 
 
-def _sheet() -> at.Vehicle:
+def car_sheet() -> at.Vehicle:
     """The car with all that the controllers know of it."""
     return at.vehicle_from_data_sheet("sheet", MASS, WHEELBASE)
 
@@ -387,7 +387,7 @@ def _random(seed: int) -> Trip:
 
 def controllers(delays: tuple[float, float]) -> dict[str, Any]:
     """Name -> controller, each told mass and wheelbase; "delay told" the steering as well, and it does not learn."""
-    sheet = _sheet()
+    sheet = car_sheet()
     steering = at.Steering(lag=delays[0], dead_time=delays[1] - PERIOD, rate=RATE)  # one period is its computation
     sampled = {"period": PERIOD, "preview": True}
     return {
@@ -401,7 +401,7 @@ def controllers(delays: tuple[float, float]) -> dict[str, Any]:
 def drive(
     engine: Engine, delays: tuple[float, float], controller: Any, trip: Trip, control: at.SpeedControl | None = None
 ) -> dict[str, Any]:  # fmt: skip
-    """Result of a run, in m and m/s."""
+    """Result of a run, in m and m/s; controller: or a tracker that has the path and the plan of the trip."""
     rng, own = np.random.default_rng(trip.seed), np.random.default_rng((trip.seed, 1))
     noise, steering = at.load_profile("road"), Actuator(*delays, RATE)
     powertrain, brakes, hold, speed_errors = Actuator(*DRIVE_DELAY), Actuator(*BRAKE_DELAY), 0.0, []
@@ -410,7 +410,9 @@ def drive(
     engine.friction(1.0)
     engine.gravity(0.0, 0.0)
     engine.place(float(start.x), float(start.y), float(start.heading), float(trip.plan.at(1.0)))
-    tracker = at.Tracker(controller, trip.road, plan=trip.plan, speed=control)
+    tracker = controller
+    if isinstance(controller, at.Controller):
+        tracker = at.Tracker(controller, trip.road, plan=trip.plan, speed=control)
     command, near, push, lost = 0.0, 1.0, 0.0, None
     offsets: list[float] = []
     said: Counter[str] = Counter()
@@ -508,7 +510,7 @@ def main() -> None:
                     continue
                 begun = time.perf_counter()
                 row = {"engine": name, "road": trip.name, "seed": trip.seed, "controller": label}
-                control = at.SpeedControl(_sheet()) if given.speed_control else None
+                control = at.SpeedControl(car_sheet()) if given.speed_control else None
                 row |= drive(engine, DELAYS[name], controller, trip, control)
                 found.append(row)
                 if not given.json:
