@@ -37,7 +37,7 @@ class Kernels(BuildHookInterface):
         files = [each["file"] for name, each in manifest()["libraries"].items() if name.split("-v")[0] == own]
         from adaptrack.core.build.exports import shipped
 
-        files += [manifest()["exports"][name]["file"] for name in shipped(list(manifest()["libraries"]), True)]
+        files += [manifest()["exports"][name]["file"] for name in shipped(list(manifest()["libraries"]))]
         files += ["manifest.json", "adaptrack.h"]
         build_data["artifacts"] += [f"/{BUILT}/{name}" for name in files] + [f"/{FMUS}/*"]
         build_data["pure_python"] = False

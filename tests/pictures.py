@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -19,7 +20,10 @@ _EMPTY = {
 
 
 def _save_empty(figure: Figure, to: Any, **options: Any) -> None:
-    to.write(_EMPTY[options["format"]])
+    if hasattr(to, "write"):
+        to.write(_EMPTY[options["format"]])
+    else:
+        Path(to).write_bytes(b"")
 
 
 @contextmanager
