@@ -481,7 +481,7 @@ def test_another_processor_answers_the_same_bits(target, way, folder):
 def _differing_on(target, name, way, place, compiler, emulator):
     controller, rng = CONTROLLERS[name](), np.random.default_rng(7)
     export_c(controller, place, road=way[0], plan=way[1], targets=[target])
-    samples = np.array([[*sample, rng.uniform(0.3, 1.0), rng.choice([math.nan, 3.0])]
+    samples = np.array([[*sample[:10], rng.uniform(0.3, 1.0), rng.choice([math.nan, 3.0]), sample[12]]
                         for sample in calls(rng, EACH, way[0])])  # fmt: skip
     head = [len(POINTS), way[1].s.size], POINTS, way[1].s, way[1].speed, samples
     np.concatenate([np.ravel(part) for part in head]).astype(float).tofile(place / "samples")
