@@ -226,7 +226,6 @@ class SpeedStart(NamedTuple):
     """m/s, largest speed of the plan: it decides how far ahead the governor looks"""
     patience: float = 0.0
     """s without a position, after which the steering has no estimate; 0: unlimited"""
-    """m/s, up to which the car is driven before its steering is known"""
 
 
 def patience_of(controller: Controller) -> float:
