@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli.app import app
-from adaptrack.identification.computed_columns import without_computed
+from adaptrack.identification.computed_columns import drop_computed_columns
 from adaptrack.identification.consistency import Moments, contradictions
 from adaptrack.identification.conventions import check_conventions, check_positions
 from adaptrack.identification.log import log_of
@@ -86,7 +86,7 @@ def test_a_yaw_rate_that_is_the_derivative_of_the_yaw_counts_once() -> None:
     drive = base()
     yaw = np.cumsum(PERIOD * drive["yaw_rate"]) + 1e-3 * np.random.default_rng(2).standard_normal(drive["time"].size)
     for rate in (np.gradient(yaw, drive["time"]), np.diff(yaw, prepend=yaw[0]) / PERIOD):
-        columns, notes = without_computed(drive | {"yaw": yaw, "yaw_rate": rate}, CAR.wheelbase)
+        columns, notes = drop_computed_columns(drive | {"yaw": yaw, "yaw_rate": rate}, CAR.wheelbase)
         assert "yaw" not in columns
         assert "one measurement" in notes[0]
 
@@ -97,7 +97,7 @@ def test_columns_that_sensors_measured_are_kept() -> None:
     for name, noise in (("yaw", 1e-3), ("vy", 0.01), ("yaw_rate", 1e-3)):
         measured[name] = measured[name] + noise * rng.standard_normal(drive["time"].size)
     measured["wheel"] = np.round(measured["wheel"], 4)
-    columns, notes = without_computed(measured, CAR.wheelbase)
+    columns, notes = drop_computed_columns(measured, CAR.wheelbase)
     assert not notes
     assert columns.keys() == measured.keys()
 
@@ -106,7 +106,7 @@ def test_a_yaw_rate_that_the_kinematic_model_computed_is_refused() -> None:
     drive = base()
     rate = np.round(drive["speed"] * np.tan(drive["command"]) / 2.6, 6)
     with pytest.raises(InvalidInput, match=r"computed, not measured.*--columns yaw_rate=NAME"):
-        without_computed(drive | {"yaw_rate": rate}, CAR.wheelbase)
+        drop_computed_columns(drive | {"yaw_rate": rate}, CAR.wheelbase)
 
 
 # -- clocks -----------------------------------------------------------------------------------------------------------

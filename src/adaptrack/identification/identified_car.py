@@ -294,7 +294,7 @@ class Identification:
             "reasons": list(self.reasons),
             "findings": list(self.findings),
             "log": {
-                "samples": self.log.samples, "period": self.log.period, "driven": self.log.driven,
+                "samples": self.log.samples, "period": self.log.period, "driven": self.log.driven_time,
                 "segments": self.log.segments, "notes": list(self.log.notes),
             },
             "computation": self.computation,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.identification.outliers import find_outliers, find_stuck, said_of
+from adaptrack.identification.outliers import find_outliers, find_stuck, outlier_note
 
 Array = NDArray[np.float64]
 
@@ -80,8 +80,8 @@ class Log:
         return int(self.begins.sum())
 
     @property
-    def driven(self) -> float:
-        """s, in all segments"""
+    def driven_time(self) -> float:
+        """s, of all segments"""
         return float(np.sum(np.diff(self.time)[~self.begins[1:]]))
 
 
@@ -167,7 +167,7 @@ def _without_outliers(time: Array, data: dict[str, Array], commanded: bool, note
         kind = "wheel" if name == "command" and not commanded else name
         outliers = find_outliers(kind, time, data[name])
         if outliers.any():
-            notes.append(said_of(kind, time, data[name], outliers))
+            notes.append(outlier_note(kind, time, data[name], outliers))
             data[name] = np.where(outliers, np.nan, data[name])
 
 

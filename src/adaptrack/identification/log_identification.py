@@ -18,7 +18,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.calibration import corrected
-from adaptrack.identification.computed_columns import without_computed
+from adaptrack.identification.computed_columns import drop_computed_columns
 from adaptrack.identification.consistency import Moments, contradictions, implausible_estimates
 from adaptrack.identification.conventions import check_conventions, check_positions, guessed_ratio
 from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS, drive_of_columns
@@ -36,7 +36,7 @@ from adaptrack.identification.quantities import (
     plain_car,
     understeer,
 )
-from adaptrack.identification.ratio import OPEN, gain_of, judged, of_found
+from adaptrack.identification.ratio import UNKNOWN_RATIO, check_fitted_ratio, check_ratio, gain_of
 from adaptrack.identification.reading import Columns, Reading, Source, read_columns
 from adaptrack.identification.starts import find_optima
 from adaptrack.identification.words import findings
@@ -175,12 +175,15 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
 
 def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identification:
     """Identify one car from several logs; quantities of a single log stay with that log."""
-    main = max(range(len(fits)), key=lambda i: (len(shared_by(fits[i].likelihood)), alone[i].log.driven))
+    main = max(range(len(fits)), key=lambda i: (len(shared_by(fits[i].likelihood)), alone[i].log.driven_time))
     likelihood, first = fits[main].likelihood, alone[main]
     reasons = contradictions("logs", *_moments_of_fits(fits, fits[main]))
     log_reasons = [
-        f"log {i + 1}: {why}" for i, single in enumerate(alone) for why in single.reasons if not why.startswith(OPEN)
-    ]  # fmt: skip
+        f"log {i + 1}: {reason}"
+        for i, fit in enumerate(alone)
+        for reason in fit.reasons
+        if not reason.startswith(UNKNOWN_RATIO)
+    ]
     joint = combined(fits, agree=not (reasons or log_reasons))
     estimates, jacobian = _estimates(likelihood, *joint[main])
     ratio_logs = [i for i, identification in enumerate(alone) if "ratio" in identification.estimates]
@@ -188,7 +191,7 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
         name: estimate for name, estimate in estimates.items() if name in SHARED and (name != "ratio" or ratio_logs)
     }
     rows = [i for i, name in enumerate(estimates) if name in shared]
-    open_ratio = [why for why in first.reasons if why.startswith(OPEN)] if not ratio_logs else []
+    open_ratio = [reason for reason in first.reasons if reason.startswith(UNKNOWN_RATIO)] if not ratio_logs else []
     reasons = [*(reasons or implausible_estimates(shared, first.believed)), *log_reasons, *open_ratio]
     return replace(
         first, estimates=shared, covariance=(jacobian @ joint[main][1] @ jacobian.T)[np.ix_(rows, rows)],
@@ -201,9 +204,9 @@ def _ratio(fit: Fit, estimates: dict[str, Estimate]) -> tuple[dict[str, Estimate
     """The estimates that may be reported, what contradicts the steering ratio, and what is open."""
     log = fit.likelihood.log
     if "ratio" not in estimates:
-        against, open_ratio = judged(log, gain_of(fit.likelihood, fit.z))
+        against, open_ratio = check_ratio(log, gain_of(fit.likelihood, fit.z))
         return estimates, [against] if against else [], (open_ratio,) if open_ratio else ()
-    is_known, message = of_found(log, estimates["ratio"])
+    is_known, message = check_fitted_ratio(log, estimates["ratio"])
     guessed = fit.beliefs["gain"].spread == RATIO_SPREAD[0]
     if is_known or not guessed:
         return estimates, [], (message,) if message else ()
@@ -216,7 +219,7 @@ def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior], ra
     Where the steering ratio is to be found, the first guess of it follows from yaw rate and speed unless it is given.
     """
     check_positions(columns.values)
-    values, computed = without_computed(columns.values, believed.wheelbase)
+    values, computed = drop_computed_columns(columns.values, believed.wheelbase)
     cleaned = shorten_log(log_of(values, believed.wheelbase, columns.notes + computed, columns.commanded))
     cleaned = replace(cleaned, ratio=columns.ratio)
     if columns.ratio_unknown:
@@ -359,7 +362,7 @@ def _stretches(fit: Fit) -> tuple[list[str], Moments, list[Moments]]:
     """Names of the reported quantities, prior, and what thirds of a log say, each fitted from the whole log's point."""
     log, parts = fit.likelihood.log, []
     ends = np.linspace(0, log.samples, THIRDS + 1).astype(int)
-    for first, last in pairwise(ends) if log.driven >= LEAST_THIRDS else ():
+    for first, last in pairwise(ends) if log.driven_time >= LEAST_THIRDS else ():
         part = fit.likelihood.part(slice(first, last))
         z, at = part.fit(fit.z, NEARLY)
         parts.append(fit._replace(likelihood=part, z=z, covariance=part.covariance(at)))

@@ -32,8 +32,8 @@ def shorten_log(log: Log) -> Log:
         log = replace(_average_rows(log, rows), notes=(*log.notes, note))
     if log.samples <= SHORTENED:
         return log
-    duration, selection = log.driven, _select_turning(log)
-    note = f"of {duration:.0f} s of driving, the {selection.driven:.0f} s with most lateral acceleration are used"
+    duration, selection = log.driven_time, _select_turning(log)
+    note = f"of {duration:.0f} s of driving, the {selection.driven_time:.0f} s with most lateral acceleration are used"
     return replace(selection, notes=(*selection.notes, note))
 
 

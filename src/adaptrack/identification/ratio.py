@@ -1,4 +1,4 @@
-"""What a log tells of the steering ratio: nothing without bends, and whether a given one is wrong."""
+"""Check of the steering ratio of a log. Only bends show it."""
 
 from __future__ import annotations
 
@@ -17,60 +17,59 @@ from adaptrack.identification.quantities import INDEX, Prior
 
 Array = NDArray[np.float64]
 
-BEND, HALF, LEAST_BENDS = 0.03, 2.0, 4.0
-"""rad/s, mean yaw rate within +-s of an instant from which the car is in a bend, more than gusts, lane keeping and
-offsets make; s of bends that tell a ratio."""
-TELLS = 0.08
-"""Standard deviation of ln(ratio) up to which a log tells whether a ratio is right."""
-WRONG, SURE = 0.13, 2.0
-"""Of ln(ratio), and of its standard deviations, from which it is wrong."""
-FREED = 0.5
-"""Spread of ln(gain) where the given ratio is put to the test."""
-OPEN = "cannot tell the ratio"
+BEND_YAW_RATE, BEND_HALF_WINDOW, MIN_BEND_TIME = 0.03, 2.0, 4.0
+"""rad/s, mean yaw rate of a bend, above that of gusts, lane keeping and offsets; s to either side, over which it is
+averaged; s of bends that a check needs."""
+MAX_GAIN_SIGMA = 0.08
+"""Standard deviation of ln(ratio) up to which a log can confirm or refute a ratio."""
+RATIO_ERROR, RATIO_ERROR_SIGMAS = 0.13, 2.0
+"""Least error of ln(ratio) that is reported, and in standard deviations."""
+GAIN_PRIOR_SIGMA = 0.5
+"""Prior standard deviation of ln(gain) while the specified ratio is checked."""
+UNKNOWN_RATIO = "cannot tell the ratio"
 RATIO_LOOSE = 1.1
 """Factor within which a steering ratio is of use."""
 
 
 class Gain(NamedTuple):
-    """By what the road wheels turn farther than the log says."""
+    """Angle of the road wheels over that in the log."""
 
     factor: float
     spread: float
-    """standard deviation of its logarithm, as the log alone tells it"""
+    """standard deviation of its logarithm, from the log alone"""
 
 
-def bends(log: Log) -> float:
-    """s of driving in bends."""
-    known = np.isfinite(log.yaw_rate)
-    if not known.any():
+def bend_time(log: Log) -> float:
+    """Time (s) driven in bends."""
+    measured = np.isfinite(log.yaw_rate)
+    if not measured.any():
         return 0.0
-    turning = np.abs(smoothed(log.time[known], log.yaw_rate[known], HALF)) > BEND
-    return float(np.sum(turning)) / max(float(np.sum(known)), 1.0) * log.driven
+    turning = np.abs(smoothed(log.time[measured], log.yaw_rate[measured], BEND_HALF_WINDOW)) > BEND_YAW_RATE
+    return float(np.sum(turning)) / max(float(np.sum(measured)), 1.0) * log.driven_time
 
 
 def gain_of(likelihood: Likelihood, z: Array) -> Gain:
-    """The gain of a log whose ratio was given, from a fit in which it is free."""
+    """Gain of a log with a specified ratio, from a fit in which the gain is free."""
     log = likelihood.log
-    if log.commanded and likelihood.present["wheel"]:  # which was read with the same ratio
+    if log.commanded and likelihood.present["wheel"]:  # it was read with the same ratio
         log = replace(log, wheel=np.full(log.samples, math.nan))
-    each = Likelihood(log, likelihood.car, likelihood.beliefs | {"gain": Prior(1.0, FREED)})
-    free, freed = each.free, each.spread
-    each.take_gusts(likelihood)
-    each.free, each.spread = free, freed
+    free_gain = Likelihood(log, likelihood.car, likelihood.beliefs | {"gain": Prior(1.0, GAIN_PRIOR_SIGMA)})
+    free, spread = free_gain.free, free_gain.spread
+    free_gain.take_gusts(likelihood)
+    free_gain.free, free_gain.spread = free, spread
     place = int(np.searchsorted(free, INDEX["gain"]))
-    there, at = each.fit(z, NEARLY)
-    spread = FREED * math.sqrt(each.covariance(at)[place, place])
-    data = 1.0 / math.sqrt(max(1.0 / spread**2 - 1.0 / FREED**2, 1e-9))
-    mean = FREED * float(there[INDEX["gain"]]) * (1.0 + (data / FREED) ** 2)  # without the prior
-    return Gain(math.exp(min(max(mean, -5.0), 5.0)), data)
+    optimum, evaluation = free_gain.fit(z, NEARLY)
+    sigma = GAIN_PRIOR_SIGMA * math.sqrt(free_gain.covariance(evaluation)[place, place])
+    log_sigma = 1.0 / math.sqrt(max(1.0 / sigma**2 - 1.0 / GAIN_PRIOR_SIGMA**2, 1e-9))  # without the prior
+    mean = GAIN_PRIOR_SIGMA * float(optimum[INDEX["gain"]]) * (1.0 + (log_sigma / GAIN_PRIOR_SIGMA) ** 2)
+    return Gain(math.exp(min(max(mean, -5.0), 5.0)), log_sigma)
 
 
-def judged(log: Log, gain: Gain) -> tuple[str, str]:
-    """What contradicts the given ratio, and what is open; one of both at most."""
-    if gain.spread > TELLS or bends(log) < LEAST_BENDS:
-        return "", f"{OPEN}: whether the logged angles are those of the road wheels rests on what was given"
-    off = math.log(gain.factor)
-    if abs(off) <= max(WRONG, SURE * gain.spread):
+def check_ratio(log: Log, gain: Gain) -> tuple[str, str]:
+    """Return a contradiction of the specified ratio and the reason why there is no verdict; at least one is empty."""
+    if gain.spread > MAX_GAIN_SIGMA or bend_time(log) < MIN_BEND_TIME:
+        return "", f"{UNKNOWN_RATIO}: the log cannot confirm that its angles are those of the road wheels"
+    if abs(math.log(gain.factor)) <= max(RATIO_ERROR, RATIO_ERROR_SIGMAS * gain.spread):
         return "", ""
     low, high = (gain.factor * math.exp(side * 1.645 * gain.spread) for side in (-1.0, 1.0))
     ratio = f": the ratio is {log.ratio / gain.factor:.3g}, not {log.ratio:.3g}" if log.ratio != 1.0 else ""
@@ -80,15 +79,16 @@ def judged(log: Log, gain: Gain) -> tuple[str, str]:
     ), ""
 
 
-def of_found(log: Log, ratio: Estimate) -> tuple[bool, str]:
-    """Whether a ratio that was to be found is known, and what is said of it."""
-    driven = bends(log)
-    if driven < LEAST_BENDS:
+def check_fitted_ratio(log: Log, ratio: Estimate) -> tuple[bool, str]:
+    """Return whether a fitted ratio is known, and a message."""
+    seconds = bend_time(log)
+    if seconds < MIN_BEND_TIME:
         return False, (
-            f"{OPEN}: {driven:.0f} s of bends, {LEAST_BENDS:g} s are needed; drive slow bends, or give --steering-ratio"
+            f"{UNKNOWN_RATIO}: {seconds:.0f} s of bends, {MIN_BEND_TIME:g} s are needed; drive slow bends, or give "
+            "--steering-ratio"
         )
     if ratio.spread_left > HARDLY:
-        return False, f"{OPEN}: drive slow bends, or give --steering-ratio"
+        return False, f"{UNKNOWN_RATIO}: drive slow bends, or give --steering-ratio"
     factor = ratio.high / ratio.value
     if factor > RATIO_LOOSE:
         return True, f"steering ratio known within a factor {factor:.2f}: slow bends (below 10 m/s) tell it"

@@ -133,7 +133,7 @@ def _tables(identification: Identification) -> list[ResultTable]:
     ]  # all others keep their initial values
     plain = [_plain_row(estimate) for estimate in estimates]
     rows = [_convert_units(estimate) for estimate in estimates]
-    title = f"{log.driven:.0f} s of driving, {log.samples} samples at {1.0 / log.period:.0f} Hz"
+    title = f"{log.driven_time:.0f} s of driving, {log.samples} samples at {1.0 / log.period:.0f} Hz"
     return [
         ResultTable("console", title, ESTIMATE_COLUMNS, plain, brief=True),
         ResultTable(
