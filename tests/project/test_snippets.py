@@ -61,7 +61,7 @@ OTHERS = ("dask", "python -m pip", "python -m tools.fuzz", ".ci/run")
 """Commands of other programs: not run."""
 
 
-OUTPUT_SHOWN = ("tutorial.md", "command-line.md")
+OUTPUT_SHOWN = ("tutorial.md", "command-line.md", "speed.md")
 """Pages that show below a command what it prints: every line of it is among what is printed."""
 
 FILE = re.compile(r"# ([\w-]+\.(?:toml|py))(?=:|$)", re.MULTILINE)
