@@ -268,7 +268,7 @@ class Swarm:
     """Swarm that receives the costs of its positions one generation at a time.
 
     Only the order of the costs matters, not their size. NaN counts as infinity. A particle without a finite cost so far
-    is attracted to its initial position.
+    is attracted to its initial position. A pickled swarm continues equal to the bit.
 
     Parameters
     ----------
@@ -347,51 +347,6 @@ class Swarm:
     def result(self) -> SwarmResult:
         """Return the result up to the present generation."""
         return SwarmResult(*self.best, self.trace, self.settings.particles * self.generation)
-
-    @property
-    def state(self) -> dict[str, NDArray[Any]]:
-        """The state that determines the rest of the search, as arrays for `numpy.savez`."""
-        return {
-            **{name: np.array(array) for name, array in self._swarm._asdict().items()},
-            "trace": self._trace.copy(),
-            "counters": np.array([self.seed, self.stream, self.generation], dtype=np.int64),
-            "space": self._space.copy(),
-            "settings": self._settings.copy(),
-        }
-
-    @classmethod
-    def from_state(cls, space: SearchSpace, settings: SwarmSettings | None, state: Mapping[str, ArrayLike]) -> Self:
-        """Return a swarm that continues from a saved state, equal to the bit.
-
-        Parameters
-        ----------
-        space, settings
-            Those of the saved swarm.
-        state
-            Value of its `state`.
-
-        Raises
-        ------
-        InvalidInput
-            When the state belongs to a different space or different settings, or is no state of a swarm.
-        """
-        counters = np.asarray(state["counters"]) if "counters" in state else np.zeros(0)
-        if counters.shape != (3,) or counters.dtype.kind not in "iu":
-            raise InvalidInput("state: no counters (seed, stream, generation): it is not the state of a swarm.")
-        seed, stream, generation = (int(value) for value in counters)
-        swarm = cls(space, settings, seed=seed, stream=stream)
-        if not 0 <= generation <= swarm.settings.generations:
-            raise InvalidInput(f"state: generation {generation} of {swarm.settings.generations}.")
-        for name, fresh in swarm.state.items():
-            saved = np.asarray(state[name]) if name in state else None
-            if saved is None or saved.shape != fresh.shape or saved.dtype.kind not in "fiu":
-                raise InvalidInput(f"state: {name} must be numbers of shape {fresh.shape} under these settings.")
-            if name in ("space", "settings") and not np.array_equal(saved, fresh):
-                raise InvalidInput(f"state: it was saved with different {name}; pass those of the saved swarm.")
-        for name, array in (*swarm._swarm._asdict().items(), ("trace", swarm._trace)):
-            array[...] = state[name]
-        swarm.generation = generation
-        return swarm
 
     def _refuse_when_done(self) -> None:
         if self.is_done:
