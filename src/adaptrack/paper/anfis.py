@@ -9,7 +9,6 @@ system*, IEEE Trans. SMC 23 (1993) 665-685.
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -190,9 +189,6 @@ class _Scaling(NamedTuple):
     def scale(self, x: Array, y: Array) -> tuple[Array, Array]:
         return (x - self.middle) / self.half, (y - self.mean) / self.spread
 
-    def inverse(self) -> _Scaling:
-        return _Scaling(-self.middle / self.half, 1.0 / self.half, -self.mean / self.spread, 1.0 / self.spread)
-
     def unscale(self, system: Sugeno) -> Sugeno:
         """Return the system for inputs x and output y, from the system for z and v."""
         premises = system.premises.copy()
@@ -355,25 +351,6 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         x = validate_data(self, X, dtype=np.float64, reset=False)
         blocks = [self.system_.predict(x[start : start + PREDICTED_ROWS]) for start in range(0, len(x), PREDICTED_ROWS)]
         return np.concatenate(blocks)
-
-    def pruned(self, X: ArrayLike, y: ArrayLike, share: float) -> ANFIS:
-        """A copy without the rules that have less than `share` of all firing strength at X; consequents are refitted.
-
-        Raises
-        ------
-        InvalidInput
-            When `share` is not in 0 <= share < 1.
-        """
-        check_is_fitted(self, "system_")
-        x, target = validate_data(self, X, y, dtype=np.float64, y_numeric=True, reset=False)
-        lean: ANFIS = copy.copy(self).set_params(prune=share)
-        lean._check()
-        target = np.asarray(target, dtype=np.float64)
-        scaling = _Scaling.of(x, target)
-        rows = _Rows(*scaling.scale(x, target))
-        system = lean._prune(scaling.inverse().unscale(self.system_), rows)
-        lean.system_ = scaling.unscale(lean._conclude(system, rows))
-        return lean
 
     def _check(self) -> None:
         """Every parameter that the partition does not check itself."""
