@@ -10,7 +10,7 @@ from .campaign_config import (
 )
 from .data_set import DataSet as DataSet, list_datasets as list_datasets, load_dataset as load_dataset
 from .data_set_summary import describe as describe
-from .fis import read_fis as read_fis, write_fis as write_fis
+from .fis import write_fis as write_fis
 from .improvement import improve as improve
 from .mlp import MLP as MLP
 from .partition import subtractive_clustering as subtractive_clustering

@@ -287,20 +287,6 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.patience = patience
         self.random_state = random_state
 
-    @classmethod
-    def from_system(
-        cls, system: Sugeno, input_range: ArrayLike, output_range: ArrayLike, input_names: Sequence[str] | None = None
-    ) -> Self:
-        """A fitted estimator around a given system; ranges as in `input_range_` (D, 2) and `output_range_` (2,)."""
-        model = cls()
-        model.system_ = system
-        model.input_range_ = np.asarray(input_range, dtype=np.float64).reshape(system.n_inputs, 2)
-        model.output_range_ = np.asarray(output_range, dtype=np.float64).reshape(2)
-        model.input_names_ = list(input_names) if input_names is not None else _numbered(system.n_inputs)
-        model.n_features_in_ = system.n_inputs
-        model.history_, model.best_epoch_, model.n_iter_ = {"train_rmse": np.empty(0), "step": np.empty(0)}, 0, 0
-        return model
-
     @property
     def n_rules_(self) -> int:
         """Number of rules of the trained system."""
