@@ -52,7 +52,6 @@ from .control.controllers import (
     UserController as UserController,
     check_controller as check_controller,
     get_controller as get_controller,
-    informed_tuning as informed_tuning,
     list_controllers as list_controllers,
     load_learned_car as load_learned_car,
     published_mpc as published_mpc,
@@ -92,7 +91,6 @@ from .control.scheduling import (
     check_scheduler as check_scheduler,
     list_schedulers as list_schedulers,
     load_scheduler as load_scheduler,
-    save_scheduler as save_scheduler,
 )
 from .control.speed_control import SpeedControl as SpeedControl
 from .control.tracker import Status as Status, Tracker as Tracker, yaw_of as yaw_of

@@ -32,7 +32,6 @@ from adaptrack.control.scheduling import (
     list_schedulers,
     load_scheduler,
     made_for,
-    save_scheduler,
 )
 from adaptrack.control.scheduling.functions.sugeno import ANY
 from adaptrack.core import guard
@@ -386,7 +385,7 @@ def test_a_schedule_reads_back_to_the_last_bit(kind, rng, tmp_path):
     for field in ("inputs", "provenance", "made_for", "entries"):
         assert getattr(again, field) == getattr(schedule, field)
     (tmp_path / "copy").mkdir()
-    save_scheduler(again, tmp_path / "copy" / "one.json")
+    again.save(tmp_path / "copy" / "one.json")
     assert (tmp_path / "one.json").read_bytes() == (tmp_path / "copy" / "one.json").read_bytes()
 
 

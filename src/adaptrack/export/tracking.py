@@ -101,7 +101,7 @@ def refuse(controller: Any) -> None:
     scheduler = controller.scheduler
     if not (scheduler is None or isinstance(scheduler, CompiledScheduler)):
         raise InvalidInput(
-            f"export: scheduler {scheduler!r} of {name!r} is Python: give one of a file (save_scheduler)."
+            f"export: scheduler {scheduler!r} of {name!r} is Python: give one of a file (Schedule.save)."
         )
     if isinstance(controller, MPC) and not controller.runs_in_kernel:
         raise InvalidInput(f"export: QP solver {controller.solver.name!r} of {name!r} is Python's: use 'active-set'.")

@@ -17,7 +17,7 @@ from adaptrack.control.controllers.tuning import ENTRIES, read_tuning
 
 if TYPE_CHECKING:
     from adaptrack.control.scheduling.check import check_scheduler
-    from adaptrack.control.scheduling.files import list_schedulers, load_scheduler, made_for, save_scheduler
+    from adaptrack.control.scheduling.files import list_schedulers, load_scheduler, made_for
     from adaptrack.control.scheduling.functions import Function, Network, Number, Sugeno, Table, register_function
     from adaptrack.control.scheduling.guard import Guard, StabilityMap
     from adaptrack.control.scheduling.schedule import Constant, Entry, Guarded, Learned, Lookup, Schedule
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "check": ("check_scheduler",),
-    "files": ("list_schedulers", "load_scheduler", "made_for", "save_scheduler"),
+    "files": ("list_schedulers", "load_scheduler", "made_for"),
     "functions": ("Function", "Network", "Number", "Sugeno", "Table", "register_function"),
     "guard": ("Guard", "StabilityMap"),
     "schedule": ("Constant", "Entry", "Guarded", "Learned", "Lookup", "Schedule"),
@@ -57,7 +57,6 @@ __all__ = [
     "read_tuning",
     "reference_preview",
     "register_function",
-    "save_scheduler",
 ]
 
 

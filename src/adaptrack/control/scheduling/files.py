@@ -21,12 +21,6 @@ _DATA = SHIPPED / "schedulers"
 
 
 @checked
-def save_scheduler(schedule: Schedule, path: str | os.PathLike[str]) -> None:
-    """Write a schedule to a file; see `Schedule.save`."""
-    schedule.save(path)
-
-
-@checked
 def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
     """The schedule in a file, or one that ships with the package, by name (`list_schedulers`).
 
