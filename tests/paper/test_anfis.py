@@ -66,15 +66,6 @@ def test_least_squares_is_what_numpy_finds():
             np.testing.assert_allclose(module.least_squares(a, y, penalty), expected, rtol=1e-9, atol=1e-11)
 
 
-def test_recursive_least_squares_ends_where_the_closed_form_is_and_forgetting_follows_a_change(rng):
-    a, y = rng.normal(size=(120, 9)), rng.normal(size=120)
-    closed = module.least_squares(a, y, 1e-4)
-    np.testing.assert_allclose(module.recursive_least_squares(a, y, 1e-4), closed, rtol=1e-8, atol=1e-10)
-    x, y = np.ones((200, 1)), np.where(np.arange(200) < 100, 1.0, 2.0)
-    assert module.recursive_least_squares(x, y, 1e-6)[0] == pytest.approx(1.5, abs=1e-6)
-    assert module.recursive_least_squares(x, y, 1e-6, forgetting=0.9)[0] == pytest.approx(2.0, abs=1e-4)
-
-
 # -- premises ---------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("bell", [False, True])
 def test_the_premise_gradient_is_that_of_finite_differences(bell):

@@ -32,7 +32,7 @@ def test_it_is_a_scikit_learn_estimator(estimator):
 
 
 @pytest.mark.parametrize("estimator", [
-    ANFIS(epochs=8), ANFIS("grid", consequents="rls", epochs=8), ANFIS(prune=0.02, epochs=8),
+    ANFIS(epochs=8), ANFIS("grid", epochs=8), ANFIS(prune=0.02, epochs=8),
     MLP((6,), epochs=40, random_state=1),
 ])  # fmt: skip
 def test_a_weight_says_how_often_a_row_counts(estimator, rng):
@@ -68,8 +68,8 @@ def test_the_same_seed_gives_the_same_bits(estimator):
 
 @pytest.mark.parametrize(("kind", "options", "name"), [
     *((ANFIS, options, list(options)[-1]) for options in (
-        {"partition": "tree"}, {"membership": "triangle"}, {"consequents": "sgd"}, {"epochs": -1}, {"epochs": 1.5},
-        {"step": 0.0}, {"ridge": 0.0}, {"consequents": "rls", "forgetting": 1.1}, {"forgetting": 0.9}, {"prune": 1.0},
+        {"partition": "tree"}, {"membership": "triangle"}, {"epochs": -1}, {"epochs": 1.5},
+        {"step": 0.0}, {"ridge": 0.0}, {"prune": 1.0},
         {"influence": 0.0}, {"reject": 0.9}, {"partition": "grid", "n_mfs": (2, 2, 2)},
         {"partition": "grid", "n_mfs": 0}, {"early_stopping": True, "validation_fraction": 0.999},
     )),

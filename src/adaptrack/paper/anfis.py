@@ -25,7 +25,6 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from adaptrack.base.checked import Count, Natural, NotNegative, Positive, check_parameters
-from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.sugeno import (
     BELL_CENTRE,
     BELL_SLOPE,
@@ -74,32 +73,6 @@ def least_squares(a: Array, y: Array, penalty: float) -> Array:
         return a.T @ dual
     theta = linalg.cho_solve(factor, a.T @ y)
     theta += linalg.cho_solve(factor, a.T @ (y - a @ theta) - penalty * theta)
-    return theta
-
-
-def rls_update(
-    theta: Array, covariance: Array, row: Array, target: float, forgetting: float = 1.0
-) -> tuple[Array, Array]:
-    """One step of recursive least squares: `theta` (p,), `covariance` (p, p) after the sample (`row` (p,), `target`).
-
-    g = C a / (lambda + a' C a), theta += g (y - a' theta), C = (C - g a' C)/lambda, with the forgetting factor lambda.
-    Source: L. Ljung, *System Identification*, 2nd ed., section 11.2.
-    """
-    through = covariance @ row
-    scale = 1.0 / (forgetting + float(row @ through))
-    theta = theta + through * (scale * (target - float(row @ theta)))
-    covariance = (covariance - np.outer(scale * through, through)) / forgetting
-    return theta, covariance
-
-
-def recursive_least_squares(a: Array, y: Array, penalty: float, forgetting: float = 1.0) -> Array:
-    """(p,) what `rls_update` arrives at after all rows of a (n, p), from theta = 0 and covariance I/penalty.
-
-    Without forgetting (1.0) this is `least_squares`; with less, old rows count less.
-    """
-    theta, covariance = np.zeros(a.shape[1]), np.eye(a.shape[1]) / penalty
-    for row, target in zip(a, y, strict=True):
-        theta, covariance = rls_update(theta, covariance, row, float(target), forgetting)
     return theta
 
 
@@ -215,12 +188,8 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         Steps of the membership functions; 0 leaves them where the partition puts them.
     step : float
         Length of the first step, in half ranges of the inputs; adapted as it goes.
-    consequents : "lse" or "rls"
-        Least squares in closed form, or recursive; the same answer as long as `forgetting` is 1. "rls" is slower.
     ridge : float
         Penalty on the squares of the consequents, relative to the mean square of the columns that they multiply.
-    forgetting : float
-        Recursive least squares: how much an older row counts for each newer one.
     prune : float
         Rules with less than this share of all firing strength are removed, before and after training; 0 keeps all.
     early_stopping : bool
@@ -260,9 +229,7 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         reject: float = 0.15,
         epochs: Natural = 50,
         step: Positive = 0.01,
-        consequents: Literal["lse", "rls"] = "lse",
         ridge: Positive = 1e-8,
-        forgetting: Annotated[Positive, Field(le=1.0)] = 1.0,
         prune: Annotated[NotNegative, Field(lt=1.0)] = 0.0,
         early_stopping: bool = False,
         validation_fraction: Annotated[Positive, Field(lt=1.0)] = 0.2,
@@ -278,9 +245,7 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.reject = reject
         self.epochs = epochs
         self.step = step
-        self.consequents = consequents
         self.ridge = ridge
-        self.forgetting = forgetting
         self.prune = prune
         self.early_stopping = early_stopping
         self.validation_fraction = validation_fraction
@@ -300,9 +265,9 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
         """Learn from the inputs X (n, D) and the target y (n,); `sample_weight` (n,): how often each row counts.
 
-        A weight of 2 is a row given twice, of 0 one left out. With `forgetting` below 1 a weight scales a row's error.
+        A weight of 2 is a row given twice, of 0 one left out.
         """
-        self._check()
+        check_parameters(self)  # the partition checks its own
         x, target = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
         target = np.asarray(target, dtype=np.float64)
         weight = row_weights("ANFIS", sample_weight, x)
@@ -337,12 +302,6 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         x = validate_data(self, X, dtype=np.float64, reset=False)
         blocks = [self.system_.predict(x[start : start + PREDICTED_ROWS]) for start in range(0, len(x), PREDICTED_ROWS)]
         return np.concatenate(blocks)
-
-    def _check(self) -> None:
-        """Every parameter that the partition does not check itself."""
-        check_parameters(self)
-        if self.forgetting < 1.0 and self.consequents != "rls":
-            raise InvalidInput(f"ANFIS: forgetting = {self.forgetting!r} needs consequents='rls'.")
 
     def _start(self, rows: _Rows) -> Sugeno:
         """The system that the partition gives, its consequents still zero."""
@@ -380,10 +339,7 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             root = np.sqrt(rows.weight)
             a, v = a * root[:, np.newaxis], v * root
         penalty = self.ridge * float((a**2).sum()) / a.shape[1]
-        if self.consequents == "rls":
-            theta = recursive_least_squares(a, v, penalty, self.forgetting)
-        else:
-            theta = least_squares(a, v, penalty)
+        theta = least_squares(a, v, penalty)
         return replace(system, consequents=theta.reshape(system.consequents.shape))
 
     def _train(self, system: Sugeno, rows: _Rows, checks: _Rows) -> tuple[Sugeno, dict[str, list[float]]]:
