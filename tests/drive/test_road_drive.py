@@ -21,7 +21,7 @@ from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario import RoadDrive, load_scenario
 from adaptrack.tuning.constant import tune_constant
 from adaptrack.tuning.pso import SwarmSettings
-from adaptrack.tuning.runs import ControllerTunings, RunSet, road_runs
+from adaptrack.tuning.runs import ControllerTunings, RunSet
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR)
@@ -35,6 +35,10 @@ LAWS = {
     "kinematic-mpc": KinematicMPC, "lqr": LQR, "preview-lqr": PreviewLQR, "pure-pursuit": PurePursuit,
     "stanley": Stanley,
 }  # fmt: skip
+
+
+def planned(road):
+    return RoadDrive(road, plan_speed(road, CAR))
 
 
 # -- the road ahead ---------------------------------------------------------------------------------------------------
@@ -189,7 +193,7 @@ def test_a_drive_among_longer_and_straight_ones_is_what_it_is_alone(law):
 
 def test_a_run_set_costs_drives_of_different_length_by_their_own_instants():
     mpc = MPC(CAR, profile="road")
-    runs = road_runs(PLANT, mpc, [WINDING, HAIRPIN], profile="road")
+    runs = RunSet(PLANT, mpc, [planned(WINDING), planned(HAIRPIN)], "road")
     assert runs.lengths[0] != runs.lengths[1]
     costs = runs.costs(mpc.tuning, [3])
     for k, scenario in enumerate(runs.scenarios):
@@ -203,7 +207,7 @@ def test_a_run_set_costs_drives_of_different_length_by_their_own_instants():
 @pytest.mark.compiled
 def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
     mpc = MPC(CAR, profile="road")
-    runs = road_runs(PLANT, mpc, [HAIRPIN, WINDING], profile="road")
+    runs = RunSet(PLANT, mpc, [planned(HAIRPIN), planned(WINDING)], "road")
     best = tune_constant(runs, SwarmSettings(particles=8, generations=3), seed=1)
     assert runs.costs(np.tile(best.x, (2, 1)), [0]).mean() == pytest.approx(best.cost, rel=1e-9)
     assert best.cost == best.trace.min()

@@ -145,39 +145,15 @@ class PredictionModel(ABC):
         return float(Q * error @ error + R * change @ change)
 
     def quadratic(
-        self,
-        speed: float,
-        x: ArrayLike,
-        reference: ArrayLike,
-        Np: int,
-        Nc: int,
-        Q: float,
-        R: float,
-        basis: ArrayLike | None = None,
+        self, speed: float, x: ArrayLike, reference: ArrayLike, Np: int, Nc: int, Q: float, R: float
     ) -> tuple[Array, Array]:
         """Eq. (17) of the cost: E = 2(Phi' Q Phi + R) and K = -2 Phi' Q (R_s - F x~), shapes (n, n) and (n,).
 
-        x: x~ = [change of x (n), y], shape (n+1,); reference: R_s, shape (Np,); basis: L (Np, n) of moves
-        dU = L eta over the whole horizon, by default the Nc pulses of eq. (10). R weighs eta.
+        x: x~ = [change of x (n), y], shape (n+1,); reference: R_s, shape (Np,); moves: the Nc pulses of eq. (10).
         """
-        free, phi = self._response(speed, Np, Nc, basis)
+        free, phi = self.prediction(speed, Np, Nc)
         error = np.asarray(reference, float) - free @ np.asarray(x, float)
         return 2 * (Q * phi.T @ phi + R * np.eye(phi.shape[1])), -2 * Q * phi.T @ error
-
-    def feedback(
-        self, speed: float, Np: int, Nc: int, Q: float, R: float, basis: ArrayLike | None = None
-    ) -> tuple[Array, Array]:
-        """The control law far from all limits: du = k_r R_s - k_x x~, shapes (Np,) and (n+1,); arguments as above."""
-        free, phi = self._response(speed, Np, Nc, basis)
-        gain = np.linalg.solve(Q * phi.T @ phi + R * np.eye(phi.shape[1]), Q * phi.T)
-        first = gain[0] if basis is None else np.asarray(basis, float)[0] @ gain
-        return first, first @ free
-
-    def _response(self, speed: float, Np: int, Nc: int, basis: ArrayLike | None) -> tuple[Array, Array]:
-        if basis is None:
-            return self.prediction(speed, Np, Nc)
-        free, phi = self.prediction(speed, Np, Np)
-        return free, phi @ np.asarray(basis, float)
 
 
 @final

@@ -35,8 +35,6 @@ from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.drive.simulate import rollouts, simulate
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.drive.world import Driver, PerceptionSource, World
-from adaptrack.road import Comfort, Road, plan_speed
-from adaptrack.road.speed import DEFAULT_COMFORT
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -381,32 +379,6 @@ def random_drive_runs(
     drives = [random_drive(number, duration, **(domain | dict(drive_options or {}))) for number in numbers]
     segment = round(segment_seconds / mpc.period)
     return RunSet(plant, mpc, drives, profile, **{"segment": segment, "before": segment, **options})
-
-
-def road_runs(
-    plant: SingleTrack | DualTrack, mpc: MPC, roads: Iterable[Road], comfort: Comfort = DEFAULT_COMFORT,
-    profile: str | Profile = "road", **options: Any,
-) -> RunSet:  # fmt: skip
-    """Return a set with one drive along each road, at the speed that `plan_speed` plans for the plant's car.
-
-    Parameters
-    ----------
-    plant, mpc, profile
-        As for `RunSet`.
-    roads
-        Roads, one for each run.
-    comfort
-        Limits of the planned accelerations.
-    options
-        Further arguments of `RunSet`.
-
-    Raises
-    ------
-    InvalidInput
-        For an empty list of roads, or a road along which no speed can be planned.
-    """
-    drives = [RoadDrive(road, plan_speed(road, plant.vehicle, comfort)) for road in roads]
-    return RunSet(plant, mpc, drives, profile, **options)
 
 
 def paper_test_runs(
