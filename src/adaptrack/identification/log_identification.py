@@ -96,7 +96,7 @@ def identify(
         Instead of a car.
     reading
         Columns, units, signs, clocks and steering ratio, where they are not as the names say.
-    known
+    priors
         Beliefs that replace those of the car, by the names of `QUANTITIES`.
     computation
         Of the log's dead time that lies in the controller's computation: it is taken off what the car's file

@@ -162,7 +162,6 @@ class Shadow:
 
 @reports_progress("shadow")
 @checked
-@checked
 def shadow(
     logs: LogSource | Sequence[LogSource],
     car: str | os.PathLike[str] | Vehicle,
