@@ -6,6 +6,7 @@ than the browser. Both offer: `open`, `run`, `wait`, `press`, `write`, `click`, 
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import json
 import os
@@ -207,6 +208,10 @@ class Chromium:
         self._call("Emulation.setEmulatedMedia", features=features)
 
     # -- what came of it
+    def shoot(self, file: Path) -> None:
+        """Write what the window shows as a PNG."""
+        file.write_bytes(base64.b64decode(self._call("Page.captureScreenshot")["data"]))
+
     def said(self) -> list[str]:
         """What the page and its workers wrote to the console, and what they raised."""
         self.run("0")
