@@ -55,7 +55,7 @@ def test_a_file_means_by_the_equations_of_the_format_what_the_estimator_predicts
     text = (tmp_path / "a.fis").read_text()
     np.testing.assert_allclose(predict(text, x), estimator.predict(x), rtol=1e-11)
     assert f"NumRules={estimator.n_rules_}\n" in text
-    ranges = [numbers(found) for found in re.findall(r"Range=(.*)", text)]
+    ranges = [numbers(text_range) for text_range in re.findall(r"Range=(.*)", text)]
     np.testing.assert_array_equal(ranges, [*estimator.input_range_, estimator.output_range_])
 
 
