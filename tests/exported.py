@@ -97,7 +97,7 @@ class Memory:
 class Sample(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_double) for name in (
         "t", "now", "x", "y", "yaw", "speed", "yaw_rate", "lateral_velocity", "lateral_acceleration", "wheel_angle",
-        "friction", "wind", "motion_time", "longitudinal_acceleration", "driver",
+        "friction", "wind", "motion_time", "longitudinal_acceleration", "driver", "grade",
     ))  # fmt: skip
 
 
@@ -173,7 +173,7 @@ class CTracker:
 
     def step(self, sample):
         answer = Answer(math.nan, status=-1)
-        row = Sample(*sample, *[math.nan] * (15 - len(sample)))
+        row = Sample(*sample, *[math.nan] * (len(Sample._fields_) - len(sample)))
         error = self.c.adaptrack_step(self.place, ctypes.byref(row), ctypes.byref(answer))
         return error, answer
 

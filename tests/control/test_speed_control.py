@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from adaptrack import MPC, DualTrack, Learning, RoadDrive, Tracker, load_vehicle, simulate
+from adaptrack import MPC, DualTrack, Learning, PurePursuit, RoadDrive, Tracker, load_vehicle, simulate
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
 from adaptrack.control import speed_control
@@ -453,6 +453,46 @@ def test_a_grade_that_is_wrong_by_5_percent_is_absorbed(grade) -> None:
             errors.append(speed - 14.0)
     assert len(errors) > 400
     assert np.sqrt(np.mean(np.square(errors))) < 0.3
+
+
+def test_a_measured_grade_serves_as_well_as_one_that_the_path_knows() -> None:
+    """Over 8 per cent uphill and a stop on it: error of the speed, place of the stop, and rolling back."""
+
+    def drive(path_grade: float, is_measured: bool) -> tuple[float, float, float]:
+        road = _straight(600.0).replace(grade=((100.0, 120.0), (0.0, path_grade)))
+        plan = plan_speed(_straight(600.0), CAR, COMFORT, stops=[Stop(250.0, 2.0)], top_speed=14.0)
+        controller = SpeedController(SpeedControl(CAR), road, plan, PERIOD)
+        car = PointMass(14.0, CAR.mass, DriveActuator(lag=0.3, dead_time=0.1), BrakeActuator(lag=0.15, dead_time=0.15))
+        errors, stand, farthest, rolled_back = [], 0.0, 0.0, 0.0
+        while car.s < 400.0:
+            grade = 0.08 * min(max((car.s - 100.0) / 20.0, 0.0), 1.0)
+            car._slope = GRAVITY * grade / math.hypot(1.0, grade)
+            request = controller.step(car.s, car.v, 0.0, grade=grade if is_measured else math.nan)
+            stand = car.s if request.state == SpeedState.STOPPED else stand
+            car.move(request.force, request.hold)
+            if 80.0 < car.s < 200.0:
+                errors.append(car.v - float(plan.at(car.s)))
+            farthest = max(farthest, car.s)
+            rolled_back = max(rolled_back, farthest - car.s)
+        return float(np.sqrt(np.mean(np.square(errors)))), stand, rolled_back
+
+    known, measured, unknown = drive(0.08, False), drive(0.0, True), drive(0.0, False)
+    assert measured[0] == pytest.approx(known[0], abs=0.01)
+    assert measured[0] < 0.5 * unknown[0]
+    assert measured[1:] == pytest.approx(known[1:], abs=0.03)
+    assert max(known[2], measured[2]) < 0.02
+
+
+def test_an_impossible_grade_counts_as_not_measured() -> None:
+    road = _straight(300.0)
+    plan = plan_speed(road, CAR, COMFORT, top_speed=10.0)
+
+    def force(grade: float) -> float:
+        tracker = Tracker(PurePursuit(CAR), road, plan=plan, speed=SpeedControl(CAR))
+        return float(tracker.step(0.0, 0.0, 0.0, 0.0, 10.0, 0.0, grade=grade).longitudinal.force)
+
+    assert force(0.1) - force(math.nan) == pytest.approx(CAR.mass * GRAVITY * math.sin(math.atan(0.1)), rel=0.05)
+    assert force(8.0) == force(math.inf) == force(math.nan)
 
 
 def test_impossible_speed_controls_are_refused_with_the_remedy() -> None:

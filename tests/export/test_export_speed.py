@@ -85,9 +85,9 @@ class CSpeedTracker(CTracker):
         self._path = path, plan
         return self.c.adaptrack_follow_plan(self.place, path.place, ctypes.c_double(near), plan.place)
 
-    def step(self, sample, driver=math.nan):
+    def step(self, sample, driver=math.nan, grade=math.nan):
         answer = SpeedAnswer(math.nan, status=-1)
-        row = Sample(*sample, *[math.nan] * (14 - len(sample)), driver)
+        row = Sample(*sample, *[math.nan] * (14 - len(sample)), driver, grade)
         error = self.c.adaptrack_step(self.place, ctypes.byref(row), ctypes.byref(answer))
         assert error == exported.OK
         return answer
@@ -130,12 +130,13 @@ def drive(tracker, twin, calls, seed=1, slippery=math.inf):
         speed = math.nan if rng.random() < 0.05 else v + 0.02 * rng.normal()
         driver, late = 400 <= k < 430, rng.random() < 0.05
         sample = [PERIOD * k, PERIOD * k + (0.04 if late else 0.0), *pose, speed, turn]
-        answer = tracker.step(sample, float(driver))
+        grade = float(PATH.along("grade", station)) + 0.02 * rng.normal() if k % 200 < 120 else math.nan
+        answer = tracker.step(sample, float(driver), grade)
         row = [answer.command, float(answer.status), answer.offset, answer.heading_error, answer.station]
         row += [float(getattr(answer, name)) for name in REQUESTS]
         differences += any(
             struct.pack("d", a) != struct.pack("d", b) and (a == a or b == b)
-            for a, b in zip(row, twin(sample, driver), strict=True)
+            for a, b in zip(row, twin(sample, driver, grade), strict=True)
         )
         station = answer.station if math.isfinite(answer.station) else station
         states.add(list(SpeedState)[answer.state])
@@ -153,9 +154,9 @@ def drive(tracker, twin, calls, seed=1, slippery=math.inf):
 def python_twin(library):
     tracker = Tracker(copy.deepcopy(library.controller), PATH, plan=PLAN, speed=library.control)
 
-    def call(sample, driver):
+    def call(sample, driver, grade):
         t, call_time, *motion = sample
-        answer = tracker.step(t, *motion, now=call_time, driver=driver)
+        answer = tracker.step(t, *motion, now=call_time, driver=driver, grade=grade)
         command = answer.longitudinal
         return [answer.command, float(list(Status).index(answer.status)), answer.offset, answer.heading_error,
                 answer.station, *command[:5], float(list(SpeedState).index(command.state)),

@@ -1,7 +1,7 @@
 /* Runs an exported tracker on a microcontroller of QEMU's, or with -DHOST on this machine: the same samples, the same
    answers. Start-up, vectors and semihosting are here, so that no C library is needed.
 
-   Samples (argument, or at SAMPLES in memory): their number, then 15 doubles a call. Written, to `answers` here and
+   Samples (argument, or at SAMPLES in memory): their number, then 16 doubles a call. Written, to `answers` here and
    through the debugger there: of each call 16 words (command, offset, heading error, station, requests of the speed
    control; status, belief, at bound, suspect, state and limit of the speed control, error); on the microcontroller to
    `counts` as well: ticks (8/5 of an instruction) and iterations of the QP of each call, then those of init, of path
@@ -31,7 +31,7 @@ static int drive(adaptrack_tracker *tracker, double *path, const int64_t *given,
     for (int64_t k = 0; k < count; k++) {
         adaptrack_sample sample;
         adaptrack_answer answer = {0};
-        memcpy(&sample, rows + 15 * k, sizeof sample);
+        memcpy(&sample, rows + 16 * k, sizeof sample);
         begun = counted();
         const adaptrack_error error = adaptrack_step(tracker, &sample, &answer);
         counts[2 * k] = counted() - begun;

@@ -92,7 +92,7 @@ class Ran:
 class Program:
     """An export of a controller with samples, and the program that drives it.
 
-    samples: (calls, up to 15 numbers of a sample); way: road and plan; target: a further one, of `BOARDS`.
+    samples: (calls, numbers of a sample, or the first of them); way: road and plan; target: a further one, of `BOARDS`.
     """
 
     def __init__(self, controller, samples, way, folder, target=None, speed=None):
@@ -100,7 +100,7 @@ class Program:
         self.made = export_c(controller, folder / "made", targets=[_own(), *([target] if target else [])],
                              road=way[0], plan=way[1], speed=speed)  # fmt: skip
         samples = np.asarray(samples)
-        rows = np.full((self.count, 15), np.nan)
+        rows = np.full((self.count, len(CALL)), np.nan)
         rows[:, : samples.shape[1]] = samples
         np.concatenate([np.array([self.count], np.int64), rows.ravel().view(np.int64)]).tofile(folder / "samples")
         part = None if speed is None else speed_part(speed, controller, way[1], speed.car.domain.speed[1])

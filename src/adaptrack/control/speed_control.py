@@ -239,7 +239,7 @@ def longitudinal_of(control: SpeedControl, period: float, start: SpeedStart, pat
     settings = control.settings(period, start.comfort, start.patience)
     banks = speed_banks(settings, period)
     kernel.speed_control_begin(settings, banks)
-    sample = kernel.SPEED_SAMPLE.new(1, acceleration=math.nan, top_speed=math.inf)
+    sample = kernel.SPEED_SAMPLE.new(1, acceleration=math.nan, top_speed=math.inf, grade=math.nan)
     memory, ahead = kernel.SPEED_MEMORY.new(1, time=-math.inf), np.zeros(horizon_cells(start.top_speed, settings))
     return Longitudinal(sample, memory, settings, path, banks, ahead)
 
@@ -302,16 +302,17 @@ class SpeedController:
 
     def step(
         self, station: float, speed: float, yaw_rate: float, *, acceleration: float = math.nan, driver: bool = False,
-        blind_time: float = 0.0,
+        blind_time: float = 0.0, grade: float = math.nan,
     ) -> SpeedCommand:  # fmt: skip
         """Return the requests for the present period.
 
         station: m, of the car on its path over all laps; speed: m/s; yaw_rate: rad/s; acceleration: m/s^2, along the
         car, without gravity. NaN: not measured. driver: whether a driver uses the pedals: the requests then follow the
-        motion of the car, and nothing is learned; blind_time: s, since the last position.
+        motion of the car, and nothing is learned; blind_time: s, since the last position; grade: dz/ds under the car,
+        measured, positive uphill; NaN: that of the path.
         """
         sample = self._record.sample
-        sample[0] = station, speed, yaw_rate, acceleration, driver, sample[0].top_speed, blind_time
+        sample[0] = station, speed, yaw_rate, acceleration, driver, sample[0].top_speed, blind_time, grade
         kernel.speed_control_step(*self._record)
         return self.command
 

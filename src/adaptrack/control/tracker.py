@@ -291,6 +291,7 @@ class Tracker:
         motion_time: float | None = None,
         longitudinal_acceleration: float = math.nan,
         driver: bool = False,
+        grade: float = math.nan,
     ) -> Tracked:
         """Process one sample and return the steering command for the current instant.
 
@@ -300,8 +301,9 @@ class Tracker:
         clock, when later than t; motion_time: s, on the same clock, when speed, yaw rate, lateral velocity and
         acceleration and wheel angle were taken, if not at t: then t is the time of x, y and yaw;
         longitudinal_acceleration: m/s^2, dv/dt without gravity; driver: whether a driver uses the pedals: the speed
-        control then learns nothing, and its requests follow the motion of the car. What is not known is NaN; a call
-        without a position is one as well. What no car can have, and all but the speed of a sample that is 2 s old,
+        control then learns nothing, and its requests follow the motion of the car; grade: dz/ds measured under the
+        car, positive uphill: it replaces that of the path in the requests of the speed control. What is not known is
+        NaN; a call without a position is one as well. What no car can have, and all but the speed of a sample that is 2 s old,
         counts as not known (`core.tracker.records`).
 
         Raises
@@ -321,7 +323,8 @@ class Tracker:
         motion_t = row[0] if motion_time is None else real("Tracker.step", "motion_time", motion_time)
         kernel.sample[: len(row)] = row
         acceleration = real("Tracker.step", "longitudinal_acceleration", longitudinal_acceleration)
-        kernel.sample[TRACKER_SAMPLE.motion_t :] = motion_t, acceleration, driver
+        slope = real("Tracker.step", "grade", grade)
+        kernel.sample[TRACKER_SAMPLE.motion_t :] = motion_t, acceleration, driver, slope
         tracker_take(resident)
         self._obey()
         has_stepped = False

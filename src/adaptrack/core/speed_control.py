@@ -65,6 +65,7 @@ SPEED_SAMPLE = record(
         "driver",  # 1: a driver uses the pedals
         "top_speed",  # m/s, up to which the steering of the car is known
         "blind_time",  # s, since the last position
+        "grade",  # dz/ds under the car, measured, positive uphill; NaN: that of the path
     ),
 )  # fmt: skip
 """What a speed controller is given once a control period."""
@@ -160,6 +161,12 @@ def _square_at(place, station, path, ahead):
     offset = (place - floor(station / path.spacing) * path.spacing) / path.spacing
     first = min(max(whole(floor(offset)), 0), ahead.size - 2)
     return ahead[first] + clip(offset - first, 0.0, 1.0) * (ahead[first + 1] - ahead[first])
+
+
+@inlined
+def slope_of(grade):
+    """Deceleration (m/s^2) by gravity on a grade (dz/ds, positive uphill)."""
+    return GRAVITY * grade / sqrt(1.0 + square(grade))
 
 
 # -- the governor -----------------------------------------------------------------------------------------------------
@@ -338,9 +345,8 @@ def _stop_unguided(deceleration, speed, slope, lateral, drive, brakes, settings,
 
 
 @inlined
-def _follow(station, speed, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead):
+def _follow(station, speed, slope, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead):
     """Follow the governed speeds and the next stop; write the requests."""
-    slope = path.slope[cell_at(station, path)]
     delay, lag = drive.dead_time, drive.lag
     if memory.acceleration < 0.0:
         delay, lag = brakes.dead_time, brakes.lag
@@ -413,7 +419,8 @@ def speed_control(sample, settings, path, memory, banks, ahead):
 
     Drive and brakes are learned first, from the speed that the requests so far have made.
 
-    sample: `SPEED_SAMPLE`; ahead: (n,), at the cells from the station on.
+    sample: `SPEED_SAMPLE`; its grade replaces that of the path where the car is, not ahead of it; ahead: (n,), at the
+    cells from the station on.
     """
     yaw_rate, top_square = sample.yaw_rate, square(sample.top_speed)
     if memory.friction <= 0.0:
@@ -422,7 +429,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     _take_motion(sample, settings, memory)
     station, speed = memory.station, memory.speed
     cell = cell_at(station, path)
-    slope = path.slope[cell]
+    slope = slope_of(sample.grade) if sample.grade == sample.grade else path.slope[cell]
     bend = abs(speed * speed * path.curvature[cell] - path.bank[cell])
     if yaw_rate == yaw_rate:
         memory.lateral += LATERAL_SMOOTHING * (abs(speed * yaw_rate - path.bank[cell]) - memory.lateral)
@@ -462,7 +469,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         _stand(slope, lateral, drive, brakes, settings, memory)
         remember_request(memory.force / settings.mass, banks.requests)
         return
-    _follow(station, speed, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead)
+    _follow(station, speed, slope, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead)
     remember_request(memory.force / settings.mass, banks.requests)
 
 

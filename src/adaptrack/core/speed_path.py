@@ -6,12 +6,12 @@ import math
 
 from .kernel import OK, exported, float64, inlined, int64, record, several, vector
 from .maths.bits import whole
-from .maths.exact import ceil, sqrt, square
+from .maths.exact import ceil, square
 from .maths.trigonometric import sin
 from .planning.station_table import AlongRecord, value_at
 from .plants.forces import GRAVITY
 from .road import CLOSED, LENGTH, Centreline, point_at
-from .speed_control import STOP_TOLERANCE
+from .speed_control import STOP_TOLERANCE, slope_of
 from .speed_plan import planned_speeds
 
 PlanArrays = record(
@@ -151,7 +151,7 @@ def write_speed_path(plan, memory):
         squares[i] = square(squares[i])
         _, _, _, curvature[i] = point_at(min(place, length * INSIDE), plan.line)
         grade = value_at(place, plan.grade) if plan.grade.s.size > 0 else 0.0
-        slope[i] = GRAVITY * grade / sqrt(1.0 + square(grade))
+        slope[i] = slope_of(grade)
         bank[i] = GRAVITY * sin(value_at(place, plan.bank)) if plan.bank.s.size > 0 else 0.0
     ends_standing = plan.stops_at_end > 0 or plan.speed[plan.s.size - 1] == 0.0
     has_end = ends_standing and not closed and (stops == 0 or plan.stops[stops - 1] < length)

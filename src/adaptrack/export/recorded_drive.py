@@ -218,7 +218,7 @@ def _wild(
             sample[CALL.friction : CALL.motion_t] = 0.4 + 0.5 * rng.random(), 5.0 * rng.normal()
             sample[CALL.motion_t] = 0.5 * (sample[CALL.t] + time)
             sample[CALL.longitudinal_acceleration] = stretch.acceleration + 0.1 * rng.normal()
-            sample[CALL.driver] = float(stretch.driver)
+            sample[CALL.driver], sample[CALL.grade] = float(stretch.driver), 0.03 * rng.normal()
             sample[CALL.x :][rng.random(len(CALL) - CALL.x) < stretch.missing] = math.nan
             sample[[getattr(CALL, name) for name in stretch.without]] = math.nan
             yield sample

@@ -178,7 +178,8 @@ def controller_unit(
     """A controller with its tracker on a path as a unit: what `Tracker.step` does, once a period.
 
     plan, furthest: as of `Tracker`; speed_preview: how far ahead the driven car needs its planned speed, by default a
-    period; speed: the speed control behind the tracker, for which the plan counts; the slope is that of the path. What
+    period; speed: the speed control behind the tracker, for which the plan counts; the slope is that of the path unless
+    the input ``grade`` is known. What
     the controller has learned so far travels along; it stays as it is.
 
     Raises
@@ -197,6 +198,7 @@ def controller_unit(
         "period": (built_controller.period,), "expected_delay": (expected,),
         "start_wheel_angle": (0.0, -math.pi / 2, math.pi / 2),
         "speed_preview": (ahead, 0.0, 10.0), "pose_known": (1.0,), "yaw_rate_known": (1.0,),
+        "grade": (0.0, -MAX_GRADE, MAX_GRADE),
         **dict.fromkeys(("planned_speed", "planned_speed_ahead"), (first,)),
     }  # fmt: skip
     groups = {

@@ -127,6 +127,7 @@ TRACKER_SAMPLE = columns(
     "motion_t",  # s, when speed, yaw rate, v_y, lateral acceleration and wheel angle were taken; NaN: t
     "longitudinal_acceleration",  # m/s^2, dv/dt without gravity, for a speed control
     "driver",  # 1: a driver uses the pedals, for a speed control
+    "grade",  # dz/ds under the car, measured, positive uphill, for a speed control; NaN: that of its plan
 )  # fmt: skip
 """A call. What is not known is NaN; what no car can have is made NaN here."""
 

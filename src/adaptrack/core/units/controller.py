@@ -46,6 +46,8 @@ STEERING_INPUTS = (
     "wind_known",  # true: wind is known
     "motion_age",  # s, how old speed, yaw_rate, vy, lateral_acceleration and wheel_angle are
     "motion_age_known",  # true: motion_age is used, and age belongs to the pose; false: age belongs to the whole sample
+    "grade",  # -, dz/ds of the road under the car, positive uphill, for a speed control
+    "grade_known",  # true: grade is measured; false: a speed control takes that of its plan
 )  # fmt: skip
 STEERING_OUTPUTS = (
     "command",  # rad, requested angle of the road wheels, positive to the left
@@ -121,6 +123,7 @@ def _give(values, sample):
     sample[TRACKER_SAMPLE.motion_t] = time - _value_if(
         values[STEERING_VALUE.motion_age], values[STEERING_VALUE.motion_age_known]
     )
+    sample[TRACKER_SAMPLE.grade] = _value_if(values[STEERING_VALUE.grade], values[STEERING_VALUE.grade_known])
 
 
 @inlined

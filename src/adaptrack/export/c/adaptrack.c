@@ -436,7 +436,7 @@ adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, ad
         given[ADAPTRACK_SAMPLE_FRICTION] = sample->friction, given[ADAPTRACK_SAMPLE_WIND] = sample->wind;
         given[ADAPTRACK_SAMPLE_MOTION_T] = sample->motion_time;
         given[ADAPTRACK_SAMPLE_LONGITUDINAL_ACCELERATION] = sample->longitudinal_acceleration;
-        given[ADAPTRACK_SAMPLE_DRIVER] = sample->driver;
+        given[ADAPTRACK_SAMPLE_DRIVER] = sample->driver, given[ADAPTRACK_SAMPLE_GRADE] = sample->grade;
         adaptrack_parts_step(record_of(tracker));
         read_answer(numbers_at(record_of(tracker), ADAPTRACK_TRACKED_AT), answer);
 #if ADAPTRACK_SPEED_CONTROL

@@ -145,8 +145,10 @@ typedef struct {
     double longitudinal_acceleration; /* m/s^2, dv/dt without gravity, for a speed control */
     double driver;               /* 1: a driver uses the pedals, for a speed control: it learns nothing, and its requests
                                     follow the motion of the car; 0 or NaN: no driver does */
+    double grade;                /* dz/ds under the car, measured, positive uphill, at most 0.4 to either side, for a
+                                    speed control: for requests and learning it replaces the plan's; NaN: the plan's */
 } adaptrack_sample;
-#define ADAPTRACK_UNKNOWN {NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN}
+#define ADAPTRACK_UNKNOWN {NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN}
 
 /* What a call was. */
 typedef enum {

@@ -587,7 +587,7 @@ function speedControlOf(entry, car, controller, { world, of, samples, setup }, w
   }));
   memory.call("speed_control_begin", record.settings, record.banks);
   const top_speed = controller.learns ? memory.call("first_top_speed", controller.parts.learner) : Infinity;
-  record.sample.row(0).$set({ acceleration: NaN, top_speed });
+  record.sample.row(0).$set({ acceleration: NaN, top_speed, grade: NaN });
   record.memory.row(0).$set({ time: -Infinity });
   return { record, speeds: mine(memory.array("F", [constants.speeds_ahead])), grip, climb };
 }
