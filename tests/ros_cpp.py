@@ -16,7 +16,8 @@ follower, seconds = package_module("follower"), package_module("messages").secon
 CPP = PACKAGE.parent / "adaptrack_ros_cpp"
 STAND_INS = PACKAGE.parents[2] / "tests" / "ros2"
 HEADERS = (
-    "rclcpp/rclcpp", "geometry_msgs/msg/twist_stamped", "sensor_msgs/msg/imu",
+    "rclcpp/rclcpp", "geometry_msgs/msg/pose_stamped", "geometry_msgs/msg/twist_stamped", "tf2_ros/buffer",
+    "tf2_ros/transform_listener", "autoware_control_msgs/msg/control", "sensor_msgs/msg/imu",
     "nav_msgs/msg/odometry", "nav_msgs/msg/path", "std_msgs/msg/bool",
     "ackermann_msgs/msg/ackermann_drive_stamped", "diagnostic_msgs/msg/diagnostic_array",
     "autoware_planning_msgs/msg/trajectory",
@@ -51,7 +52,7 @@ def controller(folder, speed_control=False):
 def includes(folder):
     """Options under which the sources find their headers; messages and rclcpp are stand-ins."""
     for name in HEADERS:
-        file = folder / "stand_ins" / f"{name}.hpp"
+        file = folder / "stand_ins" / f"{name}.{'h' if name.startswith('tf2_ros') else 'hpp'}"
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text('#include "ros.hpp"\n')
     places = folder / "include", CPP / "include", folder / "stand_ins", STAND_INS
@@ -83,7 +84,15 @@ def shim(folder, *options, speed_control=False):
 def node(folder):
     """The node as a program, on stand-ins."""
     parts, library = controller(folder), folder / "node"
-    options = [*STRICT[:1], "-O0", *STRICT[2:], "-DADAPTRACK_WITH_TRAJECTORY", "-Dmain=node_main", *includes(folder)]
+    options = [
+        *STRICT[:1],
+        "-O0",
+        *STRICT[2:],
+        "-DADAPTRACK_WITH_TRAJECTORY",
+        "-DADAPTRACK_WITH_CONTROL",
+        "-Dmain=node_main",
+        *includes(folder),
+    ]
     run("g++", *options, "-c", str(CPP / "src" / "follower_node.cpp"), "-o", str(folder / "node.o"))
     options.remove("-Dmain=node_main")
     sources = CPP / "src" / "follower.cpp", STAND_INS / "drive.cpp", folder / "node.o"
@@ -103,33 +112,29 @@ class CppFollower:
         why = ctypes.create_string_buffer(200)
         limits = numbers([float(getattr(self.parameters, name)) for name in LIMITS])
         size = ctypes.c_size_t(0 if constants is None else len(constants))
-        self._made = ctypes.c_void_p(library.ros_make(limits, constants, size, why, ctypes.c_size_t(len(why))))
+        names = (getattr(self.parameters, f"{name}_message").encode() for name in ("pose", "motion"))
+        self._made = ctypes.c_void_p(library.ros_make(limits, *names, constants, size, why, ctypes.c_size_t(len(why))))
         if not self._made:
             raise at.InvalidInput(why.value.decode())
 
     def __del__(self):
         self._library.ros_drop(self._made)
 
-    def odometry(self, message):
-        q, place, twist = message.pose.pose.orientation, message.pose.pose.position, message.twist.twist
-        stamp = message.header.stamp
-        values = (
-            stamp.sec + 1e-9 * stamp.nanosec,
-            place.x,
-            place.y,
-            q.x,
-            q.y,
-            q.z,
-            q.w,
-            twist.linear.x,
-            twist.angular.z,
-        )
-        frames = message.header.frame_id.encode(), message.child_frame_id.encode()
+    def pose(self, message):
+        pose = getattr(message.pose, "pose", message.pose)
+        q, place = pose.orientation, pose.position
+        values = [seconds(message.header.stamp), place.x, place.y, q.x, q.y, q.z, q.w]
+        frames = message.header.frame_id.encode(), getattr(message, "child_frame_id", "").encode()
+        if not hasattr(message, "twist"):
+            self._library.ros_pose(self._made, numbers(values), *frames)
+            return
+        values += [message.twist.twist.linear.x, message.twist.twist.angular.z]
         self._library.ros_odometry(self._made, numbers(values), *frames)
 
     def motion(self, message):
-        values = package_module("messages").motion_of(message)
-        self._library.ros_motion(self._made, *map(ctypes.c_double, values))
+        module = package_module("messages")
+        values, frame = module.motion_of(message), module.frame_of_motion(message).encode()
+        self._library.ros_motion(self._made, *map(ctypes.c_double, values), frame)
 
     def path(self, message):
         if hasattr(message, "points"):
@@ -145,10 +150,17 @@ class CppFollower:
         self._library.ros_engage(self._made, int(on), ctypes.c_double(wheel_angle))
 
     def tick(self, clock):
-        command, why = numbers([0.0] * 3), ctypes.create_string_buffer(200)
+        command, why = numbers([0.0] * 5), ctypes.create_string_buffer(200)
         if not self._library.ros_tick(self._made, ctypes.c_double(clock), command, why, ctypes.c_size_t(len(why))):
             return None
-        return follower.Command(*command, why.value.decode())
+        return follower.Command(*command[:3], why.value.decode(), *command[3:])
+
+    def control(self, command, stamp):
+        """Numbers of the autoware_control_msgs/Control of a command: times (ns), then those of its parts."""
+        values = numbers([command.angle, command.angle_rate, command.speed, command.request])
+        times, parts = (ctypes.c_int64 * 6)(), numbers([0.0] * 6)
+        self._library.ros_control(values, stamp.sec, ctypes.c_uint32(stamp.nanosec), times, parts)
+        return list(times), list(parts)
 
     def diagnosis(self, clock):
         text = ctypes.create_string_buffer(2000)

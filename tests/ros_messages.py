@@ -53,6 +53,18 @@ def odometry(t=0.0, x=0.0, y=0.0, yaw=0.0, speed=0.0, rate=0.0):
     )
 
 
+def pose_stamped(t=0.0, x=0.0, y=0.0, yaw=0.0):
+    """geometry_msgs/PoseStamped"""
+    return Record(header=header(t), pose=pose(x, y, yaw))
+
+
+def transform_stamped(t=0.0, x=0.0, y=0.0, yaw=0.0):
+    """geometry_msgs/TransformStamped"""
+    there = pose(x, y, yaw)
+    transform = Record(translation=there.position, rotation=there.orientation)
+    return Record(header=header(t), child_frame_id="base_link", transform=transform)
+
+
 def twist_stamped(t=0.0, speed=0.0, rate=0.0):
     """geometry_msgs/TwistStamped"""
     twist = Record(linear=Record(x=speed, y=0.0, z=0.0), angular=Record(x=0.0, y=0.0, z=rate))
@@ -88,12 +100,25 @@ def drive_stamped():
     return Record(header=header(), drive=drive)
 
 
+def control():
+    """autoware_control_msgs/Control"""
+    lateral = {"steering_tire_angle": 0.0, "steering_tire_rotation_rate": 0.0}
+    longitudinal = {"velocity": 0.0, "acceleration": 0.0, "jerk": 0.0, "is_defined_acceleration": False}
+    return Record(
+        stamp=stamp(),
+        control_time=stamp(),
+        lateral=Record(stamp=stamp(), control_time=stamp(), **lateral, is_defined_steering_tire_rotation_rate=False),
+        longitudinal=Record(stamp=stamp(), control_time=stamp(), **longitudinal, is_defined_jerk=False),
+    )
+
+
 # -- as much of rclpy as the nodes use --------------------------------------------------------------------------------
 class Network:
     """Time, timers and topics, by hand."""
 
     def __init__(self):
         self.now, self.timers, self.topics, self.sent, self.parameters = 1000.0, [], {}, {}, {}
+        self.transform = None  # of tf, geometry_msgs/TransformStamped
 
     def publish(self, topic, message):
         self.sent.setdefault(topic, []).append(message)
@@ -113,6 +138,8 @@ class Network:
 
 def fake_ros(monkeypatch):
     """Modules under the names that the nodes import; the network that joins them."""
+    for name in ("follower_node", "stand_in_node"):  # bound to those of an earlier test
+        sys.modules.pop(f"adaptrack_ros.{name}", None)
     network = Network()
     clock = Record(now=lambda: Record(nanoseconds=round(1e9 * network.now), to_msg=lambda: stamp(network.now)))
 
@@ -138,6 +165,12 @@ def fake_ros(monkeypatch):
         def create_subscription(self, kind, topic, callback, qos):
             network.topics.setdefault(topic, []).append(callback)
 
+    class Buffer:
+        def lookup_transform(self, target, source, time):
+            if network.transform is None:
+                raise LookupError(f"no transform from {source} to {target}")
+            return network.transform
+
     durability = Record(TRANSIENT_LOCAL="latched", VOLATILE="volatile")
     modules = {
         "rclpy": {},
@@ -156,10 +189,17 @@ def fake_ros(monkeypatch):
             "KeyValue": Record,
         },
         "geometry_msgs.msg": {
-            "PoseStamped": lambda: Record(header=header(), pose=pose()),
+            "PoseStamped": pose_stamped,
             "TwistStamped": twist_stamped,
         },
+        "autoware_control_msgs.msg": {"Control": control},
+        "rclpy.time": {"Time": lambda: None},
         "sensor_msgs.msg": {"Imu": imu},
+        "tf2_ros": {
+            "Buffer": Buffer,
+            "TransformListener": lambda buffer, node: None,
+            "TransformException": LookupError,
+        },
         "nav_msgs.msg": {"Odometry": odometry, "Path": lambda: path([])},
         "std_msgs.msg": {"Bool": Record},
     }

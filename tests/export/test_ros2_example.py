@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import adaptrack as at
+import ros_messages
 from programs import find_program
 from ros_messages import (
     PACKAGE,
@@ -22,7 +23,9 @@ from ros_messages import (
     odometry,
     package_module,
     path,
+    pose_stamped,
     trajectory,
+    transform_stamped,
     twist_stamped,
 )
 
@@ -129,7 +132,7 @@ class Loop:
                 self.waiting.append((self.now + late(k), message))
             for arriving in [message for message in self.waiting if message[0] <= self.now + 1e-9]:
                 self.waiting.remove(arriving)
-                self.follower.odometry(arriving[1])
+                self.follower.pose(arriving[1])
             if k % 10 == 9:
                 self.follower.path(path(stand_in.window(self.road, self.s)))
             command, sent = self.follower.tick(self.now), drive_stamped()
@@ -219,15 +222,15 @@ def driving(Follower):
     """A follower that has made a step on a straight."""
     node = Follower()
     node.path(path(STRAIGHT))
-    node.odometry(odometry(0.0, x=20.0, speed=5.0))
+    node.pose(odometry(0.0, x=20.0, speed=5.0))
     assert not node.tick(0.0).stopping
     return node
 
 
 def test_the_speed_is_the_planned_one_and_the_offset_of_the_centre_of_mass(driving):
-    driving.odometry(odometry(0.05, x=20.25, y=0.5, speed=5.0))
+    driving.pose(odometry(0.05, x=20.25, y=0.5, speed=5.0))
     command = driving.tick(0.05)
-    assert command[1:] == (10.0, 1.5, "")
+    assert command[1:4] == (10.0, 1.5, "")
     level, text, values = driving.diagnosis(0.05)
     assert (level, text, values["status"]) == (follower.OK, "following", "ok")
     assert float(values["offset (m)"]) == pytest.approx(0.5, abs=0.1)
@@ -236,26 +239,84 @@ def test_the_speed_is_the_planned_one_and_the_offset_of_the_centre_of_mass(drivi
 
 def test_an_empty_path_stops_the_car_and_the_next_one_starts_it(driving):
     driving.path(path([]))
-    driving.odometry(odometry(0.05, x=20.25, speed=5.0))
+    driving.pose(odometry(0.05, x=20.25, speed=5.0))
     assert driving.tick(0.05).stopping == "the path is empty"
     driving.path(path(STRAIGHT))
-    driving.odometry(odometry(0.1, x=20.5, speed=5.0))
+    driving.pose(odometry(0.1, x=20.5, speed=5.0))
     assert not driving.tick(0.1).stopping
 
 
 def test_a_path_that_cannot_be_driven_is_refused_and_the_old_one_followed(driving):
     driving.path(path([(0.0, 0.0)] * 8))
-    driving.odometry(odometry(0.05, x=20.25, speed=5.0))
+    driving.pose(odometry(0.05, x=20.25, speed=5.0))
     assert not driving.tick(0.05).stopping
     level, text, _ = driving.diagnosis(0.05)
     assert level == follower.WARN
     assert "path left out" in text
 
 
+POSE = Parameters(pose_message="geometry_msgs/PoseStamped", motion_message="geometry_msgs/TwistStamped")
+
+
+def test_a_pose_and_a_motion_command_what_their_odometry_does_to_the_bit(Follower):
+    """With motions that are lost, prompt or late, of poses that are late."""
+    nodes, rng = (
+        [Follower(POSE), Follower(Parameters(motion_message="geometry_msgs/TwistStamped"))],
+        np.random.default_rng(5),
+    )
+    for node in nodes:
+        node.path(path(STRAIGHT))
+    for k in range(40):
+        time, lost, late = 0.05 * k, rng.random() < 0.2, 0.05 * int(rng.integers(3))
+        motion = twist_stamped(time - 0.01 * int(rng.integers(4)), 5.0 + 0.1 * rng.normal(), 0.002 * rng.normal())
+        place = (20.0 + 5.0 * (time - late), 0.01 * rng.normal(), 0.002 * rng.normal())
+        for node, message in zip(nodes, (pose_stamped, odometry), strict=True):
+            if not lost:
+                node.motion(motion)
+            node.pose(message(time - late, *place))
+        ours, theirs = (node.tick(time) for node in nodes)
+        assert ours[:3] == theirs[:3]
+        assert not ours.stopping
+    assert nodes[0].diagnosis(time)[2] == nodes[1].diagnosis(time)[2]
+
+
+def test_a_transform_is_the_pose_that_it_gives():
+    there = (2.5, 10.0, -4.0, -2.5)
+    samples = [messages.sample_of(make(*there), -1.2) for make in (pose_stamped, transform_stamped, odometry)]
+    assert samples[0][:4] == samples[1][:4] == samples[2][:4]
+    assert all(math.isnan(number) for sample in samples[:2] for number in sample[4:])
+
+
+def test_a_topic_that_sends_nothing_stops_the_car_in_a_sentence(Follower):
+    node = Follower(POSE)
+    assert node.tick(0.0).stopping == "no path yet on topic path"
+    node.path(path(STRAIGHT))
+    assert node.tick(0.05).stopping == "no pose yet on topic pose"
+    node.pose(pose_stamped(0.1, 20.0))
+    assert node.tick(0.1).stopping == "no speed yet on topic motion"
+    node.motion(twist_stamped(0.15, 5.0))
+    node.pose(pose_stamped(0.15, 20.25))
+    assert not node.tick(0.15).stopping
+    node.pose(pose_stamped(0.55, 22.25))
+    assert node.tick(0.55).stopping == "the newest speed is 0.4 s old"
+    other = Follower(Parameters(motion_message="sensor_msgs/Imu"))
+    other.path(path(STRAIGHT))
+    other.pose(odometry(0.0, x=20.0, speed=5.0))
+    assert not other.tick(0.0).stopping
+    assert "no motion yet on topic motion" in other.diagnosis(0.0)[1]
+
+
+def test_a_motion_in_a_frame_that_is_not_the_cars_is_left_out(Follower):
+    node, message = Follower(POSE), twist_stamped(0.0, 5.0)
+    message.header.frame_id = "map"
+    node.motion(message)
+    assert "motion left out: it is of frame 'map', and base_frame is 'base_link'" in node.diagnosis(0.0)[1]
+
+
 def test_an_odometry_of_another_frame_is_left_out(driving):
     message = odometry(0.05, x=20.25, speed=5.0)
     message.child_frame_id = "imu"
-    driving.odometry(message)
+    driving.pose(message)
     assert "base_frame" in driving.diagnosis(0.05)[1]
     assert driving.tick(0.4).stopping == "the newest odometry is 0.4 s old"
 
@@ -263,7 +324,7 @@ def test_an_odometry_of_another_frame_is_left_out(driving):
 @pytest.mark.parametrize(("ahead", "says"), [(5.0, "ahead of this clock"), (-5.0, "s old")])
 def test_two_clocks_stop_the_car(driving, ahead, says):
     for k in range(1, 20):
-        driving.odometry(odometry(0.05 * k + ahead, x=20.0 + 0.25 * k, speed=5.0))
+        driving.pose(odometry(0.05 * k + ahead, x=20.0 + 0.25 * k, speed=5.0))
     assert says in driving.tick(0.95).stopping
 
 
@@ -273,14 +334,14 @@ def test_two_clocks_stop_the_car(driving, ahead, says):
 def test_a_status_that_is_not_good_stops_the_car(Follower, y, speed, says):
     node = Follower()
     node.path(path(STRAIGHT))
-    node.odometry(odometry(0.0, x=20.0, y=y, speed=speed))
+    node.pose(odometry(0.0, x=20.0, y=y, speed=speed))
     assert says in node.tick(0.0).stopping
 
 
 def test_speeds_of_the_path_are_driven(Follower):
     node = Follower(Parameters(path_message="autoware_planning_msgs/Trajectory"))
     node.path(trajectory(STRAIGHT, np.full(100, 3.0)))
-    node.odometry(odometry(0.0, x=20.0, speed=3.0))
+    node.pose(odometry(0.0, x=20.0, speed=3.0))
     assert node.tick(0.0).speed == pytest.approx(3.0)
     node.path(trajectory(STRAIGHT, np.full(100, -3.0)))
     assert "backwards" in node.diagnosis(0.0)[1]
@@ -292,7 +353,7 @@ def drive_obediently(node, message, seconds=14.0, lag=0.3):
     for k in range(round(seconds / 0.05)):
         if k % 10 == 0:
             node.path(message)
-        node.odometry(odometry(0.05 * k, x=x, speed=speed))
+        node.pose(odometry(0.05 * k, x=x, speed=speed))
         command = node.tick(0.05 * k)
         speed = max(speed + (command.speed - speed) * 0.05 / lag, 0.0)
         x += 0.05 * speed
@@ -315,15 +376,36 @@ def test_engaging_begins_at_the_angle_of_the_wheels(driving):
     driving.engage(False)
     assert driving.tick(0.05) is None
     driving.engage(True, wheel_angle=0.4)
-    driving.odometry(odometry(0.1, x=20.5, speed=5.0))
+    driving.pose(odometry(0.1, x=20.5, speed=5.0))
     ahead = follower.Follower().controller().limits.ahead
     assert driving.tick(0.1).angle == pytest.approx(0.4, abs=1.01 * ahead)
 
 
-@pytest.mark.parametrize("values", [{"top_speed": 0.0}, {"path_message": "nav_msgs/Paths"}, {"vehicle": "tricycle"}])
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"top_speed": 0.0}, {"path_message": "nav_msgs/Paths"}, {"vehicle": "tricycle"}, {"drive_message": "Twist"},
+    ],
+)  # fmt: skip
 def test_parameters_that_are_not_possible_are_refused(values):
     with pytest.raises(at.InvalidInput):
         follower.Follower(Parameters(**values))
+
+
+@pytest.mark.parametrize(
+    ("pose", "motion", "says"),
+    [
+        ("tf", "", "'tf' has no speed: give motion_message = geometry_msgs/TwistStamped or nav_msgs/Odometry"),
+        ("geometry_msgs/PoseStamped", "sensor_msgs/Imu", "has no speed"),
+        ("geometry_msgs/Pose", "", "must be one of nav_msgs/Odometry, geometry_msgs/PoseStamped, tf"),
+        ("nav_msgs/Odometry", "Twist", "motion_message = 'Twist': must be one of empty, geometry_msgs/TwistStamped"),
+    ],
+)
+def test_sources_of_pose_and_motion_that_are_not_possible_are_refused(Follower, pose, motion, says):
+    values = vars(Parameters()) | {"pose_message": pose, "motion_message": motion}
+    make = Parameters if Follower is follower.Follower else Record  # the C++ class checks them by itself
+    with pytest.raises(at.InvalidInput, match=re.escape(says)):
+        Follower(make(**values))
 
 
 # -- the C++ node -----------------------------------------------------------------------------------------------------
@@ -351,7 +433,7 @@ def test_both_nodes_send_the_same_commands_to_the_bit(cpp, kind, tmp_path):
             if kind in ("twist", "imu") and k % 7:
                 node.motion(motion)
             if not lost:
-                node.odometry(message)
+                node.pose(message)
             if k in (120, 124):
                 node.engage(k == 124, 0.02)
             commands.append(node.tick(time))
@@ -362,6 +444,31 @@ def test_both_nodes_send_the_same_commands_to_the_bit(cpp, kind, tmp_path):
         if ours is not None:
             assert ours[:3] == theirs[:3]
             assert bool(ours.stopping) == bool(theirs.stopping)
+            assert np.array_equal(ours[4:], theirs[4:], equal_nan=True)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("request_", [-1.25, math.nan])
+def test_both_nodes_write_the_same_control_of_autoware(cpp, request_):
+    """Stamps that carry over the second; an acceleration is defined where one is requested."""
+    command = follower.Command(0.123, 4.5, 1.5, "", -0.2, request_)
+    at_ns, message = ros_messages.stamp(1000.97), ros_messages.control()
+    messages.fill_control(message, at_ns, 0.05, command)
+    lateral, longitudinal = message.lateral, message.longitudinal
+    times = [
+        1_000_000_000 * time.sec + time.nanosec
+        for part in (message, lateral, longitudinal)
+        for time in (part.stamp, part.control_time)
+    ]
+    assert times == [1000_970_000_000, 1001_020_000_000] * 3
+    numbers = [
+        lateral.steering_tire_angle, lateral.steering_tire_rotation_rate,
+        lateral.is_defined_steering_tire_rotation_rate, longitudinal.velocity, longitudinal.acceleration,
+        longitudinal.is_defined_acceleration,
+    ]  # fmt: skip
+    is_defined = math.isfinite(request_)
+    assert numbers == [0.123, -0.2, True, 4.5, request_ if is_defined else 0.0, is_defined]
+    assert cpp[0].CppFollower(cpp[1]).control(command, at_ns) == (times, np.float32(numbers).tolist())
 
 
 @pytest.mark.compiled
@@ -370,7 +477,7 @@ def test_constants_of_a_file_are_taken_and_damaged_ones_refused(cpp, folder):
     constants = (folder / "constants.bin").read_bytes()
     node = module.CppFollower(library, constants=constants)
     node.path(path(STRAIGHT))
-    node.odometry(odometry(0.0, x=20.0, speed=5.0))
+    node.pose(odometry(0.0, x=20.0, speed=5.0))
     assert not node.tick(0.0).stopping
     for damaged in (constants[:-1], constants[:40] + bytes([constants[40] ^ 1]) + constants[41:], b"?" * 64):
         with pytest.raises(at.InvalidInput, match="constants: adaptrack error"):
@@ -388,7 +495,7 @@ def test_a_bend_is_planned_within_three_metres_per_second_squared(cpp):
     node.path(path(np.concatenate([STRAIGHT[:40], bend])))
     speeds = []
     for k, s in enumerate(np.arange(0.0, 40.0, 0.25)):
-        node.odometry(odometry(0.05 * k, x=s + CAR.lr, speed=5.0))
+        node.pose(odometry(0.05 * k, x=s + CAR.lr, speed=5.0))
         speeds.append(node.tick(0.05 * k).speed)
     assert max(speeds) <= 10.0
     assert speeds[-1] == pytest.approx(math.sqrt(3.0 * 12.0), rel=0.05)
@@ -410,7 +517,7 @@ def test_whatever_comes_the_cpp_node_sends_finite_angles_that_the_wheels_can_hav
         if rng.random() < 0.05:
             message.pose.pose.orientation.w = rng.choice(strange)
         if rng.random() < 0.9:
-            node.odometry(message)
+            node.pose(message)
         if rng.random() < 0.2:
             points = STRAIGHT[: rng.integers(101)] + rng.normal(0.0, 0.02, 2)
             if len(points) and rng.random() < 0.4:
@@ -437,7 +544,7 @@ def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path)
     target += f"target_include_directories(rclcpp::rclcpp INTERFACE {includes})"
     for name in (
         "ament_cmake", "rclcpp", "ackermann_msgs", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs",
-        "std_msgs",
+        "std_msgs", "tf2_ros",
     ):  # fmt: skip
         content = {"ament_cmake": "macro(ament_package)\nendmacro()", "rclcpp": target}.get(
             name, f"set({name}_TARGETS)"
@@ -455,14 +562,23 @@ def test_the_cpp_package_is_configured_and_built_by_cmake(cpp, folder, tmp_path)
 
 @pytest.mark.slow
 @pytest.mark.compiled
-@pytest.mark.parametrize("options", [(), ("path_message", "autoware_planning_msgs/Trajectory")])
+@pytest.mark.parametrize(
+    "options",
+    [
+        (),
+        ("path_message", "autoware_planning_msgs/Trajectory"),
+        ("pose_message", "tf", "motion_message", "geometry_msgs/TwistStamped"),
+        ("pose_message", "geometry_msgs/PoseStamped", "motion_message", "geometry_msgs/TwistStamped",
+         "drive_message", "autoware_control_msgs/Control"),
+    ],
+)  # fmt: skip
 def test_the_cpp_node_drives_a_car_on_stand_ins_of_rclcpp(cpp, folder, options):
     report = dict(
         line.split("=", 1) for line in cpp[0].run(str(cpp[0].node(folder)), *options).splitlines() if "=" in line
     )
     assert int(report["commands"]) == pytest.approx(80, abs=2)
     assert (report["frame"], report["level"], report["message"]) == ("base_link", "0", "following")
-    assert float(report["speed"]) > (3.5 if options else 4.5)
+    assert float(report["speed"]) > (3.5 if "path_message" in options else 4.5)
     assert abs(float(report["offset"])) < 0.1  # from 0.3 m
     assert int(report["stamp"]) in (1003, 1004)
     assert report["disengaged"] == "0"
@@ -487,22 +603,47 @@ def test_the_two_nodes_drive_each_other(monkeypatch):
     before = len(network.sent["drive"])
     network.run(0.3)
     assert len(network.sent["drive"]) == before
-    for module in modules:
-        monkeypatch.delitem(sys.modules, module.__name__)
+
+
+@pytest.mark.compiled
+def test_the_node_drives_by_tf_and_a_motion_and_sends_controls_of_autoware(monkeypatch):
+    network = fake_ros(monkeypatch)
+    network.parameters = {
+        "pose_message": "tf", "motion_message": "geometry_msgs/TwistStamped", "speed_control": True,
+        "drive_message": "autoware_control_msgs/Control",
+    }  # fmt: skip
+    module = package_module("follower_node")
+    node = module.FollowerNode()
+    network.publish("path", path(STRAIGHT))
+    network.run(0.6)
+    assert "no transform from base_link to map" in network.sent["/diagnostics"][-1].status[0].message
+    assert network.sent["drive"][-1].longitudinal.acceleration == -Parameters().stop_deceleration
+    for _ in range(6):
+        network.transform = transform_stamped(network.now, x=20.0 + 5.0 * network.now - 5000.0)
+        network.publish("motion", twist_stamped(network.now, 5.0))
+        network.run(0.05)
+    sent = network.sent["drive"][-1]
+    assert messages.seconds(sent.stamp) == pytest.approx(network.now, abs=0.06)
+    assert messages.seconds(sent.control_time) == pytest.approx(messages.seconds(sent.stamp) + node._follower.period)
+    assert sent.longitudinal.velocity > 5.0
+    assert sent.longitudinal.acceleration > 0.5  # towards 10 m/s
+    monkeypatch.setitem(sys.modules, "autoware_control_msgs.msg", None)
+    with pytest.raises(at.InvalidInput, match="package autoware_control_msgs is not installed: run sudo apt install"):
+        module.FollowerNode()
 
 
 def test_nothing_moves_before_there_is_a_path_and_an_odometry(Follower):
     node = Follower()
-    assert node.tick(0.0).stopping == "no path yet"
+    assert node.tick(0.0).stopping == "no path yet on topic path"
     node.path(path(STRAIGHT))
     command = node.tick(0.05)
-    assert (command.speed, command.stopping) == (0.0, "no odometry yet")
+    assert (command.speed, command.stopping) == (0.0, "no odometry yet on topic odom")
     assert node.diagnosis(0.05)[0] == follower.ERROR
 
 
 def test_a_path_in_another_frame_stops_the_car(driving):
     driving.path(path(STRAIGHT + 1.0, frame="odom"))
-    driving.odometry(odometry(0.05, x=20.25, speed=5.0))
+    driving.pose(odometry(0.05, x=20.25, speed=5.0))
     assert driving.tick(0.05).stopping == "the path is in frame 'odom', the odometry in 'map'"
 
 

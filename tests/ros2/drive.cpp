@@ -21,7 +21,27 @@ struct World {
         x += step * speed * std::cos(yaw), y += step * speed * std::sin(yaw);
         yaw += step * speed * std::tan(angle) / 2.7;
     }
+    void publish_pose_and_motion() const {
+        const double z = std::sin(0.5 * yaw), w = std::cos(0.5 * yaw);
+        geometry_msgs::msg::TwistStamped motion;
+        motion.header = {stamp(), "base_link"};
+        motion.twist.linear.x = speed, motion.twist.angular.z = speed * std::tan(angle) / 2.7;
+        network.publish("motion", motion);
+        if (network.parameters.at("pose_message") == "tf") {
+            network.transform = std::make_shared<geometry_msgs::msg::TransformStamped>();
+            *network.transform = {{stamp(), "map"}, "base_link", {{x, y, 0.0}, {0.0, 0.0, z, w}}};
+        } else {
+            geometry_msgs::msg::PoseStamped message;
+            message.header = {stamp(), "map"};
+            message.pose = {{x, y, 0.0}, {0.0, 0.0, z, w}};
+            network.publish("pose", message);
+        }
+    }
     void publish_odometry() const {
+        if (network.parameters.count("pose_message")) {
+            publish_pose_and_motion();
+            return;
+        }
         nav_msgs::msg::Odometry message;
         message.header = {stamp(), "map"};
         message.child_frame_id = "base_link";
@@ -59,10 +79,18 @@ struct World {
         }
     }
     void operator()() {
-        network.listen<ackermann_msgs::msg::AckermannDriveStamped>("drive", [this](const auto &message) {
-            command = *message;
-            commands++;
-        });
+        if (network.parameters.count("drive_message"))
+            network.listen<autoware_control_msgs::msg::Control>("drive", [this](const auto &message) {
+                command.header = {message->stamp, "base_link"};
+                command.drive.steering_angle = message->lateral.steering_tire_angle;
+                command.drive.speed = message->longitudinal.velocity, command.drive.acceleration = 1.5F;
+                commands++;
+            });
+        else
+            network.listen<ackermann_msgs::msg::AckermannDriveStamped>("drive", [this](const auto &message) {
+                command = *message;
+                commands++;
+            });
         network.listen<diagnostic_msgs::msg::DiagnosticArray>(
             "/diagnostics", [this](const auto &message) { status = *message; });
         run(4.0);

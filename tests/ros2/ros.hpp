@@ -7,6 +7,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -49,8 +50,18 @@ struct TwistStamped {
     Twist twist;
 };
 struct PoseStamped {
+    using ConstSharedPtr = std::shared_ptr<const PoseStamped>;
     std_msgs::msg::Header header;
     Pose pose;
+};
+struct Transform {
+    Vector3 translation;
+    Quaternion rotation;
+};
+struct TransformStamped {
+    std_msgs::msg::Header header;
+    std::string child_frame_id;
+    Transform transform;
 };
 struct PoseWithCovariance {
     Pose pose;
@@ -105,6 +116,25 @@ struct AckermannDriveStamped {
     AckermannDrive drive;
 };
 } // namespace ackermann_msgs::msg
+
+namespace autoware_control_msgs::msg {
+struct Lateral {
+    builtin_interfaces::msg::Time stamp, control_time;
+    float steering_tire_angle = 0.0F, steering_tire_rotation_rate = 0.0F;
+    bool is_defined_steering_tire_rotation_rate = false;
+};
+struct Longitudinal {
+    builtin_interfaces::msg::Time stamp, control_time;
+    float velocity = 0.0F, acceleration = 0.0F, jerk = 0.0F;
+    bool is_defined_acceleration = false, is_defined_jerk = false;
+};
+struct Control {
+    using ConstSharedPtr = std::shared_ptr<const Control>;
+    builtin_interfaces::msg::Time stamp, control_time;
+    Lateral lateral;
+    Longitudinal longitudinal;
+};
+} // namespace autoware_control_msgs::msg
 
 namespace diagnostic_msgs::msg {
 struct KeyValue {
@@ -182,6 +212,7 @@ struct Network {
     std::vector<TimerBase::SharedPtr> timers;
     std::map<std::string, std::vector<std::shared_ptr<SubscriptionBase>>> topics;
     std::map<std::string, std::string> parameters;
+    std::shared_ptr<geometry_msgs::msg::TransformStamped> transform; // of tf
     std::function<void()> world; // what happens while the node spins
 
     double seconds() const { return 1e-9 * static_cast<double>(now); }
@@ -259,6 +290,24 @@ inline void spin(const std::shared_ptr<Node> &) { network.world(); }
 inline void shutdown() {}
 
 } // namespace rclcpp
+
+namespace tf2 {
+constexpr int TimePointZero = 0;
+using TransformException = std::runtime_error;
+} // namespace tf2
+
+namespace tf2_ros {
+struct Buffer {
+    explicit Buffer(const rclcpp::Clock::SharedPtr &) {}
+    geometry_msgs::msg::TransformStamped lookupTransform(const std::string &target, const std::string &source, int) {
+        if (rclcpp::network.transform) return *rclcpp::network.transform;
+        throw tf2::TransformException("no transform from " + source + " to " + target);
+    }
+};
+struct TransformListener {
+    explicit TransformListener(Buffer &) {}
+};
+} // namespace tf2_ros
 
 #define RCLCPP_INFO(logger, ...) (static_cast<void>(logger), std::printf(__VA_ARGS__), std::printf("\n"))
 #endif

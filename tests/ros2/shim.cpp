@@ -41,7 +41,7 @@ struct Handle {
     std::vector<double> points, speeds;
 
     void give(const nav_msgs::msg::Odometry &message, const std::string &frame, const std::string &child) {
-        follower.odometry(adaptrack_ros::sample_of(message, follower.base_ahead_of_mass()), frame, child);
+        follower.pose(adaptrack_ros::sample_of(message, follower.base_ahead_of_mass()), frame, child);
     }
     void give(const nav_msgs::msg::Path &message, const std::string &frame) {
         adaptrack_ros::points_of(message.poses, points);
@@ -55,10 +55,11 @@ struct Handle {
 extern "C" {
 
 // limits: top_speed, acceleration, stop_deceleration, longest_silence, furthest, base_ahead, stop_at_end
-Handle *ros_make(const double *limits, const void *constants, std::size_t size, char *why, std::size_t why_size) {
+Handle *ros_make(const double *limits, const char *pose, const char *motion, const void *constants, std::size_t size, char *why, std::size_t why_size) {
     adaptrack_ros::Parameters p;
     p.top_speed = limits[0], p.acceleration = limits[1], p.stop_deceleration = limits[2];
     p.longest_silence = limits[3], p.furthest = limits[4], p.base_ahead = limits[5], p.stop_at_end = limits[6] > 0.5;
+    p.pose_message = pose, p.motion_message = motion;
     if (constants == nullptr) constants = adaptrack_constants, size = ADAPTRACK_CONSTANTS_SIZE;
     try {
         return new Handle{{p, constants, size}, {}, {}};
@@ -73,8 +74,15 @@ void ros_drop(Handle *made) { delete made; }
 void ros_odometry(Handle *made, const double *numbers, const char *frame, const char *child) {
     made->give(odometry_of(numbers), frame, child);
 }
+// t, x, y, the quaternion's x, y, z, w
+void ros_pose(Handle *made, const double *numbers, const char *frame, const char *child) {
+    const geometry_msgs::msg::Quaternion turned{numbers[3], numbers[4], numbers[5], numbers[6]};
+    const geometry_msgs::msg::Point place{numbers[1], numbers[2], 0.0};
+    const double ahead = made->follower.base_ahead_of_mass();
+    made->follower.pose(adaptrack_ros::sample_of(stamp_of(numbers[0]), place, turned, ahead), frame, child);
+}
 // t, speed (NaN: an Imu), yaw rate
-void ros_motion(Handle *made, double t, double speed, double yaw_rate) {
+void ros_motion(Handle *made, double t, double speed, double yaw_rate, const char *frame) {
     if (std::isnan(speed)) {
         sensor_msgs::msg::Imu imu;
         imu.header.stamp = stamp_of(t), imu.angular_velocity.z = yaw_rate;
@@ -82,7 +90,7 @@ void ros_motion(Handle *made, double t, double speed, double yaw_rate) {
     } else {
         geometry_msgs::msg::TwistStamped message;
         message.header.stamp = stamp_of(t), message.twist.linear.x = speed, message.twist.angular.z = yaw_rate;
-        made->follower.motion(adaptrack_ros::motion_of(message.header.stamp, message.twist));
+        made->follower.motion(adaptrack_ros::motion_of(message.header.stamp, message.twist), frame);
     }
 }
 // rows: t, x, y
@@ -103,11 +111,24 @@ void ros_trajectory(Handle *made, const double *rows, std::size_t count, const c
 }
 void ros_engage(Handle *made, int on, double angle) { made->follower.engage(on != 0, angle); }
 
-// Whether there is a command: angle, speed, acceleration, and why it is the safe one.
+// command: angle, its rate, speed, request. times: ns, stamp and control time of the message and its two parts.
+void ros_control(const double *command, std::int32_t sec, std::uint32_t nanosec, std::int64_t *times, double *parts) {
+    autoware_control_msgs::msg::Control m;
+    const adaptrack_ros::Command given{command[0], command[2], 0.0, {}, command[1], command[3]};
+    adaptrack_ros::fill_control(given, builtin_interfaces::msg::Time{sec, nanosec}, Follower::period, m);
+    for (const auto &time : {m.stamp, m.control_time, m.lateral.stamp, m.lateral.control_time, m.longitudinal.stamp,
+                             m.longitudinal.control_time})
+        *times++ = 1000000000 * static_cast<std::int64_t>(time.sec) + time.nanosec;
+    parts[0] = m.lateral.steering_tire_angle, parts[1] = m.lateral.steering_tire_rotation_rate;
+    parts[2] = m.lateral.is_defined_steering_tire_rotation_rate, parts[3] = m.longitudinal.velocity;
+    parts[4] = m.longitudinal.acceleration, parts[5] = m.longitudinal.is_defined_acceleration;
+}
+// Whether there is a command: angle, speed, acceleration, rate of the angle, request, and why it is the safe one.
 int ros_tick(Handle *made, double now, double *command, char *why, std::size_t size) {
     const adaptrack_ros::Command *found = made->follower.tick(now);
     if (found == nullptr) return 0;
     command[0] = found->angle, command[1] = found->speed, command[2] = found->acceleration;
+    command[3] = found->angle_rate, command[4] = found->request;
     write(found->stopping, why, size);
     return 1;
 }

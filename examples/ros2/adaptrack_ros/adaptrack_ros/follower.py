@@ -11,7 +11,7 @@ import numpy as np
 import adaptrack as at
 from adaptrack.control.tracker import Tracked
 from adaptrack.road import Comfort, SpeedPlan
-from adaptrack_ros.messages import Array, Motion, Sample, motion_of, points_of, sample_of, speeds_of
+from adaptrack_ros.messages import Array, Motion, Sample, frame_of_motion, motion_of, points_of, sample_of, speeds_of
 
 OK, WARN, ERROR = 0, 1, 2
 """Levels of a diagnostic_msgs/DiagnosticStatus."""
@@ -19,6 +19,12 @@ CLOCK_JUMP = 2.0
 """s: stamps that are older than the newest by more begin anew, as when a bag starts again."""
 MOTION_MESSAGES = "geometry_msgs/TwistStamped", "nav_msgs/Odometry", "sensor_msgs/Imu"
 """Messages from which speed and yaw rate can come, of an Imu the yaw rate alone."""
+POSE_MESSAGES = {
+    "nav_msgs/Odometry": ("odometry", "odom"), "geometry_msgs/PoseStamped": ("pose", "pose"), "tf": ("transform", "tf"),
+}  # fmt: skip
+"""Sources of the pose: noun and topic. Only an odometry has a motion."""
+DRIVE_MESSAGES = "ackermann_msgs/AckermannDriveStamped", "autoware_control_msgs/Control"
+PATH_MESSAGES = "nav_msgs/Path", "autoware_planning_msgs/Trajectory"
 STOPPING = {
     at.Status.HELD: "no position for 3 s, no solution, or a steering of the other sign",
     at.Status.REVERSE: "the car rolls backwards",
@@ -26,6 +32,7 @@ STOPPING = {
     at.Status.END: "the car is beyond the end of the path",
 }
 """Statuses on which the car is stopped, and what the diagnostics say."""
+NO_PATH = "no path yet on topic path"
 LEAST_ACCELERATION = 0.01
 """m/s^2, smallest magnitude that is sent: 0 means as quickly as possible in an AckermannDrive."""
 
@@ -42,12 +49,18 @@ class Parameters:
     """s, from a tick until the steering gets the command; its own dead time is the car's"""
     oldest_sample: float = 0.25
     """s; odometry up to this age is taken in where it belongs"""
+    pose_message: str = "nav_msgs/Odometry"
+    """one of `POSE_MESSAGES`: nav_msgs/Odometry on the topic `odom`, geometry_msgs/PoseStamped on `pose`, or tf"""
+    map_frame: str = "map"
+    """frame in which tf gives the pose of the base frame"""
     base_frame: str = "base_link"
-    """child frame that the odometry must have"""
+    """frame of the car: child frame that the odometry must have, and frame of the motion"""
     base_ahead: float = 0.0
     """m, from the centre of the rear axle forwards to the origin of the base frame"""
     motion_message: str = ""
     """one of `MOTION_MESSAGES` on the topic `motion`, with stamps of its own; empty: the motion is that of `odom`"""
+    drive_message: str = "ackermann_msgs/AckermannDriveStamped"
+    """or autoware_control_msgs/Control, whose acceleration only a speed control requests"""
     path_message: str = "nav_msgs/Path"
     """or autoware_planning_msgs/Trajectory"""
     path_latched: bool = False
@@ -63,7 +76,7 @@ class Parameters:
     stop_deceleration: float = 3.0
     """m/s^2, of the safe command"""
     longest_silence: float = 0.3
-    """s, age of the newest odometry from which on the car is stopped"""
+    """s, age of the newest pose or speed from which on the car is stopped"""
     furthest: float = 3.0
     """m from the path, from which on the car is stopped"""
 
@@ -71,13 +84,17 @@ class Parameters:
         for name in ("top_speed", "acceleration", "stop_deceleration", "longest_silence", "furthest"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise at.InvalidInput(f"{name} = {getattr(self, name)!r}: must be positive and finite.")
-        if self.motion_message not in ("", *MOTION_MESSAGES):
+        for name, messages in (
+            ("pose_message", tuple(POSE_MESSAGES)), ("drive_message", DRIVE_MESSAGES), ("path_message", PATH_MESSAGES),
+            ("motion_message", ("", *MOTION_MESSAGES)),
+        ):  # fmt: skip
+            if getattr(self, name) not in messages:
+                names = ", ".join(message or "empty" for message in messages)
+                raise at.InvalidInput(f"{name} = {getattr(self, name)!r}: must be one of {names}.")
+        if self.pose_message != "nav_msgs/Odometry" and self.motion_message not in MOTION_MESSAGES[:2]:
             raise at.InvalidInput(
-                f"motion_message = {self.motion_message!r}: must be empty, or one of {', '.join(MOTION_MESSAGES)}."
-            )
-        if self.path_message not in ("nav_msgs/Path", "autoware_planning_msgs/Trajectory"):
-            raise at.InvalidInput(
-                f"path_message = {self.path_message!r}: must be nav_msgs/Path or autoware_planning_msgs/Trajectory."
+                f"pose_message = {self.pose_message!r} has no speed: give motion_message = {MOTION_MESSAGES[0]} or "
+                f"{MOTION_MESSAGES[1]}."
             )
 
 
@@ -92,6 +109,10 @@ class Command(NamedTuple):
     """m/s^2, > 0, how fast to change to it"""
     stopping: str = ""
     """why it is the safe command; empty when it is not"""
+    angle_rate: float = 0.0
+    """rad/s, of the angle since the command before"""
+    request: float = math.nan
+    """m/s^2, dv/dt of the speed control or the safe command; NaN: none"""
 
 
 class Follower:
@@ -110,15 +131,15 @@ class Follower:
         self._tracker: at.Tracker | None = None
         self._points: Array = np.empty((0, 2))
         self._speeds: Array | None = None
-        self._path_frame, self._odometry_frame = "", ""
+        self._path_frame, self._pose_frame = "", ""
         self._fresh: Sample | None = None
         self._fresh_motion: Motion | None = None
-        self._newest_motion, self._has_motion_speed = -math.inf, False
+        self._newest_motion, self._newest_speed = -math.inf, -math.inf
         self._newest, self._speed, self._braked = -math.inf, 0.0, -math.inf
         self._halted, self._engaged, self._angle = False, True, 0.0
         self._trouble: dict[str, str] = {}
         self._tracked: Tracked | None = None
-        self._command = Command(0.0, 0.0, p.stop_deceleration, "no path yet")
+        self._command = Command(0.0, 0.0, p.stop_deceleration, NO_PATH, request=-p.stop_deceleration)
 
     @property
     def period(self) -> float:
@@ -148,29 +169,41 @@ class Follower:
             tracker.step(k * self.period, 5.0 + k * self.period * 5.0, 0.1, 0.0, 5.0, 0.0)
 
     # -- what comes in ------------------------------------------------------------------------------------------------
-    def odometry(self, message: Any) -> None:
-        """A nav_msgs/Odometry, in whatever order; one that cannot be used is left out, and the diagnostics say why."""
-        frame, base = message.child_frame_id, self.parameters.base_frame
+    def pose(self, message: Any) -> None:
+        """A message of `POSE_MESSAGES`, of tf a geometry_msgs/TransformStamped, in whatever order.
+
+        One that cannot be used is left out, and the diagnostics say why.
+        """
         try:
-            if frame and base and frame != base:
-                raise at.InvalidInput(f"its child frame is {frame!r}, and base_frame is {base!r}")
+            self._check_frame(getattr(message, "child_frame_id", ""))
             sample = sample_of(message, self.parameters.base_ahead - self.car.lr)
         except at.InvalidInput as error:
-            self._trouble["odometry"] = str(error)
+            self.miss_pose(str(error))
             return
-        self._trouble.pop("odometry", None)
-        self._odometry_frame = message.header.frame_id
+        self._trouble.pop("pose", None)
+        self._pose_frame = message.header.frame_id
         if self._newest - CLOCK_JUMP <= sample.t <= self._newest:
             if self._fresh is None and sample.t < self._newest:
                 self._fresh = sample  # overtaken by one that has been used; the filter takes it in where it belongs
             return
         self._fresh, self._newest = sample, sample.t
-        if not self._has_motion_speed:
+        if self._newest_speed == -math.inf and math.isfinite(sample.speed):
             self._speed = sample.speed
+
+    def miss_pose(self, why: str) -> None:
+        """Let the diagnostics say why there is no pose."""
+        self._trouble["pose"] = why
+
+    def _check_frame(self, frame: str) -> None:
+        """Refuse a message about a frame that is not the base frame."""
+        base = self.parameters.base_frame
+        if frame and base and frame != base:
+            raise at.InvalidInput(f"it is of frame {frame!r}, and base_frame is {base!r}")
 
     def motion(self, message: Any) -> None:
         """One of `MOTION_MESSAGES`; from the first one on the twist of the odometry is not used, but for its speed."""
         try:
+            self._check_frame(frame_of_motion(message))
             motion = motion_of(message)
         except at.InvalidInput as error:
             self._trouble["motion"] = str(error)
@@ -180,7 +213,7 @@ class Follower:
             return
         self._fresh_motion, self._newest_motion = motion, motion.t
         if math.isfinite(motion.speed):
-            self._speed, self._has_motion_speed = motion.speed, True
+            self._speed, self._newest_speed = motion.speed, motion.t
 
     def path(self, message: Any) -> None:
         """A nav_msgs/Path or an autoware_planning_msgs/Trajectory; an empty one stops the car.
@@ -246,7 +279,7 @@ class Follower:
         if not self._engaged:
             return None
         if self._tracker is None:
-            self._command = self._stopped("no path yet")
+            self._command = self._stopped(NO_PATH)
             return self._command
         why = self._why_blind(now)
         if why or fresh is None:
@@ -266,15 +299,22 @@ class Follower:
         return self._command
 
     def _why_blind(self, now: float) -> str:
-        """Why the odometry cannot be driven by; empty when it can."""
-        age = now - self._newest
-        if self._path_frame and self._odometry_frame and self._path_frame != self._odometry_frame:
-            return f"the path is in frame {self._path_frame!r}, the odometry in {self._odometry_frame!r}"
-        if self._newest == -math.inf:
-            return "no odometry yet"
+        """Why pose and speed cannot be driven by; empty when they can."""
+        noun, topic = POSE_MESSAGES[self.parameters.pose_message]
+        if self._path_frame and self._pose_frame and self._path_frame != self._pose_frame:
+            return f"the path is in frame {self._path_frame!r}, the {noun} in {self._pose_frame!r}"
+        why = self._why_late(now - self._newest, noun, topic)
+        if noun == "odometry" and self._newest_speed == -math.inf:  # its own speed
+            return why
+        return why or self._why_late(now - self._newest_speed, "speed", "motion")
+
+    def _why_late(self, age: float, noun: str, topic: str) -> str:
+        """Why the newest of some messages cannot be used at an age (s); empty when it can."""
+        if age == math.inf:
+            return f"no {noun} yet on topic {topic}"
         if age < -self.period:
-            return f"the odometry's stamps are {-age:.3g} s ahead of this clock"
-        return f"the newest odometry is {age:.3g} s old" if age > self.parameters.longest_silence else ""
+            return f"the {noun}'s stamps are {-age:.3g} s ahead of this clock"
+        return f"the newest {noun} is {age:.3g} s old" if age > self.parameters.longest_silence else ""
 
     def _braking_speed(self, now: float) -> float:
         """m/s that a car that obeys has while it is stopped without being noticed."""
@@ -283,20 +323,27 @@ class Follower:
         return max(0.0, self._speed - self.parameters.stop_deceleration * (now - self._braked))
 
     def _stopped(self, why: str) -> Command:
-        return Command(self._angle, 0.0, self.parameters.stop_deceleration, why)
+        deceleration = self.parameters.stop_deceleration
+        return self._command_of(0.0, deceleration, -deceleration)._replace(stopping=why)
+
+    def _command_of(self, speed: float, acceleration: float, request: float = math.nan) -> Command:
+        rate = (self._angle - self._command.angle) / self.period
+        return Command(self._angle, speed, acceleration, angle_rate=rate, request=request)
 
     def _going(self) -> Command:
         """The request of the speed control; without one the speed planned one period ahead, and 0 from a stop on."""
         if self._tracked is None:
-            return self._stopped("no path yet")
+            return self._stopped(NO_PATH)
         request = self._tracked.longitudinal
         if request is not None:
-            rate = max(abs(request.acceleration), LEAST_ACCELERATION)
-            return Command(
-                self._angle, request.target_speed, self.parameters.acceleration if request.hold > 0.0 else rate
-            )
+            rate, standing = max(abs(request.acceleration), LEAST_ACCELERATION), self.parameters.acceleration
+            stands = request.hold > 0.0 and request.target_speed == 0.0
+            return self._command_of(
+                request.target_speed, standing if request.hold > 0.0 else rate,
+                -standing if stands else request.acceleration,
+            )  # fmt: skip
         speed = self._tracked.target_speed
-        return Command(self._angle, speed if math.isfinite(speed) else 0.0, self.parameters.acceleration)
+        return self._command_of(speed if math.isfinite(speed) else 0.0, self.parameters.acceleration)
 
     def diagnosis(self, now: float) -> tuple[int, str, dict[str, str]]:
         """Level, text and values for a diagnostic_msgs/DiagnosticStatus."""
@@ -306,12 +353,14 @@ class Follower:
             "offset (m)": f"{last.offset:.3f}" if last else "",
             "heading error (rad)": f"{last.heading_error:.4f}" if last else "",
             "station (m)": f"{last.station:.1f}" if last else "",
-            "age of the odometry (s)": f"{now - self._newest:.3f}",
+            "age of the pose (s)": f"{now - self._newest:.3f}",
             "steering angle (rad)": f"{command.angle:.4f}",
             "speed (m/s)": f"{command.speed:.2f}",
             "top speed until the car is learned (m/s)": f"{last.first_top_speed:.1f}" if last else "",
         }
         doubts = last.suspect if last else ()
+        if self.parameters.motion_message and self._newest_motion == -math.inf and not command.stopping:
+            doubts = (*doubts, "no motion yet on topic motion")
         if last and self._speed > last.first_top_speed:
             doubts = (*doubts, f"drive below {last.first_top_speed:.3g} m/s until the car is learned")
         trouble = "; ".join([*(f"{what} left out: {why}" for what, why in self._trouble.items()), *doubts])

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict
+from importlib import import_module
 from typing import Any
 
 import rclpy
-from ackermann_msgs.msg import AckermannDriveStamped
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import TwistStamped
-from nav_msgs.msg import Odometry, Path
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from sensor_msgs.msg import Imu
+from rclpy.time import Time
 from std_msgs.msg import Bool
 
-from adaptrack_ros.follower import Follower, Parameters
-from adaptrack_ros.messages import fill_drive, fill_status
+import adaptrack as at
+from adaptrack_ros.follower import DRIVE_MESSAGES, POSE_MESSAGES, Command, Follower, Parameters
+from adaptrack_ros.messages import fill_control, fill_drive, fill_status
 
 DIAGNOSTICS_PERIOD = 0.5
 """s"""
-MOTION_TYPES = {"geometry_msgs/TwistStamped": TwistStamped, "nav_msgs/Odometry": Odometry, "sensor_msgs/Imu": Imu}
 
 
 class FollowerNode(Node):
@@ -34,14 +33,18 @@ class FollowerNode(Node):
         self._follower, self._wheel_angle = Follower(parameters), 0.0
         self.get_logger().info("loading compiled code; after an installation this takes up to two minutes")
         self._follower.warm_up()
-        self._drive = self.create_publisher(AckermannDriveStamped, "drive", 1)
+        self._drive_type, self._look_up = message_type(parameters.drive_message), lambda: None
+        self._drive = self.create_publisher(self._drive_type, "drive", 1)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_subscription(Odometry, "odom", self._follower.odometry, qos_profile_sensor_data)
+        if parameters.pose_message == "tf":
+            self._listen_to_tf()
+        else:
+            topic = POSE_MESSAGES[parameters.pose_message][1]
+            self._subscribe(parameters.pose_message, topic, self._follower.pose)
         if parameters.motion_message:
-            kind = MOTION_TYPES[parameters.motion_message]
-            self.create_subscription(kind, "motion", self._follower.motion, qos_profile_sensor_data)
-        self.create_subscription(_path_type(parameters), "path", self._follower.path, _path_qos(parameters))
-        self.create_subscription(AckermannDriveStamped, "wheel_angle", self._take_angle, qos_profile_sensor_data)
+            self._subscribe(parameters.motion_message, "motion", self._follower.motion)
+        self._subscribe(parameters.path_message, "path", self._follower.path, _path_qos(parameters))
+        self._subscribe(DRIVE_MESSAGES[0], "wheel_angle", self._take_angle)
         self.create_subscription(Bool, "engage", self._engage, 1)
         self.create_timer(self._follower.period, self._tick)
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose)
@@ -52,20 +55,44 @@ class FollowerNode(Node):
         """s, on the clock of the stamps: simulated where use_sim_time is set."""
         return 1e-9 * self.get_clock().now().nanoseconds
 
-    def _take_angle(self, message: AckermannDriveStamped) -> None:
+    def _subscribe(self, message: str, topic: str, take: Any, qos: QoSProfile = qos_profile_sensor_data) -> None:
+        self.create_subscription(message_type(message), topic, take, qos)
+
+    def _listen_to_tf(self) -> None:
+        """Take the newest pose of the base frame in the map at each tick."""
+        from tf2_ros import Buffer, TransformException, TransformListener
+
+        buffer, frames = Buffer(), (self._follower.parameters.map_frame, self._follower.parameters.base_frame)
+        self._listener = TransformListener(buffer, self)
+
+        def look_up() -> None:
+            try:
+                self._follower.pose(buffer.lookup_transform(*frames, Time()))
+            except TransformException as error:
+                self._follower.miss_pose(str(error))
+
+        self._look_up = look_up
+
+    def _take_angle(self, message: Any) -> None:
         self._wheel_angle = message.drive.steering_angle
 
     def _engage(self, message: Bool) -> None:
         self._follower.engage(message.data, self._wheel_angle)
 
     def _tick(self) -> None:
+        self._look_up()
         command = self._follower.tick(self._now)
         if command is not None:
-            message = AckermannDriveStamped()
-            message.header.stamp = self.get_clock().now().to_msg()
-            message.header.frame_id = self._follower.parameters.base_frame
+            self._publish(command)
+
+    def _publish(self, command: Command) -> None:
+        message, stamp = self._drive_type(), self.get_clock().now().to_msg()
+        if self._follower.parameters.drive_message == DRIVE_MESSAGES[0]:
+            message.header.stamp, message.header.frame_id = stamp, self._follower.parameters.base_frame
             fill_drive(message, command.angle, command.speed, command.acceleration)
-            self._drive.publish(message)
+        else:
+            fill_control(message, stamp, self._follower.period, command)
+        self._drive.publish(message)
 
     def _diagnose(self) -> None:
         message, status = DiagnosticArray(), DiagnosticStatus()
@@ -75,12 +102,22 @@ class FollowerNode(Node):
         self._diagnostics.publish(message)
 
 
-def _path_type(parameters: Parameters) -> Any:
-    if parameters.path_message == "nav_msgs/Path":
-        return Path
-    from autoware_planning_msgs.msg import Trajectory
+def message_type(name: str) -> Any:
+    """The class of a message, such as nav_msgs/Path.
 
-    return Trajectory
+    Raises
+    ------
+    adaptrack.InvalidInput
+        When its package is not installed.
+    """
+    package, _, kind = name.partition("/")
+    try:
+        return getattr(import_module(f"{package}.msg"), kind)
+    except ImportError:
+        raise at.InvalidInput(
+            f"{name}: package {package} is not installed: run sudo apt install "
+            f"ros-$ROS_DISTRO-{package.replace('_', '-')}, or choose a different message."
+        ) from None
 
 
 def _path_qos(parameters: Parameters) -> QoSProfile:
@@ -92,7 +129,10 @@ def _path_qos(parameters: Parameters) -> QoSProfile:
 def main() -> None:
     """Spin until stopped."""
     rclpy.init()
-    node = FollowerNode()
+    try:
+        node = FollowerNode()
+    except at.InvalidInput as error:
+        sys.exit(f"adaptrack_follower: {error}")
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

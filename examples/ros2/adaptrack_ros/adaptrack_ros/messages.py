@@ -41,24 +41,31 @@ def seconds(stamp: Any) -> float:
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
-def sample_of(odometry: Any, ahead: float) -> Sample:
-    """The centre of mass in a nav_msgs/Odometry whose child frame lies `ahead` (m) of it.
+def sample_of(message: Any, ahead: float) -> Sample:
+    """The centre of mass by a message about a frame of the car that lies `ahead` (m) of it.
 
-    On a rigid body v_x is the same all along the axis of the car, and so is the yaw rate.
+    message: nav_msgs/Odometry; or geometry_msgs/PoseStamped or TransformStamped, whose motion is NaN. On a rigid body
+    v_x is the same all along the axis of the car, and so is the yaw rate.
 
     Raises
     ------
     adaptrack.InvalidInput
-        When a number is not finite, or the quaternion is 0: an odometry that was never filled in.
+        When a number is not finite, or the quaternion is 0: a message that was never filled in.
     """
-    pose, twist = odometry.pose.pose, odometry.twist.twist
-    q = pose.orientation
+    if hasattr(message, "transform"):
+        place, q = message.transform.translation, message.transform.rotation
+    else:
+        pose = getattr(message.pose, "pose", message.pose)
+        place, q = pose.position, pose.orientation
     yaw = at.yaw_of((q.x, q.y, q.z, q.w))
-    x, y = pose.position.x - ahead * math.cos(yaw), pose.position.y - ahead * math.sin(yaw)
-    sample = Sample(seconds(odometry.header.stamp), x, y, yaw, twist.linear.x, twist.angular.z)
-    if not all(map(math.isfinite, sample)):
-        raise at.InvalidInput(f"odometry: {sample}: must be finite.")
-    return sample
+    x, y = place.x - ahead * math.cos(yaw), place.y - ahead * math.sin(yaw)
+    numbers = (seconds(message.header.stamp), x, y, yaw)
+    motion: tuple[float, ...] = ()
+    if hasattr(message, "twist"):
+        motion = message.twist.twist.linear.x, message.twist.twist.angular.z
+    if not all(map(math.isfinite, numbers + motion)):
+        raise at.InvalidInput(f"{numbers + motion}: must be finite.")
+    return Sample(*numbers, *(motion or (math.nan, math.nan)))
 
 
 def motion_of(message: Any) -> Motion:
@@ -77,6 +84,13 @@ def motion_of(message: Any) -> Motion:
     if not math.isfinite(yaw_rate):
         raise at.InvalidInput(f"motion: yaw rate {yaw_rate}: must be finite.")
     return Motion(seconds(message.header.stamp), speed, yaw_rate)
+
+
+def frame_of_motion(message: Any) -> str:
+    """Frame in which the motion of a message is given; empty for an Imu, whose yaw rate is the same in each."""
+    if hasattr(message, "angular_velocity"):
+        return ""
+    return str(getattr(message, "child_frame_id", message.header.frame_id))
 
 
 def points_of(message: Any) -> Array:
@@ -109,6 +123,21 @@ def fill_drive(message: Any, angle: float, speed: float, acceleration: float) ->
     drive = message.drive
     drive.steering_angle, drive.speed, drive.acceleration = float(angle), float(speed), float(acceleration)
     drive.steering_angle_velocity = drive.jerk = 0.0
+
+
+def fill_control(message: Any, stamp: Any, period: float, command: Any) -> None:
+    """Write an autoware_control_msgs/Control of a control period (s) by a `Command`.
+
+    stamp: builtin_interfaces/Time; the state is expected a period later.
+    """
+    lateral, longitudinal = message.lateral, message.longitudinal
+    carry, nanosec = divmod(stamp.nanosec + round(1e9 * period), 10**9)
+    for part in (message, lateral, longitudinal):
+        part.stamp, part.control_time.sec, part.control_time.nanosec = stamp, stamp.sec + carry, nanosec
+    lateral.steering_tire_angle, lateral.steering_tire_rotation_rate = float(command.angle), float(command.angle_rate)
+    lateral.is_defined_steering_tire_rotation_rate = True
+    longitudinal.velocity, longitudinal.is_defined_acceleration = float(command.speed), math.isfinite(command.request)
+    longitudinal.acceleration = float(command.request) if longitudinal.is_defined_acceleration else 0.0
 
 
 def fill_status(status: Any, level: int, text: str, values: Mapping[str, str], key_value: Any) -> None:

@@ -18,6 +18,7 @@ constexpr double jump = 20.0;     // m, beyond the last and the next stop: the c
 #if ADAPTRACK_SPEED_CONTROL
 constexpr double least_acceleration = 0.01; // m/s^2: in an AckermannDrive 0 means as quickly as possible
 #endif
+constexpr const char *no_path = "no path yet on topic path";
 constexpr double nowhere = std::numeric_limits<double>::quiet_NaN();
 
 template <class... Arguments>
@@ -27,9 +28,33 @@ std::string text_of(const char *format, Arguments... arguments) {
     return text.data();
 }
 
-bool is_finite(const Sample &each) {
+bool is_finite(const Sample &each, bool has_motion) {
     return std::isfinite(each.t) && std::isfinite(each.x) && std::isfinite(each.y) && std::isfinite(each.yaw) &&
-           std::isfinite(each.speed) && std::isfinite(each.yaw_rate);
+           (!has_motion || (std::isfinite(each.speed) && std::isfinite(each.yaw_rate)));
+}
+
+// Noun and topic of the pose.
+std::pair<const char *, const char *> pose_words(const Parameters &p) {
+    if (p.pose_message == "nav_msgs/Odometry") return {"odometry", "odom"};
+    if (p.pose_message == "tf") return {"transform", "tf"};
+    return {"pose", "pose"};
+}
+
+// Refuse messages that there are not, and a pose without a speed.
+void check_messages(const Parameters &p) {
+    const auto is_one_of = [](const std::string &name, std::initializer_list<const char *> names) {
+        return std::find(names.begin(), names.end(), name) != names.end();
+    };
+    const bool moves = is_one_of(p.motion_message, {"geometry_msgs/TwistStamped", "nav_msgs/Odometry"});
+    if (!is_one_of(p.pose_message, {"nav_msgs/Odometry", "geometry_msgs/PoseStamped", "tf"}))
+        throw std::invalid_argument("pose_message = '" + p.pose_message +
+                                    "': must be one of nav_msgs/Odometry, geometry_msgs/PoseStamped, tf.");
+    if (!moves && !is_one_of(p.motion_message, {"", "sensor_msgs/Imu"}))
+        throw std::invalid_argument("motion_message = '" + p.motion_message + "': must be one of empty, "
+                                    "geometry_msgs/TwistStamped, nav_msgs/Odometry, sensor_msgs/Imu.");
+    if (!moves && p.pose_message != "nav_msgs/Odometry")
+        throw std::invalid_argument("pose_message = '" + p.pose_message + "' has no speed: give motion_message = "
+                                    "geometry_msgs/TwistStamped or nav_msgs/Odometry.");
 }
 
 // 1/m, of the circle through three points.
@@ -56,6 +81,7 @@ Follower::Follower(const Parameters &given, const void *constants, std::size_t s
                                       {"longest_silence", given.longest_silence}, {"furthest", given.furthest}})
         if (!(value > 0.0 && std::isfinite(value)))
             throw std::invalid_argument(text_of("%s = %g: must be positive and finite.", name, value));
+    check_messages(given);
     if (!std::isfinite(given.base_ahead)) throw std::invalid_argument("base_ahead: must be finite.");
 #if ADAPTRACK_SPEED_CONTROL
     if (given.top_speed > ADAPTRACK_TOP_SPEED)
@@ -65,22 +91,23 @@ Follower::Follower(const Parameters &given, const void *constants, std::size_t s
     tracker_.resize((adaptrack_size(constants, size) + 7) / 8);
     const adaptrack_error error = adaptrack_init(tracker_.data(), 8 * tracker_.size(), constants, size);
     if (error != ADAPTRACK_OK) throw std::runtime_error(text_of("constants: adaptrack error %d.", static_cast<int>(error)));
-    stop("no path yet");
+    stop(no_path);
 }
 
 // -- what comes in ---------------------------------------------------------------------------------------------------
-void Follower::odometry(const Sample &sample, const std::string &frame, const std::string &child_frame) {
+// What is wrong with a message about a frame of the car; empty: nothing.
+std::string Follower::wrong_frame(const std::string &frame) const {
     const std::string &base = parameters.base_frame;
-    if (!child_frame.empty() && !base.empty() && child_frame != base) {
-        odometry_trouble_ = "its child frame is '" + child_frame + "', and base_frame is '" + base + "'";
-        return;
-    }
-    if (!is_finite(sample)) {
-        odometry_trouble_ = "its numbers must be finite";
-        return;
-    }
-    odometry_trouble_.clear();
-    odometry_frame_ = frame;
+    if (frame.empty() || base.empty() || frame == base) return {};
+    return "it is of frame '" + frame + "', and base_frame is '" + base + "'";
+}
+
+void Follower::pose(const Sample &sample, const std::string &frame, const std::string &child_frame) {
+    pose_trouble_ = wrong_frame(child_frame);
+    if (pose_trouble_.empty() && !is_finite(sample, parameters.pose_message == "nav_msgs/Odometry"))
+        pose_trouble_ = "its numbers must be finite";
+    if (!pose_trouble_.empty()) return;
+    pose_frame_ = frame;
     if (newest_ - clock_jump <= sample.t && sample.t <= newest_) {
         if (!fresh_ && sample.t < newest_)
             fresh_ = sample; // overtaken by one that has been used; the filter takes it in where it belongs
@@ -88,17 +115,18 @@ void Follower::odometry(const Sample &sample, const std::string &frame, const st
     }
     fresh_ = sample;
     newest_ = sample.t;
-    if (!has_motion_speed_) speed_ = sample.speed;
+    if (std::isinf(newest_speed_) && std::isfinite(sample.speed)) speed_ = sample.speed;
 }
 
-void Follower::motion(const Motion &motion) {
-    motion_trouble_ = std::isfinite(motion.yaw_rate) ? "" : "its yaw rate must be finite";
+void Follower::motion(const Motion &motion, const std::string &frame) {
+    motion_trouble_ = wrong_frame(frame);
+    if (motion_trouble_.empty() && !std::isfinite(motion.yaw_rate)) motion_trouble_ = "its yaw rate must be finite";
     if (!motion_trouble_.empty() || (newest_motion_ - clock_jump <= motion.t && motion.t <= newest_motion_)) return;
     fresh_motion_ = motion;
     newest_motion_ = motion.t;
     if (!std::isfinite(motion.speed)) return;
     speed_ = motion.speed;
-    has_motion_speed_ = true;
+    newest_speed_ = motion.t;
 }
 
 void Follower::path(const std::vector<double> &points, const std::vector<double> &speeds, const std::string &frame) {
@@ -227,7 +255,7 @@ const Command *Follower::tick(double now) {
     std::swap(motion, fresh_motion_);
     if (!engaged_) return nullptr;
     if (!has_path_) {
-        stop("no path yet");
+        stop(no_path);
         return &command_;
     }
     std::string why = why_blind(now);
@@ -261,14 +289,21 @@ const Command *Follower::tick(double now) {
     return &command_;
 }
 
-// Why the odometry cannot be driven by; empty when it can.
+// Why pose and speed cannot be driven by; empty when they can.
 std::string Follower::why_blind(double now) const {
-    const double age = now - newest_;
-    if (!path_frame_.empty() && !odometry_frame_.empty() && path_frame_ != odometry_frame_)
-        return "the path is in frame '" + path_frame_ + "', the odometry in '" + odometry_frame_ + "'";
-    if (std::isinf(newest_)) return "no odometry yet";
-    if (age < -period) return text_of("the odometry's stamps are %.3g s ahead of this clock", -age);
-    return age > parameters.longest_silence ? text_of("the newest odometry is %.3g s old", age) : std::string();
+    const auto [noun, topic] = pose_words(parameters);
+    if (!path_frame_.empty() && !pose_frame_.empty() && path_frame_ != pose_frame_)
+        return "the path is in frame '" + path_frame_ + "', the " + noun + " in '" + pose_frame_ + "'";
+    std::string why = why_late(now - newest_, noun, topic);
+    const bool has_own_speed = parameters.pose_message == "nav_msgs/Odometry" && std::isinf(newest_speed_);
+    return why.empty() && !has_own_speed ? why_late(now - newest_speed_, "speed", "motion") : why;
+}
+
+// Why the newest of some messages cannot be used at an age (s); empty when it can.
+std::string Follower::why_late(double age, const char *noun, const char *topic) const {
+    if (std::isinf(age)) return text_of("no %s yet on topic %s", noun, topic);
+    if (age < -period) return text_of("the %s's stamps are %.3g s ahead of this clock", noun, -age);
+    return age > parameters.longest_silence ? text_of("the newest %s is %.3g s old", noun, age) : std::string();
 }
 
 // Why the car is stopped after a step; empty when it is not.
@@ -289,11 +324,12 @@ double Follower::braking_speed(double now) {
     return std::max(0.0, speed_ - parameters.stop_deceleration * (now - braked_));
 }
 
+void Follower::command(double speed, double acceleration, double request, std::string stopping) {
+    command_ = {angle_, speed, acceleration, std::move(stopping), (angle_ - command_.angle) / period, request};
+}
+
 void Follower::stop(std::string why) {
-    command_.angle = angle_;
-    command_.speed = 0.0;
-    command_.acceleration = parameters.stop_deceleration;
-    command_.stopping = std::move(why);
+    command(0.0, parameters.stop_deceleration, -parameters.stop_deceleration, std::move(why));
 }
 
 // The speed that is planned where the car will be in one period, and 0 from a stop on until another path comes.
@@ -321,16 +357,14 @@ double Follower::Planned::stop_beyond(double place) const {
 }
 
 void Follower::go() {
-    command_.angle = angle_;
 #if ADAPTRACK_SPEED_CONTROL
     const double rate = std::max(std::abs(answer_->acceleration), least_acceleration);
-    command_.speed = answer_->target_speed;
-    command_.acceleration = answer_->hold > 0.0 ? parameters.acceleration : rate;
+    const bool stands = answer_->hold > 0.0 && answer_->target_speed <= 0.0;
+    command(answer_->target_speed, answer_->hold > 0.0 ? parameters.acceleration : rate,
+            stands ? -parameters.acceleration : answer_->acceleration, {});
 #else
-    command_.speed = target_speed(answer_->station);
-    command_.acceleration = parameters.acceleration;
+    command(target_speed(answer_->station), parameters.acceleration, NAN, {});
 #endif
-    command_.stopping.clear();
 }
 
 Diagnosis Follower::diagnosis(double now) const {
@@ -341,18 +375,20 @@ Diagnosis Follower::diagnosis(double now) const {
         {"offset (m)", number("%.3f", answer_ ? answer_->offset : 0.0)},
         {"heading error (rad)", number("%.4f", answer_ ? answer_->heading_error : 0.0)},
         {"station (m)", number("%.1f", answer_ ? answer_->station : 0.0)},
-        {"age of the odometry (s)", text_of("%.3f", now - newest_)},
+        {"age of the pose (s)", text_of("%.3f", now - newest_)},
         {"steering angle (rad)", text_of("%.4f", command_.angle)},
         {"speed (m/s)", text_of("%.2f", command_.speed)},
         {"top speed until the car is learned (m/s)", number("%.1f", answer_ ? answer_->first_top_speed : 0.0)},
     };
     std::vector<std::string> troubles;
-    if (!odometry_trouble_.empty()) troubles.push_back("odometry left out: " + odometry_trouble_);
+    if (!pose_trouble_.empty()) troubles.push_back("pose left out: " + pose_trouble_);
     if (!motion_trouble_.empty()) troubles.push_back("motion left out: " + motion_trouble_);
     if (!path_trouble_.empty()) troubles.push_back("path left out: " + path_trouble_);
     if (answer_ && answer_->suspect != 0)
         troubles.push_back(text_of("inputs contradict each other: suspect = %lu",
                                    static_cast<unsigned long>(answer_->suspect)));
+    if (!parameters.motion_message.empty() && std::isinf(newest_motion_) && command_.stopping.empty())
+        troubles.push_back("no motion yet on topic motion");
     if (answer_ && speed_ > answer_->first_top_speed)
         troubles.push_back(text_of("drive below %.3g m/s until the car is learned", answer_->first_top_speed));
     if (engaged_ && !command_.stopping.empty()) troubles.insert(troubles.begin(), "stopping: " + command_.stopping);

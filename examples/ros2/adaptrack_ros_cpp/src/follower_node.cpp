@@ -3,18 +3,27 @@
 #include "adaptrack_ros_cpp/messages.hpp"
 
 #include <ackermann_msgs/msg/ackermann_drive_stamped.hpp>
+#ifdef ADAPTRACK_WITH_CONTROL
+#include <autoware_control_msgs/msg/control.hpp>
+#endif
 #ifdef ADAPTRACK_WITH_TRAJECTORY
 #include <autoware_planning_msgs/msg/trajectory.hpp>
 #endif
 #include <diagnostic_msgs/msg/diagnostic_array.hpp>
+#include <geometry_msgs/msg/pose_stamped.hpp>
 #include <geometry_msgs/msg/twist_stamped.hpp>
 #include <nav_msgs/msg/odometry.hpp>
 #include <nav_msgs/msg/path.hpp>
 #include <rclcpp/rclcpp.hpp>
 #include <sensor_msgs/msg/imu.hpp>
 #include <std_msgs/msg/bool.hpp>
+#include <tf2_ros/buffer.h>
+#include <tf2_ros/transform_listener.h>
 
+#include <cstdio>
+#include <exception>
 #include <fstream>
+#include <functional>
 #include <iterator>
 #include <memory>
 #include <stdexcept>
@@ -34,6 +43,8 @@ constexpr double diagnostics_period = 0.5; // s
 
 Parameters declared(rclcpp::Node &node) {
     Parameters p;
+    p.pose_message = node.declare_parameter("pose_message", p.pose_message);
+    p.motion_message = node.declare_parameter("motion_message", p.motion_message);
     p.base_frame = node.declare_parameter("base_frame", p.base_frame);
     p.base_ahead = node.declare_parameter("base_ahead", p.base_ahead);
     p.top_speed = node.declare_parameter("top_speed", p.top_speed);
@@ -60,14 +71,10 @@ class FollowerNode : public rclcpp::Node {
   public:
     FollowerNode() : Node("adaptrack_follower") {
         follower_ = made(declared(*this), declare_parameter("constants", std::string()));
-        drive_ = create_publisher<AckermannDriveStamped>("drive", rclcpp::QoS(1));
+        publish_drive_as(declare_parameter("drive_message", std::string("ackermann_msgs/AckermannDriveStamped")));
         diagnostics_ = create_publisher<DiagnosticArray>("/diagnostics", rclcpp::QoS(10));
-        odometry_ = create_subscription<Odometry>(
-            "odom", rclcpp::SensorDataQoS(), [this](const Odometry::ConstSharedPtr &message) {
-                follower_->odometry(sample_of(*message, follower_->base_ahead_of_mass()), message->header.frame_id,
-                                    message->child_frame_id);
-            });
-        subscribe_to_motion(declare_parameter("motion_message", std::string()));
+        subscribe_to_pose(follower_->parameters.pose_message, declare_parameter("map_frame", std::string("map")));
+        subscribe_to_motion(follower_->parameters.motion_message);
         subscribe_to_path(declare_parameter("path_message", std::string("nav_msgs/Path")),
                           declare_parameter("path_latched", false));
         wheel_angle_ = create_subscription<AckermannDriveStamped>(
@@ -85,26 +92,83 @@ class FollowerNode : public rclcpp::Node {
     }
 
   private:
-    template <class Message, class Reader>
-    void subscribe_to_motion_as(Reader read) {
-        motion_ = create_subscription<Message>(
-            "motion", rclcpp::SensorDataQoS(),
-            [this, read](const typename Message::ConstSharedPtr &message) { follower_->motion(read(*message)); });
+    template <class Message>
+    void publish_drive(std::function<void(const Command &, Message &)> fill) {
+        const auto publisher = create_publisher<Message>("drive", rclcpp::QoS(1));
+        send_ = [publisher, fill](const Command &command) {
+            Message message;
+            fill(command, message);
+            publisher->publish(message);
+        };
+    }
+
+    void publish_drive_as(const std::string &kind) {
+        if (kind == "ackermann_msgs/AckermannDriveStamped")
+            return publish_drive<AckermannDriveStamped>([this](const Command &command, auto &message) {
+                message.header.stamp = get_clock()->now();
+                message.header.frame_id = follower_->parameters.base_frame;
+                fill_drive(command, message.drive);
+            });
+#ifdef ADAPTRACK_WITH_CONTROL
+        if (kind == "autoware_control_msgs/Control")
+            return publish_drive<autoware_control_msgs::msg::Control>([this](const Command &command, auto &message) {
+                const builtin_interfaces::msg::Time stamp = get_clock()->now();
+                fill_control(command, stamp, Follower::period, message);
+            });
+#endif
+        throw std::invalid_argument("drive_message = '" + kind + "': must be ackermann_msgs/AckermannDriveStamped, or "
+                                    "autoware_control_msgs/Control where the node was built with it.");
+    }
+
+    template <class Message, class Call>
+    rclcpp::SubscriptionBase::SharedPtr subscribe(const std::string &topic, Call call) {
+        return create_subscription<Message>(
+            topic, rclcpp::SensorDataQoS(),
+            [call](const typename Message::ConstSharedPtr &message) { call(*message); });
+    }
+
+    void subscribe_to_pose(const std::string &kind, const std::string &map) {
+        const double ahead = follower_->base_ahead_of_mass();
+        if (kind == "nav_msgs/Odometry") {
+            pose_ = subscribe<Odometry>("odom", [this, ahead](const Odometry &m) {
+                follower_->pose(sample_of(m, ahead), m.header.frame_id, m.child_frame_id);
+            });
+        } else if (kind == "tf") {
+            buffer_ = std::make_unique<tf2_ros::Buffer>(get_clock());
+            listener_ = std::make_unique<tf2_ros::TransformListener>(*buffer_);
+            map_ = map;
+        } else {
+            using geometry_msgs::msg::PoseStamped;
+            pose_ = subscribe<PoseStamped>("pose", [this, ahead](const PoseStamped &m) {
+                follower_->pose(sample_of(m.header.stamp, m.pose.position, m.pose.orientation, ahead),
+                                m.header.frame_id, {});
+            });
+        }
+    }
+
+    // Take the newest transform from the base frame to the map.
+    void look_up_pose() try {
+        const auto m = buffer_->lookupTransform(map_, follower_->parameters.base_frame, tf2::TimePointZero);
+        follower_->pose(sample_of(m.header.stamp, m.transform.translation, m.transform.rotation,
+                                  follower_->base_ahead_of_mass()),
+                        m.header.frame_id, m.child_frame_id);
+    } catch (const tf2::TransformException &error) {
+        follower_->miss_pose(error.what());
     }
 
     void subscribe_to_motion(const std::string &kind) {
         using geometry_msgs::msg::TwistStamped;
         using sensor_msgs::msg::Imu;
         if (kind == "geometry_msgs/TwistStamped")
-            subscribe_to_motion_as<TwistStamped>([](const auto &m) { return motion_of(m.header.stamp, m.twist); });
+            motion_ = subscribe<TwistStamped>("motion", [this](const TwistStamped &m) {
+                follower_->motion(motion_of(m.header.stamp, m.twist), m.header.frame_id);
+            });
         else if (kind == "nav_msgs/Odometry")
-            subscribe_to_motion_as<Odometry>([](const auto &m) { return motion_of(m.header.stamp, m.twist.twist); });
+            motion_ = subscribe<Odometry>("motion", [this](const Odometry &m) {
+                follower_->motion(motion_of(m.header.stamp, m.twist.twist), m.child_frame_id);
+            });
         else if (kind == "sensor_msgs/Imu")
-            subscribe_to_motion_as<Imu>([](const auto &m) { return motion_of_imu(m); });
-        else if (!kind.empty())
-            throw std::invalid_argument("motion_message = '" + kind +
-                                        "': must be empty, geometry_msgs/TwistStamped, nav_msgs/Odometry or "
-                                        "sensor_msgs/Imu.");
+            motion_ = subscribe<Imu>("motion", [this](const Imu &m) { follower_->motion(motion_of_imu(m)); });
     }
 
     void subscribe_to_path(const std::string &kind, bool latched) {
@@ -139,13 +203,8 @@ class FollowerNode : public rclcpp::Node {
     double seconds_now() { return 1e-9 * static_cast<double>(get_clock()->now().nanoseconds()); }
 
     void tick() {
-        const Command *command = follower_->tick(seconds_now());
-        if (command == nullptr) return;
-        AckermannDriveStamped message;
-        message.header.stamp = get_clock()->now();
-        message.header.frame_id = follower_->parameters.base_frame;
-        fill_drive(*command, message.drive);
-        drive_->publish(message);
+        if (buffer_) look_up_pose();
+        if (const Command *command = follower_->tick(seconds_now())) send_(*command);
     }
 
     void diagnose() {
@@ -159,10 +218,12 @@ class FollowerNode : public rclcpp::Node {
     std::unique_ptr<Follower> follower_;
     double angle_ = 0.0;
     std::vector<double> points_, speeds_;
-    rclcpp::Publisher<AckermannDriveStamped>::SharedPtr drive_;
+    std::function<void(const Command &)> send_;
+    std::unique_ptr<tf2_ros::Buffer> buffer_; // where the pose comes from tf
+    std::unique_ptr<tf2_ros::TransformListener> listener_;
+    std::string map_;
     rclcpp::Publisher<DiagnosticArray>::SharedPtr diagnostics_;
-    rclcpp::Subscription<Odometry>::SharedPtr odometry_;
-    rclcpp::SubscriptionBase::SharedPtr motion_, path_;
+    rclcpp::SubscriptionBase::SharedPtr pose_, motion_, path_;
     rclcpp::Subscription<AckermannDriveStamped>::SharedPtr wheel_angle_;
     rclcpp::Subscription<Bool>::SharedPtr engage_;
     std::vector<rclcpp::TimerBase::SharedPtr> timers_;
@@ -170,9 +231,12 @@ class FollowerNode : public rclcpp::Node {
 
 } // namespace adaptrack_ros
 
-int main(int argc, char **argv) {
+int main(int argc, char **argv) try {
     rclcpp::init(argc, argv);
     rclcpp::spin(std::make_shared<adaptrack_ros::FollowerNode>());
     rclcpp::shutdown();
     return 0;
+} catch (const std::exception &error) {
+    std::fprintf(stderr, "adaptrack_follower: %s\n", error.what());
+    return 1;
 }

@@ -16,17 +16,19 @@ namespace adaptrack_ros {
 
 // As in adaptrack_ros/config/follower.yaml; car, sensors and delays are in the exported constants.
 struct Parameters {
-    std::string base_frame = "base_link"; // child frame that the odometry must have
+    std::string pose_message = "nav_msgs/Odometry"; // on odom; geometry_msgs/PoseStamped on pose, or tf
+    std::string motion_message;           // geometry_msgs/TwistStamped, nav_msgs/Odometry or sensor_msgs/Imu on motion
+    std::string base_frame = "base_link"; // frame of the car: of the odometry's child and of the motion
     double base_ahead = 0.0;              // m, from the centre of the rear axle forwards to the origin of the base frame
     double top_speed = 10.0;              // m/s, beside what bends allow, and beside the path's speeds where it has some
     bool stop_at_end = true;              // plan to stand at the end of every path; not where the path has speeds
     double acceleration = 1.5;            // m/s^2, how fast the speed may be changed
     double stop_deceleration = 3.0;       // m/s^2, of the safe command
-    double longest_silence = 0.3;         // s, age of the newest odometry from which on the car is stopped
+    double longest_silence = 0.3;         // s, age of the newest pose or speed from which on the car is stopped
     double furthest = 3.0;                // m from the path, from which on the car is stopped
 };
 
-// Of the centre of mass: s, m, m, rad, m/s, rad/s.
+// Of the centre of mass: s, m, m, rad, m/s, rad/s; speed and yaw rate are NaN in a pose without motion.
 struct Sample {
     double t = NAN, x = NAN, y = NAN, yaw = NAN, speed = NAN, yaw_rate = NAN;
 };
@@ -42,6 +44,8 @@ struct Command {
     double speed = 0.0;        // m/s
     double acceleration = 0.0; // m/s^2, > 0, how fast to change to it; of the speed control where it was exported
     std::string stopping;      // why it is the safe command; empty when it is not
+    double angle_rate = 0.0;   // rad/s, of the angle since the command before
+    double request = NAN;      // m/s^2, dv/dt of the speed control or the safe command; NaN: none
 };
 
 // For a diagnostic_msgs/DiagnosticStatus.
@@ -67,10 +71,12 @@ class Follower {
     // m, of the base frame ahead of the centre of mass
     double base_ahead_of_mass() const { return parameters.base_ahead - ADAPTRACK_REAR_AXLE; }
 
-    // An odometry, in whatever order; one that cannot be used is left out, and the diagnostics say why.
-    void odometry(const Sample &sample, const std::string &frame, const std::string &child_frame);
+    // A pose in a frame, in whatever order; one that cannot be used is left out, and the diagnostics say why.
+    void pose(const Sample &sample, const std::string &frame, const std::string &child_frame);
+    // Let the diagnostics say why there is no pose.
+    void miss_pose(const std::string &why) { pose_trouble_ = why; }
     // From the first one on the twist of the odometry is not used, but for its speed where a motion has none.
-    void motion(const Motion &motion);
+    void motion(const Motion &motion, const std::string &frame = "");
     // A path through points x, y (m), one behind the other, and speeds (m/s) at them, or none; an empty one stops the
     // car. One that cannot be driven is refused, the one before is followed on, and the diagnostics say why.
     void path(const std::vector<double> &points, const std::vector<double> &speeds, const std::string &frame);
@@ -97,9 +103,12 @@ class Follower {
 
     std::string why_not(Planned &planned, const std::vector<double> &points, const std::vector<double> &speeds) const;
     void plan_speeds(Planned &planned, const std::vector<double> &points) const;
+    std::string wrong_frame(const std::string &frame) const;
     std::string why_blind(double now) const;
+    std::string why_late(double age, const char *noun, const char *topic) const;
     std::string why_stopped() const;
     double braking_speed(double now);
+    void command(double speed, double acceleration, double request, std::string stopping);
     void stop(std::string why);
     double target_speed(double station);
     void go();
@@ -111,12 +120,11 @@ class Follower {
     double sample_speed_ = 0.0;      // m/s, of the last call
     double left_ = 0.0, next_ = 0.0; // m, where it began to drive along the path, and its next stop; NaN: a new path
     std::vector<double> points_, speeds_;
-    std::string path_frame_, odometry_frame_, path_trouble_, odometry_trouble_, motion_trouble_;
+    std::string path_frame_, pose_frame_, path_trouble_, pose_trouble_, motion_trouble_;
     std::optional<Sample> fresh_;
     std::optional<Motion> fresh_motion_;
-    bool has_motion_speed_ = false;
     double newest_ = -std::numeric_limits<double>::infinity(), speed_ = 0.0, braked_ = newest_, angle_ = 0.0;
-    double newest_motion_ = newest_;
+    double newest_motion_ = newest_, newest_speed_ = newest_;
     std::optional<adaptrack_answer> answer_;
     adaptrack_error error_ = ADAPTRACK_OK;
     Command command_;

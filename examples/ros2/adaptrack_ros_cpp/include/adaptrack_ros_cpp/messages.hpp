@@ -6,6 +6,7 @@
 #include "adaptrack_ros_cpp/follower.hpp"
 
 #include <cmath>
+#include <cstdint>
 #include <vector>
 
 namespace adaptrack_ros {
@@ -24,15 +25,21 @@ double yaw_of(const Quaternion &q) {
     return square > 0.0 && std::isfinite(square) ? std::atan2(across, along) : NAN;
 }
 
+// The centre of mass by place and quaternion of a frame of the car that lies `ahead` (m) of it.
+template <class Time, class Place, class Quaternion>
+Sample sample_of(const Time &stamp, const Place &place, const Quaternion &q, double ahead) {
+    const double yaw = yaw_of(q);
+    return {seconds(stamp), place.x - ahead * std::cos(yaw), place.y - ahead * std::sin(yaw), yaw, NAN, NAN};
+}
+
 // The centre of mass in a nav_msgs/Odometry whose child frame lies `ahead` (m) of it. On a rigid body v_x is the same
 // all along the axis of the car, and so is the yaw rate.
 template <class Odometry>
 Sample sample_of(const Odometry &odometry, double ahead) {
     const auto &pose = odometry.pose.pose;
-    const auto &twist = odometry.twist.twist;
-    const double yaw = yaw_of(pose.orientation);
-    return {seconds(odometry.header.stamp), pose.position.x - ahead * std::cos(yaw),
-            pose.position.y - ahead * std::sin(yaw), yaw, twist.linear.x, twist.angular.z};
+    Sample sample = sample_of(odometry.header.stamp, pose.position, pose.orientation, ahead);
+    sample.speed = odometry.twist.twist.linear.x, sample.yaw_rate = odometry.twist.twist.angular.z;
+    return sample;
 }
 
 // Motion in a geometry_msgs/Twist with its stamp.
@@ -96,6 +103,25 @@ void fill_drive(const Command &command, Drive &drive) {
     drive.speed = static_cast<float>(command.speed);
     drive.acceleration = static_cast<float>(command.acceleration);
     drive.steering_angle_velocity = drive.jerk = 0.0F;
+}
+
+// Write an autoware_control_msgs/Control of a control period (s), whose state is expected a period after the stamp.
+template <class Control, class Time>
+void fill_control(const Command &command, const Time &stamp, double period, Control &control) {
+    const auto nanoseconds = static_cast<std::int64_t>(stamp.nanosec) + std::llround(1e9 * period);
+    Time after = stamp;
+    after.sec += static_cast<std::int32_t>(nanoseconds / 1000000000);
+    after.nanosec = static_cast<std::uint32_t>(nanoseconds % 1000000000);
+    auto &lateral = control.lateral;
+    auto &longitudinal = control.longitudinal;
+    control.stamp = lateral.stamp = longitudinal.stamp = stamp;
+    control.control_time = lateral.control_time = longitudinal.control_time = after;
+    lateral.steering_tire_angle = static_cast<float>(command.angle);
+    lateral.steering_tire_rotation_rate = static_cast<float>(command.angle_rate);
+    lateral.is_defined_steering_tire_rotation_rate = true;
+    longitudinal.velocity = static_cast<float>(command.speed);
+    longitudinal.is_defined_acceleration = std::isfinite(command.request);
+    longitudinal.acceleration = longitudinal.is_defined_acceleration ? static_cast<float>(command.request) : 0.0F;
 }
 
 // Write a diagnostic_msgs/DiagnosticStatus.
