@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import shutil
 import subprocess
 import sys
@@ -16,11 +17,12 @@ import pytest
 import adaptrack as at
 import adaptrack.export
 from adaptrack import cli
-from adaptrack.control.speed_control import SpeedState
+from adaptrack.control.speed_control import SpeedLimit, SpeedState
 from adaptrack.core.kernel import Resident, direct
 from adaptrack.core.tracker.records import TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_step
 from adaptrack.core.units import car as kernel
+from adaptrack.core.units import controller as controller_kernel
 from adaptrack.export import fmu_build
 from adaptrack.export.fmu import constants, write_fmu
 from adaptrack.export.tracking import record_of
@@ -247,30 +249,91 @@ def test_the_two_drive_a_planned_road_by_themselves(folder):
     assert body.get("vx") == pytest.approx(speed, abs=0.5)
 
 
-def test_the_two_stop_and_drive_on_by_force_with_the_requests_of_the_tracker(folder):
+class UnitOfKernels:
+    """A unit behind the interface of `Instance`, called without an FMU around it."""
+
+    def __init__(self, unit):
+        law = "law_" if "Law" in type(unit.record).__name__ else ""
+        module, name = (kernel, "car") if unit.name == "car" else (controller_kernel, f"{law}speed_steering")
+        self._values, self._record = unit.record.values, Resident(unit.record)
+        self._names = {value.name: i for i, value in enumerate(unit.values)}
+        self._step = getattr(module, f"{name}_step")
+        assert getattr(module, f"{name.replace('speed_', '')}_begin")(self._record) == 0
+
+    def get(self, *names):
+        values = [self._values[self._names[name]] for name in names]
+        return values if len(names) > 1 else values[0]
+
+    def step(self, **values):
+        for name, value in values.items():
+            self._values[self._names[name]] = value
+        assert self._step(self._record) == 0
+
+
+SPEED_PARTS = {
+    "informed": lambda: at.MPC(CAR, profile="road"),
+    "learning": lambda: at.MPC(CAR, profile="production", learning=at.Learning()),
+    "pure-pursuit": lambda: at.PurePursuit(CAR, period=0.05),
+}
+REQUESTED = ("acceleration", "force", "hold", "target_speed", "grip_used")
+PERIODS = 340
+DRIVES = max(1, int(os.environ.get("ADAPTRACK_TEST_STEPS", "0")) // PERIODS)
+
+
+def compare_with_tracker(body, mind, tracker, number):
+    """Drive by force; stations (m), those of stands, and calls in which the unit and the tracker differ.
+
+    number: of the drive; from the second on with poses and yaw rates lost and ice, every other one with a measured
+    grade.
+    """
+    rng, stands, stations, differ = np.random.default_rng(number), [], [], 0
+    for k in range(PERIODS):
+        has_pose, has_rate = (rng.random(2) > 0.05) if number > 0 else (True, True)
+        grade = 0.04 + 0.01 * rng.normal() if number % 2 else math.nan
+        sample = {name: body.get(output) for name, output in SAMPLES.items() if name != "wheel_angle"}
+        mind.step(**sample, pose_known=has_pose, yaw_rate_known=has_rate, grade_known=bool(number % 2), grade=grade)
+        place = [sample[name] if has_pose else math.nan for name in ("x", "y", "yaw")]
+        rate = sample["yaw_rate"] if has_rate else math.nan
+        answer = tracker.step(k * 0.05 - sample["age"], *place, sample["speed"], rate, now=k * 0.05, grade=grade)
+        request = answer.longitudinal
+        ours = [answer.command, answer.offset, answer.station, *request[:5]]
+        numbers = [list(kind).index(value) for kind, value in (
+            (at.Status, answer.status), (SpeedState, request.state), (SpeedLimit, request.limited_by))]  # fmt: skip
+        differ += not same(ours, mind.get("command", "offset", "station", *REQUESTED))
+        differ += numbers != mind.get("status", "speed_state", "limited_by")
+        friction = 0.3 if number > 0 and 90.0 < body.get("station") < 120.0 else 0.9
+        wheels = {f"friction_{wheel}": friction for wheel in ("front_left", "front_right", "rear_left", "rear_right")}
+        command, force, hold = mind.get("command", "force", "hold")
+        body.step(command=command, force=force, hold=hold, grade=0.04, **wheels)
+        stations.append(body.get("station"))
+        if request.state == SpeedState.STOPPED:
+            stands.append(stations[-1])
+    return stations, stands, differ
+
+
+@pytest.mark.parametrize("way", ["kernels", "FMPy"])
+@pytest.mark.parametrize("name", SPEED_PARTS)
+def test_the_two_stop_and_drive_on_by_force_with_the_requests_of_the_tracker(name, way, folder):
+    """As many calls as ADAPTRACK_TEST_STEPS says."""
     road = country().road.replace(grade=0.04)
     plan, speed = at.plan_speed(road, CAR, stops=[Stop(70.0, 1.0)]), at.SpeedControl(CAR, friction=0.6)
-    route, controller = at.RoadDrive(road, plan), at.MPC(CAR, profile="road")
-    units = (
-        car_unit(PLANT, route, profile="road", driver=speed, period=0.05),
-        controller_unit(controller, road, plan, speed=speed),
-    )
-    body, mind = (Instance(write_fmu(unit, folder / f"speed-{unit.name}.fmu"), folder) for unit in units)
-    tracker, names = at.Tracker(controller, road, plan=plan, speed=speed), ("acceleration", "force", "hold")
-    stands, stations = [], []
-    for k in range(340):
-        sample = {name: body.get(output) for name, output in SAMPLES.items() if name != "wheel_angle"}
-        mind.step(**sample)
-        command, force, hold, state = mind.get("command", "force", "hold", "speed_state")
-        place = [sample[name] for name in ("x", "y", "yaw", "speed", "yaw_rate")]
-        request = tracker.step(k * 0.05 - sample["age"], *place, now=k * 0.05).longitudinal
-        assert same(mind.get(*names), request[:3])
-        body.step(command=command, force=force, hold=hold, grade=0.04)
-        stations.append(body.get("station"))
-        if state == list(SpeedState).index(SpeedState.STOPPED):
-            stands.append(stations[-1])
-    assert stands[-1] == pytest.approx(70.0, abs=0.4)
-    assert stations[-1] > 80.0
+    route, profile = at.RoadDrive(road, plan), "production" if name == "learning" else "road"
+    for number in range(DRIVES):
+        path = road.replace(grade=0.0) if number % 2 else road
+        units = (
+            car_unit(PLANT, route, profile=profile, driver=speed, period=0.05),
+            controller_unit(SPEED_PARTS[name](), path, plan, speed=speed),
+        )
+        if way == "kernels":
+            body, mind = map(UnitOfKernels, units)
+        else:
+            files = (write_fmu(unit, folder / f"speed-{name}-{number % 2}-{unit.name}.fmu") for unit in units)
+            body, mind = (Instance(file, folder) for file in files)
+        tracker = at.Tracker(SPEED_PARTS[name](), path, plan=plan, speed=speed)
+        stations, stands, differ = compare_with_tracker(body, mind, tracker, number)
+        assert differ == 0
+        assert stations[-1] > 80.0
+        assert number > 0 or stands[-1] == pytest.approx(70.0, abs=0.4)
 
 
 def test_both_versions_drive_alike_to_the_bit(folder):

@@ -2,6 +2,7 @@
 
 import functools
 import json
+import os
 import subprocess
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from adaptrack.core.plants.contract import PLANT_STATE, SLOTS
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.batch import Batch
 from adaptrack.export import page_setup
+from adaptrack.export.page_setup import simulate_setup
 from adaptrack.scenario.profile import load_profile
 from pages import differing
 from programs import find_program
@@ -99,6 +101,7 @@ def refusals_of(answers):
     return [(answer["where"], answer["message"]) for answer in answers if answer["type"] == "refused"]
 
 
+CALLS = int(os.environ.get("ADAPTRACK_TEST_STEPS", "0"))
 FEW = "informed", "sheet", "speed control", "speed control, heavy"
 """Drives that are always compared; all of them where there is time."""
 
@@ -113,6 +116,21 @@ def test_a_drive_of_the_page_is_the_drive_of_the_package(name, ask):
     assert len(cars) == len(expected)
     assert [differing(car, there) for car, there in zip(cars, expected, strict=True)] == [{}] * len(cars)
     assert [len(car["x"]) for car in cars] == [len(there["x"]) for there in expected]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in page_drives.SETUPS if name.startswith("speed control")])
+def test_drives_by_a_speed_control_are_those_of_the_package_from_every_seed(name, ask):
+    """As many instants of all cars as ADAPTRACK_TEST_STEPS says."""
+    seed, instants = 100, 0
+    while instants < max(CALLS, 1):
+        setup = {**page_drives.SETUPS[name], "seed": seed}
+        cars = frames(ask(*drive(setup)))
+        expected = [page_drives.columns_of(run) for run in simulate_setup(setup)]
+        assert [differing(car, there) for car, there in zip(cars, expected, strict=True)] == [{}] * len(cars)
+        instants += sum(len(there["x"]) for there in expected)
+        seed += 1
+    assert instants > 500
 
 
 def test_truth_and_assumption_changed_before_the_first_instant_are_those_of_a_setup(ask):
