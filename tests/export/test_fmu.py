@@ -277,7 +277,7 @@ SPEED_PARTS = {
 }
 REQUESTED = ("acceleration", "force", "hold", "target_speed", "grip_used")
 PERIODS = 340
-DRIVES = max(1, int(os.environ.get("ADAPTRACK_TEST_STEPS", "0")) // PERIODS)
+DRIVES = max(1, -(-int(os.environ.get("ADAPTRACK_TEST_STEPS", "0")) // PERIODS))
 
 
 def compare_with_tracker(body, mind, tracker, number):
