@@ -42,17 +42,17 @@ std::pair<const char *, const char *> pose_words(const Parameters &p) {
 
 // Refuse messages that there are not, and a pose without a speed.
 void check_messages(const Parameters &p) {
-    const auto is_one_of = [](const std::string &name, std::initializer_list<const char *> names) {
-        return std::find(names.begin(), names.end(), name) != names.end();
+    const auto check = [](const char *name, const std::string &value, std::initializer_list<const char *> messages) {
+        std::string names;
+        for (const std::string message : messages) {
+            if (message == value) return;
+            names += (names.empty() ? "" : ", ") + (message.empty() ? "empty" : message);
+        }
+        throw std::invalid_argument(name + (" = '" + value + "': must be one of " + names + "."));
     };
-    const bool moves = is_one_of(p.motion_message, {"geometry_msgs/TwistStamped", "nav_msgs/Odometry"});
-    if (!is_one_of(p.pose_message, {"nav_msgs/Odometry", "geometry_msgs/PoseStamped", "tf"}))
-        throw std::invalid_argument("pose_message = '" + p.pose_message +
-                                    "': must be one of nav_msgs/Odometry, geometry_msgs/PoseStamped, tf.");
-    if (!moves && !is_one_of(p.motion_message, {"", "sensor_msgs/Imu"}))
-        throw std::invalid_argument("motion_message = '" + p.motion_message + "': must be one of empty, "
-                                    "geometry_msgs/TwistStamped, nav_msgs/Odometry, sensor_msgs/Imu.");
-    if (!moves && p.pose_message != "nav_msgs/Odometry")
+    check("pose_message", p.pose_message, {"nav_msgs/Odometry", "geometry_msgs/PoseStamped", "tf"});
+    check("motion_message", p.motion_message, {"", "geometry_msgs/TwistStamped", "nav_msgs/Odometry", "sensor_msgs/Imu"});
+    if (p.pose_message != "nav_msgs/Odometry" && (p.motion_message.empty() || p.motion_message == "sensor_msgs/Imu"))
         throw std::invalid_argument("pose_message = '" + p.pose_message + "' has no speed: give motion_message = "
                                     "geometry_msgs/TwistStamped or nav_msgs/Odometry.");
 }
