@@ -303,8 +303,8 @@ class Tracker:
         longitudinal_acceleration: m/s^2, dv/dt without gravity; driver: whether a driver uses the pedals: the speed
         control then learns nothing, and its requests follow the motion of the car; grade: dz/ds measured under the
         car, positive uphill: it replaces that of the path in the requests of the speed control. What is not known is
-        NaN; a call without a position is one as well. What no car can have, and all but the speed of a sample that is 2 s old,
-        counts as not known (`core.tracker.records`).
+        NaN; a call without a position is one as well. What no car can have, and all but the speed of a sample that is
+        2 s old, counts as not known (`core.tracker.records`).
 
         Raises
         ------
@@ -323,8 +323,7 @@ class Tracker:
         motion_t = row[0] if motion_time is None else real("Tracker.step", "motion_time", motion_time)
         kernel.sample[: len(row)] = row
         acceleration = real("Tracker.step", "longitudinal_acceleration", longitudinal_acceleration)
-        slope = real("Tracker.step", "grade", grade)
-        kernel.sample[TRACKER_SAMPLE.motion_t :] = motion_t, acceleration, driver, slope
+        kernel.sample[TRACKER_SAMPLE.motion_t :] = motion_t, acceleration, driver, real("Tracker.step", "grade", grade)
         tracker_take(resident)
         self._obey()
         has_stepped = False

@@ -178,9 +178,9 @@ def controller_unit(
     """A controller with its tracker on a path as a unit: what `Tracker.step` does, once a period.
 
     plan, furthest: as of `Tracker`; speed_preview: how far ahead the driven car needs its planned speed, by default a
-    period; speed: the speed control behind the tracker, for which the plan counts; the slope is that of the path unless
-    the input ``grade`` is known. What
-    the controller has learned so far travels along; it stays as it is.
+    period; speed: the speed control behind the tracker, for which the plan counts; the grade is that of the path, under
+    the car the input ``grade`` where it is known. What the controller has learned so far travels along; it stays as it
+    is.
 
     Raises
     ------
