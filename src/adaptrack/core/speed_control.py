@@ -101,6 +101,8 @@ SPEED_MEMORY = record(
 )  # fmt: skip
 """What a speed controller remembers, and its answer."""
 
+MAX_PLAN_GRADE = 0.4
+"""dz/ds of a plan; a measured grade beyond it, either way, counts as not measured."""
 STOP_TOLERANCE, OVERSHOOT, REACHED = 0.5, 2.0, 0.03
 """m: a car that stands so near a stop has reached it; so far beyond it stays; the least remaining way."""
 EMERGENCY_RATIO = 1.4
@@ -429,7 +431,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     _take_motion(sample, settings, memory)
     station, speed = memory.station, memory.speed
     cell = cell_at(station, path)
-    slope = slope_of(sample.grade) if sample.grade == sample.grade else path.slope[cell]
+    slope = slope_of(sample.grade) if abs(sample.grade) <= MAX_PLAN_GRADE else path.slope[cell]
     bend = abs(speed * speed * path.curvature[cell] - path.bank[cell])
     if yaw_rate == yaw_rate:
         memory.lateral += LATERAL_SMOOTHING * (abs(speed * yaw_rate - path.bank[cell]) - memory.lateral)

@@ -11,7 +11,7 @@ from .maths.trigonometric import sin
 from .planning.station_table import AlongRecord, value_at
 from .plants.forces import GRAVITY
 from .road import CLOSED, LENGTH, Centreline, point_at
-from .speed_control import STOP_TOLERANCE, slope_of
+from .speed_control import MAX_PLAN_GRADE, STOP_TOLERANCE, slope_of
 from .speed_plan import planned_speeds
 
 PlanArrays = record(
@@ -31,8 +31,8 @@ PLAN_ARRAYS = {BAD_SPEED: "speeds", BAD_GRADE: "grades", BAD_BANK: "banks", BAD_
 """Array that a status names."""
 PLACE_SPACING = 0.5
 """m, between the places at most."""
-MAX_PLAN_GRADE, MAX_PLAN_BANK, MAX_PLAN_SPEED = 0.4, 1.4, 100.0
-"""-, rad, m/s: limits of a plan."""
+MAX_PLAN_BANK, MAX_PLAN_SPEED = 1.4, 100.0
+"""rad, m/s: limits of a plan, in addition to `MAX_PLAN_GRADE`."""
 LENGTH_TOLERANCE = 1.0
 """m, between the end of a plan and that of its road."""
 INSIDE = 1.0 - 1e-12

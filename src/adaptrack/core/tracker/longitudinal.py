@@ -10,7 +10,6 @@ from ..kernel import Place, exported, inlined, record, rows, vector, void
 from ..maths.bits import whole
 from ..speed_control import BLIND_GRACE, OFF, SPEED_MEMORY, SPEED_SAMPLE, SpeedPath, SpeedSettings, speed_control
 from ..speed_learning import SpeedBanks
-from ..speed_path import MAX_PLAN_GRADE
 from .records import MAX_SIGNAL, TRACKED, TRACKER_SAMPLE, TrackerRecord
 
 Longitudinal = record(
@@ -64,9 +63,8 @@ def _write_sample(tracker, blind_time, action, sample):
     sample.speed, sample.yaw_rate = tracker.sample[TRACKER_SAMPLE.speed], tracker.sample[TRACKER_SAMPLE.yaw_rate]
     acceleration = tracker.sample[TRACKER_SAMPLE.longitudinal_acceleration]
     sample.acceleration = acceleration if abs(acceleration) < MAX_SIGNAL else math.nan
-    grade = tracker.sample[TRACKER_SAMPLE.grade]
-    sample.grade = grade if abs(grade) <= MAX_PLAN_GRADE else math.nan
     sample.driver = 1.0 if tracker.sample[TRACKER_SAMPLE.driver] > 0.5 else 0.0
+    sample.grade = tracker.sample[TRACKER_SAMPLE.grade]
 
 
 @exported(void(Place(TrackerRecord), Place(Longitudinal)))
