@@ -1,4 +1,4 @@
-"""Cells of a comparison: the tuning and the test of one controller on one car in one profile.
+"""Cells of a comparison: the tuning and the test of one controller, with one driver, on one car in one profile.
 
 The search for the tuning drives the training roads a limited number of times. If the plant is costly, the search uses
 the car's twin (`plant.twin_of`). The default and the tuned controller then drive the test roads with each noise seed;
@@ -26,16 +26,20 @@ from adaptrack.comparison.config import (
     ControllerSetting,
     about_contender,
     is_tuning_file,
+    join_driver,
     load_drive,
     load_setting,
 )
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.entry_speed import LaneChangeTest, entry_speed
 from adaptrack.comparison.lane_change import iso_3888_2
-from adaptrack.comparison.measures import RUN, as_column, measure_runs
+from adaptrack.comparison.measures import DRIVER_MEASURES, RUN, as_column, measure_runs
 from adaptrack.comparison.table import label_of
 from adaptrack.control.controllers import MPC, About, Controller
+from adaptrack.control.estimation import Perception
+from adaptrack.drive.drivers import check_forces, make_driver
 from adaptrack.road import Road
+from adaptrack.scenario import RoadDrive
 from adaptrack.tuning.constant import search_constant
 from adaptrack.tuning.constant_file import load_tuning
 from adaptrack.tuning.pso import SwarmSettings
@@ -46,8 +50,14 @@ MAX_PARTICLES = 20
 """Largest number of particles of a search. A small budget gets fewer particles, so that some generations are left."""
 
 
-@lru_cache(maxsize=4)
-def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[ControllerSetting, RunSet | None, RunSet]:
+ASSUMED_FRICTION = 0.9
+"""Friction that controllers and drivers assume where the true one is specified."""
+
+
+@lru_cache(maxsize=8)
+def _run_sets(
+    task: ComparisonConfig, car: str, profile: str, driver: str
+) -> tuple[ControllerSetting, RunSet | None, RunSet]:
     """Return the setting, the training runs (None without a budget) and the test runs of all controllers."""
     setting = load_setting(car, profile)
     mpc = MPC(setting.car, profile=setting.profile, preview=True)
@@ -60,7 +70,31 @@ def _run_sets(task: ComparisonConfig, car: str, profile: str) -> tuple[Controlle
     if task.budget:
         plant = twin_of(setting.car) if setting.plant.costly else setting.plant
         training = load_runs(plant, task.training, task.training_length)
+    if driver:
+        return setting, None, _driver_runs(task, setting, mpc, driver)
     return setting, training, load_runs(setting.plant, task.roads, task.length)
+
+
+def _driver_runs(task: ComparisonConfig, setting: ControllerSetting, mpc: MPC, driver: str) -> RunSet:
+    """Return the test runs with a driver.
+
+    Raises
+    ------
+    InvalidInput
+        For a scenario without a road, a driver whose options are not possible, or a plant that no force moves.
+    """
+    drives = []
+    for name, friction in task.test_roads:
+        drive = load_drive(name, setting.car, task.length, task.duration, task.stops)
+        if not isinstance(drive, RoadDrive):
+            raise InvalidInput(f"roads: {name!r} is not a road with speeds by place, which drivers need: leave it out.")
+        drives.append(drive if friction is None else drive.replace(road=drive.road.replace(friction=friction)))
+    longitudinal_driver = make_driver(driver, setting.car)
+    check_forces(longitudinal_driver, setting.plant)
+    perception = Perception(friction=ASSUMED_FRICTION) if task.frictions else None
+    return RunSet(
+        setting.plant, mpc, drives, setting.profile, driver=longitudinal_driver, perception=perception
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=4)
@@ -102,7 +136,7 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     """
     start_time = time.perf_counter()
     properties = about_contender(cell.contender)
-    setting, training, test = _run_sets(task, cell.car, cell.profile)
+    setting, training, test = _run_sets(task, cell.car, cell.profile, cell.driver)
     result: dict[str, Any] = {
         "rows": [], "tunings": {}, "entry_speed": {}, "not_entered": "", "loops": 0, "left_out": "",
     }  # fmt: skip
@@ -121,6 +155,8 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     name = load_tuning(cell.contender).controller if is_tuning_file(cell.contender) else cell.contender
     for tuning, controller in controllers.items():
         identity = {"contender": name, "tuning": tuning, "car": cell.car, "profile": cell.profile}
+        if cell.driver:
+            identity |= {"contender": join_driver(name, cell.driver), "controller": name, "driver": cell.driver}
         result["rows"] += [identity | row for row in _test_rows(task, test, controller, setting.car.outline)]
         try:
             result["entry_speed"][label_of(name, tuning)] = _entry_speed(task, cell, properties, controller)
@@ -130,10 +166,13 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
 
 
 def _test_rows(task: ComparisonConfig, test: RunSet, controller: Controller, outline: Outline) -> list[dict[str, Any]]:
-    """Return one row for each test run: road, noise seed and `MEASURES`."""
+    """Return one row for each test run: road, noise seed and measures; with drivers also the true friction as text."""
+    measures = (*MEASURES, *DRIVER_MEASURES) if task.drivers else MEASURES
+    rows = measure_runs(test, controller, task.seeds, outline, with_driver=bool(task.drivers))
     return [
-        {"road": road, "seed": seed, **{name: row[name] for name in MEASURES}}
-        for road, runs in zip(task.roads, measure_runs(test, controller, task.seeds, outline), strict=True)
+        {"road": road, "seed": seed, **names, **{name: row[name] for name in measures}}
+        for (road, friction), runs in zip(task.test_roads, rows, strict=True)
+        for names in [{"friction": "" if friction is None else f"{friction:g}"} if task.drivers else {}]
         for seed, row in zip(task.seeds, runs, strict=True)
     ]
 
@@ -172,7 +211,8 @@ def _swarm(budget: int, drives_per_tuning: int) -> SwarmSettings:
 
 def _entry_speed(task: ComparisonConfig, cell: Cell, properties: About, controller: Controller) -> float | None:
     """Return the highest clean entry speed into ISO 3888-2 (m/s), 0 if none is clean, None if it is not driven."""
-    test = _obstacle(cell.car, cell.profile) if task.entry_speeds and properties.compiled else None
+    is_driven = task.entry_speeds and properties.compiled and not cell.driver
+    test = _obstacle(cell.car, cell.profile) if is_driven else None
     if test is None:
         return None
     speed = entry_speed(test, cell.contender, controller, ENTRY_SPEEDS).scan.speed

@@ -16,8 +16,9 @@ from adaptrack.base.files import LISTED, SHIPPED, Record, build, read_toml
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import About, Controller, about_controller, get_controller
+from adaptrack.drive.drivers import COMPILED_DRIVERS, check_driver
 from adaptrack.drive.world import ROAD_DRIVER, Driver
-from adaptrack.road import Comfort, load_road, plan_speed
+from adaptrack.road import Comfort, Stop, load_road, plan_speed
 from adaptrack.road.generate import ROAD_KINDS
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scenario.library import list_scenarios
@@ -29,6 +30,12 @@ COMPARISONS = SHIPPED / "comparisons"
 PERIODS_PER_DRIVE = 1500
 """Assumed number of control periods of a drive, for estimates of the computation time."""
 
+STEP_TIME = 5e-4
+"""Assumed computation time of a control period with a speed control in Python (s)."""
+STOP_DURATION = 2.0
+"""Time for which cars stand at stops (s)."""
+
+Friction = Annotated[float, Field(gt=0.0, le=3.0)]
 Names = Annotated[tuple[str, ...], LISTED, Field(min_length=1)]
 SeedNumbers = Annotated[tuple[int, ...], LISTED, Field(min_length=1)]
 
@@ -84,6 +91,18 @@ class ComparisonConfig(Record):
         default=False, description="whether cars follow their planned speed exactly, without forces along the road"
     )
     entry_speeds: bool = Field(default=True, description="whether the obstacle avoidance of ISO 3888-2 is driven")
+    drivers: Annotated[tuple[str, ...], LISTED] = Field(
+        default=(),
+        description="drivers that move the cars, each with every controller, see `adaptrack list drivers`, with "
+        "options as in `speed-control:friction=0.6..0.9`; empty for the default driver",
+    )
+    frictions: Annotated[tuple[Friction, ...], LISTED] = Field(
+        default=(),
+        description="with `drivers`: true friction of the test roads; plans, controllers and drivers assume 0.9",
+    )
+    stops: Annotated[tuple[float, ...], LISTED] = Field(
+        default=(), description="m, with `drivers`: places on each test road where the car stands for 2 s"
+    )
 
     @model_validator(mode="after")
     def _can_be_done(self) -> Self:
@@ -101,7 +120,19 @@ class ComparisonConfig(Record):
             raise ValueError(f"training: {min(shared_roads)!r} is a test road as well.")
         for name in self.contenders:
             about_contender(name)
+        self._check_drivers()
         return self
+
+    def _check_drivers(self) -> None:
+        for driver in self.drivers:
+            check_driver(driver)
+        if self.drivers and (self.budget or self.prescribed_speed):
+            raise ValueError(
+                "drivers: controllers are not tuned with drivers, and 'prescribed' is a driver itself: give budget = 0 "
+                "and no prescribed_speed; files of `tune` can be contenders."
+            )
+        if not self.drivers and (self.frictions or self.stops):
+            raise ValueError("frictions and stops need drivers, such as drivers = ['driver', 'speed-control'].")
 
     @property
     def driver(self) -> Driver | None:
@@ -109,37 +140,61 @@ class ComparisonConfig(Record):
         return None if self.prescribed_speed else ROAD_DRIVER
 
     @property
+    def test_roads(self) -> list[tuple[str, float | None]]:
+        """The test roads, each with every true friction; None for the friction of the road."""
+        return [(road, friction) for road in self.roads for friction in self.frictions or (None,)]
+
+    @property
     def cells(self) -> list[Cell]:
-        """The combinations of every controller with every car and every profile."""
+        """The combinations of every controller and driver with every car and every profile."""
         return [
-            Cell(contender, car, profile)
+            Cell(contender, car, profile, driver)
             for profile in dict.fromkeys(self.profiles)
             for car in dict.fromkeys(self.cars)
             for contender in dict.fromkeys(self.contenders)
+            for driver in dict.fromkeys(self.drivers or ("",))
         ]
 
     def loops(self, cell: Cell) -> int:
         """Return the approximate number of drives of a cell, in the search and the test, without entry speeds."""
         search = self.budget if about_contender(cell.contender).tunable else 0
-        return search + (2 if search else 1) * len(self.roads) * len(self.seeds)
+        return search + (2 if search else 1) * len(self.test_roads) * len(self.seeds)
 
     def seconds(self, cells: Sequence[Cell]) -> float:
         """Return the approximate computation time of cells on one core (s)."""
-        return sum(self.loops(cell) * PERIODS_PER_DRIVE * about_contender(cell.contender).step_time for cell in cells)
+        return sum(self.loops(cell) * PERIODS_PER_DRIVE * _step_time(cell) for cell in cells)
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Names of one combination of controller, car and profile."""
+    """Names of one combination of controller, car and profile, and of the driver if drivers are compared."""
 
     contender: str
     car: str
     profile: str
+    driver: str = ""
+
+    @property
+    def names(self) -> dict[str, str]:
+        """The names by field, without an empty driver."""
+        return {field: name for field, name in vars(self).items() if name}
 
     @property
     def label(self) -> str:
         """The label of the cell in progress reports and file names."""
-        return f"{self.profile}, {self.car}, {self.contender}"
+        return f"{self.profile}, {self.car}, {join_driver(self.contender, self.driver)}"
+
+
+def join_driver(controller: str, driver: str) -> str:
+    """Return the name of a controller with its driver; that of the controller if the driver is empty."""
+    return f"{controller} + {driver}" if driver else controller
+
+
+def _step_time(cell: Cell) -> float:
+    """Return the approximate computation time of a control period of a cell (s)."""
+    step_time = about_contender(cell.contender).step_time
+    is_compiled = not cell.driver or cell.driver.partition(":")[0] in COMPILED_DRIVERS
+    return step_time if is_compiled else max(step_time, STEP_TIME)
 
 
 def list_comparisons() -> dict[str, str]:
@@ -226,7 +281,9 @@ def load_setting(car: str, profile: str) -> ControllerSetting:
     return ControllerSetting(vehicle, plant, load_profile(profile))
 
 
-def load_drive(name: str, car: Vehicle, length: float, duration: float) -> Scenario | RoadDrive:
+def load_drive(
+    name: str, car: Vehicle, length: float, duration: float, stops: Sequence[float] = ()
+) -> Scenario | RoadDrive:
     """Return the drive on a road with a speed that is planned for a car.
 
     Parameters
@@ -239,6 +296,8 @@ def load_drive(name: str, car: Vehicle, length: float, duration: float) -> Scena
         Length of a generated road (m).
     duration
         Duration of a random drive (s).
+    stops
+        Places along a road where the car stands for `STOP_DURATION` (m).
 
     Raises
     ------
@@ -255,4 +314,5 @@ def load_drive(name: str, car: Vehicle, length: float, duration: float) -> Scena
         return load_scenario(where)
     road = load_road(kind, seed=int(seed or 0), length=length) if kind in ROAD_KINDS else load_road(where)
     comfort = Comfort(lateral=float(lateral)) if lateral else Comfort()
-    return RoadDrive(road, plan_speed(road, car, comfort), name=name)
+    plan = plan_speed(road, car, comfort, stops=[Stop(place, STOP_DURATION) for place in stops])
+    return RoadDrive(road, plan, name=name)

@@ -1,4 +1,4 @@
-"""Measures of the runs of a comparison: cost, failure, errors and comfort."""
+"""Measures of the runs of a comparison: cost, failure, errors and comfort, and how a driver followed the plan."""
 
 from __future__ import annotations
 
@@ -9,8 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.cars.outline import Outline
+from adaptrack.core.public import GRAVITY
+from adaptrack.drive.failure import MIN_JUDGED_SPEED
 from adaptrack.drive.metrics import PathRecord, compute_metrics, path_metrics
+from adaptrack.drive.signal_statistics import percentile_95
 from adaptrack.drive.trajectory import Trajectory
+from adaptrack.scenario import RoadDrive
 from adaptrack.tuning.runs import Policy, RunSet
 
 Array = NDArray[np.float64]
@@ -24,9 +28,20 @@ RUN = {
 
 Units in this order: m, m, m, m, rad/s, m/s^2, m/s^3, s.
 """
+DRIVER_MEASURES = {
+    "time_lost": "-", "way_driven": "-", "speed_error": "m/s", "longitudinal_jerk": "m/s^3", "used_grip": "-",
+    "stop_error": "m", "missed_stops": "-",
+}  # fmt: skip
+"""Measures of `driver_measures` with their units."""
+JERK_WINDOW = 0.2
+"""s, over which the acceleration is averaged for the longitudinal jerk."""
+STANDING_SPEED, STOP_DISTANCE = 0.01, 8.0
+"""m/s, below which a car stands; m, within which it stands for a stop."""
 
 
-def measure_runs(runs: RunSet, policy: Policy, seeds: Sequence[int], outline: Outline) -> list[list[dict[str, Any]]]:
+def measure_runs(
+    runs: RunSet, policy: Policy, seeds: Sequence[int], outline: Outline, *, with_driver: bool = False
+) -> list[list[dict[str, Any]]]:
     """Drive every run with every noise seed and return all measures.
 
     Parameters
@@ -35,6 +50,8 @@ def measure_runs(runs: RunSet, policy: Policy, seeds: Sequence[int], outline: Ou
         As for `RunSet.trajectories`.
     outline
         Outline of the car, whose corners are measured.
+    with_driver
+        Whether to add `driver_measures`; all runs must then be drives along roads.
 
     Returns
     -------
@@ -43,8 +60,12 @@ def measure_runs(runs: RunSet, policy: Policy, seeds: Sequence[int], outline: Ou
         measure that does not exist.
     """
     return [
-        [_run_measures(run, PathRecord.from_trajectory(run), runs, outline) for run in road]
-        for road in runs.trajectories(policy, seeds)  # type: ignore[arg-type]
+        [
+            _run_measures(run, PathRecord.from_trajectory(run), runs, outline)
+            | (driver_measures(run, drive) if with_driver else {})  # type: ignore[arg-type]
+            for run in trajectories
+        ]
+        for drive, trajectories in zip(runs.scenarios, runs.trajectories(policy, seeds), strict=True)  # type: ignore[arg-type]
     ]
 
 
@@ -57,6 +78,52 @@ def _run_measures(run: Trajectory, record: PathRecord | None, runs: RunSet, outl
         "reason": metrics.failed_reason or "",
         "failed_at": float(metrics.failed_at) if metrics.failed else None,
         **{name: None if path is None else path[key] for name, key in RUN.items()},
+    }
+
+
+def driver_measures(run: Trajectory, drive: RoadDrive) -> dict[str, Any]:
+    """Return how a car followed the speed plan of a road, up to the end of its run or its failure.
+
+    Returns
+    -------
+    dict
+        None for a measure that does not exist, such as that of stops on a road without stops:
+
+        - `time_lost`: delay at the place where the run ends, relative to the planned time until there;
+        - `way_driven`: distance at the end of the run, relative to the planned distance;
+        - `speed_error`: RMS of the difference from the speed planned for the place (m/s), where this is 1 m/s or more;
+        - `longitudinal_jerk`: 95th percentile of the jerk, from accelerations over `JERK_WINDOW` (m/s^3);
+        - `used_grip`: largest acceleration of the centre of gravity divided by true friction times gravity;
+        - `stop_error`: largest distance from a planned stop at which the car first stood for it (m);
+        - `missed_stops`: number of stops that the car passed without standing.
+    """
+    is_finite = np.isfinite(run.vx) & np.isfinite(run.road["station"])
+    end = len(run) if is_finite.all() else int(is_finite.argmin())
+    window = round(JERK_WINDOW / run.period) or 1
+    if end < 2 * window + 2:
+        return dict.fromkeys(DRIVER_MEASURES)
+    plan, station, speed = drive.plan, run.road["station"][:end], run.vx[:end]
+    planned_speed, planned_time = plan.at(station), float(np.interp(station[-1], plan.s, plan.time))
+    is_judged = planned_speed >= MIN_JUDGED_SPEED
+    acceleration = np.gradient(speed, run.period) - run.vy[:end] * run.yaw_rate[:end]
+    mean_acceleration = (speed[window:] - speed[:-window]) / (window * run.period)
+    jerk = (mean_acceleration[window:] - mean_acceleration[:-window]) / (window * run.period)
+    grip = GRAVITY * drive.road.along("friction", station)
+    stop_errors, missed_stops = list[float](), 0
+    for stop in plan.stops:
+        standing = np.flatnonzero((speed < STANDING_SPEED) & (np.abs(station - stop.s) < STOP_DISTANCE))
+        if standing.size:
+            stop_errors.append(abs(float(station[standing[0]] - stop.s)))
+        elif station[-1] > stop.s + STOP_DISTANCE:
+            missed_stops += 1
+    return {
+        "time_lost": float(run.t[end - 1]) / planned_time - 1.0 if planned_time > 0.0 else None,
+        "way_driven": float(station[-1] / plan.motion(run.t[end - 1])[0]),
+        "speed_error": float(np.sqrt(np.mean((speed - planned_speed)[is_judged] ** 2))) if is_judged.any() else None,
+        "longitudinal_jerk": percentile_95(jerk),
+        "used_grip": float(np.max(np.hypot(acceleration, run.lateral_acceleration[:end]) / grip)),
+        "stop_error": max(stop_errors, default=None),
+        "missed_stops": missed_stops if plan.stops else None,
     }
 
 

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,16 +21,19 @@ from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.plant import fingerprint
 from adaptrack.comparison.cells import columns, run_cell
 from adaptrack.comparison.config import Cell, ComparisonConfig, is_tuning_file, load_setting
+from adaptrack.comparison.measures import DRIVER_MEASURES
 from adaptrack.comparison.table import Comparison, label_of
 from adaptrack.core.library import kernels_hash
 from adaptrack.tuning.constant_file import load_tuning
 
 REFERENCES = ("informed, tuned", "informed, default")
 """Labels of preferred reference contenders. A comparison without them uses its first contender."""
+FAILED_RUN_NAMES = ("car", "profile", "friction", "road", "seed", "reason", "failed_at")
 COMPARISON_FORMAT, COMPARISON_VERSION, RUNS_FILE = "adaptrack comparison", 1, "runs.parquet"
 MEASURE_UNITS = {
     "cost": "m^2", "failed": "-", "failed_at": "s", "rms_error": "m", "p95_error": "m", "max_error": "m",
     "max_corner": "m", "steering_rate": "rad/s", "acceleration": "m/s^2", "jerk": "m/s^3", "duration": "s", "seed": "-",
+    **DRIVER_MEASURES,
 }  # fmt: skip
 
 
@@ -49,22 +52,30 @@ class Compared:
 
     @cached_property
     def profile_comparisons(self) -> dict[str, Comparison]:
-        """The comparison of the runs in each profile, by profile name."""
+        """The comparison of the runs in each profile, by profile name; with drivers on each true friction as well."""
         columns = self.columns
+        frictions = columns.get("friction", np.full(columns["profile"].shape, ""))
         return {
-            profile: Comparison.from_columns(
-                {name: values[columns["profile"] == profile] for name, values in columns.items()}, REFERENCES
+            f"{profile}, friction {friction}" if friction else profile: Comparison.from_columns(
+                {
+                    name: values[(columns["profile"] == profile) & (frictions == friction)]
+                    for name, values in columns.items()
+                },
+                REFERENCES,
             )
-            for profile in dict.fromkeys(columns["profile"].tolist())
+            for profile, friction in dict.fromkeys(zip(columns["profile"].tolist(), frictions.tolist(), strict=True))
         }
 
     @property
     def failed_runs(self) -> list[dict[str, Any]]:
-        """The rows of the failed runs: contender, car, profile, road, noise seed, reason and time of failure (s)."""
+        """The rows of the failed runs: contender, car, profile, road, noise seed, reason and time of failure (s).
+
+        With drivers also the true friction.
+        """
         return [
             {
                 "label": label_of(row["contender"], row["tuning"]),
-                **{key: row[key] for key in ("car", "profile", "road", "seed", "reason", "failed_at")},
+                **{key: row[key] for key in FAILED_RUN_NAMES if key in row},
             }
             for cell in self.cells.values()
             for row in cell["rows"]
@@ -166,9 +177,9 @@ class _CellFile:
 
 def _cell_settings(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     """Return everything that the result of a cell depends on, except the software."""
-    settings = task.model_dump(mode="json", exclude={"name", "contenders", "cars", "profiles"})
+    settings = task.model_dump(mode="json", exclude={"name", "contenders", "drivers", "cars", "profiles"})
     setting = load_setting(cell.car, cell.profile)
-    settings |= asdict(cell) | {
+    settings |= cell.names | {
         "about_car": setting.car.model_dump(mode="json"), "about_profile": setting.profile.model_dump(mode="json"),
         "plant": fingerprint(setting.plant),
     }  # fmt: skip

@@ -1,13 +1,14 @@
-"""Ranking of contenders in a comparison with all measures of `measures.RUN`."""
+"""Ranking of contenders in a comparison with all measures of `measures.RUN`, and the measures of whole drivers."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.comparison.table import Comparison
+from adaptrack.comparison.table import Comparison, label_of
 
 
 def standing_rows(comparison: Comparison) -> list[dict[str, Any]]:
@@ -43,9 +44,45 @@ def _standing(comparison: Comparison, name: str, rank: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def driver_rows(comparison: Comparison) -> list[dict[str, Any]]:
+    """Return one row for each controller with a driver, without a rank, in the order of the comparison.
+
+    A row contains over the runs that did not fail, with None where there is none:
+
+    - the means of `time_lost`, `way_driven`, `longitudinal_jerk` (m/s^3) and the lateral `jerk` (m/s^3);
+    - the RMS of `speed_error` (m/s) and `rms_error` (m);
+    - the largest `max_error` (m), `used_grip` and `stop_error` (m), and the sum of `missed_stops`;
+
+    and the numbers of runs and failures.
+    """
+    return [_driver_row(comparison, name) for name in comparison.contenders]
+
+
+def _driver_row(comparison: Comparison, name: str) -> dict[str, Any]:
+    failed, tuning = comparison.of(name, "failed"), comparison.role(name).tuning
+    controller, driver = (str(max(comparison.of(name, field).ravel())) for field in ("controller", "driver"))
+    return {
+        "controller": controller if tuning in ("default", "scheduled") else label_of(controller, tuning),
+        "driver": driver, "label": name, "runs": int(np.isfinite(failed).sum()), "failures": int(np.nansum(failed)),
+        **{
+            measure: float(summary(values)) if values.size else None
+            for measure, summary in DRIVER_SUMMARIES.items()
+            for entries in [comparison.of(name, measure)[failed == 0.0]]
+            for values in [entries[np.isfinite(entries)]]
+        },
+    }  # fmt: skip
+
+
 def _rms(values: NDArray[Any]) -> float:
     return float(np.sqrt(np.nanmean(values**2))) if np.isfinite(values).any() else float("nan")
 
 
 def _percentile(values: NDArray[Any], percent: float, missing: float = float("nan")) -> float:
     return float(np.nanpercentile(values, percent)) if np.isfinite(values).any() else missing
+
+
+DRIVER_SUMMARIES: dict[str, Callable[[NDArray[Any]], Any]] = {
+    "time_lost": np.mean, "way_driven": np.mean, "speed_error": _rms, "rms_error": _rms, "max_error": np.max,
+    "longitudinal_jerk": np.mean, "jerk": np.mean, "used_grip": np.max, "stop_error": np.max, "missed_stops": np.sum,
+}  # fmt: skip
+"""Summary over the runs of each measure in `driver_rows`."""

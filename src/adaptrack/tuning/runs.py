@@ -5,8 +5,8 @@ MPC, or a controller that replaces it. The cost of a run of n control periods, w
 
     J = (1/n) sum e^2 + w (1/n) sum (change of command)^2.
 
-Compiled controllers run in batches. `simulate` drives the runs of other controllers, and all runs of a plant that is
-stepped in Python, one at a time.
+Compiled controllers run in batches. `simulate` drives the runs of other controllers, and all runs of a plant or a speed
+control that is stepped in Python, one at a time.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.drive.simulate import rollouts, simulate
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.drive.world import Driver, PerceptionSource, World
+from adaptrack.drive.world import Driver, LongitudinalDriver, PerceptionSource, World
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -118,7 +118,7 @@ class RunSet:
     def __init__(
         self, plant: Plant | SteppedPlant, mpc: MPC, scenarios: Sequence[Scenario | RoadDrive],
         profile: str | Profile = "road", *, segment: int | None = None, before: int = 0, stride: int = 20,
-        perception: PerceptionSource = None, failure: FailureLimits | None = None, driver: Driver | None = None,
+        perception: PerceptionSource = None, failure: FailureLimits | None = None, driver: LongitudinalDriver = None,
     ) -> None:  # fmt: skip
         self.plant, self.mpc, self.scenarios, self.profile, self.driver = plant, mpc, list(scenarios), profile, driver
         self.perception, self.failure = perception, failure or FailureLimits.of(plant)
@@ -142,6 +142,7 @@ class RunSet:
 
     def _batch(self, controller: Controller) -> Batch:
         assert not isinstance(self.plant, SteppedPlant)
+        assert isinstance(self.driver, Driver | None)
         return Batch(
             self.plant, controller, self.scenarios, self.profile, self.driver, self.failure, self.perception
         )  # fmt: skip
@@ -239,10 +240,12 @@ class RunSet:
         self.mpc.warn_of(schedule, load_profile(self.profile).name, self.plant)
 
     def _runs_compiled(self, policy: Policy) -> bool:
-        """Whether plant and policy run in compiled batches, without calls of Python functions."""
+        """Whether plant, driver and policy run in compiled batches, without calls of Python functions."""
         policy = policy.controller if isinstance(policy, ControllerTunings) else policy
         controller = policy if _is_controller(policy) else self.mpc
-        if isinstance(self.plant, SteppedPlant) or interpreted_functions(self.plant, controller):
+        if isinstance(self.plant, SteppedPlant) or not isinstance(self.driver, Driver | None):
+            return False
+        if interpreted_functions(self.plant, controller):
             return False
         return not _is_controller(policy) or _is_compiled(policy)
 
