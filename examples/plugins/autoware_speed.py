@@ -1,5 +1,7 @@
 """Longitudinal controller in the structure of Autoware's, as a driver of `simulate`: `driver=AutowareSpeed(car)`.
 
+In comparisons its name is `autoware`: `adaptrack compare --plugin autoware_speed --driver autoware`.
+
 Four states: in ``driving`` a PID on the speed at the predicted place, with the planned acceleration as feed-forward;
 in ``stopping`` a sequence of constant decelerations ("smooth stop"); in ``stopped`` the brakes hold; in ``emergency``
 a fixed deceleration, when the stop is overrun. A delay is compensated by prediction, a slope by its gravity.
@@ -24,6 +26,7 @@ from adaptrack.base.checked import NotNegative, Positive, Share, checked
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.speed_control import SpeedCommand, SpeedLimit, SpeedState
 from adaptrack.core.public import GRAVITY
+from adaptrack.drive.drivers import register_driver
 from adaptrack.road import Road, SpeedPlan, Stop
 
 DEPARTURE = 0.3
@@ -184,3 +187,6 @@ class AutowareFollower:
         slope = np.polyfit(self._period * np.arange(count), self._speeds, 1)[0] if count > 1 else 0.0
         is_far = -speed / slope > p.delay_compensation_time if slope < 0.0 else speed > p.max_fast_vel
         return self._strong_acc if is_far else p.weak_acc
+
+
+register_driver("autoware", AutowareSpeed, words="Autoware's longitudinal structure, parameters as published")

@@ -60,6 +60,19 @@ class CompareOptions:
         list[str] | None,
         Option("--profile", metavar="NAME", help="See `list profiles`, or a .toml file; may be repeated."),
     ] = None
+    driver: Annotated[
+        list[str] | None,
+        Option(
+            "--driver",
+            metavar="NAME[:OPTIONS]",
+            help="Compare drivers, which move the car by forces, each with every controller: see `list drivers`. "
+            "Options: speed-control:friction=0.6..0.9. May be repeated.",
+        ),
+    ] = None
+    friction: Annotated[
+        list[float] | None,
+        Option("--friction", metavar="MU", hidden=True, help="With --driver: true friction; may be repeated."),
+    ] = None
     budget: Annotated[
         int | None, Option("--budget", metavar="N", min=0, help="Simulated runs per tuning search; 0: no search.")
     ] = None
@@ -74,7 +87,8 @@ class CompareOptions:
         str | None,
         Option(
             "--config", metavar="NAME",
-            help="See `list comparisons`, or a .toml file; default: `quick`; if ROAD is given: `roads`.",
+            help="See `list comparisons`, or a .toml file; default: `quick`; with ROAD: `roads`; with --driver: "
+            "`drivers`.",
         ),
     ] = None  # fmt: skip
     prescribed_speed: options.PrescribedSpeed = False
@@ -95,18 +109,19 @@ class CompareOptions:
         values = {
             "cars": self.vehicle, "roads": self.road, "profiles": self.profile, "length": self.length,
             "budget": self.budget, "seeds": None if self.seeds is None else list(range(self.seeds)),
-            "prescribed_speed": self.prescribed_speed or None,
+            "prescribed_speed": self.prescribed_speed or None, "drivers": self.driver, "frictions": self.friction,
         }  # fmt: skip
         return {key: value for key, value in values.items() if value is not None}
 
 
 @options.grouped
 def compare(settings: CompareOptions) -> None:
-    """Compare controllers on roads, cars and profiles.
+    """Compare controllers, or controllers with drivers, on roads, cars and profiles.
 
     All controllers drive the same roads with the same noise. With --budget, a search on training roads also
     tunes each controller. A controller ranks above another if the 95 % interval of their error ratio
-    excludes 1. Failed runs are counted in the table; the exit code is 0.
+    excludes 1. Drivers have no rank: each measure has its own best. Failed runs are counted in the table; the
+    exit code is 0.
     """
     from adaptrack.results.page import write_result
 
@@ -121,6 +136,7 @@ def compare(settings: CompareOptions) -> None:
 def _compare_on_roads(settings: CompareOptions) -> Result:
     from adaptrack.comparison.run import run_comparison
     from adaptrack.results.compare import compare_result
+    from adaptrack.results.compare_drivers import compare_drivers_result
 
     task = _load_task(settings)
     loops, seconds = sum(map(task.loops, task.cells)), max(60.0, task.seconds(task.cells))
@@ -132,14 +148,16 @@ def _compare_on_roads(settings: CompareOptions) -> Result:
         interrupt.note_progress(f"Finished runs are in {settings.out}: run the command again to continue.")
     with show.progress("compare") as advance:
         compared = run_comparison(task, settings.out, progress=advance)
-    return compare_result(compared, command=options.command_line(), next_step=next_line(*_next_step(compared)))
+    make_result = compare_drivers_result if task.drivers else compare_result
+    return make_result(compared, command=options.command_line(), next_step=next_line(*_next_step(compared)))
 
 
 def _load_task(settings: CompareOptions) -> ComparisonConfig:
     """Load the configuration and apply the options."""
     from adaptrack.comparison.config import load_comparison
 
-    name, changes = settings.config or ("roads" if settings.road else "quick"), settings.changes
+    default = "drivers" if settings.driver else "roads" if settings.road else "quick"
+    name, changes = settings.config or default, settings.changes
     if settings.controller or settings.tuning:
         controllers = settings.controller or load_comparison(name, **changes).contenders
         changes["contenders"] = [*controllers, *(settings.tuning or ())]
@@ -150,6 +168,8 @@ def _next_step(compared: Compared) -> tuple[str, str]:
     """Suggest to drive or tune the controller with the smallest error in the last profile."""
     from adaptrack.comparison.views import standing_rows
 
+    if compared.task.drivers:
+        return "drive it on your road and car", command("drive", "ROAD", "--vehicle", "CAR", "--speed-control")
     profile, comparison = list(compared.profile_comparisons.items())[-1]
     best = standing_rows(comparison)[0]
     where = "--controller", best["contender"], "--profile", profile
@@ -171,6 +191,7 @@ def _compare_lane_change(settings: CompareOptions) -> Result:
         "--length": settings.length,
         "--seeds": settings.seeds,
         "--budget": settings.budget,
+        "--driver": settings.driver,
     }
     options_without_use = [option for option, value in unused.items() if value]
     if options_without_use:

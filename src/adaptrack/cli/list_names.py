@@ -53,6 +53,12 @@ def _controllers() -> Descriptions:
     return {name: f"{entry.words}{'' if entry.tunable else '; fixed tuning'}" for name, entry in entries.items()}
 
 
+def _drivers() -> Descriptions:
+    from adaptrack.drive.drivers import list_drivers
+
+    return list_drivers()
+
+
 def _schedules() -> Descriptions:
     from adaptrack.control.scheduling import list_schedulers, load_scheduler
 
@@ -76,6 +82,7 @@ COMMANDS: dict[str, tuple[Callable[[], Descriptions], str]] = {
     "scenarios": (_scenarios, "drive"),
     "profiles": (_profiles, "drive country --profile"),
     "controllers": (_controllers, "drive country --controller"),
+    "drivers": (_drivers, "compare --driver"),
     "schedules": (_schedules, "certify"),
     "comparisons": (_comparisons, "compare --out compared --config"),
 }

@@ -30,7 +30,7 @@ COMPARISONS = SHIPPED / "comparisons"
 PERIODS_PER_DRIVE = 1500
 """Assumed number of control periods of a drive, for estimates of the computation time."""
 
-STEP_TIME = 5e-4
+STEP_TIME = 1e-3
 """Assumed computation time of a control period with a speed control in Python (s)."""
 STOP_DURATION = 2.0
 """Time for which cars stand at stops (s)."""

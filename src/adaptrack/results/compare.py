@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adaptrack.base.result import MUTED, SERIES, Column, Panel, Picture, Result, ResultTable, Row, select_entries
-from adaptrack.comparison.config import about_contender
+from adaptrack.comparison.config import about_contender, join_driver
 from adaptrack.comparison.run import Compared
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import standing_rows
@@ -66,6 +66,7 @@ FAILED_RUN_COLUMNS = (
     Column("label", "Controller"),
     Column("car", "Car"),
     Column("profile", "Profile"),
+    Column("friction", "Friction"),
     Column("road", "Road"),
     Column("seed", "Seed"),
     Column("reason", "Reason"),
@@ -101,13 +102,11 @@ def compare_result(compared: Compared, *, command: str = "", next_step: str = ""
         kind="compare",
         title=f"{counted(len(task.contenders), 'controller')} on {cars} and {counted(len(task.roads), 'road')}",
         answer="\n".join(headline(profile, ranking) for profile, ranking in rows.items()),
-        record=_record(compared, rows),
+        record=comparison_record(compared, rows),
         tables=[
             *(contender_table(profile, ranking) for profile, ranking in rows.items()),
             *(console_table(profile, ranking, comparisons[profile]) for profile, ranking in rows.items()),
-            _failures_by_car(compared),
-            *_failed_runs_table(compared),
-            *_left_out_table(compared),
+            *failure_tables(compared),
         ],
         pictures=[_ratios(last, rows[last], comparisons[last].reference), _work(rows), *_entry_speeds(compared)],
         values={
@@ -140,14 +139,15 @@ def profile_rows(compared: Compared, profile: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _record(compared: Compared, rows: Mapping[str, Sequence[Row]]) -> dict[str, Any]:
+def comparison_record(compared: Compared, rows: Mapping[str, Sequence[Row]]) -> dict[str, Any]:
+    """The JSON record of a comparison; rows: of each profile, with drivers on each friction."""
     return {
         "name": compared.task.name,
         "profiles": dict(rows),
         "failed_runs": compared.failed_runs,
-        "left_out": [{**vars(cell), "why": why} for cell, why in compared.left_out.items()],
+        "left_out": [{**cell.names, "why": why} for cell, why in compared.left_out.items()],
         "cells": [
-            {**vars(cell), **{key: value for key, value in result.items() if key != "rows"}}
+            {**cell.names, **{key: value for key, value in result.items() if key != "rows"}}
             for cell, result in compared.cells.items()
         ],
     }
@@ -199,6 +199,11 @@ def console_table(profile: str, rows: Sequence[Row], comparison: Comparison) -> 
     return ResultTable(f"console {profile}", title, columns, table_rows, brief=True)
 
 
+def failure_tables(compared: Compared) -> list[ResultTable]:
+    """Failed runs by car, the first failed runs, and contenders that were left out."""
+    return [_failures_by_car(compared), *_failed_runs_table(compared), *_left_out_table(compared)]
+
+
 def _failures_by_car(compared: Compared) -> ResultTable:
     """Failed runs of each contender with each car."""
     cars = list(dict.fromkeys(compared.columns["car"].tolist()))
@@ -226,18 +231,15 @@ def _failed_runs_table(compared: Compared) -> list[ResultTable]:
     runs = compared.failed_runs
     note = f"The first {MAX_FAILED_RUNS} of {number(len(runs))}; --json has all." if len(runs) > MAX_FAILED_RUNS else ""
     table_rows = runs[:MAX_FAILED_RUNS]
-    return (
-        [ResultTable("failed runs", "Failed runs", FAILED_RUN_COLUMNS, table_rows, note, brief=True)]
-        if table_rows
-        else []
-    )
+    columns = [column for column in FAILED_RUN_COLUMNS if runs and column.name in runs[0]]
+    return [ResultTable("failed runs", "Failed runs", columns, table_rows, note, brief=True)] if table_rows else []
 
 
 def _left_out_table(compared: Compared) -> list[ResultTable]:
     """Contenders that do not fit a car or a profile, if there are any."""
     cars: dict[tuple[str, str, str], list[str]] = {}
     for cell, why in compared.left_out.items():
-        cars.setdefault((cell.contender, cell.profile, why), []).append(cell.car)
+        cars.setdefault((join_driver(cell.contender, cell.driver), cell.profile, why), []).append(cell.car)
     rows = [
         {"contender": contender, "where": f"{profile}: {', '.join(names)}", "why": why}
         for (contender, profile, why), names in cars.items()
