@@ -42,7 +42,7 @@ MAX_PITCH = 0.1
 @checked
 @dataclass(frozen=True)
 class AutowareSpeed:
-    """Parameters, named as published where they are; the defaults are those published.
+    """Longitudinal controller in Autoware's structure: parameters with their published names and values.
 
     car: mass and resistance, for the force.
     """
@@ -101,10 +101,8 @@ class AutowareFollower:
 
     def step(self, station: float, speed: float, yaw_rate: float) -> SpeedCommand:
         """Return the requests for the present period, see `adaptrack.drive.world.SpeedFollower`."""
-        p, car = self.settings, self.settings.car
-        lap = self._path.length
-        base = math.floor(station / lap) * lap if self._plan.closed else 0.0
-        distance = self._stops[0].s + base - station if self._stops else math.inf
+        p, car, lap = self.settings, self.settings.car, self._path.length
+        distance = self._stops[0].s - station if self._stops else math.inf
         self._standing = self._standing + self._period if speed < p.stopped_state_entry_vel else 0.0
         self._speeds.append(speed)
         self._change_state(distance, speed)
@@ -136,7 +134,7 @@ class AutowareFollower:
             if self._standing >= self._stops[0].seconds:
                 stop = self._stops.pop(0)
                 if self._plan.closed:
-                    self._stops.append(stop)
+                    self._stops.append(Stop(stop.s + self._path.length, stop.seconds))  # in the next lap
                 self._state, self._left_at, self._integral, self._error = SpeedState.DRIVING, stop.s, 0.0, 0.0
         elif stands and (distance < p.stopping_state_stop_dist or self._state == SpeedState.EMERGENCY):
             self._state = SpeedState.STOPPED
@@ -189,4 +187,4 @@ class AutowareFollower:
         return self._strong_acc if is_far else p.weak_acc
 
 
-register_driver("autoware", AutowareSpeed, words="Autoware's longitudinal structure, parameters as published")
+register_driver("autoware", AutowareSpeed)

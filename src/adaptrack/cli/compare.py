@@ -63,16 +63,10 @@ class CompareOptions:
     driver: Annotated[
         list[str] | None,
         Option(
-            "--driver",
-            metavar="NAME[:OPTIONS]",
-            help="Compare drivers, which move the car by forces, each with every controller: see `list drivers`. "
-            "Options: speed-control:friction=0.6..0.9. May be repeated.",
+            "--driver", metavar="NAME",
+            help="Driver that moves the car by forces, with each controller: see `list drivers`; may be repeated.",
         ),
-    ] = None
-    friction: Annotated[
-        list[float] | None,
-        Option("--friction", metavar="MU", hidden=True, help="With --driver: true friction; may be repeated."),
-    ] = None
+    ] = None  # fmt: skip
     budget: Annotated[
         int | None, Option("--budget", metavar="N", min=0, help="Simulated runs per tuning search; 0: no search.")
     ] = None
@@ -109,7 +103,7 @@ class CompareOptions:
         values = {
             "cars": self.vehicle, "roads": self.road, "profiles": self.profile, "length": self.length,
             "budget": self.budget, "seeds": None if self.seeds is None else list(range(self.seeds)),
-            "prescribed_speed": self.prescribed_speed or None, "drivers": self.driver, "frictions": self.friction,
+            "prescribed_speed": self.prescribed_speed or None, "drivers": self.driver,
         }  # fmt: skip
         return {key: value for key, value in values.items() if value is not None}
 
@@ -170,9 +164,9 @@ def _next_step(compared: Compared) -> tuple[str, str]:
 
     if compared.task.drivers:
         return "drive it on your road and car", command("drive", "ROAD", "--vehicle", "CAR", "--speed-control")
-    profile, comparison = list(compared.profile_comparisons.items())[-1]
+    condition, comparison = list(compared.profile_comparisons.items())[-1]
     best = standing_rows(comparison)[0]
-    where = "--controller", best["contender"], "--profile", profile
+    where = "--controller", best["contender"], "--profile", condition.partition(", friction ")[0]
     if best["tuning"] == "tuned":
         return "tune it for your roads and car", command("tune", "CAR", "--road", "ROAD", *where, "--out", "tuned")
     return "drive it on your road and car", command("drive", "ROAD", "--vehicle", "CAR", *where)

@@ -1,4 +1,4 @@
-"""Cells of a comparison: the tuning and the test of one controller, with one driver, on one car in one profile.
+"""Cells of a comparison: the tuning and the test of one controller, or of one with a driver, on one car.
 
 The search for the tuning drives the training roads a limited number of times. If the plant is costly, the search uses
 the car's twin (`plant.twin_of`). The default and the tuned controller then drive the test roads with each noise seed;
@@ -26,7 +26,6 @@ from adaptrack.comparison.config import (
     ControllerSetting,
     about_contender,
     is_tuning_file,
-    join_driver,
     load_drive,
     load_setting,
 )
@@ -48,53 +47,34 @@ from adaptrack.tuning.spaces import is_tunable
 
 MAX_PARTICLES = 20
 """Largest number of particles of a search. A small budget gets fewer particles, so that some generations are left."""
-
-
-ASSUMED_FRICTION = 0.9
-"""Friction that controllers and drivers assume where the true one is specified."""
+ASSUMED_FRICTION = Perception(friction=0.9)
+"""Friction that controllers and drivers assume if the true one is compared."""
 
 
 @lru_cache(maxsize=8)
 def _run_sets(
-    task: ComparisonConfig, car: str, profile: str, driver: str
+    task: ComparisonConfig, car: str, profile: str, driver: str, friction: float | None
 ) -> tuple[ControllerSetting, RunSet | None, RunSet]:
     """Return the setting, the training runs (None without a budget) and the test runs of all controllers."""
     setting = load_setting(car, profile)
     mpc = MPC(setting.car, profile=setting.profile, preview=True)
 
-    def load_runs(plant: Plant | SteppedPlant, names: Sequence[str], length: float) -> RunSet:
-        drives = [load_drive(name, setting.car, length, task.duration) for name in names]
-        return RunSet(plant, mpc, drives, setting.profile, driver=task.driver)
+    def load_runs(plant: Plant | SteppedPlant, names: Sequence[str], length: float, **options: Any) -> RunSet:
+        drives = [load_drive(name, setting.car, length, task.duration, **options) for name in names]
+        if (driver or any(options.values())) and not all(isinstance(drive, RoadDrive) for drive in drives):
+            raise InvalidInput("roads: drivers, frictions, stops and a limit of the jerk need roads, not scenarios.")
+        mover = make_driver(driver, setting.car) if driver else task.driver
+        if driver and mover is not None:
+            check_forces(plant)
+        perception = None if friction is None else ASSUMED_FRICTION
+        return RunSet(plant, mpc, drives, setting.profile, driver=mover, perception=perception)
 
     training = None
     if task.budget:
         plant = twin_of(setting.car) if setting.plant.costly else setting.plant
         training = load_runs(plant, task.training, task.training_length)
-    if driver:
-        return setting, None, _driver_runs(task, setting, mpc, driver)
-    return setting, training, load_runs(setting.plant, task.roads, task.length)
-
-
-def _driver_runs(task: ComparisonConfig, setting: ControllerSetting, mpc: MPC, driver: str) -> RunSet:
-    """Return the test runs with a driver.
-
-    Raises
-    ------
-    InvalidInput
-        For a scenario without a road, a driver whose options are not possible, or a plant that no force moves.
-    """
-    drives = []
-    for name, friction in task.test_roads:
-        drive = load_drive(name, setting.car, task.length, task.duration, task.stops)
-        if not isinstance(drive, RoadDrive):
-            raise InvalidInput(f"roads: {name!r} is not a road with speeds by place, which drivers need: leave it out.")
-        drives.append(drive if friction is None else drive.replace(road=drive.road.replace(friction=friction)))
-    longitudinal_driver = make_driver(driver, setting.car)
-    check_forces(longitudinal_driver, setting.plant)
-    perception = Perception(friction=ASSUMED_FRICTION) if task.frictions else None
-    return RunSet(
-        setting.plant, mpc, drives, setting.profile, driver=longitudinal_driver, perception=perception
-    )  # fmt: skip
+    options = {"friction": friction, "stops": task.stops, "jerk": task.jerk}
+    return setting, training, load_runs(setting.plant, task.roads, task.length, **options)
 
 
 @lru_cache(maxsize=4)
@@ -136,7 +116,7 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     """
     start_time = time.perf_counter()
     properties = about_contender(cell.contender)
-    setting, training, test = _run_sets(task, cell.car, cell.profile, cell.driver)
+    setting, training, test = _run_sets(task, cell.car, cell.profile, cell.driver, cell.friction)
     result: dict[str, Any] = {
         "rows": [], "tunings": {}, "entry_speed": {}, "not_entered": "", "loops": 0, "left_out": "",
     }  # fmt: skip
@@ -154,10 +134,8 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
         controllers["tuned"] = controller.with_tuning(best.tuning)
     name = load_tuning(cell.contender).controller if is_tuning_file(cell.contender) else cell.contender
     for tuning, controller in controllers.items():
-        identity = {"contender": name, "tuning": tuning, "car": cell.car, "profile": cell.profile}
-        if cell.driver:
-            identity |= {"contender": join_driver(name, cell.driver), "controller": name, "driver": cell.driver}
-        result["rows"] += [identity | row for row in _test_rows(task, test, controller, setting.car.outline)]
+        names = {"contender": cell.with_driver(name), "tuning": tuning, "car": cell.car, "profile": cell.condition}
+        result["rows"] += [names | row for row in _test_rows(task, cell, test, controller, setting.car.outline)]
         try:
             result["entry_speed"][label_of(name, tuning)] = _entry_speed(task, cell, properties, controller)
         except InvalidInput as error:
@@ -165,14 +143,15 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     return result | {"seconds": time.perf_counter() - start_time}
 
 
-def _test_rows(task: ComparisonConfig, test: RunSet, controller: Controller, outline: Outline) -> list[dict[str, Any]]:
-    """Return one row for each test run: road, noise seed and measures; with drivers also the true friction as text."""
-    measures = (*MEASURES, *DRIVER_MEASURES) if task.drivers else MEASURES
-    rows = measure_runs(test, controller, task.seeds, outline, with_driver=bool(task.drivers))
+def _test_rows(
+    task: ComparisonConfig, cell: Cell, test: RunSet, controller: Controller, outline: Outline
+) -> list[dict[str, Any]]:
+    """Return one row for each test run: road, noise seed and `MEASURES`, with a driver `DRIVER_MEASURES` as well."""
+    measures = (*MEASURES, *DRIVER_MEASURES) if cell.driver else MEASURES
+    rows = measure_runs(test, controller, task.seeds, outline, with_driver=bool(cell.driver))
     return [
-        {"road": road, "seed": seed, **names, **{name: row[name] for name in measures}}
-        for (road, friction), runs in zip(task.test_roads, rows, strict=True)
-        for names in [{"friction": "" if friction is None else f"{friction:g}"} if task.drivers else {}]
+        {"road": road, "seed": seed, **{name: row[name] for name in measures}}
+        for road, runs in zip(task.roads, rows, strict=True)
         for seed, row in zip(task.seeds, runs, strict=True)
     ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from adaptrack.base.files import LISTED, SHIPPED, Record, build, read_toml
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import About, Controller, about_controller, get_controller
-from adaptrack.drive.drivers import COMPILED_DRIVERS, check_driver
+from adaptrack.drive.drivers import make_driver
 from adaptrack.drive.world import ROAD_DRIVER, Driver
 from adaptrack.road import Comfort, Stop, load_road, plan_speed
 from adaptrack.road.generate import ROAD_KINDS
@@ -31,9 +32,11 @@ PERIODS_PER_DRIVE = 1500
 """Assumed number of control periods of a drive, for estimates of the computation time."""
 
 STEP_TIME = 1e-3
-"""Assumed computation time of a control period with a speed control in Python (s)."""
+"""Assumed computation time of a control period with a driver, which often needs Python at every step (s)."""
 STOP_DURATION = 2.0
 """Time for which cars stand at stops (s)."""
+WITH = " + "
+"""Text between the names of a controller and its driver."""
 
 Friction = Annotated[float, Field(gt=0.0, le=3.0)]
 Names = Annotated[tuple[str, ...], LISTED, Field(min_length=1)]
@@ -98,11 +101,12 @@ class ComparisonConfig(Record):
     )
     frictions: Annotated[tuple[Friction, ...], LISTED] = Field(
         default=(),
-        description="with `drivers`: true friction of the test roads; plans, controllers and drivers assume 0.9",
+        description="true frictions of the test roads, not used by plans; controllers and drivers assume 0.9",
     )
     stops: Annotated[tuple[float, ...], LISTED] = Field(
-        default=(), description="m, with `drivers`: places on each test road where the car stands for 2 s"
+        default=(), description="m, places on each test road where cars stand for 2 s"
     )
+    jerk: float | None = Field(default=None, gt=0.0, description="m/s^3, limit of the planned jerk on test roads")
 
     @model_validator(mode="after")
     def _can_be_done(self) -> Self:
@@ -120,19 +124,11 @@ class ComparisonConfig(Record):
             raise ValueError(f"training: {min(shared_roads)!r} is a test road as well.")
         for name in self.contenders:
             about_contender(name)
-        self._check_drivers()
-        return self
-
-    def _check_drivers(self) -> None:
-        for driver in self.drivers:
-            check_driver(driver)
         if self.drivers and (self.budget or self.prescribed_speed):
-            raise ValueError(
-                "drivers: controllers are not tuned with drivers, and 'prescribed' is a driver itself: give budget = 0 "
-                "and no prescribed_speed; files of `tune` can be contenders."
-            )
-        if not self.drivers and (self.frictions or self.stops):
-            raise ValueError("frictions and stops need drivers, such as drivers = ['driver', 'speed-control'].")
+            raise ValueError("drivers: need budget = 0 and no prescribed_speed, which is the driver 'prescribed'.")
+        for driver in self.drivers:
+            make_driver(driver, load_setting(self.cars[0], self.profiles[0]).car)
+        return self
 
     @property
     def driver(self) -> Driver | None:
@@ -140,16 +136,12 @@ class ComparisonConfig(Record):
         return None if self.prescribed_speed else ROAD_DRIVER
 
     @property
-    def test_roads(self) -> list[tuple[str, float | None]]:
-        """The test roads, each with every true friction; None for the friction of the road."""
-        return [(road, friction) for road in self.roads for friction in self.frictions or (None,)]
-
-    @property
     def cells(self) -> list[Cell]:
-        """The combinations of every controller and driver with every car and every profile."""
+        """The combinations of every controller and driver with every car, profile and true friction."""
         return [
-            Cell(contender, car, profile, driver)
+            Cell(contender, car, profile, driver, friction)
             for profile in dict.fromkeys(self.profiles)
+            for friction in dict.fromkeys(self.frictions or (None,))
             for car in dict.fromkeys(self.cars)
             for contender in dict.fromkeys(self.contenders)
             for driver in dict.fromkeys(self.drivers or ("",))
@@ -158,43 +150,42 @@ class ComparisonConfig(Record):
     def loops(self, cell: Cell) -> int:
         """Return the approximate number of drives of a cell, in the search and the test, without entry speeds."""
         search = self.budget if about_contender(cell.contender).tunable else 0
-        return search + (2 if search else 1) * len(self.test_roads) * len(self.seeds)
+        return search + (2 if search else 1) * len(self.roads) * len(self.seeds)
 
     def seconds(self, cells: Sequence[Cell]) -> float:
         """Return the approximate computation time of cells on one core (s)."""
-        return sum(self.loops(cell) * PERIODS_PER_DRIVE * _step_time(cell) for cell in cells)
+        step_times = [STEP_TIME if cell.driver else about_contender(cell.contender).step_time for cell in cells]
+        return PERIODS_PER_DRIVE * sum(self.loops(cell) * time for cell, time in zip(cells, step_times, strict=True))
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Names of one combination of controller, car and profile, and of the driver if drivers are compared."""
+    """Names of one combination of controller, car and profile, with driver and true friction if they are compared."""
 
     contender: str
     car: str
     profile: str
     driver: str = ""
+    friction: float | None = None
 
     @property
-    def names(self) -> dict[str, str]:
-        """The names by field, without an empty driver."""
-        return {field: name for field, name in vars(self).items() if name}
+    def entries(self) -> dict[str, Any]:
+        """The fields by name, without those that are not compared."""
+        return {name: value for name, value in vars(self).items() if value}
+
+    @property
+    def condition(self) -> str:
+        """The profile, with the true friction if it is compared."""
+        return self.profile if self.friction is None else f"{self.profile}, friction {self.friction:g}"
 
     @property
     def label(self) -> str:
         """The label of the cell in progress reports and file names."""
-        return f"{self.profile}, {self.car}, {join_driver(self.contender, self.driver)}"
+        return f"{self.condition}, {self.car}, {self.with_driver(self.contender)}"
 
-
-def join_driver(controller: str, driver: str) -> str:
-    """Return the name of a controller with its driver; that of the controller if the driver is empty."""
-    return f"{controller} + {driver}" if driver else controller
-
-
-def _step_time(cell: Cell) -> float:
-    """Return the approximate computation time of a control period of a cell (s)."""
-    step_time = about_contender(cell.contender).step_time
-    is_compiled = not cell.driver or cell.driver.partition(":")[0] in COMPILED_DRIVERS
-    return step_time if is_compiled else max(step_time, STEP_TIME)
+    def with_driver(self, controller: str) -> str:
+        """Return the name of a controller, with the driver if drivers are compared."""
+        return f"{controller}{WITH}{self.driver}" if self.driver else controller
 
 
 def list_comparisons() -> dict[str, str]:
@@ -282,8 +273,9 @@ def load_setting(car: str, profile: str) -> ControllerSetting:
 
 
 def load_drive(
-    name: str, car: Vehicle, length: float, duration: float, stops: Sequence[float] = ()
-) -> Scenario | RoadDrive:
+    name: str, car: Vehicle, length: float, duration: float, *, friction: float | None = None,
+    stops: Sequence[float] = (), jerk: float | None = None,
+) -> Scenario | RoadDrive:  # fmt: skip
     """Return the drive on a road with a speed that is planned for a car.
 
     Parameters
@@ -296,8 +288,9 @@ def load_drive(
         Length of a generated road (m).
     duration
         Duration of a random drive (s).
-    stops
-        Places along a road where the car stands for `STOP_DURATION` (m).
+    friction, stops, jerk
+        True friction of a road, which the plan does not use, places where the car stands for `STOP_DURATION` (m), and
+        limit of the planned jerk (m/s^3).
 
     Raises
     ------
@@ -313,6 +306,6 @@ def load_drive(
     if where in list_scenarios():
         return load_scenario(where)
     road = load_road(kind, seed=int(seed or 0), length=length) if kind in ROAD_KINDS else load_road(where)
-    comfort = Comfort(lateral=float(lateral)) if lateral else Comfort()
+    comfort = Comfort(**{"lateral": float(lateral)} if lateral else {}, jerk=jerk or math.inf)
     plan = plan_speed(road, car, comfort, stops=[Stop(place, STOP_DURATION) for place in stops])
-    return RoadDrive(road, plan, name=name)
+    return RoadDrive(road if friction is None else road.replace(friction=friction), plan, name=name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,7 +13,7 @@ from adaptrack.cars.outline import Outline
 from adaptrack.core.public import GRAVITY
 from adaptrack.drive.failure import MIN_JUDGED_SPEED
 from adaptrack.drive.metrics import PathRecord, compute_metrics, path_metrics
-from adaptrack.drive.signal_statistics import percentile_95
+from adaptrack.drive.signal_statistics import mean_square, r79
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.scenario import RoadDrive
 from adaptrack.tuning.runs import Policy, RunSet
@@ -29,14 +30,12 @@ RUN = {
 Units in this order: m, m, m, m, rad/s, m/s^2, m/s^3, s.
 """
 DRIVER_MEASURES = {
-    "time_lost": "-", "way_driven": "-", "speed_error": "m/s", "longitudinal_jerk": "m/s^3", "used_grip": "-",
-    "stop_error": "m", "missed_stops": "-",
+    "time_lost": "s", "way_driven": "-", "speed_error": "m/s", "longitudinal_jerk": "m/s^3", "used_grip": "-",
+    "stop_error": "m",
 }  # fmt: skip
 """Measures of `driver_measures` with their units."""
-JERK_WINDOW = 0.2
-"""s, over which the acceleration is averaged for the longitudinal jerk."""
 STANDING_SPEED, STOP_DISTANCE = 0.01, 8.0
-"""m/s, below which a car stands; m, within which it stands for a stop."""
+"""m/s, below which a car stands; m, within which it stands for a stop, and error of a stop that is passed."""
 
 
 def measure_runs(
@@ -87,43 +86,39 @@ def driver_measures(run: Trajectory, drive: RoadDrive) -> dict[str, Any]:
     Returns
     -------
     dict
-        None for a measure that does not exist, such as that of stops on a road without stops:
+        None for a measure that does not exist:
 
-        - `time_lost`: delay at the place where the run ends, relative to the planned time until there;
+        - `time_lost`: delay at the place where the run ends (s);
         - `way_driven`: distance at the end of the run, relative to the planned distance;
         - `speed_error`: RMS of the difference from the speed planned for the place (m/s), where this is 1 m/s or more;
-        - `longitudinal_jerk`: 95th percentile of the jerk, from accelerations over `JERK_WINDOW` (m/s^3);
+        - `longitudinal_jerk`: largest longitudinal jerk by UN R79 (m/s^3);
         - `used_grip`: largest acceleration of the centre of gravity divided by true friction times gravity;
-        - `stop_error`: largest distance from a planned stop at which the car first stood for it (m);
-        - `missed_stops`: number of stops that the car passed without standing.
+        - `stop_error`: largest distance from a stop at which the car first stood (m), `STOP_DISTANCE` without standing.
     """
-    is_finite = np.isfinite(run.vx) & np.isfinite(run.road["station"])
+    station, speed, plan = run.road["station"], run.vx, drive.plan
+    is_finite = np.isfinite(station) & np.isfinite(speed) & np.isfinite(run.lateral_acceleration)
     end = len(run) if is_finite.all() else int(is_finite.argmin())
-    window = round(JERK_WINDOW / run.period) or 1
-    if end < 2 * window + 2:
+    if end < 2:
         return dict.fromkeys(DRIVER_MEASURES)
-    plan, station, speed = drive.plan, run.road["station"][:end], run.vx[:end]
-    planned_speed, planned_time = plan.at(station), float(np.interp(station[-1], plan.s, plan.time))
+    t, station, speed = run.t[:end], station[:end], speed[:end]
+    planned_speed = plan.at(station)
     is_judged = planned_speed >= MIN_JUDGED_SPEED
-    acceleration = np.gradient(speed, run.period) - run.vy[:end] * run.yaw_rate[:end]
-    mean_acceleration = (speed[window:] - speed[:-window]) / (window * run.period)
-    jerk = (mean_acceleration[window:] - mean_acceleration[:-window]) / (window * run.period)
+    acceleration = np.gradient(speed, t) - run.vy[:end] * run.yaw_rate[:end]
     grip = GRAVITY * drive.road.along("friction", station)
-    stop_errors, missed_stops = list[float](), 0
+    stop_errors = []
     for stop in plan.stops:
-        standing = np.flatnonzero((speed < STANDING_SPEED) & (np.abs(station - stop.s) < STOP_DISTANCE))
-        if standing.size:
-            stop_errors.append(abs(float(station[standing[0]] - stop.s)))
+        is_standing = (speed < STANDING_SPEED) & (np.abs(station - stop.s) < STOP_DISTANCE)
+        if is_standing.any():
+            stop_errors.append(abs(float(station[is_standing.argmax()] - stop.s)))
         elif station[-1] > stop.s + STOP_DISTANCE:
-            missed_stops += 1
+            stop_errors.append(STOP_DISTANCE)
     return {
-        "time_lost": float(run.t[end - 1]) / planned_time - 1.0 if planned_time > 0.0 else None,
-        "way_driven": float(station[-1] / plan.motion(run.t[end - 1])[0]),
-        "speed_error": float(np.sqrt(np.mean((speed - planned_speed)[is_judged] ** 2))) if is_judged.any() else None,
-        "longitudinal_jerk": percentile_95(jerk),
+        "time_lost": float(t[-1] - np.interp(station[-1], plan.s, plan.time)),
+        "way_driven": float(station[-1] / plan.motion(t[-1])[0]),
+        "speed_error": math.sqrt(mean_square((speed - planned_speed)[is_judged])) if is_judged.any() else None,
+        "longitudinal_jerk": r79(t, acceleration)[1],
         "used_grip": float(np.max(np.hypot(acceleration, run.lateral_acceleration[:end]) / grip)),
         "stop_error": max(stop_errors, default=None),
-        "missed_stops": missed_stops if plan.stops else None,
     }
 
 

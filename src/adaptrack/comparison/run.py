@@ -28,7 +28,6 @@ from adaptrack.tuning.constant_file import load_tuning
 
 REFERENCES = ("informed, tuned", "informed, default")
 """Labels of preferred reference contenders. A comparison without them uses its first contender."""
-FAILED_RUN_NAMES = ("car", "profile", "friction", "road", "seed", "reason", "failed_at")
 COMPARISON_FORMAT, COMPARISON_VERSION, RUNS_FILE = "adaptrack comparison", 1, "runs.parquet"
 MEASURE_UNITS = {
     "cost": "m^2", "failed": "-", "failed_at": "s", "rms_error": "m", "p95_error": "m", "max_error": "m",
@@ -52,30 +51,22 @@ class Compared:
 
     @cached_property
     def profile_comparisons(self) -> dict[str, Comparison]:
-        """The comparison of the runs in each profile, by profile name; with drivers on each true friction as well."""
+        """The comparison of the runs in each profile, by `Cell.condition`."""
         columns = self.columns
-        frictions = columns.get("friction", np.full(columns["profile"].shape, ""))
         return {
-            f"{profile}, friction {friction}" if friction else profile: Comparison.from_columns(
-                {
-                    name: values[(columns["profile"] == profile) & (frictions == friction)]
-                    for name, values in columns.items()
-                },
-                REFERENCES,
+            profile: Comparison.from_columns(
+                {name: values[columns["profile"] == profile] for name, values in columns.items()}, REFERENCES
             )
-            for profile, friction in dict.fromkeys(zip(columns["profile"].tolist(), frictions.tolist(), strict=True))
+            for profile in dict.fromkeys(columns["profile"].tolist())
         }
 
     @property
     def failed_runs(self) -> list[dict[str, Any]]:
-        """The rows of the failed runs: contender, car, profile, road, noise seed, reason and time of failure (s).
-
-        With drivers also the true friction.
-        """
+        """The rows of the failed runs: contender, car, profile, road, noise seed, reason and time of failure (s)."""
         return [
             {
                 "label": label_of(row["contender"], row["tuning"]),
-                **{key: row[key] for key in FAILED_RUN_NAMES if key in row},
+                **{key: row[key] for key in ("car", "profile", "road", "seed", "reason", "failed_at")},
             }
             for cell in self.cells.values()
             for row in cell["rows"]
@@ -91,7 +82,7 @@ class Compared:
         """Return the highest clean entry speed into ISO 3888-2 (m/s) by contender and car, 0 if none is clean."""
         speeds: dict[str, dict[str, float]] = {}
         for cell, result in self.cells.items():
-            if cell.profile == profile:
+            if cell.condition == profile:
                 for label, speed in result["entry_speed"].items():
                     if speed is not None:
                         speeds.setdefault(label, {})[cell.car] = speed
@@ -177,9 +168,9 @@ class _CellFile:
 
 def _cell_settings(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
     """Return everything that the result of a cell depends on, except the software."""
-    settings = task.model_dump(mode="json", exclude={"name", "contenders", "drivers", "cars", "profiles"})
+    settings = task.model_dump(mode="json", exclude={"name", "contenders", "drivers", "cars", "profiles", "frictions"})
     setting = load_setting(cell.car, cell.profile)
-    settings |= cell.names | {
+    settings |= cell.entries | {
         "about_car": setting.car.model_dump(mode="json"), "about_profile": setting.profile.model_dump(mode="json"),
         "plant": fingerprint(setting.plant),
     }  # fmt: skip

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.comparison.config import WITH
 from adaptrack.comparison.table import Comparison, label_of
 
 
@@ -45,32 +47,23 @@ def _standing(comparison: Comparison, name: str, rank: int) -> dict[str, Any]:
 
 
 def driver_rows(comparison: Comparison) -> list[dict[str, Any]]:
-    """Return one row for each controller with a driver, without a rank, in the order of the comparison.
+    """Return one row for each controller with a driver, in the order of the comparison, without a rank.
 
-    A row contains over the runs that did not fail, with None where there is none:
-
-    - the means of `time_lost`, `way_driven`, `longitudinal_jerk` (m/s^3) and the lateral `jerk` (m/s^3);
-    - the RMS of `speed_error` (m/s) and `rms_error` (m);
-    - the largest `max_error` (m), `used_grip` and `stop_error` (m), and the sum of `missed_stops`;
-
-    and the numbers of runs and failures.
+    A row contains the numbers of runs and failures, and `DRIVER_SUMMARIES` of the runs that did not fail.
     """
-    return [_driver_row(comparison, name) for name in comparison.contenders]
-
-
-def _driver_row(comparison: Comparison, name: str) -> dict[str, Any]:
-    failed, tuning = comparison.of(name, "failed"), comparison.role(name).tuning
-    controller, driver = (str(max(comparison.of(name, field).ravel())) for field in ("controller", "driver"))
-    return {
-        "controller": controller if tuning in ("default", "scheduled") else label_of(controller, tuning),
-        "driver": driver, "label": name, "runs": int(np.isfinite(failed).sum()), "failures": int(np.nansum(failed)),
-        **{
-            measure: float(summary(values)) if values.size else None
-            for measure, summary in DRIVER_SUMMARIES.items()
-            for entries in [comparison.of(name, measure)[failed == 0.0]]
-            for values in [entries[np.isfinite(entries)]]
-        },
-    }  # fmt: skip
+    rows = []
+    for name in comparison.contenders:
+        failed, role = comparison.of(name, "failed"), comparison.role(name)
+        controller, _, driver = role.controller.partition(WITH)
+        row: dict[str, Any] = {
+            "label": name, "controller": controller if role.tuning == "default" else label_of(controller, role.tuning),
+            "driver": driver, "runs": int(np.isfinite(failed).sum()), "failures": int(np.nansum(failed)),
+        }  # fmt: skip
+        for measure, summary in DRIVER_SUMMARIES.items():
+            values = comparison.of(name, measure)[failed == 0.0]
+            row[measure] = float(summary(values[np.isfinite(values)])) if np.isfinite(values).any() else None
+        rows.append(row)
+    return rows
 
 
 def _rms(values: NDArray[Any]) -> float:
@@ -83,6 +76,6 @@ def _percentile(values: NDArray[Any], percent: float, missing: float = float("na
 
 DRIVER_SUMMARIES: dict[str, Callable[[NDArray[Any]], Any]] = {
     "time_lost": np.mean, "way_driven": np.mean, "speed_error": _rms, "rms_error": _rms, "max_error": np.max,
-    "longitudinal_jerk": np.mean, "jerk": np.mean, "used_grip": np.max, "stop_error": np.max, "missed_stops": np.sum,
+    "longitudinal_jerk": partial(_percentile, percent=95.0), "used_grip": np.max, "stop_error": np.max,
 }  # fmt: skip
-"""Summary over the runs of each measure in `driver_rows`."""
+"""Function that summarises a measure over the runs."""

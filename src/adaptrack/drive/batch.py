@@ -258,10 +258,6 @@ class Batch:
     def _check_compiled(self) -> None:
         """Raise an error if a component of the runs cannot be compiled."""
         controller = self.controller
-        if not (self.world.driver is None or isinstance(self.world.driver, Driver | RequestedForces)):
-            raise InvalidInput(
-                f"driver: compiled runs have no {type(self.world.driver).__name__}; simulate(...) drives with one."
-            )
         if names := interpreted_functions(self.world.plant, controller):
             raise MissingExtra(
                 f"{', '.join(names)}: batches of runs need compiled functions. To compile them, install numba: "

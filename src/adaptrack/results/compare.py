@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from adaptrack.base.result import MUTED, SERIES, Column, Panel, Picture, Result, ResultTable, Row, select_entries
-from adaptrack.comparison.config import about_contender, join_driver
+from adaptrack.comparison.config import about_contender
 from adaptrack.comparison.run import Compared
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import standing_rows
@@ -66,7 +66,6 @@ FAILED_RUN_COLUMNS = (
     Column("label", "Controller"),
     Column("car", "Car"),
     Column("profile", "Profile"),
-    Column("friction", "Friction"),
     Column("road", "Road"),
     Column("seed", "Seed"),
     Column("reason", "Reason"),
@@ -140,14 +139,14 @@ def profile_rows(compared: Compared, profile: str) -> list[dict[str, Any]]:
 
 
 def comparison_record(compared: Compared, rows: Mapping[str, Sequence[Row]]) -> dict[str, Any]:
-    """The JSON record of a comparison; rows: of each profile, with drivers on each friction."""
+    """The JSON record of a comparison; rows: of each profile."""
     return {
         "name": compared.task.name,
         "profiles": dict(rows),
         "failed_runs": compared.failed_runs,
-        "left_out": [{**cell.names, "why": why} for cell, why in compared.left_out.items()],
+        "left_out": [{**cell.entries, "why": why} for cell, why in compared.left_out.items()],
         "cells": [
-            {**cell.names, **{key: value for key, value in result.items() if key != "rows"}}
+            {**cell.entries, **{key: value for key, value in result.items() if key != "rows"}}
             for cell, result in compared.cells.items()
         ],
     }
@@ -168,15 +167,15 @@ def contender_table(profile: str, rows: Sequence[Row]) -> ResultTable:
         columns,
         table_rows,
         _NOTE,
-        best=_best_cells(table_rows),
+        best=best_cells(table_rows, BEST_VALUES),
         alert=failed,
     )
 
 
-def _best_cells(rows: Sequence[Row]) -> frozenset[tuple[int, str]]:
-    """(row, column) of the best values, in columns that tell the contenders apart."""
+def best_cells(rows: Sequence[Row], best_values: Mapping[str, Callable[..., Any]]) -> frozenset[tuple[int, str]]:
+    """(row, column) of the best values, in columns that tell the contenders apart; best_values: as `BEST_VALUES`."""
     cells = set()
-    for name, best in BEST_VALUES.items():
+    for name, best in best_values.items():
         values = [row[name] for row in rows if row[name] is not None]
         if values and min(values) < max(values):
             cells |= {(i, name) for i, row in enumerate(rows) if row[name] == best(values)}
@@ -231,15 +230,18 @@ def _failed_runs_table(compared: Compared) -> list[ResultTable]:
     runs = compared.failed_runs
     note = f"The first {MAX_FAILED_RUNS} of {number(len(runs))}; --json has all." if len(runs) > MAX_FAILED_RUNS else ""
     table_rows = runs[:MAX_FAILED_RUNS]
-    columns = [column for column in FAILED_RUN_COLUMNS if runs and column.name in runs[0]]
-    return [ResultTable("failed runs", "Failed runs", columns, table_rows, note, brief=True)] if table_rows else []
+    return (
+        [ResultTable("failed runs", "Failed runs", FAILED_RUN_COLUMNS, table_rows, note, brief=True)]
+        if table_rows
+        else []
+    )
 
 
 def _left_out_table(compared: Compared) -> list[ResultTable]:
     """Contenders that do not fit a car or a profile, if there are any."""
     cars: dict[tuple[str, str, str], list[str]] = {}
     for cell, why in compared.left_out.items():
-        cars.setdefault((join_driver(cell.contender, cell.driver), cell.profile, why), []).append(cell.car)
+        cars.setdefault((cell.with_driver(cell.contender), cell.condition, why), []).append(cell.car)
     rows = [
         {"contender": contender, "where": f"{profile}: {', '.join(names)}", "why": why}
         for (contender, profile, why), names in cars.items()
