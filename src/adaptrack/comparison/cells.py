@@ -47,7 +47,7 @@ from adaptrack.tuning.spaces import is_tunable
 
 MAX_PARTICLES = 20
 """Largest number of particles of a search. A small budget gets fewer particles, so that some generations are left."""
-ASSUMED_FRICTION = Perception(friction=0.9)
+ASSUMED_SURFACE = Perception(friction=0.9)
 """Friction that controllers and drivers assume if the true one is compared."""
 
 
@@ -66,7 +66,7 @@ def _run_sets(
         mover = make_driver(driver, setting.car) if driver else task.driver
         if driver and mover is not None:
             check_forces(plant)
-        perception = None if friction is None else ASSUMED_FRICTION
+        perception = None if friction is None else ASSUMED_SURFACE
         return RunSet(plant, mpc, drives, setting.profile, driver=mover, perception=perception)
 
     training = None

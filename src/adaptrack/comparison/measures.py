@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.cars.outline import Outline
-from adaptrack.core.public import GRAVITY
+from adaptrack.core.public import GRAVITY, STANDING_SPEED
 from adaptrack.drive.failure import MIN_JUDGED_SPEED
 from adaptrack.drive.metrics import PathRecord, compute_metrics, path_metrics
 from adaptrack.drive.signal_statistics import mean_square, r79
@@ -34,8 +34,8 @@ DRIVER_MEASURES = {
     "stop_error": "m",
 }  # fmt: skip
 """Measures of `driver_measures` with their units."""
-STANDING_SPEED, STOP_DISTANCE = 0.01, 8.0
-"""m/s, below which a car stands; m, within which it stands for a stop, and error of a stop that is passed."""
+STOP_DISTANCE = 8.0
+"""Largest distance from a stop at which a standing car stops for it, and error of a stop that is passed (m)."""
 
 
 def measure_runs(

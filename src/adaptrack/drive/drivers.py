@@ -65,8 +65,8 @@ def make_driver(text: str, car: Vehicle) -> LongitudinalDriver:
             arguments[option] = numbers if len(numbers) > 1 else numbers[0]
         signature.bind(**arguments)
     except (TypeError, ValueError) as error:
-        known = ", ".join(option for option in signature.parameters if option != "car")
-        raise InvalidInput(f"driver {text!r}: {error}; options, as in friction=0.6..0.9: {known or 'none'}.") from None
+        names = ", ".join(option for option in signature.parameters if option != "car")
+        raise InvalidInput(f"driver {text!r}: {error}; options, as in friction=0.6..0.9: {names or 'none'}.") from None
     return factory(**arguments)
 
 
@@ -74,6 +74,6 @@ def check_forces(plant: Plant | SteppedPlant) -> None:
     """Refuse a plant that no longitudinal force moves; raises `InvalidInput`."""
     if isinstance(plant, Plant):
         motion, dry = plant.initial_state([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), [0.9, 0.9, 0.9, 0.9, 0.0, 0.0, 0.0]
-        rolling, driven = (plant.derivative(motion, [0.0, force], dry)[3] for force in (0.0, plant.powertrain["mass"]))
-        if driven == rolling:
+        slopes = [plant.derivative(motion, [0.0, force], dry)[3] for force in (0.0, plant.powertrain["mass"])]
+        if slopes[0] == slopes[1]:
             raise InvalidInput(f"plant {plant.name!r}: its right-hand side ignores the force u[1], which drivers need.")
