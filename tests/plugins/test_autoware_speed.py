@@ -10,7 +10,7 @@ import pytest
 from adaptrack import MPC, DualTrack, RoadDrive, load_vehicle, simulate
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.speed_control import SpeedState
-from adaptrack.road import Comfort, Line, Road, Stop, plan_speed
+from adaptrack.road import Arc, Comfort, Line, Road, Stop, plan_speed
 from adaptrack.scenario import load_scenario
 from autoware_speed import AutowareSpeed
 
@@ -61,6 +61,15 @@ def test_a_car_that_overruns_its_stop_brakes_as_in_an_emergency_until_it_stands(
     assert requests[0].state == SpeedState.EMERGENCY
     assert np.diff([request.acceleration for request in requests]).min() >= -3.0 * PERIOD - 1e-9
     assert requests[-1].acceleration == -5.0
+
+
+def test_a_stop_of_a_closed_road_that_is_left_comes_again_a_lap_later() -> None:
+    ring = Road.from_segments([Arc(length=300.0, curvature=2.0 * np.pi / 300.0)], name="ring", closed=True)
+    follower = AutowareSpeed(CAR).begin(ring, _plan(ring), PERIOD)
+    for _ in range(60):
+        follower.step(150.0, 0.0, 0.0)
+    assert follower.step(155.0, 5.0, 0.0).state == SpeedState.DRIVING
+    assert follower.step(449.8, 0.5, 0.0).state == SpeedState.STOPPING
 
 
 def test_it_drives_a_simulated_car_whose_requests_are_recorded() -> None:
