@@ -75,7 +75,8 @@ def _percentile(values: NDArray[Any], percent: float, missing: float = float("na
 
 
 DRIVER_SUMMARIES: dict[str, Callable[[NDArray[Any]], Any]] = {
-    "time_lost": np.mean, "way_driven": np.mean, "speed_error": _rms, "rms_error": _rms, "max_error": np.max,
+    "time_lost": lambda values: round(float(np.mean(values)), 2) + 0.0,  # a control period is 0.05 s
+    "way_driven": np.mean, "speed_error": _rms, "rms_error": _rms, "max_error": np.max,
     "longitudinal_jerk": partial(_percentile, percent=95.0), "used_grip": np.max, "stop_error": np.max,
 }  # fmt: skip
 """Function that summarises a measure over the runs."""
