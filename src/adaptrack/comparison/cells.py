@@ -190,7 +190,7 @@ def _swarm(budget: int, drives_per_tuning: int) -> SwarmSettings:
 
 def _entry_speed(task: ComparisonConfig, cell: Cell, properties: About, controller: Controller) -> float | None:
     """Return the highest clean entry speed into ISO 3888-2 (m/s), 0 if none is clean, None if it is not driven."""
-    is_driven = task.entry_speeds and properties.compiled and not cell.driver
+    is_driven = task.entry_speeds and properties.compiled and not (cell.driver or cell.friction)
     test = _obstacle(cell.car, cell.profile) if is_driven else None
     if test is None:
         return None

@@ -93,7 +93,9 @@ class ComparisonConfig(Record):
     prescribed_speed: bool = Field(
         default=False, description="whether cars follow their planned speed exactly, without forces along the road"
     )
-    entry_speeds: bool = Field(default=True, description="whether the obstacle avoidance of ISO 3888-2 is driven")
+    entry_speeds: bool = Field(
+        default=True, description="whether ISO 3888-2 is driven, if neither drivers nor frictions are compared"
+    )
     drivers: Annotated[tuple[str, ...], LISTED] = Field(
         default=(),
         description="drivers that move the cars, each with every controller, see `adaptrack list drivers`, with "

@@ -15,7 +15,7 @@ from adaptrack.drive.failure import MIN_JUDGED_SPEED
 from adaptrack.drive.metrics import PathRecord, compute_metrics, path_metrics
 from adaptrack.drive.signal_statistics import mean_square, r79
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.scenario import RoadDrive
+from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.tuning.runs import Policy, RunSet
 
 Array = NDArray[np.float64]
@@ -59,17 +59,15 @@ def measure_runs(
         measure that does not exist.
     """
     return [
-        [
-            _run_measures(run, PathRecord.from_trajectory(run), runs, outline)
-            | (driver_measures(run, drive) if with_driver else {})  # type: ignore[arg-type]
-            for run in trajectories
-        ]
-        for drive, trajectories in zip(runs.scenarios, runs.trajectories(policy, seeds), strict=True)  # type: ignore[arg-type]
+        [_run_measures(run, runs, outline, drive if with_driver else None) for run in road]
+        for drive, road in zip(runs.scenarios, runs.trajectories(policy, seeds), strict=True)  # type: ignore[arg-type]
     ]
 
 
-def _run_measures(run: Trajectory, record: PathRecord | None, runs: RunSet, outline: Outline) -> dict[str, Any]:
-    metrics = compute_metrics(run, failure=runs.failure)
+def _run_measures(
+    run: Trajectory, runs: RunSet, outline: Outline, drive: Scenario | RoadDrive | None
+) -> dict[str, Any]:
+    metrics, record = compute_metrics(run, failure=runs.failure), PathRecord.from_trajectory(run)
     path = None if record is None else path_metrics(record, outline).as_row()
     return {
         "cost": runs.failed_cost if metrics.failed else metrics.cost,
@@ -77,6 +75,7 @@ def _run_measures(run: Trajectory, record: PathRecord | None, runs: RunSet, outl
         "reason": metrics.failed_reason or "",
         "failed_at": float(metrics.failed_at) if metrics.failed else None,
         **{name: None if path is None else path[key] for name, key in RUN.items()},
+        **(driver_measures(run, drive) if isinstance(drive, RoadDrive) else {}),
     }
 
 

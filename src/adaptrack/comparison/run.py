@@ -82,7 +82,7 @@ class Compared:
         """Return the highest clean entry speed into ISO 3888-2 (m/s) by contender and car, 0 if none is clean."""
         speeds: dict[str, dict[str, float]] = {}
         for cell, result in self.cells.items():
-            if cell.condition == profile:
+            if cell.profile == profile:
                 for label, speed in result["entry_speed"].items():
                     if speed is not None:
                         speeds.setdefault(label, {})[cell.car] = speed

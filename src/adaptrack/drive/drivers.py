@@ -29,12 +29,7 @@ def register_driver(name: str, factory: Callable[..., LongitudinalDriver] | str)
     """Give your own `SpeedDriver` a name for `compare`; the docstring of the factory describes it.
 
     factory: callable, or ``"package.module:name"``. Its argument ``car``, if any, receives the `Vehicle`; the other
-    arguments are options: numbers, or pairs (low, high).
-
-    Raises
-    ------
-    InvalidInput
-        For a name that is taken or empty, or a factory that cannot be called.
+    arguments are options: numbers, or pairs (low, high). Raises `InvalidInput` for a name that is taken or empty.
     """
     _registry.add(name, factory)
 
@@ -45,14 +40,9 @@ def list_drivers() -> dict[str, str]:
 
 
 def make_driver(text: str, car: Vehicle) -> LongitudinalDriver:
-    """Return a driver of a car; text: registered name, optionally with a colon and options.
+    """Return a driver of a car; raises `UnknownName` for its name and `InvalidInput` for its options.
 
-    Raises
-    ------
-    UnknownName
-        For an unregistered name.
-    InvalidInput
-        For an unknown option, or a value that is not possible.
+    text: registered name, optionally followed by a colon and options, as in ``driver:preview=0.4,guard=0.8``.
     """
     name, _, option_text = text.partition(":")
     factory = _registry.factory(name)

@@ -229,12 +229,8 @@ def _failed_runs_table(compared: Compared) -> list[ResultTable]:
     """The first failed runs; none if no run failed."""
     runs = compared.failed_runs
     note = f"The first {MAX_FAILED_RUNS} of {number(len(runs))}; --json has all." if len(runs) > MAX_FAILED_RUNS else ""
-    table_rows = runs[:MAX_FAILED_RUNS]
-    return (
-        [ResultTable("failed runs", "Failed runs", FAILED_RUN_COLUMNS, table_rows, note, brief=True)]
-        if table_rows
-        else []
-    )
+    table = ResultTable("failed runs", "Failed runs", FAILED_RUN_COLUMNS, runs[:MAX_FAILED_RUNS], note, brief=True)
+    return [table] if runs else []
 
 
 def _left_out_table(compared: Compared) -> list[ResultTable]:
