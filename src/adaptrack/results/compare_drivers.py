@@ -74,7 +74,7 @@ def _tables(condition: str, rows: Sequence[Row]) -> list[ResultTable]:
 def _picture(condition: str, rows: Sequence[Row]) -> Picture:
     """A panel for each measure with a dot for each driver, in the colour of the controller."""
     colours, panels = strokes(row["controller"] for row in rows), []
-    for column in DRIVER_COLUMNS:
+    for column in [column for column in DRIVER_COLUMNS if any(row[column.name] for row in rows)]:
         values = [math.nan if row[column.name] is None else row[column.name] for row in rows]
         dots = [
             Dot(row["driver"], value, colour=colours[row["controller"]].colour, failed=row["failures"] > 0)
