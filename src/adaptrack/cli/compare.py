@@ -62,11 +62,8 @@ class CompareOptions:
     ] = None
     driver: Annotated[
         list[str] | None,
-        Option(
-            "--driver", metavar="NAME",
-            help="Driver that moves the car by forces, with each controller: see `list drivers`; may be repeated.",
-        ),
-    ] = None  # fmt: skip
+        Option("--driver", metavar="NAME", help="Driver of the speed, by forces: see `list drivers`; may be repeated."),
+    ] = None
     budget: Annotated[
         int | None, Option("--budget", metavar="N", min=0, help="Simulated runs per tuning search; 0: no search.")
     ] = None
@@ -81,8 +78,7 @@ class CompareOptions:
         str | None,
         Option(
             "--config", metavar="NAME",
-            help="See `list comparisons`, or a .toml file; default: `quick`; with ROAD: `roads`; with --driver: "
-            "`drivers`.",
+            help="See `list comparisons`, or a .toml file; default: `quick`; with ROAD `roads`, --driver `drivers`.",
         ),
     ] = None  # fmt: skip
     prescribed_speed: options.PrescribedSpeed = False
@@ -110,12 +106,11 @@ class CompareOptions:
 
 @options.grouped
 def compare(settings: CompareOptions) -> None:
-    """Compare controllers, or controllers with drivers, on roads, cars and profiles.
+    """Compare controllers and drivers on roads, cars and profiles.
 
     All controllers drive the same roads with the same noise. With --budget, a search on training roads also
     tunes each controller. A controller ranks above another if the 95 % interval of their error ratio
-    excludes 1. Drivers have no rank: each measure has its own best. Failed runs are counted in the table; the
-    exit code is 0.
+    excludes 1; drivers have no rank. Failed runs are counted in the table; the exit code is 0.
     """
     from adaptrack.results.page import write_result
 
