@@ -99,7 +99,7 @@ class ComparisonConfig(Record):
     drivers: Annotated[tuple[str, ...], LISTED] = Field(
         default=(),
         description="drivers that move the cars, each with every controller, see `adaptrack list drivers`, with "
-        "options as in `speed-control:friction=0.6..0.9`; empty for the default driver",
+        "options as in `speed-control:friction=0.6:0.9`; empty for the default driver",
     )
     frictions: Annotated[tuple[Friction, ...], LISTED] = Field(
         default=(),

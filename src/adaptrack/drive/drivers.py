@@ -1,4 +1,4 @@
-"""Longitudinal drivers by name, with options, for comparisons: ``speed-control:friction=0.6..0.9,guard=0.8``."""
+"""Longitudinal drivers by name, with options, for comparisons: ``speed-control:friction=0.6:0.9,guard=0.8``."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ def make_driver(text: str, car: Vehicle) -> LongitudinalDriver:
     try:
         for entry in filter(None, option_text.split(",")):
             option, _, value = entry.partition("=")
-            numbers = tuple(map(float, value.split("..")))
+            numbers = tuple(map(float, value.split(":")))
             arguments[option] = numbers if len(numbers) > 1 else numbers[0]
         signature.bind(**arguments)
     except (TypeError, ValueError) as error:
         names = ", ".join(option for option in signature.parameters if option != "car")
-        raise InvalidInput(f"driver {text!r}: {error}; options, as in friction=0.6..0.9: {names or 'none'}.") from None
+        raise InvalidInput(f"driver {text!r}: {error}; options, as in friction=0.6:0.9: {names or 'none'}.") from None
     return factory(**arguments)
 
 
