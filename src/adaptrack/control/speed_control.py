@@ -15,15 +15,25 @@ from adaptrack.base.checked import Bound, Positive, Share, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
 from adaptrack.control.controllers import MPC, Controller, MPCCommand
+from adaptrack.control.friction_estimate import friction_estimate
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.core import speed_control as kernel
 from adaptrack.core import speed_learning as learning
 from adaptrack.core import speed_path as path_kernel
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
+from adaptrack.core.friction_estimate import begin_friction
 from adaptrack.core.kernel import OK, Resident
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.synthesis.speed import resistance, usable_friction
-from adaptrack.core.tracker.longitudinal import STATUS_ACTIONS, Longitudinal, longitudinal_follow, longitudinal_step
+from adaptrack.core.tracker.longitudinal import (
+    STATUS_ACTIONS,
+    Longitudinal,
+    longitudinal_begin,
+    longitudinal_follow,
+    longitudinal_step,
+    narrow_friction_step,
+    narrow_tracked_friction,
+)
 from adaptrack.core.tracker.records import LONGEST_GAP, STATUS
 from adaptrack.road import Comfort, Road, SpeedPlan
 from adaptrack.road.cornering import packed, steering_limit
@@ -113,6 +123,9 @@ class SpeedCommand(NamedTuple):
     """-, acceleration of the car over what the assumed friction gives"""
     state: SpeedState
     limited_by: SpeedLimit
+    friction_low: float = math.nan
+    friction_high: float = math.nan
+    """-: ends of the interval of the friction, as narrowed so far"""
 
 
 @checked
@@ -129,8 +142,7 @@ class SpeedControl:
         Mass, resistance, powertrain, axles; its sections ``[drive]`` and ``[brakes]`` give the delays that are assumed.
     friction : float or pair of float
         Friction of the road: a value that is certain, or the ends of an interval. The interval becomes narrower while
-        the car drives near its grip, where the controller has a steering model; its low end counts. In an export to C
-        or FMU the interval stays as it is.
+        the car drives near its grip, where the controller has a steering model; its low end counts.
     drive, brakes : optional
         Actuators whose delays are known; by default those of the car file, otherwise they are learned while driving, as
         are gain over mass and what disturbs the acceleration.
@@ -234,14 +246,20 @@ def patience_of(controller: Controller) -> float:
     return float(estimator.patience) if isinstance(estimator, KalmanFilter) else LONGEST_GAP
 
 
-def longitudinal_of(control: SpeedControl, period: float, start: SpeedStart, path: Any) -> Any:
-    """A speed control at its start along a `SpeedPath` (`core.tracker.longitudinal.Longitudinal`)."""
+def longitudinal_of(
+    control: SpeedControl, period: float, start: SpeedStart, path: Any, controller: Controller | None = None
+) -> Any:
+    """A speed control at its start along a `SpeedPath` (`core.tracker.longitudinal.Longitudinal`).
+
+    controller: by whose steering model it narrows an interval of friction; None: it does not.
+    """
     settings = control.settings(period, start.comfort, start.patience)
-    banks = speed_banks(settings, period)
-    kernel.speed_control_begin(settings, banks)
     sample = kernel.SPEED_SAMPLE.new(1, acceleration=math.nan, top_speed=math.inf, grade=math.nan)
     memory, ahead = kernel.SPEED_MEMORY.new(1, time=-math.inf), np.zeros(horizon_cells(start.top_speed, settings))
-    return Longitudinal(sample, memory, settings, path, banks, ahead)
+    friction = friction_estimate(control.friction_interval, control.car, controller)
+    longitudinal = Longitudinal(sample, memory, settings, path, speed_banks(settings, period), ahead, friction)
+    longitudinal_begin(longitudinal)
+    return longitudinal
 
 
 def horizon_cells(top_speed: float, settings: Any) -> int:
@@ -274,6 +292,7 @@ class SpeedController:
         patience: float = 0.0,
     ) -> None:  # fmt: skip
         self.control, self._period, self._stop_at_end, self._patience = control, period, stop_at_end, patience
+        self._controller: Any = None
         start = SpeedStart(plan.comfort, float(plan.speed.max()), patience)
         self._load(longitudinal_of(control, period, start, speed_path(path, plan, stop_at_end)))
 
@@ -281,8 +300,28 @@ class SpeedController:
         """Let the kernels work on this record (`core.tracker.longitudinal.Longitudinal`)."""
         self._record, self._resident = record, Resident(record)
 
+    def estimate_friction(self, controller: Controller) -> None:
+        """Narrow an interval of friction by the steering model of a controller, or by what it learns, from now on."""
+        friction = friction_estimate(self.control.friction_interval, self.control.car, controller)
+        begin_friction(friction)
+        self._controller = controller
+        self._load(self._record._replace(friction=friction))
+
+    def narrow_friction(self, measured: Array, speed: float, command: float) -> None:
+        """Narrow the friction before a step of the controller, see `core.friction_estimate.narrow_friction`."""
+        narrow_friction_step(measured, speed, command, self._learned, self._resident)
+
+    def narrow_behind(self, tracker: Any) -> None:
+        """Narrow the friction at a control instant of a tracker (resident), before a step of its controller."""
+        narrow_tracked_friction(tracker, self._learned, self._resident)
+
+    @property
+    def _learned(self) -> Array:
+        """Memory of the controller's learner; empty where nothing is learned."""
+        return self._controller._mpc.informed.learned[0] if isinstance(self._controller, MPC) else np.zeros(0)
+
     def follow(self, path: Road, plan: SpeedPlan) -> None:
-        """Follow another plan from now on; what was learned of resistance and slope stays."""
+        """Follow another plan from now on; what was learned of resistance, slope and friction stays."""
         settings = self.control.settings(self._period, plan.comfort, self._patience)
         self._load(
             self._record._replace(
@@ -313,7 +352,7 @@ class SpeedController:
         """
         sample = self._record.sample
         sample[0] = station, speed, yaw_rate, acceleration, driver, sample[0].top_speed, blind_time, grade
-        kernel.speed_control_step(*self._record)
+        kernel.speed_control_step(*self._record[:6])
         return self.command
 
     def limit_speed(self, controller: Controller, answer: object = None) -> None:
@@ -350,17 +389,12 @@ class SpeedController:
     @property
     def command(self) -> SpeedCommand:
         """Requests in force."""
-        memory = self._record.memory[0]
+        memory, friction = self._record.memory[0], self._record.friction.memory[0]
         return SpeedCommand(
             float(memory.acceleration), float(memory.force), float(memory.hold), float(memory.target_speed),
             float(memory.grip_used), _STATES[int(memory.state)], _LIMITS[int(memory.limited_by)],
+            float(friction.low), float(friction.high),
         )  # fmt: skip
-
-    @property
-    def records(self) -> tuple[Any, Any, Any, Any]:
-        """Settings, path, banks of drive and brakes, and memory, for the kernels of other estimators."""
-        record = self._record
-        return record.settings, record.path, record.banks, record.memory
 
     @property
     def learned(self) -> dict[str, Any]:

@@ -24,7 +24,6 @@ from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of
 from adaptrack.control.controllers.belief import SourcedValue
-from adaptrack.control.friction_estimate import FrictionEstimator
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
 from adaptrack.control.speed_target import SpeedTarget
@@ -170,7 +169,6 @@ class Tracker:
         self.timing: Timing | None = None
         """of the loop; None before `TIMED_STEPS` control steps"""
         self._speed: SpeedController | None = None
-        self._friction: FrictionEstimator | None = None
         if speed is not None and plan is None:
             raise InvalidInput("Tracker: speed: a speed control follows a plan; give plan=plan_speed(path, car).")
         self._set_path(path, plan)
@@ -178,7 +176,7 @@ class Tracker:
             self._speed = SpeedController(
                 speed, path, plan, self.period, stop_at_end=speed.stop_at_end, patience=patience_of(controller)
             )
-            self._friction = FrictionEstimator(self._speed, controller)
+            self._speed.estimate_friction(controller)
         self._check = input_check_of(controller)
         self._load(tracker_of(controller, path, plan, furthest, self._check))
         self._recorder = None if record is None else Recorder(record)
@@ -368,8 +366,6 @@ class Tracker:
         again, sent, changed, turned, shifted, late = request.tolist()
         if again:
             self.controller.restart()
-            if self._friction is not None:
-                self._friction.restart()
         if changed:
             self.controller.change_path(turned, shifted)
         if sent:
@@ -385,8 +381,8 @@ class Tracker:
         state = kernel.measured if isinstance(self.controller, MPC) else kernel.measured[:4]
         self._ahead = RoadAhead(self.path, station, kernel.speeds[: int(count)].copy())
         ahead = {"road": self._ahead} if self.controller.sees_road else {}
-        if self._friction is not None:
-            self._friction.step(kernel.measured, speed, float(kernel.memory[0].command))
+        if self._speed is not None:
+            self._speed.narrow_behind(self._resident)
         answered = self.controller.step(state.copy(), speed, np.zeros(1), **ahead)
         answer = command_of(answered, float(kernel.memory[0].command))
         kernel.answer[:] = answer.angle, answer.held, *self._belief_of(answered)

@@ -23,7 +23,7 @@ from .plants.contract import PLANT_INPUT, PLANT_STATE, input_at, state_at
 from .road import line_of, points_ahead
 from .rollout import COMMON_ANSWER, RunRecord, answer_instant, close_all, control_all, end_slot
 from .speed_control import cell_at, governed_speeds, speed_control
-from .tracker.longitudinal import Longitudinal
+from .tracker.longitudinal import Longitudinal, narrow_friction_step
 
 _DRIVEN = PLANT_STATE._fields[: PLANT_STATE.yaw_rate + 1]
 FRAME = columns(
@@ -51,6 +51,7 @@ SPEED_FRAME = columns(
     "requested_acceleration",  # m/s^2
     "requested_force",  # N, at the wheels, less the hold of the brakes
     "speed_state", "limited_by",  # numbers of `core.speed_control`
+    "friction_low", "friction_high",  # -, -: ends of the interval of the friction, as narrowed so far
 )  # fmt: skip
 """Of an instant behind a speed control: the last numbers of its row."""
 
@@ -156,6 +157,7 @@ def _control_speed(run, longitudinal, speeds):
     """Step the speed control at the present instant; write its requests, and the governed speeds (m/s) from now on."""
     drive, sample, memory = run.memory.drives[0], longitudinal.sample[0], longitudinal.memory[0]
     settings, path, ahead = longitudinal.settings, longitudinal.path, longitudinal.ahead
+    narrow_friction_step(run.measured, drive.speed, drive.command, run.mpc.informed.learned[0], longitudinal)
     sample.station, sample.speed = drive.station_estimate, drive.speed
     sample.yaw_rate = run.measured[MEASUREMENT.yaw_rate]
     speed_control(sample, settings, path, memory, longitudinal.banks, ahead)
@@ -173,6 +175,8 @@ def _write_speed_numbers(longitudinal, row):
     row[SPEED_FRAME.requested_acceleration] = memory.acceleration
     row[SPEED_FRAME.requested_force] = memory.force - memory.hold
     row[SPEED_FRAME.speed_state], row[SPEED_FRAME.limited_by] = memory.state, memory.limited_by
+    friction = longitudinal.friction.memory[0]
+    row[SPEED_FRAME.friction_low], row[SPEED_FRAME.friction_high] = friction.low, friction.high
 
 
 @exported(int64(int64, RunSpan, Place(RunRecord), Place(Longitudinal), vector, matrix, matrix, matrix))

@@ -20,17 +20,19 @@ import math
 
 from .estimators.extended_kalman import bounded, carry, correct, scatter
 from .estimators.friction_wind import steered
+from .estimators.learning import memory_of
 from .kernel import columns, exported, float64, inlined, local, record, rows, vector, void
 from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import exp, log
 from .maths.fast import fast_arctangent_of_ratio
 from .maths.vectors import VECTOR_WIDTH
+from .models.contract import MEASUREMENT
 from .plants.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
 from .plants.parameters import unpack
 from .plants.tyre import CURVED_MAGIC_FORMULA, LEAST_LOAD, MAGIC_FORMULA, friction_ellipse, lateral_force
-from .speed_control import SPEED_MEMORY, SpeedPath, SpeedSettings, cell_at
-from .speed_learning import SpeedBanks, mean_of_bank
+from .speed_control import cell_at
+from .speed_learning import mean_of_bank
 
 _Z = columns(
     "vy", "yaw_rate",  # m/s, rad/s
@@ -46,7 +48,7 @@ FRICTION_HYPOTHESIS = record(
     (
         "friction",  # -
         "score",  # logarithm of the weight
-        ("x", (float64, VECTOR_WIDTH)), ("covariance", (float64, _COUNT, VECTOR_WIDTH)),
+        ("x", (float64, VECTOR_WIDTH)), ("covariance", (float64, _COUNT, _COUNT)),
     ),
 )  # fmt: skip
 """A coefficient of friction with its filter."""
@@ -96,11 +98,13 @@ FrictionEstimate = record(
     "FrictionEstimate",
     (
         ("memory", rows(FRICTION_MEMORY)), ("bank", rows(FRICTION_HYPOTHESIS)), ("commands", vector), ("car", vector),
-        ("period", float64), ("variances", vector),
+        ("period", float64), ("variances", vector), ("low", float64), ("high", float64),
+        ("knowledge", SteeringKnowledge),
     ),
 )  # fmt: skip
-"""An estimate: hypotheses, ascending; commands that were sent (rad), the latest first; `PLANT_PARAMETERS`; s; variances
-of the sensors: of lateral velocity, yaw rate and lateral acceleration, inf: none."""
+"""An estimate: hypotheses, ascending, none of a friction that is certain; commands that were sent (rad), the latest
+first; `PLANT_PARAMETERS`; s; variances of the sensors: of lateral velocity, yaw rate and lateral acceleration, inf:
+none; ends of the interval at the start; steering and tyres where none are learned."""
 
 SUBSTEPS = 2
 """Of a control period."""
@@ -138,7 +142,7 @@ LARGEST_VARIANCE, LARGEST_YAW_ERROR, LARGEST_DEVIATION = 4.0, 0.5, 3.0
 USED_TIME, USED_MARGIN = 0.3, 0.95
 """s, over which used friction is averaged; share that counts."""
 
-_states, _motion = local(VECTOR_WIDTH), local(2, VECTOR_WIDTH)
+_states, _motion, _matrix = local(VECTOR_WIDTH), local(2, VECTOR_WIDTH), local(_COUNT, VECTOR_WIDTH)
 _SLIP_STEP = 1e-5  # rad, of a difference that stands for a derivative
 
 
@@ -207,6 +211,14 @@ def _accelerations(h, angle, motion, c, law, slopes):
 
 
 @inlined
+def _copy_covariance(source, target):
+    """Copy a covariance; rows of hypotheses are not padded, those at work are."""
+    for i in range(_COUNT):
+        for j in range(_COUNT):
+            target[i, j] = source[i, j]
+
+
+@inlined
 def _sigmas(knowledge):
     """Standard deviations of the states from the steering bias on."""
     return knowledge.bias_sigma, knowledge.stiffness_sigma, knowledge.balance_sigma, SIDE_SIGMA
@@ -215,7 +227,8 @@ def _sigmas(knowledge):
 @inlined
 def _predict(h, angle, turning, step, motion, c, law):
     """Carry a filter over a step (s) by the linearised trapezoidal rule; turning: rad/s, of the wheels."""
-    x, P, slopes, mixed = h.x, h.covariance, _motion(), _motion()
+    x, P, slopes, mixed = h.x, _matrix(), _motion(), _motion()
+    _copy_covariance(h.covariance, P)
     speed, knowledge = motion.speed, motion.knowledge
     lateral, yawing, front, rear = _accelerations(h, angle, motion, c, law, slopes)
     push, twist = slopes[_Z.vy, _Z.bias], slopes[_Z.yaw_rate, _Z.bias]
@@ -254,6 +267,7 @@ def _predict(h, angle, turning, step, motion, c, law):
         step * (square(DRIFT_YAW_RATE) + (square(c.lf * front) + square(c.lr * rear)) / square(c.yaw_inertia))
         + twisted * twisted
     )
+    _copy_covariance(P, h.covariance)
 
 
 @inlined
@@ -261,10 +275,12 @@ def _take_in(value, reading, variance, slope, h):
     """Correct a filter by a sensor; return the log-likelihood. slope: derivatives of its reading by the state."""
     if value != value or not variance < math.inf:
         return 0.0
-    cross, innovation = _states(), value - reading
-    spread = scatter(variance, slope, h.covariance, cross)
+    cross, P, innovation = _states(), _matrix(), value - reading
+    _copy_covariance(h.covariance, P)
+    spread = scatter(variance, slope, P, cross)
     surprise = min(square(innovation) / spread, square(FRICTION_INNOVATION_BOUND))
-    correct(bounded(innovation, spread, FRICTION_INNOVATION_BOUND), spread, cross, h.x, h.covariance)
+    correct(bounded(innovation, spread, FRICTION_INNOVATION_BOUND), spread, cross, h.x, P)
+    _copy_covariance(P, h.covariance)
     return -0.5 * (surprise + log(spread))
 
 
@@ -293,7 +309,7 @@ def _begin_filter(h, yaw_rate, knowledge):
     """Begin a filter at a yaw rate (rad/s)."""
     for i in range(_COUNT):
         h.x[i] = 0.0
-        for j in range(VECTOR_WIDTH):
+        for j in range(_COUNT):
             h.covariance[i, j] = 0.0
     h.x[_Z.yaw_rate] = yaw_rate
     h.covariance[_Z.vy, _Z.vy], h.covariance[_Z.yaw_rate, _Z.yaw_rate] = FIRST_VARIANCE, square(YAW_RATE_ERROR)
@@ -346,7 +362,7 @@ def _weigh(distance, memory, bank):
     memory.friction, memory.high = mean, max(high, memory.low)
 
 
-@inlined
+@exported(void(FrictionSample, SteeringKnowledge, float64, float64, FrictionEstimate))
 def estimate_friction(sample, knowledge, force, pull, estimate):
     """Take in a sample (`FrictionSample`) at a control instant; write the ends of the interval to the memory.
 
@@ -413,9 +429,10 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
 _Steering = record("Steering", ("steering_lag", "steering_rate", "steering_limit"))
 
 
-@inlined
-def begin_friction(low, high, memory, bank):
-    """Begin an estimate within an interval: hypotheses evenly from end to end."""
+@exported(void(FrictionEstimate))
+def begin_friction(estimate):
+    """Begin an estimate within its interval: hypotheses evenly from end to end."""
+    memory, bank, low, high = estimate.memory[0], estimate.bank, estimate.low, estimate.high
     memory.running, memory.used, memory.pull = 0.0, 0.0, 0.0
     memory.friction, memory.low, memory.high = 0.5 * (low + high), low, high
     memory.angle, memory.age, memory.lateral, memory.along, memory.lateral_velocity = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -424,40 +441,41 @@ def begin_friction(low, high, memory, bank):
         bank[i].score = -log(float(bank.size))
 
 
-@exported(void(float64, float64, FrictionEstimate))
-def friction_begin(low, high, estimate):
-    """Begin an estimate within an interval, see `begin_friction`."""
-    begin_friction(low, high, estimate.memory[0], estimate.bank)
-
-
-@exported(void(FrictionSample, SteeringKnowledge, float64, float64, FrictionEstimate))
-def estimate_friction_step(sample, knowledge, force, pull, estimate):
-    """Take in a sample of a car under a force (N) and the pull of a banked road (m/s^2), see `estimate_friction`."""
-    estimate_friction(sample, knowledge, force, pull, estimate)
+@inlined
+def _knowledge(learned, estimate):
+    """Steering and tyres as a controller has learned them; learned: its memory, empty: what the estimate assumes."""
+    if learned.size == 0:
+        return estimate.knowledge
+    b = memory_of(learned, 0).beliefs
+    return SteeringKnowledge(
+        b.belief_lag, b.belief_dead_time, b.belief_delay_sigma, b.belief_stiffness_sigma, b.belief_balance,
+        b.belief_balance_sigma, b.belief_stiffness, b.belief_bias, b.belief_bias_sigma,
+    )  # fmt: skip
 
 
 @inlined
-def narrow_friction(sample, knowledge, estimate, settings, path, banks, control):
-    """Take in a sample and narrow the friction of a speed control (`SPEED_MEMORY`) within that of its settings."""
-    drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
-    force = settings.mass * (drive.ratio * drive.acting - brakes.ratio * brakes.acting)
-    bank = path.bank[cell_at(control.station, path)]
+def narrow_friction(measured, speed, command, learned, longitudinal):
+    """Narrow the friction of a speed control (`tracker.longitudinal.Longitudinal`) within that of its settings.
+
+    measured: `MEASUREMENT` at a speed (m/s); command: rad, sent in the last period; learned: see `_knowledge`. A
+    friction that is certain stays.
+    """
+    estimate, settings, control = longitudinal.friction, longitudinal.settings, longitudinal.memory[0]
     memory, hypotheses = estimate.memory[0], estimate.bank
-    estimate_friction(sample, knowledge, force, bank, estimate)
+    if hypotheses.size < 2 or not hypotheses[hypotheses.size - 1].friction > hypotheses[0].friction:
+        return
+    age = measured[MEASUREMENT.motion_age]
+    sample = FrictionSample(
+        speed, measured[MEASUREMENT.yaw_rate], measured[MEASUREMENT.lateral_acceleration], measured[MEASUREMENT.vy],
+        age if math.isfinite(age) else 0.0, command,
+    )  # fmt: skip
+    drive, brakes = mean_of_bank(longitudinal.banks.drive), mean_of_bank(longitudinal.banks.brakes)
+    force = settings.mass * (drive.ratio * drive.acting - brakes.ratio * brakes.acting)
+    bank = longitudinal.path.bank[cell_at(control.station, longitudinal.path)]
+    estimate_friction(sample, _knowledge(learned, estimate), force, bank, estimate)
     first, last = hypotheses[0].friction, hypotheses[hypotheses.size - 1].friction
-    if last > first:
-        slope = (settings.friction_high - settings.friction) / (last - first)
-        caution = 1.0 - min(WIDTH_CAUTION * (memory.high - memory.low) / memory.high, LARGEST_CAUTION)
-        control.friction = settings.friction + slope * (memory.low - first)
-        control.cautious_friction = caution * control.friction
-        control.friction_high = settings.friction + slope * (memory.high - first)
-
-
-@exported(
-    void(
-        FrictionSample, SteeringKnowledge, FrictionEstimate, SpeedSettings, SpeedPath, SpeedBanks, rows(SPEED_MEMORY)
-    )
-)  # fmt: skip
-def narrow_friction_step(sample, knowledge, estimate, settings, path, banks, control):
-    """Narrow the friction of the only speed control, see `narrow_friction`."""
-    narrow_friction(sample, knowledge, estimate, settings, path, banks, control[0])
+    slope = (settings.friction_high - settings.friction) / (last - first)
+    caution = 1.0 - min(WIDTH_CAUTION * (memory.high - memory.low) / memory.high, LARGEST_CAUTION)
+    control.friction = settings.friction + slope * (memory.low - first)
+    control.cautious_friction = caution * control.friction
+    control.friction_high = settings.friction + slope * (memory.high - first)

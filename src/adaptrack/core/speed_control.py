@@ -23,7 +23,6 @@ from .maths.exponential import power
 from .plants.forces import GRAVITY
 from .speed_learning import (
     SpeedBanks,
-    begin_bank,
     coming_motion,
     learn_actuators,
     mean_of_bank,
@@ -479,14 +478,6 @@ def speed_control(sample, settings, path, memory, banks, ahead):
 def speed_control_step(sample, memory, settings, path, banks, ahead):
     """One control period of the only controller, see `speed_control`."""
     speed_control(sample[0], settings, path, memory[0], banks, ahead)
-
-
-@exported(void(SpeedSettings, SpeedBanks))
-def speed_control_begin(settings, banks):
-    """Forget what was learned of drive and brakes."""
-    begin_bank(settings.drive_lag, settings.drive_dead_time, banks.drive)
-    begin_bank(settings.brake_lag, settings.brake_dead_time, banks.brakes)
-    banks.requests[:] = 0.0
 
 
 @exported(void(float64, float64, float64, vector, vector))

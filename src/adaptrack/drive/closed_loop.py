@@ -18,7 +18,6 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.estimation import FrictionWindEstimator
-from adaptrack.control.friction_estimate import FrictionEstimator
 from adaptrack.control.scheduling.variables import SchedulingVariables
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
 from adaptrack.core import loop as loop_kernel
@@ -147,7 +146,6 @@ class ClosedLoop:
         self.resident, self._span = Resident(self.run), Resident(period_kernel.RunSpan(n, 1, 0, 0.0))
         """`run` and the limits of its loop in the memory of the kernels."""
         self.speed_controller = _speed_follower(world, scenario)
-        self.friction_estimator: FrictionEstimator | None = None
         self.request: SpeedCommand | None = None
         """Last requests of the speed controller."""
         self._drives, self._references = self.run.memory.drives, inputs.signals[0, loop_kernel.SIGNAL.y_ref]
@@ -180,8 +178,8 @@ class ClosedLoop:
         period_kernel.sense_one(self._span, self.resident)
         if self.speed_controller is not None:
             memory, measured = self._drives[0], self.run.measured
-            if self.friction_estimator is not None:
-                self.friction_estimator.step(measured, float(memory["speed"]), float(memory["command"]))
+            if isinstance(self.speed_controller, SpeedController):
+                self.speed_controller.narrow_friction(measured, float(memory["speed"]), float(memory["command"]))
             request = self.request = self.speed_controller.step(
                 float(memory["station_estimate"]), float(memory["speed"]), float(measured[MEASUREMENT.yaw_rate])
             )
@@ -197,7 +195,7 @@ class ClosedLoop:
     def estimate_friction(self, controller: Controller) -> None:
         """Let the speed control narrow its friction by the steering model of a controller."""
         if isinstance(self.speed_controller, SpeedController):
-            self.friction_estimator = FrictionEstimator(self.speed_controller, controller)
+            self.speed_controller.estimate_friction(controller)
 
     def road_ahead(self, speed: float) -> RoadAhead:
         """Return the road ahead as measured, with the speed plan shifted to start at the current speed (m/s)."""

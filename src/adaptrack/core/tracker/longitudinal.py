@@ -6,20 +6,22 @@ import math
 
 import numpy as np
 
-from ..kernel import Place, exported, inlined, record, rows, vector, void
+from ..friction_estimate import FrictionEstimate, begin_friction, narrow_friction
+from ..kernel import Place, exported, float64, inlined, record, rows, vector, void
 from ..maths.bits import whole
 from ..speed_control import BLIND_GRACE, OFF, SPEED_MEMORY, SPEED_SAMPLE, SpeedPath, SpeedSettings, speed_control
-from ..speed_learning import SpeedBanks
-from .records import MAX_SIGNAL, TRACKED, TRACKER_SAMPLE, TrackerRecord
+from ..speed_learning import SpeedBanks, begin_bank
+from .records import INSTANT, MAX_SIGNAL, TRACKED, TRACKER_SAMPLE, TrackerRecord
 
 Longitudinal = record(
     "Longitudinal",
     (
         ("sample", rows(SPEED_SAMPLE)), ("memory", rows(SPEED_MEMORY)), ("settings", SpeedSettings),
-        ("path", SpeedPath), ("banks", SpeedBanks), ("ahead", vector),
+        ("path", SpeedPath), ("banks", SpeedBanks), ("ahead", vector), ("friction", FrictionEstimate),
     ),
 )  # fmt: skip
-"""A speed control: sample and memory (1,), settings, plan, banks, and the governed squares ahead (m^2/s^2)."""
+"""A speed control: sample and memory (1,), settings, plan, banks, the governed squares ahead (m^2/s^2), and the
+estimate of the friction."""
 
 FOLLOW, FOLLOW_SLOWLY, COMFORT_STOP, EMERGENCY_STOP, NO_ACTION = range(5)
 """Actions: follow the plan; follow it, but stand before the steering loses its estimate; stop with the deceleration of
@@ -65,6 +67,34 @@ def _write_sample(tracker, blind_time, action, sample):
     sample.acceleration = acceleration if abs(acceleration) < MAX_SIGNAL else math.nan
     sample.driver = 1.0 if tracker.sample[TRACKER_SAMPLE.driver] > 0.5 else 0.0
     sample.grade = tracker.sample[TRACKER_SAMPLE.grade]
+
+
+@exported(void(Place(Longitudinal)))
+def longitudinal_begin(longitudinal):
+    """Forget what was learned of drive, brakes and friction."""
+    settings, banks = longitudinal.settings, longitudinal.banks
+    begin_bank(settings.drive_lag, settings.drive_dead_time, banks.drive)
+    begin_bank(settings.brake_lag, settings.brake_dead_time, banks.brakes)
+    banks.requests[:] = 0.0
+    begin_friction(longitudinal.friction)
+
+
+@exported(void(vector, float64, float64, vector, Place(Longitudinal)))
+def narrow_friction_step(measured, speed, command, learned, longitudinal):
+    """Narrow the friction before a step of the controller, see `narrow_friction`."""
+    narrow_friction(measured, speed, command, learned, longitudinal)
+
+
+@exported(void(Place(TrackerRecord), vector, Place(Longitudinal)))
+def narrow_tracked_friction(tracker, learned, longitudinal):
+    """Narrow the friction at a control instant of a tracker, before its controller steps.
+
+    learned: memory of a learning controller, empty otherwise. At the first instant the filters begin again.
+    """
+    m = tracker.memory[0]
+    if m.instant == 0:
+        longitudinal.friction.memory[0].running = 0.0
+    narrow_friction(tracker.measured, tracker.ahead[INSTANT.speed], m.command, learned, longitudinal)
 
 
 @exported(void(Place(TrackerRecord), Place(Longitudinal)))

@@ -17,6 +17,7 @@ from ..rollout import COMMAND
 from ..schedule import schedule
 from ..variables import VARIABLE_COLUMNS
 from .conclude_instant import tracker_conclude
+from .longitudinal import Longitudinal, longitudinal_step, narrow_tracked_friction
 from .pose import line
 from .prepare_instant import tracker_prepare
 from .records import CONTROLLER_ANSWER, INSTANT, NO_BELIEF, REQUEST, TRACKER_SAMPLE, LawTracking, Tracking
@@ -33,7 +34,7 @@ def tracker_step(tracking):
     tracker_take(tracker)
     while tracker_prepare(tracker) > 0:
         _obey(tracking)
-        _control(tracking)
+        tracker_control(tracking)
         tracker_conclude(tracker)
     _obey(tracking)
 
@@ -48,6 +49,30 @@ def tracker_step_law(tracking):
         _control_law(tracking)
         tracker_conclude(tracker)
     _obey_law(tracking)
+
+
+@exported(void(Place(Tracking), Place(Longitudinal)))
+def driver_step(tracking, longitudinal):
+    """A call of a tracker with an MPC and of the speed control behind it, see `tracker_step` and `longitudinal_step`.
+
+    The friction is narrowed at each control instant.
+    """
+    tracker = tracking.tracker
+    tracker_take(tracker)
+    while tracker_prepare(tracker) > 0:
+        _obey(tracking)
+        narrow_tracked_friction(tracker, tracking.step.mpc.informed.learned[0], longitudinal)
+        tracker_control(tracking)
+        tracker_conclude(tracker)
+    _obey(tracking)
+    longitudinal_step(tracker, longitudinal)
+
+
+@exported(void(Place(LawTracking), Place(Longitudinal)))
+def driver_step_law(tracking, longitudinal):
+    """`driver_step`, with a control law, which knows no steering from which friction could be estimated."""
+    tracker_step_law(tracking)
+    longitudinal_step(tracking.tracker, longitudinal)
 
 
 # -- an MPC -----------------------------------------------------------------------------------------------------------
@@ -66,8 +91,8 @@ def _obey(tracking):
     request[REQUEST.restart] = request[REQUEST.change] = request[REQUEST.apply] = 0.0
 
 
-@inlined
-def _control(tracking):
+@exported(void(Place(Tracking)))
+def tracker_control(tracking):
     """The MPC's step at an instant."""
     tracker, mpc_step, mpc_record = tracking.tracker, tracking.step, tracking.step.mpc
     ahead, answer = tracker.ahead, tracker.answer

@@ -11,9 +11,9 @@ from ..kernel import OK, Place, columns, exported, inlined, int64, int_vector, l
 from ..maths.bits import whole
 from ..road import CLOSED
 from ..speed_plan import planned_speeds
-from ..tracker.longitudinal import Longitudinal, longitudinal_step
+from ..tracker.longitudinal import Longitudinal
 from ..tracker.records import TRACKED, TRACKER_SAMPLE, LawTracking, Tracking
-from ..tracker.step import tracker_step, tracker_step_law
+from ..tracker.step import driver_step, driver_step_law, tracker_step, tracker_step_law
 from ..tracker.take_call import tracker_engage
 from .contract import outside
 
@@ -69,6 +69,7 @@ SPEED_OUTPUTS = (
     "grip_used",  # -, acceleration of the car over what the assumed friction gives
     "speed_state",  # 0 off, 1 driving, 2 stopping, 3 stopped, 4 emergency; see core.speed_control
     "limited_by",  # 0 plan, 1 comfort, 2 grip, 3 stop, 4 path end, 5 fault, 6 driver, ...: core.speed_control
+    "friction_low", "friction_high",  # -, -: ends of the interval of the friction, as narrowed so far
 )  # fmt: skip
 """Outputs of a unit with speed control, behind the others."""
 STEERING_VALUE = columns(*STEERING_CONSTANTS, *PARAMETERS, *STEERING_INPUTS, *STEERING_OUTPUTS)
@@ -171,10 +172,12 @@ def _begin(unit):
 
 
 @inlined
-def _go_on(values):
-    """Time of the next instant."""
+def _conclude(tracker, values):
+    """Write the outputs and the time of the next instant; the status."""
+    _tell(tracker, values)
     period = values[STEERING_VALUE.period]
     values[STEERING_VALUE.time] = (whole(values[STEERING_VALUE.time] / period + 0.5) + 1) * period
+    return OK
 
 
 @exported(int64(Place(SteeringUnit)))
@@ -192,56 +195,44 @@ def law_steering_begin(unit):
 @exported(int64(Place(SteeringUnit)))
 def steering_step(unit):
     """Call the tracker with the inputs, and go on by a period; the status."""
-    values, tracker = unit.values, unit.tracking.tracker
-    _give(values, tracker.sample)
+    _give(unit.values, unit.tracking.tracker.sample)
     tracker_step(unit.tracking)
-    _tell(tracker, values)
-    _go_on(values)
-    return OK
+    return _conclude(unit.tracking.tracker, unit.values)
 
 
 @exported(int64(Place(LawSteeringUnit)))
 def law_steering_step(unit):
     """`steering_step`, with a control law."""
-    values, tracker = unit.values, unit.tracking.tracker
-    _give(values, tracker.sample)
+    _give(unit.values, unit.tracking.tracker.sample)
     tracker_step_law(unit.tracking)
-    _tell(tracker, values)
-    _go_on(values)
-    return OK
+    return _conclude(unit.tracking.tracker, unit.values)
 
 
 # -- with a speed control ---------------------------------------------------------------------------------------------
 @inlined
-def _write_requests(unit):
-    """Run the speed control and write its requests."""
-    values, memory = unit.values, unit.longitudinal.memory[0]
-    longitudinal_step(unit.tracking.tracker, unit.longitudinal)
+def _write_requests(longitudinal, values):
+    """Write the requests of the speed control."""
+    memory, friction = longitudinal.memory[0], longitudinal.friction.memory[0]
     values[SPEED_VALUE.acceleration], values[SPEED_VALUE.force] = memory.acceleration, memory.force
     values[SPEED_VALUE.hold], values[SPEED_VALUE.target_speed] = memory.hold, memory.target_speed
     values[SPEED_VALUE.grip_used] = memory.grip_used
     values[SPEED_VALUE.speed_state], values[SPEED_VALUE.limited_by] = float(memory.state), float(memory.limited_by)
+    values[SPEED_VALUE.friction_low], values[SPEED_VALUE.friction_high] = friction.low, friction.high
 
 
 @exported(int64(Place(SpeedSteeringUnit)))
 def speed_steering_step(unit):
     """`steering_step`, with a speed control."""
-    values, tracker = unit.values, unit.tracking.tracker
-    _give(values, tracker.sample)
-    tracker_step(unit.tracking)
-    _write_requests(unit)
-    _tell(tracker, values)
-    _go_on(values)
-    return OK
+    _give(unit.values, unit.tracking.tracker.sample)
+    driver_step(unit.tracking, unit.longitudinal)
+    _write_requests(unit.longitudinal, unit.values)
+    return _conclude(unit.tracking.tracker, unit.values)
 
 
 @exported(int64(Place(LawSpeedSteeringUnit)))
 def law_speed_steering_step(unit):
     """`steering_step`, with a control law and a speed control."""
-    values, tracker = unit.values, unit.tracking.tracker
-    _give(values, tracker.sample)
-    tracker_step_law(unit.tracking)
-    _write_requests(unit)
-    _tell(tracker, values)
-    _go_on(values)
-    return OK
+    _give(unit.values, unit.tracking.tracker.sample)
+    driver_step_law(unit.tracking, unit.longitudinal)
+    _write_requests(unit.longitudinal, unit.values)
+    return _conclude(unit.tracking.tracker, unit.values)
