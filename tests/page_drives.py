@@ -76,14 +76,14 @@ SETUPS = {
     "paper, drawn": _setup({"sheet": {**SHEET, "load": 75.0}}, WAVE, {"constant": 14.0}, "paper", "pure-pursuit",
                            _tuned("published", 20, 4, 5.0, 0.05)),
     # driven by a speed control
-    "speed control": _setup(SEDAN, {"name": "mountain"}, {"lateral": 3.0}, "road", _assuming(0.9, "informed"),
-                            _assuming(0.4, "stanley"), friction=0.35),
+    "speed control": _setup(SEDAN, {"name": "mountain"}, {"lateral": 3.0}, "road", _assuming([0.3, 0.9], "informed"),
+                            _assuming([0.4, 0.5], "stanley"), friction=0.35),
     "speed control, unknown": _setup({"name": "van"}, WAVE, {"constant": 14.0}, "production",
-                                     _assuming(0.8, "learning", knows="sheet"), "learning", seed=7),
+                                     _assuming([0.5, 0.9], "learning", knows="sheet"), "learning", seed=7),
     "speed control, networks": _setup(PAPER, {"name": "town"}, {"lateral": 2.5}, "road",
                                       _assuming(0.3, "published-nn"), _assuming(0.7, "lqr"), seed=2, wind=5.0),
-    "speed control, heavy": _setup({"name": "compact-ev"}, WAVE, {"lateral": 2.5}, "road", _assuming(0.8, "informed"),
-                                   "informed", seed=3, mass=1.3, slope=0.04, brake_lag=0.4),
+    "speed control, heavy": _setup({"name": "compact-ev"}, WAVE, {"lateral": 2.5}, "road",
+                                   _assuming([0.6, 1.0], "informed"), "informed", seed=3, mass=1.3, slope=0.04, brake_lag=0.4),
     "tests, typed": _setup(TYPED, {"test": "triple-lane-change"}, {}, "road", "learning", "published-nn", wind=5.0),
 }  # fmt: skip
 

@@ -31,21 +31,21 @@ def _estimate(low: float, high: float) -> kernel.FrictionEstimate:
     estimate = kernel.FrictionEstimate(
         kernel.FRICTION_MEMORY.new(1), kernel.FRICTION_HYPOTHESIS.new(7), np.zeros(8),
         pack_plant(CAR, load_tyre(CAR.tyre), actuator), PERIOD,
-        np.array([math.inf, 1e-5, 0.01]),
+        np.array([math.inf, 1e-5, 0.01]), low, high, KNOWLEDGE,
     )  # fmt: skip
-    kernel.friction_begin(low, high, estimate)
+    kernel.begin_friction(estimate)
     return estimate
 
 
 def _take_in(estimate: kernel.FrictionEstimate, **motion: float) -> tuple[float, float]:
     """Ends of the interval after a sample of an unforced car at 20 m/s on a flat road."""
     values = {name: math.nan for name in kernel.FrictionSample._fields} | {"speed": 20.0, "age": 0.0, "command": 0.0}
-    kernel.estimate_friction_step(kernel.FrictionSample(**{**values, **motion}), KNOWLEDGE, 0.0, 0.0, estimate)
+    kernel.estimate_friction(kernel.FrictionSample(**{**values, **motion}), KNOWLEDGE, 0.0, 0.0, estimate)
     return float(estimate.memory[0].low), float(estimate.memory[0].high)
 
 
-def _drive(friction: float, control: SpeedControl, seconds: float) -> ClosedLoop:
-    """A drive near the limit of the road for some seconds."""
+def _drive(friction: float, control: SpeedControl, seconds: float) -> SpeedController:
+    """The speed controller of a drive near the limit of the road for some seconds."""
     road = generate_road("lap", 11, 1000.0).replace(speed_limit=None, friction=friction)
     plan = plan_speed(road, CAR, Comfort(lateral=20.0, grip_share=0.95))
     controller = MPC(CAR, profile="production")
@@ -61,32 +61,29 @@ def _drive(friction: float, control: SpeedControl, seconds: float) -> ClosedLoop
         answer = controller.step(sensed.measured, sensed.speed, sensed.reference, sensed.variables, road=ahead)
         loop.send(command_of(answer, loop.command).angle)
         loop.advance()
-    return loop
+    assert isinstance(loop.speed_controller, SpeedController)
+    return loop.speed_controller
 
 
 @pytest.mark.compiled
 def test_cars_near_their_limit_without_lateral_velocity_tell_slippery_from_dry_roads() -> None:
     intervals = []
     for friction in (0.5, 0.9):
-        estimator = _drive(friction, SpeedControl(CAR, friction=(LOW, HIGH)), 20.0).friction_estimator
-        assert estimator is not None
-        low, high = estimator.interval
-        assert low <= friction <= high
-        intervals.append((low, estimator.friction, high))
+        command = _drive(friction, SpeedControl(CAR, friction=(LOW, HIGH)), 20.0).command
+        assert command.friction_low <= friction <= command.friction_high
+        intervals.append((command.friction_low, command.friction_high))
     slippery, dry = np.array(intervals)
-    assert slippery[2] < HIGH - 0.2
+    assert slippery[1] < HIGH - 0.2
     assert dry[0] > LOW + 0.05
-    assert dry[1] > slippery[1] + 0.15
+    assert dry.mean() > slippery.mean() + 0.15
 
 
 @pytest.mark.compiled
 def test_a_certain_friction_stays() -> None:
-    loop = _drive(0.9, SpeedControl(CAR, friction=0.6), 10.0)
-    assert loop.friction_estimator is not None
-    assert loop.speed_controller is not None
-    assert not loop.friction_estimator.runs
-    settings, _, _, memory = loop.speed_controller.records
-    assert memory[0].friction == memory[0].friction_high == memory[0].cautious_friction == settings.friction
+    controller = _drive(0.9, SpeedControl(CAR, friction=0.6), 10.0)
+    assert controller.command.friction_low == controller.command.friction_high == 0.6
+    memory, settings = controller._record.memory[0], controller._record.settings
+    assert memory.friction == memory.friction_high == memory.cautious_friction == settings.friction
 
 
 def test_caution_lowers_drive_forces_and_spares_the_brakes() -> None:
@@ -95,7 +92,7 @@ def test_caution_lowers_drive_forces_and_spares_the_brakes() -> None:
 
     def force(speed: float, cautious: float) -> float:
         controller = SpeedController(SpeedControl(CAR, friction=(low, 1.0)), road, plan, PERIOD)
-        memory = controller.records[3][0]
+        memory = controller._record.memory[0]
         memory.friction, memory.friction_high, memory.cautious_friction = low, 1.0, cautious
         return controller.step(20.0, speed, 0.0).force
 

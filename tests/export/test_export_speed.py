@@ -29,10 +29,10 @@ POINTS = np.stack([ALONG, 12.0 * (1.0 - np.cos(ALONG / 45.0))], axis=-1)
 BAD_PLAN = 14
 SPEED, GRADE, BANK, STOP = range(1, 5)
 CONTROLS = {
-    "informed": SpeedControl(CAR, 0.5), "learning": SpeedControl(CAR, 0.7),
-    "pure-pursuit": SpeedControl(CAR, (0.5, 0.9)),
+    "informed": SpeedControl(CAR, (0.3, 0.9)), "learning": SpeedControl(CAR, (0.4, 1.0)),
+    "pure-pursuit": SpeedControl(CAR, (0.5, 0.9)), "certain": SpeedControl(CAR, 0.5),
 }  # fmt: skip
-"""Only a friction that is certain for controllers with a steering model: with them Python narrows an interval."""
+FRICTION = ("friction_low", "friction_high")
 PERIOD = 0.05
 DRIVES = max(1, int(os.environ.get("ADAPTRACK_TEST_STEPS", "1000")) // 1000)
 PATH = road_through(POINTS).replace(grade=((0.0, 60.0, 120.0, 200.0), (0.0, 0.06, -0.08, 0.02)), bank=((0.0,), (0.03,)))
@@ -55,7 +55,7 @@ class Flaw(ctypes.Structure):
 
 class SpeedAnswer(ctypes.Structure):
     _fields_ = (*Answer._fields_, *((name, ctypes.c_double) for name in REQUESTS[:5]), ("state", ctypes.c_int),
-                ("limited_by", ctypes.c_int))  # fmt: skip
+                ("limited_by", ctypes.c_int), *((name, ctypes.c_double) for name in FRICTION))  # fmt: skip
 
 
 class CPlan:
@@ -101,6 +101,7 @@ def library(request, tmp_path_factory):
         "informed": lambda: at.MPC(CAR, profile="road"),
         "learning": lambda: at.MPC(CAR, belief="unknown", learning=at.Learning()),
         "pure-pursuit": lambda: at.PurePursuit(CAR),
+        "certain": lambda: at.MPC(CAR, profile="road"),
     }[request.param]()
     export_c(controller, folder, road=PATH, plan=PLAN, speed=CONTROLS[request.param])
     exported_library = Exported(folder, controller)
@@ -133,7 +134,7 @@ def drive(tracker, twin, calls, seed=1, slippery=math.inf):
         grade = float(PATH.along("grade", station)) + 0.02 * rng.normal() if k % 200 < 120 else math.nan
         answer = tracker.step(sample, float(driver), grade)
         row = [answer.command, float(answer.status), answer.offset, answer.heading_error, answer.station]
-        row += [float(getattr(answer, name)) for name in REQUESTS]
+        row += [float(getattr(answer, name)) for name in (*REQUESTS, *FRICTION)]
         differences += any(
             struct.pack("d", a) != struct.pack("d", b) and (a == a or b == b)
             for a, b in zip(row, twin(sample, driver, grade), strict=True)
@@ -160,7 +161,7 @@ def python_twin(library):
         command = answer.longitudinal
         return [answer.command, float(list(Status).index(answer.status)), answer.offset, answer.heading_error,
                 answer.station, *command[:5], float(list(SpeedState).index(command.state)),
-                float(list(SpeedLimit).index(command.limited_by))]  # fmt: skip
+                float(list(SpeedLimit).index(command.limited_by)), *command[7:]]  # fmt: skip
 
     return call
 

@@ -138,7 +138,7 @@ def test_truth_and_assumption_changed_before_the_first_instant_are_those_of_a_se
     level = {**setup, "truth": {}, "controllers": [{**setup["controllers"][0], "speed_control": {"friction": 0.5}}]}
     start, *advances = drive(level)
     truth = {name: value for name, value in setup["truth"].items() if value is not None}
-    answers = ask(start, change_message({"truth": truth, "speed_control": {"friction": 0.8}}), *advances)
+    answers = ask(start, change_message({"truth": truth, "speed_control": {"friction": [0.6, 1.0]}}), *advances)
     assert refusals_of(answers) == []
     assert differing(*frames(answers), page_drives.drive_columns("speed control, heavy")[0]) == {}
 
@@ -287,7 +287,7 @@ HOSTILE = {
     "controllers": [
         [], [{"kind": "none"}], [{"kind": "informed", "tuning": {"Np": 10, "Nc": 20, "Q": 1, "R": 1}}],
         [{"kind": "informed", "belief": {"lag": 7}}], [{"kind": "informed"}] * 3, None,
-        [{"kind": "informed", "speed_control": {"friction": 9}}], [{"kind": "informed", "speed_control": {}}],
+        [{"kind": "informed", "speed_control": {"friction": [0.9, 0.8]}}], [{"kind": "informed", "speed_control": {}}],
     ],
 }  # fmt: skip
 

@@ -160,7 +160,7 @@ SETUP = {
             "kind": "informed",
             "tuning": {"Np": 25, "Nc": 6, "Q": 2.5, "R": 300},
             "belief": {"lag": 0.2, "dead_time": 0.05},
-            "speed_control": {"friction": 0.7},
+            "speed_control": {"friction": [0.6, 0.7]},
         },
         {"kind": "stanley", "tuning": None, "belief": None},
     ],

@@ -211,7 +211,7 @@ def export_c(arguments: ExportOptions) -> None:
     )
     if speed is not None:
         low, high = speed.friction_interval
-        interval = f" to {high:g}; the library does not narrow it while driving" if high > low else ""
+        interval = f" to {high:g}" if high > low else ""
         show.say(f"Speed control: assumed friction {low:g}{interval}.")
     if controller.belief_at_first:
         show.say(f"Steering model: {controller.belief_at_first}.")

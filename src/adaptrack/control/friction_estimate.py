@@ -18,8 +18,14 @@ FRICTION_COUNT = 13
 """Coefficients of friction, evenly within the interval."""
 LONGEST_STEERING_DELAY = 1.0
 """s, of the steering and the samples together, for which commands are remembered."""
-STIFFNESS_SIGMA, BALANCE_SIGMA, BIAS_SIGMA, DELAY_SIGMA = 0.1, 0.05, 0.005, 0.01
-"""-, -, rad, s: standard deviations of what a car file states and no controller learns."""
+ASSUMED_KNOWLEDGE = {
+    "delay_sigma": 0.01, "stiffness": 1.0, "stiffness_sigma": 0.1, "balance": 1.0, "balance_sigma": 0.05, "bias": 0.0,
+    "bias_sigma": 0.005,
+}  # fmt: skip
+"""Entries of `core.friction_estimate.SteeringKnowledge` where the car file states the car and no controller learns it.
+"""
+FRICTION_SENSORS = [MEASUREMENT.vy, MEASUREMENT.yaw_rate, MEASUREMENT.lateral_acceleration]
+"""Sensors whose variances an estimate has."""
 
 
 def friction_estimate(interval: tuple[float, float], car: Vehicle, controller: Controller | None) -> Any:
@@ -35,11 +41,7 @@ def friction_estimate(interval: tuple[float, float], car: Vehicle, controller: C
         nothing = np.zeros(0)
         return kernel.FrictionEstimate(memory, bank, nothing, nothing, 0.0, nothing, low, high, knowledge)
     steering = SteeringActuator(lag=belief.lag.value, rate=belief.rate.value, limit=belief.limit.value)
-    knowledge = kernel.SteeringKnowledge(
-        lag=belief.lag.value, dead_time=belief.delay, delay_sigma=DELAY_SIGMA,
-        stiffness=1.0, stiffness_sigma=STIFFNESS_SIGMA, balance=1.0, balance_sigma=BALANCE_SIGMA,
-        bias=0.0, bias_sigma=BIAS_SIGMA,
-    )  # fmt: skip
+    knowledge = kernel.SteeringKnowledge(lag=belief.lag.value, dead_time=belief.delay, **ASSUMED_KNOWLEDGE)
     return kernel.FrictionEstimate(
         kernel.FRICTION_MEMORY.new(1), kernel.FRICTION_HYPOTHESIS.new(FRICTION_COUNT),
         np.zeros(math.ceil(LONGEST_STEERING_DELAY / controller.period) + 1),
@@ -48,7 +50,7 @@ def friction_estimate(interval: tuple[float, float], car: Vehicle, controller: C
 
 
 def _variances(controller: Controller) -> NDArray[np.float64]:
-    """(3,) of the sensors of lateral velocity, yaw rate and lateral acceleration, as the controller assumes them."""
+    """(3,) of `FRICTION_SENSORS`, as the controller assumes them."""
     estimator = getattr(controller, "estimator", None)
     filtering = estimator if isinstance(estimator, KalmanFilter) else KalmanFilter()
-    return filtering.variances()[[MEASUREMENT.vy, MEASUREMENT.yaw_rate, MEASUREMENT.lateral_acceleration]].copy()
+    return filtering.variances()[FRICTION_SENSORS]

@@ -33,6 +33,7 @@ from adaptrack.core.tracker.longitudinal import (
     longitudinal_step,
     narrow_friction_step,
     narrow_tracked_friction,
+    speed_control_step,
 )
 from adaptrack.core.tracker.records import LONGEST_GAP, STATUS
 from adaptrack.road import Comfort, Road, SpeedPlan
@@ -352,7 +353,7 @@ class SpeedController:
         """
         sample = self._record.sample
         sample[0] = station, speed, yaw_rate, acceleration, driver, sample[0].top_speed, blind_time, grade
-        kernel.speed_control_step(*self._record[:6])
+        speed_control_step(self._resident)
         return self.command
 
     def limit_speed(self, controller: Controller, answer: object = None) -> None:

@@ -22,8 +22,8 @@ from .planning.drive import instant
 from .plants.contract import PLANT_INPUT, PLANT_STATE, input_at, state_at
 from .road import line_of, points_ahead
 from .rollout import COMMON_ANSWER, RunRecord, answer_instant, close_all, control_all, end_slot
-from .speed_control import cell_at, governed_speeds, speed_control
-from .tracker.longitudinal import Longitudinal, narrow_friction_step
+from .speed_control import cell_at, governed_speeds
+from .tracker.longitudinal import Longitudinal, narrow_friction_step, speed_control_step
 
 _DRIVEN = PLANT_STATE._fields[: PLANT_STATE.yaw_rate + 1]
 FRAME = columns(
@@ -156,13 +156,14 @@ def drive_and_show(count, span, run, numbers, predicted, moves):
 def _control_speed(run, longitudinal, speeds):
     """Step the speed control at the present instant; write its requests, and the governed speeds (m/s) from now on."""
     drive, sample, memory = run.memory.drives[0], longitudinal.sample[0], longitudinal.memory[0]
-    settings, path, ahead = longitudinal.settings, longitudinal.path, longitudinal.ahead
     narrow_friction_step(run.measured, drive.speed, drive.command, run.mpc.informed.learned[0], longitudinal)
     sample.station, sample.speed = drive.station_estimate, drive.speed
     sample.yaw_rate = run.measured[MEASUREMENT.yaw_rate]
-    speed_control(sample, settings, path, memory, longitudinal.banks, ahead)
+    speed_control_step(longitudinal)
     drive.requested_force, drive.requested_hold = memory.force, memory.hold
-    governed_speeds(drive.speed, settings.period, path.spacing, ahead, speeds)
+    governed_speeds(
+        drive.speed, longitudinal.settings.period, longitudinal.path.spacing, longitudinal.ahead, speeds
+    )  # fmt: skip
 
 
 @inlined

@@ -15,14 +15,13 @@ from __future__ import annotations
 import math
 
 from .actuator_faults import BRAKES_FAIL, NO_FAULT, forget_faults, watch_actuators
-from .kernel import exported, float64, inlined, int64, record, rows, vector, void
+from .kernel import exported, float64, inlined, int64, record, vector, void
 from .loop import STANDING_SPEED
 from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import power
 from .plants.forces import GRAVITY
 from .speed_learning import (
-    SpeedBanks,
     coming_motion,
     learn_actuators,
     mean_of_bank,
@@ -472,12 +471,6 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         return
     _follow(station, speed, slope, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead)
     remember_request(memory.force / settings.mass, banks.requests)
-
-
-@exported(void(rows(SPEED_SAMPLE), rows(SPEED_MEMORY), SpeedSettings, SpeedPath, SpeedBanks, vector))
-def speed_control_step(sample, memory, settings, path, banks, ahead):
-    """One control period of the only controller, see `speed_control`."""
-    speed_control(sample[0], settings, path, memory[0], banks, ahead)
 
 
 @exported(void(float64, float64, float64, vector, vector))

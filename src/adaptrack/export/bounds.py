@@ -217,6 +217,8 @@ def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
         pairs += [("angle_min", "law.parameters", 3), ("angle_max", "law.parameters", 4)]
     if "longitudinal" in kind.kinds:
         yield at["tracker.settings"], settings["period"], len(at), block.words["longitudinal.settings.period"]
+        if block.arrays[at["longitudinal.friction.bank"]].sizes[0] > 0:
+            yield at["tracker.settings"], settings["period"], len(at), block.words["longitudinal.friction.period"]
     for name, array, word in pairs:
         yield at["tracker.settings"], settings[name], at[array], word
     tuning = (MPC_PLACES if "step" in kind.kinds else LAW_PLACES)["tuning"]

@@ -20,11 +20,11 @@ from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLimit, SpeedState
 from adaptrack.core import library, path, road
+from adaptrack.core.friction_estimate import FRICTION_MEMORY
 from adaptrack.core.input_check.record import MISTAKES
 from adaptrack.core.kernel import Array as KernelArray
 from adaptrack.core.speed_control import SPEED_MEMORY
 from adaptrack.core.speed_path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, PlanArrays, speed_path_words
-from adaptrack.core.tracker.longitudinal import longitudinal_step
 from adaptrack.core.tracker.records import TRACKED, TRACKER_SAMPLE, TrackerRecord
 from adaptrack.export import bounds
 from adaptrack.export.block import Block
@@ -112,8 +112,7 @@ def export_c(
         Folder of an unpacked archive of `make targets`, for targets that the package does not hold.
     speed : SpeedControl, optional
         Speed control behind the tracker. Its comfort is that of the plan. It follows plans up to the highest speed of
-        the plan or of the car's domain, the larger of the two. An interval of friction stays as it is in the export:
-        only Python narrows it while driving.
+        the plan or of the car's domain, the larger of the two.
 
     Raises
     ------
@@ -267,7 +266,7 @@ def _speed_config(speed: SpeedPart | None) -> str:
     states = ",\n".join(f"    ADAPTRACK_SPEED_{state.name} = {i}" for i, state in enumerate(SpeedState))
     limits = ",\n".join(f"    ADAPTRACK_LIMIT_{limit.name} = {i}" for i, limit in enumerate(SpeedLimit))
     return f"""
-#define ADAPTRACK_SPEED_CONTROL 1 /* {_printable(f"assumed friction {speed.control.friction!r}")}, never narrowed */
+#define ADAPTRACK_SPEED_CONTROL 1 /* {_printable(f"assumed friction {speed.control.friction!r}")} */
 #define ADAPTRACK_MASS {speed.control.car.mass!r} /* kg, that the requested force is for */
 #define ADAPTRACK_TOP_SPEED {speed.start.top_speed!r} /* m/s, of a plan at most */
 typedef enum {{
@@ -326,9 +325,9 @@ def _speed_places(block: Block, places: Mapping[str, int]) -> list[str]:
         return []
     numbers = {
         "LONGITUDINAL": places[f"{before}sample"], "LONGITUDINAL_MEMORY_AT": places[f"{before}memory"],
-        "LONGITUDINAL_SETTINGS": places[f"{before}settings_period"],
-        "LONGITUDINAL_BRAKE": places[f"{before}settings_brake"],
-        "LONGITUDINAL_BANKS": places[f"{before}banks_drive"], "LONGITUDINAL_AHEAD": places[f"{before}ahead"],
+        "LONGITUDINAL_BRAKE": places[f"{before}settings_brake"], "LONGITUDINAL_AHEAD": places[f"{before}ahead"],
+        "LONGITUDINAL_FRICTION_AT": places[f"{before}friction_memory"],
+        **{f"FRICTION_{name.upper()}": FRICTION_MEMORY._fields.index(name) for name in ("low", "high")},
         "LONGITUDINAL_CELLS": next(array.sizes[0] for array in block.arrays if array.name == "longitudinal.ahead"),
         "LONGITUDINAL_PATH_END": places[f"{before}banks_drive"], "PLAN_ARRAYS_WORDS": words_of(PlanArrays),
         **{name.upper(): at for name, at in places.items() if name.startswith(f"{before}path_")},
@@ -370,21 +369,20 @@ def words_of(kind: Any) -> int:
 def _parts(block: Block, kind: Any) -> str:
     """Which kernels the constants call, and the bounds of their numbers."""
     step, header = step_kernel(kind), block.header
-    has_speed = "longitudinal" in kind.kinds
-    speed_step = f"adaptrack_{longitudinal_step.__name__}"
-    behind = f" {speed_step}(record, (uint64_t *)record + ADAPTRACK_LONGITUDINAL);" if has_speed else ""
+    takes, given = "void *record", "record"
+    if "longitudinal" in kind.kinds:
+        takes, given = "void *tracking, void *longitudinal", "record, (uint64_t *)record + ADAPTRACK_LONGITUDINAL"
     declarations = [f"extern void adaptrack_{name}(void);" for name in block.functions]
     rows = [f"    {{{zlib.crc32(name.encode()):#010x}u, adaptrack_{name}}}," for name in block.functions]
     return "\n".join(
         [
             "/* adaptrack: the kernels that the constants call. Written by adaptrack.export. */",
             '#include "adaptrack_parts.h"', "", "#include <math.h>", "", *declarations,
-            f"extern void adaptrack_{step}(void *record);",
-            *([f"extern void {speed_step}(void *tracker, void *longitudinal);"] if has_speed else []), "",
+            f"extern void adaptrack_{step}({takes});", "",
             "static const adaptrack_function FUNCTIONS[] = {", *rows, "};",
             f"const adaptrack_reader adaptrack_parts = {{UINT64_C({header.kernels:#018x}), {header.kind:#010x}u, "
             f"FUNCTIONS, {len(rows)}, adaptrack_check_bounds}};", "", *bounds.tables(block, kind), "",
-            f"void adaptrack_parts_step(void *record) {{ adaptrack_{step}(record);{behind} }}", "",
+            f"void adaptrack_parts_step(void *record) {{ adaptrack_{step}({given}); }}", "",
         ]
     )  # fmt: skip
 

@@ -49,7 +49,9 @@ arrays of `Constants` may be empty, ``states`` has 4 entries. On a road ``curved
    and ``usable_friction`` answer.
 2. ``write_speed_path`` of the plan, then a `core.tracker.longitudinal.Longitudinal` with ``bank`` hypotheses each of
    drive and brakes and ``speed_requests``; ``horizon_cells`` counts the cells ahead. ``top_speed`` of its sample is
-   inf, or ``first_top_speed`` of a learner. ``speed_control_begin``.
+   inf, or ``first_top_speed`` of a learner. Its estimate of the friction has no hypotheses without an informed MPC;
+   otherwise ``plant_parameters`` of the steering that this assumes, and of ``sensor_variances`` those of ``sensors``.
+   ``longitudinal_begin``.
 3. ``prescribed_speed`` of the loop is ``external_forces``; `drive_with_speed_control` drives.
 
 **A law** (`pure-pursuit`, `stanley`, `lqr`): ``common`` is a row of `synthesis.laws.Common`; ``size`` numbers are made
@@ -68,6 +70,12 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import LQR, MPC, CompiledController, Learning, PurePursuit, Stanley, published_mpc
 from adaptrack.control.controllers.informed import order_of
+from adaptrack.control.friction_estimate import (
+    ASSUMED_KNOWLEDGE,
+    FRICTION_COUNT,
+    FRICTION_SENSORS,
+    LONGEST_STEERING_DELAY,
+)
 from adaptrack.control.speed_control import SpeedControl, speed_banks
 from adaptrack.core.loop import EXTERNAL_FORCES
 from adaptrack.core.plants.tyre import TYRE_NAMES
@@ -121,6 +129,8 @@ def speed_numbers() -> dict[str, Any]:
     return {
         "settings": {name: getattr(settings, name) for name in names}, "bank": speed_banks(settings, 1.0).drive.size,
         "speeds_ahead": LONGEST_SPEEDS_AHEAD, "spacing": PLACE_SPACING, "external_forces": EXTERNAL_FORCES,
+        "knowledge": ASSUMED_KNOWLEDGE, "frictions": FRICTION_COUNT, "sensors": FRICTION_SENSORS,
+        "longest_delay": LONGEST_STEERING_DELAY,
     }  # fmt: skip
 
 

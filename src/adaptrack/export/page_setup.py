@@ -11,7 +11,8 @@ A setup is plain data for JSON:
     seed         of the noise
     controllers  one or two {kind, tuning: null | {Np, Nc, Q, R}, belief: null | {lag, dead_time}}; with knows: "sheet"
                  one knows mass and wheelbase of the car, no more; with speed_control: {friction} a speed control that
-                 assumes this friction drives and brakes the car, on roads, otherwise the speed is kept exactly
+                 assumes this friction, or [low, high], drives and brakes the car, on roads, otherwise the speed is
+                 kept exactly
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,9 +17,9 @@ from adaptrack.control.speed_control import SpeedControl, SpeedStart, longitudin
 from adaptrack.control.tracking import tracking_of
 from adaptrack.core.kernel import Resident, direct, record
 from adaptrack.core.speed_control import SpeedPath
-from adaptrack.core.tracker.longitudinal import Longitudinal, longitudinal_step
+from adaptrack.core.tracker.longitudinal import Longitudinal
 from adaptrack.core.tracker.records import LawTracking, Tracking
-from adaptrack.core.tracker.step import tracker_step, tracker_step_law
+from adaptrack.core.tracker.step import driver_step, driver_step_law, tracker_step, tracker_step_law
 from adaptrack.export.block import ArrayRole, ArrayStart, Block, pack
 from adaptrack.road import Road, SpeedPlan
 
@@ -45,6 +46,8 @@ ROLES = {
     "tuning": ArrayRole.RENEWED,
 }
 """Of `Tracking` and `LawTracking`; all else is kept."""
+SPEED_ROLES = dict.fromkeys(("longitudinal.friction.car", "longitudinal.friction.variances"), ArrayRole.FIXED)
+"""Of a speed control behind them."""
 STARTS = (ArrayStart("step.mpc.informed.learned", "step.mpc.informed.fresh"),)
 RESETS = {"step.mpc.memory": {"speed": math.nan}}
 """The model, and all that follows from it, is formed anew."""
@@ -79,7 +82,8 @@ def kind_of(controller: Controller, speed: SpeedPart | None = None) -> Any:
 
 def step_kernel(kind: Any) -> str:
     """The kernel of a whole call with a controller, by the kind of its record."""
-    return "tracker_step" if "step" in kind.kinds else "tracker_step_law"
+    name = "driver_step" if "longitudinal" in kind.kinds else "tracker_step"
+    return name if "step" in kind.kinds else f"{name}_law"
 
 
 def refuse(controller: Any) -> None:
@@ -136,7 +140,7 @@ def tracking_block(
     """The block of a controller behind a tracker, with what it has learned so far; the controller stays as it is.
 
     room: of an MPC the largest Np and Nc that constants which are loaded later may have; furthest: m, from the path;
-    speed: the speed control behind the tracker. It learns drive and brakes from `adaptrack_init` on.
+    speed: the speed control behind the tracker. It learns drive, brakes and friction from `adaptrack_init` on.
 
     Raises
     ------
@@ -149,12 +153,13 @@ def tracking_block(
     kind, outside = kind_of(controller, speed), list(OUTSIDE)
     if speed is not None:
         path = SpeedPath(*(np.zeros(0) for _ in range(6)), 0.0, 0.0, 0)
-        longitudinal = longitudinal_of(speed.control, controller.period, speed.start, path)
-        for bank in (longitudinal.banks.drive, longitudinal.banks.brakes):
-            bank[:] = np.zeros_like(bank)
+        longitudinal = longitudinal_of(speed.control, controller.period, speed.start, path, controller)
+        banks, friction = longitudinal.banks, longitudinal.friction
+        for rows in (banks.drive, banks.brakes, friction.bank, friction.memory):
+            rows[:] = np.zeros_like(rows)
         record = kind(*record, longitudinal)
         outside.append("longitudinal.path")
-    return pack(record, kind.__name__, ROLES, STARTS, RESETS, outside)
+    return pack(record, kind.__name__, ROLES | SPEED_ROLES, STARTS, RESETS, outside)
 
 
 def record_of(controller: Any, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0) -> Any:
@@ -209,24 +214,25 @@ class Twin:
         refuse(controller)
         record = record_of(controller, path, plan, furthest)
         self._sample, self._tracked = record.tracker.sample, record.tracker.tracked
-        self._run = direct(tracker_step if isinstance(controller, MPC) else tracker_step_law, record)
-        self._tracker, self._longitudinal = Resident(record.tracker), None
-        if speed is not None:
+        is_mpc, self._longitudinal = isinstance(controller, MPC), None
+        if speed is None:
+            self._run = direct(tracker_step if is_mpc else tracker_step_law, record)
+        else:
             way = speed_path(path, plan, speed.control.stop_at_end)
             start = speed.start._replace(top_speed=float(max(plan.speed)))
-            self._longitudinal = longitudinal_of(speed.control, controller.period, start, way)
-            self._resident = Resident(self._longitudinal)
+            self._longitudinal = longitudinal_of(speed.control, controller.period, start, way, controller)
+            step = driver_step if is_mpc else driver_step_law
+            self._run = partial(step, Resident(record), Resident(self._longitudinal))
 
     def call(self, sample: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return one call's result: a row of `core.tracker.records.TRACKED`, with a speed control then `REQUESTS`.
+        """Return one call's result: a row of `core.tracker.records.TRACKED`.
 
-        sample: start of a `SAMPLE` row.
+        With a speed control `REQUESTS` and the interval of the friction follow. sample: start of a `SAMPLE` row.
         """
         self._sample[:] = math.nan
         self._sample[: len(sample)] = sample
         self._run()
         if self._longitudinal is None:
             return self._tracked.copy()
-        longitudinal_step(self._tracker, self._resident)
-        requests = self._longitudinal.memory[0]
-        return np.array([*self._tracked, *(float(requests[name]) for name in REQUESTS)])
+        requests, friction = self._longitudinal.memory[0], self._longitudinal.friction.memory[0]
+        return np.array([*self._tracked, *(float(requests[name]) for name in REQUESTS), friction.low, friction.high])

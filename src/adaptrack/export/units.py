@@ -25,7 +25,7 @@ from adaptrack.core.units import car, controller
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, World
 from adaptrack.export.block import ArrayRole
-from adaptrack.export.tracking import ROLES, refuse, small_record_of, speed_part
+from adaptrack.export.tracking import ROLES, SPEED_ROLES, refuse, small_record_of, speed_part
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
@@ -207,13 +207,13 @@ def controller_unit(
         0: controller.STEERING_OUTPUTS + (() if speed is None else controller.SPEED_OUTPUTS),
     }  # fmt: skip
     values = described(controller.__name__, groups, starts)
-    roles = {f"tracking.{name}": role for name, role in ROLES.items()}
+    roles = {f"tracking.{name}": role for name, role in ROLES.items()} | SPEED_ROLES
     roles |= dict.fromkeys(("tracking.tracker.path", "tracking.tracker.plan", "longitudinal.path"), ArrayRole.FIXED)
     title = f"controller {built_controller.name} on {path.name}"
     parts, kinds = {"tracking": tracking}, (controller.SteeringUnit, controller.LawSteeringUnit)
     if speed is not None and plan is not None:
         start, way = speed_part(speed, built_controller, plan).start, speed_path(path, plan, speed.stop_at_end)
-        parts["longitudinal"] = longitudinal_of(speed, built_controller.period, start, way)
+        parts["longitudinal"] = longitudinal_of(speed, built_controller.period, start, way, built_controller)
         title, kinds = f"{title}, with speed control", (controller.SpeedSteeringUnit, controller.LawSpeedSteeringUnit)
     kind = kinds[0 if isinstance(built_controller, MPC) else 1]
     return Unit("controller", title, kind(*_columns(values), **parts), values, FIXED_ROLES | roles)

@@ -30,9 +30,10 @@ from .wasm_link import linked
 
 KERNELS = (
     # of a program: a whole call, and a path
-    "tracker_step", "tracker_step_law", "driver_step", "driver_step_law", "tracker_engage", "tracker_follow", "path_words", "path_through",
+    "tracker_step", "tracker_step_law", "tracker_engage", "tracker_follow", "path_words", "path_through",
     # a speed control behind it, and its plan
-    "longitudinal_begin", "longitudinal_follow", "speed_path_words", "write_speed_path", "horizon_cells",
+    "driver_step", "driver_step_law", "longitudinal_begin", "longitudinal_follow", "speed_path_words",
+    "write_speed_path", "horizon_cells",
     # a controller alone, and the sizes of its arrays
     "mpc_step", "mpc_sizes", "schedule_step",
     # members, whose addresses records hold

@@ -14,8 +14,8 @@ CALLED = (
     "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
     "pure_pursuit_parameters", "stanley_parameters", "lqr_parameters",
     # speed controls
-    "resistance", "usable_friction", "first_top_speed", "longitudinal_begin", "begin_friction", "horizon_cells",
-    "speed_path_words", "write_speed_path",
+    "resistance", "usable_friction", "first_top_speed", "longitudinal_begin", "begin_friction", "sensor_variances",
+    "horizon_cells", "speed_path_words", "write_speed_path",
     # speeds and drives
     "plan_places", "plan_along_road", "plan_constant", "drive_periods", "drive_samples", "drive_start",
     "complete_samples",

@@ -79,6 +79,13 @@ def longitudinal_begin(longitudinal):
     begin_friction(longitudinal.friction)
 
 
+@exported(void(Place(Longitudinal)))
+def speed_control_step(longitudinal):
+    """One control period, see `speed_control`."""
+    sample, memory, settings = longitudinal.sample[0], longitudinal.memory[0], longitudinal.settings
+    speed_control(sample, settings, longitudinal.path, memory, longitudinal.banks, longitudinal.ahead)
+
+
 @exported(void(vector, float64, float64, vector, Place(Longitudinal)))
 def narrow_friction_step(measured, speed, command, learned, longitudinal):
     """Narrow the friction before a step of the controller, see `narrow_friction`."""
@@ -113,7 +120,7 @@ def longitudinal_step(tracker, longitudinal):
     memory.time = time
     sample.top_speed = tracker.tracked[TRACKED.first_top_speed]
     _write_sample(tracker, blind_time, action, sample)
-    speed_control(sample, longitudinal.settings, longitudinal.path, memory, longitudinal.banks, longitudinal.ahead)
+    speed_control_step(longitudinal)
 
 
 @exported(void(Place(Longitudinal)))

@@ -14,7 +14,7 @@ extern void adaptrack_tracker_follow(double near, void *tracker);
 extern int64_t adaptrack_path_words(const double *points, int64_t count, int64_t two, int64_t closed);
 #if ADAPTRACK_SPEED_CONTROL
 extern void adaptrack_longitudinal_follow(void *longitudinal);
-extern void adaptrack_speed_control_begin(void *settings, void *banks);
+extern void adaptrack_longitudinal_begin(void *longitudinal);
 extern int64_t adaptrack_speed_path_words(double length, int64_t closed, int64_t stops);
 extern void adaptrack_write_speed_path(void *arrays, double *memory, int64_t size, word answers[2]);
 extern int64_t adaptrack_horizon_cells(double top_speed, double braking, double spacing);
@@ -261,12 +261,14 @@ static adaptrack_error put_plan(uint64_t *record, const void *memory) {
 
 static void read_requests(const uint64_t *record, adaptrack_answer *answer) {
     const word *memory = (const word *)(const void *)numbers_at(record, ADAPTRACK_LONGITUDINAL_MEMORY_AT);
+    const double *friction = numbers_at(record, ADAPTRACK_LONGITUDINAL_FRICTION_AT);
     answer->acceleration = memory[ADAPTRACK_REQUEST_ACCELERATION].number;
     answer->force = memory[ADAPTRACK_REQUEST_FORCE].number, answer->hold = memory[ADAPTRACK_REQUEST_HOLD].number;
     answer->target_speed = memory[ADAPTRACK_REQUEST_TARGET_SPEED].number;
     answer->grip_used = memory[ADAPTRACK_REQUEST_GRIP_USED].number;
     answer->speed_state = (adaptrack_speed_state)memory[ADAPTRACK_REQUEST_STATE].whole;
     answer->limited_by = (adaptrack_speed_limit)memory[ADAPTRACK_REQUEST_LIMITED_BY].whole;
+    answer->friction_low = friction[ADAPTRACK_FRICTION_LOW], answer->friction_high = friction[ADAPTRACK_FRICTION_HIGH];
 }
 #else
 enum { CALLER_WORDS = ADAPTRACK_PATH_END - ADAPTRACK_PATH_OF };
@@ -318,9 +320,7 @@ const char *adaptrack_error_name(adaptrack_error error) {
 adaptrack_error adaptrack_init(void *tracker, size_t tracker_size, const void *constants, size_t size) {
     adaptrack_error error = adaptrack_block_lay(&adaptrack_parts, tracker, tracker_size, constants, size);
 #if ADAPTRACK_SPEED_CONTROL
-    if (error == ADAPTRACK_OK)
-        adaptrack_speed_control_begin(record_of(tracker) + ADAPTRACK_LONGITUDINAL_SETTINGS,
-                                      record_of(tracker) + ADAPTRACK_LONGITUDINAL_BANKS);
+    if (error == ADAPTRACK_OK) adaptrack_longitudinal_begin(record_of(tracker) + ADAPTRACK_LONGITUDINAL);
 #endif
     return error;
 }

@@ -187,6 +187,7 @@ typedef struct {
     double grip_used;     /* -, acceleration of the car over what the assumed friction gives */
     adaptrack_speed_state speed_state;
     adaptrack_speed_limit limited_by;
+    double friction_low, friction_high; /* -, ends of the interval of the friction, as narrowed so far */
 #endif
 } adaptrack_answer;
 

@@ -19,7 +19,7 @@ static uint32_t crc32_of(const unsigned char *bytes, size_t size) {
 
 static uint32_t fingerprint(const adaptrack_answer *answer) {
 #if ADAPTRACK_SPEED_CONTROL
-    double numbers[16];
+    double numbers[18];
 #else
     double numbers[9];
 #endif
@@ -32,6 +32,7 @@ static uint32_t fingerprint(const adaptrack_answer *answer) {
     numbers[9] = answer->acceleration, numbers[10] = answer->force, numbers[11] = answer->hold;
     numbers[12] = answer->target_speed, numbers[13] = answer->grip_used;
     numbers[14] = (double)answer->speed_state, numbers[15] = (double)answer->limited_by;
+    numbers[16] = answer->friction_low, numbers[17] = answer->friction_high;
 #endif
     for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++) {
         uint64_t bits = 0x7ff8000000000000u; /* any NaN */

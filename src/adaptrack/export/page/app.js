@@ -365,7 +365,7 @@ function remedy(setup, controller, i) {
   const lag = trueValue("lag"), believed = believedValue("lag", i), friction = trueValue("friction");
   const sensorsOff = page.drive.touches.some(touch => touch.sensors);
   if (sensorsOff) return "give it its sensors back";
-  if (controller.speed_control?.friction > friction) return "let its speed control assume the friction of this road";
+  if (frictionEnds(controller.speed_control?.friction)[0] > friction) return "let its speed control assume the friction of this road";
   if (friction !== null && friction < 0.5) return "drive more slowly, or with more friction";
   if (controller.kind?.startsWith("published")) return "take a controller that knows the lag of the steering, or drive without lag";
   if (believed !== null && lag !== null && lag > believed + 0.03) return "let the controller know the lag, or take one that learns it";
@@ -377,7 +377,7 @@ function remedy(setup, controller, i) {
 // ---- pictures
 
 const PLOT_SETS = {
-  few: ["error", "steering"], speed: ["speed", "grip", "error", "steering"], belief: ["error", "lag", "dead_time", "stiffness", "bias", "steering"], schedule: ["error", "horizons", "weights", "steering"],
+  few: ["error", "steering"], speed: ["speed", "grip", "assumed_friction", "error", "steering"], belief: ["error", "lag", "dead_time", "stiffness", "bias", "steering"], schedule: ["error", "horizons", "weights", "steering"],
   paper: ["path", "error", "steering"], all: null,
 };
 let plotSet = "few";

@@ -24,7 +24,7 @@ function pythonOf(setup) {
   return lines.join("\n");
 }
 
-const pythonDriver = ({speed_control}) => speed_control ? `, driver=at.SpeedControl(car, friction=${pythonNumber(speed_control.friction)})` : "";
+const pythonDriver = ({speed_control}) => speed_control ? `, driver=at.SpeedControl(car, friction=${Array.isArray(speed_control.friction) ? `(${speed_control.friction.map(pythonNumber).join(", ")})` : pythonNumber(speed_control.friction)})` : "";
 
 function pythonCar({name, sheet, file}) {
   if (name) return [`car = at.load_vehicle(${text(name)})`];
@@ -93,9 +93,9 @@ function commandOf(setup) {
   if (!road.test) parts.push(isSet(speed?.constant) ? `--speed ${speed.constant}` : `--lateral-acceleration ${speed?.lateral ?? TOP.lateral}`);
   if (generatedLength(road)) parts.push(`--length ${generatedLength(road)}`);
   if (seed) parts.push(`--seed ${seed}`);
-  const assumed = [...new Set(controllers.map(({speed_control}) => speed_control?.friction))];
+  const assumed = [...new Set(controllers.map(({speed_control}) => [speed_control?.friction].flat().join(":")))];
   if (assumed.length > 1) missing.push("the frictions that the speed controls assume");
-  else if (isSet(assumed[0])) parts.push(`--speed-control --assumed-friction ${assumed[0]}`);
+  else if (assumed[0]) parts.push(`--speed-control --assumed-friction ${assumed[0]}`);
   const names = {informed: "informed", learning: "informed", published: "standard", "pure-pursuit": "pure-pursuit", stanley: "stanley", lqr: "lqr"};
   for (const {kind, tuning, belief} of controllers) {
     if (names[kind]) parts.push(`--controller ${names[kind]}`);

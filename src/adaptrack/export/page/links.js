@@ -26,7 +26,7 @@ function addressOf(setup, touches = []) {
   controllers.forEach(({kind, tuning, belief, told, speed_control}, i) => {
     words.set(`c${i + 1}`, kind);
     if (told) words.set(`c${i + 1}.told`, "1");
-    if (speed_control) words.set(`c${i + 1}.friction`, shortNumber(speed_control.friction));
+    if (speed_control) [speed_control.friction].flat().forEach((end, k) => words.set(`c${i + 1}.friction${k ? ".high" : ""}`, shortNumber(end)));
     for (const name of TUNINGS) if (tuning?.[name] != null) words.set(`c${i + 1}.${name}`, shortNumber(tuning[name]));
     for (const name of BELIEFS) if (belief?.[name] != null) words.set(`c${i + 1}.belief.${name}`, shortNumber(belief[name]));
   });
@@ -77,7 +77,8 @@ function setupOf(hash) {
       const values = Object.fromEntries(names.map(name => [name, number(`${prefix}.${name}`, 0)]).filter(([, value]) => value !== null));
       return Object.keys(values).length ? values : null;
     };
-    const friction = number(`${key}.friction`, 0.05);
+    const low = number(`${key}.friction`, 0.05), high = low === null ? null : number(`${key}.friction.high`, low);
+    const friction = high > low ? [low, high] : low;
     return oneController(words.get(key), {...(friction === null ? {} : {speed_control: {friction}}), tuning: some(TUNINGS, key), belief: some(BELIEFS, `${key}.belief`), ...(words.get(`${key}.told`) === "1" ? {told: true} : {})});
   });
   for (const {kind} of controllers) if (!CONTROLLERS[kind]) notes.push(`The link names a controller ${kind}, which this page does not have.`);

@@ -5,7 +5,7 @@
 //   roadOf(setup.road)                          -> { name, closed, length, line, roads } or { test, ... }
 //   samplesOf(setup, road, car, world)          -> { signals, periods, plan, laps, pose, duration }
 //   controllerOf(entry, car, world, where)      -> { kind, mpc | law, tuning, functions, schedule, columns, limits }
-//   speedControlOf(entry, car, controller, { world, of, samples, setup }, where)      -> { record, speeds, grip, climb }
+//   speedControlOf(entry, car, controller, { world, of, samples, setup }, where)      -> { record, speeds, ends, grip, climb }
 //
 // What they lay into memory is given back by `forget(list)`, where `owning(list, make)` has called them.
 "use strict";
@@ -568,28 +568,53 @@ function lawOf(entry, known, car, where) {
 }
 
 // -- speed control ----------------------------------------------------------------------------------------------------
-/** The speed control of a car along its plan; grip: of the car, by the friction that is assumed; climb: on a slope. */
+/** What estimates the friction by the steering that an informed MPC assumes; low, high: of the interval at the start. */
+function frictionOf({ rows }, { parts }, { period }, [low, high]) {
+  const estimate = { memory: { shape: [1] }, period, low, high };
+  if (!parts) return estimate;
+  const { frictions, knowledge, longest_delay, sensors } = written.speed_control, { belief } = parts;
+  const { lag, rate, limit } = belief, variances = mine(memory.array("F", [written.sizes.measured]));
+  const car = mine(memory.array("F", [written.sizes.parameters]));
+  memory.call("plant_parameters", rows.chassis, rows.tyre, copied("synthesis.plant.Actuator", { lag, rate, limit }), car);
+  memory.call("sensor_variances", parts.filter.noise, variances);
+  return {
+    ...estimate, bank: { shape: [frictions] }, commands: { shape: [Math.ceil(longest_delay / period) + 1] },
+    car: share(car), variances: share(vectorOf(sensors.map((sensor) => variances.values[sensor]))),
+    knowledge: { ...knowledge, lag, dead_time: belief.computation + belief.dead_time },
+  };
+}
+
+/**
+ * The speed control of a car along its plan; ends: of the interval of friction that is assumed; grip: what the car has
+ * of them; climb: on a slope.
+ */
 function speedControlOf(entry, car, controller, { world, of, samples, setup }, where) {
   if (of.test) throw new Refusal(where, "The paper's tests prescribe their speed: a speed control needs a road.");
   const constants = written.speed_control, { plan } = samples, { chassis, file } = car.rows;
-  const grip = (friction) => memory.call("usable_friction", car.plain, file.limit, checked(where, "assumed_friction", friction));
+  const ends = (friction) => {
+    const [low, high = low] = [friction].flat().map((end) => checked(where, "assumed_friction", end));
+    if (!(low <= high)) throw new Refusal(where, `${written.words.named.assumed_friction}: the lower end must come first.`);
+    return [low, high];
+  };
+  const grip = (friction) => ends(friction).map((end) => memory.call("usable_friction", car.plain, file.limit, end));
   const { air_density, frontal_area, drag_coefficient, rolling_resistance } = chassis;
   const [drag, rolling] = memory.call("resistance", air_density, frontal_area, drag_coefficient, rolling_resistance);
-  const friction = grip(entry.speed_control.friction), { period } = world;
+  const [friction, friction_high] = grip(entry.speed_control.friction), { period } = world;
   const settings = copied("speed_control.SpeedSettings",
-    { period, drag, rolling, friction, friction_high: friction }, constants.settings, chassis.$numbers);
+    { period, drag, rolling, friction, friction_high }, constants.settings, chassis.$numbers);
   const top = plan.speed.values.reduce((most, each) => Math.max(most, each), 0);
   const { path, climb } = speedPathOf(of, plan, slopeOf(setup.truth ?? {}));
   const record = mine(memory.make("tracker.longitudinal.Longitudinal", {
     sample: { shape: [1] }, memory: { shape: [1] }, settings, path,
     banks: { drive: { shape: [constants.bank] }, brakes: { shape: [constants.bank] }, requests: { shape: [world.speed_requests] } },
     ahead: { shape: [memory.call("horizon_cells", top, settings.brake, constants.spacing)] },
+    friction: frictionOf(car, controller, world, ends(entry.speed_control.friction)),
   }));
-  memory.call("speed_control_begin", record.settings, record.banks);
+  memory.call("longitudinal_begin", record);
   const top_speed = controller.learns ? memory.call("first_top_speed", controller.parts.learner) : Infinity;
   record.sample.row(0).$set({ acceleration: NaN, top_speed, grade: NaN });
   record.memory.row(0).$set({ time: -Infinity });
-  return { record, speeds: mine(memory.array("F", [constants.speeds_ahead])), grip, climb };
+  return { record, speeds: mine(memory.array("F", [constants.speeds_ahead])), ends, grip, climb };
 }
 
 /** A plan at even places of its road of a slope, and what writes it for another slope. */

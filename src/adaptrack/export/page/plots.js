@@ -60,6 +60,10 @@ const PLOTS = [
     lines: [{column: "grip_used", label: "used grip"}], limits: [{value: 1, label: "assumed grip"}],
   },
   {
+    name: "assumed_friction", title: "Friction that the speed control assumes", unit: "", digits: 2, least: 0.2,
+    lines: [{column: "friction_low", label: "at least"}, {column: "friction_high", label: "at most"}, ROAD_FRICTION],
+  },
+  {
     name: "acceleration", title: "Lateral acceleration", unit: "m/s²", digits: 2, least: 1, around0: true,
     lines: [{column: "lateral_acceleration", label: "lateral"}],
   },

@@ -28,6 +28,8 @@ const TOP = {lateral: 3, constant: 15};
 const noTruth = () => ({lag: null, dead_time: null, bias: null, noise: null, friction: null, wind: null, brake_lag: null, slope: null, mass: null});
 const oneController = (kind, more = {}) => ({kind, tuning: null, belief: null, ...more});
 const ASSUMED_FRICTION = 0.9;  // of a speed control
+const frictionEnds = friction => Array.isArray(friction) ? friction : [friction, friction];
+const frictionText = (friction, digits = 2) => [...new Set(frictionEnds(friction))].map(end => end.toFixed(digits)).join(" to ");
 const withSpeedControl = (controllers, friction = ASSUMED_FRICTION) => controllers.map(controller => ({...controller, speed_control: {friction}}));
 const withoutSpeedControl = controllers => controllers.map(({speed_control, ...controller}) => controller);
 
@@ -57,7 +59,7 @@ function nameOfCar(i) {
   if (told) return `${own} that is told the lag`;
   if (isSet(belief?.lag)) return `${own} that believes ${belief.lag.toFixed(2)} s of lag`;
   if (other?.kind !== kind) return short;
-  if (speed_control && speed_control.friction !== other.speed_control?.friction) return `${own} that assumes a friction of ${speed_control.friction.toFixed(2)}`;
+  if (speed_control && String(speed_control.friction) !== String(other.speed_control?.friction)) return `${own} that assumes a friction of ${frictionText(speed_control.friction)}`;
   const differs = tuning && TUNINGS.filter(name => tuning[name] !== other.tuning?.[name]);
   return differs?.length ? `${own}, ${differs.map(name => `${name} ${niceNumber(tuning[name])}`).join(", ")}` : `${short} (${i ? "second" : "first"})`;
 }

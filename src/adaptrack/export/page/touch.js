@@ -11,7 +11,8 @@ const SLIDERS = [
   {id: "lag", box: "main", kind: "truth", name: "lag", label: "True lag of the steering", unit: "s", least: 0, most: 1, step: 0.01, digits: 2},
   {id: "belief-lag", box: "main", kind: "belief", name: "lag", label: "Lag that the controller believes", unit: "s", least: 0, most: 1, step: 0.01, digits: 2},
   {id: "friction", box: "main", kind: "truth", name: "friction", label: "Friction of the road", unit: "", least: 0.1, most: 1.2, step: 0.01, digits: 2},
-  {id: "assumed-friction", box: "main", kind: "speed_control", name: "friction", label: "Friction that the speed control assumes", unit: "", least: 0.1, most: 1.2, step: 0.01, digits: 2},
+  {id: "assumed-friction", box: "main", kind: "speed_control", name: 0, label: "Friction that the speed control assumes, at least", unit: "", least: 0.1, most: 1.2, step: 0.01, digits: 2},
+  {id: "assumed-friction-high", box: "main", kind: "speed_control", name: 1, label: "at most: between the two it estimates the friction", unit: "", least: 0.1, most: 1.2, step: 0.01, digits: 2},
   {id: "dead-time", box: "world", kind: "truth", name: "dead_time", label: "True dead time of the steering", unit: "s", least: 0, most: 0.5, step: 0.01, digits: 2},
   {id: "bias", box: "world", kind: "truth", name: "bias", label: "Wheels turned beyond the command", unit: "°", least: -3, most: 3, step: 0.1, digits: 1, scale: Math.PI / 180},
   {id: "noise", box: "world", kind: "truth", name: "noise", label: "Noise of the sensors, times the usual", unit: "×", least: 0, most: 5, step: 0.1, digits: 1},
@@ -66,7 +67,7 @@ function tuningValue(name, i) {
 function valueOf(slider) {
   if (slider.kind === "truth") return trueValue(slider.name);
   if (slider.kind === "belief") return believedValue(slider.name, chosenCar);
-  if (slider.kind === "speed_control") return controllerNow().speed_control?.friction ?? null;
+  if (slider.kind === "speed_control") return frictionEnds(controllerNow().speed_control?.friction ?? null)[slider.name];
   return tuningValue(slider.name, chosenCar);
 }
 
@@ -192,8 +193,11 @@ function set(setup, kind, name, value) {
     return {belief: {...controller.belief}};
   }
   if (kind === "speed_control") {
-    controller.speed_control = {friction: value};
-    return {speed_control: {friction: value}};
+    const ends = [...frictionEnds(controller.speed_control.friction)];
+    ends[name] = value;
+    ends[1 - name] = Math[name ? "min" : "max"](ends[1 - name], value);
+    controller.speed_control = {friction: ends[0] === ends[1] ? value : ends};
+    return {speed_control: controller.speed_control};
   }
   const current = Object.fromEntries(["Np", "Nc", "Q", "R"].map(entry => [entry, tuningValue(entry, chosenCar)]));
   controller.tuning = {...current, [name]: value};
