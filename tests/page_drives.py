@@ -83,7 +83,8 @@ SETUPS = {
     "speed control, networks": _setup(PAPER, {"name": "town"}, {"lateral": 2.5}, "road",
                                       _assuming(0.3, "published-nn"), _assuming(0.7, "lqr"), seed=2, wind=5.0),
     "speed control, heavy": _setup({"name": "compact-ev"}, WAVE, {"lateral": 2.5}, "road",
-                                   _assuming([0.6, 1.0], "informed"), "informed", seed=3, mass=1.3, slope=0.04, brake_lag=0.4),
+                                   _assuming([0.6, 1.0], "informed"), "informed", seed=3, mass=1.3, slope=0.04,
+                                   brake_lag=0.4),
     "tests, typed": _setup(TYPED, {"test": "triple-lane-change"}, {}, "road", "learning", "published-nn", wind=5.0),
 }  # fmt: skip
 

@@ -119,12 +119,13 @@ def start_tracker(library):
 
 
 def drive(tracker, twin, calls, seed=1, slippery=math.inf):
-    """Drive a car by the commands of C; the number of answers that differ from Python's, states, stops and limits.
+    """Drive a car by the commands of C; the number of answers that differ from Python's, states, stops, limits, and
+    the intervals of friction.
 
     slippery: m, along the path, from where on the road has a third of its friction for 40 m.
     """
     rng, x, y, yaw, v, station = np.random.default_rng(seed), 0.0, 0.0, 0.0, 5.0, 0.0
-    differences, states, stands, limits, turn = 0, set(), [], set(), 0.0
+    differences, states, stands, limits, intervals, turn = 0, set(), [], set(), set(), 0.0
     for k in range(calls):
         is_lost = 30 < k % 100 < 33 or rng.random() < 0.05 or 700 < k < 730
         pose = (math.nan,) * 3 if is_lost else (x, y, yaw)
@@ -142,6 +143,7 @@ def drive(tracker, twin, calls, seed=1, slippery=math.inf):
         station = answer.station if math.isfinite(answer.station) else station
         states.add(list(SpeedState)[answer.state])
         limits.add(list(SpeedLimit)[answer.limited_by])
+        intervals.add((answer.friction_low, answer.friction_high))
         if answer.state == list(SpeedState).index(SpeedState.STOPPED):
             stands.append(station)
         grip = GRAVITY * (0.3 if slippery < station < slippery + 40.0 else 0.9)
@@ -149,7 +151,7 @@ def drive(tracker, twin, calls, seed=1, slippery=math.inf):
         v = max(v + PERIOD * push, 0.0) if v > 0.0 or push > answer.hold / CAR.mass else 0.0
         turn = v * math.tan(answer.command) / CAR.wheelbase
         x, y, yaw = x + PERIOD * v * math.cos(yaw), y + PERIOD * v * math.sin(yaw), yaw + PERIOD * turn
-    return differences, states, stands, limits
+    return differences, states, stands, limits, intervals
 
 
 def python_twin(library):
@@ -170,9 +172,12 @@ def test_the_requests_are_those_of_python_on_a_drive_with_stops_slopes_a_driver_
     for seed in range(DRIVES - 1, -1, -1):  # the last one: on a dry road
         tracker = start_tracker(library)
         slippery = 20.0 * seed if seed > 0 else math.inf
-        differences, states, stands, limits = drive(tracker, python_twin(library), 1000, seed + 1, slippery)
+        results = drive(tracker, python_twin(library), 1000, seed + 1, slippery)
+        differences, states, stands, limits, intervals = results
         assert differences == 0
         assert tracker.untouched
+        is_certain = library.control is CONTROLS["certain"] or library.controller.belief is None
+        assert len(intervals) == 1 if is_certain else len(intervals) > 300
     assert {SpeedState.DRIVING, SpeedState.STOPPING, SpeedState.STOPPED} <= states
     assert {SpeedLimit.DRIVER, SpeedLimit.STOP} <= limits
     assert min(abs(s - 110.0) for s in stands) < 1.0  # a twentieth of its samples is lost

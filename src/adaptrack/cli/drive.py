@@ -74,7 +74,7 @@ def drive(arguments: DriveOptions) -> None:
     places = arguments.place.load(car, _held_speeds(arguments))
     loop = DrivenLoop(car, plant, places, _make_controllers(arguments, places, car, plant))
     places.warn(car)
-    runs = list(_drive(settings, loop, arguments.place.route.assumed))
+    runs = list(_drive(settings, loop, arguments.place.route.assumed_interval))
     rows = [measured_row(run, places) for run in runs]
     failed = any(row["failed"] for row in rows)
     _say_failures(rows, settings.as_json)
@@ -138,7 +138,7 @@ def _held_speeds(arguments: DriveOptions) -> HoldableSpeed | None:
 
 
 def _make_driver(
-    settings: options.DriveSettings, loop: DrivenLoop, friction: float | None
+    settings: options.DriveSettings, loop: DrivenLoop, friction: tuple[float, float] | None
 ) -> Driver | SpeedControl | None:
     """Return what moves the car along its plan; None for a prescribed speed.
 
@@ -159,10 +159,10 @@ def _make_driver(
     return SpeedControl(loop.car) if friction is None else SpeedControl(loop.car, friction=friction)
 
 
-def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: float | None) -> Iterator[Run]:
+def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: tuple[float, float] | None) -> Iterator[Run]:
     """Simulate all drives with all controllers; save each trajectory at once.
 
-    friction: coefficient that driver and schedules assume; None for that of the road.
+    friction: interval that driver and schedules assume, these its lower end; None for that of the road.
     """
     from adaptrack.base.files import safe_names
     from adaptrack.control.estimation import Perception
@@ -172,7 +172,7 @@ def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: float | 
     from adaptrack.results import Run
 
     places, out = loop.places, settings.out
-    perception = None if friction is None else Perception(friction=friction)
+    perception = None if friction is None else Perception(friction=friction[0])
     driver = _make_driver(settings, loop, friction)
     pairs = [(drive, *labelled) for drive in places.drives for labelled in loop.drivers]
     files = safe_names(f"{drive.name}-{label}" for drive, label, _ in pairs)

@@ -50,13 +50,7 @@ class ExportedController:
         bool,
         Option("--speed-control", help="Export the speed control too: acceleration, force, stops at planned places."),
     ] = False
-    assumed_friction: Annotated[
-        str | None,
-        Option(
-            "--assumed-friction", metavar="MU|LOW:HIGH", hidden=True,
-            help="Friction that speed control and plan assume, of an interval its lower end; default: 0.9.",
-        ),
-    ] = None  # fmt: skip
+    assumed_friction: options.AssumedFriction = None
     profile: options.ProfileOption = "road"
     learn: Annotated[
         bool,

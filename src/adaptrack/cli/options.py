@@ -90,6 +90,14 @@ ProfileOption = Annotated[
     ),
 ]
 Speed = Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned speed.")]
+AssumedFriction = Annotated[
+    str | None,
+    Option(
+        "--assumed-friction", metavar="MU|LOW:HIGH", hidden=True,
+        help="Assumed friction; plan and driver use the lower end of an interval, a speed control narrows it while "
+        "driving. Default: the road's, of an exported speed control 0.9.",
+    ),
+]  # fmt: skip
 LateralAcceleration = Annotated[
     float | None,
     Option("--lateral-acceleration", metavar="A", help="Lateral acceleration limit (m/s²); default: 3."),

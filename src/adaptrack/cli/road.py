@@ -82,13 +82,7 @@ class RoadOptions:
             help="Limit the planned speed to keep the stability margins of the controller.",
         ),
     ] = None
-    assumed_friction: Annotated[
-        str | None,
-        Option(
-            "--assumed-friction", metavar="MU|LOW:HIGH", hidden=True,
-            help="Friction that plan and driver assume, of an interval its lower end; default: the road's.",
-        ),
-    ] = None  # fmt: skip
+    assumed_friction: options.AssumedFriction = None
 
     @property
     def words(self) -> list[str]:

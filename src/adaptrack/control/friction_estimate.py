@@ -28,10 +28,10 @@ FRICTION_SENSORS = [MEASUREMENT.vy, MEASUREMENT.yaw_rate, MEASUREMENT.lateral_ac
 """Sensors whose variances an estimate has."""
 
 
-def friction_estimate(interval: tuple[float, float], car: Vehicle, controller: Controller | None) -> Any:
+def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float, controller: Controller | None) -> Any:
     """An estimate of the friction by the steering model of a controller (`core.friction_estimate.FrictionEstimate`).
 
-    It has no hypotheses where the friction is certain, and without a steering model.
+    It has no hypotheses where the friction is certain, and without a steering model. period: s, of the control.
     """
     low, high = interval
     belief = None if controller is None else controller.belief
@@ -39,13 +39,13 @@ def friction_estimate(interval: tuple[float, float], car: Vehicle, controller: C
         memory, bank = kernel.FRICTION_MEMORY.new(1), kernel.FRICTION_HYPOTHESIS.new(0)
         knowledge = kernel.SteeringKnowledge(*np.zeros(len(kernel.SteeringKnowledge._fields)))
         nothing = np.zeros(0)
-        return kernel.FrictionEstimate(memory, bank, nothing, nothing, 0.0, nothing, low, high, knowledge)
+        return kernel.FrictionEstimate(memory, bank, nothing, nothing, period, nothing, low, high, knowledge)
     steering = SteeringActuator(lag=belief.lag.value, rate=belief.rate.value, limit=belief.limit.value)
     knowledge = kernel.SteeringKnowledge(lag=belief.lag.value, dead_time=belief.delay, **ASSUMED_KNOWLEDGE)
     return kernel.FrictionEstimate(
         kernel.FRICTION_MEMORY.new(1), kernel.FRICTION_HYPOTHESIS.new(FRICTION_COUNT),
-        np.zeros(math.ceil(LONGEST_STEERING_DELAY / controller.period) + 1),
-        pack_plant(car, load_tyre(car.tyre), steering), controller.period, _variances(controller), low, high, knowledge,
+        np.zeros(math.ceil(LONGEST_STEERING_DELAY / period) + 1),
+        pack_plant(car, load_tyre(car.tyre), steering), period, _variances(controller), low, high, knowledge,
     )  # fmt: skip
 
 

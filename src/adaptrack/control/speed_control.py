@@ -257,7 +257,7 @@ def longitudinal_of(
     settings = control.settings(period, start.comfort, start.patience)
     sample = kernel.SPEED_SAMPLE.new(1, acceleration=math.nan, top_speed=math.inf, grade=math.nan)
     memory, ahead = kernel.SPEED_MEMORY.new(1, time=-math.inf), np.zeros(horizon_cells(start.top_speed, settings))
-    friction = friction_estimate(control.friction_interval, control.car, controller)
+    friction = friction_estimate(control.friction_interval, control.car, period, controller)
     longitudinal = Longitudinal(sample, memory, settings, path, speed_banks(settings, period), ahead, friction)
     longitudinal_begin(longitudinal)
     return longitudinal
@@ -303,7 +303,7 @@ class SpeedController:
 
     def estimate_friction(self, controller: Controller) -> None:
         """Narrow an interval of friction by the steering model of a controller, or by what it learns, from now on."""
-        friction = friction_estimate(self.control.friction_interval, self.control.car, controller)
+        friction = friction_estimate(self.control.friction_interval, self.control.car, self._period, controller)
         begin_friction(friction)
         self._controller = controller
         self._load(self._record._replace(friction=friction))

@@ -216,9 +216,9 @@ def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
         pairs += [("period", "law.parameters", 0), ("move", "law.parameters", 2)]
         pairs += [("angle_min", "law.parameters", 3), ("angle_max", "law.parameters", 4)]
     if "longitudinal" in kind.kinds:
-        yield at["tracker.settings"], settings["period"], len(at), block.words["longitudinal.settings.period"]
-        if block.arrays[at["longitudinal.friction.bank"]].sizes[0] > 0:
-            yield at["tracker.settings"], settings["period"], len(at), block.words["longitudinal.friction.period"]
+        for part in ("settings", "friction"):
+            word = block.words[f"longitudinal.{part}.period"]
+            yield at["tracker.settings"], settings["period"], len(at), word
     for name, array, word in pairs:
         yield at["tracker.settings"], settings[name], at[array], word
     tuning = (MPC_PLACES if "step" in kind.kinds else LAW_PLACES)["tuning"]
