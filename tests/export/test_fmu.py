@@ -275,7 +275,7 @@ SPEED_PARTS = {
     "learning": lambda: at.MPC(CAR, profile="production", learning=at.Learning()),
     "pure-pursuit": lambda: at.PurePursuit(CAR, period=0.05),
 }
-REQUESTED = ("acceleration", "force", "hold", "target_speed", "grip_used")
+REQUESTED = ("acceleration", "force", "hold", "target_speed", "grip_used", "friction_low", "friction_high")
 PERIODS = 340
 DRIVES = max(1, -(-int(os.environ.get("ADAPTRACK_TEST_STEPS", "0")) // PERIODS))
 
@@ -296,7 +296,7 @@ def compare_with_tracker(body, mind, tracker, number):
         rate = sample["yaw_rate"] if has_rate else math.nan
         answer = tracker.step(k * 0.05 - sample["age"], *place, sample["speed"], rate, now=k * 0.05, grade=grade)
         request = answer.longitudinal
-        ours = [answer.command, answer.offset, answer.station, *request[:5]]
+        ours = [answer.command, answer.offset, answer.station, *request[:5], *request[-2:]]
         numbers = [list(kind).index(value) for kind, value in (
             (at.Status, answer.status), (SpeedState, request.state), (SpeedLimit, request.limited_by))]  # fmt: skip
         differ += not same(ours, mind.get("command", "offset", "station", *REQUESTED))
@@ -316,7 +316,7 @@ def compare_with_tracker(body, mind, tracker, number):
 def test_the_two_stop_and_drive_on_by_force_with_the_requests_of_the_tracker(name, way, folder):
     """As many calls as ADAPTRACK_TEST_STEPS says."""
     road = country().road.replace(grade=0.04)
-    plan, speed = at.plan_speed(road, CAR, stops=[Stop(70.0, 1.0)]), at.SpeedControl(CAR, friction=0.6)
+    plan, speed = at.plan_speed(road, CAR, stops=[Stop(70.0, 1.0)]), at.SpeedControl(CAR, friction=(0.4, 0.9))
     route, profile = at.RoadDrive(road, plan), "production" if name == "learning" else "road"
     for number in range(DRIVES):
         path = road.replace(grade=0.0) if number % 2 else road
