@@ -369,20 +369,21 @@ def words_of(kind: Any) -> int:
 def _parts(block: Block, kind: Any) -> str:
     """Which kernels the constants call, and the bounds of their numbers."""
     step, header = step_kernel(kind), block.header
-    takes, given = "void *record", "record"
+    parameters, arguments = "void *record", "record"
     if "longitudinal" in kind.kinds:
-        takes, given = "void *tracking, void *longitudinal", "record, (uint64_t *)record + ADAPTRACK_LONGITUDINAL"
+        parameters = "void *tracking, void *longitudinal"
+        arguments = "record, (uint64_t *)record + ADAPTRACK_LONGITUDINAL"
     declarations = [f"extern void adaptrack_{name}(void);" for name in block.functions]
     rows = [f"    {{{zlib.crc32(name.encode()):#010x}u, adaptrack_{name}}}," for name in block.functions]
     return "\n".join(
         [
             "/* adaptrack: the kernels that the constants call. Written by adaptrack.export. */",
             '#include "adaptrack_parts.h"', "", "#include <math.h>", "", *declarations,
-            f"extern void adaptrack_{step}({takes});", "",
+            f"extern void adaptrack_{step}({parameters});", "",
             "static const adaptrack_function FUNCTIONS[] = {", *rows, "};",
             f"const adaptrack_reader adaptrack_parts = {{UINT64_C({header.kernels:#018x}), {header.kind:#010x}u, "
             f"FUNCTIONS, {len(rows)}, adaptrack_check_bounds}};", "", *bounds.tables(block, kind), "",
-            f"void adaptrack_parts_step(void *record) {{ adaptrack_{step}({given}); }}", "",
+            f"void adaptrack_parts_step(void *record) {{ adaptrack_{step}({arguments}); }}", "",
         ]
     )  # fmt: skip
 
