@@ -443,7 +443,7 @@ def begin_friction(estimate):
 
 @inlined
 def _knowledge(learned, estimate):
-    """Steering and tyres as a controller has learned them; learned: its memory, empty: what the estimate assumes."""
+    """Steering and tyres by the memory of a learner, or as the estimate assumes them where the memory is empty."""
     if learned.size == 0:
         return estimate.knowledge
     b = memory_of(learned, 0).beliefs
@@ -457,12 +457,15 @@ def _knowledge(learned, estimate):
 def narrow_friction(measured, speed, command, learned, longitudinal):
     """Narrow the friction of a speed control (`tracker.longitudinal.Longitudinal`) within that of its settings.
 
-    measured: `MEASUREMENT` at a speed (m/s); command: rad, sent in the last period; learned: see `_knowledge`. A
-    friction that is certain stays.
+    measured: `MEASUREMENT` at a speed (m/s); command: rad, sent in the last period; learned: memory of a learner, empty
+    without one. A friction that is certain stays.
     """
     estimate, settings, control = longitudinal.friction, longitudinal.settings, longitudinal.memory[0]
     memory, hypotheses = estimate.memory[0], estimate.bank
-    if hypotheses.size < 2 or not hypotheses[hypotheses.size - 1].friction > hypotheses[0].friction:
+    if hypotheses.size < 2:
+        return
+    first, last = hypotheses[0].friction, hypotheses[hypotheses.size - 1].friction
+    if not first < last:
         return
     age = measured[MEASUREMENT.motion_age]
     sample = FrictionSample(
@@ -473,7 +476,6 @@ def narrow_friction(measured, speed, command, learned, longitudinal):
     force = settings.mass * (drive.ratio * drive.acting - brakes.ratio * brakes.acting)
     bank = longitudinal.path.bank[cell_at(control.station, longitudinal.path)]
     estimate_friction(sample, _knowledge(learned, estimate), force, bank, estimate)
-    first, last = hypotheses[0].friction, hypotheses[hypotheses.size - 1].friction
     slope = (settings.friction_high - settings.friction) / (last - first)
     caution = 1.0 - min(WIDTH_CAUTION * (memory.high - memory.low) / memory.high, LARGEST_CAUTION)
     control.friction = settings.friction + slope * (memory.low - first)

@@ -96,7 +96,7 @@ def narrow_friction_step(measured, speed, command, learned, longitudinal):
 def narrow_tracked_friction(tracker, learned, longitudinal):
     """Narrow the friction at a control instant of a tracker, before its controller steps.
 
-    learned: memory of a learning controller, empty otherwise. At the first instant the filters begin again.
+    learned: memory of its learner, empty without one. At the first instant the filters begin again.
     """
     m = tracker.memory[0]
     if m.instant == 0:
