@@ -81,6 +81,7 @@ SPEED_MEMORY = record(
     (
         "state", "limited_by", "next_stop",  # the last one: of `SpeedPath.stops`, those of past laps included
         "standing",  # s, at the present stop
+        "creeping",  # s, braked with a speed of nearly 0
         "acceleration", "force", "hold",  # m/s^2, N, N: requests in force; hold: of the brakes besides the force
         "target_speed", "grip_used",  # m/s, -: lateral and longitudinal acceleration over the assumed friction
         "speed", "station",  # m/s, m: last known
@@ -88,11 +89,12 @@ SPEED_MEMORY = record(
         "motion",  # m/s^2, acceleration of the car, filtered
         "handover",  # m/s^2, of the request beyond the follower's after a driver's; NaN: while one drives
         "speed_age",  # s, since a speed was measured
-        "fault",  # see `actuator_faults`, and its window:
-        "mean_speed", "expected_loss", "braking", "usual_disturbance",  # m/s, m/s, m/s, m/s^2
+        "fault",  # see `actuator_faults`, and its filters:
+        "working_speed", "working_disturbance",  # m/s, m/s^2: with brakes that work
+        "brakeless_speed", "brakeless_disturbance",  # m/s, m/s^2: without brakes
         "time",  # s, of the last period behind a tracker
         "friction", "friction_high",  # -, ends of its interval, see `friction_estimate`; 0: those of the settings
-        "watched_periods", "suspect_periods",  # of the window of faults, see `actuator_faults`
+        "brake_evidence", "drive_evidence", "watched_time",  # -, -, s: of faults, see `actuator_faults`
         "cautious_friction",  # -, at most the low end: of bends ahead and drive forces
     ),
     integers=("state", "limited_by", "next_stop", "fault"),
@@ -103,6 +105,10 @@ MAX_PLAN_GRADE = 0.4
 """dz/ds of a plan; a measured grade beyond it, either way, counts as not measured."""
 STOP_TOLERANCE, OVERSHOOT, REACHED = 0.5, 2.0, 0.03
 """m: a car that stands so near a stop has reached it; so far beyond it stays; the least remaining way."""
+CREEPING_SPEED, CREEPING_TIME = 0.15, 1.0
+"""m/s, s: a braked car that is so slow for so long stands; a sensor may have this offset."""
+CREEP_STIFFNESS = 10.0
+"""1/s^2, over the distance (m) from a stop: additional deceleration by the brakes that hold the car."""
 EMERGENCY_RATIO = 1.4
 """Deceleration that a stop needs over that of comfort, from which braking is an emergency."""
 STRAIGHT = 1e-5
@@ -258,14 +264,29 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
 
 
 @inlined
-def _stand(slope, lateral, drive, brakes, settings, memory):
-    """Stand at a stop; until the brakes hold, the drive carries an ascent."""
+def _stand(beyond, slope, lateral, drive, brakes, settings, memory):
+    """Stand so far beyond a stop (m); until the brakes hold, the drive carries an ascent."""
     is_held = memory.standing > brakes.dead_time + HOLDING_LAGS * brakes.lag + brakes.delay_sigma
     cause = memory.limited_by
     _request(0.0, 0.0, slope, lateral, drive, brakes, settings, memory)
     force = memory.force
     _hold(slope, settings, memory)
+    creep_reserve = CREEP_STIFFNESS * min(abs(beyond), STOP_TOLERANCE)
+    memory.hold = min(memory.hold + settings.mass * creep_reserve, settings.brake_limit)
     memory.force, memory.limited_by = 0.0 if is_held or slope <= 0.0 else max(force, 0.0), cause
+
+
+@inlined
+def _count_creeping(speed, settings, memory):
+    """Count the time for which a braked car has a speed (m/s) of nearly 0."""
+    is_braked = memory.force < 0.0 or memory.hold > 0.0
+    memory.creeping = memory.creeping + settings.period if is_braked and abs(speed) < CREEPING_SPEED else 0.0
+
+
+@inlined
+def _stands(speed, memory):
+    """Whether a car of a speed (m/s) stands."""
+    return speed < STANDING_SPEED or memory.creeping > CREEPING_TIME
 
 
 @inlined
@@ -273,8 +294,8 @@ def _pass_stop(station, speed, settings, path, memory):
     """Count the time at a stop; go on to the next one when it is over, or the car is far beyond one that ends."""
     beyond = station - _stop_place(memory.next_stop, path)
     is_missed = beyond > OVERSHOOT and path.seconds[memory.next_stop % path.stops.size] < math.inf
-    near = abs(speed) < STANDING_SPEED and beyond >= -STOP_TOLERANCE and not is_missed
-    if near and (memory.state == STOPPING or memory.state == EMERGENCY):
+    near = beyond >= -STOP_TOLERANCE and not is_missed
+    if near and _stands(abs(speed), memory) and (memory.state == STOPPING or memory.state == EMERGENCY):
         memory.state, memory.standing = WAITING, 0.0
     if memory.state == WAITING:
         memory.standing += settings.period
@@ -330,7 +351,7 @@ def _hand_over(demand, settings, memory):
 def _stop_unguided(deceleration, speed, slope, lateral, drive, brakes, settings, memory):
     """Brake (m/s^2) to a standstill wherever the car is, and hold it there."""
     memory.handover = 0.0
-    if speed < STANDING_SPEED:
+    if _stands(speed, memory):
         _hold(slope, settings, memory)
         if memory.fault != NO_FAULT:
             memory.hold = settings.brake_limit
@@ -384,7 +405,7 @@ def _follow(station, speed, slope, top_square, lateral, drive, brakes, settings,
         return
     if memory.state == STOPPING and speed < STANDING_SPEED and stop - station < STOP_TOLERANCE:
         memory.standing = 0.0
-        _stand(slope, lateral, drive, brakes, settings, memory)
+        _stand(station - stop, slope, lateral, drive, brakes, settings, memory)
         return
     demand = acceleration + settings.gain * (target - coming_speed)
     bounded = clip(demand, -COMFORT_RESERVE * settings.brake, COMFORT_RESERVE * settings.accelerate)
@@ -444,9 +465,10 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         learn_actuators(speed, _resistance(speed, slope, settings), settings.period, banks)
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
     if memory.state == OFF or memory.speed_age > 0.0:
-        forget_faults(speed, memory)
+        forget_faults(speed, 0.0, memory)
     else:
         watch_actuators(speed, _resistance(speed, slope, settings), drive, brakes, settings.period, memory)
+    _count_creeping(speed, settings, memory)
     _govern(station, top_square, settings, path, memory, ahead)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (memory.friction * GRAVITY)
     if is_driven:
@@ -466,7 +488,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     _pass_stop(station, speed, settings, path, memory)
     if memory.state == WAITING:
         memory.limited_by = _stop_cause(path, memory)
-        _stand(slope, lateral, drive, brakes, settings, memory)
+        _stand(station - _stop_place(memory.next_stop, path), slope, lateral, drive, brakes, settings, memory)
         remember_request(memory.force / settings.mass, banks.requests)
         return
     _follow(station, speed, slope, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead)

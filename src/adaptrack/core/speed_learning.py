@@ -35,9 +35,11 @@ ACTUATOR_HYPOTHESIS = record(
 )  # fmt: skip
 """A hypothesis about drive or brakes, with its filter."""
 ActuatorBelief = record(
-    "ActuatorBelief", ("lag", "dead_time", "delay_sigma", "ratio", "ratio_sigma", "disturbance", "acting")
+    "ActuatorBelief",
+    ("lag", "dead_time", "delay_sigma", "ratio", "ratio_sigma", "disturbance", "acting", "acting_sigma"),
 )
-"""Weighted mean of a bank: s, s, s (of lag plus dead time), -, -, m/s^2; acting: m/s^2, filtered request."""
+"""Weighted mean of a bank: s, s, s (of lag plus dead time), -, -, m/s^2; acting: m/s^2, filtered request, with the
+standard deviation by the unknown delays."""
 SpeedBanks = record(
     "SpeedBanks", (("drive", rows(ACTUATOR_HYPOTHESIS)), ("brakes", rows(ACTUATOR_HYPOTHESIS)), ("requests", vector))
 )
@@ -78,7 +80,7 @@ def mean_of_bank(bank):
     best = -math.inf
     for i in range(bank.size):
         best = max(best, bank[i].score)
-    total = lag = dead_time = delay_square = ratio = ratio_square = disturbance = acting = 0.0
+    total = lag = dead_time = delay_square = ratio = ratio_square = disturbance = acting = acting_square = 0.0
     for i in range(bank.size):
         h = bank[i]
         weight = exp(h.score - best)
@@ -90,12 +92,15 @@ def mean_of_bank(bank):
         ratio_square += weight * (square(h.ratio) + h.p_ratio)
         disturbance += weight * h.disturbance
         acting += weight * h.filtered
+        acting_square += weight * square(h.filtered)
     lag, dead_time, ratio = lag / total, dead_time / total, ratio / total
     delay_variance = max(delay_square / total - square(lag + dead_time), 0.0)
     ratio_variance = max(ratio_square / total - square(ratio), 0.0)
+    acting_variance = max(acting_square / total - square(acting / total), 0.0)
     return ActuatorBelief(
-        lag, dead_time, sqrt(delay_variance), ratio, sqrt(ratio_variance), disturbance / total, acting / total
-    )
+        lag, dead_time, sqrt(delay_variance), ratio, sqrt(ratio_variance), disturbance / total, acting / total,
+        sqrt(acting_variance),
+    )  # fmt: skip
 
 
 @inlined
