@@ -224,6 +224,29 @@ def test_a_pose_that_drifts_or_jumps_is_reported_before_it_is_1_5_m_wrong(rates,
     assert all(wrong < 1.5 + 2.0 * (jump is not STILL) for _, wrong in said[:1])
 
 
+# -- longitudinal acceleration ----------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("signal", "words"),
+    [
+        (lambda change, gravity: 1.05 * change + 0.15, ""),
+        (lambda change, gravity: -change, "its sign is wrong"),
+        (lambda change, gravity: change / 9.81, "it is in g"),
+        (lambda change, gravity: change + gravity, "it contains gravity"),
+    ],
+    ids=["honest", "sign", "g", "gravity"],
+)
+def test_a_wrong_longitudinal_acceleration_is_named_within_30_s(signal, words):
+    """Speeds with 1 % of noise, accelerations of up to 1.5 m/s^2, slopes of up to 8 % that change every 100 m."""
+    check, noise, sentences = InputCheck(), random.Random(5), []
+    for k in range(600):
+        t = 0.05 * k
+        speed = 14.0 + 3.0 * math.sin(0.5 * t)
+        change, gravity = 1.5 * math.cos(0.5 * t), 0.8 * math.sin(0.44 * t + 1.0)
+        forward = signal(change, gravity) + noise.gauss(0.0, 0.1)
+        sentences += check.add(t, t, (math.nan,) * 3, speed * (1.0 + noise.gauss(0.0, 0.01)), forward=forward)
+    assert [words in sentence for sentence in sentences] == [True] * (words != "")
+
+
 # -- sliding ----------------------------------------------------------------------------------------------------------
 def slides(speed, known, sideslip, seconds=6.0):
     """When the check says sliding: a car whose sideslip goes up at 3 s and down at 5 s, within a tenth of a second."""
@@ -326,7 +349,7 @@ def test_check_loop_answers_first_and_by_its_exit_code(monkeypatch, capsys, reco
     path, _ = recorded
     code, out, _ = run(monkeypatch, capsys, "check-loop", path, "--vehicle", "paper")
     assert code == 0
-    assert out.startswith("No contradictions in 6 of 9 comparisons")
+    assert out.startswith("No contradictions in 6 of 10 comparisons")
     code, out, _ = run(monkeypatch, capsys, "check-loop", path, "--flip", "yaw_rate", "--json")
     assert code == 3
     assert "yaw_rate: " in json.loads(out)["contradictions"][0], out

@@ -46,6 +46,7 @@ NAMES = {
     "steering": "command and turning",
     "point": "positions and yaw rate",
     "lateral": "positions and lateral velocity",
+    "forward": "longitudinal acceleration and change of the speed",
 }
 """The comparisons (`COMPARED`)."""
 NEED_A_CAR = frozenset({"point", "lateral"})
@@ -56,6 +57,7 @@ _FRAME = "yaw and x, y: the positions move {0:.0f} degrees beside the yaw: "
 _RATE = "yaw_rate: over half a second yaw changes by {0:.2g} rad where it says {1:.2g}: "
 _POINT = "x, y: they move sideways in bends as the {} does: give those of the centre of mass, {{{}:.2f}} m {} it."
 _PULL = "lateral_acceleration: it is {0:.2g} m/s^2 where speed times yaw_rate is {1:.2g}: "
+_FORWARD = "longitudinal_acceleration: over seconds it is {0:.2g} m/s^2 where the speed changes by {1:.2g} m/s^2: "
 _WHEEL = "wheel_angle: it is {0:.2g} rad at a command of {1:.2g}: "
 _LATE = "{} are of clocks that are some 0.2 s apart, one of them is late: give each the time at which it was taken."
 _SIGN = "its sign is wrong; give it positive to the left."
@@ -106,6 +108,9 @@ SENTENCES = type(MISTAKES)(*[
     "yaw: within seconds it changed by {0:.2g} rad more than yaw_rate says: it drifts or has jumped; check the "
     "localisation.",
     _LATE_STEERING,
+    _FORWARD + "its sign is wrong; give it positive forward.",
+    _FORWARD + "it is in g; give m/s^2.",
+    _FORWARD + "on slopes it contains gravity; give dv/dt, without gravity.",
 ])  # fmt: skip
 """What each mistake is said as, with what was measured."""
 
@@ -162,12 +167,13 @@ class InputCheck:
     def add(
         self, t: float, now: float, pose: tuple[float, float, float], speed: float, yaw_rate: float = math.nan,
         vy: float = math.nan, pull: float = math.nan, wheel: float = math.nan, command: float = math.nan,
+        forward: float = math.nan,
     ) -> tuple[str, ...]:  # fmt: skip
         """Take in a call, arguments as in `Tracker.step`; sentences that are new.
 
         command: rad, in force from now on.
         """
-        self._sample[:] = t, now, *pose, speed, yaw_rate, vy, pull, wheel
+        self._sample[:] = t, now, *pose, speed, yaw_rate, vy, pull, wheel, forward
         return self.say(check_call(self._sample, command, self._resident))
 
     def forget(self) -> None:

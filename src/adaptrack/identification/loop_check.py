@@ -17,7 +17,7 @@ from adaptrack.identification.long_log import shorten_log
 from adaptrack.identification.longitudinal_conventions import compare_longitudinal
 from adaptrack.identification.reading import Columns
 
-SIGNALS = ("speed", "yaw_rate", "vy", "acceleration", "wheel", "command")
+SIGNALS = ("speed", "yaw_rate", "vy", "acceleration", "wheel", "command", "longitudinal_acceleration")
 USUAL_WHEELBASE = 2.8
 """m, of a car that is not given."""
 USUAL_MASS = 1600.0

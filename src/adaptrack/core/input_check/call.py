@@ -1,8 +1,9 @@
 """The check of a loop's inputs, sample by sample.
 
 The signals of a loop are redundant: positions move along the yaw by the speed, the yaw changes by the yaw rate, the car
-turns as its steering asks. Each such relation is a linear regression on windows of half a second. Some parameters are
-honest (1 and close to it), others are those of a mistake (-1, 57.3, 1/3.6, 0.2 s), see `hypotheses`.
+turns as its steering asks, the speed changes by the longitudinal acceleration. Each such relation is a linear
+regression on windows of half a second. Some parameters are honest (1 and close to it), others are those of a mistake
+(-1, 57.3, 1/3.6, 0.2 s), see `hypotheses`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from ..controllers.contract import wrapped
 from ..kernel import Place, exported, float64, inlined, int64, vector, void
 from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2
+from .forward import compare_forward
 from .frames import compare_course
 from .pose import begin_pose, compare_pose
 from .record import (
@@ -25,6 +27,7 @@ from .record import (
     SAMPLE,
     SLOW,
     SUBJECTS,
+    SUMMED,
     TICK,
     TICKS,
     WINDOW,
@@ -77,7 +80,7 @@ def _check_clock(sample, memory, settings):
 @inlined
 def _begin_sums(t, memory):
     memory.summed, memory.tick = 0.0, t
-    for i in range(5):
+    for i in range(SUMMED):
         memory.sums[i] = 0.0
 
 
@@ -87,7 +90,7 @@ def _take(sample, memory):
     t = sample[SAMPLE.t]
     step, memory.t = t - memory.t, t
     goes_on = step < LONGEST
-    for i in range(5):
+    for i in range(SUMMED):
         value = sample[SAMPLE.speed + i]
         if goes_on:
             memory.sums[i] += 0.5 * (memory.last[i] + value) * step
@@ -125,7 +128,7 @@ def _write_tick(sample, turned, way, memory):
     row[T.t], row[T.time], row[T.turned], row[T.way] = sample[SAMPLE.t], memory.summed, turned, way
     row[T.x], row[T.y], row[T.yaw] = sample[SAMPLE.x], sample[SAMPLE.y], sample[SAMPLE.yaw]
     row[T.speed] = memory.sums[0] * mean
-    for i in range(4):
+    for i in range(SUMMED - 1):
         row[T.yaw_rate + i] = memory.sums[1 + i] * mean
 
 
@@ -136,6 +139,7 @@ def _look(memory, settings):
     last = memory.ticks[TICKS - 1]
     if last[T.speed] < SLOW:
         memory.sliding, memory.skid = 0, math.nan
+    compare_forward(memory)
     if last[T.speed] < CRAWLING:
         begin_pose(memory)
         return

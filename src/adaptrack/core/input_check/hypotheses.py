@@ -106,7 +106,12 @@ _CLOCK = [
     *_rows(MISTAKES.yaw_late, NEAR_ONE[1:4], alternatives=(0, _CENTRE - _APART + 1)),
     *_rows(MISTAKES.yaw_late, NEAR_ONE[1:4], alternatives=(_CENTRE + _APART, SHIFTS)),
 ]
-_TABLES = (_WAY, _COURSE, _TURN, _PULL, _POINT, _LATERAL, _WHEEL, _KNOWN_CAR, _CLOCK, _UNKNOWN_CAR)
+_FORWARD = [  # the signal less dv/dt, over dv/dt
+    *_rows(_HONEST, (-0.2, -0.1, 0.0, 0.1, 0.2)),
+    *_rows(MISTAKES.longitudinal_acceleration_sign, (-1.9, -2.0, -2.1), evidence=SURE),
+    *_rows(MISTAKES.longitudinal_acceleration_in_g, (1 / 9.81 - 1.0,), evidence=SURE),
+]
+_TABLES = (_WAY, _COURSE, _TURN, _PULL, _POINT, _LATERAL, _WHEEL, _KNOWN_CAR, _CLOCK, _FORWARD, _UNKNOWN_CAR)
 HYPOTHESES = np.array([row for table in _TABLES for row in table])
 FIRST = tuple(itertools.accumulate(map(len, _TABLES), initial=0))
 """Where the hypotheses of each comparison (`COMPARED`) begin; after them those of the steering of an unknown car."""
@@ -122,5 +127,5 @@ RULE = columns("overlap", "intercept", "before")
 the first command (x3 then; 0: x3 is a regressor like the others)."""
 RULES = np.array([
     (4.0, 0.0, 0.0), (4.0, 0.012, 0.0), (4.0, 0.0, 0.0), (2.0, 0.5, 0.0), (4.0, 0.0, 0.0), (4.0, 0.0, 0.0),
-    (2.0, 0.02, 0.07), (2.0, 0.06, 0.07), (4.0, 0.0, 0.0),
+    (2.0, 0.02, 0.07), (2.0, 0.06, 0.07), (4.0, 0.0, 0.0), (50.0, 0.3, 0.0),
 ])  # fmt: skip

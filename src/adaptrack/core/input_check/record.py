@@ -44,25 +44,26 @@ MISTAKES = columns(
     "steering_sign", "command_too_small", "command_too_large",
     "position_drifts", "yaw_drifts",
     "steering_late",
+    "longitudinal_acceleration_sign", "longitudinal_acceleration_in_g", "longitudinal_acceleration_with_gravity",
 )  # fmt: skip
 """Bits of `Memory.suspect`: mistakes of the inputs that are recognised."""
 _FIRST = (
     MISTAKES.time_in_milliseconds, MISTAKES.speed_of_no_car, MISTAKES.speed_late, MISTAKES.yaw_in_degrees,
     MISTAKES.yaw_late, MISTAKES.yaw_rate_sign, MISTAKES.lateral_velocity_sign, MISTAKES.position_of_rear_axle,
     MISTAKES.lateral_acceleration_sign, MISTAKES.wheel_angle_sign, MISTAKES.steering_sign, MISTAKES.position_drifts,
-    MISTAKES.steering_late, len(MISTAKES),
+    MISTAKES.steering_late, MISTAKES.longitudinal_acceleration_sign, len(MISTAKES),
 )  # fmt: skip
 SUBJECTS = columns("time", "speed", "speed_late", "course", "yaw_late", "yaw_rate", "lateral", "point", "pull", "wheel",
-                   "steering", "pose", "delay")  # fmt: skip
+                   "steering", "pose", "delay", "forward")  # fmt: skip
 """Subjects of mistakes: of each one mistake is reported."""
 ABOUT = tuple((1 << end) - (1 << first) for first, end in pairwise(_FIRST))
 """The bits of each subject."""
 NUMBERS = 3
 """Measured numbers that go with a mistake, at most."""
 
-COMPARED = columns("way", "course", "turn", "pull", "point", "lateral", "wheel", "steering", "clock")
+COMPARED = columns("way", "course", "turn", "pull", "point", "lateral", "wheel", "steering", "clock", "forward")
 """The comparisons."""
-GRAMS_OF = (1, 1, 1, 1, 1, 1, BANKS * DELAYS, BANKS * DELAYS, SHIFTS)
+GRAMS_OF = (1, 1, 1, 1, 1, 1, BANKS * DELAYS, BANKS * DELAYS, SHIFTS, 1)
 """Alternatives of each comparison."""
 SAMPLE = columns(
     "t",  # s, when it was taken
@@ -74,8 +75,11 @@ SAMPLE = columns(
     "vy",  # m/s
     "lateral_acceleration",  # m/s^2
     "wheel_angle",  # rad, of the road wheels
+    "longitudinal_acceleration",  # m/s^2, dv/dt without gravity
 )  # fmt: skip
 """A call of the loop; NaN: not known."""
+SUMMED = len(SAMPLE) - SAMPLE.speed
+"""Signals of a sample from the speed on."""
 
 Settings = record("Settings", (
     "period",  # s, of the loop; NaN: not known
@@ -88,7 +92,7 @@ Settings = record("Settings", (
 """What a check knows of the loop and its car."""
 settings_of = viewer(Settings)
 
-T = columns("t", "time", "x", "y", "yaw", "speed", "turned", "way", "yaw_rate", "vy", "pull", "wheel")
+T = columns("t", "time", "x", "y", "yaw", "speed", "turned", "way", "yaw_rate", "vy", "pull", "wheel", "forward")
 """The car at a look, and means and changes since the look before: turned (rad), of the yaw; way (m), by the speed."""
 INTEGRAL = columns("t", "command", "turning", "limited_turning", "turning_times_4", "turning_times_57",
                    "angle", "limited_angle", "angle_times_4", "angle_times_57")  # fmt: skip
@@ -108,8 +112,8 @@ Memory = record("Memory", (
     ("measured", (float64, len(SUBJECTS), NUMBERS)),  # what was measured where a mistake was named
     "now", "t", "begun_at", "tick",  # s: the last call, sample, beginning of the commands and look
     ("pose", (float64, 3)),  # of the last call
-    ("last", (float64, 5)),  # speed, yaw rate, v_y, lateral acceleration and wheel angle of the last sample
-    "summed", ("sums", (float64, 5)),  # s since the last look, and their integrals
+    ("last", (float64, SUMMED)),  # speed, yaw rate, v_y, lateral acceleration, wheel angle, longitudinal acceleration
+    "summed", ("sums", (float64, SUMMED)),  # s since the last look, and their integrals
     ("tick_count", int64), ("ticks", (float64, TICKS, len(T))),  # looks, the last one at the end
     "command", ("wheels", (float64, BANKS)),  # rad; angle of the wheels by each model
     ("begun_with", (float64, 2)),  # turning and angle at the beginning
@@ -129,6 +133,7 @@ Memory = record("Memory", (
     "pull",  # m/s^2, mean lateral acceleration
     ("steady", int64), ("drifting", int64),  # looks at which the pose did not drift; in a row at which it did
     ("late", int64),  # looks in a row at which the car turned later than specified
+    "slow_speed", "slow_acceleration",  # m/s, m/s^2: speed and longitudinal acceleration, filtered alike
 ))  # fmt: skip
 """All that a check remembers."""
 memory_of = viewer(Memory)

@@ -131,6 +131,14 @@ def judge(memory, comparison, hypotheses, factor, sure):
 
 
 @inlined
+def honest_misfit(memory, comparison):
+    """Squared misfit of the best honest value of a comparison without alternatives, per independent window."""
+    square = _square()
+    _reduce(memory, comparison, 0, square)
+    return _misfit(square, FIRST[comparison] + memory.usual[comparison]) / RULES[comparison, RULE.overlap]
+
+
+@inlined
 def _least_misfit(memory, alternative, least, most, square):
     """The squared misfit of an alternative of the steering with the best gain from `least` to `most`."""
     _reduce(memory, COMPARED.steering, alternative, square)

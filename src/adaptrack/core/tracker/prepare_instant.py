@@ -36,6 +36,7 @@ from .records import (
     INSTANT,
     LONGEST_CARRY,
     LONGEST_GAP,
+    MAX_SIGNAL,
     REQUEST,
     REVERSE,
     STANDSTILL_SPEED,
@@ -160,8 +161,10 @@ def _ages(t, most, m, period):
 @inlined
 def _align(sample, aligned):
     """Write the sample with its pose carried to the time of its motion: the inputs are compared at one time."""
-    for i in range(len(SAMPLE)):
+    for i in range(SAMPLE.wheel_angle + 1):
         aligned[i] = sample[i]
+    acceleration = sample[TRACKER_SAMPLE.longitudinal_acceleration]
+    aligned[SAMPLE.longitudinal_acceleration] = acceleration if abs(acceleration) < MAX_SIGNAL else math.nan
     time = sample[TRACKER_SAMPLE.motion_t] - sample[TRACKER_SAMPLE.t]
     speed, yaw_rate = sample[TRACKER_SAMPLE.speed], sample[TRACKER_SAMPLE.yaw_rate]
     if time != 0.0 and abs(time) <= LONGEST_CARRY and math.isfinite(speed):
