@@ -41,7 +41,7 @@ CEILINGS: Mapping[str, int] = {
     "identification": 4950,
     "tuning": 1800,
     "comparison": 2400,
-    "paper": 4600,
+    "paper": 4950,
     "export": 3450,
     "gym": 1450,
     "results": 5500,
