@@ -333,11 +333,13 @@ def dump_toml(data: Mapping[str, Any], comments: Mapping[str, str] | None = None
 
 
 def _remarked(key: str, value: Any, remark: str) -> str:
-    """Return a TOML entry. A remark follows a value of one line; lists of numbers are put on one line."""
+    """Return a TOML entry with its remark; lists of numbers, and rows of a table, are put on one line each."""
     text, remark = tomli_w.dumps({key: value}).rstrip("\n"), " ".join(remark.split())
-    if remark and isinstance(value, list) and not any(isinstance(element, str | list) for element in value):
-        text = re.sub(r",\n\]$", "]", text).replace("[\n    ", "[").replace("\n    ", " ")
-    return f"{text}  # {remark}" if remark and "\n" not in text else text
+    if remark and isinstance(value, list) and not any(isinstance(element, str) for element in value):
+        text = re.sub(r"\[\s+([^\[\]]+?),\s+\]", lambda row: f"[{' '.join(row[1].split())}]", text)
+    if "\n" in text:
+        return f"# {remark}\n{text}" if remark else text
+    return f"{text}  # {remark}" if remark else text
 
 
 def write_json(path: str | os.PathLike[str], data: Any) -> None:

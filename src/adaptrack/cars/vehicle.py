@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -16,10 +17,11 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.base.files import LISTED, SHIPPED, Record, build, meanings, read_toml, write_toml
+from adaptrack.base.files import LISTED, SHIPPED, Record, build, dump_toml, meanings, read_toml, write_atomically
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.outline import Outline
+from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.core.kernel import OK
 from adaptrack.core.plants.forces import GRAVITY as GRAVITY
@@ -294,6 +296,7 @@ class Vehicle(Record):
     brakes: BrakeActuator | None = Field(
         default=None, description="how the braking force follows a request, see `BrakeActuator`; None: as the profile"
     )
+    pedals: PedalMap | None = Field(default=None, description="force at the wheels by pedals, see `PedalMap`")
     body: Body | None = Field(default=None, description="what is known of the outline, see `Body`")
     known_within: KnownWithin | None = Field(
         default=None, description="how far the numbers may be off, see `KnownWithin`"
@@ -431,10 +434,10 @@ class Vehicle(Record):
             )
         return vx / (self.wheelbase + self.understeer_gradient * vx**2)
 
-    def to_toml(self, path: str | os.PathLike[str]) -> None:
+    def to_toml(self, path: str | os.PathLike[str], head: Sequence[str] = ()) -> None:
         """Write the car as TOML, each value with its meaning and unit behind it; the new car has the file's name.
 
-        A tyre file is named relative to the car's.
+        A tyre file is named relative to the car's. head: comments at the beginning of the file
 
         Raises
         ------
@@ -444,7 +447,8 @@ class Vehicle(Record):
         data = self.replace(name=Path(path).stem).model_dump()
         if _is_path(self.tyre):
             data["tyre"] = os.path.relpath(self.tyre, Path(path).parent)
-        write_toml(path, data, meanings(self))
+        comments = "".join(f"# {line}\n" for line in head) + "\n" * bool(head)
+        write_atomically(path, (comments + dump_toml(data, meanings(self))).encode())
 
     def plot(self) -> Any:
         """The car from above, to scale, as a matplotlib figure."""

@@ -63,7 +63,7 @@ class IdentifyOptions:
         bool,
         Option(
             "--longitudinal",
-            help="Identify drive and brakes only.",
+            help="Identify drive, brakes and pedal map only.",
         ),
     ] = False
     page: Annotated[Path | None, Option("--page", metavar="FILE", help="Page to write (.html).")] = None
@@ -76,7 +76,8 @@ def identify(arguments: IdentifyOptions) -> None:
 
     The command estimates steering delay, tyre stiffness, offsets and noise, each with a 90 % interval. A log needs
     time, speed, yaw rate, and steering command or wheel angle, at 10 Hz or more. With commands of acceleration
-    (acceleration_command, m/s^2) or force (force_command, N) it also gives drive, brakes and resistance.
+    (acceleration_command, m/s^2) or force (force_command, N) it also gives drive, brakes and resistance; with pedals
+    (throttle and brake, 0 to 1) drive, brakes and the pedal map.
 
     The exit code is 3 if estimates of logs, or of parts of a log, contradict each other or the initial car.
     """

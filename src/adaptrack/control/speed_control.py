@@ -13,6 +13,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import Bound, Positive, Share, checked
 from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
 from adaptrack.control.controllers import MPC, Controller, MPCCommand
 from adaptrack.control.friction_estimate import friction_estimate
@@ -127,6 +128,9 @@ class SpeedCommand(NamedTuple):
     friction_low: float = math.nan
     friction_high: float = math.nan
     """-: ends of the interval of the friction, as narrowed so far"""
+    throttle: float = math.nan
+    brake: float = math.nan
+    """-, pedal positions (0 to 1) that give force and hold; NaN without a `PedalMap`"""
 
 
 @checked
@@ -147,6 +151,9 @@ class SpeedControl:
     drive, brakes : optional
         Actuators whose delays are known; by default those of the car file, otherwise they are learned while driving, as
         are gain over mass and what disturbs the acceleration.
+    pedals : PedalMap, optional
+        Turns force and hold into pedal positions; by default that of the car file. An export to C or FMU does not hold
+        it: apply your map to force and hold there.
 
     Raises
     ------
@@ -158,6 +165,7 @@ class SpeedControl:
     friction: Annotated[float, Field(gt=0.0, le=MAX_ASSUMED_FRICTION)] | tuple[float, float] = 0.9
     drive: DriveActuator | None = None
     brakes: BrakeActuator | None = None
+    pedals: PedalMap | None = None
     gain: Annotated[Positive, "1/s"] = 2.0
     governor: Share = 0.9
     """of the friction that bends ahead may use"""
@@ -188,14 +196,15 @@ class SpeedControl:
         car = self.car
         low, high = (usable_friction(packed(car), steering_limit(car), friction) for friction in self.friction_interval)
         drag, rolling = resistance(car.air_density, car.frontal_area, car.drag_coefficient, car.rolling_resistance)
-        drive, brakes = self.drive or car.drive, self.brakes or car.brakes
-        names = ("mass", "lf", "lr", "cg_height", "drive_front", "brake_front", "engine_power", "traction_limit",
-                 "brake_limit")  # fmt: skip
+        drive, brakes, pedals = self.drive or car.drive, self.brakes or car.brakes, self.pedals or car.pedals
+        traction_limit, brake_limit = car.traction_limit, car.brake_limit
+        if pedals is not None:
+            traction_limit = min(traction_limit, max(row[-1] for row in pedals.force))
+            brake_limit = min(brake_limit, pedals.brake_force[-1])
+        names = ("mass", "lf", "lr", "cg_height", "drive_front", "brake_front", "engine_power")
         return kernel.SpeedSettings(
             **{name: getattr(car, name) for name in names},
-            period=period,
-            drag=drag,
-            rolling=rolling,
+            traction_limit=traction_limit, brake_limit=brake_limit, period=period, drag=drag, rolling=rolling,
             accelerate=comfort.accelerate, brake=comfort.brake, emergency=self.emergency, stop_jerk=self.stop_jerk,
             friction=low, friction_high=high, governor=self.governor, guard=self.guard,
             drive_lag=drive.lag if drive else math.nan, drive_dead_time=drive.dead_time if drive else math.nan,
@@ -390,11 +399,14 @@ class SpeedController:
     @property
     def command(self) -> SpeedCommand:
         """Requests in force."""
-        memory, friction = self._record.memory[0], self._record.friction.memory[0]
+        record, pedals = self._record, self.control.pedals or self.control.car.pedals
+        memory, friction = record.memory[0], record.friction.memory[0]
+        force, speed, hold = float(memory.force), float(memory.speed), float(memory.hold)
+        positions = (math.nan, math.nan) if pedals is None else pedals.positions(force, speed, hold)
         return SpeedCommand(
-            float(memory.acceleration), float(memory.force), float(memory.hold), float(memory.target_speed),
-            float(memory.grip_used), _STATES[int(memory.state)], _LIMITS[int(memory.limited_by)],
-            float(friction.low), float(friction.high),
+            float(memory.acceleration), force, hold, float(memory.target_speed), float(memory.grip_used),
+            _STATES[int(memory.state)], _LIMITS[int(memory.limited_by)], float(friction.low), float(friction.high),
+            *positions,
         )  # fmt: skip
 
     @property

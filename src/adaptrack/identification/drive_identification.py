@@ -1,4 +1,9 @@
-"""Drive, brakes and resistance of a car, from logs of commands of acceleration or force and the speed."""
+"""Drive, brakes, resistance and pedals of a car, from logs of commands or pedals, and the speed.
+
+With lags, dead times and noise known, the speed is linear in the forces at the points of a pedal map. The Kalman filter
+of the likelihood turns the response to each of them into innovations, and their least squares give the map. No force
+falls as its pedal goes down (C. L. Lawson and R. J. Hanson, *Solving Least Squares Problems*, chapter 23: bounds).
+"""
 
 from __future__ import annotations
 
@@ -7,15 +12,19 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
+from scipy.linalg import block_diag
+from scipy.optimize import lsq_linear
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.core import drive_identification as kernel
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.identification.conventions import refuse_contradictions
 from adaptrack.identification.estimates import ReportedRow, estimates_at
 from adaptrack.identification.identified_car import DriveIdentification
-from adaptrack.identification.likelihood import NEARLY, SETTLING, InnovationLikelihood
+from adaptrack.identification.likelihood import NEARLY, SETTLING, InnovationLikelihood, Scored
 from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, noise_of
 from adaptrack.identification.longitudinal_conventions import compare_longitudinal
 from adaptrack.identification.outliers import find_outliers
@@ -24,9 +33,16 @@ from adaptrack.identification.reading import Columns, Reading, Source, read_colu
 
 Array = NDArray[np.float64]
 
-LONGITUDINAL_COMMANDS = ("force_command", "acceleration_command")
-MIN_COMPARED_SPEED = 2.0
-"""m/s, below which speeds are not compared: drives creep, and brakes hold a car at rest."""
+LONGITUDINAL_COMMANDS, PEDALS = ("force_command", "acceleration_command"), ("throttle", "brake")
+MIN_COMPARED_SPEED, MIN_PEDAL_SPEED = 2.0, 0.3
+"""m/s, below which speeds are not compared, with commands and with pedals: drives creep, and brakes hold a car."""
+SPEED_POINTS = np.array([0.0, 1.0, 2.0, 4.0, 7.0, 11.0, 16.0, 22.0, 30.0, 40.0, 55.0])
+PEDAL_POINTS = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
+"""m/s, -: points of a pedal map."""
+BEND_SIGMA = 0.3
+"""m/s^2, prior standard deviation of a force over mass from the line between the neighbouring points."""
+FIRST_GAINS, PEDAL_TURNS = (4.0, 8.0), 5
+"""m/s^2, of full throttle and full brake, at first; turns of likelihood and least squares until the map."""
 LEAST_COMPARED = 20.0
 """s, above this speed."""
 LEAST_REQUEST, LEAST_ACTING = 0.3, 4.0
@@ -74,14 +90,17 @@ class DriveLikelihood(InnovationLikelihood):
         """The quantities at a point z, in the order of `DRIVE_QUANTITIES`."""
         return values_of(z, self.median, self.spread, _KINDS)
 
-    def innovations(self, z: Array) -> tuple[Array, Array]:
-        """Innovations of the speed (m/s) and their variances, (n,) each, NaN where it is not compared."""
+    def packed(self, z: Array) -> Array:
+        """The quantities at a point z, in the order of `core.drive_identification.DriveQuantities`."""
         value = dict(zip(_INDEX, self.values(z), strict=True))
         for name in ACTUATORS:
             delay, share = value.pop(f"{name}_delay"), value.pop(f"{name}_lag_share")
             value |= {f"{name}_lag": share * delay, f"{name}_dead_time": (1.0 - share) * delay}
-        packed = np.array([value[name] for name in kernel.DriveQuantities._fields])
-        kernel.speed_innovations(packed, self._rows, self._answer)
+        return np.array([value[name] for name in kernel.DriveQuantities._fields])
+
+    def innovations(self, z: Array) -> tuple[Array, Array]:
+        """Innovations of the speed (m/s) and their variances, (n,) each, NaN where it is not compared."""
+        kernel.speed_innovations(self.packed(z), self._rows, self._answer)
         return self._answer[kernel.DRIVE_ANSWER.innovation].copy(), self._answer[kernel.DRIVE_ANSWER.variance].copy()
 
     @property
@@ -89,7 +108,7 @@ class DriveLikelihood(InnovationLikelihood):
         """Rows of the free quantities that are reported."""
         free = {DRIVE_QUANTITIES[place].name for place in self.free}
         actuators = [row for name in ACTUATORS if f"{name}_gain" in free for row in _actuator_rows(name)]
-        return [*actuators, _value_row("drag"), _value_row("rolling")]
+        return [*actuators, *(_value_row(name) for name in ("drag", "rolling") if name in free)]
 
 
 def _value_row(name: str) -> ReportedRow:
@@ -117,12 +136,13 @@ def identify_drive(
 
     A request is positive for the drive and negative for the brakes. Gain and mass are one number: the gain of each
     actuator is relative to the mass of the car. The fit is the one of the steering: the likelihood of innovations.
+    From pedals instead of a command, the pedal map is identified, with the resistance of the car file.
 
     Parameters
     ----------
     log
         A file or arrays by name, see `identify`: ``time`` (s), ``speed`` (m/s), and ``force_command`` (N at the wheels)
-        or ``acceleration_command`` (m/s^2).
+        or ``acceleration_command`` (m/s^2), or ``throttle`` and ``brake`` (0 to 1).
     car
         Its mass turns force into acceleration; its resistance is the prior.
     reading
@@ -133,8 +153,8 @@ def identify_drive(
     StorageError
         When a file cannot be read.
     InvalidInput
-        When a column is missing, the log is too slow or too short, neither drive nor brakes act in it, or the speed
-        contradicts the command.
+        When a column is missing, the log is too slow or too short, neither drive nor brakes act in it, the speed
+        contradicts the command, or a pedal is hardly used or leaves 0 to 1.
     """
     sources = [log] if isinstance(log, str | os.PathLike | Mapping) else list(log)
     columns = [read_columns(source, reading or Reading()) for source in sources]
@@ -143,58 +163,168 @@ def identify_drive(
 
 def drive_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentification:
     """Identify drive, brakes and resistance from columns; errors as `identify_drive`."""
-    command = next((name for name in LONGITUDINAL_COMMANDS if all(name in columns.values for columns in logs)), "")
-    if not command or not logs:
+    signals = set.intersection(*(set(columns.values) for columns in logs)) if logs else set()
+    command = next((name for name in LONGITUDINAL_COMMANDS if name in signals), "")
+    if not command and signals.issuperset(PEDALS):
+        return _pedals_of_columns(logs, car)
+    if not command:
         raise InvalidInput(
-            "log: no column for force_command (N) or acceleration_command (m/s^2): name it, --columns "
-            "force_command=NAME."
+            "log: no column for force_command (N), acceleration_command (m/s^2), or throttle and brake (0 to 1): name "
+            "it, --columns force_command=NAME."
         )
     for columns in logs:
         refuse_contradictions(compare_longitudinal(columns.values, car.mass))
-    rows = np.concatenate(
-        [_rows(columns.values, command, 1.0 if command == "acceleration_command" else car.mass) for columns in logs],
-        axis=1,
-    )
-    time = rows[kernel.DRIVE_ROW.time]
-    for first in np.flatnonzero(np.diff(time) <= 0.0) + 1:  # one log after the other
-        time[first:] += time[first - 1] + 1.0 - time[first]
-    seconds = _compared_seconds(rows)
+    rows, seconds = _joined_rows(logs, (command,), MIN_COMPARED_SPEED)
+    if command == "force_command":
+        rows[kernel.DRIVE_ROW.request] /= car.mass
     beliefs, findings = _beliefs(rows, car, command)
     likelihood = DriveLikelihood(rows, beliefs)
-    delays = np.array([quantity.name.endswith("_delay") for quantity in DRIVE_QUANTITIES]) & (likelihood.spread > 0.0)
-    starts = [likelihood.fit(np.where(delays, shift, 0.0), NEARLY)[0] for shift in DELAY_SHIFTS]
-    z, at = likelihood.fit(min(starts, key=likelihood.objective))
-    estimates, _ = estimates_at(likelihood, likelihood.reported, z, likelihood.covariance(at))
+    z, scored = _fit_from_starts(likelihood)
+    estimates, _ = estimates_at(likelihood, likelihood.reported, z, likelihood.covariance(scored))
     return DriveIdentification(estimates, tuple(findings), car, command, seconds)
 
 
-def _rows(values: Mapping[str, Array], command: str, mass: float) -> Array:
-    """Rows (`DRIVE_ROW`) of a log whose samples have a time and a command."""
+def _pedals_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentification:
+    """Identify the pedal map, drive and brakes: likelihood and least squares take turns; errors as `identify_drive`."""
+    log, seconds = _joined_rows(logs, PEDALS, MIN_PEDAL_SPEED)
+    low, (throttle, brake) = log[1:3].min(), log[1:3].max(axis=1)
+    if not (low > -0.01 and max(throttle, brake) < 1.01):
+        raise InvalidInput(
+            f"log: throttle and brake reach from {low:.3g} to {max(throttle, brake):.3g}: they must be 0 to 1; for per "
+            "cent give --units throttle=%,brake=%."
+        )
+    regression, z = PedalRegression(log, car), None
+    drive, brakes = FIRST_GAINS[0] * np.tile(PEDAL_POINTS, (regression.speeds.size, 1)), FIRST_GAINS[1] * PEDAL_POINTS
+    for _ in range(PEDAL_TURNS):
+        rows = regression.rows(drive, brakes)
+        beliefs, findings = _beliefs(rows, car, "pedals")
+        if len(findings) > 1:
+            raise InvalidInput(f"log: {findings[0].split(':')[0]}: a pedal map needs many positions of both pedals.")
+        likelihood = DriveLikelihood(rows, beliefs | {name: Prior(0.0, 0.0) for name in ("drag", "rolling")})
+        z, scored = _fit_from_starts(likelihood) if z is None else likelihood.fit(z)
+        drive, brakes = regression.solve(likelihood.packed(z), likelihood.counts)
+    estimates, _ = estimates_at(likelihood, likelihood.reported, z, likelihood.covariance(scored))
+    findings.append(
+        f"the log reaches throttle {throttle:.2g}, brake {brake:.2g} and {np.nanmax(log[3]):.3g} m/s: the pedal map is "
+        "extrapolated beyond"
+    )
+    pedals = PedalMap(
+        speed=regression.speeds, throttle=PEDAL_POINTS, force=np.round(car.mass * drive, 1), brake=PEDAL_POINTS,
+        brake_force=np.round(car.mass * brakes, 1),
+    )  # fmt: skip
+    return DriveIdentification(estimates, tuple(findings), car, "pedals", seconds, pedals)
+
+
+class PedalRegression:
+    """Least squares for the forces at the points of a pedal map, over the mass of the car (m/s^2).
+
+    log: time, throttle, brake, compared speed, and 1 where a segment begins, (5, n)
+    """
+
+    def __init__(self, log: Array, car: Vehicle) -> None:
+        self._time, throttle, brake, self._compared, self._begins = log
+        is_compared = np.isfinite(self._compared)
+        speed = np.interp(self._time, self._time[is_compared], self._compared[is_compared])
+        drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass
+        self._resistance = car.rolling_resistance * GRAVITY + drag * speed**2
+        self.speeds = SPEED_POINTS[: np.searchsorted(SPEED_POINTS, speed.max()) + 1]
+        self._shares = np.array([np.interp(speed, self.speeds, point) for point in np.eye(self.speeds.size)])
+        ends = np.stack([PEDAL_POINTS[:-1], PEDAL_POINTS[1:]], axis=1)
+        self._throttle, self._brake = (
+            np.array([np.interp(pedal, section, (0.0, 1.0)) for section in ends]) for pedal in (throttle, brake)
+        )
+
+    def rows(self, drive: Array, brakes: Array) -> Array:
+        """Rows (`DRIVE_ROW`) for a map: requests relative to coasting, speeds without the effect of coasting."""
+        driving = np.einsum("in,ij,jn->n", self._shares, np.diff(drive, axis=1), self._throttle)
+        coasting = self._integral(drive[:, 0] @ self._shares - self._resistance)
+        request = driving - np.diff(brakes) @ self._brake
+        return np.stack([self._time, request, self._compared - coasting, self._begins])
+
+    def solve(self, quantities: Array, counts: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Forces over mass at the points: drive (speeds, throttles), brakes (pedal positions,).
+
+        quantities: `DriveQuantities`, whose gains are not used; counts: samples whose speed counts, (n,)
+        """
+        packed = kernel.DriveQuantities(*quantities)._replace(drive_gain=1.0, brake_gain=1.0)
+        answer, zero = np.empty((len(kernel.DRIVE_ANSWER), self._time.size)), np.zeros(self._time.size)
+
+        def whitened(request: Array, speed: Array) -> Array:
+            log = np.stack([self._time, request, speed + 0.0 * self._compared, self._begins])
+            kernel.speed_innovations(np.array(packed), log, answer)
+            innovation, variance = answer[kernel.DRIVE_ANSWER.innovation], answer[kernel.DRIVE_ANSWER.variance]
+            return (innovation / np.sqrt(variance))[counts]
+
+        columns = []
+        for share in self._shares:
+            columns.append(whitened(zero, self._integral(share)))
+            columns += [-whitened(share * ramp, zero) for ramp in self._throttle]
+        columns += [-whitened(-ramp, zero) for ramp in self._brake]
+        target = whitened(zero, self._compared + self._integral(self._resistance))
+        steps, count = np.tril(np.ones((PEDAL_POINTS.size,) * 2)), self.speeds.size
+        smoothness = block_diag(
+            np.vstack([np.kron(np.eye(count), _bends(PEDAL_POINTS) @ steps), np.kron(_bends(self.speeds), steps)]),
+            _bends(PEDAL_POINTS) @ steps[:, 1:],
+        )
+        system = np.vstack([np.column_stack([*columns, target]), np.pad(smoothness / BEND_SIGMA, ((0, 0), (0, 1)))])
+        triangle = np.linalg.qr(system, mode="r")
+        least = np.zeros(len(columns))
+        least[: count * PEDAL_POINTS.size : PEDAL_POINTS.size] = -np.inf  # coasting
+        rises = lsq_linear(triangle[:, :-1], triangle[:, -1], (least, np.inf)).x
+        drive, brakes = np.split(rises, [count * PEDAL_POINTS.size])
+        return np.cumsum(drive.reshape(count, -1), axis=1), np.append(0.0, np.cumsum(brakes))
+
+    def _integral(self, acceleration: Array) -> Array:
+        return np.asarray(cumulative_trapezoid(acceleration, self._time, initial=0.0))
+
+
+def _bends(points: Array) -> Array:
+    """Matrix that gives the distance of each inner value from the line between its neighbours, (n - 2, n)."""
+    gaps = np.diff(points)
+    slopes = np.diff(np.eye(points.size), axis=0) / gaps[:, None]
+    return np.asarray(np.diff(slopes, axis=0) / (1.0 / gaps[1:] + 1.0 / gaps[:-1])[:, None])
+
+
+def _fit_from_starts(likelihood: DriveLikelihood) -> tuple[Array, Scored]:
+    """The most likely point from several delays, and what is known there."""
+    delays = np.array([quantity.name.endswith("_delay") for quantity in DRIVE_QUANTITIES]) & (likelihood.spread > 0.0)
+    starts = [likelihood.fit(np.where(delays, shift, 0.0), NEARLY)[0] for shift in DELAY_SHIFTS]
+    return likelihood.fit(min(starts, key=likelihood.objective))
+
+
+def _joined_rows(logs: Sequence[Columns], requests: Sequence[str], slowest: float) -> tuple[Array, float]:
+    """Rows of logs, one after the other, and how long (s) their speed is compared: above `slowest` (m/s).
+
+    Rows are time, requests, compared speed, and 1 where a segment begins: `DRIVE_ROW` for one request.
+    """
+    rows = np.concatenate([_rows(columns.values, requests, slowest) for columns in logs], axis=1)
+    time, *_, speed, begins = rows
+    for first in np.flatnonzero(np.diff(time) <= 0.0) + 1:
+        time[first:] += time[first - 1] + 1.0 - time[first]
+    seconds = float(np.sum(np.diff(time)[np.isfinite(speed[1:]) & np.isfinite(speed[:-1]) & (begins[1:] <= 0.0)]))
+    if seconds < LEAST_COMPARED:
+        raise InvalidInput(
+            f"log: {seconds:.3g} s above {slowest:g} m/s: at least {LEAST_COMPARED:g} s of driving, "
+            "accelerating and braking are needed."
+        )
+    return rows, seconds
+
+
+def _rows(values: Mapping[str, Array], requests: Sequence[str], slowest: float) -> Array:
+    """Rows of one log as `_joined_rows`: of the samples that have a time and all requests."""
     for name in ("time", "speed"):
         if name not in values or not np.isfinite(values[name]).any():
             raise InvalidInput(f"log: no column for {name}: name it, --columns {name}=NAME.")
     time = values["time"]
-    usable = np.isfinite(time) & np.isfinite(values[command])
+    usable = np.isfinite(time) & np.all([np.isfinite(values[name]) for name in requests], axis=0)
     usable[1:] &= np.diff(np.maximum.accumulate(np.where(np.isfinite(time), time, -np.inf))) > 0.0
-    time, request, speed = (values[name][usable] for name in ("time", command, "speed"))
+    time, speed = values["time"][usable], values["speed"][usable]
     if time.size < 2:
-        raise InvalidInput(f"log: {command} has {time.size} values with a time: too few.")
+        raise InvalidInput(f"log: {' and '.join(requests)}: {time.size} values with a time: too few.")
     period = check_times(time)
-    compared = np.where(find_outliers("speed", time, speed) | (speed < MIN_COMPARED_SPEED), np.nan, speed)
+    compared = np.where(find_outliers("speed", time, speed) | (speed < slowest), np.nan, speed)
     begins = np.append(True, np.diff(time) > max(GAP_PERIODS * period, LEAST_GAP))
-    return np.stack([time, request / mass, compared, begins.astype(np.float64)])
-
-
-def _compared_seconds(rows: Array) -> float:
-    """s of driving in which the speed is compared; `InvalidInput` where they are few."""
-    time, _, speed, begins = rows
-    seconds = float(np.sum(np.diff(time)[np.isfinite(speed[1:]) & np.isfinite(speed[:-1]) & (begins[1:] <= 0.0)]))
-    if seconds < LEAST_COMPARED:
-        raise InvalidInput(
-            f"log: {seconds:.3g} s above {MIN_COMPARED_SPEED:g} m/s: at least {LEAST_COMPARED:g} s of driving, "
-            "accelerating and braking are needed."
-        )
-    return seconds
+    return np.stack([time, *(values[name][usable] for name in requests), compared, begins.astype(np.float64)])
 
 
 def _beliefs(rows: Array, car: Vehicle, command: str) -> tuple[dict[str, Prior], list[str]]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.files import dump_toml, write_atomically
+from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Steering, Tyre, Vehicle
 from adaptrack.core.plants.forces import GRAVITY
@@ -60,15 +60,6 @@ class Estimate:
         return f"{self.name}: {self.low:.4g} to {self.high:.4g} {self.unit}"
 
 
-def write_car(path: Path, car: Vehicle, head: Sequence[str]) -> None:
-    """Write a car file that begins with comments (``head``); a tyre file is named relative to the car's."""
-    values = car.model_dump()
-    if Path(car.tyre).suffix:
-        values["tyre"] = os.path.relpath(car.tyre, path.parent)
-    meanings = {name: field.description or "" for name, field in Vehicle.model_fields.items()}
-    write_atomically(path, ("\n".join(f"# {line}" for line in head) + "\n\n" + dump_toml(values, meanings)).encode())
-
-
 @dataclass(frozen=True, eq=False)
 class DriveIdentification:
     """Drive, brakes and resistance of a car as identified from logs of commands and the speed."""
@@ -80,13 +71,15 @@ class DriveIdentification:
     believed: Vehicle
     """the car before the log"""
     command: str
-    """``force_command`` or ``acceleration_command``"""
+    """``force_command``, ``acceleration_command`` or ``pedals``"""
     seconds: float
     """of driving in which the speed was compared"""
+    pedals: PedalMap | None = None
+    """where the logs have pedals instead of a command"""
 
     @property
     def car(self) -> Vehicle:
-        """The car with the sections ``[drive]`` and ``[brakes]``, and with its resistance where the log tells."""
+        """The car with its sections ``[drive]`` and ``[brakes]``, and what the log tells of resistance and pedals."""
         return self.added_to(self.believed)
 
     def added_to(self, car: Vehicle) -> Vehicle:
@@ -105,6 +98,8 @@ class DriveIdentification:
             changes["drag_coefficient"] = float(f"{max(value['drag'], 0.0) / area:.4g}")
         if self._tells("rolling"):
             changes["rolling_resistance"] = float(f"{max(value['rolling'], 0.0) / GRAVITY:.4g}")
+        if self.pedals is not None:
+            changes["pedals"] = self.pedals
         return car.replace(**changes)
 
     def _tells(self, name: str) -> bool:
@@ -124,14 +119,14 @@ class DriveIdentification:
         StorageError
             When the file cannot be written.
         """
-        car = self.car.replace(name=Path(path).stem)
-        write_car(Path(path), car, ["Drive and brakes identified from a log; 90 % intervals:", *self.comments])
+        self.car.to_toml(path, ["Drive and brakes identified from a log; 90 % intervals:", *self.comments])
 
     def to_dict(self) -> dict[str, object]:
         """Return the content of ``--json``."""
         return {
             "estimates": {name: estimate.to_dict() for name, estimate in self.estimates.items()},
             "findings": list(self.findings), "command": self.command, "seconds": self.seconds,
+            "pedals": None if self.pedals is None else self.pedals.model_dump(),
         }  # fmt: skip
 
 
@@ -272,7 +267,7 @@ class Identification:
         tyre_name = f"{self.tyre_curve.name}, scaled to the axles of {path.stem}"
         self.tyre.replace(name=tyre_path.stem, description=tyre_name).to_toml(tyre_path)
         car = self.car.replace(
-            name=path.stem, description="Identified from a log", tyre=str(tyre_path), known_within=tolerances,
+            description="Identified from a log", tyre=str(tyre_path), known_within=tolerances,
             estimated=tuple(name for name in self.car.estimated if name not in FACTOR_ESTIMATES),
         )  # fmt: skip
         head = ["Identified from a log; 90 % intervals:", *(estimate.interval for estimate in self.estimates.values())]
@@ -280,7 +275,7 @@ class Identification:
             head.append(f"steering.dead_time is without {self.computation:g} s of the controller's computation")
         head += [f"not consistent: {reason}" for reason in self.reasons]
         head += [*self.findings, *(self.drive.comments if self.drive is not None else ())]
-        write_car(path, car, head)
+        car.to_toml(path, head)
 
     def to_dict(self) -> dict[str, object]:
         """Return the content of ``--json``."""

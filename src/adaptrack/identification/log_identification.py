@@ -21,7 +21,7 @@ from adaptrack.identification.calibration import corrected
 from adaptrack.identification.computed_columns import drop_computed_columns
 from adaptrack.identification.consistency import Moments, contradictions, implausible_estimates
 from adaptrack.identification.conventions import check_conventions, check_positions, guessed_ratio
-from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS, drive_of_columns
+from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS, PEDALS, drive_of_columns
 from adaptrack.identification.estimates import ReportedRow, estimates_at, slopes_at, values_at
 from adaptrack.identification.identified_car import Estimate, Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood
@@ -88,8 +88,9 @@ def identify(
     log
         A .csv or .parquet file, one of `Trajectory.save`, or arrays by name: time (s), command (rad, road wheels; or
         wheel, a measured angle), speed (m/s), yaw_rate (rad/s), and, where there are, vy, acceleration, yaw. With
-        force_command (N) or acceleration_command (m/s^2) drive and brakes are identified, too, as by
-        `identify_drive`. Several logs of one car in a sequence share what belongs to the car (`SHARED`).
+        force_command (N), acceleration_command (m/s^2), or throttle and brake (0 to 1), drive and brakes are
+        identified, too, as by `identify_drive`. Several logs of one car in a sequence share what belongs to the car
+        (`SHARED`).
     car
         What is believed of the car: mass and geometry are kept, the rest is estimated about it.
     mass, wheelbase
@@ -129,8 +130,9 @@ def identify(
 
 
 def _with_drive(identification: Identification, read: Sequence[Columns]) -> Identification:
-    """An identification with drive and brakes, where logs have commands of acceleration or force."""
+    """An identification with drive and brakes, where logs have commands of acceleration or force, or pedals."""
     logs = [columns for columns in read if not columns.values.keys().isdisjoint(LONGITUDINAL_COMMANDS)]
+    logs = logs or [columns for columns in read if columns.values.keys() >= set(PEDALS)]
     if not logs:
         return identification
     try:

@@ -48,6 +48,8 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     "force_command": (
         "force_command", "force_cmd", "requested_force", "desired_force", "wheel_force_command",
     ),
+    "throttle": ("throttle", "throttle_pedal", "accelerator", "accelerator_pedal", "gas", "gas_pedal"),
+    "brake": ("brake", "brake_pedal"),
     "longitudinal_acceleration": (
         "longitudinal_acceleration", "ax", "a_x", "acc_x", "accx", "accel_x", "acceleration_x", "a_long",
     ),
@@ -56,8 +58,8 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     "y": ("y", "pos_y", "position_y", "north"),
 }  # fmt: skip
 """Names by which columns are known, without their unit."""
-HELD_SIGNALS = ("command", "acceleration_command", "force_command")
-"""Commands: each is in force until the next one."""
+HELD_SIGNALS = ("command", "acceleration_command", "force_command", "throttle", "brake")
+"""Commands and pedals: each is in force until the next one."""
 _ANGLES = ("command", "wheel", "steering_wheel", "yaw")
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -66,6 +68,7 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704},
     "acceleration": {"m/s^2": 1.0, "g": 9.80665},
     "force": {"N": 1.0, "kN": 1e3},
+    "pedal": {"-": 1.0, "%": 0.01},
     "length": {"m": 1.0},
 }
 _SHORT = {
@@ -76,6 +79,7 @@ _SHORT = {
     "rad/sec": "rad/s", "kmh": "km/h", "kph": "km/h", "km_h": "km/h", "kmph": "km/h", "km/h": "km/h", "mph": "mph",
     "mps": "m/s", "m_s": "m/s", "m/s": "m/s", "ms": "ms", "us": "us", "ns": "ns", "s": "s", "g": "g",
     "m/s^2": "m/s^2", "m/s2": "m/s^2", "mps2": "m/s^2", "m_s2": "m/s^2", "m": "m",
+    "%": "%", "pct": "%", "percent": "%",
 }  # fmt: skip
 """Units as column names have them."""
 NEEDED_SIGNALS = ("speed", "yaw_rate", "command", "wheel", "steering_wheel")
@@ -172,7 +176,7 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
         else:
             notes.append(f"{signal} is left out: the column {column!r} holds no numbers")
             continue
-        if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m", "N") or sign < 0.0:
+        if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m", "N", "-") or sign < 0.0:
             notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
     _on_one_clock(values, _clocks(table, reading, origin), reading.late, notes)
     commanded, unknown = _at_road_wheels(values, mapping, reading.steering_ratio, notes)
@@ -355,7 +359,7 @@ def _dimension(signal: str) -> str:
         return "angle"
     dimensions = {
         "x": "length", "y": "length", "vy": "speed", "acceleration_command": "acceleration",
-        "longitudinal_acceleration": "acceleration", "force_command": "force",
+        "longitudinal_acceleration": "acceleration", "force_command": "force", "throttle": "pedal", "brake": "pedal",
     }  # fmt: skip
     return dimensions.get(signal, signal)
 

@@ -158,7 +158,8 @@ def drive_identification_result(identification: DriveIdentification) -> Result:
         name for name, key in (("drive", "drive_gain"), ("brakes", "brake_gain")) if key in identification.estimates
     ]
     rows = [_plain_row(estimate) for estimate in identification.estimates.values()]
-    title = f"{capital(' and '.join(names))} identified from {identification.seconds:.0f} s of driving"
+    pedals = "pedal map, " if identification.pedals is not None else ""
+    title = f"{capital(pedals + ' and '.join(names))} identified from {identification.seconds:.0f} s of driving"
     return Result(
         kind="drive-identification", title=title, answer=f"{title}, relative to {identification.believed.name}.",
         record=identification.to_dict(), tables=[ResultTable("console", title, ESTIMATE_COLUMNS, rows, brief=True)],
