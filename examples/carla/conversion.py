@@ -1,4 +1,4 @@
-"""Between CARLA and adaptrack: axes, units, steering, pedals. Needs no CARLA; any object with its attributes will do.
+"""Between CARLA and adaptrack: axes, units, steering. Needs no CARLA; any object with its attributes will do.
 
 CARLA: left-handed, x forward, y to the right, degrees, yaw positive clockwise from above. Here (ISO 8855): y and
 angles to the left, radians. `steer` is a share of the largest angle of the front wheels, positive to the right.
@@ -13,9 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import adaptrack as at
-
-THROTTLE, BRAKE = 0.25, 0.4
-"""Share of the pedal for each m/s that the car is too slow or too fast."""
 
 
 class Sample(NamedTuple):
@@ -57,14 +54,6 @@ def steer_of(angle: float, full_steer: float) -> float:
 def angle_of(steer: float, full_steer: float) -> float:
     """rad, of the road wheels, that a steer asks for."""
     return -steer * full_steer
-
-
-def pedals(speed: float, wanted: float) -> tuple[float, float]:
-    """Throttle and brake, 0 .. 1, for a speed (m/s) that is to become another."""
-    missing = wanted - speed
-    if wanted <= 0.0 and speed < 1.0:
-        return 0.0, 0.5  # hold the car
-    return min(1.0, max(0.0, THROTTLE * missing)), min(1.0, max(0.0, -BRAKE * missing))
 
 
 def wheelbase_of(physics: Any) -> float:

@@ -1,7 +1,7 @@
 """A car of CARLA, driven by adaptrack; a CARLA server runs on this machine.
 
-    python drive.py record --out drive.csv      # weave along the lane, and say how to identify the car
-    python drive.py follow --car my-car.toml    # follow the lane with the car that was identified
+    python drive.py record --out drive.csv      # weave along the lane with steps of the pedals; how to identify the car
+    python drive.py follow --car my-car.toml    # follow the lane, and stop on it, with the car that was identified
 
 All that is computed is in conversion.py and loop.py, which need no CARLA.
 """
@@ -16,9 +16,10 @@ from typing import Any
 
 import carla
 from conversion import lane_ahead, origin_ahead, wheelbase_of, woven
-from loop import PERIOD, Car, columns_of, controller, follow, measured_full_steer, write_log
+from loop import PERIOD, Car, columns_of, follow, measured_full_steer, tracker_of, write_log
 
 import adaptrack as at
+from adaptrack.road import Stop
 
 FLAT = ((0.0, 1.0), (150.0, 1.0))
 """A steering curve that leaves the steer as it is at every speed (its unit differs between versions)."""
@@ -71,7 +72,7 @@ def main() -> None:
     parser.add_argument("--ahead", type=float, default=0.0, help="m, origin ahead of the centre of mass: see record")
     parser.add_argument("--full-steer", type=float, help="degrees of the wheels at a steer of 1, instead of measuring")
     parser.add_argument("--speed", type=float, default=10.0, help="m/s")
-    parser.add_argument("--length", type=float, default=600.0, help="m of lane")
+    parser.add_argument("--length", type=float, default=800.0, help="m of lane")
     parser.add_argument("--blueprint", default="vehicle.tesla.model3")
     parser.add_argument("--spawn", type=int, default=0)
     parser.add_argument("--host", default="localhost")
@@ -81,8 +82,9 @@ def main() -> None:
         car, known = prepared(world, vehicle, options), at.load_vehicle(options.car)
         road = lane_ahead(world.get_map(), vehicle.get_location(), options.length)
         path = woven(road) if options.what == "record" else road
-        plan = at.plan_speed(path, known, end=0.0, top_speed=options.speed)
-        tracker = at.Tracker(controller(known, options.what == "follow"), path, plan=plan)
+        stops = [] if options.what == "record" else [Stop(0.5 * path.length, 2.0)]
+        plan = at.plan_speed(path, known, end=0.0, stops=stops, top_speed=options.speed)
+        tracker = tracker_of(known, path, plan, is_known=options.what == "follow")
         answers, rows = zip(*follow(world, car, tracker), strict=True)
         physics = vehicle.get_physics_control()
     print(f"{len(rows) * PERIOD:.0f} s, largest offset {max(abs(each.offset) for each in answers):.2f} m")
