@@ -32,13 +32,13 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 CEILINGS: Mapping[str, int] = {
     "base": 2100,
     "core": 24150,
-    "cars": 2300,
+    "cars": 2400,
     "road": 4500,
     "scenario": 2050,
     "control": 8150,
     "drive": 2950,
     "analysis": 2050,
-    "identification": 4950,
+    "identification": 5100,
     "tuning": 1800,
     "comparison": 2400,
     "paper": 4950,
@@ -48,8 +48,8 @@ CEILINGS: Mapping[str, int] = {
     "cli": 4050,
     "adaptrack": 50,
     "JavaScript, templates, C": 9700,
-    "tests": 38400,
-    "benchmarks, tools, experiments, examples": 10800,
+    "tests": 38450,
+    "benchmarks, tools, experiments, examples": 10850,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 

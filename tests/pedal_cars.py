@@ -7,8 +7,6 @@ import math
 import numpy as np
 
 from adaptrack import Vehicle
-from adaptrack.cars.pedals import PedalMap
-from adaptrack.core.synthesis.speed import resistance
 
 DRIVE_LAG, DRIVE_DEAD_TIME, BRAKE_LAG, BRAKE_DEAD_TIME = 0.25, 0.16, 0.12, 0.08
 """s"""
@@ -18,9 +16,9 @@ class PedalCar:
     """Drive with creep and engine braking, progressive brakes, lags and dead times; steps of `step` (s)."""
 
     def __init__(self, vehicle: Vehicle, step: float) -> None:
-        self._mass, self._step, self._forces = vehicle.mass, step, [0.0, 0.0]
-        names = ("air_density", "frontal_area", "drag_coefficient", "rolling_resistance")
-        self._drag, self._rolling = resistance(*(getattr(vehicle, name) for name in names))
+        self._step, self._forces = step, [0.0, 0.0]
+        drag = 0.5 * vehicle.air_density * vehicle.frontal_area * vehicle.drag_coefficient
+        self._drag, self._rolling = drag / vehicle.mass, 9.81 * vehicle.rolling_resistance
         self._queues = [[0.0] * round(dead_time / step) for dead_time in (DRIVE_DEAD_TIME, BRAKE_DEAD_TIME)]
 
     def coasting(self, speed):
@@ -35,14 +33,6 @@ class PedalCar:
         """m/s^2, of the brake pedal."""
         return 7.5 * np.power(brake, 1.4)
 
-    @property
-    def pedals(self) -> PedalMap:
-        """The true map at many points."""
-        speed, positions = np.linspace(0.0, 20.0, 41), np.linspace(0.0, 1.0, 41)
-        force = [self._mass * (self.coasting(v) + self.driving(positions, v)) for v in speed]
-        brake_force = self._mass * self.braking(positions)
-        return PedalMap(speed=speed, throttle=positions, force=force, brake=positions, brake_force=brake_force)
-
     def acceleration(self, throttle: float, brake: float, speed: float) -> float:
         """m/s^2, in the step that begins now; a standing car stays where the brakes hold it."""
         for i, (pedal, lag) in enumerate(((throttle, DRIVE_LAG), (brake, BRAKE_LAG))):
@@ -54,5 +44,5 @@ class PedalCar:
         push = driving + float(self.coasting(speed))
         if speed <= 0.0:
             return max(push - braking, 0.0)
-        drag = self._rolling * min(1.0, 2.0 * speed) + self._drag * speed**2 / self._mass
-        return max(push - braking - drag, -speed / self._step)
+        resistance = self._rolling * min(1.0, 2.0 * speed) + self._drag * speed**2
+        return max(push - braking - resistance, -speed / self._step)

@@ -16,6 +16,7 @@ from adaptrack.core import drive_identification as kernel
 from adaptrack.identification import DriveIdentification, identify_drive
 from adaptrack.identification.longitudinal_conventions import compare_longitudinal
 from adaptrack.road import Comfort, Line, Road, Stop, plan_speed
+from pedal_cars import BRAKE_DEAD_TIME, BRAKE_LAG, DRIVE_DEAD_TIME, DRIVE_LAG, PedalCar
 
 pytestmark = pytest.mark.kernels
 
@@ -138,24 +139,26 @@ def test_what_the_log_cannot_tell_keeps_its_value_and_is_reported() -> None:
     assert any("braking in the log" in finding for finding in identification.findings)
 
 
+_TIME, _REQUEST, _SPEED = _integrated(0)
+_CHANGE = np.gradient(_SPEED, _TIME)
+_GRAVITY = 9.81 * 0.03 * np.sin(2.0 * np.pi * _TIME / 30.0)
+_PEDAL = np.where(_REQUEST > 0.0, _REQUEST / 5.0, _REQUEST / 9.0)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"force_command": None}, "no column for force_command"),
         ({"speed": np.full(1800, 1.5)}, "s above 2 m/s: at least 20 s"),
         ({"force_command": np.full(1800, 100.0)}, "drive with changing force, and brake"),
+        ({"force_command": None, "throttle": 100.0 * _PEDAL, "brake": 0.0 * _PEDAL}, "--units throttle=%"),
+        ({"force_command": None, "throttle": np.abs(_PEDAL), "brake": 0.0 * _PEDAL}, "hardly any braking"),
     ],
 )
 def test_a_log_that_tells_nothing_is_refused_with_the_remedy(changes, message) -> None:
     log = {name: values for name, values in (_log() | changes).items() if values is not None}
     with pytest.raises(InvalidInput, match=message):
         identify_drive(log, CAR)
-
-
-_TIME, _REQUEST, _SPEED = _integrated(0)
-_CHANGE = np.gradient(_SPEED, _TIME)
-_GRAVITY = 9.81 * 0.03 * np.sin(2.0 * np.pi * _TIME / 30.0)
-_PEDAL = np.where(_REQUEST > 0.0, _REQUEST / 5.0, _REQUEST / 9.0)
 
 
 @pytest.mark.parametrize(
@@ -202,3 +205,41 @@ def test_a_command_in_the_wrong_unit_is_found_by_the_command_and_refused_by_the_
     assert "per cent" in " ".join(result.output.split())
     with pytest.raises(InvalidInput, match="per cent"):
         identify_drive(file, CAR)
+
+
+@cache
+def _pedal_log() -> dict[str, np.ndarray]:
+    """Random steps of throttle and brake, 120 s, by a car whose pedals are not proportional to the force."""
+    rng, car, speed, rows = np.random.default_rng(3), PedalCar(CAR, 0.01), 0.0, []
+    throttle = brake = 0.0
+    for k in range(2400):
+        if k % 30 == 0:
+            position = max(rng.uniform(-0.3, 1.0), 0.0) ** 1.5
+            throttle, brake = (0.0, position) if rng.random() < 0.07 * speed else (position, 0.0)
+        rows.append((PERIOD * k, throttle, brake, speed + 0.02 * rng.standard_normal()))
+        for _ in range(5):
+            speed += 0.01 * car.acceleration(throttle, brake, speed)
+    return dict(zip(("time", "throttle", "brake", "speed"), np.array(rows).T, strict=True))
+
+
+@pytest.mark.compiled
+def test_a_log_of_pedals_gives_the_pedal_map_lags_and_dead_times(tmp_path) -> None:
+    log, file = tmp_path / "log.csv", tmp_path / "my-car.toml"
+    columns = {name if name in ("time", "speed") else f"{name} [%]": values for name, values in _pedal_log().items()}
+    columns |= {name: 100.0 * values for name, values in columns.items() if "%" in name}
+    np.savetxt(log, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    command = ["identify", str(log), "--car", "midsize-sedan", "--longitudinal", "--out", str(file)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    identified, car = load_vehicle(file), PedalCar(CAR, 0.01)
+    delays = [getattr(part, name) for part in (identified.drive, identified.brakes) for name in ("lag", "dead_time")]
+    assert delays == pytest.approx([DRIVE_LAG, DRIVE_DEAD_TIME, BRAKE_LAG, BRAKE_DEAD_TIME], abs=0.03)
+    for speed in (1.5, 5.0, 9.0):
+        errors = [
+            identified.pedals.force_at(x, 0.0, speed) / CAR.mass - car.driving(x, speed) - car.coasting(speed)
+            for x in (0.0, 0.15, 0.5, 0.9)
+        ]
+        assert np.abs(errors).max() < 0.05 * 4.2
+    brakes = [identified.pedals.force_at(0.0, x, 5.0) - identified.pedals.force_at(0.0, 0.0, 5.0) for x in (0.2, 0.6)]
+    assert np.divide(brakes, -CAR.mass) == pytest.approx(car.braking([0.2, 0.6]), abs=0.05 * 7.5)
+    assert SpeedControl(identified).settings(PERIOD, Comfort()).brake_limit == identified.pedals.brake_force[-1]

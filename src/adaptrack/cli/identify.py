@@ -59,13 +59,7 @@ class IdentifyOptions:
     anyway: Annotated[
         bool, Option("--anyway", help="Write --out and exit with code 0 even if the estimates are inconsistent.")
     ] = False
-    longitudinal: Annotated[
-        bool,
-        Option(
-            "--longitudinal",
-            help="Identify drive, brakes and pedal map only.",
-        ),
-    ] = False
+    longitudinal: Annotated[bool, Option("--longitudinal", help="Identify drive, brakes and pedal map only.")] = False
     page: Annotated[Path | None, Option("--page", metavar="FILE", help="Page to write (.html).")] = None
     as_json: options.Json = False
 
