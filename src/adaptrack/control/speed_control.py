@@ -165,7 +165,6 @@ class SpeedControl:
     friction: Annotated[float, Field(gt=0.0, le=MAX_ASSUMED_FRICTION)] | tuple[float, float] = 0.9
     drive: DriveActuator | None = None
     brakes: BrakeActuator | None = None
-    pedals: PedalMap | None = None
     gain: Annotated[Positive, "1/s"] = 2.0
     governor: Share = 0.9
     """of the friction that bends ahead may use"""
@@ -177,6 +176,7 @@ class SpeedControl:
     """whether a `Tracker` stops at the end of an open path; a simulated drive ends as its plan does"""
     emergency: Annotated[Bound, "m/s^2"] = 8.0
     """largest deceleration where a stop is too near for comfort"""
+    pedals: PedalMap | None = None
 
     def __post_init__(self) -> None:
         low, high = self.friction_interval
