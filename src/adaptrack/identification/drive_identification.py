@@ -193,25 +193,24 @@ def _pedals_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentifica
             f"log: throttle and brake reach from {low:.3g} to {max(throttle, brake):.3g}: they must be 0 to 1; for per "
             "cent give --units throttle=%,brake=%."
         )
-    regression, z = PedalRegression(log, car), None
+    regression, z = PedalRegression(log, car), np.zeros(len(DRIVE_QUANTITIES))
     drive, brakes = FIRST_GAINS[0] * np.tile(PEDAL_POINTS, (regression.speeds.size, 1)), FIRST_GAINS[1] * PEDAL_POINTS
-    for _ in range(PEDAL_TURNS):
+    for turn in range(PEDAL_TURNS):
         rows = regression.rows(drive, brakes)
         beliefs, findings = _beliefs(rows, car, "pedals")
         if len(findings) > 1:
             raise InvalidInput(f"log: {findings[0].split(':')[0]}: a pedal map needs many positions of both pedals.")
         likelihood = DriveLikelihood(rows, beliefs | {name: Prior(0.0, 0.0) for name in ("drag", "rolling")})
-        z, scored = _fit_from_starts(likelihood) if z is None else likelihood.fit(z)
+        z, scored = likelihood.fit(z) if turn else _fit_from_starts(likelihood)
         drive, brakes = regression.solve(likelihood.packed(z), likelihood.counts)
     estimates, _ = estimates_at(likelihood, likelihood.reported, z, likelihood.covariance(scored))
     findings.append(
         f"the log reaches throttle {throttle:.2g}, brake {brake:.2g} and {np.nanmax(log[3]):.3g} m/s: the pedal map is "
         "extrapolated beyond"
     )
-    pedals = PedalMap(
-        speed=regression.speeds, throttle=PEDAL_POINTS, force=np.round(car.mass * drive, 1), brake=PEDAL_POINTS,
-        brake_force=np.round(car.mass * brakes, 1),
-    )  # fmt: skip
+    force, brake_force = (np.round(car.mass * values, 1).tolist() for values in (drive, brakes))
+    speeds, points = regression.speeds.tolist(), PEDAL_POINTS.tolist()
+    pedals = PedalMap(speed=speeds, throttle=points, force=force, brake=points, brake_force=brake_force)
     return DriveIdentification(estimates, tuple(findings), car, "pedals", seconds, pedals)
 
 
@@ -267,7 +266,7 @@ class PedalRegression:
             _bends(PEDAL_POINTS) @ steps[:, 1:],
         )
         system = np.vstack([np.column_stack([*columns, target]), np.pad(smoothness / BEND_SIGMA, ((0, 0), (0, 1)))])
-        triangle = np.linalg.qr(system, mode="r")
+        _, triangle = np.linalg.qr(system)
         least = np.zeros(len(columns))
         least[: count * PEDAL_POINTS.size : PEDAL_POINTS.size] = -np.inf  # coasting
         rises = lsq_linear(triangle[:, :-1], triangle[:, -1], (least, np.inf)).x
