@@ -69,9 +69,8 @@ def identify(arguments: IdentifyOptions) -> None:
     """Identify a car from logs of driving.
 
     The command estimates steering delay, tyre stiffness, offsets and noise, each with a 90 % interval. A log needs
-    time, speed, yaw rate, and steering command or wheel angle, at 10 Hz or more. With commands of acceleration
-    (acceleration_command, m/s^2) or force (force_command, N) it also gives drive, brakes and resistance; with pedals
-    (throttle and brake, 0 to 1) drive, brakes and the pedal map.
+    time, speed, yaw rate, and steering command or wheel angle, at 10 Hz or more. With acceleration_command (m/s^2),
+    force_command (N), or throttle and brake (0 to 1) it also gives drive and brakes.
 
     The exit code is 3 if estimates of logs, or of parts of a log, contradict each other or the initial car.
     """
