@@ -22,8 +22,6 @@ PERIOD = 0.05
 """s, of a tick: fixed_delta_seconds"""
 COLUMNS = ("time", "command", "wheel", "speed", "yaw_rate", "vy", "yaw", "x", "y", "throttle", "brake")
 """Of a log, as `adaptrack identify` reads them; x and y are those of the vehicle's origin."""
-
-
 LEVELS = (0.3, 0.7, 0.15, 1.0, 0.45, 0.08, 0.85, 0.55)
 """Of the pedals, in the cycles of `PedalSteps`."""
 STANDS = (SpeedLimit.PATH_END, SpeedLimit.FAULT)
