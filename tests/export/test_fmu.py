@@ -296,7 +296,8 @@ def compare_with_tracker(body, mind, tracker, number):
         rate = sample["yaw_rate"] if has_rate else math.nan
         answer = tracker.step(k * 0.05 - sample["age"], *place, sample["speed"], rate, now=k * 0.05, grade=grade)
         request = answer.longitudinal
-        ours = [answer.command, answer.offset, answer.station, *request[:5], request.friction_low, request.friction_high]
+        ends = request.friction_low, request.friction_high
+        ours = [answer.command, answer.offset, answer.station, *request[:5], *ends]
         numbers = [list(kind).index(value) for kind, value in (
             (at.Status, answer.status), (SpeedState, request.state), (SpeedLimit, request.limited_by))]  # fmt: skip
         differ += not same(ours, mind.get("command", "offset", "station", *REQUESTED))
