@@ -84,7 +84,7 @@ SPEED_MEMORY = record(
         "creeping",  # s, braked with a speed of nearly 0
         "acceleration", "force", "hold",  # m/s^2, N, N: requests in force; hold: of the brakes besides the force
         "target_speed", "grip_used",  # m/s, -: lateral and longitudinal acceleration over the assumed friction
-        "speed", "station",  # m/s, m: last known
+        "speed", "station",  # m/s, m: last known; filtered
         "lateral",  # m/s^2, filtered
         "motion",  # m/s^2, acceleration of the car, filtered
         "handover",  # m/s^2, of the request beyond the follower's after a driver's; NaN: while one drives
@@ -96,6 +96,8 @@ SPEED_MEMORY = record(
         "friction", "friction_high",  # -, ends of its interval, see `friction_estimate`; 0: those of the settings
         "brake_evidence", "drive_evidence", "watched_time",  # -, -, s: of faults, see `actuator_faults`
         "cautious_friction",  # -, at most the low end: of bends ahead and drive forces
+        "scale",  # -, way along the path over that of the measured speed, less 1; and variances of the estimated place:
+        "p_station", "p_station_scale", "p_scale", "pose_variance",  # m^2, m, -, m^2: the last one of a position
     ),
     integers=("state", "limited_by", "next_stop", "fault"),
 )  # fmt: skip
@@ -138,6 +140,14 @@ BLIND_GRACE = 0.5
 """s without a position or a speed, during which the plan is followed."""
 BLIND_SHARE = 0.8
 """Of the deceleration of comfort: where a car without a position needs so much to stand in time, it brakes."""
+SCALE_SIGMA, SCALE_DRIFT, WAY_NOISE = 0.02, 0.001, 0.02
+"""-, 1/sqrt(m), m/sqrt(s): standard deviation of the scale of the speed at first, its random walk, and that of the
+way."""
+LEAST_POSE_SIGMA, POSE_MEMORY, POSE_JUMP = 0.01, 5.0, 1.0
+"""m, s, m: least standard deviation of a position, time constant of its estimate, and innovation from which a position
+has jumped."""
+POSE_BOUND = 4.0
+"""Standard deviations, up to which the innovation of a position counts; beyond them one of `POSE_JUMP` is a jump."""
 LEAST_SPEED_AHEAD = 0.3
 """m/s, with which a car is taken to go on at a stop ahead."""
 
@@ -418,6 +428,38 @@ def _follow(station, speed, slope, top_square, lateral, drive, brakes, settings,
 
 
 @inlined
+def _locate(measured, way, settings, memory):
+    """Predict the station by a way (m, of the measured speed) and correct it by a measured one (m; NaN: none).
+
+    A Kalman filter of station and scale of the speed; the variance of a position follows from the innovations. While
+    the control is off, or when the position jumps, the filter restarts at the measured station.
+    """
+    memory.station += (1.0 + memory.scale) * way
+    p_ss, p_cc = memory.p_station, memory.p_scale
+    p_sc = memory.p_station_scale + way * p_cc
+    if way > 0.0:
+        p_ss += way * (memory.p_station_scale + p_sc) + square(WAY_NOISE) * settings.period
+        p_cc = min(p_cc + square(SCALE_DRIFT) * way, square(SCALE_SIGMA))
+    if measured == measured:
+        innovation = measured - memory.station
+        spread = p_ss + memory.pose_variance
+        bound = POSE_BOUND * sqrt(spread)
+        if memory.state == OFF or abs(innovation) > max(bound, POSE_JUMP):
+            memory.pose_variance = max(memory.pose_variance, square(LEAST_POSE_SIGMA))
+            memory.station, p_ss, p_sc, p_cc = measured, memory.pose_variance, 0.0, square(SCALE_SIGMA)
+        else:
+            innovation = clip(innovation, -bound, bound)
+            k_s, k_c = p_ss / spread, p_sc / spread
+            memory.station += k_s * innovation
+            memory.scale += k_c * innovation
+            change = (square(innovation) - spread) * settings.period / POSE_MEMORY
+            memory.pose_variance = max(memory.pose_variance + change, square(LEAST_POSE_SIGMA))
+            p_cc -= k_c * p_sc
+            p_ss, p_sc = (1.0 - k_s) * p_ss, (1.0 - k_s) * p_sc
+    memory.p_station, memory.p_station_scale, memory.p_scale = p_ss, p_sc, p_cc
+
+
+@inlined
 def _take_motion(sample, settings, memory):
     """Take in speed, station and acceleration of a sample; where they are missing, carry on the last ones."""
     before, is_first = memory.speed, memory.state == OFF and memory.limited_by == BY_PLAN
@@ -431,7 +473,7 @@ def _take_motion(sample, settings, memory):
     if acceleration != acceleration:
         acceleration = 0.0 if is_first else (memory.speed - before) / settings.period
     memory.motion += MOTION_SMOOTHING * (acceleration - memory.motion)
-    memory.station = sample.station if sample.station == sample.station else before * settings.period + memory.station
+    _locate(sample.station, 0.5 * (before + memory.speed) * settings.period, settings, memory)
 
 
 @inlined
