@@ -503,7 +503,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     is_driven = sample.driver > 0.0
     if memory.fault == BRAKES_FAIL:
         settle_actuators(speed, memory.force / settings.mass, banks)
-    elif memory.speed_age == 0.0 and memory.state != WAITING and not is_driven:
+    elif memory.speed_age == 0.0 and not is_driven:
         learn_actuators(speed, _resistance(speed, slope, settings), settings.period, banks)
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
     if memory.state == OFF or memory.speed_age > 0.0:
@@ -523,7 +523,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     if needed > 0.0:
         _stop_unguided(needed, speed, slope, lateral, drive, brakes, settings, memory)
         memory.state = OFF if was_off else memory.state
-        remember_request(memory.force / settings.mass, banks.requests)
+        remember_request(memory.force, memory.hold, settings.mass, banks.requests)
         return
     if was_off:
         memory.state = DRIVING
@@ -531,10 +531,10 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     if memory.state == WAITING:
         memory.limited_by = _stop_cause(path, memory)
         _stand(station - _stop_place(memory.next_stop, path), slope, lateral, drive, brakes, settings, memory)
-        remember_request(memory.force / settings.mass, banks.requests)
+        remember_request(memory.force, memory.hold, settings.mass, banks.requests)
         return
     _follow(station, speed, slope, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead)
-    remember_request(memory.force / settings.mass, banks.requests)
+    remember_request(memory.force, memory.hold, settings.mass, banks.requests)
 
 
 @exported(void(float64, float64, float64, vector, vector))

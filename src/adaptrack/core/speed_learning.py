@@ -165,12 +165,25 @@ def _update(h, acceleration, other_acceleration, speed, learns, period):
 
 
 @inlined
+def _restart_speed(h, speed):
+    """Let the filter of a hypothesis be at a speed (m/s)."""
+    h.speed = speed
+    h.p_speed, h.p_speed_ratio, h.p_speed_disturbance = square(SPEED_NOISE), 0.0, 0.0
+
+
+@inlined
 def _run_bank(bank, sign, other, resistance, speed, learns, period, requests):
-    """One period of a bank; other: m/s^2, signed acceleration by the other actuator; resistance: m/s^2, with slope."""
+    """One period of a bank; other: m/s^2, signed acceleration by the other actuator; resistance: m/s^2, with slope.
+
+    Below `LEARNING_SPEED` the brakes may hold the car against any force, so its motion says nothing.
+    """
     for i in range(bank.size):
         h = bank[i]
         mean = _act(h, period, requests)
-        _update(h, sign * mean, other - resistance, speed, learns, period)
+        if speed > LEARNING_SPEED:
+            _update(h, sign * mean, other - resistance, speed, learns, period)
+        else:
+            _restart_speed(h, speed)
 
 
 @inlined
@@ -186,16 +199,15 @@ def learn_actuators(speed, resistance, period, banks):
     """Take in the speed (m/s) at the end of a period; resistance: m/s^2, of air, rolling and known slope."""
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
     count = banks.requests.size // 2
-    moves = speed > LEARNING_SPEED
     drives = drive.acting > brakes.acting
     _share_mass(drive.ratio, banks.brakes)
     _run_bank(
         banks.drive, 1.0, -brakes.ratio * brakes.acting, resistance, speed,
-        moves and drives and drive.acting > LEAST_ACTION, period, banks.requests[:count],
+        drives and drive.acting > LEAST_ACTION, period, banks.requests[:count],
     )  # fmt: skip
     _run_bank(
         banks.brakes, -1.0, drive.ratio * drive.acting, resistance, speed,
-        moves and not drives and brakes.acting > LEAST_ACTION, period, banks.requests[count:],
+        not drives and brakes.acting > LEAST_ACTION, period, banks.requests[count:],
     )  # fmt: skip
 
 
@@ -231,12 +243,12 @@ def coming_motion(speed, delay, resistance, drive, brakes, period, banks):
 
 
 @inlined
-def remember_request(acceleration, requests):
-    """Add a requested force over mass (m/s^2) to those of drive and brakes, the latest first."""
+def remember_request(force, hold, mass, requests):
+    """Add a requested force and a hold of the brakes (N) over the mass (kg) to the requests, the latest first."""
     count = requests.size // 2
     for j in range(requests.size - 1, 0, -1):
         requests[j] = requests[j - 1]
-    requests[0], requests[count] = max(acceleration, 0.0), max(-acceleration, 0.0)
+    requests[0], requests[count] = max(force, 0.0) / mass, (max(-force, 0.0) + hold) / mass
 
 
 @inlined
@@ -244,8 +256,8 @@ def _settle_bank(bank, acceleration, speed):
     """Let every hypothesis be at a requested acceleration (m/s^2) and at a speed (m/s), as if it had been for long."""
     for i in range(bank.size):
         h = bank[i]
-        h.filtered, h.speed = acceleration, speed
-        h.p_speed, h.p_speed_ratio, h.p_speed_disturbance = square(SPEED_NOISE), 0.0, 0.0
+        h.filtered = acceleration
+        _restart_speed(h, speed)
 
 
 @inlined
