@@ -22,6 +22,7 @@ from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import power
 from .plants.forces import GRAVITY
 from .speed_learning import (
+    LEAST_ACTION,
     coming_motion,
     learn_actuators,
     mean_of_bank,
@@ -378,9 +379,11 @@ def _stop_unguided(deceleration, speed, slope, lateral, drive, brakes, settings,
 @inlined
 def _follow(station, speed, slope, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead):
     """Follow the governed speeds and the next stop; write the requests."""
-    delay, lag = drive.dead_time, drive.lag
-    if memory.acceleration < 0.0:
-        delay, lag = brakes.dead_time, brakes.lag
+    braking_share = 1.0 if memory.force < 0.0 else 0.0
+    if memory.force >= 0.0 and memory.acceleration < 0.0:  # on an ascent the drive takes over at the end of a stop
+        braking_share = brakes.acting / max(brakes.acting + drive.acting, LEAST_ACTION)
+    delay = drive.dead_time + braking_share * (brakes.dead_time - drive.dead_time)
+    lag = drive.lag + braking_share * (brakes.lag - drive.lag)
     resistance = _resistance(speed, slope, settings)
     coming_speed, coming_way = coming_motion(speed, delay, resistance, drive, brakes, settings.period, banks)
     place = station + coming_way
@@ -395,7 +398,7 @@ def _follow(station, speed, slope, top_square, lateral, drive, brakes, settings,
     elif target_square >= top_square * 0.999:
         memory.limited_by = BY_UNKNOWN_STEERING
     stop = _stop_place(memory.next_stop, path)
-    jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * lag)
+    jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * brakes.lag)
     caution_way = BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * coming_speed
     stop_speed, stop_acceleration = _stopping_motion(stop - place - caution_way, lag, jerk, settings)
     if stop_speed < target or stop - place <= 0.0:
