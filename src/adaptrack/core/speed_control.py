@@ -85,7 +85,7 @@ SPEED_MEMORY = record(
         "creeping",  # s, braked with a speed of nearly 0
         "acceleration", "force", "hold",  # m/s^2, N, N: requests in force; hold: of the brakes besides the force
         "target_speed", "grip_used",  # m/s, -: lateral and longitudinal acceleration over the assumed friction
-        "speed", "station",  # m/s, m: last known; filtered
+        "speed", "station",  # m/s, m: last known, the station filtered
         "lateral",  # m/s^2, filtered
         "motion",  # m/s^2, acceleration of the car, filtered
         "handover",  # m/s^2, of the request beyond the follower's after a driver's; NaN: while one drives
@@ -97,8 +97,9 @@ SPEED_MEMORY = record(
         "friction", "friction_high",  # -, ends of its interval, see `friction_estimate`; 0: those of the settings
         "brake_evidence", "drive_evidence", "watched_time",  # -, -, s: of faults, see `actuator_faults`
         "cautious_friction",  # -, at most the low end: of bends ahead and drive forces
-        "scale",  # -, way along the path over that of the measured speed, less 1; and variances of the estimated place:
-        "p_station", "p_station_scale", "p_scale", "pose_variance",  # m^2, m, -, m^2: the last one of a position
+        "scale",  # -, way along the path over that of the measured speed, less 1
+        "p_station", "p_station_scale", "p_scale",  # m^2, m, -: covariance of station and scale
+        "pose_variance",  # m^2, of a measured station
     ),
     integers=("state", "limited_by", "next_stop", "fault"),
 )  # fmt: skip
@@ -142,13 +143,11 @@ BLIND_GRACE = 0.5
 BLIND_SHARE = 0.8
 """Of the deceleration of comfort: where a car without a position needs so much to stand in time, it brakes."""
 SCALE_SIGMA, SCALE_DRIFT, WAY_NOISE = 0.02, 0.001, 0.02
-"""-, 1/sqrt(m), m/sqrt(s): standard deviation of the scale of the speed at first, its random walk, and that of the
-way."""
-LEAST_POSE_SIGMA, POSE_MEMORY, POSE_JUMP = 0.01, 5.0, 1.0
-"""m, s, m: least standard deviation of a position, time constant of its estimate, and innovation from which a position
-has jumped."""
-POSE_BOUND = 4.0
-"""Standard deviations, up to which the innovation of a position counts; beyond them one of `POSE_JUMP` is a jump."""
+"""-, 1/sqrt(m), m/sqrt(s): standard deviation of the scale of the speed at the start; random walks of scale and way."""
+LEAST_POSE_SIGMA, POSE_MEMORY = 0.01, 5.0
+"""m, s: least standard deviation of a measured station, and the time constant of its estimate."""
+POSE_BOUND, POSE_JUMP = 4.0, 1.0
+"""-, m: standard deviations up to which an innovation counts; beyond both a position has jumped."""
 LEAST_SPEED_AHEAD = 0.3
 """m/s, with which a car is taken to go on at a stop ahead."""
 
@@ -440,9 +439,9 @@ def _locate(measured, way, settings, memory):
     memory.station += (1.0 + memory.scale) * way
     p_ss, p_cc = memory.p_station, memory.p_scale
     p_sc = memory.p_station_scale + way * p_cc
-    if way > 0.0:
+    if way != 0.0:
         p_ss += way * (memory.p_station_scale + p_sc) + square(WAY_NOISE) * settings.period
-        p_cc = min(p_cc + square(SCALE_DRIFT) * way, square(SCALE_SIGMA))
+        p_cc = min(p_cc + square(SCALE_DRIFT) * abs(way), square(SCALE_SIGMA))
     if measured == measured:
         innovation = measured - memory.station
         spread = p_ss + memory.pose_variance
