@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 
 from .kernel import inlined, record, rows, vector
+from .loop import STANDING_SPEED
 from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import exp, log
@@ -175,12 +176,12 @@ def _restart_speed(h, speed):
 def _run_bank(bank, sign, other, resistance, speed, learns, period, requests):
     """One period of a bank; other: m/s^2, signed acceleration by the other actuator; resistance: m/s^2, with slope.
 
-    Below `LEARNING_SPEED` the brakes may hold the car against any force, so its motion says nothing.
+    The brakes may hold a standing car against any force, so its rest says nothing.
     """
     for i in range(bank.size):
         h = bank[i]
         mean = _act(h, period, requests)
-        if speed > LEARNING_SPEED:
+        if speed > STANDING_SPEED:
             _update(h, sign * mean, other - resistance, speed, learns, period)
         else:
             _restart_speed(h, speed)
@@ -199,15 +200,16 @@ def learn_actuators(speed, resistance, period, banks):
     """Take in the speed (m/s) at the end of a period; resistance: m/s^2, of air, rolling and known slope."""
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
     count = banks.requests.size // 2
+    moves = speed > LEARNING_SPEED
     drives = drive.acting > brakes.acting
     _share_mass(drive.ratio, banks.brakes)
     _run_bank(
         banks.drive, 1.0, -brakes.ratio * brakes.acting, resistance, speed,
-        drives and drive.acting > LEAST_ACTION, period, banks.requests[:count],
+        moves and drives and drive.acting > LEAST_ACTION, period, banks.requests[:count],
     )  # fmt: skip
     _run_bank(
         banks.brakes, -1.0, drive.ratio * drive.acting, resistance, speed,
-        not drives and brakes.acting > LEAST_ACTION, period, banks.requests[count:],
+        moves and not drives and brakes.acting > LEAST_ACTION, period, banks.requests[count:],
     )  # fmt: skip
 
 
