@@ -179,7 +179,7 @@ def main() -> None:
     parser.add_argument("--profile", default="road")
     parser.add_argument("--noise-station", type=float, help="m, standard deviation of each position along the road")
     parser.add_argument("--pose-period", type=float, default=0.05, help="s between two positions (speed control only)")
-    parser.add_argument("--speed-scale", type=float, default=1.0, help="measured speed over the true one (likewise)")
+    parser.add_argument("--speed-scale", type=float, default=1.0, help="measured over true speed (speed control only)")
     arguments = parser.parse_args()
     profile = load_profile(arguments.profile)
     if arguments.noise_station is not None:
