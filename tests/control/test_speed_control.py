@@ -106,7 +106,7 @@ def test_a_noisy_position_and_a_wrong_scale_of_the_speed_hardly_move_a_stop(scal
         request = controller.step(car.s + noise * rng.normal(), scale * car.v, 0.0)
         if request.state == SpeedState.STOPPED:
             break
-        errors.append(abs(float(controller.records[3][0].station) - car.s))
+        errors.append(abs(float(controller._record.memory[0].station) - car.s))
         car.move(request.force, request.hold)
     assert abs(car.s - 300.0) < 0.15
     assert np.quantile(errors[100:], 0.95) < 0.7 * noise  # of single positions: 1.96
@@ -116,7 +116,7 @@ def test_exact_positions_are_taken_as_they_are_and_jumps_are_followed_at_once() 
     road = _straight(900.0)
     plan = plan_speed(road, CAR, COMFORT, top_speed=14.0)
     controller = SpeedController(SpeedControl(CAR), road, plan, PERIOD)
-    station, memory = 0.0, controller.records[3][0]
+    station, memory = 0.0, controller._record.memory[0]
     for k in range(600):
         station += PERIOD * (10.0 + 4.0 * math.sin(PERIOD * (k - 0.5)))
         shift = 30.0 if k >= 400 else 0.0
