@@ -3,6 +3,7 @@
     python benchmarks/near_the_grip.py [--cars van ...] [--profile road]    0.8 and 0.98 of the grip, 16 roads
     python benchmarks/near_the_grip.py --friction 0.9 0.78 0.69             plans for 0.9 on these true frictions
     python benchmarks/near_the_grip.py --ways sheet soft --drivers "0.65 to 0.9"    controllers that do not know the car
+    python benchmarks/near_the_grip.py --honest --profile production-bus --seeds 400 401    at 4 m/s^2, friction 0.9
     python benchmarks/near_the_grip.py --comfort                            J with forces over prescribed, 4 m/s^2
 
 Roads and seeds are those of `ROADS` and `SEEDS`, written down before the first run. The controller is the informed one,
@@ -22,11 +23,13 @@ from adaptrack import MPC, DualTrack, Learning, Perception, RoadDrive, load_vehi
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.speed_control import SpeedControl
+from adaptrack.drive.trajectory import Trajectory
 from adaptrack.drive.world import Driver
 from adaptrack.road import Comfort, Road, generate_road, plan_speed
 
 CARS = ("midsize-sedan", "van", "sports-car", "compact-ev")
-ROADS = [(kind, seed) for kind in ("lap", "mountain", "country", "town") for seed in (11, 12, 13, 14)]
+KINDS = ("lap", "mountain", "country", "town")
+ROADS = [(kind, seed) for kind in KINDS for seed in (11, 12, 13, 14)]
 COMFORT_ROADS, SEEDS = [(kind, seed) for kind, seed in ROADS if seed < 14], (1, 2, 3)
 SHARES = (0.8, 0.98)
 LENGTH = 2000.0
@@ -61,13 +64,18 @@ def _road(kind: str, seed: int) -> Road:
     return generate_road(kind, seed, LENGTH).replace(speed_limit=None)
 
 
+def _lost_distance(run: Trajectory, road: Road) -> float:
+    """Share of the road that the car is behind its plan at the end."""
+    return 1.0 - float(run.road["station"][-1] / (road.length - run.vx[-1] * run.period))
+
+
 def near_the_grip(
     car_name: str, share: float, profile: str, friction: float, way: str = "known",
-    drivers: Iterable[str] = DRIVERS, places: Sequence[tuple[str, int]] = ROADS,
+    drivers: Iterable[str] = DRIVERS, places: Sequence[tuple[str, int]] = ROADS, noise: Sequence[int] = (1,),
 ) -> None:  # fmt: skip
     """Print a row for each driver: cars lost, RMS and largest error (m), distance lost (%).
 
-    friction: the true one; way: of `WAYS`; places: kinds and seeds of the roads.
+    friction: the true one; way: of `WAYS`; places: kinds and seeds of the roads; noise: seeds of the sensors.
     """
     car, (perception, learns) = load_vehicle(car_name), WAYS[way]
     known_car, roads = perception(car), [_road(*place) for place in places]
@@ -82,17 +90,37 @@ def near_the_grip(
         runs = [
             simulate(
                 DualTrack(car), controller, RoadDrive(road.replace(friction=friction), plan), profile=profile,
-                driver=DRIVERS[label](known_car), seed=1, perception=Perception(friction=0.9),
+                driver=DRIVERS[label](known_car), seed=seed, perception=Perception(friction=0.9),
             )
-            for road, plan in zip(roads, plans, strict=True)
+            for seed, (road, plan) in product(noise, zip(roads, plans, strict=True))
         ]  # fmt: skip
         kept = [run for run in runs if run.failed is None]
         rms = np.sqrt(np.mean([np.mean(run.error**2) for run in kept])) if kept else math.nan
         largest = max((np.abs(run.error).max() for run in kept), default=math.nan)
-        lost_distance = [1.0 - run.road["station"][-1] / (road.length - run.vx[-1] * run.period)
-                         for run, road in zip(runs, roads, strict=True) if run.failed is None]  # fmt: skip
+        lost_distance = [_lost_distance(run, road) for run, road in zip(runs, len(noise) * roads, strict=True)
+                         if run.failed is None]  # fmt: skip
         print(f"  {label:12} lost {len(runs) - len(kept):2} of {len(runs)}; RMS {rms:.3f}, largest {largest:.2f} m; "
               f"distance lost {100 * np.mean(lost_distance):.2f} %", flush=True)  # fmt: skip
+
+
+def honest_drives(car_name: str, profile: str, seeds: Sequence[int]) -> None:
+    """Print for speed controls on dry roads planned for 4 m/s^2: failures, distance lost (%), strongest request.
+
+    seeds: of roads and sensors.
+    """
+    car = load_vehicle(car_name)
+    controller, roads = MPC(car, profile=profile), [(_road(kind, seed), seed) for kind in KINDS for seed in seeds]
+    for label in ("speed control", "0.65 to 0.9"):
+        failures, lost, braking = 0, [], 0.0
+        for road, seed in roads:
+            drive = RoadDrive(road, plan_speed(road, car, Comfort(lateral=4.0)))
+            run = simulate(DualTrack(car), controller, drive, profile=profile, driver=DRIVERS[label](car), seed=seed)
+            failures += run.failed is not None
+            lost.append(100.0 * _lost_distance(run, road))
+            braking = min(braking, np.nanmin(run.diagnostics["requested_acceleration"]))
+        print(f"{car_name}, {profile}, {label:13} failed {failures} of {len(roads)}; "
+              f"distance lost {np.mean(lost):.2f} %, at most {max(lost):.2f} %; "
+              f"braking requested at most {-braking:.2f} m/s^2", flush=True)  # fmt: skip
 
 
 def price_of_forces(car_name: str, profile: str) -> None:
@@ -125,15 +153,21 @@ def main() -> None:
     parser.add_argument("--ways", nargs="+", default=["known"], choices=WAYS, help="what controller and driver know")
     parser.add_argument("--drivers", nargs="+", default=DRIVERS, choices=DRIVERS)
     parser.add_argument("--seeds", nargs="+", type=int, default=(11, 12, 13, 14), help="of the roads")
+    parser.add_argument("--noise", nargs="+", type=int, default=(1,), help="seeds of the sensors")
+    parser.add_argument("--honest", action="store_true", help="speed controls at 4 m/s^2 on dry roads")
     parser.add_argument("--comfort", action="store_true", help="at 4 m/s^2: J with forces over prescribed speed")
     arguments = parser.parse_args()
     if arguments.comfort:
         for car in arguments.cars:
             price_of_forces(car, arguments.profile)
         return
-    places = [(kind, seed) for kind in dict(ROADS) for seed in arguments.seeds]
+    if arguments.honest:
+        for car in arguments.cars:
+            honest_drives(car, arguments.profile, arguments.seeds)
+        return
+    places = list(product(KINDS, arguments.seeds))
     for way, car, share, friction in product(arguments.ways, arguments.cars, arguments.shares, arguments.friction):
-        near_the_grip(car, share, arguments.profile, friction, way, arguments.drivers, places)
+        near_the_grip(car, share, arguments.profile, friction, way, arguments.drivers, places, arguments.noise)
 
 
 if __name__ == "__main__":

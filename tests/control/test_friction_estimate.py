@@ -10,13 +10,13 @@ import pytest
 from adaptrack import MPC, DualTrack, RoadDrive, load_vehicle
 from adaptrack.cars.vehicle import SteeringActuator, load_tyre, pack_plant
 from adaptrack.control.controllers import command_of
-from adaptrack.control.speed_control import SpeedControl, SpeedController
+from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
 from adaptrack.core import friction_estimate as kernel
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import World
-from adaptrack.road import Comfort, Line, Road, generate_road, plan_speed
+from adaptrack.road import Arc, Comfort, Line, Road, generate_road, plan_speed
 
 CAR = load_vehicle("midsize-sedan")
 LOW, HIGH, PERIOD = 0.4, 1.0, 0.05
@@ -86,20 +86,51 @@ def test_a_certain_friction_stays() -> None:
     assert memory.friction == memory.friction_high == memory.cautious_friction == settings.friction
 
 
-def test_caution_lowers_drive_forces_and_spares_the_brakes() -> None:
+def test_caution_lowers_drive_forces_in_bends_and_spares_the_brakes() -> None:
     road = Road.from_segments([Line(length=300.0)], name="straight")
     plan, low = plan_speed(road, CAR, Comfort(), top_speed=14.0), 0.3
 
-    def force(speed: float, cautious: float) -> float:
+    def force(speed: float, cautious: float, lateral: float = 0.0) -> float:
         controller = SpeedController(SpeedControl(CAR, friction=(low, 1.0)), road, plan, PERIOD)
         memory = controller._record.memory[0]
-        memory.friction, memory.friction_high, memory.cautious_friction = low, 1.0, cautious
-        return controller.step(20.0, speed, 0.0).force
+        memory.friction, memory.friction_high, memory.cautious_friction, memory.lateral = low, 1.0, cautious, lateral
+        return controller.step(20.0, speed, lateral / speed).force
 
     within_low_end = -low * GRAVITY * CAR.mass
     assert within_low_end < force(15.4, 0.2) == force(15.4, low) < 0.7 * within_low_end  # as hard as comfort
     assert force(25.0, 0.2) < within_low_end  # harder: up to the middle of the interval
-    assert 0.0 < force(5.0, 0.2) < 0.8 * force(5.0, low)
+    assert 0.0 < force(5.0, 0.2, lateral=1.2) < 0.9 * force(5.0, low, lateral=1.2)
+    assert force(5.0, 0.2) == force(5.0, low)
+
+
+def test_a_car_that_slides_gets_no_drive_force_and_is_slower_in_the_bends_of_the_next_seconds() -> None:
+    road = Road.from_segments([Arc(length=1000.0, curvature=0.01)], name="bend")
+    friction, speed = 0.6, 22.0
+    controller = SpeedController(SpeedControl(CAR, friction=friction), road, plan_speed(road, CAR, Comfort()), PERIOD)
+    controller._record.path.square[:] = 30.0**2
+
+    def drive(lateral: float, seconds: float) -> list[SpeedCommand]:
+        return [controller.step(20.0, speed, lateral / speed) for _ in range(round(seconds / PERIOD))]
+
+    steady = drive(speed**2 * 0.01, 1.0)[-1]
+    assert steady.force > 0.0
+    assert steady.target_speed == pytest.approx(math.sqrt(0.9 * friction * GRAVITY / 0.01), rel=1e-3)
+    slide = drive(1.3 * friction * GRAVITY, 1.0)
+    assert slide[-1].force <= 0.0
+    assert slide[-1].target_speed < 0.95 * steady.target_speed
+    targets = [command.target_speed for command in drive(speed**2 * 0.01, 30.0)]
+    assert targets == sorted(targets)
+    assert targets[-1] == pytest.approx(steady.target_speed, rel=0.01)
+
+
+def test_a_car_that_sways_on_a_straight_accelerates_less_until_it_has_calmed() -> None:
+    road, speed = Road.from_segments([Line(length=300.0)], name="straight"), 12.0
+    plan = plan_speed(road, CAR, Comfort(), top_speed=14.0)
+    controller = SpeedController(SpeedControl(CAR, friction=0.6), road, plan, PERIOD)
+    laterals = [0.0] * 20 + [4.0, -4.0] * 10 + [0.0] * 200
+    forces = [controller.step(20.0, speed, lateral / speed).force for lateral in laterals]
+    assert 0.0 <= max(forces[35:40]) < 0.7 * forces[19]
+    assert forces[-1] == pytest.approx(forces[19], rel=0.01)
 
 
 def test_a_straight_leaves_the_interval() -> None:

@@ -1,9 +1,11 @@
 """Speed control along a planned path: governor, follower, stops and traction guard, once a control period.
 
-    governor   lowers the squares of the planned speeds ahead to what the assumed friction leaves, by one backward pass
+    governor   lowers the squares of the planned speeds ahead to what the assumed friction leaves, and after a slide to
+               less, by one backward pass
     follower   acceleration at the place where the request acts: the plan's, the error of the speed, a disturbance
     stop       before a stop constant jerk, so that speed and acceleration reach 0 together; hold pressure after it
-    guard      a share of the force that each axle has left in addition to its lateral force
+    guard      a share of the force that each axle has left in addition to its lateral force; a car that slides, or
+               that sways and has rear drive, gets less drive force, or none
 
 The plan lies on an even grid of places. While a driver uses the pedals, the requests follow the motion of the car.
 Without a position the car brakes so that it stands before the steering loses its estimate; without any estimate, or
@@ -37,7 +39,8 @@ SPEED_SETTINGS = (
     "engine_power", "traction_limit", "brake_limit",  # W, N, N
     "drag", "rolling",  # kg/m, force of the air over v^2; m/s^2
     "accelerate", "brake", "emergency", "stop_jerk",  # m/s^2, m/s^2, m/s^2, m/s^3
-    "friction", "friction_high",  # -, assumed: the low and the high end of its interval
+    "friction", "friction_high",  # -, assumed: the low and the high end of its interval, in a bend
+    "straight_ratio",  # -, friction on a straight over that in a bend
     "governor", "guard",  # -, shares: of the friction sideways ahead; of what the axles have left now
     "drive_lag", "drive_dead_time", "brake_lag", "brake_dead_time",  # s, NaN: learned while driving
     "gain",  # 1/s
@@ -100,6 +103,7 @@ SPEED_MEMORY = record(
         "scale",  # -, way along the path over that of the measured speed, less 1
         "p_station", "p_station_scale", "p_scale",  # m^2, m, -: covariance of station and scale
         "pose_variance",  # m^2, of a measured station
+        "slide", "sway",  # m/s^2, lateral acceleration by the yaw rate beyond friction and path, lowered with the time
     ),
     integers=("state", "limited_by", "next_stop", "fault"),
 )  # fmt: skip
@@ -119,6 +123,11 @@ STRAIGHT = 1e-5
 """1/m, below which a curvature limits no speed."""
 LATERAL_SMOOTHING = 0.35
 """Share of a new measurement in the filtered lateral acceleration."""
+SLIDE_TIME, SLIDE_CAUTION, LARGEST_SLIDE_SHARE = 5.0, 0.5, 0.4
+"""s, in which a slide is forgotten; -, share of it that bends ahead do not use, and the largest of their grip."""
+SWAY_TIME, SWAY_CAUTION, SWAY_MARGIN = 2.0, 3.0, 0.45
+"""s, in which a sway is forgotten; -, factor with which it counts for a drive force at the rear; -, share of the
+friction beyond what the path asks for, where it begins."""
 HOLD_RESERVE = 1.0
 """m/s^2, by which the brakes hold more than the slope demands."""
 HOLDING_LAGS = 2.0
@@ -180,6 +189,13 @@ def _square_at(place, station, path, ahead):
 
 
 @inlined
+def _axle_forces(friction, lateral, settings):
+    """Largest driving and braking force (N) beside a lateral acceleration (m/s^2), at a friction in bends."""
+    ratio = settings.straight_ratio
+    return axle_limits(ratio * friction, settings.mass * GRAVITY, ratio * lateral, settings)
+
+
+@inlined
 def slope_of(grade):
     """Deceleration (m/s^2) by gravity on a grade (dz/ds, positive uphill)."""
     return GRAVITY * grade / sqrt(1.0 + square(grade))
@@ -193,20 +209,21 @@ def _govern(station, top_square, settings, path, memory, ahead):
     top_square: m^2/s^2, of the speed up to which the steering is known.
     """
     first, grip = whole(floor(station / path.spacing)), memory.friction * GRAVITY
-    cautious_grip = memory.cautious_friction * GRAVITY
+    bend_grip = settings.governor * memory.cautious_friction * GRAVITY
+    bend_grip -= min(SLIDE_CAUTION * memory.slide, LARGEST_SLIDE_SHARE * bend_grip)
     for j in range(ahead.size):
         cell = cell_at((first + j + 0.5) * path.spacing, path)
         square_speed, curvature = min(path.square[cell], top_square), path.curvature[cell]
         if abs(curvature) > STRAIGHT:
             tilt = path.bank[cell] if curvature > 0.0 else -path.bank[cell]
-            square_speed = min(square_speed, max(settings.governor * cautious_grip + tilt, 0.0) / abs(curvature))
+            square_speed = min(square_speed, max(bend_grip + tilt, 0.0) / abs(curvature))
         ahead[j] = square_speed
     for j in range(ahead.size - 2, -1, -1):
         if ahead[j] <= ahead[j + 1]:
             continue
         cell = cell_at((first + j + 0.5) * path.spacing, path)
         lateral = min(abs(ahead[j + 1] * path.curvature[cell] - path.bank[cell]), LARGEST_BEND_SHARE * grip)
-        _, braking = axle_limits(memory.friction, settings.mass * GRAVITY, lateral, settings)
+        _, braking = _axle_forces(memory.friction, lateral, settings)
         deceleration = min(settings.guard * braking / settings.mass + path.slope[cell], settings.brake)
         ahead[j] = min(ahead[j], ahead[j + 1] + 2.0 * path.spacing * max(deceleration, LEAST_BRAKING))
 
@@ -258,11 +275,12 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
     if memory.state == EMERGENCY:
         friction = memory.friction_high
     elif tyres > 0.0:
-        friction = memory.cautious_friction
+        sway = SWAY_CAUTION * (1.0 - settings.drive_front) * memory.sway
+        lateral = (lateral + sway) * friction / memory.cautious_friction
     elif acceleration < -settings.brake:
         friction = 0.5 * (memory.friction + memory.friction_high)
-    bend = min(lateral, LARGEST_BEND_SHARE * friction * GRAVITY)
-    driving, braking = axle_limits(friction, settings.mass * GRAVITY, bend, settings)
+    bend = min(lateral, LARGEST_BEND_SHARE * friction * GRAVITY) if tyres <= 0.0 else lateral
+    driving, braking = _axle_forces(friction, bend, settings)
     powertrain = min(settings.traction_limit, settings.engine_power / max(speed, 1.0))
     strongest, weakest = settings.guard * driving, -max(settings.guard * braking, LEAST_BRAKING * settings.mass)
     force = clip(clip(demand, weakest, strongest), -settings.brake_limit, powertrain)
@@ -498,6 +516,10 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     bend = abs(speed * speed * path.curvature[cell] - path.bank[cell])
     if yaw_rate == yaw_rate:
         memory.lateral += LATERAL_SMOOTHING * (abs(speed * yaw_rate - path.bank[cell]) - memory.lateral)
+    memory.slide -= memory.slide * settings.period / SLIDE_TIME
+    memory.slide = max(memory.slide, memory.lateral - memory.friction * GRAVITY)
+    memory.sway -= memory.sway * settings.period / SWAY_TIME
+    memory.sway = max(memory.sway, memory.lateral - bend - SWAY_MARGIN * memory.friction * GRAVITY)
     lateral = max(memory.lateral, bend)
     if memory.state == OFF:
         while _stop_place(memory.next_stop, path) < station - OVERSHOOT:

@@ -304,7 +304,7 @@ function assumeFriction(cars, given) {
   for (const { speed, where } of cars) {
     if (!speed) throw new Refusal(where, "The speed of this car is kept exactly: no speed control assumes a friction.");
     const [low, high] = speed.ends(given.friction), [friction, friction_high] = speed.grip(given.friction);
-    speed.record.settings.$set({ friction, friction_high });
+    speed.record.settings.$set({ friction, friction_high, straight_ratio: low / friction });
     speed.record.friction.$set({ low, high });
     memory.call("begin_friction", speed.record.friction);
     speed.record.memory.row(0).friction = 0; // that of the settings, from the next instant on

@@ -599,16 +599,16 @@ function speedControlOf(entry, car, controller, { world, of, samples, setup }, w
   const grip = (friction) => ends(friction).map((end) => memory.call("usable_friction", car.plain, file.limit, end));
   const { air_density, frontal_area, drag_coefficient, rolling_resistance } = chassis;
   const [drag, rolling] = memory.call("resistance", air_density, frontal_area, drag_coefficient, rolling_resistance);
-  const [friction, friction_high] = grip(entry.speed_control.friction), { period } = world;
+  const assumed = ends(entry.speed_control.friction), [friction, friction_high] = grip(assumed), { period } = world;
   const settings = copied("speed_control.SpeedSettings",
-    { period, drag, rolling, friction, friction_high }, constants.settings, chassis.$numbers);
+    { period, drag, rolling, friction, friction_high, straight_ratio: assumed[0] / friction }, constants.settings, chassis.$numbers);
   const top = plan.speed.values.reduce((most, each) => Math.max(most, each), 0);
   const { path, climb } = speedPathOf(of, plan, slopeOf(setup.truth ?? {}));
   const record = mine(memory.make("tracker.longitudinal.Longitudinal", {
     sample: { shape: [1] }, memory: { shape: [1] }, settings, path,
     banks: { drive: { shape: [constants.bank] }, brakes: { shape: [constants.bank] }, requests: { shape: [world.speed_requests] } },
     ahead: { shape: [memory.call("horizon_cells", top, settings.brake, constants.spacing)] },
-    friction: frictionOf(car, controller, world, ends(entry.speed_control.friction)),
+    friction: frictionOf(car, controller, world, assumed),
   }));
   memory.call("longitudinal_begin", record);
   const top_speed = controller.learns ? memory.call("first_top_speed", controller.parts.learner) : Infinity;
