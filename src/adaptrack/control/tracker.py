@@ -230,7 +230,7 @@ class Tracker:
         self._check.forget()
         self._target = None if self.plan is None else SpeedTarget(self.plan)
         tracker_engage(wheel_angle, math.nan if near is None else near, self._resident)
-        self._obey()
+        self._apply_requests()
 
     def close(self) -> None:
         """Complete the record; nothing where there is none.
@@ -271,7 +271,7 @@ class Tracker:
             self._speed.follow(path, plan)
         self._load(self._kernel._replace(path=stacked(path), plan=packed_plan(plan)))
         tracker_follow(math.nan if near is None else near, self._resident)
-        self._obey()
+        self._apply_requests()
 
     def step(
         self,
@@ -323,14 +323,14 @@ class Tracker:
         acceleration = real("Tracker.step", "longitudinal_acceleration", longitudinal_acceleration)
         kernel.sample[TRACKER_SAMPLE.motion_t :] = motion_t, acceleration, driver, real("Tracker.step", "grade", grade)
         tracker_take(resident)
-        self._obey()
+        self._apply_requests()
         has_stepped = False
         while tracker_prepare(resident) > 0:
-            self._obey()
+            self._apply_requests()
             self._control()
             tracker_conclude(resident)
             has_stepped = True
-        self._obey()
+        self._apply_requests()
         tracked = self._answer(at)
         if kernel.memory[0].speed > tracked.first_top_speed and not self._warned_of_speed:
             self._warn_of_speed(kernel.memory[0].speed, tracked.first_top_speed)
@@ -360,19 +360,19 @@ class Tracker:
         kind = _STATUSES[int(status)]
         return Tracked(command, kind, offset, heading_error, station, state, suspects, target, first_top_speed=top)
 
-    def _obey(self) -> None:
-        """Do with the controller what the kernels ask for."""
+    def _apply_requests(self) -> None:
+        """Apply the requests of the kernels to the controller."""
         request = self._kernel.request
-        again, sent, changed, turned, shifted, late = request.tolist()
-        if again:
+        is_restart, is_applied, is_path_change, turn, shift, age = request.tolist()
+        if is_restart:
             self.controller.restart()
-        if changed:
-            self.controller.change_path(turned, shifted)
-        if sent:
+        if is_path_change:
+            self.controller.change_path(turn, shift)
+        if is_applied:
             self.controller.applied(float(self._kernel.memory[0].command))
         request[: REQUEST.turned] = 0.0
-        if late == late and not self._warned:
-            self._warn_of_late_samples(late)
+        if not math.isnan(age) and not self._warned:
+            self._warn_of_late_samples(age)
 
     def _control(self) -> None:
         """One step of the controller."""

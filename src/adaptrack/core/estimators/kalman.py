@@ -414,8 +414,8 @@ def _choose_left_out(p, m):
 
 
 @inlined
-def _go_on(arrival, p, m, samples, advances, commands):
-    """From z of `late` periods before the last instant to the present one."""
+def _advance_to(arrival, p, m, samples, advances, commands):
+    """Carry z from `late` periods before the last instant to the present one."""
     late, change = whole(p.late), _state()
     if late > 0:
         _copy(m.past_z, m.past_P, m.z, m.P)
@@ -483,7 +483,7 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
         for i in range(whole(p.longest) + late + 2):
             commands[i], command = command, commands[i]
         _sort_in(measured, p, m, samples, advances)
-        _go_on(whole(_motion_instant(measured, p)), p, m, samples, advances, commands)
+        _advance_to(whole(_motion_instant(measured, p)), p, m, samples, advances, commands)
     else:
         _begin(measured, command, p, m, samples, advances, commands)
     m.steps += 1.0

@@ -160,8 +160,8 @@ def _first_top_speed(tracker, m):
 
 
 @inlined
-def tell(tracker, m):
-    """Write what a call gives, see TRACKED; a call that was left out gives what the one before gave."""
+def write_tracked(tracker, m):
+    """Write the answer of a call, see TRACKED; a call that was left out repeats the one before."""
     tracked = tracker.tracked
     tracked[TRACKED.command] = m.command
     tracked[TRACKED.status] = m.rejection if m.rejection > 0 else m.status

@@ -24,8 +24,8 @@ from .pose import (
     path_errors,
     pose_of,
     sampled_pose,
-    tell,
     time_of,
+    write_tracked,
 )
 from .records import (
     CAR_SLIDES,
@@ -84,7 +84,7 @@ def _end(tracker, m):
         _align(tracker.sample, aligned)
         tracker.tracked[TRACKED.suspect] = check_call(aligned, m.command, tracker.check)
         _judge(tracker, m)
-    tell(tracker, m)
+    write_tracked(tracker, m)
 
 
 @inlined

@@ -33,10 +33,10 @@ def tracker_step(tracking):
     tracker = tracking.tracker
     tracker_take(tracker)
     while tracker_prepare(tracker) > 0:
-        _obey(tracking)
+        _apply_requests(tracking)
         tracker_control(tracking)
         tracker_conclude(tracker)
-    _obey(tracking)
+    _apply_requests(tracking)
 
 
 @exported(void(Place(LawTracking)))
@@ -45,10 +45,10 @@ def tracker_step_law(tracking):
     tracker = tracking.tracker
     tracker_take(tracker)
     while tracker_prepare(tracker) > 0:
-        _obey_law(tracking)
+        _apply_requests_law(tracking)
         _control_law(tracking)
         tracker_conclude(tracker)
-    _obey_law(tracking)
+    _apply_requests_law(tracking)
 
 
 @exported(void(Place(Tracking), Place(Longitudinal)))
@@ -60,11 +60,11 @@ def driver_step(tracking, longitudinal):
     tracker = tracking.tracker
     tracker_take(tracker)
     while tracker_prepare(tracker) > 0:
-        _obey(tracking)
+        _apply_requests(tracking)
         narrow_tracked_friction(tracker, tracking.step.mpc.informed.learned[0], longitudinal)
         tracker_control(tracking)
         tracker_conclude(tracker)
-    _obey(tracking)
+    _apply_requests(tracking)
     longitudinal_step(tracker, longitudinal)
 
 
@@ -77,7 +77,7 @@ def driver_step_law(tracking, longitudinal):
 
 # -- an MPC -----------------------------------------------------------------------------------------------------------
 @inlined
-def _obey(tracking):
+def _apply_requests(tracking):
     """Do what the tracker asks of the MPC."""
     request, mpc_record, settings = tracking.tracker.request, tracking.step.mpc, tracking.tracker.settings[0]
     if request[REQUEST.restart] > 0.5:
@@ -124,7 +124,7 @@ def tracker_control(tracking):
 
 # -- a law ------------------------------------------------------------------------------------------------------------
 @inlined
-def _obey_law(tracking):
+def _apply_requests_law(tracking):
     """Do what the tracker asks of the law, which knows of its own command only what it is given."""
     request = tracking.tracker.request
     if request[REQUEST.restart] > 0.5:

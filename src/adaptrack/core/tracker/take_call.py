@@ -24,8 +24,8 @@ from .pose import (
     pose_of,
     restart,
     sampled_pose,
-    tell,
     time_of,
+    write_tracked,
 )
 from .records import (
     HELD,
@@ -63,7 +63,7 @@ def tracker_engage(angle, near, tracker):
     m.open, m.answered, m.rejection = 0, 0, 0
     tracker.request[REQUEST.late], tracker.tracked[TRACKED.suspect] = math.nan, 0.0
     begin_check(tracker.check)
-    tell(tracker, m)
+    write_tracked(tracker, m)
     return 1
 
 
@@ -89,7 +89,7 @@ def tracker_take(tracker):
         restart(tracker, m)
     m.command_before = m.command
     if m.started > 0:
-        _go_on(tracker, m, at)
+        _advance_to(tracker, m, at)
     else:
         _begin(tracker, m, at)
 
@@ -153,8 +153,8 @@ def _begin(tracker, m, at):
 
 
 @inlined
-def _go_on(tracker, m, at):
-    """A call that follows others."""
+def _advance_to(tracker, m, at):
+    """Count the control instants up to a call that follows others."""
     period = tracker.settings[0].period
     _leave_out_if_placed_before(m)
     m.between += SHARE_OF_LAST * (min(at - m.last, period) - m.between)

@@ -97,7 +97,7 @@ def _value_if(value, flag):
 
 
 @inlined
-def _give(values, sample):
+def _write_sample(values, sample):
     """Write the inputs as a call of the tracker."""
     pose = values[STEERING_VALUE.pose_known]
     time = values[STEERING_VALUE.time]
@@ -128,7 +128,7 @@ def _give(values, sample):
 
 
 @inlined
-def _tell(tracker, values):
+def _write_outputs(tracker, values):
     """Write the outputs."""
     tracked = tracker.tracked
     values[STEERING_VALUE.command], values[STEERING_VALUE.status] = tracked[TRACKED.command], tracked[TRACKED.status]
@@ -139,11 +139,11 @@ def _tell(tracker, values):
     values[STEERING_VALUE.station], values[STEERING_VALUE.suspect] = tracked[TRACKED.station], tracked[TRACKED.suspect]
     values[STEERING_VALUE.belief_state] = tracked[TRACKED.belief_state]
     values[STEERING_VALUE.belief_at_bound] = tracked[TRACKED.belief_at_bound]
-    _tell_plan(tracker, values)
+    _write_planned_speeds(tracker, values)
 
 
 @inlined
-def _tell_plan(tracker, values):
+def _write_planned_speeds(tracker, values):
     """Write the planned speeds; where the car is not known they stay."""
     plan, places = tracker.plan, _places()
     speed = max(values[STEERING_VALUE.speed], 0.0)
@@ -167,14 +167,14 @@ def _begin(unit):
         return invalid
     tracker_engage(values[STEERING_VALUE.start_wheel_angle], math.nan, tracker)
     values[STEERING_VALUE.time] = 0.0
-    _tell(tracker, values)
+    _write_outputs(tracker, values)
     return OK
 
 
 @inlined
 def _conclude(tracker, values):
     """Write the outputs and the time of the next instant; the status."""
-    _tell(tracker, values)
+    _write_outputs(tracker, values)
     period = values[STEERING_VALUE.period]
     values[STEERING_VALUE.time] = (whole(values[STEERING_VALUE.time] / period + 0.5) + 1) * period
     return OK
@@ -195,7 +195,7 @@ def law_steering_begin(unit):
 @exported(int64(Place(SteeringUnit)))
 def steering_step(unit):
     """Call the tracker with the inputs, and go on by a period; the status."""
-    _give(unit.values, unit.tracking.tracker.sample)
+    _write_sample(unit.values, unit.tracking.tracker.sample)
     tracker_step(unit.tracking)
     return _conclude(unit.tracking.tracker, unit.values)
 
@@ -203,7 +203,7 @@ def steering_step(unit):
 @exported(int64(Place(LawSteeringUnit)))
 def law_steering_step(unit):
     """`steering_step`, with a control law."""
-    _give(unit.values, unit.tracking.tracker.sample)
+    _write_sample(unit.values, unit.tracking.tracker.sample)
     tracker_step_law(unit.tracking)
     return _conclude(unit.tracking.tracker, unit.values)
 
@@ -223,7 +223,7 @@ def _write_requests(longitudinal, values):
 @exported(int64(Place(SpeedSteeringUnit)))
 def speed_steering_step(unit):
     """`steering_step`, with a speed control."""
-    _give(unit.values, unit.tracking.tracker.sample)
+    _write_sample(unit.values, unit.tracking.tracker.sample)
     driver_step(unit.tracking, unit.longitudinal)
     _write_requests(unit.longitudinal, unit.values)
     return _conclude(unit.tracking.tracker, unit.values)
@@ -232,7 +232,7 @@ def speed_steering_step(unit):
 @exported(int64(Place(LawSpeedSteeringUnit)))
 def law_speed_steering_step(unit):
     """`steering_step`, with a control law and a speed control."""
-    _give(unit.values, unit.tracking.tracker.sample)
+    _write_sample(unit.values, unit.tracking.tracker.sample)
     driver_step_law(unit.tracking, unit.longitudinal)
     _write_requests(unit.longitudinal, unit.values)
     return _conclude(unit.tracking.tracker, unit.values)
