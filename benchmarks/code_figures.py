@@ -31,25 +31,25 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 
 CEILINGS: Mapping[str, int] = {
     "base": 2100,
-    "core": 24150,
+    "core": 24350,
     "cars": 2400,
     "road": 4500,
     "scenario": 2050,
-    "control": 8150,
+    "control": 8100,
     "drive": 2950,
     "analysis": 2050,
     "identification": 5100,
-    "tuning": 1800,
+    "tuning": 1750,
     "comparison": 2400,
-    "paper": 4950,
+    "paper": 4600,
     "export": 3450,
     "gym": 1450,
     "results": 5500,
-    "cli": 4050,
+    "cli": 4000,
     "adaptrack": 50,
     "JavaScript, templates, C": 9700,
-    "tests": 38450,
-    "benchmarks, tools, experiments, examples": 10850,
+    "tests": 38850,
+    "benchmarks, tools, experiments, examples": 11100,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 

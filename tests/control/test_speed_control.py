@@ -154,6 +154,21 @@ def test_a_car_does_not_roll_back_at_a_stop_on_an_ascent_of_ten_per_cent() -> No
     assert rolled_back < 0.02
 
 
+@pytest.mark.parametrize(("disturbance", "kerb"), [(4.0, 0.0), (0.0, 3.0)])
+def test_a_car_that_stands_although_it_should_drive_gets_more_force_until_it_drives(disturbance, kerb) -> None:
+    road = _straight(300.0)
+    controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=14.0), PERIOD)
+    for bank in (controller._record.banks.drive, controller._record.banks.brakes):
+        for hypothesis in bank:
+            hypothesis.disturbance = disturbance  # m/s^2, for which brakes would hold the car
+    car = PointMass(0.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.2))
+    for _ in range(300):
+        request = controller.step(car.s, car.v, 0.0)
+        if car.v > 0.0 or request.force >= kerb * CAR.mass:  # N, over a kerb of this deceleration (m/s^2)
+            car.move(request.force, request.hold)
+    assert car.s > 20.0
+
+
 def test_the_bank_finds_delay_and_ratio_of_drive_and_brakes() -> None:
     drive, brakes = DriveActuator(lag=0.45, dead_time=0.1, gain=0.85), BrakeActuator(lag=0.15, dead_time=0.3)
     road = _straight(3000.0)

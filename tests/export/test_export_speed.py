@@ -148,7 +148,7 @@ def drive(tracker, twin, calls, seed=1, slippery=math.inf):
             stands.append(station)
         grip = GRAVITY * (0.3 if slippery < station < slippery + 40.0 else 0.9)
         push = min(max(answer.force / CAR.mass, -grip), grip) - GRAVITY * float(PATH.along("grade", station))
-        v = max(v + PERIOD * push, 0.0) if v > 0.0 or push > answer.hold / CAR.mass else 0.0
+        v = max(v + PERIOD * (push - answer.hold / CAR.mass), 0.0)
         turn = v * math.tan(answer.command) / CAR.wheelbase
         x, y, yaw = x + PERIOD * v * math.cos(yaw), y + PERIOD * v * math.sin(yaw), yaw + PERIOD * turn
     return differences, states, stands, limits, intervals
@@ -163,7 +163,7 @@ def python_twin(library):
         command = answer.longitudinal
         return [answer.command, float(list(Status).index(answer.status)), answer.offset, answer.heading_error,
                 answer.station, *command[:5], float(list(SpeedState).index(command.state)),
-                float(list(SpeedLimit).index(command.limited_by)), *command[7:]]  # fmt: skip
+                float(list(SpeedLimit).index(command.limited_by)), command.friction_low, command.friction_high]  # fmt: skip
 
     return call
 

@@ -176,13 +176,13 @@ def _restart_speed(h, speed):
 def _run_bank(bank, sign, other, resistance, speed, learns, period, requests):
     """One period of a bank; other: m/s^2, signed acceleration by the other actuator; resistance: m/s^2, with slope.
 
-    The brakes may hold a standing car against any force, so its rest says nothing.
+    The brakes may hold a standing car against any force, so its rest shows only that it does not accelerate.
     """
     for i in range(bank.size):
         h = bank[i]
-        mean = _act(h, period, requests)
-        if speed > STANDING_SPEED:
-            _update(h, sign * mean, other - resistance, speed, learns, period)
+        mean = sign * _act(h, period, requests)
+        if speed > STANDING_SPEED or h.ratio * mean + other - resistance + h.disturbance > 0.0:
+            _update(h, mean, other - resistance, speed, learns, period)
         else:
             _restart_speed(h, speed)
 
