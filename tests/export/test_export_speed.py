@@ -161,9 +161,10 @@ def python_twin(library):
         t, call_time, *motion = sample
         answer = tracker.step(t, *motion, now=call_time, driver=driver, grade=grade)
         command = answer.longitudinal
+        friction = command.friction_low, command.friction_high
         return [answer.command, float(list(Status).index(answer.status)), answer.offset, answer.heading_error,
                 answer.station, *command[:5], float(list(SpeedState).index(command.state)),
-                float(list(SpeedLimit).index(command.limited_by)), command.friction_low, command.friction_high]  # fmt: skip
+                float(list(SpeedLimit).index(command.limited_by)), *friction]  # fmt: skip
 
     return call
 

@@ -404,9 +404,8 @@ class CampaignPlan:
         plant = self.setup.searched_on
         if not isinstance(plant, SingleTrack | DualTrack):
             values["plant_fingerprint"] = fingerprint(plant)
-        unused = {
-            "description", "tyre", "body", "domain", "estimated", "steering", "known_within", "drive", "brakes", "pedals",
-        }  # fmt: skip
+        unused = {"description", "tyre", "body", "domain", "estimated", "steering", "known_within"}
+        unused |= {"drive", "brakes", "pedals"}
         values["vehicle"] = self.setup.vehicle.model_dump(mode="json", exclude=unused)
         values["tyre"] = self.setup.tyre.model_dump(mode="json", exclude={"description"})
         if self.config.profile not in list_profiles():
