@@ -384,7 +384,7 @@ def _stop_unguided(deceleration, speed, slope, lateral, drive, brakes, settings,
         if memory.fault != NO_FAULT:
             memory.hold = settings.brake_limit
     else:
-        memory.state = EMERGENCY if deceleration > EMERGENCY_RATIO * settings.brake else DRIVING
+        memory.state = EMERGENCY if deceleration > EMERGENCY_RATIO * settings.brake else STOPPING
         memory.target_speed, memory.hold = 0.0, 0.0
         _request(-deceleration, speed, slope, lateral, drive, brakes, settings, memory)
     memory.limited_by = BY_FAULT
@@ -482,7 +482,7 @@ def _locate(measured, way, settings, memory):
 @inlined
 def _take_motion(sample, settings, memory):
     """Take in speed, station and acceleration of a sample; where they are missing, carry on the last ones."""
-    before, is_first = memory.speed, memory.state == OFF and memory.limited_by == BY_PLAN
+    before, is_first = memory.speed, memory.speed_age > 0.0 or (memory.state == OFF and memory.limited_by == BY_PLAN)
     if sample.speed == sample.speed:
         memory.speed, memory.speed_age = sample.speed, 0.0
     else:
@@ -509,6 +509,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     if memory.friction <= 0.0:
         memory.friction, memory.friction_high = settings.friction, settings.friction_high
         memory.cautious_friction = settings.friction
+    was_blind = memory.speed_age > 0.0
     _take_motion(sample, settings, memory)
     station, speed = memory.station, memory.speed
     cell = cell_at(station, path)
@@ -527,10 +528,10 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     is_driven = sample.driver > 0.0
     if memory.fault == BRAKES_FAIL:
         settle_actuators(speed, memory.force / settings.mass, banks)
-    elif memory.speed_age == 0.0 and not is_driven:
-        learn_actuators(speed, _resistance(speed, slope, settings), settings.period, banks)
+    elif not is_driven:
+        learn_actuators(sample.speed, _resistance(speed, slope, settings), settings.period, banks)
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
-    if memory.state == OFF or memory.speed_age > 0.0:
+    if memory.state == OFF or memory.speed_age > 0.0 or was_blind:
         forget_faults(speed, 0.0, memory)
     else:
         watch_actuators(speed, _resistance(speed, slope, settings), drive, brakes, settings.period, memory)

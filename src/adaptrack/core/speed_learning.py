@@ -133,8 +133,6 @@ def _update(h, acceleration, other_acceleration, speed, learns, period):
     acceleration: signed mean of its actuator (m/s^2); other_acceleration: m/s^2, of the other actuator, air, rolling
     and the known slope.
     """
-    if h.speed != h.speed:
-        h.speed = speed
     h.speed += period * (h.ratio * acceleration + other_acceleration + h.disturbance)
     a, t = acceleration * period, period  # derivatives of the speed by ratio and disturbance
     p_v, p_vr, p_vd = h.p_speed, h.p_speed_ratio, h.p_speed_disturbance
@@ -176,15 +174,17 @@ def _restart_speed(h, speed):
 def _run_bank(bank, sign, other, resistance, speed, learns, period, requests):
     """One period of a bank; other: m/s^2, signed acceleration by the other actuator; resistance: m/s^2, with slope.
 
-    The brakes may hold a standing car against any force, so its rest shows only that it does not accelerate.
+    The brakes may hold a standing car against any force, so its rest shows only that it does not accelerate. Without a
+    speed (NaN) the actuators act on; the filters restart at the next one.
     """
     for i in range(bank.size):
         h = bank[i]
         mean = sign * _act(h, period, requests)
-        if speed > STANDING_SPEED or h.ratio * mean + other - resistance + h.disturbance > 0.0:
-            _update(h, mean, other - resistance, speed, learns, period)
-        else:
+        can_rest = h.ratio * mean + other - resistance + h.disturbance <= 0.0
+        if speed != speed or h.speed != h.speed or (speed <= STANDING_SPEED and can_rest):
             _restart_speed(h, speed)
+        else:
+            _update(h, mean, other - resistance, speed, learns, period)
 
 
 @inlined
@@ -197,7 +197,7 @@ def _share_mass(ratio, bank):
 
 @inlined
 def learn_actuators(speed, resistance, period, banks):
-    """Take in the speed (m/s) at the end of a period; resistance: m/s^2, of air, rolling and known slope."""
+    """Take in the speed (m/s; NaN: none) at the end of a period; resistance: m/s^2, of air, rolling and known slope."""
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
     count = banks.requests.size // 2
     moves = speed > LEARNING_SPEED
