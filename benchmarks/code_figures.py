@@ -31,7 +31,7 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 
 CEILINGS: Mapping[str, int] = {
     "base": 2100,
-    "core": 24350,
+    "core": 24400,
     "cars": 2400,
     "road": 4500,
     "scenario": 2050,
@@ -48,7 +48,7 @@ CEILINGS: Mapping[str, int] = {
     "cli": 4000,
     "adaptrack": 50,
     "JavaScript, templates, C": 9700,
-    "tests": 38850,
+    "tests": 38900,
     "benchmarks, tools, experiments, examples": 11100,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.

@@ -144,9 +144,12 @@ def _compare_on_roads(settings: CompareOptions) -> Result:
 def _load_task(settings: CompareOptions) -> ComparisonConfig:
     """Load the configuration and apply the options."""
     from adaptrack.comparison.config import load_comparison
+    from adaptrack.drive.drivers import check_driver_name
 
     default = "drivers" if settings.driver else "roads" if settings.road else "quick"
     name, changes = settings.config or default, settings.changes
+    for driver in settings.driver or ():
+        check_driver_name(driver)
     if settings.controller or settings.tuning:
         controllers = settings.controller or load_comparison(name, **changes).contenders
         changes["contenders"] = [*controllers, *(settings.tuning or ())]

@@ -104,6 +104,8 @@ class Timing(NamedTuple):
     """s, from a call to its command"""
 
 
+_SAMPLE_NAMES = ("t", "now", "x", "y", "yaw", "speed", "yaw_rate", "lateral_velocity", "lateral_acceleration",
+                 "wheel_angle")  # fmt: skip
 TIMED_STEPS = 50
 """Control steps after which their times are compared with the computation time that the controller assumes."""
 PERIOD_TOLERANCE = 0.4
@@ -312,7 +314,7 @@ class Tracker:
         numbers = [t, math.nan, x, y, yaw, speed, yaw_rate, lateral_velocity, lateral_acceleration]
         numbers.append(math.nan if wheel_angle is None else wheel_angle)
         call_start = time.perf_counter()
-        row = [real("Tracker.step", "a sample", number) for number in numbers]
+        row = [real("Tracker.step", name, number) for name, number in zip(_SAMPLE_NAMES, numbers, strict=True)]
         at = row[0] if now is None else real("Tracker.step", "now", now)
         if not math.isfinite(at):
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
@@ -433,9 +435,9 @@ class Tracker:
         self._warned = True
         late = int(self._kernel.settings[0].late)
         _log.warning(
-            "adaptrack: a sample came %.3g s late, and the controller takes in none older than %.3g s: its "
-            "position is carried on by its speed and yaw rate. Better: an MPC with "
-            "estimator=KalmanFilter(..., oldest=%.2g).",
+            "adaptrack: a sample is %.3g s late; the controller accepts at most %.3g s, so the position is "
+            "extrapolated by speed and yaw rate. To accept it, give the MPC "
+            "estimator=dataclasses.replace(KalmanFilter.from_profile(profile), oldest=%.2g).",
             age, (late + 1) * self.period, 1.5 * age,
         )  # fmt: skip
 

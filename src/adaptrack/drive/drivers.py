@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from adaptrack.base.checked import checked
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput, UnknownName
 from adaptrack.base.registry import Registry
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.cars.vehicle import Vehicle
@@ -37,6 +37,14 @@ def register_driver(name: str, factory: Callable[..., LongitudinalDriver] | str)
 def list_drivers() -> dict[str, str]:
     """Return the description of each registered driver by name."""
     return {name: (inspect.getdoc(_registry.factory(name)) or "").partition("\n")[0] for name in _registry.names()}
+
+
+def check_driver_name(text: str) -> None:
+    """Raise `UnknownName` if no driver is registered under the name in a text, see `make_driver`."""
+    try:
+        _registry.check_name(text.partition(":")[0])
+    except UnknownName as error:
+        raise UnknownName(f"{error} The driver of a plug-in also needs --plugin MODULE.") from None
 
 
 def make_driver(text: str, car: Vehicle) -> LongitudinalDriver:

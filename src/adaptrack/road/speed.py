@@ -204,7 +204,10 @@ def plan_speed(
         sideways, a grade is steeper than drive, brakes or tyres can hold, or the speed at the start is too high to
         brake in time; the message says where.
     """
-    halts = [stop if isinstance(stop, Stop) else Stop(float(stop)) for stop in stops]
+    try:
+        halts = [Stop(*map(float, stop if isinstance(stop, tuple) else (stop,))) for stop in stops]
+    except (TypeError, ValueError):
+        raise InvalidInput(f"plan_speed: stops = {stops!r}: give places (m), or Stop(place, seconds).") from None
     for stop in halts:
         if not 0.0 <= stop.s <= road.length or not 0.0 <= stop.seconds < math.inf:
             raise InvalidInput(
