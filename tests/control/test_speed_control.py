@@ -338,6 +338,22 @@ def test_a_speed_that_returns_after_it_was_missing_is_no_fault_and_the_car_drive
     assert car.v == pytest.approx(20.0, abs=0.3)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_loop_whose_calls_come_late_and_skip_instants_stops_at_its_end_and_reports_no_fault(seed) -> None:
+    rng, road = np.random.default_rng(seed), _straight(400.0)
+    plan = plan_speed(road, CAR, Comfort(brake=3.0), stops=[Stop(150.0, 2.0), Stop(300.0, 2.0)], top_speed=14.0)
+    tracker = Tracker(PurePursuit(CAR, period=PERIOD), road, plan=plan, speed=SpeedControl(CAR))
+    car, limits = PointMass(10.0, CAR.mass, DriveActuator(lag=0.1), BrakeActuator(lag=0.05)), set()
+    for k in range(1200):
+        t = PERIOD * k
+        late = 0.8 * PERIOD if rng.random() < 0.2 else 0.0  # s, the next call is then nearer to the next instant
+        out = tracker.step(t, car.s, 0.0, 0.0, car.v + 0.02 * rng.normal(), 0.0, now=t + late)
+        limits.add(out.longitudinal.limited_by)
+        car.move(out.longitudinal.force, out.longitudinal.hold)
+    assert not limits & {SpeedLimit.FAULT, SpeedLimit.BRAKE_FAULT, SpeedLimit.DRIVE_FAULT}
+    assert car.s == pytest.approx(400.0, abs=0.2)
+
+
 def test_a_driver_hands_over_without_a_bump_and_teaches_nothing() -> None:
     road = _straight(900.0)
     controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=14.0), PERIOD)

@@ -362,7 +362,7 @@ class SpeedController:
         measured, positive uphill; NaN: that of the path.
         """
         sample = self._record.sample
-        sample[0] = station, speed, yaw_rate, acceleration, driver, sample[0].top_speed, blind_time, grade
+        sample[0] = station, speed, yaw_rate, acceleration, driver, sample[0].top_speed, blind_time, grade, 0.0
         speed_control_step(self._resident)
         return self.command
 

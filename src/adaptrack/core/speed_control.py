@@ -68,6 +68,7 @@ SPEED_SAMPLE = record(
         "top_speed",  # m/s, up to which the steering of the car is known
         "blind_time",  # s, since the last position
         "grade",  # dz/ds under the car, measured, positive uphill; NaN: that of the path
+        "elapsed",  # s, between the last two measured speeds; 0: a control period
     ),
 )  # fmt: skip
 """What a speed controller is given once a control period."""
@@ -103,12 +104,15 @@ SPEED_MEMORY = record(
         "scale",  # -, way along the path over that of the measured speed, less 1
         "p_station", "p_station_scale", "p_scale",  # m^2, m, -: covariance of station and scale
         "pose_variance",  # m^2, of a measured station
+        "speed_time",  # s, of the last measured speed behind a tracker
         "slide", "sway",  # m/s^2, lateral acceleration by the yaw rate beyond friction and path, lowered with the time
     ),
     integers=("state", "limited_by", "next_stop", "fault"),
 )  # fmt: skip
 """What a speed controller remembers, and its answer."""
 
+LEAST_ELAPSED, LARGEST_ELAPSED = 0.5, 3.0
+"""Control periods between two speeds: a loop that jitters skips some; after more the filters restart."""
 MAX_PLAN_GRADE = 0.4
 """dz/ds of a plan; a measured grade beyond it, either way, counts as not measured."""
 STOP_TOLERANCE, OVERSHOOT, REACHED = 0.5, 2.0, 0.03
@@ -480,8 +484,8 @@ def _locate(measured, way, settings, memory):
 
 
 @inlined
-def _take_motion(sample, settings, memory):
-    """Take in speed, station and acceleration of a sample; where they are missing, carry on the last ones."""
+def _take_motion(sample, elapsed, settings, memory):
+    """Take in a sample after a time (s); where speed, station or acceleration are missing, carry on the last ones."""
     before, is_first = memory.speed, memory.speed_age > 0.0 or (memory.state == OFF and memory.limited_by == BY_PLAN)
     if sample.speed == sample.speed:
         memory.speed, memory.speed_age = sample.speed, 0.0
@@ -491,9 +495,9 @@ def _take_motion(sample, settings, memory):
             memory.speed = max(memory.speed + memory.acceleration * settings.period, 0.0)
     acceleration = sample.acceleration
     if acceleration != acceleration:
-        acceleration = 0.0 if is_first else (memory.speed - before) / settings.period
+        acceleration = 0.0 if is_first else (memory.speed - before) / elapsed
     memory.motion += MOTION_SMOOTHING * (acceleration - memory.motion)
-    _locate(sample.station, 0.5 * (before + memory.speed) * settings.period, settings, memory)
+    _locate(sample.station, 0.5 * (before + memory.speed) * elapsed, settings, memory)
 
 
 @inlined
@@ -509,8 +513,10 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     if memory.friction <= 0.0:
         memory.friction, memory.friction_high = settings.friction, settings.friction_high
         memory.cautious_friction = settings.friction
-    was_blind = memory.speed_age > 0.0
-    _take_motion(sample, settings, memory)
+    elapsed = max(sample.elapsed, LEAST_ELAPSED * settings.period) if sample.elapsed > 0.0 else settings.period
+    is_gap = elapsed > LARGEST_ELAPSED * settings.period
+    was_blind = memory.speed_age > 0.0 or is_gap
+    _take_motion(sample, elapsed, settings, memory)
     station, speed = memory.station, memory.speed
     cell = cell_at(station, path)
     slope = slope_of(sample.grade) if abs(sample.grade) <= MAX_PLAN_GRADE else path.slope[cell]
@@ -529,12 +535,13 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     if memory.fault == BRAKES_FAIL:
         settle_actuators(speed, memory.force / settings.mass, banks)
     elif not is_driven:
-        learn_actuators(sample.speed, _resistance(speed, slope, settings), settings.period, banks)
+        measured = math.nan if is_gap else sample.speed
+        learn_actuators(measured, _resistance(speed, slope, settings), settings.period, elapsed, banks)
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
     if memory.state == OFF or memory.speed_age > 0.0 or was_blind:
         forget_faults(speed, 0.0, memory)
     else:
-        watch_actuators(speed, _resistance(speed, slope, settings), drive, brakes, settings.period, memory)
+        watch_actuators(speed, _resistance(speed, slope, settings), drive, brakes, elapsed, memory)
     _count_creeping(speed, settings, memory)
     _govern(station, top_square, settings, path, memory, ahead)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (memory.friction * GRAVITY)

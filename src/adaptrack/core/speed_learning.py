@@ -114,16 +114,19 @@ def _requested(dead_time, period, requests):
 
 
 @inlined
-def _act(h, period, requests):
-    """Let the actuator of a hypothesis follow its requests over a period (s); its mean (m/s^2)."""
+def _act(h, period, elapsed, requests):
+    """Let the actuator of a hypothesis follow its requests over a time (s); its mean (m/s^2).
+
+    period: s, between two requests.
+    """
     target = _requested(h.dead_time, period, requests)
     if h.lag <= 0.0:
         h.filtered = target
         return target
-    decay = exp(-period / h.lag)
+    decay = exp(-elapsed / h.lag)
     gap = target - h.filtered
     h.filtered = target - gap * decay
-    return target - gap * (1.0 - decay) * h.lag / period
+    return target - gap * (1.0 - decay) * h.lag / elapsed
 
 
 @inlined
@@ -171,20 +174,20 @@ def _restart_speed(h, speed):
 
 
 @inlined
-def _run_bank(bank, sign, other, resistance, speed, learns, period, requests):
-    """One period of a bank; other: m/s^2, signed acceleration by the other actuator; resistance: m/s^2, with slope.
+def _run_bank(bank, sign, other, resistance, speed, learns, period, elapsed, requests):
+    """One step of a bank; other: m/s^2, signed acceleration by the other actuator; resistance: m/s^2, with slope.
 
     The brakes may hold a standing car against any force, so its rest shows only that it does not accelerate. Without a
     speed (NaN) the actuators act on; the filters restart at the next one.
     """
     for i in range(bank.size):
         h = bank[i]
-        mean = sign * _act(h, period, requests)
+        mean = sign * _act(h, period, elapsed, requests)
         can_rest = h.ratio * mean + other - resistance + h.disturbance <= 0.0
         if speed != speed or h.speed != h.speed or (speed <= STANDING_SPEED and can_rest):
             _restart_speed(h, speed)
         else:
-            _update(h, mean, other - resistance, speed, learns, period)
+            _update(h, mean, other - resistance, speed, learns, elapsed)
 
 
 @inlined
@@ -196,8 +199,11 @@ def _share_mass(ratio, bank):
 
 
 @inlined
-def learn_actuators(speed, resistance, period, banks):
-    """Take in the speed (m/s; NaN: none) at the end of a period; resistance: m/s^2, of air, rolling and known slope."""
+def learn_actuators(speed, resistance, period, elapsed, banks):
+    """Take in a speed (m/s; NaN: none) after a time (s) since the last one.
+
+    resistance: m/s^2, of air, rolling and known slope; period: s, of the requests.
+    """
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
     count = banks.requests.size // 2
     moves = speed > LEARNING_SPEED
@@ -205,11 +211,11 @@ def learn_actuators(speed, resistance, period, banks):
     _share_mass(drive.ratio, banks.brakes)
     _run_bank(
         banks.drive, 1.0, -brakes.ratio * brakes.acting, resistance, speed,
-        moves and drives and drive.acting > LEAST_ACTION, period, banks.requests[:count],
+        moves and drives and drive.acting > LEAST_ACTION, period, elapsed, banks.requests[:count],
     )  # fmt: skip
     _run_bank(
         banks.brakes, -1.0, drive.ratio * drive.acting, resistance, speed,
-        moves and not drives and brakes.acting > LEAST_ACTION, period, banks.requests[count:],
+        moves and not drives and brakes.acting > LEAST_ACTION, period, elapsed, banks.requests[count:],
     )  # fmt: skip
 
 

@@ -57,7 +57,7 @@ def _is_due(time, m, memory, period):
 
 
 @inlined
-def _write_sample(tracker, blind_time, action, sample):
+def _write_sample(tracker, blind_time, action, sample, memory):
     """Write the sample of the speed control after a call of the tracker; blind_time: s, since the last position."""
     is_guided, is_blind = action in (FOLLOW, FOLLOW_SLOWLY), action in (FOLLOW_SLOWLY, EMERGENCY_STOP)
     sample.station = tracker.tracked[TRACKED.station] if is_guided else math.nan
@@ -67,6 +67,10 @@ def _write_sample(tracker, blind_time, action, sample):
     sample.acceleration = acceleration if abs(acceleration) < MAX_SIGNAL else math.nan
     sample.driver = 1.0 if tracker.sample[TRACKER_SAMPLE.driver] > 0.5 else 0.0
     sample.grade = tracker.sample[TRACKER_SAMPLE.grade]
+    motion_t, t = tracker.sample[TRACKER_SAMPLE.motion_t], tracker.sample[TRACKER_SAMPLE.t]
+    speed_time = motion_t if motion_t == motion_t else t
+    sample.elapsed = speed_time - memory.speed_time if speed_time > memory.speed_time > -math.inf else 0.0
+    memory.speed_time = speed_time
 
 
 @exported(void(Place(Longitudinal)))
@@ -119,7 +123,7 @@ def longitudinal_step(tracker, longitudinal):
         return
     memory.time = time
     sample.top_speed = tracker.tracked[TRACKED.first_top_speed]
-    _write_sample(tracker, blind_time, action, sample)
+    _write_sample(tracker, blind_time, action, sample, memory)
     speed_control_step(longitudinal)
 
 
