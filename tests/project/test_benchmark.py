@@ -41,6 +41,8 @@ QUICK = (
     "code_figures.py --table",
     "estimating.py --runs 1",
     "foreign_loop.py --seeds 1",
+    "holding.py --drives 3",
+    "late_samples.py late --drives 1",
     "learned_belief.py --train 28 --test 4",
     "learning.py --cars 1",
     "population.py --cars 10",
