@@ -1,4 +1,4 @@
-"""The command: `python -m tools.fuzz run`, `replay FILE` or `constants`."""
+"""The command: `python -m tools.fuzz run`, `replay FILE`, `constants` or `speed`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from adaptrack.base.errors import AdaptrackError, InvalidInput
 from tools.fuzz import constants
 from tools.fuzz.batch import search_compiled
 from tools.fuzz.search import Found, load, replay, save, search, shortened
+from tools.fuzz.speed import soak
 from tools.fuzz.targets import TARGETS
 
 
@@ -79,6 +80,15 @@ def _constants(chosen: argparse.Namespace) -> int:
     return int(failed > 0)
 
 
+def _speed(chosen: argparse.Namespace) -> int:
+    """Drive the speed control; 1 where a claim does not hold."""
+    if chosen.drive is not None and chosen.shorten:
+        return soak.shorten(chosen.seed, chosen.drive, chosen.way)
+    if chosen.drive is not None:
+        return soak.trace(chosen.seed, chosen.drive, chosen.way)
+    return soak.soak(chosen.steps, chosen.seed, chosen.way, chosen.show)
+
+
 def main() -> int:
     """The command."""
     parser = argparse.ArgumentParser(prog="python -m tools.fuzz", description="Hostile inputs, step after step.")
@@ -99,6 +109,15 @@ def main() -> int:
     change.add_argument("--controller", action="append", choices=constants.CONTROLLERS, help="all by default")
     change.add_argument("--unnoticed", action="store_true", help="list the constants that the recorded minute misses")
     change.set_defaults(act=_constants)
+    speed = commands.add_parser("speed", help="drive the speed control through faults, see tools/fuzz/speed")
+    speed.add_argument("--steps", type=int, default=100_000, help="of all drives together")
+    speed.add_argument("--seed", type=int, default=1)
+    speed.add_argument("--way", choices=("c", "tracker", "both"), default="c", help="both: compare their bits")
+    speed.add_argument("--show", type=int, default=3, help="findings of a claim and a fault that are printed")
+    speed.add_argument("--drive", type=int, help="run only the drive of this number, and print its rows")
+    speed.add_argument("--trace", action="store_true", help="with --drive, which always prints its rows")
+    speed.add_argument("--shorten", action="store_true", help="with --drive: print the simplest drives that fail alike")
+    speed.set_defaults(act=_speed)
     chosen = parser.parse_args()
     logging.getLogger("adaptrack").setLevel(logging.CRITICAL)
     try:
