@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -109,8 +110,10 @@ def test_a_car_that_slides_gets_no_drive_force_and_is_slower_in_the_bends_of_the
     controller = SpeedController(SpeedControl(CAR, friction=friction), road, plan_speed(road, CAR, Comfort()), PERIOD)
     controller._record.path.square[:] = 30.0**2
 
+    stations = itertools.count(20.0, speed * PERIOD)
+
     def drive(lateral: float, seconds: float) -> list[SpeedCommand]:
-        return [controller.step(20.0, speed, lateral / speed) for _ in range(round(seconds / PERIOD))]
+        return [controller.step(next(stations), speed, lateral / speed) for _ in range(round(seconds / PERIOD))]
 
     steady = drive(speed**2 * 0.01, 1.0)[-1]
     assert steady.force > 0.0
@@ -128,7 +131,8 @@ def test_a_car_that_sways_on_a_straight_accelerates_less_until_it_has_calmed() -
     plan = plan_speed(road, CAR, Comfort(), top_speed=14.0)
     controller = SpeedController(SpeedControl(CAR, friction=0.6), road, plan, PERIOD)
     laterals = [0.0] * 20 + [4.0, -4.0] * 10 + [0.0] * 200
-    forces = [controller.step(20.0, speed, lateral / speed).force for lateral in laterals]
+    stations = itertools.count(20.0, speed * PERIOD)
+    forces = [controller.step(next(stations), speed, lateral / speed).force for lateral in laterals]
     assert 0.0 <= max(forces[35:40]) < 0.7 * forces[19]
     assert forces[-1] == pytest.approx(forces[19], rel=0.01)
 

@@ -25,12 +25,14 @@ from adaptrack.core.estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
 from adaptrack.core.friction_estimate import begin_friction
 from adaptrack.core.kernel import OK, Resident
 from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.speed_place import SPEED_GRACE
 from adaptrack.core.synthesis.speed import resistance, usable_friction
 from adaptrack.core.tracker.longitudinal import (
     STATUS_ACTIONS,
     Longitudinal,
     longitudinal_begin,
     longitudinal_follow,
+    longitudinal_release,
     longitudinal_step,
     narrow_friction_step,
     narrow_tracked_friction,
@@ -266,7 +268,7 @@ def longitudinal_of(
     """
     settings = control.settings(period, start.comfort, start.patience)
     sample = kernel.SPEED_SAMPLE.new(1, acceleration=math.nan, top_speed=math.inf, grade=math.nan)
-    memory, ahead = kernel.SPEED_MEMORY.new(1, time=-math.inf), np.zeros(horizon_cells(start.top_speed, settings))
+    memory, ahead = kernel.SPEED_MEMORY.new(1), np.zeros(horizon_cells(start.top_speed, settings))
     friction = friction_estimate(control.friction_interval, control.car, period, controller)
     longitudinal = Longitudinal(sample, memory, settings, path, speed_banks(settings, period), ahead, friction)
     longitudinal_begin(longitudinal)
@@ -281,6 +283,7 @@ def horizon_cells(top_speed: float, settings: Any) -> int:
 def speed_banks(settings: Any, period: float) -> Any:
     """Banks of hypotheses for a control period (s): one of an actuator whose delays are known, all of another."""
     longest = learning.MAX_DEAD_TIME
+    ages = SPEED_GRACE + SPEED_GRACE  # s, of a speed, and until the one before it
     sizes = []
     for lag, dead_time in (
         (settings.drive_lag, settings.drive_dead_time), (settings.brake_lag, settings.brake_dead_time)
@@ -289,7 +292,7 @@ def speed_banks(settings: Any, period: float) -> Any:
         sizes.append(learning.LAG_HYPOTHESES * learning.DEAD_TIME_HYPOTHESES if is_learned else 1)
         longest = longest if is_learned else max(longest, dead_time)
     drive, brakes = (learning.ACTUATOR_HYPOTHESIS.new(size) for size in sizes)
-    return learning.SpeedBanks(drive, brakes, np.zeros(2 * (math.ceil(longest / period) + 2)))
+    return learning.SpeedBanks(drive, brakes, np.zeros(2 * (math.ceil((longest + ages) / period) + 2)))
 
 
 class SpeedController:
@@ -362,7 +365,11 @@ class SpeedController:
         measured, positive uphill; NaN: that of the path.
         """
         sample = self._record.sample
-        sample[0] = station, speed, yaw_rate, acceleration, driver, sample[0].top_speed, blind_time, grade, 0.0
+        is_guided = math.isfinite(station)
+        top_speed = sample[0].top_speed
+        sample[0] = (
+            station, 0.0, speed, 0.0, yaw_rate, acceleration, driver, is_guided, top_speed, blind_time, grade, 1.0,
+        )  # fmt: skip
         speed_control_step(self._resident)
         return self.command
 
@@ -387,15 +394,20 @@ class SpeedController:
     def blind_top_speed(self) -> float:
         """m/s, up to which the car can stand before the steering loses its estimate; inf: it never does.
 
-        A car that loses its position brakes `BLIND_GRACE` and the delay of its brakes later, with at most `emergency`
-        and what the guard leaves of the lowest assumed friction.
+        A car that loses its position brakes with the deceleration of comfort from `BLIND_GRACE` on, and from
+        `COMFORT_GAP` on with at most `emergency` and what the guard leaves of the lowest assumed friction to a car of
+        the mass in its file, each after the delay of its brakes. Delay and gain of the brakes count with `BLIND_SIGMAS`
+        standard deviations, and `BLIND_MARGIN` (s) is left.
         """
         if self._patience <= 0.0:
             return math.inf
-        brakes = self.learned["brakes"]
-        braking_time = self._patience - kernel.BLIND_GRACE - brakes.lag - brakes.dead_time
-        grip = self.control.guard * self._record.settings.friction * GRAVITY
-        return max(braking_time, 0.0) * min(self.control.emergency, grip)
+        brakes, settings = self.learned["brakes"], self._record.settings
+        delay = brakes.lag + brakes.dead_time + kernel.BLIND_SIGMAS * brakes.delay_sigma + kernel.BLIND_MARGIN
+        gain = min(max(brakes.ratio - kernel.BLIND_SIGMAS * brakes.ratio_sigma, 0.0), 1.0)
+        grip = gain * self.control.guard * settings.friction * GRAVITY
+        comfort_time = kernel.COMFORT_GAP - kernel.BLIND_GRACE
+        strong_time = max(self._patience - kernel.COMFORT_GAP - delay, 0.0)
+        return float(comfort_time * min(settings.brake, grip) + strong_time * min(self.control.emergency, grip))
 
     @property
     def command(self) -> SpeedCommand:
@@ -417,7 +429,7 @@ class SpeedController:
 
     def release(self) -> None:
         """Leave the stop at which the car stands, whatever its time; at the end of a path it stays."""
-        self._record.memory[0].standing = np.finfo(float).max
+        longitudinal_release(self._resident)
 
     def speeds_ahead(self, speed: float, count: int) -> Array:
         """(count,) m/s, governed speeds at the coming control instants, the first one the present speed (m/s)."""

@@ -275,6 +275,14 @@ class Tracker:
         tracker_follow(math.nan if near is None else near, self._resident)
         self._apply_requests()
 
+    def release(self) -> None:
+        """Let the car leave the stop at which it stands, whatever its time; at the end of a path it stays.
+
+        Nothing without a speed control, or where the car does not stand at a stop.
+        """
+        if self._speed is not None:
+            self._speed.release()
+
     def step(
         self,
         t: float,

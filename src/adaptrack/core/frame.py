@@ -157,7 +157,7 @@ def _control_speed(run, longitudinal, speeds):
     """Step the speed control at the present instant; write its requests, and the governed speeds (m/s) from now on."""
     drive, sample, memory = run.memory.drives[0], longitudinal.sample[0], longitudinal.memory[0]
     narrow_friction_step(run.measured, drive.speed, drive.command, run.mpc.informed.learned[0], longitudinal)
-    sample.station, sample.speed = drive.station_estimate, drive.speed
+    sample.station, sample.speed, sample.is_guided, sample.periods = drive.station_estimate, drive.speed, 1.0, 1.0
     sample.yaw_rate = run.measured[MEASUREMENT.yaw_rate]
     speed_control_step(longitudinal)
     drive.requested_force, drive.requested_hold = memory.force, memory.hold

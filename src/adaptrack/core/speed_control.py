@@ -1,15 +1,21 @@
 """Speed control along a planned path: governor, follower, stops and traction guard, once a control period.
 
+Order of precedence: fault, driver, blind, grip, stop, speed limit, comfort.
+
     governor   lowers the squares of the planned speeds ahead to what the assumed friction leaves, and after a slide to
                less, by one backward pass
     follower   acceleration at the place where the request acts: the plan's, the error of the speed, a disturbance
-    stop       before a stop constant jerk, so that speed and acceleration reach 0 together; hold pressure after it
+    stop       before a stop constant jerk, so that speed and acceleration reach 0 together
+    hold       at rest brakes that hold any usual slope, and more while the car rolls; they are released gradually
+               while the drive takes over, and close again when the car rolls back
     guard      a share of the force that each axle has left in addition to its lateral force; a car that slides, or
                that sways and has rear drive, gets less drive force, or none
 
 The plan lies on an even grid of places. While a driver uses the pedals, the requests follow the motion of the car.
 Without a position the car brakes so that it stands before the steering loses its estimate; without any estimate, or
-without a speed, it stops with the deceleration of comfort.
+without a speed, it stops with the deceleration of comfort. Sign of a force: positive drives forward; negative is a
+force of the brakes, which opposes the motion either way and never moves a standing car. So does the hold, at least 0,
+in addition.
 """
 
 from __future__ import annotations
@@ -25,11 +31,39 @@ from .maths.exponential import power
 from .plants.forces import GRAVITY
 from .speed_learning import (
     LEAST_ACTION,
-    coming_motion,
+    ActuatorBelief,
+    forget_speeds,
     learn_actuators,
     mean_of_bank,
+    predicted_motion,
     remember_request,
+    repeat_requests,
     settle_actuators,
+)
+from .speed_place import (
+    CONTRADICTION_TIME,
+    LEAST_ELAPSED,
+    SPEED_GRACE,
+    compare_with_positions,
+    correct_place,
+    is_speed_known,
+    predict_place,
+    take_motion,
+)
+from .speed_stops import (
+    ARRIVAL_WAY,
+    LEFT_DISTANCE,
+    LEFT_SIGMAS,
+    NEAR_STOP,
+    NO_STOP,
+    SAME_PLACE,
+    STOP_TOLERANCE,
+    forget_served_stop,
+    is_path_end,
+    match_stops,
+    next_stop,
+    stop_at,
+    way_to,
 )
 from .traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
 
@@ -62,13 +96,16 @@ stops (m, ascending) and how long to stand there (s); spacing and length (m); cl
 SPEED_SAMPLE = record(
     "SpeedSample",
     (
-        "station", "speed", "yaw_rate",  # m, over all laps; m/s; rad/s. NaN: no position, not measured
+        "station", "station_age",  # m, over all laps, of a position that is newer than the last one, and s; NaN: none
+        "speed", "speed_age",  # m/s, negative backwards, and s; NaN: not measured
+        "yaw_rate",  # rad/s; NaN: not measured
         "acceleration",  # m/s^2, measured along the car, without gravity; NaN: not measured
         "driver",  # 1: a driver uses the pedals
+        "is_guided",  # 1: the plan may be followed; 0: the car stops
         "top_speed",  # m/s, up to which the steering of the car is known
         "blind_time",  # s, since the last position
         "grade",  # dz/ds under the car, measured, positive uphill; NaN: that of the path
-        "elapsed",  # s, between the last two measured speeds; 0: a control period
+        "periods",  # control periods since the last step
     ),
 )  # fmt: skip
 """What a speed controller is given once a control period."""
@@ -84,45 +121,65 @@ OFF, DRIVING, STOPPING, WAITING, EMERGENCY = range(5)
 SPEED_MEMORY = record(
     "SpeedMemory",
     (
-        "state", "limited_by", "next_stop",  # the last one: of `SpeedPath.stops`, those of past laps included
+        "state", "limited_by",
         "standing",  # s, at the present stop
         "creeping",  # s, braked with a speed of nearly 0
         "acceleration", "force", "hold",  # m/s^2, N, N: requests in force; hold: of the brakes besides the force
         "target_speed", "grip_used",  # m/s, -: lateral and longitudinal acceleration over the assumed friction
-        "speed", "station",  # m/s, m: last known, the station filtered
+        "speed", "station",  # m/s, m: of the car at present
         "lateral",  # m/s^2, filtered
         "motion",  # m/s^2, acceleration of the car, filtered
         "handover",  # m/s^2, of the request beyond the follower's after a driver's; NaN: while one drives
-        "speed_age",  # s, since a speed was measured
+        "measured_speed", "speed_age",  # m/s, s: last measured speed, and its age now
+        "place_speed",  # m/s, measured speed carried to the present, unfiltered: it moves the station
         "fault",  # see `actuator_faults`, and its filters:
         "working_speed", "working_disturbance",  # m/s, m/s^2: with brakes that work
         "brakeless_speed", "brakeless_disturbance",  # m/s, m/s^2: without brakes
-        "time",  # s, of the last period behind a tracker
         "friction", "friction_high",  # -, ends of its interval, see `friction_estimate`; 0: those of the settings
         "brake_evidence", "drive_evidence", "watched_time",  # -, -, s: of faults, see `actuator_faults`
         "cautious_friction",  # -, at most the low end: of bends ahead and drive forces
         "scale",  # -, way along the path over that of the measured speed, less 1
         "p_station", "p_station_scale", "p_scale",  # m^2, m, -: covariance of station and scale
         "pose_variance",  # m^2, of a measured station
-        "speed_time",  # s, of the last measured speed behind a tracker
+        "is_placed",  # 1 once there was a position
+        "jump",  # m, by which the filter of the station has just restarted elsewhere; 0: it has not
+        "surprise",  # -, square of the last innovation of the station over its variance
+        "observed_place", "observed_excess", "observer_time",  # m, m/s, s: see `speed_place`
+        "contradiction", "distrust",  # s, for which speed and positions contradict each other; stops by it
+        "direction",  # -1: positions move backwards and the speed is positive; else 1
+        "stop_place", "served_place",  # m: of the next stop and of the one served last; NaN: none
+        "is_changed",  # 1: another path; its stops are to be matched
+        "is_released",  # 1: the car may leave the stop at which it stands
+        "travelled",  # m, since the car stood
+        "is_braking",  # 1: the brakes act, 0: the drive does; either may rest
+        "is_starting", "launch", "rolled",  # 1: the car starts; m/s^2: push beyond the estimated slope; least push
+        "start_place", "pose_place",  # m: station at which it last stood; last measured one
+        "rolling",  # m/s^2, additional hold of a car that rolls against its brakes
         "slide", "sway",  # m/s^2, lateral acceleration by the yaw rate beyond friction and path, lowered with the time
+        "time", "instant", "began",  # s, -, s: behind a tracker, of the last step, and of the first control instant
+        "pose_time",  # s, behind a tracker, of the newest position
+        "place_x", "place_y", "stop_x", "stop_y", "served_x", "served_y",  # m, behind a tracker, of the three places
     ),
-    integers=("state", "limited_by", "next_stop", "fault"),
+    integers=(
+        "state", "limited_by", "fault", "is_placed", "is_changed", "is_released", "is_braking", "is_starting",
+        "instant", "distrust",
+    ),
 )  # fmt: skip
 """What a speed controller remembers, and its answer."""
 
-LEAST_ELAPSED, LARGEST_ELAPSED = 0.5, 3.0
-"""Control periods between two speeds: a loop that jitters skips some; after more the filters restart."""
 MAX_PLAN_GRADE = 0.4
 """dz/ds of a plan; a measured grade beyond it, either way, counts as not measured."""
-STOP_TOLERANCE, OVERSHOOT, REACHED = 0.5, 2.0, 0.03
-"""m: a car that stands so near a stop has reached it; so far beyond it stays; the least remaining way."""
+REACHED = 0.03
+"""m, the least remaining way to a stop."""
 CREEPING_SPEED, CREEPING_TIME = 0.15, 1.0
 """m/s, s: a braked car that is so slow for so long stands; a sensor may have this offset."""
-CREEP_STIFFNESS = 10.0
-"""1/s^2, over the distance (m) from a stop: additional deceleration by the brakes that hold the car."""
+CREEP_STIFFNESS, LARGEST_CREEP = 10.0, 0.5
+"""1/s^2, m: additional deceleration by the brakes that hold the car, over its distance from a stop up to the largest.
+"""
 EMERGENCY_RATIO = 1.4
 """Deceleration that a stop needs over that of comfort, from which braking is an emergency."""
+EXACT_SPEED = 3.0
+"""m/s, at which the measured speed, whose noise grows with the speed, counts as much as the filtered one."""
 STRAIGHT = 1e-5
 """1/m, below which a curvature limits no speed."""
 LATERAL_SMOOTHING = 0.35
@@ -132,12 +189,28 @@ SLIDE_TIME, SLIDE_CAUTION, LARGEST_SLIDE_SHARE = 5.0, 0.5, 0.4
 SWAY_TIME, SWAY_CAUTION, SWAY_MARGIN = 2.0, 3.0, 0.45
 """s, in which a sway is forgotten; -, factor with which it counts for a drive force at the rear; -, share of the
 friction beyond what the path asks for, where it begins."""
-HOLD_RESERVE = 1.0
-"""m/s^2, by which the brakes hold more than the slope demands."""
+HOLD_AT_REST, HOLD_RESERVE = 2.5, 1.0
+"""m/s^2: the brakes of a car at rest hold at least a slope of 25 %, and more than the estimated slope demands."""
+HOLDING_RATE = 5.0
+"""m/s^3, by which they come to hold it."""
+ROLLING_RATE = 6.0
+"""m/s^3, by which they hold more while the car rolls all the same."""
 HOLDING_LAGS = 2.0
 """Lags of the brakes, in addition to their dead time, after which they hold the car."""
-START_RESERVE = 0.3
-"""m/s^2, by which the drive carries more than an ascent before the brakes are released."""
+STARTED_SPEED, GENTLE_SPEED, ROLLING_SPEED = 0.12, 0.08, 0.08
+"""m/s: a car has started, usually and before a short move; a car rolls back."""
+START_RESERVE, LAUNCH_RATE, MAX_LAUNCH, ROLLED_RESERVE = 0.3, 1.5, 6.0, 0.5
+"""m/s^2, m/s^3, m/s^2, m/s^2: the drive carries more than the estimated ascent before the brakes are released, and
+more and more until the car moves; after it has rolled back, more than it then did."""
+MOVED_WAY, MOVED_SIGMAS = 0.03, 3.0
+"""m, -: way of the positions from which, with so many standard deviations of them, they show a motion."""
+RELEASE_RATE, GENTLE_RELEASE_RATE, STARTED_RELEASE_RATE = 4.0, 1.0, 8.0
+"""m/s^3, by which the brakes are released: usually, before a short move, and once the car has started."""
+SHORT_MOVE, SHORT_MOVE_BRAKE, GENTLE_LAUNCH = 1.5, 0.2, 0.15
+"""m, m/s^2, m/s^2: a way from standstill to a stop that is driven slowly; its deceleration, and push while the brakes
+are released."""
+LEAST_TARGET = 0.3
+"""m/s, least speed to reach where no stop is ahead, so that a car leaves a place with a planned speed of 0."""
 LEAD_DISTANCE = 2.0
 """m, over which the acceleration of the plan is taken."""
 BRAKE_CAUTION, KNOWN_DELAY = 2.0, 0.05
@@ -147,20 +220,18 @@ STOP_SOFTENING = 0.6
 """1/s, by which the jerk of a stop decreases with the lag of the brakes, chosen on 40 cars."""
 COMFORT_RESERVE = 1.2
 """Factor on the accelerations of comfort within which errors of the speed are corrected."""
-MOTION_SMOOTHING = 0.35
-"""Share of a new measurement in the filtered acceleration."""
+COASTING_BAND, STOPPING_BAND = 0.25, 0.08
+"""m/s^2, of a demand, within which drive and brakes do not take turns: usually, and on the way to a stop."""
 HANDOVER_JERK = 5.0
 """m/s^3, with which a request goes from a driver's to less; to more with the jerk of stops."""
-BLIND_GRACE = 0.5
-"""s without a position or a speed, during which the plan is followed."""
+BLIND_GRACE, COMFORT_GAP = 0.5, 1.2
+"""s since the last position: up to the first the plan is followed, up to the second braking is comfortable."""
 BLIND_SHARE = 0.8
 """Of the deceleration of comfort: where a car without a position needs so much to stand in time, it brakes."""
-SCALE_SIGMA, SCALE_DRIFT, WAY_NOISE = 0.02, 0.001, 0.02
-"""-, 1/sqrt(m), m/sqrt(s): standard deviation of the scale of the speed at the start; random walks of scale and way."""
-LEAST_POSE_SIGMA, POSE_MEMORY = 0.01, 5.0
-"""m, s: least standard deviation of a measured station, and the time constant of its estimate."""
-POSE_BOUND, POSE_JUMP = 4.0, 1.0
-"""-, m: standard deviations up to which an innovation counts; beyond both a position has jumped."""
+BLIND_SIGMAS, BLIND_MARGIN = 1.5, 0.25
+"""-, s: standard deviations of delay and gain of the brakes, and time, that a car without a position allows for."""
+MAX_LATERAL = 20.0
+"""m/s^2, to which the lateral acceleration by the yaw rate is limited."""
 LEAST_SPEED_AHEAD = 0.3
 """m/s, with which a car is taken to go on at a stop ahead."""
 
@@ -173,15 +244,6 @@ def cell_at(place, path):
     if path.closed > 0:
         return index % path.square.size
     return min(max(index, 0), path.square.size - 1)
-
-
-@inlined
-def _stop_place(k, path):
-    """Station (m) of the k-th stop over all laps; inf beyond the last."""
-    count = path.stops.size
-    if count == 0 or (path.closed == 0 and k >= count):
-        return math.inf
-    return path.stops[k % count] + (k // count) * path.length
 
 
 @inlined
@@ -250,14 +312,6 @@ def _stopping_motion(way, lead, jerk, settings):
 
 
 @inlined
-def _hold(slope, settings, memory):
-    """Stand: no drive, and brakes that hold the slope with a reserve."""
-    memory.acceleration, memory.force = 0.0, 0.0
-    memory.hold = settings.mass * (abs(slope) + HOLD_RESERVE)
-    memory.target_speed = 0.0
-
-
-@inlined
 def _resistance(speed, slope, settings):
     """Deceleration (m/s^2) by air, rolling and the known slope."""
     return settings.drag * speed * speed / settings.mass + settings.rolling * clip(2.0 * speed, 0.0, 1.0) + slope
@@ -269,8 +323,7 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
 
     drive, brakes: `speed_learning.ActuatorBelief`.
     """
-    braking_now = brakes.acting > drive.acting
-    disturbance = brakes.disturbance if braking_now else drive.disturbance
+    disturbance = brakes.disturbance if memory.is_braking > 0 else drive.disturbance
     resistance = _resistance(speed, slope, settings) - disturbance
     tyres = acceleration + resistance  # m/s^2, of all tyres
     ratio = drive.ratio if tyres > 0.0 else brakes.ratio
@@ -288,90 +341,131 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
     powertrain = min(settings.traction_limit, settings.engine_power / max(speed, 1.0))
     strongest, weakest = settings.guard * driving, -max(settings.guard * braking, LEAST_BRAKING * settings.mass)
     force = clip(clip(demand, weakest, strongest), -settings.brake_limit, powertrain)
+    force = min(force, 0.0) if memory.is_braking > 0 else max(force, 0.0)
     memory.force, memory.acceleration = force, ratio * force / settings.mass - resistance
     if not weakest <= demand <= strongest:
         memory.limited_by = BY_GRIP
-    elif force != demand:
+    elif not -settings.brake_limit <= demand <= powertrain:
         memory.limited_by = BY_POWERTRAIN
 
 
 @inlined
-def _stand(beyond, slope, lateral, drive, brakes, settings, memory):
+def _hold(beyond, slope, brakes, dt, settings, memory):
+    """Stand: no drive; brakes that hold the estimated slope, at least any usual one, and more while the car rolls.
+
+    beyond: m, of a stop; a car that creeps away from it is held more.
+    """
+    if memory.hold > 0.0 and abs(memory.speed) > CREEPING_SPEED:
+        memory.rolling += ROLLING_RATE * dt
+    memory.acceleration, memory.force, memory.target_speed = 0.0, 0.0, 0.0
+    needed = max(abs(slope - brakes.disturbance), abs(slope)) + HOLD_RESERVE
+    needed += CREEP_STIFFNESS * min(abs(beyond), LARGEST_CREEP)
+    at_rest = min(HOLD_AT_REST, memory.hold / settings.mass + HOLDING_RATE * dt)  # a jolt while the car still moves
+    deceleration = max(needed, at_rest) / min(brakes.ratio, 1.0) + memory.rolling
+    memory.hold = min(settings.mass * deceleration, settings.brake_limit)
+    memory.is_braking, memory.is_starting, memory.travelled = 1, 0, 0.0
+
+
+@inlined
+def _stand(beyond, slope, lateral, drive, brakes, dt, settings, memory):
     """Stand so far beyond a stop (m); until the brakes hold, the drive carries an ascent."""
     is_held = memory.standing > brakes.dead_time + HOLDING_LAGS * brakes.lag + brakes.delay_sigma
     cause = memory.limited_by
+    memory.is_braking = 0
     _request(0.0, 0.0, slope, lateral, drive, brakes, settings, memory)
     force = memory.force
-    _hold(slope, settings, memory)
-    creep_reserve = CREEP_STIFFNESS * min(abs(beyond), STOP_TOLERANCE)
-    memory.hold = min(memory.hold + settings.mass * creep_reserve, settings.brake_limit)
+    _hold(beyond, slope, brakes, dt, settings, memory)
     memory.force, memory.limited_by = 0.0 if is_held or slope <= 0.0 else max(force, 0.0), cause
 
 
 @inlined
-def _count_creeping(speed, settings, memory):
-    """Count the time for which a braked car has a speed (m/s) of nearly 0."""
+def _count_creeping(dt, memory):
+    """Count the time for which a braked car has a speed of nearly 0."""
     is_braked = memory.force < 0.0 or memory.hold > 0.0
-    memory.creeping = memory.creeping + settings.period if is_braked and abs(speed) < CREEPING_SPEED else 0.0
+    memory.creeping = memory.creeping + dt if is_braked and abs(memory.speed) < CREEPING_SPEED else 0.0
 
 
 @inlined
-def _stands(speed, memory):
-    """Whether a car of a speed (m/s) stands."""
-    return speed < STANDING_SPEED or memory.creeping > CREEPING_TIME
+def _stands(memory):
+    """Whether the car stands, or rolls back."""
+    return memory.speed < STANDING_SPEED or memory.creeping > CREEPING_TIME
+
+
+# -- stops ------------------------------------------------------------------------------------------------------------
+@inlined
+def _dwell(dt, path, memory):
+    """Count the time at a stop; leave it when it is over, or the stop is no more, or the car was moved away."""
+    index = stop_at(memory.stop_place, SAME_PLACE, path)
+    enough = max(LEFT_DISTANCE, LEFT_SIGMAS * sqrt(memory.p_station))
+    is_away = abs(way_to(memory.stop_place, memory.station, path)) > enough
+    if index == NO_STOP or (is_away and not is_path_end(index, path)):
+        memory.state = DRIVING
+        return
+    memory.standing += dt
+    is_released = memory.is_released > 0 and not is_path_end(index, path)
+    if memory.standing >= path.seconds[index] or is_released:
+        memory.state, memory.served_place = DRIVING, memory.stop_place
 
 
 @inlined
-def _pass_stop(station, speed, settings, path, memory):
-    """Count the time at a stop; go on to the next one when it is over, or the car is far beyond one that ends."""
-    beyond = station - _stop_place(memory.next_stop, path)
-    is_missed = beyond > OVERSHOOT and path.seconds[memory.next_stop % path.stops.size] < math.inf
-    near = beyond >= -STOP_TOLERANCE and not is_missed
-    if near and _stands(abs(speed), memory) and (memory.state == STOPPING or memory.state == EMERGENCY):
-        memory.state, memory.standing = WAITING, 0.0
+def _find_stop(dt, path, memory):
+    """Find the next stop: its index and the way to it (m); wait at one that the car has reached."""
     if memory.state == WAITING:
-        memory.standing += settings.period
-        if memory.standing >= path.seconds[memory.next_stop % path.stops.size]:
-            memory.next_stop += 1
-            memory.state, memory.standing = DRIVING, 0.0
-    elif is_missed:
-        memory.next_stop += 1
+        _dwell(dt, path, memory)
+    if memory.state != WAITING:
+        memory.is_released = 0
+    forget_served_stop(path, memory)
+    is_stopping = memory.state == STOPPING or memory.state == EMERGENCY
+    if memory.state == WAITING:
+        return stop_at(memory.stop_place, SAME_PLACE, path), way_to(memory.stop_place, memory.station, path)
+    index, way = next_stop(is_stopping, path, memory)
+    memory.stop_place = path.stops[index] if index != NO_STOP else math.nan
+    tolerance = STOP_TOLERANCE if memory.travelled > ARRIVAL_WAY else NEAR_STOP
+    if is_stopping and way <= tolerance and _stands(memory):
+        memory.state, memory.standing = WAITING, 0.0
+    return index, way
 
 
 @inlined
-def _stop_cause(path, memory):
-    """Cause of the next stop."""
-    return BY_PATH_END if path.seconds[memory.next_stop % path.seconds.size] == math.inf else BY_STOP
+def _stop_cause(index, path):
+    """Cause of a stop."""
+    return BY_PATH_END if is_path_end(index, path) else BY_STOP
 
 
+# -- without guidance -------------------------------------------------------------------------------------------------
 @inlined
-def _blind_deceleration(speed, blind_time, delay, settings):
+def _blind_deceleration(blind_time, is_guided, delay, settings, memory):
     """Deceleration (m/s^2) with which a car stands before the steering loses its estimate; 0: none is needed yet.
 
-    It is v over the time left less the delay (s) of the brakes.
+    It is v over the time left less the delay (s) of the brakes; in a short gap, in which the steering has an estimate,
+    it is at most that of comfort.
     """
     if settings.patience <= 0.0 or blind_time <= BLIND_GRACE:
         return 0.0
-    needed = speed / max(settings.patience - blind_time - delay, settings.period)
-    return min(needed, settings.emergency) if needed > BLIND_SHARE * settings.brake else 0.0
+    needed = memory.speed / max(settings.patience - blind_time - delay, settings.period)
+    is_short = blind_time <= COMFORT_GAP and is_guided > 0.0
+    most = settings.brake if is_short else settings.emergency
+    return min(needed, most) if needed > BLIND_SHARE * settings.brake else 0.0
 
 
 @inlined
-def _yield_to_driver(speed, slope, lateral, drive, brakes, settings, memory, banks):
+def _yield_to_driver(slope, lateral, drive, brakes, dt, settings, memory, banks):
     """Let the requests follow the motion that a driver gives to the car; nothing is learned."""
     memory.state, memory.handover = OFF, math.nan
-    if speed < STANDING_SPEED:
-        _hold(slope, settings, memory)
+    if memory.speed < STANDING_SPEED:
+        _hold(0.0, slope, brakes, dt, settings, memory)
     else:
-        memory.hold = 0.0
-        _request(memory.motion, speed, slope, lateral, drive, brakes, settings, memory)
-    memory.limited_by, memory.target_speed, memory.fault = BY_DRIVER, speed, NO_FAULT
-    settle_actuators(speed, memory.force / settings.mass, banks)
+        memory.hold, memory.rolling, memory.rolled = 0.0, 0.0, 0.0
+        memory.is_braking = 1 if memory.motion + _resistance(memory.speed, slope, settings) < 0.0 else 0
+        _request(memory.motion, memory.speed, slope, lateral, drive, brakes, settings, memory)
+    memory.limited_by, memory.target_speed, memory.fault = BY_DRIVER, memory.speed, NO_FAULT
+    memory.contradiction, memory.distrust = 0.0, 0
+    settle_actuators(memory.measured_speed, memory.force / settings.mass, banks)
 
 
 @inlined
 def _hand_over(demand, settings, memory):
-    """Return the demand (m/s^2) with what is left of the acceleration that a driver has handed over."""
+    """Return the demand (m/s^2) with what is left of the acceleration that a driver or a start has handed over."""
     if memory.handover != memory.handover:
         memory.handover = memory.acceleration - demand
     else:
@@ -380,124 +474,261 @@ def _hand_over(demand, settings, memory):
 
 
 @inlined
-def _stop_unguided(deceleration, speed, slope, lateral, drive, brakes, settings, memory):
+def _stop_unguided(deceleration, slope, lateral, drive, brakes, dt, settings, memory):
     """Brake (m/s^2) to a standstill wherever the car is, and hold it there."""
     memory.handover = 0.0
-    if _stands(speed, memory):
-        _hold(slope, settings, memory)
+    if _stands(memory):
+        if memory.contradiction >= CONTRADICTION_TIME and memory.hold <= 0.0:
+            memory.distrust += 1
+        _hold(0.0, slope, brakes, dt, settings, memory)
+        memory.state = EMERGENCY if memory.state == EMERGENCY else STOPPING
         if memory.fault != NO_FAULT:
             memory.hold = settings.brake_limit
     else:
         memory.state = EMERGENCY if deceleration > EMERGENCY_RATIO * settings.brake else STOPPING
-        memory.target_speed, memory.hold = 0.0, 0.0
-        _request(-deceleration, speed, slope, lateral, drive, brakes, settings, memory)
+        memory.target_speed, memory.hold, memory.is_braking = 0.0, 0.0, 1
+        _request(-deceleration, memory.speed, slope, lateral, drive, brakes, settings, memory)
     memory.limited_by = BY_FAULT
     if memory.fault != NO_FAULT:
         memory.force = min(memory.force, 0.0)
         memory.state, memory.limited_by = EMERGENCY, BY_BRAKE_FAULT if memory.fault == BRAKES_FAIL else BY_DRIVE_FAULT
 
 
+# -- along the plan ---------------------------------------------------------------------------------------------------
 @inlined
-def _follow(station, speed, slope, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead):
-    """Follow the governed speeds and the next stop; write the requests."""
-    braking_share = 1.0 if memory.force < 0.0 else 0.0
-    if memory.force >= 0.0 and memory.acceleration < 0.0:  # on an ascent the drive takes over at the end of a stop
-        braking_share = brakes.acting / max(brakes.acting + drive.acting, LEAST_ACTION)
-    delay = drive.dead_time + braking_share * (brakes.dead_time - drive.dead_time)
-    lag = drive.lag + braking_share * (brakes.lag - drive.lag)
-    resistance = _resistance(speed, slope, settings)
-    coming_speed, coming_way = coming_motion(speed, delay, resistance, drive, brakes, settings.period, banks)
+def _moved(memory):
+    """Whether positions show that the car has moved since its start: 1 forward, -1 back, 0: not clearly."""
+    moved = memory.pose_place - memory.start_place
+    bound = MOVED_WAY + MOVED_SIGMAS * sqrt(memory.pose_variance)
+    return (1 if moved > bound else 0) - (1 if moved < -bound else 0)
+
+
+@inlined
+def _start(way, slope, lateral, drive, brakes, dt, settings, memory):
+    """Push until the car moves, and release the brakes gradually once the drive carries the estimated slope.
+
+    way: m, to the next stop. A car that rolls back is held again until the drive pushes more than before. Return
+    whether the car has still to start.
+    """
+    if memory.is_starting == 0:
+        _hold(0.0, slope, brakes, dt, settings, memory)
+        memory.is_starting, memory.launch = 1, 0.0
+    if abs(memory.speed) < STANDING_SPEED:
+        memory.start_place = memory.station
+    is_gentle, direction = way < SHORT_MOVE, _moved(memory)
+    moves = memory.speed > (GENTLE_SPEED if is_gentle else STARTED_SPEED)
+    if moves and (direction > 0 or (is_gentle and direction == 0)):
+        memory.is_starting, memory.rolling, memory.rolled, memory.handover = 0, 0.0, 0.0, math.nan
+        return False
+    is_rolling = memory.speed < -ROLLING_SPEED or (abs(memory.speed) > ROLLING_SPEED and direction < 0)
+    hold = memory.hold
+    resistance = _resistance(0.0, slope, settings) - drive.disturbance
+    push = max(resistance, 0.0) + START_RESERVE
+    if is_rolling:
+        memory.rolled = max(memory.rolled, memory.launch + ROLLED_RESERVE)
+        _hold(0.0, slope, brakes, dt, settings, memory)
+        hold, memory.is_starting = memory.hold, 1
+    elif not moves and drive.ratio * drive.acting >= push + memory.rolled:
+        hold = max(hold - (GENTLE_RELEASE_RATE if is_gentle else RELEASE_RATE) * dt * settings.mass, 0.0)
+    if not moves:
+        is_slow = is_gentle and hold > 0.0 and memory.rolled == 0.0
+        memory.launch = min(memory.launch + LAUNCH_RATE * dt, GENTLE_LAUNCH if is_slow else MAX_LAUNCH)
+    memory.is_braking = 0
+    _request(push + memory.launch - resistance, 0.0, slope, lateral, drive, brakes, settings, memory)
+    memory.hold = hold
+    return True
+
+
+@inlined
+def _braking_share(drive, brakes, memory):
+    """Share of the brakes in the delay of a request: 1 where they act; at the end of a stop the drive takes over."""
+    if memory.is_braking > 0:
+        return 1.0
+    return brakes.acting / max(brakes.acting + drive.acting, LEAST_ACTION) if memory.acceleration < 0.0 else 0.0
+
+
+@inlined
+def _aim(index, way, top_square, resistance, drive, brakes, settings, path, memory, banks, ahead):
+    """Motion to request, for the place at which drive or brakes act.
+
+    index, way: of the next stop, and m to it. Return the acceleration (m/s^2), the speed to reach and the coming speed
+    (m/s), the coming way to the stop (m), and the cause.
+    """
+    share, station = _braking_share(drive, brakes, memory), memory.station
+    delay, lag = (
+        drive.dead_time + share * (brakes.dead_time - drive.dead_time),
+        drive.lag + share * (brakes.lag - drive.lag),
+    )
+    coming_speed, coming_way, _, _ = predicted_motion(
+        max(memory.speed, 0.0), 0.0, delay, resistance, drive, brakes, settings.period, banks
+    )
     place = station + coming_way
     lead = place + coming_speed * lag
     target_square = _square_at(place, station, path, ahead)
-    target = sqrt(max(target_square, 0.0))
+    target = max(sqrt(max(target_square, 0.0)), LEAST_TARGET)
     change = _square_at(lead + LEAD_DISTANCE, station, path, ahead) - _square_at(lead, station, path, ahead)
-    acceleration = 0.5 * change / LEAD_DISTANCE
-    memory.limited_by = BY_GRIP
+    acceleration, cause = 0.5 * change / LEAD_DISTANCE, BY_GRIP
     if target_square >= path.square[cell_at(place, path)] * 0.999:
-        memory.limited_by = BY_PLAN
+        cause = BY_PLAN
     elif target_square >= top_square * 0.999:
-        memory.limited_by = BY_UNKNOWN_STEERING
-    stop = _stop_place(memory.next_stop, path)
+        cause = BY_UNKNOWN_STEERING
+    rest = way - coming_way
     jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * brakes.lag)
     caution_way = BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * coming_speed
-    stop_speed, stop_acceleration = _stopping_motion(stop - place - caution_way, lag, jerk, settings)
-    if stop_speed < target or stop - place <= 0.0:
-        memory.state, memory.limited_by = STOPPING, _stop_cause(path, memory)
-        target = stop_speed
-        acceleration = stop_acceleration
-        is_far = stop - place > STOP_TOLERANCE
-        if is_far and square(coming_speed) > 2.0 * EMERGENCY_RATIO * settings.brake * (stop - place):
-            memory.state = EMERGENCY
-    elif memory.state == STOPPING or memory.state == EMERGENCY:
-        memory.state = DRIVING
-    memory.target_speed = target
-    if memory.state == EMERGENCY:
-        memory.hold, memory.handover = 0.0, 0.0
-        needed = 0.5 * square(coming_speed) / max(stop - place, REACHED)
-        _request(-min(needed, settings.emergency), speed, slope, lateral, drive, brakes, settings, memory)
+    stop_speed, stop_acceleration = _stopping_motion(rest - caution_way, lag, jerk, settings)
+    if memory.travelled + way < SHORT_MOVE:
+        slow = sqrt(2.0 * SHORT_MOVE_BRAKE * max(rest, 0.0))
+        if slow < stop_speed:
+            stop_speed, stop_acceleration = slow, -SHORT_MOVE_BRAKE
+    if stop_speed < target or rest <= 0.0:
+        acceleration, target, cause = stop_acceleration, stop_speed, _stop_cause(index, path)
+    return acceleration, target, coming_speed, rest, cause
+
+
+@inlined
+def _follow(index, way, slope, top_square, lateral, drive, brakes, dt, settings, path, memory, banks, ahead):
+    """Follow the governed speeds and the next stop; write the requests. index, way: of the stop, and m to it."""
+    is_near = -math.inf < way < NEAR_STOP and memory.travelled <= ARRIVAL_WAY
+    if memory.speed < STANDING_SPEED and (is_near or way <= STOP_TOLERANCE < ARRIVAL_WAY < memory.travelled):
+        memory.state, memory.limited_by, memory.standing = STOPPING, _stop_cause(index, path), 0.0
+        _stand(-way, slope, lateral, drive, brakes, dt, settings, memory)
         return
-    if memory.state == STOPPING and speed < STANDING_SPEED and stop - station < STOP_TOLERANCE:
-        memory.standing = 0.0
-        _stand(station - stop, slope, lateral, drive, brakes, settings, memory)
+    resistance = _resistance(memory.speed, slope, settings)
+    rolls_back = memory.travelled < ARRIVAL_WAY and _moved(memory) < 0
+    is_at_start = memory.is_starting > 0 or memory.speed < STANDING_SPEED or rolls_back
+    if is_at_start and _start(way, slope, lateral, drive, brakes, dt, settings, memory):
+        memory.state, memory.limited_by = DRIVING, BY_PLAN
         return
+    acceleration, target, coming_speed, rest, cause = _aim(
+        index, way, top_square, resistance, drive, brakes, settings, path, memory, banks, ahead
+    )
+    disturbance = brakes.disturbance if memory.is_braking > 0 else drive.disturbance
+    tyres = acceleration + settings.gain * (target - coming_speed) + resistance - disturbance
+    band = STOPPING_BAND if cause in (BY_STOP, BY_PATH_END) else COASTING_BAND
+    if (tyres < -band and memory.is_braking == 0) or (tyres > band and memory.is_braking > 0):
+        memory.is_braking = 1 - memory.is_braking
+        acceleration, target, coming_speed, rest, cause = _aim(
+            index, way, top_square, resistance, drive, brakes, settings, path, memory, banks, ahead
+        )
+    memory.limited_by, memory.target_speed, memory.state = cause, target, DRIVING
+    memory.hold = max(memory.hold - STARTED_RELEASE_RATE * dt * settings.mass, 0.0)
+    if cause in (BY_STOP, BY_PATH_END):
+        memory.state = STOPPING
+        is_far = rest > STOP_TOLERANCE
+        if is_far and square(coming_speed) > 2.0 * EMERGENCY_RATIO * settings.brake * rest:
+            memory.state, memory.hold, memory.handover, memory.is_braking = EMERGENCY, 0.0, 0.0, 1
+            needed = 0.5 * square(coming_speed) / max(rest, REACHED)
+            _request(
+                -min(needed, settings.emergency), memory.speed, slope, lateral, drive, brakes, settings, memory
+            )  # fmt: skip
+            return
     demand = acceleration + settings.gain * (target - coming_speed)
     bounded = clip(demand, -COMFORT_RESERVE * settings.brake, COMFORT_RESERVE * settings.accelerate)
     if bounded != demand and memory.limited_by == BY_PLAN:
         memory.limited_by = BY_COMFORT
-    _request(_hand_over(bounded, settings, memory), speed, slope, lateral, drive, brakes, settings, memory)
-    memory.hold = 0.0
-    if memory.force > 0.0 and speed < STANDING_SPEED and drive.ratio * drive.acting < slope + START_RESERVE:
-        memory.hold = settings.mass * (slope + HOLD_RESERVE) if slope > 0.0 else 0.0  # until the drive carries it
+    _request(
+        _hand_over(bounded, settings, memory), memory.speed, slope, lateral, drive, brakes, settings, memory
+    )  # fmt: skip
+
+
+# -- one period -------------------------------------------------------------------------------------------------------
+@inlined
+def _slope_at(grade, path, memory):
+    """Deceleration (m/s^2) by the slope under the car: by a measured grade, else by the path's."""
+    return slope_of(grade) if abs(grade) <= MAX_PLAN_GRADE else path.slope[cell_at(memory.station, path)]
 
 
 @inlined
-def _locate(measured, way, settings, memory):
-    """Predict the station by a way (m, of the measured speed) and correct it by a measured one (m; NaN: none).
-
-    A Kalman filter of station and scale of the speed; the variance of a position follows from the innovations. While
-    the control is off, or when the position jumps, the filter restarts at the measured station.
-    """
-    memory.station += (1.0 + memory.scale) * way
-    p_ss, p_cc = memory.p_station, memory.p_scale
-    p_sc = memory.p_station_scale + way * p_cc
-    if way != 0.0:
-        p_ss += way * (memory.p_station_scale + p_sc) + square(WAY_NOISE) * settings.period
-        p_cc = min(p_cc + square(SCALE_DRIFT) * abs(way), square(SCALE_SIGMA))
-    if measured == measured:
-        innovation = measured - memory.station
-        spread = p_ss + memory.pose_variance
-        bound = POSE_BOUND * sqrt(spread)
-        if memory.state == OFF or abs(innovation) > max(bound, POSE_JUMP):
-            memory.pose_variance = max(memory.pose_variance, square(LEAST_POSE_SIGMA))
-            memory.station, p_ss, p_sc, p_cc = measured, memory.pose_variance, 0.0, square(SCALE_SIGMA)
-        else:
-            innovation = clip(innovation, -bound, bound)
-            k_s, k_c = p_ss / spread, p_sc / spread
-            memory.station += k_s * innovation
-            memory.scale += k_c * innovation
-            change = (square(innovation) - spread) * settings.period / POSE_MEMORY
-            memory.pose_variance = max(memory.pose_variance + change, square(LEAST_POSE_SIGMA))
-            p_cc -= k_c * p_sc
-            p_ss, p_sc = (1.0 - k_s) * p_ss, (1.0 - k_s) * p_sc
-    memory.p_station, memory.p_station_scale, memory.p_scale = p_ss, p_sc, p_cc
-
-
-@inlined
-def _take_motion(sample, elapsed, settings, memory):
-    """Take in a sample after a time (s); where speed, station or acceleration are missing, carry on the last ones."""
-    before, is_first = memory.speed, memory.speed_age > 0.0 or (memory.state == OFF and memory.limited_by == BY_PLAN)
-    if sample.speed == sample.speed:
-        memory.speed, memory.speed_age = sample.speed, 0.0
+def _learn(sample, dt, slope, settings, memory, banks):
+    """Take in a speed that is newer than the last one; drive and brakes are learned from it, and watched."""
+    memory.speed_age += dt
+    elapsed = memory.speed_age - sample.speed_age
+    is_known = sample.speed == sample.speed and sample.speed_age <= SPEED_GRACE
+    if not (is_known and elapsed > LEAST_ELAPSED * settings.period):
+        return
+    before, is_first = memory.measured_speed, elapsed > SPEED_GRACE
+    memory.measured_speed, memory.speed_age = sample.speed, sample.speed_age
+    if is_first:
+        before, elapsed = sample.speed, SPEED_GRACE
+        forget_speeds(banks)
+    take_motion(sample.acceleration, elapsed, before, memory)
+    resistance = _resistance(sample.speed, slope, settings)
+    if memory.fault == BRAKES_FAIL:
+        settle_actuators(sample.speed, memory.force / settings.mass, banks)
+    elif sample.driver <= 0.0 and memory.contradiction <= 0.0:
+        is_held = memory.hold > 0.0 and abs(sample.speed) < CREEPING_SPEED  # a sensor may have this offset
+        learn_actuators(0.0 if is_held else sample.speed, resistance, settings.period, memory.speed_age, elapsed, banks)
+    if memory.state == OFF or is_first or not is_speed_known(memory):
+        forget_faults(sample.speed, 0.0, memory)
     else:
-        memory.speed_age += settings.period
-        if memory.state != OFF:
-            memory.speed = max(memory.speed + memory.acceleration * settings.period, 0.0)
-    acceleration = sample.acceleration
-    if acceleration != acceleration:
-        acceleration = 0.0 if is_first else (memory.speed - before) / elapsed
-    memory.motion += MOTION_SMOOTHING * (acceleration - memory.motion)
-    _locate(sample.station, 0.5 * (before + memory.speed) * elapsed, settings, memory)
+        watch_actuators(
+            sample.speed, resistance, mean_of_bank(banks.drive), mean_of_bank(banks.brakes), elapsed, memory
+        )  # fmt: skip
+
+
+@inlined
+def _at_present(belief, acting):
+    """What is known of an actuator, with what it does at present (m/s^2)."""
+    return ActuatorBelief(
+        belief.lag, belief.dead_time, belief.delay_sigma, belief.ratio, belief.ratio_sigma, belief.disturbance,
+        belief.speed, acting, belief.acting_sigma,
+    )  # fmt: skip
+
+
+@inlined
+def _carry_speed(dt, slope, settings, memory, banks):
+    """Carry the filtered speed to the present by the requests that act; drive and brakes at present.
+
+    A speed that is too old, or contradicts the positions, goes on by the requested acceleration.
+    """
+    drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
+    age, speed = min(memory.speed_age, SPEED_GRACE), brakes.speed if brakes.acting > drive.acting else drive.speed
+    if speed != speed:
+        speed = memory.measured_speed
+    surplus = memory.measured_speed - speed
+    speed += surplus / (1.0 + abs(speed) / EXACT_SPEED)
+    surplus = memory.measured_speed - speed
+    speed, _, driving, braking = predicted_motion(
+        max(speed, 0.0), age, age, _resistance(speed, slope, settings), drive, brakes, settings.period, banks
+    )
+    if not is_speed_known(memory):
+        memory.speed = max(memory.speed + memory.acceleration * dt, 0.0)
+    elif memory.measured_speed < 0.0:
+        memory.speed = memory.measured_speed
+    else:
+        memory.speed = memory.direction * speed
+    memory.place_speed = memory.speed + (memory.direction * surplus if is_speed_known(memory) else 0.0)
+    return _at_present(drive, driving), _at_present(brakes, braking)
+
+
+@inlined
+def _locate(sample, before, dt, memory):
+    """Move the place of the car by the way in a time (s), and correct it by a newer position. before: m/s."""
+    way = 0.5 * (before + memory.place_speed) * dt
+    memory.travelled += abs(way)
+    predict_place(way, dt, memory)
+    interval = memory.observer_time + dt
+    compare_with_positions(sample.station, sample.station_age, dt, memory)
+    memory.jump = 0.0
+    if sample.station == sample.station:
+        age = sample.station_age
+        way_since = (1.0 + memory.scale) * (memory.place_speed * age - 0.5 * memory.motion * age * age)
+        correct_place(sample.station + way_since, interval, memory)
+
+
+@inlined
+def _sense_lateral(yaw_rate, path, memory, dt):
+    """Filter the lateral acceleration, slide and sway (m/s^2); return the larger of that measured and of the path's."""
+    cell = cell_at(memory.station, path)
+    bend = abs(memory.speed * memory.speed * path.curvature[cell] - path.bank[cell])
+    if yaw_rate == yaw_rate:
+        measured = min(abs(memory.speed * yaw_rate - path.bank[cell]), MAX_LATERAL)
+        memory.lateral += LATERAL_SMOOTHING * (measured - memory.lateral)
+    memory.slide -= memory.slide * dt / SLIDE_TIME
+    memory.slide = max(memory.slide, memory.lateral - memory.friction * GRAVITY)
+    memory.sway -= memory.sway * dt / SWAY_TIME
+    memory.sway = max(memory.sway, memory.lateral - bend - SWAY_MARGIN * memory.friction * GRAVITY)
+    return max(memory.lateral, bend)
 
 
 @inlined
@@ -509,63 +740,46 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     sample: `SPEED_SAMPLE`; its grade replaces that of the path where the car is, not ahead of it; ahead: (n,), at the
     cells from the station on.
     """
-    yaw_rate, top_square = sample.yaw_rate, square(sample.top_speed)
+    top_square, periods = square(sample.top_speed), max(whole(sample.periods), 1)
     if memory.friction <= 0.0:
         memory.friction, memory.friction_high = settings.friction, settings.friction_high
         memory.cautious_friction = settings.friction
-    elapsed = max(sample.elapsed, LEAST_ELAPSED * settings.period) if sample.elapsed > 0.0 else settings.period
-    is_gap = elapsed > LARGEST_ELAPSED * settings.period
-    was_blind = memory.speed_age > 0.0 or is_gap
-    _take_motion(sample, elapsed, settings, memory)
-    station, speed = memory.station, memory.speed
-    cell = cell_at(station, path)
-    slope = slope_of(sample.grade) if abs(sample.grade) <= MAX_PLAN_GRADE else path.slope[cell]
-    bend = abs(speed * speed * path.curvature[cell] - path.bank[cell])
-    if yaw_rate == yaw_rate:
-        memory.lateral += LATERAL_SMOOTHING * (abs(speed * yaw_rate - path.bank[cell]) - memory.lateral)
-    memory.slide -= memory.slide * settings.period / SLIDE_TIME
-    memory.slide = max(memory.slide, memory.lateral - memory.friction * GRAVITY)
-    memory.sway -= memory.sway * settings.period / SWAY_TIME
-    memory.sway = max(memory.sway, memory.lateral - bend - SWAY_MARGIN * memory.friction * GRAVITY)
-    lateral = max(memory.lateral, bend)
-    if memory.state == OFF:
-        while _stop_place(memory.next_stop, path) < station - OVERSHOOT:
-            memory.next_stop += 1
-    is_driven = sample.driver > 0.0
-    if memory.fault == BRAKES_FAIL:
-        settle_actuators(speed, memory.force / settings.mass, banks)
-    elif not is_driven:
-        measured = math.nan if is_gap else sample.speed
-        learn_actuators(measured, _resistance(speed, slope, settings), settings.period, elapsed, banks)
-    drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
-    if memory.state == OFF or memory.speed_age > 0.0 or was_blind:
-        forget_faults(speed, 0.0, memory)
-    else:
-        watch_actuators(speed, _resistance(speed, slope, settings), drive, brakes, elapsed, memory)
-    _count_creeping(speed, settings, memory)
-    _govern(station, top_square, settings, path, memory, ahead)
+    dt = periods * settings.period
+    repeat_requests(min(periods - 1, banks.requests.size // 2), banks.requests)
+    if memory.is_changed > 0:
+        match_stops(path, memory)
+        memory.is_changed = 0
+    _learn(sample, dt, _slope_at(sample.grade, path, memory), settings, memory, banks)
+    before = memory.place_speed if memory.is_placed > 0 else memory.measured_speed
+    drive, brakes = _carry_speed(dt, _slope_at(sample.grade, path, memory), settings, memory, banks)
+    _locate(sample, before, dt, memory)
+    slope, lateral = _slope_at(sample.grade, path, memory), _sense_lateral(sample.yaw_rate, path, memory, dt)
+    _count_creeping(dt, memory)
+    _govern(memory.station, top_square, settings, path, memory, ahead)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (memory.friction * GRAVITY)
-    if is_driven:
-        _yield_to_driver(speed, slope, lateral, drive, brakes, settings, memory, banks)
+    if sample.driver > 0.0:
+        _yield_to_driver(slope, lateral, drive, brakes, dt, settings, memory, banks)
         return
     was_off = memory.state == OFF
-    needed = 0.0 if was_off else _blind_deceleration(speed, sample.blind_time, brakes.lag + brakes.dead_time, settings)
-    if sample.station != sample.station or memory.speed_age > BLIND_GRACE or memory.fault != NO_FAULT:
+    needed, delay = 0.0, brakes.lag + brakes.dead_time + BLIND_SIGMAS * brakes.delay_sigma + BLIND_MARGIN
+    if not was_off:
+        needed = _blind_deceleration(sample.blind_time, sample.is_guided, delay, settings, memory)
+    if sample.is_guided <= 0.0 or memory.is_placed == 0 or not is_speed_known(memory) or memory.fault != NO_FAULT:
         needed = max(needed, settings.emergency if memory.fault == BRAKES_FAIL else settings.brake)
+    index, way = NO_STOP, math.inf
+    if needed <= 0.0:
+        memory.state = DRIVING if was_off else memory.state
+        index, way = _find_stop(dt, path, memory)
+        if index == NO_STOP and path.closed == 0 and memory.station > path.length:
+            needed = settings.brake  # beyond the end of the path
     if needed > 0.0:
-        _stop_unguided(needed, speed, slope, lateral, drive, brakes, settings, memory)
+        _stop_unguided(needed, slope, lateral, drive, brakes, dt, settings, memory)
         memory.state = OFF if was_off else memory.state
-        remember_request(memory.force, memory.hold, settings.mass, banks.requests)
-        return
-    if was_off:
-        memory.state = DRIVING
-    _pass_stop(station, speed, settings, path, memory)
-    if memory.state == WAITING:
-        memory.limited_by = _stop_cause(path, memory)
-        _stand(station - _stop_place(memory.next_stop, path), slope, lateral, drive, brakes, settings, memory)
-        remember_request(memory.force, memory.hold, settings.mass, banks.requests)
-        return
-    _follow(station, speed, slope, top_square, lateral, drive, brakes, settings, path, memory, banks, ahead)
+    elif memory.state == WAITING:
+        memory.limited_by = _stop_cause(index, path)
+        _stand(-way, slope, lateral, drive, brakes, dt, settings, memory)
+    else:
+        _follow(index, way, slope, top_square, lateral, drive, brakes, dt, settings, path, memory, banks, ahead)
     remember_request(memory.force, memory.hold, settings.mass, banks.requests)
 
 

@@ -37,10 +37,10 @@ ACTUATOR_HYPOTHESIS = record(
 """A hypothesis about drive or brakes, with its filter."""
 ActuatorBelief = record(
     "ActuatorBelief",
-    ("lag", "dead_time", "delay_sigma", "ratio", "ratio_sigma", "disturbance", "acting", "acting_sigma"),
+    ("lag", "dead_time", "delay_sigma", "ratio", "ratio_sigma", "disturbance", "speed", "acting", "acting_sigma"),
 )
-"""Weighted mean of a bank: s, s, s (of lag plus dead time), -, -, m/s^2; acting: m/s^2, filtered request, with the
-standard deviation by the unknown delays."""
+"""Weighted mean of a bank: s, s, s (of lag plus dead time), -, -, m/s^2, m/s (filtered; NaN: none); acting: m/s^2,
+filtered request, with the standard deviation by the unknown delays."""
 SpeedBanks = record(
     "SpeedBanks", (("drive", rows(ACTUATOR_HYPOTHESIS)), ("brakes", rows(ACTUATOR_HYPOTHESIS)), ("requests", vector))
 )
@@ -54,9 +54,11 @@ SPEED_NOISE, SPEED_NOISE_SHARE = 0.02, 0.006
 """m/s, -: standard deviation of a measured speed, absolute and over the speed."""
 EVIDENCE_TIME = 40.0
 """s of action, after which evidence about lag and dead time is forgotten."""
-LEARNING_SPEED, LEAST_ACTION = 0.3, 0.15
-"""m/s; m/s^2: below these nothing is learned of an actuator."""
+LEARNING_SPEED, LEAST_ACTION = 0.3, 0.5
+"""m/s; m/s^2: below these nothing is learned of an actuator: a slight force and a slope look alike."""
 LEAST_FORCE_RATIO, LARGEST_FORCE_RATIO = 0.4, 2.0
+WHOLE = 1e-6
+"""Periods, by which times may differ from whole ones."""
 INNOVATION_BOUND = 4.0
 """Standard deviations up to which an innovation counts."""
 
@@ -81,7 +83,7 @@ def mean_of_bank(bank):
     best = -math.inf
     for i in range(bank.size):
         best = max(best, bank[i].score)
-    total = lag = dead_time = delay_square = ratio = ratio_square = disturbance = acting = acting_square = 0.0
+    total = lag = dead_time = delay_square = ratio = ratio_square = disturbance = speed = acting = acting_square = 0.0
     for i in range(bank.size):
         h = bank[i]
         weight = exp(h.score - best)
@@ -92,6 +94,7 @@ def mean_of_bank(bank):
         ratio += weight * h.ratio
         ratio_square += weight * (square(h.ratio) + h.p_ratio)
         disturbance += weight * h.disturbance
+        speed += weight * h.speed
         acting += weight * h.filtered
         acting_square += weight * square(h.filtered)
     lag, dead_time, ratio = lag / total, dead_time / total, ratio / total
@@ -99,34 +102,40 @@ def mean_of_bank(bank):
     ratio_variance = max(ratio_square / total - square(ratio), 0.0)
     acting_variance = max(acting_square / total - square(acting / total), 0.0)
     return ActuatorBelief(
-        lag, dead_time, sqrt(delay_variance), ratio, sqrt(ratio_variance), disturbance / total, acting / total,
-        sqrt(acting_variance),
+        lag, dead_time, sqrt(delay_variance), ratio, sqrt(ratio_variance), disturbance / total, speed / total,
+        acting / total, sqrt(acting_variance),
     )  # fmt: skip
 
 
 @inlined
-def _requested(dead_time, period, requests):
-    """Mean request (m/s^2) that acts in the last period after a dead time (s)."""
-    periods = dead_time / period
+def _requested(offset, period, requests):
+    """Mean request (m/s^2) of the period that ended an offset (s) ago."""
+    periods = offset / period
     first = min(whole(floor(periods)), requests.size - 2)
     share = clip(periods - first, 0.0, 1.0)
     return (1.0 - share) * requests[first] + share * requests[first + 1]
 
 
 @inlined
-def _act(h, period, elapsed, requests):
-    """Let the actuator of a hypothesis follow its requests over a time (s); its mean (m/s^2).
+def _act(h, period, age, elapsed, requests):
+    """Let the actuator of a hypothesis follow its requests over a time (s) that ended at an age (s); its mean (m/s^2).
 
     period: s, between two requests.
     """
-    target = _requested(h.dead_time, period, requests)
-    if h.lag <= 0.0:
-        h.filtered = target
-        return target
-    decay = exp(-elapsed / h.lag)
-    gap = target - h.filtered
-    h.filtered = target - gap * decay
-    return target - gap * (1.0 - decay) * h.lag / elapsed
+    remaining, integral = elapsed, 0.0
+    while remaining > 0.0:
+        step = remaining if remaining < (1.0 + WHOLE) * period else period
+        remaining -= step
+        target = _requested(h.dead_time + age + max(remaining, 0.0), period, requests)
+        if h.lag <= 0.0:
+            h.filtered = target
+            integral += step * target
+            continue
+        decay = exp(-step / h.lag)
+        gap = target - h.filtered
+        h.filtered = target - gap * decay
+        integral += step * target - gap * (1.0 - decay) * h.lag
+    return integral / elapsed
 
 
 @inlined
@@ -174,7 +183,7 @@ def _restart_speed(h, speed):
 
 
 @inlined
-def _run_bank(bank, sign, other, resistance, speed, learns, period, elapsed, requests):
+def _run_bank(bank, sign, other, resistance, speed, learns, period, age, elapsed, requests):
     """One step of a bank; other: m/s^2, signed acceleration by the other actuator; resistance: m/s^2, with slope.
 
     The brakes may hold a standing car against any force, so its rest shows only that it does not accelerate. Without a
@@ -182,7 +191,7 @@ def _run_bank(bank, sign, other, resistance, speed, learns, period, elapsed, req
     """
     for i in range(bank.size):
         h = bank[i]
-        mean = sign * _act(h, period, elapsed, requests)
+        mean = sign * _act(h, period, age, elapsed, requests)
         can_rest = h.ratio * mean + other - resistance + h.disturbance <= 0.0
         if speed != speed or h.speed != h.speed or (speed <= STANDING_SPEED and can_rest):
             _restart_speed(h, speed)
@@ -199,8 +208,8 @@ def _share_mass(ratio, bank):
 
 
 @inlined
-def learn_actuators(speed, resistance, period, elapsed, banks):
-    """Take in a speed (m/s; NaN: none) after a time (s) since the last one.
+def learn_actuators(speed, resistance, period, age, elapsed, banks):
+    """Take in a speed (m/s; NaN: none) of an age (s), a time (s) after the last one.
 
     resistance: m/s^2, of air, rolling and known slope; period: s, of the requests.
     """
@@ -211,11 +220,11 @@ def learn_actuators(speed, resistance, period, elapsed, banks):
     _share_mass(drive.ratio, banks.brakes)
     _run_bank(
         banks.drive, 1.0, -brakes.ratio * brakes.acting, resistance, speed,
-        moves and drives and drive.acting > LEAST_ACTION, period, elapsed, banks.requests[:count],
+        moves and drives and drive.acting > LEAST_ACTION, period, age, elapsed, banks.requests[:count],
     )  # fmt: skip
     _run_bank(
         banks.brakes, -1.0, drive.ratio * drive.acting, resistance, speed,
-        moves and not drives and brakes.acting > LEAST_ACTION, period, elapsed, banks.requests[count:],
+        moves and not drives and brakes.acting > LEAST_ACTION, period, age, elapsed, banks.requests[count:],
     )  # fmt: skip
 
 
@@ -226,20 +235,23 @@ def _decay(lag, period):
 
 
 @inlined
-def coming_motion(speed, delay, resistance, drive, brakes, period, banks):
-    """Speed (m/s) after a delay (s), and the way (m) until then, by the requests so far.
+def predicted_motion(speed, age, duration, resistance, drive, brakes, period, banks):
+    """Speed (m/s), way (m), and what drive and brakes do (m/s^2), a duration (s) after a time that lies an age (s) ago.
 
-    drive, brakes: `ActuatorBelief`; resistance: m/s^2, of air, rolling and known slope.
+    drive, brakes: `ActuatorBelief` at that time; resistance: m/s^2, of air, rolling and known slope. The requests so
+    far act, the last one on and on.
     """
     count = banks.requests.size // 2
     drive_decay, brake_decay = _decay(drive.lag, period), _decay(brakes.lag, period)
     external = (brakes.disturbance if brakes.acting > drive.acting else drive.disturbance) - resistance
     driving, braking, time, way = drive.acting, brakes.acting, 0.0, 0.0
-    while time < delay:
-        step = min(period, delay - time)
-        time += period
-        driving_target = _requested(max(drive.dead_time - time, 0.0), period, banks.requests[:count])
-        braking_target = _requested(max(brakes.dead_time - time, 0.0), period, banks.requests[count:])
+    while time < duration - WHOLE * period:
+        step = min(period, duration - time)
+        if step < period:
+            drive_decay, brake_decay = _decay(drive.lag, step), _decay(brakes.lag, step)
+        time += step
+        driving_target = _requested(max(drive.dead_time + age - time, 0.0), period, banks.requests[:count])
+        braking_target = _requested(max(brakes.dead_time + age - time, 0.0), period, banks.requests[count:])
         driving_after = driving_target + (driving - driving_target) * drive_decay
         braking_after = braking_target + (braking - braking_target) * brake_decay
         mean_driving, mean_braking = 0.5 * (driving + driving_after), 0.5 * (braking + braking_after)
@@ -247,16 +259,37 @@ def coming_motion(speed, delay, resistance, drive, brakes, period, banks):
         before = speed
         speed = max(speed + step * (drive.ratio * mean_driving - brakes.ratio * mean_braking + external), 0.0)
         way += 0.5 * step * (before + speed)
-    return speed, way
+    return speed, way, driving, braking
+
+
+@inlined
+def repeat_requests(times, requests):
+    """Let the requests in force have been requested so many times more."""
+    for _ in range(times):
+        remember(requests[0], requests[requests.size // 2], requests)
+
+
+@inlined
+def remember(driving, braking, requests):
+    """Add the requests (m/s^2) of drive and brakes, the latest first."""
+    for j in range(requests.size - 1, 0, -1):
+        requests[j] = requests[j - 1]
+    requests[0], requests[requests.size // 2] = driving, braking
 
 
 @inlined
 def remember_request(force, hold, mass, requests):
-    """Add a requested force and a hold of the brakes (N) over the mass (kg) to the requests, the latest first."""
-    count = requests.size // 2
-    for j in range(requests.size - 1, 0, -1):
-        requests[j] = requests[j - 1]
-    requests[0], requests[count] = max(force, 0.0) / mass, (max(-force, 0.0) + hold) / mass
+    """Add a requested force and a hold of the brakes (N) over the mass (kg) to the requests."""
+    remember(max(force, 0.0) / mass, (max(-force, 0.0) + hold) / mass, requests)
+
+
+@inlined
+def forget_speeds(banks):
+    """Let the filters of both banks restart at the next speed."""
+    for i in range(banks.drive.size):
+        banks.drive[i].speed = math.nan
+    for i in range(banks.brakes.size):
+        banks.brakes[i].speed = math.nan
 
 
 @inlined

@@ -11,8 +11,9 @@ from .maths.trigonometric import sin
 from .planning.station_table import AlongRecord, value_at
 from .plants.forces import GRAVITY
 from .road import CLOSED, LENGTH, Centreline, point_at
-from .speed_control import MAX_PLAN_GRADE, STOP_TOLERANCE, slope_of
+from .speed_control import MAX_PLAN_GRADE, slope_of
 from .speed_plan import planned_speeds
+from .speed_stops import NEAR_STOP
 
 PlanArrays = record(
     "PlanArrays",
@@ -33,6 +34,8 @@ PLACE_SPACING = 0.5
 """m, between the places at most."""
 MAX_PLAN_BANK, MAX_PLAN_SPEED = 1.4, 100.0
 """rad, m/s: limits of a plan, in addition to `MAX_PLAN_GRADE`."""
+STANDSTILL_DISTANCE = 0.5
+"""m, from a stop, within which a planned speed may be 0."""
 LENGTH_TOLERANCE = 1.0
 """m, between the end of a plan and that of its road."""
 INSIDE = 1.0 - 1e-12
@@ -76,7 +79,7 @@ def _is_at_stop(place, plan):
     nearest = math.inf
     for i in range(plan.stops.size):
         nearest = min(nearest, abs(plan.stops[i] - place))
-    return nearest <= STOP_TOLERANCE
+    return nearest <= STANDSTILL_DISTANCE
 
 
 @inlined
@@ -153,11 +156,13 @@ def write_speed_path(plan, memory):
         grade = value_at(place, plan.grade) if plan.grade.s.size > 0 else 0.0
         slope[i] = slope_of(grade)
         bank[i] = GRAVITY * sin(value_at(place, plan.bank)) if plan.bank.s.size > 0 else 0.0
-    ends_standing = plan.stops_at_end > 0 or plan.speed[plan.s.size - 1] == 0.0
-    has_end = ends_standing and not closed and (stops == 0 or plan.stops[stops - 1] < length)
-    ends = stops + 1 if has_end else stops
+    is_end = not closed and (plan.stops_at_end > 0 or plan.speed[plan.s.size - 1] == 0.0)
+    is_last = is_end and stops > 0 and plan.stops[stops - 1] >= length - NEAR_STOP  # one stop, which has no end
+    ends = stops + 1 if is_end and not is_last else stops
     for i in range(stops):
         memory[4 * count + i], memory[4 * count + ends + i] = plan.stops[i], plan.seconds[i]
-    if has_end:
-        memory[4 * count + stops], memory[4 * count + ends + stops] = length, math.inf
+    if is_end and not is_last:
+        memory[4 * count + stops] = length
+    if is_end:
+        memory[4 * count + 2 * ends - 1] = math.inf
     return OK, ends

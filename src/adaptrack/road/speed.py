@@ -209,7 +209,7 @@ def plan_speed(
     except (TypeError, ValueError):
         raise InvalidInput(f"plan_speed: stops = {stops!r}: give places (m), or Stop(place, seconds).") from None
     for stop in halts:
-        if not 0.0 <= stop.s <= road.length or not 0.0 <= stop.seconds < math.inf:
+        if not 0.0 <= stop.s <= road.length or not stop.seconds >= 0.0:
             raise InvalidInput(
                 f"plan_speed: {stop}: must lie on the road, 0 to {road.length:.6g} m, for a time >= 0 s."
             )

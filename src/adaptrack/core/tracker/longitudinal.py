@@ -7,10 +7,15 @@ import math
 import numpy as np
 
 from ..friction_estimate import FrictionEstimate, begin_friction, narrow_friction
+from ..input_check.record import MISTAKES, SUBJECTS, memory_of, report
 from ..kernel import Place, exported, float64, inlined, record, rows, vector, void
 from ..maths.bits import whole
-from ..speed_control import BLIND_GRACE, OFF, SPEED_MEMORY, SPEED_SAMPLE, SpeedPath, SpeedSettings, speed_control
+from ..maths.exact import clip, square
+from ..road import foot_near, point_at
+from ..speed_control import BLIND_GRACE, SPEED_MEMORY, SPEED_SAMPLE, SpeedPath, SpeedSettings, speed_control
 from ..speed_learning import SpeedBanks, begin_bank
+from ..speed_path import MAX_PLAN_SPEED
+from .pose import forward, has_position, line, time_of
 from .records import INSTANT, MAX_SIGNAL, TRACKED, TRACKER_SAMPLE, TrackerRecord
 
 Longitudinal = record(
@@ -43,6 +48,12 @@ STATUS_ACTIONS = np.array(
 """By `core.tracker.records.STATUS`: the action with a position of the last `BLIND_GRACE` seconds, and without one."""
 SHORTEST_PERIOD_SHARE = 0.9
 """Control periods between two steps of the speed control while there are no control instants."""
+MAX_PERIODS = 40
+"""Control periods between two steps, at most: after so many the filters restart."""
+MAX_SAMPLE_AGE, EARLY_PERIODS = 0.5, 2.0
+"""s, -: age up to which a position is carried; control periods by which a stamp may be too late."""
+SUSPECT_SCALE, KNOWN_SCALE_SIGMA = 0.05, 0.012
+"""-: error of the scale of the speed from which it is reported; standard deviation from which it is known."""
 
 
 @inlined
@@ -57,26 +68,100 @@ def _is_due(time, m, memory, period):
 
 
 @inlined
-def _write_sample(tracker, blind_time, action, sample, memory):
-    """Write the sample of the speed control after a call of the tracker; blind_time: s, since the last position."""
-    is_guided, is_blind = action in (FOLLOW, FOLLOW_SLOWLY), action in (FOLLOW_SLOWLY, EMERGENCY_STOP)
-    sample.station = tracker.tracked[TRACKED.station] if is_guided else math.nan
+def _count_periods(time, m, memory, period):
+    """Control periods since the last step of the speed control; so many as to be a gap where the instants restarted."""
+    if m.started == 0:
+        periods = whole(clip((time - memory.time) / period + 0.5, 1.0, MAX_PERIODS))
+    else:
+        is_anew = m.began != memory.began or m.instant < memory.instant
+        periods = MAX_PERIODS if is_anew else min(m.instant - memory.instant, MAX_PERIODS)
+        if is_anew:
+            memory.is_changed, memory.is_placed, memory.pose_time = 1, 0, -math.inf
+    memory.time, memory.began, memory.instant = time, m.began, m.instant
+    return max(periods, 1)
+
+
+@inlined
+def _point_of(place, centreline):
+    """Point (m, m) of a place (m) on a path; NaN without a place."""
+    if not math.isfinite(place):
+        return math.nan, math.nan
+    x, y, _, _ = point_at(place, centreline)
+    return x, y
+
+
+@inlined
+def _place_of(x, y, near, centreline):
+    """Place (m) on a path that is next to a point (m, m) about an arc length (m); NaN without one."""
+    if not math.isfinite(x):
+        return math.nan
+    station, offset, _, _ = foot_near(x, y, near, centreline)
+    return station if offset == offset else math.nan
+
+
+@inlined
+def _change_places(station, centreline, memory):
+    """Find the places of the car and of its stops on a path that has changed; station: m, of the car on it."""
+    place = _place_of(memory.place_x, memory.place_y, station, centreline)
+    if place == place:
+        memory.station = place
+    else:
+        memory.is_placed = 0
+    memory.stop_place = _place_of(memory.stop_x, memory.stop_y, station, centreline)
+    memory.served_place = _place_of(memory.served_x, memory.served_y, station, centreline)
+
+
+@inlined
+def _note_places(centreline, memory):
+    """Keep where the places of the car and of its stops are in the plane."""
+    memory.place_x, memory.place_y = _point_of(memory.station, centreline)
+    memory.stop_x, memory.stop_y = _point_of(memory.stop_place, centreline)
+    memory.served_x, memory.served_y = _point_of(memory.served_place, centreline)
+
+
+@inlined
+def _write_sample(tracker, m, blind_time, action, sample, memory):
+    """Write the sample of the speed control after a call of the tracker; blind_time: s, since the last position.
+
+    Positions and speeds are those that the tracker lets pass; each counts once, at its age.
+    """
+    period, given = tracker.settings[0].period, tracker.sample
+    now = time_of(m, period) if m.started > 0 else given[TRACKER_SAMPLE.now]
+    is_blind = action in (FOLLOW_SLOWLY, EMERGENCY_STOP)
+    sample.is_guided = 1.0 if action in (FOLLOW, FOLLOW_SLOWLY) else 0.0
     sample.blind_time = blind_time if is_blind else 0.0
-    sample.speed, sample.yaw_rate = tracker.sample[TRACKER_SAMPLE.speed], tracker.sample[TRACKER_SAMPLE.yaw_rate]
-    acceleration = tracker.sample[TRACKER_SAMPLE.longitudinal_acceleration]
+    sample.station, sample.station_age = math.nan, 0.0
+    if m.started > 0 and has_position(m) and m.given_t > memory.pose_time and m.offset == m.offset:
+        memory.pose_time = m.given_t
+        age = clip(now - m.given_t, 0.0, MAX_SAMPLE_AGE)
+        sample.station, sample.station_age = m.station - age * forward(m), age
+    speed = given[TRACKER_SAMPLE.speed]
+    sample.speed = speed if abs(speed) <= MAX_PLAN_SPEED else math.nan
+    age = now - given[TRACKER_SAMPLE.motion_t]
+    sample.speed_age = max(age, 0.0) if age > -EARLY_PERIODS * period else math.inf
+    sample.yaw_rate = given[TRACKER_SAMPLE.yaw_rate]
+    acceleration = given[TRACKER_SAMPLE.longitudinal_acceleration]
     sample.acceleration = acceleration if abs(acceleration) < MAX_SIGNAL else math.nan
-    sample.driver = 1.0 if tracker.sample[TRACKER_SAMPLE.driver] > 0.5 else 0.0
-    sample.grade = tracker.sample[TRACKER_SAMPLE.grade]
-    motion_t, t = tracker.sample[TRACKER_SAMPLE.motion_t], tracker.sample[TRACKER_SAMPLE.t]
-    speed_time = motion_t if motion_t == motion_t else t
-    sample.elapsed = speed_time - memory.speed_time if speed_time > memory.speed_time > -math.inf else 0.0
-    memory.speed_time = speed_time
+    sample.driver = 1.0 if given[TRACKER_SAMPLE.driver] > 0.5 else 0.0
+    sample.grade = given[TRACKER_SAMPLE.grade]
+
+
+@inlined
+def _report(check, memory):
+    """Report a place that has jumped, and a scale of the speed that is far off."""
+    inputs = memory_of(check.memory, 0)
+    if memory.jump > 0.0:
+        report(inputs, SUBJECTS.pose, MISTAKES.position_drifts, memory.jump, 0.0, 0.0)
+    if abs(memory.scale) > SUSPECT_SCALE and memory.p_scale < square(KNOWN_SCALE_SIGMA):
+        report(inputs, SUBJECTS.speed, MISTAKES.speed_unit, 1.0 + memory.scale, 0.0, 0.0)
 
 
 @exported(void(Place(Longitudinal)))
 def longitudinal_begin(longitudinal):
-    """Forget what was learned of drive, brakes and friction."""
-    settings, banks = longitudinal.settings, longitudinal.banks
+    """Begin without a place and a speed, and forget what was learned of drive, brakes and friction."""
+    settings, banks, memory = longitudinal.settings, longitudinal.banks, longitudinal.memory[0]
+    memory.speed_age, memory.direction, memory.time, memory.pose_time = math.inf, 1.0, -math.inf, -math.inf
+    memory.stop_place = memory.served_place = memory.stop_x = memory.served_x = math.nan
     begin_bank(settings.drive_lag, settings.drive_dead_time, banks.drive)
     begin_bank(settings.brake_lag, settings.brake_dead_time, banks.brakes)
     banks.requests[:] = 0.0
@@ -121,13 +206,25 @@ def longitudinal_step(tracker, longitudinal):
     action = STATUS_ACTIONS[whole(tracker.tracked[TRACKED.status]), 0 if blind_time <= BLIND_GRACE else 1]
     if action == NO_ACTION or not _is_due(time, m, memory, longitudinal.settings.period):
         return
-    memory.time = time
+    sample.periods = float(_count_periods(time, m, memory, longitudinal.settings.period))
     sample.top_speed = tracker.tracked[TRACKED.first_top_speed]
-    _write_sample(tracker, blind_time, action, sample, memory)
+    _write_sample(tracker, m, blind_time, action, sample, memory)
+    centreline = line(tracker)
+    if memory.is_changed > 0 and m.started > 0:
+        _change_places(m.station, centreline, memory)
     speed_control_step(longitudinal)
+    if memory.is_placed > 0 and m.started > 0:
+        _note_places(centreline, memory)
+    _report(tracker.check, memory)
 
 
 @exported(void(Place(Longitudinal)))
 def longitudinal_follow(longitudinal):
-    """Go over to the plan that `longitudinal` has now; what was learned of drive and brakes stays."""
-    longitudinal.memory[0].next_stop, longitudinal.memory[0].state = 0, OFF
+    """Go over to the plan that `longitudinal` has now; what was learned stays, and a stop of both plans is one stop."""
+    longitudinal.memory[0].is_changed = 1
+
+
+@exported(void(Place(Longitudinal)))
+def longitudinal_release(longitudinal):
+    """Let the car leave the stop at which it stands, whatever its time; at the end of a path it stays."""
+    longitudinal.memory[0].is_released = 1

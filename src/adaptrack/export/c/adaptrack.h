@@ -94,7 +94,7 @@ typedef struct {
     adaptrack_along grade; /* dz/ds, positive uphill, at most 0.4 to either side */
     adaptrack_along bank;  /* rad, positive where gravity pulls to the left, at most 1.4 to either side */
     const double *stops;   /* m, ascending, where the car stops */
-    const double *seconds; /* s, how long it stands there; INFINITY: it stays */
+    const double *seconds; /* s, how long it stands there; INFINITY: until adaptrack_release */
     size_t stop_count;
     int stays_at_end;      /* 1: the car stops at the end of an open path and stays, as after a last speed of 0 */
 } adaptrack_speeds;
@@ -122,9 +122,12 @@ adaptrack_error adaptrack_speed_plan(const void *path, const adaptrack_speeds *s
                                      adaptrack_flaw *flaw);
 /* Follow a path and a plan along it from the next control instant on: both must stay as they are while they are
    followed. `near` (m): along the path, within 400 m of which the car is; NaN: anywhere, which takes longer. What was
-   learned stays. Begin a path behind the car, by the age of the oldest samples at least. ADAPTRACK_BAD_PLAN for a plan
-   of a different path, or faster than ADAPTRACK_TOP_SPEED. */
+   learned stays, and so do a stop at which the car stands and the time there: the stops of both plans are compared by
+   their places in x and y. Begin a path behind the car, by the age of the oldest samples at least. ADAPTRACK_BAD_PLAN
+   for a plan of a different path, or faster than ADAPTRACK_TOP_SPEED. */
 adaptrack_error adaptrack_follow_plan(void *tracker, const void *path, double near, const void *plan);
+/* Let the car leave the stop at which it stands, whatever its time; at the end of a path it stays. */
+adaptrack_error adaptrack_release(void *tracker);
 #endif
 
 /* -- a call ------------------------------------------------------------------------------------------------------- */
@@ -178,11 +181,13 @@ typedef struct {
     double first_top_speed; /* m/s, below which to drive until the controller has learned its car; then, and without
                                learning, infinite */
 #if ADAPTRACK_SPEED_CONTROL
-    /* Requests of the speed control for the present period. Pass on `force` or `acceleration`, not both, and `hold`. */
+    /* Requests of the speed control for the present period. Pass on `force` or `acceleration`, not both, and `hold`.
+       They are finite, and within the limits of the car, whatever a sample contains. */
     double acceleration;  /* m/s^2, dv/dt along the road, without gravity; negative: slower */
-    double force;         /* N, of all wheels: positive forward, by the drive; negative backward, by the brakes. It is for
-                             a car of ADAPTRACK_MASS; its limits of friction do not adapt to a different mass. */
-    double hold;          /* N, never negative: of the brakes in addition to the force, holds the car at rest */
+    double force;         /* N, of all wheels: positive drives forward; negative is a force of the brakes, which opposes
+                             the motion either way and never moves a standing car. It is for a car of ADAPTRACK_MASS;
+                             its limits of friction do not adapt to a different mass. */
+    double hold;          /* N, never negative: a force of the brakes likewise, in addition; it holds the car at rest */
     double target_speed;  /* m/s, where the request acts */
     double grip_used;     /* -, acceleration of the car over what the assumed friction gives */
     adaptrack_speed_state speed_state;
@@ -202,7 +207,8 @@ typedef struct {
    follow: the plan and its stops. slow: the same, but the car stands before the steering loses its estimate. comfort
    stop: with the deceleration of comfort. emergency stop: as hard as the assumed friction allows. Both keep the car at
    rest by `hold`. none: the requests stay. A position counts as missing 0.5 s after the last one, and so does a speed:
-   without a speed the car makes a comfort stop. */
+   without a speed, or with one that contradicts the positions, the car makes a comfort stop.
+   Order of precedence: fault, driver, blind, grip, stop, speed limit, comfort. */
 #endif
 
 /* One call, at any time: a control instant is one period after the other, and a call belongs to the nearest. A number

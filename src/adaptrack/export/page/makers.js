@@ -613,7 +613,6 @@ function speedControlOf(entry, car, controller, { world, of, samples, setup }, w
   memory.call("longitudinal_begin", record);
   const top_speed = controller.learns ? memory.call("first_top_speed", controller.parts.learner) : Infinity;
   record.sample.row(0).$set({ acceleration: NaN, top_speed, grade: NaN });
-  record.memory.row(0).$set({ time: -Infinity });
   return { record, speeds: mine(memory.array("F", [constants.speeds_ahead])), ends, grip, climb };
 }
 
