@@ -30,6 +30,7 @@ from adaptrack.core.synthesis.speed import resistance, usable_friction
 from adaptrack.core.tracker.longitudinal import (
     STATUS_ACTIONS,
     Longitudinal,
+    longitudinal_acknowledge,
     longitudinal_begin,
     longitudinal_follow,
     longitudinal_release,
@@ -430,6 +431,10 @@ class SpeedController:
     def release(self) -> None:
         """Leave the stop at which the car stands, whatever its time; at the end of a path it stays."""
         longitudinal_release(self._resident)
+
+    def acknowledge_fault(self) -> None:
+        """End a fault of brakes or drive, and the distrust of the measured speed: the car drives on."""
+        longitudinal_acknowledge(self._resident)
 
     def speeds_ahead(self, speed: float, count: int) -> Array:
         """(count,) m/s, governed speeds at the coming control instants, the first one the present speed (m/s)."""

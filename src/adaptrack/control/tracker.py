@@ -283,6 +283,14 @@ class Tracker:
         if self._speed is not None:
             self._speed.release()
 
+    def acknowledge_fault(self) -> None:
+        """End a fault that the speed control reports, as a call with ``driver=True`` does: the car drives on.
+
+        Call it only when you know that brakes, drive and speed sensor are in order. Nothing without a speed control.
+        """
+        if self._speed is not None:
+            self._speed.acknowledge_fault()
+
     def step(
         self,
         t: float,

@@ -22,7 +22,16 @@ from __future__ import annotations
 
 import math
 
-from .actuator_faults import BRAKES_FAIL, NO_FAULT, forget_faults, watch_actuators
+from .actuator_faults import (
+    BRAKES_FAIL,
+    NO_FAULT,
+    end_fault,
+    forget_faults,
+    is_suspected,
+    probing_deceleration,
+    top_speed_after_fault,
+    watch_actuators,
+)
 from .kernel import exported, float64, inlined, int64, record, vector, void
 from .loop import STANDING_SPEED
 from .maths.bits import whole
@@ -132,11 +141,15 @@ SPEED_MEMORY = record(
         "handover",  # m/s^2, of the request beyond the follower's after a driver's; NaN: while one drives
         "measured_speed", "speed_age",  # m/s, s: last measured speed, and its age now
         "place_speed",  # m/s, measured speed carried to the present, unfiltered: it moves the station
-        "fault",  # see `actuator_faults`, and its filters:
-        "working_speed", "working_disturbance",  # m/s, m/s^2: with brakes that work
-        "brakeless_speed", "brakeless_disturbance",  # m/s, m/s^2: without brakes
+        "fault",  # see `actuator_faults`, and its filter:
+        "watched_speed", "watched_disturbance", "watched_rate",  # m/s, m/s^2, m/s^3: of a healthy car, and covariance:
+        "p_watched", "p_watched_disturbance", "p_watched_rate", "p_disturbance", "p_disturbance_rate", "p_rate",
+        "speed_variance", "last_speed", "last_change",  # m^2/s^2, m/s, m/s: of measured speeds
+        "loss_speed", "loss_disturbance", "loss_rate", "loss_match", "loss_energy", "loss_evidence",
+        "pull_speed", "pull_disturbance", "pull_rate", "pull_match", "pull_energy", "pull_evidence",
+        "braking_before", "driving_before", "brake_ratio", "brake_ratio_sigma",
+        "lost_share", "proven_time", "on_probation",  # -, s, -: see `actuator_faults`
         "friction", "friction_high",  # -, ends of its interval, see `friction_estimate`; 0: those of the settings
-        "brake_evidence", "drive_evidence", "watched_time",  # -, -, s: of faults, see `actuator_faults`
         "cautious_friction",  # -, at most the low end: of bends ahead and drive forces
         "scale",  # -, way along the path over that of the measured speed, less 1
         "p_station", "p_station_scale", "p_scale",  # m^2, m, -: covariance of station and scale
@@ -449,6 +462,13 @@ def _blind_deceleration(blind_time, is_guided, delay, settings, memory):
 
 
 @inlined
+def acknowledge(memory):
+    """End a fault, and the distrust of the measured speed, as a driver or an operator does."""
+    end_fault(memory)
+    memory.contradiction, memory.distrust = 0.0, 0
+
+
+@inlined
 def _yield_to_driver(slope, lateral, drive, brakes, dt, settings, memory, banks):
     """Let the requests follow the motion that a driver gives to the car; nothing is learned."""
     memory.state, memory.handover = OFF, math.nan
@@ -458,8 +478,8 @@ def _yield_to_driver(slope, lateral, drive, brakes, dt, settings, memory, banks)
         memory.hold, memory.rolling, memory.rolled = 0.0, 0.0, 0.0
         memory.is_braking = 1 if memory.motion + _resistance(memory.speed, slope, settings) < 0.0 else 0
         _request(memory.motion, memory.speed, slope, lateral, drive, brakes, settings, memory)
-    memory.limited_by, memory.target_speed, memory.fault = BY_DRIVER, memory.speed, NO_FAULT
-    memory.contradiction, memory.distrust = 0.0, 0
+    memory.limited_by, memory.target_speed = BY_DRIVER, memory.speed
+    acknowledge(memory)
     settle_actuators(memory.measured_speed, memory.force / settings.mass, banks)
 
 
@@ -571,7 +591,7 @@ def _aim(index, way, top_square, resistance, drive, brakes, settings, path, memo
     if target_square >= path.square[cell_at(place, path)] * 0.999:
         cause = BY_PLAN
     elif target_square >= top_square * 0.999:
-        cause = BY_UNKNOWN_STEERING
+        cause = BY_FAULT if memory.on_probation > 0.0 else BY_UNKNOWN_STEERING
     rest = way - coming_way
     jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * brakes.lag)
     caution_way = BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * coming_speed
@@ -626,9 +646,8 @@ def _follow(index, way, slope, top_square, lateral, drive, brakes, dt, settings,
     bounded = clip(demand, -COMFORT_RESERVE * settings.brake, COMFORT_RESERVE * settings.accelerate)
     if bounded != demand and memory.limited_by == BY_PLAN:
         memory.limited_by = BY_COMFORT
-    _request(
-        _hand_over(bounded, settings, memory), memory.speed, slope, lateral, drive, brakes, settings, memory
-    )  # fmt: skip
+    bounded = _hand_over(bounded, settings, memory) - probing_deceleration(memory)
+    _request(bounded, memory.speed, slope, lateral, drive, brakes, settings, memory)
 
 
 # -- one period -------------------------------------------------------------------------------------------------------
@@ -653,11 +672,12 @@ def _learn(sample, dt, slope, settings, memory, banks):
         forget_speeds(banks)
     take_motion(sample.acceleration, elapsed, before, memory)
     resistance = _resistance(sample.speed, slope, settings)
-    if memory.fault == BRAKES_FAIL:
-        settle_actuators(sample.speed, memory.force / settings.mass, banks)
-    elif sample.driver <= 0.0 and memory.contradiction <= 0.0:
+    if sample.driver <= 0.0 and memory.contradiction <= 0.0:
         is_held = memory.hold > 0.0 and abs(sample.speed) < CREEPING_SPEED  # a sensor may have this offset
-        learn_actuators(0.0 if is_held else sample.speed, resistance, settings.period, memory.speed_age, elapsed, banks)
+        learn_actuators(
+            0.0 if is_held else sample.speed, resistance, settings.period, memory.speed_age, elapsed,
+            not is_suspected(memory), banks,
+        )  # fmt: skip
     if memory.state == OFF or is_first or not is_speed_known(memory):
         forget_faults(sample.speed, 0.0, memory)
     else:
@@ -740,7 +760,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     sample: `SPEED_SAMPLE`; its grade replaces that of the path where the car is, not ahead of it; ahead: (n,), at the
     cells from the station on.
     """
-    top_square, periods = square(sample.top_speed), max(whole(sample.periods), 1)
+    top_square, periods = square(min(sample.top_speed, top_speed_after_fault(memory))), max(whole(sample.periods), 1)
     if memory.friction <= 0.0:
         memory.friction, memory.friction_high = settings.friction, settings.friction_high
         memory.cautious_friction = settings.friction

@@ -52,6 +52,8 @@ RATIO_DRIFT, DISTURBANCE_DRIFT, SPEED_DRIFT = 0.004, 0.12, 0.03
 """Random walks, after a second: -, m/s^2, m/s."""
 SPEED_NOISE, SPEED_NOISE_SHARE = 0.02, 0.006
 """m/s, -: standard deviation of a measured speed, absolute and over the speed."""
+DELAY_ERROR_TIME = 0.3
+"""s, for which an error of the force of the other actuator by its unknown delays lasts."""
 EVIDENCE_TIME = 40.0
 """s of action, after which evidence about lag and dead time is forgotten."""
 LEARNING_SPEED, LEAST_ACTION = 0.3, 0.5
@@ -139,18 +141,19 @@ def _act(h, period, age, elapsed, requests):
 
 
 @inlined
-def _update(h, acceleration, other_acceleration, speed, learns, period):
+def _update(h, acceleration, other_acceleration, other_sigma, speed, learns, period):
     """Predict and correct the filter of a hypothesis with a measured speed (m/s).
 
     acceleration: signed mean of its actuator (m/s^2); other_acceleration: m/s^2, of the other actuator, air, rolling
-    and the known slope.
+    and the known slope; other_sigma: m/s^2, its standard deviation by the unknown delays of the other actuator.
     """
     h.speed += period * (h.ratio * acceleration + other_acceleration + h.disturbance)
     a, t = acceleration * period, period  # derivatives of the speed by ratio and disturbance
     p_v, p_vr, p_vd = h.p_speed, h.p_speed_ratio, h.p_speed_disturbance
     p_r, p_rd, p_d = h.p_ratio, h.p_ratio_disturbance, h.p_disturbance
     v_r, v_d = p_vr + a * p_r + t * p_rd, p_vd + a * p_rd + t * p_d
-    v_v = p_v + a * p_vr + t * p_vd + a * v_r + t * v_d + square(SPEED_DRIFT) * period
+    drift = square(SPEED_DRIFT) + DELAY_ERROR_TIME * square(other_sigma)
+    v_v = p_v + a * p_vr + t * p_vd + a * v_r + t * v_d + drift * period
     p_d += square(DISTURBANCE_DRIFT) * period
     p_r = min(p_r + (square(RATIO_DRIFT) * period if learns else 0.0), square(RATIO_SIGMA))
     noise = square(SPEED_NOISE + SPEED_NOISE_SHARE * speed)
@@ -183,8 +186,10 @@ def _restart_speed(h, speed):
 
 
 @inlined
-def _run_bank(bank, sign, other, resistance, speed, learns, period, age, elapsed, requests):
-    """One step of a bank; other: m/s^2, signed acceleration by the other actuator; resistance: m/s^2, with slope.
+def _run_bank(bank, sign, other, other_sigma, resistance, speed, learns, period, age, elapsed, requests):
+    """One step of a bank; resistance: m/s^2, with slope.
+
+    other, other_sigma: m/s^2, signed acceleration by the other actuator, and its standard deviation.
 
     The brakes may hold a standing car against any force, so its rest shows only that it does not accelerate. Without a
     speed (NaN) the actuators act on; the filters restart at the next one.
@@ -196,7 +201,7 @@ def _run_bank(bank, sign, other, resistance, speed, learns, period, age, elapsed
         if speed != speed or h.speed != h.speed or (speed <= STANDING_SPEED and can_rest):
             _restart_speed(h, speed)
         else:
-            _update(h, mean, other - resistance, speed, learns, elapsed)
+            _update(h, mean, other - resistance, other_sigma, speed, learns, elapsed)
 
 
 @inlined
@@ -208,22 +213,23 @@ def _share_mass(ratio, bank):
 
 
 @inlined
-def learn_actuators(speed, resistance, period, age, elapsed, banks):
+def learn_actuators(speed, resistance, period, age, elapsed, is_sure, banks):
     """Take in a speed (m/s; NaN: none) of an age (s), a time (s) after the last one.
 
-    resistance: m/s^2, of air, rolling and known slope; period: s, of the requests.
+    resistance: m/s^2, of air, rolling and known slope; period: s, of the requests; is_sure: whether brakes and drive
+    work: otherwise only the disturbance is learned.
     """
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
     count = banks.requests.size // 2
-    moves = speed > LEARNING_SPEED
+    moves = is_sure and speed > LEARNING_SPEED
     drives = drive.acting > brakes.acting
     _share_mass(drive.ratio, banks.brakes)
     _run_bank(
-        banks.drive, 1.0, -brakes.ratio * brakes.acting, resistance, speed,
+        banks.drive, 1.0, -brakes.ratio * brakes.acting, brakes.ratio * brakes.acting_sigma, resistance, speed,
         moves and drives and drive.acting > LEAST_ACTION, period, age, elapsed, banks.requests[:count],
     )  # fmt: skip
     _run_bank(
-        banks.brakes, -1.0, drive.ratio * drive.acting, resistance, speed,
+        banks.brakes, -1.0, drive.ratio * drive.acting, drive.ratio * drive.acting_sigma, resistance, speed,
         moves and not drives and brakes.acting > LEAST_ACTION, period, age, elapsed, banks.requests[count:],
     )  # fmt: skip
 

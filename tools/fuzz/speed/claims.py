@@ -27,12 +27,13 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
+from adaptrack.control.speed_control import SpeedState
 from adaptrack.core.plants.forces import GRAVITY
-from adaptrack.core.speed_control import OFF, WAITING
 from tools.fuzz.speed.drives import PERIOD, Drive
-from tools.fuzz.speed.ways import LIMITS, Answer
+from tools.fuzz.speed.ways import LIMITS, STATES, Answer
 from tools.fuzz.speed.world import SPACING, World
 
+OFF, WAITING = STATES.index(SpeedState.OFF), STATES.index(SpeedState.STOPPED)
 EXCESS = 1.0
 """m/s, above the plan."""
 CROSS_TIME = 2.0
@@ -109,6 +110,7 @@ class Judge:
         self._stood: dict[int, float] = {}
         self._served: dict[int, bool] = {}
         self._excused: set[int] = set()
+        self._measured: set[int] = set()
         self._route = -1
         self.shift = 0.0
         self._excess_speed, self._excused_since = 0.0, 0.0
@@ -143,6 +145,7 @@ class Judge:
             return
         kept = {place: (self._stood.get(k, 0.0), self._served.get(k, False)) for k, place in old}
         self._stood, self._served = {}, {}
+        self._measured.clear()
         for k, place in self._places():
             match = [state for other, state in kept.items() if abs(other - place) < 0.5]
             if match:
@@ -286,7 +289,8 @@ class Judge:
             place, seconds = self._stops[nearest % len(self._stops)]
             place += (nearest // len(self._stops)) * world.length if world.closed else 0.0
             stood = self._stood.get(nearest, 0.0)
-            if stood < 0.5 * PERIOD and stands and not self.is_faulty and nearest not in self._excused:
+            if answer.state == WAITING and nearest not in self._measured and nearest not in self._excused:
+                self._measured.add(nearest)
                 self.stop_errors.append(world.station - place)
             self._stood[nearest] = stood + (self._between if stands else 1e-9)
             has_place = self._stood[nearest] < seconds + 1.0

@@ -33,7 +33,7 @@ KERNELS = (
     "tracker_step", "tracker_step_law", "tracker_engage", "tracker_follow", "path_words", "path_through",
     # a speed control behind it, and its plan; narrow_tracked_friction: not inlined, so that its stack ends with it
     "driver_step", "driver_step_law", "narrow_tracked_friction", "longitudinal_begin", "longitudinal_follow",
-    "longitudinal_release", "speed_path_words", "write_speed_path", "horizon_cells",
+    "longitudinal_release", "longitudinal_acknowledge", "speed_path_words", "write_speed_path", "horizon_cells",
     # a controller alone, and the sizes of its arrays
     "mpc_step", "mpc_sizes", "schedule_step",
     # members, whose addresses records hold

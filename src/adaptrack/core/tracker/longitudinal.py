@@ -12,7 +12,15 @@ from ..kernel import Place, exported, float64, inlined, record, rows, vector, vo
 from ..maths.bits import whole
 from ..maths.exact import clip, square
 from ..road import foot_near, point_at
-from ..speed_control import BLIND_GRACE, SPEED_MEMORY, SPEED_SAMPLE, SpeedPath, SpeedSettings, speed_control
+from ..speed_control import (
+    BLIND_GRACE,
+    SPEED_MEMORY,
+    SPEED_SAMPLE,
+    SpeedPath,
+    SpeedSettings,
+    acknowledge,
+    speed_control,
+)
 from ..speed_learning import SpeedBanks, begin_bank
 from ..speed_path import MAX_PLAN_SPEED
 from .pose import forward, has_position, line, time_of
@@ -228,3 +236,9 @@ def longitudinal_follow(longitudinal):
 def longitudinal_release(longitudinal):
     """Let the car leave the stop at which it stands, whatever its time; at the end of a path it stays."""
     longitudinal.memory[0].is_released = 1
+
+
+@exported(void(Place(Longitudinal)))
+def longitudinal_acknowledge(longitudinal):
+    """End a fault of brakes or drive, and the distrust of the measured speed; the car drives on."""
+    acknowledge(longitudinal.memory[0])

@@ -16,6 +16,7 @@ extern int64_t adaptrack_path_words(const double *points, int64_t count, int64_t
 extern void adaptrack_longitudinal_follow(void *longitudinal);
 extern void adaptrack_longitudinal_begin(void *longitudinal);
 extern void adaptrack_longitudinal_release(void *longitudinal);
+extern void adaptrack_longitudinal_acknowledge(void *longitudinal);
 extern int64_t adaptrack_speed_path_words(double length, int64_t closed, int64_t stops);
 extern void adaptrack_write_speed_path(void *arrays, double *memory, int64_t size, word answers[2]);
 extern int64_t adaptrack_horizon_cells(double top_speed, double braking, double spacing);
@@ -375,12 +376,18 @@ adaptrack_error adaptrack_follow_plan(void *tracker, const void *path, double ne
     return follow(tracker, head, near, &table, plan);
 }
 
-adaptrack_error adaptrack_release(void *tracker) {
+static adaptrack_error tell_speed_control(void *tracker, void (*kernel)(void *longitudinal)) {
     adaptrack_error error = adaptrack_block_take(tracker);
     if (error != ADAPTRACK_OK) return error;
-    adaptrack_longitudinal_release(record_of(tracker) + ADAPTRACK_LONGITUDINAL);
+    kernel(record_of(tracker) + ADAPTRACK_LONGITUDINAL);
     adaptrack_block_give(tracker);
     return ADAPTRACK_OK;
+}
+
+adaptrack_error adaptrack_release(void *tracker) { return tell_speed_control(tracker, adaptrack_longitudinal_release); }
+
+adaptrack_error adaptrack_acknowledge_fault(void *tracker) {
+    return tell_speed_control(tracker, adaptrack_longitudinal_acknowledge);
 }
 #else
 adaptrack_error adaptrack_follow(void *tracker, const void *path, double near, const adaptrack_plan *plan) {

@@ -128,6 +128,9 @@ adaptrack_error adaptrack_speed_plan(const void *path, const adaptrack_speeds *s
 adaptrack_error adaptrack_follow_plan(void *tracker, const void *path, double near, const void *plan);
 /* Let the car leave the stop at which it stands, whatever its time; at the end of a path it stays. */
 adaptrack_error adaptrack_release(void *tracker);
+/* End a brake or drive fault, and the distrust of a speed that contradicted the positions, as a driver at the pedals
+   does: the car drives on. Call it only when you know that the car is in order. */
+adaptrack_error adaptrack_acknowledge_fault(void *tracker);
 #endif
 
 /* -- a call ------------------------------------------------------------------------------------------------------- */
