@@ -116,6 +116,7 @@ def _measure_noise(speed, period, memory):
     """Estimate the variance of measured speeds from their second differences."""
     if memory.speed_variance <= 0.0:
         memory.speed_variance = square(SPEED_NOISE + SPEED_NOISE_SHARE * speed)
+        memory.last_speed, memory.last_change = speed, 0.0
     change = speed - memory.last_speed
     variance = square(change - memory.last_change) / 6.0
     memory.speed_variance += (variance - memory.speed_variance) * period / NOISE_TIME

@@ -24,6 +24,7 @@ import math
 
 from .actuator_faults import (
     BRAKES_FAIL,
+    DRIVE_STICKS,
     NO_FAULT,
     end_fault,
     forget_faults,
@@ -785,7 +786,8 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     if not was_off:
         needed = _blind_deceleration(sample.blind_time, sample.is_guided, delay, settings, memory)
     if sample.is_guided <= 0.0 or memory.is_placed == 0 or not is_speed_known(memory) or memory.fault != NO_FAULT:
-        needed = max(needed, settings.emergency if memory.fault == BRAKES_FAIL else settings.brake)
+        pull = max(memory.watched_disturbance, 0.0) if memory.fault == DRIVE_STICKS else 0.0
+        needed = max(needed, settings.emergency if memory.fault == BRAKES_FAIL else settings.brake + pull)
     index, way = NO_STOP, math.inf
     if needed <= 0.0:
         memory.state = DRIVING if was_off else memory.state
