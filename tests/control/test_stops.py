@@ -162,7 +162,7 @@ def test_a_car_serves_the_stop_of_a_lap_on_each_lap_whatever_happens_between(eve
     elif event == "driver":
         world.carry(8.0, 2.0)
     elif event == "missing":
-        world.carry(world.v, 0.4, driver=False, has_position=False)
+        rows += world.run(0.4, has_position=False)
     rows += world.run(26.0)
     expected = [LAP_STOP + LAP * lap for lap in range(3)]
     assert _stands(rows) == pytest.approx(expected, abs=0.3)

@@ -33,9 +33,9 @@ LEAST_RATIO_SIGMA, LEAST_DELAY_SIGMA, DELAY_TIME = 0.07, 0.04, 0.25
 """-, s, s: least standard deviations of learned actuators; time for which an error of the delay lasts."""
 LEAST_SPEED_SIGMA, NOISE_TIME = 0.025, 4.0
 """m/s, s: least standard deviation of a measured speed, and the time constant of its estimate."""
-LEAST_LOSS, LEAST_PULL, LARGEST_PULL, REGAINED_SHARE = 0.4, 1.5, 8.0, 0.7
+LEAST_LOSS, LEAST_PULL, LARGEST_PULL, REGAINED_SHARE = 0.4, 2.0, 8.0, 0.7
 """-, m/s^2, m/s^2, -: sizes of faults: shares of the brake force lost, pull; share of the loss that ends."""
-SUSPICION, EVIDENCE, PULL_EVIDENCE, DOUBT = 3.0, 9.0, 9.0, 1.0
+SUSPICION, EVIDENCE, PULL_EVIDENCE, DOUBT = 3.0, 9.0, 12.0, 1.0
 """Logarithms of likelihood ratios, from which a fault is suspected and reported, and below which brakes work."""
 PROBE = 2.0
 """m/s^2, additional braking while a loss is suspected."""

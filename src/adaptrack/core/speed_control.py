@@ -155,7 +155,7 @@ SPEED_MEMORY = record(
         "scale",  # -, way along the path over that of the measured speed, less 1
         "p_station", "p_station_scale", "p_scale",  # m^2, m, -: covariance of station and scale
         "pose_variance",  # m^2, of a measured station
-        "is_placed",  # 1 once there was a position
+        "is_placed",  # positions so far, up to `speed_place.MANY_POSITIONS`; 0: the place is unknown
         "jump",  # m, by which the filter of the station has just restarted elsewhere; 0: it has not
         "surprise",  # -, square of the last innovation of the station over its variance
         "observed_place", "observed_excess", "observer_time",  # m, m/s, s: see `speed_place`
@@ -374,7 +374,9 @@ def _hold(beyond, slope, brakes, dt, settings, memory):
     memory.acceleration, memory.force, memory.target_speed = 0.0, 0.0, 0.0
     needed = max(abs(slope - brakes.disturbance), abs(slope)) + HOLD_RESERVE
     needed += CREEP_STIFFNESS * min(abs(beyond), LARGEST_CREEP)
-    at_rest = min(HOLD_AT_REST, memory.hold / settings.mass + HOLDING_RATE * dt)  # a jolt while the car still moves
+    at_rest = HOLD_AT_REST
+    if memory.state != DRIVING and memory.state != OFF:  # the car has just come to rest: no jolt
+        at_rest = min(at_rest, memory.hold / settings.mass + HOLDING_RATE * dt)
     deceleration = max(needed, at_rest) / min(brakes.ratio, 1.0) + memory.rolling
     memory.hold = min(settings.mass * deceleration, settings.brake_limit)
     memory.is_braking, memory.is_starting, memory.travelled = 1, 0, 0.0
@@ -673,11 +675,13 @@ def _learn(sample, dt, slope, settings, memory, banks):
         forget_speeds(banks)
     take_motion(sample.acceleration, elapsed, before, memory)
     resistance = _resistance(sample.speed, slope, settings)
-    if sample.driver <= 0.0 and memory.contradiction <= 0.0:
+    if sample.driver <= 0.0:
         is_held = memory.hold > 0.0 and abs(sample.speed) < CREEPING_SPEED  # a sensor may have this offset
+        speed = 0.0 if is_held else sample.speed
+        is_sure = memory.contradiction <= 0.0 and not is_suspected(memory)
         learn_actuators(
-            0.0 if is_held else sample.speed, resistance, settings.period, memory.speed_age, elapsed,
-            not is_suspected(memory), banks,
+            speed if is_speed_known(memory) else math.nan, resistance, settings.period, memory.speed_age, elapsed,
+            is_sure, banks,
         )  # fmt: skip
     if memory.state == OFF or is_first or not is_speed_known(memory):
         forget_faults(sample.speed, 0.0, memory)

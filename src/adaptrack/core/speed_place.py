@@ -21,6 +21,8 @@ MAX_SCALE = 0.1
 """Largest error of the scale of the speed."""
 LEAST_POSE_SIGMA, MAX_POSE_SIGMA, POSE_MEMORY = 0.01, 2.0, 5.0
 """m, m, s: bounds of the standard deviation of a measured place, and the time constant of its estimate."""
+MANY_POSITIONS = 200
+"""Positions from which their variance is known."""
 POSE_BOUND, POSE_JUMP = 4.0, 1.0
 """-, m: standard deviations up to which an innovation counts; beyond both the filter of the place restarts."""
 OBSERVER_TIME, OBSERVER_JUMP, OBSERVER_GAP = 0.3, 1.0, 1.0
@@ -140,7 +142,8 @@ def correct_place(measured, interval, memory):
     spread = memory.p_station + memory.pose_variance
     bound, memory.surprise = POSE_BOUND * sqrt(spread), square(innovation) / spread
     bounded = clip(innovation, -bound, bound)
-    share = min(interval / POSE_MEMORY, 0.5)
+    memory.is_placed = min(memory.is_placed + 1, MANY_POSITIONS)
+    share = min(max(interval / POSE_MEMORY, 1.0 / (memory.is_placed + 20)), 0.5)
     variance = memory.pose_variance + (min(square(innovation), square(POSE_JUMP)) - spread) * share
     memory.pose_variance = clip(variance, square(LEAST_POSE_SIGMA), square(MAX_POSE_SIGMA))
     if abs(innovation) > max(bound, POSE_JUMP):
