@@ -14,6 +14,7 @@ import json
 import os
 import re
 import secrets
+import stat
 import tomllib
 import typing
 import unicodedata
@@ -28,7 +29,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, fi
 from pydantic.fields import FieldInfo
 
 from adaptrack.base.checked import allowed
-from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean, format_value
+from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean, format_value, nearest
+from adaptrack.base.limits import TABLE_ROWS, check_limit
 from adaptrack.base.text import printable as printable
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -43,6 +45,14 @@ MAX_NUMBERS = 500_000_000
 
 The size of the file is no protection: a constant column of any length is compressed to a few bytes.
 """
+MAX_FILE_SIZE = 1_000_000_000
+"""Bytes of the largest file that is read, except data sets and trajectories."""
+PAGE_FILE = "index.html"
+"""Name of a page in its folder."""
+_OWN_PAGES = (b'<p class="made">adaptrack ', "· adaptrack</title>".encode())
+"""Marks of the pages of this package."""
+_REMARKS = ("#", "%", "//")
+_NO_PLAIN_FILE = "it is no plain file"
 _NOT_TEXT = "contains a NUL or an unpaired surrogate"
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
 
@@ -249,18 +259,62 @@ def _too_deep(text: str) -> int | None:
     return None
 
 
-def read_bytes(path: str | os.PathLike[str]) -> bytes:
-    """Return the content of a file.
+def read_bytes(path: str | os.PathLike[str], most: int = MAX_FILE_SIZE) -> bytes:
+    """Return the content of a plain file of at most `most` bytes.
 
     Raises
     ------
     StorageError
-        When the file cannot be read.
+        When the file cannot be read; for a device, a pipe or a file that is too large, before anything is read.
     """
     try:
-        return Path(path).read_bytes()
+        status = os.stat(path)
+        if stat.S_ISDIR(status.st_mode) or (stat.S_ISREG(status.st_mode) and status.st_size <= most):
+            return Path(path).read_bytes()
+        is_plain = stat.S_ISREG(status.st_mode)
+        reason = f"it has {status.st_size:,} bytes, more than {most:,}" if is_plain else _NO_PLAIN_FILE
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        raise StorageError(f"{printable(os.fspath(path))}: cannot be read: {_reason(error)}.") from error
+        hint = _similar_file(Path(path)) if isinstance(error, FileNotFoundError) else ""
+        raise StorageError(f"{printable(os.fspath(path))}: cannot be read: {_reason(error)}.{hint}") from error
+    raise StorageError(f"{printable(os.fspath(path))}: cannot be read: {reason}.")
+
+
+def _similar_file(path: Path) -> str:
+    """Return a sentence with the most similar name in the folder of a missing file; empty if none is similar."""
+    with contextlib.suppress(OSError):
+        name = nearest(path.name, os.listdir(path.parent))
+        return f" Did you mean {printable(str(path.with_name(name)))!r}?" if name else ""
+    return ""
+
+
+NumberedLines = list[tuple[int, str]]
+"""Lines of a text, each with its number in the file."""
+
+
+def table_lines(where: str, content: bytes, errors: Literal["strict", "replace"]) -> tuple[NumberedLines, NumberedLines]:
+    """Return the lines of a text table, and its remarks (behind ``#``, ``%`` or ``//``) without their mark.
+
+    Empty lines, and the line ``sep=;`` of spreadsheets at the top, are left out.
+
+    Raises
+    ------
+    InvalidInput
+        For more than `TABLE_ROWS` lines, and for text that is not UTF-8 if `errors` is "strict".
+    """
+    check_limit(f"{where}: rows", content.count(b"\n"), TABLE_ROWS)
+    try:
+        text = content.decode("utf-8-sig", errors=errors)
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{where}: not a CSV text in UTF-8: {error}.") from error
+    lines: NumberedLines = []
+    remarks: NumberedLines = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        plain = line.strip()
+        if plain.startswith(_REMARKS):
+            remarks.append((number, plain.lstrip("#%/ \t")))
+        elif plain and not (number == 1 and re.fullmatch(r'"?sep=.?"?', plain, re.IGNORECASE)):
+            lines.append((number, line))
+    return lines, remarks
 
 
 def _reason(error: Exception) -> str:
@@ -368,10 +422,12 @@ def write_atomically(path: str | os.PathLike[str], content: bytes, *, through_li
     Raises
     ------
     StorageError
-        When the file cannot be written; the temporary file is removed and an existing file is unchanged.
+        When the file cannot be written, see also `check_replaceable`; the temporary file is removed and an existing
+        file is unchanged.
     """
     try:
         target = Path(os.path.realpath(path)) if through_links else Path(path)
+        check_replaceable(target)
         temporary = target.with_name(f".{target.name[-100:]}.{secrets.token_hex(6)}.tmp")
         try:
             with open(temporary, "xb") as stream:
@@ -382,8 +438,28 @@ def write_atomically(path: str | os.PathLike[str], content: bytes, *, through_li
         finally:
             with contextlib.suppress(OSError):  # already renamed, or never created
                 temporary.unlink()
+    except StorageError:
+        raise
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         raise StorageError(f"{printable(os.fspath(path))}: cannot be written: {_reason(error)}.") from error
+
+
+def check_replaceable(path: str | os.PathLike[str]) -> None:
+    """Refuse to write to what exists and is no plain file or link, and to a page ``index.html`` of another program.
+
+    Raises
+    ------
+    StorageError
+        Naming the file, with the remedy.
+    """
+    file = Path(path)
+    where = f"{printable(os.fspath(path))}: cannot be written"
+    if not os.path.lexists(file) or file.is_symlink():
+        return
+    if not file.is_file():
+        raise StorageError(f"{where}: {_NO_PLAIN_FILE}; choose another name.")
+    if file.name == PAGE_FILE and not any(mark in read_bytes(file) for mark in _OWN_PAGES):
+        raise StorageError(f"{where}: another program wrote this page; choose another folder, or remove it.")
 
 
 # -- Parquet tables with a checksum -----------------------------------------------------------------------------------
@@ -502,7 +578,7 @@ def read_arrow_table(content: bytes, where: str) -> Any:
     Damaged
         For a truncated file, or one that is no Parquet file.
     StorageError
-        For more than `MAX_NUMBERS` values.
+        For more than `MAX_NUMBERS` values or `TABLE_ROWS` rows.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -510,13 +586,16 @@ def read_arrow_table(content: bytes, where: str) -> Any:
     try:
         file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
         # Use only these two fields of the metadata: in a damaged file, reading further ones aborts the process.
-        size = file.metadata.num_rows * file.metadata.num_columns
-        if size <= MAX_NUMBERS:
+        rows = file.metadata.num_rows
+        size = rows * file.metadata.num_columns
+        if size <= MAX_NUMBERS and rows <= TABLE_ROWS.most:
             # An Arrow thread that releases `content` while Python exits would abort the process.
             return file.read(use_threads=False)
     except Exception as error:  # Arrow raises many types of exceptions for a damaged file
         reason = next(iter(str(error).splitlines()), type(error).__name__).rstrip(".")
         raise Damaged(f"{where}: not a Parquet file, or damaged: {printable(reason)}.") from error
+    if size <= MAX_NUMBERS:
+        raise StorageError(f"{where}: rows = {rows:,}: {TABLE_ROWS}.")
     raise StorageError(f"{where}: holds {size:,} numbers, more than {MAX_NUMBERS:,}; leave out rows or columns.")
 
 

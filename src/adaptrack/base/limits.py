@@ -52,6 +52,8 @@ MAX_STEPS = RequestLimit(
     10_000, "steps", "steps of 5 us at a period of 0.05 s; a plant with faster dynamics can sub-step in its own code"
 )
 
+TABLE_ROWS = RequestLimit(5_000_000, "rows", "14 hours at 100 Hz; cut the table, or leave out rows")
+
 # -- a road -----------------------------------------------------------------------------------------------------------
 ROAD_LENGTH = RequestLimit(2_000_000, "m of road", "its speed is planned at every metre: 3 GB, and some minutes")
 MAX_GRADE = 0.4

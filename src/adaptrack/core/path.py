@@ -9,6 +9,8 @@ piece that misses the cubic by more than `FIT` between its nodes, or turns by mo
 
 A short step magnifies the error of its points: an error e across a step h turns the curve by e/h over the long steps
 around it. So points that are much nearer to each other than to the points around them count as one (`points_apart`).
+The path goes through the first of them, unless that point is off the curve of the points around it: it then goes
+through the place between them that is nearest to that curve.
 
 The memory then holds a road alone as `core.road.Roads` has it: its numbers, pieces, where they begin, and headings.
 """
@@ -56,9 +58,12 @@ finite; a coordinate beyond `MAX_COORDINATE`, or a point farther than `WIDEST` f
 `MIN_PATH_LENGTH`; points that fold back on themselves; a memory that is too small."""
 MIN_PATH_POINTS, MAX_COORDINATE, WIDEST, MIN_PATH_LENGTH = 4, 1e8, 1e4, 0.01
 """Points, m, m, m."""
-GROUP_SHARE, GROUP_LENGTH = 0.1, 0.2
+GROUP_SHARE, GROUP_LENGTH = 0.5, 0.2
 """Points in a row count as one if their distance from the first is at most this share of the step on either side, and
-at most this long (m). With a tenth, a path is off a smooth curve by at most about twice the error of its points."""
+at most this long (m)."""
+GROUP_MISS = 0.002
+"""1/m: a point that misses the curve of the points around it by more than this share of the product of the steps to
+either side is off it. A cubic spline through such a point bends by 4.4 times as much: 114 m of radius."""
 
 HEADING_INTERVAL = 0.5
 """m, at most, between the entries of a road's table of headings, from which an MPC reads what lies ahead."""
@@ -96,7 +101,7 @@ def _lagrange(k):
 
 
 _BASIS = np.array([_lagrange(k) for k in range(NODES)])
-_at_places, _of_nodes, _three = local(_COUNT), local(NODES), local(3)
+_at_places, _of_nodes, _three, _four = local(_COUNT), local(NODES), local(3), local(4)
 
 
 # -- the memory -------------------------------------------------------------------------------------------------------
@@ -189,21 +194,88 @@ def _group(points, first, last, before):
     return end, step
 
 
+@inlined
+def _cyclic(number, count):
+    """A number of a point or group, -count to 2 count - 1, as that of one of `count` in a ring."""
+    return number + count if number < 0 else number - count if number >= count else number
+
+
+@inlined
+def _miss(x, y, t, base, point_x, point_y):
+    """The distance (m) of a point from the cubic through four points at t (m), positive to the left of the step from
+    the point `base` to the next; and the product of the distances (m^2) from both, along that step.
+    """
+    length = t[base + 1] - t[base]
+    ahead_x, ahead_y = (x[base + 1] - x[base]) / length, (y[base + 1] - y[base]) / length
+    way = (point_x - x[base]) * ahead_x + (point_y - y[base]) * ahead_y
+    off_x, off_y = point_x, point_y
+    for j in range(4):
+        weight = 1.0
+        for i in range(4):
+            if i != j:
+                weight *= (t[base] + way - t[i]) / (t[j] - t[i])
+        off_x, off_y = off_x - weight * x[j], off_y - weight * y[j]
+    return ahead_x * off_y - ahead_y * off_x, abs(way * (length - way))
+
+
+@inlined
+def _place_in_group(points, rows, k, window, begin, end, usual):
+    """The number of the point, with a fraction between two, at which a path meets its group k, points `begin` to `end`.
+
+    rows: (n,) a point of each group; window: number of the first of the five groups with k that show the curve; usual:
+    the point that the path meets unless it is off their curve. Numbers below 0 count from the end.
+    """
+    x, y, t, j = _four(), _four(), _four(), 0
+    for group in range(window, window + 5):
+        if group != k:
+            row = _cyclic(whole(rows[_cyclic(group, rows.size)]), len(points))
+            x[j], y[j] = points[row, 0], points[row, 1]
+            t[j] = t[j - 1] + hypot(x[j] - x[j - 1], y[j] - y[j - 1]) if j > 0 else 0.0
+            j += 1
+    base = min(max(k - window - 1, 0), 2)
+    least, product = _miss(x, y, t, base, points[usual, 0], points[usual, 1])
+    place, before = float(usual), 0.0
+    if abs(least) <= GROUP_MISS * product:
+        return place
+    least = 0.5 * abs(least)  # a curve that bends too much for four points misses all of a group alike
+    for row in range(begin, end + 1):
+        point = _cyclic(row, len(points))
+        miss, product = _miss(x, y, t, base, points[point, 0], points[point, 1])
+        if row > begin and miss * before < 0.0:
+            return row - 1 + before / (before - miss)
+        if abs(miss) < least:
+            place, least = float(row), abs(miss)
+        before = miss
+    return place
+
+
 @exported(int64(matrix, boolean, vector))
 def points_apart(points, closed, rows):
-    """Write the numbers of the points (n, 2) that a path goes through to `rows` (n,), and return their count.
+    """Write where a path meets points (n, 2) to `rows` (n,), and return how many: numbers of points in their order.
 
-    Of a group of points that count as one (`GROUP_SHARE`) it is the first; at the end of an open path the last.
+    Of a group of points that count as one (`GROUP_SHARE`) it is the first, at the end of an open path the last; or a
+    place in the group, with a fraction between two points, if that one is off the curve of the points around them. On a
+    lap the last points may belong to the first group: such a place has a number from -n on.
     """
-    last = len(points) if closed else len(points) - 1  # that of a lap is its first point again
-    count, first, before = 0, 0, 0.0
+    n = len(points)
+    last = n if closed else n - 1  # that of a lap is its first point again
+    count, first, before, stop = 0, 0, 0.0, n
     while first <= last:
         end, before = _group(points, first, last, before)
-        ends = first > 0 and end == last
-        if not (ends and closed):
-            rows[count] = end if ends else first
+        if closed and first > 0 and end == last:
+            stop = first
+        else:
+            rows[count] = float(first)
             count += 1
         first = end + 1
+    for k in range(count):
+        first, end = whole(rows[k]), (whole(rows[k + 1]) if k + 1 < count else stop) - 1
+        usual = end if k > 0 and k == count - 1 and not closed else first
+        begin = stop - n if closed and k == 0 else first
+        window = k - 2 if closed else max(min(k - 2, count - 5), 0)
+        rows[k] = float(usual)
+        if begin < end and count >= 5:
+            rows[k] = _place_in_group(points, rows[:count], k, window, begin, end, usual)
     return count
 
 
@@ -480,10 +552,14 @@ def line_numbers(start, pieces, closed, numbers):
 
 @inlined
 def _write_points(points, rows, path_points):
-    """Write the points (n, 2) of some numbers, and these numbers, to the rows of `path_points`."""
+    """Write the points (n, 2) at some numbers (`points_apart`), and these numbers, to the rows of `path_points`."""
     for k in range(len(path_points)):
-        row = whole(rows[k])
-        path_points[k, 0], path_points[k, 1], path_points[k, 2] = points[row, 0], points[row, 1], rows[k]
+        number = whole(floor(rows[k]))
+        share, row = rows[k] - number, _cyclic(number, len(points))
+        path_points[k, 0], path_points[k, 1], path_points[k, 2] = points[row, 0], points[row, 1], row
+        if share > 0.0:
+            x, y = _step(points, row)
+            path_points[k, 0], path_points[k, 1] = path_points[k, 0] + share * x, path_points[k, 1] + share * y
 
 
 @exported(several(int64, int64)(matrix, boolean, vector))

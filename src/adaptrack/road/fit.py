@@ -14,6 +14,7 @@ import logging
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -55,6 +56,8 @@ ROUNDS = 3
 """How often outliers are looked for."""
 LEAP = 3.0
 """Times the usual step, to points off the road; and times the way past them, there and back."""
+GAP = 6.0
+"""Times the usual step, from which on a step is a gap: third derivatives of a curve over it mean nothing."""
 MIN_ROBUST_SMOOTHING = 6.0
 """Steps, the shortest smoothing length of a curve that does not follow outliers."""
 MEASURABLE = 1.0 / 3.0
@@ -358,6 +361,17 @@ class _Record:
         places = np.concatenate([[0.0], np.cumsum(steps)])
         return places[:-1], float(places[-1] if self.closed else places[-2])
 
+    @cached_property
+    def steps(self) -> Array:
+        """The distances (m) of points in a row, on a lap also of the last from the first, without repetitions."""
+        steps = np.hypot(*np.diff(self.points, axis=0, append=self.points[:1]).T)[: None if self.closed else -1]
+        return steps[steps > 1e-3 * steps.max()]
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether some points in a row are much farther apart than usual."""
+        return bool(self.steps.max() > GAP * np.median(self.steps))
+
     def without(self, out: NDArray[np.bool_]) -> _Record:
         """The record without some of its points."""
         return _Record(self.points[~out], self.rows[~out], self.origin, self.closed)
@@ -378,7 +392,7 @@ def _find_lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]
     distance = np.hypot(*(points - points[0]).T)
     back = np.flatnonzero((distance < near) & (s > 10.0 * near))
     ahead = np.concatenate([steps, steps[-1:]])
-    ahead[-1] = points[-1] - points[np.searchsorted(s, s[-1] - near)]
+    ahead[-1] = points[-1] - points[np.searchsorted(s, s[-1] - near, "right") - 1]
     with np.errstate(invalid="ignore"):
         aligned = (ahead @ start) > 0.5 * np.hypot(*ahead.T) * np.hypot(*start)
     passes = np.split(back, np.flatnonzero(np.diff(back) > 1) + 1)
@@ -458,8 +472,11 @@ def _find_spikes(points: Array) -> NDArray[np.bool_]:
     steps = np.hypot(*np.diff(points, axis=0).T)
     leaps = np.flatnonzero(steps > LEAP * scipy.ndimage.median_filter(steps, 4 * IN_A_ROW + 1, mode="nearest"))
     for there, back in itertools.pairwise(leaps):
-        bridge = math.dist(points[there], points[back + 1])
-        if back - there <= IN_A_ROW and LEAP * bridge < steps[there : back + 1].sum():
+        bridge = points[back + 1] - points[there]
+        before = points[there] - points[max(there - IN_A_ROW, 0)]
+        after = points[back + 1 : back + 2 + IN_A_ROW][-1] - points[back + 1]
+        goes_on = min(before @ bridge, after @ bridge) >= 0.0  # else it is a bend
+        if back - there <= IN_A_ROW and goes_on and LEAP * np.hypot(*bridge) < steps[there : back + 1].sum():
             spikes[there + 1 : back + 1] = True
     return spikes
 
@@ -494,11 +511,13 @@ def _estimate(record: _Record, smoothest: bool = False) -> _Estimate:
     """The smoothing length and the places of the points, each from the other in turn."""
     points = record.points - record.origin
     places, length = record.first_places()
-    spacing = max(length / len(points), SHORTEST_KNOTS)
+    spacing, order = max(length / len(points), SHORTEST_KNOTS), 3
+    if record.has_gaps:
+        spacing, order = max(0.5 * float(np.quantile(record.steps, 0.1)), SHORTEST_KNOTS), 2
     scales = np.geomspace(0.5 * spacing, max(min(0.25 * length, 5000.0), spacing), LENGTHS)
     best = None
     for _ in range(FITS):
-        smoother = Smoother(points, places, length, record.closed, spacing)
+        smoother = Smoother(points, places, length, record.closed, spacing, order)
         first = LENGTHS - 1 if smoothest else smoother.best_scale(scales, best)
         fit = _first_fit(smoother, scales[first:], points, places)
         best, places, length = int(np.searchsorted(scales, fit.scale)), fit.along, fit.table.length
@@ -506,7 +525,7 @@ def _estimate(record: _Record, smoothest: bool = False) -> _Estimate:
             places = places - places.min()
     used = math.inf if smoothest else smoother.score(fit.scale).used
     noise = _noise(fit.distances, used) if used < MEASURABLE * len(points) else math.nan
-    smoother = Smoother(points, places, length, record.closed, spacing)
+    smoother = Smoother(points, places, length, record.closed, spacing, order)
     return _Estimate(record, smoother, scales, int(np.searchsorted(scales, fit.scale)), fit.distances, noise)
 
 

@@ -6,8 +6,9 @@ The curve c(t) = sum_j a_j B_j(t) (cubic B-splines on even knots) minimises
 
 so that what is shorter than the smoothing length l counts as noise; c''' vanishes on parabolas, hence nearly on lines
 and wide arcs, and clothoids pay little (P-splines: P. Eilers and B. Marx, *Flexible smoothing with B-splines and
-penalties*, Statistical Science 11 (1996); the penalty is on third differences). A curve as smooth as l needs no more
-than `KNOTS` knots in it.
+penalties*, Statistical Science 11 (1996); the penalty is on third differences). Over a gap between points such a curve
+continues the curvature at its edges: it bulges. With gaps the penalty is therefore on second differences, of order 2:
+(l/2 pi)^4/spacing * integral of |c''(t)|^2 dt. A curve as smooth as l needs no more than `KNOTS` knots in it.
 """
 
 from __future__ import annotations
@@ -37,7 +38,11 @@ _TO_POWERS = (
     np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]) / 6.0
 )
 """Coefficients of 1, p, p^2, p^3 between two knots, 0 <= p <= 1, from the four B-splines that are not zero there."""
-_THIRD_DIFFERENCE = np.array([-1.0, 3.0, -3.0, 1.0])
+_DIFFERENCES = {
+    2: math.sqrt(0.5) * np.array([[1.0, -2.0, 1.0, 0.0], [0.0, 1.0, -2.0, 1.0]]),
+    3: np.array([[-1.0, 3.0, -3.0, 1.0]]),
+}
+"""Differences of four coefficients in a row, by the order of the penalty; their squares are summed."""
 
 
 class Score(NamedTuple):
@@ -50,23 +55,28 @@ class Score(NamedTuple):
 
 
 class Smoother:
-    """Points (n, d) at places (n,) along a curve of some length, m; its knots are at least `spacing` apart."""
+    """Points (n, d) at places (n,) along a curve of some length, m; its knots are at least `spacing` apart.
 
-    def __init__(self, points: Array, places: Array, length: float, closed: bool, spacing: float) -> None:
-        self.points, self.places, self.closed, self.spacing = points, places, closed, spacing
+    order: of the derivative that is penalised, 3, or 2 for points with gaps.
+    """
+
+    def __init__(
+        self, points: Array, places: Array, length: float, closed: bool, spacing: float, order: int = 3
+    ) -> None:
+        self.points, self.places, self.closed, self.spacing, self.order = points, places, closed, spacing, order
         self.length = length if closed else max(length, float(places.max()))
         self._system: _System | None = None
 
     def finer(self) -> Smoother:
         """Return a smoother with knots at half the distance."""
-        return Smoother(self.points, self.places, self.length, self.closed, 0.5 * self.spacing)
+        return Smoother(self.points, self.places, self.length, self.closed, 0.5 * self.spacing, self.order)
 
     def _system_at(self, scale: float) -> tuple[_System, Array]:
         """The equations that suit a smoothing length, and their factor."""
         count = max(4, math.ceil(self.length / max(self.spacing, scale / KNOTS)))
         if self._system is None or self._system.count != count:
-            self._system = _System(self.points, self.places, self.length, self.closed, count)
-        weight = (scale / (2.0 * math.pi)) ** 6 * len(self.points) / self.length
+            self._system = _System(self.points, self.places, self.length, self.closed, count, self.order)
+        weight = (scale / (2.0 * math.pi)) ** (2 * self.order) * len(self.points) / self.length
         return self._system, self._system.factor(weight)
 
     def powers(self, scale: float) -> Array:
@@ -120,7 +130,7 @@ class _System:
     its coefficients go there and back in turns, and each meets others at most six apart.
     """
 
-    def __init__(self, points: Array, places: Array, length: float, closed: bool, count: int) -> None:
+    def __init__(self, points: Array, places: Array, length: float, closed: bool, count: int, order: int) -> None:
         self.closed, self.count, self.knot = closed, count, length / count
         self.size, self._width = (count, 6) if closed else (count + 3, 3)
         t = (np.mod(places, length) if closed else np.clip(places, 0.0, length)) / self.knot
@@ -131,8 +141,9 @@ class _System:
         self.basis = scipy.sparse.csr_array((values.ravel(), (rows, columns.ravel())), shape=(len(points), self.size))
         self.right = self.basis.T @ points
         self._normal = self._squared(columns, values)
-        differences = self.column(np.arange(count)[:, np.newaxis] + np.arange(4))
-        self._rough = self._squared(differences, np.broadcast_to(_THIRD_DIFFERENCE, (count, 4))) / self.knot**5
+        corners = self.column(np.arange(count)[:, np.newaxis] + np.arange(4))
+        rough = [self._squared(corners, np.broadcast_to(row, (count, 4))) for row in _DIFFERENCES[order]]
+        self._rough = sum(rough) / self.knot ** (2 * order - 1)
 
     def column(self, spline: NDArray[np.int64]) -> NDArray[np.int64]:
         """Where the coefficients of B-splines stand."""
