@@ -114,9 +114,10 @@ def fit_road(
     """
     points = _check_points("fit_road", points, MIN_ROAD_LENGTH)
     count, lap, notes = _find_lap(points, closed)
-    record = _Record(points[:count], np.arange(count), points[:count].mean(axis=0), lap)
+    rows, apart = _points_apart(points[:count], lap)
+    record = _Record(apart, rows, points[:count].mean(axis=0), lap)
     if smoothest:
-        estimate, outliers = _estimate(record, smoothest), np.zeros(count, dtype=bool)
+        estimate, outliers = _estimate(record, smoothest), np.zeros(rows.size, dtype=bool)
     else:
         estimate, outliers = _cross_validated(record, max_deviation is None)
     bound = max_deviation
@@ -125,8 +126,8 @@ def fit_road(
             MAX_DEVIATION if math.isnan(estimate.noise) else max(MAX_DEVIATION, MAX_NOISE_DEVIATIONS * estimate.noise)
         )
     fit = _bounded_fit(estimate, bound)
-    road, rows = _road(fit, record), estimate.record.rows
-    s = np.interp(record.rows, rows, fit.along)
+    road, fitted = _road(fit, record), estimate.record.rows
+    s = np.interp(np.arange(count), fitted, fit.along)
     values = {
         key: _sort_by_arc_length(s, value[:count], road)
         if isinstance(value, np.ndarray) and value.shape == (len(points),)
@@ -137,9 +138,9 @@ def fit_road(
         heights = _check_heights(height, len(points))[:count]
         values["grade"], note = grade_of_heights(s, heights, road.length, record.closed)
         notes = [*notes, note]
-    notes = [*_spacing_notes(points), *notes, *_outlier_notes(road, record.points, s, outliers)]
+    notes = [*_spacing_notes(points), *notes, *_outlier_notes(road, record, s[rows], outliers)]
     notes += [] if smoothest else _bound_notes(estimate, fit, bound)
-    notes.append(_fit_note(fit, rows))
+    notes.append(_fit_note(fit, fitted))
     return replace(road, name=name, notes=tuple(notes), deviation=fit.deviation, **alongs(values))
 
 
@@ -185,8 +186,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
 
 def _repetition_notes(points: Array, closed: bool) -> tuple[str, ...]:
     """A note on the points that a path leaves out, with the distance to the nearest one that it goes through."""
-    rows = np.empty(len(points))
-    rows = rows[: path.points_apart(points, closed, rows)].astype(np.int64)
+    rows, _ = _points_apart(points, closed)
     repetitions = np.setdiff1d(np.arange(len(points)), rows)
     if repetitions.size == 0:
         return ()
@@ -199,6 +199,18 @@ def _repetition_notes(points: Array, closed: bool) -> tuple[str, ...]:
         for row, neighbour, distance in zip(repetitions, nearest, distances.min(axis=0), strict=True)
     ]
     return (f"{repetitions.size} of {len(points)} points left out as repeated: {_first_few(texts)}",)
+
+
+def _points_apart(points: Array, closed: bool) -> tuple[NDArray[np.int64], Array]:
+    """Numbers (m,), and points (m, 2) beside them that stand for all points near to each other (`core.path`)."""
+    places = np.empty(len(points))
+    places = places[: path.points_apart(points, closed, places)]
+    low = np.floor(places).astype(np.int64)
+    share = (places - low)[:, np.newaxis]
+    between = (1.0 - share) * points[low] + share * points[(low + 1) % len(points)]
+    rows = np.mod(np.rint(places).astype(np.int64), len(points))
+    order = np.argsort(rows)
+    return rows[order], between[order]
 
 
 _FLAWS = {
@@ -314,13 +326,14 @@ def _bound_notes(estimate: _Estimate, fit: _Fit, bound: float) -> list[str]:
     ]
 
 
-def _outlier_notes(road: Road, points: Array, s: Array, outliers: NDArray[np.bool_]) -> list[str]:
+def _outlier_notes(road: Road, record: _Record, s: Array, outliers: NDArray[np.bool_]) -> list[str]:
     """A note on the points that were left out, with their distances from the road at arc lengths s (n,) m."""
-    rows = np.flatnonzero(outliers)
-    foot = road.at(s[rows])
-    distances = np.hypot(foot.x - points[rows, 0], foot.y - points[rows, 1])
-    texts = [f"at point {row} ({distance:.3g} m)" for row, distance in zip(rows, distances, strict=True)]
-    return [f"{rows.size} of {outliers.size} points left out as outliers: {_first_few(texts)}"] if texts else []
+    foot, points = road.at(s[outliers]), record.points[outliers]
+    distances = np.hypot(foot.x - points[:, 0], foot.y - points[:, 1])
+    texts = [
+        f"at point {row} ({distance:.3g} m)" for row, distance in zip(record.rows[outliers], distances, strict=True)
+    ]
+    return [f"{len(texts)} of {outliers.size} points left out as outliers: {_first_few(texts)}"] if texts else []
 
 
 def _first_few(texts: list[str]) -> str:
