@@ -51,7 +51,6 @@ from .speed_learning import (
     settle_actuators,
 )
 from .speed_place import (
-    CONTRADICTION_TIME,
     LEAST_ELAPSED,
     SPEED_GRACE,
     compare_with_positions,
@@ -159,7 +158,8 @@ SPEED_MEMORY = record(
         "jump",  # m, by which the filter of the station has just restarted elsewhere; 0: it has not
         "surprise",  # -, square of the last innovation of the station over its variance
         "observed_place", "observed_excess", "observer_time",  # m, m/s, s: see `speed_place`
-        "contradiction", "distrust",  # s, for which speed and positions contradict each other; stops by it
+        "contradiction", "is_distrusted", "distrust",  # s, for which speed and positions contradict each other; 1: the
+        # speed is not used; how often in a row
         "direction",  # -1: positions move backwards and the speed is positive; else 1
         "stop_place", "served_place",  # m: of the next stop and of the one served last; NaN: none
         "is_changed",  # 1: another path; its stops are to be matched
@@ -176,7 +176,7 @@ SPEED_MEMORY = record(
     ),
     integers=(
         "state", "limited_by", "fault", "is_placed", "is_changed", "is_released", "is_braking", "is_starting",
-        "instant", "distrust",
+        "instant", "is_distrusted", "distrust",
     ),
 )  # fmt: skip
 """What a speed controller remembers, and its answer."""
@@ -468,7 +468,7 @@ def _blind_deceleration(blind_time, is_guided, delay, settings, memory):
 def acknowledge(memory):
     """End a fault, and the distrust of the measured speed, as a driver or an operator does."""
     end_fault(memory)
-    memory.contradiction, memory.distrust = 0.0, 0
+    memory.contradiction, memory.is_distrusted, memory.distrust = 0.0, 0, 0
 
 
 @inlined
@@ -501,8 +501,6 @@ def _stop_unguided(deceleration, slope, lateral, drive, brakes, dt, settings, me
     """Brake (m/s^2) to a standstill wherever the car is, and hold it there."""
     memory.handover = 0.0
     if _stands(memory):
-        if memory.contradiction >= CONTRADICTION_TIME and memory.hold <= 0.0:
-            memory.distrust += 1
         _hold(0.0, slope, brakes, dt, settings, memory)
         memory.state = EMERGENCY if memory.state == EMERGENCY else STOPPING
         if memory.fault != NO_FAULT:

@@ -31,8 +31,7 @@ OBSERVER_TIME, OBSERVER_JUMP, OBSERVER_GAP = 0.3, 1.0, 1.0
 CONTRADICTION_SHARE, CONTRADICTION_SPEED, CONTRADICTION_TIME = 0.1, 1.0, 0.5
 """-, m/s, s: a speed that differs by more than both from that of the positions for so long is no speed."""
 MAX_DISTRUST, AGREEMENT_TIME = 2, 10.0
-"""Stops by contradictions, after which the car stays until a driver drives; s of agreement, after which they are over.
-"""
+"""Contradictions, after which the car stays until a driver drives; s of agreement, after which they are forgotten."""
 CONTRADICTION_NOISE = 2.0
 """1/s, over the standard deviation of a measured place: further difference that its noise explains."""
 BACKWARDS_SPEED = 0.3
@@ -46,7 +45,7 @@ MAX_MEASURED_ACCELERATION = 20.0
 @inlined
 def is_speed_known(memory):
     """Whether there is a speed that is not too old and agrees with the positions."""
-    return memory.speed_age <= SPEED_GRACE and memory.contradiction < CONTRADICTION_TIME
+    return memory.speed_age <= SPEED_GRACE and memory.is_distrusted == 0
 
 
 @inlined
@@ -62,18 +61,21 @@ def take_motion(acceleration, elapsed, before, memory):
 def _count_contradiction(is_contradiction, observed_speed, dt, memory):
     """Count for how long (s) the speed has contradicted the positions; negative: for how long they agree.
 
-    observed_speed: m/s, of the positions. After `MAX_DISTRUST` stops by contradictions in a row the car stays.
+    observed_speed: m/s, of the positions. The speed is distrusted until they have agreed for as long, but after
+    `MAX_DISTRUST` times in a row until a driver drives.
     """
     if is_contradiction:
         memory.contradiction = min(max(memory.contradiction, 0.0) + dt, 2.0 * CONTRADICTION_TIME)
-        return
-    if memory.contradiction > 0.0:
-        is_final = memory.distrust >= MAX_DISTRUST and memory.contradiction >= CONTRADICTION_TIME
-        memory.contradiction = max(memory.contradiction - (0.0 if is_final else dt), 0.0)
+        if memory.contradiction >= CONTRADICTION_TIME and memory.is_distrusted == 0:
+            memory.is_distrusted, memory.distrust = 1, memory.distrust + 1
+    elif memory.contradiction > 0.0:
+        memory.contradiction = max(memory.contradiction - dt, 0.0)
+    elif memory.is_distrusted > 0:
+        memory.is_distrusted = 1 if memory.distrust >= MAX_DISTRUST else 0
     elif observed_speed > 2.0 * CONTRADICTION_SPEED:
-        memory.contradiction = max(memory.contradiction - dt, -AGREEMENT_TIME)
+        memory.contradiction -= dt
         if memory.contradiction <= -AGREEMENT_TIME:
-            memory.distrust = 0
+            memory.contradiction, memory.distrust = -AGREEMENT_TIME, 0
 
 
 @inlined
@@ -90,7 +92,7 @@ def compare_with_positions(place, age, dt, memory):
         now = place + (speed + memory.observed_excess) * age
         error = now - memory.observed_place
         if interval > OBSERVER_GAP:
-            memory.observed_excess, memory.contradiction = 0.0, 0.0
+            memory.observed_excess = 0.0
         if interval > OBSERVER_GAP or abs(error) > OBSERVER_JUMP:
             memory.observed_place = now
         else:
