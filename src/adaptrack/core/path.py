@@ -21,11 +21,12 @@ import math
 
 import numpy as np
 
-from .kernel import OK, boolean, exported, inlined, int64, int_vector, local, matrix, several, shaped, vector, void
+from .kernel import OK, boolean, exported, float64, inlined, int64, int_vector, local, matrix, several, shaped, vector, void
 from .maths.bits import whole
 from .maths.exact import ceil, floor, sqrt
 from .maths.exponential import hypot
 from .maths.trigonometric import arctangent_of_ratio, atan2
+from .path_noise import noise_of, smooth_points
 from .road import (
     ACROSS_COEFFICIENTS,
     ALONG_COEFFICIENTS,
@@ -562,11 +563,11 @@ def _write_points(points, rows, path_points):
             path_points[k, 0], path_points[k, 1] = path_points[k, 0] + share * x, path_points[k, 1] + share * y
 
 
-@exported(several(int64, int64)(matrix, boolean, vector))
-def path_through(points, closed, memory):
+@exported(several(int64, int64)(matrix, boolean, float64, vector))
+def path_through(points, closed, noise, memory):
     """Make the path through points (n, 2) of x, y (m), a lap if `closed`: it then ends before its start.
 
-    `OK` and the number of pieces, for `line_in`; or what is wrong, and the number of the point: nothing that the
+    noise: m, standard deviation of x and y, without which the points are taken; NaN: that of `noise_of`. `OK` and the number of pieces, for `line_in`; or what is wrong, and the number of the point: nothing that the
     memory then holds is to be used. The path goes through `points_apart`.
     """
     count = len(points)
@@ -582,6 +583,10 @@ def path_through(points, closed, memory):
     count = points_apart(points, closed, lengths)
     path_points = shaped(copies[: 3 * count], count, 3)
     _write_points(points, lengths, path_points)
+    if not noise >= 0.0:
+        noise = noise_of(path_points, closed, lengths)
+    if noise > 0.0 and count >= MIN_PATH_POINTS:
+        smooth_points(path_points, closed, noise, memory[len(LINE_NUMBERS) : scratch])
     status, flaw = _write_steps(path_points, closed, lengths)
     if status != OK:
         return status, flaw

@@ -21,7 +21,7 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import Positive, checked, reals
+from adaptrack.base.checked import NotNegative, Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core import path
 from adaptrack.core.kernel import OK
@@ -145,7 +145,14 @@ def fit_road(
 
 
 @checked
-def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points", **along: Any) -> Road:
+def road_through(
+    points: ArrayLike,
+    *,
+    closed: bool = False,
+    noise: Annotated[NotNegative, "m"] | None = None,
+    name: str = "points",
+    **along: Any,
+) -> Road:
     """A road through points without noise, such as a planner publishes, many times as fast as `fit_road`.
 
     A cubic spline over the length of their polygon: continuous curvature, exact at the points, no smoothing. It is made
@@ -173,7 +180,7 @@ def road_through(points: ArrayLike, *, closed: bool = False, name: str = "points
     size = path.path_words(points, closed)
     while True:
         memory = np.empty(size)
-        status, place = path.path_through(points, closed, memory)
+        status, place = path.path_through(points, closed, math.nan if noise is None else noise, memory)
         if status != path.TOO_SMALL:
             break
         size *= 2
