@@ -132,14 +132,14 @@ class Exported:
 
 
 class CPath:
-    def __init__(self, c, points, closed=False, surplus=0):
+    def __init__(self, c, points, closed=False, surplus=0, noise=math.nan):
         self.points = np.ascontiguousarray(points, float)
         address = ctypes.c_void_p(self.points.ctypes.data)
         size = c.adaptrack_path_size(address, ctypes.c_size_t(len(points)), int(closed)) + surplus
         self.raw, self.flaw = np.zeros(size // 8 + 1), ctypes.c_size_t(0)
         self.place = ctypes.c_void_p(self.raw.ctypes.data)
-        self.error = c.adaptrack_path(address, ctypes.c_size_t(len(points)), int(closed), self.place,
-                                      ctypes.c_size_t(size), ctypes.byref(self.flaw))  # fmt: skip
+        self.error = c.adaptrack_path(address, ctypes.c_size_t(len(points)), int(closed), ctypes.c_double(noise),
+                                      self.place, ctypes.c_size_t(size), ctypes.byref(self.flaw))  # fmt: skip
 
 
 class CTracker:

@@ -25,7 +25,7 @@ def make_path(points, closed=False):
     """Status, number of pieces or of a point, and the memory, filled with what is no number before."""
     points = np.array(points, dtype=np.float64)
     memory = np.full(max(path.path_words(points, closed), 999), np.nan)
-    return *path.path_through(points, closed, memory), memory
+    return *path.path_through(points, closed, 0.0, memory), memory
 
 
 def line_of(points, closed=False):
@@ -168,7 +168,7 @@ def test_no_number_outside_of_a_memory_is_touched_and_too_small_a_one_is_said():
     statuses = []
     for words in [*range(0, 60), *range(60, size + 1, 23), size]:
         around = np.full(words + 20, 7.0)
-        status, _ = path.path_through(points, False, around[10 : 10 + words])
+        status, _ = path.path_through(points, False, 0.0, around[10 : 10 + words])
         statuses.append(status)
         assert (around[:10] == 7.0).all()
         assert (around[10 + words :] == 7.0).all()

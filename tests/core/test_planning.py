@@ -43,7 +43,7 @@ def constant(value):
 
 def line_through(points, closed):
     memory = np.zeros(path.path_words(points, closed))
-    status, _ = path.path_through(points, closed, memory)
+    status, _ = path.path_through(points, closed, 0.0, memory)
     assert status == path.OK
     return path.line_in(memory)[0]
 

@@ -24,6 +24,7 @@ from adaptrack.cli.app import app
 from adaptrack.control.tracker import Tracker
 from adaptrack.core import library
 from adaptrack.core.kernel import INTERPRETED
+from adaptrack.core.road import LINE_NUMBERS
 from adaptrack.export.c_library import export_c
 from adaptrack.export.tracking import Twin, tracking_block
 from adaptrack.road import Comfort, plan_speed, road_through
@@ -502,6 +503,31 @@ def test_a_path_that_is_overwritten_under_the_car_is_said(library_of, way):
     assert tracker.step([0.0, 0.0, 1.0, 0.0, 0.0, 10.0, 0.0])[0] == exported.OK
     path.raw[:8] = 0.0
     assert tracker.step([0.05, 0.05, 1.5, 0.0, 0.0, 10.0, 0.0])[0] == exported.BAD_PATH
+
+
+@pytest.mark.parametrize("noise", [math.nan, 0.0, 0.05])
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_path_of_noisy_points_is_the_one_of_python_to_the_bit(closed, noise, library_of):
+    angle = np.linspace(0.0, 2.0 * math.pi, 150, endpoint=False)
+    points = np.stack([40.0 * np.cos(angle), 25.0 * np.sin(angle)], axis=-1)
+    points += 0.05 * np.random.default_rng(3).standard_normal(points.shape)
+    c = library_of("stanley").c
+    road = road_through(points, closed=closed, noise=None if math.isnan(noise) else noise)
+    made = CPath(c, points, closed, noise=noise)
+    c.adaptrack_path_curvature.restype = c.adaptrack_path_length.restype = ctypes.c_double
+    assert made.error == exported.OK
+    pieces = road.table.pieces
+    first = 8 + len(LINE_NUMBERS)  # words, behind the head
+    assert made.raw[first : first + pieces.size].tobytes() == pieces.tobytes()
+    assert c.adaptrack_path_length(made.place) == road.length
+    cells = math.ceil(road.length / 0.5)
+    headings = road.at(np.minimum(np.linspace(0.0, road.length, cells + 1), road.length - 1e-9)).heading
+    for s in np.linspace(-1.0, road.length + 1.0, 40):
+        cell = min(max(math.floor(s * cells / road.length), 0), cells - 1)
+        curvature = (headings[cell + 1] - headings[cell]) * cells / road.length
+        assert c.adaptrack_path_curvature(made.place, ctypes.c_double(s)) == pytest.approx(curvature, abs=1e-7)
+    assert math.isnan(c.adaptrack_path_curvature(made.place, ctypes.c_double(math.nan)))
+    assert math.isnan(c.adaptrack_path_curvature(None, ctypes.c_double(0.0)))
 
 
 def test_a_memory_that_is_too_small_for_a_path_is_refused(library_of):

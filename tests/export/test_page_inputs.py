@@ -302,7 +302,7 @@ def test_what_path_through_answers_is_said_with_the_line():
     def answered(points, closed=False):
         values = np.array(points, float)
         memory = np.empty(40_000)
-        return path.path_through(values, closed, memory)
+        return path.path_through(values, closed, 0.0, memory)
 
     straight = [(10.0 * k, 0.0) for k in range(6)]
     statuses = {

@@ -23,7 +23,7 @@ static int drive(adaptrack_tracker *tracker, double *path, const int64_t *given,
     uint32_t begun = counted();
     if (adaptrack_init(tracker, sizeof *tracker, adaptrack_constants, ADAPTRACK_CONSTANTS_SIZE)) return 1;
     counts[2 * count] = counted() - begun, begun = counted();
-    if (adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, 0, path,
+    if (adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, 0, NAN, path,
                        ADAPTRACK_RECORDED_PATH_SIZE, 0)) return 2;
     counts[2 * count + 1] = counted() - begun, begun = counted();
     if (follow_recorded(tracker, path)) return 3;

@@ -16,7 +16,7 @@ int main(int count, char **names) {
     void *path = malloc(size);
     adaptrack_plan speeds = {numbers + 2 * points, numbers + 2 * points + plan, plan};
     if (adaptrack_init(&tracker, sizeof tracker, adaptrack_constants, ADAPTRACK_CONSTANTS_SIZE)) return 2;
-    if (adaptrack_path(numbers, points, 0, path, size, 0) || adaptrack_follow(&tracker, path, NAN, &speeds)) return 3;
+    if (adaptrack_path(numbers, points, 0, NAN, path, size, 0) || adaptrack_follow(&tracker, path, NAN, &speeds)) return 3;
     while (fread(row, 8, 13, given) == 13) {
         adaptrack_sample sample = {row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9],
                                    row[10], row[11], row[12]};

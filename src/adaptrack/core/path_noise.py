@@ -26,8 +26,8 @@ CURVATURE_NOISE = 4.0
 """Noise of the curvature of a cubic spline through points, over that of the points and the square of their step."""
 WHITENESS = -0.5
 """Largest correlation of neighbouring differences of noise: -6/7 if it is white, 0.7 of waves of 8 points."""
-MEDIAN, HALVINGS = 1.4826, 30
-"""Standard deviation over the median of absolute values; halvings of the range in which the median lies."""
+MEDIAN, HALVINGS, TINY = 1.4826, 30, 1e-300
+"""Standard deviation over the median of absolute values; halvings of the range of the median; least divisor."""
 AMPLITUDE, SHARE, MIN_THIRD_DERIVATIVE = 0.057, 0.2, 2e-4
 """sqrt(m), of r^6 |c'''|^2 over sigma sqrt(h); -, of c''', its noise; 1/m^2, less of c''' is negligible: a lateral jerk
 of 5 m/s^3 at 30 m/s. Chosen on hairpins, chicanes and lane changes (`benchmarks/noisy_paths.py`)."""
@@ -70,7 +70,7 @@ def noise_of(points, closed, differences):
         for j in range(factors.size):
             size += square(factors[j])
         tx, ty = points[end, 0] - points[k, 0], points[end, 1] - points[k, 1]
-        across = (tx * dy - ty * dx) / (hypot(tx, ty) * sqrt(size))
+        across = (tx * dy - ty * dx) / max(hypot(tx, ty) * sqrt(size), TINY)
         products, squares, length = products + before * across, squares + square(across), length + step
         differences[k], before, high = abs(across), across, max(high, abs(across))
     if not products < WHITENESS * squares:
@@ -127,9 +127,10 @@ def smooth_points(points, closed, noise, memory):
             sharpness[k] = 6.0 * hypot(dx, dy) if fit > 0 else 0.0
         for k in range(rows):
             step, dx, dy = _difference(points, k, factors)
-            reach, sharpest = whole(math.pi * radius[k] / step), MIN_THIRD_DERIVATIVE
-            for near in range(k - reach, k + reach + 1):
-                sharpest = max(sharpest, sharpness[near % rows]) if closed or 0 <= near < rows else sharpest
+            near, sharpest = math.pi * radius[k], MIN_THIRD_DERIVATIVE
+            reach = whole(near / step) if near < rows * step else rows
+            for other in range(k - reach, k + reach + 1):
+                sharpest = max(sharpest, sharpness[other % rows]) if closed or 0 <= other < rows else sharpest
             spread = noise * sqrt(step)
             amplitude, share = sqrt(AMPLITUDE * spread) / sharpest, spread / (sqrt(18.0) * SHARE * sharpest)
             radius[k] = min(max(power(amplitude, 1.0 / 3.0), power(share, 2.0 / 7.0)), MAX_RADIUS * step)

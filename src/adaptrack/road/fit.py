@@ -23,10 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import NotNegative, Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
-from adaptrack.core import path
+from adaptrack.core import path, path_noise
 from adaptrack.core.kernel import OK
 from adaptrack.core.path import MIN_PATH_POINTS, WIDEST
-from adaptrack.core.road import MOST_CURVATURE, project_all
+from adaptrack.core.road import CLOSED, LENGTH, MOST_CURVATURE, project_all
 from adaptrack.road.height import grade_of_heights
 from adaptrack.road.road import Road
 from adaptrack.road.segments import MAX_COORDINATE, Array, Cubic, Pose
@@ -153,23 +153,27 @@ def road_through(
     name: str = "points",
     **along: Any,
 ) -> Road:
-    """A road through points without noise, such as a planner publishes, many times as fast as `fit_road`.
+    """A road through the points of a planner, many times as fast as `fit_road`.
 
-    A cubic spline over the length of their polygon: continuous curvature, exact at the points, no smoothing. It is made
-    by `core.path`, as in exported controllers: the same to the bit.
+    A cubic spline over the length of their polygon: continuous curvature, exact at points without noise. Points with
+    noise are smoothed first (`core.path_noise`). Exported controllers make the same road to the bit.
 
     Parameters
     ----------
     points : (n, 2) array
         x, y in m; a lap ends at or before its start. Points in a row count as one, the first, if their distance is at
         most a tenth of the step on either side and 0.2 m: such a step would turn the road by the error of its points.
+    noise : float, optional
+        Standard deviation of x and y; 0: the road goes through the points. By default it is estimated: 0 for points on
+        a smooth curve, and for fewer than 16 points.
     closed, name, **along
         As in `Road.from_segments`.
 
     Returns
     -------
     Road
-        `notes` name the points that were left out because they count as one with another.
+        `notes` name the points that were left out because they count as one with another, and the noise.
+        `deviation` is the largest distance (m) of smoothed points from the road.
 
     Raises
     ------
@@ -177,23 +181,38 @@ def road_through(
         When points are too few, not finite, or fold back on themselves.
     """
     points = _check_points("road_through", points, path.MIN_PATH_LENGTH)
+    rows, apart = _points_apart(points, closed)
+    source = "given" if noise is not None else "estimated"
+    if noise is None:
+        noise = path_noise.noise_of(apart, closed, np.empty(rows.size))
     size = path.path_words(points, closed)
     while True:
         memory = np.empty(size)
-        status, place = path.path_through(points, closed, math.nan if noise is None else noise, memory)
+        status, place = path.path_through(points, closed, noise, memory)
         if status != path.TOO_SMALL:
             break
         size *= 2
     if status != OK:
         raise InvalidInput(f"road_through: {_FLAWS[status].format(place, WIDEST)}")
     line, _ = path.line_in(memory)
+    notes, deviation = _repetition_notes(points, rows), 0.0
+    if noise > 0.0:
+        deviation = _deviation(apart, line)
+        notes += (f"noise of {noise:.2g} m ({source}) smoothed: up to {deviation:.2g} m from a point",)
     table = Pieces(line.start.copy(), line.pieces.copy())
-    return Road(name=name, table=table, closed=closed, notes=_repetition_notes(points, closed), **alongs(along))
+    return Road(name=name, table=table, closed=closed, notes=notes, deviation=deviation, **alongs(along))
 
 
-def _repetition_notes(points: Array, closed: bool) -> tuple[str, ...]:
-    """A note on the points that a path leaves out, with the distance to the nearest one that it goes through."""
-    rows, _ = _points_apart(points, closed)
+def _deviation(points: Array, line: Any) -> float:
+    """The largest distance (m) of points (n, 2) from a line along them."""
+    places, feet = np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T).cumsum(), np.empty((len(points), 4))
+    end = line.numbers[LENGTH] - (line.numbers[CLOSED] > 0.5) * math.dist(points[0], points[-1])
+    project_all(line, np.column_stack([points, places * (end / places[-1])]), feet)
+    return float(np.nanmax(np.abs(feet[:, 1])))
+
+
+def _repetition_notes(points: Array, rows: NDArray[np.int64]) -> tuple[str, ...]:
+    """A note on the points that a path leaves out, with the distance to the nearest of `rows`, through which it goes."""
     repetitions = np.setdiff1d(np.arange(len(points)), rows)
     if repetitions.size == 0:
         return ()

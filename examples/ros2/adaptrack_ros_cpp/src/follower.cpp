@@ -9,7 +9,6 @@ namespace {
 
 constexpr double clock_jump = 2.0; // s: stamps that are older than the newest by more begin anew, as of another bag
 constexpr double lateral = 3.0;    // m/s^2, of planned speeds
-constexpr double apart = 0.2;      // m, of points from which a curvature is computed: nearer ones may be one
 // Of `SpeedTarget` in Python.
 constexpr double standing = 0.1;  // m/s
 constexpr double at_stop = 0.25;  // m, of a standing car from a stop that counts as reached
@@ -55,13 +54,6 @@ void check_messages(const Parameters &p) {
     if (p.pose_message != "nav_msgs/Odometry" && (p.motion_message.empty() || p.motion_message == "sensor_msgs/Imu"))
         throw std::invalid_argument("pose_message = '" + p.pose_message + "' has no speed: give motion_message = "
                                     "geometry_msgs/TwistStamped or nav_msgs/Odometry.");
-}
-
-// 1/m, of the circle through three points.
-double curvature_of(const double *a, const double *b, const double *c) {
-    const double ux = b[0] - a[0], uy = b[1] - a[1], vx = c[0] - b[0], vy = c[1] - b[1];
-    const double sides = std::hypot(ux, uy) * std::hypot(vx, vy) * std::hypot(ux + vx, uy + vy);
-    return sides > 0.0 ? 2.0 * std::abs(ux * vy - uy * vx) / sides : 0.0;
 }
 
 double distance_of(const double *a, const double *b) { return std::hypot(b[0] - a[0], b[1] - a[1]); }
@@ -168,7 +160,7 @@ std::string Follower::why_not(Planned &planned, const std::vector<double> &point
     std::size_t words = (adaptrack_path_size(points.data(), count, 0) + 7) / 8;
     for (int round = 0; round < 4 && error == ADAPTRACK_TOO_SMALL; round++, words *= 2) { // sharp bends need more
         if (planned.road.size() < words) planned.road.resize(words);
-        error = adaptrack_path(points.data(), count, 0, planned.road.data(), 8 * planned.road.size(), &flaw);
+        error = adaptrack_path(points.data(), count, 0, NAN, planned.road.data(), 8 * planned.road.size(), &flaw);
     }
     if (error != ADAPTRACK_OK)
         return text_of("point %zu: at least four points apart from each other, finite, no kink", flaw);
@@ -181,7 +173,7 @@ std::string Follower::why_not(Planned &planned, const std::vector<double> &point
     for (double &each : planned.s) each *= stretch;
     planned.speed.assign(count, parameters.top_speed);
     if (speeds.empty())
-        plan_speeds(planned, points);
+        plan_speeds(planned);
     else
         std::transform(speeds.begin(), speeds.end(), planned.speed.begin(),
                        [this](double speed) { return std::min(speed, parameters.top_speed); });
@@ -219,16 +211,11 @@ adaptrack_error Follower::Planned::follow(void *tracker) const {
 #endif
 
 // The fastest speeds within `lateral` and `acceleration`: one pass forward, one backward over the square of the speed.
-void Follower::plan_speeds(Planned &planned, const std::vector<double> &points) const {
+void Follower::plan_speeds(Planned &planned) const {
     const std::size_t count = planned.s.size();
     std::vector<double> &w = planned.speed;
-    const auto point = [&](std::size_t k) { return points.data() + 2 * k; };
     for (std::size_t k = 0; k < count; k++) {
-        const std::size_t middle = std::min(std::max<std::size_t>(k, 1), count - 2);
-        std::size_t before = middle - 1, after = middle + 1;
-        while (before > 0 && distance_of(point(before), point(middle)) < apart) before--;
-        while (after < count - 1 && distance_of(point(middle), point(after)) < apart) after++;
-        const double curvature = curvature_of(point(before), point(middle), point(after));
+        const double curvature = std::abs(adaptrack_path_curvature(planned.road.data(), planned.s[k]));
         w[k] = std::min(w[k] * w[k], lateral / std::max(curvature, 1e-9));
     }
     if (parameters.stop_at_end) w.back() = 0.0;

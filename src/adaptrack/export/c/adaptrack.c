@@ -21,8 +21,8 @@ extern int64_t adaptrack_speed_path_words(double length, int64_t closed, int64_t
 extern void adaptrack_write_speed_path(void *arrays, double *memory, int64_t size, word answers[2]);
 extern int64_t adaptrack_horizon_cells(double top_speed, double braking, double spacing);
 #endif
-extern void adaptrack_path_through(const double *points, int64_t count, int64_t two, int64_t closed, double *memory,
-                                   int64_t size, word answers[2]);
+extern void adaptrack_path_through(const double *points, int64_t count, int64_t two, int64_t closed, double noise,
+                                   double *memory, int64_t size, word answers[2]);
 
 /* Place in the record's words; its tracker is at the beginning. */
 static uint64_t *record_of(void *tracker) { return (uint64_t *)adaptrack_block_record(tracker); }
@@ -32,7 +32,7 @@ static double *numbers_at(const uint64_t *record, size_t place) { return (double
 /* -- a path: a head, then as the kernel makes it: numbers of the road, pieces, where they begin, headings ------- */
 typedef struct {
     uint64_t mark;
-    uint32_t id; /* CRC-32 of the points */
+    uint32_t id; /* CRC-32 of points and noise */
     uint32_t closed;
     int64_t pieces;
     int64_t headings;
@@ -55,8 +55,8 @@ size_t adaptrack_path_size(const double *points, size_t count, int closed) {
     return sizeof(path_head) + 8u * (size_t)adaptrack_path_words(points, (int64_t)count, 2, closed != 0);
 }
 
-adaptrack_error adaptrack_path(const double *points, size_t count, int closed, void *path, size_t path_size,
-                               size_t *flaw) {
+adaptrack_error adaptrack_path(const double *points, size_t count, int closed, double noise, void *path,
+                               size_t path_size, size_t *flaw) {
     path_head *head = (path_head *)path;
     double *memory;
     word answers[2];
@@ -67,7 +67,8 @@ adaptrack_error adaptrack_path(const double *points, size_t count, int closed, v
     if (path_size < sizeof *head + 8u * NUMBERS) return ADAPTRACK_TOO_SMALL;
     head->mark = 0;
     memory = (double *)(void *)(head + 1);
-    adaptrack_path_through(points, (int64_t)count, 2, closed != 0, memory,
+    if (!(noise >= 0.0)) noise = NAN;
+    adaptrack_path_through(points, (int64_t)count, 2, closed != 0, noise, memory,
                            (int64_t)((path_size - sizeof *head) / 8u), answers);
     if (flaw) *flaw = (size_t)answers[1].whole;
     if (answers[0].whole == ADAPTRACK_PATH_TOO_SMALL) return ADAPTRACK_TOO_SMALL;
@@ -75,7 +76,7 @@ adaptrack_error adaptrack_path(const double *points, size_t count, int closed, v
     head->closed = closed != 0, head->pieces = answers[1].whole, head->of = 0;
     head->headings = (int64_t)(memory[ADAPTRACK_ROAD_LENGTH] / memory[ADAPTRACK_ROAD_SPACING] + 0.5) + 1;
     for (int i = 0; i < 3; i++) head->reserved[i] = 0;
-    head->id = adaptrack_crc32(points, 16u * count) ^ (closed ? 0xffffffffu : 0u);
+    head->id = adaptrack_crc32(points, 16u * count) ^ adaptrack_crc32(&noise, sizeof noise) ^ (closed ? 0xffffffffu : 0u);
     head->mark = PATH;
     return ADAPTRACK_OK;
 }
@@ -83,6 +84,18 @@ adaptrack_error adaptrack_path(const double *points, size_t count, int closed, v
 double adaptrack_path_length(const void *path) {
     const path_head *head = head_of(path);
     return head ? road_of(head)[ADAPTRACK_ROAD_LENGTH] : NAN;
+}
+
+double adaptrack_path_curvature(const void *path, double s) {
+    const path_head *head = head_of(path);
+    const double *headings;
+    int64_t cell = 0;
+    double place;
+    if (!head || s - s != 0.0) return NAN;
+    headings = road_of(head) + NUMBERS + (COLUMNS + 1) * head->pieces + 1;
+    place = s / road_of(head)[ADAPTRACK_ROAD_SPACING];
+    if (place > 0.0) cell = place < (double)(head->headings - 2) ? (int64_t)place : head->headings - 2;
+    return (headings[cell + 1] - headings[cell]) / road_of(head)[ADAPTRACK_ROAD_SPACING];
 }
 
 typedef struct {

@@ -35,10 +35,11 @@ class Path {
     Path &operator=(const Path &) = delete;
     // A tracker must not be following it.
     [[nodiscard]] Error through(const double *points, std::size_t count, bool closed = false,
-                                std::size_t *flaw = nullptr) noexcept {
-        return adaptrack_path(points, count, closed ? 1 : 0, memory_.data(), 8 * Words, flaw);
+                                std::size_t *flaw = nullptr, double noise = unknown) noexcept {
+        return adaptrack_path(points, count, closed ? 1 : 0, noise, memory_.data(), 8 * Words, flaw);
     }
     [[nodiscard]] double length() const noexcept { return adaptrack_path_length(memory_.data()); }
+    [[nodiscard]] double curvature(double s) const noexcept { return adaptrack_path_curvature(memory_.data(), s); }
     [[nodiscard]] const void *data() const noexcept { return memory_.data(); }
 
   private:

@@ -49,7 +49,7 @@ adaptrack_error drive_recorded(const void *constants, size_t size, int *differ, 
     adaptrack_error error = adaptrack_init(&tracker, sizeof tracker, constants, size);
     *differ = 0;
     if (error == ADAPTRACK_OK)
-        error = adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, 0, path, sizeof path, 0);
+        error = adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, 0, NAN, path, sizeof path, 0);
     if (error == ADAPTRACK_OK) error = adaptrack_engage(&tracker, 0.0, NAN);
     if (error == ADAPTRACK_OK) error = follow_recorded(&tracker, path);
     for (int k = 0; k < ADAPTRACK_RECORDED_STEPS && error == ADAPTRACK_OK; k++) {

@@ -32,7 +32,8 @@ int main(int count, char **words) {
     double begun, mean = 0.0;
     if (!times || steps < 100) return 1;
     begun = now();
-    if (adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, 0, path, sizeof path, 0) != ADAPTRACK_OK) return 1;
+    if (adaptrack_path(adaptrack_recorded_points, ADAPTRACK_RECORDED_POINTS, 0, NAN, path, sizeof path, 0) != ADAPTRACK_OK)
+        return 1;
     printf("a path through %d points: %.0f us, %d kB\n", ADAPTRACK_RECORDED_POINTS, 1e6 * (now() - begun),
            (int)(sizeof path / 1000));
     if (adaptrack_init(&tracker, sizeof tracker, adaptrack_constants, ADAPTRACK_CONSTANTS_SIZE) != ADAPTRACK_OK)

@@ -266,7 +266,7 @@ function roadThrough({ points, closed = false, name = "points" }) {
   for (;;) {
     if (size > MOST_WORDS) refuse("The road is too long: its points may be in millimetres. Give x and y in metres.");
     const path = mine(memory.array("F", [Math.max(size, 1)]));
-    const [status, found] = memory.call("path_through", array, closed ? 1 : 0, path);
+    const [status, found] = memory.call("path_through", array, closed ? 1 : 0, NaN, path);
     if (status === written.inputs.answers.path_through.TOO_SMALL) {
       size *= 2;
       continue;

@@ -102,7 +102,7 @@ class Follower {
     };
 
     std::string why_not(Planned &planned, const std::vector<double> &points, const std::vector<double> &speeds) const;
-    void plan_speeds(Planned &planned, const std::vector<double> &points) const;
+    void plan_speeds(Planned &planned) const;
     std::string wrong_frame(const std::string &frame) const;
     std::string why_blind(double now) const;
     std::string why_late(double age, const char *noun, const char *topic) const;
