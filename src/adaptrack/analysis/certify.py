@@ -36,6 +36,7 @@ from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Scheduler, Tuning, read_tuning
 from adaptrack.control.scheduling import VARIABLES, Constant, Schedule, SchedulingVariables
+from adaptrack.core import portable
 from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
@@ -344,7 +345,7 @@ def _axes(
     )
     read = scheduler_domain if isinstance(scheduler, Schedule) else OPERATING
     other_names = [name for name in SchedulingVariables._fields if name in read and name not in ("speed", "friction")]
-    count = max(2, min(5, int(_MAX_COMBINATIONS ** (1.0 / max(len(other_names), 1)) + 1e-9)))
+    count = max(2, min(5, int(portable.power(_MAX_COMBINATIONS, 1.0 / max(len(other_names), 1)) + 1e-9)))
     axes = {}
     for name, number in zip(("speed", "friction", *other_names), (*levels, *[count] * len(other_names)), strict=True):
         low, high = _range(name, domain, scheduler_domain)

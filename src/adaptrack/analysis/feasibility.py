@@ -20,6 +20,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
+from adaptrack.core import portable
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
@@ -32,7 +33,7 @@ Each of 116 constant tunings with a larger margin at every speed and friction dr
 """
 TUNINGS = ((10.0, 20.0, 36.0, 60.0), (1.0, 4.0, 16.0), np.linspace(-3.0, 6.0, 16))
 """Grid of tunings: Np and Nc (control periods), log10 R/Q (R/Q in m^2/rad^2)."""
-_ANGLES = np.geomspace(2e-3, np.pi, 192)  # frequencies of the loop gain (rad per control period)
+_ANGLES = portable.geomspace(2e-3, np.pi, 192)  # frequencies of the loop gain (rad per control period)
 
 
 class FeasibleRanges(NamedTuple):
@@ -69,7 +70,7 @@ class Feasibility:
     def from_map(cls, axes: Sequence[Array], margins: Array, least: float = MARGIN) -> Self:
         """Return the feasibility from axes and margins of `stability.margin_map`, without the nodes with Nc > Np."""
         Np, Nc, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
-        tunings = np.column_stack([Np, Nc, np.ones_like(ratio), 10.0**ratio])
+        tunings = np.column_stack([Np, Nc, np.ones_like(ratio), portable.power(10.0, ratio)])
         fits = Nc <= Np
         by_tuning = margins.reshape(len(axes[0]), len(axes[1]), -1)
         return cls(axes[0], axes[1], tunings[fits], by_tuning[:, :, fits], least)

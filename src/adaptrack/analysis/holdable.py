@@ -22,6 +22,7 @@ from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import MPC
+from adaptrack.core import portable
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.holdable_speed import HoldableSpeed
@@ -43,7 +44,7 @@ BRAKING_SHARES = (0.0, 0.17, 0.34, 0.51)
 """Decelerations of the table / (mu g)."""
 OUTSIDE_GRIP_MARGIN = -1.0
 """Margin that is assumed if braking exceeds the grip of the tyres in a turn."""
-_ANGLES = np.geomspace(2e-3, np.pi, 192)  # frequencies of the loop gain (rad per control period)
+_ANGLES = portable.geomspace(2e-3, np.pi, 192)  # frequencies of the loop gain (rad per control period)
 
 
 @checked
@@ -109,9 +110,10 @@ def _cached_speeds(car: Vehicle, loop: _Loop, longest: float) -> HoldableSpeed:
     plant = DualTrack(car)
     lowest = max(MIN_TABLE_SPEED, mpc.speed_floor)
     count = max(
-        2, math.ceil(math.log(max(top_speed(car) / lowest, TABLE_SPEED_RATIO)) / math.log(TABLE_SPEED_RATIO)) + 1
+        2,
+        math.ceil(portable.log(max(top_speed(car) / lowest, TABLE_SPEED_RATIO)) / portable.log(TABLE_SPEED_RATIO)) + 1,
     )
-    speeds = np.geomspace(lowest, max(top_speed(car), TABLE_SPEED_RATIO * lowest), count).round(2).tolist()
+    speeds = portable.geomspace(lowest, max(top_speed(car), TABLE_SPEED_RATIO * lowest), count).round(2).tolist()
     cornering = [float(cornering_limit(car, [0.0], [mu])[0]) for mu in TABLE_FRICTIONS]
     braking = np.empty((len(TABLE_FRICTIONS), len(speeds), len(LATERAL_SHARES)))
     for j, speed in enumerate(speeds):
@@ -190,13 +192,13 @@ def min_transient_margin(growth: float, time: float, period: float) -> float:
     With a spectral radius rho over a control period T (s), deviations grow by rho^(t/T). The margin of an unstable loop
     is -10 (rho - 1), see `stability.modulus_margin`.
     """
-    return -10.0 * math.expm1(math.log(max(growth, 1.0)) * period / time)
+    return -10.0 * portable.expm1(portable.log(max(growth, 1.0)) * period / time)
 
 
 def top_speed(car: Vehicle) -> float:
     """Return the highest speed (m/s) that the car reaches on a level road."""
     v = np.linspace(1.0, MAX_SPEED.most, 397)
-    air = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient * v**2
+    air = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient * (v * v)
     resistance = air + car.rolling_resistance * car.mass * GRAVITY
     reachable = np.minimum(car.traction_limit, car.engine_power / v) >= resistance
     return float(v[reachable].max(initial=1.0))

@@ -24,7 +24,9 @@ from adaptrack.cars.vehicle import SteeringActuator
 from adaptrack.control.controllers import MPC
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PredictionModel, laguerre_basis
+from adaptrack.core import portable
 from adaptrack.core.models import contract
+from adaptrack.core.portable import product
 from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
@@ -99,7 +101,7 @@ def steady_turn(
             f"{friction:g}: ask for a smaller lateral acceleration."
         )
     x[free] = unknown[:-1]
-    x[names.index("psi")] = -np.arctan2(x[names.index("vy")], x[names.index("vx")])
+    x[names.index("psi")] = -portable.atan2(x[names.index("vy")], x[names.index("vx")])
     return x, float(unknown[-1])
 
 
@@ -141,7 +143,10 @@ def _newton(residual: Callable[[Array, float], Array], x: Array, target: float) 
         slopes = np.array([(residual(x + h, target) - error) / _STEP for h in _STEP * np.eye(len(x))])
         if not np.isfinite(slopes).all() or not np.isfinite(error).all():
             return x, False
-        change = np.linalg.lstsq(slopes.T, error)[0]
+        try:
+            change = portable.solve(slopes.T, error)
+        except portable.LinAlgError:
+            return x, False
         x = x - change
         if not np.abs(change).max() > 1e-10:
             break
@@ -430,19 +435,17 @@ def _hold_flow(flow: Array, period: float, delay: float) -> Array:
 
     Columns and rows of delayed commands follow those of the states; the last column is that of the new command.
     """
-    from scipy.linalg import expm
-
     n = len(flow) - 1
     periods, part = divmod(delay, 1.0)
     pending = int(periods) + (part > 0.0)
-    early, late = expm(flow * (part * period)), expm(flow * ((1.0 - part) * period))
+    early, late = (portable.exponential_of(flow * (share * period)) for share in (part, 1.0 - part))
     size = n + pending
     step = np.zeros((size, size + 1))
-    step[:n, :n] = late[:n, :n] @ early[:n, :n]
+    step[:n, :n] = product(late[:n, :n], early[:n, :n])
     columns = [size, *range(n, size)]  # of the new command, of the last one, ...
     step[:n, columns[int(periods)]] = late[:n, n]
     if part > 0.0:
-        step[:n, columns[int(periods) + 1]] = late[:n, :n] @ early[:n, n]
+        step[:n, columns[int(periods) + 1]] = product(late[:n, :n], early[:n, n])
     step[columns[1:], columns[:-1]] = 1.0
     return step
 
@@ -552,7 +555,9 @@ class EstimatorAt:
         """Return [memory, xi] after a step from [memory, measurements, command]; turned: path rotation (rad)."""
         after, command = inputs[: self._memory].copy(), float(inputs[-1])
         self._step(np.append(inputs[self._memory : -1], turned), command, after)
-        return np.concatenate([after, self._a @ self._x + self._b[:, 0] * command + self._d - self._x, self._x[-1:]])
+        return np.concatenate(
+            [after, product(self._a, self._x) + self._b[:, 0] * command + self._d - self._x, self._x[-1:]]
+        )
 
     @cached_property
     def straight(self) -> LinearEstimator:
@@ -731,8 +736,9 @@ def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator 
         basis = np.eye(Np, Nc)
         if mpc.moves.kind == "laguerre":
             basis = laguerre_basis(Np, mpc.moves.terms, mpc.moves.pole)
-        effect = phi[:Np, :Np] @ basis
+        effect = product(phi[:Np, :Np], basis)
         Q, R = rows[members, 2, None, None], caution * rows[members, 3, None, None]
-        moves = np.linalg.solve(Q * (effect.T @ effect) + R * np.eye(effect.shape[1]), Q * (effect.T @ free[:, :Np].T))
-        gains[members] = basis[0] @ moves
+        matrix = Q * product(effect.T, effect) + R * np.eye(effect.shape[1])
+        moves = portable.solve(matrix, Q * product(effect.T, free[:, :Np].T))
+        gains[members] = product(basis[0], moves)
     return LinearControllers(estimator, gains)

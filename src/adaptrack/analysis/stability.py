@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,13 +35,15 @@ from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, twin_of
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import MPC, Tuning
+from adaptrack.core import portable
 from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.portable import product
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_ANGLES = np.geomspace(1e-3, np.pi, 768)  # frequencies of the loop gain (rad per control period)
+_ANGLES = portable.geomspace(1e-3, np.pi, 768)  # frequencies of the loop gain (rad per control period)
 
 
 # -- the loop ---------------------------------------------------------------------------------------------------------
@@ -58,11 +61,12 @@ def loops(plant: Sampled, law: LinearControllers, gain: float = 1.0) -> Array:
     """
     estimator, measured = law.estimator, _measured(plant, law)
     m, q = len(plant.b), len(estimator.a)
-    of_z, of_s = -law.k @ (estimator.d @ measured), estimator.h - law.k @ estimator.c  # u = of_z z + of_s s
+    of_z = -product(law.k, product(estimator.d, measured))  # u = of_z z + of_s s
+    of_s = estimator.h - product(law.k, estimator.c)
     matrices = np.empty((len(law.k), m + q, m + q))
     matrices[:, :m, :m] = plant.a + gain * plant.b[:, None] * of_z[:, None, :]
     matrices[:, :m, m:] = gain * plant.b[:, None] * of_s[:, None, :]
-    matrices[:, m:, :m] = estimator.e @ measured + estimator.f[:, None] * of_z[:, None, :]
+    matrices[:, m:, :m] = product(estimator.e, measured) + estimator.f[:, None] * of_z[:, None, :]
     matrices[:, m:, m:] = estimator.a + estimator.f[:, None] * of_s[:, None, :]
     return matrices
 
@@ -111,7 +115,7 @@ def spectral_radius(
 
 def radii(matrices: Array) -> Array:
     """Return the spectral radius of each matrix (..., n, n)."""
-    return np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
+    return portable.spectral_radius(matrices)
 
 
 # -- margins ----------------------------------------------------------------------------------------------------------
@@ -147,23 +151,24 @@ def loop_gain(plant: Sampled, law: LinearControllers, angles: ArrayLike = _ANGLE
     The loop with a factor g on its commands has the characteristic equation 1 + g L(z) = 0. The factor applies after
     the controller, whose estimator uses the commands without it.
     """
-    estimator, z = law.estimator, np.exp(1j * np.asarray(angles, dtype=np.float64))
-    measured = _measured(plant, law) @ _resolvent(z, plant.a, plant.b[:, None])[:, 0]  # (sensors, angles)
-    remembered = _resolvent(z, estimator.a, np.column_stack([estimator.e, estimator.f]))  # (q, sensors + 1, angles)
-    by_measured, by_own = np.einsum("qsz,sz->qz", remembered[:, :-1], measured), remembered[:, -1]
-    fed_back = law.k @ (estimator.c @ by_measured + estimator.d @ measured) - estimator.h @ by_measured
-    return np.asarray(fed_back / (1.0 + law.k @ (estimator.c @ by_own) - estimator.h @ by_own))
+    estimator, z = law.estimator, portable.direction(np.asarray(angles, dtype=np.float64))
+    measured = product(_measured(plant, law), _resolved(z, plant.a, plant.b[:, None]))  # (sensors, angles)
+    by_measured = _resolved(z, estimator.a, product(estimator.e, measured))
+    by_own = _resolved(z, estimator.a, estimator.f[:, None])
+    fed_back = product(law.k, product(estimator.c, by_measured) + product(estimator.d, measured))
+    own = product(law.k, product(estimator.c, by_own)) - product(estimator.h, by_own)
+    return np.asarray((fed_back - product(estimator.h, by_measured)) / (1.0 + own))
 
 
-def _resolvent(z: Complex, a: Array, b: Array) -> Complex:
-    """Return (z - A)^-1 B, (n, columns, len(z)), by one back substitution with the Schur form of A for all z."""
-    from scipy.linalg import schur
-
-    t, u = schur(a, output="complex")
-    rotated, x = u.conj().T @ b, np.empty((*b.shape, len(z)), dtype=np.complex128)
-    for i in reversed(range(len(a))):
-        x[i] = (rotated[i][:, None] + np.tensordot(t[i, i + 1 :], x[i + 1 :], 1)) / (z - t[i, i])
-    return np.asarray(np.tensordot(u, x, 1))
+def _resolved(z: Complex, a: Array, b: NDArray[Any]) -> Complex:
+    """Return (z - A)^-1 b for each z, (n, len(z)); b is (n, len(z)) or (n, 1)."""
+    n, right = len(a), np.broadcast_to(b, (len(a), len(z)))
+    matrices = np.empty((len(z), 2 * n, 2 * n))  # real and imaginary parts, one below the other
+    matrices[:, :n, :n] = matrices[:, n:, n:] = z.real[:, None, None] * np.eye(n) - a
+    matrices[:, n:, :n] = z.imag[:, None, None] * np.eye(n)
+    matrices[:, :n, n:] = -matrices[:, n:, :n]
+    x = portable.solve(matrices, np.concatenate([right.real, right.imag]).T[..., None])[..., 0].T
+    return np.asarray(x[:n] + 1j * x[n:])
 
 
 def modulus_margin(plant: Sampled, law: LinearControllers, angles: ArrayLike = _ANGLES) -> Array:
@@ -178,7 +183,7 @@ def modulus_margin(plant: Sampled, law: LinearControllers, angles: ArrayLike = _
 
 
 def _modulus_margin(gains: Complex, radius: Array) -> Array:
-    distance = np.abs(1.0 + gains).min(axis=1)
+    distance = portable.magnitude(1.0 + gains).min(axis=1)
     return np.where(radius < 1.0, np.minimum(distance, 1.0), -10.0 * (radius - 1.0))
 
 
@@ -216,9 +221,9 @@ def _critical_delays(gains: Complex, period: float) -> Array:
     neglects the zero-order hold of the commands.
     """
     with np.errstate(divide="ignore", invalid="ignore"):  # log |L| = -inf for a loop without gain
-        share, crossing = _crossings(np.log(np.abs(gains)), gains)
-    angle = _ANGLES[:-1] * (_ANGLES[1:] / _ANGLES[:-1]) ** share
-    return np.asarray(period * np.mod(np.angle(crossing) + np.pi, 2.0 * np.pi) / angle)
+        share, crossing = _crossings(portable.log(portable.magnitude(gains)), gains)
+    angle = _ANGLES[:-1] * portable.power(_ANGLES[1:] / _ANGLES[:-1], share)
+    return np.asarray(period * np.mod(portable.atan2(crossing.imag, crossing.real) + np.pi, 2.0 * np.pi) / angle)
 
 
 def _crossings(values: Array, gains: Complex) -> tuple[Array, Complex]:
@@ -311,7 +316,7 @@ def margin_map(
         Ages of the samples in the plants.
     """
     horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
-    tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), 10.0**ratio])
+    tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), portable.power(10.0, ratio)])
     least = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
     for i, v in enumerate(axes[0].tolist()):
         law = laws(mpc, v, tunings, linear_estimator(mpc, v, ages))

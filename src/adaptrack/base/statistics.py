@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.core import portable
 
 Array = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ class Ratio(NamedTuple):
 
 def geometric_mean(costs: ArrayLike) -> float:
     """Return the geometric mean of positive numbers."""
-    return float(np.exp(np.mean(np.log(costs))))
+    return float(portable.exp(np.mean(portable.log(costs))))
 
 
 def ratio(values: ArrayLike, references: ArrayLike) -> Ratio:
@@ -52,22 +53,23 @@ def ratio(values: ArrayLike, references: ArrayLike) -> Ratio:
     InvalidInput
         When no entry was measured for both contenders.
     """
-    logs = np.log(np.asarray(values, dtype=float) / np.asarray(references, dtype=float))
+    logs = portable.log(np.asarray(values, dtype=float) / np.asarray(references, dtype=float))
     measured = np.isfinite(logs)
     if not measured.any():
         raise InvalidInput("ratio: the two contenders have no measured run in common.")
     total, count = _resampled_sums(np.where(measured, logs, 0.0)), _resampled_sums(measured.astype(float))
     means = total[count > 0.0] / count[count > 0.0]
-    low, high = np.percentile(np.exp(means), [2.5, 97.5])
-    return Ratio(float(np.exp(logs[measured].mean())), float(low), float(high))
+    low, high = np.percentile(portable.exp(means), [2.5, 97.5])
+    return Ratio(float(portable.exp(logs[measured].mean())), float(low), float(high))
 
 
 def _resampled_sums(values: Array) -> Array:
     """Return the sum of the values in each resample (BOOTSTRAP_RESAMPLES,)."""
-    operands: list[Any] = [values, list(range(values.ndim))]
-    for axis, weights in enumerate(_weights(values.shape)):
-        operands += [weights, [values.ndim, axis]]
-    return np.asarray(np.einsum(*operands, [values.ndim]))
+    first, *others = _weights(values.shape)
+    total = portable.product(first, values.reshape(len(values), -1))
+    for weights in others:
+        total = (weights[..., None] * total.reshape(*weights.shape, -1)).sum(axis=1)
+    return np.asarray(total[:, 0])
 
 
 @lru_cache(maxsize=4)
@@ -88,9 +90,9 @@ def regret_percentiles(regret: Array) -> dict[str, float]:
     The regret of a run is its cost divided by the cost of the reference contender on the same run. Percentiles are
     interpolated between logarithms.
     """
-    logs = np.log(regret)
-    p50, p90, p99 = np.exp(np.percentile(logs, [50, 90, 99]))
-    return {"p50": float(p50), "p90": float(p90), "p99": float(p99), "worst": float(np.exp(logs.max()))}
+    logs = portable.log(regret)
+    p50, p90, p99 = portable.exp(np.percentile(logs, [50, 90, 99]))
+    return {"p50": float(p50), "p90": float(p90), "p99": float(p99), "worst": float(portable.exp(logs.max()))}
 
 
 def binned_geometric_mean(values: Array, x: Array, y: Array, cells: int) -> tuple[Array, Array, Array]:
@@ -113,8 +115,8 @@ def binned_geometric_mean(values: Array, x: Array, y: Array, cells: int) -> tupl
     """
     x_edges, y_edges = (np.histogram_bin_edges(coordinates, cells) for coordinates in (x, y))
     count = np.histogram2d(y, x, (y_edges, x_edges))[0]
-    total = np.histogram2d(y, x, (y_edges, x_edges), weights=np.log(values))[0]
-    mean = np.exp(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0.0))
+    total = np.histogram2d(y, x, (y_edges, x_edges), weights=portable.log(values))[0]
+    mean = portable.exp(np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0.0))
     return x_edges, y_edges, mean
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Positive, checked, reals
+from adaptrack.core import portable
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ class Outline:
         """The corners in the world, (..., 4, 2) m, of a centre of mass at x, y (m) with a yaw angle (rad)."""
         x, y, yaw = np.broadcast_arrays(*(reals("corners_at", coordinate) for coordinate in (x, y, yaw)))
         ahead, left = self.corners.T
-        sine, cosine = np.sin(yaw)[..., None], np.cos(yaw)[..., None]
+        sine, cosine = portable.sin(yaw)[..., None], portable.cos(yaw)[..., None]
         return np.stack(
             [x[..., None] + ahead * cosine - left * sine, y[..., None] + ahead * sine + left * cosine], axis=-1
         )
@@ -65,6 +66,8 @@ class Outline:
         """
         e, turn, k = (reals("corner_offsets", values)[..., None] for values in (offset, heading_error, curvature))
         ahead, left = self.corners.T
-        along = ahead * np.cos(turn) - left * np.sin(turn)
-        across = e + ahead * np.sin(turn) + left * np.cos(turn)
-        return (2.0 * across - k * (along**2 + across**2)) / (1.0 + np.hypot(k * along, 1.0 - k * across))
+        along = ahead * portable.cos(turn) - left * portable.sin(turn)
+        across = e + ahead * portable.sin(turn) + left * portable.cos(turn)
+        return (2.0 * across - k * (along * along + across * across)) / (
+            1.0 + portable.hypot(k * along, 1.0 - k * across)
+        )

@@ -26,6 +26,7 @@ from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.limits import MAX_STEPS, check_limit
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
+from adaptrack.core import portable
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.plants import dual_track, single_track
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_INPUTS, PLANT_STATES
@@ -536,8 +537,8 @@ def _check_derivative(plant: Plant, straight: Array) -> None:
         if (plant.derivative(*arguments) != slope).any():
             _break(plant, "the same arguments must give the same derivative", place)
         expected = (
-            x[3] * math.cos(x[2]) - x[4] * math.sin(x[2]),
-            x[3] * math.sin(x[2]) + x[4] * math.cos(x[2]),
+            x[3] * portable.cos(x[2]) - x[4] * portable.sin(x[2]),
+            x[3] * portable.sin(x[2]) + x[4] * portable.cos(x[2]),
             x[5],
         )
         if not np.allclose(slope[:3], expected, rtol=1e-6, atol=1e-9):

@@ -30,6 +30,7 @@ from adaptrack.base.errors import ConfigError, did_you_mean
 from adaptrack.base.files import printable, read_bytes
 from adaptrack.cars.tyre_fit import TyreFit, TyreSamples, assess_fit, fit_law
 from adaptrack.cars.vehicle import Tyre
+from adaptrack.core import portable
 
 Array = NDArray[np.float64]
 
@@ -117,7 +118,7 @@ class TyreFile:
     def stiffness(self, load: ArrayLike) -> Array:
         """Cornering stiffness |K| (N/rad) at a load (N)."""
         p, q = self.coefficients, np.asarray(load, dtype=float) / self.scaled_load
-        sine = np.sin(p["PKY4"] * np.arctan(q / p["PKY2"]))
+        sine = portable.sin(p["PKY4"] * portable.atan(q / p["PKY2"]))
         return np.asarray(abs(p["PKY1"]) * self.scaled_load * sine * self.scaling["LKY"])
 
     def friction(self, load: ArrayLike) -> Array:
@@ -133,7 +134,7 @@ class TyreFile:
         shape, peak = p["PCY1"] * self.scaling["LCY"], self.friction(load) * load
         curvature = np.minimum((p["PEY1"] + p["PEY2"] * df) * self.scaling["LEY"], 1.0)
         b = self.stiffness(load) / (shape * peak) * slip
-        return np.asarray(peak * np.sin(shape * np.arctan(b - curvature * (b - np.arctan(b)))))
+        return np.asarray(peak * portable.sin(shape * portable.atan(b - curvature * (b - portable.atan(b)))))
 
     def relaxation_length(self, load: ArrayLike) -> Array | None:
         """m at a load (N); None where the file does not say it."""
@@ -143,12 +144,12 @@ class TyreFile:
                 return None
             df = q - 1.0
             return np.asarray(
-                self.stiffness(load) / (self.lateral_stiffness * (1.0 + p["PCFY1"] * df + p["PCFY2"] * df**2))
+                self.stiffness(load) / (self.lateral_stiffness * (1.0 + p["PCFY1"] * df + p["PCFY2"] * (df * df)))
             )
         if not (p["PTY1"] and p["PTY2"] and self.radius):
             return None
         reach = self.radius * self.scaling["LFZO"] * self.scaling["LSGAL"]
-        return np.asarray(np.abs(p["PTY1"]) * np.sin(2.0 * np.arctan(q / np.abs(p["PTY2"]))) * reach)
+        return np.asarray(np.abs(p["PTY1"]) * portable.sin(2.0 * portable.atan(q / np.abs(p["PTY2"]))) * reach)
 
     def to_tyre(self, name: str | None = None) -> TyreFit:
         """The tyre of the plant that is nearest in force over slip and load, both axles alike, and how near.
@@ -182,7 +183,7 @@ class TyreFile:
         q, target = loads / self.scaled_load, self.stiffness(loads)
 
         def residual(x: Array) -> Array:
-            return np.asarray(x[0] * (1.0 + x[1] ** -2) * q / (1.0 + (q / x[1]) ** 2) / target - 1.0)
+            return np.asarray(x[0] * (1.0 + 1.0 / (x[1] * x[1])) * q / (1.0 + portable.square(q / x[1])) / target - 1.0)
 
         start = np.clip([self.stiffness(self.scaled_load) / 1e5, p["PKY2"]], [1e-9, 0.11], [1e3, 99.0])
         solution = least_squares(lambda x: residual(x * [1e5, 1.0]), start, bounds=([0.0, 0.1], [1e3, 100.0]))

@@ -22,6 +22,7 @@ from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import printable, read_bytes
 from adaptrack.cars.tyre_fit import TyreFit, TyreSamples, assess_fit, fit_law, lateral_force
 from adaptrack.cars.vehicle import Tyre
+from adaptrack.core import portable
 
 Array = NDArray[np.float64]
 
@@ -188,7 +189,7 @@ def _begin(axles: list[_Axle], name: str, several: bool) -> Tyre:
     for axle in axles:
         near = np.abs(axle.force / axle.load) <= SMALL * np.abs(axle.force / axle.load).max()
         x, y = (axle.slip[near], axle.force[near]) if near.sum() >= 3 else (axle.slip, axle.force)
-        slopes.append(max(float(np.polyfit(x, y, 1)[0]), 1e-3))
+        slopes.append(max(float(portable.least_squares(np.stack([x, np.ones_like(x)], axis=1), y)[0]), 1e-3))
     return Tyre(
         name=name, description="fitted to a table of axle forces", kind="magic-formula", stiffness_front=slopes[0],
         stiffness_rear=slopes[1], nominal_load=float(f"{np.mean([np.median(axle.load) for axle in axles]):.5g}"),

@@ -398,8 +398,9 @@ class Vehicle(Record):
         gradients = []
         for signs in itertools.product((-1.0, 1.0), repeat=4):
             mass, front, rear = (
-                getattr(self, name) * (getattr(tolerances, name) or 1.0) ** sign
+                getattr(self, name) * (factor if sign > 0.0 else 1.0 / factor)
                 for name, sign in zip(("mass", "stiffness_front", "stiffness_rear"), signs, strict=False)
+                for factor in [getattr(tolerances, name) or 1.0]
             )
             lf = min(max(self.lf + signs[3] * (tolerances.lf or 0.0), 0.0), self.wheelbase)
             gradients.append(mass / self.wheelbase * ((self.wheelbase - lf) / (2 * front) - lf / (2 * rear)))
@@ -432,7 +433,7 @@ class Vehicle(Record):
                 f"steady_state_yaw_gain: vx = {vx!r}: must be a finite speed >= 0 m/s, "
                 f"below the critical speed ({self.critical_speed:.4g} m/s)."
             )
-        return vx / (self.wheelbase + self.understeer_gradient * vx**2)
+        return vx / (self.wheelbase + self.understeer_gradient * (vx * vx))
 
     def to_toml(self, path: str | os.PathLike[str], head: Sequence[str] = ()) -> None:
         """Write the car as TOML, each value with its meaning and unit behind it; the new car has the file's name.

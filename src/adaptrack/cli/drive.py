@@ -16,6 +16,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import controllers, interrupt, options, show
 from adaptrack.cli.next_step import command, next_line, repeat_command_with, replace_option
 from adaptrack.cli.places import DrivenPlaces, PlaceOptions
+from adaptrack.core import portable
 
 if TYPE_CHECKING:
     from adaptrack.base.result import Result, ResultTable
@@ -288,7 +289,7 @@ def _stiffness_notes(loop: DrivenLoop) -> list[str]:
     car, tyre = loop.car, getattr(loop.plant, "tyre", None)
     if tyre is None:
         return []
-    if max(abs(math.log(factor)) for factor in car.stiffness_factors(tyre)) < math.log(STIFFNESS_MISMATCH):
+    if max(abs(portable.log(factor)) for factor in car.stiffness_factors(tyre)) < portable.log(STIFFNESS_MISMATCH):
         return []
     matched = car.matched_to(tyre)
     return [

@@ -31,6 +31,7 @@ from adaptrack.comparison.lane_change import (
     scan_speeds,
 )
 from adaptrack.control.controllers import Controller
+from adaptrack.core import portable
 from adaptrack.drive.batch import Batch
 from adaptrack.road import Road
 from adaptrack.scenario import RoadDrive
@@ -145,11 +146,11 @@ def refined_poses(states: Array, period: float) -> Array:
     """
     x, y, yaw, vx, vy, rate = states[:, :6].T
     poses = np.stack([x, y, yaw], axis=-1)
-    sine, cosine = np.sin(yaw), np.cos(yaw)
+    sine, cosine = portable.sin(yaw), portable.cos(yaw)
     slopes = period * np.stack([vx * cosine - vy * sine, vx * sine + vy * cosine, rate], axis=-1)
     t = (np.arange(POSES_PER_PERIOD) / POSES_PER_PERIOD)[:, None, None]
-    before = (1.0 + 2.0 * t) * (1.0 - t) ** 2 * poses[:-1] + t * (1.0 - t) ** 2 * slopes[:-1]
-    after = t**2 * (3.0 - 2.0 * t) * poses[1:] + t**2 * (t - 1.0) * slopes[1:]
+    before = (1.0 + 2.0 * t) * portable.square(1.0 - t) * poses[:-1] + t * portable.square(1.0 - t) * slopes[:-1]
+    after = t * t * (3.0 - 2.0 * t) * poses[1:] + t * t * (t - 1.0) * slopes[1:]
     inner = np.swapaxes(before + after, 0, 1).reshape(-1, 3)
     return np.concatenate([inner, poses[-1:]])
 

@@ -29,6 +29,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core import portable
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.metrics import LANE_WIDTH
 from adaptrack.road import Comfort, Road, SpeedPlan, fit_road
@@ -251,8 +252,10 @@ def driven_line(track: Track, car: Vehicle, speed: float, friction: float = 0.9)
     """
     if not 0.0 < real("driven_line", "speed", speed) <= MAX_SPEED.most:
         raise InvalidInput(f"driven_line: speed = {speed!r} m/s: must be above 0 and at most {MAX_SPEED.most:g}.")
-    slip = car.lr - car.mass * car.lf * speed**2 / (2.0 * car.stiffness_rear * car.wheelbase)
-    return track_road(track, car.outline, MOST_ROOM, bend=GRIP_USE * friction * GRAVITY / speed**2, sideslip=slip)
+    slip = car.lr - car.mass * car.lf * (speed * speed) / (2.0 * car.stiffness_rear * car.wheelbase)
+    return track_road(
+        track, car.outline, MOST_ROOM, bend=GRIP_USE * friction * GRAVITY / (speed * speed), sideslip=slip
+    )
 
 
 def _bends(n: int) -> csr_array:
@@ -260,8 +263,10 @@ def _bends(n: int) -> csr_array:
 
     The unknowns u are [y (n), |y''| (n), max |y''|, max |y'''|, room, excess].
     """
-    second = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n)) / LINE_SPACING**2
-    third = diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(n - 3, n)) / LINE_SPACING**3
+    second = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n)) / portable.square(LINE_SPACING)
+    third = diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(n - 3, n)) / portable.power(
+        LINE_SPACING, 3
+    )
     size, none = eye_array(n - 2, n), csr_array((n - 3, n))
     largest, change = np.zeros((n - 2, 4)), np.zeros((n - 3, 4))
     largest[:, 0], change[:, 1] = -1.0, -1.0
@@ -275,7 +280,7 @@ def _cone_limits(passes: Sequence[Pass], outline: Outline, n: int, sideslip: flo
     """Return A and b of the constraints A u <= b that keep the body between the cones, with u as in `_bends`."""
     rows, limits = np.zeros((2 * len(passes), 2 * n + 4)), np.empty(2 * len(passes))
     for row, (index, ahead, gate) in enumerate(passes):
-        lean = ahead * sideslip / LINE_SPACING**2
+        lean = ahead * sideslip / (LINE_SPACING * LINE_SPACING)
         axis = (
             -0.5 * ahead / LINE_SPACING - lean,
             1.0 + 2.0 * lean,
@@ -353,9 +358,11 @@ def coasting_plan(track: Track, road: Road, car: Vehicle, speed: float) -> Speed
     rolling = car.rolling_resistance * GRAVITY
     coasted = np.maximum(s - entry, 0.0)
     if drag > 0.0:
-        square = speed**2 * np.exp(-2.0 * drag * coasted) + rolling / drag * np.expm1(-2.0 * drag * coasted)
+        square = speed * speed * portable.exp(-2.0 * drag * coasted) + rolling / drag * portable.expm1(
+            -2.0 * drag * coasted
+        )
     else:
-        square = speed**2 - 2.0 * rolling * coasted
+        square = speed * speed - 2.0 * rolling * coasted
     if square.min() <= 0.0:
         raise InvalidInput(f"coasting_plan: speed = {speed:g} m/s: the car stops before the end; enter faster.")
     v = np.sqrt(square)
@@ -424,7 +431,7 @@ def clearance(track: Track, outline: Outline, x: ArrayLike, y: ArrayLike, yaw: A
 
 def _resampled_poses(x: Array, y: Array, yaw: Array) -> tuple[Array, Array, Array]:
     """Return the poses at equal distances of about `MARGIN_SPACING` along the line."""
-    distance = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    distance = np.concatenate([[0.0], np.cumsum(portable.hypot(np.diff(x), np.diff(y)))])
     even = np.linspace(0.0, distance[-1], max(2, math.ceil(distance[-1] / MARGIN_SPACING) + 1))
     return np.interp(even, distance, x), np.interp(even, distance, y), np.interp(even, distance, yaw)
 
@@ -452,10 +459,10 @@ def _gate_margin(
 
 def _distance_to_outline(outline: Outline, dx: Array, dy: Array, yaw: Array) -> Array:
     """Return the distance from the body's rectangle to points dx, dy relative to the centre of mass (m), < 0 inside."""
-    ahead = dx * np.cos(yaw) + dy * np.sin(yaw) - 0.5 * (outline.front - outline.rear)
-    left = dy * np.cos(yaw) - dx * np.sin(yaw)
+    ahead = dx * portable.cos(yaw) + dy * portable.sin(yaw) - 0.5 * (outline.front - outline.rear)
+    left = dy * portable.cos(yaw) - dx * portable.sin(yaw)
     beyond = np.abs(ahead) - 0.5 * outline.length, np.abs(left) - 0.5 * outline.width
-    return np.hypot(*(np.maximum(excess, 0.0) for excess in beyond)) + np.minimum(np.maximum(*beyond), 0.0)
+    return portable.hypot(*(np.maximum(excess, 0.0) for excess in beyond)) + np.minimum(np.maximum(*beyond), 0.0)
 
 
 # -- the highest clean speed ------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.cars.outline import Outline
+from adaptrack.core import portable
 from adaptrack.core.public import GRAVITY, STANDING_SPEED
 from adaptrack.drive.failure import MIN_JUDGED_SPEED
 from adaptrack.drive.metrics import PathRecord, compute_metrics, path_metrics
@@ -116,7 +117,7 @@ def driver_measures(run: Trajectory, drive: RoadDrive) -> dict[str, Any]:
         "way_driven": float(station[-1] / plan.motion(t[-1])[0]),
         "speed_error": math.sqrt(mean_square((speed - planned_speed)[is_judged])) if is_judged.any() else None,
         "longitudinal_jerk": r79(t, acceleration)[1],
-        "used_grip": float(np.max(np.hypot(acceleration, run.lateral_acceleration[:end]) / grip)),
+        "used_grip": float(np.max(portable.hypot(acceleration, run.lateral_acceleration[:end]) / grip)),
         "stop_error": max(stop_errors, default=None),
     }
 

@@ -67,7 +67,7 @@ def driver_rows(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def _rms(values: NDArray[Any]) -> float:
-    return float(np.sqrt(np.nanmean(values**2))) if np.isfinite(values).any() else float("nan")
+    return float(np.sqrt(np.nanmean(values * values))) if np.isfinite(values).any() else float("nan")
 
 
 def _percentile(values: NDArray[Any], percent: float, missing: float = float("nan")) -> float:

@@ -23,10 +23,12 @@ from adaptrack.base.registry import Registry
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 from adaptrack.control.models import PredictionModel
+from adaptrack.core import portable
 from adaptrack.core.estimators import friction_wind
 from adaptrack.core.estimators.contract import compile_estimator
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.period import VariableEstimator
+from adaptrack.core.portable import product
 from adaptrack.core.synthesis.plant import lateral_rate
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -228,11 +230,14 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
             fail("it must write to memory, x and d only", f"step {k}")
         if not (np.isfinite(estimate).all() and np.isfinite(d).all()):
             fail("x and d must be written and finite", f"x = {estimate}, d = {d} at step {k}")
-        command = 0.01 * math.sin(0.2 * k)
-        ahead = (c @ (matrix @ estimate + column * command + d)).item()
-        x = matrix @ x + column * command
-        if k == steps - 1 and not abs(ahead - (c @ x).item()) < 1e-3:
-            fail("it must predict the model that it is driven by", f"y = {ahead:g} m instead of {(c @ x).item():g} m")
+        command = 0.01 * portable.sin(0.2 * k)
+        ahead = product(c, product(matrix, estimate) + column * command + d).item()
+        x = product(matrix, x) + column * command
+        if k == steps - 1 and not abs(ahead - product(c, x).item()) < 1e-3:
+            fail(
+                "it must predict the model that it is driven by",
+                f"y = {ahead:g} m instead of {product(c, x).item():g} m",
+            )
     estimator.function(speed, NOTHING_MEASURED.copy(), command, matrix, column, parameters, memory, estimate, d)
     if not (np.isfinite(estimate).all() and np.isfinite(d).all()):
         fail("a measurement that is not finite must leave x and d finite", f"x = {estimate}, d = {d}")
@@ -327,9 +332,9 @@ class FrictionWindEstimator:
             1, prior=prior, steps=self.steps, step=step, delay=self.delay, noise_vy=noise_vy,
             noise_yaw_rate=noise_yaw_rate, noise_acceleration=noise_acceleration, drift_vy=prior.drift_vy * root,
             drift_yaw_rate=prior.drift_yaw_rate * root, tyre_error=prior.tyre_error * root,
-            log_friction=math.log(prior.nominal_friction), log_least_friction=math.log(least),
-            log_most_friction=math.log(most), friction_left=math.exp(-step / prior.friction_time),
-            wind_left=math.exp(-step / prior.wind_time), stiffness_left=math.exp(-step / prior.stiffness_time),
+            log_friction=portable.log(prior.nominal_friction), log_least_friction=portable.log(least),
+            log_most_friction=portable.log(most), friction_left=portable.exp(-step / prior.friction_time),
+            wind_left=portable.exp(-step / prior.wind_time), stiffness_left=portable.exp(-step / prior.stiffness_time),
         )  # fmt: skip
         numbers: Array = row.view(float)
         return numbers
@@ -381,7 +386,7 @@ class FrictionWindEstimator:
             wind=float(memory.wind),
             friction_std=float(memory.friction_std),
             wind_std=float(memory.wind_std),
-            stiffness=math.exp(memory.z[friction_wind.LOG_STIFFNESS]),
+            stiffness=portable.exp(memory.z[friction_wind.LOG_STIFFNESS]),
         )
 
 

@@ -19,10 +19,12 @@ from adaptrack.base.checked import Finite, NotNegative, Positive, checked
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
+from adaptrack.core import portable
 from adaptrack.core.controllers import condensing
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.models import path, single_track
 from adaptrack.core.models.contract import compile_model
+from adaptrack.core.portable import product
 
 Array = NDArray[np.float64]
 
@@ -118,8 +120,8 @@ class PredictionModel(ABC):
         """Eq. (9): A~ (n+1, n+1), B~ (n+1, 1), C~ (1, n+1) in x~ = [change of x, y], with the move as input."""
         a, b, c = self.discrete(speed)
         return (
-            np.block([[a, np.zeros((self.n, 1))], [c @ a, np.eye(1)]]),
-            np.vstack([b, c @ b]),
+            np.block([[a, np.zeros((self.n, 1))], [product(c, a), np.eye(1)]]),
+            np.vstack([b, product(c, b)]),
             np.hstack([np.zeros((1, self.n)), np.eye(1)]),
         )
 
@@ -131,10 +133,10 @@ class PredictionModel(ABC):
         free, phi = np.empty((Np, self.n + 1)), np.zeros((Np, Nc))
         row = c
         for i in range(Np):
-            response = (row @ b).item()  # C~ A~^i B~
+            response = product(row, b).item()  # C~ A~^i B~
             for j in range(min(Nc, Np - i)):
                 phi[i + j, j] = response
-            row = row @ a
+            row = product(row, a)
             free[i] = row
         return free, phi
 
@@ -142,7 +144,7 @@ class PredictionModel(ABC):
         """Eq. (11): J = (R_s - Y)' Q (R_s - Y) + dU' R dU, with scalar weights."""
         error = np.asarray(reference, float) - np.asarray(outputs, float)
         change = np.asarray(moves, float)
-        return float(Q * error @ error + R * change @ change)
+        return float(product(Q * error, error) + product(R * change, change))
 
     def quadratic(
         self, speed: float, x: ArrayLike, reference: ArrayLike, Np: int, Nc: int, Q: float, R: float
@@ -152,8 +154,8 @@ class PredictionModel(ABC):
         x: x~ = [change of x (n), y], shape (n+1,); reference: R_s, shape (Np,); moves: the Nc pulses of eq. (10).
         """
         free, phi = self.prediction(speed, Np, Nc)
-        error = np.asarray(reference, float) - free @ np.asarray(x, float)
-        return 2 * (Q * phi.T @ phi + R * np.eye(phi.shape[1])), -2 * Q * phi.T @ error
+        error = np.asarray(reference, float) - product(free, np.asarray(x, float))
+        return 2 * (product(Q * phi.T, phi) + R * np.eye(phi.shape[1])), product(-2 * Q * phi.T, error)
 
 
 @final
@@ -202,7 +204,7 @@ class SingleTrackModel(PredictionModel):
                 [
                     -(cf * v.lf - cr * v.lr) / (v.yaw_inertia * speed),
                     0,
-                    -(cf * v.lf**2 + cr * v.lr**2) / (v.yaw_inertia * speed),
+                    -(cf * portable.square(v.lf) + cr * portable.square(v.lr)) / (v.yaw_inertia * speed),
                     0,
                 ],
                 [1, speed, 0, 0],
@@ -258,7 +260,7 @@ class PathModel(PredictionModel):
         turn = cf * v.lf - cr * v.lr
         side = [-(cf + cr) / (v.mass * speed), 0, -speed - turn / (v.mass * speed), cf / v.mass, 0]
         yawing = [
-            -turn / (v.yaw_inertia * speed), 0, -(cf * v.lf**2 + cr * v.lr**2) / (v.yaw_inertia * speed),
+            -turn / (v.yaw_inertia * speed), 0, -(cf * (v.lf * v.lf) + cr * (v.lr * v.lr)) / (v.yaw_inertia * speed),
             cf * v.lf / v.yaw_inertia, 0,
         ]  # fmt: skip
         a = np.array([side, [0, 0, 1, 0, 0], yawing, [0, 0, 0, 0, 0], [1, speed, 0, 0, 0]], dtype=float)
@@ -395,13 +397,16 @@ def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30
         if (parameters != model.parameters()).any():
             fail("the parameters must not be written to", place)
         a, b = answers[0][:, :n], answers[0][:, n]
-        if not np.allclose(a @ model.output, model.output, atol=1e-9):
-            fail("a steady shift of y must stay where it is", f"A C' = {a @ model.output} {place}")
+        if not np.allclose(product(a, model.output), model.output, atol=1e-9):
+            fail("a steady shift of y must stay where it is", f"A C' = {product(a, model.output)} {place}")
         x = np.zeros(n)
         for _ in range(max(10, math.ceil(1.0 / model.period))):
-            x = a @ x + b * 0.01
-        if not x @ model.output > 0.0:
-            fail("steering to the left must move y to the left", f"y = {x @ model.output:g} m after 0.01 rad {place}")
+            x = product(a, x) + b * 0.01
+        if not product(x, model.output) > 0.0:
+            fail(
+                "steering to the left must move y to the left",
+                f"y = {product(x, model.output):g} m after 0.01 rad {place}",
+            )
 
 
 def laguerre_basis(Np: int, terms: int, pole: float) -> Array:

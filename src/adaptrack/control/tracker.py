@@ -28,6 +28,7 @@ from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
 from adaptrack.control.speed_target import SpeedTarget
 from adaptrack.control.tracking import input_check_of, packed_plan, tracker_of
+from adaptrack.core import portable
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.kernel import Resident
 from adaptrack.core.tracker.change_path import tracker_follow
@@ -476,7 +477,7 @@ def _carried(pose: Sequence[float], time: float, speed: float, yaw_rate: float) 
     turned = time * yaw_rate if math.isfinite(yaw_rate) else 0.0
     x, y, yaw = pose
     middle, way = yaw + 0.5 * turned, time * speed
-    return [x + way * math.cos(middle), y + way * math.sin(middle), yaw + turned]
+    return [x + way * portable.cos(middle), y + way * portable.sin(middle), yaw + turned]
 
 
 def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:
@@ -491,4 +492,4 @@ def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:
     if q.shape != (4,) or not np.isfinite(q).all() or not q.any():
         raise InvalidInput(f"yaw_of: {format_value(quaternion)}: must be four finite numbers x, y, z, w, not all 0.")
     x, y, z, w = q
-    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return portable.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)

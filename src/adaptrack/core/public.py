@@ -8,7 +8,7 @@ writing a kernel       `inlined`, `exported`, `Caller`, `address_of`, `member`, 
                        `void`, `several`, ...); records (`record`, `columns`, `rows`, `unpacker`, `packer`, `viewer`,
                        `size_of`, `Place`, `Resident`); `local`, `shaped`, `fma`. See `core.kernel` for the rules
 functions              the same bits on every processor: `exp`, `log`, `sin`, `atan2`, `hypot`, ...; of nine digits and
-                       quicker in loops: `fast_sine`, `fast_cosine`, `fast_arctangent`, ...
+                       quicker in loops: `fast_sine`, `fast_cosine`, `fast_arctangent`, ...; `portable`: of arrays
 a controller           its call (`LAW_SIGNATURE`, `COMMON_PARAMETERS`, `read_situation`) and what must hold (`limited`,
                        `all_finite`), see `core.controllers.contract`
 the path ahead         `path_at`, `path_ahead`, `planned_speed`, `wrapped`, `Direction`; the linear model in path
@@ -25,6 +25,7 @@ a control period       its two halves, between which a controller stands: `befor
 =====================  =============================================================================================
 """
 
+from . import portable
 from .controllers.contract import (
     COMMON_PARAMETERS,
     LAW_SIGNATURE,
@@ -174,6 +175,7 @@ __all__ = [
     "path_at",
     "path_model",
     "planned_speed",
+    "portable",
     "qp",
     "random_bits",
     "random_unit",

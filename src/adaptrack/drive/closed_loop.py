@@ -22,6 +22,7 @@ from adaptrack.control.scheduling.variables import SchedulingVariables
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
 from adaptrack.core import loop as loop_kernel
 from adaptrack.core import period as period_kernel
+from adaptrack.core import portable
 from adaptrack.core.kernel import Resident
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants import contract, stepped
@@ -69,7 +70,7 @@ class _SteppedVehicle:
         if abs(gap) > self._steering.rate * self._steering.lag:  # at the rate limit until the gap is small enough
             limited = min(time, abs(gap) / self._steering.rate - self._steering.lag)
             gap -= math.copysign(self._steering.rate * limited, gap)
-        return command - gap * math.exp((limited - time) / self._steering.lag)
+        return command - gap * portable.exp((limited - time) / self._steering.lag)
 
     def advance(self, steps: int, h: float) -> None:
         """Advance the vehicle by a number of integration steps of h (s)."""

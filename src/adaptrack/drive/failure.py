@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.checked import Bound, Hint, checked
+from adaptrack.core import portable
 from adaptrack.drive.trajectory import Trajectory
 
 DISTANCE = 5.0
@@ -95,8 +96,8 @@ def find_failure(trajectory: Trajectory, rule: FailureLimits | None = None) -> F
     with np.errstate(invalid="ignore", over="ignore"):
         inside = np.abs(trajectory.error) <= rule.distance
         outside = ~inside & (np.arange(inside.size) >= np.argmax(inside))  # argmax is 0 when it never arrives
-        sideslip = np.abs(np.arctan2(trajectory.vy, trajectory.vx))
-        spinning = (np.hypot(trajectory.vx, trajectory.vy) >= MIN_JUDGED_SPEED) & (sideslip > rule.sideslip)
+        sideslip = np.abs(portable.atan2(trajectory.vy, trajectory.vx))
+        spinning = (portable.hypot(trajectory.vx, trajectory.vy) >= MIN_JUDGED_SPEED) & (sideslip > rule.sideslip)
     left = f"left the road (more than {rule.distance:g} m from the reference)"
     never = f"never came within {rule.distance:g} m of the reference"
     clauses = {

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.models import PredictionModel
+from adaptrack.core import portable
+from adaptrack.core.portable import product
 from adaptrack.drive.failure import MIN_JUDGED_SPEED
 from adaptrack.drive.trajectory import Trajectory
 
@@ -94,7 +96,7 @@ def prediction_error(
             f"prediction_error: states {x.shape}, commands {u.shape}, speeds {v.shape}, "
             f"outputs {None if y is None else y.shape}: must be (n, {model.n}) for {', '.join(model.states)}, and (n,)."
         )
-    y = x @ model.output if y is None else y
+    y = product(x, model.output) if y is None else y
     dead_periods = round(model.dead_time / model.period)
     steps = {time: round(time / model.period) for time in times}
     for time, count in steps.items():
@@ -111,9 +113,9 @@ def prediction_error(
         state_rows = slice(dead_periods + k - 1, dead_periods + k - 1 + count)
         command_rows = slice(k - 1, k - 1 + count)
         step = b[state_rows] * u[command_rows, None] + e[state_rows] * turn[state_rows, None]
-        predicted = np.einsum("kij,kj->ki", a[state_rows], predicted[:count]) + step
+        predicted = product(a[state_rows], predicted[:count, :, None])[..., 0] + step
         if k in steps.values():
-            errors[k] = _rms(predicted @ model.output - y[dead_periods + k :])
+            errors[k] = _rms(product(predicted, model.output) - y[dead_periods + k :])
     return {time: errors[count] for time, count in steps.items()}
 
 
@@ -140,7 +142,7 @@ def _path_turn_input(model: PredictionModel, speeds: Array) -> Array:
     change, names = np.zeros((speeds.size, model.n)), list(model.states)
     if "yaw" in names:
         change[:, names.index("yaw")] = -model.period
-        change[:, names.index("y")] = -0.5 * speeds * model.period**2
+        change[:, names.index("y")] = -0.5 * speeds * portable.square(model.period)
     return change
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.core import portable
 
 Array = NDArray[np.float64]
 
@@ -62,12 +63,12 @@ def reversal_rate(
     InvalidInput
         When the sampling rate is too low for the cut-off frequency (Hz).
     """
-    from scipy.signal import butter, filtfilt
+    from scipy.signal import filtfilt
 
     t, steering, rate = _resample(np.asarray(t, dtype=float), np.asarray(steering, dtype=float))
     if not 0.0 < cut_off < 0.5 * rate:
         raise InvalidInput(f"reversal_rate: cut_off = {cut_off!r} Hz: must be below half the rate {rate:g} Hz.")
-    b, a = butter(REVERSAL_ORDER, cut_off, fs=rate)
+    b, a = np.split(_low_pass(REVERSAL_ORDER, cut_off, rate)[0], 2)
     smooth = filtfilt(b, a, steering, padlen=min(t.size - 1, 3 * max(len(a), len(b))))
     change = np.diff(smooth, prepend=smooth[0])
     stationary = np.flatnonzero((change[:-1] * change[1:] < 0.0) | (change[:-1] == 0.0))
@@ -103,13 +104,23 @@ def r79_signals(t: ArrayLike, lateral_acceleration: ArrayLike) -> tuple[Array, A
 
     If the record is shorter than the averaging window, the jerk is averaged over the whole record.
     """
-    from scipy.signal import butter, sosfilt, sosfilt_zi
+    from scipy.signal import sosfilt, sosfilt_zi
 
     _, samples, rate = _resample(np.asarray(t, dtype=float), np.asarray(lateral_acceleration, dtype=float), SAMPLING)
-    sections = butter(COMFORT_ORDER, COMFORT_CUT_OFF, fs=rate, output="sos")
+    sections = _low_pass(COMFORT_ORDER, COMFORT_CUT_OFF, rate)
     filtered, _ = sosfilt(sections, samples, zi=sosfilt_zi(sections) * samples[0])
     window = min(round(JERK_WINDOW * rate), filtered.size - 1)
     return filtered, (filtered[window:] - filtered[:-window]) * rate / window  # mean derivative over the window
+
+
+def _low_pass(order: int, cut_off: float, rate: float) -> Array:
+    """Sections [b, a] (order/2, 6) of a Butterworth low-pass of even order, by the bilinear transform."""
+    k, sections = portable.tan(math.pi * cut_off / rate), []
+    for i in range(order // 2):
+        damping = 2.0 * portable.sin(math.pi * (2 * i + 1) / (2 * order)) * k
+        a = np.array([1.0 + damping + k * k, 2.0 * (k * k - 1.0), 1.0 - damping + k * k])
+        sections.append(np.concatenate([k * k * np.array([1.0, 2.0, 1.0]), a]) / a[0])
+    return np.array(sections)
 
 
 def _resample(t: Array, values: Array, rate: float | None = None) -> tuple[Array, Array, float]:

@@ -29,6 +29,7 @@ from adaptrack.base.files import (
     write_atomically,
 )
 from adaptrack.base.presentation import figure_of, html_of
+from adaptrack.core import portable
 from adaptrack.core.library import kernels_hash
 
 if TYPE_CHECKING:
@@ -225,7 +226,7 @@ class Trajectory:
         """
         if len(self) < 2:
             return np.zeros(len(self))
-        return np.arctan2(np.gradient(self.y_ref, self.t), np.maximum(self.vx, 0.0))
+        return portable.atan2(np.gradient(self.y_ref, self.t), np.maximum(self.vx, 0.0))
 
     @property
     def heading_error(self) -> Array:

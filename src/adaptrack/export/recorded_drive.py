@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
+from adaptrack.core import portable
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.tracker.records import TRACKED
 from adaptrack.core.tracker.records import TRACKER_SAMPLE as CALL
@@ -202,16 +203,18 @@ def _wild(
             time, s = time + period, min(max(s + speed * period, 0.0), path.length - 1.0)
             speed = max(speed + stretch.acceleration * period, min(stretch.speed, 0.0))
             foot, turn = path.at(s), 2.0 * math.pi * k * period / stretch.wave
-            offset, yaw = stretch.offset * math.sin(turn), float(foot.heading)
-            yaw += stretch.offset / stretch.wave * math.cos(turn)
+            offset, yaw = stretch.offset * portable.sin(turn), float(foot.heading)
+            yaw += stretch.offset / stretch.wave * portable.cos(turn)
             yaw_rate = speed * float(foot.curvature)
             values = dict(
-                x=float(foot.x) - offset * math.sin(foot.heading), y=float(foot.y) + offset * math.cos(foot.heading),
+                x=float(foot.x) - offset * portable.sin(foot.heading),
+                y=float(foot.y) + offset * portable.cos(foot.heading),
                 yaw=yaw, speed=speed, yaw_rate=yaw_rate, vy=0.5 * car.lr * yaw_rate,
-                lateral_acceleration=speed * yaw_rate, wheel_angle=math.atan((car.lf + car.lr) * float(foot.curvature)),
+                lateral_acceleration=speed * yaw_rate,
+                wheel_angle=portable.atan((car.lf + car.lr) * float(foot.curvature)),
             )  # fmt: skip
             for name, deviation in SENSOR_NOISE.items():
-                factor, step = stretch.faults.get(name, (1.0, 0.0)) if math.sin(turn) > 0.0 else (1.0, 0.0)
+                factor, step = stretch.faults.get(name, (1.0, 0.0)) if portable.sin(turn) > 0.0 else (1.0, 0.0)
                 values[name] = factor * values[name] + step + deviation * stretch.noise * rng.normal()
             sample = np.full(len(CALL), math.nan)
             sample[: CALL.friction] = time - stretch.age * rng.random(), time, *values.values()
@@ -241,7 +244,7 @@ def _hills(road: Road, length: float) -> Along:
     """The grade of the beginning of a road, or of hills where it is level."""
     s = np.linspace(0.0, length, max(2, math.ceil(length / RECORDED_SPACING)))
     grade = road.along("grade", s)
-    return Along.through(s, grade if grade.any() else HILL_GRADE * np.sin(2.0 * np.pi * s / HILL_LENGTH))
+    return Along.through(s, grade if grade.any() else HILL_GRADE * portable.sin(2.0 * np.pi * s / HILL_LENGTH))
 
 
 def _extended(plan: SpeedPlan, length: float) -> RecordedPlan:
@@ -271,7 +274,7 @@ def _bends(path: Road, tightest: float) -> Array:
         np.arange(0.0, 25.0, BEND_SPACING), [5, 10, 12, 13, 18, 20, 20.5], tightest * np.array([0, 1, 1, 0, -1, -1, 0])
     )
     heading = float(end.heading) + BEND_SPACING * np.cumsum(curvature)
-    steps = BEND_SPACING * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    steps = BEND_SPACING * np.stack([portable.cos(heading), portable.sin(heading)], axis=-1)
     return np.array([float(end.x), float(end.y)]) + np.cumsum(steps, axis=0)
 
 
@@ -296,7 +299,7 @@ class _Driver(Controller):
         age = age if math.isfinite(age) else 0.0
         foot = road.road.at(road.station - age * speed)
         offset, yaw = float(measured[MEASUREMENT.y]), float(foot.heading) + float(measured[MEASUREMENT.yaw])
-        x, y = float(foot.x) - offset * math.sin(foot.heading), float(foot.y) + offset * math.cos(foot.heading)
+        x, y = float(foot.x) - offset * portable.sin(foot.heading), float(foot.y) + offset * portable.cos(foot.heading)
         signals = [float(measured[i]) for i in (MEASUREMENT.yaw_rate, MEASUREMENT.vy, MEASUREMENT.lateral_acceleration)]
         sample = np.full(len(CALL), math.nan)
         sample[: CALL.friction] = time - age, time, x, y, yaw, speed, *signals, measured[MEASUREMENT.wheel_angle]

@@ -18,7 +18,7 @@ from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.control.controllers import MPC, Learning, published_mpc
 from adaptrack.control.controllers.setup import LoopSetup
-from adaptrack.core.public import BELIEF_NAMES
+from adaptrack.core.public import BELIEF_NAMES, portable
 from adaptrack.core.public import LEARNED as BELIEFS_OFFSET
 from adaptrack.gym.task import Task
 
@@ -132,7 +132,7 @@ class Tunings:
     """Conversion between tunings of an MPC and actions within +-1."""
 
     def __init__(self, mpc: MPC) -> None:
-        log_ratio = math.log10(mpc.tuning.R / mpc.tuning.Q)
+        log_ratio = portable.log10(mpc.tuning.R / mpc.tuning.Q)
         self.low = np.array([1.0, 1.0, log_ratio - RATIO_DECADES])
         self.high = np.array([mpc.longest_horizon, mpc.most_moves, log_ratio + RATIO_DECADES])
         self.box = box([(-1.0, 1.0)] * 3)
@@ -145,7 +145,7 @@ class Tunings:
         """Return Np, Nc, Q and R (..., 4) of actions (..., 3), the same bits for one action as for many."""
         tunings = self.of(actions)
         ones = np.ones_like(tunings[..., 2:])
-        return np.concatenate([tunings[..., :2], ones, np.power(10.0 * ones, tunings[..., 2:])], axis=-1)
+        return np.concatenate([tunings[..., :2], ones, portable.power(10.0 * ones, tunings[..., 2:])], axis=-1)
 
     def action(self, Np: float, Nc: float, ratio: float) -> Array:
         """Return the action (3,) for Np and Nc (control periods) and ratio = log10 R/Q.

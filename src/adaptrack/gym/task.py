@@ -15,6 +15,7 @@ from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.comparison.config import load_drive, load_setting
 from adaptrack.control.controllers import CompiledController
+from adaptrack.core.public import portable
 from adaptrack.drive.failure import DISTANCE, FailureLimits
 from adaptrack.drive.world import ROAD_DRIVER, Driver, PerceptionSource, RequestedForces
 from adaptrack.identification import CarRanges, random_car
@@ -213,7 +214,7 @@ class Task:
 
     def cost_of_failure(self, distance: float) -> float:
         """Return the cost of each remaining instant after a failure (m^2), for a failure distance (m)."""
-        return min(distance, DISTANCE) ** 2 if self.failure_cost is None else float(self.failure_cost)
+        return portable.square(min(distance, DISTANCE)) if self.failure_cost is None else float(self.failure_cost)
 
 
 class ExternalCommands(CompiledController):

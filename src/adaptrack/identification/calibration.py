@@ -15,9 +15,10 @@ kinds of logs.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import NamedTuple
+
+from adaptrack.core import portable
 
 
 class Correction(NamedTuple):
@@ -65,7 +66,7 @@ def corrected(name: str, spread: float, value: float, positive: bool, before: fl
     spread, before: of a value, or of its logarithm where it is positive; wheels: rad, their angle in tight bends.
     """
     correction = CORRECTIONS.get(name, Correction())
-    floor = correction.floor + correction.floor_in_bends * wheels**2
-    share = correction.share + correction.share_in_bends * wheels**2
+    floor = correction.floor + correction.floor_in_bends * (wheels * wheels)
+    share = correction.share + correction.share_in_bends * (wheels * wheels)
     unit = 1.0 / value if positive else 1.0
-    return min(math.hypot(correction.factor * spread, floor * unit, share * value * unit), max(before, spread))
+    return min(portable.hypot(correction.factor * spread, floor * unit, share * value * unit), max(before, spread))

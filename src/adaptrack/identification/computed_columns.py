@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.core import portable
+from adaptrack.core.portable import product
 
 Array = NDArray[np.float64]
 
@@ -57,7 +59,7 @@ def _explain(name: str, values: dict[str, Array]) -> str:
     if finite.size and float(np.ptp(finite)) <= 1e-9 * max(1.0, float(np.abs(finite).max())):
         return f"is {finite[0]:.4g} in every row"
     speed, yaw_rate = values["speed"], values["yaw_rate"]
-    rounding = np.hypot(_rounding(yaw_rate) * _size(speed), _rounding(speed) * _size(yaw_rate))
+    rounding = portable.hypot(_rounding(yaw_rate) * _size(speed), _rounding(speed) * _size(yaw_rate))
     if name == "acceleration":
         if any(_are_equal(x, _delay(speed * yaw_rate, rows), rounding) for rows in (0, 1, -1)):
             return "is speed times yaw rate to its rounding: it is computed, not measured"
@@ -93,7 +95,7 @@ def _sums_up(time: Array, yaw: Array, yaw_rate: Array) -> bool:
     step, span = np.diff(heading), np.diff(time)
     rounding = _rounding(heading)
     sums = (yaw_rate[:-1] * span, yaw_rate[1:] * span, 0.5 * (yaw_rate[1:] + yaw_rate[:-1]) * span)
-    sum_rounding = float(np.hypot(rounding, _rounding(yaw_rate) * float(np.nanmedian(span))))
+    sum_rounding = float(portable.hypot(rounding, _rounding(yaw_rate) * float(np.nanmedian(span))))
     if any(_are_equal(step, angle, sum_rounding) for angle in sums):
         return True
     return _are_equal(step[1:] + step[:-1], yaw_rate[1:-1] * (span[1:] + span[:-1]), rounding)
@@ -101,7 +103,7 @@ def _sums_up(time: Array, yaw: Array, yaw_rate: Array) -> bool:
 
 def _refuse_computed_yaw_rate(values: dict[str, Array], steering: str, wheelbase: float) -> None:
     """Refuse a yaw rate that is that of the kinematic model, v tan(delta)/L."""
-    model = values["speed"] * np.tan(np.clip(values[steering], -1.5, 1.5)) / wheelbase
+    model = values["speed"] * portable.tan(np.clip(values[steering], -1.5, 1.5)) / wheelbase
     if any(_are_equal(values["yaw_rate"], _delay(model, rows), 0.0, scaled=True) for rows in (0, 1)):
         raise InvalidInput(
             f"log: the yaw rate is speed times the tangent of {steering} over a length, to its rounding: it is "
@@ -129,10 +131,10 @@ def _are_equal(x: Array, y: Array, rounding: float, scaled: bool = False) -> boo
     x, y = x - np.median(x), y - np.median(y)
     spread = float(np.std(x))
     if scaled:
-        power = float(y @ y)
-        factor = float(x @ y) / power if power > 0.0 else 0.0
+        power = float(product(y, y))
+        factor = float(product(x, y)) / power if power > 0.0 else 0.0
         y, rounding = factor * y, abs(factor) * rounding
-    allowed = math.hypot(_rounding(x), rounding) / math.sqrt(12.0)
+    allowed = portable.hypot(_rounding(x), rounding) / math.sqrt(12.0)
     allowed = min(allowed, MOST_ROUNDING * spread) + EXACT * spread
     return spread > 0.0 and float(np.quantile(np.abs(x - y), 0.9)) <= 1.645 * allowed
 
@@ -145,4 +147,4 @@ def _rounding(x: Array) -> float:
 
 def _size(x: Array) -> float:
     """Return the root mean square."""
-    return float(np.sqrt(np.nanmean(x**2)))
+    return float(np.sqrt(np.nanmean(x * x)))

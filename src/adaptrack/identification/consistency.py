@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core import portable
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.identification.identified_car import Estimate
 from adaptrack.identification.quantities import degrees_per_g
@@ -100,9 +101,9 @@ def contradictions(subject: str, names: Sequence[str], prior: Moments, statement
         positive = name != "understeer_gradient"
         error = MODEL_ERRORS[name]
         if positive and name in _ABSOLUTE:
-            error /= math.exp(float(np.mean(values)))
-        weights = 1.0 / (variances + error**2)
-        scatter = float(np.sum(weights * (values - np.sum(weights * values) / weights.sum()) ** 2))
+            error /= portable.exp(float(np.mean(values)))
+        weights = 1.0 / (variances + error * error)
+        scatter = float(np.sum(weights * portable.square(values - np.sum(weights * values) / weights.sum())))
         freedom, rate = values.size - 1, FALSE_ALARM_RATE / len(tests)
         if chi2.sf(scatter, freedom) < rate:
             numbers = ", ".join(_written(name, value) for value in values)
@@ -116,7 +117,7 @@ def contradictions(subject: str, names: Sequence[str], prior: Moments, statement
 
 def _freed(prior: float, prior_variance: float, mean: float, variance: float) -> tuple[float, float]:
     """Mean and variance of what was said without the prior; an infinite variance where next to nothing was."""
-    if not 0.0 < variance < MAX_SPREAD_LEFT**2 * prior_variance:
+    if not 0.0 < variance < MAX_SPREAD_LEFT * MAX_SPREAD_LEFT * prior_variance:
         return mean, math.inf
     precision = 1.0 / variance - 1.0 / prior_variance
     return (mean / variance - prior / prior_variance) / precision, 1.0 / precision
@@ -125,4 +126,4 @@ def _freed(prior: float, prior_variance: float, mean: float, variance: float) ->
 def _written(name: str, value: float) -> str:
     if name == "understeer_gradient":
         return f"{degrees_per_g(value):.2f} deg/g"
-    return f"{math.exp(min(value, 700.0)):.3g}"
+    return f"{portable.exp(min(value, 700.0)):.3g}"

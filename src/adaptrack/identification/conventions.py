@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.core import portable
+from adaptrack.core.portable import product
 from adaptrack.identification.log import Log
 
 Array = NDArray[np.float64]
@@ -132,7 +134,7 @@ def compare_positions(values: Mapping[str, Array]) -> Agreement:
         np.interp(instants + WINDOW, time, place) - np.interp(instants - WINDOW, time, place)
         for place in (values["x"][present][first], values["y"][present][first])
     )
-    factor = float(np.median(np.hypot(x, y) / (2.0 * WINDOW * np.abs(speed[drives]))))
+    factor = float(np.median(portable.hypot(x, y) / (2.0 * WINDOW * np.abs(speed[drives]))))
     meaning = find_meaning(factor, POSITIONS)
     sentence = f"the positions move at {factor:.3g} times the speed: {meaning}." if meaning else ""
     return Agreement(compared, True, sentence)
@@ -294,7 +296,7 @@ def _turning(log: Log, wheelbase: float, delays: Array = DELAYS, half: float = W
     late = [steering[np.clip(np.arange(steering.size) - step, 0, steering.size - 1)] for step in steps]
     best = _Slope(math.nan, 0.0)
     for gradient in GRADIENTS:
-        turn = log.speed / np.maximum(wheelbase + gradient * log.speed**2, 0.3 * wheelbase)
+        turn = log.speed / np.maximum(wheelbase + gradient * portable.square(log.speed), 0.3 * wheelbase)
         slopes = [_slope((turn * (angle - np.median(angle)))[present], yaw_rate) for angle in late]
         slope = max(slopes, key=lambda slope: abs(slope.correlation))
         if 1.0 - abs(slope.correlation) < BETTER * (1.0 - abs(best.correlation)):
@@ -324,8 +326,8 @@ def smoothed(time: Array, values: Array, half: float = WINDOW) -> Array:
 def _slope(x: Array, y: Array) -> _Slope:
     """y over x: the geometric mean of both regressions, so that noise in either does not flatten it."""
     x, y = x - x.mean(), y - y.mean()
-    sizes = math.sqrt(float(x @ x)), math.sqrt(float(y @ y))
+    sizes = math.sqrt(float(product(x, x))), math.sqrt(float(product(y, y)))
     if min(sizes) <= 0.0:
         return _Slope(math.nan, 0.0)
-    correlation = float(x @ y) / (sizes[0] * sizes[1])
+    correlation = float(product(x, y)) / (sizes[0] * sizes[1])
     return _Slope(math.copysign(sizes[1] / sizes[0], correlation), correlation)

@@ -20,7 +20,9 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.core import drive_identification as kernel
+from adaptrack.core import portable
 from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.portable import product
 from adaptrack.identification.conventions import refuse_contradictions
 from adaptrack.identification.estimates import ReportedRow, estimates_at
 from adaptrack.identification.identified_car import DriveIdentification
@@ -225,7 +227,7 @@ class PedalRegression:
         is_compared = np.isfinite(self._compared)
         speed = np.interp(self._time, self._time[is_compared], self._compared[is_compared])
         drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass
-        self._resistance = car.rolling_resistance * GRAVITY + drag * speed**2
+        self._resistance = car.rolling_resistance * GRAVITY + drag * (speed * speed)
         self.speeds = SPEED_POINTS[: np.searchsorted(SPEED_POINTS, speed.max()) + 1]
         self._shares = np.array([np.interp(speed, self.speeds, point) for point in np.eye(self.speeds.size)])
         ends = np.stack([PEDAL_POINTS[:-1], PEDAL_POINTS[1:]], axis=1)
@@ -235,9 +237,9 @@ class PedalRegression:
 
     def rows(self, drive: Array, brakes: Array) -> Array:
         """Rows (`DRIVE_ROW`) for a map: requests relative to coasting, speeds without the effect of coasting."""
-        driving = np.einsum("in,ij,jn->n", self._shares, np.diff(drive, axis=1), self._throttle)
-        coasting = self._integral(drive[:, 0] @ self._shares - self._resistance)
-        request = driving - np.diff(brakes) @ self._brake
+        driving = (self._shares * product(np.diff(drive, axis=1), self._throttle)).sum(axis=0)
+        coasting = self._integral(product(drive[:, 0], self._shares) - self._resistance)
+        request = driving - product(np.diff(brakes), self._brake)
         return np.stack([self._time, request, self._compared - coasting, self._begins])
 
     def solve(self, quantities: Array, counts: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -262,11 +264,13 @@ class PedalRegression:
         target = whitened(zero, self._compared + self._integral(self._resistance))
         steps, count = np.tril(np.ones((PEDAL_POINTS.size,) * 2)), self.speeds.size
         smoothness = block_diag(
-            np.vstack([np.kron(np.eye(count), _bends(PEDAL_POINTS) @ steps), np.kron(_bends(self.speeds), steps)]),
-            _bends(PEDAL_POINTS) @ steps[:, 1:],
+            np.vstack(
+                [np.kron(np.eye(count), product(_bends(PEDAL_POINTS), steps)), np.kron(_bends(self.speeds), steps)]
+            ),
+            product(_bends(PEDAL_POINTS), steps[:, 1:]),
         )
         system = np.vstack([np.column_stack([*columns, target]), np.pad(smoothness / BEND_SIGMA, ((0, 0), (0, 1)))])
-        _, triangle = np.linalg.qr(system)
+        triangle = portable.triangle(system)
         least = np.zeros(len(columns))
         least[: count * PEDAL_POINTS.size : PEDAL_POINTS.size] = -np.inf  # coasting
         rises = lsq_linear(triangle[:, :-1], triangle[:, -1], (least, np.inf)).x

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.core import portable
+from adaptrack.core.portable import product
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.identified_car import Estimate
 from adaptrack.identification.likelihood import InnovationLikelihood
@@ -25,7 +26,7 @@ ESTIMATE_STEP = 1e-4
 def values_at(likelihood: InnovationLikelihood, rows: Sequence[ReportedRow], z: Array) -> Array:
     """Reported quantities at a point; logarithms of positive quantities."""
     values = likelihood.values(z)
-    return np.array([math.log(max(f(values), 1e-12)) if positive else f(values) for *_, positive, f in rows])
+    return np.array([portable.log(max(f(values), 1e-12)) if positive else f(values) for *_, positive, f in rows])
 
 
 def slopes_at(likelihood: InnovationLikelihood, rows: Sequence[ReportedRow], z: Array) -> Array:
@@ -48,13 +49,13 @@ def estimates_at(
     """
     origin = np.zeros(z.size)
     jacobian = slopes_at(likelihood, rows, z)
-    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
-    prior = np.linalg.norm(slopes_at(likelihood, rows, origin), axis=1)
+    spread = np.sqrt(np.maximum((product(jacobian, covariance) * jacobian).sum(axis=1), 0.0))
+    prior = np.sqrt(portable.square(slopes_at(likelihood, rows, origin)).sum(axis=1))
     centre, first = values_at(likelihood, rows, z), values_at(likelihood, rows, origin)
     wider = np.ones(len(rows))
     for i, (name, _, _, positive, _) in enumerate(rows):
         if spread[i] > 0.0:
-            value = math.exp(centre[i]) if positive else float(centre[i])
+            value = portable.exp(centre[i]) if positive else float(centre[i])
             wider[i] = corrected(name, spread[i], value, positive, prior[i], wheels) / spread[i]
     spread *= wider
     estimates = {}
@@ -63,8 +64,8 @@ def estimates_at(
         before = [first[i] - NORMAL_90 * prior[i], first[i] + NORMAL_90 * prior[i]]
         value, error = float(centre[i]), float(spread[i])
         if positive:
-            value, error = math.exp(value), error * math.exp(value)
-            ends, before = [math.exp(e) for e in ends], [math.exp(min(e, 700.0)) for e in before]
+            value, error = portable.exp(value), error * portable.exp(value)
+            ends, before = [portable.exp(e) for e in ends], [portable.exp(min(e, 700.0)) for e in before]
         left = float(spread[i] / prior[i]) if prior[i] > 0.0 else 0.0
         shift = float((centre[i] - first[i]) / prior[i]) if prior[i] > 0.0 else 0.0
         estimates[name] = Estimate(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import AdaptrackError, InvalidInput
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core import portable
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.tracker.records import ACROSS_PENALTY
 from adaptrack.drive.trajectory import Trajectory
@@ -118,7 +119,7 @@ def _sample_at(grid: Array, time: Array, values: Array, period: float) -> Array:
 def _smoothed_path(x: Array, y: Array, speed: Array) -> Road | None:
     """The path that was driven, smoothed; None where it is too short."""
     points = np.column_stack([x, y])[np.isfinite(x) & np.isfinite(y)]
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    way = np.concatenate([[0.0], np.cumsum(portable.hypot(*np.diff(points, axis=0).T))])
     step = min(POINTS * float(np.median(speed)), LARGEST_STEP)
     try:
         return fit_road(points[np.unique(np.searchsorted(way, np.arange(0.0, way[-1], step)))], closed=False)
@@ -149,7 +150,7 @@ class InstantSamples:
         if path is None or not math.isfinite(x[begin] + y[begin]):
             return self
         measured, station, period = self.measured.copy(), np.zeros(x.size), float(self.time[1] - self.time[0])
-        course = np.where(np.isfinite(yaw), yaw, np.arctan2(np.gradient(y), np.gradient(x)))
+        course = np.where(np.isfinite(yaw), yaw, portable.atan2(np.gradient(y), np.gradient(x)))
         near = foot_of_car(path, x[begin], y[begin], float(np.nan_to_num(course[begin])), ACROSS_PENALTY)
         for k in range(x.size):
             foot = foot_near(path, x[k], y[k], near)

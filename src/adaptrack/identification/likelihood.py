@@ -22,6 +22,8 @@ from scipy.interpolate import make_smoothing_spline
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core import identification as kernel
+from adaptrack.core import portable
+from adaptrack.core.portable import product
 from adaptrack.identification.log import Log
 from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SHAPE, Prior, values_of
 
@@ -81,7 +83,7 @@ class InnovationLikelihood(ABC):
             e_up, s_up = self.counted(there)
             de[i], ds[i] = (e_up - e) / DIFFERENCE_STEP, (s_up - s) / DIFFERENCE_STEP
         with np.errstate(all="ignore"):  # what comes of it is looked at
-            scores = de * (e / s) + ds * ((1.0 - e**2 / s) / (2.0 * s))
+            scores = de * (e / s) + ds * ((1.0 - e * e / s) / (2.0 * s))
             by_error, by_size = de / np.sqrt(s), ds / (np.sqrt(2.0) * s)
             information = _squares(by_error) + _squares(by_size) + np.eye(self.free.size)
         if not (np.isfinite(information).all() and np.isfinite(scores).all()):
@@ -97,7 +99,7 @@ class InnovationLikelihood(ABC):
         for _ in range(MOST_STEPS):
             moved = z.copy()
             scaled = current.information + damping * np.diag(np.diag(current.information))
-            moved[self.free] -= np.clip(np.linalg.solve(scaled, current.gradient), -1.5, 1.5)
+            moved[self.free] -= np.clip(portable.solve(scaled, current.gradient), -1.5, 1.5)
             there = self.objective(moved)
             if there < current.objective:
                 fell = current.objective - there
@@ -119,13 +121,13 @@ class InnovationLikelihood(ABC):
         Webb, J. Econometrics 232 (2023) 272-299). It is never less than the information says, nor more than was
         believed before.
         """
-        inverse = np.linalg.inv(at.information)
+        inverse = portable.inverse(at.information)
         stretch = np.broadcast_to(np.floor(self.time / STRETCH).astype(np.int64), self.counts.shape)[self.counts]
-        scatter = inverse @ inverse  # of the prior
+        scatter = product(inverse, inverse)  # of the prior
         for number in np.unique(stretch):
             rows = stretch == number
             its = _squares(at.by_error[:, rows]) + _squares(at.by_size[:, rows])
-            moved = np.linalg.solve(at.information - its, at.scores[:, rows].sum(axis=1))
+            moved = portable.solve(at.information - its, at.scores[:, rows].sum(axis=1))
             scatter += np.outer(moved, moved)
         variance = np.clip(np.diag(scatter), np.diag(inverse), 1.0)
         widened = np.sqrt(variance / np.diag(inverse))
@@ -231,7 +233,7 @@ class Likelihood(InnovationLikelihood):
         wind, time, begins = self.filter_results(z)["wind"], self.log.time, self.log.begins
         change = np.zeros_like(wind)
         change[1:] = np.where(begins[1:], 0.0, np.diff(wind) / np.maximum(np.diff(time), 1e-6))
-        power = _window_mean(time, change**2, GUST_WINDOW)
+        power = _window_mean(time, change * change, GUST_WINDOW)
         level = power / max(float(np.mean(power)), 1e-12)
         self._rows[self._kernel.LOG_ROW.gusts] = np.sqrt(np.maximum(level, LEAST_GUSTS))
 
@@ -286,12 +288,12 @@ class Scored:
 
 
 def _squares(rows: Array) -> Array:
-    """rows rows', in one thread: those of a BLAS would wait for each other longer than this takes."""
-    return np.einsum("in,jn->ij", rows, rows)
+    """rows rows'."""
+    return product(rows, rows.T)
 
 
 def _objective(e: Array, s: Array, z: Array) -> float:
     if not (np.isfinite(e).all() and np.isfinite(s).all()) or (s <= 0.0).any():
         return np.inf
     with np.errstate(over="ignore"):
-        return float(0.5 * np.sum(e**2 / s + np.log(s)) + 0.5 * np.sum(z**2))
+        return float(0.5 * np.sum(e * e / s + portable.log(s)) + 0.5 * np.sum(z * z))

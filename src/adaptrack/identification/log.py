@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.core import portable
 from adaptrack.identification.outliers import find_outliers, find_stuck, outlier_note
 
 Array = NDArray[np.float64]
@@ -256,7 +257,9 @@ def _cut(time: Array, data: dict[str, Array], gap: float, commanded: bool, notes
 def _refuse_idle(log: Log, wheelbase: float) -> None:
     """A log that is hardly steered holds nothing but noise."""
     steered = log.command - np.median(log.command)
-    acceleration = float(np.sqrt(np.mean((np.clip(log.speed, 0.0, 15.0) ** 2 * steered / wheelbase) ** 2)))
+    acceleration = float(
+        np.sqrt(np.mean(portable.square(portable.square(np.clip(log.speed, 0.0, 15.0)) * steered / wheelbase)))
+    )
     if not math.isfinite(acceleration) or acceleration < LEAST_ACCELERATION:
         raise InvalidInput(
             f"log: hardly any steering: it asks for {acceleration:.2g} m/s^2 (RMS); drive bends and lane changes, or "

@@ -17,6 +17,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.core import portable
+from adaptrack.core.portable import product
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.quantities import QUANTITIES
 
@@ -64,7 +66,7 @@ def _parted(fits: Sequence[Fitted]) -> list[tuple[Array, Array]]:
     is_known = np.isfinite(means)
     mean = np.where(is_known, means, 0.0).sum(axis=0) / np.maximum(is_known.sum(axis=0), 1)
     scatter = np.where(is_known, means - mean, 0.0)
-    between = (scatter**2).sum(axis=0) / np.maximum(is_known.sum(axis=0) - 1, 1)
+    between = (scatter * scatter).sum(axis=0) / np.maximum(is_known.sum(axis=0) - 1, 1)
     wider = []
     for fit in fits:
         rows, places = _places(fit.likelihood)
@@ -86,14 +88,14 @@ def _added(fits: Sequence[Fitted], posteriors: Sequence[tuple[Array, Array]]) ->
     information, toward = np.eye(len(CAR_QUANTITIES)), np.zeros(len(CAR_QUANTITIES))
     for fit, (z, covariance) in zip(fits, posteriors, strict=True):
         rows, places = _places(fit.likelihood)
-        precision = np.linalg.inv(covariance[np.ix_(rows, rows)])
-        values, vectors = np.linalg.eigh(precision - np.eye(len(rows)))
-        added = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        precision = portable.inverse(covariance[np.ix_(rows, rows)])
+        values, vectors = portable.eigen(precision - np.eye(len(rows)))
+        added = product(vectors * np.maximum(values, 0.0), vectors.T)
         mean = z[fit.likelihood.free][rows]
-        freed = np.linalg.pinv(added, hermitian=True) @ (precision @ mean)
+        freed = product(portable.pseudo_inverse(added), product(precision, mean))
         information[np.ix_(places, places)] += added
-        toward[places] += added @ freed
-    return np.asarray(np.linalg.solve(information, toward), dtype=np.float64), information
+        toward[places] += product(added, freed)
+    return portable.solve(information, toward), information
 
 
 def _condition(
@@ -102,8 +104,8 @@ def _condition(
     """A log's point and covariance, where the shared entries are as all logs have them."""
     free = fit.likelihood.free
     rows, places = _places(fit.likelihood)
-    common = np.linalg.inv(information)[np.ix_(places, places)]
-    follow = covariance[:, rows] @ np.linalg.inv(covariance[np.ix_(rows, rows)])
+    common = portable.inverse(information)[np.ix_(places, places)]
+    follow = product(covariance[:, rows], portable.inverse(covariance[np.ix_(rows, rows)]))
     there = z.copy()
-    there[free] += follow @ (mean[places] - z[free][rows])
-    return there, covariance + follow @ (common - covariance[np.ix_(rows, rows)]) @ follow.T
+    there[free] += product(follow, mean[places] - z[free][rows])
+    return there, covariance + product(product(follow, common - covariance[np.ix_(rows, rows)]), follow.T)

@@ -17,6 +17,8 @@ from adaptrack.base.checked import Finite, NotNegative, checked, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
+from adaptrack.core import portable
+from adaptrack.core.portable import product
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.computed_columns import drop_computed_columns
 from adaptrack.identification.consistency import Moments, contradictions, implausible_estimates
@@ -170,7 +172,8 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
     limits = _rivals_sentence(likelihood, z, rivals) + findings(log, estimates, validation) + open_ratio
     rows = [i for i, name in enumerate(estimates) if name in usable]
     return Identification(
-        usable, (jacobian @ covariance @ jacobian.T)[np.ix_(rows, rows)], validation, limits, log, car, curve,
+        usable, product(product(jacobian, covariance), jacobian.T)[np.ix_(rows, rows)], validation, limits, log, car,
+        curve,
         columns.computation, series, tuple(reasons),
     )  # fmt: skip
 
@@ -196,7 +199,7 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
     open_ratio = [reason for reason in first.reasons if reason.startswith(UNKNOWN_RATIO)] if not ratio_logs else []
     reasons = [*(reasons or implausible_estimates(shared, first.believed)), *log_reasons, *open_ratio]
     return replace(
-        first, estimates=shared, covariance=(jacobian @ joint[main][1] @ jacobian.T)[np.ix_(rows, rows)],
+        first, estimates=shared, covariance=product(product(jacobian, joint[main][1]), jacobian.T)[np.ix_(rows, rows)],
         findings=findings(first.log, estimates, first.validation), computation=max(e.computation for e in alone),
         reasons=tuple(reasons), alone=tuple(alone),
     )  # fmt: skip
@@ -390,20 +393,20 @@ def _moments(fit: Fit, rows: Sequence[ReportedRow]) -> Moments:
     """Mean and variance of the reported quantities, errors corrected."""
     jacobian = slopes_at(fit.likelihood, rows, fit.z)
     mean = values_at(fit.likelihood, rows, fit.z)
-    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, fit.covariance, jacobian), 0.0))
-    before = np.linalg.norm(jacobian, axis=1)
+    spread = np.sqrt(np.maximum((product(jacobian, fit.covariance) * jacobian).sum(axis=1), 0.0))
+    before = np.sqrt((jacobian * jacobian).sum(axis=1))
     for i, (name, _, _, positive, _) in enumerate(rows):
-        value = math.exp(mean[i]) if positive else float(mean[i])
+        value = portable.exp(mean[i]) if positive else float(mean[i])
         spread[i] = corrected(name, spread[i], value, positive, before[i], fit.likelihood.log.tightest)
-    return Moments(mean, spread**2)
+    return Moments(mean, spread * spread)
 
 
 def _prior(fit: Fit, rows: Sequence[ReportedRow]) -> Moments:
     """Prior of the reported quantities, linearised at the fit."""
     likelihood = fit.likelihood
     jacobian = slopes_at(likelihood, rows, fit.z)
-    mean = values_at(likelihood, rows, fit.z) - jacobian @ fit.z[likelihood.free]
-    return Moments(mean, np.sum(jacobian**2, axis=1))
+    mean = values_at(likelihood, rows, fit.z) - product(jacobian, fit.z[likelihood.free])
+    return Moments(mean, np.sum(jacobian * jacobian, axis=1))
 
 
 # -- validation -------------------------------------------------------------------------------------------------------
@@ -428,7 +431,7 @@ def _validated(
     e, s = errors(z, np.ones(log.samples))
     normal = e / np.sqrt(s)
     finite = normal[np.isfinite(normal)]
-    lags = tuple(float(np.mean(finite[k:] * finite[:-k]) / np.mean(finite**2)) for k in range(1, 6))
+    lags = tuple(float(np.mean(finite[k:] * finite[:-k]) / np.mean(finite * finite)) for k in range(1, 6))
     measured = is_held_out & np.isfinite(log.yaw_rate)
     validation = Validation(
         _explained(log.yaw_rate[measured], stepped[measured]),

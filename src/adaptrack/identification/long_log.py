@@ -65,7 +65,7 @@ def _select_turning(log: Log) -> Log:
     number = np.cumsum(log.begins) * 1_000_000 + np.floor(log.time / STRETCH_LENGTH).astype(np.int64)
     _, stretch, sizes = np.unique(number, return_inverse=True, return_counts=True)
     sideways = np.nan_to_num(log.speed * log.yaw_rate)
-    order = np.argsort(-np.bincount(stretch, sideways**2) / sizes, kind="stable")
+    order = np.argsort(-np.bincount(stretch, sideways * sideways) / sizes, kind="stable")
     stretches = order[np.cumsum(sizes[order]) <= SHORTENED]
     rows = np.flatnonzero(np.isin(stretch, stretches))
     begins = log.begins[rows] | (np.diff(rows, prepend=-2) > 1)

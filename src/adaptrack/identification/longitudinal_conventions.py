@@ -13,7 +13,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.core import portable
 from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.portable import product
 from adaptrack.identification.conventions import CLEAR, LEAST_BOTH, WINDOW, Agreement, find_meaning, smoothed
 
 Array = NDArray[np.float64]
@@ -77,7 +79,7 @@ def _compare_with_speed(name: str, values: Mapping[str, Array], scale: float) ->
     if float(np.std(change[compared])) >= LEAST_SPEED_CHANGE:
         for delay in LONGITUDINAL_DELAYS[: 1 if is_measured else None]:
             late = smoothed(time, signal[np.maximum(np.searchsorted(time, time - delay + 1e-9, side="right") - 1, 0)])
-            nuisance = np.column_stack([np.ones(time.size), speed**2])
+            nuisance = np.column_stack([np.ones(time.size), speed * speed])
             fit = _partial_slope(late[compared], change[compared], nuisance[compared])
             factor, correlation = max((factor, correlation), fit, key=lambda fit: abs(fit[1]))
     is_clear, contradiction, possibility = abs(correlation) >= CLEAR, "", ""
@@ -98,6 +100,6 @@ def _compare_with_speed(name: str, values: Mapping[str, Array], scale: float) ->
 
 def _partial_slope(x: Array, y: Array, nuisance: Array) -> tuple[float, float]:
     """Slope of y over x, and their correlation, with other regressors (columns) removed from both."""
-    x, y = (signal - nuisance @ np.linalg.lstsq(nuisance, signal, rcond=None)[0] for signal in (x, y))
-    size = math.sqrt(float(x @ x) * float(y @ y))
-    return (float(x @ y) / float(x @ x), float(x @ y) / size) if size > 0.0 else (1.0, 0.0)
+    x, y = (signal - product(nuisance, portable.least_squares(nuisance, signal)) for signal in (x, y))
+    size = math.sqrt(float(product(x, x)) * float(product(y, y)))
+    return (float(product(x, y)) / float(product(x, x)), float(product(x, y)) / size) if size > 0.0 else (1.0, 0.0)

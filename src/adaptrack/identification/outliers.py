@@ -73,7 +73,7 @@ def find_stuck(time: Array, yaw_rate: Array, steering: Array, speed: Array, whee
 
     The change of the expected yaw rate v delta/(L + K v^2) is compared with its range, so the unit does not matter.
     """
-    expected = speed * steering / (wheelbase + UNDERSTEER * speed**2)
+    expected = speed * steering / (wheelbase + UNDERSTEER * (speed * speed))
     measured, outliers = np.flatnonzero(np.isfinite(yaw_rate)), np.zeros(time.size, bool)
     if not measured.size or not np.isfinite(expected).any():
         return outliers

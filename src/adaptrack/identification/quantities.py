@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.cars.vehicle import Vehicle, load_tyre
+from adaptrack.core import portable
 from adaptrack.core.plants.forces import GRAVITY
 
 Array = NDArray[np.float64]
@@ -108,10 +109,10 @@ def values_of(z: Array, median: Array, spread: Array, kinds: NDArray[np.intp] = 
     """The quantities of a point z (in spreads from the medians), in their units; all of one shape."""
     moved = spread * z
     share = np.where(kinds == 2, median, 0.5)
-    logit = np.log(share / (1.0 - share))
+    logit = portable.log(share / (1.0 - share))
     return np.where(
-        kinds == 0, median * np.exp(np.where(kinds == 0, moved, 0.0)),
-        np.where(kinds == 1, median + moved, 1.0 / (1.0 + np.exp(-(logit + moved)))),
+        kinds == 0, median * portable.exp(np.where(kinds == 0, moved, 0.0)),
+        np.where(kinds == 1, median + moved, 1.0 / (1.0 + portable.exp(-(logit + moved)))),
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from adaptrack.base.checked import RISING, Finite, Natural, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
+from adaptrack.core import portable
 from adaptrack.scenario.profile import Profile, load_profile
 
 BASES = ("paper", "midsize-sedan")
@@ -89,7 +90,7 @@ def random_car(
     rng = np.random.default_rng((_CAR, seed))
 
     def factor(bounds: tuple[float, float]) -> float:
-        return float(math.exp(rng.uniform(math.log(bounds[0]), math.log(bounds[1]))))
+        return float(portable.exp(rng.uniform(portable.log(bounds[0]), portable.log(bounds[1]))))
 
     base = bases[seed % len(bases)]
     car = load_vehicle(base)

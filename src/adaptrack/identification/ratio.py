@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.core import portable
 from adaptrack.identification.conventions import smoothed
 from adaptrack.identification.identified_car import HARDLY, Estimate
 from adaptrack.identification.likelihood import NEARLY, Likelihood
@@ -60,18 +61,20 @@ def gain_of(likelihood: Likelihood, z: Array) -> Gain:
     place = int(np.searchsorted(free, INDEX["gain"]))
     optimum, evaluation = free_gain.fit(z, NEARLY)
     sigma = GAIN_PRIOR_SIGMA * math.sqrt(free_gain.covariance(evaluation)[place, place])
-    log_sigma = 1.0 / math.sqrt(max(1.0 / sigma**2 - 1.0 / GAIN_PRIOR_SIGMA**2, 1e-9))  # without the prior
-    mean = GAIN_PRIOR_SIGMA * float(optimum[INDEX["gain"]]) * (1.0 + (log_sigma / GAIN_PRIOR_SIGMA) ** 2)
-    return Gain(math.exp(min(max(mean, -5.0), 5.0)), log_sigma)
+    log_sigma = 1.0 / math.sqrt(
+        max(1.0 / (sigma * sigma) - 1.0 / (GAIN_PRIOR_SIGMA * GAIN_PRIOR_SIGMA), 1e-9)
+    )  # without the prior
+    mean = GAIN_PRIOR_SIGMA * float(optimum[INDEX["gain"]]) * (1.0 + portable.square(log_sigma / GAIN_PRIOR_SIGMA))
+    return Gain(portable.exp(min(max(mean, -5.0), 5.0)), log_sigma)
 
 
 def check_ratio(log: Log, gain: Gain) -> tuple[str, str]:
     """Return a contradiction of the specified ratio and the reason why there is no verdict; at least one is empty."""
     if gain.spread > MAX_GAIN_SIGMA or bend_time(log) < MIN_BEND_TIME:
         return "", f"{UNKNOWN_RATIO}: the log cannot confirm that its angles are those of the road wheels"
-    if abs(math.log(gain.factor)) <= max(RATIO_ERROR, RATIO_ERROR_SIGMAS * gain.spread):
+    if abs(portable.log(gain.factor)) <= max(RATIO_ERROR, RATIO_ERROR_SIGMAS * gain.spread):
         return "", ""
-    low, high = (gain.factor * math.exp(side * 1.645 * gain.spread) for side in (-1.0, 1.0))
+    low, high = (gain.factor * portable.exp(side * 1.645 * gain.spread) for side in (-1.0, 1.0))
     ratio = f": the ratio is {log.ratio / gain.factor:.3g}, not {log.ratio:.3g}" if log.ratio != 1.0 else ""
     return (
         f"the steering ratio is wrong: the road wheels turn {gain.factor:.2f} [{low:.2f}, {high:.2f}] times as far as "

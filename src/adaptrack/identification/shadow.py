@@ -28,6 +28,7 @@ from adaptrack.control.controllers.belief import UNKNOWN, GivenSteering
 from adaptrack.control.controllers.informed import DEFAULT_PROFILE
 from adaptrack.control.controllers.learned_car import UNKNOWN_CAR
 from adaptrack.control.kalman import SENSORS
+from adaptrack.core import portable
 from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.estimators.learning import SHORTEST_LAG
 from adaptrack.core.models.contract import MEASUREMENT
@@ -261,7 +262,7 @@ def _spoiling(
 
     def amiss(logs: Sequence[ShadowLog]) -> tuple[int, float]:
         compared = [log.of("yaw_rate", TIMES[-1]) for log in logs]
-        error = math.hypot(*(errors["learned"].rms.value for errors in compared if errors))
+        error = portable.hypot(*(errors["learned"].rms.value for errors in compared if errors))
         return sum(bool(log.doubts or log.bounds) for log in logs), error
 
     doubted, error = amiss(shadow_logs)
@@ -381,7 +382,7 @@ def _compared(
     block = (time // INTERVAL_BLOCK).astype(np.int64)
     for quantity, value in measured.items():
         for ahead in TIMES:
-            squared = np.array([expected[name, quantity, ahead] - value for name in PREDICTORS]) ** 2
+            squared = portable.square(np.array([expected[name, quantity, ahead] - value for name in PREDICTORS]))
             there = np.isfinite(squared).all(axis=0)
             if np.unique(block[there]).size < 2:
                 continue

@@ -25,6 +25,7 @@ from adaptrack.core.estimators import kalman
 from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.models.path import PATH_STATES, discretise_disturbed
+from adaptrack.core.portable import product
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.instants import InstantSamples
 
@@ -126,7 +127,7 @@ def _roll(z: Array, samples: InstantSamples, k: InstantIndices, rows: Array, per
         discretise_disturbed(speed, period, rows[i, _MODEL], f[i], b[i])
     newer, share = k - rows[:, _WHOLE].astype(np.int64), rows[:, _SHARE]
     command = (1.0 - share) * u[np.maximum(newer, 0)] + share * u[np.maximum(newer - 1, 0)] + rows[:, _BIAS]
-    z[:, :PATH_STATES] = np.einsum("kij,kj->ki", f, z) + b[:, :PATH_STATES] * command[:, None]
+    z[:, :PATH_STATES] = product(f, z[..., None])[..., 0] + b[:, :PATH_STATES] * command[:, None]
     turned = samples.measured[k + 1, MEASUREMENT.turned]
     z[:, _STATE.yaw] -= turned
     z[:, _STATE.y] -= 0.5 * samples.speed[k] * period * turned
@@ -143,5 +144,5 @@ def _turn_steadily(z: Array, speed: Array, wheel_angle: Array, car: Any) -> None
     """Write yaw rate and lateral velocity of the steady turn at a speed (m/s) and a wheel angle (rad)."""
     front, rear, wheelbase = 2.0 * car.stiffness_front, 2.0 * car.stiffness_rear, car.wheelbase
     understeer = car.mass * (car.lr * rear - car.lf * front) / (wheelbase * front * rear)
-    z[:, _STATE.yaw_rate] = speed * wheel_angle / (wheelbase + understeer * speed**2)
-    z[:, _STATE.vy] = (car.lr - car.mass * car.lf * speed**2 / (rear * wheelbase)) * z[:, _STATE.yaw_rate]
+    z[:, _STATE.yaw_rate] = speed * wheel_angle / (wheelbase + understeer * (speed * speed))
+    z[:, _STATE.vy] = (car.lr - car.mass * car.lf * (speed * speed) / (rear * wheelbase)) * z[:, _STATE.yaw_rate]

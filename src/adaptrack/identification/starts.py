@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.core import portable
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.quantities import INDEX, QUANTITIES
 
@@ -67,9 +68,11 @@ def _starting_points(likelihood: Likelihood) -> list[Array]:
     for value, factor in (*((value, 1.0) for value in values), (values[1], START_STIFFNESS)):
         z = np.zeros(len(QUANTITIES))
         for axle in ("front", "rear"):
-            z[INDEX[axle]] = _scale_shift(likelihood, axle, math.log(factor))
+            z[INDEX[axle]] = _scale_shift(likelihood, axle, portable.log(factor))
         median = float(likelihood.median[INDEX[name]])
-        z[INDEX[name]] = _scale_shift(likelihood, name, math.log(value / median) if name == "delay" else value - median)
+        z[INDEX[name]] = _scale_shift(
+            likelihood, name, portable.log(value / median) if name == "delay" else value - median
+        )
         starts.append(z)
     return starts
 

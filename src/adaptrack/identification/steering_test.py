@@ -18,6 +18,8 @@ from adaptrack.base.checked import Finite, checked, real, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import LearnedCar
+from adaptrack.core import portable
+from adaptrack.core.portable import product
 from adaptrack.core.synthesis.learner import MAX_BALANCE_RANGE, MAX_BIAS_RANGE, MAX_STIFFNESS_RANGE, UNIFORM_SIGMA
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import LONGEST_PERIOD, Log
@@ -170,7 +172,7 @@ class SteeringTest:
                 f"SteeringTest: the wheels do not follow the commands, which explain {max(share, 0.0):.0%} of the "
                 "response: check that the commands reach the steering, their sign, and the sensor's unit."
             )
-        return _steering_fit(likelihood, z, np.linalg.inv(scored.information))
+        return _steering_fit(likelihood, z, portable.inverse(scored.information))
 
     def estimate(self) -> LearnedCar:
         """Return the steering delay as a prior for `Learning(start=...)`; the rest of the car stays unknown.
@@ -182,8 +184,8 @@ class SteeringTest:
         return LearnedCar(
             car=self.car.name, lag=fit.lag, lag_sigma=lag, dead_time=fit.dead_time, dead_time_sigma=dead_time,
             delay_sigma=max(math.sqrt(fit.covariance.sum()), MIN_TEST_SIGMA),
-            stiffness=1.0, stiffness_sigma=UNIFORM_SIGMA * math.log(MAX_STIFFNESS_RANGE),
-            balance=1.0, balance_sigma=UNIFORM_SIGMA * math.log(MAX_BALANCE_RANGE),
+            stiffness=1.0, stiffness_sigma=UNIFORM_SIGMA * portable.log(MAX_STIFFNESS_RANGE),
+            balance=1.0, balance_sigma=UNIFORM_SIGMA * portable.log(MAX_BALANCE_RANGE),
             bias=0.0, bias_sigma=UNIFORM_SIGMA * MAX_BIAS_RANGE, seconds=self._rows[-1][0] - self._rows[0][0],
         )  # fmt: skip
 
@@ -207,7 +209,7 @@ def _log_of(rows: Array) -> Log:
 def _start(likelihood: Likelihood, delay: float) -> Array:
     """A starting point z with a delay (s)."""
     z, place = np.zeros(len(QUANTITIES)), INDEX["delay"]
-    z[place] = math.log(delay / likelihood.median[place]) / likelihood.spread[place]
+    z[place] = portable.log(delay / likelihood.median[place]) / likelihood.spread[place]
     return z
 
 
@@ -226,5 +228,5 @@ def _steering_fit(likelihood: Likelihood, z: Array, covariance: NDArray[Any]) ->
     by_delay = delay * spread[INDEX["delay"]]
     slopes = np.array([[share * by_delay, by_share], [(1.0 - share) * by_delay, -by_share]])
     places = [int(np.flatnonzero(likelihood.free == INDEX[name])[0]) for name in ("delay", "lag_share")]
-    of_both = slopes @ covariance[np.ix_(places, places)] @ slopes.T
+    of_both = product(product(slopes, covariance[np.ix_(places, places)]), slopes.T)
     return SteeringFit(share * delay, (1.0 - share) * delay, of_both)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import read_arrow_table, read_bytes
+from adaptrack.core.portable import product
 from adaptrack.drive.trajectory import TRAJECTORY_FORMAT, Trajectory
 from adaptrack.scenario.profile import list_profiles, load_profile
 
@@ -90,7 +91,7 @@ def parse_instants(text: CellArray) -> CellArray:
     hands = [(match[1], match[2], match[3].replace(",", ".")) for match in clocks if match]
     if len(hands) < text.size:
         return text
-    return np.array(hands, dtype=np.float64) @ np.array([3600.0, 60.0, 1.0])
+    return product(np.array(hands, dtype=np.float64), np.array([3600.0, 60.0, 1.0]))
 
 
 def _parquet(path: Path, content: bytes) -> LogTable:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from adaptrack.core import portable
 from adaptrack.identification.identified_car import Estimate, Validation
 from adaptrack.identification.log import Log
 from adaptrack.identification.quantities import degrees_per_g
@@ -31,7 +32,7 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
     stiff = [estimates["front"], estimates["rear"]]
     factor = max(estimate.high / estimate.value for estimate in stiff)
     if factor > LOOSE_FACTOR:
-        idle = not fast.any() or math.sqrt(float(np.mean(sideways[fast] ** 2))) < LITTLE
+        idle = not fast.any() or math.sqrt(float(np.mean(portable.square(sideways[fast])))) < LITTLE
         why = f"hardly any steering above {HIGH_SPEED:g} m/s" if idle else "the log tells little of the tyres"
         sentences.append(f"{why}: stiffness known within a factor {factor:.2g}")
         gradient = estimates["understeer_gradient"]

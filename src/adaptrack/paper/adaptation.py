@@ -36,6 +36,7 @@ from adaptrack.control.scheduling import (
     load_scheduler,
     made_for,
 )
+from adaptrack.core import portable
 from adaptrack.paper.campaign import run_campaign, software_versions
 from adaptrack.paper.campaign_config import CampaignConfig
 from adaptrack.paper.data_set import DataSet, load_dataset
@@ -275,7 +276,7 @@ def best_constant(runs: RunSet, tunings: int = Effort().constant_tunings) -> Arr
     indices = np.sort(rng.choice(len(runs), min(CONSTANT_RUNS, len(runs)), replace=False))
 
     def cost(tuning: ArrayLike) -> float:
-        return float(np.log(runs.costs(tuning, [CONSTANT_NOISE], indices)).mean())
+        return float(portable.log(runs.costs(tuning, [CONSTANT_NOISE], indices)).mean())
 
     def costs(positions: Array) -> Array:
         return np.array([cost([Np, Nc, 1.0, R]) for Np, Nc, R in np.atleast_2d(positions)])
@@ -298,7 +299,7 @@ def safe_constant(runs: RunSet, stability: StabilityMap) -> Tuning:
         """Failures and mean log cost of each tuning, on the first `count` runs."""
         indices = np.arange(min(count, len(runs)))
         costs = np.stack([runs.drive(row, [FALLBACK_NOISE], indices)[:, 0] for row in rows])
-        return np.isinf(costs).sum(axis=1), np.log(np.minimum(costs, runs.failed_cost)).mean(axis=1)
+        return np.isinf(costs).sum(axis=1), portable.log(np.minimum(costs, runs.failed_cost)).mean(axis=1)
 
     candidates = safe_candidates(stability)
     failures, cost = judge(candidates, FALLBACK_DRIVES)
@@ -316,7 +317,7 @@ def safe_candidates(stability: StabilityMap) -> Array:
         When there is none, with the largest domain that one of them holds.
     """
     loops = Feasibility.from_map(stability.table.axes, 1.0 - stability.table.values, FALLBACK_MARGIN)
-    loops = loops.among(loops.tunings[:, 3] >= 10.0**FALLBACK_RATIO)
+    loops = loops.among(loops.tunings[:, 3] >= portable.power(10.0, FALLBACK_RATIO))
     is_safe = loops.enough.all(axis=(0, 1))
     if is_safe.any():
         return loops.tunings[is_safe]
@@ -361,6 +362,6 @@ def neighbour_lookup(dataset: DataSet, nodes: Mapping[str, ArrayLike]) -> Schedu
     )
     costs = dataset.landscape.astype(np.float64)
     worst = np.nanmax(np.where(np.isfinite(costs), costs, np.nan))
-    logs = np.log(np.where(np.isfinite(costs), costs, worst))
+    logs = portable.log(np.where(np.isfinite(costs), costs, worst))
     best = dataset.library[np.argmin(logs[neighbours].mean(axis=1), axis=1)]
     return Lookup(axes, best.reshape(*grid.shape[:-1], 4), name="look-up")

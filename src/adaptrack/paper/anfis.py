@@ -33,6 +33,7 @@ from adaptrack.control.scheduling.functions.sugeno import (
     bell_exponent,
     distance,
 )
+from adaptrack.core import portable
 from adaptrack.paper import partition as partitions
 from adaptrack.paper.samples import held_out, mean, part, row_weights
 
@@ -104,7 +105,7 @@ def premise_gradient(system: Sugeno, x: Array, y: Array, weight: Array | None = 
         outside = expit(bell_exponent(t, slope))  # 1 - mu
         nonzero = np.where(t == 0.0, 1.0, t)
         inwards[:, bell] = np.where(t == 0.0, 0.0, 2.0 * slope * outside / nonzero)
-        by_slope[:, bell] = np.where(t == 0.0, 0.0, -2.0 * outside * np.log(np.abs(nonzero)))
+        by_slope[:, bell] = np.where(t == 0.0, 0.0, -2.0 * outside * portable.log(np.abs(nonzero)))
     return np.column_stack(
         (
             (by_log_mu * inwards * distances).sum(axis=0) / width,
@@ -139,7 +140,7 @@ class _Rows(NamedTuple):
 
     def rmse(self, system: Sugeno) -> float:
         """Root mean square error of a system's output on these rows."""
-        return math.sqrt(float(mean((system.predict(self.z) - self.v) ** 2, self.weight)))
+        return math.sqrt(float(mean(portable.square(system.predict(self.z) - self.v), self.weight)))
 
 
 class _Scaling(NamedTuple):
@@ -154,7 +155,7 @@ class _Scaling(NamedTuple):
     def of(cls, x: Array, y: Array, weight: Array | None = None) -> _Scaling:
         centre = float(mean(y, weight))
         half = np.ptp(x, axis=0) / 2.0
-        spread = float(y.std() if weight is None else math.sqrt(mean((y - centre) ** 2, weight)))
+        spread = float(y.std() if weight is None else math.sqrt(mean(portable.square(y - centre), weight)))
         small = spread <= 1e-14 * max(1e-300, float(np.abs(y).max()))  # a constant, but for the rounding of its mean
         middle = x.min(axis=0) + half
         return cls(middle, np.where(half > 0.0, half, 1.0), centre, 1.0 if small else spread)
@@ -313,7 +314,7 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 z, rows.v, self.influence, self.squash, self.accept, self.reject, weight=rows.weight
             )
         bell = self.membership == "bell"  # as wide at half its height as the Gaussian
-        width = partition.sigma * math.sqrt(2.0 * math.log(2.0)) if bell else partition.sigma
+        width = partition.sigma * math.sqrt(2.0 * portable.log(2.0)) if bell else partition.sigma
         slope = np.full(len(width), 2.0 if bell else 1.0)
         return Sugeno(
             owner=partition.owner,
@@ -338,7 +339,7 @@ class ANFIS(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if rows.weight is not None:
             root = np.sqrt(rows.weight)
             a, v = a * root[:, np.newaxis], v * root
-        penalty = self.ridge * float((a**2).sum()) / a.shape[1]
+        penalty = self.ridge * float((a * a).sum()) / a.shape[1]
         theta = least_squares(a, v, penalty)
         return replace(system, consequents=theta.reshape(system.consequents.shape))
 

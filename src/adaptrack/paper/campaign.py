@@ -143,7 +143,7 @@ class CampaignParts:
             part = DataSet.load(file)
         except Damaged as error:
             raise StorageError(f"{error} Remove this part, and run the campaign again.") from None
-        for key, name in (("identity", "settings"), ("versions", "software")):
+        for key, name in (("settings", "settings"), ("versions", "software")):
             if part.provenance.get(key) != self.provenance[key]:
                 difference = _difference(part.provenance, self.provenance, key)
                 raise StorageError(
@@ -191,13 +191,9 @@ class CampaignParts:
 
 def _difference(theirs: Mapping[str, Any], ours: Mapping[str, Any], key: str) -> str:
     """The first entry in which the settings or the versions of two campaigns differ."""
-    table = "settings" if key == "identity" else key
-    previous, current = theirs.get(table), ours[table]
-    if isinstance(previous, Mapping):
-        for name in sorted({*previous, *current}):
-            if previous.get(name) != current.get(name):
-                return f"{name} = {previous.get(name)} there, {current.get(name)} here"
-    return "operating points or library differ"
+    previous, current = theirs.get(key) or {}, ours[key]
+    name = next(name for name in sorted({*previous, *current}) if previous.get(name) != current.get(name))
+    return f"{name} = {previous.get(name)} there, {current.get(name)} here"
 
 
 # -- the campaign -----------------------------------------------------------------------------------------------------

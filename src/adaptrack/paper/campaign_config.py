@@ -27,6 +27,7 @@ from adaptrack.base.registry import import_plugin
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fingerprint, get_plant, twin_of
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.control.controllers import Tuning
+from adaptrack.core import portable
 from adaptrack.drive.failure import DISTANCE, SIDESLIP, FailureLimits
 from adaptrack.paper.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.scenario.profile import list_profiles, load_profile
@@ -146,10 +147,10 @@ def spread_tunings(size: int, search: SearchBounds, seed: int = 0) -> Array:
     Np = search.Np[0] + np.floor(u[:, 0] * (search.Np[1] - search.Np[0] + 1))
     most = np.minimum(search.Nc[1], Np)
     Nc = search.Nc[0] + np.floor(u[:, 1] * (most - search.Nc[0] + 1))
-    (q_low, q_high), (r_low, r_high) = np.log(search.Q), np.log(search.R)
+    (q_low, q_high), (r_low, r_high) = portable.log(search.Q), portable.log(search.R)
     ratio = (r_low - q_high) + u[:, 2] * ((r_high - q_low) - (r_low - q_high))
     q = (np.maximum(q_low, r_low - ratio) + np.minimum(q_high, r_high - ratio)) / 2.0
-    return np.vstack([STANDARD_ROW, np.column_stack([Np, Nc, np.exp(q), np.exp(q + ratio)])])
+    return np.vstack([STANDARD_ROW, np.column_stack([Np, Nc, portable.exp(q), portable.exp(q + ratio)])])
 
 
 # -- failure ----------------------------------------------------------------------------------------------------------
@@ -414,11 +415,8 @@ class CampaignPlan:
 
     @cached_property
     def identity(self) -> str:
-        """SHA-256 of the settings, the operating points and the library: equal for equal data only."""
-        digest = hashlib.sha256(json.dumps(self.settings, sort_keys=True).encode())
-        for array in (self.operating_points, self.library):
-            digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-        return digest.hexdigest()
+        """SHA-256 of the settings: equal for equal data only."""
+        return hashlib.sha256(json.dumps(self.settings, sort_keys=True).encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:

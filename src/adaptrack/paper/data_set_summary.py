@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.core import portable
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.operating_points import POINT_COORDINATES
 
@@ -24,7 +25,7 @@ SUMMARY_SETTINGS = ("profile", "scenario", "duration", "plant", "move_weight", "
 def best_tunings(dataset: DataSet) -> dict[str, Array]:
     """(n,) of each of `SUMMARY_TARGETS`."""
     Np, Nc, Q, R = dataset.tunings.T
-    return dict(zip(SUMMARY_TARGETS, (Np, Nc, np.log(Q), np.log(R), np.log(R / Q)), strict=True))
+    return dict(zip(SUMMARY_TARGETS, (Np, Nc, portable.log(Q), portable.log(R), portable.log(R / Q)), strict=True))
 
 
 def flatness(dataset: DataSet, within: float) -> Array:
@@ -88,7 +89,7 @@ def _costs(rows: DataSet) -> dict[str, float | int | None]:
     positive = np.isfinite(rows.best_costs) & (rows.best_costs > 0.0)
     excess = rows.costs[positive] / rows.best_costs[positive] - 1.0
     return {
-        "standard_over_best_geomean": _finite(np.exp(np.log(gain).mean()) if gain.size else np.nan),
+        "standard_over_best_geomean": _finite(portable.exp(portable.log(gain).mean()) if gain.size else np.nan),
         "swarm_behind_the_best_known_p50": _quantile(excess, 0.5),
         "swarm_behind_the_best_known_p90": _quantile(excess, 0.9),
         "failed_by_the_standard": int(np.isinf(rows.standard_costs).sum()),
@@ -116,7 +117,7 @@ def _search_bounds(search: Mapping[str, Any] | None) -> dict[str, tuple[float, f
     """The lowest and the highest value of each target in the search."""
     if search is None:
         return {}
-    (q_low, q_high), (r_low, r_high) = np.log(search["Q"]), np.log(search["R"])
+    (q_low, q_high), (r_low, r_high) = portable.log(search["Q"]), portable.log(search["R"])
     pairs = (search["Np"], search["Nc"], (q_low, q_high), (r_low, r_high), (r_low - q_high, r_high - q_low))
     return {name: (float(low), float(high)) for name, (low, high) in zip(SUMMARY_TARGETS, pairs, strict=True)}
 

@@ -18,6 +18,7 @@ from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import reports_progress
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Function, Learned, Schedule, SchedulingVariables
+from adaptrack.core import portable
 from adaptrack.paper.landscape import LEARNED_OUTPUTS, Rescue, WeightedMoves, explore_landscape
 from adaptrack.paper.surfaces import Surface
 from adaptrack.tuning.runs import Indices, RunSet
@@ -42,7 +43,7 @@ FINAL_EFFORT = 0.2
 """Share of the work of a fit that is left in the end (square root): late rounds only average noise."""
 TUNING_BOUNDS = {"Np": (10.0, 60.0), "Nc": (1.0, 20.0), "R": (10.0, 1e6)}
 """Range of learned tunings: periods, periods, 1/rad^2 with Q = 1 per m^2. An MPC forms 60 and 20 periods by default."""
-OUTPUT_BOUNDS = np.array([TUNING_BOUNDS["Np"], TUNING_BOUNDS["Nc"], np.log10(TUNING_BOUNDS["R"])])
+OUTPUT_BOUNDS = np.array([TUNING_BOUNDS["Np"], TUNING_BOUNDS["Nc"], portable.log10(TUNING_BOUNDS["R"])])
 """(3, 2) of the outputs."""
 NOISE_BLOCK, HELD_OUT_NOISE, TRAINING_NOISE = 100_000, 900, 1_000
 """Noise seeds: a block for each seed, in it those of the held-out runs and of round 0, from which they count up."""
@@ -178,7 +179,7 @@ class _Learner:
             raise InvalidInput("improve: the input 'offset' depends on the driving itself: leave it out.")
         for _, count in training:
             whole_number("improve", "count", count)
-        goal = None if safe is None else np.array([safe.Np, safe.Nc, math.log10(safe.R / safe.Q)])
+        goal = None if safe is None else np.array([safe.Np, safe.Nc, portable.log10(safe.R / safe.Q)])
         columns = [SchedulingVariables._fields.index(name) for name in start.inputs]
         return cls(tuple(start.inputs), columns, start.domain, goal, start.name)
 
@@ -203,7 +204,7 @@ class _Learner:
         """The schedule, its surfaces, and the entry of the history: its score on the held-out runs after round k."""
         schedule, noise = self.schedule(surfaces), NOISE_BLOCK * seed + HELD_OUT_NOISE
         costs = [runs.costs(schedule, [noise]) for runs in held_out]
-        score = float(np.mean([np.log(values).mean() for values in costs]))
+        score = float(np.mean([portable.log(values).mean() for values in costs]))
         failed = sum((values >= runs.failed_cost).sum() for values, runs in zip(costs, held_out, strict=True))
         return schedule, surfaces, {"round": k, "score": score, "failed": float(failed)}
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.scheduling import Schedule
+from adaptrack.core import portable
 from adaptrack.tuning.runs import Indices, RunSet
 
 Array = NDArray[np.float64]
@@ -69,7 +70,7 @@ def preferred_moves(base: Array, up: Array, down: Array, share: Array) -> tuple[
     finite = np.isfinite(up) & np.isfinite(down) & np.isfinite(base)[:, None]
     base, up, down = (np.where(finite, costs, 0.0) for costs in (base[:, None], up, down))
     slope = (up - down) / (2.0 * OUTPUT_SHIFT)
-    curvature = (up + down - 2.0 * base) / OUTPUT_SHIFT**2
+    curvature = (up + down - 2.0 * base) / (OUTPUT_SHIFT * OUTPUT_SHIFT)
     weight = np.maximum(curvature, MIN_CURVATURE * share[:, None])
     weight = np.maximum(weight, np.abs(slope) / (2.0 * OUTPUT_SHIFT))
     moves = np.divide(-slope, weight, out=np.zeros_like(slope), where=weight > 0.0)
@@ -136,7 +137,7 @@ def _sample_segment(
     if rescue is not None and (rescued := part > 0.0).any():
         way = part[rescued, None] * rescue.way(variables[rescued])
         moves[rescued] = way
-        weights[rescued] = 2.0 * MAX_SEGMENT_COST / np.maximum(np.abs(way), OUTPUT_SHIFT) ** 2 / count
+        weights[rescued] = 2.0 * MAX_SEGMENT_COST / portable.square(np.maximum(np.abs(way), OUTPUT_SHIFT)) / count
     return WeightedMoves(variables, moves, weights)
 
 

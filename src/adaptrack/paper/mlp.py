@@ -27,6 +27,7 @@ from threadpoolctl import threadpool_limits
 from adaptrack.base.checked import Count, Positive, check_parameters
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.network import Network
+from adaptrack.core import portable
 from adaptrack.paper.samples import held_out, mean, part, row_weights
 
 Array = NDArray[np.float64]
@@ -50,7 +51,7 @@ class _Rows(NamedTuple):
 
     def rmse(self, network: Network) -> float:
         """Root mean square error of a network's output on these rows."""
-        return math.sqrt(float(mean((network.predict(self.x) - self.y) ** 2, self.weight)))
+        return math.sqrt(float(mean(portable.square(network.predict(self.x) - self.y), self.weight)))
 
 
 class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import Positive, Share, checked, whole_number
 from adaptrack.base.errors import InvalidInput
+from adaptrack.core import portable
 
 Array = NDArray[np.float64]
 RuleIndices = NDArray[np.intp]
@@ -91,13 +92,13 @@ def subtractive_clustering(
         if share < reject or share <= 0.0:
             break
         if share <= accept and chosen:
-            nearest = math.sqrt(float(((unit[chosen] - unit[best]) ** 2).sum(axis=1).min()))
+            nearest = math.sqrt(float(portable.square(unit[chosen] - unit[best]).sum(axis=1).min()))
             if share + nearest / influence < 1.0:
                 potential[best] = 0.0
                 continue
         chosen.append(best)
-        distance = ((unit - unit[best]) ** 2).sum(axis=1)
-        potential = potential - potential[best] * np.exp(-4.0 / (squash * influence) ** 2 * distance)
+        distance = portable.square(unit - unit[best]).sum(axis=1)
+        potential = potential - potential[best] * portable.exp(-4.0 / portable.square(squash * influence) * distance)
     return Clusters(points[chosen], influence * span / math.sqrt(8.0))
 
 
@@ -144,7 +145,7 @@ def grid(x: Array, n_mfs: int | Sequence[int]) -> Partition:
     for start, width, size in zip(low, span, sizes, strict=True):
         gap = width / max(size - 1, 1)
         centres.append(start + (gap * np.arange(size) if size > 1 else np.array([width / 2])))
-        sigmas.append(np.full(size, gap / (2.0 * math.sqrt(2.0 * math.log(2.0)))))
+        sigmas.append(np.full(size, gap / (2.0 * math.sqrt(2.0 * portable.log(2.0)))))
     first = np.concatenate(([0], np.cumsum(sizes)[:-1]))
     cells = np.indices(sizes).reshape(dims, -1).T
     return Partition(np.repeat(np.arange(dims), sizes), np.concatenate(centres), np.concatenate(sigmas), cells + first)
@@ -159,10 +160,10 @@ def _span(points: Array) -> Array:
 def _potential(unit: Array, influence: float, weight: Array | None) -> Array:
     """(n,) how many points are near each point, near ones counting more."""
     potential = np.empty(len(unit))
-    squares = (unit**2).sum(axis=1)
+    squares = (unit * unit).sum(axis=1)
     for start in range(0, len(unit), DISTANCE_ROWS):
         rows = slice(start, start + DISTANCE_ROWS)
         distance = squares[rows, np.newaxis] + squares - 2.0 * unit[rows] @ unit.T
-        near = np.exp(-4.0 / influence**2 * np.maximum(distance, 0.0))
+        near = portable.exp(-4.0 / (influence * influence) * np.maximum(distance, 0.0))
         potential[rows] = near.sum(axis=1) if weight is None else near @ weight
     return potential

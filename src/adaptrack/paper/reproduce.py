@@ -28,6 +28,7 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Moves, Tuning, published_mpc
 from adaptrack.control.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables
+from adaptrack.core import portable
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.metrics import PAPER_MSE, compute_metrics, published_mse
@@ -174,11 +175,11 @@ def best_of_library(dataset: DataSet) -> BestConstant:
     landscape = dataset.landscape.astype(np.float64)
     is_finite = np.isfinite(landscape)
     with np.errstate(divide="ignore"):
-        mean_log = np.where(is_finite, np.log(landscape), 0.0).sum(axis=0) / np.maximum(is_finite.sum(axis=0), 1)
+        mean_log = np.where(is_finite, portable.log(landscape), 0.0).sum(axis=0) / np.maximum(is_finite.sum(axis=0), 1)
     best = int(np.lexsort((mean_log, -is_finite.sum(axis=0)))[0])
     Np, Nc, Q, R = dataset.library[best].tolist()
     costs = np.column_stack((landscape[:, best], dataset.standard_costs, dataset.costs))
-    cost, standard, swarm = np.exp(np.log(costs[np.isfinite(costs).all(axis=1)]).mean(axis=0)).tolist()
+    cost, standard, swarm = portable.exp(portable.log(costs[np.isfinite(costs).all(axis=1)]).mean(axis=0)).tolist()
     computed = int(dataset.computed.sum())
     return BestConstant(
         tuning=Tuning(int(Np), int(Nc), Q, R),
@@ -483,14 +484,14 @@ def shares(ablation: Sequence[Row]) -> list[Row]:
             if any(not corner for corner in corners):  # a run that ended early has no MSE
                 parts = dict.fromkeys(("gain", "pole", "adaptation", "pole_share", "adaptation_share"))
             else:
-                standard, pole_only, adapted_only, both = map(math.log, corners)
+                standard, pole_only, adapted_only, both = map(portable.log, corners)
                 pole = (standard - pole_only + adapted_only - both) / 2.0
                 adaptation = (standard - adapted_only + pole_only - both) / 2.0
                 gain = pole + adaptation
                 parts = {
-                    "gain": math.exp(gain),
-                    "pole": math.exp(pole),
-                    "adaptation": math.exp(adaptation),
+                    "gain": portable.exp(gain),
+                    "pole": portable.exp(pole),
+                    "adaptation": portable.exp(adaptation),
                     "pole_share": pole / gain if gain else None,
                     "adaptation_share": adaptation / gain if gain else None,
                 }

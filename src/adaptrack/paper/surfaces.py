@@ -18,6 +18,7 @@ from scipy.special import expit
 
 from adaptrack.control.scheduling.functions import Function, Network, Number, Sugeno
 from adaptrack.control.scheduling.functions.sugeno import BELL_SLOPE, BELL_WIDTH
+from adaptrack.core import portable
 
 Array = NDArray[np.float64]
 
@@ -113,7 +114,11 @@ class NetworkSurface(Surface):
             for p, g, m, v in zip(parameters, gradients, first, second, strict=True):
                 m += 0.1 * (g - m)
                 v += 0.01 * (g * g - v)
-                p -= rate * (m / (1.0 - 0.9**epoch)) / (np.sqrt(v / (1.0 - 0.99**epoch)) + 1e-10)
+                p -= (
+                    rate
+                    * (m / (1.0 - portable.power(0.9, epoch)))
+                    / (np.sqrt(v / (1.0 - portable.power(0.99, epoch))) + 1e-10)
+                )
         return replace(self, network=replace(net, weights=tuple(parameters[::2]), biases=tuple(parameters[1::2])))
 
     def average(self, surfaces: Sequence[Self]) -> Self:
@@ -164,7 +169,7 @@ class FuzzySurface(Surface):
         half = np.where(high > low, (high - low) / 2.0, 1.0)
         z = (rows - low) / half
         centres = KMeans(rules, n_init=KMEANS_RESTARTS, random_state=seed).fit(z).cluster_centers_
-        distances = np.sort(np.sqrt(((centres[:, None] - centres[None]) ** 2).sum(axis=2)), axis=1)
+        distances = np.sort(np.sqrt(portable.square(centres[:, None] - centres[None]).sum(axis=2)), axis=1)
         near = distances[:, 1 : min(RULE_NEIGHBOURS + 1, rules)].mean(axis=1) if rules > 1 else np.ones(1)
         inputs = rows.shape[1]
         premises = np.empty((rules * inputs, 3))

@@ -6,6 +6,7 @@ and chooses nothing; an operating point and its left-right twin are always on th
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import reports_progress
 from adaptrack.control.scheduling.functions.network import Network
 from adaptrack.control.scheduling.functions.sugeno import Sugeno
+from adaptrack.core import portable
 from adaptrack.paper.anfis import ANFIS
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.mlp import MLP
@@ -143,14 +145,14 @@ def _size_and_function(estimator: MLP | ANFIS) -> tuple[dict[str, Any], Network 
 def target(dataset: DataSet, slot: str) -> Array:
     """(n,) what a slot should be on each operating point, see `TARGET_SLOTS`."""
     if slot == "log10_ratio":
-        return np.log10(dataset.ratios)
+        return portable.log10(dataset.ratios)
     return dataset.tunings[:, TARGET_SLOTS["paper"].index(slot)]
 
 
 def score(y: Array, predicted: Array) -> tuple[float, float]:
     """R^2 and the root of the mean squared error; R^2 is 0 for a y (n,) that is constant."""
-    squares, spread = float(((y - predicted) ** 2).sum()), float(((y - y.mean()) ** 2).sum())
-    return 1.0 - squares / spread if spread > 0.0 else 0.0, (squares / len(y)) ** 0.5
+    squares, spread = float(portable.square(y - predicted).sum()), float(portable.square(y - y.mean()).sum())
+    return 1.0 - squares / spread if spread > 0.0 else 0.0, math.sqrt(squares / len(y))
 
 
 def ceiling(x: Array, y: Array, x_held: Array, y_held: Array, seed: int) -> Array:
@@ -180,4 +182,4 @@ def _boosted_trees(x: Array, y: Array, seed: int, folds: int = 5) -> Array:
             trees = HistGradientBoostingRegressor(max_iter=TREES, max_leaf_nodes=16, early_stopping=False)
             trees.fit(x[~test], y[~test])
             stages[1:, test] = list(trees.staged_predict(x[test]))
-    return stages[int(np.argmin(((stages - y) ** 2).sum(axis=1)))]
+    return stages[int(np.argmin(portable.square(stages - y).sum(axis=1)))]

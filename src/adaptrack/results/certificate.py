@@ -25,6 +25,7 @@ from adaptrack.base.result import (
     select_entries,
 )
 from adaptrack.control.scheduling import SchedulingVariables
+from adaptrack.core import portable
 from adaptrack.results.answers import certificate_answer
 from adaptrack.results.marks import ColourScale, draw_dots, draw_heat_map, draw_ribbon, edges_around
 from adaptrack.results.words import INPUT_LABELS, number
@@ -246,7 +247,7 @@ def _margin_maps(certificate: Certificate, name: str, title: str, margins: Margi
 def _tunings(certificate: Certificate) -> Picture:
     Np, Nc, Q, R = certificate.counted.tunings.T
     with np.errstate(divide="ignore"):
-        ratio = np.log10(R) - np.log10(Q)
+        ratio = portable.log10(R) - portable.log10(Q)
     panels = []
     for symbol, values, integer in (("$N_p$ (periods)", Np, True), ("$N_c$ (periods)", Nc, True),
                                   (r"$\log_{10} R/Q$ (R/Q in m²/rad²)", ratio, False)):  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ from adaptrack.comparison.run import Compared
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import standing_rows
 from adaptrack.control.controllers import about_controller
+from adaptrack.core import portable
 from adaptrack.results.dots import Dot, caption_notes, dots_panel
 from adaptrack.results.marks import draw_dots, name_rows, set_log_scale
 from adaptrack.results.words import counted, data_text, number, span
@@ -290,13 +290,13 @@ def _draw_work(axes: Axes, rows: Sequence[Row]) -> None:
 
 def _label_heights(values: Sequence[float]) -> list[float]:
     """Heights of labels on a logarithmic axis: those of the values, moved up where one would cover another."""
-    logs = np.log(values)
-    gap = 0.055 * (np.ptp(logs) + math.log(2.0))  # the axis is twice as long as its values reach
+    logs = portable.log(values)
+    gap = 0.055 * (np.ptp(logs) + portable.log(2.0))  # the axis is twice as long as its values reach
     order = np.argsort(logs)
     heights = logs.copy()
     for below, above in itertools.pairwise(order):
         heights[above] = max(heights[above], heights[below] + gap)
-    return np.exp(heights).tolist()
+    return portable.exp(heights).tolist()
 
 
 def _entry_speeds(compared: Compared) -> list[Picture]:

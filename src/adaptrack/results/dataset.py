@@ -23,6 +23,7 @@ from adaptrack.base.result import (
     Row,
     Stroke,
 )
+from adaptrack.core import portable
 from adaptrack.paper.campaign_config import STANDARD_ROW
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.data_set_summary import describe
@@ -176,7 +177,7 @@ def _without_logarithm(row: Row) -> Row:
     if not row["target"].startswith("log "):
         return row
     values = {column.name: row[column.name] for column in QUANTILE_COLUMNS}
-    linear = {name: None if value is None else float(np.exp(value)) for name, value in values.items()}
+    linear = {name: None if value is None else float(portable.exp(value)) for name, value in values.items()}
     return {**row, **linear, "target": row["target"].removeprefix("log ")}
 
 
@@ -187,7 +188,7 @@ def targets(rows: DataSet) -> list[TuningTarget]:
     return [
         TuningTarget("$N_p$ (periods)", rows.tunings[:, 0], Np, integer=True),
         TuningTarget("$N_c$ (periods)", rows.tunings[:, 1], Nc, integer=True),
-        TuningTarget(r"$\log_{10} R/Q$ (m²/rad²)", np.log10(rows.ratios), float(np.log10(R / Q))),
+        TuningTarget(r"$\log_{10} R/Q$ (m²/rad²)", portable.log10(rows.ratios), float(portable.log10(R / Q))),
     ]
 
 

@@ -15,6 +15,7 @@ from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, R
 from adaptrack.base.statistics import binned_geometric_mean
 from adaptrack.comparison.table import Comparison, finite
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
+from adaptrack.core import portable
 from adaptrack.paper.evaluation import BEST_CONSTANT, POINT_OPTIMUM
 from adaptrack.results.comparison_pictures import ratios_picture
 from adaptrack.results.marks import ColourScale, draw_heat_map
@@ -63,7 +64,7 @@ def evaluation_result(views: Views, schedules: Mapping[str, Schedule], *, comman
     comparison = next(iter(views[view].values()))
     points = views.get("operating points", {}).get("exact")
     learned = {name: replace(schedules[name], guard=None) for name in ("nn", "anfis") if name in schedules}
-    maps = [] if points is None or len(points.where) < CELL_POINTS * MIN_CELLS**2 else [regret_maps(points)]
+    maps = [] if points is None or len(points.where) < CELL_POINTS * MIN_CELLS * MIN_CELLS else [regret_maps(points)]
     return Result(
         kind="evaluation",
         title="Evaluation of schedules",
@@ -75,7 +76,8 @@ def evaluation_result(views: Views, schedules: Mapping[str, Schedule], *, comman
         ],
         values={
             "runs": counted(_runs(comparison), NOUNS[view]), "reference": contender_label(comparison.reference),
-            "views": [name for name in views if views[name]], "failed_cost": f"{comparison.failure.distance**2:g}",
+            "views": [name for name in views if views[name]],
+            "failed_cost": f"{portable.square(comparison.failure.distance):g}",
         },
         command=command,
     )  # fmt: skip
@@ -229,4 +231,4 @@ def _surface(schedule: Schedule) -> Array:
     variables[..., places[0]] = np.linspace(slowest, fastest, columns)
     variables[..., places[1]] = np.linspace(low, high, rows)[:, np.newaxis]
     Np, Nc, Q, R = schedule.batch(variables.reshape(-1, variables.shape[-1])).T
-    return np.column_stack([Np, Nc, np.log10(R / Q)]).reshape(rows, columns, 3)
+    return np.column_stack([Np, Nc, portable.log10(R / Q)]).reshape(rows, columns, 3)

@@ -10,6 +10,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import REFERENCE_STROKE, Panel, Picture, Stroke
+from adaptrack.core import portable
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.marks import draw_ribbon
 from adaptrack.results.run_pictures import Array, DrawnRun, Runs, prepare_runs, thin_curve
@@ -52,7 +53,7 @@ def learned_quantities(run: Trajectory) -> dict[str, Learnt]:
         if name == key or sigma is None:
             continue
         if name in LOGARITHMIC:
-            low, high = mean * np.exp(-sigma), mean * np.exp(sigma)
+            low, high = mean * portable.exp(-sigma), mean * portable.exp(sigma)
         else:
             low, high = mean - sigma, mean + sigma
         learned[name] = Learnt(mean, low, high, truth.get(name))

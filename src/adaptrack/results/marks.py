@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from adaptrack.base.result import INK, MUTED, SERIES, Stroke
+from adaptrack.core import portable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -112,9 +113,9 @@ def log_ticks(low: float, high: float) -> FixedLocator:
         ticks = np.asarray(MaxNLocator(nbins=5, steps=TICK_STEPS).tick_values(low, high))
     else:
         dense, sparse, powers_only = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0), (1.0, 2.0, 5.0), (1.0,)
-        decades = np.log10(high / low)
+        decades = portable.log10(high / low)
         decade = dense if decades < 1.5 else sparse if decades < 3.5 else powers_only
-        powers = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
+        powers = portable.power(10.0, np.arange(np.floor(portable.log10(low)), np.ceil(portable.log10(high)) + 1.0))
         ticks = np.outer(powers, decade).ravel()
     return FixedLocator(ticks[(ticks >= 0.999 * low) & (ticks <= 1.001 * high)].tolist())
 

@@ -17,6 +17,7 @@ from markupsafe import Markup
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.text import printable
+from adaptrack.core import portable
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.results.marks import deviation_colours
 from adaptrack.results.record import Array, DriveRecord
@@ -161,7 +162,7 @@ def _predicted(paths: PredictedPaths, drive: DriveRecord, keep: np.ndarray) -> d
         return None
     instants = keep[at]
     gap = paths.points[usable][rows] - np.stack([drive.x[instants], drive.y[instants]], axis=-1)[:, None]
-    c, s = np.cos(drive.yaw[instants])[:, None], np.sin(drive.yaw[instants])[:, None]
+    c, s = portable.cos(drive.yaw[instants])[:, None], portable.sin(drive.yaw[instants])[:, None]
     ahead, left = c * gap[..., 0] + s * gap[..., 1], c * gap[..., 1] - s * gap[..., 0]
     points = [
         {"ahead": pack_column(a, PREDICTED_UNIT), "left": pack_column(b, PREDICTED_UNIT)}

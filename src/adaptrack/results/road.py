@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -21,6 +20,7 @@ from adaptrack.base.result import (
     ResultTable,
     Stroke,
 )
+from adaptrack.core import portable
 from adaptrack.results.answers import road_answer
 from adaptrack.results.marks import ColourScale, draw_coloured_line, draw_dots
 from adaptrack.results.words import data_text
@@ -171,10 +171,10 @@ def _draw_from_above(axes: Axes, road: Road, plan: SpeedPlan, s: np.ndarray, bar
     draw_coloured_line(axes, points.x, points.y, speed[:-1], scale)
     places = [road.at(0.5 * (finding.start + finding.end)) for finding in barred]
     draw_dots(axes, [float(place.x) for place in places], [float(place.y) for place in places], SERIES[1], "cross", 8.0)
-    arrow = 0.03 * math.hypot(float(np.ptp(points.x)), float(np.ptp(points.y)))
+    arrow = 0.03 * portable.hypot(float(np.ptp(points.x)), float(np.ptp(points.y)))
     start = road.at(0.0)
     x, y, heading = float(start.x), float(start.y), float(start.heading)
-    tip = x + arrow * math.cos(heading), y + arrow * math.sin(heading)
+    tip = x + arrow * portable.cos(heading), y + arrow * portable.sin(heading)
     axes.annotate("", tip, (x, y), arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 1.5})
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="datalim")

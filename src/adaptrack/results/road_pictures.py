@@ -11,6 +11,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import BACKGROUND_STROKE, INK, PALE, Panel, Picture
+from adaptrack.core import portable
 from adaptrack.results.marks import ColourScale, draw_coloured_line, draw_dots, write_beside
 from adaptrack.results.record import Array, DriveRecord
 from adaptrack.results.words import data_text, span
@@ -49,7 +50,7 @@ def check_one_road(drives: Sequence[DriveRecord]) -> None:
 def offset_scale(drives: Sequence[DriveRecord]) -> float:
     """The |e| (m) at the end of the colours: a round number above every drive's 95th percentile, at least 0.05."""
     high = max(0.05, *(drive.p95_offset for drive in drives))
-    decade = 10.0 ** math.floor(math.log10(high))
+    decade = portable.power(10.0, math.floor(portable.log10(high)))
     return next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= high * (1.0 - 1e-9))
 
 

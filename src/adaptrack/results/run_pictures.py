@@ -23,6 +23,7 @@ from adaptrack.base.result import (
     Stroke,
     strokes,
 )
+from adaptrack.core import portable
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.marks import (
@@ -266,8 +267,8 @@ def _weights(lines: Lines) -> Panel:
     positive = weights[weights > 0.0]
     limits = None
     if positive.size:
-        low, high = np.floor(np.log10(positive.min()) - 0.1), np.ceil(np.log10(positive.max()) + 0.1)
-        limits = float(10.0**low), float(10.0**high)
+        low, high = np.floor(portable.log10(positive.min()) - 0.1), np.ceil(portable.log10(positive.max()) + 0.1)
+        limits = portable.power(10.0, float(low)), portable.power(10.0, float(high))
 
     def draw(axes: Axes) -> None:
         _draw_tuning(axes, lines, "Q")
@@ -307,7 +308,7 @@ def thin_curve(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
 
 def turning_part(time: Array, yaw_rate: Array, seconds: float) -> slice:
     """The part of a log of a given length (s) with the most turning."""
-    total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(yaw_rate) ** 2)])
+    total = np.concatenate([[0.0], np.cumsum(portable.square(np.nan_to_num(yaw_rate)))])
     ends = np.searchsorted(time, time + seconds, side="right")
     first = int(np.argmax(total[ends] - total[np.arange(time.size)]))
     return slice(first, int(ends[first]))

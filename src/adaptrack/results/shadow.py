@@ -21,6 +21,7 @@ from adaptrack.base.result import (
     strokes,
 )
 from adaptrack.control.controllers.learned_car import WITHIN
+from adaptrack.core import portable
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
 from adaptrack.identification.shadow_predictions import PREDICTORS
@@ -236,7 +237,7 @@ def _draw_believed(axes: Axes, logs: Sequence[ShadowLog], name: str, label: str)
         keep = thin_curve(log.beliefs[f"belief_{name}"])
         mean, sigma = (log.beliefs[f"belief_{name}{end}"][keep] for end in ("", "_sigma"))
         logarithmic = name in ("stiffness", "balance")
-        factor, spread = (np.exp(WITHIN * sigma), 0.0) if logarithmic else (1.0, WITHIN * sigma)
+        factor, spread = (portable.exp(WITHIN * sigma), 0.0) if logarithmic else (1.0, WITHIN * sigma)
         time = start + log.time[keep]
         draw_ribbon(axes, time, mean / factor - spread, mean * factor + spread, stroke.colour)
         axes.plot(time, mean, **stroke.look)
@@ -249,7 +250,9 @@ def _commands(logs: Sequence[ShadowLog]) -> list[Picture]:
     for log in logs:
         difference = (log.proposed - log.command)[np.isfinite(log.proposed)]
         if difference.size:
-            description = f"{number(float(np.sqrt(np.mean(difference**2))))} rad apart (RMS of the whole log)."
+            description = (
+                f"{number(float(np.sqrt(np.mean(difference * difference))))} rad apart (RMS of the whole log)."
+            )
             panels.append(Panel(log.source, partial(_draw_commands, log=log), description))
     caption = "Commands of the driver (line) and of the controller for the same states (points)."
     return [_picture("commands", caption, panels)] if panels else []

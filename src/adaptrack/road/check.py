@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core import portable
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.road.road import Road
@@ -58,7 +59,7 @@ class Finding:
 def smallest_radius(car: Vehicle) -> float:
     """Radius (m) of the tightest circle of the centre of mass at low speed: sqrt((L/tan delta)^2 + l_r^2)."""
     limit = steering_limit(car)
-    return math.hypot(car.wheelbase / math.tan(limit), car.lr) if limit < 0.5 * math.pi else car.lr
+    return portable.hypot(car.wheelbase / portable.tan(limit), car.lr) if limit < 0.5 * math.pi else car.lr
 
 
 @checked
@@ -127,9 +128,9 @@ def _radius(places: _Places, car: Vehicle) -> Iterator[Finding]:
 
 def _grip(places: _Places, car: Vehicle) -> Iterator[Finding]:
     bank, friction, grade = (places.road.along(name, places.s) for name in ("bank", "friction", "grade"))
-    felt = np.abs(places.speed**2 * places.curvature - GRAVITY * np.sin(bank)) / GRAVITY
-    limit = np.minimum(friction, cornering_limit(car, places.curvature, friction) / GRAVITY) * np.cos(bank)
-    limit *= np.cos(np.arctan(grade))
+    felt = np.abs(portable.square(places.speed) * places.curvature - GRAVITY * portable.sin(bank)) / GRAVITY
+    limit = np.minimum(friction, cornering_limit(car, places.curvature, friction) / GRAVITY) * portable.cos(bank)
+    limit *= portable.cos(portable.atan(grade))
     for stretch in places.stretches(felt > limit):
         k = stretch.start + int((felt[stretch] - limit[stretch]).argmax())
         yield _finding(
@@ -147,7 +148,7 @@ def _steering_rate(places: _Places, car: Vehicle) -> Iterator[Finding]:
     step = np.diff(places.s, append=places.s[-1] + 1.0)
     change = np.diff(places.curvature, append=places.curvature[-1])
     slope = np.where(step > 1e-6, change / np.maximum(step, 1e-6), 0.0)
-    needed = np.abs((car.wheelbase + car.understeer_gradient * places.speed**2) * slope * places.speed)
+    needed = np.abs((car.wheelbase + car.understeer_gradient * portable.square(places.speed)) * slope * places.speed)
     for stretch in places.stretches(needed > rate):
         k = stretch.start + int(needed[stretch].argmax())
         yield _finding(
@@ -231,8 +232,13 @@ def _ripple(road: Road, plan: SpeedPlan) -> Iterator[Finding]:
     allowed = np.minimum(plan.comfort.lateral, plan.comfort.grip_share * road.along("friction", first) * GRAVITY)
     straight = np.maximum(np.abs(np.diff(heading[turns])) / half, STRAIGHT_CURVATURE)
     calm = np.minimum(np.sqrt(allowed / straight), np.minimum(road.along("speed_limit", first), plan.speed.max()))
-    felt = np.maximum(speed**2 * swing / allowed, 2.0 * speed**3 * swing / half / plan.comfort.lateral_jerk) > FELT
-    small = swing * (half / math.pi) ** 2 < max(RIPPLE, 0.5 * road.deviation)
+    felt = (
+        np.maximum(
+            speed * speed * swing / allowed, 2.0 * (speed * speed * speed) * swing / half / plan.comfort.lateral_jerk
+        )
+        > FELT
+    )
+    small = swing * portable.square(half / math.pi) < max(RIPPLE, 0.5 * road.deviation)
     rows = np.flatnonzero(small & felt & (speed < SLOWED * calm))
     swings = [row for row in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if row.size >= MIN_SWINGS]
     if swings:

@@ -18,6 +18,7 @@ import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import printable, read_bytes
+from adaptrack.core import portable
 from adaptrack.core.path import MIN_PATH_POINTS
 from adaptrack.road.fit import fit_road
 from adaptrack.road.road import Road
@@ -125,7 +126,7 @@ def _middle(chain: list[Any], limits: list[float | None]) -> tuple[Array, dict[s
         left, right = (
             np.asarray(vertices, float)[:, :2] for vertices in (lanelet.left_vertices, lanelet.right_vertices)
         )
-        half = 0.5 * np.hypot(*(left - right).T)
+        half = 0.5 * portable.hypot(*(left - right).T)
         limit = np.full(half.shape, speed_limits[k])
         limit[0] = min(speed_limits[max(k - 1, 0)], speed_limits[k])
         lane_rows = np.column_stack([0.5 * (left + right), half, limit])

@@ -23,9 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import NotNegative, Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
-from adaptrack.core import path, path_noise
+from adaptrack.core import path, path_noise, portable
 from adaptrack.core.kernel import OK
 from adaptrack.core.path import MIN_PATH_POINTS, WIDEST
+from adaptrack.core.portable import product
 from adaptrack.core.road import CLOSED, LENGTH, MOST_CURVATURE, project_all
 from adaptrack.road.height import grade_of_heights
 from adaptrack.road.road import Road
@@ -218,7 +219,7 @@ def _repetition_notes(points: Array, rows: NDArray[np.int64]) -> tuple[str, ...]
         return ()
     after = np.searchsorted(rows, repetitions)
     sides = np.stack([rows[after - 1], rows[after % rows.size]])
-    distances = np.hypot(*np.moveaxis(points[repetitions] - points[sides], -1, 0))
+    distances = portable.hypot(*np.moveaxis(points[repetitions] - points[sides], -1, 0))
     nearest = np.take_along_axis(sides, distances.argmin(axis=0)[np.newaxis], axis=0)[0]
     texts = [
         f"point {row} ({distance:.3g} m from point {neighbour})"
@@ -296,7 +297,7 @@ def _check_distances(where: str, points: Array, shortest: float) -> None:
             f"{where}: point {row} has a coordinate of {points[row, column]:.3g} m: at most {MAX_COORDINATE:g} m are "
             "allowed; correct it or leave it out."
         )
-    steps = np.hypot(*np.diff(points, axis=0).T)
+    steps = portable.hypot(*np.diff(points, axis=0).T)
     widest = int(steps.argmax())
     if steps[widest] > WIDEST:
         raise InvalidInput(
@@ -325,7 +326,7 @@ def _check_heights(height: ArrayLike, count: int) -> Array:
 
 def _spacing_notes(points: Array) -> list[str]:
     """A note on points far apart: a record in centimetres looks like that."""
-    spacing = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
+    spacing = float(np.median(portable.hypot(*np.diff(points, axis=0).T)))
     if spacing <= SPARSE:
         return []
     note = f"the points are {spacing:.3g} m apart (median): are x and y in metres, or in centimetres?"
@@ -336,7 +337,8 @@ def _spacing_notes(points: Array) -> list[str]:
 def _fit_note(fit: _Fit, rows: NDArray[np.int64]) -> str:
     return (
         f"{rows.size} points; largest deviation {fit.deviation:.3g} m, at point {rows[fit.distances.argmax()]}; "
-        f"root mean square {math.sqrt(np.mean(fit.distances**2)):.3g} m; smoothing length {fit.scale:.3g} m"
+        f"root mean square {math.sqrt(np.mean(portable.square(fit.distances))):.3g} m; "
+        f"smoothing length {fit.scale:.3g} m"
     )
 
 
@@ -355,7 +357,7 @@ def _bound_notes(estimate: _Estimate, fit: _Fit, bound: float) -> list[str]:
 def _outlier_notes(road: Road, record: _Record, s: Array, outliers: NDArray[np.bool_]) -> list[str]:
     """A note on the points that were left out, with their distances from the road at arc lengths s (n,) m."""
     foot, points = road.at(s[outliers]), record.points[outliers]
-    distances = np.hypot(foot.x - points[:, 0], foot.y - points[:, 1])
+    distances = portable.hypot(foot.x - points[:, 0], foot.y - points[:, 1])
     texts = [
         f"at point {row} ({distance:.3g} m)" for row, distance in zip(record.rows[outliers], distances, strict=True)
     ]
@@ -396,7 +398,7 @@ class _Record:
 
     def first_places(self) -> tuple[Array, float]:
         """The length of the polygon up to each point, and its whole."""
-        steps = np.hypot(*np.diff(self.points, axis=0, append=self.points[:1]).T)
+        steps = portable.hypot(*np.diff(self.points, axis=0, append=self.points[:1]).T)
         places = np.concatenate([[0.0], np.cumsum(steps)])
         return places[:-1], float(places[-1] if self.closed else places[-2])
 
@@ -423,24 +425,24 @@ def _find_lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]
     in the direction of its start (within 60 degrees), after ten times that distance.
     """
     steps = np.diff(points, axis=0)
-    lengths = np.hypot(steps[:, 0], steps[:, 1])
+    lengths = portable.hypot(steps[:, 0], steps[:, 1])
     spacing = float(np.median(lengths[lengths > 1e-3 * lengths.max()]))
     near = max(2.0 * spacing, 3.0)
     s = np.concatenate([[0.0], np.cumsum(lengths)])
     start = points[int(np.searchsorted(s, min(near, 0.2 * s[-1])))] - points[0]
-    distance = np.hypot(*(points - points[0]).T)
+    distance = portable.hypot(*(points - points[0]).T)
     back = np.flatnonzero((distance < near) & (s > 10.0 * near))
     ahead = np.concatenate([steps, steps[-1:]])
     ahead[-1] = points[-1] - points[np.searchsorted(s, s[-1] - near, "right") - 1]
     with np.errstate(invalid="ignore"):
-        aligned = (ahead @ start) > 0.5 * np.hypot(*ahead.T) * np.hypot(*start)
+        aligned = product(ahead, start) > 0.5 * portable.hypot(*ahead.T) * portable.hypot(*start)
     passes = np.split(back, np.flatnonzero(np.diff(back) > 1) + 1)
     first = next((rows for rows in passes if aligned[rows].any()), np.empty(0, dtype=np.int64))
     if not (first.size > 0 if closed is None else closed):
         return len(points), False, []
     count = len(points)
     if first.size:  # the point before the start
-        advance = (points[first] - points[0]) @ start / np.hypot(*start)
+        advance = product(points[first] - points[0], start) / portable.hypot(*start)
         before = first[advance < -1e-3 * spacing]
         count = int(before[-1]) + 1 if before.size else int(first[0])
     remaining_length = float(s[-1] - s[count - 1])
@@ -508,14 +510,14 @@ def _cross_validated(record: _Record, robust: bool) -> tuple[_Estimate, NDArray[
 def _find_spikes(points: Array) -> NDArray[np.bool_]:
     """Mark short rows of points to which the record leaps, and from which it leaps back."""
     spikes = np.zeros(len(points), dtype=bool)
-    steps = np.hypot(*np.diff(points, axis=0).T)
+    steps = portable.hypot(*np.diff(points, axis=0).T)
     leaps = np.flatnonzero(steps > LEAP * scipy.ndimage.median_filter(steps, 4 * IN_A_ROW + 1, mode="nearest"))
     for there, back in itertools.pairwise(leaps):
         bridge = points[back + 1] - points[there]
         before = points[there] - points[max(there - IN_A_ROW, 0)]
         after = points[back + 1 : back + 2 + IN_A_ROW][-1] - points[back + 1]
-        goes_on = min(before @ bridge, after @ bridge) >= 0.0  # else it is a bend
-        if back - there <= IN_A_ROW and goes_on and LEAP * np.hypot(*bridge) < steps[there : back + 1].sum():
+        goes_on = min(product(before, bridge), product(after, bridge)) >= 0.0  # else it is a bend
+        if back - there <= IN_A_ROW and goes_on and LEAP * portable.hypot(*bridge) < steps[there : back + 1].sum():
             spikes[there + 1 : back + 1] = True
     return spikes
 
@@ -553,7 +555,7 @@ def _estimate(record: _Record, smoothest: bool = False) -> _Estimate:
     spacing, order = max(length / len(points), SHORTEST_KNOTS), 3
     if record.has_gaps:
         spacing, order = max(0.5 * float(np.quantile(record.steps, 0.1)), SHORTEST_KNOTS), 2
-    scales = np.geomspace(0.5 * spacing, max(min(0.25 * length, 5000.0), spacing), LENGTHS)
+    scales = portable.geomspace(0.5 * spacing, max(min(0.25 * length, 5000.0), spacing), LENGTHS)
     best = None
     for _ in range(FITS):
         smoother = Smoother(points, places, length, record.closed, spacing, order)
@@ -597,7 +599,7 @@ def _fit_of(smoother: Smoother, scale: float, points: Array, places: Array) -> _
     project_all(line, np.column_stack([points, near]), feet)
     s, offset = feet[:, 0].copy(), np.where(np.isnan(feet[:, 1]), np.inf, feet[:, 1])
     beyond = 0.0 if smoother.closed else s - np.clip(s, 0.0, table.length)
-    return _Fit(scale, powers, table, s, np.hypot(offset, beyond))
+    return _Fit(scale, powers, table, s, portable.hypot(offset, beyond))
 
 
 def _bounded_fit(estimate: _Estimate, bound: float) -> _Fit:
@@ -608,7 +610,7 @@ def _bounded_fit(estimate: _Estimate, bound: float) -> _Fit:
         if refinement:
             longest = scales[best]
             smoother = smoother.finer()
-            scales = np.geomspace(0.5 * smoother.spacing, scales[-1], LENGTHS)
+            scales = portable.geomspace(0.5 * smoother.spacing, scales[-1], LENGTHS)
             best = int(np.searchsorted(scales, longest, "right")) - 1
         low, high, middle, fit = -1, best + 1, best, None
         while high - low > 1:

@@ -20,6 +20,7 @@ import numpy as np
 
 from adaptrack.base.checked import Finite, Natural, checked, within
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.core import portable
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Arc, Array, Clothoid, Line, Pose, heading_integral
 
@@ -155,7 +156,7 @@ def _next_bend(rng: np.random.Generator, kind: RoadKind, heading: float) -> tupl
     """
     tight = bool(rng.random() < kind.tight)
     angle = float(rng.uniform(*(kind.tight_angle if tight else kind.angle)))
-    left = rng.random() < 0.5 * (1.0 - math.tanh(1.5 * heading))
+    left = rng.random() < 0.5 * (1.0 - portable.tanh(1.5 * heading))
     angle = angle if left else -angle
     bend = _bend(kind, angle, _even(rng, kind.tight_radius if tight else kind.radius))
     return [*bend, Line(length=_even(rng, kind.straight))], angle
@@ -213,7 +214,7 @@ class _Growing:
         for other in [*self.parts, part]:
             if (other.points.min(axis=0) > high).any() or (other.points.max(axis=0) < low).any():
                 continue
-            distances = np.hypot(*(part.points[:, np.newaxis] - other.points).transpose(2, 0, 1))
+            distances = portable.hypot(*(part.points[:, np.newaxis] - other.points).transpose(2, 0, 1))
             along = np.abs(part.s[:, np.newaxis] - other.s)
             if ((distances <= self.clearance) & (along > _neighbours(self.clearance))).any():
                 return False
@@ -233,7 +234,7 @@ class _Growing:
             places = np.linspace(0.0, element.length, math.ceil(element.length / (0.25 * self.clearance)) + 1)
             first, last = element.curvatures
             line = heading_integral(first, (last - first) / element.length, places)
-            line = pose.x + 1j * pose.y + np.exp(1j * pose.heading) * line
+            line = pose.x + 1j * pose.y + portable.times(portable.direction(pose.heading), line)
             s.append(begun + places)
             points.append(np.stack([line.real, line.imag], axis=-1))
             turn = 0.5 * (first + last) * element.length
@@ -260,7 +261,7 @@ def _lap(rng: np.random.Generator, kind: RoadKind, length: float) -> list[Elemen
 def _bend(kind: RoadKind, angle: float, radius: float) -> list[Element]:
     """Clothoid, arc, clothoid that turn by `angle` (rad); without the arc where the clothoids take all of it."""
     v = min(kind.speed, math.sqrt(kind.acceleration * radius))
-    length = min(max(v**3 / (radius * kind.jerk), radius / 9.0), radius)
+    length = min(max((v * v * v) / (radius * kind.jerk), radius / 9.0), radius)
     length = min(length, radius * abs(angle))
     curvature = math.copysign(1.0 / radius, angle)
     arc_length = abs(angle) * radius - length
@@ -271,7 +272,7 @@ def _bend(kind: RoadKind, angle: float, radius: float) -> list[Element]:
 
 def _even(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
     """A length drawn evenly on a logarithmic scale."""
-    return float(np.exp(rng.uniform(math.log(bounds[0]), math.log(bounds[1]))))
+    return float(portable.exp(rng.uniform(portable.log(bounds[0]), portable.log(bounds[1]))))
 
 
 def _touches_itself(road: Road, clearance: float) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_GRADE
+from adaptrack.core import portable
 from adaptrack.road.segments import Array
 from adaptrack.road.smoothing import Smoother
 
@@ -33,13 +34,13 @@ def grade_of_heights(s: Array, height: Array, length: float, closed: bool) -> tu
     places = np.mod(s, length) if closed else np.clip(s, 0.0, length)
     smoother = Smoother((height - height[0])[:, np.newaxis], places, length, closed, max(length / s.size, 0.5))
     shortest = max(MIN_HEIGHT_SMOOTHING, 0.5 * smoother.spacing, STAIRS * _stair_length(s, height))
-    scales = np.geomspace(shortest, max(min(0.25 * length, MAX_HEIGHT_SMOOTHING), shortest), SMOOTHING_LENGTHS)
+    scales = portable.geomspace(shortest, max(min(0.25 * length, MAX_HEIGHT_SMOOTHING), shortest), SMOOTHING_LENGTHS)
     scale = float(scales[smoother.best_scale(scales)])
     powers = smoother.powers(scale)[:, 0]
     knot = length / len(powers)
     first = np.minimum((places / knot).astype(np.int64), len(powers) - 1)
-    fitted = (powers[first] * (places / knot - first)[:, np.newaxis] ** np.arange(4)).sum(axis=1)
-    deviation = float(np.sqrt(np.mean((fitted - smoother.points[:, 0]) ** 2)))
+    fitted = (powers[first] * np.vander(places / knot - first, 4, increasing=True)).sum(axis=1)
+    deviation = float(np.sqrt(np.mean(portable.square(fitted - smoother.points[:, 0]))))
     slopes = [powers[:, 1], powers[:, 1] + powers[:, 2] + 0.75 * powers[:, 3]]  # at the knots, and between them
     last = powers[-1, 1] + 2.0 * powers[-1, 2] + 3.0 * powers[-1, 3]
     grade = np.append(np.stack(slopes, axis=-1), last) / knot

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from adaptrack.base.files import LISTED, Record, build, read_toml
+from adaptrack.core import portable
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.road.segments import Array
 
@@ -86,8 +87,8 @@ class HoldableSpeed(Record):
         curvature: (n,) 1/m; bank: (n,) rad; friction: (n,). No more is held at a higher speed than at a lower one.
         """
         k, tilt, mu = (np.atleast_1d(np.asarray(values, float))[:, None] for values in (curvature, bank, friction))
-        w = np.linspace(0.0, self.speeds[-1], BEND_SPEEDS) ** 2
-        felt = w * k - GRAVITY * np.sin(tilt)
+        w = portable.square(np.linspace(0.0, self.speeds[-1], BEND_SPEEDS))
+        felt = w * k - GRAVITY * portable.sin(tilt)
         return w, np.minimum.accumulate(self.deceleration(np.sqrt(w), felt, mu), axis=1)
 
     def speed(self, curvature: ArrayLike, bank: ArrayLike = 0.0, friction: ArrayLike = 0.9) -> Array:

@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import is_number, printable, read_bytes
+from adaptrack.core import portable
 from adaptrack.core.road import X, Y
 from adaptrack.road.opendrive_lanes import Lanes, Stations, bank_of, grade_of, line_at_offset, number_of, speed_limit
 from adaptrack.road.road import MAX_JOINT_GAP, MAX_JOINT_KINK, Road
-from adaptrack.road.segments import MIN_ELEMENT_LENGTH, Arc, Array, Clothoid, Cubic, Line, Pose, Segment
+from adaptrack.road.segments import MIN_ELEMENT_LENGTH, NODES, WEIGHTS, Arc, Array, Clothoid, Cubic, Line, Pose, Segment
 from adaptrack.road.station_table import Along, alongs
 from adaptrack.road.table import Pieces, joined, placed, tabulate
 
@@ -221,17 +222,18 @@ def _close_gaps(table: Pieces, notes: list[str]) -> tuple[Pieces, NDArray[np.com
     """
     first, last = (points.x + 1j * points.y for points in table.ends())
     gaps, lap = np.roll(first, -1) - last, _meets_itself(table, MAX_CLOSED_GAP)
-    closable = (np.abs(gaps) > MAX_JOINT_GAP) & (np.abs(gaps) <= MAX_CLOSED_GAP)
+    widths = portable.magnitude(gaps)
+    closable = (widths > MAX_JOINT_GAP) & (widths <= MAX_CLOSED_GAP)
     closable[-1] &= lap
     shifts = -np.concatenate([[0.0], np.cumsum(np.where(closable, gaps, 0.0))[:-1]])
     if not closable.any():
         return table, shifts
     if lap:
         shifts += (gaps[-1] - shifts[-1]) * np.arange(gaps.size) / gaps.size
-    widest = int(np.argmax(np.where(closable, np.abs(gaps), 0.0)))
+    widest = int(np.argmax(np.where(closable, widths, 0.0)))
     notes.append(
-        f"gaps in the line are closed: {closable.sum()}, the largest {abs(gaps[widest]):.4f} m at s = "
-        f"{table.start[widest + 1]:.2f} m; the line moves by up to {np.abs(shifts).max():.3f} m"
+        f"gaps in the line are closed: {closable.sum()}, the largest {widths[widest]:.4f} m at s = "
+        f"{table.start[widest + 1]:.2f} m; the line moves by up to {portable.magnitude(shifts).max():.3f} m"
     )
     pieces = table.pieces.copy()
     pieces[:, X] += shifts.real
@@ -243,7 +245,7 @@ def _meets_itself(table: Pieces, gap: float = MAX_JOINT_GAP) -> bool:
     """Whether the line ends within `gap` (m) of its start, in the same direction."""
     first, last = table.at(0.0), table.at(table.length)
     turn = float(last.heading - first.heading) / (2.0 * math.pi)
-    distance = math.hypot(float(last.x - first.x), float(last.y - first.y))
+    distance = portable.hypot(float(last.x - first.x), float(last.y - first.y))
     return distance <= gap <= 0.1 * table.length and abs(turn - round(turn)) * 2.0 * math.pi <= MAX_JOINT_KINK
 
 
@@ -283,14 +285,13 @@ def _param_poly3(where: str, kind: Element, length: float) -> Segment:
 def _poly3(where: str, kind: Element, length: float) -> Segment:
     """v(u) = a + b u + c u^2 + d u^3; u ends where the arc is `length` long."""
     a, b, c, d = (number_of(where, kind, key) for key in "abcd")
-    nodes, weights = np.polynomial.legendre.leggauss(16)
     end = length
     for _ in range(50):
         panels = np.linspace(0.0, end, 33)
-        u = 0.5 * (panels[:-1] + panels[1:])[:, np.newaxis] + 0.5 * (end / 32.0) * nodes
+        u = 0.5 * (panels[:-1] + panels[1:])[:, np.newaxis] + 0.5 * (end / 32.0) * NODES
         with np.errstate(over="ignore", invalid="ignore"):  # such a cubic is refused
-            arc = 0.5 * (end / 32.0) * float((np.hypot(1.0, b + u * (2.0 * c + 3.0 * d * u)) @ weights).sum())
-        step = (length - arc) / math.hypot(1.0, b + end * (2.0 * c + 3.0 * d * end))
+            arc = 0.5 * (end / 32.0) * float((portable.hypot(1.0, b + u * (2.0 * c + 3.0 * d * u)) * WEIGHTS).sum())
+        step = (length - arc) / portable.hypot(1.0, b + end * (2.0 * c + 3.0 * d * end))
         end += step
         if not abs(step) >= 1e-13 * length:
             break

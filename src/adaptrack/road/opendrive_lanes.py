@@ -17,6 +17,7 @@ import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.base.files import printable
+from adaptrack.core import portable
 from adaptrack.core.road import HALF_LENGTH
 from adaptrack.road.segments import Array
 from adaptrack.road.station_table import NO_LIMIT, Along
@@ -370,14 +371,16 @@ def line_at_offset(base: Pieces, starts: Sequence[float], rows: Array) -> tuple[
     for end in (s[:-1], s[1:]):
         points = points_on_pieces(base.pieces[piece], (end - base.start[piece]) / base.pieces[piece, HALF_LENGTH] - 1.0)
         offset, slope = _shifted(rows[law].T, end - np.array(starts)[law])[:2]
-        ahead, normal = 1.0 - offset * points.curvature, 1j * np.exp(1j * points.heading)
+        ahead, normal = 1.0 - offset * points.curvature, 1j * portable.direction(points.heading)
         for k in np.flatnonzero(~(ahead > 0.0))[:1]:
             raise InvalidInput(
                 f"at s = {end[k]:.2f} m the lane lies {abs(offset[k]):.3g} m from the reference line, beyond its "
                 f"centre of curvature ({1.0 / abs(points.curvature[k]):.3g} m): it would run backwards; choose "
                 "another lane."
             )
-        ends.append((points.x + 1j * points.y + offset * normal, (slope - 1j * ahead) * normal * np.diff(s)))
+        ends.append(
+            (points.x + 1j * points.y + offset * normal, portable.times(slope - 1j * ahead, normal) * np.diff(s))
+        )
     (first, begin), (last, end) = ends
     step = last - first
     powers = np.stack([first, begin, 3.0 * step - 2.0 * begin - end, begin + end - 2.0 * step], axis=-1)
@@ -446,7 +449,7 @@ class _Surface:
         A superelevation, the roll about the line, is positive where the road falls to the right; a bank, to the left.
         """
         left, right = (self._height(start, s, t + side) for side in (HALF_TRACK, -HALF_TRACK))
-        return -_valid_cubic(self._roll, start, s) - np.arctan((left - right) / (2.0 * HALF_TRACK))
+        return -_valid_cubic(self._roll, start, s) - portable.atan((left - right) / (2.0 * HALF_TRACK))
 
     def _height(self, start: float, s: Array, t: Array) -> Array:
         """The height (m) above the plane that rolls with the superelevation.
@@ -454,7 +457,7 @@ class _Surface:
         A crossfall falls to the outside; between two cross sections the height is interpolated.
         """
         fall = np.where(t > 0.0, *(_valid_cubic(cubics, start, s) for cubics in self._falls))
-        height = -np.tan(fall) * np.abs(t)
+        height = -portable.tan(fall) * np.abs(t)
         k = bisect_right(self._sections, start, key=lambda section: section[0])
         if k == 0:
             return np.asarray(height)

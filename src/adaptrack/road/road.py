@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_GRADE, ROAD_LENGTH, check_limit
+from adaptrack.core import portable
 from adaptrack.core import road as kernel
 from adaptrack.core.planning import station_table as along_kernel
 from adaptrack.core.road import X, Y
@@ -134,7 +135,7 @@ class Road:
         count = after.size if self.closed else after.size - 1
         turn = first.heading[after] - last.heading
         kink = np.abs(turn - 2.0 * np.pi * np.round(turn / (2.0 * np.pi)))
-        gap = np.hypot(first.x[after] - last.x, first.y[after] - last.y)
+        gap = portable.hypot(first.x[after] - last.x, first.y[after] - last.y)
         for is_broken, size, unit in (
             (gap > MAX_JOINT_GAP, gap, "m apart"),
             (kink > MAX_JOINT_KINK, kink, "rad of kink"),
@@ -228,8 +229,8 @@ class Road:
         beyond = s - laps * self.length - inside
         straight = beyond != 0.0
         return Points(
-            np.where(straight, x + beyond * np.cos(heading), x),
-            np.where(straight, y + beyond * np.sin(heading), y),
+            np.where(straight, x + beyond * portable.cos(heading), x),
+            np.where(straight, y + beyond * portable.sin(heading), y),
             heading + laps * self.turn,
             np.where(straight, 0.0, curvature),
         )

@@ -7,7 +7,6 @@ end of the one before it, or at its own `start`.
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
@@ -15,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from adaptrack.base.files import Record
+from adaptrack.core import portable
+from adaptrack.core.portable import product
 
 Array = NDArray[np.float64]
 MIN_ELEMENT_LENGTH, MAX_ELEMENT_LENGTH = 1e-15, 1e6
@@ -24,7 +25,14 @@ Curvature = Annotated[float, Field(ge=-10.0, le=10.0, description="1/m, positive
 MAX_COORDINATE = 1e8
 """m, the largest coordinate: all digits down to a micrometre."""
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+_HALF = np.array(
+    [[0.09501250983763744, 0.1894506104550685], [0.2816035507792589, 0.18260341504492358],
+     [0.45801677765722737, 0.16915651939500254], [0.6178762444026438, 0.14959598881657674],
+     [0.755404408355003, 0.12462897125553388], [0.8656312023878318, 0.09515851168249279],
+     [0.9445750230732326, 0.062253523938647894], [0.9894009349916499, 0.027152459411754095]]
+)  # fmt: skip
+NODES, WEIGHTS = np.concatenate([-_HALF[::-1, 0], _HALF[:, 0]]), np.concatenate([_HALF[::-1, 1], _HALF[:, 1]])
+"""Of the quadrature of Gauss and Legendre on [-1, 1], degree 31."""
 
 
 class Points(NamedTuple):
@@ -119,7 +127,7 @@ class Cubic(Placed):
         """The curve is no longer than the polygon of its control points (Bézier)."""
         p = self.end
         slopes = [(b, b + c * p, b + 2.0 * c * p + 3.0 * d * p * p) for _, b, c, d in (self.x, self.y)]
-        reach = sum(p * math.hypot(dx, dy) / 3.0 for dx, dy in zip(*slopes, strict=True))  # of its three sides
+        reach = sum(p * portable.hypot(dx, dy) / 3.0 for dx, dy in zip(*slopes, strict=True))  # of its three sides
         if not reach <= MAX_ELEMENT_LENGTH:
             raise ValueError(
                 f"its control points are {reach:.3g} m apart in all: at most {MAX_ELEMENT_LENGTH:g} m are allowed."
@@ -129,7 +137,7 @@ class Cubic(Placed):
     @property
     def powers(self) -> Array:
         """(2, 4) m, the coefficients of x and y over a parameter from 0 to 1."""
-        return np.array([self.x, self.y]) * self.end ** np.arange(4.0)
+        return np.array([self.x, self.y]) * np.vander([self.end], 4, increasing=True)
 
 
 Segment = Annotated[Line | Arc | Clothoid | Cubic, Field(discriminator="kind")]
@@ -146,7 +154,8 @@ def heading_integral(k0: ArrayLike, k1: ArrayLike, s: ArrayLike) -> NDArray[np.c
     total = np.zeros(s.shape, dtype=np.complex128)
     width = s / panels
     for panel in range(panels):
-        r = (width * (panel + 0.5))[..., np.newaxis] + 0.5 * width[..., np.newaxis] * _NODES
+        r = (width * (panel + 0.5))[..., np.newaxis] + 0.5 * width[..., np.newaxis] * NODES
         heading = (k0[..., np.newaxis] + 0.5 * k1[..., np.newaxis] * r) * r
-        total += 0.5 * width * (np.exp(1j * heading) @ _WEIGHTS)
+        total.real += 0.5 * width * product(portable.cos(heading), WEIGHTS)
+        total.imag += 0.5 * width * product(portable.sin(heading), WEIGHTS)
     return total

@@ -21,6 +21,8 @@ import scipy  # loads its parts when they are first used
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.core import portable
+from adaptrack.core.portable import product
 from adaptrack.road.segments import Array
 
 KNOTS = 10.0
@@ -76,24 +78,24 @@ class Smoother:
         count = max(4, math.ceil(self.length / max(self.spacing, scale / KNOTS)))
         if self._system is None or self._system.count != count:
             self._system = _System(self.points, self.places, self.length, self.closed, count, self.order)
-        weight = (scale / (2.0 * math.pi)) ** (2 * self.order) * len(self.points) / self.length
+        weight = portable.power(scale / (2.0 * math.pi), 2 * self.order) * len(self.points) / self.length
         return self._system, self._system.factor(weight)
 
     def powers(self, scale: float) -> Array:
         """The cubics (count, d, 4) of a smoothing length (m), as `table.cubic_line` reads them."""
         system, factor = self._system_at(scale)
-        coefficients = scipy.linalg.cho_solve_banded((factor, False), system.right)
+        coefficients = portable.banded_solve(factor, system.right)
         corners = coefficients[system.column(np.arange(system.count)[:, np.newaxis] + np.arange(4))]
-        return np.einsum("ij,kjl->kli", _TO_POWERS, corners)
+        return np.moveaxis(product(_TO_POWERS, corners), 1, 2)
 
     def score(self, scale: float) -> Score:
         """Generalised cross-validation: n RSS/(n - 1.4 trace)^2."""
         system, factor = self._system_at(scale)
         n = len(self.points)
-        residual = self.points - system.basis @ scipy.linalg.cho_solve_banded((factor, False), system.right)
+        residual = self.points - system.basis @ portable.banded_solve(factor, system.right)
         used = self._trace(system, factor)
         left = n - PARAMETER_PENALTY * used
-        return Score(n * float((residual**2).sum()) / left**2 if left > 0.0 else math.inf, used)
+        return Score(n * float((residual * residual).sum()) / (left * left) if left > 0.0 else math.inf, used)
 
     def best_scale(self, scales: Array, start: int | None = None) -> int:
         """The smoothing length with the least score, downhill from one, or from the least of a few."""
@@ -115,11 +117,11 @@ class Smoother:
         basis = system.basis
         if system.size <= EXACT_TRACE:
             normal = (basis.T @ basis).toarray()
-            return float(np.trace(scipy.linalg.cho_solve_banded((factor, False), normal)))
+            return float(np.trace(portable.banded_solve(factor, normal)))
         n = len(self.points)
         probes = max(2, round(PROBES / n))
         signs = np.random.default_rng(1).choice([-1.0, 1.0], (n, probes))
-        solution = basis @ scipy.linalg.cho_solve_banded((factor, False), basis.T @ signs)
+        solution = basis @ portable.banded_solve(factor, basis.T @ signs)
         return float((signs * solution).sum() / probes)
 
 
@@ -135,7 +137,7 @@ class _System:
         self.size, self._width = (count, 6) if closed else (count + 3, 3)
         t = (np.mod(places, length) if closed else np.clip(places, 0.0, length)) / self.knot
         first = np.minimum(t.astype(np.int64), count - 1)
-        values = (t - first)[:, np.newaxis] ** np.arange(4) @ _TO_POWERS
+        values = product(np.vander(t - first, 4, increasing=True), _TO_POWERS)
         columns = self.column(first[:, np.newaxis] + np.arange(4))
         rows = np.repeat(np.arange(len(points)), 4)
         self.basis = scipy.sparse.csr_array((values.ravel(), (rows, columns.ravel())), shape=(len(points), self.size))
@@ -143,7 +145,7 @@ class _System:
         self._normal = self._squared(columns, values)
         corners = self.column(np.arange(count)[:, np.newaxis] + np.arange(4))
         rough = [self._squared(corners, np.broadcast_to(row, (count, 4))) for row in _DIFFERENCES[order]]
-        self._rough = sum(rough) / self.knot ** (2 * order - 1)
+        self._rough = sum(rough) / portable.power(self.knot, 2 * order - 1)
 
     def column(self, spline: NDArray[np.int64]) -> NDArray[np.int64]:
         """Where the coefficients of B-splines stand."""
@@ -153,7 +155,7 @@ class _System:
         return np.where(turn < (self.count + 1) // 2, 2 * turn, 2 * (self.count - 1 - turn) + 1)
 
     def _squared(self, columns: NDArray[np.int64], values: Array) -> Array:
-        """A^T A of a matrix with four entries in each row, as the upper bands that LAPACK reads."""
+        """A^T A of a matrix with four entries in each row, as upper bands, see `maths.matrices`."""
         bands = np.zeros((self._width + 1) * self.size)
         for row in range(4):
             for other in range(4):
@@ -169,6 +171,6 @@ class _System:
         bands = self._normal + weight * self._rough
         bands[-1] += 1e-12  # knots between which no point lies
         try:
-            return np.asarray(scipy.linalg.cholesky_banded(bands))
-        except np.linalg.LinAlgError:
+            return portable.banded_factor(bands)
+        except portable.LinAlgError:
             raise InvalidInput("fit_road: the points are too few, or too near to one another, for a curve.") from None

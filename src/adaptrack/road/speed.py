@@ -22,6 +22,7 @@ from adaptrack.base.files import Record
 from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core import portable
 from adaptrack.core import speed_plan as plan_kernel
 from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.cells import PLAN, plan_places
@@ -143,7 +144,7 @@ class SpeedPlan:
     @property
     def acceleration(self) -> Array:
         """(n - 1,) m/s^2, along the road, between the places."""
-        return 0.5 * np.diff(self.speed**2) / np.diff(self.s)
+        return 0.5 * np.diff(portable.square(self.speed)) / np.diff(self.s)
 
     def at(self, s: ArrayLike) -> Array:
         """The speed (m/s) at the arc lengths `s`: lap after lap, or constant beyond the ends of an open road."""
@@ -253,7 +254,7 @@ def speed_limit_plan(road: Road) -> SpeedPlan:
     limit = road.along("speed_limit", planning.table[PLAN.s])
     if unlimited(limit).any():
         raise InvalidInput(f"speed_limit_plan: road {road.name!r} has no speed limit: give load_road a speed_column.")
-    planning.table[PLAN.square] = limit**2
+    planning.table[PLAN.square] = limit * limit
     return _plan(planning.table, kernel.plan_times(planning), road.closed, Comfort())
 
 
@@ -376,7 +377,7 @@ def _soften(planning: Any, closed: bool) -> None:
     if closed:
         rows.append(sparse.csr_array(([1.0, -1.0], ([0, 0], [0, n - 1])), shape=(1, n)))
         bounds.append(np.zeros(1))
-    worth = np.concatenate([ds, [ds[-1]]]) / np.maximum(fastest, 1.0) ** 1.5
+    worth = np.concatenate([ds, [ds[-1]]]) / portable.power(np.maximum(fastest, 1.0), 1.5)
     low = np.zeros(n)
     low[0] = 0.0 if math.isnan(start) else fastest[0] * (1.0 - 1e-9)
     below, most, ends = sparse.vstack(rows), np.concatenate(bounds), np.stack([low, fastest], axis=-1)

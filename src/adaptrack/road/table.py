@@ -7,7 +7,6 @@ exact heading, so their curvature is exact; a cubic is halved until its pieces f
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -17,8 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import TURNS, check_limit
+from adaptrack.core import portable
 from adaptrack.core.kernel import OK
 from adaptrack.core.path import TOO_SMALL, TURN, line_numbers, write_cubics
+from adaptrack.core.portable import product
 from adaptrack.core.road import (
     ACROSS_COEFFICIENTS,
     ALONG_COEFFICIENTS,
@@ -35,8 +36,8 @@ from adaptrack.core.road import (
 )
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Points, Pose, Segment, heading_integral
 
-_U = np.cos(np.pi * (np.arange(POLYNOMIAL_DEGREE + 1) + 0.5) / (POLYNOMIAL_DEGREE + 1))[::-1]
-_TO_COEFFICIENTS = np.linalg.inv(np.vander(_U, increasing=True))
+_U = portable.cos(np.pi * (np.arange(POLYNOMIAL_DEGREE + 1) + 0.5) / (POLYNOMIAL_DEGREE + 1))[::-1]
+_TO_COEFFICIENTS = portable.inverse(np.vander(_U, increasing=True))
 
 
 class Pieces(NamedTuple):
@@ -123,7 +124,7 @@ def _natural(segment: Line | Arc | Clothoid) -> Pieces:
     pieces = np.zeros((count, PIECE_COLUMNS))
     pieces[:, HALF_LENGTH] = half
     pieces[:, TURN_COEFFICIENTS + 1] = curvature * half
-    pieces[:, TURN_COEFFICIENTS + 2] = 0.5 * sharpness * half**2
+    pieces[:, TURN_COEFFICIENTS + 2] = 0.5 * sharpness * (half * half)
     if isinstance(segment, Line):
         pieces[:, ALONG_COEFFICIENTS + 1] = half
     else:
@@ -134,8 +135,8 @@ def _natural(segment: Line | Arc | Clothoid) -> Pieces:
 
 def _set_positions(pieces: Array, place: NDArray[np.complex128]) -> None:
     """The polynomials through positions, along + i across, at the nodes."""
-    pieces[:, ALONG_COEFFICIENTS:ACROSS_COEFFICIENTS] = place.real @ _TO_COEFFICIENTS.T
-    pieces[:, ACROSS_COEFFICIENTS:TURN_COEFFICIENTS] = place.imag @ _TO_COEFFICIENTS.T
+    pieces[:, ALONG_COEFFICIENTS:ACROSS_COEFFICIENTS] = product(place.real, _TO_COEFFICIENTS.T)
+    pieces[:, ACROSS_COEFFICIENTS:TURN_COEFFICIENTS] = product(place.imag, _TO_COEFFICIENTS.T)
     pieces[:, [ALONG_COEFFICIENTS, ACROSS_COEFFICIENTS]] = 0.0  # the frame is at the middle
 
 
@@ -144,7 +145,7 @@ def _chained(start: Array, pieces: Array) -> Pieces:
     turns = _polynomial(pieces[:, TURN_COEFFICIENTS:PIECE_COLUMNS], np.array([[-1.0], [1.0]]))
     ends = np.cumsum(turns[1] - turns[0])
     pieces[:, HEADING] = np.concatenate([[0.0], ends[:-1]]) - turns[0]
-    pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
+    pieces[:, COS], pieces[:, SIN] = portable.cos(pieces[:, HEADING]), portable.sin(pieces[:, HEADING])
     first, last = points_on_pieces(pieces, np.full(len(pieces), -1.0)), points_on_pieces(pieces, np.ones(len(pieces)))
     for column, begins, stops in ((X, first.x, last.x), (Y, first.y, last.y)):
         pieces[:, column] = np.concatenate([[0.0], np.cumsum(stops - begins)[:-1]]) - begins
@@ -198,11 +199,11 @@ def end_to_end(pieces: Array) -> Pieces:
 def placed(table: Pieces, pose: Pose) -> Pieces:
     """The table with its origin at a pose."""
     pieces = table.pieces.copy()
-    cos, sin = np.cos(pose.heading), np.sin(pose.heading)
+    cos, sin = portable.cos(pose.heading), portable.sin(pose.heading)
     x, y = table.pieces[:, X], table.pieces[:, Y]
     pieces[:, X], pieces[:, Y] = pose.x + cos * x - sin * y, pose.y + sin * x + cos * y
     pieces[:, HEADING] += pose.heading
-    pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
+    pieces[:, COS], pieces[:, SIN] = portable.cos(pieces[:, HEADING]), portable.sin(pieces[:, HEADING])
     return Pieces(table.start, pieces)
 
 
@@ -239,5 +240,5 @@ def _both_ends(table: Pieces) -> tuple[Points, Points]:
 
 def _turned(pose: Pose, angle: float) -> tuple[float, float]:
     """The point of a pose turned about the origin."""
-    cos, sin = math.cos(angle), math.sin(angle)
+    cos, sin = portable.cos(angle), portable.sin(angle)
     return cos * pose.x - sin * pose.y, sin * pose.x + cos * pose.y

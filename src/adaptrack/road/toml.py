@@ -31,6 +31,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.files import Record, write_toml
+from adaptrack.core import portable
 from adaptrack.core.road import (
     ACROSS_COEFFICIENTS,
     COS,
@@ -119,7 +120,7 @@ def table_of(road_pieces: Sequence[Piece]) -> Pieces:
     for row, piece in zip(pieces, road_pieces, strict=True):
         row[[HALF_LENGTH, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
         row[ALONG_PIECE:] = (*piece.along, *piece.across, *piece.turned)
-    pieces[:, COS], pieces[:, SIN] = np.cos(pieces[:, HEADING]), np.sin(pieces[:, HEADING])
+    pieces[:, COS], pieces[:, SIN] = portable.cos(pieces[:, HEADING]), portable.sin(pieces[:, HEADING])
     return end_to_end(pieces)
 
 

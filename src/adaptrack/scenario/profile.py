@@ -12,6 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from adaptrack.base.files import Record, build, read_toml
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator, find_data, list_data
+from adaptrack.core import portable
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.core.synthesis.tuning import ControllerWorld
 
@@ -191,7 +192,7 @@ class Profile(Record):
             self,
             period=period,
             computation=self.delay * period,
-            move_weight=self.move_weight * self.period**2,
+            move_weight=self.move_weight * portable.square(self.period),
         )
 
     @property

@@ -17,6 +17,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import RISING, Hint, Natural, NotNegative, Positive, checked
 from adaptrack.cars.domain import Domain
+from adaptrack.core import portable
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Constant, Gust, Knots, LaneChange, Shape, Step, Sum
@@ -138,7 +139,7 @@ class _DriveGenerator:
         self, seed: int, duration: float, demand: tuple[float, float], max_heading: float, lane_width: float
     ) -> None:  # fmt: skip
         """Take the arguments of `random_drive` in s, rad and m."""
-        self.seed, self.duration, self.demand, self.slope = seed, duration, demand, math.sin(max_heading)
+        self.seed, self.duration, self.demand, self.slope = seed, duration, demand, portable.sin(max_heading)
         self.widths = tuple(sevenths * lane_width / 7.0 for sevenths in LANE_CHANGE_SEVENTHS)
         self.t = _STEP * np.arange(math.ceil(duration / _STEP) + 1)
         self.friction, self.speed = np.empty_like(self.t), np.empty_like(self.t)
@@ -199,12 +200,12 @@ class _DriveGenerator:
             heading_share, side = rng.uniform(*CURVE_HEADING_SHARE), _side(rng)
             during = _window(start, span)
             width = min(
-                share * self.grip(start, span) * span**2 / QUINTIC_PEAK,
+                share * self.grip(start, span) * (span * span) / QUINTIC_PEAK,
                 heading_share * self.slope * float(self.speed[during].min()) * span / QUINTIC_SLOPE,
             )
             width = math.floor(100.0 * width) / 100.0
             curves.append(LaneChange(amplitude=side * width, start=start, duration=span))
-            self.curve_acceleration[during] = QUINTIC_PEAK * width / span**2
+            self.curve_acceleration[during] = QUINTIC_PEAK * width / (span * span)
             self.curve_velocity[during] = QUINTIC_SLOPE * width / span
             start = round(start + span + _between(rng, 1.0, 12.0), 2)
         return curves

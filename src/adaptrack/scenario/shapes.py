@@ -26,6 +26,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import Record, build
+from adaptrack.core import portable
 
 Array = NDArray[np.float64]
 
@@ -218,7 +219,7 @@ class LaneChange(Shape):
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
         s = _elapsed(t, self.start, self.duration)
-        return self.amplitude * s**3 * (10.0 + s * (6.0 * s - 15.0))
+        return self.amplitude * (s * s * s) * (10.0 + s * (6.0 * s - 15.0))
 
 
 class TanhSteps(Shape):
@@ -236,7 +237,7 @@ class TanhSteps(Shape):
         """See `Shape.at`."""
         amplitude, centre, tau = np.array(self.steps, dtype=np.float64).T
         scaled_time = (np.asarray(t, dtype=np.float64)[..., np.newaxis] - centre) / tau
-        return (0.5 * amplitude * (1.0 + np.tanh(scaled_time))).sum(axis=-1)
+        return (0.5 * amplitude * (1.0 + portable.tanh(scaled_time))).sum(axis=-1)
 
     def scaled(self, factor: float) -> Self:
         """Return the steps with every height multiplied by `factor`."""
@@ -257,7 +258,7 @@ class Sine(Shape):
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
         elapsed = np.asarray(t, dtype=np.float64) - self.start
-        wave = self.amplitude * np.sin(math.tau * self.frequency * elapsed + self.phase)
+        wave = self.amplitude * portable.sin(math.tau * self.frequency * elapsed + self.phase)
         return np.where(elapsed >= 0.0, wave, 0.0)
 
 
@@ -277,7 +278,7 @@ class Gust(Shape):
     def at(self, t: ArrayLike) -> Array:
         """See `Shape.at`."""
         s = _elapsed(t, self.start, self.duration)
-        return 0.5 * self.peak * (1.0 - np.cos(math.tau * s))
+        return 0.5 * self.peak * (1.0 - portable.cos(math.tau * s))
 
 
 def _as_terms(value: Any) -> Any:

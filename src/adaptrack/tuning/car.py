@@ -26,6 +26,7 @@ from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
+from adaptrack.core import portable
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.pso import Swarm, SwarmSettings
@@ -128,7 +129,7 @@ class TunedCar:
 
     def summary(self) -> dict[str, Any]:
         """Return the result as a mapping that JSON can represent."""
-        worst = self.controller.model.vehicle.domain.failure_distance**2
+        worst = portable.square(self.controller.model.vehicle.domain.failure_distance)
         return {
             "verdict": self.headline,
             "feasible": self.feasibility.verdict,
@@ -325,7 +326,7 @@ def _search_tuning(
         for runs in training:
             indices = np.tile(np.arange(len(runs)), len(tunings))
             values = runs.costs(np.repeat(tunings, len(runs), axis=0), [SEARCH_NOISE_SEED], indices)
-            total += np.log(values).reshape(len(tunings), len(runs)).mean(axis=1)
+            total += portable.log(values).reshape(len(tunings), len(runs)).mean(axis=1)
         return total
 
     while not search.is_done:

@@ -26,6 +26,7 @@ from pydantic import Field, model_validator
 from adaptrack.base.checked import Natural, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import LISTED, Record
+from adaptrack.core import portable
 from adaptrack.core import swarm as kernel
 from adaptrack.core.swarm import decode
 
@@ -127,7 +128,7 @@ class SearchSpace(Record):
 
     def packed(self) -> Array:
         """Return the space for the kernels, (4, dims), with the rows of `adaptrack.core.swarm.SPACE`."""
-        scale = [math.log10 if name in self.decades else float for name in self.names]
+        scale = [portable.log10 if name in self.decades else float for name in self.names]
         return np.array(
             [
                 [f(low) for f, low in zip(scale, self.low, strict=True)],

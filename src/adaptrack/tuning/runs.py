@@ -28,6 +28,7 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.control.controllers import MPC, CompiledController, Controller, Tuning
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Schedule
+from adaptrack.core import portable
 from adaptrack.core.loop import SIGNAL
 from adaptrack.drive.batch import Batch, interpreted_functions, sampled
 from adaptrack.drive.failure import FailureLimits
@@ -159,7 +160,7 @@ class RunSet:
     @property
     def failed_cost(self) -> float:
         """The cost that is assigned to a failed run (m^2): the square of the failure distance."""
-        return self.failure.distance**2
+        return portable.square(self.failure.distance)
 
     def drive(self, policy: Policy, seeds: Sequence[int], indices: Indices | None = None) -> Array:
         """Return J (m^2) of each run with each noise seed, (runs, seeds), infinite if it failed.
@@ -274,12 +275,12 @@ class RunSet:
         run = self._simulated(policy, row, i, seed)
         if run.failed is not None:
             return math.inf
-        return float((run.error**2).mean() + self.weight * (run.command_change**2).mean())
+        return float(portable.square(run.error).mean() + self.weight * portable.square(run.command_change).mean())
 
     def _simulated_segments(self, policy: Policy, row: int, i: int, seed: int) -> Array:
         """Return the costs of the segments of run i (m^2), (segments,), as the compiled kernels compute them."""
         run = self._simulated(policy, row, i, seed)
-        step_costs = run.error**2 + self.weight * run.command_change**2
+        step_costs = portable.square(run.error) + self.weight * portable.square(run.command_change)
         segments = np.add.reduceat(step_costs, np.arange(0, self.periods, self.segment))
         if run.failed is not None:
             first = max(round(run.failed_at / run.period) - 1, 0) // self.segment

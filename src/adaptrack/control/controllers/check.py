@@ -11,6 +11,7 @@ import numpy as np
 
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.control.controllers.base import Array, Controller, command_of
+from adaptrack.core import portable
 from adaptrack.road import Arc, Line, Road
 from adaptrack.road.road_ahead import RoadAhead
 
@@ -185,7 +186,7 @@ def _drives() -> Iterator[list[Question]]:
     ahead = np.arange(80.0)
     for speed in CHECK_SPEEDS:
         for offset, height in ((0.0, 0.0), (0.3, 0.0), (0.0, 3.5), (-1.0, 3.5)):
-            path = height * 0.5 * (1.0 - np.cos(np.pi * np.clip((ahead - 5.0) / 40.0, 0.0, 1.0)))
+            path = height * 0.5 * (1.0 - portable.cos(np.pi * np.clip((ahead - 5.0) / 40.0, 0.0, 1.0)))
             state = random.normal((0.0, 0.0, 0.0, offset), (0.1, 0.02, 0.02, 0.1), (CHECK_STEPS, 4))
             yield [(state[k], speed, path[k:]) for k in range(CHECK_STEPS)]
 

@@ -29,6 +29,7 @@ from adaptrack.control.controllers.tuning import ENTRIES, Tuning
 from adaptrack.control.estimation import Estimator
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel, PredictionModel
+from adaptrack.core import portable
 from adaptrack.core.estimators.learning_method import MAX_HYPOTHESES
 from adaptrack.core.synthesis import informed as kernel
 from adaptrack.core.synthesis.car import KnownWithinRow
@@ -223,7 +224,7 @@ def _learning_reason(order: Any, learning: GivenLearning) -> str:
 def _learned_ranges(learner: Learner) -> str:
     """The ranges of what a controller learns, in words."""
     (short, long), (soon, late) = learner.ranges
-    factor = math.exp(learner.stiffness)
+    factor = portable.exp(learner.stiffness)
     first = f"lag {short:.3g} to {long:.3g} s, dead time {soon:.3g} to {late:.3g} s"
     (least, most), (_, latest) = learner.limits
     beyond = f" (hard limits: lag {least:.3g} to {most:.3g} s, dead time {latest:.3g} s)"

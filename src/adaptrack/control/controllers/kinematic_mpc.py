@@ -15,7 +15,9 @@ from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array,
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.qp import QP
+from adaptrack.core import portable
 from adaptrack.core.controllers import kinematic_mpc as kernel
+from adaptrack.core.portable import product
 from adaptrack.scenario.profile import Profile
 
 AUTOWARE_WEIGHTS = {
@@ -129,8 +131,8 @@ class KinematicMPC(CompiledController):
         """
         E, K = self._tracking(np.array(state, dtype=float), speeds, curvatures)
         for rows, constant, weights in self._changes(np.asarray(speeds, dtype=float), *inputs):
-            E += rows.T @ (weights[:, None] * rows)
-            K += rows.T @ (weights * constant)
+            E += product(rows.T, weights[:, None] * rows)
+            K += product(rows.T, weights * constant)
         return QP((E + E.T) / 2.0, K, *self._rows(inputs[0]))
 
     def _tracking(self, x: Array, speeds: Array, curvatures: Array) -> tuple[Array, Array]:
@@ -140,14 +142,14 @@ class KinematicMPC(CompiledController):
         car = self.vehicle.wheelbase, self.belief.lag.value
         for i, (v, curvature) in enumerate(zip(speeds, curvatures, strict=True)):
             A, B, w, steady = kinematic_model(*car, v, curvature, self.step_length, self.limits.angle)
-            x, into = A @ x + w, A @ into
+            x, into = product(A, x) + w, product(A, into)
             into[:, i] += B
             end = "terminal_" if i == n - 1 else ""
-            heading = t[f"{end}heading_error"] + t["heading_error_v2"] * v**2
+            heading = t[f"{end}heading_error"] + t["heading_error_v2"] * (v * v)
             Q = np.diag([t[f"{end}lateral_error"], heading, 0.0])
-            E += into.T @ Q @ into
-            K += into.T @ Q @ x
-            weight = t["steering"] + t["steering_v2"] * v**2
+            E += product(product(into.T, Q), into)
+            K += product(product(into.T, Q), x)
+            weight = t["steering"] + t["steering_v2"] * (v * v)
             E[i, i] += weight
             K[i] -= weight * steady
         return E, K
@@ -162,7 +164,7 @@ class KinematicMPC(CompiledController):
         bend = (rate - np.vstack([np.zeros(n), rate[:-1]])) / durations[:, None]
         bent = (constant - np.concatenate([[(before - earlier) / self.period], constant[:-1]])) / durations
         weights = np.full(n, t["steering_rate"])
-        weights[1:] += t["lateral_jerk"] * speeds[:-1] ** 2
+        weights[1:] += t["lateral_jerk"] * portable.square(speeds[:-1])
         return [(rate, constant, weights), (bend, bent, np.full(n, t["steering_acceleration"]))]
 
     def _rows(self, before: float) -> tuple[Array, Array]:
@@ -188,19 +190,17 @@ def kinematic_model(
 
     Over a time (s) with the input held, linearised about delta_r = atan(L kappa), within the angles (rad).
     """
-    from scipy.linalg import expm
-
-    steady = float(np.clip(math.atan(wheelbase * curvature), *angles))
-    slope = 1.0 / math.cos(steady) ** 2
+    steady = float(np.clip(portable.atan(wheelbase * curvature), *angles))
+    slope = 1.0 / portable.square(portable.cos(steady))
     block = np.zeros((5, 5))
     block[0, 1] = speed
     block[1, 2] = speed / wheelbase * slope
-    block[1, 4] = speed / wheelbase * (math.tan(steady) - steady * slope) - speed * curvature
+    block[1, 4] = speed / wheelbase * (portable.tan(steady) - steady * slope) - speed * curvature
     if lag > 0.0:
         block[2, 2], block[2, 3] = -1.0 / lag, 1.0 / lag
     else:  # the wheels are where the input is
         block[1, 3], block[1, 2] = block[1, 2], 0.0
-    moved = expm(block * time)
+    moved = portable.exponential_of(block * time)
     A, B, w = moved[:3, :3], moved[:3, 3], moved[:3, 4]
     if lag == 0.0:
         A[2, 2], B[2] = 0.0, 1.0

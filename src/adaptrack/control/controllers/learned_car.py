@@ -18,6 +18,7 @@ from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle
 from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.settings import RecordSettings
+from adaptrack.core import portable
 from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.estimators.learning import LearnerParameters, memory_of
 from adaptrack.core.estimators.learning_method import LearningMethod
@@ -104,7 +105,7 @@ def _interval(quantity: str, value: float, sigma: float, unit: str, least: float
 
 
 def _factor(quantity: str, value: float, sigma: float) -> LearnedNumber:
-    factor = math.exp(WITHIN * sigma)
+    factor = portable.exp(WITHIN * sigma)
     return LearnedNumber(quantity, value, value / factor, value * factor, "-")
 
 

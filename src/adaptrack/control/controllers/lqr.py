@@ -21,13 +21,14 @@ from adaptrack.control.controllers.base import (
     steering_delay,
 )
 from adaptrack.control.controllers.limits import LimitsArgument
+from adaptrack.core import portable
 from adaptrack.core.controllers import lqr as kernel
 from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.rows import row_of
 
-GAIN_SPEEDS = np.geomspace(laws.MIN_GAIN_SPEED, laws.MAX_GAIN_SPEED, laws.GAIN_SPEED_COUNT)
+GAIN_SPEEDS = portable.geomspace(laws.MIN_GAIN_SPEED, laws.MAX_GAIN_SPEED, laws.GAIN_SPEED_COUNT)
 """m/s, where gains are computed; between them they are interpolated over log v."""
-WEIGHT_FACTORS = 10.0 ** np.linspace(-laws.GAIN_DECADES, laws.GAIN_DECADES, laws.GAIN_WEIGHTS)
+WEIGHT_FACTORS = portable.power(10.0, np.linspace(-laws.GAIN_DECADES, laws.GAIN_DECADES, laws.GAIN_WEIGHTS))
 """Of q_e/r and q_heading/r, about the controller's own: where gains are computed for weights that change."""
 _FAR_APART = "LQR: no gain for weights (over r) so far apart: bring q_e, q_heading and r nearer."
 

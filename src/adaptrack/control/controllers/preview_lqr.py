@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, ClassVar
@@ -18,7 +17,9 @@ from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.lqr import GAIN_SPEEDS, WEIGHT_FACTORS, feedback, riccati
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.models import PathModel
+from adaptrack.core import portable
 from adaptrack.core.controllers import preview_lqr as kernel
+from adaptrack.core.portable import product
 from adaptrack.scenario.profile import Profile
 
 CURVATURE_PREVIEW = 3.0
@@ -90,13 +91,13 @@ class PreviewLQR(CompiledController):
 
     def own_parameters(self) -> Array:
         car, t, belief = self.vehicle, self.tuning, self.belief
-        e, heading, steps = t["q_e"] / t["r"], t["q_heading"] / t["r"], np.log(WEIGHT_FACTORS)
+        e, heading, steps = t["q_e"] / t["r"], t["q_heading"] / t["r"], portable.log(WEIGHT_FACTORS)
         head = (
             car.wheelbase, car.lr, car.understeer_gradient,
             car.mass * car.lf / (2.0 * car.stiffness_rear * car.wheelbase),
-            belief.lag.value, belief.delay, self.pose_age, self.previewed, math.log(GAIN_SPEEDS[0]),
-            math.log(GAIN_SPEEDS[-1] / GAIN_SPEEDS[0]) / (len(GAIN_SPEEDS) - 1), len(GAIN_SPEEDS),
-            math.log(e) + steps[0], math.log(heading) + steps[0], steps[1] - steps[0], len(steps),
+            belief.lag.value, belief.delay, self.pose_age, self.previewed, portable.log(GAIN_SPEEDS[0]),
+            portable.log(GAIN_SPEEDS[-1] / GAIN_SPEEDS[0]) / (len(GAIN_SPEEDS) - 1), len(GAIN_SPEEDS),
+            portable.log(e) + steps[0], portable.log(heading) + steps[0], steps[1] - steps[0], len(steps),
         )  # fmt: skip
         grid = _grid(self._model, self.previewed, e, heading)
         return np.concatenate([head, self._model.parameters(), grid.reshape(-1)])
@@ -142,11 +143,11 @@ def preview_gains(A: Array, B: Array, X: Array, q_e: ArrayLike, q_heading: Array
     closed = A - B[..., :, None] * K[..., None, :]
     gains = np.empty((*K.shape[:-1], K.shape[-1] + count))
     gains[..., : K.shape[-1]] = -K
-    denominator = 1.0 + np.einsum("...i,...ij,...j->...", B, P, B)
-    later = np.einsum("...ij,...j->...i", P, X)
+    column, later = B[..., None], product(P, X[..., None])
+    denominator = 1.0 + (column * product(P, column)).sum(axis=-2)[..., 0]
     for j in range(count):
-        gains[..., K.shape[-1] + j] = np.einsum("...i,...i->...", B, later) / denominator
-        later = np.einsum("...ji,...j->...i", closed, later)
+        gains[..., K.shape[-1] + j] = (column * later).sum(axis=-2)[..., 0] / denominator
+        later = product(np.moveaxis(closed, -1, -2), later)
     return gains
 
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput
+from adaptrack.core.portable import product
 
 Array = npt.NDArray[np.float64]
 
@@ -127,7 +128,7 @@ class QP:
     def cost(self, x: npt.ArrayLike) -> float:
         """``1/2 x'E x + x'K``."""
         x = np.asarray(x, dtype=float)
-        return float(0.5 * x @ self.E @ x + x @ self.K)
+        return float(product(product(0.5 * x, self.E), x) + product(x, self.K))
 
 
 def _array(name: str, value: npt.ArrayLike, dimensions: int) -> Array:
@@ -168,7 +169,7 @@ def kkt_residuals(qp: QP, x: npt.ArrayLike, lam: npt.ArrayLike) -> Residuals:
     """
     x, lam = np.asarray(x, dtype=float), np.asarray(lam, dtype=float)
     with np.errstate(invalid="ignore", over="ignore"):
-        image, gradient, force = qp.M @ x, qp.E @ x, qp.M.T @ lam
+        image, gradient, force = product(qp.M, x), product(qp.E, x), product(qp.M.T, lam)
         pressed = lam > 0.0
         gap = image - qp.gamma
         terms = 1.0 + max(np.abs(v).max(initial=0.0) for v in (gradient, qp.K, force))

@@ -10,6 +10,8 @@ import numpy as np
 from adaptrack.base.checked import checked
 from adaptrack.control.qp.kernel import Workspace
 from adaptrack.control.qp.problem import QP, Array, Attempt, QPStatus, Residuals, Solution, kkt_residuals
+from adaptrack.core import portable
+from adaptrack.core.portable import product
 
 ACCEPTED = 1e-6
 """A solver's "solved" is believed when no scaled residual exceeds this; else the answer is not certified."""
@@ -116,17 +118,17 @@ def newton_distance(qp: QP, x: Array, lam: Array) -> float:
 
     A row presses when its multiplier outweighs its slack, each relative to its kind.
     """
-    slack = qp.gamma - qp.M @ x
+    slack = qp.gamma - product(qp.M, x)
     there = np.isfinite(slack)
     relative = np.abs(slack[there]) / (1.0 + np.abs(qp.gamma[there]))
     pressing = np.flatnonzero(there)[lam[there] / (1.0 + lam.max(initial=0.0)) > relative]
     N, n, q = qp.M[pressing], qp.n, len(pressing)
     kkt = np.zeros((n + q, n + q))
     kkt[:n, :n], kkt[:n, n:], kkt[n:, :n] = qp.E, N.T, N
-    right = np.concatenate([-(qp.E @ x + qp.K + N.T @ lam[pressing]), slack[pressing]])
+    right = np.concatenate([-(product(qp.E, x) + qp.K + product(N.T, lam[pressing])), slack[pressing]])
     scale = 1.0 / np.sqrt(np.maximum(np.abs(kkt).max(axis=1), np.finfo(float).tiny))
     try:
-        step = scale * np.linalg.solve(kkt * scale[:, None] * scale[None, :], scale * right)
-    except np.linalg.LinAlgError:  # rows that depend on each other: the shortest of the possible steps
-        step = scale * np.linalg.lstsq(kkt * scale[:, None] * scale[None, :], scale * right)[0]
+        step = scale * portable.solve(kkt * scale[:, None] * scale[None, :], scale * right)
+    except portable.LinAlgError:  # rows that depend on each other: the shortest of the possible steps
+        step = scale * product(portable.pseudo_inverse(kkt * scale[:, None] * scale[None, :]), scale * right)
     return float(np.abs(step[:n]).max())

@@ -12,6 +12,7 @@ from adaptrack.base.errors import ContractError
 from adaptrack.control.controllers.tuning import ENTRIES, read_tuning
 from adaptrack.control.scheduling.schedule import HORIZONS, Schedule
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables
+from adaptrack.core import portable
 
 Array = NDArray[np.float64]
 
@@ -76,7 +77,7 @@ def _check_functions(schedule: Schedule, rows: Array) -> None:
     for i, name in enumerate(schedule.entries):
         entry = schedule.tuning[name]
         expected = entry.function.predict(x)
-        expected = np.clip(10.0**expected if entry.log10 else expected, entry.low, entry.high)
+        expected = np.clip(portable.power(10.0, expected) if entry.log10 else expected, entry.low, entry.high)
         if schedule.tunes_mpc and name == "Nc":
             expected = np.minimum(expected, planned[:, 0])
         off = np.abs(planned[:, i] - expected)

@@ -28,6 +28,7 @@ from adaptrack.control.scheduling.functions import Function, Number, Pool, Table
 from adaptrack.control.scheduling.guard import Guard, StabilityMap
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables, complete
 from adaptrack.core import guard as guard_kernel
+from adaptrack.core import portable
 from adaptrack.core import schedule as kernel
 from adaptrack.core.variables import VARIABLE_NAMES
 
@@ -347,7 +348,7 @@ def Lookup(
     for i, entry in enumerate(ENTRIES):
         values = nodal_tunings[..., i]
         log10 = entry in ("Q", "R") and method == "multilinear"
-        table = Table(tuple(nodes.values()), np.log10(values) if log10 else values, method)
+        table = Table(tuple(nodes.values()), portable.log10(values) if log10 else values, method)
         entries[entry] = Entry(table, float(values.min()), float(values.max()), log10)
     domain = np.array([[values[0], values[-1]] for values in nodes.values()])
     return Schedule(tuple(nodes), domain, entries, name=name, provenance=provenance or {})

@@ -12,8 +12,8 @@ import math
 from ..kernel import fma, inlined
 from .exact import floor
 
-_TAN_PI_8 = math.tan(math.pi / 8)
-_TAN_3PI_8 = math.tan(3 * math.pi / 8)
+_TAN_PI_8 = 0.41421356237309503
+_TAN_3PI_8 = 2.414213562373095
 _HALF_PI = math.pi / 2
 _QUARTER_PI = math.pi / 4
 _INVERSE_PI = 1 / math.pi

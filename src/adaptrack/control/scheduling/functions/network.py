@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-import scipy  # loads its parts when they are first used
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, read_array, register_function
 from adaptrack.core import functions as kernel
+from adaptrack.core import portable
+from adaptrack.core.portable import product
 
 
 @register_function
@@ -73,8 +74,8 @@ class Network(Function):
     def predict(self, x: Array) -> Array:
         h = (x - self.low) / (self.high - self.low)
         for weights, biases in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            h = scipy.special.expit(h @ weights + biases)
-        out = (h @ self.weights[-1] + self.biases[-1])[:, 0]
+            h = portable.logistic(product(h, weights) + biases)
+        out = (product(h, self.weights[-1]) + self.biases[-1])[:, 0]
         if self.relu:
             out = np.maximum(out, 0.0)
         return self.out_low + (self.out_high - self.out_low) * out

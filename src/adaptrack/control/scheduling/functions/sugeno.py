@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, read_array, register_function
 from adaptrack.core import functions as kernel
+from adaptrack.core import portable
 from adaptrack.core.functions import MAX_DISTANCE_WIDTHS
+from adaptrack.core.portable import product
 
 IndexArray = NDArray[np.intp]
 
@@ -120,7 +122,7 @@ class Sugeno(Function):
         integers = [self.n_inputs, len(self.owner), self.n_rules]
         integers += [*self.owner.tolist(), *self.bell.astype(int).tolist(), *self.rules.ravel().tolist()]
         with np.errstate(divide="ignore"):  # a rule of weight zero never fires
-            log_weights = np.log(self.weights)
+            log_weights = portable.log(self.weights)
         parts = (
             1.0 / self.premises[:, BELL_WIDTH],
             self.premises[:, BELL_SLOPE],
@@ -156,17 +158,18 @@ class Sugeno(Function):
 def fuzzify(x: Array, system: Sugeno) -> Array:
     """Layer 1, eq. (24): (n, M) logarithms of the memberships of the inputs x (n, D)."""
     distances = distance(x, system)
-    log_mu = -0.5 * distances**2
+    log_mu = -0.5 * (distances * distances)
     bell = system.bell
     if bell.any():
-        log_mu[:, bell] = -np.logaddexp(0.0, bell_exponent(distances[:, bell], system.premises[bell, BELL_SLOPE]))
+        exponent = bell_exponent(distances[:, bell], system.premises[bell, BELL_SLOPE])
+        log_mu[:, bell] = -(np.maximum(exponent, 0.0) + portable.log1p(portable.exp(-np.abs(exponent))))
     return log_mu
 
 
 def fire(log_mu: Array, system: Sugeno) -> Array:
     """Layer 2, eq. (25): (n, R) logarithms of the firing strengths from those of the memberships (n, M)."""
     with np.errstate(divide="ignore"):  # a rule of weight zero never fires
-        log_w = np.repeat(np.log(system.weights)[np.newaxis], len(log_mu), axis=0)
+        log_w = np.repeat(portable.log(system.weights)[np.newaxis], len(log_mu), axis=0)
     padded = np.column_stack((log_mu, np.zeros(len(log_mu))))  # its last column is what ANY finds: membership one
     for functions in system.rules.T:
         log_w += padded[:, functions]
@@ -175,13 +178,13 @@ def fire(log_mu: Array, system: Sugeno) -> Array:
 
 def normalise(log_w: Array) -> Array:
     """Layer 3, eq. (26): (n, R) firing strengths, each row divided by its sum."""
-    w = np.exp(log_w - log_w.max(axis=1, keepdims=True))
+    w = portable.exp(log_w - log_w.max(axis=1, keepdims=True))
     return w / w.sum(axis=1, keepdims=True)
 
 
 def conclude(strengths: Array, x: Array, consequents: Array) -> Array:
     """Layer 4, eq. (27): (n, R) what each rule contributes, its normalised strength times p . x + r."""
-    return strengths * (x @ consequents[:, :-1].T + consequents[:, -1])
+    return strengths * (product(x, consequents[:, :-1].T) + consequents[:, -1])
 
 
 def total(contributions: Array) -> Array:
@@ -197,4 +200,4 @@ def distance(x: Array, system: Sugeno) -> Array:
 
 def bell_exponent(distance: Array, slope: Array) -> Array:
     """log |distance|^(2 slope), finite at the centre too."""
-    return 2.0 * slope * np.log(np.maximum(np.abs(distance), 1.0 / MAX_DISTANCE_WIDTHS))
+    return 2.0 * slope * portable.log(np.maximum(np.abs(distance), 1.0 / MAX_DISTANCE_WIDTHS))
