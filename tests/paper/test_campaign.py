@@ -182,6 +182,12 @@ def test_the_identity_changes_with_everything_that_the_data_depend_on_and_with_n
     assert CampaignPlan.of(load_campaign(toml(vehicle='"heavy.toml"'))).identity != base
 
 
+def test_the_identity_is_that_of_the_settings_whatever_the_last_digit_of_a_sampled_number_is(toml):
+    plan = CampaignPlan.of(load_campaign(toml()))
+    other = dataclasses.replace(plan, library=np.nextafter(plan.library, np.inf))
+    assert other.identity == plan.identity
+
+
 # -- the library ------------------------------------------------------------------------------------------------------
 def test_the_library_begins_with_the_papers_tuning_and_stays_within_the_search():
     search = SearchBounds(Np=(4, 40), Nc=(2, 12), Q=(0.5, 5.0), R=(0.01, 0.2))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import reduce
 from typing import Any, Protocol, overload
 
 import numpy as np
@@ -22,11 +23,14 @@ Array = NDArray[np.float64]
 LinAlgError = np.linalg.LinAlgError
 
 
+_NUMBER = float, int, np.floating
+
+
 class _OfOne(Protocol):
     @overload
     def __call__(self, x: float, /) -> float: ...
     @overload
-    def __call__(self, x: Array, /) -> Array: ...
+    def __call__(self, x: ArrayLike, /) -> Array: ...
 
 
 class _OfTwo(Protocol):
@@ -41,8 +45,8 @@ def _elementwise(kernel: Callable[..., float]) -> Any:
     number = FUNCTION_NAMES.index(kernel.__name__)
 
     def function(*arguments: Any) -> Any:
-        if all(isinstance(x, float | int) for x in arguments):
-            return kernel(*map(float, arguments))
+        if all(isinstance(x, _NUMBER) for x in arguments):
+            return kernel(*arguments)
         arrays = np.broadcast_arrays(*(np.asarray(x, dtype=np.float64) for x in arguments))
         at, values = np.zeros((3, arrays[0].size)), np.empty(arrays[0].size)
         for row, x in zip(at, arrays, strict=False):
@@ -63,8 +67,13 @@ cos: _OfOne = _elementwise(trigonometric.cos)
 tan: _OfOne = _elementwise(trigonometric.tan)
 atan: _OfOne = _elementwise(trigonometric.atan)
 atan2: _OfTwo = _elementwise(trigonometric.atan2)
-hypot: _OfTwo = _elementwise(exponential.hypot)
+_hypot: _OfTwo = _elementwise(exponential.hypot)
 power: _OfTwo = _elementwise(exponential.power)
+
+
+def hypot(*components: Any) -> Any:
+    """The root of the sum of the squares of components."""
+    return reduce(_hypot, components)
 
 
 def expm1(x: Any) -> Any:

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_smoothing_spline
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
@@ -26,6 +25,7 @@ from adaptrack.core import portable
 from adaptrack.core.portable import product
 from adaptrack.identification.log import Log
 from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SHAPE, Prior, values_of
+from adaptrack.road.smoothing import Smoother
 
 Array = NDArray[np.float64]
 
@@ -40,6 +40,8 @@ WIDER = 2.0
 """Factor on the most likely spread of the gusts."""
 LEAST_OF_SPLINE = 20
 """Samples of a segment whose measured wheel angle is smoothed."""
+SHORTEST_SMOOTHING, LONGEST_SMOOTHING, LENGTHS = 2.0, 5.0, 25
+"""Smoothing lengths that are tried, in samples; s; how many."""
 STRETCH = 10.0
 """s, of the stretches whose estimates are compared: longer than what innovations may be correlated."""
 
@@ -256,13 +258,16 @@ class Likelihood(InnovationLikelihood):
 def _smoothed(log: Log) -> Array:
     """(n,) the measured wheel angle without its noise and steps, which would pass for steering.
 
-    Splines of each segment, as smooth as cross-validation finds best (G. Wahba, *Spline Models for Observational Data*,
-    1990, chapter 4).
+    Splines of each segment, as smooth as cross-validation finds best (`road.smoothing`).
     """
     out = log.command.copy()
     for rows in np.split(np.arange(log.samples), np.flatnonzero(log.begins)[1:]):
         if rows.size > LEAST_OF_SPLINE and np.ptp(log.command[rows]) > 0.0:
-            out[rows] = make_smoothing_spline(log.time[rows], log.command[rows])(log.time[rows])
+            time = log.time[rows] - log.time[rows[0]]
+            values, spacing = log.command[rows][:, np.newaxis], float(np.median(np.diff(time)))
+            smoother = Smoother(values, time, float(time[-1]), False, spacing)
+            lengths = portable.geomspace(SHORTEST_SMOOTHING * spacing, max(LONGEST_SMOOTHING, 3.0 * spacing), LENGTHS)
+            out[rows] = smoother.fitted(float(lengths[smoother.best_scale(lengths)]))[:, 0]
     return out
 
 

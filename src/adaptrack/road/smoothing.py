@@ -88,11 +88,15 @@ class Smoother:
         corners = coefficients[system.column(np.arange(system.count)[:, np.newaxis] + np.arange(4))]
         return np.moveaxis(product(_TO_POWERS, corners), 1, 2)
 
+    def fitted(self, scale: float) -> Array:
+        """The curve of a smoothing length at the places, (n, d)."""
+        system, factor = self._system_at(scale)
+        return np.asarray(system.basis @ portable.banded_solve(factor, system.right))
+
     def score(self, scale: float) -> Score:
         """Generalised cross-validation: n RSS/(n - 1.4 trace)^2."""
         system, factor = self._system_at(scale)
-        n = len(self.points)
-        residual = self.points - system.basis @ portable.banded_solve(factor, system.right)
+        n, residual = len(self.points), self.points - self.fitted(scale)
         used = self._trace(system, factor)
         left = n - PARAMETER_PENALTY * used
         return Score(n * float((residual * residual).sum()) / (left * left) if left > 0.0 else math.inf, used)
