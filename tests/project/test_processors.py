@@ -1,4 +1,4 @@
-"""The numbers of every command are the same on every processor: NumPy's, BLAS's and the C library's code is exchanged."""
+"""Every command gives the same numbers on every processor: the code of NumPy, BLAS and the C library is exchanged."""
 
 from __future__ import annotations
 

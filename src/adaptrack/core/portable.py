@@ -46,7 +46,7 @@ def _elementwise(kernel: Callable[..., float]) -> Any:
 
     def function(*arguments: Any) -> Any:
         if all(isinstance(x, _NUMBER) for x in arguments):
-            return kernel(*arguments)
+            return kernel(*map(float, arguments))
         arrays = np.broadcast_arrays(*(np.asarray(x, dtype=np.float64) for x in arguments))
         at, values = np.zeros((3, arrays[0].size)), np.empty(arrays[0].size)
         for row, x in zip(at, arrays, strict=False):
@@ -77,9 +77,9 @@ def hypot(*components: Any) -> Any:
 
 
 def expm1(x: Any) -> Any:
-    """exp(x) - 1, without the loss of digits near 0: 2 t/(1 - t) with t = tanh(x/2)."""
-    t = tanh(0.5 * x)
-    return 2.0 * t / (1.0 - t)
+    """exp(x) - 1, without the loss of digits near 0: below 1 it is 2 t/(1 - t) with t = tanh(x/2)."""
+    t = tanh(0.5 * np.minimum(x, 1.0))
+    return np.where(np.less(x, 1.0), 2.0 * t / (1.0 - t), exp(x) - 1.0)
 
 
 def logistic(x: Array) -> Array:
@@ -166,7 +166,7 @@ def exponential_of(a: Array) -> Array:
     """exp(A) of a matrix (n, n), by scaling, 18 terms of the series, and squaring."""
     norm = float(np.abs(a).sum(axis=0).max())
     halvings = max(0, math.frexp(norm)[1] + 1)
-    scaled, unit = a * 0.5**halvings, np.eye(len(a))
+    scaled, unit = a * 2.0**-halvings, np.eye(len(a))
     result = unit
     for k in range(18, 0, -1):
         result = unit + product(scaled, result) / k
