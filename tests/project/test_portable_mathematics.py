@@ -78,13 +78,13 @@ EXACT = {("core/path.py", "math.cos"), ("core/path.py", "_GRID ** j")}
 
 def breaches(name: str, text: str) -> list[str]:
     """What a file calls that its processor decides: lines."""
-    found, tree = [], ast.parse(text)
-    parts = {node.value for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
-    for node in ast.walk(tree):
+    found, inner = [], set()
+    for node in ast.walk(ast.parse(text)):
         words = ""
         match node:
-            case ast.Attribute() if node not in parts:
-                words = _called(name, ast.unparse(node)) if isinstance(node.ctx, ast.Load) else ""
+            case ast.Attribute(value=value):
+                inner.add(value)
+                words = "" if node in inner else _called(name, _dotted(node))
             case ast.BinOp(op=ast.MatMult()) if name not in TRAINING | SPARSE:
                 words = "@ is BLAS: portable.product"
             case ast.BinOp(op=ast.Pow(), left=left, right=right) if not _is_exact(left, right):
@@ -100,9 +100,16 @@ def breaches(name: str, text: str) -> list[str]:
     return found
 
 
+def _dotted(node: ast.expr) -> str:
+    """A name with its attributes; what they are of, if it is no name, is `?`."""
+    if isinstance(node, ast.Attribute):
+        return f"{_dotted(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else "?"
+
+
 def _called(name: str, path: str) -> str:
     library, _, rest = path.partition(".")
-    if library not in ("np", "math") or not rest.replace(".", "").isidentifier():
+    if library not in ("np", "math"):
         return f"{path} is BLAS: portable.product" if path.endswith(".dot") else ""
     heads = {f"{library}.{'.'.join(rest.split('.')[:count])}" for count in (1, 2)}
     trained = name in TRAINING and rest.startswith("linalg.")

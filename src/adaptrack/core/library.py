@@ -62,11 +62,18 @@ def processor() -> str:
     system = {"win32": "windows-", "darwin": "macos-"}.get(sys.platform, "")
     machine = platform.machine().lower()
     if machine in ("x86_64", "amd64"):
-        from numpy._core._multiarray_umath import __cpu_features__ as has  # type: ignore[import-not-found]
+        from numpy._core._multiarray_umath import __cpu_features__ as known  # type: ignore[import-not-found]
 
-        if not (has.get("AVX2") and has.get("FMA3")):
+        # NumPy does not list what NPY_DISABLE_CPU_FEATURES takes from it: the kernels may still use that
+        is_hidden = sys.platform == "linux" and "NPY_DISABLE_CPU_FEATURES" in os.environ
+        flags = Path("/proc/cpuinfo").read_text(encoding="utf-8").split() if is_hidden else []
+        avx2, fma, avx512 = (
+            known.get(feature) or flag in flags
+            for feature, flag in (("AVX2", "avx2"), ("FMA3", "fma"), ("AVX512_SKX", "avx512vl"))
+        )
+        if not (avx2 and fma):
             return f"{system}x86-64"
-        return f"{system}x86-64-v4" if has.get("AVX512_SKX") and system != "macos-" else f"{system}x86-64-v3"
+        return f"{system}x86-64-v4" if avx512 and system != "macos-" else f"{system}x86-64-v3"
     return system + {"arm64": "aarch64"}.get(machine, machine)
 
 
