@@ -206,7 +206,7 @@ def road_through(
 
 def _deviation(points: Array, line: Any) -> float:
     """The largest distance (m) of points (n, 2) from a line along them."""
-    places, feet = np.hypot(*np.diff(points, axis=0, prepend=points[:1]).T).cumsum(), np.empty((len(points), 4))
+    places, feet = portable.hypot(*np.diff(points, axis=0, prepend=points[:1]).T).cumsum(), np.empty((len(points), 4))
     end = line.numbers[LENGTH] - (line.numbers[CLOSED] > 0.5) * math.dist(points[0], points[-1])
     project_all(line, np.column_stack([points, places * (end / places[-1])]), feet)
     return float(np.nanmax(np.abs(feet[:, 1])))
@@ -405,7 +405,7 @@ class _Record:
     @cached_property
     def steps(self) -> Array:
         """The distances (m) of points in a row, on a lap also of the last from the first, without repetitions."""
-        steps = np.hypot(*np.diff(self.points, axis=0, append=self.points[:1]).T)[: None if self.closed else -1]
+        steps = portable.hypot(*np.diff(self.points, axis=0, append=self.points[:1]).T)[: None if self.closed else -1]
         return steps[steps > 1e-3 * steps.max()]
 
     @property
