@@ -41,6 +41,7 @@ Quantities = record("Quantities", (
     "lag", "dead_time", "rate",  # s, s, rad/s: of the steering
     "lateness",  # s, of all that is measured of the motion, against the wheels
     "gain", "offset",  # -, rad: road wheels over command
+    "wheel_gain",  # -, road wheels over their measured angle
     "front", "rear",  # N/rad, cornering stiffness of the axles
     "mass", "yaw_inertia", "lf", "lr",  # kg, kg m^2, m, m
     "relaxation", "friction", "shape_factor",  # m, -, -: of the tyres
@@ -393,5 +394,5 @@ def innovations(quantities, log, answer):
         answer[count + FOUND.rear_slip, k] = x[IDENTIFICATION_STATE.slip_rear]
         measured = log[LOG_ROW.wheel, k]
         if measured == measured:
-            answer[OUTPUT.wheel, k] = measured - wheels_now - q.wheel_offset
+            answer[OUTPUT.wheel, k] = measured - wheels_now / q.wheel_gain - q.wheel_offset
             answer[len(OUTPUT) + OUTPUT.wheel, k] = square(q.noise_wheel) + FLOOR

@@ -48,6 +48,7 @@ CORRECTIONS: Mapping[str, Correction] = {
     "relaxation": Correction(2.0, share_in_bends=6.0),
     "rate": Correction(share=0.03),
     "ratio": Correction(share=0.002),
+    "angle_scale": Correction(share=0.02),
     "drive_lag": Correction(floor=0.005),
     "drive_dead_time": Correction(floor=0.005),
     "drive_gain": Correction(share=0.02),

@@ -193,6 +193,7 @@ class Likelihood(InnovationLikelihood):
         delayed = value["delay"] if self.log.commanded else 0.0
         derived = {
             "lag": value["lag_share"] * delayed, "dead_time": (1.0 - value["lag_share"]) * delayed,
+            "wheel_gain": 1.0 if self.log.ratio_unknown else value["gain"],
             "lf": value["front_share"] * wheelbase, "lr": (1.0 - value["front_share"]) * wheelbase,
             "shape_factor": SHAPE,
             "side": air * car.side_force_slope, "moment": air * car.yaw_moment_slope * wheelbase * heavier,

@@ -57,6 +57,8 @@ class Log:
     """whether `command` is one, rather than a measured angle"""
     ratio: float = 1.0
     """-, by which the logged angle was divided to give `command`"""
+    ratio_unknown: bool = False
+    """whether that ratio is a guess, which a measured wheel angle does not share"""
     notes: tuple[str, ...] = ()
     """Sentences on dropped rows and on the reading of columns."""
 

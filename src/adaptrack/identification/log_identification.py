@@ -26,7 +26,7 @@ from adaptrack.identification.conventions import check_conventions, check_positi
 from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS, PEDALS, drive_of_columns
 from adaptrack.identification.estimates import ReportedRow, estimates_at, slopes_at, values_at
 from adaptrack.identification.identified_car import Estimate, Identification, Series, Validation
-from adaptrack.identification.likelihood import NEARLY, Likelihood
+from adaptrack.identification.likelihood import NEARLY, Likelihood, Scored
 from adaptrack.identification.log import Log, log_of, noise_of
 from adaptrack.identification.log_combination import combined, shared_by
 from adaptrack.identification.long_log import shorten_log
@@ -49,10 +49,13 @@ VALIDATION_BLOCK, HELD_OUT_EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
 RATIO_SPREAD = (0.3, 0.1)
 """Of the logarithm of a steering ratio that is to be found: guessed from the log, or said by the car's file."""
+MAX_SCALE_CORRELATION = 0.97
+"""Of the scale of the steering angle with the understeer gradient, above which a log does not tell them apart."""
 THIRDS, LEAST_THIRDS = 3, 50.0
 """Stretches of a log that are compared; s of driving from which they are."""
 SHARED = (
-    "delay", "lag", "dead_time", "understeer_gradient", "front", "rear", "lf", "ratio", "rate", "relaxation",
+    "delay", "lag", "dead_time", "understeer_gradient", "front", "rear", "lf", "ratio", "angle_scale", "rate",
+    "relaxation",
 )  # fmt: skip
 """Estimates that belong to the car: logs of one car share them."""
 
@@ -208,8 +211,8 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
 def _ratio(fit: Fit, estimates: dict[str, Estimate]) -> tuple[dict[str, Estimate], list[str], tuple[str, ...]]:
     """The estimates that may be reported, what contradicts the steering ratio, and what is open."""
     log = fit.likelihood.log
-    if "ratio" not in estimates:
-        against, open_ratio = check_ratio(log, gain_of(fit.likelihood, fit.z))
+    if not log.ratio_unknown:
+        against, open_ratio = check_ratio(log, gain_of(fit.likelihood, fit.z, fit.covariance))
         return estimates, [against] if against else [], (open_ratio,) if open_ratio else ()
     is_known, message = check_fitted_ratio(log, estimates["ratio"])
     guessed = fit.beliefs["gain"].spread == RATIO_SPREAD[0]
@@ -231,7 +234,7 @@ def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior], ra
         car_ratio = believed.steering.ratio if believed.steering is not None else None
         ratio = car_ratio or ratio or guessed_ratio(cleaned, believed.wheelbase)
         beliefs["gain"] = Prior(1.0, RATIO_SPREAD[car_ratio is not None])
-        cleaned = replace(cleaned, command=cleaned.command / ratio, ratio=ratio)
+        cleaned = replace(cleaned, command=cleaned.command / ratio, ratio=ratio, ratio_unknown=True)
     check_conventions(cleaned, believed.wheelbase)
     beliefs |= _noises(cleaned)
     return Likelihood(cleaned, believed, beliefs)
@@ -281,17 +284,50 @@ def optimum(likelihood: Likelihood) -> tuple[Array, Array, tuple[Array, ...]]:
     """The most likely point z of a log, the covariance of its free entries, and points that are as likely.
 
     First all gusts are alike; then their spread follows the log; then it is widened, see `Likelihood.widen_gusts`.
-    Points that are as likely widen the covariance by their distance.
+    Points that are as likely widen the covariance by their distance. A scale of the steering angle that the log does
+    not tell from understeer keeps its prior.
     """
     z, rivals = find_optima(likelihood)
     likelihood.follow_gusts(z)
     z, _ = likelihood.fit(z, NEARLY)
     z, at = likelihood.fit(likelihood.widen_gusts(z))
-    covariance = likelihood.covariance(at)
+    if abs(_scale_correlation(likelihood, z, at)) > MAX_SCALE_CORRELATION:
+        z, covariance = _keep_scale(likelihood, z, at)
+    else:
+        covariance = likelihood.covariance(at)
     for rival in rivals:
         gap = (rival - z)[likelihood.free]
         covariance += np.outer(gap, gap)
     return z, covariance, rivals
+
+
+def _scale_correlation(likelihood: Likelihood, z: Array, at: Scored) -> float:
+    """Correlation of the scale of the steering angle and the understeer gradient, by the information of the log."""
+    place = np.flatnonzero(likelihood.free == INDEX["gain"])
+    if not place.size or likelihood.log.ratio_unknown:
+        return 0.0
+    rows = [row for row in _reported(likelihood) if row[0] == "understeer_gradient"]
+    inverse, slopes = np.linalg.inv(at.information), slopes_at(likelihood, rows, z)[0]
+    return float((inverse @ slopes)[place[0]] / math.sqrt(inverse[place[0], place[0]] * (slopes @ inverse @ slopes)))
+
+
+def _keep_scale(likelihood: Likelihood, z: Array, at: Scored) -> tuple[Array, Array]:
+    """The most likely point at the prior median of the angle scale, and the covariance with the prior of the scale."""
+    free = likelihood.free
+    is_scale = free == INDEX["gain"]
+    others = np.ix_(~is_scale, ~is_scale)
+    follow = -np.linalg.solve(at.information[others], at.information[~is_scale, is_scale])
+    z = z.copy()
+    z[free[~is_scale]] -= follow * z[INDEX["gain"]]
+    z[INDEX["gain"]] = 0.0
+    likelihood.free = free[~is_scale]
+    z, at = likelihood.fit(z)
+    slopes = np.zeros(free.size)
+    slopes[is_scale], slopes[~is_scale] = 1.0, follow
+    covariance = np.outer(slopes, slopes)
+    covariance[others] += likelihood.covariance(at)
+    likelihood.free = free
+    return z, covariance
 
 
 # -- what is reported -------------------------------------------------------------------------------------------------
@@ -323,16 +359,12 @@ def _reported(likelihood: Likelihood) -> list[ReportedRow]:
         ("rear", "N/rad", "cornering stiffness of the rear axle", True, _value("rear")),
         ("lf", "m", "centre of gravity to front axle", True, lambda v: float(v[INDEX["front_share"]] * wheelbase)),
     ]
-    if likelihood.spread[INDEX["gain"]] > 0.0:
-        rows.append(
-            (
-                "ratio",
-                "-",
-                "logged steering angle over road wheels",
-                True,
-                lambda v: likelihood.log.ratio / float(v[INDEX["gain"]]),
-            )
-        )
+    if likelihood.log.ratio_unknown:
+        meaning, ratio = "logged steering angle over road wheels", likelihood.log.ratio
+        rows.append(("ratio", "-", meaning, True, lambda v: ratio / float(v[INDEX["gain"]])))
+    elif likelihood.spread[INDEX["gain"]] > 0.0:
+        meaning = "logged steering angle over that of yaw rate, speed and wheelbase"
+        rows.append(("angle_scale", "-", meaning, True, lambda v: 1.0 / float(v[INDEX["gain"]])))
     free = {QUANTITIES[i].name for i in likelihood.free}
     also = (
         "lateness", "rate", "offset", "vy_ahead", "push_mean", "gyro_offset", "acceleration_offset", "wheel_offset",

@@ -92,7 +92,7 @@ SHAPE = 1.35
 
 DISTURBANCES: Mapping[str, Prior] = {
     "delay": Prior(0.3, 0.7), "lag_share": Prior(0.5, 1.5), "rate": Prior(0.7, 0.6),
-    "gain": Prior(1.0, 0.0), "offset": Prior(0.0, 0.03),
+    "gain": Prior(1.0, 0.15), "offset": Prior(0.0, 0.03),
     "mass": Prior(1500.0, 0.0), "friction": Prior(0.7, 0.35), "wind_mean": Prior(0.0, 4.0),
     "wind_spread": Prior(4.0, 1.0), "wind_time": Prior(0.6, 0.6), "push_mean": Prior(0.0, 0.2),
     "lateness": Prior(0.0, 0.15), "lever": Prior(0.0, 0.8), "superelevation": Prior(0.0, 0.08),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +11,9 @@ from numpy.typing import NDArray
 from adaptrack.core import portable
 from adaptrack.identification.conventions import smoothed
 from adaptrack.identification.identified_car import HARDLY, Estimate
-from adaptrack.identification.likelihood import NEARLY, Likelihood
+from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import Log
-from adaptrack.identification.quantities import INDEX, Prior
+from adaptrack.identification.quantities import INDEX
 
 Array = NDArray[np.float64]
 
@@ -23,10 +22,8 @@ BEND_YAW_RATE, BEND_HALF_WINDOW, MIN_BEND_TIME = 0.03, 2.0, 4.0
 averaged; s of bends that a check needs."""
 MAX_GAIN_SIGMA = 0.08
 """Standard deviation of ln(ratio) up to which a log can confirm or refute a ratio."""
-RATIO_ERROR, RATIO_ERROR_SIGMAS = 0.13, 2.0
+RATIO_ERROR, RATIO_ERROR_SIGMAS = 0.2, 2.0
 """Least error of ln(ratio) that is reported, and in standard deviations."""
-GAIN_PRIOR_SIGMA = 0.5
-"""Prior standard deviation of ln(gain) while the specified ratio is checked."""
 UNKNOWN_RATIO = "cannot tell the ratio"
 RATIO_LOOSE = 1.1
 """Factor within which a steering ratio is of use."""
@@ -49,23 +46,15 @@ def bend_time(log: Log) -> float:
     return float(np.sum(turning)) / max(float(np.sum(measured)), 1.0) * log.driven_time
 
 
-def gain_of(likelihood: Likelihood, z: Array) -> Gain:
-    """Gain of a log with a specified ratio, from a fit in which the gain is free."""
-    log = likelihood.log
-    if log.commanded and likelihood.present["wheel"]:  # it was read with the same ratio
-        log = replace(log, wheel=np.full(log.samples, math.nan))
-    free_gain = Likelihood(log, likelihood.car, likelihood.beliefs | {"gain": Prior(1.0, GAIN_PRIOR_SIGMA)})
-    free, spread = free_gain.free, free_gain.spread
-    free_gain.take_gusts(likelihood)
-    free_gain.free, free_gain.spread = free, spread
-    place = int(np.searchsorted(free, INDEX["gain"]))
-    optimum, evaluation = free_gain.fit(z, NEARLY)
-    sigma = GAIN_PRIOR_SIGMA * math.sqrt(free_gain.covariance(evaluation)[place, place])
-    log_sigma = 1.0 / math.sqrt(
-        max(1.0 / (sigma * sigma) - 1.0 / (GAIN_PRIOR_SIGMA * GAIN_PRIOR_SIGMA), 1e-9)
-    )  # without the prior
-    mean = GAIN_PRIOR_SIGMA * float(optimum[INDEX["gain"]]) * (1.0 + portable.square(log_sigma / GAIN_PRIOR_SIGMA))
-    return Gain(portable.exp(min(max(mean, -5.0), 5.0)), log_sigma)
+def gain_of(likelihood: Likelihood, z: Array, covariance: Array) -> Gain:
+    """Gain of a log with a specified ratio, without its prior; covariance: of the free entries of the fit z."""
+    place, prior = INDEX["gain"], float(likelihood.spread[INDEX["gain"]])
+    if place not in likelihood.free:
+        return Gain(1.0, math.inf)
+    row = int(np.searchsorted(likelihood.free, place))
+    precision = max(1.0 / float(covariance[row, row]) - 1.0, 1e-6)
+    mean = prior * float(z[place]) * (1.0 + 1.0 / precision)
+    return Gain(portable.exp(min(max(mean, -5.0), 5.0)), prior / math.sqrt(precision))
 
 
 def check_ratio(log: Log, gain: Gain) -> tuple[str, str]:

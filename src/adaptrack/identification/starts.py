@@ -23,7 +23,8 @@ START_DELAYS, START_LATENESSES = (0.12, 0.25, 0.45), (0.0, 0.2)
 START_STIFFNESS = 2.0
 """Factor on the stiffness of both axles in one more start."""
 ROUGH_QUANTITIES = (
-    "delay", "lag_share", "lateness", "offset", "front", "rear", "gyro_offset", "wind_spread", "noise_yaw_rate", "jolt",
+    "delay", "lag_share", "lateness", "gain", "offset", "front", "rear", "gyro_offset", "wind_spread",
+    "noise_yaw_rate", "jolt",
 )  # fmt: skip
 """Quantities that are free in a rough fit."""
 MAX_ROUGH_GAP, MAX_RIVAL_GAP = 60.0, 15.0

@@ -202,7 +202,7 @@ def _log_of(rows: Array) -> Log:
     unmeasured, begins = np.full(time.size, np.nan), np.arange(time.size) == 0
     return Log(
         time=time, command=command, speed=np.interp(time, sampled, rows[:, 3]), yaw_rate=yaw_rate, vy=unmeasured,
-        acceleration=unmeasured, yaw=unmeasured, wheel=wheel, begins=begins,
+        acceleration=unmeasured, yaw=unmeasured, wheel=wheel, begins=begins, ratio_unknown=True,
     )  # fmt: skip
 
 
