@@ -25,12 +25,12 @@ from adaptrack.identification.quantities import degrees_per_g
 Array = NDArray[np.float64]
 
 MAX_PRIOR_DEVIATIONS = 3.0
-"""Standard deviations of the prior, beyond which an estimate is not of such a car."""
+"""Standard deviations of the prior, beyond which neither an estimate nor an interval of the car may lie."""
 FALSE_ALARM_RATE = 0.01
 """Of a false alarm over all quantities that are compared (Bonferroni)."""
 MODEL_ERRORS: Mapping[str, float] = {
     "delay": 0.015, "lag": 0.03, "dead_time": 0.03, "understeer_gradient": 0.0003, "front": 0.12, "rear": 0.12,
-    "lf": 0.05, "ratio": 0.05, "rate": 0.2, "relaxation": 0.5,
+    "lf": 0.05, "ratio": 0.05, "angle_scale": 0.03, "rate": 0.2, "relaxation": 0.5,
 }  # fmt: skip
 """Quantities of the car, which stretches and logs share, and the standard deviation that the model's errors add to
 each: delays in s, K in rad s^2/m (0.17 deg/g), of the logarithm for the others."""
@@ -53,10 +53,16 @@ def implausible_estimates(estimates: Mapping[str, Estimate], car: Vehicle) -> li
     """Estimates that lie outside what was believed, or what any car has, in words."""
     messages = []
     for estimate in estimates.values():
+        before = f"what was believed ({estimate.before[0]:.3g} to {estimate.before[1]:.3g})"
         if abs(estimate.shift) > MAX_PRIOR_DEVIATIONS and not estimate.name.startswith(("noise", "gyro")):
             messages.append(
                 f"{estimate.name} {estimate.value:.3g} {estimate.unit} lies {abs(estimate.shift):.1f} "
-                f"standard deviations from what was believed ({estimate.before[0]:.3g} to {estimate.before[1]:.3g})"
+                f"standard deviations from {before}"
+            )
+        elif estimate.reach > MAX_PRIOR_DEVIATIONS and estimate.name in MODEL_ERRORS:
+            messages.append(
+                f"the interval of {estimate.name}, {estimate.low:.3g} to {estimate.high:.3g} {estimate.unit}, reaches "
+                f"{estimate.reach:.1f} standard deviations from {before}"
             )
     return messages + _unphysical_quantities(estimates, car)
 

@@ -19,6 +19,9 @@ ReportedRow = tuple[str, str, str, bool, Callable[[Array], float]]
 """Name, unit, meaning, whether it is positive, and how it follows from the quantities."""
 NORMAL_90 = 1.6448536269514722
 """Half width of a 90 % interval in standard errors."""
+FROM_ZERO = ("delay", "lag", "dead_time", "relaxation")
+"""Last words of positive quantities that may be 0. On the scale of their logarithm 0 is infinitely far, so distances
+below the value and below the prior median count on the scale of the value."""
 ESTIMATE_STEP = 1e-4
 """Of the differences, in spreads of the prior."""
 
@@ -60,16 +63,30 @@ def estimates_at(
     spread *= wider
     estimates = {}
     for i, (name, unit, meaning, positive, _) in enumerate(rows):
-        ends = [centre[i] - NORMAL_90 * spread[i], centre[i] + NORMAL_90 * spread[i]]
-        before = [first[i] - NORMAL_90 * prior[i], first[i] + NORMAL_90 * prior[i]]
-        value, error = float(centre[i]), float(spread[i])
-        if positive:
-            value, error = portable.exp(value), error * portable.exp(value)
-            ends, before = [portable.exp(e) for e in ends], [portable.exp(min(e, 700.0)) for e in before]
-        left = float(spread[i] / prior[i]) if prior[i] > 0.0 else 0.0
-        shift = float((centre[i] - first[i]) / prior[i]) if prior[i] > 0.0 else 0.0
-        estimates[name] = Estimate(
-            name, unit, meaning, value, error, float(ends[0]), float(ends[1]), (float(before[0]), float(before[1])),
-            left, shift,
-        )  # fmt: skip
+        value, low, high = (_on_scale(centre[i], spread[i], end, name, positive) for end in (0.0, -1.0, 1.0))
+        before = tuple(_on_scale(first[i], prior[i], end, name, positive) for end in (-1.0, 1.0))
+        left, shift, reach = 0.0, 0.0, 0.0
+        if prior[i] > 0.0:
+            left = float(spread[i] / prior[i])
+            shift, *ends = (_deviation(x, first[i], prior[i], name, positive) for x in (value, low, high))
+            reach = max(map(abs, ends))
+        error = float(spread[i]) * (value if positive else 1.0)
+        estimates[name] = Estimate(name, unit, meaning, value, error, low, high, before, left, shift, reach)
     return estimates, wider[:, None] * jacobian
+
+
+def _on_scale(centre: float, spread: float, end: float, name: str, positive: bool) -> float:
+    """The centre of a 90 % interval (end 0) or one of its ends (-1, 1); of a logarithm where a quantity is positive."""
+    if not positive:
+        return float(centre + end * NORMAL_90 * spread)
+    if end < 0.0 and name.endswith(FROM_ZERO):
+        return math.exp(centre) * max(1.0 - NORMAL_90 * float(spread), 0.0)
+    return math.exp(min(centre + end * NORMAL_90 * spread, 700.0))
+
+
+def _deviation(x: float, first: float, prior: float, name: str, positive: bool) -> float:
+    """Standard deviations of the prior from its median to a value."""
+    if not positive:
+        return float((x - first) / prior)
+    ratio = x / math.exp(first)
+    return float((ratio - 1.0 if ratio < 1.0 and name.endswith(FROM_ZERO) else math.log(ratio)) / prior)

@@ -46,6 +46,8 @@ class Estimate:
     """share of the spread that was believed before which is left: near 1 the log says nothing"""
     shift: float = 0.0
     """standard deviations of what was believed before, from there to the value"""
+    reach: float = 0.0
+    """the same to the farther end of the interval"""
 
     def to_dict(self) -> dict[str, object]:
         """Return the content of ``--json``."""

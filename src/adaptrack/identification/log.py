@@ -133,7 +133,8 @@ def log_of(
         messages.append("no steering command, only a measured angle: lag and dead time cannot be found")
     _without_outliers(time, data, commanded, messages)
     hole = max(3.0 * period, LEAST_GAP)
-    data["command"], data["speed"] = _hold_values(time, data["command"], hole), _filled(time, data["speed"], hole)
+    fill = _hold_values if commanded else _filled
+    data["command"], data["speed"] = fill(time, data["command"], hole), _filled(time, data["speed"], hole)
     _without_stuck(time, data, wheelbase, messages)
     data["yaw"] = _unwrapped(data["yaw"])
     log = _cut(time, data, max(GAP_PERIODS * period, LEAST_GAP), commanded, messages)

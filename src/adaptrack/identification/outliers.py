@@ -35,6 +35,8 @@ NEIGHBOURS, PASSES = 5, 10
 """To either side, at least; largest number of searches."""
 MAX_OUTLIER_SHARE = 0.05
 """Share of a signal from which on the column is wrong, not the sample: outliers then hide each other."""
+LEAST_CHANGES, HELD_SHARE, LONGEST_HELD = 100, 0.9, 0.25
+"""Changes of a signal, share of them at even distances, and s between them, of a signal that is called held."""
 UNDERSTEER, STEERING_RESPONSE_TIME, STEERED_SHARE = 0.003, 1.0, 0.25
 """rad s^2/m, of an ordinary car; s, in which a car responds to its steering; change of the expected yaw rate during
 which a gyro is stuck, over its range."""
@@ -87,6 +89,41 @@ def find_stuck(time: Array, yaw_rate: Array, steering: Array, speed: Array, whee
             if steered.size and np.ptp(steered) > least:
                 outliers[measured[first : last + 1]] = True
     return outliers
+
+
+def find_samples(time: Array, values: Array) -> tuple[Rows, str]:
+    """Find the rows (n,) in which a signal on a faster raster was sampled, and how the others were filled, in words.
+
+    A held signal repeats its last value, an interpolated one its last slope. The words are empty for neither.
+    """
+    finite = np.isfinite(time) & np.isfinite(values)
+    rows = np.flatnonzero(finite)
+    if rows.size <= LEAST_CHANGES or not np.any(np.diff(values[rows])):
+        return finite, ""
+    x, step = values[rows], np.diff(values[rows])
+    quantum = max(float(np.abs(step[step != 0.0]).min()), 1e-9 * float(np.ptp(x)))
+    changes = np.flatnonzero(step) + 1
+    gaps = np.diff(changes)
+    every = int(np.quantile(gaps, 0.1)) if gaps.size else 1
+    quantised = float(np.median(np.abs(step[changes - 1]))) <= 2.0 * quantum
+    words = "changes only every"
+    if every < 2 or (quantised and np.mean(gaps % every == 0) < HELD_SHARE):
+        bends = np.abs(np.diff(x, 2)) > 3.0 * quantum
+        changes = np.flatnonzero(bends & ~np.append(False, bends[:-1])) + 1
+        gaps = np.diff(changes)
+        every = int(np.median(gaps)) if gaps.size else 1
+        words = "is interpolated between every"
+        if not gaps.size or np.mean(np.abs(gaps - every) <= 1) < HELD_SHARE:
+            return finite, ""
+    if changes.size < LEAST_CHANGES or not 2 <= every <= LONGEST_HELD / float(np.median(np.diff(time[rows]))):
+        return finite, ""
+    begin = np.concatenate([[0], changes])
+    length = np.diff(np.append(begin, rows.size))
+    place = np.arange(rows.size) - np.repeat(begin, length)
+    is_sample = (place % every == 0) & ((place == 0) | (np.repeat(length, length) - place > every // 2))
+    sampled = np.zeros(time.size, bool)
+    sampled[rows[is_sample]] = True
+    return sampled, f"{words} {every} rows"
 
 
 def outlier_note(name: str, time: Array, values: Array, outliers: Rows) -> str:

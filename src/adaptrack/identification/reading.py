@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
+from adaptrack.identification.outliers import find_samples
 from adaptrack.identification.table import CellArray, LogTable, find_origin, load_table, parse_instants, seconds
 
 Array = NDArray[np.float64]
@@ -86,6 +87,8 @@ NEEDED_SIGNALS = ("speed", "yaw_rate", "command", "wheel", "steering_wheel")
 """Signals, beside the time, whose columns must hold numbers."""
 FROM_ITS_CLOCK, LEAST_HOLE = 3.0, 0.3
 """Periods of its own clock, and s: a signal has no value farther than the larger of them from its samples."""
+LEAST_WRAP = 0.8
+"""Least jump of an angle that wraps, in turns: between two samples it turns by less than the rest."""
 _AT_STEERING_WHEEL = re.compile(r"steering_?wheel|swa$|hand_?wheel")
 
 
@@ -178,7 +181,10 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
             continue
         if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m", "N", "-") or sign < 0.0:
             notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
+    for signal in set(_ANGLES) & values.keys() - {"yaw"}:
+        values[signal] = _without_turns(signal, values[signal], notes)
     _on_one_clock(values, _clocks(table, reading, origin), reading.late, notes)
+    values = _without_repeats(values, notes)
     commanded, unknown = _at_road_wheels(values, mapping, reading.steering_ratio, notes)
     if "time" in values:
         values["time"] = values["time"] - values["time"][np.isfinite(values["time"])][:1].sum()
@@ -286,6 +292,41 @@ def _resampled(signal: str, time: Array, clock: Array, values: Array) -> Array:
             near &= np.isin(np.arange(at.size), nearest)
     out[ask] = np.where(near, samples, np.nan)
     return out
+
+
+def _without_turns(signal: str, angle: Array, notes: list[str]) -> Array:
+    """A steering angle that wraps, without its jumps by a turn: of 2 pi, or of 360 where its unit is left out."""
+    is_finite = np.isfinite(angle)
+    x = angle[is_finite]
+    for turn in (2.0 * math.pi, 360.0):
+        jumps = np.abs(np.diff(x)) > LEAST_WRAP * turn
+        if jumps.any() and np.ptp(x) <= 1.01 * turn:
+            notes.append(f"{signal} jumps by a turn {int(jumps.sum())} times: it is unwrapped")
+            out = np.full_like(angle, math.nan)
+            out[is_finite] = np.unwrap(x, period=turn)
+            return np.asarray(out - turn * np.round(np.nanmedian(out) / turn))
+    return angle
+
+
+def _without_repeats(values: dict[str, Array], notes: list[str]) -> dict[str, Array]:
+    """Measured signals without the values that a faster raster repeats or interpolates; rows without news are dropped.
+
+    Values between two samples measure nothing, but would count as measurements without noise.
+    """
+    time = values.get("time")
+    if time is None:
+        return values
+    news, filled = np.zeros(time.size, bool), False
+    for signal in [name for name in values if name not in ("time", *HELD_SIGNALS)]:
+        sampled, words = find_samples(time, values[signal])
+        news |= sampled
+        if words:
+            filled = True
+            values[signal] = np.where(sampled, values[signal], math.nan)
+            notes.append(f"{signal} {words}: the others are left out")
+    for signal in [name for name in values if filled and name in HELD_SIGNALS]:
+        news |= np.append(True, np.diff(values[signal]) != 0.0)
+    return {name: column[news] for name, column in values.items()} if filled else values
 
 
 def _at_road_wheels(

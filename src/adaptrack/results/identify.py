@@ -173,8 +173,7 @@ def _log_tables(identification: Identification) -> list[ResultTable]:
     for name in identification.estimates:
         estimates = [log_identification.estimates.get(name) for log_identification in identification.alone]
         intervals = [
-            (estimate.low, estimate.high) if estimate and 0.0 < estimate.spread_left < 1.0 else None
-            for estimate in estimates
+            (estimate.low, estimate.high) if estimate and estimate.spread_left > 0.0 else None for estimate in estimates
         ]
         if any(intervals):
             each_log = {f"log_{i + 1}": interval for i, interval in enumerate(intervals)}
