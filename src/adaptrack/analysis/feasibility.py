@@ -18,6 +18,7 @@ from adaptrack.analysis.stability import hard_turn, margin_map, speed_nodes
 from adaptrack.base.checked import RISING, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_SPEED
+from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.core import portable
@@ -204,6 +205,7 @@ def _range(low: float, high: float) -> str:
 _Speed = Annotated[Positive, MAX_SPEED]
 
 
+@reports_progress("feasible")
 @checked
 def feasibility(
     plant: Plant,
@@ -216,6 +218,7 @@ def feasibility(
     nodes: Sequence[ArrayLike] = TUNINGS,
     turn: Turn | None = hard_turn,
     mismatches: Sequence[Mismatch] = (),
+    progress: ProgressCall | None = None,
 ) -> Feasibility:
     """Find the speeds and frictions at which some tuning of a controller has a sufficient modulus margin.
 
@@ -241,6 +244,8 @@ def feasibility(
     mismatches
         Differences between the true car and `plant` and `profile`. The margin must also be sufficient with each of
         them in straight driving.
+    progress
+        Function called with (stage, steps done, steps in all).
 
     Raises
     ------
@@ -259,7 +264,7 @@ def feasibility(
         *allowed,
     )
     plants = linear_plants(plant, mpc.period, profile, turn, mismatches)
-    margins = margin_map(mpc, plants, axes, _ANGLES, SampleAges.of(profile))
+    margins = margin_map(mpc, plants, axes, _ANGLES, SampleAges.of(profile), progress)
     return Feasibility.from_map(axes, margins, margin)
 
 

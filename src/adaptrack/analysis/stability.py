@@ -31,6 +31,7 @@ from adaptrack.analysis.linearisation import (
     sensed,
 )
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, twin_of
 from adaptrack.cars.vehicle import Vehicle
@@ -298,7 +299,7 @@ def speed_nodes(low: float, high: float) -> Array:
 
 def margin_map(
     mpc: MPC, plants: Sequence[LinearPlant], axes: Sequence[Array], angles: ArrayLike = _ANGLES,
-    ages: SampleAges = PROMPT_SAMPLES,
+    ages: SampleAges = PROMPT_SAMPLES, progress: ProgressCall | None = None,
 ) -> Array:  # fmt: skip
     """Return the smallest modulus margin of an MPC with several plants, on a grid of operating points and tunings.
 
@@ -314,11 +315,15 @@ def margin_map(
         Frequencies of the loop gain (rad per control period).
     ages
         Ages of the samples in the plants.
+    progress
+        Function called with (stage, steps done, steps in all).
     """
     horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
     tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), portable.power(10.0, ratio)])
     least = np.empty((len(axes[0]), len(axes[1]), len(tunings)))
     for i, v in enumerate(axes[0].tolist()):
+        if progress is not None:
+            progress("margins", i, len(axes[0]))
         law = laws(mpc, v, tunings, linear_estimator(mpc, v, ages))
         # The last linear plant and its margins; in straight driving most tyres do not depend on friction.
         sampled_plants: dict[LinearPlant, tuple[Sampled, Array]] = {}

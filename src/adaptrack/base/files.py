@@ -444,22 +444,26 @@ def write_atomically(path: str | os.PathLike[str], content: bytes, *, through_li
         raise StorageError(f"{printable(os.fspath(path))}: cannot be written: {_reason(error)}.") from error
 
 
-def check_replaceable(path: str | os.PathLike[str]) -> None:
-    """Refuse to write to what exists and is no plain file or link, and to a page ``index.html`` of another program.
+@contextlib.contextmanager
+def keep_replaced(*paths: Path) -> Iterator[list[Path]]:
+    """Keep each file that the `with` block replaces by other content, as ``NAME.bak`` beside it.
+
+    Yields a list that holds the paths of the kept files after the block. An older ``NAME.bak`` is replaced.
 
     Raises
     ------
     StorageError
-        Naming the file, with the remedy.
+        When an existing file cannot be read, or its copy cannot be written.
     """
-    file = Path(path)
-    where = f"{printable(os.fspath(path))}: cannot be written"
-    if not os.path.lexists(file) or file.is_symlink():
-        return
-    if not file.is_file():
-        raise StorageError(f"{where}: {_NO_PLAIN_FILE}; choose another name.")
-    if file.name == PAGE_FILE and not any(mark in read_bytes(file) for mark in _OWN_PAGES):
-        raise StorageError(f"{where}: another program wrote this page; choose another folder, or remove it.")
+    previous = {path: read_bytes(path) for path in paths if path.is_file()}
+    kept: list[Path] = []
+    try:
+        yield kept
+    finally:
+        for path, content in previous.items():
+            if not path.is_file() or read_bytes(path) != content:
+                kept.append(path.with_name(f"{path.name}.bak"))
+                write_atomically(kept[-1], content)
 
 
 # -- Parquet tables with a checksum -----------------------------------------------------------------------------------

@@ -195,8 +195,10 @@ def _print_feasible(
     from adaptrack.analysis.linearisation import usual_mismatches
 
     mismatches = usual_mismatches(mpc.period) if mismatch else ()
-    with show.progress("feasible"):
-        result: Feasibility = feasibility(plant, mpc, profile, mismatches=mismatches, **domain)  # type: ignore[arg-type]
+    with show.progress("feasible") as advance:
+        result: Feasibility = feasibility(
+            plant, mpc, profile, mismatches=mismatches, progress=advance, **domain  # type: ignore[arg-type]
+        )  # fmt: skip
     if as_json:
         show.say_json(result.summary())
     else:

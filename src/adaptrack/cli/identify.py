@@ -98,7 +98,8 @@ def identify(arguments: IdentifyOptions) -> None:
         show.say_failed(f"not consistent: {reason}.", aside=as_json)
     refused = not (identified.consistent or arguments.anyway)
     if out is not None and not refused:
-        identified.to_toml(out, anyway=arguments.anyway)
+        with show.replacing(out, out.with_name(f"{out.stem}-tyre.toml"), aside=as_json):
+            identified.to_toml(out, anyway=arguments.anyway)
         show.say(f"Car: {out}", aside=as_json)
     elif out is not None:
         show.say(f"{out} was not written; use --anyway to write it.", aside=as_json)
@@ -121,7 +122,8 @@ def _identify_drive(arguments: IdentifyOptions, reading: Reading) -> None:
     identified = identify_drive(list(arguments.logs), arguments.car, reading=reading)
     show.say_result(drive_identification_result(identified), arguments.as_json)
     if out is not None:
-        identified.to_toml(out)
+        with show.replacing(out, aside=arguments.as_json):
+            identified.to_toml(out)
         show.say(f"Car: {out}", aside=arguments.as_json)
     if not arguments.as_json and out is None:
         say_next("to keep the car", repeat_command_with("--out", "my-car.toml"))

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from adaptrack.base.files import keep_replaced
 from adaptrack.base.progress import TrackedWork, call_until, registered_work
 from adaptrack.base.progress import duration as duration
 from adaptrack.base.result import Column, Result, ResultTable
@@ -55,6 +56,16 @@ def listing(title: str, rows: TableRows, as_json: bool) -> None:
         say_json({"rows": rows})
     elif rows:
         table(title, [Column(key, key.replace("_", " ")) for key in rows[0]], rows)
+
+
+# -- files -----------------------------------------------------------------------------------------------------
+@contextmanager
+def replacing(*files: Path, aside: bool = False) -> Iterator[None]:
+    """Keep files that the `with` block replaces by other content, and say where, see `base.files.keep_replaced`."""
+    with keep_replaced(*files) as kept:
+        yield
+    for file in kept:
+        say(f"The previous content is in {file}", aside=aside)
 
 
 # -- progress ---------------------------------------------------------------------------------------------------------

@@ -148,8 +148,6 @@ class Likelihood(InnovationLikelihood):
         rows = np.zeros((len(kernel.LOG_ROW), log.samples))
         for name in ("time", "command", "speed", *MEASURED_OUTPUTS):
             rows[kernel.LOG_ROW._fields.index(name)] = getattr(log, name)
-        if not log.commanded:
-            rows[kernel.LOG_ROW.command] = _smoothed(log)
         rows[kernel.LOG_ROW.begins] = log.begins
         rows[kernel.LOG_ROW.used] = 1.0 if used is None else used
         self._rows = rows
@@ -256,7 +254,7 @@ class Likelihood(InnovationLikelihood):
         return part
 
 
-def _smoothed(log: Log) -> Array:
+def smooth_wheel(log: Log) -> Array:
     """(n,) the measured wheel angle without its noise and steps, which would pass for steering.
 
     Splines of each segment, as smooth as cross-validation finds best (`road.smoothing`).

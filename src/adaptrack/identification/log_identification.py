@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Annotated, NamedTuple
 
@@ -26,7 +27,7 @@ from adaptrack.identification.conventions import check_conventions, check_positi
 from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS, PEDALS, drive_of_columns
 from adaptrack.identification.estimates import ReportedRow, estimates_at, slopes_at, values_at
 from adaptrack.identification.identified_car import Estimate, Identification, Series, Validation
-from adaptrack.identification.likelihood import NEARLY, Likelihood, Scored
+from adaptrack.identification.likelihood import NEARLY, Likelihood, Scored, smooth_wheel
 from adaptrack.identification.log import Log, log_of, noise_of
 from adaptrack.identification.log_combination import combined, shared_by
 from adaptrack.identification.long_log import shorten_log
@@ -49,6 +50,8 @@ VALIDATION_BLOCK, HELD_OUT_EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
 RATIO_SPREAD = (0.3, 0.1)
 """Of the logarithm of a steering ratio that is to be found: guessed from the log, or said by the car's file."""
+FIT_STEPS = 11
+"""Steps of about equal duration in the fit of a log; its validation takes as long as one of them."""
 MAX_SCALE_CORRELATION = 0.97
 """Of the scale of the steering angle with the understeer gradient, above which a log does not tell them apart."""
 THIRDS, LEAST_THIRDS = 3, 50.0
@@ -129,7 +132,7 @@ def identify(
     fits = _fits(read, believed, beliefs, show)
     alone: list[Identification] = []
     for fit in fits:
-        show("validation", len(alone), len(fits))
+        show("validation", FIT_STEPS * len(fits) + len(alone), (FIT_STEPS + 1) * len(fits))
         alone.append(_alone(fit, curve))
     return _with_drive(alone[0] if len(alone) == 1 else _together(fits, alone), read)
 
@@ -159,9 +162,16 @@ def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prio
         ]
     fits: list[Fit] = []
     for likelihood, columns, belief in zip(prepared, read, log_beliefs, strict=True):
-        show("fit", len(fits), len(read))
-        fits.append(Fit(likelihood, *optimum(likelihood), columns, belief))
+        done, total = FIT_STEPS * len(fits), (FIT_STEPS + 1) * len(read)
+        show("fit", done, total)
+        tell = partial(_tell, show, done, total)
+        fits.append(Fit(likelihood, *optimum(likelihood, tell), columns, belief))
     return fits
+
+
+def _tell(show: ProgressCall, done: int, total: int, step: int) -> None:
+    """Report a step of the fit of a log behind the steps that are done."""
+    show("fit", done + step, total)
 
 
 def _alone(fit: Fit, curve: Tyre) -> Identification:
@@ -237,6 +247,8 @@ def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior], ra
         cleaned = replace(cleaned, command=cleaned.command / ratio, ratio=ratio, ratio_unknown=True)
     check_conventions(cleaned, believed.wheelbase)
     beliefs |= _noises(cleaned)
+    if not cleaned.commanded:
+        cleaned = replace(cleaned, command=smooth_wheel(cleaned))
     return Likelihood(cleaned, believed, beliefs)
 
 
@@ -280,16 +292,19 @@ def fitted(likelihood: Likelihood) -> tuple[Array, Array]:
     return z, covariance
 
 
-def optimum(likelihood: Likelihood) -> tuple[Array, Array, tuple[Array, ...]]:
+def optimum(
+    likelihood: Likelihood, tell: Callable[[int], None] = lambda step: None
+) -> tuple[Array, Array, tuple[Array, ...]]:
     """The most likely point z of a log, the covariance of its free entries, and points that are as likely.
 
     First all gusts are alike; then their spread follows the log; then it is widened, see `Likelihood.widen_gusts`.
     Points that are as likely widen the covariance by their distance. A scale of the steering angle that the log does
-    not tell from understeer keeps its prior.
+    not tell from understeer keeps its prior. tell: called with how many of `FIT_STEPS` are done.
     """
-    z, rivals = find_optima(likelihood)
+    z, rivals = find_optima(likelihood, tell)
     likelihood.follow_gusts(z)
     z, _ = likelihood.fit(z, NEARLY)
+    tell(FIT_STEPS - 1)
     z, at = likelihood.fit(likelihood.widen_gusts(z))
     if abs(_scale_correlation(likelihood, z, at)) > MAX_SCALE_CORRELATION:
         z, covariance = _keep_scale(likelihood, z, at)

@@ -7,6 +7,7 @@ them may stay there. Fits of the few quantities that matter most, from several s
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -41,15 +42,22 @@ class Optima(NamedTuple):
     """as likely, within `MAX_RIVAL_GAP`"""
 
 
-def find_optima(likelihood: Likelihood) -> Optima:
-    """The best of the nearby optima of a likelihood, and those that are as likely."""
+def find_optima(likelihood: Likelihood, tell: Callable[[int], None] = lambda step: None) -> Optima:
+    """The best of the nearby optima of a likelihood, and those that are as likely.
+
+    tell: called with the number of fits that are done, 9 at most.
+    """
     starts = _starting_points(likelihood)
     optima = [likelihood.fit(min(starts[:-1], key=likelihood.objective), NEARLY)[0]]
-    refined = list(optima)
-    finite = [z for z in starts if math.isfinite(likelihood.objective(z))]
-    rough = sorted((_fit_roughly(likelihood, z) for z in finite), key=likelihood.objective)
+    refined, rough = list(optima), []
+    for z in starts:
+        tell(1 + len(rough))
+        if math.isfinite(likelihood.objective(z)):
+            rough.append(_fit_roughly(likelihood, z))
+    rough.sort(key=likelihood.objective)
     limit = min(map(likelihood.objective, rough), default=math.inf) + MAX_ROUGH_GAP
-    for z in rough:
+    for i, z in enumerate(rough):
+        tell(1 + len(starts) + i)
         if likelihood.objective(z) <= limit and not any(_have_equal_axles(likelihood, z, other) for other in refined):
             optima.append(likelihood.fit(z, NEARLY)[0])
             refined.append(z)
