@@ -24,8 +24,8 @@ from adaptrack.identification.quantities import degrees_per_g
 
 Array = NDArray[np.float64]
 
-MAX_PRIOR_DEVIATIONS = 3.0
-"""Standard deviations of the prior, beyond which neither an estimate nor an interval of the car may lie."""
+MAX_PRIOR_DEVIATIONS, MAX_REACH = 3.0, 3.5
+"""Standard deviations of the prior, beyond which an estimate is not of such a car, and its interval says nothing."""
 FALSE_ALARM_RATE = 0.01
 """Of a false alarm over all quantities that are compared (Bonferroni)."""
 MODEL_ERRORS: Mapping[str, float] = {
@@ -59,7 +59,7 @@ def implausible_estimates(estimates: Mapping[str, Estimate], car: Vehicle) -> li
                 f"{estimate.name} {estimate.value:.3g} {estimate.unit} lies {abs(estimate.shift):.1f} "
                 f"standard deviations from {before}"
             )
-        elif estimate.reach > MAX_PRIOR_DEVIATIONS and estimate.name in MODEL_ERRORS:
+        elif estimate.reach > MAX_REACH and estimate.name in MODEL_ERRORS:
             messages.append(
                 f"the interval of {estimate.name}, {estimate.low:.3g} to {estimate.high:.3g} {estimate.unit}, reaches "
                 f"{estimate.reach:.1f} standard deviations from {before}"

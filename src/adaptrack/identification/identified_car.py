@@ -62,6 +62,19 @@ class Estimate:
         return f"{self.name}: {self.low:.4g} to {self.high:.4g} {self.unit}"
 
 
+def scale_correlations(estimates: Mapping[str, Estimate], covariance: Array) -> dict[str, float]:
+    """Correlations of the scale of the steering angle with the other estimates; none where it is not estimated.
+
+    covariance: of the estimates in their order
+    """
+    names, sigma = list(estimates), np.sqrt(np.diag(covariance))
+    if "angle_scale" not in names:
+        return {}
+    place = names.index("angle_scale")
+    values = covariance[place] / np.maximum(sigma * sigma[place], 1e-300)
+    return {name: float(value) for name, value in zip(names, values, strict=True) if name != "angle_scale"}
+
+
 @dataclass(frozen=True, eq=False)
 class DriveIdentification:
     """Drive, brakes and resistance of a car as identified from logs of commands and the speed."""
@@ -209,6 +222,8 @@ class Identification:
             steering = steering.replace(rate=value["rate"])
         if "ratio" in value:
             steering = steering.replace(ratio=value["ratio"])
+        elif self.log.ratio != 1.0 and "angle_scale" in value and self.estimates["angle_scale"].spread_left < HARDLY:
+            steering = steering.replace(ratio=self.log.ratio * value["angle_scale"])
         believed = self.believed if self.drive is None else self.drive.added_to(self.believed)
         return believed.replace(
             stiffness_front=0.5 * value["front"], stiffness_rear=0.5 * value["rear"],
@@ -283,6 +298,7 @@ class Identification:
         """Return the content of ``--json``."""
         return {
             "estimates": {name: estimate.to_dict() for name, estimate in self.estimates.items()},
+            "angle_scale_correlations": scale_correlations(self.estimates, self.covariance),
             "validation": {
                 "one_step_vaf": self.validation.one_step, "simulated_vaf": self.validation.simulated,
                 "held_out": self.validation.held_out, "autocorrelation": list(self.validation.autocorrelation),

@@ -115,13 +115,16 @@ class InnovationLikelihood(ABC):
                     break
         return z, current
 
-    def covariance(self, at: Scored) -> Array:
+    def covariance(self, at: Scored, slopes: Array | None = None) -> Array:
         """Covariance of z where it is free: the inverse information, wider where stretches of the log disagree.
+
+        slopes: derivatives over the free entries of as many quantities, each of which is widened by itself; by default
+        the entries
 
         The scatter of the estimates that leave out one stretch each holds whatever the noise is, and what differs from
         stretch to stretch (the delete-one jackknife in its linear form, CR3 of J. G. MacKinnon, M. O. Nielsen and M. D.
-        Webb, J. Econometrics 232 (2023) 272-299). It is never less than the information says, nor more than was
-        believed before.
+        Webb, J. Econometrics 232 (2023) 272-299). The variance of these quantities is never less than the information
+        says, nor more than was believed before.
         """
         inverse = portable.inverse(at.information)
         stretch = np.broadcast_to(np.floor(self.time / STRETCH).astype(np.int64), self.counts.shape)[self.counts]
@@ -131,9 +134,11 @@ class InnovationLikelihood(ABC):
             its = _squares(at.by_error[:, rows]) + _squares(at.by_size[:, rows])
             moved = portable.solve(at.information - its, at.scores[:, rows].sum(axis=1))
             scatter += np.outer(moved, moved)
-        variance = np.clip(np.diag(scatter), np.diag(inverse), 1.0)
-        widened = np.sqrt(variance / np.diag(inverse))
-        return widened[:, None] * inverse * widened
+        slopes = np.eye(self.free.size) if slopes is None else slopes
+        known, seen = (np.einsum("ij,jk,ik->i", slopes, matrix, slopes) for matrix in (inverse, scatter))
+        widened = np.sqrt(np.clip(seen, known, np.sum(slopes**2, axis=1)) / known)
+        change = np.linalg.solve(slopes, widened[:, None] * slopes)
+        return change @ inverse @ change.T
 
 
 class Likelihood(InnovationLikelihood):

@@ -26,7 +26,7 @@ from adaptrack.identification.consistency import Moments, contradictions, implau
 from adaptrack.identification.conventions import check_conventions, check_positions, guessed_ratio
 from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS, PEDALS, drive_of_columns
 from adaptrack.identification.estimates import ReportedRow, estimates_at, slopes_at, values_at
-from adaptrack.identification.identified_car import Estimate, Identification, Series, Validation
+from adaptrack.identification.identified_car import Estimate, Identification, Series, Validation, scale_correlations
 from adaptrack.identification.likelihood import NEARLY, Likelihood, Scored, smooth_wheel
 from adaptrack.identification.log import Log, log_of, noise_of
 from adaptrack.identification.log_combination import combined, shared_by
@@ -39,7 +39,7 @@ from adaptrack.identification.quantities import (
     plain_car,
     understeer,
 )
-from adaptrack.identification.ratio import UNKNOWN_RATIO, check_fitted_ratio, check_ratio, gain_of
+from adaptrack.identification.ratio import UNKNOWN_RATIO, check_fitted_ratio, check_scale, gain_of
 from adaptrack.identification.reading import Columns, Reading, Source, read_columns
 from adaptrack.identification.starts import find_optima
 from adaptrack.identification.words import findings
@@ -71,7 +71,7 @@ class Fit(NamedTuple):
     covariance: Array
     """of the free entries of z"""
     rivals: tuple[Array, ...]
-    """points that are as likely"""
+    """points that are as likely, between which z lies; empty where there is one"""
     columns: Columns
     beliefs: dict[str, Prior]
 
@@ -180,13 +180,13 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
     log, car = likelihood.log, likelihood.car
     estimates, jacobian = _estimates(likelihood, z, covariance)
     validation, series = _validated(likelihood, z, log, car, beliefs)
-    usable, against, open_ratio = _ratio(fit, estimates)
+    spread = jacobian @ covariance @ jacobian.T
+    usable, against, found = _ratio(fit, estimates, spread)
     reasons = implausible_estimates(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
-    limits = _rivals_sentence(likelihood, z, rivals) + findings(log, estimates, validation) + open_ratio
+    limits = _rivals_sentence(likelihood, rivals) + findings(log, estimates, validation) + found
     rows = [i for i, name in enumerate(estimates) if name in usable]
     return Identification(
-        usable, product(product(jacobian, covariance), jacobian.T)[np.ix_(rows, rows)], validation, limits, log, car,
-        curve,
+        usable, spread[np.ix_(rows, rows)], validation, limits, log, car, curve,
         columns.computation, series, tuple(reasons),
     )  # fmt: skip
 
@@ -204,26 +204,36 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
     ]
     joint = combined(fits, agree=not (reasons or log_reasons))
     estimates, jacobian = _estimates(likelihood, *joint[main])
+    spread = jacobian @ joint[main][1] @ jacobian.T
+    against, found = [], ()
+    if not likelihood.log.ratio_unknown:
+        _, against, found = _ratio(fits[main]._replace(z=joint[main][0], covariance=joint[main][1]), estimates, spread)
     ratio_logs = [i for i, identification in enumerate(alone) if "ratio" in identification.estimates]
     shared = {
         name: estimate for name, estimate in estimates.items() if name in SHARED and (name != "ratio" or ratio_logs)
     }
     rows = [i for i, name in enumerate(estimates) if name in shared]
     open_ratio = [reason for reason in first.reasons if reason.startswith(UNKNOWN_RATIO)] if not ratio_logs else []
-    reasons = [*(reasons or implausible_estimates(shared, first.believed)), *log_reasons, *open_ratio]
+    reasons = [*(reasons or implausible_estimates(shared, first.believed)), *against, *log_reasons, *open_ratio]
     return replace(
-        first, estimates=shared, covariance=product(product(jacobian, joint[main][1]), jacobian.T)[np.ix_(rows, rows)],
-        findings=findings(first.log, estimates, first.validation), computation=max(e.computation for e in alone),
+        first, estimates=shared, covariance=spread[np.ix_(rows, rows)],
+        findings=findings(first.log, estimates, first.validation) + found,
+        computation=max(identification.computation for identification in alone),
         reasons=tuple(reasons), alone=tuple(alone),
     )  # fmt: skip
 
 
-def _ratio(fit: Fit, estimates: dict[str, Estimate]) -> tuple[dict[str, Estimate], list[str], tuple[str, ...]]:
-    """The estimates that may be reported, what contradicts the steering ratio, and what is open."""
+def _ratio(
+    fit: Fit, estimates: dict[str, Estimate], spread: Array
+) -> tuple[dict[str, Estimate], list[str], tuple[str, ...]]:
+    """The estimates that may be reported, what contradicts the steering ratio, and findings; spread: covariance."""
     log = fit.likelihood.log
     if not log.ratio_unknown:
-        against, open_ratio = check_ratio(log, gain_of(fit.likelihood, fit.z, fit.covariance))
-        return estimates, [against] if against else [], (open_ratio,) if open_ratio else ()
+        if "angle_scale" not in estimates:
+            return estimates, [], ()
+        gain = gain_of(fit.likelihood, fit.z, fit.covariance)
+        against, finding = check_scale(log, estimates["angle_scale"], gain, scale_correlations(estimates, spread))
+        return estimates, [against] if against else [], (finding,) if finding else ()
     is_known, message = check_fitted_ratio(log, estimates["ratio"])
     guessed = fit.beliefs["gain"].spread == RATIO_SPREAD[0]
     if is_known or not guessed:
@@ -295,25 +305,33 @@ def fitted(likelihood: Likelihood) -> tuple[Array, Array]:
 def optimum(
     likelihood: Likelihood, tell: Callable[[int], None] = lambda step: None
 ) -> tuple[Array, Array, tuple[Array, ...]]:
-    """The most likely point z of a log, the covariance of its free entries, and points that are as likely.
+    """The most likely point z of a log, the covariance of its free entries, and the points that are as likely.
 
-    First all gusts are alike; then their spread follows the log; then it is widened, see `Likelihood.widen_gusts`.
-    Points that are as likely widen the covariance by their distance. A scale of the steering angle that the log does
-    not tell from understeer keeps its prior. tell: called with how many of `FIT_STEPS` are done.
+    First all gusts are alike; then their spread follows the log; then it is widened, see `Likelihood.widen_gusts`. A
+    scale of the steering angle that the log does not tell from understeer keeps its prior. Of several points that are
+    as likely it returns one between them, and widens the covariance by their scatter: they lie along a ridge.
+
+    tell: called with how many of `FIT_STEPS` are done
     """
     z, rivals = find_optima(likelihood, tell)
     likelihood.follow_gusts(z)
     z, _ = likelihood.fit(z, NEARLY)
     tell(FIT_STEPS - 1)
     z, at = likelihood.fit(likelihood.widen_gusts(z))
-    if abs(_scale_correlation(likelihood, z, at)) > MAX_SCALE_CORRELATION:
+    keeps_scale = abs(_scale_correlation(likelihood, z, at)) > MAX_SCALE_CORRELATION
+    if keeps_scale:
         z, covariance = _keep_scale(likelihood, z, at)
     else:
-        covariance = likelihood.covariance(at)
-    for rival in rivals:
-        gap = (rival - z)[likelihood.free]
-        covariance += np.outer(gap, gap)
-    return z, covariance, rivals
+        covariance = _covariance(likelihood, z, at)
+    if not rivals:
+        return z, covariance, ()
+    free, likely = likelihood.free, np.array([z, *rivals])
+    if keeps_scale:
+        likely[:, INDEX["gain"]] = z[INDEX["gain"]]
+    z[free] = likely[:, free].mean(axis=0)
+    z, _ = _fit_holding(likelihood, z, "gain" if keeps_scale else "rear", "rear")
+    gaps = (likely - z)[:, free]
+    return z, covariance + np.einsum("ij,ik->jk", gaps, gaps) / len(likely), tuple(likely)
 
 
 def _scale_correlation(likelihood: Likelihood, z: Array, at: Scored) -> float:
@@ -321,9 +339,25 @@ def _scale_correlation(likelihood: Likelihood, z: Array, at: Scored) -> float:
     place = np.flatnonzero(likelihood.free == INDEX["gain"])
     if not place.size or likelihood.log.ratio_unknown:
         return 0.0
-    rows = [row for row in _reported(likelihood) if row[0] == "understeer_gradient"]
-    inverse, slopes = np.linalg.inv(at.information), slopes_at(likelihood, rows, z)[0]
+    inverse, slopes = np.linalg.inv(at.information), _understeer_slopes(likelihood, z)
     return float((inverse @ slopes)[place[0]] / math.sqrt(inverse[place[0], place[0]] * (slopes @ inverse @ slopes)))
+
+
+def _understeer_slopes(likelihood: Likelihood, z: Array) -> Array:
+    """Derivatives of the understeer gradient over the free entries of z."""
+    rows = [row for row in _reported(likelihood) if row[0] == "understeer_gradient"]
+    return slopes_at(likelihood, rows, z)[0]
+
+
+def _covariance(likelihood: Likelihood, z: Array, at: Scored) -> Array:
+    """Covariance of z where it is free, in which the understeer gradient is widened instead of the rear axle.
+
+    Both axles are known less well than their balance; widened one by one they would blur it.
+    """
+    slopes, is_rear = np.eye(likelihood.free.size), likelihood.free == INDEX["rear"]
+    if is_rear.any():
+        slopes[is_rear] = _understeer_slopes(likelihood, z)
+    return likelihood.covariance(at, slopes)
 
 
 def _keep_scale(likelihood: Likelihood, z: Array, at: Scored) -> tuple[Array, Array]:
@@ -335,14 +369,24 @@ def _keep_scale(likelihood: Likelihood, z: Array, at: Scored) -> tuple[Array, Ar
     z = z.copy()
     z[free[~is_scale]] -= follow * z[INDEX["gain"]]
     z[INDEX["gain"]] = 0.0
-    likelihood.free = free[~is_scale]
-    z, at = likelihood.fit(z)
+    z, at = _fit_holding(likelihood, z, "gain")
     slopes = np.zeros(free.size)
     slopes[is_scale], slopes[~is_scale] = 1.0, follow
     covariance = np.outer(slopes, slopes)
-    covariance[others] += likelihood.covariance(at)
+    likelihood.free = free[~is_scale]
+    covariance[others] += _covariance(likelihood, z, at)
     likelihood.free = free
     return z, covariance
+
+
+def _fit_holding(likelihood: Likelihood, z: Array, *names: str) -> tuple[Array, Scored]:
+    """The most likely point with some quantities held, and what is known there of the others."""
+    free = likelihood.free
+    likelihood.free = np.array([place for place in free if QUANTITIES[place].name not in names])
+    try:
+        return likelihood.fit(z)
+    finally:
+        likelihood.free = free
 
 
 # -- what is reported -------------------------------------------------------------------------------------------------
@@ -397,12 +441,12 @@ def _estimates(likelihood: Likelihood, z: Array, covariance: Array) -> tuple[dic
     return estimates_at(likelihood, _reported(likelihood), z, covariance, likelihood.log.tightest)
 
 
-def _rivals_sentence(likelihood: Likelihood, z: Array, rivals: Sequence[Array]) -> tuple[str, ...]:
+def _rivals_sentence(likelihood: Likelihood, rivals: Sequence[Array]) -> tuple[str, ...]:
     """A sentence on cars that fit a log equally well; none where there is one."""
     if not rivals:
         return ()
     cars = []
-    for values in map(likelihood.values, (z, *rivals)):
+    for values in map(likelihood.values, rivals):
         front, rear = (1e-3 * values[INDEX[axle]] for axle in ("front", "rear"))
         delay = f"delay {values[INDEX['delay']]:.3g} s, " if likelihood.log.commanded else ""
         cars.append(f"{delay}axles {front:.3g} and {rear:.3g} kN/rad")
@@ -417,7 +461,7 @@ def _stretches(fit: Fit) -> tuple[list[str], Moments, list[Moments]]:
     for first, last in pairwise(ends) if log.driven_time >= LEAST_THIRDS else ():
         part = fit.likelihood.part(slice(first, last))
         z, at = part.fit(fit.z, NEARLY)
-        parts.append(fit._replace(likelihood=part, z=z, covariance=part.covariance(at)))
+        parts.append(fit._replace(likelihood=part, z=z, covariance=_covariance(part, z, at)))
     return _moments_of_fits(parts, fit)
 
 

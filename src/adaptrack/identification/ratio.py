@@ -1,8 +1,13 @@
-"""Check of the steering ratio of a log. Only bends show it."""
+"""Check of the steering ratio of a log, and of the scale of its steering angle. Only bends show them.
+
+In a steady turn delta = L r/v + K v r. So a log tells the scale of its angle only as (angle scale x speed scale)/(scale
+of the yaw rate) x true wheelbase/specified wheelbase, and it tells it from K where bends are driven at several speeds.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +28,10 @@ averaged; s of bends that a check needs."""
 MAX_GAIN_SIGMA = 0.08
 """Standard deviation of ln(ratio) up to which a log can confirm or refute a ratio."""
 RATIO_ERROR, RATIO_ERROR_SIGMAS = 0.2, 2.0
-"""Least error of ln(ratio) that is reported, and in standard deviations."""
+"""Least error of ln(ratio) that is refused, above what sensors and nominal ratios are off by, and in standard
+deviations."""
+LEAST_CORRELATION = 0.3
+"""Of the scale of the steering angle with another estimate, from which it is reported."""
 UNKNOWN_RATIO = "cannot tell the ratio"
 RATIO_LOOSE = 1.1
 """Factor within which a steering ratio is of use."""
@@ -57,18 +65,35 @@ def gain_of(likelihood: Likelihood, z: Array, covariance: Array) -> Gain:
     return Gain(portable.exp(min(max(mean, -5.0), 5.0)), prior / math.sqrt(precision))
 
 
-def check_ratio(log: Log, gain: Gain) -> tuple[str, str]:
-    """Return a contradiction of the specified ratio and the reason why there is no verdict; at least one is empty."""
+def check_scale(log: Log, scale: Estimate, gain: Gain, correlations: Mapping[str, float]) -> tuple[str, str]:
+    """Return a contradiction of the specified ratio and a finding on the scale of its angles; either may be empty.
+
+    correlations: of the scale with other estimates
+    """
+    ratio = f"--steering-ratio {log.ratio * scale.value:.3g}"
     if gain.spread > MAX_GAIN_SIGMA or bend_time(log) < MIN_BEND_TIME:
-        return "", f"{UNKNOWN_RATIO}: the log cannot confirm that its angles are those of the road wheels"
-    if abs(portable.log(gain.factor)) <= max(RATIO_ERROR, RATIO_ERROR_SIGMAS * gain.spread):
+        return "", (
+            f"{UNKNOWN_RATIO}: the log cannot confirm that its angles are those of the road wheels, and understeer is "
+            "known with their scale only: drive bends at two speeds"
+        )
+    if abs(math.log(gain.factor)) > max(RATIO_ERROR, RATIO_ERROR_SIGMAS * gain.spread):
+        low, high = (gain.factor * math.exp(side * 1.645 * gain.spread) for side in (-1.0, 1.0))
+        return (
+            f"the steering ratio is wrong: the road wheels turn {gain.factor:.2f} [{low:.2f}, {high:.2f}] times as far "
+            f"as the log says: {ratio}, or fit"
+        ), ""
+    if scale.low <= 1.0 <= scale.high:
         return "", ""
-    low, high = (gain.factor * portable.exp(side * 1.645 * gain.spread) for side in (-1.0, 1.0))
-    ratio = f": the ratio is {log.ratio / gain.factor:.3g}, not {log.ratio:.3g}" if log.ratio != 1.0 else ""
-    return (
-        f"the steering ratio is wrong: the road wheels turn {gain.factor:.2f} [{low:.2f}, {high:.2f}] times as far as "
-        f"the log says{ratio}; --steering-ratio fit finds it"
-    ), ""
+    related = ", ".join(
+        f"{name} {value:.2f}"
+        for name, value in correlations.items()
+        if name == "understeer_gradient" or abs(value) >= LEAST_CORRELATION
+    )
+    return "", (
+        f"the logged steering angle is {scale.value:.3g} [{scale.low:.3g}, {scale.high:.3g}] times that of yaw rate, "
+        f"speed and wheelbase (correlations: {related}): read logs with {ratio}, and use this ratio "
+        "between car and controller"
+    )
 
 
 def check_fitted_ratio(log: Log, ratio: Estimate) -> tuple[bool, str]:
