@@ -308,8 +308,8 @@ def optimum(
     """The most likely point z of a log, the covariance of its free entries, and the points that are as likely.
 
     First all gusts are alike; then their spread follows the log; then it is widened, see `Likelihood.widen_gusts`. A
-    scale of the steering angle that the log does not tell from understeer keeps its prior. Of several points that are
-    as likely it returns one between them, and widens the covariance by their scatter: they lie along a ridge.
+    scale of the steering angle that the log does not tell from understeer keeps its prior. Of several points that are as likely, which lie along a ridge, it returns one between them,
+    and widens the covariance by their scatter. No variance is larger than that of the prior.
 
     tell: called with how many of `FIT_STEPS` are done
     """
@@ -318,20 +318,32 @@ def optimum(
     z, _ = likelihood.fit(z, NEARLY)
     tell(FIT_STEPS - 1)
     z, at = likelihood.fit(likelihood.widen_gusts(z))
-    keeps_scale = abs(_scale_correlation(likelihood, z, at)) > MAX_SCALE_CORRELATION
-    if keeps_scale:
-        z, covariance = _keep_scale(likelihood, z, at)
-    else:
-        covariance = _covariance(likelihood, z, at)
-    if not rivals:
-        return z, covariance, ()
-    free, likely = likelihood.free, np.array([z, *rivals])
-    if keeps_scale:
-        likely[:, INDEX["gain"]] = z[INDEX["gain"]]
-    z[free] = likely[:, free].mean(axis=0)
-    z, _ = _fit_holding(likelihood, z, "gain" if keeps_scale else "rear", "rear")
-    gaps = (likely - z)[:, free]
-    return z, covariance + np.einsum("ij,ik->jk", gaps, gaps) / len(likely), tuple(likely)
+    covariance, free, held = _covariance(likelihood, z, at), likelihood.free, ["rear"]
+    if abs(_scale_correlation(likelihood, z, at)) > MAX_SCALE_CORRELATION:
+        place = int(np.flatnonzero(free == INDEX["gain"])[0])
+        follow = covariance[place] / covariance[place, place]
+        covariance += (1.0 - covariance[place, place]) * np.outer(follow, follow)
+        z[free] -= z[INDEX["gain"]] * follow
+        z, held = _fit_holding(likelihood, z, ["gain"]), ["rear", "gain"]
+    if rivals:
+        likely = np.array([z, *rivals])
+        likely[:, INDEX["gain"]] = z[INDEX["gain"]] if "gain" in held else likely[:, INDEX["gain"]]
+        z[free] = likely[:, free].mean(axis=0)
+        z, rivals = _fit_holding(likelihood, z, held), tuple(likely)
+        gaps = (likely - z)[:, free]
+        covariance += np.einsum("ij,ik->jk", gaps, gaps) / len(likely)
+    largest = np.maximum(np.sqrt(np.diag(covariance)), 1.0)
+    return z, covariance / np.outer(largest, largest), rivals
+
+
+def _fit_holding(likelihood: Likelihood, z: Array, held: Sequence[str]) -> Array:
+    """The most likely point from a start with some quantities held."""
+    free = likelihood.free
+    likelihood.free = np.array([place for place in free if QUANTITIES[place].name not in held])
+    try:
+        return likelihood.fit(z, NEARLY)[0]
+    finally:
+        likelihood.free = free
 
 
 def _scale_correlation(likelihood: Likelihood, z: Array, at: Scored) -> float:
@@ -358,35 +370,6 @@ def _covariance(likelihood: Likelihood, z: Array, at: Scored) -> Array:
     if is_rear.any():
         slopes[is_rear] = _understeer_slopes(likelihood, z)
     return likelihood.covariance(at, slopes)
-
-
-def _keep_scale(likelihood: Likelihood, z: Array, at: Scored) -> tuple[Array, Array]:
-    """The most likely point at the prior median of the angle scale, and the covariance with the prior of the scale."""
-    free = likelihood.free
-    is_scale = free == INDEX["gain"]
-    others = np.ix_(~is_scale, ~is_scale)
-    follow = -np.linalg.solve(at.information[others], at.information[~is_scale, is_scale])
-    z = z.copy()
-    z[free[~is_scale]] -= follow * z[INDEX["gain"]]
-    z[INDEX["gain"]] = 0.0
-    z, at = _fit_holding(likelihood, z, "gain")
-    slopes = np.zeros(free.size)
-    slopes[is_scale], slopes[~is_scale] = 1.0, follow
-    covariance = np.outer(slopes, slopes)
-    likelihood.free = free[~is_scale]
-    covariance[others] += _covariance(likelihood, z, at)
-    likelihood.free = free
-    return z, covariance
-
-
-def _fit_holding(likelihood: Likelihood, z: Array, *names: str) -> tuple[Array, Scored]:
-    """The most likely point with some quantities held, and what is known there of the others."""
-    free = likelihood.free
-    likelihood.free = np.array([place for place in free if QUANTITIES[place].name not in names])
-    try:
-        return likelihood.fit(z)
-    finally:
-        likelihood.free = free
 
 
 # -- what is reported -------------------------------------------------------------------------------------------------
