@@ -96,7 +96,7 @@ def simulated(lag: float, dead_time: float) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.compiled
-@pytest.mark.parametrize(("lag", "dead_time"), [(0.15, 0.0), (0.0, 0.1)])
+@pytest.mark.parametrize(("lag", "dead_time"), [(0.15, 0.0), (0.0, 0.1), (0.0, 0.0)])
 def test_a_car_without_lag_or_dead_time_is_consistent(lag: float, dead_time: float) -> None:
     answer = at.identify(simulated(lag, dead_time), mass=1500.0, wheelbase=2.7)
     assert answer.consistent, answer.reasons

@@ -569,6 +569,10 @@ def test_medians_and_spreads_are_what_a_point_at_the_origin_and_one_spread_off_m
     there = values_of(np.ones(len(QUANTITIES)), median, spread)
     assert there[INDEX["delay"]] == pytest.approx(0.4 * math.exp(0.5))
     assert there[INDEX["offset"]] == pytest.approx(0.9)
+    below = values_of(np.full(len(QUANTITIES), -1.0), median, spread)
+    assert below[INDEX["delay"]] == pytest.approx(0.4 * 0.5)
+    assert below[INDEX["front"]] == pytest.approx(0.4 * math.exp(-0.5))
+    assert 0.0 < values_of(np.full(len(QUANTITIES), -3.0), median, spread)[INDEX["delay"]] < 1e-3
     share = there[INDEX["lag_share"]]
     assert math.log(share / (1.0 - share)) == pytest.approx(math.log(0.4 / 0.6) + 0.5)
 

@@ -20,8 +20,8 @@ ReportedRow = tuple[str, str, str, bool, Callable[[Array], float]]
 NORMAL_90 = 1.6448536269514722
 """Half width of a 90 % interval in standard errors."""
 FROM_ZERO = ("delay", "lag", "dead_time", "relaxation")
-"""Last words of positive quantities that may be 0. On the scale of their logarithm 0 is infinitely far, so distances
-below the value and below the prior median count on the scale of the value."""
+"""Last words of positive quantities that may be 0, which is infinitely far on the scale of a logarithm: below the prior
+median, and below the value, they are linear."""
 ESTIMATE_STEP = 1e-4
 """Of the differences, in spreads of the prior."""
 
@@ -55,38 +55,38 @@ def estimates_at(
     spread = np.sqrt(np.maximum((product(jacobian, covariance) * jacobian).sum(axis=1), 0.0))
     prior = np.sqrt(portable.square(slopes_at(likelihood, rows, origin)).sum(axis=1))
     centre, first = values_at(likelihood, rows, z), values_at(likelihood, rows, origin)
-    wider = np.ones(len(rows))
-    for i, (name, _, _, positive, _) in enumerate(rows):
-        if spread[i] > 0.0:
-            value = portable.exp(centre[i]) if positive else float(centre[i])
-            wider[i] = corrected(name, spread[i], value, positive, prior[i], wheels) / spread[i]
-    spread *= wider
-    estimates = {}
+    wider, estimates = np.ones(len(rows)), {}
     for i, (name, unit, meaning, positive, _) in enumerate(rows):
-        value, low, high = (_on_scale(centre[i], spread[i], end, name, positive) for end in (0.0, -1.0, 1.0))
-        before = tuple(_on_scale(first[i], prior[i], end, name, positive) for end in (-1.0, 1.0))
+        may_be_zero = positive and name.endswith(FROM_ZERO)
+        is_low = may_be_zero and centre[i] < first[i]
+        believed = prior[i] * (math.exp(first[i] - centre[i]) if is_low else 1.0)
+        value = math.exp(centre[i]) if positive else float(centre[i])
+        if spread[i] > 0.0:
+            wider[i] = corrected(name, spread[i], value, positive, believed, wheels) / spread[i]
+        error = float(spread[i] * wider[i])
+        low = _end(value, -NORMAL_90 * error, positive, may_be_zero)
+        high = _end(value, NORMAL_90 * error, positive, is_low)
+        median, half = math.exp(first[i]) if positive else float(first[i]), NORMAL_90 * float(prior[i])
+        before = (_end(median, -half, positive, may_be_zero), _end(median, half, positive, False))
         left, shift, reach = 0.0, 0.0, 0.0
         if prior[i] > 0.0:
-            left = float(spread[i] / prior[i])
-            shift, *ends = (_deviation(x, first[i], prior[i], name, positive) for x in (value, low, high))
+            left = float(error / believed)
+            shift, *ends = (_distance(x, median, positive, may_be_zero) / float(prior[i]) for x in (value, low, high))
             reach = max(map(abs, ends))
-        error = float(spread[i]) * (value if positive else 1.0)
+        error *= value if positive else 1.0
         estimates[name] = Estimate(name, unit, meaning, value, error, low, high, before, left, shift, reach)
     return estimates, wider[:, None] * jacobian
 
 
-def _on_scale(centre: float, spread: float, end: float, name: str, positive: bool) -> float:
-    """The centre of a 90 % interval (end 0) or one of its ends (-1, 1); of a logarithm where a quantity is positive."""
+def _end(value: float, distance: float, positive: bool, linear: bool) -> float:
+    """A value moved by a distance: of its logarithm where it is positive, or of its share where it is linear, too."""
     if not positive:
-        return float(centre + end * NORMAL_90 * spread)
-    if end < 0.0 and name.endswith(FROM_ZERO):
-        return math.exp(centre) * max(1.0 - NORMAL_90 * float(spread), 0.0)
-    return math.exp(min(centre + end * NORMAL_90 * spread, 700.0))
+        return float(value + distance)
+    return float(value * (max(1.0 + distance, 0.0) if linear else math.exp(min(distance, 700.0))))
 
 
-def _deviation(x: float, first: float, prior: float, name: str, positive: bool) -> float:
-    """Standard deviations of the prior from its median to a value."""
+def _distance(x: float, median: float, positive: bool, may_be_zero: bool) -> float:
+    """From the median to a value: of its logarithm where it is positive, of its share below a median that may be 0."""
     if not positive:
-        return float((x - first) / prior)
-    ratio = x / math.exp(first)
-    return float((ratio - 1.0 if ratio < 1.0 and name.endswith(FROM_ZERO) else math.log(ratio)) / prior)
+        return x - median
+    return x / median - 1.0 if may_be_zero and x < median else math.log(x / median)

@@ -308,8 +308,9 @@ def optimum(
     """The most likely point z of a log, the covariance of its free entries, and the points that are as likely.
 
     First all gusts are alike; then their spread follows the log; then it is widened, see `Likelihood.widen_gusts`. A
-    scale of the steering angle that the log does not tell from understeer keeps its prior. Of several points that are as likely, which lie along a ridge, it returns one between them,
-    and widens the covariance by their scatter. No variance is larger than that of the prior.
+    scale of the steering angle that the log does not tell from understeer keeps its prior. Of several points that are
+    as likely, which lie along a ridge, it returns one between them, and widens the covariance by their scatter. No
+    variance is larger than that of the prior.
 
     tell: called with how many of `FIT_STEPS` are done
     """
@@ -415,7 +416,9 @@ def _reported(likelihood: Likelihood) -> list[ReportedRow]:
     for name in also:
         if name in free:
             quantity = QUANTITIES[INDEX[name]]
-            rows.append((name, quantity.unit, quantity.meaning, quantity.kind == "positive", _value(name)))
+            rows.append(
+                (name, quantity.unit, quantity.meaning, quantity.kind in ("positive", "from zero"), _value(name))
+            )
     return rows
 
 

@@ -1,8 +1,9 @@
 """What is estimated of a car, its sensors and what disturbs it: names, units, and what is believed before a log.
 
 A belief is a median and a spread: the standard deviation of the logarithm for what is positive, of the value for what
-has either sign, of the logit for a share. A spread of 0 keeps the value. In units of its spread every quantity z has a
-standard normal prior; all fits are in z.
+has either sign, of the logit for a share. What may be 0 is linear in z below its median, as 0 is infinitely far on the
+scale of a logarithm. A spread of 0 keeps the value. In units of its spread every quantity z has a standard normal
+prior; all fits are in z.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class Quantity:
 
     name: str
     unit: str
-    kind: Literal["positive", "real", "share"]
+    kind: Literal["positive", "real", "share", "from zero"]
     meaning: str
 
 
@@ -42,11 +43,11 @@ class Prior(NamedTuple):
 
 def kinds_of(quantities: Sequence[Quantity]) -> NDArray[np.intp]:
     """Kinds of quantities as numbers, for `values_of`."""
-    return np.array([("positive", "real", "share").index(quantity.kind) for quantity in quantities])
+    return np.array([("positive", "real", "share", "from zero").index(quantity.kind) for quantity in quantities])
 
 
 QUANTITIES = (
-    Quantity("delay", "s", "positive", "lag and dead time together"),
+    Quantity("delay", "s", "from zero", "lag and dead time together"),
     Quantity("lag_share", "-", "share", "the lag's share of the delay"),
     Quantity("rate", "rad/s", "positive", "fastest turn of the road wheels"),
     Quantity("lateness", "s", "real", "of what is measured of the motion, against the wheel angle"),
@@ -57,7 +58,7 @@ QUANTITIES = (
     Quantity("mass", "kg", "positive", "total mass"),
     Quantity("yaw_inertia", "kg m^2", "positive", "yaw inertia"),
     Quantity("front_share", "-", "share", "l_f over the wheelbase"),
-    Quantity("relaxation", "m", "positive", "relaxation length of the tyres"),
+    Quantity("relaxation", "m", "from zero", "relaxation length of the tyres"),
     Quantity("friction", "-", "positive", "friction at which the tyres' curve bends, a mean over the log"),
     Quantity("wind_mean", "m/s", "real", "mean side wind"),
     Quantity("wind_spread", "m/s", "positive", "standard deviation of the gusts"),
@@ -87,6 +88,8 @@ AXLE_OVER_LOAD = 11.0
 """1/rad, cornering stiffness of an axle over its load where nothing is known of the tyres."""
 PUSH_TIME = 5.0
 """s, correlation time of what the bank adds."""
+LEAST_LINEAR = 0.1
+"""Share of the median down to which a quantity that may be 0 is linear in z; below it is an exponential tail."""
 SHAPE = 1.35
 """-, shape factor of the tyres' curve where nothing is known of it."""
 
@@ -109,11 +112,20 @@ def values_of(z: Array, median: Array, spread: Array, kinds: NDArray[np.intp] = 
     """The quantities of a point z (in spreads from the medians), in their units; all of one shape."""
     moved = spread * z
     share = np.where(kinds == 2, median, 0.5)
-    logit = portable.log(share / (1.0 - share))
+    logit = np.log(share / (1.0 - share))
+    is_linear = (kinds == 3) & (moved < 0.0)
+    tail = np.minimum(moved + 1.0 - LEAST_LINEAR, 0.0) / LEAST_LINEAR
+    factor = np.where(is_linear, np.maximum(1.0 + moved, LEAST_LINEAR), 1.0)
+    is_positive = (kinds == 0) | (kinds == 3)
     return np.where(
-        kinds == 0, median * portable.exp(np.where(kinds == 0, moved, 0.0)),
-        np.where(kinds == 1, median + moved, 1.0 / (1.0 + portable.exp(-(logit + moved)))),
+        is_positive, median * factor * np.exp(np.where(is_linear, tail, np.where(is_positive, moved, 0.0))),
+        np.where(kinds == 1, median + moved, 1.0 / (1.0 + np.exp(-(logit + moved)))),
     )  # fmt: skip
+
+
+def shift_from_zero(ratio: float) -> float:
+    """The shift of z, times the spread, that multiplies the median of a quantity that may be 0 by a ratio."""
+    return ratio - 1.0 if ratio < 1.0 else math.log(ratio)
 
 
 def beliefs_of(car: Vehicle, priors: Mapping[str, Prior] | None = None) -> dict[str, Prior]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from adaptrack.core import portable
 from adaptrack.identification.likelihood import NEARLY, Likelihood
-from adaptrack.identification.quantities import INDEX, QUANTITIES
+from adaptrack.identification.quantities import INDEX, QUANTITIES, shift_from_zero
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def _starting_points(likelihood: Likelihood) -> list[Array]:
             z[INDEX[axle]] = _scale_shift(likelihood, axle, portable.log(factor))
         median = float(likelihood.median[INDEX[name]])
         z[INDEX[name]] = _scale_shift(
-            likelihood, name, portable.log(value / median) if name == "delay" else value - median
+            likelihood, name, shift_from_zero(value / median) if name == "delay" else value - median
         )
         starts.append(z)
     return starts

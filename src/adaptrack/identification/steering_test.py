@@ -21,9 +21,10 @@ from adaptrack.control.controllers import LearnedCar
 from adaptrack.core import portable
 from adaptrack.core.portable import product
 from adaptrack.core.synthesis.learner import MAX_BALANCE_RANGE, MAX_BIAS_RANGE, MAX_STIFFNESS_RANGE, UNIFORM_SIGMA
+from adaptrack.identification.estimates import ReportedRow, slopes_at, values_at
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import LONGEST_PERIOD, Log
-from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of
+from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of, shift_from_zero
 from adaptrack.identification.starts import START_DELAYS
 
 Array = NDArray[np.float64]
@@ -209,7 +210,7 @@ def _log_of(rows: Array) -> Log:
 def _start(likelihood: Likelihood, delay: float) -> Array:
     """A starting point z with a delay (s)."""
     z, place = np.zeros(len(QUANTITIES)), INDEX["delay"]
-    z[place] = portable.log(delay / likelihood.median[place]) / likelihood.spread[place]
+    z[place] = shift_from_zero(delay / likelihood.median[place]) / likelihood.spread[place]
     return z
 
 
@@ -222,11 +223,10 @@ def _explained(simulation: Likelihood, z: Array) -> float:
 
 def _steering_fit(likelihood: Likelihood, z: Array, covariance: NDArray[Any]) -> SteeringFit:
     """Lag and dead time at a point z; covariance: of its free entries."""
-    values, spread = likelihood.values(z), likelihood.spread
-    delay, share = (float(values[INDEX[name]]) for name in ("delay", "lag_share"))
-    by_share = delay * share * (1.0 - share) * spread[INDEX["lag_share"]]
-    by_delay = delay * spread[INDEX["delay"]]
-    slopes = np.array([[share * by_delay, by_share], [(1.0 - share) * by_delay, -by_share]])
-    places = [int(np.flatnonzero(likelihood.free == INDEX[name])[0]) for name in ("delay", "lag_share")]
-    of_both = product(product(slopes, covariance[np.ix_(places, places)]), slopes.T)
-    return SteeringFit(share * delay, (1.0 - share) * delay, of_both)
+    delay, share = INDEX["delay"], INDEX["lag_share"]
+    rows: list[ReportedRow] = [
+        ("lag", "s", "", False, lambda v: float(v[share] * v[delay])),
+        ("dead_time", "s", "", False, lambda v: float((1.0 - v[share]) * v[delay])),
+    ]
+    slopes = slopes_at(likelihood, rows, z)
+    return SteeringFit(*map(float, values_at(likelihood, rows, z)), slopes @ covariance @ slopes.T)
