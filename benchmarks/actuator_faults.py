@@ -5,7 +5,7 @@
 Each car is a point mass. It draws the mass (0.75 to 1.25 of its file), gain (0.85 to 1.1), lag and dead time of drive
 (0.1 to 0.45 s, 0.05 to 0.25 s) and brakes (0.06 to 0.25 s, 0.05 to 0.2 s), noise (to 0.03 m/s and 0.6 %) and age (to
 0.15 s) of the speed, a wind with gusts, the planned speed (6 to 20 m/s) and its accelerations. The slope changes by up
-to 18 % within 30 to 50 m, between -18 and 18 %. The map is flat, or has half of each slope, or has each slope up to 50 m
+to 18 % within 30 to 50 m, between -18 and 18 %. The map is flat, or has half of each slope, or has it up to 50 m
 away. From a time between 20 and 35 s on, brakes lose all or half of their force, or the drive pulls with 2.5 to 5 m/s^2
 whatever is requested. A fault of the brakes begins to count with a request beyond 1 m/s^2.
 """
@@ -101,7 +101,9 @@ def draw_slopes(rng: np.random.Generator) -> Slopes:
         return Slopes(places, grades, places[:2], np.zeros(2))
     if way == 1:
         return Slopes(places, grades, places, 0.5 * grades)
-    return Slopes(places, grades, np.maximum(places + np.where(places > 0.0, rng.uniform(-29.0, 50.0), 0.0), 0.0), grades)
+    return Slopes(
+        places, grades, np.maximum(places + np.where(places > 0.0, rng.uniform(-29.0, 50.0), 0.0), 0.0), grades
+    )
 
 
 class Drive(NamedTuple):
@@ -130,7 +132,14 @@ def drive_one(seed: tuple[int, ...], seconds: float, brake_share: float, pulls: 
     plan = plan_speed(road, CAR, comfort, stops=[Stop(s, 1.0) for s in places[places < LENGTH]], top_speed=top_speed)
     controller = make(SpeedControl(CAR), road, plan, PERIOD)
     history, errors = deque([(0.0, 0.0)] * (age + 1), maxlen=age + 1), []
-    is_healthy, clock, way, report, cause, sets_off = brake_share == 1.0 and pulls == 0.0, math.inf, 0.0, math.nan, None, False
+    is_healthy, clock, way, report, cause, sets_off = (
+        brake_share == 1.0 and pulls == 0.0,
+        math.inf,
+        0.0,
+        math.nan,
+        None,
+        False,
+    )
     fault = False
     t = 0.0
     for k in range(round(seconds / PERIOD) if is_healthy else round((begin + 90.0) / PERIOD)):
@@ -138,7 +147,11 @@ def drive_one(seed: tuple[int, ...], seconds: float, brake_share: float, pulls: 
         fault = fault or (not is_healthy and t >= begin and car.v > 3.0)
         s, v = history[0]
         request = controller.step(s, v + (noise + noise_share * v) * rng.normal(), 0.0)
-        if fault and clock == math.inf and (pulls or (max(-request.force, 0.0) + request.hold > CAR.mass and car.v > 0.3)):
+        if (
+            fault
+            and clock == math.inf
+            and (pulls or (max(-request.force, 0.0) + request.hold > CAR.mass and car.v > 0.3))
+        ):
             clock, way = t, car.s
         if math.isnan(report) and request.limited_by in FAULTS:
             report, cause, way = t, request.limited_by, car.s - way
@@ -152,7 +165,13 @@ def drive_one(seed: tuple[int, ...], seconds: float, brake_share: float, pulls: 
             car.slope = float(np.interp(car.s, slopes.s, slopes.grade))
             car.move(request.force, request.hold, brake_share if fault else 1.0, pull if fault and pulls else 0.0)
             history.append((car.s, car.v))
-    return Drive(report if is_healthy else report - clock, cause, way, sets_off, float(np.sqrt(np.mean(np.square(errors or [0.0])))))
+    return Drive(
+        report if is_healthy else report - clock,
+        cause,
+        way,
+        sets_off,
+        float(np.sqrt(np.mean(np.square(errors or [0.0])))),
+    )
 
 
 def main() -> None:
@@ -163,13 +182,21 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="of a healthy drive")
     parser.add_argument("--seed", type=int, default=20270207)
     arguments = parser.parse_args()
-    drives = [drive_one((arguments.seed, 0, k), arguments.seconds, 1.0, 0.0, SpeedController) for k in range(arguments.healthy)]
+    drives = [
+        drive_one((arguments.seed, 0, k), arguments.seconds, 1.0, 0.0, SpeedController)
+        for k in range(arguments.healthy)
+    ]
     if drives:
         false = [(k, drive.cause, round(drive.report, 2)) for k, drive in enumerate(drives) if drive.cause]
         errors = np.array([drive.speed_error for drive in drives])
-        print(f"healthy: {len(false)} of {len(drives)} drives report a fault {false[:8]}; speed RMS {errors.mean():.3f} m/s")
+        print(
+            f"healthy: {len(false)} of {len(drives)} drives report a fault {false[:8]}; "
+            f"speed RMS {errors.mean():.3f} m/s"
+        )
     for number, (name, (share, pulls)) in enumerate(KINDS.items(), 1):
-        drives = [drive_one((arguments.seed, number, k), 0.0, share, pulls, SpeedController) for k in range(arguments.faulty)]
+        drives = [
+            drive_one((arguments.seed, number, k), 0.0, share, pulls, SpeedController) for k in range(arguments.faulty)
+        ]
         early = [k for k, drive in enumerate(drives) if drive.report < 0.0]
         times = np.array([drive.report for drive in drives if drive.cause and drive.report >= 0.0])
         ways = np.array([drive.way for drive in drives if drive.cause and drive.report >= 0.0])
@@ -177,8 +204,14 @@ def main() -> None:
         print(f"{name}: {times.size} of {len(drives)} reported, {len(early)} before the fault; after (s) median "
               f"{np.median(times):.2f}, 90 % {np.quantile(times, 0.9):.2f}, longest {times.max():.2f}; way (m) median "
               f"{np.median(ways):.1f}, longest {ways.max():.1f}; with this cause "
-              f"{sum(drive.cause is wanted for drive in drives)}, set off again {sum(drive.sets_off for drive in drives)}")  # fmt: skip
-        print("   missed", [k for k, drive in enumerate(drives) if not drive.cause], "late", [(k, round(d.report,2)) for k, d in enumerate(drives) if d.report > 2.0])
+              f"{sum(drive.cause is wanted for drive in drives)}, set off again "
+              f"{sum(drive.sets_off for drive in drives)}")  # fmt: skip
+        print(
+            "   missed",
+            [k for k, drive in enumerate(drives) if not drive.cause],
+            "late",
+            [(k, round(d.report, 2)) for k, d in enumerate(drives) if d.report > 2.0],
+        )
 
 
 if __name__ == "__main__":

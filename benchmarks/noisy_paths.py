@@ -101,7 +101,9 @@ def drive(road: at.Road, plan: SpeedPlan, noise: float, anew: bool, exact: bool,
             if not abs(offsets[-1]) < 3.0:
                 return Drive(math.nan, math.inf, math.nan)
     means = np.convolve(lateral, np.full(5, 0.2), mode="valid")  # over 0.1 s
-    return Drive((near - START) / (k * DT), float(np.sqrt(np.mean(np.square(offsets)))), float(np.abs(means[25:]).max()))
+    return Drive(
+        (near - START) / (k * DT), float(np.sqrt(np.mean(np.square(offsets)))), float(np.abs(means[25:]).max())
+    )
 
 
 def main() -> None:
@@ -111,13 +113,17 @@ def main() -> None:
     parser.add_argument("--exact", action="store_true")
     options = parser.parse_args()
     logging.getLogger("adaptrack").setLevel(logging.ERROR)
-    cases = {kind: (at.generate_road(kind, seed=1, length=900.0), 20.0) for kind in ("country", "mountain", "town", "lap")}
+    cases = {
+        kind: (at.generate_road(kind, seed=1, length=900.0), 20.0) for kind in ("country", "mountain", "town", "lap")
+    }
     print("| road | path |", " | ".join(f"{noise:g} m: speed, RMS, lateral" for noise in NOISES), "|")
     for name, (road, speed) in (cases | bends()).items():
         comfort = Comfort(lateral=4.0 if name in cases or "hairpin" in name else 10.0)
         plan = at.plan_speed(road, comfort=comfort, top_speed=speed, start=speed)
         for anew in (False, True):
-            rows = [[drive(road, plan, noise, anew, options.exact, k) for k in range(options.seeds)] for noise in NOISES]
+            rows = [
+                [drive(road, plan, noise, anew, options.exact, k) for k in range(options.seeds)] for noise in NOISES
+            ]
             cells = []
             for row in rows:
                 ratio = np.mean([a.speed / b.speed for a, b in zip(row, rows[0], strict=True)])

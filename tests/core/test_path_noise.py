@@ -191,7 +191,7 @@ def mean_governed_speed(road, top_speed):
 @pytest.mark.compiled
 @pytest.mark.parametrize("kind", ["mountain", "town", "lap"])
 def test_the_governor_lets_a_car_drive_noisy_points_as_fast_as_clean_ones(kind):
-    """Within 5 % of the mean speed at noise of 0.02 and 0.05 m, 10 % at 0.1 m; through the points less than two thirds."""
+    """Within 5 % of the mean speed at noise of 0.02 and 0.05 m, 10 % at 0.1 m; through the points below two thirds."""
     points = points_of(generate_road(kind, seed=1, length=400.0))
     clean = mean_governed_speed(road_through(points), 18.0)
     for noise, share in zip(NOISES, (0.05, 0.05, 0.1), strict=True):

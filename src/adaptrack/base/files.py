@@ -291,7 +291,9 @@ NumberedLines = list[tuple[int, str]]
 """Lines of a text, each with its number in the file."""
 
 
-def table_lines(where: str, content: bytes, errors: Literal["strict", "replace"]) -> tuple[NumberedLines, NumberedLines]:
+def table_lines(
+    where: str, content: bytes, errors: Literal["strict", "replace"]
+) -> tuple[NumberedLines, NumberedLines]:
     """Return the lines of a text table, and its remarks (behind ``#``, ``%`` or ``//``) without their mark.
 
     Empty lines, and the line ``sep=;`` of spreadsheets at the top, are left out.
@@ -464,6 +466,24 @@ def keep_replaced(*paths: Path) -> Iterator[list[Path]]:
             if not path.is_file() or read_bytes(path) != content:
                 kept.append(path.with_name(f"{path.name}.bak"))
                 write_atomically(kept[-1], content)
+
+
+def check_replaceable(path: str | os.PathLike[str]) -> None:
+    """Refuse to write to what exists and is no plain file or link, and to a page ``index.html`` of another program.
+
+    Raises
+    ------
+    StorageError
+        Naming the file, with the remedy.
+    """
+    file = Path(path)
+    where = f"{printable(os.fspath(path))}: cannot be written"
+    if not os.path.lexists(file) or file.is_symlink():
+        return
+    if not file.is_file():
+        raise StorageError(f"{where}: {_NO_PLAIN_FILE}; choose another name.")
+    if file.name == PAGE_FILE and not any(mark in read_bytes(file) for mark in _OWN_PAGES):
+        raise StorageError(f"{where}: another program wrote this page; choose another folder, or remove it.")
 
 
 # -- Parquet tables with a checksum -----------------------------------------------------------------------------------

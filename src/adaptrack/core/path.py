@@ -21,7 +21,21 @@ import math
 
 import numpy as np
 
-from .kernel import OK, boolean, exported, float64, inlined, int64, int_vector, local, matrix, several, shaped, vector, void
+from .kernel import (
+    OK,
+    boolean,
+    exported,
+    float64,
+    inlined,
+    int64,
+    int_vector,
+    local,
+    matrix,
+    several,
+    shaped,
+    vector,
+    void,
+)
 from .maths.bits import whole
 from .maths.exact import ceil, floor, sqrt
 from .maths.exponential import hypot
@@ -567,8 +581,9 @@ def _write_points(points, rows, path_points):
 def path_through(points, closed, noise, memory):
     """Make the path through points (n, 2) of x, y (m), a lap if `closed`: it then ends before its start.
 
-    noise: m, standard deviation of x and y, without which the points are taken; NaN: that of `noise_of`. `OK` and the number of pieces, for `line_in`; or what is wrong, and the number of the point: nothing that the
-    memory then holds is to be used. The path goes through `points_apart`.
+    noise: m, standard deviation of x and y, without which the points are taken; NaN: that of `noise_of`. `OK` and the
+    number of pieces, for `line_in`; or what is wrong, and the number of the point: nothing that the memory then holds
+    is to be used. The path goes through `points_apart`.
     """
     count = len(points)
     scratch = memory.size - PATH_SCRATCH * count

@@ -59,14 +59,14 @@ def estimates_at(
     for i, (name, unit, meaning, positive, _) in enumerate(rows):
         may_be_zero = positive and name.endswith(FROM_ZERO)
         is_low = may_be_zero and centre[i] < first[i]
-        believed = prior[i] * (math.exp(first[i] - centre[i]) if is_low else 1.0)
-        value = math.exp(centre[i]) if positive else float(centre[i])
+        believed = prior[i] * (portable.exp(first[i] - centre[i]) if is_low else 1.0)
+        value = portable.exp(centre[i]) if positive else float(centre[i])
         if spread[i] > 0.0:
             wider[i] = corrected(name, spread[i], value, positive, believed, wheels) / spread[i]
         error = float(spread[i] * wider[i])
         low = _end(value, -NORMAL_90 * error, positive, may_be_zero)
         high = _end(value, NORMAL_90 * error, positive, is_low)
-        median, half = math.exp(first[i]) if positive else float(first[i]), NORMAL_90 * float(prior[i])
+        median, half = portable.exp(first[i]) if positive else float(first[i]), NORMAL_90 * float(prior[i])
         before = (_end(median, -half, positive, may_be_zero), _end(median, half, positive, False))
         left, shift, reach = 0.0, 0.0, 0.0
         if prior[i] > 0.0:
@@ -82,11 +82,11 @@ def _end(value: float, distance: float, positive: bool, linear: bool) -> float:
     """A value moved by a distance: of its logarithm where it is positive, or of its share where it is linear, too."""
     if not positive:
         return float(value + distance)
-    return float(value * (max(1.0 + distance, 0.0) if linear else math.exp(min(distance, 700.0))))
+    return float(value * (max(1.0 + distance, 0.0) if linear else portable.exp(min(distance, 700.0))))
 
 
 def _distance(x: float, median: float, positive: bool, may_be_zero: bool) -> float:
     """From the median to a value: of its logarithm where it is positive, of its share below a median that may be 0."""
     if not positive:
         return x - median
-    return x / median - 1.0 if may_be_zero and x < median else math.log(x / median)
+    return x / median - 1.0 if may_be_zero and x < median else portable.log(x / median)

@@ -19,7 +19,6 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import LearnedCar
 from adaptrack.core import portable
-from adaptrack.core.portable import product
 from adaptrack.core.synthesis.learner import MAX_BALANCE_RANGE, MAX_BIAS_RANGE, MAX_STIFFNESS_RANGE, UNIFORM_SIGMA
 from adaptrack.identification.estimates import ReportedRow, slopes_at, values_at
 from adaptrack.identification.likelihood import Likelihood

@@ -213,7 +213,7 @@ def _deviation(points: Array, line: Any) -> float:
 
 
 def _repetition_notes(points: Array, rows: NDArray[np.int64]) -> tuple[str, ...]:
-    """A note on the points that a path leaves out, with the distance to the nearest of `rows`, through which it goes."""
+    """A note on the points that a path leaves out, with the distance to the nearest one that it goes through."""
     repetitions = np.setdiff1d(np.arange(len(points)), rows)
     if repetitions.size == 0:
         return ()
