@@ -135,10 +135,10 @@ class InnovationLikelihood(ABC):
             moved = portable.solve(at.information - its, at.scores[:, rows].sum(axis=1))
             scatter += np.outer(moved, moved)
         slopes = np.eye(self.free.size) if slopes is None else slopes
-        known, seen = (np.einsum("ij,jk,ik->i", slopes, matrix, slopes) for matrix in (inverse, scatter))
-        widened = np.sqrt(np.clip(seen, known, np.sum(slopes**2, axis=1)) / known)
-        change = np.linalg.solve(slopes, widened[:, None] * slopes)
-        return change @ inverse @ change.T
+        known, seen = (np.sum(product(slopes, matrix) * slopes, axis=1) for matrix in (inverse, scatter))
+        widened = np.sqrt(np.clip(seen, known, np.sum(slopes * slopes, axis=1)) / known)
+        change = portable.solve(slopes, widened[:, None] * slopes)
+        return product(product(change, inverse), change.T)
 
 
 class Likelihood(InnovationLikelihood):

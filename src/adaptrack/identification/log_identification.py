@@ -180,7 +180,7 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
     log, car = likelihood.log, likelihood.car
     estimates, jacobian = _estimates(likelihood, z, covariance)
     validation, series = _validated(likelihood, z, log, car, beliefs)
-    spread = jacobian @ covariance @ jacobian.T
+    spread = portable.product(portable.product(jacobian, covariance), jacobian.T)
     usable, against, found = _ratio(fit, estimates, spread)
     reasons = implausible_estimates(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
     limits = _rivals_sentence(likelihood, rivals) + findings(log, estimates, validation) + found
@@ -204,8 +204,9 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
     ]
     joint = combined(fits, agree=not (reasons or log_reasons))
     estimates, jacobian = _estimates(likelihood, *joint[main])
-    spread = jacobian @ joint[main][1] @ jacobian.T
-    against, found = [], ()
+    spread = portable.product(portable.product(jacobian, joint[main][1]), jacobian.T)
+    against: list[str] = []
+    found: tuple[str, ...] = ()
     if not likelihood.log.ratio_unknown:
         _, against, found = _ratio(fits[main]._replace(z=joint[main][0], covariance=joint[main][1]), estimates, spread)
     ratio_logs = [i for i, identification in enumerate(alone) if "ratio" in identification.estimates]
@@ -332,7 +333,7 @@ def optimum(
         z[free] = likely[:, free].mean(axis=0)
         z, rivals = _fit_holding(likelihood, z, held), tuple(likely)
         gaps = (likely - z)[:, free]
-        covariance += np.einsum("ij,ik->jk", gaps, gaps) / len(likely)
+        covariance += portable.product(gaps.T, gaps) / len(likely)
     largest = np.maximum(np.sqrt(np.diag(covariance)), 1.0)
     return z, covariance / np.outer(largest, largest), rivals
 
@@ -352,8 +353,10 @@ def _scale_correlation(likelihood: Likelihood, z: Array, at: Scored) -> float:
     place = np.flatnonzero(likelihood.free == INDEX["gain"])
     if not place.size or likelihood.log.ratio_unknown:
         return 0.0
-    inverse, slopes = np.linalg.inv(at.information), _understeer_slopes(likelihood, z)
-    return float((inverse @ slopes)[place[0]] / math.sqrt(inverse[place[0], place[0]] * (slopes @ inverse @ slopes)))
+    inverse, slopes = portable.inverse(at.information), _understeer_slopes(likelihood, z)
+    along = portable.product(inverse, slopes)
+    variances = inverse[place[0], place[0]] * portable.product(slopes, along)
+    return float(along[place[0]] / math.sqrt(variances))
 
 
 def _understeer_slopes(likelihood: Likelihood, z: Array) -> Array:

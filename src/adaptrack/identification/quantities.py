@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.cars.vehicle import Vehicle, load_tyre
+from adaptrack.core import portable
 from adaptrack.core.plants.forces import GRAVITY
 
 Array = NDArray[np.float64]
@@ -111,20 +112,20 @@ def values_of(z: Array, median: Array, spread: Array, kinds: NDArray[np.intp] = 
     """The quantities of a point z (in spreads from the medians), in their units; all of one shape."""
     moved = spread * z
     share = np.where(kinds == 2, median, 0.5)
-    logit = np.log(share / (1.0 - share))
+    logit = portable.log(share / (1.0 - share))
     is_linear = (kinds == 3) & (moved < 0.0)
     tail = np.minimum(moved + 1.0 - LEAST_LINEAR, 0.0) / LEAST_LINEAR
     factor = np.where(is_linear, np.maximum(1.0 + moved, LEAST_LINEAR), 1.0)
     is_positive = (kinds == 0) | (kinds == 3)
     return np.where(
-        is_positive, median * factor * np.exp(np.where(is_linear, tail, np.where(is_positive, moved, 0.0))),
-        np.where(kinds == 1, median + moved, 1.0 / (1.0 + np.exp(-(logit + moved)))),
+        is_positive, median * factor * portable.exp(np.where(is_linear, tail, np.where(is_positive, moved, 0.0))),
+        np.where(kinds == 1, median + moved, 1.0 / (1.0 + portable.exp(-(logit + moved)))),
     )  # fmt: skip
 
 
 def shift_from_zero(ratio: float) -> float:
     """The shift of z, times the spread, that multiplies the median of a quantity that may be 0 by a ratio."""
-    return ratio - 1.0 if ratio < 1.0 else math.log(ratio)
+    return ratio - 1.0 if ratio < 1.0 else portable.log(ratio)
 
 
 def beliefs_of(car: Vehicle, priors: Mapping[str, Prior] | None = None) -> dict[str, Prior]:

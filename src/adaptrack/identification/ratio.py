@@ -76,8 +76,8 @@ def check_scale(log: Log, scale: Estimate, gain: Gain, correlations: Mapping[str
             f"{UNKNOWN_RATIO}: the log cannot confirm that its angles are those of the road wheels, and understeer is "
             "known with their scale only: drive bends at two speeds"
         )
-    if abs(math.log(gain.factor)) > max(RATIO_ERROR, RATIO_ERROR_SIGMAS * gain.spread):
-        low, high = (gain.factor * math.exp(side * 1.645 * gain.spread) for side in (-1.0, 1.0))
+    if abs(portable.log(gain.factor)) > max(RATIO_ERROR, RATIO_ERROR_SIGMAS * gain.spread):
+        low, high = (gain.factor * portable.exp(side * 1.645 * gain.spread) for side in (-1.0, 1.0))
         return (
             f"the steering ratio is wrong: the road wheels turn {gain.factor:.2f} [{low:.2f}, {high:.2f}] times as far "
             f"as the log says: {ratio}, or fit"

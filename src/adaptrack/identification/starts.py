@@ -49,7 +49,8 @@ def find_optima(likelihood: Likelihood, tell: Callable[[int], None] = lambda ste
     """
     starts = _starting_points(likelihood)
     optima = [likelihood.fit(min(starts[:-1], key=likelihood.objective), NEARLY)[0]]
-    refined, rough = list(optima), []
+    refined: list[Array] = list(optima)
+    rough: list[Array] = []
     for z in starts:
         tell(1 + len(rough))
         if math.isfinite(likelihood.objective(z)):

@@ -227,5 +227,5 @@ def _steering_fit(likelihood: Likelihood, z: Array, covariance: NDArray[Any]) ->
         ("lag", "s", "", False, lambda v: float(v[share] * v[delay])),
         ("dead_time", "s", "", False, lambda v: float((1.0 - v[share]) * v[delay])),
     ]
-    slopes = slopes_at(likelihood, rows, z)
-    return SteeringFit(*map(float, values_at(likelihood, rows, z)), slopes @ covariance @ slopes.T)
+    slopes, (lag, dead_time) = slopes_at(likelihood, rows, z), values_at(likelihood, rows, z)
+    return SteeringFit(float(lag), float(dead_time), portable.product(portable.product(slopes, covariance), slopes.T))

@@ -207,7 +207,7 @@ def road_through(
 def _deviation(points: Array, line: Any) -> float:
     """The largest distance (m) of points (n, 2) from a line along them."""
     places, feet = portable.hypot(*np.diff(points, axis=0, prepend=points[:1]).T).cumsum(), np.empty((len(points), 4))
-    end = line.numbers[LENGTH] - (line.numbers[CLOSED] > 0.5) * math.dist(points[0], points[-1])
+    end = line.numbers[LENGTH] - (line.numbers[CLOSED] > 0.5) * portable.hypot(*(points[0] - points[-1]))
     project_all(line, np.column_stack([points, places * (end / places[-1])]), feet)
     return float(np.nanmax(np.abs(feet[:, 1])))
 
@@ -514,8 +514,8 @@ def _find_spikes(points: Array) -> NDArray[np.bool_]:
     leaps = np.flatnonzero(steps > LEAP * scipy.ndimage.median_filter(steps, 4 * IN_A_ROW + 1, mode="nearest"))
     for there, back in itertools.pairwise(leaps):
         bridge = points[back + 1] - points[there]
-        before = points[there] - points[max(there - IN_A_ROW, 0)]
-        after = points[back + 1 : back + 2 + IN_A_ROW][-1] - points[back + 1]
+        before = points[there] - points[max(int(there) - IN_A_ROW, 0)]
+        after = points[min(int(back) + 1 + IN_A_ROW, len(points) - 1)] - points[back + 1]
         goes_on = min(product(before, bridge), product(after, bridge)) >= 0.0  # else it is a bend
         if back - there <= IN_A_ROW and goes_on and LEAP * portable.hypot(*bridge) < steps[there : back + 1].sum():
             spikes[there + 1 : back + 1] = True
