@@ -221,8 +221,16 @@ def test_one_odd_number_leaves_all_later_requests_finite_and_within_the_car(fiel
     tracker = Tracker(MPC(CAR, profile="road", computation=0.0), road, plan=plan, speed=SpeedControl(CAR))
     tracker.engage(wheel_angle=0.0)
     for k in range(20):
-        now = 0.05 * k
-        row = {"t": now, "x": 4.0 * now, "y": 0.0, "yaw": 0.0, "speed": 4.0, "yaw_rate": 0.0, "now": now}
+        call_time = 0.05 * k
+        row = {
+            "t": call_time,
+            "x": 4.0 * call_time,
+            "y": 0.0,
+            "yaw": 0.0,
+            "speed": 4.0,
+            "yaw_rate": 0.0,
+            "now": call_time,
+        }
         request = tracker.step(**(row | {field: odd} if k == 8 else row)).longitudinal
         assert math.isfinite(request.acceleration)
         assert -CAR.brake_limit <= request.force <= CAR.traction_limit

@@ -120,10 +120,10 @@ def test_eigenvectors_of_a_symmetric_matrix_make_it_again():
 
 def test_a_factor_of_bands_solves_as_the_whole_matrix():
     bands = np.vstack([0.2 * drawn(2, 9), 3.0 + np.abs(drawn(1, 9))])
-    whole = sum(np.diag(bands[2 - k, k:], k) for k in range(3))
-    whole = whole + np.triu(whole, 1).T
+    whole_numbers = sum(np.diag(bands[2 - k, k:], k) for k in range(3))
+    whole_numbers = whole_numbers + np.triu(whole_numbers, 1).T
     x = portable.banded_solve(portable.banded_factor(bands), drawn(9, 4))
-    np.testing.assert_allclose(whole @ x, drawn(9, 4), atol=1e-14)
+    np.testing.assert_allclose(whole_numbers @ x, drawn(9, 4), atol=1e-14)
     with pytest.raises(np.linalg.LinAlgError):
         portable.banded_factor(-bands)
 

@@ -64,15 +64,15 @@ def test_a_log_read_with_its_scale_as_ratio_has_a_scale_of_1_and_the_car_file_ha
 @pytest.mark.compiled
 def test_bends_at_one_speed_leave_the_scale_its_prior_and_widen_understeer_and_two_speeds_tell_both() -> None:
     slow, fast = (scaled(("wheel",), speed, 40.0) for speed in (8.0, 16.0))
-    one = at.identify(fast, CAR)
-    assert one["angle_scale"].value == pytest.approx(1.0)
-    assert one["angle_scale"].spread_left == pytest.approx(1.0, abs=0.02)
-    assert any("drive bends at two speeds" in sentence for sentence in one.findings)
-    two = at.identify({name: np.append(slow[name], fast[name] + 60.0 * (name == "time")) for name in fast}, CAR)
-    assert two["angle_scale"].low < SCALE < two["angle_scale"].high < 0.95
-    for answer in (one, two):
+    one_speed = at.identify(fast, CAR)
+    assert one_speed["angle_scale"].value == pytest.approx(1.0)
+    assert one_speed["angle_scale"].spread_left == pytest.approx(1.0, abs=0.02)
+    assert any("drive bends at two speeds" in sentence for sentence in one_speed.findings)
+    two_speeds = at.identify({name: np.append(slow[name], fast[name] + 60.0 * (name == "time")) for name in fast}, CAR)
+    assert two_speeds["angle_scale"].low < SCALE < two_speeds["angle_scale"].high < 0.95
+    for answer in (one_speed, two_speeds):
         assert answer["understeer_gradient"].low < CAR.understeer_gradient < answer["understeer_gradient"].high
-    assert two["understeer_gradient"].standard_error < 0.5 * one["understeer_gradient"].standard_error
+    assert two_speeds["understeer_gradient"].standard_error < 0.5 * one_speed["understeer_gradient"].standard_error
 
 
 # -- delays of 0, intervals beyond the prior --------------------------------------------------------------------------
@@ -110,8 +110,8 @@ def test_an_interval_that_reaches_far_beyond_the_prior_is_refused() -> None:
     estimates = dict(identified(("wheel",)).estimates)
     assert not implausible_estimates(estimates, CAR)
     for reach in (3.4, 3.6):
-        wide = estimates | {"rear": replace(estimates["rear"], low=80e3, high=1115e3, reach=reach)}
-        reasons = implausible_estimates(wide, CAR)
+        wide_prior = estimates | {"rear": replace(estimates["rear"], low=80e3, high=1115e3, reach=reach)}
+        reasons = implausible_estimates(wide_prior, CAR)
         assert bool(reasons) == (reach > 3.5)
     assert "the interval of rear, 8e+04 to 1.12e+06 N/rad, reaches 3.6" in reasons[0]
 
@@ -148,8 +148,8 @@ def test_a_signal_that_a_faster_raster_holds_or_interpolates_is_thinned_to_its_s
     rng, raster, time = np.random.default_rng(0), 0.01 * np.arange(6000), np.arange(0.0, 62.0, 1.0 / rate)
     values = np.sin(time) + 0.004 * rng.standard_normal(time.size)
     values = np.round(values / rounding) * rounding if rounding else values
-    held = values[np.searchsorted(time, raster + 1e-9, side="right") - 1]
-    sampled, words = find_samples(raster, held)
+    held_fit = values[np.searchsorted(time, raster + 1e-9, side="right") - 1]
+    sampled, words = find_samples(raster, held_fit)
     assert words == f"changes only every {every} rows"
     assert abs(sampled.sum() - 60.0 * rate) < 0.02 * 60.0 * rate
     sampled, words = find_samples(raster, np.interp(raster, time, values))

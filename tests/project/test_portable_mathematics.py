@@ -78,7 +78,7 @@ EXACT = {("core/path.py", "math.cos"), ("core/path.py", "_GRID ** j")}
 
 def breaches(name: str, text: str) -> list[str]:
     """What a file calls that its processor decides: lines."""
-    found, inner = [], set()
+    findings, inner = [], set()
     for node in ast.walk(ast.parse(text)):
         words = ""
         match node:
@@ -96,8 +96,8 @@ def breaches(name: str, text: str) -> list[str]:
             case ast.Import(names=aliases):
                 words = "".join(_imported(name, alias.name) for alias in aliases if alias.name != "numpy")
         if words and (name, ast.unparse(node)) not in EXACT:
-            found.append(f"{name}:{node.lineno}: {words}")
-    return found
+            findings.append(f"{name}:{node.lineno}: {words}")
+    return findings
 
 
 def _dotted(node: ast.expr) -> str:
@@ -108,11 +108,11 @@ def _dotted(node: ast.expr) -> str:
 
 
 def _called(name: str, path: str) -> str:
-    library, _, rest = path.partition(".")
+    library, _, other_names = path.partition(".")
     if library not in ("np", "math"):
         return f"{path} is BLAS: portable.product" if path.endswith(".dot") else ""
-    heads = {f"{library}.{'.'.join(rest.split('.')[:count])}" for count in (1, 2)}
-    trained = name in TRAINING and rest.startswith("linalg.")
+    heads = {f"{library}.{'.'.join(other_names.split('.')[:count])}" for count in (1, 2)}
+    trained = name in TRAINING and other_names.startswith("linalg.")
     return "" if heads & ALLOWED or trained else f"{path}: core.portable has it"
 
 
@@ -131,12 +131,12 @@ def _is_exact(left: ast.expr, right: ast.expr) -> bool:
 
 
 def test_the_package_calls_what_gives_the_same_bits_on_every_processor():
-    found = []
+    findings = []
     for file in sorted(SOURCE.rglob("*.py")):
         name = file.relative_to(SOURCE).as_posix()
         if not name.startswith(("core/build/", "core/maths/matrices")):
-            found += breaches(name, file.read_text(encoding="utf-8"))
-    assert not found, "\n".join(found)
+            findings += breaches(name, file.read_text(encoding="utf-8"))
+    assert not findings, "\n".join(findings)
 
 
 def test_what_a_processor_decides_is_found():

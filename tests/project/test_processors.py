@@ -75,17 +75,19 @@ def answers(folder, **environment):
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory):
+def local_features(tmp_path_factory):
     return answers(tmp_path_factory.mktemp("here"))
 
 
 @pytest.mark.slow  # twenty commands, once for each way to compute
 @pytest.mark.parametrize("other", OTHERS)
-def test_twenty_commands_give_the_same_bits_whatever_code_the_libraries_choose(other, here, tmp_path):
+def test_twenty_commands_give_the_same_bits_whatever_code_the_libraries_choose(other, local_features, tmp_path):
     environment = OTHERS[other]
     if "NPY_DISABLE_CPU_FEATURES" in environment and not any(__cpu_features__[name] for name in __cpu_dispatch__):
         pytest.skip(f"this processor has none of {', '.join(__cpu_dispatch__)}: NumPy has nothing to switch off")
     there, files = answers(tmp_path, **environment)
-    different = [line for name, answer in there.items() for line in [name, *compare(here[0][name], answer)][2:]]
+    different = [
+        line for name, answer in there.items() for line in [name, *compare(local_features[0][name], answer)][2:]
+    ]
     assert not different
-    assert files == here[1]
+    assert files == local_features[1]

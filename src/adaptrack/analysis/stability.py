@@ -157,8 +157,8 @@ def loop_gain(plant: Sampled, law: LinearControllers, angles: ArrayLike = _ANGLE
     by_measured = _resolved(z, estimator.a, product(estimator.e, measured))
     by_own = _resolved(z, estimator.a, estimator.f[:, None])
     fed_back = product(law.k, product(estimator.c, by_measured) + product(estimator.d, measured))
-    own = product(law.k, product(estimator.c, by_own)) - product(estimator.h, by_own)
-    return np.asarray((fed_back - product(estimator.h, by_measured)) / (1.0 + own))
+    eigenvalues_of_loop = product(law.k, product(estimator.c, by_own)) - product(estimator.h, by_own)
+    return np.asarray((fed_back - product(estimator.h, by_measured)) / (1.0 + eigenvalues_of_loop))
 
 
 def _resolved(z: Complex, a: Array, b: NDArray[Any]) -> Complex:

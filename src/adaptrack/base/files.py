@@ -458,14 +458,14 @@ def keep_replaced(*paths: Path) -> Iterator[list[Path]]:
         When an existing file cannot be read, or its copy cannot be written.
     """
     previous = {path: read_bytes(path) for path in paths if path.is_file()}
-    kept: list[Path] = []
+    backups: list[Path] = []
     try:
-        yield kept
+        yield backups
     finally:
         for path, content in previous.items():
             if not path.is_file() or read_bytes(path) != content:
-                kept.append(path.with_name(f"{path.name}.bak"))
-                write_atomically(kept[-1], content)
+                backups.append(path.with_name(f"{path.name}.bak"))
+                write_atomically(backups[-1], content)
 
 
 def check_replaceable(path: str | os.PathLike[str]) -> None:

@@ -65,9 +65,9 @@ def ratio(values: ArrayLike, references: ArrayLike) -> Ratio:
 
 def _resampled_sums(values: Array) -> Array:
     """Return the sum of the values in each resample (BOOTSTRAP_RESAMPLES,)."""
-    first, *others = _weights(values.shape)
+    first, *other_values = _weights(values.shape)
     total = portable.product(first, values.reshape(len(values), -1))
-    for weights in others:
+    for weights in other_values:
         total = (weights[..., None] * total.reshape(*weights.shape, -1)).sum(axis=1)
     return np.asarray(total[:, 0])
 

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from adaptrack.base.files import keep_replaced
 from adaptrack.base.progress import TrackedWork, call_until, registered_work
 from adaptrack.base.progress import duration as duration
 from adaptrack.base.result import Column, Result, ResultTable
@@ -62,6 +61,8 @@ def listing(title: str, rows: TableRows, as_json: bool) -> None:
 @contextmanager
 def replacing(*files: Path, aside: bool = False) -> Iterator[None]:
     """Keep files that the `with` block replaces by other content, and say where, see `base.files.keep_replaced`."""
+    from adaptrack.base.files import keep_replaced  # NumPy, which --help does not need
+
     with keep_replaced(*files) as kept:
         yield
     for file in kept:

@@ -33,9 +33,9 @@ LEAST_RATIO_SIGMA, LEAST_DELAY_SIGMA, DELAY_TIME = 0.07, 0.04, 0.25
 """-, s, s: least standard deviations of learned actuators; time for which an error of the delay lasts."""
 LEAST_SPEED_SIGMA, NOISE_TIME = 0.025, 4.0
 """m/s, s: least standard deviation of a measured speed, and the time constant of its estimate."""
-LEAST_LOSS, LEAST_PULL, LARGEST_PULL, REGAINED_SHARE = 0.4, 2.0, 8.0, 0.7
+LEAST_LOSS, LEAST_STUCK_PULL, LARGEST_PULL, REGAINED_SHARE = 0.4, 2.0, 8.0, 0.7
 """-, m/s^2, m/s^2, -: sizes of faults: shares of the brake force lost, pull; share of the loss that ends."""
-SUSPICION, EVIDENCE, PULL_EVIDENCE, DOUBT = 3.0, 9.0, 12.0, 1.0
+SUSPICION, BRAKE_EVIDENCE, PULL_EVIDENCE, DOUBT = 3.0, 9.0, 12.0, 1.0
 """Logarithms of likelihood ratios, from which a fault is suspected and reported, and below which brakes work."""
 PROBE = 2.0
 """m/s^2, additional braking while a loss is suspected."""
@@ -99,9 +99,13 @@ def top_speed_after_fault(memory):
 
 
 @inlined
-def _predict(speed, disturbance, rate, acceleration, kept, period):
+def _predict(speed, disturbance, rate, acceleration, decay, period):
     """Speed, disturbance and its rate after a period (s)."""
-    return speed + period * (acceleration + disturbance + 0.5 * period * rate), disturbance + period * rate, kept * rate
+    return (
+        speed + period * (acceleration + disturbance + 0.5 * period * rate),
+        disturbance + period * rate,
+        decay * rate,
+    )
 
 
 @inlined
@@ -139,9 +143,9 @@ def watch_actuators(speed, resistance, drive, brakes, period, memory):
         memory.brake_ratio, memory.brake_ratio_sigma = brakes.ratio, max(brakes.ratio_sigma, LEAST_RATIO_SIGMA)
     effect = memory.brake_ratio * brakes.acting
     acceleration = drive.ratio * drive.acting - (1.0 - memory.lost_share) * effect - resistance
-    kept = exp(-period * speed / SLOPE_WAY)
+    decay = exp(-period * speed / SLOPE_WAY)
     v, d, r = _predict(
-        memory.watched_speed, memory.watched_disturbance, memory.watched_rate, acceleration, kept, period
+        memory.watched_speed, memory.watched_disturbance, memory.watched_rate, acceleration, decay, period
     )
     # covariance
     t, h = period, 0.5 * square(period)
@@ -150,9 +154,9 @@ def watch_actuators(speed, resistance, drive, brakes, period, memory):
     v_d = memory.p_watched_disturbance + t * d_d + h * d_r
     v_r = memory.p_watched_rate + t * d_r + h * memory.p_rate
     d_d, d_r = d_d + t * d_r, d_r + t * memory.p_rate
-    v_v, v_d, v_r = v_v + t * v_d + h * v_r, v_d + t * v_r, kept * v_r
-    d_d, d_r = d_d + t * d_r, kept * d_r
-    r_r = square(kept) * memory.p_rate + (1.0 - square(kept)) * square(GUST_RATE + SLOPE_RATE * speed)
+    v_v, v_d, v_r = v_v + t * v_d + h * v_r, v_d + t * v_r, decay * v_r
+    d_d, d_r = d_d + t * d_r, decay * d_r
+    r_r = square(decay) * memory.p_rate + (1.0 - square(decay)) * square(GUST_RATE + SLOPE_RATE * speed)
     braking_change, driving_change = (
         abs(brakes.acting - memory.braking_before),
         abs(drive.acting - memory.driving_before),
@@ -176,17 +180,17 @@ def watch_actuators(speed, resistance, drive, brakes, period, memory):
     memory.p_disturbance, memory.p_disturbance_rate, memory.p_rate = d_d - k_d * v_d, d_r - k_d * v_r, r_r - k_r * v_r
     memory.watched_speed, memory.watched_disturbance, memory.watched_rate = v + k_v * e, d + k_d * e, r + k_r * e
     # signatures
-    v, d, r = _predict(memory.loss_speed, memory.loss_disturbance, memory.loss_rate, effect, kept, period)
+    v, d, r = _predict(memory.loss_speed, memory.loss_disturbance, memory.loss_rate, effect, decay, period)
     memory.loss_match, memory.loss_energy = memory.loss_match + e * v / spread, memory.loss_energy + v * v / spread
     memory.loss_speed, memory.loss_disturbance, memory.loss_rate = v - k_v * v, d - k_d * v, r - k_r * v
-    v, d, r = _predict(memory.pull_speed, memory.pull_disturbance, memory.pull_rate, 0.0, kept, period)
+    v, d, r = _predict(memory.pull_speed, memory.pull_disturbance, memory.pull_rate, 0.0, decay, period)
     memory.pull_match, memory.pull_energy = memory.pull_match + e * v / spread, memory.pull_energy + v * v / spread
     memory.pull_speed, memory.pull_disturbance, memory.pull_rate = v - k_v * v, d - k_d * v, r - k_r * v
     least, largest = LEAST_LOSS, 1.0
     if memory.lost_share > 0.0:
         least, largest = -memory.lost_share, -REGAINED_SHARE * memory.lost_share
     loss, memory.loss_evidence = _test(memory.loss_match, memory.loss_energy, least, largest)
-    _, memory.pull_evidence = _test(memory.pull_match, memory.pull_energy, LEAST_PULL, LARGEST_PULL)
+    _, memory.pull_evidence = _test(memory.pull_match, memory.pull_energy, LEAST_STUCK_PULL, LARGEST_PULL)
     if memory.loss_evidence <= 0.0 or brakes.acting < JUDGED_BRAKING:
         _forget_loss(memory)
     if memory.pull_evidence <= 0.0:
@@ -199,7 +203,7 @@ def _judge(loss, braking, period, memory):
     """Report or end a fault; loss: likeliest change of the lost share of the brake force."""
     if memory.pull_evidence > PULL_EVIDENCE and memory.pull_evidence > memory.loss_evidence:
         memory.fault = DRIVE_STICKS
-    elif memory.loss_evidence > EVIDENCE:
+    elif memory.loss_evidence > BRAKE_EVIDENCE:
         if memory.lost_share == 0.0:
             memory.fault = max(memory.fault, BRAKES_FAIL)
         memory.watched_speed += loss * memory.loss_speed

@@ -234,7 +234,7 @@ def _miss(x, y, t, base, point_x, point_y):
 
 
 @inlined
-def _place_in_group(points, rows, k, window, begin, end, usual):
+def _place_in_group(points, rows, k, window, begin, end, first_choice):
     """The number of the point, with a fraction between two, at which a path meets its group k, points `begin` to `end`.
 
     rows: (n,) a point of each group; window: number of the first of the five groups with k that show the curve; usual:
@@ -248,8 +248,8 @@ def _place_in_group(points, rows, k, window, begin, end, usual):
             t[j] = t[j - 1] + hypot(x[j] - x[j - 1], y[j] - y[j - 1]) if j > 0 else 0.0
             j += 1
     base = min(max(k - window - 1, 0), 2)
-    least, product = _miss(x, y, t, base, points[usual, 0], points[usual, 1])
-    place, before = float(usual), 0.0
+    least, product = _miss(x, y, t, base, points[first_choice, 0], points[first_choice, 1])
+    place, before = float(first_choice), 0.0
     if abs(least) <= GROUP_MISS * product:
         return place
     least = 0.5 * abs(least)  # a curve that bends too much for four points misses all of a group alike
@@ -285,12 +285,12 @@ def points_apart(points, closed, rows):
         first = end + 1
     for k in range(count):
         first, end = whole(rows[k]), (whole(rows[k + 1]) if k + 1 < count else stop) - 1
-        usual = end if k > 0 and k == count - 1 and not closed else first
+        first_choice = end if k > 0 and k == count - 1 and not closed else first
         begin = stop - n if closed and k == 0 else first
         window = k - 2 if closed else max(min(k - 2, count - 5), 0)
-        rows[k] = float(usual)
+        rows[k] = float(first_choice)
         if begin < end and count >= 5:
-            rows[k] = _place_in_group(points, rows[:count], k, window, begin, end, usual)
+            rows[k] = _place_in_group(points, rows[:count], k, window, begin, end, first_choice)
     return count
 
 

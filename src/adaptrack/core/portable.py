@@ -212,5 +212,5 @@ def banded_solve(factor: Array, b: Array) -> Array:
 
 
 def _stacked(a: Array, outer: tuple[int, ...]) -> Array:
-    whole = np.ascontiguousarray(np.broadcast_to(a, (*outer, *a.shape[-2:])))
-    return whole.reshape(math.prod(outer), *a.shape[-2:])
+    integer_power = np.ascontiguousarray(np.broadcast_to(a, (*outer, *a.shape[-2:])))
+    return integer_power.reshape(math.prod(outer), *a.shape[-2:])

@@ -165,7 +165,7 @@ SPEED_MEMORY = record(
         "is_changed",  # 1: another path; its stops are to be matched
         "is_released",  # 1: the car may leave the stop at which it stands
         "travelled",  # m, since the car stood
-        "is_braking",  # 1: the brakes act, 0: the drive does; either may rest
+        "is_braking",  # 1: the brakes act, 0: the drive does; either may remaining_way
         "is_starting", "launch", "rolled",  # 1: the car starts; m/s^2: push beyond the estimated slope; least push
         "start_place", "pose_place",  # m: station at which it last stood; last measured one
         "rolling",  # m/s^2, additional hold of a car that rolls against its brakes
@@ -375,7 +375,7 @@ def _hold(beyond, slope, brakes, dt, settings, memory):
     needed = max(abs(slope - brakes.disturbance), abs(slope)) + HOLD_RESERVE
     needed += CREEP_STIFFNESS * min(abs(beyond), LARGEST_CREEP)
     at_rest = HOLD_AT_REST
-    if memory.state != DRIVING and memory.state != OFF:  # the car has just come to rest: no jolt
+    if memory.state != DRIVING and memory.state != OFF:  # the car has just come to remaining_way: no jolt
         at_rest = min(at_rest, memory.hold / settings.mass + HOLDING_RATE * dt)
     deceleration = max(needed, at_rest) / min(brakes.ratio, 1.0) + memory.rolling
     memory.hold = min(settings.mass * deceleration, settings.brake_limit)
@@ -593,17 +593,17 @@ def _aim(index, way, top_square, resistance, drive, brakes, settings, path, memo
         cause = BY_PLAN
     elif target_square >= top_square * 0.999:
         cause = BY_FAULT if memory.on_probation > 0.0 else BY_UNKNOWN_STEERING
-    rest = way - coming_way
+    remaining_way = way - coming_way
     jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * brakes.lag)
     caution_way = BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * coming_speed
-    stop_speed, stop_acceleration = _stopping_motion(rest - caution_way, lag, jerk, settings)
+    stop_speed, stop_acceleration = _stopping_motion(remaining_way - caution_way, lag, jerk, settings)
     if memory.travelled + way < SHORT_MOVE:
-        slow = sqrt(2.0 * SHORT_MOVE_BRAKE * max(rest, 0.0))
+        slow = sqrt(2.0 * SHORT_MOVE_BRAKE * max(remaining_way, 0.0))
         if slow < stop_speed:
             stop_speed, stop_acceleration = slow, -SHORT_MOVE_BRAKE
-    if stop_speed < target or rest <= 0.0:
+    if stop_speed < target or remaining_way <= 0.0:
         acceleration, target, cause = stop_acceleration, stop_speed, _stop_cause(index, path)
-    return acceleration, target, coming_speed, rest, cause
+    return acceleration, target, coming_speed, remaining_way, cause
 
 
 @inlined
@@ -620,7 +620,7 @@ def _follow(index, way, slope, top_square, lateral, drive, brakes, dt, settings,
     if is_at_start and _start(way, slope, lateral, drive, brakes, dt, settings, memory):
         memory.state, memory.limited_by = DRIVING, BY_PLAN
         return
-    acceleration, target, coming_speed, rest, cause = _aim(
+    acceleration, target, coming_speed, remaining_way, cause = _aim(
         index, way, top_square, resistance, drive, brakes, settings, path, memory, banks, ahead
     )
     disturbance = brakes.disturbance if memory.is_braking > 0 else drive.disturbance
@@ -628,17 +628,17 @@ def _follow(index, way, slope, top_square, lateral, drive, brakes, dt, settings,
     band = STOPPING_BAND if cause in (BY_STOP, BY_PATH_END) else COASTING_BAND
     if (tyres < -band and memory.is_braking == 0) or (tyres > band and memory.is_braking > 0):
         memory.is_braking = 1 - memory.is_braking
-        acceleration, target, coming_speed, rest, cause = _aim(
+        acceleration, target, coming_speed, remaining_way, cause = _aim(
             index, way, top_square, resistance, drive, brakes, settings, path, memory, banks, ahead
         )
     memory.limited_by, memory.target_speed, memory.state = cause, target, DRIVING
     memory.hold = max(memory.hold - STARTED_RELEASE_RATE * dt * settings.mass, 0.0)
     if cause in (BY_STOP, BY_PATH_END):
         memory.state = STOPPING
-        is_far = rest > STOP_TOLERANCE
-        if is_far and square(coming_speed) > 2.0 * EMERGENCY_RATIO * settings.brake * rest:
+        is_far = remaining_way > STOP_TOLERANCE
+        if is_far and square(coming_speed) > 2.0 * EMERGENCY_RATIO * settings.brake * remaining_way:
             memory.state, memory.hold, memory.handover, memory.is_braking = EMERGENCY, 0.0, 0.0, 1
-            needed = 0.5 * square(coming_speed) / max(rest, REACHED)
+            needed = 0.5 * square(coming_speed) / max(remaining_way, REACHED)
             _request(
                 -min(needed, settings.emergency), memory.speed, slope, lateral, drive, brakes, settings, memory
             )  # fmt: skip
@@ -691,7 +691,7 @@ def _learn(sample, dt, slope, settings, memory, banks):
 
 @inlined
 def _at_present(belief, acting):
-    """What is known of an actuator, with what it does at present (m/s^2)."""
+    """The belief about an actuator whose present action (m/s^2) is `acting`."""
     return ActuatorBelief(
         belief.lag, belief.dead_time, belief.delay_sigma, belief.ratio, belief.ratio_sigma, belief.disturbance,
         belief.speed, acting, belief.acting_sigma,

@@ -89,16 +89,16 @@ def compare_with_positions(place, age, dt, memory):
     memory.observer_time += dt
     if place == place:
         interval, memory.observer_time = memory.observer_time, 0.0
-        now = place + (speed + memory.observed_excess) * age
-        error = now - memory.observed_place
+        observation = place + (speed + memory.observed_excess) * age
+        error = observation - memory.observed_place
         if interval > OBSERVER_GAP:
             memory.observed_excess = 0.0
         if interval > OBSERVER_GAP or abs(error) > OBSERVER_JUMP:
-            memory.observed_place = now
+            memory.observed_place = observation
         else:
-            rest = exp(-interval / OBSERVER_TIME)  # critically damped
-            memory.observed_place += (1.0 - square(rest)) * error
-            memory.observed_excess += square(1.0 - rest) / interval * error
+            decay = exp(-interval / OBSERVER_TIME)  # critically damped
+            memory.observed_place += (1.0 - square(decay)) * error
+            memory.observed_excess += square(1.0 - decay) / interval * error
     if memory.observer_time > OBSERVER_GAP:
         return
     noise = CONTRADICTION_NOISE * sqrt(memory.pose_variance)

@@ -181,9 +181,9 @@ def _alone(fit: Fit, curve: Tyre) -> Identification:
     estimates, jacobian = _estimates(likelihood, z, covariance)
     validation, series = _validated(likelihood, z, log, car, beliefs)
     spread = portable.product(portable.product(jacobian, covariance), jacobian.T)
-    usable, against, found = _ratio(fit, estimates, spread)
+    usable, against, ratio_findings = _ratio(fit, estimates, spread)
     reasons = implausible_estimates(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
-    limits = _rivals_sentence(likelihood, rivals) + findings(log, estimates, validation) + found
+    limits = _rivals_sentence(likelihood, rivals) + findings(log, estimates, validation) + ratio_findings
     rows = [i for i, name in enumerate(estimates) if name in usable]
     return Identification(
         usable, spread[np.ix_(rows, rows)], validation, limits, log, car, curve,
@@ -206,9 +206,11 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
     estimates, jacobian = _estimates(likelihood, *joint[main])
     spread = portable.product(portable.product(jacobian, joint[main][1]), jacobian.T)
     against: list[str] = []
-    found: tuple[str, ...] = ()
+    ratio_findings: tuple[str, ...] = ()
     if not likelihood.log.ratio_unknown:
-        _, against, found = _ratio(fits[main]._replace(z=joint[main][0], covariance=joint[main][1]), estimates, spread)
+        _, against, ratio_findings = _ratio(
+            fits[main]._replace(z=joint[main][0], covariance=joint[main][1]), estimates, spread
+        )
     ratio_logs = [i for i, identification in enumerate(alone) if "ratio" in identification.estimates]
     shared = {
         name: estimate for name, estimate in estimates.items() if name in SHARED and (name != "ratio" or ratio_logs)
@@ -218,7 +220,7 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
     reasons = [*(reasons or implausible_estimates(shared, first.believed)), *against, *log_reasons, *open_ratio]
     return replace(
         first, estimates=shared, covariance=spread[np.ix_(rows, rows)],
-        findings=findings(first.log, estimates, first.validation) + found,
+        findings=findings(first.log, estimates, first.validation) + ratio_findings,
         computation=max(identification.computation for identification in alone),
         reasons=tuple(reasons), alone=tuple(alone),
     )  # fmt: skip

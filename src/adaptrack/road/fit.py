@@ -115,8 +115,8 @@ def fit_road(
     """
     points = _check_points("fit_road", points, MIN_ROAD_LENGTH)
     count, lap, notes = _find_lap(points, closed)
-    rows, apart = _points_apart(points[:count], lap)
-    record = _Record(apart, rows, points[:count].mean(axis=0), lap)
+    rows, distinct_points = _points_apart(points[:count], lap)
+    record = _Record(distinct_points, rows, points[:count].mean(axis=0), lap)
     if smoothest:
         estimate, outliers = _estimate(record, smoothest), np.zeros(rows.size, dtype=bool)
     else:
@@ -182,10 +182,10 @@ def road_through(
         When points are too few, not finite, or fold back on themselves.
     """
     points = _check_points("road_through", points, path.MIN_PATH_LENGTH)
-    rows, apart = _points_apart(points, closed)
+    rows, distinct_points = _points_apart(points, closed)
     source = "given" if noise is not None else "estimated"
     if noise is None:
-        noise = path_noise.noise_of(apart, closed, np.empty(rows.size))
+        noise = path_noise.noise_of(distinct_points, closed, np.empty(rows.size))
     size = path.path_words(points, closed)
     while True:
         memory = np.empty(size)
@@ -198,7 +198,7 @@ def road_through(
     line, _ = path.line_in(memory)
     notes, deviation = _repetition_notes(points, rows), 0.0
     if noise > 0.0:
-        deviation = _deviation(apart, line)
+        deviation = _deviation(distinct_points, line)
         notes += (f"noise of {noise:.2g} m ({source}) smoothed: up to {deviation:.2g} m from a point",)
     table = Pieces(line.start.copy(), line.pieces.copy())
     return Road(name=name, table=table, closed=closed, notes=notes, deviation=deviation, **alongs(along))

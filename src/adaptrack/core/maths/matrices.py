@@ -118,19 +118,19 @@ def write_spectral_radii(a, work, radii):
                 work[0, i, j] = a[matrix_number, i, j]
         logarithm, share = 0.0, 1.0
         for squaring in range(SQUARINGS):
-            now, then = work[squaring % 2], work[(squaring + 1) % 2]
+            present, then = work[squaring % 2], work[(squaring + 1) % 2]
             norm = 0.0
             for i in range(m):
                 for j in range(m):
-                    if not abs(now[i, j]) <= norm:  # also NaN
-                        norm = abs(now[i, j])
+                    if not abs(present[i, j]) <= norm:  # also NaN
+                        norm = abs(present[i, j])
             logarithm += share * log(norm)
             if not 0.0 < norm < math.inf:
                 break
             for i in range(m):
                 for j in range(m):
-                    now[i, j] /= norm
-            _product(now, now, then)
+                    present[i, j] /= norm
+            _product(present, present, then)
             share *= 0.5
         radii[matrix_number] = exp(logarithm)
 
@@ -143,12 +143,12 @@ def diagonalise(a, vectors):
         for j in range(n):
             vectors[i, j] = 1.0 if i == j else 0.0
     for _ in range(SWEEPS):
-        beside = 0.0
+        neighbour = 0.0
         for i in range(n):
             for j in range(i + 1, n):
                 if abs(a[i, j]) <= 1e-17 * (abs(a[i, i]) + abs(a[j, j])):
                     continue
-                beside += 1.0
+                neighbour += 1.0
                 half = 0.5 * (a[j, j] - a[i, i]) / a[i, j]
                 t = math.copysign(1.0, half) / (abs(half) + sqrt(1.0 + half * half))
                 c = 1.0 / sqrt(1.0 + t * t)
@@ -161,7 +161,7 @@ def diagonalise(a, vectors):
                     )
                 for k in range(n):
                     a[i, k], a[j, k] = c * a[i, k] - s * a[j, k], s * a[i, k] + c * a[j, k]
-        if beside == 0.0:
+        if neighbour == 0.0:
             break
 
 

@@ -58,7 +58,7 @@ SHORTEST_PERIOD_SHARE = 0.9
 """Control periods between two steps of the speed control while there are no control instants."""
 MAX_PERIODS = 40
 """Control periods between two steps, at most: after so many the filters restart."""
-MAX_SAMPLE_AGE, EARLY_PERIODS = 0.5, 2.0
+MAX_POSITION_AGE, EARLY_PERIODS = 0.5, 2.0
 """s, -: age up to which a position is carried; control periods by which a stamp may be too late."""
 SUSPECT_SCALE, KNOWN_SCALE_SIGMA = 0.05, 0.012
 """-: error of the scale of the speed from which it is reported; standard deviation from which it is known."""
@@ -133,25 +133,25 @@ def _write_sample(tracker, m, blind_time, action, sample, memory):
 
     Positions and speeds are those that the tracker lets pass; each counts once, at its age.
     """
-    period, given = tracker.settings[0].period, tracker.sample
-    now = time_of(m, period) if m.started > 0 else given[TRACKER_SAMPLE.now]
+    period, call = tracker.settings[0].period, tracker.sample
+    instant_time = time_of(m, period) if m.started > 0 else call[TRACKER_SAMPLE.now]
     is_blind = action in (FOLLOW_SLOWLY, EMERGENCY_STOP)
     sample.is_guided = 1.0 if action in (FOLLOW, FOLLOW_SLOWLY) else 0.0
     sample.blind_time = blind_time if is_blind else 0.0
     sample.station, sample.station_age = math.nan, 0.0
     if m.started > 0 and has_position(m) and m.given_t > memory.pose_time and m.offset == m.offset:
         memory.pose_time = m.given_t
-        age = clip(now - m.given_t, 0.0, MAX_SAMPLE_AGE)
+        age = clip(instant_time - m.given_t, 0.0, MAX_POSITION_AGE)
         sample.station, sample.station_age = m.station - age * forward(m), age
-    speed = given[TRACKER_SAMPLE.speed]
+    speed = call[TRACKER_SAMPLE.speed]
     sample.speed = speed if abs(speed) <= MAX_PLAN_SPEED else math.nan
-    age = now - given[TRACKER_SAMPLE.motion_t]
+    age = instant_time - call[TRACKER_SAMPLE.motion_t]
     sample.speed_age = max(age, 0.0) if age > -EARLY_PERIODS * period else math.inf
-    sample.yaw_rate = given[TRACKER_SAMPLE.yaw_rate]
-    acceleration = given[TRACKER_SAMPLE.longitudinal_acceleration]
+    sample.yaw_rate = call[TRACKER_SAMPLE.yaw_rate]
+    acceleration = call[TRACKER_SAMPLE.longitudinal_acceleration]
     sample.acceleration = acceleration if abs(acceleration) < MAX_SIGNAL else math.nan
-    sample.driver = 1.0 if given[TRACKER_SAMPLE.driver] > 0.5 else 0.0
-    sample.grade = given[TRACKER_SAMPLE.grade]
+    sample.driver = 1.0 if call[TRACKER_SAMPLE.driver] > 0.5 else 0.0
+    sample.grade = call[TRACKER_SAMPLE.grade]
 
 
 @inlined
