@@ -145,8 +145,9 @@ def _newton(residual: Callable[[Array, float], Array], x: Array, target: float) 
             return x, False
         try:
             change = portable.solve(slopes.T, error)
-        except portable.LinAlgError:
-            return x, False
+        except portable.LinAlgError:  # a state without influence
+            normal = portable.pseudo_inverse(portable.product(slopes.T, slopes))
+            change = portable.product(slopes, portable.product(normal, error))
         x = x - change
         if not np.abs(change).max() > 1e-10:
             break

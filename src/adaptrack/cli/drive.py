@@ -16,7 +16,6 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import controllers, interrupt, options, show
 from adaptrack.cli.next_step import command, next_line, repeat_command_with, replace_option
 from adaptrack.cli.places import DrivenPlaces, PlaceOptions
-from adaptrack.core import portable
 
 if TYPE_CHECKING:
     from adaptrack.base.result import Result, ResultTable
@@ -289,6 +288,8 @@ def _stiffness_notes(loop: DrivenLoop) -> list[str]:
     car, tyre = loop.car, getattr(loop.plant, "tyre", None)
     if tyre is None:
         return []
+    from adaptrack.core import portable  # NumPy, which --help does not need
+
     if max(abs(portable.log(factor)) for factor in car.stiffness_factors(tyre)) < portable.log(STIFFNESS_MISMATCH):
         return []
     matched = car.matched_to(tyre)

@@ -40,7 +40,7 @@ WIDER = 2.0
 """Factor on the most likely spread of the gusts."""
 LEAST_OF_SPLINE = 20
 """Samples of a segment whose measured wheel angle is smoothed."""
-SHORTEST_SMOOTHING, LONGEST_SMOOTHING, LENGTHS = 2.0, 5.0, 25
+SHORTEST_SMOOTHING, LONGEST_SMOOTHING, RELAXATION_LENGTHS = 2.0, 5.0, 25
 """Smoothing lengths that are tried, in samples; s; how many."""
 STRETCH = 10.0
 """s, of the stretches whose estimates are compared: longer than what innovations may be correlated."""
@@ -272,7 +272,9 @@ def smooth_wheel(log: Log) -> Array:
             time = log.time[rows] - log.time[rows[0]]
             values, spacing = log.command[rows][:, np.newaxis], float(np.median(np.diff(time)))
             smoother = Smoother(values, time, float(time[-1]), False, spacing)
-            lengths = portable.geomspace(SHORTEST_SMOOTHING * spacing, max(LONGEST_SMOOTHING, 3.0 * spacing), LENGTHS)
+            lengths = portable.geomspace(
+                SHORTEST_SMOOTHING * spacing, max(LONGEST_SMOOTHING, 3.0 * spacing), RELAXATION_LENGTHS
+            )
             out[rows] = smoother.fitted(float(lengths[smoother.best_scale(lengths)]))[:, 0]
     return out
 

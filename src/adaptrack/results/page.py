@@ -17,6 +17,7 @@ from markupsafe import Markup
 
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.base.files import PAGE_FILE
 from adaptrack.base.html import content_policy
 from adaptrack.base.result import DASHES, Column, Panel, Result, ResultTable, Stroke
 from adaptrack.base.text import printable
@@ -34,9 +35,6 @@ from adaptrack.results.words import (
     span,
     title_of,
 )
-
-PAGE_FILE = "index.html"
-"""The name of the page in its folder."""
 
 
 def write_result(
