@@ -119,7 +119,7 @@ def main() -> None:
     print("| road | path |", " | ".join(f"{noise:g} m: speed, RMS, lateral" for noise in NOISES), "|")
     for name, (road, speed) in (cases | bends()).items():
         comfort = Comfort(lateral=4.0 if name in cases or "hairpin" in name else 10.0)
-        plan = at.plan_speed(road, comfort=comfort, top_speed=speed, start=speed)
+        plan = at.plan_speed(road, comfort=comfort, top_speed=speed)
         for anew in (False, True):
             rows = [
                 [drive(road, plan, noise, anew, options.exact, k) for k in range(options.seeds)] for noise in NOISES

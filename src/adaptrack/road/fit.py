@@ -182,20 +182,20 @@ def road_through(
         When points are too few, not finite, or fold back on themselves.
     """
     points = _check_points("road_through", points, path.MIN_PATH_LENGTH)
-    rows, distinct_points = _points_apart(points, closed)
-    source = "given" if noise is not None else "estimated"
-    if noise is None:
-        noise = path_noise.noise_of(distinct_points, closed, np.empty(rows.size))
     size = path.path_words(points, closed)
     while True:
         memory = np.empty(size)
-        status, place = path.path_through(points, closed, noise, memory)
+        status, place = path.path_through(points, closed, math.nan if noise is None else noise, memory)
         if status != path.TOO_SMALL:
             break
         size *= 2
     if status != OK:
         raise InvalidInput(f"road_through: {_FLAWS[status].format(place, WIDEST)}")
     line, _ = path.line_in(memory)
+    rows, distinct_points = _points_apart(points, closed)
+    source = "given" if noise is not None else "estimated"
+    if noise is None:
+        noise = path_noise.noise_of(distinct_points, closed, np.empty(rows.size))
     notes, deviation = _repetition_notes(points, rows), 0.0
     if noise > 0.0:
         deviation = _deviation(distinct_points, line)
