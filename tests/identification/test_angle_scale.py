@@ -106,6 +106,7 @@ def test_a_car_without_lag_or_dead_time_is_consistent(lag: float, dead_time: flo
         assert true <= answer[name].high, name
 
 
+@pytest.mark.compiled
 def test_an_interval_that_reaches_far_beyond_the_prior_is_refused() -> None:
     estimates = dict(identified(("wheel",)).estimates)
     assert not implausible_estimates(estimates, CAR)
@@ -116,6 +117,7 @@ def test_an_interval_that_reaches_far_beyond_the_prior_is_refused() -> None:
     assert "the interval of rear, 8e+04 to 1.12e+06 N/rad, reaches 3.6" in reasons[0]
 
 
+@pytest.mark.compiled
 def test_every_interval_of_a_single_log_is_shown() -> None:
     answer = identified(("wheel",))
     open_axle = replace(answer["rear"], spread_left=1.4)
@@ -169,6 +171,7 @@ def test_a_signal_that_is_sampled_in_every_row_is_kept(step: float) -> None:
         assert sampled.all()
 
 
+@pytest.mark.compiled
 def test_a_log_on_a_faster_raster_is_read_as_the_log_that_was_recorded() -> None:
     drive = scaled(("command",))
     raster = 0.01 * np.arange(5 * drive["time"].size)
