@@ -41,6 +41,13 @@ def seconds(stamp: Any) -> float:
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
+def yaw_of(q: Any) -> float:
+    """rad of a quaternion of any length; NaN of one that is 0 or not finite. To the bit that of the C++ node."""
+    across, along = 2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z
+    square = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
+    return math.atan2(across, along) if 0.0 < square < math.inf else math.nan
+
+
 def sample_of(message: Any, ahead: float) -> Sample:
     """The centre of mass by a message about a frame of the car that lies `ahead` (m) of it.
 
@@ -57,7 +64,7 @@ def sample_of(message: Any, ahead: float) -> Sample:
     else:
         pose = getattr(message.pose, "pose", message.pose)
         place, q = pose.position, pose.orientation
-    yaw = at.yaw_of((q.x, q.y, q.z, q.w))
+    yaw = yaw_of(q)
     x, y = place.x - ahead * math.cos(yaw), place.y - ahead * math.sin(yaw)
     numbers = (seconds(message.header.stamp), x, y, yaw)
     motion: tuple[float, ...] = ()
