@@ -369,7 +369,7 @@ class SpeedController:
         is_guided = math.isfinite(station)
         top_speed = sample[0].top_speed
         sample[0] = (
-            station, 0.0, speed, 0.0, yaw_rate, acceleration, driver, is_guided, top_speed, blind_time, grade, 1.0,
+            station, 0.0, 0.0, speed, 0.0, yaw_rate, acceleration, driver, is_guided, top_speed, blind_time, grade, 1.0,
         )  # fmt: skip
         speed_control_step(self._resident)
         return self.command

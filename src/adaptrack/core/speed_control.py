@@ -41,6 +41,7 @@ from .maths.exponential import power
 from .plants.forces import GRAVITY
 from .speed_learning import (
     LEAST_ACTION,
+    SETTLING_TIME,
     ActuatorBelief,
     forget_speeds,
     learn_actuators,
@@ -55,6 +56,7 @@ from .speed_place import (
     SPEED_GRACE,
     compare_with_positions,
     correct_place,
+    is_speed_doubted,
     is_speed_known,
     predict_place,
     take_motion,
@@ -106,6 +108,7 @@ SPEED_SAMPLE = record(
     "SpeedSample",
     (
         "station", "station_age",  # m, over all laps, of a position that is newer than the last one, and s; NaN: none
+        "offset",  # m, of the car to the left of the path
         "speed", "speed_age",  # m/s, negative backwards, and s; NaN: not measured
         "yaw_rate",  # rad/s; NaN: not measured
         "acceleration",  # m/s^2, measured along the car, without gravity; NaN: not measured
@@ -140,6 +143,8 @@ SPEED_MEMORY = record(
         "motion",  # m/s^2, acceleration of the car, filtered
         "handover",  # m/s^2, of the request beyond the follower's after a driver's; NaN: while one drives
         "measured_speed", "speed_age",  # m/s, s: last measured speed, and its age now
+        "settled",  # s, for which the requests have acted alone, without a driver
+        "carried_speed",  # m/s, measured speed carried to the present, known or not
         "place_speed",  # m/s, measured speed carried to the present, unfiltered: it moves the station
         "fault",  # see `actuator_faults`, and its filter:
         "watched_speed", "watched_disturbance", "watched_rate",  # m/s, m/s^2, m/s^3: of a healthy car, and covariance:
@@ -158,6 +163,7 @@ SPEED_MEMORY = record(
         "jump",  # m, by which the filter of the station has just restarted elsewhere; 0: it has not
         "surprise",  # -, square of the last innovation of the station over its variance
         "observed_place", "observed_excess", "observer_time",  # m, m/s, s: see `speed_place`
+        "observer_error", "observer_variance",  # m, m^2: last innovation; variance of a measured place, by its changes
         "contradiction", "is_distrusted", "distrust",  # s, for which speed and positions contradict each other; 1: the
         # speed is not used; how often in a row
         "direction",  # -1: positions move backwards and the speed is positive; else 1
@@ -165,18 +171,20 @@ SPEED_MEMORY = record(
         "is_changed",  # 1: another path; its stops are to be matched
         "is_released",  # 1: the car may leave the stop at which it stands
         "travelled",  # m, since the car stood
-        "is_braking",  # 1: the brakes act, 0: the drive does; either may remaining_way
+        "is_braking",  # 1: the brakes act, 0: the drive does; either may rest
         "is_starting", "launch", "rolled",  # 1: the car starts; m/s^2: push beyond the estimated slope; least push
         "start_place", "pose_place",  # m: station at which it last stood; last measured one
         "rolling",  # m/s^2, additional hold of a car that rolls against its brakes
         "slide", "sway",  # m/s^2, lateral acceleration by the yaw rate beyond friction and path, lowered with the time
         "time", "instant", "began",  # s, -, s: behind a tracker, of the last step, and of the first control instant
+        "call_time", "call_interval", "repeats",  # s, s, -, behind a tracker: of the last call with a newer time; usual
+        # time between two calls; calls since then without a newer time
         "pose_time",  # s, behind a tracker, of the newest position
         "place_x", "place_y", "stop_x", "stop_y", "served_x", "served_y",  # m, behind a tracker, of the three places
     ),
     integers=(
         "state", "limited_by", "fault", "is_placed", "is_changed", "is_released", "is_braking", "is_starting",
-        "instant", "is_distrusted", "distrust",
+        "instant", "repeats", "is_distrusted", "distrust",
     ),
 )  # fmt: skip
 """What a speed controller remembers, and its answer."""
@@ -211,11 +219,13 @@ ROLLING_RATE = 6.0
 """m/s^3, by which they hold more while the car rolls all the same."""
 HOLDING_LAGS = 2.0
 """Lags of the brakes, in addition to their dead time, after which they hold the car."""
-STARTED_SPEED, GENTLE_SPEED, ROLLING_SPEED = 0.12, 0.08, 0.08
-"""m/s: a car has started, usually and before a short move; a car rolls back."""
+STARTED_SPEED, GENTLE_SPEED, SURE_SPEED, ROLLING_SPEED = 0.12, 0.08, 1.0, 0.08
+"""m/s: a car has started, usually, before a short move, and whatever the noise of its positions; a car rolls back."""
 START_RESERVE, LAUNCH_RATE, MAX_LAUNCH, ROLLED_RESERVE = 0.3, 1.5, 6.0, 0.5
 """m/s^2, m/s^3, m/s^2, m/s^2: the drive carries more than the estimated ascent before the brakes are released, and
 more and more until the car moves; after it has rolled back, more than it then did."""
+MOST_SHARE = 0.95
+"""Of the largest drive force, from which the brakes are released whatever the slope."""
 MOVED_WAY, MOVED_SIGMAS = 0.03, 3.0
 """m, -: way of the positions from which, with so many standard deviations of them, they show a motion."""
 RELEASE_RATE, GENTLE_RELEASE_RATE, STARTED_RELEASE_RATE = 4.0, 1.0, 8.0
@@ -246,6 +256,8 @@ BLIND_SIGMAS, BLIND_MARGIN = 1.5, 0.25
 """-, s: standard deviations of delay and gain of the brakes, and time, that a car without a position allows for."""
 MAX_LATERAL = 20.0
 """m/s^2, to which the lateral acceleration by the yaw rate is limited."""
+LEAST_RADIUS_SHARE = 0.5
+"""Of the radius of a bend of the path: least one of the way of a car inside it."""
 LEAST_SPEED_AHEAD = 0.3
 """m/s, with which a car is taken to go on at a stop ahead."""
 
@@ -283,10 +295,10 @@ def slope_of(grade):
 
 # -- the governor -----------------------------------------------------------------------------------------------------
 @inlined
-def _govern(station, top_square, settings, path, memory, ahead):
-    """Write the squares of the speeds (m^2/s^2) that friction and comfort allow at the cells from the station on.
+def _govern(station, top_square, push, settings, path, memory, ahead):
+    """Write the squares of the speeds (m^2/s^2) that friction, comfort and the next stop allow at the cells ahead.
 
-    top_square: m^2/s^2, of the speed up to which the steering is known.
+    top_square: m^2/s^2, of the speed up to which the steering is known; push: m/s^2, of an unknown descent.
     """
     first, grip = whole(floor(station / path.spacing)), memory.friction * GRAVITY
     bend_grip = settings.governor * memory.cautious_friction * GRAVITY
@@ -298,13 +310,16 @@ def _govern(station, top_square, settings, path, memory, ahead):
             tilt = path.bank[cell] if curvature > 0.0 else -path.bank[cell]
             square_speed = min(square_speed, max(bend_grip + tilt, 0.0) / abs(curvature))
         ahead[j] = square_speed
+    way = way_to(memory.stop_place, station, path)
+    if memory.state != WAITING and 0.0 < way < (ahead.size - 2) * path.spacing:
+        ahead[whole(way / path.spacing) + 2] = 0.0  # beyond the stop: its last metres have a law of their own
     for j in range(ahead.size - 2, -1, -1):
         if ahead[j] <= ahead[j + 1]:
             continue
         cell = cell_at((first + j + 0.5) * path.spacing, path)
         lateral = min(abs(ahead[j + 1] * path.curvature[cell] - path.bank[cell]), LARGEST_BEND_SHARE * grip)
         _, braking = _axle_forces(memory.friction, lateral, settings)
-        deceleration = min(settings.guard * braking / settings.mass + path.slope[cell], settings.brake)
+        deceleration = min(settings.guard * braking / settings.mass + path.slope[cell] - push, settings.brake)
         ahead[j] = min(ahead[j], ahead[j + 1] + 2.0 * path.spacing * max(deceleration, LEAST_BRAKING))
 
 
@@ -375,7 +390,7 @@ def _hold(beyond, slope, brakes, dt, settings, memory):
     needed = max(abs(slope - brakes.disturbance), abs(slope)) + HOLD_RESERVE
     needed += CREEP_STIFFNESS * min(abs(beyond), LARGEST_CREEP)
     at_rest = HOLD_AT_REST
-    if memory.state != DRIVING and memory.state != OFF:  # the car has just come to remaining_way: no jolt
+    if memory.state != DRIVING and memory.state != OFF:  # the car has just come to rest: no jolt
         at_rest = min(at_rest, memory.hold / settings.mass + HOLDING_RATE * dt)
     deceleration = max(needed, at_rest) / min(brakes.ratio, 1.0) + memory.rolling
     memory.hold = min(settings.mass * deceleration, settings.brake_limit)
@@ -474,7 +489,7 @@ def acknowledge(memory):
 @inlined
 def _yield_to_driver(slope, lateral, drive, brakes, dt, settings, memory, banks):
     """Let the requests follow the motion that a driver gives to the car; nothing is learned."""
-    memory.state, memory.handover = OFF, math.nan
+    memory.state, memory.handover, memory.settled = OFF, math.nan, 0.0
     if memory.speed < STANDING_SPEED:
         _hold(0.0, slope, brakes, dt, settings, memory)
     else:
@@ -520,7 +535,7 @@ def _stop_unguided(deceleration, slope, lateral, drive, brakes, dt, settings, me
 def _moved(memory):
     """Whether positions show that the car has moved since its start: 1 forward, -1 back, 0: not clearly."""
     moved = memory.pose_place - memory.start_place
-    bound = MOVED_WAY + MOVED_SIGMAS * sqrt(memory.pose_variance)
+    bound = MOVED_WAY + MOVED_SIGMAS * sqrt(memory.observer_variance)
     return (1 if moved > bound else 0) - (1 if moved < -bound else 0)
 
 
@@ -538,25 +553,30 @@ def _start(way, slope, lateral, drive, brakes, dt, settings, memory):
         memory.start_place = memory.station
     is_gentle, direction = way < SHORT_MOVE, _moved(memory)
     moves = memory.speed > (GENTLE_SPEED if is_gentle else STARTED_SPEED)
-    if moves and (direction > 0 or (is_gentle and direction == 0)):
+    is_sure = is_gentle or memory.speed > SURE_SPEED
+    if moves and (direction > 0 or (is_sure and direction == 0)):
         memory.is_starting, memory.rolling, memory.rolled, memory.handover = 0, 0.0, 0.0, math.nan
         return False
     is_rolling = memory.speed < -ROLLING_SPEED or (abs(memory.speed) > ROLLING_SPEED and direction < 0)
     hold = memory.hold
     resistance = _resistance(0.0, slope, settings) - drive.disturbance
     push = max(resistance, 0.0) + START_RESERVE
+    memory.limited_by, memory.is_braking = BY_PLAN, 0
+    _request(push + memory.launch - resistance, 0.0, slope, lateral, drive, brakes, settings, memory)
+    carried = push + memory.rolled
+    if memory.limited_by != BY_PLAN:  # the drive has no more
+        carried = min(carried, MOST_SHARE * drive.ratio * memory.force / settings.mass)
+    force, acceleration = memory.force, memory.acceleration
     if is_rolling:
         memory.rolled = max(memory.rolled, memory.launch + ROLLED_RESERVE)
         _hold(0.0, slope, brakes, dt, settings, memory)
         hold, memory.is_starting = memory.hold, 1
-    elif not moves and drive.ratio * drive.acting >= push + memory.rolled:
+    elif not moves and drive.ratio * drive.acting >= carried:
         hold = max(hold - (GENTLE_RELEASE_RATE if is_gentle else RELEASE_RATE) * dt * settings.mass, 0.0)
     if not moves:
         is_slow = is_gentle and hold > 0.0 and memory.rolled == 0.0
         memory.launch = min(memory.launch + LAUNCH_RATE * dt, GENTLE_LAUNCH if is_slow else MAX_LAUNCH)
-    memory.is_braking = 0
-    _request(push + memory.launch - resistance, 0.0, slope, lateral, drive, brakes, settings, memory)
-    memory.hold = hold
+    memory.is_braking, memory.force, memory.acceleration, memory.hold = 0, force, acceleration, hold
     return True
 
 
@@ -669,19 +689,20 @@ def _learn(sample, dt, slope, settings, memory, banks):
     before, is_first = memory.measured_speed, elapsed > SPEED_GRACE
     memory.measured_speed, memory.speed_age = sample.speed, sample.speed_age
     if is_first:
-        before, elapsed = sample.speed, SPEED_GRACE
+        before, elapsed, memory.settled = sample.speed, SPEED_GRACE, 0.0
         forget_speeds(banks)
+    memory.settled += elapsed
+    is_settled, is_believed = memory.settled > SETTLING_TIME, is_speed_known(memory) and not is_speed_doubted(memory)
     take_motion(sample.acceleration, elapsed, before, memory)
     resistance = _resistance(sample.speed, slope, settings)
     if sample.driver <= 0.0:
         is_held = memory.hold > 0.0 and abs(sample.speed) < CREEPING_SPEED  # a sensor may have this offset
         speed = 0.0 if is_held else sample.speed
-        is_sure = memory.contradiction <= 0.0 and not is_suspected(memory)
         learn_actuators(
-            speed if is_speed_known(memory) else math.nan, resistance, settings.period, memory.speed_age, elapsed,
-            is_sure, banks,
+            speed if is_believed else math.nan, resistance, settings.period, memory.speed_age, elapsed,
+            not is_suspected(memory), is_settled, banks,
         )  # fmt: skip
-    if memory.state == OFF or is_first or not is_speed_known(memory):
+    if memory.state == OFF or not is_settled or not is_believed:
         forget_faults(sample.speed, 0.0, memory)
     else:
         watch_actuators(
@@ -705,7 +726,9 @@ def _carry_speed(dt, slope, settings, memory, banks):
     A speed that is too old, or contradicts the positions, goes on by the requested acceleration.
     """
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
-    age, speed = min(memory.speed_age, SPEED_GRACE), brakes.speed if brakes.acting > drive.acting else drive.speed
+    is_held = memory.hold > 0.0 and memory.measured_speed < STANDING_SPEED
+    age = 0.0 if is_held else min(memory.speed_age, SPEED_GRACE)
+    speed = brakes.speed if brakes.acting > drive.acting else drive.speed
     if speed != speed:
         speed = memory.measured_speed
     surplus = memory.measured_speed - speed
@@ -720,22 +743,26 @@ def _carry_speed(dt, slope, settings, memory, banks):
         memory.speed = memory.measured_speed
     else:
         memory.speed = memory.direction * speed
+    memory.carried_speed = memory.direction * (speed + surplus)
     memory.place_speed = memory.speed + (memory.direction * surplus if is_speed_known(memory) else 0.0)
     return _at_present(drive, driving), _at_present(brakes, braking)
 
 
 @inlined
-def _locate(sample, before, dt, memory):
+def _locate(sample, before, dt, path, memory):
     """Move the place of the car by the way in a time (s), and correct it by a newer position. before: m/s."""
     way = 0.5 * (before + memory.place_speed) * dt
     memory.travelled += abs(way)
-    predict_place(way, dt, memory)
+    # along the path: less on the outside of a bend, more on the inside
+    projection = 1.0 / max(1.0 - path.curvature[cell_at(memory.station, path)] * sample.offset, LEAST_RADIUS_SHARE)
+    predict_place(projection * way, dt, memory)
     interval = memory.observer_time + dt
-    compare_with_positions(sample.station, sample.station_age, dt, memory)
+    compare_with_positions(sample.station, sample.station_age, projection, dt, memory)
     memory.jump = 0.0
     if sample.station == sample.station:
         age = sample.station_age
-        way_since = (1.0 + memory.scale) * (memory.place_speed * age - 0.5 * memory.motion * age * age)
+        way_since = memory.place_speed * age - 0.5 * memory.motion * age * age
+        way_since *= (1.0 + memory.scale) * projection
         correct_place(sample.station + way_since, interval, memory)
 
 
@@ -775,10 +802,10 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     _learn(sample, dt, _slope_at(sample.grade, path, memory), settings, memory, banks)
     before = memory.place_speed if memory.is_placed > 0 else memory.measured_speed
     drive, brakes = _carry_speed(dt, _slope_at(sample.grade, path, memory), settings, memory, banks)
-    _locate(sample, before, dt, memory)
+    _locate(sample, before, dt, path, memory)
     slope, lateral = _slope_at(sample.grade, path, memory), _sense_lateral(sample.yaw_rate, path, memory, dt)
     _count_creeping(dt, memory)
-    _govern(memory.station, top_square, settings, path, memory, ahead)
+    _govern(memory.station, top_square, max(brakes.disturbance, 0.0), settings, path, memory, ahead)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (memory.friction * GRAVITY)
     if sample.driver > 0.0:
         _yield_to_driver(slope, lateral, drive, brakes, dt, settings, memory, banks)

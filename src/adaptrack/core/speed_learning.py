@@ -54,11 +54,18 @@ SPEED_NOISE, SPEED_NOISE_SHARE = 0.02, 0.006
 """m/s, -: standard deviation of a measured speed, absolute and over the speed."""
 DELAY_ERROR_TIME = 0.3
 """s, for which an error of the force of the other actuator by its unknown delays lasts."""
+SETTLING_TIME = MAX_LAG + MAX_DEAD_TIME
+"""s, after which nothing acts but the requests."""
 EVIDENCE_TIME = 40.0
 """s of action, after which evidence about lag and dead time is forgotten."""
 LEARNING_SPEED, LEAST_ACTION = 0.3, 0.5
 """m/s; m/s^2: below these nothing is learned of an actuator: a slight force and a slope look alike."""
 LEAST_FORCE_RATIO, LARGEST_FORCE_RATIO = 0.4, 2.0
+LEAST_VARIANCE = 1e-12
+"""Of a ratio."""
+MAX_DISTURBANCE, SPEED_JUMP = 5.0, 1.0
+"""m/s^2; m/s, by which a speed differs from the predicted one that shows no motion of a car: the filter restarts there.
+"""
 WHOLE = 1e-6
 """Periods, by which times may differ from whole ones."""
 INNOVATION_BOUND = 4.0
@@ -141,6 +148,13 @@ def _act(h, period, age, elapsed, requests):
 
 
 @inlined
+def _restart_speed(h, speed):
+    """Let the filter of a hypothesis be at a speed (m/s)."""
+    h.speed = speed
+    h.p_speed, h.p_speed_ratio, h.p_speed_disturbance = square(SPEED_NOISE), 0.0, 0.0
+
+
+@inlined
 def _update(h, acceleration, other_acceleration, other_sigma, speed, learns, period):
     """Predict and correct the filter of a hypothesis with a measured speed (m/s).
 
@@ -148,9 +162,19 @@ def _update(h, acceleration, other_acceleration, other_sigma, speed, learns, per
     and the known slope; other_sigma: m/s^2, its standard deviation by the unknown delays of the other actuator.
     """
     h.speed += period * (h.ratio * acceleration + other_acceleration + h.disturbance)
+    innovation = speed - h.speed
+    if abs(innovation) > SPEED_JUMP:
+        _restart_speed(h, speed)
+        return
     a, t = acceleration * period, period  # derivatives of the speed by ratio and disturbance
     p_v, p_vr, p_vd = h.p_speed, h.p_speed_ratio, h.p_speed_disturbance
-    p_r, p_rd, p_d = h.p_ratio, h.p_ratio_disturbance, h.p_disturbance
+    p_r, p_rd, p_d = max(h.p_ratio, LEAST_VARIANCE), h.p_ratio_disturbance, h.p_disturbance
+    unlearned = 0.0 if learns else p_r
+    if not learns:  # the disturbance holds the error of the ratio: found at this acceleration, another one changes it
+        found = p_rd / p_r
+        p_v, p_vd, p_d = p_v - square(p_vr) / p_r, p_vd - p_vr * found, p_d - found * p_rd
+        p_d += p_r * square(acceleration + found)
+        p_vr = p_rd = p_r = 0.0
     v_r, v_d = p_vr + a * p_r + t * p_rd, p_vd + a * p_rd + t * p_d
     drift = square(SPEED_DRIFT) + DELAY_ERROR_TIME * square(other_sigma)
     v_v = p_v + a * p_vr + t * p_vd + a * v_r + t * v_d + drift * period
@@ -158,31 +182,19 @@ def _update(h, acceleration, other_acceleration, other_sigma, speed, learns, per
     p_r = min(p_r + (square(RATIO_DRIFT) * period if learns else 0.0), square(RATIO_SIGMA))
     noise = square(SPEED_NOISE + SPEED_NOISE_SHARE * speed)
     spread = v_v + noise
-    innovation = speed - h.speed
     if learns:
         counted = min(square(innovation) / spread, square(INNOVATION_BOUND))
         h.score += -0.5 * (counted + log(spread)) - h.score * period / EVIDENCE_TIME
     limit = INNOVATION_BOUND * sqrt(spread)
     bounded = clip(innovation, -limit, limit)
     k_v, k_r, k_d = v_v / spread, v_r / spread, v_d / spread
-    if not learns:
-        k_r = 0.0
     h.speed += k_v * bounded
     h.ratio = clip(h.ratio + k_r * bounded, LEAST_FORCE_RATIO, LARGEST_FORCE_RATIO)
-    h.disturbance += k_d * bounded
-    h.p_speed = v_v - 2.0 * k_v * v_v + k_v * k_v * spread  # for any gain: P - k h P - P h' k' + k S k'
-    h.p_speed_ratio = v_r - k_v * v_r - k_r * v_v + k_v * k_r * spread
-    h.p_speed_disturbance = v_d - k_v * v_d - k_d * v_v + k_v * k_d * spread
-    h.p_ratio = p_r - 2.0 * k_r * v_r + k_r * k_r * spread
-    h.p_ratio_disturbance = p_rd - k_r * v_d - k_d * v_r + k_r * k_d * spread
-    h.p_disturbance = p_d - 2.0 * k_d * v_d + k_d * k_d * spread
-
-
-@inlined
-def _restart_speed(h, speed):
-    """Let the filter of a hypothesis be at a speed (m/s)."""
-    h.speed = speed
-    h.p_speed, h.p_speed_ratio, h.p_speed_disturbance = square(SPEED_NOISE), 0.0, 0.0
+    h.disturbance = clip(h.disturbance + k_d * bounded, -MAX_DISTURBANCE, MAX_DISTURBANCE)
+    h.p_speed, h.p_speed_ratio, h.p_speed_disturbance = v_v - k_v * v_v, v_r - k_v * v_r, v_d - k_v * v_d
+    h.p_ratio = p_r - k_r * v_r + unlearned
+    h.p_ratio_disturbance = p_rd - k_r * v_d - unlearned * acceleration
+    h.p_disturbance = p_d - k_d * v_d + unlearned * square(acceleration)
 
 
 @inlined
@@ -191,14 +203,13 @@ def _run_bank(bank, sign, other, other_sigma, resistance, speed, learns, period,
 
     other, other_sigma: m/s^2, signed acceleration by the other actuator, and its standard deviation.
 
-    The brakes may hold a standing car against any force, so its rest shows only that it does not accelerate. Without a
-    speed (NaN) the actuators act on; the filters restart at the next one.
+    A standing car shows nothing: its brakes may hold it against any force. Without a speed (NaN) the actuators act on;
+    the filters restart at the next one.
     """
     for i in range(bank.size):
         h = bank[i]
         mean = sign * _act(h, period, age, elapsed, requests)
-        can_rest = h.ratio * mean + other - resistance + h.disturbance <= 0.0
-        if speed != speed or h.speed != h.speed or (speed <= STANDING_SPEED and can_rest):
+        if speed != speed or h.speed != h.speed or speed <= STANDING_SPEED:
             _restart_speed(h, speed)
         else:
             _update(h, mean, other - resistance, other_sigma, speed, learns, elapsed)
@@ -213,25 +224,39 @@ def _share_mass(ratio, bank):
 
 
 @inlined
-def learn_actuators(speed, resistance, period, age, elapsed, is_sure, banks):
+def _widen_disturbance(bank):
+    """Let the disturbance be as uncertain as at the start."""
+    for i in range(bank.size):
+        h = bank[i]
+        explained = square(h.p_ratio_disturbance) / max(h.p_ratio, LEAST_VARIANCE)  # by the ratio
+        h.p_disturbance = max(h.p_disturbance, explained + square(DISTURBANCE_SIGMA))
+
+
+@inlined
+def learn_actuators(speed, resistance, period, age, elapsed, is_sure, is_settled, banks):
     """Take in a speed (m/s; NaN: none) of an age (s), a time (s) after the last one.
 
     resistance: m/s^2, of air, rolling and known slope; period: s, of the requests; is_sure: whether brakes and drive
-    work: otherwise only the disturbance is learned.
+    work: otherwise only the disturbance is learned; is_settled: whether the requests have acted alone for so long that
+    nothing else does: otherwise the disturbance is that, and nothing that lasts.
     """
     drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
     count = banks.requests.size // 2
-    moves = is_sure and speed > LEARNING_SPEED
-    drives = drive.acting > brakes.acting
+    moves = is_sure and is_settled and speed > LEARNING_SPEED
+    drives = drive.acting > LEAST_ACTION > brakes.acting
+    brakes_act = brakes.acting > LEAST_ACTION > drive.acting
     _share_mass(drive.ratio, banks.brakes)
     _run_bank(
         banks.drive, 1.0, -brakes.ratio * brakes.acting, brakes.ratio * brakes.acting_sigma, resistance, speed,
-        moves and drives and drive.acting > LEAST_ACTION, period, age, elapsed, banks.requests[:count],
+        moves and drives, period, age, elapsed, banks.requests[:count],
     )  # fmt: skip
     _run_bank(
         banks.brakes, -1.0, drive.ratio * drive.acting, drive.ratio * drive.acting_sigma, resistance, speed,
-        moves and not drives and brakes.acting > LEAST_ACTION, period, age, elapsed, banks.requests[count:],
+        moves and brakes_act, period, age, elapsed, banks.requests[count:],
     )  # fmt: skip
+    if not is_settled:
+        _widen_disturbance(banks.drive)
+        _widen_disturbance(banks.brakes)
 
 
 @inlined

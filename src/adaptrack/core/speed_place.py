@@ -26,13 +26,15 @@ MANY_POSITIONS = 200
 POSE_BOUND, POSE_JUMP = 4.0, 1.0
 """-, m: standard deviations up to which an innovation counts; beyond both the filter of the place restarts."""
 OBSERVER_TIME, OBSERVER_JUMP, OBSERVER_GAP = 0.3, 1.0, 1.0
-"""s, m, s: time constant of the observer; it restarts at a larger difference, and after a longer time without position.
-"""
+"""s, m, s: time constant of the observer; a larger difference counts as a jump of so much; it restarts after a longer
+time without a position."""
 CONTRADICTION_SHARE, CONTRADICTION_SPEED, CONTRADICTION_TIME = 0.1, 1.0, 0.5
 """-, m/s, s: a speed that differs by more than both from that of the positions for so long is no speed."""
+DOUBT_SHARE = 0.5
+"""Of such a difference, from which brakes and drive are not judged by the speed."""
 MAX_DISTRUST, AGREEMENT_TIME = 2, 10.0
 """Contradictions, after which the car stays until a driver drives; s of agreement, after which they are forgotten."""
-CONTRADICTION_NOISE = 2.0
+CONTRADICTION_NOISE = 1.0
 """1/s, over the standard deviation of a measured place: further difference that its noise explains."""
 BACKWARDS_SPEED = 0.3
 """m/s, of positions that move backwards, from which an unsigned speed is taken for one backwards."""
@@ -79,12 +81,28 @@ def _count_contradiction(is_contradiction, observed_speed, dt, memory):
 
 
 @inlined
-def compare_with_positions(place, age, dt, memory):
+def _allowed_difference(memory):
+    """Largest difference (m/s) between the speed of the positions and the measured one without a contradiction."""
+    noise = CONTRADICTION_NOISE * sqrt(memory.observer_variance)
+    return max(CONTRADICTION_SHARE * abs(memory.measured_speed), CONTRADICTION_SPEED) + noise
+
+
+@inlined
+def is_speed_doubted(memory):
+    """Whether the positions contradict the measured speed, or may soon."""
+    is_observed = memory.observer_time <= OBSERVER_GAP
+    doubts = is_observed and abs(memory.observed_excess) > DOUBT_SHARE * _allowed_difference(memory)
+    return doubts or memory.contradiction > 0.0
+
+
+@inlined
+def compare_with_positions(place, age, projection, dt, memory):
     """Observe the speed of the positions, and for how long it has contradicted the measured one.
 
-    place: m, where the car was an age (s) ago; NaN: no newer position; dt: s, since the last call.
+    place: m, where the car was an age (s) ago; NaN: no newer position; projection: way along the path over that of the
+    car; dt: s, since the last call.
     """
-    speed = (1.0 + memory.scale) * memory.measured_speed
+    speed = (1.0 + memory.scale) * projection * memory.carried_speed
     memory.observed_place += (speed + memory.observed_excess) * dt
     memory.observer_time += dt
     if place == place:
@@ -92,18 +110,20 @@ def compare_with_positions(place, age, dt, memory):
         observation = place + (speed + memory.observed_excess) * age
         error = observation - memory.observed_place
         if interval > OBSERVER_GAP:
-            memory.observed_excess = 0.0
-        if interval > OBSERVER_GAP or abs(error) > OBSERVER_JUMP:
-            memory.observed_place = observation
+            memory.observed_place, memory.observed_excess = observation, 0.0
         else:
+            change = min(square(error - memory.observer_error), square(OBSERVER_JUMP))  # free of a wrong speed
+            share = min(interval / POSE_MEMORY, 0.5)
+            memory.observer_variance += (0.5 * change - memory.observer_variance) * share
+            memory.observer_error = error
             decay = exp(-interval / OBSERVER_TIME)  # critically damped
-            memory.observed_place += (1.0 - square(decay)) * error
-            memory.observed_excess += square(1.0 - decay) / interval * error
+            memory.observed_place += (1.0 if abs(error) > OBSERVER_JUMP else 1.0 - square(decay)) * error
+            memory.observed_excess += square(1.0 - decay) / interval * clip(error, -OBSERVER_JUMP, OBSERVER_JUMP)
     if memory.observer_time > OBSERVER_GAP:
         return
-    noise = CONTRADICTION_NOISE * sqrt(memory.pose_variance)
-    bound = max(CONTRADICTION_SHARE * abs(speed), CONTRADICTION_SPEED) + noise
-    _count_contradiction(abs(memory.observed_excess) > bound, abs(speed + memory.observed_excess), dt, memory)
+    is_contradiction = abs(memory.observed_excess) > _allowed_difference(memory)
+    _count_contradiction(is_contradiction, abs(speed + memory.observed_excess), dt, memory)
+    noise = CONTRADICTION_NOISE * sqrt(memory.observer_variance)
     is_backwards = speed + memory.observed_excess < -BACKWARDS_SPEED - noise
     memory.direction = -1.0 if is_backwards and speed > 0.0 else 1.0
 

@@ -11,6 +11,7 @@
     leaves its hold the car does not move by more than 0.5 m while the state is `stopped`
     pushed on       the car does not gain 0.7 m/s while it is asked to brake or to hold
     stands for ever no standing for 20 s without a stop, a driver, a fault now or 3 s before
+    stands by a fault  no standing for 20 s by a fault that is reported where no sensor contradicts another one
     starts blind    a car at rest does not drive off without a position
     false fault     no fault of brakes or drive is reported; both work
 
@@ -43,7 +44,7 @@ HANDOVER_TIME = 1.0
 STANDS = 0.05
 """m/s."""
 STAYING_DISTANCE = 40.0
-"""m, beyond a stop without end, within which a car stays where it stands."""
+"""m, beyond a stop without end on a lap, within which a car stays where it stands."""
 BLIND_TIME = 0.6
 """s without a position, after which a car at rest must stay."""
 BRAKE_TIME = 0.7
@@ -183,6 +184,7 @@ class Judge:
         for k, place in self._places():
             if abs(place - self.world.station) < STOP_WINDOW[1]:
                 self._served[k] = True
+        self._rests_blind = False
         self.excuse()
 
     def sensor_fails(self) -> None:
@@ -271,7 +273,8 @@ class Judge:
         nearest, best, self._stays = -1, math.inf, False
         for k, place in self._places():
             beyond = world.station - place
-            self._stays |= -low < beyond < STAYING_DISTANCE and self._stops[k % len(self._stops)][1] == math.inf
+            is_near = self.world.closed <= (beyond < STAYING_DISTANCE)  # beyond the end of a path wherever it is
+            self._stays |= beyond > -low and is_near and self._stops[k % len(self._stops)][1] == math.inf
             if beyond < -6.0 - low:
                 self._served.pop(k, None)
                 self._stood.pop(k, None)
@@ -336,7 +339,8 @@ class Judge:
         fault = LIMITS[answer.limited_by].name in ("BRAKE_FAULT", "DRIVE_FAULT")
         if fault and (drive.kind == "healthy" or self._fault_until == -math.inf):
             self.find("false fault", f"{answer.words} on {world.grade(world.station):+.1%}")
-        if not stands or not is_healthy or self._at_stop:
+        fault |= LIMITS[answer.limited_by].name == "FAULT"
+        if not stands or not is_healthy or self._at_stop or (fault and drive.kind not in JUDGED):
             self._idle = 0.0
             return
         self._idle += PERIOD

@@ -38,7 +38,8 @@ estimate of the friction."""
 
 FOLLOW, FOLLOW_SLOWLY, COMFORT_STOP, EMERGENCY_STOP, NO_ACTION = range(5)
 """Actions: follow the plan; follow it, but stand before the steering loses its estimate; stop with the deceleration of
-comfort; stop with the largest deceleration that friction allows; keep the requests in force."""
+comfort; stop with the largest deceleration that friction allows; keep the requests in force while the time is no newer,
+but not for long."""
 STATUS_ACTIONS = np.array(
     [
         (FOLLOW, FOLLOW_SLOWLY),  # ok
@@ -60,6 +61,8 @@ MAX_PERIODS = 40
 """Control periods between two steps, at most: after so many the filters restart."""
 MAX_POSITION_AGE, EARLY_PERIODS = 0.5, 2.0
 """s, -: age up to which a position is carried; control periods by which a stamp may be too late."""
+CALL_SMOOTHING = 0.2
+"""Share of a new time between two calls in the usual one."""
 SUSPECT_SCALE, KNOWN_SCALE_SIGMA = 0.05, 0.012
 """-: error of the scale of the speed from which it is reported; standard deviation from which it is known."""
 
@@ -77,14 +80,15 @@ def _is_due(time, m, memory, period):
 
 @inlined
 def _count_periods(time, m, memory, period):
-    """Control periods since the last step of the speed control; so many as to be a gap where the instants restarted."""
+    """Control periods since the last step of the speed control; place and speed restart where the instants did."""
     if m.started == 0:
         periods = whole(clip((time - memory.time) / period + 0.5, 1.0, MAX_PERIODS))
     else:
-        is_anew = m.began != memory.began or m.instant < memory.instant
-        periods = MAX_PERIODS if is_anew else min(m.instant - memory.instant, MAX_PERIODS)
-        if is_anew:
-            memory.is_changed, memory.is_placed, memory.pose_time = 1, 0, -math.inf
+        periods = min(m.instant - memory.instant, MAX_PERIODS)
+        if m.began != memory.began or m.instant < memory.instant:
+            memory.is_changed, memory.is_placed, memory.pose_time, memory.speed_age = 1, 0, -math.inf, math.inf
+            elapsed = (time - memory.time) / period  # behind a jump of the clock not to be believed
+            periods = whole(elapsed + 0.5) if 1.0 <= elapsed <= MAX_PERIODS else 1
     memory.time, memory.began, memory.instant = time, m.began, m.instant
     return max(periods, 1)
 
@@ -139,6 +143,7 @@ def _write_sample(tracker, m, blind_time, action, sample, memory):
     sample.is_guided = 1.0 if action in (FOLLOW, FOLLOW_SLOWLY) else 0.0
     sample.blind_time = blind_time if is_blind else 0.0
     sample.station, sample.station_age = math.nan, 0.0
+    sample.offset = m.offset if abs(m.offset) < MAX_SIGNAL else 0.0
     if m.started > 0 and has_position(m) and m.given_t > memory.pose_time and m.offset == m.offset:
         memory.pose_time = m.given_t
         age = clip(instant_time - m.given_t, 0.0, MAX_POSITION_AGE)
@@ -162,6 +167,32 @@ def _report(check, memory):
         report(inputs, SUBJECTS.pose, MISTAKES.position_drifts, memory.jump, 0.0, 0.0)
     if abs(memory.scale) > SUSPECT_SCALE and memory.p_scale < square(KNOWN_SCALE_SIGMA):
         report(inputs, SUBJECTS.speed, MISTAKES.speed_unit, 1.0 + memory.scale, 0.0, 0.0)
+
+
+@inlined
+def _has_newer_time(time, is_newer, period, memory):
+    """Whether a call has a newer time (s); keep the usual time between two calls, whatever their times."""
+    if not is_newer:
+        memory.repeats += 1
+        return False
+    interval = clip((time - memory.call_time) / (memory.repeats + 1), 0.0, period)
+    memory.call_interval += (
+        CALL_SMOOTHING * (interval - memory.call_interval) if memory.call_interval > 0.0 else interval
+    )
+    memory.call_time, memory.repeats = time, 0
+    return True
+
+
+@inlined
+def _stop_without_clock(longitudinal):
+    """Stop in calls whose time sticks: once in as many of them as usually make a control period."""
+    sample, memory, period = longitudinal.sample[0], longitudinal.memory[0], longitudinal.settings.period
+    sticks = memory.repeats * memory.call_interval
+    if sticks <= BLIND_GRACE or whole(sticks / period) == whole((sticks - memory.call_interval) / period):
+        return
+    sample.station = sample.speed = sample.yaw_rate = sample.acceleration = sample.grade = math.nan
+    sample.is_guided, sample.periods, sample.blind_time = 0.0, 1.0, sticks
+    speed_control_step(longitudinal)
 
 
 @exported(void(Place(Longitudinal)))
@@ -212,7 +243,10 @@ def longitudinal_step(tracker, longitudinal):
     time = tracker.sample[TRACKER_SAMPLE.now]
     blind_time = time - m.newest
     action = STATUS_ACTIONS[whole(tracker.tracked[TRACKED.status]), 0 if blind_time <= BLIND_GRACE else 1]
-    if action == NO_ACTION or not _is_due(time, m, memory, longitudinal.settings.period):
+    if not _has_newer_time(time, action != NO_ACTION, longitudinal.settings.period, memory):
+        _stop_without_clock(longitudinal)
+        return
+    if not _is_due(time, m, memory, longitudinal.settings.period):
         return
     sample.periods = float(_count_periods(time, m, memory, longitudinal.settings.period))
     sample.top_speed = tracker.tracked[TRACKED.first_top_speed]
