@@ -368,7 +368,8 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
     bend = min(lateral, LARGEST_BEND_SHARE * friction * GRAVITY) if tyres <= 0.0 else lateral
     driving, braking = _axle_forces(friction, bend, settings)
     powertrain = min(settings.traction_limit, settings.engine_power / max(speed, 1.0))
-    strongest, weakest = settings.guard * driving, -max(settings.guard * braking, LEAST_BRAKING * settings.mass)
+    strongest = settings.guard * driving / drive.ratio  # a request: the tyres have its ratio, per mass
+    weakest = -max(settings.guard * braking, LEAST_BRAKING * settings.mass) / brakes.ratio
     force = clip(clip(demand, weakest, strongest), -settings.brake_limit, powertrain)
     force = min(force, 0.0) if memory.is_braking > 0 else max(force, 0.0)
     memory.force, memory.acceleration = force, ratio * force / settings.mass - resistance

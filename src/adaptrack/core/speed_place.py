@@ -121,7 +121,7 @@ def compare_with_positions(place, age, projection, dt, memory):
             memory.observed_excess += square(1.0 - decay) / interval * clip(error, -OBSERVER_JUMP, OBSERVER_JUMP)
     if memory.observer_time > OBSERVER_GAP:
         return
-    is_contradiction = abs(memory.observed_excess) > _allowed_difference(memory)
+    is_contradiction = memory.speed_age <= SPEED_GRACE and abs(memory.observed_excess) > _allowed_difference(memory)
     _count_contradiction(is_contradiction, abs(speed + memory.observed_excess), dt, memory)
     noise = CONTRADICTION_NOISE * sqrt(memory.observer_variance)
     is_backwards = speed + memory.observed_excess < -BACKWARDS_SPEED - noise
