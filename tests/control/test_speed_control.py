@@ -130,7 +130,7 @@ def test_a_car_of_twice_the_mass_that_slides_past_the_end_of_its_path_stops_behi
     plan = plan_speed(road, CAR, COMFORT, top_speed=14.0)
     controller = SpeedController(SpeedControl(CAR, friction=0.5), road, plan, PERIOD, stop_at_end=True)
     car = PointMass(14.0, 2.0 * CAR.mass, drive, brakes)
-    car.s = 60.0
+    car.s = 80.0
     for _ in range(300):
         request = controller.step(car.s, car.v, 0.0)
         car.move(request.force, request.hold)
@@ -299,6 +299,8 @@ def test_the_tracker_obeys_each_row_of_the_table_of_actions(status, has_position
             car.move(before.force, 0.0)  # its speed stays, whatever is requested
         pose = (car.s, 0.0, 0.0) if has_position else (math.nan,) * 3
         command = tracker.step(k * PERIOD, *pose, car.v, 0.0).longitudinal
+        if action is SpeedAction.NONE and k - 40 < 0.5 / PERIOD:
+            assert command == before
         if action is SpeedAction.SLOW and k - 40 < 1.1 / PERIOD:  # a short gap
             assert command.acceleration > -1.01 * COMFORT.brake
     if action is SpeedAction.FOLLOW:
@@ -309,14 +311,15 @@ def test_the_tracker_obeys_each_row_of_the_table_of_actions(status, has_position
         delay = brakes.lag + brakes.dead_time + kernel.BLIND_SIGMAS * brakes.delay_sigma + kernel.BLIND_MARGIN
         needed = car.v / (3.0 - 1.3 - delay)  # s: patience of the filter, time without a position
         assert command.acceleration == pytest.approx(-needed, rel=0.1)
+    elif action is SpeedAction.NONE:  # the time sticks
+        assert command.acceleration < -COMFORT.brake
+        assert command.limited_by == SpeedLimit.FAULT
     elif action is SpeedAction.COMFORT_STOP:
         assert command.acceleration == pytest.approx(-COMFORT.brake)
         assert command.limited_by == SpeedLimit.FAULT
     elif action is SpeedAction.EMERGENCY_STOP:
         assert command.state == SpeedState.EMERGENCY
         assert command.acceleration < -2.0 * COMFORT.brake
-    else:
-        assert command == before
 
 
 def test_without_a_speed_the_car_makes_a_comfortable_stop() -> None:

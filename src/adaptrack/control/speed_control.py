@@ -99,7 +99,7 @@ class SpeedAction(StrEnum):
     EMERGENCY_STOP = "emergency stop"
     """stop with the largest deceleration that friction allows, and keep the car at rest"""
     NONE = "none"
-    """keep the requests in force"""
+    """keep the requests in force for half a second of such calls, then stop before the steering loses its estimate"""
 
 
 _ACTIONS = tuple(SpeedAction)

@@ -116,7 +116,9 @@ def _change_places(station, centreline, memory):
     """Find the places of the car and of its stops on a path that has changed; station: m, of the car on it."""
     place = _place_of(memory.place_x, memory.place_y, station, centreline)
     if place == place:
-        memory.station = place
+        shift, memory.station = place - memory.station, place
+        memory.observed_place, memory.start_place = memory.observed_place + shift, memory.start_place + shift
+        memory.pose_place += shift
     else:
         memory.is_placed = 0
     memory.stop_place = _place_of(memory.stop_x, memory.stop_y, station, centreline)
