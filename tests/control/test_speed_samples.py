@@ -236,3 +236,38 @@ def test_one_odd_number_leaves_all_later_requests_finite_and_within_the_car(fiel
         assert -CAR.brake_limit <= request.force <= CAR.traction_limit
         assert 0.0 <= request.hold <= CAR.brake_limit
     assert request.state == "driving"
+
+
+def test_positions_of_5_hz_find_a_speed_that_reads_zero_on_the_way() -> None:
+    run = drive(every(20), latest, speed=lambda t, v: 0.0 if t > 12.0 else v, stops=(), seconds=25.0)
+    calls = np.arange(run.v.size) * LOOP * TICK
+    assert run.v[calls > 12.0].max() < run.v[calls <= 12.0].max() + 1.0
+    assert run.v[calls > 22.0].max() == 0.0
+
+
+def test_a_jump_of_the_measured_speed_teaches_nothing_about_drive_and_slope() -> None:
+    """A sensor that reads 0.8 of the speed from a time on, and the truth again a second later."""
+    wrong_speed = lambda t, v: 0.8 * v if 14.0 < t < 15.0 else v  # noqa: E731
+    run = drive(speed=wrong_speed, top_speed=10.0, length=400.0, stops=(300.0,), seconds=75.0)
+    assert_stops(run, 300.0, 400.0)
+    assert np.abs(run.force[int(20.0 / (LOOP * TICK)) : int(25.0 / (LOOP * TICK))]).max() < 0.3 * CAR.mass
+
+
+@pytest.mark.parametrize("calls_per_sample", [1, 10, 50])
+def test_calls_at_one_time_keep_the_requests_as_long_as_they_are_usual_and_brake_once_the_time_sticks(
+    calls_per_sample,
+) -> None:
+    road = road_through(np.column_stack([np.arange(0.0, 401.0, 4.0), np.zeros(101)]))
+    plan = plan_speed(road, CAR, top_speed=8.0, start=8.0)
+    tracker = Tracker(MPC(CAR, profile="road", computation=0.0), road, plan=plan, speed=SpeedControl(CAR, friction=0.9))
+    for k in range(40):
+        for _ in range(calls_per_sample):
+            usual = tracker.step(0.05 * k, 8.0 * 0.05 * k, 0.0, 0.0, 8.0, 0.0).longitudinal
+        assert usual.limited_by != "fault"
+    answers = [
+        tracker.step(0.05 * 39, 8.0 * 0.05 * 39, 0.0, 0.0, 8.0, 0.0).longitudinal for _ in range(14 * calls_per_sample)
+    ]
+    grace = round(0.5 / 0.05) * calls_per_sample
+    assert all(answer == usual for answer in answers[: grace - calls_per_sample - 1])
+    assert answers[-1].limited_by == "fault"
+    assert answers[-1].acceleration < -1.0

@@ -480,3 +480,43 @@ def test_no_car_starts_from_rest_without_a_position() -> None:
     assert max(abs(row.s - place) for row in rows) < 0.02
     assert all(row.request.hold >= STEEP_HOLD for row in rows)
     assert world.run(8.0)[-1].s > 42.0  # it starts once the position is back
+
+
+# -- what is learned --------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("map_grade", "grade"), [(-0.1, -0.1), (0.0, -0.1), (0.0, 0.2)])
+def test_a_car_that_was_held_on_a_slope_learns_the_gain_of_its_drive_and_not_of_its_brakes(map_grade, grade) -> None:
+    world = World(_tracker(_straight(400.0, grade=map_grade)), grade=grade, mass=1.1)
+    world.run(12.0)
+    drive = world.tracker._speed.learned["drive"]
+    assert drive.ratio == pytest.approx(1.0 / 1.1, abs=0.15)
+    assert drive.disturbance == pytest.approx(slope_of(map_grade) - slope_of(grade), abs=0.4)
+
+
+def test_a_car_that_has_rolled_back_before_starts_with_all_its_drive() -> None:
+    """A push beyond what the drive has is not waited for."""
+    world = World(_tracker(_straight(grade=0.1)), grade=0.1)
+    world.run(PERIOD)
+    world.tracker._speed._record.memory[0].rolled = 20.0
+    assert world.run(12.0)[-1].s > 5.0
+
+
+def test_the_time_at_a_stop_is_the_time_that_passes_though_the_loop_engages_anew() -> None:
+    world, rows = _standing_world(5.0)
+    for _ in range(3):
+        rows += world.run(1.0)
+        world.tracker.engage(0.0)
+    rows += world.run(6.0)
+    assert _time_at(rows, 40.0) == pytest.approx(5.0, abs=1.5)
+
+
+def test_a_car_beside_a_tight_lap_is_not_taken_for_one_with_a_wrong_speed() -> None:
+    world = World(_lap_tracker(), v=5.0)
+    radius = RADIUS + 6.0  # m: 30 % more way than the lap has
+
+    def pose_beside() -> tuple[float, float, float]:
+        angle = world.s / radius
+        return radius * math.sin(angle), RADIUS - radius * math.cos(angle), angle
+
+    world.pose = pose_beside  # type: ignore[method-assign]
+    rows = world.run(14.0)
+    assert "fault" not in {row.request.limited_by for row in rows}

@@ -206,13 +206,14 @@ typedef struct {
 /* Who brakes, and when:
    answer of adaptrack_step                 requests of the speed control                     your program
    OK, with a status below                  by the status                                     passes them on
-   OK, status REPEATED or NO_TIME           the same as before                                passes them on
+   OK, status REPEATED or NO_TIME           the same as before; for long: see `none`          passes them on
    OK, sample.driver is 1                   those that the car has by its driver; DRIVER      lets the driver drive
    an error; or you cannot call             none: the answer is not written                   brakes by itself
 @ACTIONS@
    follow: the plan and its stops. slow: the same, but the car stands before the steering loses its estimate. comfort
    stop: with the deceleration of comfort. emergency stop: as hard as the assumed friction allows. Both keep the car at
-   rest by `hold`. none: the requests stay. A position counts as missing 0.5 s after the last one, and so does a speed:
+   rest by `hold`. none: the requests stay; for longer than 0.5 s, by the usual time between two calls, the car stops
+   before the steering loses its estimate. A position counts as missing 0.5 s after the last one, and so does a speed:
    without a speed, or with one that contradicts the positions, the car makes a comfort stop.
    Order of precedence: fault, driver, blind, grip, stop, speed limit, comfort. */
 #endif
