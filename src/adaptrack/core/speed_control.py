@@ -193,7 +193,7 @@ MAX_PLAN_GRADE = 0.4
 """dz/ds of a plan; a measured grade beyond it, either way, counts as not measured."""
 REACHED = 0.03
 """m, the least remaining way to a stop."""
-AIMED_DISTANCE = 0.04
+AIMED_DISTANCE = 0.02
 """m, before a stop, at which a car that comes from farther away is to stand: beyond it is worse than short of it."""
 CREEPING_SPEED, CREEPING_TIME = 0.15, 1.0
 """m/s, s: a braked car that is so slow for so long stands; a sensor may have this offset."""
