@@ -3,17 +3,19 @@
     python benchmarks/wrong_inputs.py wrong --drives 100 [--faults yaw_degrees,...]
     python benchmarks/wrong_inputs.py lies --drives 120
     python benchmarks/wrong_inputs.py honest --drives 300
+    python benchmarks/wrong_inputs.py honest --drives 600 --noisy
     python benchmarks/wrong_inputs.py sliding --drives 100
 
 A car that is not ours (single track, tyres that saturate, gusts, a steering with lag, dead time, rate and bias) drives
 roads of all kinds through `Tracker` at 20 Hz, with the noise of `road` or of `production`, late and lost samples. The
-controller has a data sheet and learns, or is given the car. TuningCosts seeds begin at `JUDGED`; everything in
+controller has a data sheet and learns, or is given the car. Judged seeds begin at `JUDGED`; everything in
 `adaptrack.core.input_check` was chosen on those from `TUNING` on (``--tuning``).
 
 wrong: one input is wrong from the first call; at which distance from the path it was reported. lies: the pose drifts or
 jumps from an instant on; how many drives are lost without a report. honest: 120 s each, a third at 2 to 10 m/s, a
-quarter with a stop; every report is a false one. sliding: friction fails under an axle in a bend; the time from 10
-degrees of sideslip to the status.
+quarter with a stop; every report is a false one; noisy: the positions have a noise of 0.03 to 0.3 m, white or with a
+time constant of 1 to 20 s, of which the filter is told the truth, half or twice. sliding: friction fails under an axle
+in a bend; the time from 10 degrees of sideslip to the status.
 """
 
 from __future__ import annotations
@@ -41,6 +43,22 @@ WRONG, HONEST, STANDS = 40.0, 120.0, 15.0
 CARS = ("paper", "midsize-sedan", "compact-ev", "small-car", "sports-car", "van")
 KINDS = ("country", "mountain", "town", "lap")
 NAN = math.nan
+
+
+@dataclass(frozen=True)
+class PositionNoise:
+    """Noise of the positions (m), its time constant (s; 0: white), and what the filter is told over the truth."""
+
+    position: float
+    time: float
+    told_share: float
+
+    @classmethod
+    def drawn(cls, seed: int) -> PositionNoise:
+        """A noise for a drive; noises, kinds and shares take turns."""
+        rng = np.random.default_rng((seed, 1))
+        time = float(rng.choice([1.0, 5.0, 20.0])) if seed // 3 % 2 else 0.0
+        return cls(float(np.exp(rng.uniform(np.log(0.03), np.log(0.3)))), time, (1.0, 0.5, 2.0)[seed // 6 % 3])
 
 
 @dataclass
@@ -214,7 +232,9 @@ class Driven:
         return max(abs(row[-2]) for row in self.rows)
 
 
-def draw(seed: int) -> tuple[np.random.Generator, Body, at.Vehicle, at.Profile, at.MPC, str]:
+def draw(
+    seed: int, noise: PositionNoise | None = None
+) -> tuple[np.random.Generator, Body, at.Vehicle, at.Profile, at.MPC, str]:
     """A car, its controller and its world."""
     rng = np.random.default_rng(seed)
     profile = at.load_profile(("road", "production")[seed % 2])
@@ -229,7 +249,11 @@ def draw(seed: int) -> tuple[np.random.Generator, Body, at.Vehicle, at.Profile, 
         2.0 * vehicle.stiffness_front, 2.0 * vehicle.stiffness_rear, max(steering.lag, 0.02),
         steering.dead_time + 0.01, steering.rate, steering.limit, float(rng.uniform(-0.02, 0.02)), friction,
     )  # fmt: skip
-    sensors = replace(at.KalmanFilter.from_profile(profile), oldest=0.35)
+    told_profile = profile
+    if noise is not None:
+        profile = profile.replace(noise_y=noise.position)
+        told_profile = profile.replace(noise_y=noise.position * noise.told_share)
+    sensors = replace(at.KalmanFilter.from_profile(told_profile), oldest=0.35)
     if rng.random() < 0.7:
         sheet = at.vehicle_from_data_sheet("sheet", min(max(vehicle.mass, 600.0), 3500.0), vehicle.wheelbase)
         mpc = at.MPC(sheet, profile=profile, estimator=sensors, belief="unknown", learning=at.Learning())
@@ -240,9 +264,11 @@ def draw(seed: int) -> tuple[np.random.Generator, Body, at.Vehicle, at.Profile, 
     return rng, body, vehicle, profile, mpc, source
 
 
-def drive(seed: int, fault: Fault | None = None, seconds: float = HONEST, slide: bool = False) -> Driven:
+def drive(seed: int, fault: Fault | None = None, seconds: float = HONEST, slide: bool = False, noisy: bool = False,
+) -> Driven:  # fmt: skip
     """One drive; with a fault it ends 3.5 m from the path."""
-    rng, body, vehicle, profile, mpc, source = draw(seed)
+    noise = PositionNoise.drawn(seed) if noisy else None
+    rng, body, vehicle, profile, mpc, source = draw(seed, noise)
     kind = str(rng.choice(KINDS))
     length = 1500.0 if seconds <= WRONG else 4000.0
     road = at.generate_road(kind, int(rng.integers(1_000_000)), length=1500.0 if kind == "lap" else length)
@@ -259,9 +285,9 @@ def drive(seed: int, fault: Fault | None = None, seconds: float = HONEST, slide:
     body.x, body.y, body.yaw = float(place.x), float(place.y), float(place.heading)
     body.yaw_rate = body.speed * float(place.curvature)
     body.angle = math.atan(float(place.curvature) * vehicle.wheelbase) - body.bias
-    about = f"{source} {vehicle.name}, {kind}, mu {body.friction:.2f}, {profile.name}"
+    about = f"{source} {vehicle.name}, {kind}, mu {body.friction:.2f}, {profile.name}{f', {noise}' if noise else ''}"
     driven = Driven([], [], [], about)
-    sensors = _Sensors(rng, profile, body, fault or Fault())
+    sensors = _Sensors(rng, profile, body, fault or Fault(), noise)
     driven.begins = sensors.lie.begins if sensors.lie else 0.0
     engaged = body.angle if rng.random() < 0.5 else None
     late = profile.name == "road" and rng.random() < 0.3
@@ -324,8 +350,12 @@ def _set_speed(body: Body, speed: float) -> None:
 class _Sensors:
     """Samples with the noise, the offsets and the lateness of a profile."""
 
-    def __init__(self, rng: np.random.Generator, profile: at.Profile, body: Body, fault: Fault) -> None:
+    def __init__(
+        self, rng: np.random.Generator, profile: at.Profile, body: Body, fault: Fault, noise: PositionNoise | None
+    ) -> None:
         self.rng, self.profile, self.body, self.fault = rng, profile, body, fault
+        self.memory = math.exp(-PERIOD / noise.time) if noise and noise.time else 0.0  # of the noise of the position
+        self.position_noise = rng.normal(size=2) if noise else np.zeros(2)
         self.gyro = float(rng.uniform(-1.0, 1.0)) * max(profile.bias_yaw_rate, 0.002)
         self.wheel = float(rng.uniform(-1.0, 1.0)) * profile.bias_wheel_angle
         self.mounting = float(rng.uniform(-0.01, 0.01))  # rad, of the yaw
@@ -336,6 +366,8 @@ class _Sensors:
     def _sense(self, t: float) -> Sample:
         p, rng, b = self.profile, self.rng, self.body
         noise = rng.normal(size=8)
+        noise[:2] = self.memory * self.position_noise + math.sqrt(1.0 - self.memory**2) * noise[:2]
+        self.position_noise = noise[:2].copy()
         ahead = self.fault.ahead * (b.lf if self.fault.ahead > 0 else b.lr)
         speed_noise = p.noise_speed if math.isfinite(p.noise_speed) and p.noise_speed else 0.003
         return Sample(
@@ -411,12 +443,12 @@ def lies(seeds: range) -> None:
         print(f"| {name} | {lost} of {len(times)} | {silent} | {median:.2f} ({most:.2f}) |", flush=True)
 
 
-def honest(seeds: range) -> None:
+def honest(seeds: range, noisy: bool) -> None:
     """Print every word that was said, and how many drives had one."""
     words: Counter[str] = Counter()
     falsely = sliding = lost = 0
     for count, seed in enumerate(seeds, 1):
-        each = drive(seed)
+        each = drive(seed, noisy=noisy)
         falsely += bool(each.said)
         lost += each.farthest > 3.0
         slipped = max(abs(row[-1]) for row in each.rows)
@@ -456,6 +488,7 @@ def main() -> None:
     parser.add_argument("campaign", choices=("wrong", "lies", "honest", "sliding"))
     parser.add_argument("--drives", type=int, default=10)
     parser.add_argument("--faults", default=",".join(FAULTS))
+    parser.add_argument("--noisy", action="store_true", help="honest: positions with much noise")
     parser.add_argument("--tuning", action="store_true", help="seeds on which the checks were chosen")
     parser.add_argument("--first", type=int, default=0, help="of the seeds")
     given = parser.parse_args()
@@ -465,7 +498,8 @@ def main() -> None:
     if given.campaign == "wrong":
         wrong(seeds, [name for name in given.faults.split(",") if name])
     else:
-        {"lies": lies, "honest": honest, "sliding": sliding}[given.campaign](seeds)
+        campaigns = {"lies": lies, "honest": lambda seeds: honest(seeds, given.noisy), "sliding": sliding}
+        campaigns[given.campaign](seeds)
 
 
 if __name__ == "__main__":

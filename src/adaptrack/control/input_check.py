@@ -120,17 +120,20 @@ class InputCheck:
 
     vehicle: the car as believed; without one only signs and units are compared that need no car. period: s, of the
     loop, for the unit of its time; NaN: not known. delay: s, specified lag and dead time of the steering, computation
-    included; infinite: not specified, or learned.
+    included; infinite: not specified, or learned. position_noise: m, standard deviation of x and y.
     """
 
-    def __init__(self, vehicle: Vehicle | None = None, period: float = math.nan, delay: float = math.inf) -> None:
+    def __init__(
+        self, vehicle: Vehicle | None = None, period: float = math.nan, delay: float = math.inf,
+        position_noise: float = 0.0,
+    ) -> None:  # fmt: skip
         self.vehicle = vehicle
         self.suspect: tuple[str, ...] = ()
         self.check = Check(np.zeros(SETTINGS_SIZE), np.zeros(MEMORY_SIZE))
         car = (0.0,) * 5
         if vehicle is not None:
             car = (vehicle.mass, vehicle.lf, vehicle.lr, vehicle.stiffness_front, vehicle.stiffness_rear)
-        check_settings(*car, period, delay, self.check.settings)
+        check_settings(*car, period, delay, position_noise, self.check.settings)
         begin_check(self.check)
         self._resident, self._sample, self._bits = Resident(self.check), np.empty(len(SAMPLE)), 0
 

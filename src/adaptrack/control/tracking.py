@@ -25,10 +25,15 @@ from adaptrack.road.road_ahead import stacked
 
 
 def input_check_of(controller: Any) -> InputCheck:
-    """The check of the inputs of a controller; it tests the delay of the steering that is specified and not learned."""
+    """The check of the inputs of a controller, for the noise that its filter assumes.
+
+    It tests the delay of the steering that is specified and not learned.
+    """
     is_specified = isinstance(controller, MPC) and controller.belief is not None and controller.learner is None
     delay = controller.model.lag + controller.model.dead_time if is_specified else math.inf
-    return InputCheck(controller.vehicle, float(controller.period), delay)
+    is_filtered = isinstance(controller, MPC) and isinstance(controller.estimator, KalmanFilter)
+    noise = controller.estimator.noise.y if is_filtered else 0.0
+    return InputCheck(controller.vehicle, float(controller.period), delay, noise)
 
 
 def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: float, check: InputCheck) -> Any:

@@ -23,8 +23,8 @@ LEAST_POSE_SIGMA, MAX_POSE_SIGMA, POSE_MEMORY = 0.01, 2.0, 5.0
 """m, m, s: bounds of the standard deviation of a measured place, and the time constant of its estimate."""
 MANY_POSITIONS = 200
 """Positions from which their variance is known."""
-POSE_BOUND, POSE_JUMP = 4.0, 1.0
-"""-, m: standard deviations up to which an innovation counts; beyond both the filter of the place restarts."""
+POSE_BOUND, JUMP_SIGMAS, POSE_JUMP = 4.0, 6.0, 1.0
+"""-, -, m: standard deviations up to which an innovation counts; beyond the others the filter of the place restarts."""
 OBSERVER_TIME, OBSERVER_JUMP, OBSERVER_GAP = 0.3, 1.0, 1.0
 """s, m, s: time constant of the observer; a larger difference counts as a jump of so much; it restarts after a longer
 time without a position."""
@@ -168,7 +168,7 @@ def correct_place(measured, interval, memory):
     share = min(max(interval / POSE_MEMORY, 1.0 / (memory.is_placed + 20)), 0.5)
     variance = memory.pose_variance + (min(square(innovation), square(POSE_JUMP)) - spread) * share
     memory.pose_variance = clip(variance, square(LEAST_POSE_SIGMA), square(MAX_POSE_SIGMA))
-    if abs(innovation) > max(bound, POSE_JUMP):
+    if abs(innovation) > max(JUMP_SIGMAS * sqrt(spread), POSE_JUMP):
         memory.jump = abs(innovation)
         restart_place(measured, memory)
         return

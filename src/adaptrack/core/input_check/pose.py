@@ -25,6 +25,8 @@ DRIFT_TIMES = (1.5, 6.0)
 """s, time constants of the windows."""
 POSITION_DRIFT, YAW_DRIFT = 0.25, 0.012
 """m, rad: drifts that are honest at any speed."""
+POSITION_SIGMAS = 9.0
+"""Honest drift over the noise of the positions that the filter assumes, which may be half of the true one."""
 ALONG, SWING, HARD_SWING = 0.003, 0.01, 0.004
 """Honest drift relative to the way: always, and by what the lateral acceleration (m/s^2) differs from its mean over
 `SWINGS` (s), and its square: the slip of a car that swings is not that of a steady turn."""
@@ -132,7 +134,7 @@ def compare_pose(memory, settings):
         _let_errors_change(memory, settings, 1.0 if memory.covariance[0, 0] == 0.0 else ERROR_GROWTH * time)
         if memory.sliding == 0:
             _sum_drifts(last, memory, settings)
-            _judge_drifts(memory)
+            _judge_drifts(memory, settings)
         else:
             _forget_drifts(memory)
     begin_pose(memory)
@@ -174,13 +176,14 @@ def _forget_drifts(memory):
 
 
 @inlined
-def _judge_drifts(memory):
+def _judge_drifts(memory, settings):
     """Report a drift that is more than an honest one."""
+    honest = max(POSITION_DRIFT, POSITION_SIGMAS * settings.position_noise)
     distance = angle = worst = worst_angle = 0.0
     for i in range(len(DRIFT_TIMES)):
         far, turned = hypot(memory.drifts[i, 0], memory.drifts[i, 1]), abs(memory.drifts[i, 2])
         distance, angle = max(distance, far), max(angle, turned)
-        worst = max(worst, far / (POSITION_DRIFT + memory.honest_drifts[i, 0]))
+        worst = max(worst, far / (honest + memory.honest_drifts[i, 0]))
         worst_angle = max(worst_angle, turned / (YAW_DRIFT + memory.honest_drifts[i, 1]))
     drifts = max(worst, worst_angle) > 1.0 and memory.slips == 0  # a car that begins to slide moves sideways, too
     memory.drifting = memory.drifting + 1 if drifts else 0

@@ -88,6 +88,7 @@ Settings = record("Settings", (
     "length", "gradient",  # m, s^2/m: a steady turn has the yaw rate angle speed/(length + gradient speed^2)
     "slip",  # s^2 m^-1 m: sideways speed by the slip of the rear tyres over yaw rate times speed^2
     "delay",  # s, specified lag and dead time from a command on; infinite: not specified, or learned
+    "position_noise",  # m, standard deviation that the filter assumes; 0: without a filter
 ))  # fmt: skip
 """What a check knows of the loop and its car."""
 settings_of = viewer(Settings)
@@ -157,14 +158,14 @@ def is_reported(memory, subject):
     return memory.suspect & ABOUT[subject] != 0
 
 
-@exported(void(float64, float64, float64, float64, float64, float64, float64, vector))
-def check_settings(mass, lf, lr, stiffness_front, stiffness_rear, period, delay, settings):
+@exported(void(float64, float64, float64, float64, float64, float64, float64, float64, vector))
+def check_settings(mass, lf, lr, stiffness_front, stiffness_rear, period, delay, position_noise, settings):
     """Write `Settings` of a car; mass 0: one that is not known, of which only signs and units are compared.
 
     stiffness: N/rad of a tyre, two on an axle. The turning is that of Rajamani, 2nd ed., section 3.3.
     """
     to = settings_of(settings, 0)
-    to.period, to.delay = period, delay
+    to.period, to.delay, to.position_noise = period, delay, position_noise
     if mass > 0.0:
         to.known, to.lf, to.lr, to.length = 1.0, lf, lr, lf + lr
         to.gradient = 0.5 * mass / (lf + lr) * (lr / stiffness_front - lf / stiffness_rear)
