@@ -193,8 +193,6 @@ MAX_PLAN_GRADE = 0.4
 """dz/ds of a plan; a measured grade beyond it, either way, counts as not measured."""
 REACHED = 0.03
 """m, the least remaining way to a stop."""
-AIMED_DISTANCE = 0.02
-"""m, before a stop, at which a car that comes from farther away is to stand: beyond it is worse than short of it."""
 CREEPING_SPEED, CREEPING_TIME = 0.15, 1.0
 """m/s, s: a braked car that is so slow for so long stands; a sensor may have this offset."""
 CREEP_STIFFNESS, LARGEST_CREEP = 10.0, 0.5
@@ -226,7 +224,7 @@ STARTED_SPEED, GENTLE_SPEED, SURE_SPEED, ROLLING_SPEED = 0.12, 0.08, 1.0, 0.08
 START_RESERVE, LAUNCH_RATE, MAX_LAUNCH, ROLLED_RESERVE = 0.3, 1.5, 6.0, 0.5
 """m/s^2, m/s^3, m/s^2, m/s^2: the drive carries more than the estimated ascent before the brakes are released, and
 more and more until the car moves; after it has rolled back, more than it then did."""
-MOST_SHARE = 0.95
+FULL_DRIVE_SHARE = 0.95
 """Of the largest drive force, from which the brakes are released whatever the slope."""
 MOVED_WAY, MOVED_SIGMAS = 0.03, 3.0
 """m, -: way of the positions from which, with so many standard deviations of them, they show a motion."""
@@ -568,7 +566,7 @@ def _start(way, slope, lateral, drive, brakes, dt, settings, memory):
     _request(push + memory.launch - resistance, 0.0, slope, lateral, drive, brakes, settings, memory)
     carried = push + memory.rolled
     if memory.limited_by != BY_PLAN:  # the drive has no more
-        carried = min(carried, MOST_SHARE * drive.ratio * memory.force / settings.mass)
+        carried = min(carried, FULL_DRIVE_SHARE * drive.ratio * memory.force / settings.mass)
     force, acceleration = memory.force, memory.acceleration
     if is_rolling:
         memory.rolled = max(memory.rolled, memory.launch + ROLLED_RESERVE)
@@ -616,7 +614,7 @@ def _aim(index, way, top_square, resistance, drive, brakes, settings, path, memo
         cause = BY_PLAN
     elif target_square >= top_square * 0.999:
         cause = BY_FAULT if memory.on_probation > 0.0 else BY_UNKNOWN_STEERING
-    remaining_way = way - coming_way - (AIMED_DISTANCE if memory.travelled > ARRIVAL_WAY else 0.0)
+    remaining_way = way - coming_way
     jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * brakes.lag)
     caution_way = BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * coming_speed
     stop_speed, stop_acceleration = _stopping_motion(remaining_way - caution_way, lag, jerk, settings)

@@ -61,7 +61,7 @@ EVIDENCE_TIME = 40.0
 LEARNING_SPEED, LEAST_ACTION = 0.3, 0.5
 """m/s; m/s^2: below these nothing is learned of an actuator: a slight force and a slope look alike."""
 LEAST_FORCE_RATIO, LARGEST_FORCE_RATIO = 0.4, 2.0
-LEAST_VARIANCE = 1e-12
+LEAST_RATIO_VARIANCE = 1e-12
 """Of a ratio."""
 MAX_DISTURBANCE, SPEED_JUMP = 5.0, 1.0
 """m/s^2; m/s, by which a speed differs from the predicted one that shows no motion of a car: the filter restarts there.
@@ -168,12 +168,12 @@ def _update(h, acceleration, other_acceleration, other_sigma, speed, learns, per
         return
     a, t = acceleration * period, period  # derivatives of the speed by ratio and disturbance
     p_v, p_vr, p_vd = h.p_speed, h.p_speed_ratio, h.p_speed_disturbance
-    p_r, p_rd, p_d = max(h.p_ratio, LEAST_VARIANCE), h.p_ratio_disturbance, h.p_disturbance
+    p_r, p_rd, p_d = max(h.p_ratio, LEAST_RATIO_VARIANCE), h.p_ratio_disturbance, h.p_disturbance
     unlearned = 0.0 if learns else p_r
     if not learns:  # the disturbance holds the error of the ratio: found at this acceleration, another one changes it
-        found = p_rd / p_r
-        p_v, p_vd, p_d = p_v - square(p_vr) / p_r, p_vd - p_vr * found, p_d - found * p_rd
-        p_d += p_r * square(acceleration + found)
+        slope = p_rd / p_r
+        p_v, p_vd, p_d = p_v - square(p_vr) / p_r, p_vd - p_vr * slope, p_d - slope * p_rd
+        p_d += p_r * square(acceleration + slope)
         p_vr = p_rd = p_r = 0.0
     v_r, v_d = p_vr + a * p_r + t * p_rd, p_vd + a * p_rd + t * p_d
     drift = square(SPEED_DRIFT) + DELAY_ERROR_TIME * square(other_sigma)
@@ -228,7 +228,7 @@ def _widen_disturbance(bank):
     """Let the disturbance be as uncertain as at the start."""
     for i in range(bank.size):
         h = bank[i]
-        explained = square(h.p_ratio_disturbance) / max(h.p_ratio, LEAST_VARIANCE)  # by the ratio
+        explained = square(h.p_ratio_disturbance) / max(h.p_ratio, LEAST_RATIO_VARIANCE)  # by the ratio
         h.p_disturbance = max(h.p_disturbance, explained + square(DISTURBANCE_SIGMA))
 
 

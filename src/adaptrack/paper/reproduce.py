@@ -50,7 +50,7 @@ PAPER_TESTS = tuple(PAPER_MSE)
 DRIVEN_ON = FailureLimits(distance=1000.0, sideslip=math.inf)
 """The paper's runs end only where nothing is left to drive; whether one failed is judged afterwards, as everywhere."""
 
-BETTER = 1e-9
+RELATIVE_TIE = 1e-9
 """Relative: MSEs that differ by less are equal; a tuning of the library may be the one that it is held against."""
 LEARNED_MODELS = ("nn", "anfis")
 
@@ -430,7 +430,7 @@ def ablation(
                     "adapts": adapts,
                     "mse": _finite(measures.mse),
                     "failed": measures.failed,
-                    "constants_better": int((by_constants < (1.0 - BETTER) * measures.mse).sum()),
+                    "constants_better": int((by_constants < (1.0 - RELATIVE_TIE) * measures.mse).sum()),
                 }
                 for name, adapts, measures in measured
             ]
