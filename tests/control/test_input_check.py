@@ -224,6 +224,26 @@ def test_a_pose_that_drifts_or_jumps_is_reported_before_it_is_1_5_m_wrong(rates,
     assert all(wrong < 1.5 + 2.0 * (jump is not STILL) for _, wrong in said[:1])
 
 
+@pytest.mark.parametrize("told_share", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize(("noise", "time"), [(0.03, 0.0), (0.1, 0.0), (0.3, 0.0), (0.1, 5.0), (0.3, 5.0)])
+def test_noise_of_the_position_is_no_drift_for_a_check_that_is_told_of_it(noise, time, told_share):
+    """White, or with a time constant (s); a drift of 2 m/s is one all the same."""
+    for drift in (0.0, 2.0):
+        check = InputCheck(CAR, 0.05, position_noise=told_share * noise)
+        rng, pose, error = np.random.default_rng(8), np.zeros(3), np.zeros(2)
+        memory = math.exp(-0.05 / time) if time else 0.0
+        for k in range(1200):
+            t, speed, rate = 0.05 * k, 12.0, 0.16 * math.sin(0.02 * k)
+            error = memory * error + math.sqrt(1.0 - memory**2) * noise * rng.standard_normal(2)
+            wrong = np.array([0.0, drift * max(t - 50.0, 0.0)])
+            measured = (*(pose[:2] + error + wrong), pose[2] + rng.normal(0.0, 0.003))
+            check.add(
+                t, t, measured, speed + rng.normal(0.0, 0.05), rate + rng.normal(0.002, 0.003), rng.normal(0.0, 0.03)
+            )
+            pose += 0.05 * np.array([speed * math.cos(pose[2]), speed * math.sin(pose[2]), rate])
+        assert any("they moved" in sentence for sentence in check.suspect) == (drift > 0.0)
+
+
 # -- longitudinal acceleration ----------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("signal", "words"),

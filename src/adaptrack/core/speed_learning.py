@@ -171,9 +171,9 @@ def _update(h, acceleration, other_acceleration, other_sigma, speed, learns, per
     p_r, p_rd, p_d = max(h.p_ratio, LEAST_RATIO_VARIANCE), h.p_ratio_disturbance, h.p_disturbance
     unlearned = 0.0 if learns else p_r
     if not learns:  # the disturbance holds the error of the ratio: found at this acceleration, another one changes it
-        slope = p_rd / p_r
-        p_v, p_vd, p_d = p_v - square(p_vr) / p_r, p_vd - p_vr * slope, p_d - slope * p_rd
-        p_d += p_r * square(acceleration + slope)
+        dependence = p_rd / p_r
+        p_v, p_vd, p_d = p_v - square(p_vr) / p_r, p_vd - p_vr * dependence, p_d - dependence * p_rd
+        p_d += p_r * square(acceleration + dependence)
         p_vr = p_rd = p_r = 0.0
     v_r, v_d = p_vr + a * p_r + t * p_rd, p_vd + a * p_rd + t * p_d
     drift = square(SPEED_DRIFT) + DELAY_ERROR_TIME * square(other_sigma)

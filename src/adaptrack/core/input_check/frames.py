@@ -18,6 +18,8 @@ course turns."""
 ASKEW, TURNED = 0.1, 0.3
 """rad: beside what sideslip explains, positions that move further beside the yaw are of another frame; that the yaw
 must have changed before both are known to agree."""
+USUAL_NOISE = 0.03
+"""m, of positions, for which the numbers below hold."""
 _HALF_PI = 0.5 * math.pi
 FRAMES = np.array([
     (DEGREE, 0.0), (-1.0, 0.0), (-1.0, _HALF_PI), (-DEGREE, _HALF_PI), (1.0, -_HALF_PI), (1.0, _HALF_PI),
@@ -55,6 +57,7 @@ def explain_course(memory):
 def compare_course(aside, course, yaw, far, rate, memory, settings):
     """The direction in which positions move against the yaw."""
     last = memory.ticks[TICKS - 1]
+    noises = max(settings.position_noise / USUAL_NOISE, 1.0)
     pull = abs(rate * last[T.speed])
     rolling = settings.lr * rate / last[T.speed]
     if math.isnan(memory.origin):
@@ -64,7 +67,7 @@ def compare_course(aside, course, yaw, far, rate, memory, settings):
     memory.course_count = min(memory.course_count + 1, COURSES)
     memory.courses[memory.course, 0], memory.courses[memory.course, 1] = course, yaw
     if max(abs(turned), abs(gone)) < 1.5 and pull < STEEP:
-        noise = 0.008 + 0.01 / far + 0.3 * abs(rolling) + 0.003 * pull
+        noise = 0.008 + 0.01 * noises / far + 0.3 * abs(rolling) + 0.003 * pull
         if compare(memory, COMPARED.course, turned, 0.0, 0.0, gone, noise, last[T.time]) > 0:
             explain_course(memory)
     memory.yaw_least, memory.yaw_most = min(memory.yaw_least, yaw), max(memory.yaw_most, yaw)
@@ -75,7 +78,7 @@ def compare_course(aside, course, yaw, far, rate, memory, settings):
     beside = max(aside - max(rolling, 0.0), min(rolling, 0.0) - aside)
     known = memory.agreed > (20 if memory.yaw_most - memory.yaw_least > TURNED else 60)
     usual = pull < ROUGH or memory.agreed == 0
-    askew = beside > ASKEW + 0.5 * abs(rolling) + 0.18 / far and usual and not known
+    askew = beside > ASKEW + 0.5 * abs(rolling) + 0.18 * noises / far and usual and not known
     memory.askew = memory.askew + 1 if askew else 0
     if memory.askew >= LOOKS:
         explain_course(memory)
