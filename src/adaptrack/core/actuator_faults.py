@@ -39,8 +39,8 @@ SUSPICION, BRAKE_EVIDENCE, PULL_EVIDENCE, DOUBT = 3.0, 9.0, 12.0, 1.0
 """Logarithms of likelihood ratios, from which a fault is suspected and reported, and below which brakes work."""
 PROBE = 2.0
 """m/s^2, additional braking while a loss is suspected."""
-LARGEST_DISTURBANCE = 3.5
-"""m/s^2, of an unknown slope and wind."""
+LARGEST_DISTURBANCE = 4.5
+"""m/s^2, of a slope and wind that the map has the other way round."""
 JUDGED_BRAKING, PROVING_BRAKING, PROVING_TIME = 0.3, 1.0, 1.0
 """m/s^2, m/s^2, s: braking from which brakes are judged; braking, and for how long, that shows that they work."""
 FAULT_TOP_SPEED = 3.0
