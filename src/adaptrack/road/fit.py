@@ -329,16 +329,18 @@ def _check_pieces(points: Array) -> None:
     lengths = portable.hypot(*steps.T)
     spikes = _find_spikes(points)
     for k in np.flatnonzero(lengths > GAP * _usual_step(lengths)):
-        sides = points[k] - points[max(k - DIRECTION_STEPS, 0) : k], points[k + 2 : k + 2 + DIRECTION_STEPS] - points[k + 1]
-        for side in sides:
-            size = portable.hypot(*side.T)
-            ahead = product(side, steps[k]) / np.maximum(size * lengths[k], 1e-300)
-            is_aside = size.any() and (ahead < math.cos(PIECE_ANGLE)).all() and not spikes[k : k + 2].any()
-            if is_aside or 2.0 * lengths[k] > lengths.sum():
-                raise InvalidInput(
-                    f"fit_road: behind point {k} a second piece begins, {lengths[k]:.3g} m away: give one piece, or "
-                    "the points between."
-                )
+        before = points[k] - points[max(k - DIRECTION_STEPS, 0) : k]
+        behind = points[k + 2 : k + 2 + DIRECTION_STEPS] - points[k + 1]
+        leads_aside = any(
+            side.any()
+            and (product(side, steps[k]) < portable.cos(PIECE_ANGLE) * lengths[k] * portable.hypot(*side.T)).all()
+            for side in (before, behind)
+        )
+        if (leads_aside and not spikes[k : k + 2].any()) or 2.0 * lengths[k] > lengths.sum():
+            raise InvalidInput(
+                f"fit_road: behind point {k} a second piece begins, {lengths[k]:.3g} m away: give one piece, or the "
+                "points between."
+            )
 
 
 def _check_heights(height: ArrayLike, count: int) -> Array:
@@ -485,7 +487,9 @@ def _find_lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]
     passes = np.split(back, np.flatnonzero(np.diff(back) > 1) + 1)
     first = next((rows for rows in passes if aligned[rows].any()), np.empty(0, dtype=np.int64))
     closing, ends = points[0] - points[-1], np.stack([ahead[-1], start])
-    leads = (product(ends, closing) > GAP_COSINE * portable.hypot(*ends.T) * distance[-1]).all() and distance[-1] <= lengths.max()
+    leads = (product(ends, closing) > GAP_COSINE * portable.hypot(*ends.T) * distance[-1]).all() and distance[
+        -1
+    ] <= lengths.max()
     if not (first.size > 0 or leads if closed is None else closed):
         return len(points), False, []
     count = len(points)
@@ -563,9 +567,9 @@ def _find_spikes(points: Array) -> NDArray[np.bool_]:
     for there, back in itertools.pairwise(leaps):
         bridge = points[back + 1] - points[there]
         before = points[there] - points[max(int(there) - IN_A_ROW, 0)]
-        after = points[min(int(back) + 1 + IN_A_ROW, len(points) - 1)] - points[back + 1]
-        goes_on = min(product(before, bridge), product(after, bridge)) >= 0.0  # else it is a bend
-        if back - there <= IN_A_ROW and goes_on and LEAP * portable.hypot(*bridge) < steps[there : back + 1].sum():
+        after = points[back + 1 : back + 2 + IN_A_ROW][-1] - points[back + 1]
+        is_bend = product(before, after) < 0.0
+        if back - there <= IN_A_ROW and not is_bend and LEAP * portable.hypot(*bridge) < steps[there : back + 1].sum():
             spikes[there + 1 : back + 1] = True
     return spikes
 

@@ -132,9 +132,9 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
     Cells are separated by ``;``, tabs, ``,`` or blanks; except in files with commas between cells, the decimal mark may
     be a comma. The first line may be a header (`POINT_COLUMNS`), and so may a line behind ``#``, ``%`` or ``//`` above
     the numbers whose cells are names; of several the last that names x and y. A header without x and y is refused.
-    Without a header, two columns are x, y and four x, y, width to the right, width to the left. Repeated points are left
-    out. A column `grade` (dz/ds) is used before the slope of the heights `z` (m). Widths below 0 all along are distances
-    to the other side. A speed of 0 in the first or last lines is a standing car: it becomes half the next speed.
+    Without a header, two columns are x, y and four x, y, width to the right, width to the left. Repeated points are
+    left out. A column `grade` (dz/ds) is used before the slope of the heights `z` (m). Widths are distances: if all of
+    a column are below 0, their signs are dropped. A speed of 0 in the first or last lines becomes half the next speed.
 
     Parameters
     ----------
@@ -193,15 +193,14 @@ def _standing(speeds: Array) -> tuple[slice, str]:
 def _read_widths(where: str, header: _Header, columns: dict[str, Array]) -> list[str]:
     """Make distances of widths that are below 0 all along, and return notes; refuse unnamed columns of no widths."""
     notes = []
-    for name in ("width_right", "width_left"):
-        width = columns.get(name, np.ones(1))
-        if (width < 0.0).all():
-            columns[name] = -width
+    for name in [name for name in ("width_right", "width_left") if name in columns]:
+        if (columns[name] < 0.0).all():
+            columns[name] = -columns[name]
             notes.append(f"{name} is below 0 all along: read as distances")
-        if not header.titles and not (0.0 < width).all() or (width > WIDEST_SIDE).any() and not header.titles:
+        if not header.titles and not ((columns[name] > 0.0) & (columns[name] <= WIDEST_SIDE)).all():
             raise ConfigError(
-                f"{where}: the last two of four columns without a header are no widths ({name} up to "
-                f"{np.abs(width).max():g} m): name the columns: {', '.join(POINT_COLUMNS)}."
+                f"{where}: the last two of four columns without a header are no widths ({name} from "
+                f"{columns[name].min():g} to {columns[name].max():g} m): name the columns: {', '.join(POINT_COLUMNS)}."
             )
     if not header.titles and "width_right" in columns:
         notes.append("four columns without a header: read as x, y, width to the right, width to the left")
