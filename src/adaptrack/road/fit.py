@@ -61,6 +61,8 @@ GAP = 6.0
 """Times the usual step, from which on a step is a gap: third derivatives of a curve over it mean nothing."""
 GAP_COSINE = 0.9
 """Least cosine of the angles between the gap of a lap at its start and the directions at both ends."""
+WIDER_GAP = 2.0
+"""Times the widest gap between points, up to which a lap is open at its start."""
 PIECE_ANGLE, DIRECTION_STEPS = 1.2, 3
 """rad, between a gap and the directions over up to so many steps before and behind it: the points are two pieces."""
 MAX_DETOUR = 1.6
@@ -324,23 +326,28 @@ def _check_distances(where: str, points: Array, shortest: float) -> None:
 
 
 def _check_pieces(points: Array) -> None:
-    """Refuse points with a gap that leads aside, or that is wider than all else is long: they are two pieces."""
-    steps = np.diff(points, axis=0)
-    lengths = portable.hypot(*steps.T)
+    """Refuse two pieces: points with a gap that leads aside, or that is wider than the rest is long and not straight."""
+    rows, points = _points_apart(points, False)
+    steps = portable.hypot(*np.diff(points, axis=0).T)
     spikes = _find_spikes(points)
-    for k in np.flatnonzero(lengths > GAP * _usual_step(lengths)):
-        before = points[k] - points[max(k - DIRECTION_STEPS, 0) : k]
-        behind = points[k + 2 : k + 2 + DIRECTION_STEPS] - points[k + 1]
-        leads_aside = any(
-            side.any()
-            and (product(side, steps[k]) < portable.cos(PIECE_ANGLE) * lengths[k] * portable.hypot(*side.T)).all()
-            for side in (before, behind)
-        )
-        if (leads_aside and not spikes[k : k + 2].any()) or 2.0 * lengths[k] > lengths.sum():
+    for k in np.flatnonzero(steps > GAP * _usual_step(steps)):
+        cosine = _cosine_over(points[: k + 1], points[k + 1 :])
+        leads_aside = cosine < portable.cos(PIECE_ANGLE) and not spikes[k : k + 2].any()
+        if leads_aside or (2.0 * steps[k] > steps.sum() and cosine < GAP_COSINE):
             raise InvalidInput(
-                f"fit_road: behind point {k} a second piece begins, {lengths[k]:.3g} m away: give one piece, or the "
-                "points between."
+                f"fit_road: behind point {rows[k]} a second piece begins, {steps[k]:.3g} m away: give one piece, or "
+                "the points between."
             )
+
+
+def _cosine_over(before: Array, behind: Array) -> float:
+    """The cosine of the larger angle between a gap and the best of a few directions before and behind it."""
+    gap, cosine = behind[0] - before[-1], 1.0
+    for side in (before[-1] - before[-1 - DIRECTION_STEPS : -1], behind[1 : 1 + DIRECTION_STEPS] - behind[0]):
+        sizes = portable.hypot(*side.T) * portable.hypot(*gap)
+        cosines = product(side, gap)[sizes > 0.0] / sizes[sizes > 0.0]
+        cosine = min(cosine, float(cosines.max(initial=-1.0)) if cosines.size else 1.0)
+    return cosine
 
 
 def _check_heights(height: ArrayLike, count: int) -> Array:
@@ -363,7 +370,7 @@ def _spacing_notes(points: Array) -> list[str]:
 
 
 def _gap_notes(fit: _Fit, record: _Record) -> list[str]:
-    """A note on the widest gap between points. A curve that makes a detour between two points is refused."""
+    """A note on the gaps between points. A curve that makes a detour between two points is refused."""
     lap = np.append(fit.along, fit.along[0] + fit.table.length) if record.closed else fit.along
     chords = record.steps
     detours = np.diff(lap) - MAX_DETOUR * chords
@@ -373,9 +380,11 @@ def _gap_notes(fit: _Fit, record: _Record) -> list[str]:
             f"fit_road: between point {record.rows[k]} and the next one, {chords[k]:.3g} m away, the curve would be "
             f"{detours[k] + MAX_DETOUR * chords[k]:.3g} m long: give more points there."
         )
-    k = int(chords.argmax())
-    gap = f"behind point {record.rows[k]} there are no points for {chords[k]:.3g} m: the road is a guess there"
-    return [gap] if record.has_gaps else []
+    if not record.has_gaps:
+        return []
+    k, gaps = int(chords.argmax()), int((chords > GAP * _usual_step(chords)).sum())
+    widest = f"behind point {record.rows[k]} there are no points for {chords[k]:.3g} m: the road is a guess there"
+    return [f"{widest}, as over {gaps - 1} narrower gaps" if gaps > 1 else widest]
 
 
 def _fit_note(fit: _Fit, rows: NDArray[np.int64]) -> str:
@@ -470,7 +479,7 @@ def _find_lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]
 
     A lap is closed where the record is back in the direction of its start (within 60 degrees), within twice the median
     distance of its points, or 3 m, or a quarter of its extent if that is less than 3 m, having been farther away. So is
-    one whose end leads straight to its start, over a gap no wider than another one in it.
+    one whose end leads straight to its start, over a gap at most twice as wide as another one in it.
     """
     steps = np.diff(points, axis=0)
     lengths = portable.hypot(steps[:, 0], steps[:, 1])
@@ -486,10 +495,7 @@ def _find_lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]
         aligned = product(ahead, start) > 0.5 * portable.hypot(*ahead.T) * portable.hypot(*start)
     passes = np.split(back, np.flatnonzero(np.diff(back) > 1) + 1)
     first = next((rows for rows in passes if aligned[rows].any()), np.empty(0, dtype=np.int64))
-    closing, ends = points[0] - points[-1], np.stack([ahead[-1], start])
-    leads = (product(ends, closing) > GAP_COSINE * portable.hypot(*ends.T) * distance[-1]).all() and distance[
-        -1
-    ] <= lengths.max()
+    leads = distance[-1] <= WIDER_GAP * lengths.max() and _cosine_over(points, points) > GAP_COSINE
     if not (first.size > 0 or leads if closed is None else closed):
         return len(points), False, []
     count = len(points)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import NumberedLines, is_number, printable, read_bytes, table_lines
 from adaptrack.base.limits import MAX_SPEED
+from adaptrack.core import portable
 from adaptrack.core.path import MIN_PATH_POINTS
 from adaptrack.road.fit import SPARSE, fit_road
 from adaptrack.road.road import Road
@@ -116,7 +117,7 @@ _WORDS = {"at": "in", "behind": "behind"}
 
 def _check_size(where: str, road: Road, points: Array) -> None:
     """Refuse a road that turns, but only as wide as one in millimetres that is read in metres."""
-    spacing = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
+    spacing = float(np.median(portable.hypot(*np.diff(points, axis=0).T)))
     line = road.at(np.linspace(0.0, road.length, points.shape[0]))
     radius = 1.0 / max(float(np.abs(line.curvature).max()), 1e-9)
     if spacing > SPARSE and road.length > MIN_WIDE_LENGTH and MIN_WIDE_RADIUS < radius < road.length:
