@@ -326,7 +326,7 @@ def _check_distances(where: str, points: Array, shortest: float) -> None:
 
 
 def _check_pieces(points: Array) -> None:
-    """Refuse two pieces: points with a gap that leads aside, or that is wider than the rest is long and not straight."""
+    """Refuse two pieces: a gap to which an end does not lead, or hardly and it is wider than the rest is long."""
     rows, points = _points_apart(points, False)
     steps = portable.hypot(*np.diff(points, axis=0).T)
     spikes = _find_spikes(points)

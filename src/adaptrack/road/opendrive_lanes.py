@@ -85,6 +85,11 @@ class Stations:
         """The arc length at a station, also of one beyond the end."""
         return float(np.interp(s, self._file, self._own)) + max(0.0, s - float(self._file[-1]))
 
+    def stated(self, element: Element, key: str = "s") -> float:
+        """A station in the file."""
+        station = number_of(self._where, element, key)
+        return station if abs(station) >= ROUNDING else 0.0
+
     def located(self, elements: Iterable[Element], section: float | None = None) -> list[tuple[float, Element]]:
         """Elements with the arc lengths at which they begin, in their order; those from the end on are left out.
 
@@ -92,8 +97,7 @@ class Stations:
         """
         pairs = []
         for element in elements:
-            station = number_of(self._where, element, "s" if section is None else "sOffset")
-            station = (section or 0.0) + (station if abs(station) >= ROUNDING else 0.0)
+            station = (section or 0.0) + self.stated(element, "s" if section is None else "sOffset")
             if station < self._file[-1]:
                 pairs.append((self.of(station), element))
             else:
@@ -148,6 +152,11 @@ class _Stretch(NamedTuple):
     """m, where the next section begins"""
     lanes: dict[int, _Lane]
 
+    @property
+    def driven(self) -> list[int]:
+        """The lanes that count to the width of the road."""
+        return [number for number, lane in self.lanes.items() if lane.is_driven]
+
 
 class Lanes:
     """<laneOffset> and the lanes beside it; the line is the middle of one of them, or the lane offset."""
@@ -166,7 +175,7 @@ class Lanes:
         """The lanes to the left and to the right; a section of a single side leaves the other one as it is."""
         sides: tuple[dict[float, dict[int, _Lane]], ...] = {0.0: {}}, {0.0: {}}
         for start, section in self._stations.located(sections):
-            s = number_of(self._where, section, "s")
+            s = self._stations.stated(section)
             lanes = {int(number_of(self._where, lane, "id")): self._lane(lane, s) for lane in section.iter("lane")}
             single = section.get("singleSide", "false").lower() in ("true", "1")
             for side, sign in zip(sides, (1, -1), strict=True):
@@ -295,12 +304,13 @@ class Lanes:
         return 0.0 if start == 0 else float(s[start]), self._stations.length if end == s.size - 1 else float(s[end])
 
     def _half_width(self) -> Along:
-        return self._sampled([(0.5, [law for step in self._path or () for law in self._path_width(*step)])])
-
-    def _path_width(self, number: int, stretch: _Stretch) -> Cubics:
-        """The width of a lane within a section, and 0 behind it where the road goes on."""
-        end = [(stretch.end, np.zeros(4))] if stretch.end < self._stations.length else []
-        return [*self._width(number, stretch), *end]
+        """Half the width of the lane; 0 before its first section and behind its last one."""
+        path = self._path or ()
+        parts = [(step[1].start, step[1].end, [(0.5, self._width(*step))]) for step in path]
+        first, last = parts[0][0], parts[-1][1]
+        before = [(0.0, first, [])] if first > 0.0 else []
+        behind = [(last, self._stations.length, [])] if last < self._stations.length else []
+        return self._sampled([*before, *parts, *behind])
 
     def _width(self, number: int, stretch: _Stretch) -> Cubics:
         """The width of a lane within a section."""
@@ -336,18 +346,19 @@ class Lanes:
 
     def _side_width(self, side: Sequence[_Stretch]) -> Along:
         """The width of all driving lanes of a side."""
-        s, values = [], []
-        for stretch in side:
-            widths = [(1.0, self._width(number, stretch)) for number, lane in stretch.lanes.items() if lane.is_driven]
-            along = self._sampled(widths, stretch.start, stretch.end)
-            s += list(along.s)
-            values += list(along.value)
-        return _increasing(s, np.maximum(values, 0.01))
+        along = self._sampled(
+            [
+                (stretch.start, stretch.end, [(1.0, self._width(number, stretch)) for number in stretch.driven])
+                for stretch in side
+            ]
+        )
+        return along.replace(value=tuple(np.maximum(along.value, 0.01).tolist()))
 
-    def _sampled(self, summed: Sequence[tuple[float, Cubics]], start: float = 0.0, end: float | None = None) -> Along:
-        end = self._stations.length if end is None else end
-        s = _samples(start, end)
-        return _increasing(s, _law_values(self._combined(summed), s))
+    def _sampled(self, parts: Iterable[tuple[float, float, Sequence[tuple[float, Cubics]]]]) -> Along:
+        """Weighted sums of piecewise cubics, each from an arc length to the next one."""
+        s = [_samples(start, end) for start, end, _ in parts]
+        values = [_law_values(self._combined(summed), at) for at, (_, _, summed) in zip(s, parts, strict=True)]
+        return _increasing(np.concatenate(s), np.concatenate(values))
 
     # ---- what lies along the lanes
 

@@ -195,14 +195,14 @@ def _read_widths(where: str, header: _Header, columns: dict[str, Array]) -> list
     """Make distances of widths that are below 0 all along, and return notes; refuse unnamed columns of no widths."""
     notes = []
     for name in [name for name in ("width_right", "width_left") if name in columns]:
-        if (columns[name] < 0.0).all():
-            columns[name] = -columns[name]
-            notes.append(f"{name} is below 0 all along: read as distances")
         if not header.titles and not ((columns[name] > 0.0) & (columns[name] <= WIDEST_SIDE)).all():
             raise ConfigError(
                 f"{where}: the last two of four columns without a header are no widths ({name} from "
                 f"{columns[name].min():g} to {columns[name].max():g} m): name the columns: {', '.join(POINT_COLUMNS)}."
             )
+        if (columns[name] < 0.0).all():
+            columns[name] = -columns[name]
+            notes.append(f"{name} is below 0 all along: read as distances")
     if not header.titles and "width_right" in columns:
         notes.append("four columns without a header: read as x, y, width to the right, width to the left")
     return notes

@@ -250,7 +250,7 @@ const inputs = (() => {
   const BLANKS = /\s+/;
 
   function separatorOf(content) {
-    return [";", "\t", ","].find((sign) => content.includes(sign)) ?? BLANKS;
+    return [";", "\t", "|", ","].find((sign) => content.includes(sign)) ?? BLANKS;
   }
 
   function cellsOf(content) {
