@@ -28,6 +28,9 @@ Cubics = list[tuple[float, Array]]
 CubicLaws = tuple[list[float], Array]
 """Where cubics in the arc length begin (m), and their coefficients (m, 4)."""
 
+Part = tuple[float, float, list[tuple[float, Cubics]]]
+"""Start and end (m), and weighted cubics of which the sum counts there."""
+
 SPEED_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
 HALF_TRACK = 0.75
 """m, to both sides of the line: the bank is the mean slope of the surface between."""
@@ -153,7 +156,7 @@ class _Stretch(NamedTuple):
     lanes: dict[int, _Lane]
 
     @property
-    def driven(self) -> list[int]:
+    def driven_lanes(self) -> list[int]:
         """The lanes that count to the width of the road."""
         return [number for number, lane in self.lanes.items() if lane.is_driven]
 
@@ -305,12 +308,12 @@ class Lanes:
 
     def _half_width(self) -> Along:
         """Half the width of the lane; 0 before its first section and behind its last one."""
-        path = self._path or ()
-        parts = [(step[1].start, step[1].end, [(0.5, self._width(*step))]) for step in path]
-        first, last = parts[0][0], parts[-1][1]
-        before = [(0.0, first, [])] if first > 0.0 else []
-        behind = [(last, self._stations.length, [])] if last < self._stations.length else []
-        return self._sampled([*before, *parts, *behind])
+        parts: list[Part] = [
+            (stretch.start, stretch.end, [(0.5, self._width(lane, stretch))]) for lane, stretch in self._path or ()
+        ]
+        first, last, length = parts[0][0], parts[-1][1], self._stations.length
+        parts = [(0.0, first, []), *parts] if first > 0.0 else parts
+        return self._sampled([*parts, (last, length, [])] if last < length else parts)
 
     def _width(self, number: int, stretch: _Stretch) -> Cubics:
         """The width of a lane within a section."""
@@ -348,13 +351,13 @@ class Lanes:
         """The width of all driving lanes of a side."""
         along = self._sampled(
             [
-                (stretch.start, stretch.end, [(1.0, self._width(number, stretch)) for number in stretch.driven])
+                (stretch.start, stretch.end, [(1.0, self._width(number, stretch)) for number in stretch.driven_lanes])
                 for stretch in side
             ]
         )
         return along.replace(value=tuple(np.maximum(along.value, 0.01).tolist()))
 
-    def _sampled(self, parts: Iterable[tuple[float, float, Sequence[tuple[float, Cubics]]]]) -> Along:
+    def _sampled(self, parts: Sequence[Part]) -> Along:
         """Weighted sums of piecewise cubics, each from an arc length to the next one."""
         s = [_samples(start, end) for start, end, _ in parts]
         values = [_law_values(self._combined(summed), at) for at, (_, _, summed) in zip(s, parts, strict=True)]

@@ -165,8 +165,8 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
     lines = np.array([line for line, _ in rows])
     notes = _notes(header.titles, names)
     if speed_column is not None:
-        driven, note = _standing(numbers[:, names.index("speed_limit")])
-        numbers, lines = numbers[driven], lines[driven]
+        extent, note = _driven_rows(numbers[:, names.index("speed_limit")])
+        numbers, lines = numbers[extent], lines[extent]
         notes += [note] if note else []
     moved = np.append(True, np.any(np.diff(numbers[:, [names.index("x"), names.index("y")]], axis=0) != 0.0, axis=1))
     if not moved.all():
@@ -180,14 +180,14 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
     return PointsFile(points, columns, tuple(lines.tolist()), tuple(notes))
 
 
-def _standing(speeds: Array) -> tuple[slice, str]:
-    """The lines from the last of the standing car at the start to the first at the end, whose speeds 0 are replaced."""
-    driven = np.flatnonzero(speeds)
-    if driven.size == 0 or (speeds[0] != 0.0 and speeds[-1] != 0.0):
+def _driven_rows(speeds: Array) -> tuple[slice, str]:
+    """The rows from the last of the standing car at the start to the first at the end; speeds 0 there are replaced."""
+    moving = np.flatnonzero(speeds)
+    if moving.size == 0 or (speeds[0] != 0.0 and speeds[-1] != 0.0):
         return slice(None), ""
-    first, last = max(int(driven[0]) - 1, 0), min(int(driven[-1]) + 1, speeds.size - 1)
-    for end, beside in ((first, driven[0]), (last, driven[-1])):
-        speeds[end] = speeds[end] or 0.5 * speeds[beside]
+    first, last = max(int(moving[0]) - 1, 0), min(int(moving[-1]) + 1, speeds.size - 1)
+    for end, neighbour in ((first, moving[0]), (last, moving[-1])):
+        speeds[end] = speeds[end] or 0.5 * speeds[neighbour]
     return slice(first, last + 1), "speed 0 at the start or the end: read as half the speed beside it"
 
 
