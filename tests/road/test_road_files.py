@@ -672,6 +672,13 @@ def test_a_narrow_lane_that_keeps_its_width_is_read_all_along(tmp_path):
         load_road(none, lane=-2)
 
 
+def test_a_lane_whose_width_has_a_kink_is_refused_with_its_width_as_the_cause(tmp_path):
+    widths = '<width sOffset="0" a="0" b="0.0875" c="0" d="0"/><width sOffset="40" a="3.5" b="0" c="0" d="0"/>'
+    path = straight_road(tmp_path / "a.xodr", section(0, lane_text(-1), f'<lane id="-2">{widths}</lane>'))
+    with pytest.raises(ConfigError, match=r"0.0437 rad of kink .* middle of lane -2: see its <width>"):
+        load_road(path, lane=-2)
+
+
 @pytest.mark.parametrize("lane", [5, -7, 0])
 def test_a_lane_that_does_not_exist_is_refused_with_those_that_do(tmp_path, lane):
     path = straight_road(tmp_path / "a.xodr", section(0, lane_text(1, type="sidewalk"), lane_text(-1), lane_text(-2)))

@@ -101,6 +101,8 @@ def test_a_column_of_speeds_is_named_with_its_option(tmp_path):
     path = table(tmp_path / "line.csv", "# s_m; x_m; y_m; vx_mps\n", S, X, Y, 8.0 + 0.0 * S, mark=";")
     assert "to drive at the speeds of a column: --speed-column vx_mps" in load_road(path).notes
     assert not any("--speed-column" in note for note in load_road(path, speed_column="vx_mps").notes)
+    in_kmh = table(tmp_path / "kmh.csv", "x,y,speed_kmh\n", X, Y, 30.0 + 0.0 * S)
+    assert load_road(in_kmh).notes[-1] == "columns left out: speed_kmh"
 
 
 @pytest.mark.parametrize("scale", [100.0, 1000.0])

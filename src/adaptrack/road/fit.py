@@ -383,8 +383,10 @@ def _gap_notes(fit: _Fit, record: _Record) -> list[str]:
     if not record.has_gaps:
         return []
     k, gaps = int(chords.argmax()), int((chords > GAP * _usual_step(chords)).sum())
-    widest = f"behind point {record.rows[k]} there are no points for {chords[k]:.3g} m: the road is a guess there"
-    return [f"{widest}, as over {gaps - 1} narrower gaps" if gaps > 1 else widest]
+    widest = f", the widest of {gaps} gaps" if gaps > 1 else ""
+    return [
+        f"behind point {record.rows[k]} there are no points for {chords[k]:.3g} m{widest}: the road is a guess there"
+    ]
 
 
 def _fit_note(fit: _Fit, rows: NDArray[np.int64]) -> str:

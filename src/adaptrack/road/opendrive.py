@@ -116,7 +116,10 @@ def read_opendrive(
     except ConfigError:
         raise
     except InvalidInput as error:
-        raise ConfigError(f"{where}: {error}") from None
+        middle = (
+            "" if lane is None else f" The line is the middle of lane {lane}: see its <width> and the <laneOffset>."
+        )
+        raise ConfigError(f"{where}: {error}{middle}") from None
     unread = dict.fromkeys(
         name for child in root if child.tag != "road" or child is element for name in _unread(root, child)
     )

@@ -209,8 +209,8 @@ def _read_widths(where: str, header: _Header, columns: dict[str, Array]) -> list
 
 
 def _notes(titles: Sequence[str], names: Sequence[str]) -> list[str]:
-    omitted = [title for title, name in zip(titles, names, strict=False) if not name]
-    speeds = [title for title in omitted if re.fullmatch(SPEED, _plain(title))]
+    omitted = [title for title, name in zip(titles, names, strict=False) if title and not name]
+    speeds = [t for t in omitted if re.fullmatch(SPEED, _plain(t)) and not re.search(FOREIGN_SPEED, t.lower())]
     notes = [f"columns left out: {printable(', '.join(omitted))}"] if omitted else []
     if speeds and "speed_limit" not in names:
         notes.append(f"to drive at the speeds of a column: --speed-column {printable(speeds[0])}")
