@@ -51,7 +51,7 @@ NAME = r"[A-Za-z_\u00c0-\uffff][^\s:=]*(?: [^\s:=]+){0,2}"
 """A name in a commented header: one to three words; a pattern of Python and of JavaScript."""
 FOREIGN_SPEED = r"km|kph|mph|mile|knot|fps"
 """Parts of the name of a speed column that is not in m/s."""
-SPEED = r"v(x|el|elocity)?([ _-]?(ref|mps|m/s|ms|x))*|.*speed.*"
+SPEED = r"(v|vx|vel|velocity)([ _-]?(ref|mps|m/s|ms|x))*|.*speed.*"
 """Names of a column that may hold speeds."""
 WIDEST_SIDE = 30.0
 """m: without a header, a column of more is no width."""
