@@ -623,3 +623,120 @@ def test_a_file_that_is_no_road_is_refused_with_its_place(tmp_path, name, text, 
     (tmp_path / name).write_text(text)
     with pytest.raises(ConfigError, match=words):
         load_road(tmp_path / name)
+
+
+# -- lanes that open or close, and files that contradict themselves ---------------------------------------------------
+def tapered(number, start, width, slope):
+    """A lane that opens or closes smoothly over 40 m."""
+    cubic = f'c="{3.0 * slope / 40.0**2!r}" d="{-2.0 * slope / 40.0**3!r}"'
+    widths = f'<width sOffset="{start}" a="{width}" b="0" {cubic}/>'
+    widths += f'<width sOffset="{start + 40}" a="{width + slope}" b="0" c="0" d="0"/>'
+    if start:
+        widths = f'<width sOffset="0" a="{width}" b="0" c="0" d="0"/>{widths}'
+    return f'<lane id="{number}" type="driving">{widths}</lane>'
+
+
+OPENS, CLOSES = tapered(-2, 0, 0.0, 3.5), tapered(-2, 60, 3.5, -3.5)
+
+
+@pytest.mark.parametrize(
+    ("sections", "extent"),
+    [
+        ([section(0, lane_text(-1), OPENS)], (20.0, 200.0)),
+        ([section(0, lane_text(-1), lane_text(-2)), section(100, lane_text(-1), CLOSES)], (0.0, 180.0)),
+        ([section(0, lane_text(-1), OPENS), section(100, lane_text(-1), CLOSES)], (20.0, 180.0)),
+        ([section(0, lane_text(-1)), section(50, lane_text(-1), lane_text(-2))], (50.0, 200.0)),
+        ([section(0, lane_text(-1), lane_text(-2)), section(150, lane_text(-1))], (0.0, 150.0)),
+    ],
+    ids=["opens", "closes", "both", "begins", "ends"],
+)
+def test_a_lane_that_opens_or_closes_is_read_where_it_is_wide_enough(tmp_path, sections, extent):
+    road = load_road(straight_road(tmp_path / "a.xodr", *sections), lane=-2)
+    start, end = road.at(0.0), road.at(road.length)
+    assert (float(start.x), float(end.x)) == pytest.approx(
+        extent, abs=1.01 if 20.0 in extent or 180.0 in extent else 1e-5
+    )
+    assert f"lane -2 is read from s = {abs(start.x):.2f} to {end.x:.2f} m, where it is wide enough" in road.notes
+    inside = np.linspace(0.0, road.length, 50)
+    assert road.along("width_left", inside).min() >= 0.5 * 1.75 - 1e-6
+    middle = road.project(100.0, -5.25)
+    assert abs(float(middle.offset)) < 1e-6
+
+
+def test_a_narrow_lane_that_keeps_its_width_is_read_all_along(tmp_path):
+    road = load_road(straight_road(tmp_path / "a.xodr", section(0, lane_text(-1, width=1.2, type="biking"))), lane=-1)
+    assert road.length == pytest.approx(200.0, abs=1e-9)
+    assert not any("wide enough" in note for note in road.notes)
+    none = straight_road(tmp_path / "b.xodr", section(0, lane_text(-1), lane_text(-2, width=0.0)))
+    with pytest.raises(ConfigError, match="lane -2 has no <width> above 0; there are -2, -1"):
+        load_road(none, lane=-2)
+
+
+def test_a_lane_whose_width_has_a_kink_is_refused_with_its_width_as_the_cause(tmp_path):
+    widths = '<width sOffset="0" a="0" b="0.0875" c="0" d="0"/><width sOffset="40" a="3.5" b="0" c="0" d="0"/>'
+    path = straight_road(tmp_path / "a.xodr", section(0, lane_text(-1), f'<lane id="-2">{widths}</lane>'))
+    with pytest.raises(ConfigError, match=r"0.0437 rad of kink .* middle of lane -2: see its <width>"):
+        load_road(path, lane=-2)
+
+
+@pytest.mark.parametrize("lane", [5, -7, 0])
+def test_a_lane_that_does_not_exist_is_refused_with_those_that_do(tmp_path, lane):
+    path = straight_road(tmp_path / "a.xodr", section(0, lane_text(1, type="sidewalk"), lane_text(-1), lane_text(-2)))
+    with pytest.raises(ConfigError, match=rf"there is no lane {lane}; there are -2, -1, 1 \(sidewalk\)\."):
+        load_road(path, lane=lane)
+
+
+def test_a_lane_offset_that_jumps_is_named_and_a_lane_beside_it_is_read(tmp_path):
+    offset = '<laneOffset s="0" a="0" b="0" c="0" d="0"/><laneOffset s="80" a="3.5" b="0" c="0" d="0"/>'
+    sections = section(0, lane_text(1), lane_text(-1)), section(80, lane_text(-1), lane_text(-2))
+    path = straight_road(tmp_path / "a.xodr", offset, *sections)
+    with pytest.raises(ConfigError, match=r"at s = 80.00 m <laneOffset> jumps by 3.5 m: choose a lane: -2, -1, 1"):
+        load_road(path)
+    linked = path.read_text().replace(
+        lane_text(-1), lane_text(-1, '<link><predecessor id="-1"/><successor id="-2"/></link>'), 1
+    )
+    path.write_text(linked)
+    road = load_road(path, lane=-1)
+    assert road.length == pytest.approx(200.0, abs=1e-6)
+    assert np.abs(road.at(np.linspace(0.0, 200.0, 21)).y + 1.75).max() < 1e-6
+
+
+@pytest.mark.parametrize("s", ["1e-9", "1e-17", "0.0004", "-1e-12"])
+def test_a_first_section_beside_0_begins_at_0(tmp_path, s):
+    path = straight_road(tmp_path / "a.xodr", section(s, lane_text(1), lane_text(-1)))
+    for lane in (None, -1):
+        road = load_road(path, lane=lane)
+        assert road.length == pytest.approx(200.0, abs=1e-9)
+        assert float(road.along("width_right", 0.0)) == pytest.approx(3.5 if lane is None else 1.75)
+
+
+def test_a_stated_length_that_is_not_that_of_the_geometry_is_noted(tmp_path):
+    short = '<geometry s="0" x="0" y="0" hdg="0" length="7.5"><line/></geometry>'
+    road = load_road(straight_road(tmp_path / "a.xodr", view=short))
+    assert road.length == 7.5
+    assert "its geometry is 7.5 m long, the file says 200" in road.notes
+    assert not any("the file says" in note for note in load_road(straight_road(tmp_path / "b.xodr")).notes)
+
+
+def test_a_step_of_the_height_is_noted_and_no_grade(tmp_path):
+    def road_of(second):
+        heights = f'<elevation s="0" a="1" b="0.02" c="0" d="0"/><elevation s="50" a="{second}" b="0" c="0" d="0"/>'
+        profile = f"<elevationProfile>{heights}</elevationProfile>"
+        return load_road(straight_road(tmp_path / "a.xodr", before=profile))
+
+    assert "the height steps by 3 m at s = 50.00 m: left out" in road_of(5.0).notes
+    assert float(road_of(5.0).grade.value[0]) == pytest.approx(0.02)
+    assert max(road_of(5.0).grade.value) == pytest.approx(0.02)
+    assert not any("height" in note for note in road_of(2.0).notes)
+
+
+@pytest.mark.parametrize("most", ["0", "-10", "0.0"])
+def test_a_speed_limit_that_is_not_above_0_is_left_out_with_a_note(tmp_path, most):
+    kind = f'<type s="0" type="rural"><speed max="{most}" unit="km/h"/></type>'
+    lane = lane_text(-1, f'<speed sOffset="0" max="{most}"/>')
+    for road in (
+        load_road(straight_road(tmp_path / "a.xodr", before=kind)),
+        load_road(straight_road(tmp_path / "b.xodr", section(0, lane)), lane=-1),
+    ):
+        assert road.speed_limit is None
+        assert any(f"left out, not above 0: speed max='{most}'" in note for note in road.notes)

@@ -481,7 +481,7 @@ def check_replaceable(path: str | os.PathLike[str]) -> None:
     if not os.path.lexists(file) or file.is_symlink():
         return
     if not file.is_file():
-        raise StorageError(f"{where}: {_NO_PLAIN_FILE}; choose another name.")
+        raise StorageError(f"{where}: {'it is a folder' if file.is_dir() else _NO_PLAIN_FILE}; give a file name.")
     if file.name == PAGE_FILE and not any(mark in read_bytes(file) for mark in _OWN_PAGES):
         raise StorageError(f"{where}: another program wrote this page; choose another folder, or remove it.")
 

@@ -163,7 +163,7 @@ def _certificate(
     from adaptrack.analysis.linearisation import usual_mismatches
 
     if out is not None:
-        options.make_folder(out)
+        options.make_page_folder(out)
     mismatches = usual_mismatches(mpc.period) if mismatch else ()
     tunings = mpc.tuning if schedule is None else schedule
     with show.progress("certify") as advance:

@@ -301,13 +301,14 @@ def make_place(file: Path | None) -> None:
     Raises
     ------
     StorageError
-        When its folder cannot be written to, or the file is a folder.
+        When its folder cannot be written to, or what is there may not be replaced (`check_replaceable`).
     """
+    from adaptrack.base.files import check_replaceable
+
     if file is None:
         return
     make_folder(file.parent)
-    if file.is_dir():
-        raise StorageError(f"{file}: cannot be written: it is a folder; give a file name.")
+    check_replaceable(file)
 
 
 def make_page_folder(out: Path | None, png: bool = False) -> None:
@@ -318,12 +319,15 @@ def make_page_folder(out: Path | None, png: bool = False) -> None:
     InvalidInput
         When PNG files are requested without a page.
     StorageError
-        When the folder cannot be made or written to.
+        When the folder cannot be made or written to, or has the page of another program.
     """
+    from adaptrack.base.files import PAGE_FILE
+
     if png and out is None:
         raise InvalidInput("--png: needs a folder, --out.")
     if out is not None:
         make_folder(out)
+        make_place(out / PAGE_FILE)
 
 
 def command_line() -> str:

@@ -86,7 +86,7 @@ def evaluate(arguments: EvaluateOptions) -> None:
     for way in arguments.perception or []:
         make_perception(way, task.estimated, task.profile)  # raises InvalidInput for unknown names
     if arguments.out is not None:
-        options.make_folder(arguments.out)
+        options.make_page_folder(arguments.out)
     with show.progress("evaluate") as advance:
         views = _views(arguments, task, schedules, advance)
     result = evaluation_result(views, schedules, command=options.command_line())

@@ -176,12 +176,10 @@ def _toml_marks(file: Path) -> tuple[list[str], list[str]]:
 
 def _csv_marks(file: Path) -> tuple[list[str], list[str]]:
     """Return the columns of a file that mark a scenario (t and y_ref), and those that mark a road."""
-    try:
-        with file.open(encoding="utf-8-sig", errors="replace") as stream:
-            first = next((line for line in stream if line.strip() and not line.startswith("#")), "")
-    except OSError:
-        return [], []  # the road reader reports the error
-    columns = [word.strip().lower() for word in first.replace(";", ",").split(",")]
+    from adaptrack.base.files import read_bytes, table_lines
+
+    lines, _ = table_lines(str(file), read_bytes(file), "replace")
+    columns = [word.strip().lower() for word in (lines[0][1] if lines else "").replace(";", ",").split(",")]
     scenario = ["t", "y_ref"] if {"t", "y_ref"} <= set(columns) else []
     return scenario, [name for name in ("x", "y", "x_m", "y_m") if name in columns]
 

@@ -37,7 +37,7 @@ def reproduce(arguments: ReproduceOptions) -> None:
     from adaptrack.results.reproduce import reproduction_result
 
     dataset = load_dataset(arguments.data)
-    options.make_folder(arguments.out)
+    options.make_page_folder(arguments.out)
     with show.progress("reproduce") as advance:
         reproduction = repeat_experiment(dataset, quick=arguments.quick, seed=arguments.seed, progress=advance)
     next_step = (

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TextIO
 
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.base.files import write_atomically
+from adaptrack.base.files import check_replaceable, write_atomically
 
 LOG_COLUMNS = ("time", "command", "speed", "yaw_rate", "vy", "acceleration", "wheel", "x", "y", "yaw",
                "called", "answer", "offset")  # fmt: skip
@@ -46,6 +46,7 @@ class Recorder:
         self._rows: list[tuple[float, ...]] = []
         self._commands: deque[tuple[float, float]] = deque([(-math.inf, math.nan)], maxlen=400)
         self._written = self._due = -math.inf
+        check_replaceable(os.path.realpath(self._journal))
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             if not is_csv and self._journal.exists():

@@ -20,6 +20,7 @@ from adaptrack import __version__
 from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import ConfigError, InvalidInput, MissingExtra
 from adaptrack.base.files import (
+    MAX_NUMBERS,
     Damaged,
     ParquetColumn,
     check_texts,
@@ -348,7 +349,7 @@ class Trajectory:
         required = [name for column in TRAJECTORY_COLUMNS for name in column.stored_names]
         remedy = "run the simulation again or use the release that wrote it"
         columns, metadata = decode_parquet(
-            read_bytes(path), path, TRAJECTORY_FORMAT, TRAJECTORY_FORMAT_VERSION, remedy, required
+            read_bytes(path, 8 * MAX_NUMBERS), path, TRAJECTORY_FORMAT, TRAJECTORY_FORMAT_VERSION, remedy, required
         )
         try:
             fields: dict[str, Any] = {

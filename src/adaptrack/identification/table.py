@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.files import read_arrow_table, read_bytes
+from adaptrack.base.files import read_arrow_table, read_bytes, table_lines
 from adaptrack.core.portable import product
 from adaptrack.drive.trajectory import TRAJECTORY_FORMAT, Trajectory
 from adaptrack.scenario.profile import list_profiles, load_profile
@@ -118,14 +118,13 @@ def _csv(path: Path, content: bytes) -> LogTable:
     import pyarrow
     import pyarrow.csv
 
-    lines = content.decode("utf-8-sig", errors="replace").splitlines()
-    comments = [line for line in lines if line.lstrip().startswith("#")]
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    if comments and lines and re.fullmatch(r"[-+0-9.eE,;\s]+", lines[0]):  # the names stand in a comment
-        lines.insert(0, comments[-1].lstrip("# \t"))
+    numbered, remarks = table_lines(str(path), content, "replace")
+    lines = [line for _, line in numbered]
+    if lines and _NUMBER.fullmatch(re.split(r"[,;|\t]", lines[0])[0].strip()):  # the names stand in a remark above
+        lines[:0] = [text for number, text in remarks if number < numbered[0][0]][-1:]
     if len(lines) < 2:
         raise InvalidInput(f"{path}: a header and rows of numbers are needed.")
-    delimiter = max(",;\t", key=lines[0].count)
+    delimiter = max(",;\t|", key=lines[0].count)
     units = _read_units(lines, delimiter)
     if units:
         del lines[1]

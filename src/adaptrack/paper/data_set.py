@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import (
+    MAX_NUMBERS,
     SHIPPED,
     Damaged,
     ParquetColumn,
@@ -239,7 +240,9 @@ class DataSet:
         """
         remedy = "run its campaign again, or use the release that wrote it"
         names = [column.name for column in DATA_SET_COLUMNS]
-        columns, metadata = decode_parquet(read_bytes(path), path, DATA_SET_FORMAT, DATA_SET_VERSION, remedy, names)
+        columns, metadata = decode_parquet(
+            read_bytes(path, 8 * MAX_NUMBERS), path, DATA_SET_FORMAT, DATA_SET_VERSION, remedy, names
+        )
         try:
             for name, _, dtype, _, ndim in DATA_SET_COLUMNS:
                 if columns[name].dtype != np.dtype(dtype) or columns[name].ndim != ndim:

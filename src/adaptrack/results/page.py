@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.base.files import PAGE_FILE
+from adaptrack.base.files import PAGE_FILE, check_replaceable
 from adaptrack.base.html import content_policy
 from adaptrack.base.result import DASHES, Column, Panel, Result, ResultTable, Stroke
 from adaptrack.base.text import printable
@@ -135,9 +135,10 @@ def _write_files(folder: Path, files: Mapping[str, bytes]) -> None:
     existed = folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        blocked = [name for name in files if (folder / name).is_dir()]
-        if blocked:
-            raise StorageError(f"{folder / blocked[0]}: cannot be written: a folder has that name.")
+        for name in files:
+            if (folder / name).is_dir():
+                raise StorageError(f"{folder / name}: cannot be written: a folder has that name.")
+            check_replaceable(folder / name)
         staging = Path(tempfile.mkdtemp(prefix=".report-", dir=folder))
         try:
             for name, content in files.items():

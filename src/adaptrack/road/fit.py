@@ -59,6 +59,14 @@ LEAP = 3.0
 """Times the usual step, to points off the road; and times the way past them, there and back."""
 GAP = 6.0
 """Times the usual step, from which on a step is a gap: third derivatives of a curve over it mean nothing."""
+GAP_COSINE = 0.9
+"""Least cosine of the angles between the gap of a lap at its start and the directions at both ends."""
+WIDER_GAP = 2.0
+"""Times the widest gap between points, up to which a lap is open at its start."""
+PIECE_ANGLE, DIRECTION_STEPS = 1.2, 3
+"""rad, between a gap and the directions over up to so many steps before and behind it: the points are two pieces."""
+MAX_DETOUR = 1.6
+"""Length of the curve over the distance of two points in a row: a half circle has 1.57."""
 MIN_ROBUST_SMOOTHING = 6.0
 """Steps, the shortest smoothing length of a curve that does not follow outliers."""
 MEASURABLE = 1.0 / 3.0
@@ -114,6 +122,7 @@ def fit_road(
         When points are too few, not finite, all the same or too far apart, or no curve comes as near as requested.
     """
     points = _check_points("fit_road", points, MIN_ROAD_LENGTH)
+    _check_pieces(points)
     count, lap, notes = _find_lap(points, closed)
     rows, distinct_points = _points_apart(points[:count], lap)
     record = _Record(distinct_points, rows, points[:count].mean(axis=0), lap)
@@ -127,6 +136,7 @@ def fit_road(
             MAX_DEVIATION if math.isnan(estimate.noise) else max(MAX_DEVIATION, MAX_NOISE_DEVIATIONS * estimate.noise)
         )
     fit = _bounded_fit(estimate, bound)
+    notes += _gap_notes(fit, estimate.record)
     road, fitted = _road(fit, record), estimate.record.rows
     s = np.interp(np.arange(count), fitted, fit.along)
     values = {
@@ -315,6 +325,31 @@ def _check_distances(where: str, points: Array, shortest: float) -> None:
         )
 
 
+def _check_pieces(points: Array) -> None:
+    """Refuse two pieces: a gap to which an end does not lead, or hardly and it is wider than the rest is long."""
+    rows, points = _points_apart(points, False)
+    steps = portable.hypot(*np.diff(points, axis=0).T)
+    spikes = _find_spikes(points)
+    for k in np.flatnonzero(steps > GAP * _usual_step(steps)):
+        cosine = _cosine_over(points[: k + 1], points[k + 1 :])
+        leads_aside = cosine < portable.cos(PIECE_ANGLE) and not spikes[k : k + 2].any()
+        if leads_aside or (2.0 * steps[k] > steps.sum() and cosine < GAP_COSINE):
+            raise InvalidInput(
+                f"fit_road: behind point {rows[k]} a second piece begins, {steps[k]:.3g} m away: give one piece, or "
+                "the points between."
+            )
+
+
+def _cosine_over(before: Array, behind: Array) -> float:
+    """The cosine of the larger angle between a gap and the best of a few directions before and behind it."""
+    gap, cosine = behind[0] - before[-1], 1.0
+    for side in (before[-1] - before[-1 - DIRECTION_STEPS : -1], behind[1 : 1 + DIRECTION_STEPS] - behind[0]):
+        sizes = portable.hypot(*side.T) * portable.hypot(*gap)
+        cosines = product(side, gap)[sizes > 0.0] / sizes[sizes > 0.0]
+        cosine = min(cosine, float(cosines.max(initial=-1.0)) if cosines.size else 1.0)
+    return cosine
+
+
 def _check_heights(height: ArrayLike, count: int) -> Array:
     heights = reals("fit_road: height", height)
     if heights.shape != (count,) or not np.isfinite(heights).all():
@@ -332,6 +367,26 @@ def _spacing_notes(points: Array) -> list[str]:
     note = f"the points are {spacing:.3g} m apart (median): are x and y in metres, or in centimetres?"
     _log.warning("adaptrack: %s", note)
     return [note]
+
+
+def _gap_notes(fit: _Fit, record: _Record) -> list[str]:
+    """A note on the gaps between points. A curve that makes a detour between two points is refused."""
+    lap = np.append(fit.along, fit.along[0] + fit.table.length) if record.closed else fit.along
+    chords = record.steps
+    detours = np.diff(lap) - MAX_DETOUR * chords
+    k = int(detours.argmax())
+    if detours[k] > 2.0 * fit.deviation:
+        raise InvalidInput(
+            f"fit_road: between point {record.rows[k]} and the next one, {chords[k]:.3g} m away, the curve would be "
+            f"{detours[k] + MAX_DETOUR * chords[k]:.3g} m long: give more points there."
+        )
+    if not record.has_gaps:
+        return []
+    k, gaps = int(chords.argmax()), int((chords > GAP * _usual_step(chords)).sum())
+    widest = f", the widest of {gaps} gaps" if gaps > 1 else ""
+    return [
+        f"behind point {record.rows[k]} there are no points for {chords[k]:.3g} m{widest}: the road is a guess there"
+    ]
 
 
 def _fit_note(fit: _Fit, rows: NDArray[np.int64]) -> str:
@@ -398,54 +453,59 @@ class _Record:
 
     def first_places(self) -> tuple[Array, float]:
         """The length of the polygon up to each point, and its whole."""
-        steps = portable.hypot(*np.diff(self.points, axis=0, append=self.points[:1]).T)
-        places = np.concatenate([[0.0], np.cumsum(steps)])
-        return places[:-1], float(places[-1] if self.closed else places[-2])
+        places = np.concatenate([[0.0], np.cumsum(self.steps)])
+        return places[: len(self.points)], float(places[-1])
 
     @cached_property
     def steps(self) -> Array:
-        """The distances (m) of points in a row, on a lap also of the last from the first, without repetitions."""
-        steps = portable.hypot(*np.diff(self.points, axis=0, append=self.points[:1]).T)[: None if self.closed else -1]
-        return steps[steps > 1e-3 * steps.max()]
+        """The distances (m) of points in a row, on a lap also of the last from the first."""
+        return portable.hypot(*np.diff(self.points, axis=0, append=self.points[:1]).T)[: None if self.closed else -1]
 
     @property
     def has_gaps(self) -> bool:
         """Whether some points in a row are much farther apart than usual."""
-        return bool(self.steps.max() > GAP * np.median(self.steps))
+        return bool(self.steps.max() > GAP * _usual_step(self.steps))
 
     def without(self, out: NDArray[np.bool_]) -> _Record:
         """The record without some of its points."""
         return _Record(self.points[~out], self.rows[~out], self.origin, self.closed)
 
 
+def _usual_step(steps: Array) -> float:
+    """The median of the distances (m) of points in a row, without repetitions."""
+    return float(np.median(steps[steps > 1e-3 * steps.mean()]))
+
+
 def _find_lap(points: Array, closed: bool | None) -> tuple[int, bool, list[str]]:
     """The number of points that make the road, whether it is a lap, and notes.
 
-    A lap is closed where the record is back within twice the median distance of its points (3 m at least) of its start,
-    in the direction of its start (within 60 degrees), after ten times that distance.
+    A lap is closed where the record is back in the direction of its start (within 60 degrees), within twice the median
+    distance of its points, or 3 m, or a quarter of its extent if that is less than 3 m, having been farther away. So is
+    one whose end leads straight to its start, over a gap at most twice as wide as another one in it.
     """
     steps = np.diff(points, axis=0)
     lengths = portable.hypot(steps[:, 0], steps[:, 1])
-    spacing = float(np.median(lengths[lengths > 1e-3 * lengths.max()]))
-    near = max(2.0 * spacing, 3.0)
+    spacing = _usual_step(lengths)
+    distance = portable.hypot(*(points - points[0]).T)
+    near = max(2.0 * spacing, min(3.0, 0.25 * float(distance.max())))
     s = np.concatenate([[0.0], np.cumsum(lengths)])
     start = points[int(np.searchsorted(s, min(near, 0.2 * s[-1])))] - points[0]
-    distance = portable.hypot(*(points - points[0]).T)
-    back = np.flatnonzero((distance < near) & (s > 10.0 * near))
+    back = np.flatnonzero((distance < near) & (np.maximum.accumulate(distance) > 1.5 * near))
     ahead = np.concatenate([steps, steps[-1:]])
     ahead[-1] = points[-1] - points[np.searchsorted(s, s[-1] - near, "right") - 1]
     with np.errstate(invalid="ignore"):
         aligned = product(ahead, start) > 0.5 * portable.hypot(*ahead.T) * portable.hypot(*start)
     passes = np.split(back, np.flatnonzero(np.diff(back) > 1) + 1)
     first = next((rows for rows in passes if aligned[rows].any()), np.empty(0, dtype=np.int64))
-    if not (first.size > 0 if closed is None else closed):
+    leads = distance[-1] <= WIDER_GAP * lengths.max() and _cosine_over(points, points) > GAP_COSINE
+    if not (first.size > 0 or leads if closed is None else closed):
         return len(points), False, []
     count = len(points)
     if first.size:  # the point before the start
         advance = product(points[first] - points[0], start) / portable.hypot(*start)
         before = first[advance < -1e-3 * spacing]
         count = int(before[-1]) + 1 if before.size else int(first[0])
-    remaining_length = float(s[-1] - s[count - 1])
+    remaining_length = float(s[-1] - s[min(count, len(points) - 1)])
     excess = (
         [f"the record goes on for {remaining_length:.0f} m beyond its start: left out"]
         if remaining_length > 2.0 * near
@@ -515,9 +575,9 @@ def _find_spikes(points: Array) -> NDArray[np.bool_]:
     for there, back in itertools.pairwise(leaps):
         bridge = points[back + 1] - points[there]
         before = points[there] - points[max(int(there) - IN_A_ROW, 0)]
-        after = points[min(int(back) + 1 + IN_A_ROW, len(points) - 1)] - points[back + 1]
-        goes_on = min(product(before, bridge), product(after, bridge)) >= 0.0  # else it is a bend
-        if back - there <= IN_A_ROW and goes_on and LEAP * portable.hypot(*bridge) < steps[there : back + 1].sum():
+        after = points[back + 1 : back + 2 + IN_A_ROW][-1] - points[back + 1]
+        is_bend = product(before, after) < 0.0
+        if back - there <= IN_A_ROW and not is_bend and LEAP * portable.hypot(*bridge) < steps[there : back + 1].sum():
             spikes[there + 1 : back + 1] = True
     return spikes
 

@@ -22,7 +22,17 @@ from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import is_number, printable, read_bytes
 from adaptrack.core import portable
 from adaptrack.core.road import X, Y
-from adaptrack.road.opendrive_lanes import Lanes, Stations, bank_of, grade_of, line_at_offset, number_of, speed_limit
+from adaptrack.road.opendrive_lanes import (
+    MAX_CLOSED_GAP,
+    Lanes,
+    Stations,
+    bank_of,
+    grade_of,
+    height_notes,
+    line_at_offset,
+    number_of,
+    speed_limit,
+)
 from adaptrack.road.road import MAX_JOINT_GAP, MAX_JOINT_KINK, Road
 from adaptrack.road.segments import MIN_ELEMENT_LENGTH, NODES, WEIGHTS, Arc, Array, Clothoid, Cubic, Line, Pose, Segment
 from adaptrack.road.station_table import Along, alongs
@@ -62,8 +72,8 @@ READ = {
     "lane/speed": "sOffset max unit",
 }
 """Parent and element, and the attributes of the element: those that are read, and labels that change nothing."""
-MAX_CLOSED_GAP = 0.1
-"""m, the largest gap between elements that is closed."""
+STATED_LENGTH = 0.1, 1e-3
+"""m, and share of it: a larger difference between the stated length of a road and that of its geometry is reported."""
 
 
 def read_opendrive(
@@ -76,9 +86,10 @@ def read_opendrive(
     road : str or int, optional
         Its id; may be left out where the file has one road only.
     lane : int, optional
-        Id, in the first lane section, of a lane that is driven in the direction of the road and present all along it;
-        its <link> leads to its ids in later sections. Without a lane the line is the reference line moved by
-        <laneOffset>, with the widths of the driving lanes on both sides and their lowest speed limit.
+        Id, in the first lane section that has it, of a lane that is driven in the direction of the road; its <link>
+        leads to its ids in later sections. A lane that opens or closes is read where it is wide enough. Without a lane
+        the line is the reference line moved by <laneOffset>, with the widths of the driving lanes on both sides and
+        their lowest speed limit.
     **along
         As in `Road.from_segments`, in place of what the file says.
 
@@ -105,7 +116,10 @@ def read_opendrive(
     except ConfigError:
         raise
     except InvalidInput as error:
-        raise ConfigError(f"{where}: {error}") from None
+        middle = (
+            "" if lane is None else f" The line is the middle of lane {lane}: see its <width> and the <laneOffset>."
+        )
+        raise ConfigError(f"{where}: {error}{middle}") from None
     unread = dict.fromkeys(
         name for child in root if child.tag != "road" or child is element for name in _unread(root, child)
     )
@@ -170,10 +184,10 @@ def _read(where: str, road: Element, lane: int | None, along: dict[str, Any]) ->
     stations = Stations(where, shapes, tables)
     lanes = Lanes(where, road, stations, lane)
     table = reference
-    values = {**lanes.widths(), **speed_limit(where, road, stations, lanes), **bank_of(where, road, stations, lanes)}
+    values = {**lanes.widths(), **speed_limit(road, stations, lanes), **bank_of(where, road, stations, lanes)}
     values |= grade_of(road, stations)
     if lanes.line is not None:
-        table, base_s, s = line_at_offset(reference, *lanes.line)
+        table, base_s, s = line_at_offset(reference, *lanes.line, lanes.extent)
         values |= {name: _per_arc_length(values[name], base_s, s) for name in ("grade",) if name in values}
         values = {name: _on_line(along, base_s, s) for name, along in values.items()}
     table, shifts = _close_gaps(table, notes)
@@ -186,14 +200,19 @@ def _read(where: str, road: Element, lane: int | None, along: dict[str, Any]) ->
             for segment, pose, shift in zip(segments, poses, shifts[heads].tolist(), strict=True)
         )
     name = printable(road.get("name") or Path(where.partition(", road ")[0]).stem)
-    notes = [*notes, *stations.notes, *lanes.notes]
+    notes = [*notes, *stations.notes, *lanes.notes, *height_notes(road, stations)]
+    stated = _stated_length(road)
+    if abs(stated - stations.length) > max(STATED_LENGTH[0], STATED_LENGTH[1] * stated):
+        notes.append(f"its geometry is {stations.length:.6g} m long, the file says {stated:.6g}")
     return Road(name=name, table=placed(table, Pose(origin.x, origin.y, 0.0)), notes=tuple(notes), **options)
 
 
 def _on_line(along: Along, base_s: Array, s: Array) -> Along:
     """A quantity over arc lengths of the reference line, over those (s at base_s, n,) of a line beside it."""
-    places = np.maximum.accumulate(np.interp(along.s, base_s, s) + 1e-9 * np.arange(len(along.s)))
-    return along.replace(s=tuple(places.tolist()))
+    inside = [place for place in along.s if base_s[0] < place < base_s[-1]]
+    stations = np.array([base_s[0], *inside, base_s[-1]])
+    places = np.maximum.accumulate(np.interp(stations, base_s, s) + 1e-9 * np.arange(stations.size))
+    return along.replace(s=tuple(places.tolist()), value=tuple(along.at(stations).tolist()))
 
 
 def _per_arc_length(slope: Along, base_s: Array, s: Array) -> Along:

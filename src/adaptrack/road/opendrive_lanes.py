@@ -28,6 +28,9 @@ Cubics = list[tuple[float, Array]]
 CubicLaws = tuple[list[float], Array]
 """Where cubics in the arc length begin (m), and their coefficients (m, 4)."""
 
+Part = tuple[float, float, list[tuple[float, Cubics]]]
+"""Start and end (m), and weighted cubics of which the sum counts there."""
+
 SPEED_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
 HALF_TRACK = 0.75
 """m, to both sides of the line: the bank is the mean slope of the surface between."""
@@ -41,6 +44,14 @@ DRIVEN = ("driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bi
 """Types of lanes that count to the width of a road."""
 STATED = 1e-3
 """m, from which on a difference between the stated and the true length of an element is reported."""
+ROUNDING = 1e-3
+"""m: an `s` or `sOffset` below counts as 0."""
+MAX_CLOSED_GAP = 0.1
+"""m, the largest gap in a line that is closed."""
+WIDE_ENOUGH = 1.75
+"""m, or half the largest width of a lane if that is less: where a lane is narrower it opens or closes."""
+HEIGHT_STEP = 0.02
+"""m, from which on a step between two elevations is reported."""
 
 
 class Stations:
@@ -62,17 +73,25 @@ class Stations:
             )
         self.length = float(self._own[-1])
         self._beyond: list[str] = []
+        self._no_limits: list[str] = []
 
     @property
     def notes(self) -> list[str]:
         """Deviations of the file from itself."""
-        if not self._beyond:
-            return self._notes
-        return [*self._notes, f"left out, beyond the end of the road: {', '.join(dict.fromkeys(self._beyond))}"]
+        reasons = {"beyond the end of the road": self._beyond, "not above 0": self._no_limits}
+        omitted = [
+            f"left out, {reason}: {', '.join(dict.fromkeys(texts))}" for reason, texts in reasons.items() if texts
+        ]
+        return [*self._notes, *omitted]
 
     def of(self, s: float) -> float:
         """The arc length at a station, also of one beyond the end."""
         return float(np.interp(s, self._file, self._own)) + max(0.0, s - float(self._file[-1]))
+
+    def stated(self, element: Element, key: str = "s") -> float:
+        """A station in the file."""
+        station = number_of(self._where, element, key)
+        return station if abs(station) >= ROUNDING else 0.0
 
     def located(self, elements: Iterable[Element], section: float | None = None) -> list[tuple[float, Element]]:
         """Elements with the arc lengths at which they begin, in their order; those from the end on are left out.
@@ -81,10 +100,7 @@ class Stations:
         """
         pairs = []
         for element in elements:
-            if section is None:
-                station = number_of(self._where, element, "s")
-            else:
-                station = section + number_of(self._where, element, "sOffset")
+            station = (section or 0.0) + self.stated(element, "s" if section is None else "sOffset")
             if station < self._file[-1]:
                 pairs.append((self.of(station), element))
             else:
@@ -95,6 +111,18 @@ class Stations:
         """The cubics of elements with a, b, c, d; where several begin at one place, the last one."""
         rows = {s: [number_of(self._where, law, key) for key in "abcd"] for s, law in self.located(elements, section)}
         return [(s, np.array(row)) for s, row in rows.items()]
+
+    def limit(self, speed: Element | None) -> float:
+        """A speed limit (m/s); `NO_LIMIT` where there is none, and for a number that is not above 0."""
+        if speed is None or speed.get("max", "") in ("", "no limit", "undefined"):
+            return NO_LIMIT
+        unit = speed.get("unit", "m/s")
+        if unit not in SPEED_UNITS:
+            raise ConfigError(f"{self._where}: <speed unit={unit!r}>: must be one of {', '.join(SPEED_UNITS)}.")
+        limit = number_of(self._where, speed, "max") * SPEED_UNITS[unit]
+        if limit <= 0.0:
+            self._no_limits.append(f"speed max={speed.get('max')!r}")
+        return limit if limit > 0.0 else NO_LIMIT
 
 
 # -- lanes ------------------------------------------------------------------------------------------------------------
@@ -127,6 +155,11 @@ class _Stretch(NamedTuple):
     """m, where the next section begins"""
     lanes: dict[int, _Lane]
 
+    @property
+    def driven_lanes(self) -> list[int]:
+        """The lanes that count to the width of the road."""
+        return [number for number, lane in self.lanes.items() if lane.is_driven]
+
 
 class Lanes:
     """<laneOffset> and the lanes beside it; the line is the middle of one of them, or the lane offset."""
@@ -145,7 +178,7 @@ class Lanes:
         """The lanes to the left and to the right; a section of a single side leaves the other one as it is."""
         sides: tuple[dict[float, dict[int, _Lane]], ...] = {0.0: {}}, {0.0: {}}
         for start, section in self._stations.located(sections):
-            s = number_of(self._where, section, "s")
+            s = self._stations.stated(section)
             lanes = {int(number_of(self._where, lane, "id")): self._lane(lane, s) for lane in section.iter("lane")}
             single = section.get("singleSide", "false").lower() in ("true", "1")
             for side, sign in zip(sides, (1, -1), strict=True):
@@ -167,7 +200,7 @@ class Lanes:
         return _Lane(
             type=lane.get("type", ""),
             width=None if lane.find("border") is not None else self._stations.cubics(lane.findall("width"), section),
-            limits={s: _limit(self._where, speed) for s, speed in speeds},
+            limits={s: self._stations.limit(speed) for s, speed in speeds},
             level=lane.get("level", "false").lower() in ("true", "1"),
             direction=_choice(self._where, lane, "direction", ("standard", "reversed", "both")),
             predecessor=links.get("predecessor"),
@@ -175,23 +208,31 @@ class Lanes:
         )
 
     def _follow(self, lane: int) -> list[tuple[int, _Stretch]]:
-        """The ids of a lane from section to section.
+        """The ids of a lane from the first section that has it to the last.
 
         Raises
         ------
         ConfigError
-            When there is no such lane, or not all along the road.
+            When there is no such lane.
         """
         path: list[tuple[int, _Stretch]] = []
         for stretch in self._left if lane > 0 else self._right:
-            lane = _next_id(*path[-1], stretch.lanes) if path else lane
-            if lane not in stretch.lanes:
-                ids = ", ".join(map(str, sorted(stretch.lanes))) or "none on its side"
-                raise ConfigError(
-                    f"{self._where}: at s = {stretch.start:.2f} m there is no lane {lane}; there are {ids}."
-                )
-            path.append((lane, stretch))
+            number = _next_id(*path[-1], stretch.lanes) if path else lane
+            if number in stretch.lanes:
+                path.append((number, stretch))
+            elif path:
+                break
+        if not path:
+            raise ConfigError(f"{self._where}: there is no lane {lane}; there are {self._ids()}.")
         return path
+
+    def _ids(self) -> str:
+        """The ids of all lanes, with the types of those that are not driven."""
+        lanes: dict[int, _Lane] = {}
+        for stretch in reversed((*self._left, *self._right)):
+            lanes |= stretch.lanes
+        ids = [f"{k}" if lanes[k].is_driven else f"{k} ({printable(lanes[k].type)})" for k in sorted(lanes)]
+        return ", ".join(ids) or "none"
 
     def _check_direction(self, rule: str) -> None:
         """Refuse a lane that is driven against the direction of the road."""
@@ -213,6 +254,9 @@ class Lanes:
             for (before, _), (number, stretch) in itertools.pairwise(path)
             if number != before
         ]
+        start, end = self.extent
+        if start > 0.0 or end < self._stations.length:
+            notes.append(f"lane {first} is read from s = {start:.2f} to {end:.2f} m, where it is wide enough")
         types = {stretch.lanes[number].type for number, stretch in path} - set(DRIVEN)
         return [*notes, f"lane {first} is of type {printable(', '.join(sorted(types)))}"] if types else notes
 
@@ -222,7 +266,8 @@ class Lanes:
     def line(self) -> CubicLaws | None:
         """The distance of the line from the reference line; None where it is always 0."""
         if self._path is None:
-            return self._combined([(1.0, self._offset)]) if any(law.any() for _, law in self._offset) else None
+            offset = self._combined([(1.0, self._offset)]) if any(law.any() for _, law in self._offset) else None
+            return offset and self._checked(offset, f"<laneOffset> jumps by {{:.3g}} m: choose a lane: {self._ids()}")
         summed = [(1.0, self._offset)]
         for rank in range(1, max(abs(number) for number, _ in self._path) + 1):
             cubics: Cubics = []
@@ -232,7 +277,43 @@ class Lanes:
                 widths = self._width(inner, stretch) if share else [(stretch.start, np.zeros(4))]
                 cubics += [(s, math.copysign(share, number) * width) for s, width in widths]
             summed.append((1.0, cubics))
-        return self._combined(summed)
+        remedy = f"its <link>, <width> and <laneOffset> do not fit; choose a different lane: {self._ids()}"
+        return self._checked(self._combined(summed), f"lane {self._path[0][0]} jumps by {{:.3g}} m: {remedy}")
+
+    def _checked(self, laws: CubicLaws, flaw: str) -> CubicLaws:
+        """The distances of a line that has no jump in its extent."""
+        starts, rows = laws
+        for k in range(1, len(starts)):
+            jump = rows[k][0] - _shifted(rows[k - 1], starts[k] - starts[k - 1])[0]
+            if abs(jump) > MAX_CLOSED_GAP and self.extent[0] < starts[k] < self.extent[1]:
+                raise ConfigError(f"{self._where}: at s = {starts[k]:.2f} m {flaw.format(abs(jump))}.")
+        return laws
+
+    @cached_property
+    def extent(self) -> tuple[float, float]:
+        """Start and end (m) of the longest part on which a lane is wide enough (`WIDE_ENOUGH`)."""
+        if self._path is None:
+            return 0.0, self._stations.length
+        s, half = map(np.array, (self._half_width().s, self._half_width().value))
+        if not half.max() > 0.0:
+            raise ConfigError(
+                f"{self._where}: lane {self._path[0][0]} has no <width> above 0; there are {self._ids()}."
+            )
+        is_narrow = np.concatenate([[True], half < 0.5 * min(WIDE_ENOUGH, half.max()), [True]])
+        starts = np.flatnonzero(is_narrow[:-1] & ~is_narrow[1:])
+        ends = np.flatnonzero(~is_narrow[:-1] & is_narrow[1:]) - 1
+        longest = int((s[ends] - s[starts]).argmax())
+        start, end = int(starts[longest]), int(ends[longest])
+        return 0.0 if start == 0 else float(s[start]), self._stations.length if end == s.size - 1 else float(s[end])
+
+    def _half_width(self) -> Along:
+        """Half the width of the lane; 0 before its first section and behind its last one."""
+        parts: list[Part] = [
+            (stretch.start, stretch.end, [(0.5, self._width(lane, stretch))]) for lane, stretch in self._path or ()
+        ]
+        first, last, length = parts[0][0], parts[-1][1], self._stations.length
+        parts = [(0.0, first, []), *parts] if first > 0.0 else parts
+        return self._sampled([*parts, (last, length, [])] if last < length else parts)
 
     def _width(self, number: int, stretch: _Stretch) -> Cubics:
         """The width of a lane within a section."""
@@ -259,7 +340,7 @@ class Lanes:
     def widths(self) -> dict[str, Along]:
         """Width to the left and to the right of the line, where the file has lanes."""
         if self._path is not None:
-            half = self._sampled([(0.5, [law for step in self._path for law in self._width(*step)])])
+            half = self._half_width()
             return {"width_left": half, "width_right": half}
         sides = {"width_left": self._left, "width_right": self._right}
         if not any(stretch.lanes for side in sides.values() for stretch in side):
@@ -268,18 +349,19 @@ class Lanes:
 
     def _side_width(self, side: Sequence[_Stretch]) -> Along:
         """The width of all driving lanes of a side."""
-        s, values = [], []
-        for stretch in side:
-            widths = [(1.0, self._width(number, stretch)) for number, lane in stretch.lanes.items() if lane.is_driven]
-            along = self._sampled(widths, stretch.start, stretch.end)
-            s += list(along.s)
-            values += list(along.value)
-        return _increasing(s, np.maximum(values, 0.01))
+        along = self._sampled(
+            [
+                (stretch.start, stretch.end, [(1.0, self._width(number, stretch)) for number in stretch.driven_lanes])
+                for stretch in side
+            ]
+        )
+        return along.replace(value=tuple(np.maximum(along.value, 0.01).tolist()))
 
-    def _sampled(self, summed: Sequence[tuple[float, Cubics]], start: float = 0.0, end: float | None = None) -> Along:
-        end = self._stations.length if end is None else end
-        s = _samples(start, end)
-        return _increasing(s, _law_values(self._combined(summed), s))
+    def _sampled(self, parts: Sequence[Part]) -> Along:
+        """Weighted sums of piecewise cubics, each from an arc length to the next one."""
+        s = [_samples(start, end) for start, end, _ in parts]
+        values = [_law_values(self._combined(summed), at) for at, (_, _, summed) in zip(s, parts, strict=True)]
+        return _increasing(np.concatenate(s), np.concatenate(values))
 
     # ---- what lies along the lanes
 
@@ -300,8 +382,9 @@ class Lanes:
         ]
 
     def levels(self) -> list[tuple[float, bool]]:
-        """Where sections of the lane begin (m), and whether it stays level there."""
-        return [(stretch.start, stretch.lanes[number].level) for number, stretch in self._path or ()]
+        """Where sections of the lane begin (m), the first one at 0, and whether it stays level there."""
+        levels = [(stretch.start, stretch.lanes[number].level) for number, stretch in self._path or ()]
+        return [(0.0, level) for _, level in levels[:1]] + levels[1:]
 
 
 def _next_id(number: int, stretch: _Stretch, lanes: dict[int, _Lane]) -> int:
@@ -345,7 +428,9 @@ def _shifted(c: Array, b: float | Array) -> Array:
     return np.stack(np.broadcast_arrays(value, slope, c[2] + 3.0 * b * c[3], c[3]))
 
 
-def line_at_offset(base: Pieces, starts: Sequence[float], rows: Array) -> tuple[Pieces, Array, Array]:
+def line_at_offset(
+    base: Pieces, starts: Sequence[float], rows: Array, extent: tuple[float, float] | None = None
+) -> tuple[Pieces, Array, Array]:
     """The line at a lateral offset from another, and the arc lengths (m) of its samples on the base and on itself.
 
     A cubic with their directions goes through samples at most `OFFSET_STEP` apart and at the joints of both lines.
@@ -354,16 +439,19 @@ def line_at_offset(base: Pieces, starts: Sequence[float], rows: Array) -> tuple[
     ----------
     starts, rows : (m,) and (m, 4)
         Where along the base each cubic of the offset begins (m), and its coefficients; positive to the left, m.
+    extent : (start, end)
+        The part of the base (m) beside which the line lies; by default all of it.
 
     Raises
     ------
     InvalidInput
         Where the line passes the centre of curvature of its base.
     """
-    s = np.unique(np.concatenate([base.start, starts, np.arange(0.0, base.length, OFFSET_STEP)]))
-    s = s[(s >= 0.0) & (s <= base.length)]
+    first, last = extent or (0.0, base.length)
+    s = np.unique(np.concatenate([base.start, starts, np.arange(0.0, base.length, OFFSET_STEP), [first, last]]))
+    s = s[(s >= first) & (s <= last)]
     s = s[np.append(True, np.diff(s) > SHORTEST_SAMPLE)]  # editors leave elements of micrometres
-    s[-1] = base.length
+    s[-1] = last
     middle = 0.5 * (s[:-1] + s[1:])
     piece = np.searchsorted(base.start, middle, "right") - 1
     law = np.maximum(np.searchsorted(starts, middle, "right") - 1, 0)
@@ -389,21 +477,10 @@ def line_at_offset(base: Pieces, starts: Sequence[float], rows: Array) -> tuple[
 
 
 # -- what else lies along ---------------------------------------------------------------------------------------------
-def _limit(where: str, speed: Element | None) -> float:
-    """A speed limit, m/s."""
-    if speed is None or speed.get("max", "") in ("", "no limit", "undefined"):
-        return NO_LIMIT
-    unit = speed.get("unit", "m/s")
-    if unit not in SPEED_UNITS:
-        raise ConfigError(f"{where}: <speed unit={unit!r}>: must be one of {', '.join(SPEED_UNITS)}.")
-    limit = number_of(where, speed, "max") * SPEED_UNITS[unit]
-    return limit if limit > 0.0 else NO_LIMIT
-
-
-def speed_limit(where: str, road: Element, stations: Stations, lanes: Lanes) -> dict[str, Along]:
+def speed_limit(road: Element, stations: Stations, lanes: Lanes) -> dict[str, Along]:
     """The lowest limit of the lanes that count: their own, or else that of the road."""
     types = stations.located(road.findall("type"))
-    road_limits = {0.0: NO_LIMIT} | {s: _limit(where, kind.find("speed")) for s, kind in types}
+    road_limits = {0.0: NO_LIMIT} | {s: stations.limit(kind.find("speed")) for s, kind in types}
     lane_limits = lanes.limits()
     places = sorted({*road_limits, *(s for _, end, limits in lane_limits for s in limits if s < end)})
     values = []
@@ -506,6 +583,14 @@ def grade_of(road: Element, stations: Stations) -> dict[str, Along]:
         s += places.tolist()
         values += _shifted(cubic, places - start)[1].tolist()
     return {"grade": _increasing(s, np.array(values))} if any(values) else {}
+
+
+def height_notes(road: Element, stations: Stations) -> list[str]:
+    """A note on the largest step of the height between two elevations, which the grade does not show."""
+    laws = stations.cubics(road.findall("elevationProfile/elevation"))
+    steps = [(after[0] - _shifted(law, end - start)[0], end) for (start, law), (end, after) in itertools.pairwise(laws)]
+    step, s = max(steps, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
+    return [f"the height steps by {step:.3g} m at s = {s:.2f} m: left out"] if abs(step) > HEIGHT_STEP else []
 
 
 def _choice(where: str, element: Element, key: str, choices: Sequence[str]) -> str:

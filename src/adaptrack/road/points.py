@@ -10,18 +10,22 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.base.files import is_number, printable, read_bytes
+from adaptrack.base.files import NumberedLines, is_number, printable, read_bytes, table_lines
 from adaptrack.base.limits import MAX_SPEED
+from adaptrack.core import portable
 from adaptrack.core.path import MIN_PATH_POINTS
-from adaptrack.road.fit import fit_road
+from adaptrack.road.fit import SPARSE, fit_road
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array
 
 POINT_COLUMNS = {
-    "x": ("x", "x_m", "pos_x", "x_ref_m"),
-    "y": ("y", "y_m", "pos_y", "y_ref_m"),
+    "x": ("x", "x_m", "pos_x", "x_ref_m", "wp_x", "waypoint_x", "pose_x", "position_x", "position.x", "utm_x",
+          "pose.position.x", "field.pose.position.x", "field.pose.pose.position.x", "easting", "easting_m", "east"),
+    "y": ("y", "y_m", "pos_y", "y_ref_m", "wp_y", "waypoint_y", "pose_y", "position_y", "position.y", "utm_y",
+          "pose.position.y", "field.pose.position.y", "field.pose.pose.position.y", "northing", "northing_m", "north"),
     "width_right": ("width_right", "w_tr_right_m", "width_right_m"),
     "width_left": ("width_left", "w_tr_left_m", "width_left_m"),
     "speed_limit": ("speed_limit", "speed_limit_mps"),
@@ -29,8 +33,8 @@ POINT_COLUMNS = {
     "bank": ("bank", "bank_rad", "banking_rad"),
     "grade": ("grade",),
     "height": ("z", "z_m", "elevation", "elevation_m"),
-}
-"""What a column may be called. Columns of other names are left out, and said."""
+}  # fmt: skip
+"""What a column may be called. Columns of other names are left out, with a note."""
 COLUMN_UNITS = {
     "x": ("m",),
     "y": ("m",),
@@ -47,6 +51,12 @@ NAME = r"[A-Za-z_\u00c0-\uffff][^\s:=]*(?: [^\s:=]+){0,2}"
 """A name in a commented header: one to three words; a pattern of Python and of JavaScript."""
 FOREIGN_SPEED = r"km|kph|mph|mile|knot|fps"
 """Parts of the name of a speed column that is not in m/s."""
+SPEED = r"(v|vx|vel|velocity)([ _-]?(ref|mps|m/s|ms|x))*|.*speed.*"
+"""Names of a column that may hold speeds."""
+WIDEST_SIDE = 30.0
+"""m: without a header, a column of more is no width."""
+MIN_WIDE_LENGTH, MIN_WIDE_RADIUS = 2e4, 8e3
+"""m: a road of points far apart that is so long has a tighter bend, if it has one, unless it is in millimetres."""
 
 FOREIGN_GRADE = r"^(grade|gradient|slope|incline).*(%|percent|per_cent|pct|deg)"
 """Names of a column of grades that are not dz/ds."""
@@ -94,20 +104,38 @@ def road_from_csv(path: str | os.PathLike[str], *, speed_column: str | None = No
     except InvalidInput as error:
         message = re.sub(r"point (\d+)", lambda match: f"line {table.lines[int(match[1])]}", str(error))
         raise ConfigError(f"{os.fspath(path)}: {message.removeprefix('fit_road: ')}") from None
+    _check_size(os.fspath(path), road, table.points)
     notes = [
-        re.sub(r"at point (\d+)", lambda match: f"in line {table.lines[int(match[1])]}", text) for text in road.notes
+        re.sub(r"(at|behind) point (\d+)", lambda match: f"{_WORDS[match[1]]} line {table.lines[int(match[2])]}", text)
+        for text in road.notes
     ]
     return road.replace(notes=(*notes, *table.notes))
+
+
+_WORDS = {"at": "in", "behind": "behind"}
+
+
+def _check_size(where: str, road: Road, points: Array) -> None:
+    """Refuse a road that turns, but only as wide as one in millimetres that is read in metres."""
+    spacing = float(np.median(portable.hypot(*np.diff(points, axis=0).T)))
+    line = road.at(np.linspace(0.0, road.length, points.shape[0]))
+    radius = 1.0 / max(float(np.abs(line.curvature).max()), 1e-9)
+    if spacing > SPARSE and road.length > MIN_WIDE_LENGTH and MIN_WIDE_RADIUS < radius < road.length:
+        raise ConfigError(
+            f"{where}: the road is {1e-3 * road.length:.3g} km long, without a bend below {1e-3 * radius:.3g} km of "
+            "radius: x and y are in millimetres or centimetres; convert them to metres."
+        )
 
 
 def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -> PointsFile:
     """The points of a CSV file, one per line, in the order in which they are driven; x and y in m.
 
     Cells are separated by ``;``, tabs, ``,`` or blanks; except in files with commas between cells, the decimal mark may
-    be a comma. The first line may be a header (`POINT_COLUMNS`), and so may a line behind ``#`` above the numbers whose
-    cells are names; of several the last that names x and y. A header without x and y is refused. Without a header, two
-    columns are x, y and four x, y, width to the right, width to the left. Repeated points are left out. A column
-    `grade` (dz/ds) is used before the slope of the heights `z` (m).
+    be a comma. The first line may be a header (`POINT_COLUMNS`), and so may a line behind ``#``, ``%`` or ``//`` above
+    the numbers whose cells are names; of several the last that names x and y. A header without x and y is refused.
+    Without a header, two columns are x, y and four x, y, width to the right, width to the left. Repeated points are
+    left out. A column `grade` (dz/ds) is used before the slope of the heights `z` (m). Widths are distances: if all of
+    a column are below 0, their signs are dropped. A speed of 0 in the first or last lines becomes half the next speed.
 
     Parameters
     ----------
@@ -122,64 +150,85 @@ def read_points(path: str | os.PathLike[str], speed_column: str | None = None) -
         When it is no such table; the message names the line and the remedy.
     """
     where = os.fspath(path)
-    header, rows = _split(where, _text(path))
+    header, rows = _header(where, *table_lines(where, read_bytes(path), "strict"))
     if len(rows) < MIN_PATH_POINTS:
         raise ConfigError(f"{where}: {len(rows)} lines of numbers; a road needs at least {MIN_PATH_POINTS} points.")
-    names = _names(header, len(rows[0][1]), speed_column)
+    names = _names(header, len(_cells(rows[0][1])), speed_column)
     numbers = np.empty((len(rows), len(names)))
-    for k, (line, cells) in enumerate(rows):
+    for k, (line, text) in enumerate(rows):
+        cells = _cells(text)
         if len(cells) != len(names):
             raise ConfigError(f"{where}, line {line}: {len(cells)} columns, where {len(names)} are expected.")
         numbers[k] = [
             _number(where, line, cell, is_required=bool(name)) for cell, name in zip(cells, names, strict=True)
         ]
+    lines = np.array([line for line, _ in rows])
+    notes = _notes(header.titles, names)
+    if speed_column is not None:
+        extent, note = _driven_rows(numbers[:, names.index("speed_limit")])
+        numbers, lines = numbers[extent], lines[extent]
+        notes += [note] if note else []
+    moved = np.append(True, np.any(np.diff(numbers[:, [names.index("x"), names.index("y")]], axis=0) != 0.0, axis=1))
+    if not moved.all():
+        notes.append(f"{(~moved).sum()} repeated points left out")
+    numbers, lines = numbers[moved], lines[moved]
     columns = {name: numbers[:, k] for k, name in enumerate(names) if name}
     if speed_column is not None:
-        _check_speeds(where, speed_column, columns["speed_limit"], [line for line, _ in rows])
+        _check_speeds(where, speed_column, columns["speed_limit"], lines)
+    notes += _read_widths(where, header, columns)
     points = np.stack([columns.pop("x"), columns.pop("y")], axis=-1)
-    moved = np.concatenate([[True], np.any(np.diff(points, axis=0) != 0.0, axis=1)])
-    return PointsFile(
-        points[moved],
-        {name: values[moved] for name, values in columns.items()},
-        tuple(line for (line, _), is_kept in zip(rows, moved, strict=True) if is_kept),
-        _notes(header.titles, names, int((~moved).sum())),
-    )
+    return PointsFile(points, columns, tuple(lines.tolist()), tuple(notes))
 
 
-def _text(path: str | os.PathLike[str]) -> str:
-    try:
-        return read_bytes(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{os.fspath(path)}: not a CSV text in UTF-8: {error}.") from error
+def _driven_rows(speeds: Array) -> tuple[slice, str]:
+    """The rows from the last of the standing car at the start to the first at the end; speeds 0 there are replaced."""
+    moving = np.flatnonzero(speeds)
+    if moving.size == 0 or (speeds[0] != 0.0 and speeds[-1] != 0.0):
+        return slice(None), ""
+    first, last = max(int(moving[0]) - 1, 0), min(int(moving[-1]) + 1, speeds.size - 1)
+    for end, neighbour in ((first, moving[0]), (last, moving[-1])):
+        speeds[end] = speeds[end] or 0.5 * speeds[neighbour]
+    return slice(first, last + 1), "speed 0 at the start or the end: read as half the speed beside it"
 
 
-def _notes(titles: Sequence[str], names: Sequence[str], repeated: int) -> tuple[str, ...]:
-    omitted = [title for title, name in zip(titles, names, strict=False) if not name]
+def _read_widths(where: str, header: _Header, columns: dict[str, Array]) -> list[str]:
+    """Make distances of widths that are below 0 all along, and return notes; refuse unnamed columns of no widths."""
+    notes = []
+    for name in [name for name in ("width_right", "width_left") if name in columns]:
+        if not header.titles and not ((columns[name] > 0.0) & (columns[name] <= WIDEST_SIDE)).all():
+            raise ConfigError(
+                f"{where}: the last two of four columns without a header are no widths ({name} from "
+                f"{columns[name].min():g} to {columns[name].max():g} m): name the columns: {', '.join(POINT_COLUMNS)}."
+            )
+        if (columns[name] < 0.0).all():
+            columns[name] = -columns[name]
+            notes.append(f"{name} is below 0 all along: read as distances")
+    if not header.titles and "width_right" in columns:
+        notes.append("four columns without a header: read as x, y, width to the right, width to the left")
+    return notes
+
+
+def _notes(titles: Sequence[str], names: Sequence[str]) -> list[str]:
+    omitted = [title for title, name in zip(titles, names, strict=False) if title and not name]
+    speeds = [t for t in omitted if re.fullmatch(SPEED, _plain(t)) and not re.search(FOREIGN_SPEED, t.lower())]
     notes = [f"columns left out: {printable(', '.join(omitted))}"] if omitted else []
-    return (*notes, f"{repeated} repeated points left out") if repeated else tuple(notes)
+    if speeds and "speed_limit" not in names:
+        notes.append(f"to drive at the speeds of a column: --speed-column {printable(speeds[0])}")
+    return notes
 
 
-def _split(where: str, text: str) -> tuple[_Header, list[tuple[int, list[str]]]]:
-    """The header, and the cells of the lines of numbers, with the number of each line."""
-    header = None
-    remarks: list[tuple[int, str]] = []
-    rows: list[tuple[int, list[str]]] = []
-    blanks = False
-    for line, content in enumerate(map(str.strip, text.splitlines()), start=1):
-        plain = content.lstrip("# \t")
-        if not plain or (content.startswith("#") and rows):
-            continue
-        if content.startswith("#"):
-            remarks.append((line, plain))
-        elif rows or header or _is_number(_cells(plain)[0]):
-            rows.append((line, _cells(plain)))
-            blanks = _separator(plain) is None
-        else:
-            header = _Header(f"{where}, line {line}", _cells(plain))
-    return header or _commented_header(where, remarks, len(rows[0][1]) if rows else 0, blanks), rows
+def _header(where: str, lines: NumberedLines, remarks: NumberedLines) -> tuple[_Header, NumberedLines]:
+    """The header, and the lines of numbers."""
+    if not lines:
+        return _Header(where, []), lines
+    line, text = lines[0]
+    if not _is_number(_cells(text)[0]):
+        return _Header(f"{where}, line {line}", _cells(text)), lines[1:]
+    above = [remark for remark in remarks if remark[0] < line]
+    return _commented_header(where, above, len(_cells(text)), _separator(text.strip()) is None), lines
 
 
-def _commented_header(where: str, remarks: Sequence[tuple[int, str]], columns: int, blanks: bool) -> _Header:
+def _commented_header(where: str, remarks: NumberedLines, columns: int, blanks: bool) -> _Header:
     """The commented line that names the columns: the last with x and y, or else the last whose cells are names.
 
     blanks: whether blanks separate the numbers; a remark in words separated by blanks is then a header if there are as
@@ -199,10 +248,11 @@ def _commented_header(where: str, remarks: Sequence[tuple[int, str]], columns: i
 
 def _separator(content: str) -> str | None:
     """The mark between the cells of a line; None: blanks."""
-    return next((mark for mark in ";\t," if mark in content), None)
+    return next((mark for mark in ";\t|," if mark in content), None)
 
 
 def _cells(content: str) -> list[str]:
+    content = content.strip()
     return [cell.strip().strip('"') for cell in content.split(_separator(content))]
 
 
@@ -275,7 +325,7 @@ def _check_unit(where: str, title: str, name: str) -> None:
         raise ConfigError(f"{where}: column {printable(title)!r}: must be in {COLUMN_UNITS[name][0]}; convert it.")
 
 
-def _check_speeds(where: str, column: str, speeds: Array, lines: Sequence[int]) -> None:
+def _check_speeds(where: str, column: str, speeds: Array, lines: NDArray[np.int64]) -> None:
     """Refuse speeds that no car drives."""
     for k in np.flatnonzero(~((speeds > 0.0) & (speeds <= MAX_SPEED.most)))[:1]:
         raise ConfigError(

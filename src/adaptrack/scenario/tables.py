@@ -8,8 +8,8 @@ import os
 
 import numpy as np
 
-from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean
-from adaptrack.base.files import is_number
+from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
+from adaptrack.base.files import is_number, read_bytes, table_lines
 from adaptrack.scenario.shapes import Array
 from adaptrack.scenario.signals import HIGHEST_FRICTION
 
@@ -86,15 +86,12 @@ def read_scenario_table(path: str | os.PathLike[str]) -> dict[str, Array]:
 
 def _lines(path: str | os.PathLike[str]) -> list[tuple[int, list[str]]]:
     """Return the numbers and cells of the lines of a CSV file, without empty lines and comments."""
+    numbered, _ = table_lines(os.fspath(path), read_bytes(path), "strict")
     try:
-        with open(path, newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream)
-            lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    except OSError as error:
-        raise StorageError(f"{os.fspath(path)}: cannot be read: {error.strerror or error}.") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{os.fspath(path)}: not a CSV file in UTF-8: {error}.") from error
-    lines = [(line, row) for line, row in lines if any(row) and not row[0].startswith("#")]
+        lines = [(number, [cell.strip() for row in csv.reader([line]) for cell in row]) for number, line in numbered]
+    except csv.Error as error:
+        raise ConfigError(f"{os.fspath(path)}: not a CSV file: {error}.") from error
+    lines = [(number, row) for number, row in lines if any(row)]
     if not lines:
         raise ConfigError(f"{os.fspath(path)}: empty; its first line must name the columns.")
     return lines

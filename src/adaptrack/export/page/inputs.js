@@ -216,10 +216,11 @@ const inputs = (() => {
       let end = clean.indexOf("\n", at);
       if (end < 0) end = clean.length;
       if (end - at > 10_000) refuse("a line of more than 10,000 characters: this is no table of points.", line);
-      const content = clean.slice(at, end).trim(), plain = content.replace(/^[#\s]+/, ""), titles = cellsOf(plain);
+      const content = clean.slice(at, end).trim(), remark = /^(#|%|\/\/)/.test(content);
+      const plain = remark ? content.replace(/^[#%/\s]+/, "") : content, titles = cellsOf(plain);
       at = end + 1;
-      if (plain === "" || (content[0] === "#" && cells.length)) continue;
-      if (content[0] === "#") remarks.push({ line, titles, marked: separatorOf(plain) !== BLANKS });
+      if (plain === "" || (remark && cells.length) || (line === 1 && /^"?sep=.?"?$/i.test(plain))) continue;
+      if (remark) remarks.push({ line, titles, marked: separatorOf(plain) !== BLANKS });
       else if (!cells.length && !header && !isNumber(titles[0])) header = { line, titles, commented: false };
       else {
         if (cells.length >= rules.most) {
@@ -249,7 +250,7 @@ const inputs = (() => {
   const BLANKS = /\s+/;
 
   function separatorOf(content) {
-    return [";", "\t", ","].find((sign) => content.includes(sign)) ?? BLANKS;
+    return [";", "\t", "|", ","].find((sign) => content.includes(sign)) ?? BLANKS;
   }
 
   function cellsOf(content) {
