@@ -114,7 +114,7 @@ def _place_of(x, y, near, centreline):
 @inlined
 def _change_places(station, centreline, memory):
     """Find the places of the car and of its stops on a path that has changed; station: m, of the car on it."""
-    place = _place_of(memory.place_x, memory.place_y, station, centreline)
+    place = _place_of(memory.place_x, memory.place_y, station, centreline) if memory.is_placed > 0 else math.nan
     if place == place:
         shift, memory.station = place - memory.station, place
         memory.observed_place, memory.start_place = memory.observed_place + shift, memory.start_place + shift
