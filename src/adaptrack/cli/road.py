@@ -178,7 +178,7 @@ class RoadOptions:
             raise InvalidInput("--speed and --speed-column: give only one of them.")
         if (self.stop or self.start is not None) and (self.speed is not None or self.speed_column is not None):
             raise InvalidInput(
-                "--stop and --start: belong to a planned speed: leave out --speed and --speed-column; limit the speed with "
+                "--stop and --start: belong to a planned speed: leave out --speed and --speed-column; use "
                 "--lateral-acceleration."
             )
         settings = {

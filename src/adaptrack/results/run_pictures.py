@@ -202,8 +202,8 @@ def _limits_band(lines: Lines) -> Panel:
     """A row for each cause that limits the speed, with a bar where it does."""
     limits = list(SpeedLimit)
     codes = _diagnostic("limited_by")
-    found = np.unique(np.concatenate([codes(line.run) for line in lines]))
-    rows = found[np.isfinite(found)].astype(int).tolist()
+    limiting = np.unique(np.concatenate([codes(line.run) for line in lines]))
+    rows = limiting[np.isfinite(limiting)].astype(int).tolist()
 
     def draw(axes: Axes) -> None:
         height = 0.8 / len(lines)
