@@ -35,7 +35,8 @@ def test_a_page_holds_verdict_measures_pictures_replay_and_command_and_needs_not
     runs = [made_run(road), made_run(road, controller="stanley", seconds=4.05, amplitude=0.6, **FAILED)]
     with pictures(drawn=True):
         text = write_drive_page(tmp_path, runs, command="adaptrack drive bend.csv --out <here>").read_text()
-    parts = ['class="verdict replayed"', 'id="replay-view"', "<caption>Tracking", "Lateral acceleration. ", "&lt;here&gt;"]
+    parts = ['class="verdict replayed"', 'id="replay-view"', "<caption>Tracking", "Lateral acceleration. "]
+    parts.append("&lt;here&gt;")
     places = [text.index(part) for part in parts]
     assert places == sorted(places)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["above.png", "bend-tracking.png", "index.html"]
