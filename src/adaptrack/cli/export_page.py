@@ -11,6 +11,8 @@ from typer import Option
 from adaptrack.cli import options, show
 from adaptrack.cli.next_step import next_line
 
+FILES = ".csv of x, y (m), .toml, .xodr, .xml"
+
 
 @dataclass(frozen=True, kw_only=True)
 class PageOptions:
@@ -20,7 +22,11 @@ class PageOptions:
     vehicle: options.VehicleOption = "midsize-sedan"
     road: Annotated[
         str,
-        Option("--road", metavar="ROAD", help="motorway, country, town, mountain, lap, or a .csv file of x, y (m)."),
+        Option(
+            "--road",
+            metavar="ROAD",
+            help=f"motorway, country, town, mountain, lap, oval, or a file ({FILES}): its course.",
+        ),
     ] = "mountain"
     speed: options.Speed = None
     lateral_acceleration: options.LateralAcceleration = None

@@ -70,7 +70,8 @@ def replay(drives: Drives) -> Markup:
             style=Markup(_shared(STYLE)),
             names=[car["name"] for car in data["cars"]],
             shades=data["shades"],
-            top=f"{data['top']:g}", beyond=max(drive.max_offset for drive in drives.values()) > data["top"],
+            top=f"{data['top']:g}",
+            beyond=max(drive.max_offset for drive in drives.values()) > data["top"],
             predicted=any(car["predicted"] for car in data["cars"]),
             road=printable(data["road"]["name"]),
         )
