@@ -11,8 +11,6 @@ from typer import Option
 from adaptrack.cli import options, show
 from adaptrack.cli.next_step import next_line
 
-FILES = ".csv of x, y (m), .toml, .xodr, .xml"
-
 
 @dataclass(frozen=True, kw_only=True)
 class PageOptions:
@@ -25,7 +23,7 @@ class PageOptions:
         Option(
             "--road",
             metavar="ROAD",
-            help=f"motorway, country, town, mountain, lap, oval, or a file ({FILES}): its course.",
+            help="motorway, country, town, mountain, lap, oval, or a file: .csv of x, y (m), .toml, .xodr, .xml.",
         ),
     ] = "mountain"
     speed: options.Speed = None

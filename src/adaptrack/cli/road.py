@@ -15,7 +15,7 @@ from adaptrack.cli.next_step import command, next_line, replace_option, say_next
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.road import Finding, Road, SpeedPlan
+    from adaptrack.road import Finding, Road, SpeedPlan, Stop
     from adaptrack.road.holdable_speed import HoldableSpeed
     from adaptrack.scenario.profile import Profile
 
@@ -108,19 +108,21 @@ class RoadOptions:
         return words
 
     @property
-    def stops(self) -> list[tuple[float, float]]:
-        """Stations (m) and durations (s) of the stops.
+    def stops(self) -> list[Stop]:
+        """Stops of the plan.
 
         Raises
         ------
         InvalidInput
             When a stop is not S:SECONDS.
         """
+        from adaptrack.road import Stop
+
         stops = []
         for text in self.stop or []:
             place, _, seconds = text.partition(":")
             try:
-                stops.append((float(place), float(seconds)))
+                stops.append(Stop(float(place), float(seconds)))
             except ValueError:
                 raise InvalidInput(
                     f"--stop {text}: write S:SECONDS, such as 300:5, for 5 s at rest at 300 m of the road."
