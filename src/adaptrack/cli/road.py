@@ -85,11 +85,11 @@ class RoadOptions:
     assumed_friction: options.AssumedFriction = None
     stop: Annotated[
         list[str] | None,
-        Option("--stop", metavar="S:SECONDS", help="Stop at S (m) for SECONDS, such as 300:5; may be repeated."),
+        Option("--stop", metavar="S:SECONDS", hidden=True, help="Stop at S (m) for SECONDS (300:5); may be repeated."),
     ] = None
     start: Annotated[
         float | None,
-        Option("--start", metavar="V", min=0.0, help="Speed at the start (m/s); 0: from standstill; default: planned."),
+        Option("--start", metavar="V", min=0.0, hidden=True, help="Speed at the start (m/s); 0: from standstill."),
     ] = None
 
     @property

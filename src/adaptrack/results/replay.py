@@ -33,7 +33,7 @@ REPLAY_UNITS = {
 }  # fmt: skip
 """The columns of a replay and the units to which they are rounded (s, m, rad, m/s)."""
 
-SPEED_UNITS = dict.fromkeys(SPEED_SIGNALS, 1e-3)
+SPEED_SIGNAL_UNITS = dict.fromkeys(SPEED_SIGNALS, 1e-3)
 """The same of a drive with a speed control (m/s, m/s^2, -)."""
 
 PREDICTED_UNIT = 1e-2
@@ -144,7 +144,7 @@ def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
     columns = {name: getattr(drive, name)[keep] for name in REPLAY_UNITS}
     columns["yaw"] = np.unwrap(drive.yaw)[keep]
     columns |= {name: values[keep] for name, values in drive.speed_control.items()}
-    units = REPLAY_UNITS | SPEED_UNITS
+    units = REPLAY_UNITS | SPEED_SIGNAL_UNITS
     shape = drive.shape
     return {
         "name": printable(label),
