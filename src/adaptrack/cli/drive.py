@@ -221,7 +221,7 @@ def measured_row(run: Run, places: DrivenPlaces) -> dict[str, Any]:
         "driven_length": float(finite[-1] - finite[0]) if finite.size else None,
         "road_length": None if places.road is None else places.drives[0].length,  # type: ignore[union-attr]
         **measures,
-        **following,
+        **{key: None if value is None or not math.isfinite(value) else value for key, value in following.items()},
         "stops": [{**stop._asdict(), "error": None if math.isnan(stop.error) else stop.error} for stop in stops],
     }
 

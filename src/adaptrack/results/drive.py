@@ -226,15 +226,15 @@ def _answer(runs: Sequence[Shown]) -> str:
 
 def _speed_answer(run: Shown) -> str:
     """Give speed error, stops and lost time of a run that followed a speed plan."""
-    errors, lost = [abs(stop.error) for stop in run.stops], run.following["time_lost"]
+    errors, speed, lost = [abs(stop.error) for stop in run.stops], *map(run.following.get, ("speed_error", "time_lost"))
     missed = sum(map(math.isnan, errors))
-    parts = [f"{run.following['speed_error'] or 0.0:.2g} m/s RMS speed error"]
+    parts = [] if speed is None else [f"{speed:.2g} m/s RMS speed error"]
     if errors and missed:
         parts.append(f"{missed} of {counted(len(errors), 'stop')} passed without standing")
     elif errors:
         parts.append(f"{counted(len(errors), 'stop')}, largest error {length(max(errors))}")
-    parts.append(f"{abs(lost):.2g} s {'late' if lost >= 0.0 else 'early'}")
-    return f"{'; '.join(parts)}."
+    parts += [] if lost is None else [f"{abs(lost):.2g} s {'late' if lost >= 0.0 else 'early'}"]
+    return f"{'; '.join(parts)}." if parts else ""
 
 
 def _failure(run: Shown) -> dict[str, str]:
