@@ -1,5 +1,6 @@
 """The command line: what it prints, where, and how it fails."""
 
+import html
 import importlib
 import json
 import re
@@ -175,7 +176,8 @@ def test_reproduce_writes_the_page_and_prints_its_rows(run_command, monkeypatch,
     assert all((row["failed_at"] is not None, row["failed_reason"] != "") == (row["failed"],) * 2
                for row in result["rows"])  # fmt: skip
     assert result["quick"]
-    assert (tmp_path / "index.html").exists()
+    text = html.unescape((tmp_path / "index.html").read_text())
+    assert all(f"Figure {number} of the paper's section V." in text for number in range(6, 11))
     assert "index.html" in err
 
 

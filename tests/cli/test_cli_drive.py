@@ -187,3 +187,44 @@ def test_options_of_the_other_kind_are_refused(run_command, points, words, sente
     code, out, err = run_command("drive", *(word.format(points=points) for word in words))
     assert (code, out) == (2, "")
     assert sentence in err
+
+
+# -- speed ------------------------------------------------------------------------------------------------------------
+SPEED_WORDS = ["country", "--road-seed", "1", "--length", "300", "--vehicle", "midsize-sedan", "--speed-control"]
+
+
+def test_a_drive_with_speed_control_says_its_speed_error_stops_and_delay_and_shows_what_limits_it(
+    run_command, tmp_path
+):
+    words = [*SPEED_WORDS, "--assumed-friction", "0.6:1", "--start", "0", "--stop", "100:1", "--stop", "300:2"]
+    code, out, err = run_command("drive", *words, "--out", tmp_path)
+    assert code == 0, err
+    assert re.search(r"RMS error, .* m/s RMS speed error; 2 stops, largest error .* cm; .* s late\.", out)
+    text = (tmp_path / "index.html").read_text()
+    panels = ("Longitudinal acceleration", "Used share of the assumed grip", "Speed limited by", "assumed interval")
+    assert all(panel in text for panel in panels)
+    assert [text.count(f"Stop at {place} m") for place in (100, 300)] == [1, 1]
+    (row,) = json.loads(run_command("drive", *words, "--json")[1])["rows"]
+    assert [stop["place"] for stop in row["stops"]] == pytest.approx([100.0, 300.0], abs=0.5)
+    assert max(abs(stop["error"]) for stop in row["stops"]) == pytest.approx(row["stop_error"])
+    assert row["stop_error"] < 0.5 < row["time_lost"]
+    run = Trajectory.load(tmp_path / "country-1-informed.parquet")
+    assert run.vx[0] == 0.0
+    assert "limited_by" in run.diagnostics
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--stop", "300"], "--stop 300: write S:SECONDS"),
+        (["--stop", "here:5"], "--stop here:5: write S:SECONDS"),
+        (["--stop", "9000:5"], "must lie on the road"),
+        (["--stop", "100:-1"], "for a time >= 0 s"),
+        (["--stop", "100:1", "--speed", "10"], "leave out --speed"),
+        (["--start", "0", "--speed", "10"], "leave out --speed"),
+    ],
+)
+def test_stops_that_cannot_be_planned_are_refused(run_command, words, sentence):
+    code, _, err = run_command("drive", *SPEED_WORDS, *words)
+    assert code == 2
+    assert sentence in err

@@ -12,12 +12,12 @@ import adaptrack as at
 from adaptrack.base.errors import AdaptrackError, InvalidInput
 from adaptrack.comparison import run as study
 from adaptrack.comparison.config import ComparisonConfig
-from adaptrack.comparison.measures import STOP_DISTANCE, driver_measures
 from adaptrack.comparison.run import run_comparison
 from adaptrack.comparison.views import driver_rows
 from adaptrack.core.public import GRAVITY
 from adaptrack.drive import drivers
 from adaptrack.drive.drivers import check_forces, list_drivers, make_driver, register_driver
+from adaptrack.drive.speed_measures import STOP_DISTANCE, speed_measures
 from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.drive.world import Driver
 from adaptrack.results.compare_drivers import DRIVER_COLUMNS, compare_drivers_result
@@ -82,7 +82,7 @@ def motion(speed: np.ndarray, **changes: Any) -> Trajectory:
 def test_a_car_that_is_a_tenth_slower_than_its_plan_loses_a_tenth_of_the_way_and_of_the_time():
     road = Road.from_segments([Line(length=1000.0)], name="straight")
     drive = at.RoadDrive(road, constant_speed(road, 20.0))
-    measures = driver_measures(motion(np.full(801, 18.0)), drive)
+    measures = speed_measures(motion(np.full(801, 18.0)), drive.road, drive.plan)
     assert measures["way_driven"] == pytest.approx(0.9)
     assert measures["time_lost"] == pytest.approx(40.0 - 40.0 * 0.9)
     assert measures["speed_error"] == pytest.approx(2.0)
@@ -96,7 +96,8 @@ def test_the_used_grip_on_a_circle_is_the_acceleration_over_the_true_friction():
     drive = at.RoadDrive(road, constant_speed(road, 15.0))
     t = PERIOD * np.arange(200)
     run = motion(15.0 + 0.5 * t, lateral_acceleration=np.full(200, 3.0))
-    assert driver_measures(run, drive)["used_grip"] == pytest.approx(math.hypot(0.5, 3.0) / (0.6 * GRAVITY))
+    used_grip = speed_measures(run, drive.road, drive.plan)["used_grip"]
+    assert used_grip == pytest.approx(math.hypot(0.5, 3.0) / (0.6 * GRAVITY))
 
 
 @pytest.mark.parametrize(("distance", "error"), [(96.0, 4.0), (101.5, 1.5), (150.0, STOP_DISTANCE)])
@@ -105,7 +106,7 @@ def test_the_stop_error_is_where_the_car_stood_and_a_stop_that_was_passed_counts
     drive = at.RoadDrive(road, plan_speed(road, CAR, stops=[Stop(100.0, 2.0)], top_speed=10.0))
     braking = 10.0 - 2.0 * PERIOD * np.arange(101)
     speed = np.concatenate([np.full(round((distance - 25.0) / 10.0 / PERIOD) + 1, 10.0), braking[1:], np.zeros(40)])
-    assert driver_measures(motion(speed), drive)["stop_error"] == pytest.approx(error, abs=0.01)
+    assert speed_measures(motion(speed), drive.road, drive.plan)["stop_error"] == pytest.approx(error, abs=0.01)
 
 
 # -- driven -----------------------------------------------------------------------------------------------------------

@@ -26,8 +26,10 @@ from adaptrack.core import library
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.core.road import LINE_NUMBERS
 from adaptrack.export.c_library import export_c
+from adaptrack.export.recorded_drive import record_drive
 from adaptrack.export.tracking import Twin, tracking_block
 from adaptrack.road import Comfort, plan_speed, road_through
+from adaptrack.road.speed import constant_speed
 from exported import CPath, CTracker, Exported
 from programs import find_program
 from references.daqp import Daqp
@@ -55,6 +57,18 @@ CONTROLLERS = {
 
 EACH = int(os.environ.get("ADAPTRACK_TEST_STEPS", "3000"))
 """Calls of each controller in the long comparisons."""
+
+
+def test_a_car_that_leaves_the_road_at_the_planned_speed_is_recorded_more_slowly():
+    car = CAR.replace(steering=at.Steering(dead_time=0.3))
+    controller = at.MPC(car, profile="road", learning=at.Learning())
+    road, world = at.generate_road("country"), at.load_profile("road")
+    planned, steady = plan_speed(road, car), constant_speed(road, 14.0)
+    record = record_drive(controller, at.DualTrack(car), road, planned, world)
+    assert record.failed == ""
+    assert record.plan.speed[:-2].max() < controller.learner.first_top_speed
+    # a speed that the user has chosen is kept, and its failure is said
+    assert "left the road" in record_drive(controller, at.DualTrack(car), road, steady, world).failed
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -14,11 +14,20 @@ from adaptrack import cli
 from adaptrack.base.errors import InvalidInput
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
+from adaptrack.export.page_setup import road_of
 from browsers import BROWSERS
 from pages import READY, STATE, differing, drive, export_page, open_page, serve
 from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="the page's kernels are compiled")]
+
+
+TURN = np.linspace(0.0, np.pi, 60)
+TIGHT = np.concatenate([
+    np.stack([np.linspace(-60.0, -1.0, 30), np.zeros(30)], axis=-1),
+    np.stack([2.5 * np.sin(TURN), 2.5 - 2.5 * np.cos(TURN)], axis=-1),
+]).tolist()  # fmt: skip
+"""A straight and half a circle of 2.5 m: tighter than a car can turn."""
 
 
 @pytest.fixture(scope="module")
@@ -77,12 +86,30 @@ def test_scripts_of_the_page_can_be_read():
         ({"speed": 10.0, "lateral_acceleration": 2.0}, "either speed or lateral_acceleration"),
         ({"road": [[0.0, 1.0, 2.0]]}, "x and y of each point"),
         ({"vehicle": "paprika"}, "paprika"),
+        ({"speed": 99.0}, "speed (m/s) = 99.0: the page drives 1 to 60"),
+        ({"speed": 55.0}, "the wheels must turn at"),
+        ({"lateral_acceleration": 0.0}, "lateral_acceleration (m/s^2) = 0.0: the page drives 0.5 to 12"),
+        ({"road": TIGHT}, "points, s = 60 to 60 m: the wheels must turn at"),
+        ({"profile": "production", "controllers": ["published"]}, "does not measure vy"),
     ],
 )
 def test_what_the_page_cannot_drive_is_refused_before_it_is_written(options, message, tmp_path):
     with pytest.raises(InvalidInput, match=re.escape(message)):
         at.export_page(tmp_path / "drive.html", **options)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_recorded_lap_is_fitted_and_closed_before_the_page_drives_it(tmp_path):
+    turn, noise = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False), np.random.default_rng(3).normal(size=(400, 2))
+    points = np.stack([120.0 * np.cos(turn), 60.0 * np.sin(turn)], axis=-1) + 0.05 * noise
+    file = tmp_path / "lap.csv"
+    np.savetxt(file, points, delimiter=",", header="x,y", comments="", fmt="%.3f")
+    road = road_of(page_file._road(file))
+    x, y, _, curvature = road.at(np.linspace(0.0, road.length, 2000))[:4]
+    tightest = 120.0 / 60.0**2  # 1/m, of the ellipse
+    assert road.closed
+    assert np.abs(np.hypot(x / 120.0, y / 60.0) - 1.0).max() * 60.0 < 0.05
+    assert np.abs(curvature).max() == pytest.approx(tightest, rel=0.1)
 
 
 def run_command(monkeypatch, capsys, *words):

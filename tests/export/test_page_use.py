@@ -116,6 +116,27 @@ def test_the_picture_is_steered_by_keys(window, file):
     assert not window.run(f"{STATE}.playing")
 
 
+def test_keys_steer_the_picture_without_a_click_and_leave_other_controls_alone(window, file):
+    unfolded(window, file)
+    window.run("adaptrackPage.advance(100)")
+    window.run("adaptrackPage.seek(2), document.activeElement.blur()")
+    window.press("ArrowRight")
+    assert window.run(f"{STATE}.t") == pytest.approx(3.0)
+    window.press("ArrowLeft", times=2)
+    assert window.run(f"{STATE}.t") == pytest.approx(1.0)
+    window.press(" ")
+    assert window.run(f"{STATE}.playing")
+    window.press(" ")
+    assert not window.run(f"{STATE}.playing")
+    assert window.run("scrollY") == 0
+    time = window.run(f"{STATE}.t")
+    window.run("document.getElementById('setup-speed').focus()")
+    window.press("ArrowLeft")
+    window.press(" ")
+    assert window.run(f"{STATE}.t") == time
+    assert not window.run(f"{STATE}.playing")
+
+
 # -- sizes and colours ------------------------------------------------------------------------------------------------
 def test_nothing_is_wider_than_the_window_nor_smaller_than_a_finger(window, file):
     unfolded(window, file)

@@ -45,7 +45,8 @@ def test_a_drive_begins_with_how_near_it_stayed_and_ends_with_its_page(lines, tm
     (row,) = lines(*DRIVE, "--json")["rows"]
     first, *_, last = lines(*DRIVE)
     rms = answers.length(row["rms_error"])
-    assert first == f"{rms} RMS error, largest {answers.length(row['max_abs_error'])}."
+    along = f"{row['speed_error']:.2g} m/s RMS speed error; {row['time_lost']:.2g} s late."
+    assert first == f"{rms} RMS error, largest {answers.length(row['max_abs_error'])}. {along}"
     assert step(last) == [*DRIVE, "--out", "drive"]
     *_, last = lines(*DRIVE, "--out", tmp_path)
     assert step(last)[:4] == ["tune", "midsize-sedan", "--road", "town"]

@@ -205,6 +205,32 @@ def test_keys_slider_wheel_and_drag_do_what_they_say(page):
     assert all(name.strip() for name in answer["names"])
 
 
+@pytest.mark.parametrize("size", [(1400, 900), (400, 800)])
+def test_the_replay_is_in_the_first_screen_and_its_keys_work_without_a_click(page, size):
+    state = "adaptrackReplay.state()"
+    with Chromium(size) as window:
+        window.open(page.as_uri())
+        bottoms = window.run(
+            "['#replay-view canvas', '#replay-view [data-part=play]'].map("
+            "each => document.querySelector(each).getBoundingClientRect().bottom)"
+        )
+        assert max(bottoms) < size[1]
+        window.press("ArrowRight", times=3)
+        assert window.run(f"{state}.t") == pytest.approx(3.0)
+        window.press("ArrowLeft")
+        assert window.run(f"{state}.t") == pytest.approx(2.0)
+        window.press(" ")
+        assert window.run(f"{state}.playing")
+        window.press(" ")
+        assert not window.run(f"{state}.playing")
+        assert window.run("scrollY") == 0
+        window.press("End")  # the page's own, where the replay does not have the focus
+        assert window.run(f"{state}.t") < 5.0
+        window.run("document.querySelector('.table').focus()")
+        window.press(" ")
+        assert not window.run(f"{state}.playing")
+
+
 def test_no_script_runs_but_the_replay(page, tmp_path):
     written = "<script>window.evil = true;</script>"
     other = tmp_path / "other.html"

@@ -35,7 +35,8 @@ def test_a_page_holds_verdict_measures_pictures_replay_and_command_and_needs_not
     runs = [made_run(road), made_run(road, controller="stanley", seconds=4.05, amplitude=0.6, **FAILED)]
     with pictures(drawn=True):
         text = write_drive_page(tmp_path, runs, command="adaptrack drive bend.csv --out <here>").read_text()
-    parts = ['class="verdict"', 'id="replay-view"', "<caption>Tracking", "Lateral acceleration. ", "&lt;here&gt;"]
+    parts = ['class="verdict replayed"', 'id="replay-view"', "<caption>Tracking", "Lateral acceleration. "]
+    parts.append("&lt;here&gt;")
     places = [text.index(part) for part in parts]
     assert places == sorted(places)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["above.png", "bend-tracking.png", "index.html"]
@@ -144,7 +145,15 @@ def test_the_end_of_a_failed_drive_does_not_flatten_the_rest():
     offset[-3:] = [2.0, 4.0, 8.0]
     leaving = dataclasses.replace(run, road={**run.road, "offset": offset})
     assert print_figure(tracking_picture({"a": leaving})).axes[0].get_ylim()[1] < 1.5
-    assert offset_scale([DriveRecord.from_trajectory(leaving, bend())]) == 0.5
+    failed = DriveRecord.from_trajectory(leaving, bend())
+    assert offset_scale([failed]) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("amplitude", [0.004, 0.07, 0.33, 1.0])
+def test_the_colours_reach_just_beyond_the_largest_error_of_the_drives_that_did_not_fail(amplitude):
+    drive, failed = made_drive(amplitude=amplitude), made_drive(amplitude=3.0, failed="spun", failed_at=5.0)
+    top = offset_scale([drive, failed])
+    assert drive.max_offset <= top <= max(0.05, 1.5 * drive.max_offset)
 
 
 def test_a_long_drive_is_thinned_and_replayed_at_20_hz():

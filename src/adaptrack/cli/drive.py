@@ -188,7 +188,8 @@ def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: tuple[fl
                 run.save(out / f"{file}.parquet")
             interrupt.note_progress(f"{i} of {len(pairs)} runs were finished; {where}. Run the command again.")
             measures = compute_metrics(run, model=controller.model, outline=loop.car.outline)
-            yield Run(run, label, measures, None if places.road is None else places.road.road, loop.car, paths)
+            road, plan = (None, None) if places.road is None else (places.road.road, places.road.plan)
+            yield Run(run, label, measures, road, loop.car, paths, None if driver is None else plan)
 
 
 # -- output -----------------------------------------------------------------------------------------------------------
@@ -196,10 +197,14 @@ def measured_row(run: Run, places: DrivenPlaces) -> dict[str, Any]:
     """Return a run for --json: its conditions, `failed` (reason or null), `failed_at` (s) and its measures."""
     import numpy as np
 
+    from adaptrack.drive.speed_measures import measure_stops, speed_measures
+
     trajectory, meta = run.trajectory, run.trajectory.meta
     measures: dict[str, Any] = run.metrics.as_row() if run.metrics else {}
     del measures["failed"]
     reason, clause = measures.pop("failed_reason"), measures.pop("failed_because")
+    following = {} if run.road is None or run.plan is None else speed_measures(trajectory, run.road, run.plan)
+    stops = [] if run.plan is None else measure_stops(trajectory, run.plan)
     stations = trajectory.road.get("station", np.empty(0))
     finite = stations[np.isfinite(stations)]
     return {
@@ -216,6 +221,8 @@ def measured_row(run: Run, places: DrivenPlaces) -> dict[str, Any]:
         "driven_length": float(finite[-1] - finite[0]) if finite.size else None,
         "road_length": None if places.road is None else places.drives[0].length,  # type: ignore[union-attr]
         **measures,
+        **{key: None if value is None or not math.isfinite(value) else value for key, value in following.items()},
+        "stops": [{**stop._asdict(), "error": None if math.isnan(stop.error) else stop.error} for stop in stops],
     }
 
 

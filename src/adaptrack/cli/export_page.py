@@ -20,7 +20,11 @@ class PageOptions:
     vehicle: options.VehicleOption = "midsize-sedan"
     road: Annotated[
         str,
-        Option("--road", metavar="ROAD", help="motorway, country, town, mountain, lap, or a .csv file of x, y (m)."),
+        Option(
+            "--road",
+            metavar="ROAD",
+            help="motorway, country, town, mountain, lap, oval, or a file: .csv of x, y (m), .toml, .xodr, .xml.",
+        ),
     ] = "mountain"
     speed: options.Speed = None
     lateral_acceleration: options.LateralAcceleration = None

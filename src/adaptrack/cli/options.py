@@ -152,7 +152,7 @@ class DriveSettings:
     prescribed_speed: PrescribedSpeed = False
     speed_control: Annotated[
         bool,
-        Option("--speed-control", hidden=True, help="Road: control the speed with governor, stops and learned brakes."),
+        Option("--speed-control", help="Road: control the speed, with governor and stops."),
     ] = False
     period: Annotated[
         float | None, Option("--period", metavar="S", hidden=True, help="Control period (s); default: the profile's.")

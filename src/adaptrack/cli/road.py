@@ -15,7 +15,7 @@ from adaptrack.cli.next_step import command, next_line, replace_option, say_next
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.road import Finding, Road, SpeedPlan
+    from adaptrack.road import Finding, Road, SpeedPlan, Stop
     from adaptrack.road.holdable_speed import HoldableSpeed
     from adaptrack.scenario.profile import Profile
 
@@ -83,6 +83,14 @@ class RoadOptions:
         ),
     ] = None
     assumed_friction: options.AssumedFriction = None
+    stop: Annotated[
+        list[str] | None,
+        Option("--stop", metavar="S:SECONDS", hidden=True, help="Stop at S (m) for SECONDS (300:5); may be repeated."),
+    ] = None
+    start: Annotated[
+        float | None,
+        Option("--start", metavar="V", min=0.0, hidden=True, help="Speed at the start (m/s); 0: from standstill."),
+    ] = None
 
     @property
     def words(self) -> list[str]:
@@ -94,8 +102,32 @@ class RoadOptions:
                 flag = flag if value or name != "closed" else "--open"
                 words.append(flag if value or name == "closed" else f"--no-{name}")
             elif value is not None:
-                words += [flag, str(value)]
+                words += [
+                    word for entry in (value if isinstance(value, list) else [value]) for word in (flag, str(entry))
+                ]
         return words
+
+    @property
+    def stops(self) -> list[Stop]:
+        """Stops of the plan.
+
+        Raises
+        ------
+        InvalidInput
+            When a stop is not S:SECONDS.
+        """
+        from adaptrack.road import Stop
+
+        stops = []
+        for text in self.stop or []:
+            place, _, seconds = text.partition(":")
+            try:
+                stops.append(Stop(float(place), float(seconds)))
+            except ValueError:
+                raise InvalidInput(
+                    f"--stop {text}: write S:SECONDS, such as 300:5, for 5 s at rest at 300 m of the road."
+                ) from None
+        return stops
 
     @property
     def assumed(self) -> float | None:
@@ -137,7 +169,7 @@ class RoadOptions:
         Raises
         ------
         InvalidInput
-            When --speed is combined with --speed-column or --lateral-acceleration.
+            When --speed is combined with --speed-column, --lateral-acceleration, --stop or --start.
         """
         from adaptrack.road import Comfort, check_road, load_road, plan_speed
         from adaptrack.road.speed import constant_speed, speed_limit_plan
@@ -146,6 +178,11 @@ class RoadOptions:
             raise InvalidInput("--speed and --lateral-acceleration: give only one of them.")
         if self.speed is not None and self.speed_column is not None:
             raise InvalidInput("--speed and --speed-column: give only one of them.")
+        if (self.stop or self.start is not None) and (self.speed is not None or self.speed_column is not None):
+            raise InvalidInput(
+                "--stop and --start: belong to a planned speed: leave out --speed and --speed-column; use "
+                "--lateral-acceleration."
+            )
         settings = {
             "max_deviation": self.max_deviation, "closed": self.closed, "road": self.road_id, "lane": self.lane,
             "seed": self.road_seed, "length": self.length,
@@ -159,7 +196,9 @@ class RoadOptions:
             plan = speed_limit_plan(road)
         else:
             assumed = road if self.assumed is None else road.replace(friction=self.assumed)
-            plan = plan_speed(assumed, car, comfort, holds=self._holds(car, profile, holdable))
+            plan = plan_speed(
+                assumed, car, comfort, start=self.start, stops=self.stops, holds=self._holds(car, profile, holdable)
+            )
         return CheckedRoad(road, plan, check_road(road, car, plan))
 
     def _holds(self, car: Vehicle, profile: str | Profile, holdable: HoldableSpeed | None) -> HoldableSpeed | None:

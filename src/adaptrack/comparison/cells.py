@@ -32,11 +32,12 @@ from adaptrack.comparison.config import (
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.entry_speed import LaneChangeTest, entry_speed
 from adaptrack.comparison.lane_change import iso_3888_2
-from adaptrack.comparison.measures import DRIVER_MEASURES, RUN, as_column, measure_runs
+from adaptrack.comparison.measures import RUN, as_column, measure_runs
 from adaptrack.comparison.table import label_of
 from adaptrack.control.controllers import MPC, About, Controller
 from adaptrack.control.estimation import Perception
 from adaptrack.drive.drivers import check_forces, make_driver
+from adaptrack.drive.speed_measures import SPEED_MEASURES
 from adaptrack.road import Road
 from adaptrack.scenario import RoadDrive
 from adaptrack.tuning.constant import search_constant
@@ -146,8 +147,8 @@ def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
 def _test_rows(
     task: ComparisonConfig, cell: Cell, test: RunSet, controller: Controller, outline: Outline
 ) -> list[dict[str, Any]]:
-    """Return one row for each test run: road, noise seed and `MEASURES`, with a driver `DRIVER_MEASURES` as well."""
-    measures = (*MEASURES, *DRIVER_MEASURES) if cell.driver else MEASURES
+    """Return one row for each test run: road, noise seed and `MEASURES`, with a driver `SPEED_MEASURES` as well."""
+    measures = (*MEASURES, *SPEED_MEASURES) if cell.driver else MEASURES
     rows = measure_runs(test, controller, task.seeds, outline, with_driver=bool(cell.driver))
     return [
         {"road": road, "seed": seed, **{name: row[name] for name in measures}}

@@ -21,9 +21,9 @@ from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.plant import fingerprint
 from adaptrack.comparison.cells import columns, run_cell
 from adaptrack.comparison.config import Cell, ComparisonConfig, is_tuning_file, load_setting
-from adaptrack.comparison.measures import DRIVER_MEASURES
 from adaptrack.comparison.table import Comparison, label_of
 from adaptrack.core.library import kernels_hash
+from adaptrack.drive.speed_measures import SPEED_MEASURES
 from adaptrack.tuning.constant_file import load_tuning
 
 REFERENCES = ("informed, tuned", "informed, default")
@@ -32,7 +32,7 @@ COMPARISON_FORMAT, COMPARISON_VERSION, RUNS_FILE = "adaptrack comparison", 1, "r
 MEASURE_UNITS = {
     "cost": "m^2", "failed": "-", "failed_at": "s", "rms_error": "m", "p95_error": "m", "max_error": "m",
     "max_corner": "m", "steering_rate": "rad/s", "acceleration": "m/s^2", "jerk": "m/s^3", "duration": "s", "seed": "-",
-    **DRIVER_MEASURES,
+    **SPEED_MEASURES,
 }  # fmt: skip
 
 

@@ -387,6 +387,11 @@ class SpeedController:
             self._record.sample[0].top_speed = math.inf
 
     @property
+    def governed_speed(self) -> float:
+        """m/s, planned speed at the place of the car after the governor."""
+        return math.sqrt(float(self._record.ahead[0]))
+
+    @property
     def top_speed(self) -> float:
         """m/s, up to which the steering is known."""
         return float(self._record.sample[0].top_speed)

@@ -22,7 +22,7 @@ from adaptrack.base.checked import Hint, Natural, checked
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of
 from adaptrack.control.qp import QPStatus
-from adaptrack.control.speed_control import SpeedController
+from adaptrack.control.speed_control import SpeedCommand, SpeedController, SpeedLimit, SpeedState
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
@@ -53,7 +53,7 @@ class _Recorder:
         self.fixed_tuning = controller.packed_tuning()
         self.tuning = np.full((n, len(self.tuning_names)), np.nan)
         self.diagnostics = np.full((n, len(self.diagnostic_names)), np.nan)
-        self.requests = np.full((n, 2), np.nan)  # acceleration, force less hold of a speed controller
+        self.requests = np.full((n, len(_REQUEST_UNITS)), np.nan)  # of a speed controller
         self.times = np.full(n, np.nan)
         self.failed: str | None = None
         self.failed_at = math.nan
@@ -137,7 +137,7 @@ def simulate(
         if loop.ended:
             break
         if loop.request is not None:
-            record.requests[k] = loop.request.acceleration, loop.request.force - loop.request.hold
+            record.requests[k] = _request_row(loop.request, speed_control)
         if has_no_vy:
             instant.measured[MEASUREMENT.vy] = 0.0  # the car has no sensor for the lateral velocity
         # only some controllers use the wheel angle and the accelerometer
@@ -238,16 +238,37 @@ def _batch_trajectory(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) 
 
 
 # -- the trajectory ---------------------------------------------------------------------------------------------------
+_REQUEST_UNITS = {
+    "requested_acceleration": "m/s^2", "requested_force": "N", "target_speed": "m/s", "governed_speed": "m/s",
+    "grip_used": "-", "speed_state": "-", "limited_by": "-", "friction_low": "-", "friction_high": "-",
+}  # fmt: skip
+"""Signals of a speed controller by their names in `Trajectory.diagnostics`, with their units."""
+_STATES, _LIMITS = tuple(SpeedState), tuple(SpeedLimit)
 _WHOLE = {"Np", "Nc", "qp_status", "qp_iterations", "at_limit"}
 _UNITS = {
     "tuning.Q": "1/m^2", "tuning.R": "1/rad^2", "diagnostics.dead_reckoning": "s", "road.station": "m",
-    "road.offset": "m", "road.heading_error": "rad", "road.curvature": "1/m",
-    "diagnostics.requested_acceleration": "m/s^2", "diagnostics.requested_force": "N",
+    "road.offset": "m", "road.heading_error": "rad", "road.curvature": "1/m", "road.planned_speed": "m/s",
+    "diagnostics.longitudinal_acceleration": "m/s^2",
+    **{f"diagnostics.{name}": unit for name, unit in _REQUEST_UNITS.items()},
     **{f"diagnostics.{name}{end}": unit for end in ("", "_sigma") for name, unit in (
         ("belief_lag", "s"), ("belief_dead_time", "s"), ("belief_delay", "s"), ("belief_bias", "rad"),
         ("belief_bank", "m/s^2"), ("used_lag", "s"), ("used_dead_time", "s"), ("used_bias", "rad"),
     )},
 }  # fmt: skip
+
+
+def _request_row(request: SpeedCommand, control: SpeedController | None) -> tuple[float, ...]:
+    """Return the values of `_REQUEST_UNITS`; control: that of `SpeedControl`, None for a driver of your own."""
+    return (
+        request.acceleration, request.force - request.hold, request.target_speed,
+        math.nan if control is None else control.governed_speed, request.grip_used, _place(_STATES, request.state),
+        _place(_LIMITS, request.limited_by), request.friction_low, request.friction_high,
+    )  # fmt: skip
+
+
+def _place(members: Sequence[object], member: object) -> float:
+    """Return the place of a member; NaN if it is none."""
+    return float(members.index(member)) if member in members else math.nan
 
 
 def _columns_by_name(names: tuple[str, ...], columns: Array, is_driven: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
@@ -281,10 +302,17 @@ def _trajectory(
     road = {}
     if isinstance(scenario, RoadDrive):
         road = dict(zip(("station", "offset", "heading_error"), record.signals[:, 2:].T, strict=True))
-        road["curvature"] = scenario.road.at(np.nan_to_num(road["station"])).curvature
+        place = np.nan_to_num(road["station"])
+        road["curvature"] = scenario.road.at(place).curvature
+        road["planned_speed"] = np.where(np.isfinite(road["station"]), scenario.plan.at(place), np.nan)
     diagnostics = _columns_by_name(record.diagnostic_names, record.diagnostics, is_driven)
     if np.isfinite(record.requests).any():
-        diagnostics |= dict(zip(("requested_acceleration", "requested_force"), record.requests.T, strict=True))
+        diagnostics |= dict(zip(_REQUEST_UNITS, record.requests.T, strict=True))
+        vx, vy, yaw_rate = state[:, PLANT_STATE.vx], state[:, PLANT_STATE.vy], state[:, PLANT_STATE.yaw_rate]
+        change = np.gradient(vx, signals.period) if n > 1 else np.zeros(n)
+        diagnostics["longitudinal_acceleration"] = change - vy * yaw_rate
+        # the governor's cells are as long as those of the path; between them the plan may be lower
+        diagnostics["governed_speed"] = np.minimum(diagnostics["governed_speed"], road["planned_speed"])
     groups = {"tuning": record.tuning_names, "diagnostics": diagnostics, "road": road}
     recorded = {f"{group}.{name}" for group, names in groups.items() for name in names}
     return Trajectory(

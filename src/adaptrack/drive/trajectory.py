@@ -133,7 +133,7 @@ class Trajectory:
     y_ref: Array
     """Lateral reference: world y coordinate to follow, or offset from the road to follow (m), (n,)."""
     v_ref: Array
-    """Speed reference (m/s), (n,)."""
+    """Speed reference at its time (m/s), (n,); a driver on a road follows ``road["planned_speed"]``."""
     friction: Array
     """Friction coefficients of front-left, front-right, rear-left and rear-right wheel, (n, 4)."""
     wind: Array
@@ -164,8 +164,13 @@ class Trajectory:
     - ``at_limit``, int64: sum of 1 (Δu), 2 (u) and 4 (y) for the active limits;
     - ``dead_reckoning``: time since the last position measurement (s), 0 at instants with a measurement.
 
-    A drive with a speed controller has ``requested_acceleration`` (m/s²) and ``requested_force`` (N at the wheels,
-    positive forward, less what holds the car at rest).
+    A drive with a speed controller has:
+
+    - ``requested_acceleration`` (m/s²) and ``requested_force`` (N at the wheels, positive forward, less what holds the
+      car at rest), ``longitudinal_acceleration`` (m/s²) of the car;
+    - ``target_speed`` where the request acts, ``governed_speed`` at the place of the car (m/s);
+    - ``grip_used``, ``friction_low``, ``friction_high``: as in `SpeedCommand`;
+    - ``speed_state``, ``limited_by``: places in `SpeedState` and `SpeedLimit`, from 0.
     """
     road: Mapping[str, Array] = field(default_factory=dict)
     """Signals relative to the centre line of a road, arrays (n,) by name; empty for a scenario without a road.
@@ -173,7 +178,8 @@ class Trajectory:
     - ``station``: arc length of the point nearest to the car, over all laps (m);
     - ``offset``: offset of the car, positive to the left (m);
     - ``heading_error``: yaw relative to the road, in (−π, π] (rad);
-    - ``curvature``: curvature of the road at the nearest point (1/m).
+    - ``curvature``: curvature of the road at the nearest point (1/m);
+    - ``planned_speed``: speed planned for the nearest point (m/s).
     """
     units: Mapping[str, str] = field(default_factory=dict)
     """Units of the arrays in `tuning`, `diagnostics` and `road` by name, such as ``{"tuning.Q": "1/m^2"}``."""

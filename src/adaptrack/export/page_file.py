@@ -11,6 +11,7 @@ import contextlib
 import gzip
 import json
 import logging
+import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,13 +25,16 @@ from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import write_atomically
 from adaptrack.base.html import content_policy
+from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
-from adaptrack.export.page_data import CONTROLLER_KINDS, page_data
-from adaptrack.export.page_inputs import page_car
+from adaptrack.drive.world import World
+from adaptrack.export.page_data import CONTROLLER_KINDS, INPUT_BOUNDS, page_data
+from adaptrack.export.page_inputs import MAX_PAGE_POINTS, page_car
 from adaptrack.export.page_kernels import page_kernels
-from adaptrack.export.page_setup import PAGE_ROADS
-from adaptrack.road.points import read_points
-from adaptrack.scenario.profile import list_profiles
+from adaptrack.export.page_setup import PAGE_ROADS, controller_of, drive_of
+from adaptrack.road import check_road, load_road
+from adaptrack.scenario import RoadDrive
+from adaptrack.scenario.profile import list_profiles, load_profile
 
 PAGE_SOURCES = Path(__file__).parent / "page"
 ENGINE = ("memory.js", "inputs.js", "makers.js", "engine.js")
@@ -39,6 +43,9 @@ FIRST_SCRIPTS, LAST_SCRIPTS = ("start.js",), ("app.js",)
 """Of the page's: they stand before and behind the others."""
 MAX_PAGE_SIZE = 3_000_000
 """bytes of a page"""
+ROAD_SPACING = 2.0
+"""m, between the points of a road from a file"""
+SPEED_WORDS = {"constant": "speed (m/s)", "lateral": "lateral_acceleration (m/s^2)"}
 
 
 @dataclass(frozen=True)
@@ -84,7 +91,8 @@ def export_page(
     vehicle : str or Vehicle
         The car: a name, a file, or itself.
     road : str or (N, 2) array
-        A kind of `generate_road`, a .csv file of points, or points (m).
+        A kind of `generate_road`, a file that `load_road` reads, or points (m). The page drives the course of a file's
+        road, level and without its widths and speed limits.
     speed : float, optional
         m/s, kept along the road; by default a speed is planned.
     lateral_acceleration : float, optional
@@ -100,7 +108,8 @@ def export_page(
     Raises
     ------
     InvalidInput
-        When one of these is not what the page can drive, or the kernels for WebAssembly are not there.
+        When the page cannot drive one of these, also where the car cannot drive the road, or the kernels for
+        WebAssembly are not there.
     StorageError
         When a file cannot be read or written.
     """
@@ -108,37 +117,63 @@ def export_page(
         raise InvalidInput("export_page: give either speed or lateral_acceleration.")
     if not 1 <= len(controllers) <= MOST_CONTROLLERS:
         raise InvalidInput(f"export_page: {len(controllers)} controllers; the page drives one or two.")
+    car = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
     setup = {
-        "car": _car(vehicle),
+        "car": {"name": vehicle}
+        if isinstance(vehicle, str) and vehicle in list_vehicles()
+        else {"file": page_car(car)},
         "road": _road(road),
-        "speed": {"lateral": lateral_acceleration or 3.0} if speed is None else {"constant": speed},
+        "speed": {"lateral": 3.0 if lateral_acceleration is None else lateral_acceleration}
+        if speed is None
+        else {"constant": speed},
         "profile": _check_name("profile", profile, list_profiles()),
         "seed": seed,
         "controllers": [
             {"kind": _check_name("controller", controller, CONTROLLER_KINDS)} for controller in controllers
         ],
     }
+    _refuse_undrivable(setup, car)
     return write_page(file, setup)
 
 
-def _car(vehicle: str | os.PathLike[str] | Vehicle) -> dict[str, Any]:
-    if isinstance(vehicle, str) and vehicle in list_vehicles():
-        return {"name": vehicle}
-    car = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
-    return {"file": page_car(car)}
-
-
 def _road(road: str | os.PathLike[str] | ArrayLike) -> dict[str, Any]:
+    """The road of a setup: a name, the points, or a file: points of the road that is fitted to it."""
     if isinstance(road, str | os.PathLike):
-        if os.path.splitext(road)[1].lower() not in (".csv", ".txt"):
+        if not os.path.splitext(road)[1]:
             return {"name": _check_name("road", os.fspath(road), PAGE_ROADS)}
-        read = read_points(road)
-        points, name, closed = read.points, Path(road).stem, None
+        fitted = load_road(road)
+        steps = min(math.ceil(fitted.length / ROAD_SPACING), MAX_PAGE_POINTS - 1)
+        place = fitted.at(np.linspace(0.0, fitted.length, steps + 1)[: steps if fitted.closed else None])
+        points, name, closed = np.round(np.stack([place.x, place.y], axis=-1), 6), fitted.name, fitted.closed
     else:
         points, name, closed = np.asarray(road, dtype=float), "points", False
     if points.ndim != 2 or points.shape[1] != 2:
         raise InvalidInput(f"export_page: road has the shape {points.shape}; needs (N, 2): x and y of each point (m).")
-    return {"points": points.tolist(), "closed": bool(closed), "name": name}
+    return {"points": points.tolist(), "closed": closed, "name": name}
+
+
+def _refuse_undrivable(setup: Mapping[str, Any], car: Vehicle) -> None:
+    """Refuse speed, road and controllers that the page would refuse.
+
+    Raises
+    ------
+    InvalidInput
+        When one of them does not fit the car or the profile; the message says where.
+    """
+    ((kind, speed),) = setup["speed"].items()
+    low, high = INPUT_BOUNDS[kind]
+    if not low <= speed <= high:
+        raise InvalidInput(f"export_page: {SPEED_WORDS[kind]} = {speed!r}: the page drives {low:g} to {high:g}.")
+    profile = load_profile(setup["profile"])
+    drive = drive_of(setup, car)
+    assert isinstance(drive, RoadDrive)
+    for finding in check_road(drive.road, car, drive.plan):
+        if not finding.drivable:
+            place = f"{setup['road']['name']}, s = {finding.start:.0f} to {finding.end:.0f} m"
+            raise InvalidInput(f"export_page: {place}: {finding.text}. Choose another road, car or speed.")
+    with _quiet():
+        for controller in setup["controllers"]:
+            World.of(DualTrack(car), controller_of(controller, car, profile), profile, None, None, None)
 
 
 def _check_name(kind: str, name: str, names: Iterable[str]) -> str:

@@ -41,6 +41,8 @@ STOP_PLACE, STOP_SECONDS = 100.0, 1.5
 """m, s: of the stop, with a speed control."""
 HILL_LENGTH, HILL_GRADE = 80.0, 0.05
 """m, -: length and steepest grade of the hills of a level road, with a speed control."""
+SLOWER = (1.0, 0.7, 0.5, 0.35)
+"""Factors on the highest planned speed of the simulated drive: a car that leaves the road drives again, more slowly."""
 DRIVEN_SHARE = 0.4
 """Share of the record that the controller drives."""
 MOST_ANGLE = 1.2
@@ -152,7 +154,8 @@ def record_drive(
     furthest: m, from the path, as of the exported tracker; speed: the speed control behind it: the drive then has a
     stop, and hills where the road is level. A command takes effect a period after its sample if the controller assumes
     such a computation time, else at once. A controller that learns its steering drives below
-    `Learner.first_top_speed`.
+    `Learner.first_top_speed`. Where the car leaves the road at planned speeds, the drive is repeated more slowly
+    (`SLOWER`).
 
     Raises
     ------
@@ -167,16 +170,20 @@ def record_drive(
     if speed is not None:
         grade = _hills(road, length)
         path, full_path = path.replace(grade=grade), full_path.replace(grade=grade)
-    planned = _plan(controller, path, plan, speed)
-    recorded_plan = _extended(planned, full_path.length)
-    driver = _Driver(controller, Twin(controller, full_path, recorded_plan, furthest, speed), DRIVEN_SHARE * seconds)
     if controller.belief is not None:
         profile = profile.replace(delay=float(controller.belief.computation.value > 0.5 * controller.period))
     control = None if speed is None else speed.control
-    run = simulate(plant, driver, RoadDrive(path, planned), profile=profile, driver=control)
-    failure = find_failure(run)
-    failed = ""
-    if failure is not None and failure.time < DRIVEN_SHARE * seconds:
+    is_steady = float(np.ptp(plan.speed)) == 0.0
+    for factor in SLOWER[:1] if is_steady else SLOWER:
+        planned = _plan(controller, path, plan, speed, factor)
+        recorded_plan = _extended(planned, full_path.length)
+        twin = Twin(controller, full_path, recorded_plan, furthest, speed)
+        driver = _Driver(controller, twin, DRIVEN_SHARE * seconds)
+        run = simulate(plant, driver, RoadDrive(path, planned), profile=profile, driver=control)
+        failure = find_failure(run)
+        if failure is None or failure.time >= DRIVEN_SHARE * seconds:
+            failed = ""
+            break
         failed = f"at {failure.time:.1f} s the vehicle {failure.clause}"
     calls = len(driver.samples)
     if calls == 0:
@@ -227,11 +234,14 @@ def _wild(
             yield sample
 
 
-def _plan(controller: Controller, path: Road, plan: SpeedPlan, speed: SpeedPart | None) -> SpeedPlan:
-    """The speed that the simulated car drives: as a plan is, and not above that at which learning begins."""
+def _plan(controller: Controller, path: Road, plan: SpeedPlan, speed: SpeedPart | None, factor: float) -> SpeedPlan:
+    """The speed that the simulated car drives: as a plan is.
+
+    Its highest speed is that of the plan or that at which learning begins, the lower one, times a factor.
+    """
     is_steady, car = float(np.ptp(plan.speed)) == 0.0, controller.vehicle
     learner = getattr(controller, "learner", None)
-    top_speed = min(float(plan.speed.max()), math.inf if learner is None else learner.first_top_speed)
+    top_speed = factor * min(float(plan.speed.max()), math.inf if learner is None else learner.first_top_speed)
     if speed is not None:
         stop = Stop(min(STOP_PLACE, 0.5 * path.length), STOP_SECONDS)
         return plan_speed(path, speed.control.car, plan.comfort, stops=[stop], top_speed=top_speed)

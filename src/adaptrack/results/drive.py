@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.drive.failure import DISTANCE, MIN_JUDGED_SPEED
 from adaptrack.drive.metrics import Metrics, compute_metrics
 from adaptrack.drive.predicted_paths import PredictedPaths
+from adaptrack.drive.speed_measures import measure_stops, speed_measures
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.answers import length
 from adaptrack.results.drive_tables import (
@@ -34,11 +36,13 @@ from adaptrack.results.run_pictures import (
     conditions_picture,
     error_panel,
     prepare_runs,
+    speed_control_picture,
     speed_picture,
     tracking_picture,
 )
 from adaptrack.results.words import (
     controller_name,
+    counted,
     few,
     legible,
     number,
@@ -46,7 +50,7 @@ from adaptrack.results.words import (
     span,
     title_of,
 )
-from adaptrack.road import Road
+from adaptrack.road import Road, SpeedPlan
 from adaptrack.scenario.profile import load_profile
 
 _PAPER_FIGURES = {
@@ -79,6 +83,8 @@ class Run:
     """The car that is drawn on the road."""
     predicted: PredictedPaths | None = None
     """The paths that `simulate` recorded, for the replay."""
+    plan: SpeedPlan | None = None
+    """Plan that a driver followed along the road; with it, the page has speed error, lost time and stops."""
 
 
 def drive_result(
@@ -188,7 +194,10 @@ def _prepare_run(label: str, run: Run) -> Shown:
     outline = None if run.car is DEFAULT_DRAWN_CAR else run.car.outline
     metrics = run.metrics or compute_metrics(trajectory, outline=outline)
     drive = None if run.road is None else DriveRecord.from_trajectory(trajectory, run.road, run.car, run.predicted)
-    return Shown(label, trajectory, metrics, drive)
+    if run.road is None or run.plan is None:
+        return Shown(label, trajectory, metrics, drive)
+    following = speed_measures(trajectory, run.road, run.plan)
+    return Shown(label, trajectory, metrics, drive, following, measure_stops(trajectory, run.plan))
 
 
 # -- headlines --------------------------------------------------------------------------------------------------------
@@ -206,11 +215,26 @@ def _answer(runs: Sequence[Shown]) -> str:
         return failed
     best = min(completed, key=lambda run: run.metrics.mse)
     errors = f"{length(best.metrics.rms_error)} RMS error, largest {length(best.metrics.max_abs_error)}."
+    if best.following:
+        errors += f" {_speed_answer(best)}"
     if len(runs) == 1:
         return errors
     if len({run.trajectory.name_of("scenario") for run in runs}) > 1:
         return f"Largest error {length(max(run.metrics.max_abs_error for run in completed))}. {failed}"
     return f"{best.label}: {errors} {failed}"
+
+
+def _speed_answer(run: Shown) -> str:
+    """Give speed error, stops and lost time of a run that followed a speed plan."""
+    errors, speed, lost = [abs(stop.error) for stop in run.stops], *map(run.following.get, ("speed_error", "time_lost"))
+    missed = sum(map(math.isnan, errors))
+    parts = [] if speed is None else [f"{speed:.2g} m/s RMS speed error"]
+    if errors and missed:
+        parts.append(f"{missed} of {counted(len(errors), 'stop')} passed without standing")
+    elif errors:
+        parts.append(f"{counted(len(errors), 'stop')}, largest error {length(max(errors))}")
+    parts += [] if lost is None else [f"{abs(lost):.2g} s {'late' if lost >= 0.0 else 'early'}"]
+    return f"{'; '.join(parts)}." if parts else ""
 
 
 def _failure(run: Shown) -> dict[str, str]:
@@ -255,6 +279,8 @@ def _signal_pictures(runs: Mapping[str, Trajectory], line_styles: Strokes, stem:
     """Draw tracking, conditions and learned quantities of the runs of one scenario or road."""
     caption = _cite(TRACKING_CAPTION, _paper_figure(runs, "tracking"))
     pictures = [tracking_picture(runs, line_styles, f"{stem}-tracking", caption)]
+    if any("governed_speed" in run.diagnostics for run in runs.values()):
+        pictures.append(speed_control_picture(runs, line_styles, f"{stem}-speed"))
     caption = _cite(CONDITIONS_CAPTION, _paper_figure(runs, "conditions"))
     conditions = conditions_picture(runs, line_styles, f"{stem}-conditions", caption)
     if conditions.panels[2:] or not any(run.road for run in runs.values()):

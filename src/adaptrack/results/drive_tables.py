@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.result import Column, ResultTable, Row, select_entries
 from adaptrack.drive.metrics import Metrics, published_mse
+from adaptrack.drive.speed_measures import StopMeasure
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.record import DriveRecord
 from adaptrack.results.words import number, title_of
@@ -27,6 +28,9 @@ class Shown:
     metrics: Metrics
     drive: DriveRecord | None = None
     """The run along its road, for the map and the replay."""
+    following: Row = field(default_factory=dict)
+    """Measures of how the speed plan was followed (`speed_measures`); empty where no driver followed one."""
+    stops: Sequence[StopMeasure] = ()
 
 
 _CONTROLLER = Column("label", "Controller")
@@ -83,6 +87,23 @@ SOLVER_COLUMNS = (
     Column("step_us_p999", "99.9 % step time", "µs", 3),
     Column("step_us_max", "Max. step time", "µs", 3),
 )
+SPEED_COLUMNS = (
+    _CONTROLLER,
+    Column("speed_error", "RMS speed error", "m/s", 3, "difference from the speed planned for the place"),
+    Column("time_lost", "Late at the end", "s", 3, "delay against the plan at the place where the run ends"),
+    Column("stop_error", "Max. stop error", "m", 3, "largest distance from a stop; 8 m: passed without standing"),
+    Column("longitudinal_jerk", "Max. longitudinal jerk", "m/s³", 3, "by UN R79"),
+    Column("used_grip", "Max. used grip", "", 3, "acceleration divided by true friction times gravity"),
+)
+STOP_COLUMNS = (
+    _CONTROLLER,
+    Column("place", "Stop", "at s, m", 4),
+    Column(
+        "error", "Error", "m", 2, "where the car first stood, minus the place of the stop; a dash: it did not stand"
+    ),
+    Column("stood", "Stood", "s", 3),
+    Column("seconds", "Planned", "s", 3),
+)
 OPTIONAL_COLUMNS = (
     "paper", "ratio", "p95_error", "max_corner_error", "in_lane", "reversals", "jerk_r79", "dead_reckoning",
     "dead_reckoning_max", "prediction_error_half", "prediction_error_one",
@@ -103,6 +124,9 @@ DRIVE_COLUMNS = (
     Column("max_abs_error", "max error", "m", 3),
     Column("max_corner_error", "corners", "m", 3, _CORNER_ERROR),
     Column("in_lane", "in lane", "%", "percent", "share of time with all corners in the lane"),
+    Column("speed_error", "speed", "m/s", 2, "RMS difference from the speed planned for the place"),
+    Column("stop_error", "stops", "m", 2, "largest distance from a stop"),
+    Column("time_lost", "late", "s", 2, "delay at the end"),
     Column("result", "result"),
 )
 _TROUBLES = ("qp_capped", "qp_failed", "held")
@@ -144,6 +168,11 @@ def scenario_tables(name: str, runs: Sequence[Shown]) -> list[ResultTable]:
         ResultTable(f"{name} solver", "Limits, solver and step time", _with_values(SOLVER_COLUMNS, rows), rows,
                     "A dash means that the value was not measured.", alert=frozenset().union(*troubles)),
     ]  # fmt: skip
+    followers = [run for run in runs if run.following]
+    speeds = [{"label": run.label, **run.following} for run in followers]
+    stops = [{"label": run.label, **stop._asdict()} for run in followers for stop in run.stops]
+    tables += [ResultTable(f"{name} speed", "Speed", SPEED_COLUMNS, speeds)] if speeds else []
+    tables += [ResultTable(f"{name} stops", "Stops", STOP_COLUMNS, stops)] if stops else []
     learners = [row for row in rows if row["belief_state"]]
     if learners:
         title = "Learning state, share of time"
@@ -190,7 +219,11 @@ def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
     """Return the table for the console; rows: measures of each run with `scenario` and `controller`."""
     empty = dict.fromkeys(column.name for column in DRIVE_COLUMNS)  # a run of one instant has no path measures
     table_rows = [{**empty, **row, "result": "failed" if row["failed"] else "ok"} for row in rows]
-    return ResultTable("console", title, DRIVE_COLUMNS, table_rows, brief=True)
+    speeds = ("speed_error", "stop_error", "time_lost")
+    columns = [
+        column for column in DRIVE_COLUMNS if column.name not in speeds or any(row.get(column.name) for row in rows)
+    ]
+    return ResultTable("console", title, columns, table_rows, brief=True)
 
 
 def _entries(runs: Iterable[Shown]) -> dict[str, str]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -21,6 +22,10 @@ from adaptrack.road import Road
 from adaptrack.road.road_ahead import foot_near
 
 Array = NDArray[np.float64]
+SPEED_SIGNALS = (
+    "governed_speed", "longitudinal_acceleration", "grip_used", "friction_low", "friction_high", "friction",
+)  # fmt: skip
+"""Signals of a speed control that the replay shows, with the true friction."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +88,9 @@ class DriveRecord:
     command: Array
     """rad, steering command of the controller"""
     planned_speed: Array
-    """m/s, reference of the speed"""
+    """m/s, planned for the place of the car; the reference of the speed where this is not recorded"""
+    speed_control: Mapping[str, Array] = field(default_factory=dict)
+    """signals of a speed control by the names of `SPEED_SIGNALS`; empty without one"""
     failed: str = ""
     """Reason of the failure, to complete "the vehicle ..."; empty if the drive did not fail."""
     failed_at: float = math.nan
@@ -119,7 +126,8 @@ class DriveRecord:
         run = on_road(run, road)
         signals = {
             "time": run.t, "station": run.road["station"], "x": run.X, "y": run.Y, "yaw": run.psi, "speed": run.vx,
-            "offset": run.road["offset"], "steering": run.steering, "command": run.command, "planned_speed": run.v_ref,
+            "offset": run.road["offset"], "steering": run.steering, "command": run.command,
+            "planned_speed": run.road.get("planned_speed", run.v_ref),
         }  # fmt: skip
         finite = np.isfinite(np.stack(list(signals.values()))).all(axis=0)
         end = int(finite.argmin()) if not finite.all() else len(run)
@@ -127,7 +135,7 @@ class DriveRecord:
             raise InvalidInput("a drive along a road must have at least two instants with finite numbers.")
         failed = find_failure(run)
         return cls(
-            **{name: values[:end] for name, values in signals.items()},
+            **{name: values[:end] for name, values in signals.items()}, speed_control=_speed_signals(run, end),
             road=road, shape=car if isinstance(car, DrawnCar) else DrawnCar.of(car),
             failed=failed.clause if failed else "", failed_at=failed.time if failed else math.nan,
             predicted=predicted or None,
@@ -146,6 +154,15 @@ class DriveRecord:
     def max_offset(self) -> float:
         """m, largest |e|."""
         return float(np.abs(self.offset).max())
+
+
+def _speed_signals(run: Trajectory, end: int) -> dict[str, Array]:
+    """The signals of `SPEED_SIGNALS` up to an instant, those that are finite."""
+    if "governed_speed" not in run.diagnostics:
+        return {}
+    signals = {"friction": run.friction.mean(axis=1), **run.diagnostics}
+    columns = {name: np.asarray(signals[name][:end], dtype=float) for name in SPEED_SIGNALS}
+    return {name: values for name, values in columns.items() if np.isfinite(values).all()}
 
 
 def on_road(run: Trajectory, road: Road) -> Trajectory:

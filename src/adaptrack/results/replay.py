@@ -20,7 +20,7 @@ from adaptrack.base.text import printable
 from adaptrack.core import portable
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.results.marks import deviation_colours
-from adaptrack.results.record import Array, DriveRecord
+from adaptrack.results.record import SPEED_SIGNALS, Array, DriveRecord
 from adaptrack.results.road_pictures import Drives, offset_scale, outline_stations, road_span
 from adaptrack.road import Road
 
@@ -32,6 +32,9 @@ REPLAY_UNITS = {
     "command": 1e-4, "planned_speed": 1e-2,
 }  # fmt: skip
 """The columns of a replay and the units to which they are rounded (s, m, rad, m/s)."""
+
+SPEED_SIGNAL_UNITS = dict.fromkeys(SPEED_SIGNALS, 1e-3)
+"""The same of a drive with a speed control (m/s, m/s^2, -)."""
 
 PREDICTED_UNIT = 1e-2
 """m, to which predicted points are rounded."""
@@ -68,6 +71,7 @@ def replay(drives: Drives) -> Markup:
             names=[car["name"] for car in data["cars"]],
             shades=data["shades"],
             top=f"{data['top']:g}",
+            beyond=max(drive.max_offset for drive in drives.values()) > data["top"],
             predicted=any(car["predicted"] for car in data["cars"]),
             road=printable(data["road"]["name"]),
         )
@@ -139,6 +143,8 @@ def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
     keep = sample_indices(drive)
     columns = {name: getattr(drive, name)[keep] for name in REPLAY_UNITS}
     columns["yaw"] = np.unwrap(drive.yaw)[keep]
+    columns |= {name: values[keep] for name, values in drive.speed_control.items()}
+    units = REPLAY_UNITS | SPEED_SIGNAL_UNITS
     shape = drive.shape
     return {
         "name": printable(label),
@@ -147,7 +153,7 @@ def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
             "front": shape.outline.front, "rear": shape.outline.rear, "width": shape.outline.width,
             "lf": shape.lf, "lr": shape.lr, "track_front": shape.track_front, "track_rear": shape.track_rear,
         },
-        "columns": {name: pack_column(values, REPLAY_UNITS[name]) for name, values in columns.items()},
+        "columns": {name: pack_column(values, units[name]) for name, values in columns.items()},
         "predicted": None if drive.predicted is None else _predicted(drive.predicted, drive, keep),
     }  # fmt: skip
 

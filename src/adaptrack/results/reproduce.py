@@ -35,6 +35,9 @@ CONFIGURATIONS = {"released": "As released", "same-moves": "The same moves for a
 FIGURES = {"triple-lane-change": (7, 8), "general-trajectory": (9, 10)}
 """Numbers of the paper's figures on the conditions and on the tracking of each test."""
 
+SECTION = "the paper's section V"
+"""Section of the paper with its figures 6 to 10."""
+
 PUBLISHED_COLUMNS = (
     Column("name", "Test and controller"),
     Column("mse", "Ours", "m²", 3),
@@ -108,18 +111,18 @@ def _paper_figures(labelled: Sequence[tuple[str, Trajectory]]) -> Iterable[Pictu
     colours = strokes(CONTROLLER_TITLES[name] for name, _ in labelled)
     speeds = {f"({letter}) {title_of(test)}": runs[test] for letter, test in zip("ab", PAPER_TESTS, strict=True)}
     yield replace(
-        speed_picture(speeds, colours, "Figure 6. Speed: profile (dashed) and driven."),
+        speed_picture(speeds, colours, f"Figure 6 of {SECTION}. Speed: profile (dashed) and driven."),
         name="figure-6", file="figure-6.png",
     )  # fmt: skip
     for test, (conditions, tracking) in FIGURES.items():
         title = title_of(test)
         yield replace(
             conditions_picture(runs[test], colours, f"figure-{conditions}"),
-            caption=f"Figure {conditions}. {title}: gust, friction, horizons and weights; black is shared by all.",
+            caption=f"Figure {conditions} of {SECTION}. {title}: gust, friction, horizons, weights; black: all runs.",
         )
         yield replace(
             tracking_picture(runs[test], colours, f"figure-{tracking}"),
-            caption=f"Figure {tracking}. {title}: path, tracking error, angle of the front wheels and yaw rate.",
+            caption=f"Figure {tracking} of {SECTION}. {title}: path, tracking error, wheel angle, yaw rate.",
         )
 
 

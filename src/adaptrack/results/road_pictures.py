@@ -48,10 +48,15 @@ def check_one_road(drives: Sequence[DriveRecord]) -> None:
 
 
 def offset_scale(drives: Sequence[DriveRecord]) -> float:
-    """The |e| (m) at the end of the colours: a round number above every drive's 95th percentile, at least 0.05."""
-    high = max(0.05, *(drive.p95_offset for drive in drives))
+    """The |e| (m) at the end of the colours: a round number above the largest of the drives that did not fail.
+
+    Where all failed, above their 95th percentiles, since a car that left the road may be anywhere; at least 0.05.
+    """
+    completed = [drive.max_offset for drive in drives if not drive.failed]
+    high = max(0.05, *(completed or [drive.p95_offset for drive in drives]))
     decade = portable.power(10.0, math.floor(portable.log10(high)))
-    return next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if step * decade >= high * (1.0 - 1e-9))
+    steps = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+    return next(step * decade for step in steps if step * decade >= high * (1.0 - 1e-9))
 
 
 def outline_stations(road: Road, start: float, end: float) -> Array:

@@ -23,6 +23,7 @@ from adaptrack.base.result import (
     Stroke,
     strokes,
 )
+from adaptrack.control.speed_control import SpeedLimit
 from adaptrack.core import portable
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.trajectory import Trajectory
@@ -30,7 +31,9 @@ from adaptrack.results.marks import (
     add_degrees,
     add_line_key,
     draw_dots,
+    draw_ribbon,
     include_y,
+    name_rows,
     set_log_scale,
     set_whole_ticks,
     write_remark,
@@ -136,7 +139,7 @@ def speed_panel(lines: Lines, title: str = "Speed") -> Panel:
     def draw(axes: Axes) -> None:
         for line in lines:
             _draw_curve(axes, line, line.run.vx)
-        _draw_shared(axes, lines, lambda run: run.v_ref, REFERENCE_STROKE)
+        _draw_shared(axes, lines, lambda run: run.road.get("planned_speed", run.v_ref), REFERENCE_STROKE)
         if all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines):
             axes.set_ylim(bottom=0.0)
         _draw_crosses(axes, lines, speed)
@@ -157,6 +160,70 @@ def tracking_panels(lines: Lines) -> list[Panel]:
         _steering(lines),
         _signal("Yaw rate", "Yaw rate (rad/s)", lines, lambda run: run.yaw_rate),
     ]
+
+
+def speed_control_panels(lines: Lines) -> list[Panel]:
+    """Governed speed, longitudinal acceleration, used grip, assumed friction, and what limits the speed."""
+    speed = speed_panel(lines, "Speed, governed (dotted), planned (dashed)")
+
+    def draw_speeds(axes: Axes) -> None:
+        speed.draw(axes)
+        for line in lines:
+            _draw_curve(axes, line, _diagnostic("governed_speed")(line.run), Stroke(line.stroke.colour, "dotted"))
+
+    acceleration = _signal(
+        "Longitudinal acceleration", "Long. acc. (m/s²)", lines, _diagnostic("longitudinal_acceleration")
+    )
+    grip = _signal("Used share of the assumed grip", "Used grip (–)", lines, _diagnostic("grip_used"))
+    return [replace(speed, draw=draw_speeds), acceleration, grip, _assumed_friction(lines), _limits_band(lines)]
+
+
+def _diagnostic(name: str) -> RunSignal:
+    """A function that returns a diagnostic of a run; NaN where its controller has none."""
+    return lambda run: np.asarray(run.diagnostics.get(name, np.full(len(run), np.nan)), dtype=float)
+
+
+def _assumed_friction(lines: Lines) -> Panel:
+    low, high = _diagnostic("friction_low"), _diagnostic("friction_high")
+
+    def draw(axes: Axes) -> None:
+        _draw_shared(axes, lines, lambda run: run.friction.mean(axis=1))
+        for line in lines:
+            draw_ribbon(axes, line.x, low(line.run), high(line.run), line.stroke.colour)
+            _draw_curve(axes, line, low(line.run))
+            _draw_curve(axes, line, high(line.run))
+        include_y(axes, 0.0, 1.0)
+
+    title = "Friction: assumed interval, true (black)"
+    return _panel(title, "Friction (–)", lines, lambda run: np.concatenate([low(run), high(run)]), draw)
+
+
+def _limits_band(lines: Lines) -> Panel:
+    """A row for each cause that limits the speed, with a bar where it does."""
+    limits = list(SpeedLimit)
+    codes = _diagnostic("limited_by")
+    limiting = np.unique(np.concatenate([codes(line.run) for line in lines]))
+    rows = limiting[np.isfinite(limiting)].astype(int).tolist()
+
+    def draw(axes: Axes) -> None:
+        height = 0.8 / len(lines)
+        for k, line in enumerate(lines):
+            code = codes(line.run)
+            cuts = np.flatnonzero(np.diff(code, prepend=np.nan, append=np.nan) != 0.0)
+            for first, last in itertools.pairwise(cuts.tolist()):
+                start, end = float(line.x[first]), float(line.x[min(last, len(line.run) - 1)])
+                if np.isfinite(code[first]):
+                    bottom = rows.index(int(code[first])) - 0.4 + k * height
+                    axes.broken_barh([(start, max(end - start, 0.0))], (bottom, height), color=line.stroke.colour)
+        name_rows(axes, [limits[row] for row in rows])
+
+    panel = _panel("Speed limited by", "", lines, codes, draw)
+    shares = "; ".join(
+        f"{line.label}: {limits[row]} {100.0 * float(np.mean(codes(line.run) == row)):.0f} %"
+        for line in lines
+        for row in rows
+    )
+    return replace(panel, description=f"What limits the speed, share of the time. {shares}.")
 
 
 def error_panel(lines: Lines) -> Panel:
@@ -405,6 +472,18 @@ def tracking_picture(
     return Picture(
         name, caption, tracking_panels(lines), key, f"{name}.png", columns, row_height=1.7 if columns == 1 else 2.25
     )
+
+
+def speed_control_picture(
+    runs: Runs, line_styles: Mapping[str, Stroke] | None = None, name: str = "speed-control"
+) -> Picture:
+    """`speed_control_panels` over the station along a road."""
+    lines = prepare_runs(runs, line_styles)
+    key = [("Reference", REFERENCE_STROKE), *((line.label, line.stroke) for line in lines)]
+    caption = (
+        "Speed control: speeds, longitudinal acceleration, used grip, assumed friction, and what limits the speed."
+    )
+    return Picture(name, caption, speed_control_panels(lines), key, f"{name}.png", 1, row_height=1.7)
 
 
 def conditions_picture(

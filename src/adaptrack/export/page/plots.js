@@ -56,6 +56,10 @@ const PLOTS = [
     ],
   },
   {
+    name: "longitudinal", title: "Longitudinal acceleration", unit: "m/s²", digits: 2, least: 1, around0: true,
+    lines: [{column: "longitudinal_acceleration", label: "longitudinal"}],
+  },
+  {
     name: "grip", title: "Used share of the assumed grip", unit: "", digits: 2, least: 1,
     lines: [{column: "grip_used", label: "used grip"}], limits: [{value: 1, label: "assumed grip"}],
   },

@@ -18,7 +18,8 @@
 //   One requestAnimationFrame serves everybody; none is asked for while nothing moves.
 //
 //   transport = makeTransport(box, clock, {keys, rates, view})
-//     Puts buttons, slider and rate into `box`. keys: element in which keys work (focus inside, not in a field).
+//     Puts buttons, slider and rate into `box`. keys: element in which all keys work (focus inside, not in a field);
+//     where nothing has the focus, all but home and end work as well, which scroll the page.
 //     view: a road view, for + - f w. Parts carry data-part: first, back, play, on, last, slider, slower, rate,
 //     faster, time.
 
@@ -178,7 +179,10 @@ function makeTransport(box, clock, {keys = box, rates = RATES, view = null} = {}
   }
   const transport = {show, words: null};
   clock.paint(show);
-  keys.addEventListener("keydown", event => transportKey(event, clock, view));
+  document.addEventListener("keydown", event => {
+    const free = event.target === document.body;
+    if (keys.contains(event.target) || free && event.key !== "Home" && event.key !== "End") transportKey(event, clock, view);
+  });
   return transport;
 }
 
