@@ -28,6 +28,14 @@ class BodyStyleName(StrEnum):
     truck = "truck"
 
 
+class DrivenAxle(StrEnum):
+    """Axles that the engine drives."""
+
+    front = "front"
+    rear = "rear"
+    all = "all"
+
+
 PARAMETER_COLUMNS = (
     Column("key", "parameter"), Column("value", "value", "", 5), Column("unit", "unit"),
     Column("within", "tolerance"), Column("from", "source"),
@@ -59,6 +67,9 @@ class CarOptions:
     body_style: Annotated[
         BodyStyleName, Option("--body-style", help="Body of a new car; truck: pickup, van or SUV.")
     ] = BodyStyleName.car
+    drive: Annotated[
+        DrivenAxle | None, Option("--drive", help="Driven axle of a new car; by default front drive is assumed.")
+    ] = None
     yaw_inertia: Annotated[
         float | None, Option("--yaw-inertia", metavar="I", hidden=True, help="Yaw inertia (kg m^2), if known.")
     ] = None
@@ -146,13 +157,13 @@ def _vehicle(arguments: CarOptions) -> Vehicle | None:
 
     name, mass, wheelbase, load = arguments.name, arguments.mass, arguments.wheelbase, arguments.load
     if name is not None:
-        if (mass, wheelbase, load) != (None, None, None) or arguments.known_values:
+        if (mass, wheelbase, load, arguments.drive) != (None,) * 4 or arguments.known_values:
             raise InvalidInput(
                 f"{name} is an existing car: leave out --mass, --wheelbase and the other options of a new car."
             )
         return load_vehicle(name)
     if mass is None and wheelbase is None:
-        if arguments.known_values or load is not None:
+        if arguments.known_values or load is not None or arguments.drive is not None:
             raise InvalidInput("a new car needs --mass and --wheelbase.")
         return None
     if mass is None or wheelbase is None:
@@ -161,8 +172,9 @@ def _vehicle(arguments: CarOptions) -> Vehicle | None:
         )
     new = "new-car" if arguments.out is None else arguments.out.stem
     return vehicle_from_data_sheet(
-        new, mass, wheelbase, load=load or 0.0, body_style=str(arguments.body_style), **arguments.known_values
-    )
+        new, mass, wheelbase, load=load or 0.0, body_style=str(arguments.body_style),
+        driven_axle=None if arguments.drive is None else arguments.drive.value, **arguments.known_values,
+    )  # fmt: skip
 
 
 def _fit(tir: Path | None, table: Path | None, vehicle: Vehicle | None) -> TyreFit | None:
@@ -210,6 +222,11 @@ def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_j
         title = vehicle.name if not vehicle.description else f"{vehicle.name}: {vehicle.description}"
         show.table(title, PARAMETER_COLUMNS, numbers(vehicle))
         show.table("Steady-state cornering of the model", DERIVED, derived(vehicle, fit))
+        if "drive_front" in vehicle.estimated:
+            show.say(
+                "The driven axle is unknown; front drive is assumed. It limits the drive force in\nbends: give --drive "
+                "rear or --drive all, or set drive_front in the car file."
+            )
         domain = vehicle.domain
         show.say(
             f"Domain: {domain.speed[0]:g} to {domain.speed[1]:g} m/s, friction {domain.friction[0]:g} to "

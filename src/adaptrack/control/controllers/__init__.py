@@ -1,6 +1,13 @@
 """Controllers: what `simulate` drives with. One file each; `check_controller` tells whether one keeps the contract."""
 
-from adaptrack.control.controllers.base import Command, CompiledController, Controller, TuningBounds, command_of
+from adaptrack.control.controllers.base import (
+    Command,
+    CompiledController,
+    Controller,
+    TuningBounds,
+    command_of,
+    step_call,
+)
 from adaptrack.control.controllers.belief import Belief, Uncertainty
 from adaptrack.control.controllers.check import check_controller
 from adaptrack.control.controllers.informed import informed_tuning
@@ -47,6 +54,7 @@ __all__ = [
     "about_controller",
     "check_controller",
     "command_of",
+    "step_call",
     "get_controller",
     "informed_tuning",
     "list_controllers",
