@@ -54,7 +54,6 @@ __all__ = [
     "about_controller",
     "check_controller",
     "command_of",
-    "step_call",
     "get_controller",
     "informed_tuning",
     "list_controllers",
@@ -63,4 +62,5 @@ __all__ = [
     "read_tuning",
     "register_controller",
     "released_mpc",
+    "step_call",
 ]

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Count, Finite, Hint, Positive, checked, within
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.registry import PluginCall
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
+from adaptrack.base.registry import PluginCall
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import MOST_COMPUTATION, GivenSteering, Uncertainty
