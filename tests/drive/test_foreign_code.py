@@ -134,11 +134,15 @@ def test_a_factory_that_makes_no_member_is_named(answer):
     register_plant("bad-plant", lambda vehicle, tyre: _answer(answer))
     register_controller("bad-controller", lambda vehicle: _answer(answer))
     drivers.register_driver("bad-driver", lambda car: _answer(answer))
-    with pytest.raises(ContractError, match="plant 'bad-plant': its factory .* it must return a Plant or SteppedPlant"):
+    with pytest.raises(
+        ContractError, match=r"plant 'bad-plant': its factory .* it must return a Plant or SteppedPlant"
+    ):
         get_plant("bad-plant", CAR)
-    with pytest.raises(ContractError, match="controller 'bad-controller': its factory .* must return a Controller"):
+    with pytest.raises(ContractError, match=r"controller 'bad-controller': its factory .* must return a Controller"):
         get_controller("bad-controller", CAR)
-    with pytest.raises(ContractError, match="driver 'bad-driver': its factory .* must return a Driver or SpeedControl"):
+    with pytest.raises(
+        ContractError, match=r"driver 'bad-driver': its factory .* must return a Driver or SpeedControl"
+    ):
         drivers.make_driver("bad-driver", CAR)
 
 

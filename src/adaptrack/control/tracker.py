@@ -124,9 +124,9 @@ class Tracker:
     Parameters
     ----------
     controller : Controller
-        An MPC or any other, without a scheduler, of this tracker alone: another one takes a copy. A filter that takes late samples in
-        (``KalmanFilter(oldest=...)``, as for profile `production`) uses what comes late best. One without a filter is
-        given the v_y of a steady turn where none is measured.
+        An MPC or any other, without a scheduler, of this tracker alone: another tracker takes a copy. A filter that
+        takes late samples in (``KalmanFilter(oldest=...)``, as for profile `production`) uses what comes late best. One
+        without a filter is given the v_y of a steady turn where none is measured.
     path : Road
         From points, OpenDRIVE or segments. On one that crosses itself the car begins on the branch in its direction.
     plan : SpeedPlan, optional
@@ -327,13 +327,13 @@ class Tracker:
         Raises
         ------
         InvalidInput
-            When an argument is no number, or neither t nor now is finite, or another tracker or a simulation has used the
-        controller since.
+            When an argument is no number, neither t nor now is finite, or a newer tracker or simulation uses the
+            controller.
         """
         if self.controller.user is not self._user:
             raise InvalidInput(
-                "Tracker.step: a newer tracker or simulation uses this controller, which has forgotten this drive: give "
-                "each its own, such as copy.copy(controller), or call engage() to begin again."
+                "Tracker.step: a newer tracker or simulation uses this controller, which has forgotten this drive: "
+                "give each its own, such as copy.copy(controller), or call engage() to begin again."
             )
         numbers = [t, math.nan, x, y, yaw, speed, yaw_rate, lateral_velocity, lateral_acceleration]
         numbers.append(math.nan if wheel_angle is None else wheel_angle)

@@ -40,8 +40,8 @@ LONGEST_SPEEDS_AHEAD = 120
 LONGEST_PREVIEW = 400
 """Number of control instants for which a controller in Python receives the planned speed."""
 _REQUESTS = (
-    "a SpeedCommand with acceleration (m/s^2), force (N) and hold (N); the force must be finite, the hold finite and at "
-    "least 0"
+    "a SpeedCommand with acceleration (m/s^2), force (N) and hold (N); the force must be finite, the hold finite and "
+    "at least 0"
 )
 
 
