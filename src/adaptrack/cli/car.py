@@ -142,7 +142,8 @@ def car(arguments: CarOptions) -> None:
 
 def _next_step(arguments: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
     """Suggest the next command for a car, with the reason."""
-    if arguments.out is None and arguments.name is None:
+    is_changed = arguments.tir is not None or arguments.tyre_table is not None
+    if arguments.out is None and (arguments.name is None or is_changed):
         return "to keep the car", repeat_command_with("--out", "my-car.toml")
     file = arguments.out if arguments.out is not None else arguments.name
     if vehicle.estimated:
