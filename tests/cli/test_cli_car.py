@@ -120,3 +120,17 @@ def test_a_driven_axle_is_of_a_new_car_and_stated_once(run_command):
         vehicle_from_data_sheet("mine", 1500.0, 2.7, driven_axle="rear", drive_front=0.2)
     with pytest.raises(InvalidInput, match="driven_axle = 'middle': must be"):
         vehicle_from_data_sheet("mine", 1500.0, 2.7, driven_axle="middle")
+
+
+def test_a_car_file_of_other_content_that_is_replaced_stays_beside_it(run_command, tmp_path):
+    out, sheet = tmp_path / "mine.toml", ("car", "--mass", 1500, "--wheelbase")
+    run_command(*sheet, 2.7, "--out", out)
+    before = out.read_bytes()
+    _, text, _ = run_command(*sheet, 2.7, "--out", out)
+    assert ("previous content" in text, list(tmp_path.glob("*.bak"))) == (False, [])
+    _, text, _ = run_command(*sheet, 2.8, "--out", out)
+    assert f"The previous content is in {out}.bak" in text.replace("\n", "")
+    assert (tmp_path / "mine.toml.bak").read_bytes() == before
+    _, text, err = run_command(*sheet, 2.9, "--out", out, "--json")
+    assert "previous content" in err.replace("\n", " ")
+    assert json.loads(text)["written"] == [str(out)]

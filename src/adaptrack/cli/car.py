@@ -124,20 +124,29 @@ def car(arguments: CarOptions) -> None:
     if vehicle is None and arguments.tir is None:
         raise InvalidInput("no car: name a car, or give --mass and --wheelbase, or --tir.")
     fit = _fit(arguments.tir, arguments.tyre_table, vehicle)
-    written = []
     options.make_place(out)
-    if fit is not None and out is not None:
-        tyre_file = out if vehicle is None else out.with_name(f"{out.stem}-tyre.toml")
-        fit.tyre.replace(name=tyre_file.stem).to_toml(tyre_file)
-        written.append(tyre_file)
-    if vehicle is not None:
-        vehicle = _with_tyre(vehicle, fit, written)
-        if out is not None:
-            vehicle.to_toml(out)
-            written.append(out)
+    vehicle, written = _write(vehicle, fit, out, arguments.as_json)
     _say(vehicle, fit, written, arguments.as_json)
     if vehicle is not None and not arguments.as_json:
         say_next(*_next_step(arguments, vehicle))
+
+
+def _write(
+    vehicle: Vehicle | None, fit: TyreFit | None, out: Path | None, as_json: bool
+) -> tuple[Vehicle | None, list[Path]]:
+    """Write the files of a car and a tyre; return the car with the tyre, and the files."""
+    written: list[Path] = []
+    with show.replacing(*([] if out is None else [out, out.with_name(f"{out.stem}-tyre.toml")]), aside=as_json):
+        if fit is not None and out is not None:
+            tyre_file = out if vehicle is None else out.with_name(f"{out.stem}-tyre.toml")
+            fit.tyre.replace(name=tyre_file.stem).to_toml(tyre_file)
+            written.append(tyre_file)
+        if vehicle is not None:
+            vehicle = _with_tyre(vehicle, fit, written)
+            if out is not None:
+                vehicle.to_toml(out)
+                written.append(out)
+    return vehicle, written
 
 
 def _next_step(arguments: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
