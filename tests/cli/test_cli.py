@@ -269,4 +269,4 @@ def test_a_message_names_options_and_no_python_function(run_command, words, mess
     code, _, err = run_command(*words)
     assert code == 2
     assert err.startswith(message), err
-    assert err.split(": ")[1] not in adaptrack.__all__
+    assert err.split(": ")[1] not in dir(adaptrack)

@@ -7,6 +7,7 @@ import re
 import shlex
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +18,10 @@ from tests.identification.test_identification import driven
 from tests.project.test_snippets import parse
 
 import adaptrack.cli
-from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.cli import compare
+from adaptrack.cli.next_step import drive_words
+from adaptrack.comparison import views
 from adaptrack.tuning.constant_file import ConstantTuning
 
 FOLDER = Path(adaptrack.cli.__file__).parent
@@ -34,7 +37,7 @@ class Proposal(NamedTuple):
 
     reason: str
     command: tuple[str, ...]
-    kept: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
     """Words of the command that the proposal must keep."""
     starts: str = ""
     runs: bool = True
@@ -97,19 +100,13 @@ PROPOSALS = [
     ),
     Proposal(
         "to find signals that contradict each other",
-        ("identify", "log.csv", "--car", "stiff.toml", *LOG, "--page", "page.html"),
-        ("log.csv", *LOG),
+        ("identify", "scaled.csv", "--car", "compact-ev", *LOG, "--page", "page.html"),
+        ("scaled.csv", *LOG),
         "check-loop",
     ),
     Proposal("to see the estimates over time", ("shadow", "log.csv", *CAR, *LOG), ("log.csv", *CAR, *LOG), "shadow"),
     Proposal("to keep the car", ("shadow", "log.csv", *CAR, *LOG, "--out", "page"), ("log.csv", *LOG), "identify"),
     Proposal("to leave out the contradictory signals", ("shadow", "wrong.csv", *CAR), ("wrong.csv", *CAR), "shadow"),
-    Proposal(
-        "to identify the car from the log",
-        ("shadow", "log.csv", "--vehicle", "stiff.toml", *LOG, "--out", "page"),
-        ("log.csv", *LOG),
-        "identify",
-    ),
     Proposal("to identify the car", ("check-loop", "log.csv", *CAR, *LOG), ("log.csv", *LOG), "identify"),
     Proposal("to see the drive on a page", (*SHORT, "--learn"), (*SHORT, "--learn"), "drive"),
     Proposal("to drive a road", ("drive", "step", "-o", "duration=1.0", *CAR, "--out", "page"), CAR, "drive"),
@@ -234,28 +231,6 @@ PROPOSALS = [
         "drive town",
     ),
     Proposal(
-        "tune it for a road",
-        (
-            "compare",
-            "town:2",
-            "--length",
-            "300",
-            "--vehicle",
-            "van",
-            "--profile",
-            "road",
-            "--controller",
-            "pure-pursuit",
-            "--budget",
-            "80",
-            "--seeds",
-            "1",
-        ),
-        ("town:2", "van", "pure-pursuit"),
-        "tune",
-        runs=False,
-    ),
-    Proposal(
         "drive with the speed control",
         (
             "compare",
@@ -316,6 +291,8 @@ PROPOSALS = [
     ),
 ]
 UNSEEN = {
+    "to identify the car from the log": "a shadow run that is not believable; the words are those of `to keep the car`",
+    "tune it for a road": "test_the_winner_that_was_tuned_is_tuned_on_the_first_road_and_car",
     "to evaluate them on new runs": "paper adapt: hours",
     "to see whether its loops are stable": "paper train: minutes",
     "to evaluate them on long drives": "paper evaluate: minutes",
@@ -326,15 +303,15 @@ UNSEEN = {
 @cache
 def reasons() -> frozenset[str]:
     """Reasons of all proposals in the source of the commands; an inserted word is ``*``."""
-    found = set()
+    texts = set()
     for file in FOLDER.glob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.FunctionDef) and node.name in ("_next_step", "_slower"):
                 values = [part.value for part in ast.walk(node) if isinstance(part, ast.Return)]
-                found |= {_text(value.elts[0]) for value in values if isinstance(value, ast.Tuple)}
+                texts |= {_text(value.elts[0]) for value in values if isinstance(value, ast.Tuple)}
             elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("next_line", "say_next"):
-                found |= {_text(node.args[0])} if isinstance(node.args[0], ast.Constant | ast.JoinedStr) else set()
-    return frozenset(found)
+                texts |= {_text(node.args[0])} if isinstance(node.args[0], ast.Constant | ast.JoinedStr) else set()
+    return frozenset(texts)
 
 
 def _text(node: ast.expr) -> str:
@@ -360,15 +337,14 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         command = np.append(log["command"][late:], log["command"][:1].repeat(late))
         gyro = -np.degrees(log["yaw_rate"])
         _save(folder / f"{name}.csv", time=log["time"], speed=log["speed"], command=command, gyro=gyro)
+    doubled = {"command": 0.4 * log["command"], "gyro": gyro}
+    _save(folder / "scaled.csv", time=log["time"], speed=log["speed"], **doubled)
     _save(
         folder / "wrong.csv", **{key: log[key] for key in ("time", "speed", "command", "yaw_rate")}, vy=-log["vy"] + 1.0
     )
     _save(folder / "accelerating.csv", **accelerating())
     tir(folder / "book.tir", BOOK)
     car = load_vehicle("compact-ev")
-    stiff = car.replace(stiffness_front=4.0 * car.stiffness_front, stiffness_rear=4.0 * car.stiffness_rear)
-    stiff = stiff.replace(known_within=KnownWithin(stiffness_front=1.1, stiffness_rear=1.1))
-    stiff.to_toml(folder / "stiff.toml")
     car.to_toml(folder / "mine.toml")
     ConstantTuning(
         controller="stanley", vehicle="compact-ev", profile="road", period=0.05,
@@ -403,9 +379,33 @@ def test_a_proposed_command_keeps_the_options_and_runs(proposal, run_command, fi
         assert program == "make" or Path(program).is_file()
         return
     assert " ".join(words).startswith(proposal.starts), words
-    assert set(proposal.kept) <= set(words), words
+    assert set(proposal.options) <= set(words), words
     if proposal.runs:
         code, output, err = run_command(*words)
         assert code in (0, 1, 3), f"{words}: {err}"
     else:
         parse(words)
+
+
+def test_the_winner_that_was_tuned_is_tuned_on_the_first_road_and_car(monkeypatch) -> None:
+    monkeypatch.setattr(views, "standing_rows", lambda comparison: [{"contender": "lqr", "tuning": "tuned"}])
+    task = SimpleNamespace(cars=("van/single-track",), roads=("town:2@3",), drivers=(), profiles=("road",))
+    settings = compare.CompareOptions(plugin=["json"])
+    reason, line = compare._next_step(settings, SimpleNamespace(task=task, profile_comparisons={"road": None}))
+    assert reason == "tune it for a road"
+    words = "--plant single-track --controller lqr --profile road --plugin json --out tuned"
+    assert line == f"adaptrack tune van --road town:2@3 {words}"
+    parse(shlex.split(line)[1:])
+
+
+@pytest.mark.parametrize(
+    ("road", "words"),
+    [
+        ("country:3@6", ["country", "--road-seed", "3", "--lateral-acceleration", "6", "--length", "300.0"]),
+        ("my road.csv", ["my road.csv"]),
+        ("random-drive:3", ["country"]),
+        ("double-lane-change", ["double-lane-change"]),
+    ],
+)
+def test_a_road_of_a_comparison_is_driven_with_its_seed_comfort_and_length(road, words) -> None:
+    assert drive_words(road, 300.0) == words

@@ -131,7 +131,7 @@ class PluginCall(NamedTuple):
     function_name: str
     """Plug-in and function, at the beginning of messages, such as ``controller 'mine': step()``."""
     answer: str
-    """What the function must return."""
+    """Answer that the function must return."""
 
     def __call__(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
         """Call the function.

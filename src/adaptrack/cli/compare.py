@@ -162,10 +162,10 @@ def _next_step(settings: CompareOptions, compared: Compared) -> tuple[str, str]:
     from adaptrack.comparison.views import standing_rows
 
     task, plugins = compared.task, [word for name in settings.plugin or () for word in ("--plugin", name)]
-    car, plant = task.cars[0], ()
+    car, plant = task.cars[0], list[str]()
     if re.search(r"/[\w-]+$", car):
         car, _, name = car.rpartition("/")
-        plant = ("--plant", name)
+        plant = ["--plant", name]
     drive = ("drive", *drive_words(task.roads[0], settings.length), "--vehicle", car, *plant, *plugins)
     if task.drivers:
         return "drive with the speed control", command(*drive, "--profile", task.profiles[-1], "--speed-control")

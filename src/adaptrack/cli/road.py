@@ -114,9 +114,9 @@ class RoadOptions:
         """
         if self.assumed_friction is None:
             return None
-        from adaptrack.control.speed_control import ASSUMED_FRICTION
+        from adaptrack.control.speed_control import ASSUMABLE_FRICTION
 
-        least, most = ASSUMED_FRICTION
+        least, most = ASSUMABLE_FRICTION
         try:
             low, *high = (float(number) for number in self.assumed_friction.split(":"))
             if len(high) > 1 or not least <= low <= max(high, default=low) <= most:

@@ -43,7 +43,7 @@ from adaptrack.road import Comfort, Road, SpeedPlan
 from adaptrack.road.cornering import packed, steering_limit
 
 Array = NDArray[np.float64]
-ASSUMED_FRICTION = (0.05, 1.5)
+ASSUMABLE_FRICTION = (0.05, 1.5)
 """Lowest and highest coefficient of friction that may be assumed: wet ice, and racing tyres."""
 
 
@@ -160,13 +160,13 @@ class SpeedControl:
     Raises
     ------
     InvalidInput
-        When the friction is not in `ASSUMED_FRICTION`, or its interval is empty.
+        When the friction is not in `ASSUMABLE_FRICTION`, or its interval is empty.
     """
 
     car: Vehicle
     friction: Annotated[
         Finite | tuple[Finite, Finite],
-        Hint("or (low, high), at least {:g} and at most {:g}".format(*ASSUMED_FRICTION)),
+        Hint("or (low, high), at least {:g} and at most {:g}".format(*ASSUMABLE_FRICTION)),
     ] = 0.9
     drive: DriveActuator | None = None
     brakes: BrakeActuator | None = None
@@ -185,7 +185,7 @@ class SpeedControl:
 
     def __post_init__(self) -> None:
         low, high = self.friction_interval
-        least, most = ASSUMED_FRICTION
+        least, most = ASSUMABLE_FRICTION
         if not least <= low <= high <= most:
             raise InvalidInput(
                 f"SpeedControl: friction = {self.friction!r}: must be a value such as 0.9, or (low, high) such as "
