@@ -252,3 +252,23 @@ def test_help_says_where_to_begin_lists_every_command_and_loads_no_numerics(run_
 def test_help_says_that_failed_runs_are_counted_and_the_exit_code_is_0(run_command, command):
     text = " ".join(run_command("paper", command, "--help")[1].split())
     assert all(words in text for words in ("Failed runs", "they are counted", "the exit code is 0"))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("car", "--mass", "3", "--wheelbase", "2.7"), "adaptrack: --mass = 3.0 kg: must be a finite number"),
+        (("car", "--mass", "1500", "--wheelbase", "0.3"), "adaptrack: --wheelbase = 0.3 m: must be a finite number"),
+        (("car", "--mass", "700", "--wheelbase", "2.7", "--load", "900"), "adaptrack: --load = 900 kg: must not be"),
+        (("drive", "lap", "--lateral-acceleration", "-2"), "adaptrack: "),
+        (("drive", "town", "--length", "3"), "adaptrack: --length = 3.0 m: must be"),
+        (("drive", "town", "--road-seed", "-3"), "adaptrack: "),
+    ],
+)
+def test_a_message_names_options_and_no_python_function(run_command, words, message):
+    import adaptrack
+
+    code, _, err = run_command(*words)
+    assert code == 2
+    assert err.startswith(message), err
+    assert err.split(": ")[1] not in dir(adaptrack)

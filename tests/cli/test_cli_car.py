@@ -8,6 +8,8 @@ import pytest
 from tests.cars.test_tyre_file import BOOK, tir
 from tests.cars.test_tyre_table import table
 
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.vehicle import list_vehicles, load_tyre, load_vehicle
 
 
@@ -95,3 +97,40 @@ def test_bad_input_is_named_in_one_sentence(run_command, tmp_path, monkeypatch, 
     assert code == 2
     assert message in err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("axle", "share"), [("front", 1.0), ("rear", 0.0), ("all", 0.5)])
+def test_the_driven_axle_of_a_new_car_is_stated_or_assumed_with_a_note(run_command, tmp_path, axle, share):
+    sheet, out = ("car", "--mass", 1500, "--wheelbase", 2.7), tmp_path / "mine.toml"
+    code, text, _ = run_command(*sheet, "--drive", axle, "--out", out)
+    assert (code, load_vehicle(out).drive_front) == (0, share)
+    assert "drive_front" not in load_vehicle(out).estimated
+    assert "driven axle" not in text
+    _, text, _ = run_command(*sheet, "--out", out)
+    assert "drive_front" in load_vehicle(out).estimated
+    assert "The driven axle is unknown; front drive is assumed." in text
+
+
+def test_a_driven_axle_is_of_a_new_car_and_stated_once(run_command):
+    code, _, err = run_command("car", "van", "--drive", "rear")
+    assert (code, "van is an existing car" in err) == (2, True)
+    code, _, err = run_command("car", "--drive", "rear")
+    assert (code, "a new car needs --mass and --wheelbase" in err) == (2, True)
+    with pytest.raises(InvalidInput, match="driven_axle and drive_front: give only one"):
+        vehicle_from_data_sheet("mine", 1500.0, 2.7, driven_axle="rear", drive_front=0.2)
+    with pytest.raises(InvalidInput, match="driven_axle = 'middle': must be"):
+        vehicle_from_data_sheet("mine", 1500.0, 2.7, driven_axle="middle")
+
+
+def test_a_car_file_of_other_content_that_is_replaced_stays_beside_it(run_command, tmp_path):
+    out, sheet = tmp_path / "mine.toml", ("car", "--mass", 1500, "--wheelbase")
+    run_command(*sheet, 2.7, "--out", out)
+    before = out.read_bytes()
+    _, text, _ = run_command(*sheet, 2.7, "--out", out)
+    assert ("previous content" in text, list(tmp_path.glob("*.bak"))) == (False, [])
+    _, text, _ = run_command(*sheet, 2.8, "--out", out)
+    assert f"The previous content is in {out}.bak" in text.replace("\n", "")
+    assert (tmp_path / "mine.toml.bak").read_bytes() == before
+    _, text, err = run_command(*sheet, 2.9, "--out", out, "--json")
+    assert "previous content" in err.replace("\n", " ")
+    assert json.loads(text)["written"] == [str(out)]

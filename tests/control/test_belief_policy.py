@@ -26,7 +26,7 @@ from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import rollout
-from adaptrack.drive.world import World, _warn
+from adaptrack.drive.world import World, warn_once
 from adaptrack.results.certificate import certificate_result
 from adaptrack.results.drive import Run, drive_result
 from adaptrack.road import generate_road, plan_speed
@@ -210,7 +210,7 @@ def test_the_true_steering_drives_no_worse_than_an_unknown_one():
     ids=["too short", "too long", "another controller", "learning", "equal", "as dead time"],
 )
 def test_a_simulation_says_where_controller_and_profile_differ(mpc, profile, differs, caplog):
-    _warn.cache_clear()
+    warn_once.cache_clear()
     plant = DualTrack(CAR, steering=SteeringActuator(lag=0.1, dead_time=0.05))
     with caplog.at_level(logging.WARNING, "adaptrack"):
         World.of(plant, mpc, profile, None, None, None)

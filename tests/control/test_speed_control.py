@@ -631,3 +631,10 @@ def test_impossible_speed_controls_are_refused_with_the_remedy() -> None:
         SpeedControl(CAR, friction=(0.9, 0.6))
     with pytest.raises(InvalidInput, match=r"give plan=plan_speed\(path, car\)"):
         Tracker(MPC(CAR, profile="road"), _straight(100.0), speed=SpeedControl(CAR))
+
+
+@pytest.mark.parametrize("value", [1e-300, 1e300, math.inf, math.nan, -1.0, "2"])
+@pytest.mark.parametrize("name", ["friction", "gain", "governor", "guard", "stop_jerk", "emergency"])
+def test_a_setting_of_the_speed_control_that_no_car_can_use_is_refused_with_its_range(name: str, value: object) -> None:
+    with pytest.raises(InvalidInput, match=rf"SpeedControl: {name} = .*(>= [0-9.]+ and <= |at least [0-9.]+ and at m)"):
+        SpeedControl(CAR, **{name: value})

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -432,3 +434,23 @@ def test_the_yaw_of_a_pitched_car_is_that_of_its_axis():
     yaw, pitch = 0.7, 0.3
     a, b, c, d = math.sin(0.5 * yaw), math.cos(0.5 * yaw), math.sin(0.5 * pitch), math.cos(0.5 * pitch)
     assert yaw_of([-a * c, b * c, a * d, b * d]) == pytest.approx(yaw)
+
+
+def test_a_tracker_whose_controller_another_one_uses_refuses_to_go_on():
+    mpc, road = MPC(CAR, profile="road"), Road.from_segments([Line(length=200.0)])
+    first, second = Tracker(mpc, road), Tracker(mpc, road)
+    with pytest.raises(InvalidInput, match="a newer tracker or simulation uses this controller"):
+        first.step(0.0, 0.0, 0.5, 0.0, 10.0)
+    for sharing in (copy.deepcopy(second), pickle.loads(pickle.dumps(second)), Tracker(copy.copy(mpc), road)):
+        assert sharing.step(0.0, 0.0, 0.5, 0.0, 10.0).command == second.step(0.0, 0.0, 0.5, 0.0, 10.0).command
+    first.engage()
+    first.step(0.0, 0.0, 0.5, 0.0, 10.0)
+    with pytest.raises(InvalidInput, match="a newer tracker or simulation uses this controller"):
+        second.step(0.1, 1.0, 0.5, 0.0, 10.0)
+
+
+@pytest.mark.parametrize("driver", ["x", None, 2, 0.5, [True]])
+def test_whether_a_driver_uses_the_pedals_is_true_or_false(driver):
+    tracker = Tracker(MPC(CAR, profile="road"), Road.from_segments([Line(length=200.0)]))
+    with pytest.raises(InvalidInput, match=r"Tracker.step: driver = .*: must be True or False"):
+        tracker.step(0.0, 0.0, 0.5, 0.0, 10.0, driver=driver)

@@ -5,6 +5,7 @@ import ctypes
 import functools
 import math
 import os
+import re
 import struct
 import subprocess
 import sys
@@ -558,3 +559,24 @@ def test_a_path_of_more_points_than_the_header_says_is_refused(library_of):
     points = np.stack([np.arange(100_001.0), np.zeros(100_001)], axis=-1)
     path = CPath(export.c, points, surplus=1000)
     assert (path.error, path.flaw.value) == (exported.BAD_PATH, 100_001)
+
+
+def test_another_export_into_a_folder_keeps_the_previous_content_beside_it_and_says_so(tmp_path):
+    words = ["export", "c", "--vehicle", "midsize-sedan", "--road", "town", "--out", str(tmp_path), "--controller"]
+    assert CliRunner().invoke(app, [*words, "stanley"]).exit_code == 0
+    before = (tmp_path / "constants.bin").read_bytes()
+    process = CliRunner().invoke(app, [*words, "stanley"])
+    assert (process.exit_code, list(tmp_path.rglob("*.bak"))) == (0, [])
+    assert "previous content" not in process.output
+    process = CliRunner().invoke(app, [*words, "pure-pursuit"])
+    assert (tmp_path / "constants.bin.bak").read_bytes() == before
+    assert "The previous content is in " in process.output
+    assert str(tmp_path / "constants.bin.bak") in process.output.replace("\n", "")
+
+
+@pytest.mark.needs("gcc")
+def test_make_lib_writes_the_archive_that_the_readme_of_the_export_names(library_of):
+    folder = library_of("stanley").folder
+    subprocess.run(["make", "-C", str(folder), "lib"], check=True, capture_output=True)
+    (line,) = [line for line in (folder / "README.md").read_text().splitlines() if line.startswith("$ make lib")]
+    assert (folder / re.search(r"(\S+\.a):", line)[1]).is_file()

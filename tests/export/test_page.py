@@ -184,3 +184,13 @@ def test_a_drive_of_the_page_is_that_of_python_to_the_last_bit(browser_window, p
     for car, run in zip(answer["cars"], expected, strict=True):
         assert len(car["numbers"]) == len(run["x"]) > 50
         assert differing(dict(zip(car["columns"], car["numbers"].T, strict=True)), run) == {}
+
+
+def test_another_page_of_the_same_name_keeps_the_previous_one_beside_it_and_says_so(
+    monkeypatch, capsys, tmp_path, page
+):
+    out = tmp_path / "drive.html"
+    out.write_bytes(page.read_bytes())
+    _, report, _ = run_command(monkeypatch, capsys, "--out", out, "--vehicle", "van")
+    assert out.with_name("drive.html.bak").read_bytes() == page.read_bytes()
+    assert f"The previous content is in {out}.bak" in report.replace("\n", "")

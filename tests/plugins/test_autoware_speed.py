@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adaptrack import MPC, DualTrack, RoadDrive, load_vehicle, simulate
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.control.speed_control import SpeedState
 from adaptrack.road import Arc, Comfort, Line, Road, Stop, plan_speed
 from adaptrack.scenario import load_scenario
@@ -89,5 +89,5 @@ def test_a_driver_of_your_own_needs_a_road_and_finite_forces() -> None:
     wild = SimpleNamespace(force=float("nan"), hold=0.0)
     driver = SimpleNamespace(begin=lambda path, plan, period: SimpleNamespace(step=lambda *_: wild))
     road = _straight()
-    with pytest.raises(InvalidInput, match="the force must be finite"):
+    with pytest.raises(ContractError, match="the force must be finite"):
         simulate(DualTrack(CAR), controller, RoadDrive(road, _plan(road)), driver=driver)

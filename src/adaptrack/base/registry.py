@@ -8,9 +8,9 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
-from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.base.errors import ContractError, InvalidInput, UnknownName, did_you_mean, format_value
 from adaptrack.base.text import printable
 
 MemberType = TypeVar("MemberType")
@@ -29,14 +29,16 @@ class Registry(Generic[MemberType]):
         Factories by name. A text ``"package.module:name"`` is imported when it is first used.
     arguments
         Names of the positional arguments of every factory.
+    member_type
+        Class, or union of classes, of what every factory returns.
     """
 
     def __init__(
         self, member_kind: str, register: str, factories: Mapping[str, Callable[..., MemberType] | str],
-        arguments: Sequence[str] = (),
+        arguments: Sequence[str] = (), member_type: Any = object,
     ) -> None:  # fmt: skip
         self.member_kind, self.register, self.factories = member_kind, register, dict(factories)
-        self.arguments = arguments
+        self.arguments, self.member_type = arguments, member_type
 
     def add(self, name: str, factory: Callable[..., MemberType] | str) -> None:
         """Register a factory under a name.
@@ -79,8 +81,17 @@ class Registry(Generic[MemberType]):
         ------
         UnknownName
             For an unregistered name; the message gives the most similar registered name.
+        ContractError
+            When the factory returns anything but a member, or calls `sys.exit`.
         """
-        return self.factory(name)(*arguments, **options)
+        classes = getattr(self.member_type, "__args__", (self.member_type,))
+        call = PluginCall(
+            f"{self.member_kind} {name!r}: its factory", f"a {' or '.join(kind.__name__ for kind in classes)}"
+        )
+        member = call(self.factory(name), *arguments, **options)
+        if not isinstance(member, self.member_type):
+            raise call.refusal(member)
+        return member
 
     def factory(self, name: str) -> Callable[..., MemberType]:
         """Return the factory that is registered under a name, importing it if necessary.
@@ -112,6 +123,34 @@ class Registry(Generic[MemberType]):
     def names(self) -> list[str]:
         """Return the registered names, sorted."""
         return sorted(self.factories)
+
+
+class PluginCall(NamedTuple):
+    """Call of a function that a plug-in defines."""
+
+    function_name: str
+    """Plug-in and function, at the beginning of messages, such as ``controller 'mine': step()``."""
+    answer: str
+    """Answer that the function must return."""
+
+    def __call__(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        """Call the function.
+
+        Raises
+        ------
+        ContractError
+            When the function calls `sys.exit`, which would end the whole program.
+        """
+        try:
+            return function(*arguments, **options)
+        except SystemExit as error:
+            raise ContractError(
+                f"{self.function_name} called sys.exit({error.code!r}): it must return {self.answer}."
+            ) from error
+
+    def refusal(self, answer: object) -> ContractError:
+        """Return the error for an answer that the function must not return."""
+        return ContractError(f"{self.function_name} returned {format_value(answer)}: it must return {self.answer}.")
 
 
 def import_plugin(name: str, missing: InvalidInput, announce: Callable[[str], None] | None = None) -> None:

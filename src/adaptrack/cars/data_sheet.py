@@ -5,7 +5,7 @@ Every estimate has a spread, in `Vehicle.known_within`, and its key stands in `V
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from adaptrack.base.checked import Finite, Hint, NotNegative, checked, real, within
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
@@ -19,6 +19,8 @@ DRIVER = 75.0
 """kg, driver in the mass in running order (Regulation (EU) No 1230/2012)."""
 DRIVER_AND_LUGGAGE = 136.0
 """kg, what opendbc (commaai) adds to a kerb mass for driver, luggage and fuel, `STD_CARGO_KG`."""
+DRIVEN_AXLES = {"front": 1.0, "rear": 0.0, "all": 0.5}
+"""Driven axles: share of the driving force on the front axle, `Vehicle.drive_front`."""
 BODY_STYLES = ("car", "truck")
 """Passenger cars; pickups, vans and sport utility vehicles."""
 _ESTIMATED = (
@@ -36,14 +38,16 @@ def vehicle_from_data_sheet(
     *,
     load: Annotated[NotNegative, "kg"] = 0.0,
     body_style: str = "car",
+    driven_axle: Literal["front", "rear", "all"] | None = None,
     **entries: Any,
 ) -> Vehicle:
     """A car of which little is known; every other number is estimated, marked and given a spread.
 
     mass: kg, of the car as it stands in the data sheet; wheelbase: m; load: kg of people and luggage beside it (a kerb
     mass without driver: `DRIVER`, or `DRIVER_AND_LUGGAGE`), taken to sit at the centre of gravity, so that the yaw
-    inertia is that of the car alone; body_style: one of `BODY_STYLES`, "car" or "truck" (pickup, van, SUV); known: any
-    other key of `Vehicle` that the data sheet has, such as lf, yaw_inertia, stiffness_front, track_front, body.
+    inertia is that of the car alone; body_style: one of `BODY_STYLES`, "car" or "truck" (pickup, van, SUV);
+    driven_axle: sets `Vehicle.drive_front` (1, 0 or 0.5); None: front drive is assumed, and marked as estimated; known:
+    any other key of `Vehicle` that the data sheet has, such as lf, yaw_inertia, stiffness_front, track_front, body.
 
     The estimates, with m of the car alone, L the wheelbase and F_z the axle's load:
 
@@ -59,11 +63,16 @@ def vehicle_from_data_sheet(
     UnknownName
         For another body style.
     InvalidInput
-        When the load is more than the car, or lf and lr do not make the wheelbase.
+        When the load is more than the car, lf and lr do not make the wheelbase, or driven_axle and drive_front are both
+        given.
     """
     if body_style not in BODY_STYLES:
         hint = did_you_mean(str(body_style), BODY_STYLES)
         raise UnknownName(f"vehicle_from_data_sheet: body_style = {body_style!r}: unknown. {hint}")
+    if driven_axle is not None:
+        if "drive_front" in entries:
+            raise InvalidInput("vehicle_from_data_sheet: driven_axle and drive_front: give only one of them.")
+        entries["drive_front"] = DRIVEN_AXLES[driven_axle]
     arms = {key: real("vehicle_from_data_sheet", key, entries.pop(key)) for key in ("lf", "lr") if key in entries}
     car_row, within = row_of(kernel.CarRow, mass=mass, **arms), row_of(kernel.KnownWithinRow)
     status = kernel.complete_car(wheelbase, load, BODY_STYLES.index(body_style), car_row, within)

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Bound, Count, Positive, checked, real, reals
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.limits import MAX_STEPS, check_limit
-from adaptrack.base.registry import Registry
+from adaptrack.base.registry import PluginCall, Registry
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
 from adaptrack.core import portable
 from adaptrack.core.member import MemberFunction
@@ -587,12 +587,13 @@ def _settled(plant: Plant, x: Array, steering: float, period: float, duration: f
 def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool, period: float) -> None:
     """`check_plant` for a plant that is stepped: one second of driving, straight and under constant steering."""
     dt = period / steps_in(period, plant)
+    call = PluginCall(f"Plant {plant.name!r}: step()", "six finite numbers")
 
     def drive_one_second(speed: float, steering: float) -> Array:
         plant.reset(np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0]))
         for _ in range(max(1, round(1.0 / dt))):
             environment = _DRY.copy()
-            motion = np.asarray(plant.step(dt, steering, 0.0, environment), dtype=np.float64)
+            motion = np.asarray(call(plant.step, dt, steering, 0.0, environment), dtype=np.float64)
             if motion.shape != (6,) or not np.isfinite(motion).all():
                 _break(plant, "step() must return six finite numbers", f"it returned {motion!r} at {speed} m/s")
             if (environment != _DRY).any():
@@ -657,6 +658,7 @@ _registry: Registry[Plant | SteppedPlant] = Registry(
         "dual-track": DualTrack,
     },
     ("vehicle", "tyre"),
+    Plant | SteppedPlant,
 )
 
 

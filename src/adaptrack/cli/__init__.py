@@ -69,7 +69,7 @@ def _run() -> int:
 def _reported(error: BaseException) -> int:
     """Print the message of an error and return its exit code; raise unexpected errors again."""
     if isinstance(error, AdaptrackError):
-        print(f"adaptrack: {error}", file=sys.stderr)
+        print(f"adaptrack: {_name_options(str(error))}", file=sys.stderr)
         return ERROR
     if isinstance(error, KeyboardInterrupt):
         return INTERRUPTED
@@ -85,6 +85,18 @@ def _reported(error: BaseException) -> int:
         raise error
     show()
     return int(getattr(error, "exit_code", ERROR))
+
+
+def _name_options(message: str) -> str:
+    """Return a message without the Python function at its start, and with the option in place of its argument."""
+    import adaptrack
+
+    name, mark, problem = message.partition(": ")
+    if not mark or name in sys.argv or name not in dir(adaptrack):
+        return message
+    argument = problem.partition(" = ")[0]
+    option = f"--{argument.replace('_', '-')}"
+    return problem.replace(argument, option, 1) if option in sys.argv else problem
 
 
 def _prepare_output() -> None:

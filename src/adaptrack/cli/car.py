@@ -28,6 +28,14 @@ class BodyStyleName(StrEnum):
     truck = "truck"
 
 
+class DrivenAxle(StrEnum):
+    """Axles that the engine drives."""
+
+    front = "front"
+    rear = "rear"
+    all = "all"
+
+
 PARAMETER_COLUMNS = (
     Column("key", "parameter"), Column("value", "value", "", 5), Column("unit", "unit"),
     Column("within", "tolerance"), Column("from", "source"),
@@ -59,6 +67,9 @@ class CarOptions:
     body_style: Annotated[
         BodyStyleName, Option("--body-style", help="Body of a new car; truck: pickup, van or SUV.")
     ] = BodyStyleName.car
+    drive: Annotated[
+        DrivenAxle | None, Option("--drive", help="Driven axle of a new car; by default front drive is assumed.")
+    ] = None
     yaw_inertia: Annotated[
         float | None, Option("--yaw-inertia", metavar="I", hidden=True, help="Yaw inertia (kg m^2), if known.")
     ] = None
@@ -113,25 +124,35 @@ def car(arguments: CarOptions) -> None:
     if vehicle is None and arguments.tir is None:
         raise InvalidInput("no car: name a car, or give --mass and --wheelbase, or --tir.")
     fit = _fit(arguments.tir, arguments.tyre_table, vehicle)
-    written = []
     options.make_place(out)
-    if fit is not None and out is not None:
-        tyre_file = out if vehicle is None else out.with_name(f"{out.stem}-tyre.toml")
-        fit.tyre.replace(name=tyre_file.stem).to_toml(tyre_file)
-        written.append(tyre_file)
-    if vehicle is not None:
-        vehicle = _with_tyre(vehicle, fit, written)
-        if out is not None:
-            vehicle.to_toml(out)
-            written.append(out)
+    vehicle, written = _write(vehicle, fit, out, arguments.as_json)
     _say(vehicle, fit, written, arguments.as_json)
     if vehicle is not None and not arguments.as_json:
         say_next(*_next_step(arguments, vehicle))
 
 
+def _write(
+    vehicle: Vehicle | None, fit: TyreFit | None, out: Path | None, as_json: bool
+) -> tuple[Vehicle | None, list[Path]]:
+    """Write the files of a car and a tyre; return the car with the tyre, and the files."""
+    written: list[Path] = []
+    with show.replacing(*([] if out is None else [out, out.with_name(f"{out.stem}-tyre.toml")]), aside=as_json):
+        if fit is not None and out is not None:
+            tyre_file = out if vehicle is None else out.with_name(f"{out.stem}-tyre.toml")
+            fit.tyre.replace(name=tyre_file.stem).to_toml(tyre_file)
+            written.append(tyre_file)
+        if vehicle is not None:
+            vehicle = _with_tyre(vehicle, fit, written)
+            if out is not None:
+                vehicle.to_toml(out)
+                written.append(out)
+    return vehicle, written
+
+
 def _next_step(arguments: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
     """Suggest the next command for a car, with the reason."""
-    if arguments.out is None and arguments.name is None:
+    is_changed = arguments.tir is not None or arguments.tyre_table is not None
+    if arguments.out is None and (arguments.name is None or is_changed):
         return "to keep the car", repeat_command_with("--out", "my-car.toml")
     file = arguments.out if arguments.out is not None else arguments.name
     if vehicle.estimated:
@@ -146,13 +167,13 @@ def _vehicle(arguments: CarOptions) -> Vehicle | None:
 
     name, mass, wheelbase, load = arguments.name, arguments.mass, arguments.wheelbase, arguments.load
     if name is not None:
-        if (mass, wheelbase, load) != (None, None, None) or arguments.known_values:
+        if (mass, wheelbase, load, arguments.drive) != (None,) * 4 or arguments.known_values:
             raise InvalidInput(
                 f"{name} is an existing car: leave out --mass, --wheelbase and the other options of a new car."
             )
         return load_vehicle(name)
     if mass is None and wheelbase is None:
-        if arguments.known_values or load is not None:
+        if arguments.known_values or load is not None or arguments.drive is not None:
             raise InvalidInput("a new car needs --mass and --wheelbase.")
         return None
     if mass is None or wheelbase is None:
@@ -161,8 +182,9 @@ def _vehicle(arguments: CarOptions) -> Vehicle | None:
         )
     new = "new-car" if arguments.out is None else arguments.out.stem
     return vehicle_from_data_sheet(
-        new, mass, wheelbase, load=load or 0.0, body_style=str(arguments.body_style), **arguments.known_values
-    )
+        new, mass, wheelbase, load=load or 0.0, body_style=str(arguments.body_style),
+        driven_axle=None if arguments.drive is None else arguments.drive.value, **arguments.known_values,
+    )  # fmt: skip
 
 
 def _fit(tir: Path | None, table: Path | None, vehicle: Vehicle | None) -> TyreFit | None:
@@ -210,6 +232,11 @@ def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_j
         title = vehicle.name if not vehicle.description else f"{vehicle.name}: {vehicle.description}"
         show.table(title, PARAMETER_COLUMNS, numbers(vehicle))
         show.table("Steady-state cornering of the model", DERIVED, derived(vehicle, fit))
+        if "drive_front" in vehicle.estimated:
+            show.say(
+                "The driven axle is unknown; front drive is assumed. It limits the drive force in\nbends: give --drive "
+                "rear or --drive all, or set drive_front in the car file."
+            )
         domain = vehicle.domain
         show.say(
             f"Domain: {domain.speed[0]:g} to {domain.speed[1]:g} m/s, friction {domain.friction[0]:g} to "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +13,7 @@ from typer import Option
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import options, show
 from adaptrack.cli.controllers import INFORMED_NAME, STANDARD_NAME
-from adaptrack.cli.next_step import command, next_line, repeat_command_with
+from adaptrack.cli.next_step import command, next_line, option_words, repeat_command_with
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
@@ -125,15 +125,19 @@ def certify(arguments: CertifyOptions) -> None:
 
 def _next_step(arguments: CertifyOptions, certificate: Certificate) -> tuple[str, str]:
     """Suggest the next command after a certificate, with the reason."""
-    car = ("--vehicle", arguments.car.vehicle, "--profile", arguments.profile)
     if not certificate.passed:
-        return "to find the speeds and frictions with a stable tuning", command("certify", "--feasible", *car)
+        options = replace(arguments, scheduler=None, out=None)
+        return "to find the speeds and frictions with a stable tuning", command(
+            "certify", "--feasible", *option_words(options)
+        )
     if not arguments.mismatch:
         return "to certify cars that differ from their model", repeat_command_with("--mismatch")
     if arguments.out is None:
         return "to see the margins on a page", repeat_command_with("--out", "certificate")
-    scheduler = () if arguments.scheduler is None else ("--scheduler", arguments.scheduler)
-    return "to drive it", command("drive", "general-trajectory", *car, *scheduler)
+    names = {"--scheduler": arguments.scheduler, "--controller": arguments.controller}
+    controller = [word for name, value in names.items() if value is not None for word in (name, value)]
+    profile = ("--profile", arguments.profile)
+    return "to drive it", command("drive", "general-trajectory", *option_words(arguments.car), *profile, *controller)
 
 
 def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule | None) -> MPC:

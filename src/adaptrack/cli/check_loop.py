@@ -11,7 +11,7 @@ from typer import Option
 
 from adaptrack.cli import options, show
 from adaptrack.cli.columns import ColumnOptions
-from adaptrack.cli.next_step import command, say_next
+from adaptrack.cli.next_step import command, option_words, say_next
 
 EXIT_CONTRADICTED = 3
 """Exit code if inputs contradict each other."""
@@ -63,4 +63,5 @@ def check_loop(arguments: CheckLoopOptions) -> None:
     if check.contradictions:
         raise typer.Exit(EXIT_CONTRADICTED)
     if not arguments.as_json:
-        say_next("to identify the car", command("identify", arguments.log, "--car", arguments.vehicle or "CAR"))
+        words = (arguments.log, "--car", arguments.vehicle or "CAR", *option_words(arguments.log_columns))
+        say_next("to identify the car", command("identify", *words))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -12,7 +13,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
-from adaptrack.cli.next_step import command, next_line
+from adaptrack.cli.next_step import command, drive_words, next_line
 from adaptrack.cli.road import ROADS_HELP
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ def _compare_on_roads(settings: CompareOptions) -> Result:
     with show.progress("compare") as advance:
         compared = run_comparison(task, settings.out, progress=advance)
     make_result = compare_drivers_result if task.drivers else compare_result
-    return make_result(compared, command=options.command_line(), next_step=next_line(*_next_step(compared)))
+    return make_result(compared, command=options.command_line(), next_step=next_line(*_next_step(settings, compared)))
 
 
 def _load_task(settings: CompareOptions) -> ComparisonConfig:
@@ -156,18 +157,26 @@ def _load_task(settings: CompareOptions) -> ComparisonConfig:
     return load_comparison(name, **changes)
 
 
-def _next_step(compared: Compared) -> tuple[str, str]:
-    """Suggest to drive or tune the controller with the smallest error in the last profile."""
+def _next_step(settings: CompareOptions, compared: Compared) -> tuple[str, str]:
+    """Suggest to drive or tune the best controller of the last profile on the first road with the first car."""
     from adaptrack.comparison.views import standing_rows
 
-    if compared.task.drivers:
-        return "drive it on your road and car", command("drive", "ROAD", "--vehicle", "CAR", "--speed-control")
+    task, plugins = compared.task, [word for name in settings.plugin or () for word in ("--plugin", name)]
+    car, plant = task.cars[0], list[str]()
+    if re.search(r"/[\w-]+$", car):
+        car, _, name = car.rpartition("/")
+        plant = ["--plant", name]
+    drive = ("drive", *drive_words(task.roads[0], settings.length), "--vehicle", car, *plant, *plugins)
+    if task.drivers:
+        return "drive with the speed control", command(*drive, "--profile", task.profiles[-1], "--speed-control")
     condition, comparison = list(compared.profile_comparisons.items())[-1]
     best = standing_rows(comparison)[0]
     where = "--controller", best["contender"], "--profile", condition.partition(", friction ")[0]
     if best["tuning"] == "tuned":
-        return "tune it for your roads and car", command("tune", "CAR", "--road", "ROAD", *where, "--out", "tuned")
-    return "drive it on your road and car", command("drive", "ROAD", "--vehicle", "CAR", *where)
+        return "tune it for a road", command(
+            "tune", car, "--road", task.roads[0], *plant, *where, *plugins, "--out", "tuned"
+        )
+    return "drive it", command(*drive, *where)
 
 
 # -- lane changes -----------------------------------------------------------------------------------------------------

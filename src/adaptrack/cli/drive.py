@@ -14,7 +14,7 @@ from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import controllers, interrupt, options, show
-from adaptrack.cli.next_step import command, next_line, repeat_command_with, replace_option
+from adaptrack.cli.next_step import command, next_line, option_words, repeat_command_with, replace_option
 from adaptrack.cli.places import DrivenPlaces, PlaceOptions
 
 if TYPE_CHECKING:
@@ -255,7 +255,7 @@ def _result(arguments: DriveOptions, loop: DrivenLoop, runs: Sequence[Run], rows
     limits = None if plan is None else limits_record(plan)
     return replace(
         result, tables=[*result.tables, *tables], notes=[note for note in notes if note],
-        record={"rows": rows, "limits": limits}, next_step=next_line(*_next_step(arguments, loop.places, rows)),
+        record={"rows": rows, "limits": limits}, next_step=next_line(*_next_step(arguments, loop, rows)),
     )  # fmt: skip
 
 
@@ -308,24 +308,55 @@ def _stiffness_notes(loop: DrivenLoop) -> list[str]:
     ]
 
 
-def _next_step(arguments: DriveOptions, places: DrivenPlaces, rows: Sequence[dict[str, Any]]) -> tuple[str, str]:
+def _next_step(arguments: DriveOptions, loop: DrivenLoop, rows: Sequence[dict[str, Any]]) -> tuple[str, str]:
     """Suggest the next command after the runs, with the reason."""
+    places = loop.places
     is_off_lane = any(row["failed"] or (row.get("in_lane") or 0.0) < 1.0 for row in rows)
     if places.road is not None and is_off_lane:
         return _slower(arguments, places.road)
     if arguments.drive.out is None:
         return "to see the drive on a page", repeat_command_with("--out", "drive")
     if places.road is None:
-        return "to drive a road", command("drive", "country", "--vehicle", arguments.car.vehicle)
-    road, setting = arguments.place.names[0], ("--profile", places.profile.name)
-    if arguments.tuning:
-        tuned = ("--vehicle", arguments.car.vehicle, *setting, "--tuning", arguments.tuning[0])
-        return "to test the tuning with different noise", command("compare", road, *tuned)
+        return "to drive a road", command("drive", "country", *option_words(arguments.car))
+    profile = () if arguments.place.profile is None else ("--profile", arguments.place.profile)
     if arguments.scheduler is not None:
-        return "to certify the scheduler", command("certify", arguments.scheduler)
+        return "to certify the scheduler", command(
+            "certify", arguments.scheduler, *option_words(arguments.car), *profile
+        )
     best = min(rows, key=lambda row: row["mse"])["controller"]
-    chosen = (*setting, "--controller", best, "--out", "tuned")
+    road, plant = _comparable_road(arguments), arguments.car.plant
+    if road is None or not (arguments.tuning or _is_tunable(best, loop)):
+        return "to drive with another seed of the noise", replace_option("--seed", arguments.drive.seed + 1)
+    length = () if arguments.place.route.length is None else ("--length", arguments.place.route.length)
+    driver = ("--prescribed-speed",) if arguments.drive.prescribed_speed else ()
+    plugins = [word for name in arguments.car.plugin or () for word in ("--plugin", name)]
+    words = (*profile, *length, *driver, *plugins)
+    if arguments.tuning:
+        tuned = ("--vehicle", f"{arguments.car.vehicle}/{plant}", "--tuning", arguments.tuning[0])
+        return "to test the tuning with different noise", command("compare", road, *tuned, *words)
+    chosen = ("--plant", plant, "--controller", best, *words, "--out", "tuned")
     return f"to tune {best} for this road", command("tune", arguments.car.vehicle, "--road", road, *chosen)
+
+
+def _comparable_road(arguments: DriveOptions) -> str | None:
+    """The road with its seed and comfort as `tune` and `compare` name it; None where they lack an option of it."""
+    place, settings = arguments.place, arguments.drive
+    seed, lateral = place.route.road_seed, place.route.lateral_acceleration
+    route = replace(place.route, road_seed=None, lateral_acceleration=None, length=None)
+    unknown = (place.laps, place.wind, place.start_offset, arguments.car.tyre, settings.period, settings.learned)
+    if option_words(route) or any(value is not None for value in unknown) or option_words(arguments.published):
+        return None
+    if settings.speed_control or settings.learn:
+        return None
+    return f"{place.names[0]}{f':{seed}' if seed else ''}{'' if lateral is None else f'@{lateral:g}'}"
+
+
+def _is_tunable(name: str, loop: DrivenLoop) -> bool:
+    """Whether `tune` accepts a driven controller by its label."""
+    from adaptrack.control.controllers import about_controller, list_controllers
+    from adaptrack.tuning.spaces import is_tunable
+
+    return name in list_controllers() and about_controller(name).tunable and is_tunable(dict(loop.drivers)[name])
 
 
 def _slower(arguments: DriveOptions, road: CheckedRoad) -> tuple[str, str]:

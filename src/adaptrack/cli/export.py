@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -197,7 +198,7 @@ def export_c(arguments: ExportOptions) -> None:
             plant=plant, profile=world, room=arguments.room, objects=arguments.objects, speed=speed,
         )  # fmt: skip
     if arguments.as_json:
-        show.say_json({**asdict(files), "folder": str(files.folder)})
+        show.say_json({**asdict(files), "folder": str(files.folder), "backups": list(map(str, files.backups))})
         return
     show.say(f"{controller.name} for {', '.join(files.targets)}: {files.folder}")
     show.say(
@@ -211,4 +212,5 @@ def export_c(arguments: ExportOptions) -> None:
         show.say(f"Steering model: {controller.belief_at_first}.")
     if files.failed:
         show.say(f"Warning: on the recorded drive, {files.failed}. Lower --speed, or choose a different --road.")
-    show.say(next_line("to verify that it matches Python", f"make -C {files.folder} check"))
+    show.say_backups(files.backups)
+    show.say(next_line("to verify that it matches Python", shlex.join(["make", "-C", str(files.folder), "check"])))

@@ -62,7 +62,10 @@ def export_fmu(arguments: FMUOptions) -> None:
     )
     systems = list(binaries())
     options.make_folder(arguments.out)
-    files = [write_fmu(unit, arguments.out / f"{unit.name}.fmu", arguments.fmi.value) for unit in units]
+    files = [arguments.out / f"{unit.name}.fmu" for unit in units]
+    with show.replacing(*files, aside=arguments.as_json):
+        for unit, file in zip(units, files, strict=True):
+            write_fmu(unit, file, arguments.fmi.value)
     if arguments.as_json:
         show.say_json(
             {

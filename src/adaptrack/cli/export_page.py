@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -53,14 +54,15 @@ def export_page(arguments: PageOptions) -> None:
     from adaptrack.export.page_file import export_page as export
 
     options.make_place(arguments.out)
-    page = export(
-        arguments.out, vehicle=arguments.vehicle, road=arguments.road, speed=arguments.speed,
-        lateral_acceleration=arguments.lateral_acceleration, profile=arguments.profile,
-        controllers=arguments.controller or ["informed"], seed=arguments.seed,
-    )  # fmt: skip
+    with show.replacing(arguments.out, aside=arguments.as_json):
+        page = export(
+            arguments.out, vehicle=arguments.vehicle, road=arguments.road, speed=arguments.speed,
+            lateral_acceleration=arguments.lateral_acceleration, profile=arguments.profile,
+            controllers=arguments.controller or ["informed"], seed=arguments.seed,
+        )  # fmt: skip
     size = page.stat().st_size
     if arguments.as_json:
         show.say_json({"file": str(page), "bytes": size})
         return
     show.say(f"{page}: {size:,} bytes")
-    show.say(next_line("to drive, open it in a browser", str(page)))
+    show.say(next_line("to drive, open it in a browser", shlex.quote(str(page))))

@@ -13,7 +13,7 @@ from typer import Option
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.columns import ColumnOptions
-from adaptrack.cli.next_step import command, repeat_command_with, say_next
+from adaptrack.cli.next_step import command, option_words, repeat_command_with, say_next
 
 if TYPE_CHECKING:
     from adaptrack.identification import Reading
@@ -75,6 +75,7 @@ def identify(arguments: IdentifyOptions) -> None:
     The exit code is 3 if estimates of logs, or of parts of a log, contradict each other or the initial car.
     """
     from adaptrack.identification import identify as fit
+    from adaptrack.identification.consistency import implausible_estimates
     from adaptrack.results.identify import identification_result, write_identification_page
 
     out, page, as_json = arguments.out, arguments.page, arguments.as_json
@@ -97,16 +98,20 @@ def identify(arguments: IdentifyOptions) -> None:
     for reason in identified.reasons:
         show.say_failed(f"not consistent: {reason}.", aside=as_json)
     refused = not (identified.consistent or arguments.anyway)
+    is_implausible = refused and any(
+        implausible_estimates(fit.estimates, fit.believed) for fit in (identified, *identified.alone)
+    )
     if out is not None and not refused:
         with show.replacing(out, out.with_name(f"{out.stem}-tyre.toml"), aside=as_json):
             identified.to_toml(out, anyway=arguments.anyway)
         show.say(f"Car: {out}", aside=as_json)
     elif out is not None:
-        show.say(f"{out} was not written; use --anyway to write it.", aside=as_json)
+        remedy = "an estimate is implausible" if is_implausible else "use --anyway to write it"
+        show.say(f"{out} was not written; {remedy}.", aside=as_json)
     if page is not None:
         show.say(f"Page: {write_identification_page(identified, page, options.command_line())}", aside=as_json)
     if not as_json:
-        say_next(*_next_step(arguments, identified.findings, refused))
+        say_next(*_next_step(arguments, identified.findings, refused, is_implausible))
     if refused:
         raise typer.Exit(NOT_CONSISTENT)
 
@@ -131,10 +136,19 @@ def _identify_drive(arguments: IdentifyOptions, reading: Reading) -> None:
         say_next("to drive it", command("drive", "country", "--vehicle", out, "--speed-control"))
 
 
-def _next_step(arguments: IdentifyOptions, findings: Sequence[str], refused: bool) -> tuple[str, str]:
-    """Suggest the next command for an identified car; findings: what limits it; refused: not consistent."""
+def _next_step(
+    arguments: IdentifyOptions, findings: Sequence[str], refused: bool, is_implausible: bool
+) -> tuple[str, str]:
+    """Suggest the next command for an identified car.
+
+    findings: what limits it; refused: not consistent; is_implausible: an estimate that no such car has.
+    """
     if (findings or refused) and arguments.page is None:
         return "to see the contradictions on a page", repeat_command_with("--page", "identified.html")
+    if is_implausible:
+        car = () if arguments.car is None else ("--vehicle", arguments.car)
+        words = (arguments.logs[0], *car, *option_words(arguments.log_columns))
+        return "to find signals that contradict each other", command("check-loop", *words)
     if refused:
         return "to write the car anyway", repeat_command_with(
             *([] if arguments.out else ["--out", "my-car.toml"]), "--anyway"

@@ -109,4 +109,5 @@ def list_names(
     rows = [{"name": name, "description": text} for name, text in describe().items()]
     show.listing(f"{len(rows)} {kind}", rows, as_json)
     if rows and not as_json:
-        say_next("use one", command(*words.split(), rows[0]["name"]))
+        plugins = [word for name in plugin or () for word in ("--plugin", name)]
+        say_next("use one", command(*words.split(), rows[0]["name"], *plugins))

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 import shlex
 import sys
+from typing import Any, get_args, get_type_hints
+
+from typer.models import OptionInfo
 
 from adaptrack.cli import show
 
@@ -35,3 +40,40 @@ def replace_option(name: str, value: object) -> str:
         words[words.index(name) + 1] = str(value)
         return command(*words)
     return repeat_command_with(name, value)
+
+
+def option_words(options: Any) -> list[str]:
+    """Return the options of a dataclass that differ from their defaults, as words of a command line."""
+    hints, words = get_type_hints(type(options), include_extras=True), list[str]()
+    for field in dataclasses.fields(options):
+        value, hint = getattr(options, field.name), hints[field.name]
+        if dataclasses.is_dataclass(value):
+            words += option_words(value)
+            continue
+        # Typer keeps the flag of an annotated option as its default
+        flag = next((str(part.default) for part in get_args(hint) if isinstance(part, OptionInfo)), None)
+        if flag is None or value is None or value == field.default:
+            continue
+        on, _, off = flag.partition("/")
+        if isinstance(value, bool):
+            words.append(on if value else off)
+        elif isinstance(value, list):
+            words += [word for entry in value for word in (on, str(entry))]
+        else:
+            words += [on, *map(str, value if isinstance(value, tuple) else (value,))]
+    return words
+
+
+def drive_words(road: str, length: float | None = None) -> list[str]:
+    """Return a road of `compare` and `tune`, such as ``country:3@6``, as arguments of `drive`.
+
+    length: m, of generated roads, if it is not the default.
+    """
+    name, _, lateral = road.rpartition("@") if re.search(r"@[\d.]+$", road) else (road, "", "")
+    kind, _, seed = name.partition(":") if re.search(r":\d+$", name) else (name, "", "")
+    if kind == "random-drive":
+        return ["country"]
+    from adaptrack.road import ROAD_KINDS
+
+    options = {"--road-seed": seed, "--lateral-acceleration": lateral, "--length": length if kind in ROAD_KINDS else ""}
+    return [kind, *(str(word) for name, value in options.items() if value for word in (name, value))]

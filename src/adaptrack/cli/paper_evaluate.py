@@ -13,7 +13,7 @@ from typer import Option
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import DRIVES, MAX_SEED, OPERATING_POINTS
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import next_line, repeat_command_with
+from adaptrack.cli.next_step import next_line, replace_option
 
 if TYPE_CHECKING:
     from adaptrack.control.scheduling import Schedule
@@ -91,7 +91,7 @@ def evaluate(arguments: EvaluateOptions) -> None:
         views = _views(arguments, task, schedules, advance)
     result = evaluation_result(views, schedules, command=options.command_line())
     if not views["drives"]:
-        step = next_line("to evaluate them on long drives", repeat_command_with("--drives", 200))
+        step = next_line("to evaluate them on long drives", replace_option("--drives", 200))
         result = replace(result, next_step=step)
     page = None
     if arguments.out is not None:

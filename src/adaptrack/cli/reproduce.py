@@ -9,7 +9,7 @@ from typing import Annotated
 from typer import Option
 
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import command, next_line
+from adaptrack.cli.next_step import command, next_line, option_words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +40,9 @@ def reproduce(arguments: ReproduceOptions) -> None:
     options.make_page_folder(arguments.out)
     with show.progress("reproduce") as advance:
         reproduction = repeat_experiment(dataset, quick=arguments.quick, seed=arguments.seed, progress=advance)
+    longer = option_words(replace(arguments, out=Path(f"{arguments.out}-whole"), quick=False, as_json=False))
     next_step = (
-        next_line("to train as long as the paper", command("paper", "reproduce", "--out", f"{arguments.out}-whole"))
+        next_line("to train as long as the paper", command("paper", "reproduce", *longer))
         if arguments.quick else next_line("to drive a road", command("drive", "country", "--out", "drive"))
     )  # fmt: skip
     result = replace(reproduction_result(reproduction, options.command_line()), next_step=next_step)

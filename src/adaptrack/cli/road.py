@@ -146,16 +146,17 @@ class RoadOptions:
         """
         if self.assumed_friction is None:
             return None
-        from adaptrack.control.speed_control import MAX_ASSUMED_FRICTION
+        from adaptrack.control.speed_control import ASSUMABLE_FRICTION
 
+        least, most = ASSUMABLE_FRICTION
         try:
             low, *high = (float(number) for number in self.assumed_friction.split(":"))
-            if len(high) > 1 or not 0.0 < low <= max(high, default=low) <= MAX_ASSUMED_FRICTION:
+            if len(high) > 1 or not least <= low <= max(high, default=low) <= most:
                 raise ValueError
         except ValueError:
             raise InvalidInput(
                 f"--assumed-friction {self.assumed_friction}: must be a friction such as 0.9 or an interval such as "
-                f"0.65:0.9, above 0 and at most {MAX_ASSUMED_FRICTION:g}."
+                f"0.65:0.9, at least {least:g} and at most {most:g}."
             ) from None
         return low, max(high, default=low)
 

@@ -11,7 +11,7 @@ from typer import Option
 
 from adaptrack.cli import options, show
 from adaptrack.cli.columns import ColumnOptions, parts
-from adaptrack.cli.next_step import command, next_line, repeat_command_with
+from adaptrack.cli.next_step import command, next_line, option_words, repeat_command_with
 from adaptrack.cli.options import EXIT_FAILED
 
 if TYPE_CHECKING:
@@ -78,8 +78,8 @@ def _next_step(arguments: ShadowOptions, report: Shadow) -> tuple[str, str]:
         return "to leave out the contradictory signals", repeat_command_with("--without", ",".join(report.spoiling))
     if arguments.out is None:
         return "to see the estimates over time", repeat_command_with("--out", "shadow")
+    computation = () if arguments.computation is None else ("--computation", arguments.computation)
+    words = (*arguments.log, "--car", arguments.vehicle, *option_words(arguments.log_columns), *computation)
     if report.believable:
-        return "to keep the car", command(
-            "identify", arguments.log[0], "--car", arguments.vehicle, "--out", "my-car.toml"
-        )
-    return "to identify the car from the log", command("identify", arguments.log[0], "--car", arguments.vehicle)
+        return "to keep the car", command("identify", *words, "--out", "my-car.toml")
+    return "to identify the car from the log", command("identify", *words)

@@ -65,8 +65,13 @@ def replacing(*files: Path, aside: bool = False) -> Iterator[None]:
 
     with keep_replaced(*files) as kept:
         yield
-    for file in kept:
-        say(f"The previous content is in {file}", aside=aside)
+    say_backups(kept, aside)
+
+
+def say_backups(files: Sequence[Path], aside: bool = False) -> None:
+    """Print where the previous content of replaced files is; nothing without any."""
+    if files:
+        say(f"The previous content is in {', '.join(map(str, files))}", aside=aside)
 
 
 # -- progress ---------------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from typer import Argument, Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import interrupt, options, show
-from adaptrack.cli.next_step import command, next_line
+from adaptrack.cli.next_step import command, drive_words, next_line
 from adaptrack.cli.options import EXIT_FAILED
 from adaptrack.cli.road import ROADS_HELP
 
@@ -126,7 +126,7 @@ def _tune_car(settings: TuneOptions) -> Result:
         controller="informed", vehicle=car.name, profile=tuned.profile.name, period=tuned.profile.period,
         command=options.command_line(), belief=summary["belief"], tuning=summary["tuning"],
     ).to_toml(tuning_file)  # fmt: skip
-    drive = command("drive", "ROAD", "--vehicle", car_file, "--profile", settings.profile, "--tuning", tuning_file)
+    drive = _drive_command(settings, ["country"], car_file, tuning_file)
     files = {"car_file": str(car_file), "tuning_file": str(tuning_file)}
     return tuned_car_result(tuned, files, next_line("drive with it", drive))
 
@@ -155,8 +155,18 @@ def _tune_on_roads(settings: TuneOptions) -> Result:
         )
     file = settings.out / TUNING_FILE
     tuned.file.to_toml(file)
-    drive = command("drive", "ROAD", "--vehicle", settings.car, "--profile", settings.profile, "--tuning", file)
+    road = drive_words((settings.road or ["country"])[0], settings.length)
+    drive = _drive_command(settings, road, settings.car, file)
     return tuned_roads_result(tuned, str(file), next_line("drive with it", drive))
+
+
+def _drive_command(settings: TuneOptions, road: list[str], car: str | Path, tuning: Path) -> str:
+    """Return the command that drives a road with a tuning."""
+    plugins = [word for name in settings.plugin or () for word in ("--plugin", name)]
+    plant = () if settings.plant == "dual-track" else ("--plant", settings.plant)
+    driver = ("--prescribed-speed",) if settings.prescribed_speed else ()
+    words = ("--vehicle", car, "--profile", settings.profile, *plant, *driver, *plugins, "--tuning", tuning)
+    return command("drive", *road, *words)
 
 
 def _pair(option: str, text: str | None) -> tuple[float, float] | None:

@@ -162,8 +162,9 @@ class UserEstimator(Estimator):
 
 
 _registry: Registry[Estimator] = Registry(
-    "estimator", "register_estimator", {"deadbeat": Deadbeat, "kalman": "adaptrack.control.kalman:KalmanFilter"}
-)
+    "estimator", "register_estimator", {"deadbeat": Deadbeat, "kalman": "adaptrack.control.kalman:KalmanFilter"},
+    member_type=Estimator,
+)  # fmt: skip
 
 
 @checked

@@ -332,8 +332,9 @@ class UserModel(PredictionModel):
 
 
 _registry: Registry[PredictionModel] = Registry(
-    "prediction model", "register_model", {"single-track": SingleTrackModel, "path": PathModel}, ("vehicle", "period")
-)
+    "prediction model", "register_model", {"single-track": SingleTrackModel, "path": PathModel},
+    ("vehicle", "period"), PredictionModel,
+)  # fmt: skip
 
 
 @checked

@@ -9,9 +9,8 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
-from adaptrack.base.checked import Bound, Positive, Share, checked
+from adaptrack.base.checked import Finite, Hint, checked, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
@@ -44,8 +43,8 @@ from adaptrack.road import Comfort, Road, SpeedPlan
 from adaptrack.road.cornering import packed, steering_limit
 
 Array = NDArray[np.float64]
-MAX_ASSUMED_FRICTION = 1.5
-"""Coefficient of friction above which an assumption is refused."""
+ASSUMABLE_FRICTION = (0.05, 1.5)
+"""Lowest and highest coefficient of friction that may be assumed: wet ice, and racing tyres."""
 
 
 class SpeedState(StrEnum):
@@ -161,32 +160,36 @@ class SpeedControl:
     Raises
     ------
     InvalidInput
-        When the interval of friction is empty.
+        When the friction is not in `ASSUMABLE_FRICTION`, or its interval is empty.
     """
 
     car: Vehicle
-    friction: Annotated[float, Field(gt=0.0, le=MAX_ASSUMED_FRICTION)] | tuple[float, float] = 0.9
+    friction: Annotated[
+        Finite | tuple[Finite, Finite],
+        Hint("or (low, high), at least {:g} and at most {:g}".format(*ASSUMABLE_FRICTION)),
+    ] = 0.9
     drive: DriveActuator | None = None
     brakes: BrakeActuator | None = None
-    gain: Annotated[Positive, "1/s"] = 2.0
-    governor: Share = 0.9
+    gain: Annotated[Finite, within(0.1, 10.0), "1/s"] = 2.0
+    governor: Annotated[Finite, within(0.1, 1.0)] = 0.9
     """of the friction that bends ahead may use"""
-    guard: Share = 0.85
+    guard: Annotated[Finite, within(0.1, 1.0)] = 0.85
     """of the force that each axle has left"""
-    stop_jerk: Annotated[Positive, "m/s^3"] = 2.0
+    stop_jerk: Annotated[Finite, within(0.1, 20.0), "m/s^3"] = 2.0
     """at the end of a stop"""
     stop_at_end: bool = True
     """whether a `Tracker` stops at the end of an open path; a simulated drive ends as its plan does"""
-    emergency: Annotated[Bound, "m/s^2"] = 8.0
+    emergency: Annotated[Finite, within(1.0, 15.0), "m/s^2"] = 8.0
     """largest deceleration where a stop is too near for comfort"""
     pedals: PedalMap | None = None
 
     def __post_init__(self) -> None:
         low, high = self.friction_interval
-        if not 0.0 < low <= high <= MAX_ASSUMED_FRICTION:
+        least, most = ASSUMABLE_FRICTION
+        if not least <= low <= high <= most:
             raise InvalidInput(
                 f"SpeedControl: friction = {self.friction!r}: must be a value such as 0.9, or (low, high) such as "
-                f"(0.65, 0.9), above 0 and at most {MAX_ASSUMED_FRICTION:g}."
+                f"(0.65, 0.9), at least {least:g} and at most {most:g}."
             )
 
     @property

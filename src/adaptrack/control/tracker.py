@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
-from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of
+from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of, step_call
 from adaptrack.control.controllers.belief import SourcedValue
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
@@ -124,9 +124,9 @@ class Tracker:
     Parameters
     ----------
     controller : Controller
-        An MPC or any other, without a scheduler. A filter that takes late samples in
-        (``KalmanFilter(oldest=...)``, as for profile `production`) uses what comes late best. One without a filter is
-        given the v_y of a steady turn where none is measured.
+        An MPC or any other, without a scheduler, of this tracker alone: another tracker takes a copy. A filter that
+        takes late samples in (``KalmanFilter(oldest=...)``, as for profile `production`) uses what comes late best. One
+        without a filter is given the v_y of a steady turn where none is measured.
     path : Road
         From points, OpenDRIVE or segments. On one that crosses itself the car begins on the branch in its direction.
     plan : SpeedPlan, optional
@@ -230,6 +230,7 @@ class Tracker:
         near: arc length; the car is looked for within 400 m of it, without one on the whole path. What a controller has
         learned of its car stays; what was said of the inputs is forgotten.
         """
+        self._user = self.controller.user = object()
         self._check.forget()
         self._target = None if self.plan is None else SpeedTarget(self.plan)
         tracker_engage(wheel_angle, math.nan if near is None else near, self._resident)
@@ -326,8 +327,14 @@ class Tracker:
         Raises
         ------
         InvalidInput
-            When an argument is no number, or neither t nor now is finite.
+            When an argument is no number, neither t nor now is finite, or a newer tracker or simulation uses the
+            controller.
         """
+        if self.controller.user is not self._user:
+            raise InvalidInput(
+                "Tracker.step: a newer tracker or simulation uses this controller, which has forgotten this drive: "
+                "give each its own, such as copy.copy(controller), or call engage() to begin again."
+            )
         numbers = [t, math.nan, x, y, yaw, speed, yaw_rate, lateral_velocity, lateral_acceleration]
         numbers.append(math.nan if wheel_angle is None else wheel_angle)
         call_start = time.perf_counter()
@@ -340,6 +347,8 @@ class Tracker:
         motion_t = row[0] if motion_time is None else real("Tracker.step", "motion_time", motion_time)
         kernel.sample[: len(row)] = row
         acceleration = real("Tracker.step", "longitudinal_acceleration", longitudinal_acceleration)
+        if not isinstance(driver, bool | np.bool_ | int) or driver not in (0, 1):
+            raise InvalidInput(f"Tracker.step: driver = {format_value(driver)}: must be True or False.")
         kernel.sample[TRACKER_SAMPLE.motion_t :] = motion_t, acceleration, driver, real("Tracker.step", "grade", grade)
         tracker_take(resident)
         self._apply_requests()
@@ -402,8 +411,9 @@ class Tracker:
         ahead = {"road": self._ahead} if self.controller.sees_road else {}
         if self._speed is not None:
             self._speed.narrow_behind(self._resident)
-        answered = self.controller.step(state.copy(), speed, np.zeros(1), **ahead)
-        answer = command_of(answered, float(kernel.memory[0].command))
+        call = step_call(self.controller)
+        answered = call(self.controller.step, state.copy(), speed, np.zeros(1), **ahead)
+        answer = command_of(answered, float(kernel.memory[0].command), call)
         kernel.answer[:] = answer.angle, answer.held, *self._belief_of(answered)
 
     def _belief_of(self, answer: object) -> tuple[float, float, float]:

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.registry import PluginCall
 from adaptrack.cars.plant import SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.estimation import FrictionWindEstimator
@@ -27,7 +29,7 @@ from adaptrack.core.kernel import Resident
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants import contract, stepped
 from adaptrack.core.plants.contract import place, vehicle_batch
-from adaptrack.drive.world import Driver, RequestedForces, SpeedFollower, World, reason_of
+from adaptrack.drive.world import Driver, RequestedForces, SpeedFollower, World, reason_of, warn_once
 from adaptrack.road.road_ahead import RoadAhead, pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
 
@@ -37,6 +39,10 @@ LONGEST_SPEEDS_AHEAD = 120
 """Number of control instants for which a controller receives the speed ahead that the speed control allows."""
 LONGEST_PREVIEW = 400
 """Number of control instants for which a controller in Python receives the planned speed."""
+_REQUESTS = (
+    "a SpeedCommand with acceleration (m/s^2), force (N) and hold (N); the force must be finite, the hold finite and "
+    "at least 0"
+)
 
 
 class _SteppedVehicle:
@@ -45,6 +51,9 @@ class _SteppedVehicle:
     def __init__(self, world: World, start: Array) -> None:
         assert isinstance(world.plant, SteppedPlant)
         self._plant, self._steering = world.plant, world.steering
+        self._call = PluginCall(
+            f"plant {world.plant.name!r}: step()", "six finite numbers: X, Y, yaw, v_x, v_y, yaw rate"
+        )
         self._mass = world.plant.powertrain["mass"]
         actuator = np.array([self._steering.lag, self._steering.limit])
         self.batch = contract.vehicle_batch(stepped.STEPPED, actuator, np.append(start, 0.0)[None])
@@ -82,9 +91,15 @@ class _SteppedVehicle:
         before = state[:6].copy()
         for _ in range(steps):
             middle, after = self._angle(0.5 * h), self._angle(h)
-            motion = np.asarray(self._plant.step(h, middle, float(target), environment), dtype=np.float64)
+            answer = self._call(self._plant.step, h, middle, float(target), environment)
+            try:
+                motion = np.asarray(answer, dtype=np.float64)
+            except (TypeError, ValueError):
+                raise self._call.refusal(answer) from None
             if motion.shape != (6,):
-                raise InvalidInput(f"plant {self._plant.name!r}: step() gave {motion!r}: must be six numbers.")
+                raise self._call.refusal(answer)
+            if not np.isfinite(motion).all():
+                warn_once(f"adaptrack: the run ends: {self._call.refusal(answer)}")
             state[:6] = motion
             state[contract.PLANT_STATE.steering] = after if self._steering.lag > 0.0 else 0.0
         turn = 0.5 * (before[3] * before[5] + state[3] * state[5])
@@ -181,15 +196,18 @@ class ClosedLoop:
             memory, measured = self._drives[0], self.run.measured
             if isinstance(self.speed_controller, SpeedController):
                 self.speed_controller.narrow_friction(measured, float(memory["speed"]), float(memory["command"]))
-            request = self.request = self.speed_controller.step(
-                float(memory["station_estimate"]), float(memory["speed"]), float(measured[MEASUREMENT.yaw_rate])
-            )
-            if not (math.isfinite(request.force) and request.hold >= 0.0):
-                raise InvalidInput(
-                    f"driver: step() gave force = {request.force!r} N, hold = {request.hold!r} N: the force must be "
-                    "finite, the hold at least 0."
-                )
-            memory["requested_force"], memory["requested_hold"] = request.force, request.hold
+            call = PluginCall(f"driver {type(self.world.driver).__name__}: step()", _REQUESTS)
+            request = self.request = call(
+                self.speed_controller.step,
+                float(memory["station_estimate"]), float(memory["speed"]), float(measured[MEASUREMENT.yaw_rate]),
+            )  # fmt: skip
+            try:
+                force, hold, _ = (real("", name, getattr(request, name)) for name in ("force", "hold", "acceleration"))
+            except (AttributeError, InvalidInput):
+                raise call.refusal(request) from None
+            if not (math.isfinite(force) and 0.0 <= hold < math.inf):
+                raise call.refusal(request)
+            memory["requested_force"], memory["requested_hold"] = force, hold
         variables = SchedulingVariables(*self.run.variables.tolist())
         return Sensed(self.run.measured, float(self._drives["speed"][0]), self._references[self.instant :], variables)
 
@@ -256,7 +274,13 @@ def _speed_follower(world: World, scenario: Scenario | RoadDrive) -> SpeedFollow
         )
     if isinstance(driver, SpeedControl):
         return SpeedController(driver, scenario.road, scenario.plan, world.period)
-    return driver.begin(scenario.road, scenario.plan, world.period)
+    call = PluginCall(
+        f"driver {type(driver).__name__}: begin()", "an object with the method step(station, speed, yaw_rate)"
+    )
+    follower: SpeedFollower = call(driver.begin, scenario.road, scenario.plan, world.period)
+    if not callable(getattr(follower, "step", None)):
+        raise call.refusal(follower)
+    return follower
 
 
 def failure_of(ended: int, at: float) -> tuple[str | None, float]:

@@ -11,7 +11,8 @@ from adaptrack.base.errors import InvalidInput, UnknownName
 from adaptrack.base.registry import Registry
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.drive.world import Driver, LongitudinalDriver
+from adaptrack.control.speed_control import SpeedControl
+from adaptrack.drive.world import Driver, LongitudinalDriver, SpeedDriver
 
 
 def _prescribed() -> None:
@@ -21,6 +22,7 @@ def _prescribed() -> None:
 _registry: Registry[LongitudinalDriver] = Registry(
     "driver", "register_driver",
     {"prescribed": _prescribed, "driver": Driver, "speed-control": "adaptrack.control.speed_control:SpeedControl"},
+    member_type=Driver | SpeedControl | SpeedDriver,
 )  # fmt: skip
 
 
@@ -48,7 +50,10 @@ def check_driver_name(text: str) -> None:
 
 
 def make_driver(text: str, car: Vehicle) -> LongitudinalDriver:
-    """Return a driver of a car; raises `UnknownName` for its name and `InvalidInput` for its options.
+    """Return a driver of a car.
+
+    Raises `UnknownName` for its name, `InvalidInput` for its options, `ContractError` where its factory returns no
+    driver.
 
     text: registered name, optionally followed by a colon and options, as in ``driver:preview=0.4,guard=0.8``.
     """
@@ -65,7 +70,7 @@ def make_driver(text: str, car: Vehicle) -> LongitudinalDriver:
     except (TypeError, ValueError) as error:
         names = ", ".join(option for option in signature.parameters if option != "car")
         raise InvalidInput(f"driver {text!r}: {error}; options, as in friction=0.6:0.9: {names or 'none'}.") from None
-    return factory(**arguments)
+    return None if factory is _prescribed else _registry.make(name, **arguments)
 
 
 def check_forces(plant: Plant | SteppedPlant) -> None:

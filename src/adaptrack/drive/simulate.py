@@ -20,7 +20,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import Hint, Natural, checked
 from adaptrack.cars.plant import Plant, SteppedPlant
-from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of
+from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of, step_call
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.speed_control import SpeedCommand, SpeedController, SpeedLimit, SpeedState
 from adaptrack.core.models.contract import MEASUREMENT
@@ -30,7 +30,7 @@ from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, FailureLimits
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
-from adaptrack.drive.world import Driver, LongitudinalDriver, PerceptionSource, World
+from adaptrack.drive.world import Driver, LongitudinalDriver, PerceptionSource, World, warn_once
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
 
@@ -47,7 +47,7 @@ class _Recorder:
     """Record of one run with a row for each control instant. state and signals: see `core.period.Trace`."""
 
     def __init__(self, n: int, controller: Controller, state: Array, signals: Array) -> None:
-        self.state, self.signals = state, signals
+        self.state, self.signals, self.step_call = state, signals, step_call(controller)
         self.tuning_names, self.diagnostic_names = controller.tuning_names, controller.diagnostic_names
         self.command = np.full((n, 3), np.nan)  # command, its change, held
         self.fixed_tuning = controller.packed_tuning()
@@ -61,7 +61,7 @@ class _Recorder:
 
     def record(self, k: int, answer: Any, previous_command: float) -> float:
         """Record the controller's answer in step k and return its command (rad). previous_command: rad."""
-        angle, _, is_held, tuning, diagnostics = command_of(answer, previous_command)
+        angle, _, is_held, tuning, diagnostics = command_of(answer, previous_command, self.step_call)
         self.command[k] = angle, angle - previous_command, is_held
         if len(self.tuning_names):
             self.tuning[k] = tuning if len(tuning) else self.fixed_tuning
@@ -127,6 +127,7 @@ def simulate(
     record = _Recorder(signals.n, controller, trace.state[0], trace.signals[0])
     has_no_vy = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)
     controller.reset()
+    controller.user = object()  # a tracker with this controller refuses to go on
     speed_control = loop.speed_controller if isinstance(loop.speed_controller, SpeedController) else None
     if speed_control is not None:
         speed_control.limit_speed(controller)
@@ -145,7 +146,9 @@ def simulate(
         start_time = time.perf_counter()
         uses_road = loop.road is not None and controller.sees_road
         road_ahead: dict[str, Any] = {"road": loop.road_ahead(instant.speed)} if uses_road else {}
-        answer = controller.step(measured, instant.speed, instant.reference, instant.variables, **road_ahead)
+        answer = record.step_call(
+            controller.step, measured, instant.speed, instant.reference, instant.variables, **road_ahead
+        )
         record.times[k] = time.perf_counter() - start_time
         if speed_control is not None:
             speed_control.limit_speed(controller, answer)
@@ -153,6 +156,7 @@ def simulate(
         if predicted is not None and record.command[k, 2] < 0.5:
             predicted.record(k * world.period, controller, road_ahead.get("road"))
         if not loop.send(command):
+            warn_once(f"adaptrack: the run ends: {record.step_call.refusal(answer)}")
             break
         loop.advance()
     if progress is not None:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.checked import Bound, NotNegative, Positive, checked
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.cars.plant import Plant, SteppedPlant, steps_in
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator
 from adaptrack.control.controllers import MPC, Controller
@@ -131,6 +131,11 @@ class World:
                 f"controller = {controller!r}: must be a Controller, such as MPC(load_vehicle('paper')), or a subclass "
                 "of adaptrack.Controller."
             )
+        if driver is not None and not isinstance(driver, Driver | SpeedControl | SpeedDriver | RequestedForces):
+            raise InvalidInput(
+                f"driver = {format_value(driver)}: must be a Driver, a SpeedControl, an object whose begin(path, plan, "
+                "period) begins a run, or None."
+            )
         profile = load_profile(profile)
         if isinstance(plant, Plant) and getattr(plant, "steering", None) is None:
             plant = plant.with_steering(profile.steering)
@@ -169,14 +174,14 @@ class World:
         # a learning controller corrects all delays but a computation time that it assumes too long
         delay_error = simulated_delay - assumed_delay if controller.learner is None else min(computation_error, 0.0)
         if abs(computation_error) > tolerance and delay_error * math.copysign(1.0, computation_error) > tolerance:
-            _warn(
+            warn_once(
                 f"adaptrack: the controller assumes a computation time of {steering_model.computation.value:.3g} s "
                 f"({steering_model.computation.source}), but profile {self.profile.name!r} simulates "
                 f"{computation:.3g} s: give the controller profile={self.profile.name!r} or "
                 f"computation={computation:.3g}."
             )
         elif delay_error > tolerance:
-            _warn(
+            warn_once(
                 f"adaptrack: profile {self.profile.name!r} simulates a steering delay of {simulated_delay:.3g} s, but "
                 f"the controller assumes {assumed_delay:.3g} s. Give the controller profile={self.profile.name!r} or "
                 "belief=Steering(...) with the right delay, or learning=Learning() to estimate it."
@@ -347,7 +352,7 @@ def _actuator_settings(name: str, actuator: DriveActuator | BrakeActuator, perio
 
 
 @cache
-def _warn(text: str) -> None:
+def warn_once(text: str) -> None:
     """Log a warning, once per process."""
     _log.warning(text)
 

@@ -15,7 +15,7 @@ import numpy as np
 from adaptrack import __version__
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, did_you_mean
-from adaptrack.base.files import write_atomically
+from adaptrack.base.files import keep_replaced, write_atomically
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLimit, SpeedState
@@ -71,6 +71,8 @@ class CExport:
     """of the recorded drive"""
     failed: str = ""
     """when and why its car failed, in words: it proves equality all the same; empty where it did not"""
+    backups: tuple[Path, ...] = ()
+    """Files with the previous content of an earlier export, ``NAME.bak``, where it differed."""
 
 
 @checked
@@ -133,13 +135,14 @@ def export_c(
     name = next(iter(files))
     texts = _texts(controller, block, recorded, name, tuple(files), part)
     target = Path(folder)
-    for place, content in {**texts, CONSTANTS_FILE: block.content}.items():
-        _write(target / place, content)
-    for file_name, file in files.items():
-        _write(target / "lib" / file_name / KERNELS_FILE, file.read_bytes())
+    contents = {target / place: content for place, content in {**texts, CONSTANTS_FILE: block.content}.items()}
+    contents |= {target / "lib" / name / KERNELS_FILE: file.read_bytes() for name, file in files.items()}
+    with keep_replaced(*contents) as backups:
+        for file, content in contents.items():
+            _write(file, content)
     return CExport(
         target, tuple(files), len(block.content), block.laid_size, block.saved_size, len(recorded.samples),
-        recorded.failed,
+        recorded.failed, tuple(backups),
     )  # fmt: skip
 
 

@@ -1,6 +1,13 @@
 """Controllers: what `simulate` drives with. One file each; `check_controller` tells whether one keeps the contract."""
 
-from adaptrack.control.controllers.base import Command, CompiledController, Controller, TuningBounds, command_of
+from adaptrack.control.controllers.base import (
+    Command,
+    CompiledController,
+    Controller,
+    TuningBounds,
+    command_of,
+    step_call,
+)
 from adaptrack.control.controllers.belief import Belief, Uncertainty
 from adaptrack.control.controllers.check import check_controller
 from adaptrack.control.controllers.informed import informed_tuning
@@ -55,4 +62,5 @@ __all__ = [
     "read_tuning",
     "register_controller",
     "released_mpc",
+    "step_call",
 ]

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Positive, checked, real
-from adaptrack.base.errors import ContractError, InvalidInput, format_value
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.registry import PluginCall
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
@@ -41,25 +42,33 @@ class Command(NamedTuple):
     """Diagnostics of the control law by name; NaN where one does not apply."""
 
 
-def command_of(answer: Any, before: float) -> Command:
+STEP_CALL = PluginCall("step()", "the steering angle (rad, finite), or an answer with an `angle`")
+
+
+def step_call(controller: Controller) -> PluginCall:
+    """Return the call of `Controller.step`, which may be that of a plug-in."""
+    return STEP_CALL._replace(function_name=f"controller {controller.name!r}: step()")
+
+
+def command_of(answer: Any, before: float, call: PluginCall = STEP_CALL) -> Command:
     """An answer of `Controller.step` as a command; one that is the steering angle (rad) alone has no more to say.
 
-    before: the last command (rad).
+    before: the last command (rad); call: of the controller, see `step_call`.
 
     Raises
     ------
     ContractError
         When it is neither an angle nor has one.
     """
-    if isinstance(answer, Command):
+    value = getattr(answer, "angle", answer)
+    if isinstance(answer, Command) and type(value) is float:
         return answer
     try:
-        angle = float(getattr(answer, "angle", answer))
+        if isinstance(value, str | bytes | bool | np.bool_):  # which float() would accept
+            raise TypeError
+        angle = float(value)
     except (TypeError, ValueError):
-        raise ContractError(
-            f"step() returned {format_value(answer)}: it must return the steering angle (rad), or an answer with "
-            "an `angle`."
-        ) from None
+        raise call.refusal(answer) from None
     return Command(
         angle, float(getattr(answer, "move", angle - before)), bool(getattr(answer, "held", False)),
         getattr(answer, "tuning", ()), getattr(answer, "diagnostics", {}),
@@ -123,6 +132,8 @@ class Controller(ABC):
     """Steering model that the controller assumes; None if it has none."""
     learner: Any = None
     """Estimator of the car's parameters; None if the controller does not learn."""
+    user: Any = None
+    """Token of the tracker or simulation that began a drive with the controller last."""
     learns: str = ""
     """Text on whether the controller learns, why, and within which range."""
 

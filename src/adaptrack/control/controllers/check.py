@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.control.controllers.base import Array, Controller, command_of
+from adaptrack.control.controllers.base import Array, Controller, command_of, step_call
 from adaptrack.core import portable
 from adaptrack.road import Arc, Line, Road
 from adaptrack.road.road_ahead import RoadAhead
@@ -129,7 +129,7 @@ class _Asking:
             f"state {np.round(state, 6).tolist()}, speed {speed:g} m/s, reference {reference[:3].tolist()}..."
         )
         try:
-            answer = self.controller.step(arrays[0], speed, arrays[1], variables, **road)
+            answer = step_call(self.controller)(self.controller.step, arrays[0], speed, arrays[1], variables, **road)
             angle, move, *_ = command_of(answer, self.last)
         except InvalidInput:
             raise

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Count, Finite, Hint, Positive, checked, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
+from adaptrack.base.registry import PluginCall
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import Controller
 from adaptrack.control.controllers.belief import MOST_COMPUTATION, GivenSteering, Uncertainty
@@ -33,7 +34,7 @@ from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.control.estimation import NOTHING_MEASURED, Deadbeat, Estimator, get_estimator
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PredictionModel, SingleTrackModel
-from adaptrack.control.qp import QP, QPSolver, QPStatus, get_qp_solver
+from adaptrack.control.qp import QP, QPSolver, QPStatus, Solution, get_qp_solver
 from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.control.qp.hildreth import Hildreth
 from adaptrack.core.controllers import mpc as kernel
@@ -683,9 +684,15 @@ class MPC(Controller):
 
     def _ask(self, variables: Sequence[float]) -> None:
         """Ask a scheduler in Python; what is no tuning leaves the one before."""
-        assert self.scheduler is not None
+        scheduler: Any = self.scheduler
+        name = getattr(scheduler, "name", None) or getattr(scheduler, "__name__", type(scheduler).__name__)
+        call = PluginCall(f"scheduler {name!r}", "a Tuning or four finite numbers (Np, Nc, Q, R)")
         try:
-            self._requested[:] = read_tuning(self.scheduler(variables))
+            answer = call(scheduler, variables)
+            try:
+                self._requested[:] = read_tuning(answer)
+            except InvalidInput:
+                raise call.refusal(answer) from None
         except Exception as error:
             self._raised += 1
             if self._raised == 1:
@@ -725,7 +732,10 @@ class MPC(Controller):
         if not (np.isfinite(ws.gradient[:n]).all() and np.isfinite(ws.hessian[0, :n, :n]).all()):
             status = QPStatus.NON_FINITE
         if status == QPStatus.SOLVED:
-            solution = self.solver.solve(self._qp(n, m))
+            call = PluginCall(f"QP solver {self.solver.name!r}: solve()", "a Solution")
+            solution = call(self.solver.solve, self._qp(n, m))
+            if not isinstance(solution, Solution):
+                raise call.refusal(solution)
             status, iterations = solution.status, solution.iterations
             ws.solution[:n] = solution.x
             ws.multipliers[:m] = solution.lam

@@ -64,7 +64,7 @@ _SHIPPED: dict[str, tuple[str, About]] = {
 _descriptions: dict[str, About] = {name: description for name, (_, description) in _SHIPPED.items()}
 _registry: Registry[Controller] = Registry(
     "controller", "register_controller", {name: f"adaptrack.{place}" for name, (place, _) in _SHIPPED.items()},
-    ("vehicle",),
+    ("vehicle",), Controller,
 )  # fmt: skip
 
 
@@ -104,6 +104,8 @@ def get_controller(
     ------
     UnknownName
         When no controller has this name; the message holds the nearest that is known.
+    ContractError
+        When its factory returns no controller.
     """
     factory = _registry.factory(name)
     parameters = inspect.signature(factory).parameters
@@ -112,7 +114,8 @@ def get_controller(
     anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
     values = {key: value for key, value in (optional or {}).items() if value is not None}
     arguments = {key: value for key, value in values.items() if key in parameters or anything}
-    return factory(vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle), **arguments, **options)
+    car = vehicle if isinstance(vehicle, Vehicle) else load_vehicle(vehicle)
+    return _registry.make(name, car, **arguments, **options)
 
 
 def about_controller(name: str) -> About:

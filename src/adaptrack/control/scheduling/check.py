@@ -62,7 +62,7 @@ def _samples(count: int, rng: np.random.Generator) -> Array:
 def _tuning_of(scheduler: Any, variables: SchedulingVariables, entries: tuple[str, ...]) -> tuple[float, ...]:
     try:
         return read_tuning(scheduler(variables), entries)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ContractError(f"scheduler: failed for {variables}: {error}") from error
 
 
