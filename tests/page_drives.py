@@ -105,5 +105,6 @@ def columns_of(trajectory):
     for group in (trajectory.tuning, trajectory.diagnostics):
         for key, values in group.items():
             columns[f"answered_{key}" if key in FRAME._fields else key] = values.astype(float)
+    columns.pop("longitudinal_acceleration", None)  # computed from the others
     count = int(np.isfinite(trajectory.command).sum())
     return {name: np.ascontiguousarray(values[:count], float) for name, values in columns.items()}

@@ -391,7 +391,7 @@ class SpeedController:
 
     @property
     def governed_speed(self) -> float:
-        """m/s, planned speed at the place of the car after the governor."""
+        """m/s, planned speed after the governor, of the cell of the path in which the car is."""
         return math.sqrt(float(self._record.ahead[0]))
 
     @property

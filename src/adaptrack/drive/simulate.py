@@ -315,8 +315,6 @@ def _trajectory(
         vx, vy, yaw_rate = state[:, PLANT_STATE.vx], state[:, PLANT_STATE.vy], state[:, PLANT_STATE.yaw_rate]
         change = np.gradient(vx, signals.period) if n > 1 else np.zeros(n)
         diagnostics["longitudinal_acceleration"] = change - vy * yaw_rate
-        # the governor's cells are as long as those of the path; between them the plan may be lower
-        diagnostics["governed_speed"] = np.minimum(diagnostics["governed_speed"], road["planned_speed"])
     groups = {"tuning": record.tuning_names, "diagnostics": diagnostics, "road": road}
     recorded = {f"{group}.{name}" for group, names in groups.items() for name in names}
     return Trajectory(
