@@ -57,7 +57,7 @@ NEEDED = {
 }
 """Pages that are skipped without a package of an extra."""
 
-OTHERS = ("dask", "python -m pip", "python -m tools.fuzz", ".ci/run")
+OTHERS = ("dask", "python -m pip", "python -m tools.fuzz", ".ci/run", "source .venv/bin/activate")
 """Commands of other programs: not run."""
 
 
