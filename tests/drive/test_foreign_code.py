@@ -108,7 +108,7 @@ def test_a_driver_that_returns_no_requests_is_named(answer):
 
 @pytest.mark.parametrize("answer", NONSENSE)
 def test_a_driver_that_begins_nothing_is_named(answer):
-    with pytest.raises(ContractError, match=r"driver SimpleNamespace: begin\(\) .* it must return an object with"):
+    with pytest.raises(ContractError, match=r"`begin` of the driver SimpleNamespace .* it must return an object with"):
         _simulate(driver=_driver(answer))
 
 

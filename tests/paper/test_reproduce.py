@@ -283,7 +283,7 @@ def test_the_page_begins_with_the_papers_errors_and_figures_then_shows_the_parts
         patch.setattr(style, "PNG_DPI", 20)
         path = write_result(tmp_path, result)
     words = words_of(path)
-    order = ["Mean square tracking errors", "0.0318", "0.5896", *(f"Figure {number}." for number in range(6, 11)),
+    order = ["Mean square tracking errors", "0.0318", "0.5896", *(f"Figure {number} of the paper" for number in range(6, 11)),
              "As released: the standard MPC", "The plant as released"]  # fmt: skip
     places = [words.index(part) for part in order]
     assert places == sorted(places)

@@ -145,7 +145,7 @@ class PluginCall(NamedTuple):
             return function(*arguments, **options)
         except SystemExit as error:
             raise ContractError(
-                f"{self.function_name} called sys.exit({error.code!r}): it must return {self.answer}."
+                f"{self.function_name} ended the program (exit code {error.code!r}): it must return {self.answer}."
             ) from error
 
     def refusal(self, answer: object) -> ContractError:

@@ -133,8 +133,8 @@ class World:
             )
         if driver is not None and not isinstance(driver, Driver | SpeedControl | SpeedDriver | RequestedForces):
             raise InvalidInput(
-                f"driver = {format_value(driver)}: must be a Driver, a SpeedControl, an object whose begin(path, plan, "
-                "period) begins a run, or None."
+                f"driver = {format_value(driver)}: must be a Driver, a SpeedControl, an object whose method "
+                "`begin` takes path, plan and period, or None."
             )
         profile = load_profile(profile)
         if isinstance(plant, Plant) and getattr(plant, "steering", None) is None:

@@ -124,9 +124,6 @@ DRIVE_COLUMNS = (
     Column("max_abs_error", "max error", "m", 3),
     Column("max_corner_error", "corners", "m", 3, _CORNER_ERROR),
     Column("in_lane", "in lane", "%", "percent", "share of time with all corners in the lane"),
-    Column("speed_error", "speed", "m/s", 2, "RMS difference from the speed planned for the place"),
-    Column("stop_error", "stops", "m", 2, "largest distance from a stop"),
-    Column("time_lost", "late", "s", 2, "delay at the end"),
     Column("result", "result"),
 )
 _TROUBLES = ("qp_capped", "qp_failed", "held")
@@ -219,11 +216,7 @@ def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
     """Return the table for the console; rows: measures of each run with `scenario` and `controller`."""
     empty = dict.fromkeys(column.name for column in DRIVE_COLUMNS)  # a run of one instant has no path measures
     table_rows = [{**empty, **row, "result": "failed" if row["failed"] else "ok"} for row in rows]
-    speeds = ("speed_error", "stop_error", "time_lost")
-    columns = [
-        column for column in DRIVE_COLUMNS if column.name not in speeds or any(row.get(column.name) for row in rows)
-    ]
-    return ResultTable("console", title, columns, table_rows, brief=True)
+    return ResultTable("console", title, DRIVE_COLUMNS, table_rows, brief=True)
 
 
 def _entries(runs: Iterable[Shown]) -> dict[str, str]:
