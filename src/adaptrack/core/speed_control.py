@@ -193,6 +193,8 @@ MAX_PLAN_GRADE = 0.4
 """dz/ds of a plan; a measured grade beyond it, either way, counts as not measured."""
 REACHED = 0.03
 """m, the least remaining way to a stop."""
+AIMED_DISTANCE = 0.01
+"""m, before a stop, at which a car that comes from farther away is to stand: beyond it is worse than short of it."""
 CREEPING_SPEED, CREEPING_TIME = 0.15, 1.0
 """m/s, s: a braked car that is so slow for so long stands; a sensor may have this offset."""
 CREEP_STIFFNESS, LARGEST_CREEP = 10.0, 0.5
@@ -614,7 +616,7 @@ def _aim(index, way, top_square, resistance, drive, brakes, settings, path, memo
         cause = BY_PLAN
     elif target_square >= top_square * 0.999:
         cause = BY_FAULT if memory.on_probation > 0.0 else BY_UNKNOWN_STEERING
-    remaining_way = way - coming_way
+    remaining_way = way - coming_way - (AIMED_DISTANCE if memory.travelled > ARRIVAL_WAY else 0.0)
     jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * brakes.lag)
     caution_way = BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * coming_speed
     stop_speed, stop_acceleration = _stopping_motion(remaining_way - caution_way, lag, jerk, settings)
