@@ -283,8 +283,9 @@ def test_the_page_begins_with_the_papers_errors_and_figures_then_shows_the_parts
         patch.setattr(style, "PNG_DPI", 20)
         path = write_result(tmp_path, result)
     words = words_of(path)
-    order = ["Mean square tracking errors", "0.0318", "0.5896", *(f"Figure {number} of the paper" for number in range(6, 11)),
-             "As released: the standard MPC", "The plant as released"]  # fmt: skip
+    figures = (f"Figure {number} of the paper" for number in range(6, 11))
+    parts = "As released: the standard MPC", "The plant as released"
+    order = ["Mean square tracking errors", "0.0318", "0.5896", *figures, *parts]
     places = [words.index(part) for part in order]
     assert places == sorted(places)
     assert "This was a quick run" in words

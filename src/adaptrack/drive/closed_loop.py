@@ -275,7 +275,8 @@ def _speed_follower(world: World, scenario: Scenario | RoadDrive) -> SpeedFollow
     if isinstance(driver, SpeedControl):
         return SpeedController(driver, scenario.road, scenario.plan, world.period)
     call = PluginCall(
-        f"method `begin` of the driver {type(driver).__name__}", "an object with the method step(station, speed, yaw_rate)"
+        f"method `begin` of the driver {type(driver).__name__}",
+        "an object with the method step(station, speed, yaw_rate)",
     )
     follower: SpeedFollower = call(driver.begin, scenario.road, scenario.plan, world.period)
     if not callable(getattr(follower, "step", None)):
