@@ -27,6 +27,10 @@ def _wave(count, step, height):
     return np.round(np.stack([s, height * np.sin(s / 45.0)], axis=-1), 3).tolist()
 
 
+_ANGLES = np.linspace(0.0, 1.5 * np.pi, 60)
+BEND = {"points": np.round(40.0 * np.stack([np.sin(_ANGLES), 1.0 - np.cos(_ANGLES)], axis=-1), 3).tolist(),
+        "closed": False, "name": "bend"}  # fmt: skip
+"""Three quarters of a circle: drives begin in a bend."""
 WAVE = {"points": _wave(60, 12.0, 9.0), "closed": False, "name": "drawn"}
 PAPER, SEDAN, TYPED = {"name": "paper"}, {"name": "midsize-sedan"}, {"sheet": SHEET}
 
@@ -68,6 +72,7 @@ SETUPS = {
     "file": _setup({"file": VAN}, {"name": "town"}, {"lateral": 2.0}, "road", "informed", "lqr"),
     "file, learning": _setup({"file": VAN}, WAVE, {"constant": 12.0}, "production", "learning", "informed"),
     "points": _setup(PAPER, WAVE, {"lateral": 3.0}, "road", "informed", "stanley"),
+    "from a bend": _setup(SEDAN, BEND, {"constant": 10.0}, "production", "learning", "stanley", mass=1.2, bias=0.01),
     "tuned": _setup(SEDAN, WAVE, {"lateral": 3.0}, "road", _tuned("informed", 42, 7, 2.0, 11.5), seed=2),
     "believing": _setup(SEDAN, {"name": "mountain"}, {"lateral": 2.0}, "road",
                         _tuned("informed", 30, 10, 1.0, 40.0, lag=0.3, dead_time=0.12), lag=0.3, dead_time=0.06),

@@ -9,16 +9,21 @@ import pytest
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.cars.vehicle import SteeringActuator, load_vehicle
 from adaptrack.control.controllers import LQR, MPC, PurePursuit, Stanley
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
+from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.drive.batch import rollout_batch
+from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.simulate import rollout, simulate
+from adaptrack.drive.world import World
 from adaptrack.road import Along, Arc, Clothoid, Comfort, Line, Pose, Road, Stop, generate_road, plan_speed
 from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario import RoadDrive, load_scenario
+from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant import tune_constant
 from adaptrack.tuning.pso import SwarmSettings
 from adaptrack.tuning.runs import ControllerTunings, RunSet
@@ -110,6 +115,44 @@ def test_both_drivers_give_the_same_run(make):
 
 
 @pytest.mark.compiled
+def wheel_angle_measured_at_the_start(drive):
+    """rad, without steering lag and with one."""
+    angles = []
+    for lag in (0.0, 0.1):
+        profile = load_profile("paper").replace(steering=SteeringActuator(lag=lag))
+        loop = ClosedLoop(World.of(PLANT, MPC(CAR, profile=profile), profile, None, None, None), drive, 0)
+        angles.append(float(loop.sense().measured[MEASUREMENT.wheel_angle]))
+    assert angles[0] == angles[1]
+    return angles[0]
+
+
+@pytest.mark.parametrize("bank", [0.0, math.asin(144.0 * 0.02 / GRAVITY)])
+@pytest.mark.parametrize("drive", [simulate, rollout])
+def test_a_drive_that_begins_in_a_bend_begins_in_its_steady_turn(drive, bank):
+    """delta = L k + K a, beta = l_r k - W a, r = v k, with the acceleration a that the bank leaves to the tyres."""
+    road, speed = CIRCLE.replace(bank=bank), 12.0
+    run = drive(PLANT, MPC(CAR, profile="paper", preview=True), RoadDrive(road, speed), profile="paper")
+    felt = 0.02 * speed * speed - GRAVITY * math.sin(bank)
+    rear_slip = CAR.mass * CAR.lf / (2.0 * CAR.stiffness_rear * CAR.wheelbase)
+    wheels = CAR.wheelbase * 0.02 + CAR.understeer_gradient * felt
+    if not bank:  # the controller does not know a bank
+        assert run.command[0] == pytest.approx(wheels, rel=0.01)
+    assert wheel_angle_measured_at_the_start(RoadDrive(road, speed)) == pytest.approx(wheels, rel=1e-3)
+    assert run.vy[0] / run.vx[0] == pytest.approx(CAR.lr * 0.02 - rear_slip * felt, rel=0.02, abs=2e-4)
+    assert run.road["heading_error"][0] == pytest.approx(-math.atan2(run.vy[0], run.vx[0]), abs=1e-9)
+    assert run.yaw_rate[0] == pytest.approx(0.02 * speed, rel=1e-9)
+
+
+@pytest.mark.parametrize("profile", ["road", "production"])
+@pytest.mark.parametrize("car", ["compact-ev", "van"])
+def test_the_start_in_a_bend_is_not_the_largest_error_of_a_drive(car, profile):
+    road, vehicle = Road.from_segments([Arc(length=180.0, curvature=1 / 30)], name="bend"), load_vehicle(car)
+    drive = RoadDrive(road, 9.5)
+    run = rollout(DualTrack(vehicle), MPC(vehicle, profile=profile), drive, profile=profile)
+    error, first = np.abs(run.road["offset"]), round(3.0 / run.period)
+    assert error[:first].max() < error[first:].max() < 0.05
+
+
 def test_offset_and_heading_error_are_those_of_the_projection():
     run = rollout(PLANT, MPC(CAR, profile="road"), RoadDrive(WINDING, 15.0), profile="road")
     feet = WINDING.project(run.X, run.Y, near=run.road["station"])

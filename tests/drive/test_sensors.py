@@ -146,7 +146,7 @@ def test_without_a_pose_the_estimated_station_moves_on_with_the_measured_speed()
 def test_in_a_bend_the_heading_error_counts_from_the_road_at_the_measured_position():
     """A yaw angle without noise is the road's heading at the measured position and the measured error."""
     run = Readings(SILENT.replace(noise_station=0.5, pose_age=0.1, station_age=0.1), CIRCLE, 200)
-    yaw = run.true_yaw[0] + CURVATURE * run.pose_station + run.measured_yaw
+    yaw = float(CIRCLE.road.at(0.0).heading) + CURVATURE * run.pose_station + run.measured_yaw
     settled = run.t > 0.1
     turns = (yaw - run.before("true_yaw", 0.1))[settled] / (2.0 * math.pi)
     np.testing.assert_allclose(turns, np.round(turns), rtol=0, atol=1e-6)

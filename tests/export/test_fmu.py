@@ -27,7 +27,7 @@ from adaptrack.export import fmu_build
 from adaptrack.export.fmu import constants, write_fmu
 from adaptrack.export.tracking import record_of
 from adaptrack.export.units import car_unit, controller_unit
-from adaptrack.road import Stop
+from adaptrack.road import Arc, Stop
 from exported import STRICT
 from fmus import Instance, Signals, needed
 from programs import find_program
@@ -268,6 +268,19 @@ class UnitOfKernels:
         for name, value in values.items():
             self._values[self._names[name]] = value
         assert self._step(self._record) == 0
+
+
+@pytest.mark.parametrize("profile", ["paper", "production"])
+def test_a_car_that_begins_in_a_bend_drives_as_in_simulate(profile):
+    bend = at.Road.from_segments([Arc(length=100.0, curvature=1 / 30)], name="bend")
+    route, controller = at.RoadDrive(bend, 9.0), at.MPC(CAR, profile=profile)
+    run = at.simulate(PLANT, controller, route, profile=profile)
+    body = UnitOfKernels(car_unit(PLANT, route, profile=profile, period=controller.period))
+    assert run.yaw_rate[0] == 9.0 / 30.0
+    for k in range(100):
+        assert same(body.get(*TRUE), [values[k] for values in (run.X, run.Y, run.psi, run.vx, run.vy, run.yaw_rate)])
+        plan = {"speed": 9.0, "speed_ahead": 9.0, "on_plan": 1.0, "plan_station": 9.0 * k * controller.period}
+        body.step(command=run.command[k], **plan)
 
 
 SPEED_PARTS = {

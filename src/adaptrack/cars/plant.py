@@ -74,7 +74,7 @@ class Plant(ABC):
 
     @property
     def axles(self) -> dict[str, float]:
-        """Geometry (m) and shares of the front axle with which a driver finds what the axles can carry."""
+        """Entries of `core.loop.LoopSettings`: the axles, for the driver, and the steady turn, for the start."""
         return axles_of(getattr(self, "vehicle", None))
 
     @property
@@ -415,8 +415,14 @@ class SteppedPlant(ABC):
 
 
 def axles_of(vehicle: Vehicle | None) -> dict[str, float]:
-    """Geometry (m) and shares of the front axle of a car; of an unknown one equal axles without load transfer."""
-    unknown = {"lf": 1.0, "lr": 1.0, "cg_height": 0.0, "drive_front": 0.5, "brake_front": 0.5}
+    """Geometry (m), shares of the front axle and gradients (rad s^2/m) of a car.
+
+    An unknown car has equal axles without load transfer, and no gradients (NaN).
+    """
+    unknown = {
+        "lf": 1.0, "lr": 1.0, "cg_height": 0.0, "drive_front": 0.5, "brake_front": 0.5,
+        "understeer_gradient": math.nan, "rear_slip_gradient": math.nan,
+    }  # fmt: skip
     return unknown if vehicle is None else {name: getattr(vehicle, name) for name in unknown}
 
 

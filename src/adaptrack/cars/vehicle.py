@@ -392,6 +392,11 @@ class Vehicle(Record):
         return float(car.understeer_gradient(self.numbers))
 
     @property
+    def rear_slip_gradient(self) -> float:
+        """W (rad s^2/m) of the prediction model: slip angle of the rear tyres per lateral acceleration."""
+        return float(car.rear_slip_gradient(self.numbers))
+
+    @property
     def understeer_range(self) -> tuple[float, float]:
         """Lowest and highest understeer gradient (rad s^2/m) that `known_within` leaves possible."""
         tolerances = self.known_within or KnownWithin()

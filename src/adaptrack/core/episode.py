@@ -106,4 +106,4 @@ def renew(episodes):
         episode.over, episode.renewed, episode.due, episode.cost, episode.total = EPISODE_RUNS, 0, 1, 0.0, 0.0
         episodes.observations[slot, :] = 0.0
         begin_slot(slot, run)
-        mpc.forget(slot, run.mpc)
+        mpc.forget(slot, run.memory.drives[slot].command, run.mpc)

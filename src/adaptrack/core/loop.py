@@ -46,6 +46,7 @@ LoopSettings = record(
         "failure_sideslip",  # rad, or the sideslip angle this
         "lf", "lr", "cg_height",  # m, with which the driver's traction guard finds the axle loads
         "drive_front", "brake_front",  # -, share of the front axle
+        "understeer_gradient", "rear_slip_gradient",  # rad s^2/m, of the steady turn at the start; NaN: unknown
         "guard",  # -, share of what the axles have left beside their lateral forces that the driver uses; inf: any
         "drive_whole", "drive_share",  # of the drive, as `dead_whole` and `dead_share` of the steering
         "drive_lag", "drive_rate", "drive_gain",  # s, m/s^3, -
@@ -603,6 +604,36 @@ def memory_sizes(slots, dead_whole, past, requested, table, row):
 def instants_back(oldest, period):
     """How many instants late sensors look back; oldest: s, age of the oldest sample."""
     return whole(ceil(oldest / period)) + 2 if oldest > 0.0 else 0
+
+
+@inlined
+def turn_steadily(slot, run):
+    """Put a car that begins on a bend into its steady turn: slip, yaw rate, wheels, and the commands on their way.
+
+    With v_x, the curvature k of the road and a = v_x^2 k less the pull of the bank: r = v_x k, the wheels stand at
+    L k + K a, and the car moves at l_r k - W a to the left of its axis. One of unknown gradients begins straight.
+    """
+    world, memory, block = run.settings, run.memory, run.vehicles.block
+    scenario = run.inputs.scenario[slot]
+    road, signals = run.inputs.roads.of[scenario], run.inputs.signals[scenario]
+    if road < 0 or math.isnan(world.understeer_gradient):
+        return
+    _, _, _, curvature = point_at(signals[SIGNAL.station, 0], line_of(road, run.inputs.roads))
+    if curvature == 0.0 and signals[SIGNAL.bank, 0] == 0.0:
+        return
+    vx = block[state_at(PLANT_STATE.vx, slot)]
+    pull = vx * vx * curvature - signals[SIGNAL.bank, 0]
+    slip = world.lr * curvature - world.rear_slip_gradient * pull
+    angle = (world.lf + world.lr) * curvature + world.understeer_gradient * pull
+    angle = clip(angle, -world.steering_limit, world.steering_limit)
+    block[state_at(PLANT_STATE.yaw, slot)] -= atan2(slip, 1.0)
+    block[state_at(PLANT_STATE.vy, slot)] = vx * slip
+    block[state_at(PLANT_STATE.yaw_rate, slot)] = vx * curvature
+    for row in range(PLANT_STATE.yaw, PLANT_STATE.yaw_rate + 1):
+        run.vehicles.states[slot, row] = block[state_at(row, slot)]
+    block[state_at(PLANT_STATE.steering, slot)] = angle if world.steering_lag > 0.0 else 0.0
+    block[input_at(PLANT_INPUT.command, slot)] = angle
+    memory.sent[slot, :], memory.drives[slot].command = angle, angle
 
 
 @inlined

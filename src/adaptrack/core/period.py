@@ -48,6 +48,7 @@ from .loop import (
     memory_sizes,
     sense,
     substeps_around_change,
+    turn_steadily,
 )
 from .models.contract import MEASUREMENT
 from .plants.contract import (
@@ -204,7 +205,7 @@ def traces(slots: int, periods: int, answers: int) -> Any:
 
 @inlined
 def begin_slot(slot, run):
-    """Before the first instant: the vehicle at its start, nothing remembered, nothing counted."""
+    """Before the first instant: the vehicle at its start in its steady turn, nothing remembered, nothing counted."""
     result, vehicles = run.result[slot], run.vehicles
     result.squared_error, result.squared_move, result.largest_error, result.instants = 0.0, 0.0, 0.0, 0
     result.ended, result.ended_at, result.capped, result.unsolved, result.held = RUNNING, 0.0, 0, 0, 0
@@ -213,6 +214,7 @@ def begin_slot(slot, run):
     for j in range(PLANT_INPUTS):
         vehicles.block[input_at(j, slot)] = 0.0
     forget(slot, run.memory)
+    turn_steadily(slot, run)
 
 
 # -- until the controller knows all that it is given ------------------------------------------------------------------
@@ -327,6 +329,12 @@ def close(slot, run):
 
 
 # -- one run around a controller in Python ----------------------------------------------------------------------------
+@exported(void(Place(RunLoop)))
+def begin_one(run):
+    """`begin_slot` of the only slot."""
+    begin_slot(0, run)
+
+
 @exported(void(RunSpan, Place(RunLoop)))
 def sense_one(span, run):
     """`before_control` of the only slot."""

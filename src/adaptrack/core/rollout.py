@@ -258,7 +258,7 @@ def begin(slots, run):
     run.segments[:, :] = 0.0
     for i in range(slots):
         begin_slot(i, run)
-        mpc.forget(i, run.mpc)
+        mpc.forget(i, run.memory.drives[i].command, run.mpc)
     run.law.memory[:, :] = 0.0
 
 

@@ -28,7 +28,7 @@ from adaptrack.core import portable
 from adaptrack.core.kernel import Resident
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants import contract, stepped
-from adaptrack.core.plants.contract import place, vehicle_batch
+from adaptrack.core.plants.contract import vehicle_batch
 from adaptrack.drive.world import Driver, RequestedForces, SpeedFollower, World, reason_of, warn_once
 from adaptrack.road.road_ahead import RoadAhead, pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
@@ -152,7 +152,6 @@ class ClosedLoop:
             vehicles = self._stepped.batch
         else:
             vehicles = vehicle_batch(world.plant.compiled, world.plant.packed(), start[None])
-        place(1, vehicles.start, vehicles.block, vehicles.states)
         self.run = world.loop(
             inputs, vehicles, world.settings(world.substeps(float(self.signals.speed.max()))),
             needs_variables=True, trace=period_kernel.traces(1, n, 0) if traced else None,
@@ -161,6 +160,7 @@ class ClosedLoop:
             world.perception.reset(self.run.variable_estimator.memory)
         self.resident, self._span = Resident(self.run), Resident(period_kernel.RunSpan(n, 1, 0, 0.0))
         """`run` and the limits of its loop in the memory of the kernels."""
+        period_kernel.begin_one(self.resident)
         self.speed_controller = _speed_follower(world, scenario)
         self.request: SpeedCommand | None = None
         """Last requests of the speed controller."""

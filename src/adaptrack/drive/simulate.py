@@ -127,6 +127,7 @@ def simulate(
     record = _Recorder(signals.n, controller, trace.state[0], trace.signals[0])
     has_no_vy = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)
     controller.reset()
+    controller.applied(loop.command)
     controller.user = object()  # a tracker with this controller refuses to go on
     speed_control = loop.speed_controller if isinstance(loop.speed_controller, SpeedController) else None
     if speed_control is not None:

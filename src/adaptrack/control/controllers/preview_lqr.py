@@ -93,8 +93,7 @@ class PreviewLQR(CompiledController):
         car, t, belief = self.vehicle, self.tuning, self.belief
         e, heading, steps = t["q_e"] / t["r"], t["q_heading"] / t["r"], portable.log(WEIGHT_FACTORS)
         head = (
-            car.wheelbase, car.lr, car.understeer_gradient,
-            car.mass * car.lf / (2.0 * car.stiffness_rear * car.wheelbase),
+            car.wheelbase, car.lr, car.understeer_gradient, car.rear_slip_gradient,
             belief.lag.value, belief.delay, self.pose_age, self.previewed, portable.log(GAIN_SPEEDS[0]),
             portable.log(GAIN_SPEEDS[-1] / GAIN_SPEEDS[0]) / (len(GAIN_SPEEDS) - 1), len(GAIN_SPEEDS),
             portable.log(e) + steps[0], portable.log(heading) + steps[0], steps[1] - steps[0], len(steps),

@@ -9,7 +9,7 @@ CALLED = (
     "path_words", "path_through", "path_parts", "heading_count", "headings_along", "points_at", "road_edges",
     # cars and plants
     "complete_car", "car_flaw", "outline_of", "overhangs", "plant_parameters", "plant_substeps",
-    "plant_law", "dead_periods", "steering_delay",
+    "plant_law", "dead_periods", "steering_delay", "understeer_gradient", "rear_slip_gradient",
     # controllers
     "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
     "pure_pursuit_parameters", "stanley_parameters", "lqr_parameters",

@@ -284,7 +284,7 @@ def prepare(mpc):
         limit_rows(moves, settings.terms if laguerre else moves, laguerre, ws.moves, ws.rows[i])
     for slot in range(mpc.memory.size):
         mpc.memory[slot].speed = math.nan
-        forget(slot, mpc)
+        forget(slot, 0.0, mpc)
 
 
 def batch(
@@ -351,10 +351,11 @@ def begin_learning(slot, informed):
 
 
 @inlined
-def forget(slot, mpc):
-    """Back to before the first step; the model and factor that the workspace holds stay valid."""
+def forget(slot, command, mpc):
+    """Back to before the first step, at a command (rad); the model and factor that the workspace holds stay valid."""
     restart(slot, mpc)
     begin_learning(slot, mpc.informed)
+    mpc.memory[slot].command = command
 
 
 @inlined

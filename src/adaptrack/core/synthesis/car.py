@@ -200,6 +200,12 @@ def understeer_gradient(car):
     return car.mass / (car.lf + car.lr) * (car.lr / (2.0 * car.stiffness_front) - car.lf / (2.0 * car.stiffness_rear))
 
 
+@exported(float64(Row(CarRow)))
+def rear_slip_gradient(car):
+    """W (rad s^2/m) = m l_f/(2 C_r L): slip angle of the rear tyres per lateral acceleration in a steady turn."""
+    return car.mass * car.lf / (2.0 * car.stiffness_rear * (car.lf + car.lr))
+
+
 # -- tyres that build up their force over a distance -------------------------------------------------------------------
 TYRE_LATERAL_STIFFNESS = 1.3e5
 """N/m, of a standing tyre; the relaxation length is the cornering stiffness over it (Besselink, Schmeitz, Pacejka,

@@ -10,7 +10,7 @@ from ..kernel import Row, exported, float64, inlined, int64, local, matrix, reco
 from ..maths.exact import square
 from ..maths.exponential import exp, log
 from ..maths.matrix_exponential import apply, integrals
-from .car import CarRow, SteeringRow, understeer_gradient
+from .car import CarRow, SteeringRow, rear_slip_gradient, understeer_gradient
 
 Common = record("Common", COMMON_PARAMETERS)
 """What the parameters of every law begin with."""
@@ -235,7 +235,7 @@ def lqr_parameters(car, common, tuning, parameters):
     weight_step = 2.0 * steps / (GAIN_WEIGHTS - 1)
     speed_step = log(MAX_GAIN_SPEED / MIN_GAIN_SPEED) / (GAIN_SPEED_COUNT - 1)
     parameters[5], parameters[6], parameters[7] = length, car.lr, understeer_gradient(car)
-    parameters[8] = car.mass * car.lf / (2.0 * car.stiffness_rear * length)
+    parameters[8] = rear_slip_gradient(car)
     parameters[9], parameters[10], parameters[11] = log(MIN_GAIN_SPEED), speed_step, float(GAIN_SPEED_COUNT)
     parameters[12], parameters[13], parameters[14], parameters[15] = e, heading, weight_step, float(GAIN_WEIGHTS)
     grid, at, fine = parameters[len(lqr.PARAMETERS) :], 0, 1

@@ -157,9 +157,9 @@ def car_begin(car):
     start = loop.vehicles.start
     start[0, PLANT_STATE.x], start[0, PLANT_STATE.y] = values[CAR_VALUE.start_x], values[CAR_VALUE.start_y]
     start[0, PLANT_STATE.yaw], start[0, PLANT_STATE.vx] = values[CAR_VALUE.start_yaw], values[CAR_VALUE.start_speed]
-    begin_slot(0, loop)
     _open_window(car)
     loop.inputs.signals[0, SIGNAL.station, 0] = values[CAR_VALUE.start_station]
+    begin_slot(0, loop)
     values[CAR_VALUE.ended] = float(RUNNING)
     return _sense(car)
 

@@ -356,6 +356,7 @@ function truth(cars, given) {
     const before = car.run.settings.steering_lag;
     changeTruth(car.world, given);
     applyTruth(car, before);
+    if (!(car.run.memory.drives.row(0).instant > 0)) memory.call("begin_runs", 1, car.run);  // its steady turn is another
   }
   if ("friction" in given) everywhere(FRICTION, given.friction, "friction");
   if ("wind" in given) everywhere(WIND, given.wind, "wind");

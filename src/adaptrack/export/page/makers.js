@@ -187,6 +187,7 @@ function changeTruth(world, truth) {
 function plantOf(car, world, topSpeed) {
   const plant = {
     topSpeed, chassis: copied("synthesis.plant.Chassis", car.rows.chassis.$numbers),
+    row: copied("synthesis.car.CarRow", car.rows.car.$numbers),
     parameters: mine(memory.array("F", [written.sizes.parameters])), functions: world.plants[memory.call("plant_law", car.rows.tyre)],
   };
   writePlant(plant, car, world);
@@ -194,17 +195,19 @@ function plantOf(car, world, topSpeed) {
 }
 function writePlant(plant, car, world) {
   const { chassis } = plant, { tyre } = car.rows;
-  chassis.mass = car.rows.chassis.mass * world.mass;
+  plant.row.mass = chassis.mass = car.rows.chassis.mass * world.mass;
   memory.call("plant_parameters", chassis, tyre, world.actuator, plant.parameters);
   plant.substeps = memory.call("plant_substeps", chassis, tyre, 1, world.period, plant.topSpeed);
 }
-function settingsOf(car, world, { substeps, chassis }) {
-  const { actuator, period, delay } = world, { mass, engine_power, traction_limit, brake_limit } = chassis;
+function settingsOf(car, world, { substeps, chassis, row }) {
+  const { actuator, period, delay } = world, { mass, engine_power, traction_limit, brake_limit, lf, lr } = chassis;
   const [dead_whole, dead_share] = memory.call("dead_periods", delay, actuator.dead_time, period);
   return {
     ...world.settings, substeps, dead_whole, dead_share, steering_lag: actuator.lag, steering_limit: actuator.limit,
     steering_bias: actuator.bias, mass, engine_power, traction_limit, brake_limit,
-    failure_distance: car.domain.failure_distance,
+    failure_distance: car.domain.failure_distance, lf, lr,
+    understeer_gradient: memory.call("understeer_gradient", row),
+    rear_slip_gradient: memory.call("rear_slip_gradient", row),
   };
 }
 
