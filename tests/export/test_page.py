@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
 from adaptrack.export.page_setup import road_of
+from adaptrack.results.road_pictures import offset_scale
 from browsers import BROWSERS
 from pages import READY, STATE, differing, drive, export_page, open_page, serve
 from programs import find_program
@@ -73,6 +75,36 @@ def test_scripts_of_the_page_can_be_read():
     for script in (page_file._together(page_file.ENGINE), page_file._together(tuple(sorted(pages)))):
         subprocess.run([node, "--check", "-"], input=script, text=True, check=True)
         assert "</script" not in script
+
+
+def test_the_colours_of_the_trail_reach_as_far_as_those_of_the_replay():
+    """To a round number above the largest error of the cars that did not fail; above most errors where all failed."""
+    node, rng = find_program("node"), np.random.default_rng(4)
+    drives = [
+        [(rng.exponential(scale) * rng.normal(size=200), failed) for failed in failures]
+        for scale in (0.01, 0.05, 0.3, 4.0)
+        for failures in ((False,), (False, False), (False, True), (True,))
+    ]
+    cars = [
+        [{"count": 200, "failed": 9.0 if failed else None, "largest": np.abs(error).max(),
+          "columns": {"error": error.tolist()}} for error, failed in drive]
+        for drive in drives
+    ]  # fmt: skip
+    history = (page_file.PAGE_SOURCES / "history.js").read_text()
+    script = (
+        f"{history}\nconst drives = {json.dumps(cars)};"
+        "for (const {columns} of drives.flat()) columns.error = Float64Array.from(columns.error);"
+        "console.log(JSON.stringify(drives.map(topOf)));"
+    )
+    process = subprocess.run([node, "-"], input=script, capture_output=True, text=True, check=True)
+    expected = [
+        offset_scale([
+            SimpleNamespace(failed=failed, max_offset=np.abs(error).max(), p95_offset=np.percentile(np.abs(error), 95))
+            for error, failed in drive
+        ])
+        for drive in drives
+    ]  # fmt: skip
+    assert json.loads(process.stdout) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +202,7 @@ def test_it_begins_with_what_it_was_exported_with(browser_window, tmp_path):
 
 
 # -- it drives as Python does -----------------------------------------------------------------------------------------
-FEW = "informed", "sheet"
+FEW = "informed", "from a bend"
 """Drives that are always compared; all of them where there is time."""
 
 

@@ -162,7 +162,7 @@ async function begun(setup, number, plays) {
 }
 
 function beginDrive(started) {
-  const history = makeHistory(started, {top: 0.5, shades: TRAIL});
+  const history = makeHistory(started, {shades: TRAIL});
   history.cars.forEach((car, i) => { car.name = nameOfController(page.setup.controllers[i].kind, SHORT); });
   return {started, history, busy: false, over: false, touches: []};
 }
@@ -198,8 +198,9 @@ async function advance(periods) {
 }
 
 function take(drive, frames) {
-  const {history} = drive;
+  const {history} = drive, {top} = history;
   if (!takeFrames(history, frames)) return;
+  if (history.top !== top) showKey();
   const end = lastTime(history);
   page.clock.grow(end);
   if (history.cars.every(car => car.ended) || !frames.count || end >= page.clock.limit - 0.5 * history.period) {
@@ -427,8 +428,8 @@ function setUpLooks() {
 }
 
 function showKey() {
-  const {top, shades} = page.drive.history;
-  byId("key").innerHTML = `driven line: error 0 <span class="shades">${shades.map(shade => `<i style="background:${shade}"></i>`).join("")}</span> ${top} m and more · dotted: what the controller foresees`;
+  const {top, shades, cars} = page.drive.history;
+  byId("key").innerHTML = `driven line: error 0 <span class="shades">${shades.map(shade => `<i style="background:${shade}"></i>`).join("")}</span> ${top} m${cars.some(car => car.failed !== null) ? " and more" : ""} · dotted: what the controller foresees`;
 }
 
 // ---- everything together

@@ -15,7 +15,7 @@
 //     truth: {belief_lag: [{time, value}], ...},         what is true from a time on, by the column of the belief
 //   }
 //
-//   makeHistory(started, {top, shades})   from the worker's "started" message
+//   makeHistory(started, {shades})        from the worker's "started" message; `top` grows with the errors
 //   appendFrames(history, frames)         from its "frames" message; gives false when these frames don't follow. The
 //                                         predicted path of a car is a row of x and y in turn, NaN behind its end
 //   indexAt(time, count, t)               the last sample at or before t
@@ -66,11 +66,25 @@ const errorOf = car => car.columns.error ?? car.columns.offset;
 const firstTime = history => Math.min(...history.cars.map(car => car.count ? car.columns.time[0] : 0));
 const lastTime = history => Math.max(...history.cars.map(car => car.count ? car.columns.time[car.count - 1] : 0));
 
+// The |error| (m) at the end of the colours, as `offset_scale` of the replay has it: a round number above the largest of
+// the cars that did not fail; where all failed, above their 95th percentiles.
+const LEAST_TOP = 0.05, TOP_STEPS = [1, 1.5, 2, 3, 4, 5, 6, 8, 10];
+function topOf(cars) {
+  const completed = cars.filter(car => car.failed === null).map(car => car.largest);
+  const high = Math.max(LEAST_TOP, ...(completed.length ? completed : cars.map(car => shareOfErrors(car, 0.95))));
+  const decade = 10 ** Math.floor(Math.log10(high));
+  return TOP_STEPS.map(step => Number((step * decade).toPrecision(2))).find(top => top >= high * (1 - 1e-9));
+}
+function shareOfErrors(car, share) {
+  const errors = errorOf(car).slice(0, car.count).map(Math.abs).filter(Number.isFinite).sort();
+  return errors.length ? errors[Math.round(share * (errors.length - 1))] : 0;
+}
+
 // ---- a history that grows
 
-function makeHistory(started, {top = 0.5, shades = []} = {}) {
+function makeHistory(started, {shades = []} = {}) {
   return {
-    road: started.road, top, shades, period: started.period, events: [], patches: [], truth: {},
+    road: started.road, top: LEAST_TOP, shades, period: started.period, events: [], patches: [], truth: {},
     cars: started.cars.map(growingCar),
   };
 }
@@ -81,7 +95,7 @@ function growingCar({name, outline, columns: names, horizon = 0, moves: most = 0
   const path = {x: new Float64Array(horizon), y: new Float64Array(horizon), count: 0};
   const plan = {values: null, count: 0, least: NaN, most: NaN};
   return {
-    name, outline, limits, names, columns, count: 0, failed: null, ended: null, paths, plans,
+    name, outline, limits, names, columns, count: 0, largest: 0, failed: null, ended: null, paths, plans,
     predicted(i) {
       const row = paths.row(i);
       if (!row) return null;
@@ -142,6 +156,7 @@ function grown(values) {
 function appendFrames(history, {first, count, cars}) {
   if (history.cars.some(car => !car.ended && car.count !== first)) return false;
   history.cars.forEach((car, i) => { if (!car.ended) appendTo(car, count, cars[i]); });
+  history.top = topOf(history.cars);
   return true;
 }
 
@@ -157,6 +172,8 @@ function appendTo(car, count, {numbers, predicted, moves, ended}) {
     if (predicted) car.paths.put(predicted, i);
     if (moves) car.plans.put(moves, i);
   }
+  const errors = errorOf(car);
+  for (let i = 0; i < rows; i++) car.largest = Math.max(car.largest, Math.abs(errors[car.count + i]) || 0);
   car.count += rows;
   if (ended) {
     car.ended = ended;
