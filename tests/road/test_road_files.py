@@ -70,6 +70,18 @@ def test_a_smoothed_road_has_no_jumps_and_stays_within_its_deviation():
     assert float(smooth.along("width_left", 100.0)) == 2.5
 
 
+@pytest.mark.parametrize("seed", [0, 2, 3])
+@pytest.mark.parametrize("length", [600.0, 1500.0])
+def test_a_road_with_hairpins_is_smoothed_within_its_deviation(seed, length):
+    road = generate_road("mountain", seed=seed, length=length)
+    smooth = smooth_road(road, max_deviation=0.1)
+    points = road.at(np.linspace(0.0, road.length, 1000))
+    assert np.abs(smooth.project(points.x, points.y).offset).max() <= 0.11
+    assert smooth.length == pytest.approx(road.length, rel=2e-3)
+    tightest = np.abs(smooth.at(np.linspace(0.0, smooth.length, 3000)).curvature).max()
+    assert tightest < 1.2 * np.abs(points.curvature).max()
+
+
 def test_a_record_is_cut_at_its_start_but_crossing_it_does_not_close_a_road():
     lap = generate_road("lap", seed=1, length=700.0)
     road = fit_road(np.stack(lap.at(np.arange(0.0, 1.4 * lap.length, 4.0))[:2], axis=-1))
@@ -293,6 +305,19 @@ def one_element(shape, length=100):
     place = f'<geometry s="0" x="0" y="0" hdg="0" length="{length}">'
     shape = shape.format(zero='aV="0" bV="0" cV="0" dV="0"')
     return f'<OpenDRIVE><road id="1" length="9"><planView>{place}{shape}</geometry></planView></road></OpenDRIVE>'
+
+
+def test_a_side_of_the_line_without_driving_lanes_is_noted(tmp_path):
+    path, _ = xodr(tmp_path / "a.xodr", LANES.replace('<lane id="1" type="driving">', '<lane id="1" type="sidewalk">'))
+    line = load_road(path)
+    (note,) = (note for note in line.notes if "no driving lane" in note)
+    assert "to the left of the line" in note
+    assert "-2, -1, 1 (sidewalk)" in note
+    assert float(line.along("width_left", 50.0)) == 0.01
+    both, _ = xodr(tmp_path / "both.xodr", LANES)
+    assert not any(
+        "no driving lane" in note for road in (load_road(both), load_road(path, lane=-1)) for note in road.notes
+    )
 
 
 def test_lanes_and_shapes_that_do_not_fit_are_named(tmp_path):

@@ -127,7 +127,7 @@ def fit_road(
     rows, distinct_points = _points_apart(points[:count], lap)
     record = _Record(distinct_points, rows, points[:count].mean(axis=0), lap)
     if smoothest:
-        estimate, outliers = _estimate(record, smoothest), np.zeros(rows.size, dtype=bool)
+        estimate, outliers = replace(_estimate(record), best=LENGTHS - 1), np.zeros(rows.size, dtype=bool)
     else:
         estimate, outliers = _cross_validated(record, max_deviation is None)
     bound = max_deviation
@@ -608,7 +608,7 @@ def _isolated(out: NDArray[np.bool_], distances: Array, noise: float) -> NDArray
     return lonely
 
 
-def _estimate(record: _Record, smoothest: bool = False) -> _Estimate:
+def _estimate(record: _Record) -> _Estimate:
     """The smoothing length and the places of the points, each from the other in turn."""
     points = record.points - record.origin
     places, length = record.first_places()
@@ -619,12 +619,11 @@ def _estimate(record: _Record, smoothest: bool = False) -> _Estimate:
     best = None
     for _ in range(FITS):
         smoother = Smoother(points, places, length, record.closed, spacing, order)
-        first = LENGTHS - 1 if smoothest else smoother.best_scale(scales, best)
-        fit = _first_fit(smoother, scales[first:], points, places)
+        fit = _first_fit(smoother, scales[smoother.best_scale(scales, best) :], points, places)
         best, places, length = int(np.searchsorted(scales, fit.scale)), fit.along, fit.table.length
         if not record.closed:
             places = places - places.min()
-    used = math.inf if smoothest else smoother.score(fit.scale).used
+    used = smoother.score(fit.scale).used
     noise = _noise(fit.distances, used) if used < MEASURABLE * len(points) else math.nan
     smoother = Smoother(points, places, length, record.closed, spacing, order)
     return _Estimate(record, smoother, scales, int(np.searchsorted(scales, fit.scale)), fit.distances, noise)

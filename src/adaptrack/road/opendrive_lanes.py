@@ -50,6 +50,8 @@ MAX_CLOSED_GAP = 0.1
 """m, the largest gap in a line that is closed."""
 WIDE_ENOUGH = 1.75
 """m, or half the largest width of a lane if that is less: where a lane is narrower it opens or closes."""
+LEAST_WIDTH = 0.01
+"""m, to a side of the line on which no lane is driven."""
 HEIGHT_STEP = 0.02
 """m, from which on a step between two elevations is reported."""
 
@@ -169,7 +171,7 @@ class Lanes:
         self._offset = stations.cubics(road.findall("lanes/laneOffset"))
         self._left, self._right = self._sides(road.findall("lanes/laneSection"))
         self._path = None if lane is None else self._follow(lane)
-        self.notes = [] if self._path is None else self._path_notes(self._path)
+        self.notes = self._side_notes() if self._path is None else self._path_notes(self._path)
         self._check_direction(_choice(where, road, "rule", ("RHT", "LHT")))
 
     # ---- read
@@ -245,6 +247,19 @@ class Lanes:
                     f"{self._where}: lane {number} runs against the road (rule={rule!r}, direction="
                     f"{lane.direction!r}): choose one of the lanes that run with the road: {ids}."
                 )
+
+    def _side_notes(self) -> list[str]:
+        """The sides of the line on which no lane is driven."""
+        notes = []
+        for name, side in (("left", self._left), ("right", self._right)):
+            bare = [stretch for stretch in side if not any(stretch.driven_lanes)]
+            if bare and any(stretch.lanes for stretch in (*self._left, *self._right)):
+                part = "" if len(bare) == len(side) else f" from s = {bare[0].start:.2f} to {bare[-1].end:.2f} m"
+                notes.append(
+                    f"no driving lane is to the {name} of the line{part}, where the road is {LEAST_WIDTH:g} m wide: "
+                    f"the line is its edge; the lane of a car is one of {self._ids()}"
+                )
+        return notes
 
     def _path_notes(self, path: Sequence[tuple[int, _Stretch]]) -> list[str]:
         """Where the lane has a new id, or is no driving lane."""
@@ -355,7 +370,7 @@ class Lanes:
                 for stretch in side
             ]
         )
-        return along.replace(value=tuple(np.maximum(along.value, 0.01).tolist()))
+        return along.replace(value=tuple(np.maximum(along.value, LEAST_WIDTH).tolist()))
 
     def _sampled(self, parts: Sequence[Part]) -> Along:
         """Weighted sums of piecewise cubics, each from an arc length to the next one."""
