@@ -11,6 +11,7 @@ import pytest
 from adaptrack import MPC, DualTrack, RoadDrive, load_vehicle
 from adaptrack.cars.vehicle import SteeringActuator, load_tyre, pack_plant
 from adaptrack.control.controllers import command_of
+from adaptrack.control.friction_estimate import friction_estimate
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
 from adaptrack.core import friction_estimate as kernel
 from adaptrack.core.models.contract import MEASUREMENT
@@ -162,3 +163,11 @@ def test_an_interval_that_has_narrowed_widens_slowly_on_a_straight() -> None:
     after = [_take_in(estimate, yaw_rate=0.0, lateral_acceleration=0.0)[0] for _ in range(600)]
     assert after[50] > narrow - 0.03
     assert after[-1] < narrow - 0.05
+
+
+def test_a_rate_limit_of_the_car_does_not_act_on_steering_without_lag():
+    """As without a limit: the wheels are where the command is."""
+    free = CAR.replace(steering=CAR.steering.replace(rate=None))
+    estimates = [friction_estimate((LOW, HIGH), car, PERIOD, MPC(car, profile="paper")) for car in (CAR, free)]
+    assert math.isfinite(CAR.steering.rate)
+    np.testing.assert_array_equal(estimates[0].car, estimates[1].car)

@@ -40,7 +40,8 @@ def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float
         knowledge = kernel.SteeringKnowledge(*np.zeros(len(kernel.SteeringKnowledge._fields)))
         nothing = np.zeros(0)
         return kernel.FrictionEstimate(memory, bank, nothing, nothing, period, nothing, low, high, knowledge)
-    steering = SteeringActuator(lag=belief.lag.value, rate=belief.rate.value, limit=belief.limit.value)
+    rate = belief.rate.value if belief.lag.value > 0.0 else math.inf  # a rate limit acts on a lag
+    steering = SteeringActuator(lag=belief.lag.value, rate=rate, limit=belief.limit.value)
     knowledge = kernel.SteeringKnowledge(lag=belief.lag.value, dead_time=belief.delay, **ASSUMED_KNOWLEDGE)
     return kernel.FrictionEstimate(
         kernel.FRICTION_MEMORY.new(1), kernel.FRICTION_HYPOTHESIS.new(FRICTION_COUNT),
