@@ -5,8 +5,8 @@
 
 CHECKOUT: another state of the repository, its kernels compiled; it runs in its own `.venv`, or, where it has none, in
 this interpreter. Both answer the same questions, each in a folder of its own: `COMMANDS` with `--json`, and the
-workloads of `answers.py`, which are called `arrays`. An answer that is already in the folder is not computed again. The
-exit code is 1 where anything differs.
+workloads of `answers.py`, which are called `arrays`. An answer that is already in the folder is not computed again. A
+command that the other state does not have differs. The exit code is 1 where anything differs.
 """
 
 from __future__ import annotations
@@ -27,91 +27,64 @@ import numpy as np
 sys.path.append(str(Path(__file__).resolve().parent))
 from answers import WORKLOADS
 
-RENAMED: Mapping[str, str] = {
-    "mean_offset": "mean_error", "rms_offset": "rms_error", "p95_offset": "p95_error", "max_offset": "max_abs_error",
-    "rms_heading": "heading_rms", "max_heading": "heading_max", "max_yaw_rate": "yaw_rate_max",
-    "rms_wheel_angle": "wheel_angle_rms", "rms_command_rate": "steering_rate_rms",
-    "rms_acceleration": "lateral_acceleration_rms", "max_acceleration": "lateral_acceleration_max",
-    "max_acceleration_r79": "lateral_acceleration_r79", "rms_jerk": "jerk_rms", "max_jerk": "jerk_max",
-    "max_jerk_r79": "jerk_r79",
-}  # fmt: skip
-"""Keys of the other checkout's JSON, and columns of its data sets, by what they became."""
 NOT_COMPARED = ("seconds", "step us", "versions", "adaptrack", "path", "page", "dataset", "command", "verdict")
 """Parts of keys of what differs from run to run or is text."""
 ARRAYS = "arrays"
 """The group of the workloads."""
 
 
-class Question(NamedTuple):
-    """A command whose JSON is an answer."""
-
-    command: str
-    """what follows `adaptrack` in this tree; {log}, {track}, ...: the files of `write_inputs`"""
-    formerly: str = ""
-    """the command of the other checkout, where it differs"""
-
-
-def scenario_question(words: str) -> Question:
-    """A drive of scenarios, which other checkouts call simulate."""
-    return Question(f"drive {words}", f"simulate {words}")
-
-
 SCHEDULERS = ("road-nn", "road-anfis", "road-best-constant", "road-look-up")
 
-COMMANDS: Mapping[str, Mapping[str, Question]] = {
-    "reproduce": {"paper": Question("paper reproduce --out paper", "reproduce --out paper")},
-    "compare": {"quick": Question("compare --config quick --out compared", "compare --quick --out compared"),
-                "lane-change": Question("compare --lane-change iso3888-2 --vehicle compact-ev --budget 0",
-                                        "manoeuvre obstacle-avoidance --vehicle compact-ev --no-tune")},
+COMMANDS: Mapping[str, Mapping[str, str]] = {
+    "reproduce": {"paper": "paper reproduce --out paper"},
+    "compare": {"quick": "compare --config quick --out compared",
+                "lane-change": "compare --lane-change iso3888-2 --vehicle compact-ev --budget 0"},
     "evaluate": {
-        "as-written": Question("paper evaluate --operating-points 100 --drives 200 --tests",
-                               "evaluate-schedules --operating-points sobol:100 --drives 200 --tests"),
+        "as-written": "paper evaluate --operating-points 100 --drives 200 --tests",
     },
     "certify": {
-        **{name: Question(f"certify {name}") for name in SCHEDULERS},
-        "default": Question("certify"),
-        "sedan": Question("certify --vehicle midsize-sedan --mismatch --speed 10 25"),
-        "standard": Question("certify --controller standard --profile paper"),
-        "feasible": Question("certify --feasible --speed 10 20 --friction 0.5 0.9"),
+        **{name: f"certify {name}" for name in SCHEDULERS},
+        "default": "certify",
+        "sedan": "certify --vehicle midsize-sedan --mismatch --speed 10 25",
+        "standard": "certify --controller standard --profile paper",
+        "feasible": "certify --feasible --speed 10 20 --friction 0.5 0.9",
     },
     "tune": {
-        "sedan": Question(
-            "tune midsize-sedan --road mountain --road town --length 600 --runs 160 --out sedan",
-            "tune mountain town --vehicle midsize-sedan --length 600 --runs 160 --out sedan.toml"),
-        "van-lqr": Question(
-            "tune van --road country --length 600 --controller lqr --runs 160 --out van",
-            "tune country --vehicle van --length 600 --controller lqr --runs 160 --out van.toml"),
-        "compact-ev": Question("tune compact-ev --out compact", "adapt compact-ev --out compact"),
+        "sedan": "tune midsize-sedan --road mountain --road town --length 600 --runs 160 --out sedan",
+        "van-lqr": "tune van --road country --length 600 --controller lqr --runs 160 --out van",
+        "compact-ev": "tune compact-ev --out compact",
     },
     "scenarios": {
-        "paper": scenario_question("triple-lane-change general-trajectory --controller standard --allow-failed"),
-        "as-released": scenario_question("triple-lane-change --controller as-released"),
-        "informed": scenario_question("triple-lane-change random-drive double-lane-change --profile road"),
-        "production": scenario_question("random-drive -o seed=3 --profile production --vehicle compact-ev --learn"),
-        "scheduled": scenario_question("random-drive -o seed=1 --profile road --scheduler road-nn"),
-        "tuned": scenario_question("lane-change --profile road --np 30 --nc 10 --q 1 --r 3000 --solver hildreth"),
-        **{name: scenario_question(f"random-drive --profile road --vehicle midsize-sedan --controller {name}")
+        "paper": "drive triple-lane-change general-trajectory --controller standard --allow-failed",
+        "as-released": "drive triple-lane-change --controller as-released",
+        "informed": "drive triple-lane-change random-drive double-lane-change --profile road",
+        "production": "drive random-drive -o seed=3 --profile production --vehicle compact-ev --learn",
+        "scheduled": "drive random-drive -o seed=1 --profile road --scheduler road-nn",
+        "tuned": "drive lane-change --profile road --np 30 --nc 10 --q 1 --r 3000 --solver hildreth",
+        **{name: f"drive random-drive --profile road --vehicle midsize-sedan --controller {name}"
            for name in ("lqr", "pure-pursuit", "stanley", "preview-lqr", "kinematic-mpc")},
-        "single-track": scenario_question("sine --plant single-track --tyre constant-stiffness --driver"),
+        "single-track": "drive sine --plant single-track --tyre constant-stiffness",
     },
     "drive": {
-        "mountain": Question("drive mountain --road-seed 2 --vehicle midsize-sedan"),
-        "town-learning": Question("drive town --vehicle van --profile production --learn"),
-        "lap": Question("drive lap --laps 2 --vehicle sports-car --lateral-acceleration 5"),
-        "points": Question("drive {track} --vehicle compact-ev --controller preview-lqr"),
-        "windy": Question("drive country --wind 8 --start-offset 0.5 --driver --controller lqr --allow-failed"),
-        "sheet": Question("drive motorway --vehicle {sheet} --learn"),
+        "mountain": "drive mountain --road-seed 2 --vehicle midsize-sedan",
+        "prescribed": "drive mountain --road-seed 2 --vehicle midsize-sedan --prescribed-speed",
+        "speed-control": "drive mountain --road-seed 2 --vehicle midsize-sedan --profile production --speed-control "
+                         "--stop 300:3 --start 0 --assumed-friction 0.65:0.9 --learn",
+        "town-learning": "drive town --vehicle van --profile production --learn",
+        "lap": "drive lap --laps 2 --vehicle sports-car --lateral-acceleration 5",
+        "points": "drive {track} --vehicle compact-ev --controller preview-lqr",
+        "windy": "drive country --wind 8 --start-offset 0.5 --controller lqr --allow-failed",
+        "sheet": "drive motorway --vehicle {sheet} --learn",
     },
-    "identify": {"drive": Question("identify {log} --car {sheet} --out found.toml"),
-                 "little": Question("identify {log} --mass 1500 --wheelbase 2.7 --out found.toml")},
-    "road": {**{kind: Question(f"road check {kind} --road-seed 3")
+    "identify": {"drive": "identify {log} --car {sheet} --out found.toml",
+                 "little": "identify {log} --mass 1500 --wheelbase 2.7 --out found.toml"},
+    "road": {**{kind: f"road check {kind} --road-seed 3"
                 for kind in ("motorway", "country", "town", "mountain", "lap")},
-             "points": Question("road check {track} --vehicle van"),
-             "noisy": Question("road check {noisy}")},
-    "learning": {"train-nn": Question("paper train --data paper-grid --model nn --out nn.json",
-                                      "train --data paper-grid --model nn --out nn.json"),
-                 "describe": Question("paper campaign road-sobol", "dataset describe road-sobol")},
-    "lists": {"car": Question("car --mass 1450 --wheelbase 2.65 --out my-car.toml")},
+             "points": "road check {track} --vehicle van",
+             "noisy": "road check {noisy}"},
+    "learning": {"train-nn": "paper train --data paper-grid --model nn --out nn.json",
+                 "describe": "paper campaign road-sobol"},
+    "lists": {"car": "car --mass 1450 --wheelbase 2.65 --out my-car.toml"},
 }  # fmt: skip
 """Commands by group and name."""
 
@@ -120,7 +93,6 @@ class Tree(NamedTuple):
     """A checkout that answers."""
 
     checkout: Path
-    is_other: bool
     folder: Path
     """for its answers"""
 
@@ -153,7 +125,7 @@ def answer(tree: Tree, group: str, name: str) -> None:
         script = str(Path(__file__).resolve().with_name("answers.py"))
         process = tree.run(folder, script, name, "--record", str(file))
         if process.returncode:
-            sys.exit(f"{group}/{name} of {tree.checkout}: {process.stderr[-2000:]}")
+            print(f"{group}/{name} of {tree.checkout}: {process.stderr[-2000:]}", file=sys.stderr, flush=True)
     else:
         file.write_text(json.dumps(ask(tree, folder, COMMANDS[group][name])))
     print(f"{group}/{name}: {time.monotonic() - begun:.0f} s in {tree.folder}", file=sys.stderr, flush=True)
@@ -164,20 +136,19 @@ def answer_file(folder: Path, group: str, name: str) -> Path:
     return folder / f"{group}-{name}{'.npz' if group == ARRAYS else '.json'}"
 
 
-def ask(tree: Tree, folder: Path, question: Question) -> dict[str, Any]:
-    """Exit code and JSON of a command."""
+def ask(tree: Tree, folder: Path, command: str) -> dict[str, Any]:
+    """Exit code and JSON of a command; of one that is refused what it says."""
     files = {key: str(path) for key, path in write_inputs(tree).items()}
-    command = (question.formerly if tree.is_other else "") or question.command
     arguments = shlex.split(command.format_map(files))
     process = tree.run(folder, "-m", "adaptrack", *arguments, "--json")
     try:
         return {"exit code": process.returncode, "answer": json.loads(process.stdout)}
     except ValueError:
-        sys.exit(f"adaptrack {shlex.join(arguments)}: code {process.returncode}, no JSON\n{process.stderr[-2000:]}")
+        return {"exit code": process.returncode, "refused": process.stderr[-2000:] or f"no JSON of {command}"}
 
 
-SHEET = Question("car --mass 1500 --wheelbase 2.7 --out sheet.toml")
-LOG = scenario_question("random-drive --profile road --vehicle midsize-sedan --out drive")
+SHEET = "car --mass 1500 --wheelbase 2.7 --out sheet.toml"
+LOG = "drive random-drive --profile road --vehicle midsize-sedan --out drive"
 
 
 def write_inputs(tree: Tree) -> dict[str, Path]:
@@ -197,8 +168,7 @@ def write_inputs(tree: Tree) -> dict[str, Path]:
     noise = np.random.default_rng(1).normal(0.0, 0.1, points.shape)
     for name, track in (("track", points), ("noisy", points + noise)):
         np.savetxt(paths[name], track, delimiter=",", header="x,y", comments="", fmt="%.4f")
-    for question in (SHEET, LOG):
-        command = (question.formerly if tree.is_other else "") or question.command
+    for command in (SHEET, LOG):
         process = tree.run(folder, "-m", "adaptrack", *shlex.split(command))
         if process.returncode:
             sys.exit(f"adaptrack {command}: code {process.returncode}\n{process.stderr[-2000:]}")
@@ -207,10 +177,10 @@ def write_inputs(tree: Tree) -> dict[str, Path]:
 
 # -- comparison -------------------------------------------------------------------------------------------------------
 def leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """(path, value) of every number and text in nested JSON, keys by their present names."""
+    """(path, value) of every number and text in nested JSON."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
-            yield from leaves(inner, f"{path}/{RENAMED.get(key, key).replace('_', ' ')}")
+            yield from leaves(inner, f"{path}/{key.replace('_', ' ')}")
     elif isinstance(value, list):
         for i, inner in enumerate(value):
             yield from leaves(inner, f"{path}/{i}")
@@ -308,8 +278,8 @@ def main() -> None:
         if options.checkout is None:
             parser.error("name the checkout of the other state")
         trees = {
-            "other": Tree(options.checkout.resolve(), True, folder / "other"),
-            "here": Tree(Path(__file__).resolve().parent.parent, False, folder / "here"),
+            "other": Tree(options.checkout.resolve(), folder / "other"),
+            "here": Tree(Path(__file__).resolve().parent.parent, folder / "here"),
         }
         for group, name in chosen:
             for side, tree in trees.items():

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from exported_answers import EXPORTED, numbers_of, padded, trace
 
 Array = np.ndarray
 Named = Iterator[tuple[str, Any]]
@@ -104,11 +105,6 @@ def commands(
             rows.append([])
     size = max(map(len, rows))
     return np.array([row if row else [math.nan] * size for row in rows])
-
-
-def trace(run: Any) -> Array:
-    """(n, .) all columns of a trajectory but the times that its steps took."""
-    return np.column_stack([values.astype(float) for name, values in run.columns().items() if name != "step_time"])
 
 
 def numbers(record: Any) -> Array:
@@ -418,8 +414,8 @@ def trackers(at: Any) -> Named:
             for k in range(STEPS):
                 now = t[k - 1] if repeated[k] and k else t[k]
                 told = tracker.step(now - late[k], *rows[k].tolist(), lateral_velocity=0.01, now=now)
-                found.append([told.command, float(zlib.crc32(told.status.value.encode())), *told[2:]])
-            yield f"{name} on {where}", np.array(found)
+                found.append(numbers_of(told))
+            yield f"{name} on {where}", padded(found)
 
 
 # -- plants and closed loops ------------------------------------------------------------------------------------------
@@ -612,6 +608,7 @@ WORKLOADS: Mapping[str, Callable[[Any], Named]] = {
     for workload in (
         published_mpc, informed_mpc, learning_mpc, scheduled_mpc, steering_laws, mpc_on_roads, trackers,
         right_hand_sides, straight_runs, road_runs, runs_of_others, batches, road_geometry, quadratic_programmes,
+        *EXPORTED,
     )
 }  # fmt: skip
 
