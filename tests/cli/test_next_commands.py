@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import shlex
+import shutil
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,10 +20,13 @@ from tests.project.test_snippets import parse
 
 import adaptrack.cli
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.cli import compare
+from adaptrack.cli import compare, shadow
+from adaptrack.cli.columns import ColumnOptions
 from adaptrack.cli.next_step import drive_words
 from adaptrack.comparison import views
+from adaptrack.paper import adaptation
 from adaptrack.tuning.constant_file import ConstantTuning
+from small_data import small
 
 FOLDER = Path(adaptrack.cli.__file__).parent
 OTHER_COMMANDS = {"make", "page"}  # first words of proposals that are no command of this program
@@ -289,15 +293,36 @@ PROPOSALS = [
         "paper train",
         runs=False,
     ),
+    Proposal(
+        "to see whether its loops are stable",
+        ("paper", "train", "--data", "small.parquet", "--model", "anfis", "--out", "fuzzy.json"),
+        ("fuzzy.json",),
+        "certify",
+        runs=False,
+    ),
+    Proposal(
+        "to evaluate them on long drives",
+        ("paper", "evaluate", "--operating-points", "1", "--seed", "3", "--perception", "noisy"),
+        ("--operating-points", "1", "--seed", "3", "--perception", "noisy", "--drives", "200"),
+        "paper evaluate",
+        runs=False,
+        slow=True,
+    ),
+    Proposal(
+        "to train as long as the paper",
+        ("paper", "reproduce", "--quick", "--data", "small.parquet", "--seed", "3", "--out", "quick"),
+        ("--data", "small.parquet", "--seed", "3", "--out", "quick-whole"),
+        "paper reproduce",
+        runs=False,
+        slow=True,
+    ),
 ]
-UNSEEN = {
-    "to identify the car from the log": "a shadow run that is not believable; the words are those of `to keep the car`",
+ALONE = {
     "tune it for a road": "test_the_winner_that_was_tuned_is_tuned_on_the_first_road_and_car",
-    "to evaluate them on new runs": "paper adapt: hours",
-    "to see whether its loops are stable": "paper train: minutes",
-    "to evaluate them on long drives": "paper evaluate: minutes",
-    "to train as long as the paper": "paper reproduce: minutes",
+    "to identify the car from the log": "test_a_log_whose_beliefs_are_doubted_is_identified_with_its_columns",
+    "to evaluate them on new runs": "test_adapted_schedules_are_evaluated_on_their_campaign_and_profile",
 }
+"""Proposals of long commands, by the tests of their own."""
 
 
 @cache
@@ -321,7 +346,8 @@ def _text(node: ast.expr) -> str:
 
 
 def test_each_kind_of_proposal_is_tested_here():
-    assert reasons() - {proposal.reason for proposal in PROPOSALS} - set(UNSEEN) == set()
+    assert reasons() - {proposal.reason for proposal in PROPOSALS} - set(ALONE) == set()
+    assert set(ALONE.values()) <= set(globals())
 
 
 def _save(path: Path, **columns: np.ndarray) -> None:
@@ -344,6 +370,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     _save(folder / "accelerating.csv", **accelerating())
     tir(folder / "book.tir", BOOK)
+    small().save(folder / "small.parquet")
     car = load_vehicle("compact-ev")
     car.to_toml(folder / "mine.toml")
     ConstantTuning(
@@ -367,8 +394,7 @@ def _last_proposal(output: str) -> tuple[str, list[str]]:
      for case in PROPOSALS],
 )  # fmt: skip
 def test_a_proposed_command_keeps_the_options_and_runs(proposal, run_command, files, tmp_path, monkeypatch) -> None:
-    for file in files.iterdir():
-        (tmp_path / file.name).write_bytes(file.read_bytes())
+    shutil.copytree(files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     code, output, err = run_command(*proposal.command)
     assert code in (0, 1, 3), err
@@ -409,3 +435,30 @@ def test_the_winner_that_was_tuned_is_tuned_on_the_first_road_and_car(monkeypatc
 )
 def test_a_road_of_a_comparison_is_driven_with_its_seed_comfort_and_length(road, words) -> None:
     assert drive_words(road, 300.0) == words
+
+
+def test_a_log_whose_beliefs_are_doubted_is_identified_with_its_columns() -> None:
+    columns = ColumnOptions(columns=["yaw_rate=gyro"], units=["yaw_rate=deg/s"])
+    options = shadow.ShadowOptions(log=[Path("log.csv")], vehicle="van", log_columns=columns, out=Path("page"))
+    reason, line = shadow._next_step(options, SimpleNamespace(spoiling=(), believable=False))
+    assert reason == "to identify the car from the log"
+    assert line == "adaptrack identify log.csv --car van --columns yaw_rate=gyro --units yaw_rate=deg/s"
+    parse(shlex.split(line)[1:])
+
+
+def test_adapted_schedules_are_evaluated_on_their_campaign_and_profile(run_command, monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr(adaptation, "adapt", lambda *arguments, **settings: {})
+    command = ("paper", "adapt", "road-sobol", "--profile", "production", "--out", tmp_path / "mine")
+    code, output, err = run_command(*command)
+    assert code == 0, err
+    reason, (_, *words) = _last_proposal(output)
+    assert reason == "to evaluate them on new runs"
+    assert words == ["paper", "evaluate", str(tmp_path / "mine"), "--campaign", "road-sobol", "--profile", "production"]
+    parse(words)
+
+
+def test_a_log_that_is_checked_without_a_car_proposes_nothing(run_command, monkeypatch, files) -> None:
+    monkeypatch.chdir(files)
+    code, output, err = run_command("check-loop", "log.csv", *LOG)
+    assert code == 0, err
+    assert "Next, " not in output

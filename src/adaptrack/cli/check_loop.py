@@ -62,6 +62,6 @@ def check_loop(arguments: CheckLoopOptions) -> None:
     show.say_result(check_result(check, str(arguments.log), columns.notes), arguments.as_json)
     if check.contradictions:
         raise typer.Exit(EXIT_CONTRADICTED)
-    if not arguments.as_json:
-        words = (arguments.log, "--car", arguments.vehicle or "CAR", *option_words(arguments.log_columns))
+    if not arguments.as_json and arguments.vehicle is not None:
+        words = (arguments.log, "--car", arguments.vehicle, *option_words(arguments.log_columns))
         say_next("to identify the car", command("identify", *words))
