@@ -98,6 +98,14 @@ def open_page(window: Any, file: Path, fragment: str = "") -> Any:
     return window
 
 
+def check_that_space_plays(window: Any, state: str) -> None:
+    """Press the space bar twice: the clock of a page runs, then rests. state: what gives the state of the page."""
+    window.press(" ")
+    assert window.run(f"{state}.playing")
+    window.press(" ")
+    assert not window.run(f"{state}.playing")
+
+
 @contextlib.contextmanager
 def serve(folder: Path) -> Iterator[tuple[str, list[str]]]:
     """The address of a server of a folder, and the paths that it was asked for."""

@@ -31,6 +31,8 @@ from small_data import small
 FOLDER = Path(adaptrack.cli.__file__).parent
 OTHER_COMMANDS = {"make", "page"}  # first words of proposals that are no command of this program
 CAR = ("--vehicle", "compact-ev")
+VAN = ("--vehicle", "van", "--profile", "road")
+STANLEY = ("--controller", "stanley", "--seeds", "1")
 LOG = ("--columns", "yaw_rate=gyro", "--units", "yaw_rate=deg/s", "--flip", "yaw_rate")
 SHORT = ("drive", "town", "--length", "300", *CAR)
 TOO_FAST = ("--lateral-acceleration", "4", "--start-offset", "1.9", "--controller", "stanley")
@@ -202,57 +204,14 @@ PROPOSALS = [
     Proposal("use one", ("list", "drivers"), (), "compare", runs=False),
     Proposal(
         "drive it",
-        (
-            "compare",
-            "town:2@2",
-            "--length",
-            "300",
-            "--vehicle",
-            "van",
-            "--profile",
-            "road",
-            "--controller",
-            "stanley",
-            "--budget",
-            "0",
-            "--seeds",
-            "1",
-        ),
-        (
-            "--road-seed",
-            "2",
-            "--lateral-acceleration",
-            "2",
-            "--length",
-            "300.0",
-            "--vehicle",
-            "van",
-            "--profile",
-            "road",
-            "--controller",
-            "stanley",
-        ),
+        ("compare", "town:2@2", "--length", "300", *VAN, *STANLEY, "--budget", "0"),
+        ("--road-seed", "2", "--lateral-acceleration", "2", "--length", "300.0", *VAN, "--controller", "stanley"),
         "drive town",
     ),
     Proposal(
         "drive with the speed control",
-        (
-            "compare",
-            "town",
-            "--length",
-            "800",
-            "--vehicle",
-            "van",
-            "--driver",
-            "speed-control",
-            "--controller",
-            "stanley",
-            "--seeds",
-            "1",
-            "--profile",
-            "road",
-        ),
-        ("--vehicle", "van", "--profile", "road"),
+        ("compare", "town", "--length", "800", "--driver", "speed-control", *VAN, *STANLEY),
+        VAN,
         "drive town",
     ),
     Proposal(

@@ -10,7 +10,7 @@ import adaptrack as at
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export.page_inputs import page_car
 from browsers import Chromium, Media
-from pages import CONTROLS, NAME, NO_AXE, READY, STATE, axe, export_page, open_page
+from pages import CONTROLS, NAME, NO_AXE, READY, STATE, axe, check_that_space_plays, export_page, open_page
 
 pytestmark = [
     pytest.mark.compiled,
@@ -110,10 +110,7 @@ def test_the_picture_is_steered_by_keys(window, file):
     assert window.run(f"{STATE}.t") > before
     window.press("Home")
     assert window.run(f"{STATE}.t") == 0.0
-    window.press(" ")
-    assert window.run(f"{STATE}.playing")
-    window.press(" ")
-    assert not window.run(f"{STATE}.playing")
+    check_that_space_plays(window, STATE)
 
 
 def test_keys_steer_the_picture_without_a_click_and_leave_other_controls_alone(window, file):
@@ -124,10 +121,7 @@ def test_keys_steer_the_picture_without_a_click_and_leave_other_controls_alone(w
     assert window.run(f"{STATE}.t") == pytest.approx(3.0)
     window.press("ArrowLeft", times=2)
     assert window.run(f"{STATE}.t") == pytest.approx(1.0)
-    window.press(" ")
-    assert window.run(f"{STATE}.playing")
-    window.press(" ")
-    assert not window.run(f"{STATE}.playing")
+    check_that_space_plays(window, STATE)
     assert window.run("scrollY") == 0
     time = window.run(f"{STATE}.t")
     window.run("document.getElementById('setup-speed').focus()")

@@ -8,6 +8,7 @@ import pytest
 from adaptrack.results.drive import write_drive_page
 from browsers import Chromium
 from made_drives import bend, made_run, recorded
+from pages import check_that_space_plays
 
 pytestmark = pytest.mark.needs("chromium")
 
@@ -219,10 +220,7 @@ def test_the_replay_is_in_the_first_screen_and_its_keys_work_without_a_click(pag
         assert window.run(f"{state}.t") == pytest.approx(3.0)
         window.press("ArrowLeft")
         assert window.run(f"{state}.t") == pytest.approx(2.0)
-        window.press(" ")
-        assert window.run(f"{state}.playing")
-        window.press(" ")
-        assert not window.run(f"{state}.playing")
+        check_that_space_plays(window, state)
         assert window.run("scrollY") == 0
         window.press("End")  # the page's own, where the replay does not have the focus
         assert window.run(f"{state}.t") < 5.0
