@@ -92,7 +92,7 @@ STILL = Answer(0.0, 0.0, 0.0, 0.0, 1e3, 0.0, 0.0, 0, 1, 0)
 
 
 def judge_drive(change):
-    """Findings of a car that is moved by hand along its path, 60 s without a call that matters."""
+    """Claims that a car breaks which is moved by hand along its path, 60 s without a call that matters; when (s)."""
     drive = next(drive for drive in map(draw_drive, [1] * 99, range(99)) if drive.kind == "healthy"
                  and not drive.routes[0].road.closed and drive.start[1] == 0.0 and not drive.events)  # fmt: skip
     world = World(drive)
@@ -101,7 +101,7 @@ def judge_drive(change):
         world.elapsed, answer = 0.05 * (k + 1), STILL
         answer = change(world, k) or answer
         judge.step(answer, False, True)
-    return [finding.claim for finding in judge.findings]
+    return {finding.claim: finding.time for finding in judge.findings}
 
 
 @pytest.mark.parametrize(("claim", "change"), [
@@ -114,3 +114,11 @@ def judge_drive(change):
 ])  # fmt: skip
 def test_what_breaks_a_claim_is_found(claim, change):
     assert claim in judge_drive(change)
+
+
+def test_a_car_that_needs_its_grip_sideways_may_be_faster_until_it_has_grip_again():
+    def change(world, k):
+        world.speed, world.yaw_rate = 30.0, 0.5 if k < 200 else 0.0  # rad/s: 15 m/s^2 for 10 s
+
+    assert judge_drive(change)["above plan"] > 11.0
+    assert judge_drive(lambda world, k: setattr(world, "speed", 30.0))["above plan"] < 2.0

@@ -232,9 +232,11 @@ MOVED_WAY, MOVED_SIGMAS = 0.03, 3.0
 """m, -: way of the positions from which, with so many standard deviations of them, they show a motion."""
 RELEASE_RATE, GENTLE_RELEASE_RATE, STARTED_RELEASE_RATE = 4.0, 1.0, 8.0
 """m/s^3, by which the brakes are released: usually, before a short move, and once the car has started."""
-SHORT_MOVE, SHORT_MOVE_BRAKE, GENTLE_LAUNCH = 1.5, 0.2, 0.15
-"""m, m/s^2, m/s^2: a way from standstill to a stop that is driven slowly; its deceleration, and push while the brakes
-are released."""
+SHORT_MOVE, SHORT_MOVE_BRAKE = 1.5, 0.2
+"""m, m/s^2: a way from standstill to a stop that is driven slowly, and its deceleration."""
+GENTLE_LAUNCH, DESCENT = 0.15, 0.5
+"""m/s^2, m/s^2: push while the brakes are released before a short move, and on a descent from which on the slope sets
+the car going."""
 LEAST_TARGET = 0.3
 """m/s, least speed to reach where no stop is ahead, so that a car leaves a place with a planned speed of 0."""
 LEAD_DISTANCE = 2.0
@@ -431,8 +433,8 @@ def _dwell(dt, path, memory):
     """Count the time at a stop; leave it when it is over, or the stop is no more, or the car was moved away."""
     index = stop_at(memory.stop_place, SAME_PLACE, path)
     enough = max(LEFT_DISTANCE, LEFT_SIGMAS * sqrt(memory.p_station))
-    is_away = abs(way_to(memory.stop_place, memory.station, path)) > enough
-    if index == NO_STOP or (is_away and not is_path_end(index, path)):
+    way = way_to(memory.stop_place, memory.station, path)
+    if index == NO_STOP or way > enough or (way < -enough and not is_path_end(index, path)):
         memory.state = DRIVING
         return
     memory.standing += dt
@@ -577,7 +579,7 @@ def _start(way, slope, lateral, drive, brakes, dt, settings, memory):
     elif not moves and drive.ratio * drive.acting >= carried:
         hold = max(hold - (GENTLE_RELEASE_RATE if is_gentle else RELEASE_RATE) * dt * settings.mass, 0.0)
     if not moves:
-        is_slow = is_gentle and hold > 0.0 and memory.rolled == 0.0
+        is_slow = (is_gentle or resistance < -DESCENT) and hold > 0.0 and memory.rolled == 0.0
         memory.launch = min(memory.launch + LAUNCH_RATE * dt, GENTLE_LAUNCH if is_slow else MAX_LAUNCH)
     memory.is_braking, memory.force, memory.acceleration, memory.hold = 0, force, acceleration, hold
     return True
@@ -606,8 +608,10 @@ def _aim(index, way, top_square, resistance, drive, brakes, settings, path, memo
     coming_speed, coming_way, _, _ = predicted_motion(
         max(memory.speed, 0.0), 0.0, delay, resistance, drive, brakes, settings.period, banks
     )
+    true_ratio = 1.0 + memory.scale  # of the speed over the measured one
+    coming_way *= true_ratio
     place = station + coming_way
-    lead = place + coming_speed * lag
+    lead = place + true_ratio * coming_speed * lag
     target_square = _square_at(place, station, path, ahead)
     target = max(sqrt(max(target_square, 0.0)), LEAST_TARGET)
     change = _square_at(lead + LEAD_DISTANCE, station, path, ahead) - _square_at(lead, station, path, ahead)
@@ -618,12 +622,13 @@ def _aim(index, way, top_square, resistance, drive, brakes, settings, path, memo
         cause = BY_FAULT if memory.on_probation > 0.0 else BY_UNKNOWN_STEERING
     remaining_way = way - coming_way - (AIMED_DISTANCE if memory.travelled > ARRIVAL_WAY else 0.0)
     jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * brakes.lag)
-    caution_way = BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * coming_speed
+    caution_way = BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * true_ratio * coming_speed
     stop_speed, stop_acceleration = _stopping_motion(remaining_way - caution_way, lag, jerk, settings)
     if memory.travelled + way < SHORT_MOVE:
         slow = sqrt(2.0 * SHORT_MOVE_BRAKE * max(remaining_way, 0.0))
         if slow < stop_speed:
             stop_speed, stop_acceleration = slow, -SHORT_MOVE_BRAKE
+    stop_speed, stop_acceleration = stop_speed / true_ratio, stop_acceleration / true_ratio
     if stop_speed < target or remaining_way <= 0.0:
         acceleration, target, cause = stop_acceleration, stop_speed, _stop_cause(index, path)
     return acceleration, target, coming_speed, remaining_way, cause

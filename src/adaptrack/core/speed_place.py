@@ -81,10 +81,15 @@ def _count_contradiction(is_contradiction, observed_speed, dt, memory):
 
 
 @inlined
+def _speed_noise(memory):
+    """Noise (m/s) of the speed of the positions."""
+    return CONTRADICTION_NOISE * sqrt(memory.observer_variance)
+
+
+@inlined
 def _allowed_difference(memory):
     """Largest difference (m/s) between the speed of the positions and the measured one without a contradiction."""
-    noise = CONTRADICTION_NOISE * sqrt(memory.observer_variance)
-    return max(CONTRADICTION_SHARE * abs(memory.measured_speed), CONTRADICTION_SPEED) + noise
+    return max(CONTRADICTION_SHARE * abs(memory.measured_speed), CONTRADICTION_SPEED) + _speed_noise(memory)
 
 
 @inlined
@@ -123,8 +128,7 @@ def compare_with_positions(place, age, projection, dt, memory):
         return
     is_contradiction = memory.speed_age <= SPEED_GRACE and abs(memory.observed_excess) > _allowed_difference(memory)
     _count_contradiction(is_contradiction, abs(speed + memory.observed_excess), dt, memory)
-    noise = CONTRADICTION_NOISE * sqrt(memory.observer_variance)
-    is_backwards = speed + memory.observed_excess < -BACKWARDS_SPEED - noise
+    is_backwards = speed + memory.observed_excess < -BACKWARDS_SPEED - _speed_noise(memory)
     memory.direction = -1.0 if is_backwards and speed > 0.0 else 1.0
 
 

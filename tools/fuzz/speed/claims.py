@@ -16,7 +16,9 @@
     false fault     no fault of brakes or drive is reported; both work
 
 A plan counts within 1.5 m of the true place, 4 m once a sensor has failed. After a start, a driver, a new plan and a
-gap of calls the car may be faster, but slows down with half of the braking of comfort at least.
+gap of calls the car may be faster, but slows down with half of the braking of comfort at least. So it may where
+the steering weaves, while the lateral acceleration leaves too little of the least assumed grip for the braking of
+comfort: grip comes before stops and speeds. How many drives that excuses is counted.
 """
 
 from __future__ import annotations
@@ -93,6 +95,8 @@ class Figures(NamedTuple):
     """m/s, above the plan, of that only what is not excused"""
     excess_time: float = 0.0
     """s, the longest time faster than the plan + 1 m/s"""
+    gripless_steps: int = 0
+    """steps in which the lateral acceleration leaves too little grip for the braking of comfort"""
     stop_errors: tuple[float, ...] = ()
     """m, beyond the stops"""
 
@@ -179,6 +183,13 @@ class Judge:
         self._peak, self._spell, self._braked, self._rest = world.station, 0.0, 0.0, math.nan
         self._idle, self._backs = 0.0, world.speed < -STANDS
 
+    def _excuse_lack_of_grip(self) -> None:
+        """Excuse a car whose lateral acceleration leaves too little assumed grip for the braking of comfort."""
+        world, grip = self.world, float(np.min(self.drive.variant.friction)) * GRAVITY
+        if math.hypot(world.speed * world.yaw_rate, self.drive.comfort.brake) > grip:
+            self.sums["gripless_steps"] += 1
+            self.excuse()
+
     def drives_by_hand(self) -> None:
         """A driver drives: stops on the way are the driver's."""
         for k, place in self._places():
@@ -223,6 +234,7 @@ class Judge:
             self.drives_by_hand()
             self._sign, self._before, self._driven = 0, math.nan, 0
             return
+        self._excuse_lack_of_grip()
         self._judge_speed(answer)
         self._judge_stops(answer)
         self._judge_rest(answer)

@@ -19,7 +19,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from tools.fuzz.inputs import Rng
-from tools.fuzz.speed.claims import Figures, Finding, Judge
+from tools.fuzz.speed.claims import JUDGED, Figures, Finding, Judge
 from tools.fuzz.speed.drives import PERIOD, SHARES, Drive, draw_drive
 from tools.fuzz.speed.faults import Sample, Spoiler
 from tools.fuzz.speed.shorten import simplest
@@ -296,6 +296,8 @@ def soak(steps: int, seed: int, way: str, show_each: int) -> int:
     steps_done = sum(outcome.figures.steps for outcome in results)
     differences = sum(outcome.differences for outcome in results)
     found = sum(len(outcome.findings) for outcome in results)
+    gripless = sum(outcome.figures.gripless_steps > 0 for outcome in results if outcome.kind in JUDGED)
+    print(f"{gripless} drives of the lists healthy and visible were at the limit of grip sideways, see `claims`")
     if way == "both":
         print(f"{differences} of {steps_done:,} calls differ between the C library and Tracker")
     print(f"{steps_done:,} steps, {len(results)} drives, {found} findings")
