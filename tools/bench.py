@@ -337,7 +337,7 @@ def bench_tracker(calls: int = 20_000) -> dict[str, Any]:
     """
     from adaptrack.control.tracking import tracking_of
     from adaptrack.core.kernel import direct
-    from adaptrack.core.tracker.step import tracker_step, tracker_step_law
+    from adaptrack.core.tracker.step import tracker_step
 
     car, road = load_vehicle("paper"), at.generate_road("country", seed=1, length=3000.0)
     plan = at.plan_speed(road, car)
@@ -353,7 +353,7 @@ def bench_tracker(calls: int = 20_000) -> dict[str, Any]:
     for name, make in controllers.items():
         controller = make()
         tracking = tracking_of(controller, road, plan)
-        kernel = direct(tracker_step if isinstance(controller, MPC) else tracker_step_law, tracking)
+        kernel = direct(tracker_step, tracking)
         sample, tracker = tracking.tracker.sample, at.Tracker(make(), road, plan=plan)
         compiled, python = np.empty(calls), np.empty(min(calls, 5000))
         for k in range(calls):

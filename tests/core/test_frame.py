@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import adaptrack as at
+from adaptrack.control.controllers.base import Room
 from adaptrack.core import frame, rollout
 from adaptrack.core.controllers.mpc import MPC_ANSWER
 from adaptrack.core.frame import FRAME
@@ -11,6 +12,7 @@ from adaptrack.core.kernel import Resident
 from adaptrack.core.loop import OFF_ROAD, RUNNING
 from adaptrack.core.period import TRACE_SIGNALS, RunSpan
 from adaptrack.core.plants.contract import PLANT_STATE
+from adaptrack.core.tracker.longitudinal import no_speed_control
 from adaptrack.drive.batch import Batch
 from adaptrack.road import Arc, Line, Road
 from adaptrack.scenario import RoadDrive
@@ -24,24 +26,23 @@ def run_of(controller, scenario, profile="road", traced=False, scheduler=None, *
     batch = Batch(at.DualTrack(CAR), controller, [scenario], profile, **options)
     n = int(batch.periods[0])
     run = batch.run_record(
-        1, int(batch.substeps[0]), batch.mpc_settings(np.inf, np.inf, residuals=True), 0, n if traced else 0,
-        batch.scheduler,
+        1, int(batch.substeps[0]), Room(), 0, n if traced else 0, batch.scheduler,
     )  # fmt: skip
-    run.inputs.seeds[:], run.vehicles.start[:], run.tuning[:] = 3, batch.starts[0], batch.tuning
+    run.inputs.seeds[:], run.vehicles.start[:], run.controller.tuning[:] = 3, batch.starts[0], batch.tuning
     rollout.begin(1, Resident(run))
     return run, RunSpan(n, 1, 0, 0.0)
 
 
 def frames_of(run, span, pieces):
     """The frames of a drive that is driven in pieces of so many periods."""
-    settings = run.mpc.settings
-    answer = run.law.answer if run.features.law else run.mpc.answer
-    width = len(FRAME) + answer.shape[1] - 1 + (run.tuning.shape[1] if run.features.law else 0)
+    controller = run.controller
+    settings = controller.mpc.settings
+    width = len(FRAME) + controller.answer.shape[1] - 1 + (0 if controller.plans else controller.tuning.shape[1])
     most = int(settings.longest_horizon), int(settings.most_moves)
     parts = []
     for count in pieces:
         room = [np.full((count, n), np.nan) for n in (width, 2 * most[0], most[1])]
-        steps = frame.drive_and_show(count, span, run, *room)
+        steps = frame.drive_and_show(count, span, run, no_speed_control(), np.zeros(0), *room)
         parts.append([column[:steps] for column in room])
     return [np.concatenate(columns) for columns in zip(*parts, strict=True)]
 
@@ -77,7 +78,7 @@ def test_the_frames_of_a_drive_in_pieces_are_its_trace_to_the_bit(name):
     assert np.array_equal(numbers[:, FRAME.command], trace.answer[0, :, MPC_ANSWER.command])
     assert np.array_equal(numbers[:, len(FRAME) :], trace.answer[0, :, 1:], equal_nan=True)
     assert run.result.tobytes() == unbroken.result.tobytes()
-    counts = unbroken.schedule.memory
+    counts = unbroken.controller.schedule.memory
     stepped_in = sum(int(counts[name][0]) for name in ("rate_limited", "unstable", "fallback")) if counts.size else 0
     assert numbers[-1, FRAME.guard] == stepped_in
 
@@ -98,7 +99,7 @@ def test_on_a_straight_road_the_predicted_path_is_what_is_driven():
     run.vehicles.start[0, PLANT_STATE.y] = 0.4
     rollout.begin(1, Resident(run))
     numbers, predicted, moves = frames_of(run, span, [120])
-    horizon, delay = int(numbers[0, len(FRAME) + MPC_ANSWER.Np - 1]), run.mpc.settings.delay
+    horizon, delay = int(numbers[0, len(FRAME) + MPC_ANSWER.Np - 1]), run.controller.mpc.settings.delay
     at_instant = 30
     points = predicted[at_instant].reshape(-1, 2)
     expected_x = numbers[at_instant, FRAME.x] + 15.0 * run.settings.period * (np.arange(horizon) + 1.0 + delay)
@@ -108,7 +109,7 @@ def test_on_a_straight_road_the_predicted_path_is_what_is_driven():
     assert np.abs(points[:horizon, 1] - path).max() < 0.05
     count = int(numbers[0, len(FRAME) + MPC_ANSWER.Nc - 1])
     assert np.allclose(moves[:, 0], numbers[:, len(FRAME)], rtol=0.0, atol=1e-12)
-    settings = run.mpc.settings
+    settings = run.controller.mpc.settings
     assert (moves[:, 1:count] <= settings.move_max + 1e-9).all()
     assert (moves[:, 1:count] >= settings.move_min - 1e-9).all()
     assert np.isnan(moves[:, count:]).all()

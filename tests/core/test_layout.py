@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import adaptrack as at
+from adaptrack.control.controllers.base import Room
 from adaptrack.core import layout, rollout
 from adaptrack.core.controllers import mpc
 from adaptrack.core.kernel import Array
@@ -41,14 +42,14 @@ def arrays(record):
             yield value
 
 
-def counts_of(run):
-    """What the sizes follow from, as a program has it that knows only how many numbers there are."""
-    loop, controller, law, plan = run, run.mpc, run.law, run.schedule
-    turning = controller.feed.turning
-    (row,) = rollout.RunCounts.new(1, tuning=run.tuning.shape[1])
-    inputs = loop.inputs
+def sizes_of(run):
+    """The sizes that are chosen, as a program has them that knows only how many numbers there are."""
+    loop, part, plan = run, run.controller, run.controller.schedule
+    law, controller, inputs, turning = part.law, part.mpc, run.inputs, part.mpc.feed.turning
+    (row,) = rollout.RunSizes.new(1)
     for name, value in {
-        "slots": len(run.tuning), "parameters": loop.vehicles.parameters.size, "states": loop.vehicles.start.shape[1],
+        "slots": len(part.tuning), "plant_parameters": loop.vehicles.parameters.size,
+        "plant_states": loop.vehicles.start.shape[1],
         "scenarios": len(inputs.scenario) and inputs.signals.shape[0], "samples": inputs.signals.shape[2],
         "roads": len(inputs.roads.numbers), "starts": inputs.roads.start.size, "pieces": len(inputs.roads.pieces),
         "headings": inputs.roads.headings.size, "estimator_parameters": loop.variable_estimator.parameters.size,
@@ -56,18 +57,21 @@ def counts_of(run):
         "past": loop.memory.past.shape[1], "segments": loop.segments.shape[1], "traced": loop.trace.state.shape[1],
         "answers": loop.trace.answer.shape[2], "requested": loop.memory.requested.shape[1],
     }.items():  # fmt: skip
-        row.loop[name] = value
+        row[name] = value
     for name, value in {
-        "slots": len(run.tuning), "states": controller.states.size, "parameters": controller.parameters.size,
+        "slots": len(part.tuning), "tuning": part.tuning.shape[1], "law_parameters": law.parameters.size,
+        "law_memory": law.memory.shape[1], "law_answer": law.answer.size, "answer": part.answer.shape[1],
+        "integers": plan.integers.size, "numbers": plan.numbers.size, "scratch": plan.scratch.size,
+    }.items():  # fmt: skip
+        row.controller[name] = value
+    for name, value in {
+        "slots": len(part.tuning), "states": controller.states.size, "parameters": controller.parameters.size,
         "turning": turning.size, "lag": mpc.turning_of(turning, 0).lag if turning.size else 0.0,
         "estimator": controller.informed.estimator.size, "estimates": controller.informed.estimates.shape[1],
         "learner": controller.informed.learner.size, "learned": controller.informed.fresh.size,
-        "curved": len(inputs.roads.numbers) > 0 and not run.features.law,
+        "curved": len(inputs.roads.numbers) > 0 and part.plans > 0,
     }.items():  # fmt: skip
-        row.mpc[name] = value
-    row.law, row.law_parameters, row.law_memory = run.features.law, law.parameters.size, law.memory.shape[1]
-    row.diagnostics = max(law.law_answer.size - 1, 0)
-    row.integers, row.numbers, row.scratch = plan.integers.size, plan.numbers.size, plan.scratch.size
+        row.controller.mpc[name] = value
     return row
 
 
@@ -77,15 +81,13 @@ def test_the_sizes_that_kernels_say_are_those_that_python_lays(name):
     controller = make()
     perception = None if estimator is None else estimator(CAR, period=controller.period)
     batch = Batch(at.DualTrack(CAR), controller, [scenario, scenario], profile, perception=perception)
-    limits = batch.mpc_settings(np.inf, np.inf, residuals=True)
-    run = batch.run_record(3, int(batch.substeps[0]), limits, 4, 50, batch.scheduler)
-    (settings,) = mpc.MPCSettings.new(1, **run.mpc.settings._asdict())
+    run = batch.run_record(3, int(batch.substeps[0]), Room(), 4, 50, batch.scheduler)
+    (settings,) = mpc.MPCSettings.new(1, **run.controller.mpc.settings._asdict())
     settings.learns, settings.curved, settings.feeds_forward = 0, 0, 0
     table = np.full((layout.arrays_of(rollout.RunRecord), layout.SIZES), -1)
-    assert rollout.sizes(settings, counts_of(run), table) == len(table)
+    assert rollout.write_sizes(settings, sizes_of(run), table) == len(table)
     for row, laid in zip(table.tolist(), arrays(run), strict=True):
         assert tuple(row[: laid.ndim]) == laid.shape
         assert not any(row[laid.ndim :])
-    assert settings.tolist() == tuple(run.mpc.settings)
-    assert all(array.ctypes.data % layout.ALIGNMENT == 0 for array in arrays(run.mpc.ws))
-    assert run.measured is run.mpc.measured
+    assert settings.tolist() == tuple(run.controller.mpc.settings)
+    assert all(array.ctypes.data % layout.ALIGNMENT == 0 for array in arrays(run.controller.mpc.ws) if array.size)

@@ -16,7 +16,7 @@ from adaptrack.control.tracking import packed_plan, tracking_of
 from adaptrack.core.kernel import direct
 from adaptrack.core.tracker.change_path import tracker_follow
 from adaptrack.core.tracker.records import FOLLOWING, HELD, NO_TIME, REPEATED, TRACKED
-from adaptrack.core.tracker.step import tracker_step, tracker_step_law
+from adaptrack.core.tracker.step import tracker_step
 from adaptrack.core.tracker.take_call import tracker_engage
 from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
 from adaptrack.road.road_ahead import pack_roads, stacked
@@ -42,7 +42,7 @@ MAKERS = {
 
 def stepper(tracking):
     """What steps a tracker with a compiled controller."""
-    return direct(tracker_step if hasattr(tracking, "step") else tracker_step_law, tracking)
+    return direct(tracker_step, tracking)
 
 
 def compiled(controller, path=ROAD, plan=None):
@@ -145,7 +145,7 @@ def test_a_schedule_is_asked_for_what_is_known_of_friction_and_wind(conditions, 
     tracking, step = compiled(published_mpc(CAR, scheduler=scheduler, period=0.05))
     answer = call(tracking, step, 0.0, 0.0, 0.0, 0.2, 0.0, 15.0, 0.0, 0.0, math.nan, math.nan, *conditions)
     expected = scheduler(SchedulingVariables(15.0, 0.0, friction, wind, offset=-answer[TRACKED.offset]))
-    assert tracking.step.tuning.tolist() == pytest.approx(list(expected), rel=1e-12)
+    assert tracking.controller.tuning[0].tolist() == pytest.approx(list(expected), rel=1e-12)
 
 
 # -- the plan of the speed --------------------------------------------------------------------------------------------

@@ -210,7 +210,7 @@ def constants_with(block, place, value, kind="<d"):
 def test_sizes_counts_and_numbers_out_of_bounds_are_refused_under_a_right_checksum(name, library_of, way):
     export = library_of(name)
     block = tracking_block(export.controller)
-    places, mpc = data_places(block), "step.mpc.settings."
+    places, mpc = data_places(block), "controller.mpc.settings."
     words = {block.words["tracker.settings"]: 5e-324, block.words["tracker.settings"] + 1: math.nan}
     if name == "lqr":
         words[block.words["law.parameters"] + 11] = 1e6  # nodes of a grid
@@ -422,7 +422,7 @@ def test_what_a_controller_has_learned_travels(library_of):
     assert after.checksum != before.checksum
     tracker = CTracker(library_of("learning"))
     assert tracker.load(after.content) == exported.OK
-    first = tracker.MARGIN + 8 + after.words["step.mpc.informed.learned"]
+    first = tracker.MARGIN + 8 + after.words["controller.mpc.informed.learned"]
     learned = mpc.learner.restart_memory(mpc._mpc.informed.learned[0])
     assert tracker.raw[first : first + learned.size].tobytes() == learned.tobytes()
 

@@ -18,6 +18,7 @@ import adaptrack as at
 import adaptrack.export
 from adaptrack import cli
 from adaptrack.control.speed_control import SpeedLimit, SpeedState
+from adaptrack.control.tracking import tracking_of
 from adaptrack.core.kernel import Resident, direct
 from adaptrack.core.tracker.records import TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_step
@@ -25,7 +26,6 @@ from adaptrack.core.units import car as kernel
 from adaptrack.core.units import controller as controller_kernel
 from adaptrack.export import fmu_build
 from adaptrack.export.fmu import constants, write_fmu
-from adaptrack.export.tracking import record_of
 from adaptrack.export.units import car_unit, controller_unit
 from adaptrack.road import Arc, Stop
 from exported import STRICT
@@ -215,7 +215,7 @@ def test_the_controller_is_the_tracker_to_the_bit(name, has_motion_age, folder):
 
 def test_a_schedule_is_given_friction_and_wind_that_are_known(folder):
     controller = at.published_mpc(CAR, scheduler=at.load_scheduler("road-nn"))
-    tracking = record_of(controller, country().road, country().plan)
+    tracking = tracking_of(controller, country().road, country().plan)
     step, mind = direct(tracker_step, tracking), Instance(
         write_fmu(controller_unit(controller, country().road, country().plan), folder / "schedule.fmu"), folder,
         friction_known=True,

@@ -13,6 +13,7 @@ import adaptrack as at
 import page_drives
 from adaptrack.base.errors import AdaptrackError
 from adaptrack.cars.vehicle import pack_plant
+from adaptrack.control.controllers.base import Room
 from adaptrack.core import library, rollout
 from adaptrack.core.kernel import Resident
 from adaptrack.core.loop import SIGNAL
@@ -163,9 +164,9 @@ def by_python(before, touch, after):
         page_setup.controller_of(TOUCHED["controllers"][0], car, profile),
     )
     batch = Batch(at.DualTrack(car), controller, [road_drive], profile)
-    settings = batch.mpc_settings(np.inf, np.inf, residuals=True)
-    run = batch.run_record(1, int(batch.substeps[0]), settings)
-    run.inputs.seeds[:], run.vehicles.start[:], run.tuning[:] = TOUCHED["seed"], batch.starts[0], batch.tuning
+    run = batch.run_record(1, int(batch.substeps[0]), Room())
+    run.inputs.seeds[:], run.vehicles.start[:] = TOUCHED["seed"], batch.starts[0]
+    run.controller.tuning[:] = batch.tuning
     run = run._replace(memory=run.memory._replace(sent=np.zeros((1, 40))))  # room for a longer dead time
     span, states = RunSpan(int(batch.periods[0]), 1, 0, 0.0), []
     rollout.begin(1, Resident(run))
@@ -189,7 +190,7 @@ def slower(run, batch):
 
 
 def tuned_and_pushed(run, batch):
-    run.tuning[:] = [20, 5, 1.0, 50.0]
+    run.controller.tuning[:] = [20, 5, 1.0, 50.0]
     run.vehicles.block[PLANT_STATE.vy * SLOTS] += 0.5
     run.vehicles.block[PLANT_STATE.yaw_rate * SLOTS] -= 0.1
     return run
@@ -203,12 +204,12 @@ def believing(run, batch):
     car = page_setup.car_of(TOUCHED["car"])
     other = at.MPC(car, profile="road", belief=at.Steering(lag=0.3, dead_time=0.1))
     mpc = other.batch(1, other.settings(), curved=True)
-    mpc.measured[:] = run.measured
-    old = run.mpc.memory[0]
+    kept = run.controller.mpc
+    old = kept.memory[0]
     mpc.memory["command"], mpc.memory["reference"] = old.command, old.reference
     mpc.memory["planned"], mpc.memory["age"] = old.planned, old.age
-    mpc.plan[0, : run.mpc.plan.shape[1]] = run.mpc.plan[0]
-    return run._replace(mpc=mpc, measured=mpc.measured)
+    mpc.plan[0, : kept.plan.shape[1]] = kept.plan[0]
+    return run._replace(controller=run.controller._replace(mpc=mpc))
 
 
 def icy(run, batch):

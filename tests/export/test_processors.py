@@ -15,6 +15,7 @@ import pytest
 from tests.export.test_export_c import POINTS
 
 import adaptrack as at
+from adaptrack.control.controllers.base import Room
 from adaptrack.core import library
 from adaptrack.core.build.objects import undefined
 from adaptrack.core.controllers.mpc_step import MPCStep
@@ -130,10 +131,9 @@ def drives(rng):
 
 def add_drive(image, batch):
     periods, steps = int(batch.periods[0]), int(batch.substeps[0])
-    settings = batch.mpc_settings(np.inf, np.inf, residuals=True)
-    run_record = batch.run_record(1, steps, settings, 0, periods)
+    run_record = batch.run_record(1, steps, Room(), 0, periods)
     run_record.inputs.scenario[:], run_record.inputs.seeds[:] = 0, 7
-    run_record.vehicles.start[:], run_record.tuning[:] = batch.starts[0], batch.tuning
+    run_record.vehicles.start[:], run_record.controller.tuning[:] = batch.starts[0], batch.tuning
     place = image.record(run_record)
     span = image.put(np.array([periods, 1, 0, bits(0.0)], np.int64))
     image.do(BEGIN, 1, place)

@@ -105,7 +105,8 @@ class Program:
         np.concatenate([np.array([self.count], np.int64), rows.ravel().view(np.int64)]).tofile(folder / "samples")
         part = None if speed is None else speed_part(speed, controller, way[1], speed.car.domain.speed[1])
         block = tracking_block(controller, speed=part)
-        at = block.words["step.mpc.answer"] + MPC_ANSWER.qp_iterations if "step.mpc.answer" in block.words else 0
+        answer = block.words.get("controller.mpc.answer", 0)
+        at = answer + MPC_ANSWER.qp_iterations if answer else 0
         self.given = ["-std=gnu11", "-O2", "-ffunction-sections", "-fdata-sections", f"-DQP_ITERATIONS={at}",
                       *[f"-I{self.made.folder}/{folder}" for folder in (".", "include", "src")], str(HERE / "board.c"),
                       *map(str, sorted((self.made.folder / "src").glob("*.c")))]  # fmt: skip

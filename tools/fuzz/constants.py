@@ -26,7 +26,6 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import LQR, MPC, Controller, Learning, PurePursuit, Stanley, published_mpc
 from adaptrack.control.scheduling import load_scheduler
-from adaptrack.core.tracker.records import LawTracking, Tracking
 from adaptrack.export.block import BLOCK_HEADER, PRELUDE, Block
 from adaptrack.export.bounds import numbers_of
 from adaptrack.export.c_library import KERNELS_FILE, export_c, own_target
@@ -238,9 +237,9 @@ STRONG = (-37.0, 1e-3, 1e3)
 def unnoticed(library: Library) -> tuple[int, dict[str, str]]:
     """How many constants a controller has, and those that may change by 1 % in the recorded minute, with the reason."""
     misses, count = {}, 0
-    block, kind = tracking_block(library.controller), Tracking if isinstance(library.controller, MPC) else LawTracking
+    block = tracking_block(library.controller)
     places = data_places(block)
-    for constant, word in numbers_of(block, kind):
+    for constant, word in numbers_of(block):
         (value,) = struct.unpack_from("<d", block.content, places[word]) if word in places else (0.0,)
         if value == 0.0 or not math.isfinite(value):
             continue
@@ -254,8 +253,8 @@ def unnoticed(library: Library) -> tuple[int, dict[str, str]]:
 def _scaled(block: Block, places: dict[int, int], word: int, factor: float) -> bytes:
     """The block with a number times a factor; what is learned begins as its twin does."""
     content, words = bytearray(block.content), [word]
-    fresh = block.words.get("step.mpc.informed.fresh", 0)
-    learned = block.words.get("step.mpc.informed.learned", 0)
+    fresh = block.words.get("controller.mpc.informed.fresh", 0)
+    learned = block.words.get("controller.mpc.informed.learned", 0)
     if 0 < fresh <= word and word - fresh + learned in places and word < block.header.first_renewed:
         words.append(word - fresh + learned)
     for place in words:

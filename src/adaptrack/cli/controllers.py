@@ -182,11 +182,10 @@ def certify_tuned(
 ) -> None:
     """Certify the constant tuning of an MPC that was found for a different car, see `new_car`."""
     from adaptrack.cli.new_car import judge
-    from adaptrack.control.controllers import MPC
     from adaptrack.tuning.constant_file import load_tuning
 
     made_for, car = load_tuning(file).vehicle, settings.car
-    if made_for != car.name and isinstance(controller, MPC):
+    if made_for != car.name and controller.has_horizons:
         clause = f"{file}, found for the car {made_for!r}, on {car.name!r}"
         judge(clause, controller.tuning, (controller, plant, car, settings.profile), allow_unstable)
 

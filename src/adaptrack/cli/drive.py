@@ -106,7 +106,6 @@ def _make_controllers(
 ) -> list[tuple[str, Controller]]:
     """Make the controllers with their labels; certify those that were made for a different car."""
     from adaptrack.cli.new_car import certify_meeting
-    from adaptrack.control.controllers import MPC
     from adaptrack.control.scheduling import load_scheduler
 
     world, published, scheduler = places.profile, arguments.published, arguments.scheduler
@@ -122,7 +121,7 @@ def _make_controllers(
     default = [] if arguments.tuning else [settings.default_name]
     drivers = [controllers.make_controller(name, settings) for name in dict.fromkeys(arguments.controller or default)]
     for label, controller in drivers:
-        if isinstance(controller, MPC):
+        if controller.has_horizons:
             certify_meeting(label, controller, plant, car, world, arguments.drive.allow_failed)
     for file in dict.fromkeys(arguments.tuning or []):
         drivers.append(controllers.make_tuned(file, settings))

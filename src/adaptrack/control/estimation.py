@@ -78,6 +78,10 @@ class Estimator(ABC):
         """Heading (rad) and offset (m) of the past have grown by so much, against another path; else begin anew."""
         memory[:] = 0.0
 
+    def late(self, model: PredictionModel) -> int:
+        """Control periods that a Kalman filter goes through anew for samples that come late; -1: it is none."""
+        return -1
+
     def left_out(self, memory: Array) -> str | None:
         """The sensor that it leaves out because it disagrees with all others, by what it remembers; None: none."""
         return None

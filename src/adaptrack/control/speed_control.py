@@ -14,7 +14,7 @@ from adaptrack.base.checked import Finite, Hint, checked, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
-from adaptrack.control.controllers import MPC, Controller, MPCCommand
+from adaptrack.control.controllers import Controller, MPCCommand
 from adaptrack.control.friction_estimate import friction_estimate
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.core import speed_control as kernel
@@ -33,7 +33,6 @@ from adaptrack.core.tracker.longitudinal import (
     longitudinal_begin,
     longitudinal_follow,
     longitudinal_release,
-    longitudinal_step,
     narrow_friction_step,
     narrow_tracked_friction,
     speed_control_step,
@@ -316,14 +315,14 @@ class SpeedController:
 
     def _load(self, record: Any) -> None:
         """Let the kernels work on this record (`core.tracker.longitudinal.Longitudinal`)."""
-        self._record, self._resident = record, Resident(record)
+        self.record, self._resident = record, Resident(record)
 
     def estimate_friction(self, controller: Controller) -> None:
         """Narrow an interval of friction by the steering model of a controller, or by what it learns, from now on."""
         friction = friction_estimate(self.control.friction_interval, self.control.car, self._period, controller)
         begin_friction(friction)
         self._controller = controller
-        self._load(self._record._replace(friction=friction))
+        self._load(self.record._replace(friction=friction))
 
     def narrow_friction(self, measured: Array, speed: float, command: float) -> None:
         """Narrow the friction before a step of the controller, see `core.friction_estimate.narrow_friction`."""
@@ -336,26 +335,18 @@ class SpeedController:
     @property
     def _learned(self) -> Array:
         """Memory of the controller's learner; empty where nothing is learned."""
-        return self._controller._mpc.informed.learned[0] if isinstance(self._controller, MPC) else np.zeros(0)
+        return np.zeros(0) if self._controller is None else self._controller.learner_memory
 
     def follow(self, path: Road, plan: SpeedPlan) -> None:
         """Follow another plan from now on; what was learned of resistance, slope and friction stays."""
         settings = self.control.settings(self._period, plan.comfort, self._patience)
         self._load(
-            self._record._replace(
+            self.record._replace(
                 settings=settings, path=speed_path(path, plan, self._stop_at_end),
                 ahead=np.zeros(horizon_cells(float(plan.speed.max()), settings)),
             )
         )  # fmt: skip
         longitudinal_follow(self._resident)
-
-    def step_behind(self, tracker: Any) -> SpeedCommand:
-        """Return the requests after a call of a tracker (`core.tracker.records.TrackerRecord`, resident).
-
-        Once a control instant they are new, otherwise those in force.
-        """
-        longitudinal_step(tracker, self._resident)
-        return self.command
 
     def step(
         self, station: float, speed: float, yaw_rate: float, *, acceleration: float = math.nan, driver: bool = False,
@@ -368,7 +359,7 @@ class SpeedController:
         motion of the car, and nothing is learned; blind_time: s, since the last position; grade: dz/ds under the car,
         measured, positive uphill; NaN: that of the path.
         """
-        sample = self._record.sample
+        sample = self.record.sample
         is_guided = math.isfinite(station)
         top_speed = sample[0].top_speed
         sample[0] = (
@@ -382,22 +373,22 @@ class SpeedController:
 
         answer: of the latest step of the controller; None before the first.
         """
-        if not isinstance(controller, MPC) or controller.learner is None:
+        if controller.learner is None:
             return
         if answer is None:
-            self._record.sample[0].top_speed = controller.learner.first_top_speed
+            self.record.sample[0].top_speed = controller.learner.first_top_speed
         elif isinstance(answer, MPCCommand) and answer.learned[BELIEF_COLUMNS.belief_delay_sigma] < KNOWN_DELAY_SIGMA:
-            self._record.sample[0].top_speed = math.inf
+            self.record.sample[0].top_speed = math.inf
 
     @property
     def governed_speed(self) -> float:
         """m/s, planned speed after the governor, of the cell of the path in which the car is."""
-        return math.sqrt(float(self._record.ahead[0]))
+        return math.sqrt(float(self.record.ahead[0]))
 
     @property
     def top_speed(self) -> float:
         """m/s, up to which the steering is known."""
-        return float(self._record.sample[0].top_speed)
+        return float(self.record.sample[0].top_speed)
 
     @property
     def blind_top_speed(self) -> float:
@@ -410,7 +401,7 @@ class SpeedController:
         """
         if self._patience <= 0.0:
             return math.inf
-        brakes, settings = self.learned["brakes"], self._record.settings
+        brakes, settings = self.learned["brakes"], self.record.settings
         delay = brakes.lag + brakes.dead_time + kernel.BLIND_SIGMAS * brakes.delay_sigma + kernel.BLIND_MARGIN
         gain = min(max(brakes.ratio - kernel.BLIND_SIGMAS * brakes.ratio_sigma, 0.0), 1.0)
         grip = gain * self.control.guard * settings.friction * GRAVITY
@@ -421,7 +412,7 @@ class SpeedController:
     @property
     def command(self) -> SpeedCommand:
         """Requests in force."""
-        record, pedals = self._record, self.control.pedals or self.control.car.pedals
+        record, pedals = self.record, self.control.pedals or self.control.car.pedals
         memory, friction = record.memory[0], record.friction.memory[0]
         force, speed, hold = float(memory.force), float(memory.speed), float(memory.hold)
         positions = (math.nan, math.nan) if pedals is None else pedals.positions(force, speed, hold)
@@ -434,7 +425,7 @@ class SpeedController:
     @property
     def learned(self) -> dict[str, Any]:
         """Estimates of ``drive`` and ``brakes``: `core.speed_learning.ActuatorBelief` of each."""
-        return {name: learning.mean_of_bank(getattr(self._record.banks, name)) for name in ("drive", "brakes")}
+        return {name: learning.mean_of_bank(getattr(self.record.banks, name)) for name in ("drive", "brakes")}
 
     def release(self) -> None:
         """Leave the stop at which the car stands, whatever its time; at the end of a path it stays."""
@@ -447,5 +438,5 @@ class SpeedController:
     def speeds_ahead(self, speed: float, count: int) -> Array:
         """(count,) m/s, governed speeds at the coming control instants, the first one the present speed (m/s)."""
         speeds = np.empty(count)
-        kernel.governed_speeds(speed, self._period, self._record.path.spacing, self._record.ahead, speeds)
+        kernel.governed_speeds(speed, self._period, self.record.path.spacing, self.record.ahead, speeds)
         return speeds

@@ -22,20 +22,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
-from adaptrack.control.controllers import MPC, BeliefState, Controller, MPCCommand, command_of, step_call
+from adaptrack.control.controllers import BeliefState, Controller, command_of, step_call
 from adaptrack.control.controllers.belief import SourcedValue
+from adaptrack.control.controllers.learned_car import bounded_quantity
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
 from adaptrack.control.speed_target import SpeedTarget
-from adaptrack.control.tracking import input_check_of, packed_plan, tracker_of
+from adaptrack.control.tracking import input_check_of, join, packed_plan, python_part, tracker_of
 from adaptrack.core import portable
-from adaptrack.core.estimators.learning import BELIEF_COLUMNS
-from adaptrack.core.kernel import Resident
+from adaptrack.core.controllers.part import APPLY, COMMON_ANSWER, REQUEST, STEP
+from adaptrack.core.kernel import Resident, direct
+from adaptrack.core.member import CallBack
 from adaptrack.core.tracker.change_path import tracker_follow
-from adaptrack.core.tracker.conclude_instant import tracker_conclude
-from adaptrack.core.tracker.prepare_instant import tracker_prepare
-from adaptrack.core.tracker.records import NO_BELIEF, REQUEST, TRACKER_SAMPLE
-from adaptrack.core.tracker.take_call import tracker_engage, tracker_take
+from adaptrack.core.tracker.records import NO_BELIEF, TRACKER_SAMPLE
+from adaptrack.core.tracker.step import tracker_apply, tracker_step
+from adaptrack.core.tracker.take_call import tracker_engage
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import RoadAhead, stacked
 
@@ -109,6 +110,8 @@ _SAMPLE_NAMES = ("t", "now", "x", "y", "yaw", "speed", "yaw_rate", "lateral_velo
                  "wheel_angle")  # fmt: skip
 TIMED_STEPS = 50
 """Control steps after which their times are compared with the computation time that the controller assumes."""
+_NOT_COPIED = ("_resident", "_part", "_python", "_calls_back", "_run", "_apply")
+"""Of a tracker, by a copy of it: see `Tracker._load`."""
 PERIOD_TOLERANCE = 0.4
 """Control periods, difference of the two from which it is reported."""
 DOUBTFUL = {
@@ -195,11 +198,29 @@ class Tracker:
         self.path, self.plan = path, plan
 
     def _load(self, kernel: Any) -> None:
-        """Let the kernels work on this record."""
-        self._kernel, self._resident = kernel, Resident(kernel)
+        """Let the kernels work on this record, with the controller and the speed control as they are now."""
+        self._kernel, self._resident, self._part = kernel, Resident(kernel), self.controller.own_part
+        self._calls_back: tuple[CallBack, ...] = ()
+        part = self._part
+        if part is None:
+            self._calls_back = CallBack(self._control, STEP), CallBack(self._do_requests, APPLY)
+            part = self._python = python_part(*self._calls_back, self.controller.learner is not None)
+        tracking = join(kernel, part, None if self._speed is None else self._speed.record)
+        self._run, self._apply = direct(tracker_step, tracking), direct(tracker_apply, tracking)
+
+    def _call(self, kernel: Any) -> None:
+        """Call a kernel; the controller may have been reset meanwhile, and one in Python may raise."""
+        kernel()
+        for called_back in self._calls_back:
+            called_back.raise_error()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_recorder": None}  # two would write one file
+        state = {name: value for name, value in vars(self).items() if name not in _NOT_COPIED}
+        return {**state, "_recorder": None}  # two would write one file
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._load(self._kernel)
 
     def __repr__(self) -> str:
         planned = "planned speed" if self.plan is not None else "no plan of the speed"
@@ -234,7 +255,7 @@ class Tracker:
         self._check.forget()
         self._target = None if self.plan is None else SpeedTarget(self.plan)
         tracker_engage(wheel_angle, math.nan if near is None else near, self._resident)
-        self._apply_requests()
+        self._call(self._apply)
 
     def close(self) -> None:
         """Complete the record; nothing where there is none.
@@ -275,7 +296,7 @@ class Tracker:
             self._speed.follow(path, plan)
         self._load(self._kernel._replace(path=stacked(path), plan=packed_plan(plan)))
         tracker_follow(math.nan if near is None else near, self._resident)
-        self._apply_requests()
+        self._call(self._apply)
 
     def release(self) -> None:
         """Let the car leave the stop at which it stands, whatever its time; at the end of a path it stays.
@@ -343,28 +364,25 @@ class Tracker:
         if not math.isfinite(at):
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
         row[1] = at
-        kernel, resident = self._kernel, self._resident
+        kernel = self._kernel
         motion_t = row[0] if motion_time is None else real("Tracker.step", "motion_time", motion_time)
         kernel.sample[: len(row)] = row
         acceleration = real("Tracker.step", "longitudinal_acceleration", longitudinal_acceleration)
         if not isinstance(driver, bool | np.bool_ | int) or driver not in (0, 1):
             raise InvalidInput(f"Tracker.step: driver = {format_value(driver)}: must be True or False.")
         kernel.sample[TRACKER_SAMPLE.motion_t :] = motion_t, acceleration, driver, real("Tracker.step", "grade", grade)
-        tracker_take(resident)
-        self._apply_requests()
-        has_stepped = False
-        while tracker_prepare(resident) > 0:
-            self._apply_requests()
-            self._control()
-            tracker_conclude(resident)
-            has_stepped = True
-        self._apply_requests()
+        if self._part is not self.controller.own_part:  # it has been reset
+            self._load(kernel)
+        self._call(self._run)
+        memory = kernel.memory[0]
         tracked = self._answer(at)
-        if kernel.memory[0].speed > tracked.first_top_speed and not self._warned_of_speed:
-            self._warn_of_speed(kernel.memory[0].speed, tracked.first_top_speed)
-        if self._speed is not None:
-            tracked = tracked._replace(longitudinal=self._speed.step_behind(resident))
-        if has_stepped:
+        if self._part is not None and not self._part.plans:
+            self.controller.applied(tracked.command)
+        if not self._warned and not math.isnan(age := float(kernel.request[REQUEST.late])):
+            self._warn_of_late_samples(age)
+        if not self._warned_of_speed and memory.speed > tracked.first_top_speed:
+            self._warn_of_speed(memory.speed, tracked.first_top_speed)
+        if memory.answered and memory.started:
             self._take_times(at - row[0], time.perf_counter() - call_start)
         if self._recorder is not None and tracked.status is not Status.REPEATED:
             sample_time, _, *where, forward, rate, vy, pull, angle = kernel.sample[: len(row)].tolist()
@@ -377,56 +395,57 @@ class Tracker:
 
     def _answer(self, time: float) -> Tracked:
         """Convert a kernel row to the result of a call."""
-        command, status, offset, heading_error, station, belief, _, suspect, top = self._kernel.tracked.tolist()
+        command, status, offset, heading_error, station, belief, bound, suspect, top = self._kernel.tracked.tolist()
         for sentence in self._check.say(int(suspect)):
             _log.warning("adaptrack: inputs contradict each other. %s", sentence)
         state = None if belief == NO_BELIEF else BeliefState(int(belief))
+        if state in DOUBTFUL and state not in self._doubted:
+            self._warn_of_belief(state, bounded_quantity(bound))
         speed, target = float(self._kernel.memory[0].speed), math.nan
         if self._target is not None:
             target = self._target.at(time, station, speed, self.period)
         suspects = self._check.suspect
         kind = _STATUSES[int(status)]
-        return Tracked(command, kind, offset, heading_error, station, state, suspects, target, first_top_speed=top)
+        requests = None if self._speed is None else self._speed.command
+        return Tracked(command, kind, offset, heading_error, station, state, suspects, target, requests, top)
 
-    def _apply_requests(self) -> None:
-        """Apply the requests of the kernels to the controller."""
-        request = self._kernel.request
-        is_restart, is_applied, is_path_change, turn, shift, age = request.tolist()
+    def _do_requests(self) -> None:
+        """Apply the requests of the kernels to a controller in Python."""
+        is_restart, is_applied, is_path_change, turn, shift, _ = self._kernel.request.tolist()
         if is_restart:
             self.controller.restart()
         if is_path_change:
             self.controller.change_path(turn, shift)
         if is_applied:
             self.controller.applied(float(self._kernel.memory[0].command))
-        request[: REQUEST.turned] = 0.0
-        if not math.isnan(age) and not self._warned:
-            self._warn_of_late_samples(age)
 
     def _control(self) -> None:
-        """One step of the controller."""
-        kernel = self._kernel
-        speed, station, count = kernel.ahead.tolist()
-        state = kernel.measured if isinstance(self.controller, MPC) else kernel.measured[:4]
-        self._ahead = RoadAhead(self.path, station, kernel.speeds[: int(count)].copy())
-        ahead = {"road": self._ahead} if self.controller.sees_road else {}
+        """One step of a controller in Python."""
+        kernel, controller = self._kernel, self.controller
+        speed, *_ = kernel.ahead.tolist()
+        state = kernel.measured if controller.sees_all_sensors else kernel.measured[:4]
+        ahead = {"road": self._road_ahead()} if controller.sees_road else {}
         if self._speed is not None:
             self._speed.narrow_behind(self._resident)
-        call = step_call(self.controller)
-        answered = call(self.controller.step, state.copy(), speed, np.zeros(1), **ahead)
+        call = step_call(controller)
+        answered = call(controller.step, state.copy(), speed, np.zeros(1), **ahead)
         answer = command_of(answered, float(kernel.memory[0].command), call)
-        kernel.answer[:] = answer.angle, answer.held, *self._belief_of(answered)
+        output = self._python.answer[0]
+        output[: len(COMMON_ANSWER)] = answer.angle, answer.move, answer.held
+        if controller.learner is not None:
+            output[len(COMMON_ANSWER) :] = answered.learned
 
-    def _belief_of(self, answer: object) -> tuple[float, float, float]:
-        """The state of the belief, the quantity at its bound, and sigma of the delay (s); warn of a doubtful state."""
-        if not isinstance(answer, MPCCommand) or answer.belief_state is None:
-            return NO_BELIEF, NO_BELIEF, 0.0
-        state, bound = answer.belief_state, answer.belief_at_bound
-        if state in DOUBTFUL and state not in self._doubted:
-            self._doubted.add(state)
-            _log.warning("adaptrack: the belief about the car is in doubt: %s%s; drive slower, see docs/learning.md.",
-                         DOUBTFUL[state], f" ({bound.replace('_', ' ')})" if bound else "")  # fmt: skip
-        learned = answer.learned
-        return float(state), learned[BELIEF_COLUMNS.belief_at_bound], learned[BELIEF_COLUMNS.belief_delay_sigma]
+    def _road_ahead(self) -> RoadAhead:
+        """The path ahead of the car at its last control instant, with the speeds that are expected."""
+        _, station, count = self._kernel.ahead.tolist()
+        return RoadAhead(self.path, station, self._kernel.speeds[: int(count)].copy())
+
+    def _warn_of_belief(self, state: BeliefState, bound: str | None) -> None:
+        self._doubted.add(state)
+        _log.warning(
+            "adaptrack: the belief about the car is in doubt: %s%s; drive slower, see docs/learning.md.",
+            DOUBTFUL[state], f" ({bound.replace('_', ' ')})" if bound else "",
+        )  # fmt: skip
 
     def _take_times(self, age: float, computation: float) -> None:
         """Take in the age of a sample (s) and the time (s) of the call; report what contradicts the controller."""
@@ -476,10 +495,9 @@ class Tracker:
         InvalidInput
             When the controller is no `MPC`, or has not been called.
         """
-        memory = self._kernel.memory[0]
-        if not isinstance(self.controller, MPC) or not memory.started:
+        if not self.controller.has_horizons or not self._kernel.memory[0].started:
             raise InvalidInput("Tracker.predicted_path: needs an MPC that has made a step.")
-        return self.controller.predicted_path(self._ahead)
+        return np.asarray(self.controller.predicted_path(self._road_ahead()))
 
 
 def _carried(pose: Sequence[float], time: float, speed: float, yaw_rate: float) -> list[float]:

@@ -8,17 +8,20 @@ from typing import Any
 import numpy as np
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.control.controllers import MPC, Controller
-from adaptrack.control.controllers.base import CompiledController
+from adaptrack.control.controllers import Controller
 from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.estimation import Perception
 from adaptrack.control.input_check import InputCheck
-from adaptrack.control.kalman import KalmanFilter
-from adaptrack.core.controllers.mpc_step import STEP_INPUT, MPCStep
-from adaptrack.core.rollout import law_batch
-from adaptrack.core.schedule import no_schedule
+from adaptrack.core.controllers.part import COMMON_ANSWER, ControllerSizes
+from adaptrack.core.controllers.part import Controller as ControllerPart
+from adaptrack.core.estimators.learning import BELIEF_NAMES
+from adaptrack.core.kernel import address_of
+from adaptrack.core.layout import allocate
+from adaptrack.core.member import CallBack
 from adaptrack.core.tracker import records
+from adaptrack.core.tracker.longitudinal import longitudinal_step, narrow_tracked_friction, no_speed_control
+from adaptrack.core.tracker.step import Tracking
 from adaptrack.core.tracker.take_call import tracker_engage
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import stacked
@@ -29,11 +32,9 @@ def input_check_of(controller: Any) -> InputCheck:
 
     It tests the delay of the steering that is specified and not learned.
     """
-    is_specified = isinstance(controller, MPC) and controller.belief is not None and controller.learner is None
+    is_specified = controller.belief is not None and controller.learner is None
     delay = controller.model.lag + controller.model.dead_time if is_specified else math.inf
-    is_filtered = isinstance(controller, MPC) and isinstance(controller.estimator, KalmanFilter)
-    noise = controller.estimator.noise.y if is_filtered else 0.0
-    return InputCheck(controller.vehicle, float(controller.period), delay, noise)
+    return InputCheck(controller.vehicle, float(controller.period), delay, controller.position_noise)
 
 
 def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: float, check: InputCheck) -> Any:
@@ -50,30 +51,32 @@ def packed_plan(plan: SpeedPlan | None) -> Any:
 def _settings(controller: Any, furthest: float) -> Any:
     """A tracker's settings, see `core.tracker.records.TRACKER_SETTINGS`."""
     car, limits, period = controller.vehicle, controller.limits, float(controller.period)
-    filtered = isinstance(controller, MPC) and isinstance(controller.estimator, KalmanFilter)
     low, high = (-math.inf, math.inf) if limits is None else limits.angle
     has_car = car is not None
-    learner = controller.learner if isinstance(controller, MPC) else None
     return records.TRACKER_SETTINGS.new(
         period=period,
         angle_min=max(low, -MOST_WHEEL_ANGLE),
         angle_max=min(high, MOST_WHEEL_ANGLE),
         move=0.5 * period if limits is None else limits.move[1],
         furthest=furthest,
-        late=controller.estimator.late(controller.model) if filtered else 0,
-        filtered=filtered,
+        late=max(controller.takes_late, 0),
+        filtered=controller.takes_late >= 0,
         drift_arm=car.lr if has_car else 0.0,
         drift_load=car.mass * car.lf if has_car else 0.0,
         drift_stiffness=2.0 * car.stiffness_rear * car.wheelbase if has_car else 1.0,
         nominal_friction=Perception().nominal_friction,
-        first_top_speed=math.inf if learner is None else learner.first_top_speed,
+        first_top_speed=math.inf if controller.learner is None else controller.learner.first_top_speed,
     )
 
 
-def tracking_of(controller: Controller, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0) -> Any:
-    """A tracker with a compiled controller at its start, engaged: `core.tracker.records.Tracking` or `LawTracking`.
+def tracking_of(
+    controller: Controller, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0, part: Any = None,
+    longitudinal: Any = None,
+) -> Any:  # fmt: skip
+    """A tracker with a compiled controller at its start, engaged (`core.tracker.step.Tracking`).
 
-    The controller stays as it is. A whole call is `core.tracker.step.tracker_step` or `tracker_step_law`.
+    part: the controller as a part of loops, by default a fresh one; longitudinal: the speed control behind the tracker
+    (`core.tracker.longitudinal.Longitudinal`), None: none. The controller stays as it is.
 
     Raises
     ------
@@ -83,16 +86,29 @@ def tracking_of(controller: Controller, path: Road, plan: SpeedPlan | None = Non
     scheduler = controller.scheduler
     if not (scheduler is None or isinstance(scheduler, CompiledScheduler)):
         raise InvalidInput(f"tracking_of: scheduler {scheduler!r} is not compiled: give a scheduler of files.")
-    tuning = controller.packed_tuning()
-    plans = records.scheduling(no_schedule() if scheduler is None else scheduler.plan(1), tuning)
     tracker = tracker_of(controller, path, plan, furthest, input_check_of(controller))
     tracker_engage(0.0, math.nan, tracker)
-    if isinstance(controller, MPC):
-        if not controller.runs_in_kernel:
-            raise InvalidInput(f"tracking_of: solver {controller.solver.name!r} is not compiled: use 'active-set'.")
-        mpc = controller.batch(1, controller.settings(), curved=True)
-        step = MPCStep(mpc, controller.functions, np.zeros(len(STEP_INPUT)), np.zeros(1), tuning.copy())
-        return records.Tracking(tracker, step, plans)
-    if not isinstance(controller, CompiledController):
-        raise InvalidInput(f"tracking_of: controller {controller.name!r} is not compiled.")
-    return records.LawTracking(tracker, law_batch(1, controller), tuning.copy(), plans)
+    part = controller.part(1) if part is None else part
+    if scheduler is not None:
+        part = part._replace(schedule=scheduler.plan(1))
+    return join(tracker, part, longitudinal)
+
+
+def join(tracker: Any, part: Any, longitudinal: Any = None) -> Any:
+    """A tracker, its controller as a part and its speed control, None without one, as one record (`Tracking`)."""
+    narrows = longitudinal is not None and part.plans
+    return Tracking(
+        tracker, part, address_of(narrow_tracked_friction if narrows else None),
+        address_of(None if longitudinal is None else longitudinal_step),
+        no_speed_control() if longitudinal is None else longitudinal,
+    )  # fmt: skip
+
+
+def python_part(step: CallBack, request: CallBack, learns: bool) -> Any:
+    """A controller in Python as a part of compiled loops; learns: whether its answer says what it has learned."""
+    (sizes,) = ControllerSizes.new(1, slots=1, answer=len(COMMON_ANSWER) + (len(BELIEF_NAMES) if learns else 0))
+    sizes.mpc.slots = 1
+    return allocate(ControllerPart, sizes)._replace(
+        begin=0, request=address_of(request), step=address_of(step), takes_late=-1,
+        beliefs=len(COMMON_ANSWER) if learns else 0,
+    )  # fmt: skip

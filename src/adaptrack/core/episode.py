@@ -5,7 +5,7 @@ Between two calls of the kernels Python decides.
 
 from __future__ import annotations
 
-from .controllers import mpc
+from .controllers.part import begin_controller
 from .kernel import Place, exported, float64, inlined, matrix, record, rows, void
 from .loop import RUNNING, STATE_NOT_FINITE
 from .models.contract import MEASUREMENT
@@ -106,4 +106,4 @@ def renew(episodes):
         episode.over, episode.renewed, episode.due, episode.cost, episode.total = EPISODE_RUNS, 0, 1, 0.0, 0.0
         episodes.observations[slot, :] = 0.0
         begin_slot(slot, run)
-        mpc.forget(slot, run.memory.drives[slot].command, run.mpc)
+        begin_controller(slot, run.memory.drives[slot].command, run.controller)

@@ -22,9 +22,10 @@ def write_variables(episodes):
         for j in range(len(VARIABLE_COLUMNS)):
             keep(run.variables[j], row, j)
         keep(-run.variables[VARIABLE_COLUMNS.offset], row, VARIABLE_COLUMNS.offset)  # of the car, positive to the left
-        if run.mpc.settings.learns > 0:
+        if run.controller.beliefs > 0:
+            learned = run.controller.mpc.informed.learned[slot]
             for j in range(len(BELIEF_NAMES)):
-                keep(run.mpc.informed.learned[slot, BELIEFS_OFFSET + j], row, len(VARIABLE_COLUMNS) + j)
+                keep(learned[BELIEFS_OFFSET + j], row, len(VARIABLE_COLUMNS) + j)
         bounded(row, episodes.space)
 
 
@@ -36,6 +37,6 @@ def control(episodes):
         if episodes.states[slot].over == EPISODE_RUNS:
             for j in range(len(MEASUREMENT)):
                 run.measured[j] = episodes.measured[slot, j]
-            (answer,) = control_slot(slot, run)
-            depart(slot, answer[COMMON_ANSWER.command], episodes)
+            control_slot(slot, run)
+            depart(slot, run.controller.answer[slot, COMMON_ANSWER.command], episodes)
     move_on(episodes)

@@ -1,7 +1,6 @@
 """What of a drive is shown: a row of numbers a control period, the path that the MPC predicts, the moves that it plans.
 
-A program that shows a drive lets it go on by `drive_and_show`, or behind a speed control by
-`drive_with_speed_control`, a few periods at a time.
+A program that shows a drive lets it go on by `drive_and_show`, a few periods at a time.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from .period import TRACE_SIGNALS, RunSpan, before_control, move, write_trace_si
 from .planning.drive import instant
 from .plants.contract import PLANT_INPUT, PLANT_STATE, input_at, state_at
 from .road import line_of, points_ahead
-from .rollout import COMMON_ANSWER, RunRecord, answer_instant, close_all, control_all, end_slot
+from .rollout import COMMON_ANSWER, RunRecord, answer_instant, close_all, control_along, control_slot, end_slot
 from .speed_control import cell_at, governed_speeds
 from .tracker.longitudinal import Longitudinal, narrow_friction_step, speed_control_step
 
@@ -61,14 +60,15 @@ def _guarded(slot, run):
     """How often the guard has stepped in."""
     if not run.features.variables:
         return 0
-    guard_memory = run.schedule.memory[slot]
+    guard_memory = run.controller.schedule.memory[slot]
     return guard_memory.rate_limited + guard_memory.unstable + guard_memory.fallback
 
 
 @inlined
-def _write_numbers(k, slot, run, answer, row):
+def _write_numbers(k, slot, run, row):
     """A frame; k: the instant."""
     drive, block, signals = run.memory.drives[slot], run.vehicles.block, run.inputs.signals
+    answer = run.controller.answer[slot]
     scenario, sample = run.inputs.scenario[slot], drive.sample - 1
     write_trace_signals(slot, run, row[: len(TRACE_SIGNALS)])
     for j in range(PLANT_STATE.yaw_rate + 1):
@@ -93,13 +93,13 @@ def _write_numbers(k, slot, run, answer, row):
     for j in range(n_answers):
         behind[j] = answer[1 + j]
     for j in range(behind.size - n_answers):
-        behind[n_answers + j] = run.tuning[slot, j]
+        behind[n_answers + j] = run.controller.tuning[slot, j]
 
 
 @inlined
 def _write_path(slot, run, speeds, points):
     """The predicted path: x and y (m) in turn; on a curved road by the offsets from it that are predicted."""
-    drive, inputs, model = run.memory.drives[slot], run.inputs, run.mpc
+    drive, inputs, model = run.memory.drives[slot], run.inputs, run.controller.mpc
     scenario = inputs.scenario[slot]
     horizon, most = whole(model.answer[slot, mpc.MPC_ANSWER.Np]), points.size // 2
     offsets = points[most : most + horizon]
@@ -121,42 +121,21 @@ def _write_path(slot, run, speeds, points):
 @inlined
 def _write_plan(slot, run, speeds, points, moves):
     """Write the planned moves of an MPC; NaN where there is no plan at this instant. speeds: m/s, from now on."""
-    if run.features.law or run.mpc.answer[slot, mpc.MPC_ANSWER.held] > 0.5:
+    controller = run.controller
+    if controller.plans == 0 or controller.answer[slot, COMMON_ANSWER.held] > 0.5:
         points[:], moves[:] = math.nan, math.nan
         return
-    count = whole(run.mpc.answer[slot, mpc.MPC_ANSWER.Nc])
+    count = whole(controller.answer[slot, mpc.MPC_ANSWER.Nc])
     _write_path(slot, run, speeds, points)
-    plan_moves(slot, run.mpc, moves[:count])
+    plan_moves(slot, controller.mpc, moves[:count])
     moves[count:] = math.nan
-
-
-@exported(int64(int64, RunSpan, Place(RunRecord), matrix, matrix, matrix))
-def drive_and_show(count, span, run, numbers, predicted, moves):
-    """`rollout.roll_on` of a run of one slot, with a row for each period driven: how many.
-
-    numbers: (count, .) see FRAME. predicted: (count, 2 longest horizon) x and y (m) in turn of where the car will be 1,
-    2, ..., Np periods after the dead time. moves: (count, most moves) rad, changes of the command that are planned,
-    those for the road included. Both are NaN behind the horizons, of control laws, and where a step found no solution.
-    No row is written of the instant at which a run fails.
-    """
-    periods = 0
-    while periods < count and control_all(span, run) > 0:
-        k = run.memory.drives[0].instant - 1
-        answer = run.law.answer[0] if run.features.law else run.mpc.answer[0]
-        _write_numbers(k, 0, run, answer, numbers[periods])
-        speeds = run.inputs.signals[run.inputs.scenario[0], SIGNAL.speed, k:]
-        _write_plan(0, run, speeds, predicted[periods], moves[periods])
-        move(span.slots, run)
-        periods += 1
-    close_all(span, run)
-    return periods
 
 
 @inlined
 def _control_speed(run, longitudinal, speeds):
     """Step the speed control at the present instant; write its requests, and the governed speeds (m/s) from now on."""
     drive, sample, memory = run.memory.drives[0], longitudinal.sample[0], longitudinal.memory[0]
-    narrow_friction_step(run.measured, drive.speed, drive.command, run.mpc.informed.learned[0], longitudinal)
+    narrow_friction_step(run.measured, drive.speed, drive.command, run.controller.mpc.informed.learned[0], longitudinal)
     sample.station, sample.speed, sample.is_guided, sample.periods = drive.station_estimate, drive.speed, 1.0, 1.0
     sample.yaw_rate = run.measured[MEASUREMENT.yaw_rate]
     speed_control_step(longitudinal)
@@ -180,30 +159,49 @@ def _write_speed_numbers(longitudinal, row):
     row[SPEED_FRAME.friction_low], row[SPEED_FRAME.friction_high] = friction.low, friction.high
 
 
-@exported(int64(int64, RunSpan, Place(RunRecord), Place(Longitudinal), vector, matrix, matrix, matrix))
-def drive_with_speed_control(count, span, run, longitudinal, speeds, numbers, predicted, moves):
-    """`drive_and_show` of a run whose forces a speed control requests (`loop.EXTERNAL_FORCES`).
+@inlined
+def _control(k, run, longitudinal, speeds):
+    """The controllers at instant k: of the speed, where there is one, then of the steering; speeds: see there."""
+    if longitudinal.memory.size == 0:
+        control_slot(0, run)
+        return
+    _control_speed(run, longitudinal, speeds)
+    control_along(0, k, speeds, run)
+    controller = run.controller
+    sigma = controller.beliefs + BELIEF_COLUMNS.belief_delay_sigma
+    if controller.beliefs > 0 and controller.answer[0, sigma] < KNOWN_DELAY_SIGMA:
+        longitudinal.sample[0].top_speed = math.inf
 
-    speeds: (n,) m/s, room for the governed speeds that the controller is given. The rows of numbers end with
-    SPEED_FRAME. The speed is limited to `sample.top_speed` until the controller knows the delay of its steering.
+
+@exported(int64(int64, RunSpan, Place(RunRecord), Place(Longitudinal), vector, matrix, matrix, matrix))
+def drive_and_show(count, span, run, longitudinal, speeds, numbers, predicted, moves):
+    """`rollout.roll_on` of a run of one slot, with a row for each period driven: how many.
+
+    longitudinal: a speed control, which requests the forces of the run (`loop.EXTERNAL_FORCES`); empty: none. It
+    limits the speed to `sample.top_speed` until the controller knows the delay of its steering. speeds: (n,) m/s, room
+    for the governed speeds that the controller is given.
+    numbers: (count, .) see FRAME; behind a speed control the rows end with SPEED_FRAME. predicted: (count, 2 longest
+    horizon) x and y (m) in turn of where the car will be 1, 2, ..., Np periods after the dead time. moves: (count, most
+    moves) rad, changes of the command that are planned, those for the road included. Both are NaN behind the horizons,
+    of control laws, and where a step found no solution. No row is written of the instant at which a run fails.
     """
-    drive, periods, width = run.memory.drives[0], 0, numbers.shape[1] - len(SPEED_FRAME)
+    drive, periods = run.memory.drives[0], 0
+    has_speed_control = longitudinal.memory.size > 0
+    width = numbers.shape[1] - (len(SPEED_FRAME) if has_speed_control else 0)
     while periods < count and drive.ended == RUNNING and drive.instant < span.periods:
         k, row = drive.instant, numbers[periods]
         before_control(0, span, run)
         if drive.ended == RUNNING:
-            _control_speed(run, longitudinal, speeds)
-            answer_instant(k, 0, speeds, span, run)
+            _control(k, run, longitudinal, speeds)
+            answer_instant(k, 0, span, run)
         if drive.ended != RUNNING:
             end_slot(k, 0, span, run)
             break
-        answer = run.law.answer[0] if run.features.law else run.mpc.answer[0]
-        sigma = len(mpc.MPC_ANSWER) + BELIEF_COLUMNS.belief_delay_sigma
-        if run.mpc.settings.learns > 0 and answer[sigma] < KNOWN_DELAY_SIGMA:
-            longitudinal.sample[0].top_speed = math.inf
-        _write_numbers(k, 0, run, answer, row[:width])
-        _write_speed_numbers(longitudinal, row[width:])
-        _write_plan(0, run, speeds, predicted[periods], moves[periods])
+        _write_numbers(k, 0, run, row[:width])
+        if has_speed_control:
+            _write_speed_numbers(longitudinal, row[width:])
+        planned = run.inputs.signals[run.inputs.scenario[0], SIGNAL.speed, k:]
+        _write_plan(0, run, speeds if has_speed_control else planned, predicted[periods], moves[periods])
         move(span.slots, run)
         periods += 1
     close_all(span, run)

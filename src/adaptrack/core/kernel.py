@@ -161,12 +161,13 @@ class Field(NamedTuple):
         return (float64, len(self.default)) if isinstance(self.default, tuple) else float64
 
 
-def record(name: str, fields: Collection[str | Field | tuple[str, Any]], integers: Iterable[str] = ()) -> Any:
+def record(name: str, fields: Collection[str | Field | tuple[Any, ...]], integers: Iterable[str] = ()) -> Any:
     """A record: a named tuple class whose `kinds` are the types of its fields.
 
     A field is a name alone, of a number (float64; int64 if the name is in `integers`), a `Field`, or a name with its
-    type: a number, an array, another record, or (type, count) for so many in a row. A record of numbers alone can be a
-    row of an array: it has a `dtype` and `new`, and `rows` is the type of an array of it.
+    type: a number, an array, another record, or (type, count) for so many in a row. Behind the type of an array stands
+    its shape, a number or the name of a size for each dimension (see `layout`). A record of numbers alone can be a row
+    of an array: it has a `dtype` and `new`, and `rows` is the type of an array of it.
     """
     settings = {field.name: field for field in fields if isinstance(field, Field)}
     kinds = dict(_named_kind(field, integers) for field in fields)
@@ -174,6 +175,7 @@ def record(name: str, fields: Collection[str | Field | tuple[str, Any]], integer
     module = sys._getframe(1).f_globals["__name__"]
     record_type = cast(Any, namedtuple)(name, kinds, module=module)
     record_type.kinds, record_type.field_settings = kinds, settings
+    record_type.shapes = {field[0]: field[2:] for field in fields if not isinstance(field, str | Field)}
     record_type.new = cast(Any, classmethod)(_new)
     record_type.dtype = _dtype(kinds)
     return record_type
@@ -182,7 +184,7 @@ def record(name: str, fields: Collection[str | Field | tuple[str, Any]], integer
 def _named_kind(field: Any, integers: Iterable[str]) -> tuple[str, Any]:
     if isinstance(field, Field):
         return field.name, field.kind
-    return (field, int64 if field in integers else float64) if isinstance(field, str) else field
+    return (field, int64 if field in integers else float64) if isinstance(field, str) else field[:2]
 
 
 def defaults(kind: Any) -> Any:
@@ -429,7 +431,9 @@ def _make_known(kind: str, function: Any, of: Any = None, interpreted: Any = Non
 
 def address_of(function: Any) -> Any:
     """Return the address of an exported kernel, 0 for None; in plain Python the kernel itself."""
-    return function if INTERPRETED else (0 if function is None else Address(function))
+    if function is None:
+        return 0
+    return function if INTERPRETED else Address(function)
 
 
 def direct(kernel: Any, record: Any) -> Any:

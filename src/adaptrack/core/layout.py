@@ -1,9 +1,12 @@
 """How much memory the arrays of a record need, for every program that lays one out.
 
-A table has a row for each array of the record, in the order of its words (`kernel.Resident`), records within it
-included: the sizes of the array, zeros behind them. An array of n dimensions reads the first n sizes; any of them may
-be 0. Numbers are float64 or int64 as the record says, rows of records as many words as the record has (`size_of`), all
-C-contiguous, the last size running fastest. Row lengths that the kernels want padded (to multiples of
+A record states the shape of each of its arrays, by numbers and by the names of sizes; a record of sizes holds these.
+Where the record of sizes has a record under the name of a part, this holds the sizes of that part.
+
+A table of sizes has a row for each array of the record, in the order of its words (`kernel.Resident`), records within
+it included: the sizes of the array, zeros behind them. An array of n dimensions reads the first n sizes; any of them
+may be 0. Numbers are float64 or int64 as the record says, rows of records as many words as the record has (`size_of`),
+all C-contiguous, the last size running fastest. Row lengths that the kernels want padded (to multiples of
 `maths.vectors.WIDTH`) are so in the table.
 
 Every array begins at a multiple of `ALIGNMENT` bytes, and is zero before it is written to; two arrays do not overlap
@@ -18,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from .kernel import Array, Scalar, inlined
+from .kernel import Array, inlined
 
 ALIGNMENT = 64
 """bytes, a cache line: loads of eight numbers then touch one, not two"""
@@ -26,38 +29,64 @@ SIZES = 4
 """Columns of a table."""
 
 
-@inlined
-def put(table, row, a, b=0, c=0, d=0):
-    """Write the sizes of an array; the next row."""
-    table[row, 0], table[row, 1], table[row, 2], table[row, 3] = a, b, c, d
-    return row + 1
-
-
 def arrays_of(kind: Any) -> int:
     """How many arrays a record has, those of records within it included."""
-    kinds = kind.kinds.values()
-    return sum(1 if isinstance(k, Array) else 0 if isinstance(k, Scalar) else arrays_of(k) for k in kinds)
+    return len(list(_shapes(kind, kind, "")))
 
 
-def allocate(kind: Any, sizes: Any, *counts: Any) -> Any:
-    """A record whose numbers and arrays are zero; sizes: what writes its rows, ``sizes(*counts, table, row)``."""
-    table = np.zeros((arrays_of(kind), SIZES), np.int64)
-    if sizes(*counts, table, 0) != len(table):
-        raise AssertionError(f"{kind.__name__}: not every array has its sizes")
-    return _laid(kind, iter(table.tolist()))
+def sizer(kind: Any, sizes_kind: Any) -> Any:
+    """An inlined function ``write(sizes, table)``: the table of sizes of a record, how many arrays it has.
+
+    kind: the record; sizes_kind: the record of its sizes.
+    """
+    lines = ["def written(sizes, table):"]
+    shapes = list(_shapes(kind, sizes_kind, "sizes."))
+    for row, shape in enumerate(shapes):
+        padded = [*shape, *["0"] * (SIZES - len(shape))]
+        lines += [f"    table[{row}, {column}] = {size}" for column, size in enumerate(padded)]
+    scope: dict[str, Any] = {}
+    exec("\n".join([*lines, f"    return {len(shapes)}"]), scope)
+    return inlined(scope["written"])
 
 
-def _laid(kind: Any, sizes: Iterator[list[int]]) -> Any:
-    values: list[Any] = []
-    for field_kind in kind.kinds.values():
+def _shapes(kind: Any, sizes_kind: Any, before: str) -> Iterator[list[str]]:
+    """The shape of each array of a record, as text: numbers, and fields of the record of sizes."""
+    for name, field_kind in kind.kinds.items():
         if isinstance(field_kind, Array):
-            values.append(aligned(tuple(next(sizes)[: field_kind.ndim]), field_kind.dtype))
+            yield [f"{before}{size}" if isinstance(size, str) else str(size) for size in kind.shapes[name]]
+        elif hasattr(field_kind, "kinds"):
+            part = sizes_kind.kinds.get(name)
+            is_part = hasattr(part, "kinds")
+            yield from _shapes(field_kind, part if is_part else sizes_kind, f"{before}{name}." if is_part else before)
+
+
+def allocate(kind: Any, sizes: Any) -> Any:
+    """A record whose numbers and arrays are zero; sizes: a row of the record of its sizes, or any object with them."""
+    values: list[Any] = []
+    for name, field_kind in kind.kinds.items():
+        if isinstance(field_kind, Array):
+            shape = [int(getattr(sizes, size)) if isinstance(size, str) else size for size in kind.shapes[name]]
+            values.append(aligned(shape, field_kind.dtype))
+        elif hasattr(field_kind, "kinds"):
+            part = getattr(sizes, name, None)
+            values.append(allocate(field_kind, part if isinstance(part, np.record) else sizes))
         else:
-            values.append(0 if isinstance(field_kind, Scalar) else _laid(field_kind, sizes))
+            values.append(0)
     return kind(*values)
 
 
-def aligned(shape: tuple[int, ...], dtype: Any = np.float64) -> Any:
+def empty(kind: Any) -> Any:
+    """A record whose numbers are zero and whose arrays have no entries."""
+    values: list[Any] = []
+    for field_kind in kind.kinds.values():
+        if isinstance(field_kind, Array):
+            values.append(np.zeros((0,) * field_kind.ndim, field_kind.dtype))
+        else:
+            values.append(empty(field_kind) if hasattr(field_kind, "kinds") else 0)
+    return kind(*values)
+
+
+def aligned(shape: Any, dtype: Any = np.float64) -> Any:
     """A zeroed array that begins at a multiple of `ALIGNMENT`."""
     size = math.prod(shape) * np.dtype(dtype).itemsize
     raw = np.zeros(size + ALIGNMENT, np.uint8)

@@ -9,7 +9,6 @@ import math
 
 from .force_actuator import ForceActuator, actuator_step
 from .kernel import columns, cube, inlined, local, matrix, record, rows
-from .layout import put
 from .maths.bits import whole
 from .maths.exact import ceil, clip, floor
 from .maths.exponential import hypot
@@ -97,15 +96,20 @@ LOOP_MEMORY = record(
 )  # fmt: skip
 """What the loop remembers of each slot: its scalars."""
 
-Memory = record("Memory", (("drives", rows(LOOP_MEMORY)), ("sent", matrix), ("past", cube), ("requested", matrix)))
-"""What the loop remembers of each slot (slots,): its scalars; commands, the latest first (slots, whole periods of dead
-time + 2); what there was to measure at the last instants, the latest first (slots, instants, PAST_SIGNAL), empty where
-all sensors are prompt; forces (N) that were requested of the drive and, behind them, of the brakes, the latest first
-(slots, 2 (whole periods of the longer dead time + 2))."""
 SENSED = 6
 """How many of `MEASUREMENT` are measured; the others are their ages."""
 PAST_SIGNAL = columns(*MEASUREMENT._fields[:SENSED], "speed", "station")
 """Signals of an instant that late sensors look back to."""
+Memory = record(
+    "Memory",
+    (
+        ("drives", rows(LOOP_MEMORY), "slots"),
+        ("sent", matrix, "slots", "sent"),  # rad, commands
+        ("past", cube, "slots", "past", len(PAST_SIGNAL)),  # what there was to measure; empty: all sensors are prompt
+        ("requested", matrix, "slots", "requested"),  # N, of the drive and, behind them, of the brakes
+    ),
+)
+"""What the loop remembers of each slot; commands, past signals and forces the latest first."""
 _SPEED, _SPEED_FLOOR, _STATION = range(SENSED, SENSED + 3)  # channels of normal numbers, after those of the sensors
 _observed = local(len(OBSERVED))
 _JITTER, _DROPOUT, _LENGTH, _MISSING, _BIAS = range(5)  # streams of random numbers
@@ -589,15 +593,6 @@ def change_command(slots, run):
         run.vehicles.block[input_at(PLANT_INPUT.command, slot)] = (
             run.memory.sent[slot, world.dead_whole] + world.steering_bias
         )
-
-
-@inlined
-def memory_sizes(slots, dead_whole, past, requested, table, row):
-    """Sizes of the arrays of `Memory`, see `layout`; past: instants that late sensors look back; requested: forces."""
-    row = put(table, row, slots)
-    row = put(table, row, slots, dead_whole + 2)
-    row = put(table, row, slots, past, len(PAST_SIGNAL))
-    return put(table, row, slots, requested)
 
 
 @inlined

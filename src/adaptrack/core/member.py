@@ -84,6 +84,34 @@ class UserFunction(Exported):
         return self  # it never changes, and takes long to compile
 
 
+class CallBack:
+    """A function of Python's without arguments, as a member of a signature that returns nothing.
+
+    What it raises cannot pass through the kernels: `raise_error` raises it once they have returned.
+    """
+
+    def __init__(self, function: Callable[[], None], signature: Signature) -> None:
+        self.function, self._error = function, None
+        self._callback = None if INTERPRETED else signature.prototype(self)
+
+    @property
+    def address(self) -> int:
+        return int(ctypes.cast(self._callback, ctypes.c_void_p).value or 0)
+
+    def __call__(self, *arguments: Any) -> None:
+        if self._error is None:
+            try:
+                self.function()
+            except BaseException as error:
+                self._error = error
+
+    def raise_error(self) -> None:
+        """Raise what the function has raised since the last call of this method."""
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+
+
 def member(function: Any, signature: Signature, viewed: Any = None) -> Any:
     """A user's function (Python's or a `CFunction`) as a member of a signature.
 

@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 from .estimators import friction_wind
@@ -30,7 +31,7 @@ from .kernel import (
     vector,
     void,
 )
-from .layout import allocate, put
+from .layout import allocate
 from .loop import (
     NEVER_ARRIVED,
     RUNNING,
@@ -45,7 +46,6 @@ from .loop import (
     judge,
     locate,
     look,
-    memory_sizes,
     sense,
     substeps_around_change,
     turn_steadily,
@@ -60,9 +60,9 @@ from .plants.contract import (
     observe,
     place_one,
     state_at,
-    vehicle_sizes,
+    work_states,
 )
-from .road import LINE_NUMBERS, PIECE_COLUMNS, Roads
+from .road import Roads
 from .variables import VARIABLE_COLUMNS
 
 FEATURES = (
@@ -70,7 +70,6 @@ FEATURES = (
     "variables",  # somebody looks at the scheduling variables
     "estimates",  # of which friction and wind are estimated
     "traces",  # what happens at every instant is kept
-    "law",  # a control law drives, not the MPC
 )
 Features = record("Features", FEATURES, integers=FEATURES)
 """What a batch of runs does, 1 or 0."""
@@ -94,22 +93,36 @@ RESULT = record(
 )
 """What is measured of each run."""
 
-RunInputs = record("RunInputs", (("signals", cube), ("roads", Roads), ("scenario", int_vector), ("seeds", int_vector)))
-"""Inputs of runs: signals (scenarios, SIGNAL, instants) and roads of the scenarios; the scenario and the noise seed of
-each slot (slots,)."""
+RunInputs = record(
+    "RunInputs",
+    (
+        ("signals", cube, "scenarios", len(SIGNAL), "samples"), ("roads", Roads),  # of the scenarios
+        ("scenario", int_vector, "slots"), ("seeds", int_vector, "slots"),  # of each slot
+    ),
+)  # fmt: skip
 
 VariableEstimator = record(
-    "VariableEstimator", (("parameters", vector), ("settings", vector), ("memory", rows(friction_wind.Memory)))
+    "VariableEstimator",
+    (
+        ("parameters", vector, "estimator_parameters"),  # of the vehicle that it assumes
+        ("settings", vector, "estimator_settings"),
+        ("memory", rows(friction_wind.Memory), "estimator_slots"),
+    ),
 )
-"""An estimator of friction and wind for the scheduler (see `estimators.friction_wind`): the vehicle that it believes
-in, its settings, its memory (slots,)."""
+"""An estimator of friction and wind for the scheduler, see `estimators.friction_wind`."""
 
 TRACE_SIGNALS = columns("lateral_acceleration", "wheel_angle", "station", "offset", "heading_error")
 """Of an instant: `plants.contract.OBSERVED` under the new input (m/s^2, rad), then where the car is on its road (m, m,
 rad)."""
-Trace = record("Trace", (("state", cube), ("answer", cube), ("signals", cube)))
-"""Of every instant: state (slots, periods, STATES), the controller's answer with the tuning as used (slots, periods,
-.), TRACE_SIGNALS (slots, periods, TRACE_SIGNALS)."""
+Trace = record(
+    "Trace",
+    (
+        ("state", cube, "traced_slots", "traced", PLANT_STATES),
+        ("answer", cube, "traced_slots", "traced", "answers"),  # the controller's, then the tuning as used
+        ("signals", cube, "traced_slots", "traced", len(TRACE_SIGNALS)),
+    ),
+)
+"""Of every instant of each run."""
 
 RUN_LOOP = (
     ("settings", LoopSettings),
@@ -117,15 +130,12 @@ RUN_LOOP = (
     ("vehicles", Vehicles),
     ("inputs", RunInputs),
     ("variable_estimator", VariableEstimator),
-    ("measured", vector),  # (MEASURED,)
-    ("variables", vector),  # (variables.VARIABLES,)
+    ("measured", vector, len(MEASUREMENT)),
+    ("variables", vector, len(VARIABLE_COLUMNS)),
     ("memory", Memory),
-    ("result", rows(RESULT)),  # (slots,)
-    (
-        "cost_limit",
-        vector,
-    ),  # (slots,) squared error plus weight times squared move that stop a run; NaN: none
-    ("segments", matrix),  # (slots, .) cost of each segment of a run
+    ("result", rows(RESULT), "slots"),
+    ("cost_limit", vector, "slots"),  # squared error plus weight times squared move that stop a run; NaN: none
+    ("segments", matrix, "slots", "segments"),  # cost of each segment of a run
     ("trace", Trace),
 )
 RunLoop = record("RunLoop", RUN_LOOP)
@@ -136,58 +146,36 @@ RunSpan = record("RunSpan", ("periods", "slots", "segment", "weight"), integers=
 squared moves in the cost (m^2/rad^2)."""
 
 
-LoopCounts = record(
-    "LoopCounts",
-    (
-        "slots", "parameters", "states",  # of the plant
-        "scenarios", "samples", "roads", "starts", "pieces", "headings",  # of `RunInputs`: samples of each scenario
-        "estimator_parameters", "estimator_settings",  # numbers of `VariableEstimator`; 0: nobody estimates
-        "dead_whole", "past",  # periods and instants, see `loop.memory_sizes`
-        "segments",  # of each run
-        "traced", "answers",  # instants and columns of a trace; 0: none
-        "requested",  # forces that are remembered, see `loop.Memory`
-    ),
-    integers=(
-        "slots", "parameters", "states", "scenarios", "samples", "roads", "starts", "pieces", "headings",
-        "estimator_parameters", "estimator_settings", "dead_whole", "past", "segments", "traced", "answers",
-        "requested",
-    ),
+CHOSEN_LOOP_SIZES = (
+    "slots",
+    "plant_parameters", "plant_states",  # of the plant
+    "scenarios", "samples", "roads", "starts", "pieces", "headings",  # of `RunInputs`: samples of each scenario
+    "estimator_parameters", "estimator_settings",  # numbers of `VariableEstimator`; 0: nobody estimates
+    "dead_whole", "past",  # periods of dead time; instants that late sensors look back
+    "segments",  # of each run
+    "traced", "answers",  # instants and columns of a trace; 0: none
+    "requested",  # forces that are remembered, 2 (whole periods of the longer dead time + 2)
 )  # fmt: skip
-"""What the sizes of a `RunLoop` follow from."""
+DERIVED_LOOP_SIZES = ("work_states", "estimator_slots", "sent", "traced_slots")
+LOOP_SIZES = (*CHOSEN_LOOP_SIZES, *DERIVED_LOOP_SIZES)
+LoopSizes = record("LoopSizes", LOOP_SIZES, integers=LOOP_SIZES)
+"""The sizes of a `RunLoop`: first those that are chosen, then those that follow from them."""
 
 
 @inlined
-def trace_sizes(slots, traced, answers, table, row):
-    """Sizes of the arrays of `Trace`, see `layout`."""
-    count = slots if traced > 0 else 0
-    row = put(table, row, count, traced, PLANT_STATES)
-    row = put(table, row, count, traced, answers)
-    return put(table, row, count, traced, len(TRACE_SIGNALS))
+def complete_loop_sizes(sizes):
+    """Write the sizes that follow from those that are chosen."""
+    sizes.work_states = work_states(sizes.plant_states)
+    sizes.estimator_slots = sizes.slots if sizes.estimator_parameters > 0 else 0
+    sizes.sent = sizes.dead_whole + 2
+    sizes.traced_slots = sizes.slots if sizes.traced > 0 else 0
 
 
-@inlined
-def run_sizes(counts, table, row):
-    """Sizes of the arrays of a `RunLoop` (in `Run`, `measured` is that of the MPC), see `layout`."""
-    slots = counts.slots
-    row = vehicle_sizes(slots, counts.parameters, counts.states, table, row)
-    row = put(table, row, counts.scenarios, len(SIGNAL), counts.samples)
-    row = put(table, row, counts.scenarios)  # of
-    row = put(table, row, counts.roads, len(LINE_NUMBERS))
-    row = put(table, row, counts.starts)
-    row = put(table, row, counts.pieces, PIECE_COLUMNS)
-    row = put(table, row, counts.headings)
-    for _ in range(2):  # scenario, seeds
-        row = put(table, row, slots)
-    row = put(table, row, counts.estimator_parameters)
-    row = put(table, row, counts.estimator_settings)
-    row = put(table, row, slots if counts.estimator_parameters > 0 else 0)
-    row = put(table, row, len(MEASUREMENT))
-    row = put(table, row, len(VARIABLE_COLUMNS))
-    row = memory_sizes(slots, counts.dead_whole, counts.past, counts.requested, table, row)
-    for _ in range(2):  # result, cost limit
-        row = put(table, row, slots)
-    row = put(table, row, slots, counts.segments)
-    return trace_sizes(slots, counts.traced, counts.answers, table, row)
+def run_loop(**chosen: Any) -> Any:
+    """A `RunLoop` of zeros; chosen: `LoopSizes` that are not 0."""
+    (sizes,) = LoopSizes.new(1, **chosen)
+    complete_loop_sizes(sizes)
+    return allocate(RunLoop, sizes)
 
 
 def no_trace() -> Any:
@@ -197,7 +185,7 @@ def no_trace() -> Any:
 
 def traces(slots: int, periods: int, answers: int) -> Any:
     """Traces before the first instant, NaN, with so many columns of answers."""
-    trace = allocate(Trace, trace_sizes, slots, periods, answers)
+    trace = allocate(Trace, SimpleNamespace(traced_slots=slots, traced=periods, answers=answers))
     for array in trace:
         array[:] = math.nan
     return trace

@@ -28,12 +28,6 @@ RoadAheadRecord = record("RoadAheadRecord", (("line", Centreline), ("station", f
 """A centre line, the arc length (m) of the car's foot on it, and the speeds (m/s) that are planned for the control
 instants from now on, the last one holding; a straight road has no pieces and no planned speeds."""
 
-Roads = record(
-    "Roads", (("of", int_vector), ("numbers", matrix), ("start", vector), ("pieces", matrix), ("headings", vector))
-)
-"""Several centre lines behind each other: which of them each scenario has, -1 for a straight road (scenarios,); of
-each, `LINE_NUMBERS` (roads, .); start and pieces as in `Centreline`; the heading (rad) every spacing (m), from 0 to the
-length."""
 LINE_NUMBERS = (
     "length", "closed", "lap_turn", "most_curvature", "first_start", "first_piece", "count", "first_heading", "spacing",
 )  # fmt: skip
@@ -47,6 +41,16 @@ PIECE_COLUMNS = TURN_COEFFICIENTS + POLYNOMIAL_DEGREE + 1
 """Columns of a piece: half its length (m), the point, direction and heading at its middle; then the coefficients of
 1, u, u^2, ... along and across that direction (m), and of the heading less that at the middle (rad)."""
 LENGTH, CLOSED, LAP_TURN, MOST_CURVATURE = range(4)
+Roads = record(
+    "Roads",
+    (
+        ("of", int_vector, "scenarios"),  # which centre line each scenario has, -1 for a straight road
+        ("numbers", matrix, "roads", len(LINE_NUMBERS)),
+        ("start", vector, "starts"), ("pieces", matrix, "pieces", PIECE_COLUMNS),  # as in `Centreline`
+        ("headings", vector, "headings"),  # rad, every spacing (m) from 0 to the length
+    ),
+)  # fmt: skip
+"""Several centre lines behind each other."""
 
 STRIDE = 1.0
 """m, the longest step of a search: a bend of this radius is not stepped over."""

@@ -9,6 +9,7 @@ in `integers` and `numbers` (see `functions`).
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from .functions import evaluate
 from .guard import COUNTS, GUARD, MAP_AXES, MAX_ENTRIES, MEMORY, NC_ENTRY, NP_ENTRY, supervise
 from .kernel import Place, exported, float64, inlined, int64, int_vector, matrix, record, rows, vector, void
-from .layout import allocate, put
+from .layout import allocate
 from .maths.exact import clip, floor
 from .maths.exponential import power
 from .variables import VARIABLE_COLUMNS
@@ -56,38 +57,35 @@ SCHEDULE_SETTINGS = record(
 ScheduleRecord = record(
     "ScheduleRecord",
     (
-        ("settings", rows(SCHEDULE_SETTINGS)), ("memory", rows(MEMORY)), ("integers", int_vector), ("numbers", vector),
-        ("scratch", vector),
+        ("settings", rows(SCHEDULE_SETTINGS), 1),
+        ("memory", rows(MEMORY), "scheduled_slots"),  # of each run
+        ("integers", int_vector, "integers"), ("numbers", vector, "numbers"),  # the packed functions
+        ("scratch", vector, "scratch"),  # of the functions, and `SCHEDULE_SCRATCH` more; 0: no schedule
     ),
 )  # fmt: skip
-"""settings (1,): see SETTINGS; memory (slots,): of each run, see MEMORY; integers, numbers: the packed functions."""
 _Scratch = record("_Scratch", ("x", "values", "work"))
 
 SCHEDULE_SCRATCH = len(VARIABLE_COLUMNS) + MAX_ENTRIES + MAP_AXES
 """Reals of scratch that a schedule needs beside those of its functions."""
 
 
-@inlined
-def schedule_sizes(slots, integers, numbers, scratch, table, row):
-    """Sizes of the arrays of `ScheduleRecord`, see `layout`.
-
-    scratch: of its functions and `SCHEDULE_SCRATCH` more, 0: no schedule.
-    """
-    row = put(table, row, 1)
-    row = put(table, row, slots if scratch > 0 else 0)
-    row = put(table, row, integers)
-    row = put(table, row, numbers)
-    return put(table, row, scratch)
-
-
 def no_schedule() -> Any:
     """Return the empty schedule of a run without a scheduler."""
-    return allocate(ScheduleRecord, schedule_sizes, 0, 0, 0, 0)
+    return allocate(ScheduleRecord, SimpleNamespace(scheduled_slots=0, integers=0, numbers=0, scratch=0))
 
 
 def counted(memory: Any) -> Any:
     """(slots, COUNTS) what a schedule has counted in each run."""
     return np.stack([memory[name] for name in COUNTS], axis=-1)
+
+
+@inlined
+def begin_schedule(slot, plan):
+    """Let a schedule forget a run; nothing without one."""
+    if slot < len(plan.memory):
+        row = plan.memory[slot]
+        row.steps, row.clipped, row.broken, row.rate_limited, row.outside = 0, 0, 0, 0, 0
+        row.off_reference, row.unstable, row.fallback, row.left, row.holding = 0, 0, 0, 0, 0
 
 
 @inlined

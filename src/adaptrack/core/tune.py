@@ -47,7 +47,7 @@ def evaluate(first, slots, candidates, trial):
         begin(slots, run)
         for i in range(slots):
             for j in range(entries):
-                run.tuning[i, j] = tunings[i, j]
+                run.controller.tuning[i, j] = tunings[i, j]
             run.inputs.seeds[i] = trial.noise[s]
             run.cost_limit[i] = (cost_limits[i] * count - costs[i]) * span.periods
             if not costs[i] < math.inf:

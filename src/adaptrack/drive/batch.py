@@ -16,14 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
-from adaptrack.control.controllers import MPC, CompiledController, CompiledScheduler, Controller
+from adaptrack.control.controllers import MPC, CompiledScheduler, Controller
+from adaptrack.control.controllers.base import Room
 from adaptrack.core import guard as guard_kernel
 from adaptrack.core import period as period_kernel
 from adaptrack.core import rollout
-from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.kernel import Resident
 from adaptrack.core.plants.contract import SLOTS, vehicle_batch
-from adaptrack.core.schedule import no_schedule
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, PerceptionSource, RequestedForces, World, reason_of
 from adaptrack.road.road_ahead import pack_roads
@@ -223,10 +222,7 @@ def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[li
 def interpreted_functions(plant: Any, controller: Controller) -> list[str]:
     """Return the names of user functions that run in Python because numba is not installed to compile them."""
     members = [plant.compiled.member] if isinstance(plant, Plant) else []
-    if isinstance(controller, CompiledController):
-        members.append(controller.function)
-    elif isinstance(controller, MPC):
-        members += [controller.model.function, controller.estimator.function]
+    members += controller.user_functions()
     return [member.name for member in members if getattr(member, "calls_python", False)]
 
 
@@ -263,10 +259,8 @@ class Batch:
                 f"{', '.join(names)}: batches of runs need compiled functions. To compile them, install numba: "
                 "python -m pip install 'adaptrack[compile]'. Or use simulate(...) or `adaptrack drive`."
             )
-        is_mpc = isinstance(controller, MPC) and controller.runs_in_kernel
-        is_compiled = is_mpc or isinstance(controller, CompiledController)
         has_compiled_scheduler = self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)
-        if not (is_compiled and has_compiled_scheduler and isinstance(self.world.plant, Plant)):
+        if not (controller.runs_in_kernel and has_compiled_scheduler and isinstance(self.world.plant, Plant)):
             raise InvalidInput(
                 "compiled runs need a compiled plant, an MPC or another compiled controller, a scheduler from "
                 "adaptrack.scheduling or none, and the QP solver 'active-set' or 'hildreth'. Use simulate(...) for "
@@ -296,19 +290,8 @@ class Batch:
             raise InvalidInput("tunings: every Q must be >= 0 and every R > 0.")
         return rows
 
-    def mpc_settings(self, longest: float, most: float, residuals: bool) -> Any:
-        """Return MPC settings with a workspace for horizons up to `longest` periods and `most` moves.
-
-        Other controllers do not use the settings; for them the workspace is minimal.
-        """
-        if isinstance(self.controller, MPC):
-            return self.controller.settings(longest, most, residuals)
-        return kernel.settings(
-            period=self.world.period, longest_horizon=1, most_moves=1, output_min=-np.inf, output_max=np.inf
-        )
-
     def run_record(
-        self, slots: int, steps: int, mpc_settings: Any, segments: int = 0, periods: int = 0,
+        self, slots: int, steps: int, room: Room, segments: int = 0, periods: int = 0,
         scheduler: CompiledScheduler | None = None,
     ) -> Any:  # fmt: skip
         """Allocate the kernels' arrays for up to `slots` runs (`core.rollout.RunRecord`).
@@ -319,8 +302,8 @@ class Batch:
             Largest number of runs.
         steps
             Integration steps per control period.
-        mpc_settings
-            Settings from `mpc_settings`.
+        room
+            Horizons for which a controller has memory.
         segments
             Number of segments whose cost is recorded in each run.
         periods
@@ -328,39 +311,23 @@ class Batch:
         scheduler
             Scheduler of the MPC; None for a fixed tuning.
         """
-        controller, plant = self.controller, self.world.plant
+        plant, settings = self.world.plant, self.settings[steps]
         assert isinstance(plant, Plant)
-        if isinstance(controller, CompiledController):
-            functions = kernel.functions()
-            mpc = kernel.batch(slots, mpc_settings, (np.zeros(6), np.arange(4), np.zeros(0)), (np.zeros(0), 0))
-            law = rollout.law_batch(slots, controller)
-            width = law.answer.shape[1] + len(controller.tuning_names)
-        else:
-            assert isinstance(controller, MPC)
-            mpc, law = (
-                controller.batch(slots, mpc_settings, curved=bool(len(self.roads.numbers))),
-                rollout.no_law_batch(),
-            )
-            functions = controller.functions
-            width = mpc.answer.shape[1]
+        part = self.controller.part(
+            slots, room, curved=bool(len(self.roads.numbers)), has_vy=math.isfinite(settings.noise_vy)
+        )
+        if scheduler is not None:
+            part = part._replace(schedule=scheduler.plan(slots))
+        width = part.answer.shape[1] + (0 if part.plans else part.tuning.shape[1])
         loop = self.world.loop(
             period_kernel.RunInputs(self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
             vehicle_batch(plant.compiled, plant.packed(), np.zeros((slots, self.starts.shape[1]))),
-            self.settings[steps],
+            settings,
             needs_variables=scheduler is not None,
             trace=period_kernel.traces(slots, periods, width) if periods else None,
             segments=segments,
         )
-        features = loop.features._replace(law=isinstance(controller, CompiledController))
-        loop = loop._replace(features=features, measured=mpc.measured)
-        return rollout.RunRecord(
-            *loop,
-            mpc=mpc,
-            functions=functions,
-            law=law,
-            schedule=no_schedule() if scheduler is None else scheduler.plan(slots),
-            tuning=np.zeros((slots, len(self.tuning))),
-        )
+        return rollout.RunRecord(*loop, controller=part)
 
     def chunks(self, runs: NDArray[np.int64], threads: int = 1) -> list[NDArray[np.int64]]:
         """Split runs into chunks for one kernel call each, with equal duration and integration steps within a chunk.
@@ -389,15 +356,6 @@ class Batch:
                 chunks += [members[first : first + size] for first in range(0, len(members), size)]
         return chunks
 
-    def longest(self, tunings: Array, scheduler: CompiledScheduler | None) -> tuple[float, float]:
-        """Return the largest Np and Nc of runs with these tunings or this scheduler."""
-        if not isinstance(self.controller, MPC):
-            return 1.0, 1.0
-        longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)
-        if scheduler is not None:
-            longest, most = max(longest, scheduler.largest[0]), max(most, scheduler.largest[1])
-        return float(longest), float(most)
-
     def run(
         self, scenario_indices: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int,
         traced: bool = False, segment: int = 0, weight: float = 0.0, scheduler: CompiledScheduler | None = None,
@@ -423,8 +381,7 @@ class Batch:
         """
         runs, n = len(scenario_indices), int(self.periods.max())
         inputs = _BatchInputs(scenario_indices, tunings, seeds, segment, weight, n if traced else 0, scheduler)
-        longest = (math.inf, math.inf) if traced else self.longest(tunings, scheduler)
-        settings = self.mpc_settings(*longest, residuals=traced)
+        room = Room() if traced else self.controller.room_for(tunings, scheduler)
         result, counts = period_kernel.RESULT.new(runs), np.zeros((len(guard_kernel.COUNTS), runs), np.int64)
         segments = np.full((runs, math.ceil(n / segment) if segment else 0), np.nan)
         traces: list[tuple[NDArray[np.int64], Any]] = []
@@ -440,12 +397,12 @@ class Batch:
                     chunk = waiting.get_nowait()
                 except queue.Empty:
                     return
-                outcome = self._drive(chunk, inputs, settings, outcome)
+                outcome = self._drive(chunk, inputs, room, outcome)
                 result[chunk], segments[chunk, : outcome.segments.shape[1]] = outcome.result, outcome.segments
                 if traced:
                     traces.append((chunk, outcome.trace))
                 if scheduler is not None:
-                    counts[:, chunk] = [outcome.schedule.memory[name] for name in guard_kernel.COUNTS]
+                    counts[:, chunk] = [outcome.controller.schedule.memory[name] for name in guard_kernel.COUNTS]
 
         workers = max(1, min(threads, len(chunks)))
         if workers == 1:
@@ -457,7 +414,7 @@ class Batch:
         guard_counts = {} if scheduler is None else dict(zip(guard_kernel.COUNTS, counts, strict=True))
         return BatchRuns(result, _joined(traces, runs) if traces else period_kernel.no_trace(), guard_counts, segments)
 
-    def _drive(self, chunk: NDArray[np.int64], inputs: _BatchInputs, mpc_settings: Any, previous_record: Any) -> Any:
+    def _drive(self, chunk: NDArray[np.int64], inputs: _BatchInputs, room: Room, previous_record: Any) -> Any:
         """Drive the runs of one chunk and return their `core.rollout.RunRecord`.
 
         previous_record: record of an earlier chunk, or None. Its arrays are reused if their sizes match and its results
@@ -470,9 +427,9 @@ class Batch:
         is_reusable = run is not None and len(run.memory.drives) == size and run.settings is self.settings[steps]
         is_reusable = is_reusable and run.segments.shape[1] == segments
         if not is_reusable or inputs.traced_periods or inputs.scheduler is not None:
-            run = self.run_record(size, steps, mpc_settings, segments, inputs.traced_periods, inputs.scheduler)
+            run = self.run_record(size, steps, room, segments, inputs.traced_periods, inputs.scheduler)
         run.inputs.scenario[:], run.inputs.seeds[:] = scenarios, inputs.seeds[chunk]
-        run.vehicles.start[:], run.tuning[:] = self.starts[scenarios], inputs.tunings[chunk]
+        run.vehicles.start[:], run.controller.tuning[:] = self.starts[scenarios], inputs.tunings[chunk]
         resident = Resident(run)
         rollout.begin(size, resident)
         rollout.rollout(period_kernel.RunSpan(n, size, inputs.segment, inputs.weight), resident)

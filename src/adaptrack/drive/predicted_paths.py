@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from adaptrack.base.checked import Positive, checked
-from adaptrack.control.controllers import MPC, Controller
+from adaptrack.control.controllers import Controller
 from adaptrack.road.road_ahead import RoadAhead
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class PredictedPaths:
     def record(self, time: float, controller: Controller, road_ahead: RoadAhead | None) -> None:
         """Record the prediction of a controller's last step at `time` (s), unless the last record is too recent."""
         is_due = not self._time or time > self._time[-1] + self.every - 1e-6
-        if road_ahead is None or not is_due or not isinstance(controller, MPC):
+        if road_ahead is None or not is_due or not controller.has_horizons:
             return
         path = controller.predicted_path(road_ahead)
         self._time.append(time)

@@ -19,12 +19,11 @@ from adaptrack.base.checked import Bound, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.cars.plant import Plant, SteppedPlant, steps_in
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator
-from adaptrack.control.controllers import MPC, Controller
+from adaptrack.control.controllers import Controller
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl
 from adaptrack.core import loop as loop_kernel
 from adaptrack.core import period as period_kernel
-from adaptrack.core.layout import allocate
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.planning.drive import complete_samples
 from adaptrack.core.synthesis.plant import dead_periods
@@ -148,8 +147,7 @@ class World:
             )
         _refuse_missing_sensors(controller, profile)
         world = cls(plant, profile, controller.period, driver, perception, failure or FailureLimits.of(plant))
-        if isinstance(controller, MPC):
-            controller.warn_of(controller.scheduler, profile.name, plant)
+        controller.warn_of(controller.scheduler, profile.name, plant)
         world.warn_of_different_delay(controller)
         return world
 
@@ -283,12 +281,13 @@ class World:
         """
         past = self.remembered
         estimator = self.perception if needs_variables and isinstance(self.perception, FrictionWindEstimator) else None
-        counts = period_kernel.LoopCounts(**dict.fromkeys(period_kernel.LoopCounts._fields, 0))
-        counts = counts._replace(
-            slots=len(vehicles.start), dead_whole=self.dead_periods[0], past=past, segments=segments,
+        loop = period_kernel.run_loop(
+            slots=len(vehicles.start),
+            dead_whole=self.dead_periods[0],
+            past=past,
+            segments=segments,
             requested=2 * (2 + max(settings.drive_whole, settings.brake_whole)),
-        )  # fmt: skip
-        loop = allocate(period_kernel.RunLoop, period_kernel.run_sizes, counts)
+        )
         loop.cost_limit[:] = np.nan
         return loop._replace(
             settings=settings,
@@ -297,7 +296,6 @@ class World:
                 variables=needs_variables,
                 estimates=estimator is not None,
                 traces=trace is not None,
-                law=0,
             ),
             vehicles=vehicles,
             inputs=inputs,
@@ -359,7 +357,7 @@ def warn_once(text: str) -> None:
 
 def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:
     """Raise InvalidInput if an MPC without an estimator needs a state that the profile does not measure."""
-    if not isinstance(controller, MPC) or controller.estimator.function is not None:
+    if not controller.needs_whole_state:
         return
     lacking = [name for name in controller.model.states if math.isinf(getattr(profile, f"noise_{name}"))]
     if lacking:

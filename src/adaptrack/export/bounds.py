@@ -19,6 +19,7 @@ from adaptrack.core.kernel import Scalar, int64, size_of
 from adaptrack.core.layout import arrays_of
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.tracker.records import MEMORY, TRACKER_SETTINGS
+from adaptrack.core.tracker.step import Tracking
 from adaptrack.core.variables import VARIABLE_COLUMNS
 from adaptrack.export.block import ArrayLayout, ArrayRole, Block
 
@@ -33,6 +34,7 @@ NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
     "residuals": _FLAG, "terms": (1, 1000), "longest_horizon": (1, 1000), "most_moves": (1, 1000), "solver": (0, 3),
     "max_sweeps": (0, 10_000), "max_changes": (0, 100_000), "period": (1e-4, 10.0), "delay": (0.0, 1000.0),
     "speed_floor": (0.01, 100.0), "late": (0, 1000), "filtered": _FLAG,
+    "takes_late": (-1, 1000), "beliefs": (0, len(mpc.MPC_ANSWER)),
     "n_inputs": (0, len(VARIABLE_COLUMNS)), "n_entries": (0, guard.MAX_ENTRIES), "tunes_mpc": _FLAG,
     "place": (0, len(VARIABLE_COLUMNS) - 1), "kind": (0, functions.MULTILINEAR), "log10": _FLAG, "horizon": _FLAG,
     **dict.fromkeys(UNKNOWN_DELAYS, (0.0, LONGEST_LAG)),
@@ -41,27 +43,27 @@ NUMBER_BOUNDS: dict[str, tuple[float, float]] = {
 """Bounds of numbers of the record and its rows, by name; other doubles are free, other whole numbers as exported."""
 STEERING_TIMES = ("computation", "lag", "least_lag", "most_lag", "least_dead_time", "most_dead_time")
 """Numbers of a learner that are times (s) of the steering."""
-_WITH_NAN = ("step.mpc.informed.fresh", "scheduling.schedule.numbers")
+_WITH_NAN = ("controller.mpc.informed.fresh", "controller.schedule.numbers")
 """Arrays of numbers that may be NaN: samples that were missing, cells of a map without a margin."""
-_OPEN = ("step.", "scheduling.")
-"""Arrays whose sizes follow from numbers: the C source checks them against those."""
-_CLOSED = ("step.now", "step.reference", "step.tuning", "scheduling.schedule.settings", "scheduling.variables",
-           "scheduling.first")  # fmt: skip
+_OPEN = ("controller.mpc.", "controller.answer", "controller.schedule.")
+"""Arrays of an MPC and of a schedule whose sizes follow from numbers: the C source checks them against those."""
+_CLOSED = ("controller.schedule.settings",)
 ARRAY_PLACES = {
-    "settings": "tracker.settings", "schedule": "scheduling.schedule.settings", "counts": "scheduling.schedule.memory",
-    "integers": "scheduling.schedule.integers", "numbers": "scheduling.schedule.numbers",
-    "scratch": "scheduling.schedule.scratch", "first": "scheduling.first",
+    "settings": "tracker.settings", "schedule": "controller.schedule.settings", "counts": "controller.schedule.memory",
+    "integers": "controller.schedule.integers", "numbers": "controller.schedule.numbers",
+    "scratch": "controller.schedule.scratch", "first": "controller.first_tuning",
+    "tuning": "controller.tuning",
 }  # fmt: skip
 """Arrays that the C source asks for, by the names that it has for them."""
 MPC_PLACES = {
-    "mpc": "step.mpc.model.a", "tuning": "step.tuning", "states": "step.mpc.states",
-    "parameters": "step.mpc.parameters", "turning": "step.mpc.feed.turning",
-    "estimator": "step.mpc.informed.estimator",
-    "estimates": "step.mpc.informed.estimates", "learner": "step.mpc.informed.learner",
-    "fresh": "step.mpc.informed.fresh", "learned": "step.mpc.informed.learned", "memory": "step.mpc.memory",
-    "moves": "step.mpc.ws.moves", "rows": "step.mpc.ws.rows",
+    "mpc": "controller.mpc.model.a", "answer": "controller.answer", "states": "controller.mpc.states",
+    "parameters": "controller.mpc.parameters", "turning": "controller.mpc.feed.turning",
+    "estimator": "controller.mpc.informed.estimator",
+    "estimates": "controller.mpc.informed.estimates", "learner": "controller.mpc.informed.learner",
+    "fresh": "controller.mpc.informed.fresh", "learned": "controller.mpc.informed.learned",
+    "memory": "controller.mpc.memory", "mpc_answer": "controller.mpc.answer", "moves": "controller.mpc.ws.moves",
+    "rows": "controller.mpc.ws.rows",
 }  # fmt: skip
-LAW_PLACES = {"tuning": "tuning"}
 
 
 def _place(kind: Any, *names: str) -> int:
@@ -82,25 +84,32 @@ def _is_of_numbers(array: ArrayLayout) -> bool:
     return array.kind == "f" and array.name not in _WITH_NAN
 
 
-def _is_open(name: str) -> bool:
-    return name.startswith(_OPEN) and name not in _CLOSED
+def _of_mpc(block: Block) -> bool:
+    return "step_mpc" in block.functions
+
+
+def _is_open(name: str, block: Block) -> bool:
+    """Whether the sizes of an array follow from numbers; those of a law are as they were exported."""
+    is_fixed = name in _CLOSED or (not _of_mpc(block) and not name.startswith("controller.schedule."))
+    return name.startswith(_OPEN) and not is_fixed
 
 
 # -- numbers ----------------------------------------------------------------------------------------------------------
-def places(block: Block, kind: Any) -> dict[str, int]:
+def places(block: Block) -> dict[str, int]:
     """Numbers that the C source calls by name, less their prefix."""
     at = {array.name: i for i, array in enumerate(block.arrays)}
-    tunes_mpc = "step" in kind.kinds
-    names = ARRAY_PLACES | (MPC_PLACES if tunes_mpc else LAW_PLACES)
+    tunes_mpc = _of_mpc(block)
+    names = ARRAY_PLACES | (MPC_PLACES if tunes_mpc else {})
     numbers = {f"AT_{name.upper()}": at[array] for name, array in names.items()}
     numbers |= {
         "ARRAYS": len(at), "LINKS": len(block.links), "RECORD_WORDS": block.header.record, "OF_MPC": int(tunes_mpc),
-        "BOUNDS": len(list(_bounds(block, kind))), "INITIALS": len(list(_initials(block))),
-        "EQUALS": len(list(_equals(block, kind))),
+        "BOUNDS": len(list(_bounds(block))), "INITIALS": len(list(_initials(block))),
+        "EQUALS": len(list(_equals(block))),
         "AT_CAR": at["tracker.check.settings"], **CHECK_PLACES,
         **{name.upper(): _place(TRACKER_SETTINGS, name)
            for name in ("drift_load", "drift_stiffness", "angle_min", "angle_max")},
         "PERIOD_AT": _place(TRACKER_SETTINGS, "period"), "LATE_AT": _place(TRACKER_SETTINGS, "late"),
+        "FILTERED_AT": _place(TRACKER_SETTINGS, "filtered"),
         "SCHEDULE_N_INPUTS": _place(schedule.SCHEDULE_SETTINGS, "n_inputs"),
         "SCHEDULE_N_ENTRIES": _place(schedule.SCHEDULE_SETTINGS, "n_entries"),
         "SCHEDULE_OF_MPC": _place(schedule.SCHEDULE_SETTINGS, "tunes_mpc"),
@@ -115,10 +124,11 @@ def places(block: Block, kind: Any) -> dict[str, int]:
 
 def _mpc_places(block: Block) -> dict[str, int]:
     return {
-        "MPC_SETTINGS": len(mpc.MPCSettings._fields), "MPC_SETTINGS_AT": block.words["step.mpc.settings.period"],
-        "MPC_COUNTS": len(mpc.MPCCounts._fields), "MPC_ARRAYS": arrays_of(mpc.Mpc), "MEASURED": len(MEASUREMENT),
-        "LONGEST_LAG": LONGEST_LAG, "ROWS": SAMPLE_ROWS,
-        **{f"MPC_{name.upper()}": block.words[f"step.mpc.settings.{name}"]
+        "MPC_SETTINGS": len(mpc.MPCSettings._fields), "MPC_SETTINGS_AT": block.words["controller.mpc.settings.period"],
+        "MPC_COUNTS": len(mpc.MPCSizes._fields), "MPC_ARRAYS": arrays_of(mpc.Mpc), "MEASURED": len(MEASUREMENT),
+        "LONGEST_LAG": LONGEST_LAG, "ROWS": SAMPLE_ROWS, "MPC_ANSWER": len(mpc.MPC_ANSWER),
+        **{f"{name.upper()}_AT": block.words[f"controller.{name}"] for name in ("takes_late", "beliefs")},
+        **{f"MPC_{name.upper()}": block.words[f"controller.mpc.settings.{name}"]
            for name in ("laguerre", "terms", "longest_horizon", "most_moves")},
         "RESET_AT": _place(mpc.MEMORY, "speed"), "TURNING_LAG": _place(TurnIn, "lag"),
         **{f"ESTIMATOR_{name.upper()}": _place(kalman.FilterParameters, name)
@@ -137,19 +147,19 @@ def _mpc_places(block: Block) -> dict[str, int]:
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
-def tables(block: Block, kind: Any) -> list[str]:
+def tables(block: Block) -> list[str]:
     """Lines of C: arrays, bounds, words of the first state and links."""
     arrays = [
         f"    {{{array.word}, {len(array.sizes)}, {array.entry}, {int(array.role)}, {int(not _is_of_numbers(array))}, "
-        f"{int(_is_open(array.name))}, {{{', '.join(map(str, array.sizes))}}}}},"
+        f"{int(_is_open(array.name, block))}, {{{', '.join(map(str, array.sizes))}}}}},"
         for array in block.arrays
     ]
     bounds = [
         f"    {{{array}, {word}, {int(is_int)}, {_number(least)}, {_number(most)}}},"
-        for array, word, is_int, least, most in _bounds(block, kind)
+        for array, word, is_int, least, most in _bounds(block)
     ]
     initials = [f"    {{{array}, {word}, UINT64_C({value:#x})}}," for array, word, value in _initials(block)]
-    equals = [f"    {{{', '.join(map(str, words))}}}," for words in _equals(block, kind)]
+    equals = [f"    {{{', '.join(map(str, words))}}}," for words in _equals(block)]
     links = [f"    {word}, {zlib.crc32(name.encode()):#010x}u," for word, name in block.links.items()]
     return [
         "const adaptrack_array adaptrack_arrays[] = {", *arrays, "};",
@@ -160,9 +170,9 @@ def tables(block: Block, kind: Any) -> list[str]:
     ]  # fmt: skip
 
 
-def numbers_of(block: Block, kind: Any) -> Iterator[tuple[str, int]]:
+def numbers_of(block: Block) -> Iterator[tuple[str, int]]:
     """Name and word of every constant that is a double."""
-    yield from ((name, word) for name, word, is_int in _numbers_of("", kind, block.words) if not is_int)
+    yield from ((name, word) for name, word, is_int in _numbers_of("", Tracking, block.words) if not is_int)
     for array in block.arrays:
         first = block.words[array.name]
         if array.role is ArrayRole.KEPT or array.kind == "i":
@@ -178,26 +188,28 @@ def _number(value: float) -> str:
     return f"{'-' if value < 0 else ''}HUGE_VAL" if math.isinf(value) else repr(float(value))
 
 
-def _bounds(block: Block, kind: Any) -> Iterator[tuple[int, int, int, float, float]]:
+def _bounds(block: Block) -> Iterator[tuple[int, int, int, float, float]]:
     """Array, word, whether it is a whole number, and the bounds of each number of the record and of its rows."""
-    links = set(block.links)
-    for name, word, number in _numbers_of("", kind, block.words):
-        if word not in links:
-            yield len(block.arrays), word, *_bounds_of(name, number, block.record[word])
+    links, absent = set(block.links), _absent_words(block)
+    for name, word, is_int in _numbers_of("", Tracking, block.words):
+        if word in absent:
+            yield len(block.arrays), word, int(is_int), 0.0, 0.0
+        elif word not in links:
+            yield len(block.arrays), word, *_bounds_of(name, is_int, block.record[word])
     for i, array in enumerate(block.arrays):
         if array.kind == "V" and array.role is not ArrayRole.KEPT:
             for name, word, number in _fields_of(_rows_of(array.name).dtype, 0):
                 yield i, word, *_bounds_of(name, number, int(array.values[word]))
-        elif array.name == MPC_PLACES["learner"]:
+        elif _of_mpc(block) and array.name == MPC_PLACES["learner"]:
             for name in STEERING_TIMES:
                 yield i, _place(learning.LearnerParameters, name), 0, 0.0, LONGEST_LAG
-        elif array.name == "law.parameters" and "lqr" in block.functions:
+        elif array.name == "controller.law.parameters" and "lqr" in block.functions:
             for word in map(lqr.PARAMETERS.index, ("speeds", "weights")):  # of its grid of gains
                 count = float(array.values.view(np.float64)[word])
                 yield i, word, 0, count, count
 
 
-def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
+def _equals(block: Block) -> Iterator[tuple[int, int, int, int]]:
     """Array and word of each number that a block holds twice, and of its other place.
 
     Behind the last array comes the record itself.
@@ -207,23 +219,35 @@ def _equals(block: Block, kind: Any) -> Iterator[tuple[int, int, int, int]]:
         name: _place(TRACKER_SETTINGS, name) for name in ("period", "angle_min", "angle_max", "move", "drift_arm")
     }
     pairs = [("period", "tracker.check.settings", 0), ("drift_arm", "tracker.check.settings", CHECK_PLACES["CAR_LR"])]
-    if "step" in kind.kinds:
+    if _of_mpc(block):
         records = {"estimator": kalman.FilterParameters, "learner": learning.LearnerParameters}
         pairs += [("period", MPC_PLACES[name], _place(record, "period")) for name, record in records.items()]
         for name, field in (*((name, name) for name in ("period", "angle_min", "angle_max")), ("move", "move_max")):
-            yield at["tracker.settings"], settings[name], len(at), block.words[f"step.mpc.settings.{field}"]
+            yield at["tracker.settings"], settings[name], len(at), block.words[f"controller.mpc.settings.{field}"]
     else:
-        pairs += [("period", "law.parameters", 0), ("move", "law.parameters", 2)]
-        pairs += [("angle_min", "law.parameters", 3), ("angle_max", "law.parameters", 4)]
-    if "longitudinal" in kind.kinds:
+        pairs += [("period", "controller.law.parameters", 0), ("move", "controller.law.parameters", 2)]
+        pairs += [("angle_min", "controller.law.parameters", 3), ("angle_max", "controller.law.parameters", 4)]
+    if has_speed_control(block):
         for part in ("settings", "friction"):
             word = block.words[f"longitudinal.{part}.period"]
             yield at["tracker.settings"], settings["period"], len(at), word
     for name, array, word in pairs:
         yield at["tracker.settings"], settings[name], at[array], word
-    tuning = (MPC_PLACES if "step" in kind.kinds else LAW_PLACES)["tuning"]
-    for word in range(block.arrays[at[tuning]].sizes[0]):
-        yield at["scheduling.first"], word, at[tuning], word
+    tuning = at[ARRAY_PLACES["tuning"]]
+    for word in range(block.arrays[tuning].sizes[1]):
+        yield at[ARRAY_PLACES["first"]], word, tuning, word
+
+
+def has_speed_control(block: Block) -> bool:
+    """Whether a speed control is behind the tracker."""
+    return "longitudinal_step" in block.functions
+
+
+def _absent_words(block: Block) -> set[int]:
+    """Words of the record for the numbers of parts that it does not have: an MPC, a speed control."""
+    parts = [] if _of_mpc(block) else ["controller.mpc."]
+    parts += [] if has_speed_control(block) else ["longitudinal."]
+    return {word for name, word in block.words.items() if name.startswith(tuple(parts))}
 
 
 def _rows_of(name: str) -> Any:

@@ -26,17 +26,15 @@ from adaptrack.core.kernel import Array as KernelArray
 from adaptrack.core.speed_control import SPEED_MEMORY
 from adaptrack.core.speed_path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, PlanArrays, speed_path_words
 from adaptrack.core.tracker.records import TRACKED, TRACKER_SAMPLE, TrackerRecord
+from adaptrack.core.tracker.step import Tracking
 from adaptrack.export import bounds
 from adaptrack.export.block import Block
 from adaptrack.export.recorded_drive import Recorded, record_drive
 from adaptrack.export.tracking import (
     REQUESTS,
-    Room,
     SpeedPart,
-    kind_of,
     refuse,
     speed_part,
-    step_kernel,
     tracking_block,
 )
 from adaptrack.road import Road, SpeedPlan, load_road, plan_speed
@@ -86,7 +84,7 @@ def export_c(
     plant: Plant | SteppedPlant | None = None,
     profile: str | Profile = "road",
     furthest: float = 10.0,
-    room: Room | None = None,
+    room: tuple[int, int] | None = None,
     objects: str | os.PathLike[str] | None = None,
     speed: SpeedControl | None = None,
 ) -> CExport:
@@ -209,10 +207,9 @@ def _texts(
     for folder, names in FOLDERS.items():
         for name in names:
             texts[f"{folder}/{name}"] = _filled((C_SOURCES / name).read_text(encoding="utf-8"), words)
-    kind = kind_of(controller, speed)
     texts["include/adaptrack_config.h"] = _config(controller, block, speed)
-    texts["src/adaptrack_parts.h"] = _parts_header(block, kind)
-    texts["src/adaptrack_parts.c"] = _parts(block, kind)
+    texts["src/adaptrack_parts.h"] = _parts_header(block)
+    texts["src/adaptrack_parts.c"] = _parts(block)
     texts["src/adaptrack_constants.c"] = _constants(block)
     texts["adaptrack_recorded.h"] = _recorded(recorded, speed)
     return {name: text.encode() for name, text in texts.items()}
@@ -286,10 +283,10 @@ def _printable(text: str) -> str:
     return text.encode("ascii", "replace").decode().replace("*/", "* /")
 
 
-def _parts_header(block: Block, kind: Any) -> str:
+def _parts_header(block: Block) -> str:
     """Places in records and rows, as the kernels' own files have them."""
     words = dict(_words("", TrackerRecord, 0))
-    places = dict(_words("", kind, 0))
+    places = dict(_words("", Tracking, 0))
     assert all(places[f"tracker_{name}"] == at for name, at in words.items())
     lines = [
         f"    ADAPTRACK_{name.upper()} = {at}," for name, at in words.items() if name.startswith(("path_", "plan_"))
@@ -306,7 +303,7 @@ def _parts_header(block: Block, kind: Any) -> str:
         f"    ADAPTRACK_PATH_TOO_SMALL = {path.TOO_SMALL},",
     ]
     lines += _speed_places(block, places)
-    numbers = bounds.places(block, kind)
+    numbers = bounds.places(block)
     return "\n".join(
         [
             "/* adaptrack: places in the records of the kernels. Written by adaptrack.export. */",
@@ -323,9 +320,9 @@ def _parts_header(block: Block, kind: Any) -> str:
 
 def _speed_places(block: Block, places: Mapping[str, int]) -> list[str]:
     """Places of the speed control in the record, in its memory and in the arrays of a plan; none without one."""
-    before = "longitudinal_"
-    if f"{before}ahead" not in places:
+    if not bounds.has_speed_control(block):
         return []
+    before = "longitudinal_"
     numbers = {
         "LONGITUDINAL": places[f"{before}sample"], "LONGITUDINAL_MEMORY_AT": places[f"{before}memory"],
         "LONGITUDINAL_BRAKE": places[f"{before}settings_brake"], "LONGITUDINAL_AHEAD": places[f"{before}ahead"],
@@ -369,24 +366,20 @@ def words_of(kind: Any) -> int:
     )
 
 
-def _parts(block: Block, kind: Any) -> str:
+def _parts(block: Block) -> str:
     """Which kernels the constants call, and the bounds of their numbers."""
-    step, header = step_kernel(kind), block.header
-    parameters, arguments = "void *record", "record"
-    if "longitudinal" in kind.kinds:
-        parameters = "void *tracking, void *longitudinal"
-        arguments = "record, (uint64_t *)record + ADAPTRACK_LONGITUDINAL"
+    header = block.header
     declarations = [f"extern void adaptrack_{name}(void);" for name in block.functions]
     rows = [f"    {{{zlib.crc32(name.encode()):#010x}u, adaptrack_{name}}}," for name in block.functions]
     return "\n".join(
         [
             "/* adaptrack: the kernels that the constants call. Written by adaptrack.export. */",
             '#include "adaptrack_parts.h"', "", "#include <math.h>", "", *declarations,
-            f"extern void adaptrack_{step}({parameters});", "",
+            "extern void adaptrack_tracker_step(void *tracking);", "",
             "static const adaptrack_function FUNCTIONS[] = {", *rows, "};",
             f"const adaptrack_reader adaptrack_parts = {{UINT64_C({header.kernels:#018x}), {header.kind:#010x}u, "
-            f"FUNCTIONS, {len(rows)}, adaptrack_check_bounds}};", "", *bounds.tables(block, kind), "",
-            f"void adaptrack_parts_step(void *record) {{ adaptrack_{step}({arguments}); }}", "",
+            f"FUNCTIONS, {len(rows)}, adaptrack_check_bounds}};", "", *bounds.tables(block), "",
+            "void adaptrack_parts_step(void *record) { adaptrack_tracker_step(record); }", "",
         ]
     )  # fmt: skip
 

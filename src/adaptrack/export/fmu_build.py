@@ -22,7 +22,7 @@ from typing import Any
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import write_atomically
 from adaptrack.core import library
-from adaptrack.core.build.units import PLANTS, UNIT_KERNELS
+from adaptrack.core.build.units import PLANTS, TRACKERS, UNIT_KERNELS
 
 HERE = Path(__file__).parent
 FMU_FOLDER = HERE / "built"
@@ -32,10 +32,7 @@ FMU_SOURCES = (
     *(HERE / "c" / name for name in ("adaptrack_block.c", "adaptrack_block.h", "adaptrack_error.h")),
 )
 LICENSE = HERE / "c" / "LICENSE"
-UNIT_MEMBERS = (
-    "stanley", "pure_pursuit", "lqr", "discretise_single_track", "discretise_path", "kalman", "learn_car", "believe",
-    *PLANTS,
-)  # fmt: skip
+UNIT_MEMBERS = (*TRACKERS, *PLANTS)
 """Kernels whose addresses a unit's record may hold."""
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-fno-stack-protector", "-DADAPTRACK_NEEDS_AVX2")
 

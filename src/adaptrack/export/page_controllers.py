@@ -52,7 +52,7 @@ arrays of `Constants` may be empty, ``states`` has 4 entries. On a road ``curved
    inf, or ``first_top_speed`` of a learner. Its estimate of the friction has no hypotheses without an informed MPC;
    otherwise ``plant_parameters`` of the steering that this assumes, and of ``sensor_variances`` those of ``sensors``.
    ``longitudinal_begin``.
-3. ``prescribed_speed`` of the loop is ``external_forces``; `drive_with_speed_control` drives.
+3. ``prescribed_speed`` of the loop is ``external_forces``; `drive_and_show` drives.
 
 **A law** (`pure-pursuit`, `stanley`, `lqr`): ``common`` is a row of `synthesis.laws.Common`; ``size`` numbers are made
 by the kernel that ``made_by`` names, from car and common, of the LQR from its first three tuning entries as well; of

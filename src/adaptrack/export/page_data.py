@@ -19,6 +19,7 @@ from adaptrack.core import path, path_parts, road, rollout, speed_path  # noqa: 
 from adaptrack.core.build.page import CALLED
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.feed_forward import TurnIn
+from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.frame import FRAME, SPEED_FRAME
 from adaptrack.core.kernel import size_of
@@ -46,7 +47,7 @@ from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 RECORDS = (
-    rollout.RunRecord, rollout.RunCounts, RunSpan, road.Centreline, station_table.AlongRecord, speed.Planning,
+    rollout.RunRecord, rollout.RunSizes, RunSpan, road.Centreline, station_table.AlongRecord, speed.Planning,
     drive.RoadDriveRecord, Order, InformedParts, Constants, laws.Common, car.CarRow, car.KnownWithinRow,
     car.SteeringRow, plant.Chassis, plant.TyreRow, plant.Actuator, plant.BodyRow, plant.OutlineRow, Longitudinal,
     speed_path.PlanArrays,
@@ -89,7 +90,8 @@ def page_data() -> dict[str, Any]:
 def _sizes() -> dict[str, int]:
     return {
         "parameters": len(PLANT_PARAMETERS), "own_states": len(PLANT_STATE) - 1, "measured": len(MEASUREMENT),
-        "road_numbers": len(road.LINE_NUMBERS), "piece": road.PIECE_COLUMNS, "signals": len(SIGNAL), "plan": len(PLAN),
+        "common_answer": len(COMMON_ANSWER), "road_numbers": len(road.LINE_NUMBERS), "piece": road.PIECE_COLUMNS,
+        "signals": len(SIGNAL), "plan": len(PLAN),
         "model": size_of(path_model.Parameters), "published_model": size_of(single_track.Parameters),
         "published_states": len(single_track.SINGLE_TRACK_STATE), "turning": size_of(TurnIn),
         "turning_lag": TurnIn._fields.index("lag"), "estimator": size_of(kalman.FilterParameters),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,50 +11,42 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import LQR, MPC, Controller, PurePursuit, Stanley
+from adaptrack.control.controllers.base import Room
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.speed_control import SpeedControl, SpeedStart, longitudinal_of, patience_of, speed_path
 from adaptrack.control.tracking import tracking_of
-from adaptrack.core.kernel import Resident, direct, record
+from adaptrack.core.kernel import direct
 from adaptrack.core.speed_control import SpeedPath
-from adaptrack.core.tracker.longitudinal import Longitudinal
-from adaptrack.core.tracker.records import LawTracking, Tracking
-from adaptrack.core.tracker.step import driver_step, driver_step_law, tracker_step, tracker_step_law
+from adaptrack.core.tracker.step import tracker_step
 from adaptrack.export.block import ArrayRole, ArrayStart, Block, pack
 from adaptrack.road import Road, SpeedPlan
 
 ROLES = {
     "tracker.settings": ArrayRole.FIXED,
     "tracker.check.settings": ArrayRole.FIXED,
-    "scheduling.schedule.settings": ArrayRole.FIXED,
-    "scheduling.schedule.integers": ArrayRole.FIXED,
-    "scheduling.schedule.numbers": ArrayRole.FIXED,
-    "scheduling.first": ArrayRole.FIXED,
-    # of an MPC
-    "step.mpc.states": ArrayRole.FIXED,
-    "step.mpc.informed.fresh": ArrayRole.FIXED,
-    "step.mpc.informed.learner": ArrayRole.FIXED,
-    "step.mpc.ws.moves": ArrayRole.FIXED,
-    "step.mpc.model": ArrayRole.RENEWED,
-    "step.mpc.parameters": ArrayRole.RENEWED,
-    "step.mpc.feed.turning": ArrayRole.RENEWED,
-    "step.mpc.informed.estimator": ArrayRole.RENEWED,
-    "step.mpc.ws.rows": ArrayRole.RENEWED,
-    "step.tuning": ArrayRole.RENEWED,
-    # of a law
-    "law.parameters": ArrayRole.FIXED,
-    "tuning": ArrayRole.RENEWED,
+    "controller.first_tuning": ArrayRole.FIXED,
+    "controller.law.parameters": ArrayRole.FIXED,
+    "controller.mpc.feed.turning": ArrayRole.RENEWED,
+    "controller.mpc.informed.estimator": ArrayRole.RENEWED,
+    "controller.mpc.informed.fresh": ArrayRole.FIXED,
+    "controller.mpc.informed.learner": ArrayRole.FIXED,
+    "controller.mpc.model": ArrayRole.RENEWED,
+    "controller.mpc.parameters": ArrayRole.RENEWED,
+    "controller.mpc.states": ArrayRole.FIXED,
+    "controller.mpc.ws.moves": ArrayRole.FIXED,
+    "controller.mpc.ws.rows": ArrayRole.RENEWED,
+    "controller.schedule.integers": ArrayRole.FIXED,
+    "controller.schedule.numbers": ArrayRole.FIXED,
+    "controller.schedule.settings": ArrayRole.FIXED,
+    "controller.tuning": ArrayRole.RENEWED,
+    "longitudinal.friction.car": ArrayRole.FIXED,
+    "longitudinal.friction.variances": ArrayRole.FIXED,
 }
-"""Of `Tracking` and `LawTracking`; all else is kept."""
-SPEED_ROLES = dict.fromkeys(("longitudinal.friction.car", "longitudinal.friction.variances"), ArrayRole.FIXED)
-"""Of a speed control behind them."""
-STARTS = (ArrayStart("step.mpc.informed.learned", "step.mpc.informed.fresh"),)
-RESETS = {"step.mpc.memory": {"speed": math.nan}}
+"""Of `Tracking`; all else is kept."""
+STARTS = (ArrayStart("controller.mpc.informed.learned", "controller.mpc.informed.fresh"),)
+RESETS = {"controller.mpc.memory": {"speed": math.nan}}
 """The model, and all that follows from it, is formed anew."""
-OUTSIDE = ("tracker.path", "tracker.plan")
-Room = tuple[int, int]
-SpeedTracking = record("SpeedTracking", (*Tracking.kinds.items(), ("longitudinal", Longitudinal)))
-SpeedLawTracking = record("SpeedLawTracking", (*LawTracking.kinds.items(), ("longitudinal", Longitudinal)))
-"""`Tracking` and `LawTracking` with a speed control behind them."""
+OUTSIDE = ("tracker.path", "tracker.plan", "longitudinal.path")
 REQUESTS = ("acceleration", "force", "hold", "target_speed", "grip_used", "state", "limited_by")
 """Fields of `core.speed_control.SPEED_MEMORY` that an exported speed control returns."""
 
@@ -71,19 +62,6 @@ def speed_part(control: SpeedControl, controller: Controller, plan: SpeedPlan, t
     """The speed control behind a tracker with a controller, for plans up to that of `plan` or a top speed (m/s)."""
     fastest = max(float(plan.speed.max()), top_speed)
     return SpeedPart(control, SpeedStart(plan.comfort, fastest, patience_of(controller)))
-
-
-def kind_of(controller: Controller, speed: SpeedPart | None = None) -> Any:
-    """The kind of record of an export."""
-    if speed is None:
-        return Tracking if isinstance(controller, MPC) else LawTracking
-    return SpeedTracking if isinstance(controller, MPC) else SpeedLawTracking
-
-
-def step_kernel(kind: Any) -> str:
-    """The kernel of a whole call with a controller, by the kind of its record."""
-    name = "driver_step" if "longitudinal" in kind.kinds else "tracker_step"
-    return name if "step" in kind.kinds else f"{name}_law"
 
 
 def refuse(controller: Any) -> None:
@@ -107,11 +85,11 @@ def refuse(controller: Any) -> None:
         raise InvalidInput(
             f"export: scheduler {scheduler!r} of {name!r} is Python: give one of a file (Schedule.save)."
         )
-    if isinstance(controller, MPC) and not controller.runs_in_kernel:
+    if not controller.runs_in_kernel:
         raise InvalidInput(f"export: QP solver {controller.solver.name!r} of {name!r} is Python's: use 'active-set'.")
 
 
-def room_of(controller: MPC, room: Room | None = None) -> Room:
+def room_of(controller: Controller, room: tuple[int, int] | None = None) -> Room:
     """Largest Np and Nc for which there is memory: by default what tuning and schedule ask for.
 
     Raises
@@ -119,23 +97,20 @@ def room_of(controller: MPC, room: Room | None = None) -> Room:
     InvalidInput
         When that is less than they ask for, or more than the controller was made for.
     """
-    tuning = controller.tuning
-    needed = [(tuning.Np, tuning.Nc)]
-    if isinstance(controller.scheduler, CompiledScheduler):
-        needed.append(controller.scheduler.largest)
-    least = max(value for value, _ in needed), max(value for _, value in needed)
+    needed = controller.room_for(controller.packed_tuning()[None], controller.scheduler)
+    if room is None or not controller.has_horizons:
+        return needed
     most = controller.longest_horizon, controller.most_moves
-    horizons = (min(least[0], most[0]), min(least[1], most[1])) if room is None else room
-    if room is not None and not (least[0] <= room[0] <= most[0] and least[1] <= room[1] <= most[1]):
+    if not (needed.longest <= room[0] <= most[0] and needed.most <= room[1] <= most[1]):
         raise InvalidInput(
-            f"export: room for Np = {room[0]}, Nc = {room[1]}: must be between {least} of the tuning and {most} of the "
-            "controller (longest_horizon, most_moves)."
+            f"export: room for Np = {room[0]}, Nc = {room[1]}: must be between {needed.longest:.0f}, "
+            f"{needed.most:.0f} of the tuning and {most} of the controller (longest_horizon, most_moves)."
         )
-    return horizons
+    return Room(*room, residuals=False)
 
 
 def tracking_block(
-    controller: Any, room: Room | None = None, furthest: float = 10.0, speed: SpeedPart | None = None
+    controller: Any, room: tuple[int, int] | None = None, furthest: float = 10.0, speed: SpeedPart | None = None
 ) -> Block:
     """The block of a controller behind a tracker, with what it has learned so far; the controller stays as it is.
 
@@ -149,55 +124,28 @@ def tracking_block(
     """
     refuse(controller)
     none: Any = None  # the C program gives path and plan
-    record = small_record_of(controller, none, None, furthest, room)
-    kind, outside = kind_of(controller, speed), list(OUTSIDE)
+    longitudinal = None
     if speed is not None:
         path = SpeedPath(*(np.zeros(0) for _ in range(6)), 0.0, 0.0, 0)
         longitudinal = longitudinal_of(speed.control, controller.period, speed.start, path, controller)
         banks, friction = longitudinal.banks, longitudinal.friction
         for rows in (banks.drive, banks.brakes, friction.bank, friction.memory):
             rows[:] = np.zeros_like(rows)
-        record = kind(*record, longitudinal)
-        outside.append("longitudinal.path")
-    return pack(record, kind.__name__, ROLES | SPEED_ROLES, STARTS, RESETS, outside)
-
-
-def record_of(controller: Any, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0) -> Any:
-    """A tracker with a controller at its start, with what that has learned so far; see `tracking_of`."""
-    record = tracking_of(controller, path, plan, furthest)
-    if isinstance(controller, MPC):
-        record = record._replace(step=record.step._replace(mpc=_with_learned(controller, controller.settings())))
-    return record
+    record = small_record_of(controller, none, None, furthest, room, longitudinal)
+    kind = f"tracker of {record.controller.step.function.name}{'' if speed is None else ', speed control'}"
+    return pack(record, kind, ROLES, STARTS, RESETS, OUTSIDE)
 
 
 def small_record_of(
-    controller: Any, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0, room: Room | None = None
-) -> Any:
-    """`record_of`, of an MPC with memory for no longer horizons than it needs (`room_of`)."""
-    record = record_of(controller, path, plan, furthest)
-    if isinstance(controller, MPC):
-        longest, most = room_of(controller, room)
-        small = controller.settings(longest + _room_for_lag(controller), most, residuals=False)
-        record = record._replace(step=record.step._replace(mpc=_with_learned(controller, small)))
-    return record
+    controller: Any, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0,
+    room: tuple[int, int] | None = None, longitudinal: Any = None,
+) -> Any:  # fmt: skip
+    """A tracker with a controller at its start, with what that has learned so far; see `tracking_of`.
 
-
-def _room_for_lag(controller: MPC) -> int:
-    """Instants by which the road ahead has to be known further: the lag may be learned to be longer than assumed."""
-    if controller.learner is None:
-        return 0
-    longer = controller.learner.limits.lag[1] - controller.learner.ranges.lag[0]
-    return math.ceil(longer / controller.period)
-
-
-def _with_learned(controller: MPC, settings: Any) -> Any:
-    """The MPC under some settings."""
-    mpc = controller.batch(1, settings, curved=True)
-    if controller.learner is not None:
-        learned = controller.learner.restart_memory(controller._mpc.informed.learned[0])
-        mpc.informed.fresh[:] = learned
-        mpc.informed.learned[0] = learned
-    return mpc
+    An MPC has memory for no longer horizons than it needs (`room_of`).
+    """
+    part = controller.part_with_learned(room_of(controller, room))
+    return tracking_of(controller, path, plan, furthest, part, longitudinal)
 
 
 class Twin:
@@ -212,17 +160,15 @@ class Twin:
         speed: SpeedPart | None = None,
     ) -> None:
         refuse(controller)
-        record = record_of(controller, path, plan, furthest)
-        self._sample, self._tracked = record.tracker.sample, record.tracker.tracked
-        is_mpc, self._longitudinal = isinstance(controller, MPC), None
-        if speed is None:
-            self._run = direct(tracker_step if is_mpc else tracker_step_law, record)
-        else:
+        self._longitudinal = None
+        if speed is not None:
             way = speed_path(path, plan, speed.control.stop_at_end)
             start = speed.start._replace(top_speed=float(max(plan.speed)))
             self._longitudinal = longitudinal_of(speed.control, controller.period, start, way, controller)
-            step = driver_step if is_mpc else driver_step_law
-            self._run = partial(step, Resident(record), Resident(self._longitudinal))
+        part = controller.part_with_learned(Room())
+        record = tracking_of(controller, path, plan, furthest, part, self._longitudinal)
+        self._sample, self._tracked = record.tracker.sample, record.tracker.tracked
+        self._run = direct(tracker_step, record)
 
     def call(self, sample: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
         """Return one call's result: a row of `core.tracker.records.TRACKED`.

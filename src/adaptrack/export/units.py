@@ -15,7 +15,7 @@ from adaptrack.base.checked import Bound, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_GRADE
 from adaptrack.cars.plant import Plant
-from adaptrack.control.controllers import MPC, Controller
+from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SpeedControl, longitudinal_of, speed_path
 from adaptrack.core.build.header import remarks
 from adaptrack.core.loop import SIGNAL
@@ -25,7 +25,7 @@ from adaptrack.core.units import car, controller
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, World
 from adaptrack.export.block import ArrayRole
-from adaptrack.export.tracking import ROLES, SPEED_ROLES, refuse, small_record_of, speed_part
+from adaptrack.export.tracking import OUTSIDE, ROLES, refuse, small_record_of, speed_part
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
@@ -190,10 +190,15 @@ def controller_unit(
     refuse(built_controller)
     if speed is not None and plan is None:
         raise InvalidInput("controller_unit: speed: a speed control follows a plan; give plan=plan_speed(path, car).")
-    tracking = small_record_of(built_controller, path, plan, furthest)
+    longitudinal, title = None, f"controller {built_controller.name} on {path.name}"
+    if speed is not None and plan is not None:
+        start, way = speed_part(speed, built_controller, plan).start, speed_path(path, plan, speed.stop_at_end)
+        longitudinal = longitudinal_of(speed, built_controller.period, start, way, built_controller)
+        title = f"{title}, with speed control"
+    tracking = small_record_of(built_controller, path, plan, furthest, longitudinal=longitudinal)
     first = 0.0 if plan is None else float(plan.speed[0])
     ahead = built_controller.period if speed_preview is None else speed_preview
-    expected = built_controller.model.dead_time if isinstance(built_controller, MPC) else 0.0
+    expected = getattr(built_controller.model, "dead_time", 0.0)
     starts = {
         "period": (built_controller.period,), "expected_delay": (expected,),
         "start_wheel_angle": (0.0, -math.pi / 2, math.pi / 2),
@@ -207,16 +212,10 @@ def controller_unit(
         0: controller.STEERING_OUTPUTS + (() if speed is None else controller.SPEED_OUTPUTS),
     }  # fmt: skip
     values = described(controller.__name__, groups, starts)
-    roles = {f"tracking.{name}": role for name, role in ROLES.items()} | SPEED_ROLES
-    roles |= dict.fromkeys(("tracking.tracker.path", "tracking.tracker.plan", "longitudinal.path"), ArrayRole.FIXED)
-    title = f"controller {built_controller.name} on {path.name}"
-    parts, kinds = {"tracking": tracking}, (controller.SteeringUnit, controller.LawSteeringUnit)
-    if speed is not None and plan is not None:
-        start, way = speed_part(speed, built_controller, plan).start, speed_path(path, plan, speed.stop_at_end)
-        parts["longitudinal"] = longitudinal_of(speed, built_controller.period, start, way, built_controller)
-        title, kinds = f"{title}, with speed control", (controller.SpeedSteeringUnit, controller.LawSpeedSteeringUnit)
-    kind = kinds[0 if isinstance(built_controller, MPC) else 1]
-    return Unit("controller", title, kind(*_columns(values), **parts), values, FIXED_ROLES | roles)
+    roles = ROLES | dict.fromkeys(OUTSIDE, ArrayRole.FIXED)
+    roles = FIXED_ROLES | {f"tracking.{name}": role for name, role in roles.items()}
+    record = controller.SteeringUnit(*_columns(values), tracking=tracking)
+    return Unit("controller", title, record, values, roles)
 
 
 FIXED_ROLES = dict.fromkeys(("kinds", "least", "most"), ArrayRole.FIXED)

@@ -18,6 +18,7 @@ from adaptrack.base.checked import whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import MPC, Controller
+from adaptrack.control.controllers.base import Room
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.core.public import (
     EPISODE,
@@ -245,8 +246,7 @@ class _VectorEnv(VectorEnv):
             task.perception,
         )  # fmt: skip
         size, space = slots.stop - slots.start, self.single_observation_space
-        settings = batch.mpc_settings(*self._longest_horizons, residuals=False)
-        run = batch.run_record(size, int(batch.substeps.max()), settings)
+        run = batch.run_record(size, int(batch.substeps.max()), Room(*self._longest_horizons, residuals=False))
         world = batch.world
         episodes = Episodes(
             run, self._episode_states[slots], np.zeros((size, len(MEASUREMENT))),
@@ -413,7 +413,7 @@ class MPCTuningVectorEnv(_VectorEnv):
     def _store_actions(self, actions: Array) -> None:
         tunings = self.tunings.entries(actions)
         for block in self._blocks:
-            block.episodes.run.tuning[:] = tunings[block.slots]
+            block.episodes.run.controller.tuning[:] = tunings[block.slots]
 
     def _drive(self, block: CarBlock) -> None:
         for _ in range(self.every):

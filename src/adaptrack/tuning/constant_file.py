@@ -12,7 +12,7 @@ from adaptrack.analysis.holdable import holdable_speed
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import LISTED, Record, build, read_toml
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers import MPC, Controller, about_controller, get_controller
+from adaptrack.control.controllers import Controller, about_controller, get_controller
 from adaptrack.road.holdable_speed import HoldableSpeed
 from adaptrack.scenario.profile import Profile
 
@@ -80,7 +80,7 @@ class ConstantTuning(Record):
         If the controller is no `MPC`, or has a scheduler, the result is this object itself.
         """
         controller = self.make(car, profile, self.period, profile.preview)
-        if not isinstance(controller, MPC) or controller.scheduler is not None:
+        if not controller.has_horizons or controller.scheduler is not None:
             return self
         return self.replace(holds=holdable_speed(car, controller, profile))
 

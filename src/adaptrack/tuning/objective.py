@@ -17,6 +17,7 @@ from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC
+from adaptrack.control.controllers.base import Room
 from adaptrack.core import swarm as swarm_kernel
 from adaptrack.core import tune as kernels
 from adaptrack.core.kernel import Resident
@@ -108,7 +109,7 @@ class Objective:
         # tunings, the cost at which each run stops, and the computed costs
         evaluation = kernels.TuningCosts(np.ascontiguousarray(rows), np.full(len(rows), np.inf), costs)
         for first in range(0, len(rows), SLOTS):
-            run.mpc.memory["speed"] = np.nan  # makes the kernel form the QP matrices anew for the next tunings
+            run.controller.mpc.memory["speed"] = np.nan  # the kernel forms the QP matrices anew for the next tunings
             kernels.evaluate(first, min(SLOTS, len(rows) - first), evaluation, trial)
         return costs
 
@@ -176,7 +177,7 @@ class Objective:
         """
         assert isinstance(self.plant, Plant)
         batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
-        run = batch.run_record(slots, int(batch.substeps[0]), batch.mpc_settings(max_Np, max_Nc, residuals=False))
+        run = batch.run_record(slots, int(batch.substeps[0]), Room(max_Np, max_Nc, residuals=False))
         run.vehicles.start[:] = batch.starts
         noise = np.array(self.noise_seeds, dtype=np.int64)
         span = RunSpan(batch.signals[0].n, slots, 0, self.weight)

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
-from adaptrack.control.controllers import MPC, CompiledController, Controller, Tuning
+from adaptrack.control.controllers import MPC, Controller, Tuning
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Schedule
 from adaptrack.core import portable
@@ -265,10 +265,7 @@ class RunSet:
             return mpc
         controller = policy.controller if isinstance(policy, ControllerTunings) else self.mpc
         tuning = dict(zip(controller.tuning_names, _tuning(policy, row).tolist(), strict=True))
-        if isinstance(controller, MPC):
-            tuning["Np"] = min(max(round(tuning["Np"]), 1), controller.longest_horizon)
-            tuning["Nc"] = min(max(round(tuning["Nc"]), 1), tuning["Np"], controller.most_moves)
-        return controller.with_tuning(tuning)
+        return controller.with_tuning(controller.nearest_tuning(tuning))
 
     def _simulated_cost(self, policy: Policy, row: int, i: int, seed: int) -> float:
         """Return J (m^2) of run i of the set with one noise seed; `row` as for `controller_of`."""
@@ -316,10 +313,7 @@ def _is_controller(policy: Any) -> TypeGuard[Controller]:
 
 def _is_compiled(controller: Controller) -> bool:
     """Whether a controller runs compiled: a `CompiledController`, or an MPC with compiled solver and scheduler."""
-    if isinstance(controller, CompiledController):
-        return True
-    has_python_scheduler = isinstance(controller, MPC) and not isinstance(controller.scheduler, Schedule | None)
-    return isinstance(controller, MPC) and controller.runs_in_kernel and not has_python_scheduler
+    return controller.runs_in_kernel and isinstance(controller.scheduler, Schedule | None)
 
 
 def _scheduling_variables(samples: Array) -> Array:

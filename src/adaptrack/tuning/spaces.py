@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record
-from adaptrack.control.controllers import MPC, Controller, Tuning, TuningBounds
+from adaptrack.control.controllers import Controller, Tuning, TuningBounds
 from adaptrack.tuning.pso import SearchSpace
 
 
@@ -100,7 +100,7 @@ def is_tunable(controller: Controller) -> bool:
     """Whether a controller has a search space: it has no scheduler, and is an MPC or has `tuning_bounds`."""
     bounds = controller.tuning_bounds
     is_complete = bool(bounds) and set(bounds) == set(controller.tuning_names)
-    return controller.scheduler is None and (is_complete or isinstance(controller, MPC))
+    return controller.scheduler is None and (is_complete or controller.has_horizons)
 
 
 def search_space(controller: Controller) -> SearchSpace:
@@ -116,7 +116,7 @@ def search_space(controller: Controller) -> SearchSpace:
     InvalidInput
         For a controller without `tuning_bounds`; pass a space to `tune_constant` instead.
     """
-    if isinstance(controller, MPC):
+    if controller.has_horizons:
         return (PUBLISHED_BOUNDS if controller.is_published else SearchBounds.around(controller.tuning)).space()
     if not is_tunable(controller):
         raise InvalidInput(

@@ -19,6 +19,7 @@ from adaptrack.base.registry import PluginCall
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
+from adaptrack.core.controllers.law import law_controller
 from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.car import SteeringRow as SteeringRow
 from adaptrack.core.synthesis.rows import row_of
@@ -132,6 +133,20 @@ class Controller(ABC):
     """Steering model that the controller assumes; None if it has none."""
     learner: Any = None
     """Estimator of the car's parameters; None if the controller does not learn."""
+    needs_whole_state: bool = False
+    """Whether it takes the state of its model as measured, because it has no estimator."""
+    has_horizons: bool = False
+    """Whether it plans moves over the horizons Np and Nc of its tuning."""
+    runs_in_kernel: bool = False
+    """Whether loops that are compiled can call it, see `part`."""
+    own_part: Any = None
+    """The controller itself as a part of compiled loops, its memory shared; None where it is Python."""
+    takes_late: int = -1
+    """Control periods by which its Kalman filter takes late samples; -1 without such a filter."""
+    position_noise: float = 0.0
+    """Standard deviation (m) of the position that its filter assumes; 0 without one."""
+    learner_memory: Any = np.zeros(0)
+    """Memory of its learner, as the kernels have it; empty where nothing is learned."""
     user: Any = None
     """Token of the tracker or simulation that began a drive with the controller last."""
     learns: str = ""
@@ -195,6 +210,38 @@ class Controller(ABC):
         """The configuration, for provenance: plain data."""
         return {}
 
+    def part(self, slots: int, room: Room | None = None, *, curved: bool = True, has_vy: bool = True) -> Any:
+        """Fresh controllers for `slots` slots of a compiled loop (`core.controllers.part.Controller`).
+
+        room: by default as much as the controller has; curved: whether roads may bend; has_vy: whether the lateral
+        velocity is measured.
+
+        Raises
+        ------
+        InvalidInput
+            When the controller, or a part of it, is Python.
+        """
+        raise InvalidInput(f"controller {self.name!r} is not compiled.")
+
+    def part_with_learned(self, room: Room) -> Any:
+        """`part` of one slot, with what the controller has learned so far."""
+        return self.part(1, room)
+
+    def user_functions(self) -> list[Any]:
+        """The compiled functions of a user that it calls, as the kernels have them."""
+        return []
+
+    def warn_of(self, scheduler: Any, profile: str | None = None, plant: Any = None) -> None:  # noqa: B027
+        """Log what a scheduler was made for and does not find here, each once per controller."""
+
+    def nearest_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
+        """The tuning by name that it can have and that is nearest to another one."""
+        return dict(tuning)
+
+    def room_for(self, tunings: Array, scheduler: Any = None) -> Room:
+        """The memory that batches with these tunings (n, entries), or with a scheduler, need."""
+        return Room(residuals=False)
+
     def packed_tuning(self) -> Array:
         """(entries,) the tuning in the order of `tuning_names`."""
         return np.array([self.tuning[name] for name in self.tuning_names], dtype=float)
@@ -236,6 +283,17 @@ class Controller(ABC):
         return {**dict(zip(self.tuning_names, self.packed_tuning().tolist(), strict=True)), **tuning}
 
 
+class Room(NamedTuple):
+    """Horizons for which a controller has memory; one without horizons needs none."""
+
+    longest: float = math.inf
+    """largest Np"""
+    most: float = math.inf
+    """largest Nc"""
+    residuals: bool = True
+    """whether each step computes its KKT residual"""
+
+
 class CompiledController(Controller):
     """A controller whose law is compiled, see `core.controllers.contract`: `simulate` and batches call the same.
 
@@ -254,6 +312,7 @@ class CompiledController(Controller):
     limits: Limits
     memory_size: int
     """Numbers that the law remembers from step to step."""
+    runs_in_kernel = True
     positive: ClassVar[tuple[str, ...]] = ()
     """Entries of the tuning that must not be zero either."""
 
@@ -280,6 +339,10 @@ class CompiledController(Controller):
     def own_parameters(self) -> Sequence[float] | Array:
         """Return the law's parameters that follow `core.controllers.contract.COMMON_PARAMETERS`."""
 
+    def user_functions(self) -> list[Any]:
+        """See `Controller.user_functions`."""
+        return [self.function]
+
     def parameters(self) -> Array:
         """The law's constant numbers."""
         return np.array([self.period, *self.limits.move, *self.limits.angle, *self.own_parameters()], dtype=float)
@@ -304,6 +367,10 @@ class CompiledController(Controller):
                 raise InvalidInput(f"{where}: {name} = {value!r}: must be finite and not negative.")
         return entries
 
+    def part(self, slots: int, room: Room | None = None, *, curved: bool = True, has_vy: bool = True) -> Any:
+        """See `Controller.part`."""
+        return law_controller(slots, self, self.packed_tuning(), has_vy)
+
     def reset(self) -> None:
         """Forget the past: the next step is the first, from steering angle 0."""
         self._parameters = self.parameters()
@@ -311,6 +378,19 @@ class CompiledController(Controller):
         self._memory = np.zeros(self.memory_size)
         self._answer = np.zeros(1 + len(self.diagnostic_names))
         self._angle = 0.0
+        self._own_part: Any = None
+
+    @property
+    def own_part(self) -> Any:  # type: ignore[override]
+        """The controller itself as a part of compiled loops (`core.controllers.part.Controller`), its memory shared."""
+        if self._own_part is None:
+            part = self.part(1)
+            law = part.law._replace(memory=self._memory[None], answer=self._answer)
+            self._own_part = part._replace(law=law, tuning=self._tuning[None])
+        return self._own_part
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_own_part": None}  # a copy has memory of its own
 
     @property
     def angle(self) -> float:

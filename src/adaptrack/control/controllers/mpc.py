@@ -23,7 +23,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON
 from adaptrack.base.registry import PluginCall
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
-from adaptrack.control.controllers.base import Controller
+from adaptrack.control.controllers.base import Controller, Room
 from adaptrack.control.controllers.belief import MOST_COMPUTATION, GivenSteering, Uncertainty
 from adaptrack.control.controllers.compatibility import INCREMENTAL, car_of, mismatches
 from adaptrack.control.controllers.informed import AUTO, MPCParts, informed_parts
@@ -38,7 +38,7 @@ from adaptrack.control.qp import QP, QPSolver, QPStatus, Solution, get_qp_solver
 from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.control.qp.hildreth import Hildreth
 from adaptrack.core.controllers import mpc as kernel
-from adaptrack.core.controllers.mpc_step import MPCStep, form_qp, step
+from adaptrack.core.controllers.mpc_step import MPCStep, form_qp, mpc_controller, step
 from adaptrack.core.controllers.receding import apply_move, predict_outputs
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS, BELIEF_NAMES, memory_of
 from adaptrack.core.guard import COUNTS
@@ -60,7 +60,7 @@ _STATE_SIZES = (4, 5, 6, 7, 8, 9)
 """with or without wheel angle, lateral acceleration, ages and the path's turn (`core.models.contract.MEASUREMENT`)"""
 _NOT_CARRIED = (
     "_lock", "_measured", "_answer", "_learned", "_state", "_reference", "_now", "_resident", "_resident_plan", "_step",
-    "_schedule_step", "functions",
+    "_schedule_step", "_own_part", "functions",
 )  # fmt: skip
 """Of a controller, by a copy of it: see `MPC._load`."""
 _METHOD = "'auto' serves as well, and Learning() gives one"
@@ -319,7 +319,7 @@ class MPC(Controller):
         return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{belief}>"
 
     @property
-    def runs_in_kernel(self) -> bool:
+    def runs_in_kernel(self) -> bool:  # type: ignore[override]
         """Whether the kernels solve the QP, rather than a back-end called from Python."""
         return isinstance(self.solver, ActiveSet | Hildreth)
 
@@ -368,6 +368,73 @@ class MPC(Controller):
             ),
             most_moves=min(self.most_moves, max(1.0, math.floor(most + 0.5)) if most < math.inf else 1e9),
         )
+
+    has_horizons = True
+
+    @property
+    def needs_whole_state(self) -> bool:  # type: ignore[override]
+        """Whether it takes the state of its model as measured, because it has no estimator."""
+        return self.estimator.function is None
+
+    def user_functions(self) -> list[Any]:
+        """See `Controller.user_functions`."""
+        return [self.model.function, self.estimator.function]
+
+    def nearest_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
+        """See `Controller.nearest_tuning`: horizons are whole, and as long as there is memory."""
+        longest = min(max(round(tuning["Np"]), 1), self.longest_horizon)
+        most = min(max(round(tuning["Nc"]), 1), longest, self.most_moves)
+        return {**tuning, "Np": longest, "Nc": most}
+
+    @property
+    def takes_late(self) -> int:  # type: ignore[override]
+        """Control periods by which its Kalman filter takes late samples; -1 without such a filter."""
+        return self.estimator.late(self.model)
+
+    @property
+    def position_noise(self) -> float:  # type: ignore[override]
+        """Standard deviation (m) of the position that its filter assumes; 0 without one."""
+        return self.estimator.noise.y if isinstance(self.estimator, KalmanFilter) else 0.0
+
+    @property
+    def learner_memory(self) -> Array:  # type: ignore[override]
+        """Memory of its learner, as the kernels have it; empty where nothing is learned."""
+        return np.asarray(self._mpc.informed.learned[0])
+
+    def part(self, slots: int, room: Room | None = None, *, curved: bool = True, has_vy: bool = True) -> Any:
+        """See `Controller.part`."""
+        return self.part_of(self.batch(slots, self.settings(*(room or Room())), curved))
+
+    def room_for(self, tunings: Array, scheduler: CompiledScheduler | None = None) -> Room:
+        """See `Controller.room_for`."""
+        longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)
+        if scheduler is not None:
+            longest, most = max(longest, scheduler.largest[0]), max(most, scheduler.largest[1])
+        return Room(float(longest), float(most), residuals=False)
+
+    def part_with_learned(self, room: Room) -> Any:
+        """See `Controller.part_with_learned`; the road ahead is seen further where a longer lag may be learned."""
+        longer = 0
+        if self.learner is not None and room.longest < math.inf:
+            longer = math.ceil((self.learner.limits.lag[1] - self.learner.ranges.lag[0]) / self.period)
+        mpc = self.batch(1, self.settings(room.longest + longer, room.most, room.residuals), curved=True)
+        if self.learner is not None:
+            learned = self.learner.restart_memory(self.learner_memory)
+            mpc.informed.fresh[:] = learned
+            mpc.informed.learned[0] = learned
+        return self.part_of(mpc)
+
+    def part_of(self, mpc: Any) -> Any:
+        """A part of compiled loops around the record of a batch.
+
+        Raises
+        ------
+        InvalidInput
+            When the QP solver is Python.
+        """
+        if not self.runs_in_kernel:
+            raise InvalidInput(f"QP solver {self.solver.name!r} of {self.name!r} is not compiled: use 'active-set'.")
+        return mpc_controller(mpc, self.functions, self.packed_tuning(), self.takes_late)
 
     def batch(self, slots: int, settings: Any, curved: bool = False) -> Any:
         """Fresh compiled controllers for `slots` runs, on curved roads or not (`core.controllers.mpc.Mpc`)."""
@@ -428,6 +495,7 @@ class MPC(Controller):
         self._resident = Resident(self._mpc)
         self._resident_plan = None if self._plan is None else Resident(self._plan)
         self._step: Callable[[], None] | None = None
+        self._own_part: Any = None
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
@@ -651,13 +719,25 @@ class MPC(Controller):
 
     def _look_along(self, road: RoadAhead | None, speed: float) -> None:
         """Take in the road ahead."""
-        if not self._curved:
-            self._mpc, self._curved = kernel.on_curved_roads(self._mpc), True
-            self._resident, self._step = Resident(self._mpc), None
+        self._see_curves()
         bend = self._mpc.bend
         bend[:] = 0.0
         if road is not None and math.isfinite(speed):
             bend[:] = road.bend(bend.size, max(speed, self.speed_floor), self._delay, self.period)
+
+    def _see_curves(self) -> None:
+        """Make room for the road ahead."""
+        if not self._curved:
+            self._mpc, self._curved = kernel.on_curved_roads(self._mpc), True
+            self._resident, self._step = Resident(self._mpc), None
+
+    @property
+    def own_part(self) -> Any:  # type: ignore[override]
+        """The controller itself as a part of compiled loops, its memory shared; None where its QP solver is Python."""
+        if self._own_part is None and self.runs_in_kernel:
+            self._see_curves()
+            self._own_part = self.part_of(self._mpc)._replace(tuning=self._requested[None])
+        return self._own_part
 
     def _schedule(self, variables: Sequence[float] | None) -> None:
         """Let the scheduler choose the tuning."""

@@ -25,19 +25,19 @@ from . import page
 from .emission import COMPILE_TARGETS, SOFT, WINDOWS, BuildError, CompileTarget, optimised, retargeted, with_soft
 from .objects import undefined
 from .rules import plain
-from .units import PLANTS, UNIT_KERNELS
+from .units import PLANTS, TRACKERS, UNIT_KERNELS
 from .wasm_link import linked
 
 KERNELS = (
     # of a program: a whole call, and a path
-    "tracker_step", "tracker_step_law", "tracker_engage", "tracker_follow", "path_words", "path_through",
-    # a speed control behind it, and its plan; narrow_tracked_friction: not inlined, so that its stack ends with it
-    "driver_step", "driver_step_law", "narrow_tracked_friction", "longitudinal_begin", "longitudinal_follow",
+    "tracker_step", "tracker_engage", "tracker_follow", "path_words", "path_through",
+    # a speed control behind it, and its plan
+    "longitudinal_begin", "longitudinal_follow",
     "longitudinal_release", "longitudinal_acknowledge", "speed_path_words", "write_speed_path", "horizon_cells",
     # a controller alone, and the sizes of its arrays
     "mpc_step", "mpc_sizes", "schedule_step",
     # members, whose addresses records hold
-    "stanley", "pure_pursuit", "lqr", "discretise_single_track", "discretise_path", "kalman", "learn_car", "believe",
+    *TRACKERS,
     # what tells whether a processor rounds as others do
     "elementary_values",
 )  # fmt: skip

@@ -1,10 +1,10 @@
 """The kernels that the driving page calls, and those whose addresses its records hold."""
 
-from .units import PLANTS
+from .units import CONTROLLERS, PLANTS
 
 CALLED = (
     # a run, and what is shown of it
-    "run_sizes", "mpc_prepare", "begin_runs", "drive_and_show", "drive_with_speed_control",
+    "run_sizes", "mpc_prepare", "begin_runs", "drive_and_show",
     # roads
     "path_words", "path_through", "path_parts", "heading_count", "headings_along", "points_at", "road_edges",
     # cars and plants
@@ -21,6 +21,6 @@ CALLED = (
     "complete_samples",
 )  # fmt: skip
 PAGE_MEMBERS = (
-    "kalman", "discretise_path", "discretise_single_track", "pure_pursuit", "stanley", "lqr",
+    *CONTROLLERS,
     *(plant for plant in PLANTS if plant.startswith("dual_track")),
 )  # fmt: skip

@@ -12,27 +12,17 @@ from typing import Any
 import numpy as np
 
 from ..kernel import boolean, exported, float64, inlined, int64, matrix, record, vector, void
-from ..layout import put
 from ..maths.exact import sqrt
 from ..maths.vectors import VECTOR_WIDTH, add, fma8, keep_first, load, mul, padded, splat, spread, store, sub, zeros
 
 Discrete = record(
     "Discrete",
     (
-        ("a", matrix), ("b", vector), ("c", vector), ("e", vector),
-        ("row", vector), ("next_row", vector), ("sum", vector),
+        ("a", matrix, "states", "states"), ("b", vector, "states"), ("c", vector, "states"), ("e", vector, "states"),
+        ("row", vector, "states"), ("next_row", vector, "states"), ("sum", vector, "states"),
     ),
 )  # fmt: skip
 """A model over one control period: A (n, n), B (n,), C (n,), E (n,), and scratch, three times (n,)."""
-
-
-@inlined
-def discrete_sizes(n, table, row):
-    """Sizes of the arrays of `Discrete`, see `layout`."""
-    row = put(table, row, n, n)
-    for _ in range(6):
-        row = put(table, row, n)
-    return row
 
 
 def discrete(a: Any, b: Any, c: Any) -> Any:

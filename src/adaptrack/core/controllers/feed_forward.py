@@ -23,7 +23,6 @@ along the road, so the prediction does not know of them.
 from __future__ import annotations
 
 from ..kernel import exported, inlined, int64, record, vector, viewer, void
-from ..layout import put
 from ..maths.bits import whole
 from ..maths.exact import ceil, clip
 from ..models import path
@@ -39,10 +38,10 @@ turning_of = viewer(TurnIn)
 FeedForward = record(
     "FeedForward",
     (
-        ("turning", vector),  # `TurnIn` of the car; empty: the moves know nothing of the road
-        ("expected", vector),  # (> Np,) rad, moves that the prediction knows
-        ("moves", vector),  # (> Np,) rad, all of them
-        ("scratch", vector),  # (> Np,)
+        ("turning", vector, "turning"),  # `TurnIn` of the car; empty: the moves know nothing of the road
+        ("expected", vector, "road_moves"),  # (> Np,) rad, moves that the prediction knows
+        ("moves", vector, "road_moves"),  # (> Np,) rad, all of them
+        ("scratch", vector, "road_moves"),  # (> Np,)
     ),
 )
 """The moves that the road ahead asks for; without entries where there are none."""
@@ -62,15 +61,6 @@ def bend_size(horizon, period, turning, lag):
     if turning == 0:
         return horizon + 1
     return horizon + 1 + whole(ceil((lag + MAX_TURN_IN) / period)) + 2
-
-
-@inlined
-def feed_forward_sizes(turning, samples, table, row):
-    """Sizes of the arrays of `FeedForward` with room for so many moves, where moves know of the road; see `layout`."""
-    row = put(table, row, turning)
-    for _ in range(3):
-        row = put(table, row, samples if turning > 0 else 0)
-    return row
 
 
 @inlined

@@ -34,13 +34,13 @@ from ..kernel import (
     viewer,
     void,
 )
-from ..layout import allocate, put
+from ..layout import allocate, sizer
 from ..maths import vectors
 from ..models.contract import MEASUREMENT
 from ..qp import problem as qp
-from .condensing import Discrete, discrete_sizes, laguerre_moves
+from .condensing import Discrete, laguerre_moves
 from .constraints import OUTPUT_ROWS, SAMPLE_ROWS, limit_rows
-from .feed_forward import FeedForward, bend_size, feed_forward_sizes, turning_of
+from .feed_forward import FeedForward, bend_size, turning_of
 
 # -- settings, fixed over a run ---------------------------------------------------------------------------------------
 MPCSettings = record(
@@ -112,38 +112,38 @@ present = viewer(Present)
 
 # -- arrays -----------------------------------------------------------------------------------------------------------
 _FIELDS = (
-    ("free", cube),  # (slots, n, Np) F
-    ("step", matrix),  # (slots, Np) response to a unit move
-    ("moves", matrix),  # (terms, Np) Laguerre functions, shared by all slots
-    ("phi", cube),  # (slots, terms, Np) Phi L, transposed
-    ("hessian", cube),  # (slots, n, n) E
-    ("factor", four_dimensions),  # (slots, 2, n, n) of E
-    ("rows", cube),  # (slots or 1, n, m) M, transposed
-    ("bounds", vector),  # (m,) gamma
-    ("reference", vector),  # (Np,) R_s
-    ("error", vector),  # (Np,) R_s - F x~
-    ("change", vector),  # (n,) x(k) - x(k-1), or x(k+1) - x(k) when an estimator gives the state
-    ("gradient", vector),  # (n,) K
-    ("solution", vector),  # (n,)
-    ("multipliers", vector),  # (m,)
-    ("qp_work", four_dimensions),  # (slots, ...) kept from one step to the next
-    ("qp_rows", matrix),
-    ("qp_index", int_matrix),  # (slots, ...) likewise
+    ("free", cube, "slots", "states", "horizon"),  # F
+    ("step", matrix, "slots", "horizon"),  # response to a unit move
+    ("moves", matrix, "variables", "horizon"),  # Laguerre functions, shared by all slots
+    ("phi", cube, "phi_slots", "variables", "horizon"),  # Phi L, transposed
+    ("hessian", cube, "slots", "variables", "padded_variables"),  # E
+    ("factor", four_dimensions, "slots", len(qp.INVERSE), "variables", "padded_variables"),  # of E
+    ("rows", cube, "row_slots", "variables", "padded_rows"),  # M, transposed
+    ("bounds", vector, "padded_rows"),  # gamma
+    ("reference", vector, "horizon"),  # R_s
+    ("error", vector, "errors"),  # R_s - F x~
+    ("change", vector, "states"),  # x(k) - x(k-1), or x(k+1) - x(k) when an estimator gives the state
+    ("gradient", vector, "padded_variables"),  # K
+    ("solution", vector, "padded_variables"),
+    ("multipliers", vector, "padded_rows"),
+    ("qp_work", four_dimensions, "slots", len(qp.PLANE), "qp_work", "padded_variables"),  # kept between steps
+    ("qp_rows", matrix, "qp_rows", "padded_rows"),
+    ("qp_index", int_matrix, "slots", "qp_index"),  # kept between steps
 )
 MPCWorkspace = record("MPCWorkspace", _FIELDS)
 """Every array that a step needs, made once for the longest horizons. Row lengths are padded to multiples of the vector
 width, as the QP routines ask."""
 
 _ESTIMATING = (
-    ("x", vector),  # (n,) state and
-    ("d", vector),  # (n,) disturbance
-    ("a", cube),  # (slots, n, n) A and
-    ("b", matrix),  # (slots, n) B at the speed of the slot
-    ("estimator", vector),  # parameters of the estimator
-    ("estimates", matrix),  # (slots, .) its memory
-    ("learner", vector),  # parameters of the learner
-    ("fresh", vector),  # its memory before the first step
-    ("learned", matrix),  # (slots, .) its memory
+    ("x", vector, "estimated"),  # state and
+    ("d", vector, "estimated"),  # disturbance
+    ("a", cube, "estimated_slots", "states", "states"),  # A and
+    ("b", matrix, "estimated_slots", "states"),  # B at the speed of the slot
+    ("estimator", vector, "estimator"),  # parameters of the estimator
+    ("estimates", matrix, "slots", "estimates"),  # its memory
+    ("learner", vector, "learner"),  # parameters of the learner
+    ("fresh", vector, "learned"),  # its memory before the first step
+    ("learned", matrix, "slots", "learned"),  # its memory
 )
 Estimating = record("Estimating", _ESTIMATING)
 """What only the informed MPC has; without entries for the published one."""
@@ -151,14 +151,14 @@ Estimating = record("Estimating", _ESTIMATING)
 _PARTS = (
     ("settings", MPCSettings),
     ("model", Discrete),  # scratch: the model at the present speed
-    ("parameters", vector),  # of the model
-    ("states", int_vector),  # (n,) which measured quantities the model's states are
-    ("memory", rows(MEMORY)),  # (slots,)
-    ("previous", matrix),  # (slots, n) measured state of the last step
-    ("plan", matrix),  # (slots, n) last solution
-    ("answer", matrix),  # (slots, ANSWER), then what is learned (`learning.BELIEF_NAMES`)
-    ("measured", vector),  # (MEASURED,)
-    ("bend", vector),  # (> Np,) m, the road ahead, see `road.bend_ahead`
+    ("parameters", vector, "parameters"),  # of the model
+    ("states", int_vector, "states"),  # which measured quantities the model's states are
+    ("memory", rows(MEMORY), "slots"),
+    ("previous", matrix, "slots", "states"),  # measured state of the last step
+    ("plan", matrix, "slots", "padded_variables"),  # last solution
+    ("answer", matrix, "slots", "answers"),  # `MPC_ANSWER`, then what is learned (`learning.BELIEF_NAMES`)
+    ("measured", vector, len(MEASUREMENT)),
+    ("bend", vector, "bend"),  # (> Np,) m, the road ahead, see `road.bend_ahead`
     ("feed", FeedForward),  # the moves that the road ahead asks for
     ("informed", Estimating),
     ("ws", MPCWorkspace),
@@ -181,91 +181,62 @@ def settings(**values: Any) -> Any:
     return MPCSettings(**{**dict.fromkeys(MPCSettings._fields, 0), **values})
 
 
-MPCCounts = record(
-    "MPCCounts",
-    (
-        "slots",
-        "states", "parameters",  # of the model, and its numbers
-        "turning", "lag",  # numbers of `Turning`, 0: none; s, the lag in it
-        "estimator", "estimates",  # numbers of the estimator, and those that it remembers
-        "learner", "learned",  # likewise; 0: nothing is learned
-        "curved",  # 1: the road ahead may bend
-    ),
-    integers=(
-        "slots", "states", "parameters", "turning", "estimator", "estimates", "learner", "learned", "curved",
-    ),
+_CHOSEN = (
+    "slots",
+    "states", "parameters",  # of the model, and its numbers
+    "turning",  # numbers of `TurnIn`, 0: none
+    "lag",  # s, in `TurnIn`
+    "estimator", "estimates",  # numbers of the estimator, and those that it remembers
+    "learner", "learned",  # likewise; 0: nothing is learned
+    "curved",  # 1: the road ahead may bend
 )  # fmt: skip
-"""What the sizes of an `Mpc` follow from beside its settings."""
+_DERIVED = (
+    "answers",  # columns of an answer
+    "bend", "road_moves",  # instants ahead of which the road is known, and of which moves follow from it
+    "estimated", "estimated_slots",  # states and slots of the model of an estimator; 0: none
+    "horizon",  # the longest Np, padded
+    "variables", "padded_variables", "padded_rows",  # of the QP
+    "phi_slots", "row_slots",  # slots that have their own Phi and M
+    "errors",  # of a step, with room for what is read ahead
+    "qp_work", "qp_rows", "qp_index",  # of the workspace of the QP, see `problem.workspace_sizes`
+)  # fmt: skip
+MPCSizes = record("MPCSizes", (*_CHOSEN, *_DERIVED), integers={*_CHOSEN, *_DERIVED} - {"lag"})
+"""The sizes of an `Mpc`: first those that are chosen, then those that follow from them and from its settings."""
+_write_sizes = sizer(Mpc, MPCSizes)
 
 
 @inlined
-def mpc_sizes(settings, counts, table, row):
-    """Sizes of the arrays of an `Mpc` under `MPCSettings`, from a row of a table on, see `layout`; the next row."""
-    slots, n = counts.slots, counts.states
+def complete_sizes(settings, sizes):
+    """Write the sizes that follow from `MPCSettings` and the chosen ones; and of the settings what sizes say."""
+    settings.learns = 1 if sizes.learner > 0 else 0
+    settings.curved = sizes.curved
+    settings.feeds_forward = 1 if sizes.curved > 0 and sizes.turning > 0 else 0
     horizon, moves = settings.longest_horizon, most_moves(settings)
-    limited, laguerre, informed = (
-        has_output_limits(settings),
-        settings.laguerre > 0,
-        counts.slots if settings.informed > 0 else 0,
-    )
-    free = (settings.terms if laguerre else moves) + (1 if limited else 0)  # variables of the QP
+    limited, laguerre = has_output_limits(settings), settings.laguerre > 0
+    variables = (settings.terms if laguerre else moves) + (1 if limited else 0)
     count = SAMPLE_ROWS * moves + (OUTPUT_ROWS * horizon if limited else 0)
-    np_, nc, m = vectors.padded(horizon), vectors.padded(free), vectors.padded(count)
-    inverses, work, rows, index = qp.workspace_sizes(free, count, settings.solver != EXACT_ONLY)
-    row = discrete_sizes(n, table, row)
-    row = put(table, row, counts.parameters)
-    row = put(table, row, n)  # states
-    row = put(table, row, slots)  # memory
-    row = put(table, row, slots, n)  # previous
-    row = put(table, row, slots, nc)  # plan
-    row = put(table, row, slots, len(MPC_ANSWER) + (len(learning.BELIEF_NAMES) if counts.learner > 0 else 0))
-    row = put(table, row, len(MEASUREMENT))
-    row = put(table, row, bend_size(horizon, settings.period, counts.turning, counts.lag) if counts.curved > 0 else 0)
-    row = feed_forward_sizes(counts.turning, horizon + 1 if counts.curved > 0 else 0, table, row)
-    for _ in range(2):  # x, d
-        row = put(table, row, n if settings.informed > 0 else 0)
-    row = put(table, row, informed, n, n)  # a
-    row = put(table, row, informed, n)  # b
-    row = put(table, row, counts.estimator)
-    row = put(table, row, slots, counts.estimates)
-    row = put(table, row, counts.learner)
-    row = put(table, row, counts.learned)  # fresh
-    row = put(table, row, slots, counts.learned)
-    row = put(table, row, slots, n, np_)  # free
-    row = put(table, row, slots, np_)  # step
-    row = put(table, row, free, np_)  # moves
-    row = put(table, row, slots if laguerre else 1, free, np_)  # phi
-    row = put(table, row, slots, free, nc)  # hessian
-    row = put(table, row, slots, inverses[0], inverses[1], inverses[2])
-    row = put(table, row, slots if limited else 1, free, m)  # rows
-    row = put(table, row, m)  # bounds
-    row = put(table, row, np_)  # reference
-    row = put(table, row, np_ + nc + vectors.VECTOR_WIDTH)  # error
-    row = put(table, row, n)  # change
-    for _ in range(2):  # gradient, solution
-        row = put(table, row, nc)
-    row = put(table, row, m)  # multipliers
-    row = put(table, row, slots, work[0], work[1], work[2])
-    row = put(table, row, rows[0], rows[1])
-    return put(table, row, slots, index)
+    _, work, qp_rows, index = qp.workspace_sizes(variables, count, settings.solver != EXACT_ONLY)
+    sizes.answers = len(MPC_ANSWER) + (len(learning.BELIEF_NAMES) if sizes.learner > 0 else 0)
+    sizes.bend = bend_size(horizon, settings.period, sizes.turning, sizes.lag) if sizes.curved > 0 else 0
+    sizes.road_moves = horizon + 1 if settings.feeds_forward > 0 else 0
+    sizes.estimated = sizes.states if settings.informed > 0 else 0
+    sizes.estimated_slots = sizes.slots if settings.informed > 0 else 0
+    sizes.horizon, sizes.variables = vectors.padded(horizon), variables
+    sizes.padded_variables, sizes.padded_rows = vectors.padded(variables), vectors.padded(count)
+    sizes.phi_slots = sizes.slots if laguerre else 1
+    sizes.row_slots = sizes.slots if limited else 1
+    sizes.errors = sizes.horizon + sizes.padded_variables + vectors.VECTOR_WIDTH
+    sizes.qp_work, sizes.qp_rows, sizes.qp_index = work[1], qp_rows[0], index
 
 
-@inlined
-def complete_settings(settings, counts):
-    """Write of the settings what the counts say."""
-    settings.learns = 1 if counts.learner > 0 else 0
-    settings.curved = counts.curved
-    settings.feeds_forward = 1 if counts.curved > 0 and counts.turning > 0 else 0
-
-
-@exported(int64(Row(MPCSettings), Row(MPCCounts), int_matrix), name="mpc_sizes")
-def sizes(settings, counts, table):
-    """Write the sizes of the arrays of an `Mpc` and how many there are, see `layout`; complete its settings.
+@exported(int64(Row(MPCSettings), Row(MPCSizes), int_matrix), name="mpc_sizes")
+def write_sizes(settings, sizes, table):
+    """Write the sizes of the arrays of an `Mpc` and how many there are, see `layout`; complete sizes and settings.
 
     The settings lie at the beginning of an `Mpc`: these may be those.
     """
-    complete_settings(settings, counts)
-    return mpc_sizes(settings, counts, table, 0)
+    complete_sizes(settings, sizes)
+    return _write_sizes(sizes, table)
 
 
 @exported(void(MPC_PLACE), name="mpc_prepare")
@@ -298,11 +269,11 @@ def batch(
     """
     (parameters, states, turning), (numbers, estimates) = model, estimator
     learns, fresh = (np.zeros(0), np.zeros(0)) if learner is None else learner
-    counts = MPCCounts(
-        slots, len(states), len(parameters), len(turning), _lag_of(turning), len(numbers), estimates, len(learns),
-        len(fresh), int(curved),
+    mpc_record = _room(
+        settings, slots=slots, states=len(states), parameters=len(parameters), turning=len(turning),
+        lag=_lag_of(turning), estimator=len(numbers), estimates=estimates, learner=len(learns), learned=len(fresh),
+        curved=curved,
     )  # fmt: skip
-    mpc_record = _room(settings, counts)
     informed = mpc_record.informed
     for room_for, source in (
         (mpc_record.parameters, parameters), (mpc_record.states, states), (mpc_record.feed.turning, turning),
@@ -313,11 +284,11 @@ def batch(
     return mpc_record
 
 
-def _room(settings: Any, counts: Any) -> Any:
-    """Zeroed memory of MPCs under settings, those completed."""
-    (settled,) = MPCSettings.new(1, **settings._asdict())
-    complete_settings(settled, counts)
-    return allocate(Mpc, mpc_sizes, settled, counts)._replace(settings=MPCSettings(*settled.tolist()))
+def _room(settings: Any, **chosen: Any) -> Any:
+    """Zeroed memory of MPCs under settings, those completed; chosen: `MPCSizes` that are not 0."""
+    (settled,), (sizes,) = MPCSettings.new(1, **settings._asdict()), MPCSizes.new(1, **chosen)
+    complete_sizes(settled, sizes)
+    return allocate(Mpc, sizes)._replace(settings=MPCSettings(*settled.tolist()))
 
 
 def _lag_of(turning: Any) -> float:
@@ -327,7 +298,9 @@ def _lag_of(turning: Any) -> float:
 def on_curved_roads(mpc: Any) -> Any:
     """Return MPCs with additional room for the road ahead."""
     turning = mpc.feed.turning
-    curved = _room(mpc.settings, MPCCounts(0, 0, 0, len(turning), _lag_of(turning), 0, 0, mpc.settings.learns, 0, 1))
+    curved = _room(
+        mpc.settings, turning=len(turning), lag=_lag_of(turning), learner=mpc.settings.learns, curved=1
+    )  # fmt: skip
     return mpc._replace(settings=curved.settings, bend=curved.bend, feed=curved.feed._replace(turning=turning))
 
 

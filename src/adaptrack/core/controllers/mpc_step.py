@@ -1,11 +1,29 @@
-"""A step of an MPC, the published or the informed one: for loops that are kernels, and for Python."""
+"""A step of an MPC, the published or the informed one: as a controller of `part`, and for Python."""
 
 from __future__ import annotations
 
-from ..kernel import Place, columns, exported, float64, inlined, int64, matrix, record, several, vector, void
+from typing import Any
+
+from ..kernel import (
+    Place,
+    address_of,
+    columns,
+    exported,
+    float64,
+    inlined,
+    int64,
+    matrix,
+    record,
+    several,
+    vector,
+    void,
+)
+from ..layout import allocate
 from ..maths.bits import whole
+from ..road import bend_ahead
 from . import informed, published
-from .mpc import MPC_PLACE, Functions, Mpc
+from .mpc import MPC_ANSWER, MPC_PLACE, Functions, Mpc, change_path, delay_of, forget, restart
+from .part import APPLY, BEGIN, REQUEST, STEP, Controller, ControllerSizes
 
 STEP_INPUT = columns("speed", "count")
 """What a step is given: v_x (m/s), and how many numbers of y_ref count."""
@@ -23,6 +41,54 @@ def step_with(slot, speed, reference, tuning, mpc, functions):
         informed.step(slot, speed, reference, tuning, mpc, functions)
     else:
         published.step(slot, speed, reference, tuning, mpc, functions)
+
+
+@exported(BEGIN)
+def begin_mpc(slot, command, controller):
+    """Let an MPC forget everything but the command (rad)."""
+    forget(slot, command, controller.mpc)
+
+
+@exported(APPLY)
+def request_of_mpc(slot, request, command, controller):
+    """Do what a tracker asks of an MPC."""
+    if request[REQUEST.restart] > 0.5:
+        restart(slot, controller.mpc)
+    if request[REQUEST.change] > 0.5:
+        change_path(slot, request[REQUEST.turned], request[REQUEST.shifted], controller.takes_late, controller.mpc)
+    if request[REQUEST.apply] > 0.5:
+        controller.mpc.memory[slot].command = command
+
+
+@exported(STEP)
+def step_mpc(slot, speed, command, station, road, measured, reference, speeds, roads, controller):
+    """One control period of an MPC, which sees the road ahead where it is made for curved roads."""
+    mpc, settings = controller.mpc, controller.mpc.settings
+    for i in range(mpc.measured.size):
+        mpc.measured[i] = measured[i]
+    if settings.curved > 0 and road >= 0:
+        bend_ahead(
+            station, speeds, max(speed, settings.speed_floor), delay_of(slot, mpc), settings.period, road, roads,
+            mpc.bend,
+        )  # fmt: skip
+    elif settings.curved > 0:
+        mpc.bend[:] = 0.0
+    step_with(slot, speed, reference, controller.tuning[slot], mpc, controller.functions)
+    for i in range(mpc.answer.shape[1]):
+        controller.answer[slot, i] = mpc.answer[slot, i]
+
+
+def mpc_controller(mpc: Any, functions: Any, tuning: Any, takes_late: int = -1) -> Any:
+    """A `part.Controller` of MPCs (`mpc.batch`), before its first step; takes_late: see there."""
+    slots = len(mpc.memory)
+    (sizes,) = ControllerSizes.new(1, slots=slots, answer=mpc.answer.shape[1], tuning=len(tuning))
+    controller = allocate(Controller, sizes)
+    controller.tuning[:], controller.first_tuning[:] = tuning, tuning
+    return controller._replace(
+        begin=address_of(begin_mpc), request=address_of(request_of_mpc), step=address_of(step_mpc),
+        beliefs=len(MPC_ANSWER) if mpc.settings.learns else 0, plans=1, takes_late=takes_late, mpc=mpc,
+        functions=functions,
+    )  # fmt: skip
 
 
 @exported(void(Place(MPCStep)), name="mpc_step")

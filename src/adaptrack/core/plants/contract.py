@@ -14,12 +14,13 @@ A plant with states of its own keeps all of them in ``states`` (SLOTS, n); the f
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..kernel import Caller, address_of, columns, exported, float64, inlined, int64, matrix, record, vector, void
-from ..layout import allocate, put
+from ..layout import allocate
 
 SLOTS = 32
 """Vehicles of a batch."""
@@ -74,33 +75,34 @@ Vehicles = record(
         ("advance", int64),
         ("observe", int64),
         ("member", int64),
-        ("parameters", vector),
-        ("block", vector),
-        ("states", matrix),
-        ("work", matrix),
-        ("start", matrix),
+        ("parameters", vector, "plant_parameters"),
+        ("block", vector, BLOCK_SIZE),
+        ("states", matrix, SLOTS, "plant_states"),
+        ("work", matrix, 7, "work_states"),
+        ("start", matrix, "slots", "plant_states"),
     ),
 )
 """A batch of vehicles: the addresses of its plant's functions and of a user's right-hand side (0: none), parameters,
-block, own states (SLOTS, n), scratch, initial states (slots, n)."""
-
-
-@inlined
-def vehicle_sizes(slots, parameters, states, table, row):
-    """Sizes of the arrays of `Vehicles`, see `layout`; parameters, states: how many numbers a plant has of them."""
-    row = put(table, row, parameters)
-    row = put(table, row, BLOCK_SIZE)
-    row = put(table, row, SLOTS, states)
-    row = put(table, row, 7, max(states, PLANT_STATES))
-    return put(table, row, slots, states)
+block, own states, scratch, initial states."""
 
 
 def vehicle_batch(compiled: Any, parameters: Any, start: Any) -> Any:
     """A batch of a `CompiledPlant`'s vehicles before their first period: initial states `start` (slots, n)."""
     slots, n = np.shape(start)
-    vehicles = allocate(Vehicles, vehicle_sizes, slots, len(parameters), n)
+    vehicles = allocate(
+        Vehicles,
+        SimpleNamespace(
+            slots=slots, plant_parameters=len(parameters), plant_states=n, work_states=work_states(n)
+        ),
+    )  # fmt: skip
     vehicles.parameters[:], vehicles.start[:] = parameters, start
     return vehicles._replace(**{name: address_of(getattr(compiled, name)) for name in ("advance", "observe", "member")})
+
+
+@inlined
+def work_states(states):
+    """Columns of the scratch of vehicles whose plant has so many states."""
+    return max(states, PLANT_STATES)
 
 
 class CompiledPlant(NamedTuple):

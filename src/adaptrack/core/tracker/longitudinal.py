@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from ..friction_estimate import FrictionEstimate, begin_friction, narrow_friction
 from ..input_check.record import MISTAKES, SUBJECTS, memory_of, report
 from ..kernel import Place, exported, float64, inlined, record, rows, vector, void
+from ..layout import empty
 from ..maths.bits import whole
 from ..maths.exact import clip, square
 from ..road import foot_near, point_at
@@ -35,6 +37,12 @@ Longitudinal = record(
 )  # fmt: skip
 """A speed control: sample and memory (1,), settings, plan, banks, the governed squares ahead (m^2/s^2), and the
 estimate of the friction."""
+
+
+def no_speed_control() -> Any:
+    """An empty `Longitudinal`."""
+    return empty(Longitudinal)
+
 
 FOLLOW, FOLLOW_SLOWLY, COMFORT_STOP, EMERGENCY_STOP, NO_ACTION = range(5)
 """Actions: follow the plan; follow it, but stand before the steering loses its estimate; stop with the deceleration of

@@ -7,13 +7,11 @@ from typing import Any
 import numpy as np
 
 from ..controllers.contract import STANDSTILL_SPEED as STANDSTILL_SPEED
-from ..controllers.mpc_step import MPCStep
+from ..controllers.part import REQUEST as REQUEST
 from ..input_check.record import Check
 from ..kernel import columns, record, rows, vector
 from ..models.contract import MEASUREMENT
 from ..road import Roads
-from ..rollout import Law
-from ..schedule import ScheduleRecord
 from ..variables import VARIABLE_COLUMNS
 
 LONGEST_GAP = 2.0
@@ -147,15 +145,6 @@ CONTROLLER_ANSWER = columns(
 )  # fmt: skip
 """What a controller answers."""
 
-REQUEST = columns(
-    "restart",  # 1: begin anew; what was learned of the car stays
-    "apply",  # 1: the command in force (`TRACKED.command`) is not the controller's own
-    "change",  # 1: another path lies under the car, by
-    "turned", "shifted",  # rad, m: so much have heading and offset grown
-    "late",  # s, age of a sample that is later than the controller's filter takes; NaN: none
-)  # fmt: skip
-"""What a tracker asks of its controller before its next step, in this order; who has done it sets it to zero."""
-
 TRACKED = columns(
     "command",  # rad, angle of the road wheels to ask for, positive to the left
     "status",  # see STATUS
@@ -186,39 +175,20 @@ TrackerRecord = record(
         ("answer", vector),  # (ANSWER,)
         ("request", vector),  # (REQUEST,)
         ("tracked", vector),  # (TRACKED,)
+        ("variables", vector),  # (variables.VARIABLES,) of a schedule
         ("check", Check),  # of the inputs
     ),
 )
 """A tracker around any controller."""
 
-Scheduling = record(
-    "Scheduling",
-    (
-        ("schedule", ScheduleRecord),  # without inputs and entries: none
-        ("variables", vector),  # (variables.VARIABLES,)
-        ("first", vector),  # (entries,) the tuning before the schedule speaks
-    ),
-)
-"""A schedule of a tracker's controller."""
-
-Tracking = record("Tracking", (("tracker", TrackerRecord), ("step", MPCStep), ("scheduling", Scheduling)))
-"""A tracker with an MPC, on curved roads."""
-
-LawTracking = record(
-    "LawTracking", (("tracker", TrackerRecord), ("law", Law), ("tuning", vector), ("scheduling", Scheduling))
-)
-"""A tracker with a control law in its only slot; tuning (entries,): as used."""
-
 
 def tracker(settings: Any, path: Any, plan: Any, check: Any) -> Any:
     """A tracker that has to engage first: SETTINGS (1,), a road alone as `Roads`, a `PlanRecord`, a `Check`."""
-    sizes = (len(MEASUREMENT), EXPECTED_SPEEDS, len(INSTANT), len(CONTROLLER_ANSWER), len(REQUEST), len(TRACKED))
+    sizes = (
+        len(MEASUREMENT), EXPECTED_SPEEDS, len(INSTANT), len(CONTROLLER_ANSWER), len(REQUEST), len(TRACKED),
+        len(VARIABLE_COLUMNS),
+    )  # fmt: skip
     return TrackerRecord(
         settings, MEMORY.new(near=np.nan), np.full(len(TRACKER_SAMPLE), np.nan), path,
         plan, *(np.zeros(size) for size in sizes), check,
     )  # fmt: skip
-
-
-def scheduling(schedule: Any, tuning: Any) -> Any:
-    """A `ScheduleRecord`, and the tuning (entries,) before it speaks."""
-    return Scheduling(schedule, np.zeros(len(VARIABLE_COLUMNS)), np.array(tuning, float))

@@ -11,9 +11,8 @@ from ..kernel import OK, Place, columns, exported, inlined, int64, int_vector, l
 from ..maths.bits import whole
 from ..road import CLOSED
 from ..speed_plan import planned_speeds
-from ..tracker.longitudinal import Longitudinal
-from ..tracker.records import TRACKED, TRACKER_SAMPLE, LawTracking, Tracking
-from ..tracker.step import driver_step, driver_step_law, tracker_step, tracker_step_law
+from ..tracker.records import TRACKED, TRACKER_SAMPLE
+from ..tracker.step import Tracking, tracker_step
 from ..tracker.take_call import tracker_engage
 from .contract import outside
 
@@ -79,16 +78,11 @@ SPEED_VALUE = columns(*STEERING_VALUE._fields, *SPEED_OUTPUTS)
 _PARAMETER, _INPUT = STEERING_VALUE.start_wheel_angle, STEERING_VALUE.x
 
 _places = local(2)
-_VALUES = (("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector))
-SteeringUnit = record("SteeringUnit", (*_VALUES, ("tracking", Tracking)))
-"""A unit of co-simulation (see `contract`) around an MPC, its values by `STEERING_VALUE`."""
-LawSteeringUnit = record("LawSteeringUnit", (*_VALUES, ("tracking", LawTracking)))
-"""The same around a control law."""
-SpeedSteeringUnit = record("SpeedSteeringUnit", (*SteeringUnit.kinds.items(), ("longitudinal", Longitudinal)))
-"""A unit around an MPC with a speed control behind it, its values by `SPEED_VALUE`. It begins as a `SteeringUnit` does,
-with which its record begins."""
-LawSpeedSteeringUnit = record("LawSpeedSteeringUnit", (*LawSteeringUnit.kinds.items(), ("longitudinal", Longitudinal)))
-"""The same around a control law."""
+SteeringUnit = record(
+    "SteeringUnit",
+    (("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("tracking", Tracking)),
+)
+"""A unit of co-simulation (see `contract`): its values by `STEERING_VALUE`, with a speed control by `SPEED_VALUE`."""
 
 
 @inlined
@@ -158,8 +152,8 @@ def _write_planned_speeds(tracker, values):
             values[STEERING_VALUE.planned_speed + i] = places[i]
 
 
-@inlined
-def _begin(unit):
+@exported(int64(Place(SteeringUnit)))
+def steering_begin(unit):
     """Read the parameters and engage; the status."""
     values, tracker = unit.values, unit.tracking.tracker
     invalid = outside(_PARAMETER, _INPUT, values, unit.least, unit.most)
@@ -171,44 +165,20 @@ def _begin(unit):
     return OK
 
 
-@inlined
-def _conclude(tracker, values):
-    """Write the outputs and the time of the next instant; the status."""
-    _write_outputs(tracker, values)
+@exported(int64(Place(SteeringUnit)))
+def steering_step(unit):
+    """Call the tracker with the inputs, write its outputs, and go on by a period; the status."""
+    tracking, values = unit.tracking, unit.values
+    _write_sample(values, tracking.tracker.sample)
+    tracker_step(tracking)
+    if tracking.control_speed != 0:
+        _write_requests(tracking.longitudinal, values)
+    _write_outputs(tracking.tracker, values)
     period = values[STEERING_VALUE.period]
     values[STEERING_VALUE.time] = (whole(values[STEERING_VALUE.time] / period + 0.5) + 1) * period
     return OK
 
 
-@exported(int64(Place(SteeringUnit)))
-def steering_begin(unit):
-    """Begin anew; the status."""
-    return _begin(unit)
-
-
-@exported(int64(Place(LawSteeringUnit)))
-def law_steering_begin(unit):
-    """`steering_begin`, with a control law."""
-    return _begin(unit)
-
-
-@exported(int64(Place(SteeringUnit)))
-def steering_step(unit):
-    """Call the tracker with the inputs, and go on by a period; the status."""
-    _write_sample(unit.values, unit.tracking.tracker.sample)
-    tracker_step(unit.tracking)
-    return _conclude(unit.tracking.tracker, unit.values)
-
-
-@exported(int64(Place(LawSteeringUnit)))
-def law_steering_step(unit):
-    """`steering_step`, with a control law."""
-    _write_sample(unit.values, unit.tracking.tracker.sample)
-    tracker_step_law(unit.tracking)
-    return _conclude(unit.tracking.tracker, unit.values)
-
-
-# -- with a speed control ---------------------------------------------------------------------------------------------
 @inlined
 def _write_requests(longitudinal, values):
     """Write the requests of the speed control."""
@@ -218,21 +188,3 @@ def _write_requests(longitudinal, values):
     values[SPEED_VALUE.grip_used] = memory.grip_used
     values[SPEED_VALUE.speed_state], values[SPEED_VALUE.limited_by] = float(memory.state), float(memory.limited_by)
     values[SPEED_VALUE.friction_low], values[SPEED_VALUE.friction_high] = friction.low, friction.high
-
-
-@exported(int64(Place(SpeedSteeringUnit)))
-def speed_steering_step(unit):
-    """`steering_step`, with a speed control."""
-    _write_sample(unit.values, unit.tracking.tracker.sample)
-    driver_step(unit.tracking, unit.longitudinal)
-    _write_requests(unit.longitudinal, unit.values)
-    return _conclude(unit.tracking.tracker, unit.values)
-
-
-@exported(int64(Place(LawSpeedSteeringUnit)))
-def law_speed_steering_step(unit):
-    """`steering_step`, with a control law and a speed control."""
-    _write_sample(unit.values, unit.tracking.tracker.sample)
-    driver_step_law(unit.tracking, unit.longitudinal)
-    _write_requests(unit.longitudinal, unit.values)
-    return _conclude(unit.tracking.tracker, unit.values)

@@ -220,10 +220,10 @@ static int64_t of_schedule(const adaptrack_block *b, int64_t field) {
 }
 
 static adaptrack_error check_schedule(const adaptrack_block *b) {
-    const int64_t inputs = of_schedule(b, ADAPTRACK_SCHEDULE_N_INPUTS), tuning = size_of(b, ADAPTRACK_AT_TUNING, 0);
+    const int64_t inputs = of_schedule(b, ADAPTRACK_SCHEDULE_N_INPUTS), tuning = size_of(b, ADAPTRACK_AT_TUNING, 1);
     const int64_t entries = of_schedule(b, ADAPTRACK_SCHEDULE_N_ENTRIES), scratch = size_of(b, ADAPTRACK_AT_SCRATCH, 0);
     adaptrack_error error = ADAPTRACK_OK;
-    BOUND(size_of(b, ADAPTRACK_AT_FIRST, 0) == tuning);
+    BOUND(size_of(b, ADAPTRACK_AT_FIRST, 0) == tuning && size_of(b, ADAPTRACK_AT_TUNING, 0) == 1);
     if (entries == 0) return ADAPTRACK_OK;
     BOUND(entries == tuning && size_of(b, ADAPTRACK_AT_COUNTS, 0) == 1);
     BOUND(of_schedule(b, ADAPTRACK_SCHEDULE_OF_MPC) == ADAPTRACK_OF_MPC);
@@ -272,6 +272,8 @@ static adaptrack_error check_mpc_sizes(const adaptrack_block *b) {
     for (uint32_t i = 0; i < ADAPTRACK_MPC_ARRAYS; i++)
         for (uint32_t k = 0; k < array_of(ADAPTRACK_AT_MPC + i)->sizes; k++)
             BOUND(size_of(b, ADAPTRACK_AT_MPC + i, k) == table[i][k]);
+    BOUND(size_of(b, ADAPTRACK_AT_ANSWER, 0) == 1);
+    BOUND(size_of(b, ADAPTRACK_AT_ANSWER, 1) == size_of(b, ADAPTRACK_AT_MPC_ANSWER, 1));
     return ADAPTRACK_OK;
 }
 
@@ -296,6 +298,10 @@ static adaptrack_error check_learned(const adaptrack_block *b, int64_t commands,
 /* Estimator and learner remember as much as their own counts ask for. */
 static adaptrack_error check_memories(const adaptrack_block *b) {
     const int64_t late = entry_of(b, ADAPTRACK_AT_SETTINGS, ADAPTRACK_LATE_AT).whole;
+    const int64_t filtered = entry_of(b, ADAPTRACK_AT_SETTINGS, ADAPTRACK_FILTERED_AT).whole;
+    const int64_t beliefs = size_of(b, ADAPTRACK_AT_LEARNER, 0) > 0 ? ADAPTRACK_MPC_ANSWER : 0;
+    BOUND(word_at(b, ADAPTRACK_TAKES_LATE_AT).whole == (filtered ? late : -1));
+    BOUND(word_at(b, ADAPTRACK_BELIEFS_AT).whole == beliefs);
     for (int64_t i = 0; i < size_of(b, ADAPTRACK_AT_STATES, 0); i++)
         BOUND(within(entry_of(b, ADAPTRACK_AT_STATES, i).whole, 0, ADAPTRACK_MEASURED - 1));
     if (size_of(b, ADAPTRACK_AT_ESTIMATOR, 0) > 0) {

@@ -58,7 +58,10 @@ function begin(made, setup) {
     throw new Refusal("seed", `The seed is ${setup.seed}: it must be a whole number of at least 0.`);
   const world = worldOf(setup.profile, setup.truth), car = carOf(setup.car), of = roadOf(setup.road);
   const samples = samplesOf(setup, of, car, world);
-  Object.assign(made, { world, car, of, samples, seed });
+  const noSpeedControl = {
+    record: mine(memory.make("tracker.longitudinal.Longitudinal")), speeds: mine(memory.array("F", [0])),
+  };
+  Object.assign(made, { world, car, of, samples, seed, noSpeedControl });
   controllers.forEach((entry, k) => carRun(entry, made, `controller ${k + 1}`));
 }
 
@@ -85,15 +88,15 @@ function carRun(entry, made, where) {
   state.speed = entry.speed_control ? speedControlOf(entry, carKnownTo(entry, car), state.controller, made, where) : null;
   const answerColumns = state.parts.said.map((name) => (written.frame.includes(name) ? `answered_${name}` : name));
   state.columns = [...written.frame, ...answerColumns, ...(state.speed ? written.speed_frame : [])];
-  state.horizon = state.run.mpc.settings.longest_horizon;
-  state.moves = state.run.mpc.settings.most_moves;
+  state.horizon = state.run.controller.mpc.settings.longest_horizon;
+  state.moves = state.run.controller.mpc.settings.most_moves;
 }
 
 /** A run with a controller, before its first instant. */
 function ready(own, controller, made) {
-  const parts = laid(controller, made.of);
+  const parts = laid(controller, made.of, own.world.settings.noise_vy < Infinity);
   const run = memory.make("rollout.RunRecord", runOf({ ...own, controller, parts }, made));
-  memory.call("mpc_prepare", run.mpc);
+  if (!controller.law) memory.call("mpc_prepare", run.controller.mpc);
   memory.call("begin_runs", 1, run);
   return { controller, parts, run };
 }
@@ -108,36 +111,35 @@ function topSpeedOf({ signals }) {
 
 /** All that a run is made of. */
 function runOf({ controller, parts, plant, measured, world }, { car, of, samples, seed }) {
-  const { sizes } = written, { signals } = samples, law = Boolean(controller.law), { schedule } = controller;
+  const { sizes } = written, { signals } = samples, { schedule } = controller;
   const [rows, count] = signals.shape, speed = view(signals, written.places.signal.speed * count, [1]).values[0];
   const first = new Float64Array(sizes.own_states);
   first.set([...samples.pose, speed]);
   const size = (array) => array?.shape[0] ?? 0, roads = of.test ? NO_ROAD : of.roads;
-  const counts = {
-    ...parts.counts,
-    loop: {
-      slots: 1,
-      parameters: sizes.parameters,
-      states: sizes.own_states,
-      scenarios: 1,
-      samples: count,
-      roads: size(roads.numbers),
-      starts: size(roads.start), pieces: size(roads.pieces), headings: size(roads.headings),
-      dead_whole: memory.call("dead_periods", world.delay, written.bounds.dead_time[1], world.period)[0] + 1,
-      past: world.remembered, requested: world.requested,
+  const chosen = {
+    slots: 1,
+    plant_parameters: sizes.parameters,
+    plant_states: sizes.own_states,
+    scenarios: 1,
+    samples: count,
+    roads: size(roads.numbers),
+    starts: size(roads.start), pieces: size(roads.pieces), headings: size(roads.headings),
+    dead_whole: memory.call("dead_periods", world.delay, written.bounds.dead_time[1], world.period)[0] + 1,
+    past: world.remembered, requested: world.requested,
+    controller: {
+      ...parts.sizes,
+      ...(schedule
+        ? { integers: size(schedule.integers), numbers: size(schedule.numbers), scratch: size(schedule.scratch) }
+        : {}),
     },
-    ...(schedule
-      ? { integers: size(schedule.integers), numbers: size(schedule.numbers), scratch: size(schedule.scratch) }
-      : {}),
   };
-  return runOfSizes(parts.settings, counts, {
+  return runOfSizes(parts.settings, chosen, {
     settings: settingsOf(car, world, plant),
     features: {
       late: world.remembered > 0 ? 1 : 0,
       variables: schedule ? 1 : 0,
       estimates: 0,
       traces: 0,
-      law: law ? 1 : 0,
     },
     vehicles: {
       advance: linked(plant.functions.advance),
@@ -147,14 +149,17 @@ function runOf({ controller, parts, plant, measured, world }, { car, of, samples
       start: first,
     },
     inputs: { signals: share(view(signals, 0, [1, rows, count])), roads, seeds: [BigInt(seed)] },
-    measured: share(measured), cost_limit: [NaN], mpc: { ...parts.values.mpc, measured: share(measured) },
-    functions: controller.known.functions
-      ? {
-          discretise: linked(controller.known.functions.discretise),
-          estimate: linked(controller.known.functions.estimate),
-        }
-      : {},
-    law: parts.values.law, schedule: schedule ?? written.no_schedule, tuning: controller.tuning,
+    measured: share(measured), cost_limit: [NaN],
+    controller: {
+      ...parts.values,
+      functions: controller.known.functions
+        ? {
+            discretise: linked(controller.known.functions.discretise),
+            estimate: linked(controller.known.functions.estimate),
+          }
+        : {},
+      schedule: schedule ?? written.no_schedule, tuning: controller.tuning, first_tuning: controller.tuning,
+    },
   });
 }
 const linked = (name) => ({ function: name });
@@ -190,7 +195,7 @@ function started(id, { world, of, samples, cars, car }) {
 
 /** What bounds a controller, to either side: changes of its command in a period and the command (rad); horizons. */
 function limitsOf(own) {
-  const { known, law } = own.controller, from = law ? known.common : own.run.mpc.settings;
+  const { known, law } = own.controller, from = law ? known.common : own.run.controller.mpc.settings;
   return { move: real(from.move_max), angle: real(from.angle_max), Np: own.horizon, Nc: own.moves };
 }
 const namedTuning = (car) =>
@@ -232,11 +237,12 @@ function advanceCar(own, count) {
   while (periods < count) {
     const chunk = Math.min(count - periods, pulledFor(own));
     const advanced = memory.call(
-      own.speed ? "drive_with_speed_control" : "drive_and_show",
+      "drive_and_show",
       chunk,
       own.span,
       own.run,
-      ...(own.speed ? [own.speed.record, own.speed.speeds] : []),
+      own.speed?.record ?? drive.noSpeedControl.record,
+      own.speed?.speeds ?? drive.noSpeedControl.speeds,
       below(numbers, periods),
       below(predicted, periods),
       below(moves, periods),
@@ -295,7 +301,7 @@ function tuning(cars, given) {
     if (Np > car.horizon || Nc > car.moves)
       throw new Refusal(where, `Np = ${Np}, Nc = ${Nc}: there is room for ${car.horizon} and ${car.moves}.`);
     controller.tuning = [Np, Nc, Q, R];
-    car.run.tuning.values.set(controller.tuning);
+    car.run.controller.tuning.values.set(controller.tuning);
   }
 }
 
@@ -330,14 +336,16 @@ function belief(cars, given) {
 
 /** Put another controller into a run that goes on. */
 function exchange(own, controller) {
-  const old = own.run, kept = old.mpc.memory.row(0).$numbers;
+  const old = own.run, kept = old.controller.mpc.memory.row(0).$numbers;
   const other = ready(own, controller, drive), { run } = other;
-  for (const name of ["vehicles", "memory", "inputs", "schedule"]) keepArrays(run[name], old[name]);
+  for (const name of ["vehicles", "memory", "inputs"]) keepArrays(run[name], old[name]);
+  keepArrays(run.controller.schedule, old.controller.schedule);
   run.settings.$copy(old.settings);
   run.result.row(0).$copy(old.result.row(0));
   const { command, reference, planned, age } = kept;
-  run.mpc.memory.row(0).$set({ command, reference, planned, age });
-  run.mpc.plan.values.set(old.mpc.plan.values.subarray(0, run.mpc.plan.values.length));
+  const { mpc } = run.controller, { plan } = mpc;
+  mpc.memory.row(0).$set({ command, reference, planned, age });
+  plan.values.set(old.controller.mpc.plan.values.subarray(0, plan.values.length));
   memory.free(old);
   Object.assign(own, other);
 }
@@ -378,6 +386,7 @@ function applyTruth(own, lagBefore) {
   if (own.pull) settings.steering_bias += own.pull.angle;
   const angle = wheelAngle(own);
   run.settings.$set(settings);
+  run.controller.law.has_vy = settings.noise_vy < Infinity ? 1 : 0;
   if (!(lagBefore > 0) && settings.steering_lag > 0) setState(own, "steering", angle);
 }
 

@@ -643,12 +643,12 @@ function speedPathOf(of, plan, slope) {
 }
 
 // -- into a run -------------------------------------------------------------------------------------------------------
-/** The controller's part of a run: { settings, counts, values: { mpc, law } }; of counts what `run_sizes` asks. */
-function laid(controller, of) {
-  return controller.law ? laidLaw(controller) : laidMpc(controller, of);
+/** The controller as a part of a run: { settings, sizes, values }; of sizes those that are chosen for `run_sizes`. */
+function laid(controller, of, hasVy) {
+  return controller.law ? laidLaw(controller, hasVy) : laidMpc(controller, of);
 }
 
-function laidLaw({ known, parameters, tuning }) {
+function laidLaw({ known, parameters, tuning }, hasVy) {
   const heldPlace = known.diagnostics.indexOf("held"), count = known.diagnostics.length;
   const settings = copied("controllers.mpc.MPCSettings", {
     ...ZEROS("controllers.mpc.MPCSettings"), period: known.common.period, longest_horizon: 1, most_moves: 1,
@@ -656,20 +656,19 @@ function laidLaw({ known, parameters, tuning }) {
   });
   return {
     settings, said: ["command_change", "held", ...known.diagnostics, ...known.tuning_names],
-    counts: {
-      mpc: { slots: 1, states: 4, parameters: 6 },
-      law: 1,
-      law_parameters: parameters.shape[0],
-      law_memory: known.memory,
-      diagnostics: count, tuning: tuning.length,
+    sizes: {
+      mpc: { slots: 1 }, slots: 1, law_parameters: parameters.shape[0], law_memory: known.memory,
+      law_answer: 1 + count, answer: written.sizes.common_answer + count, tuning: tuning.length,
     },
     values: {
-      mpc: { states: [0n, 1n, 2n, 3n] },
+      begin: { function: "begin_law" }, request: { function: "request_of_law" }, step: { function: "step_law" },
+      takes_late: -1,
       law: {
         function: { function: known.function },
         parameters: share(parameters),
         held: heldPlace < 0 ? 0 : 1 + heldPlace,
         preview: known.preview ? 1 : 0,
+        has_vy: hasVy ? 1 : 0,
       },
     },
   };
@@ -680,7 +679,7 @@ function laidMpc({ constants, states, remembers, learned, settings, learns }, of
   const { model, turning, estimator, learner, fresh } = constants, size = (block) => block.shape[0];
   return {
     settings, said: [...written.answer.slice(1), ...(learns ? written.beliefs : [])],
-    counts: {
+    sizes: {
       mpc: {
         slots: 1,
         states,
@@ -689,14 +688,15 @@ function laidMpc({ constants, states, remembers, learned, settings, learns }, of
         lag: size(turning) ? turning.values[written.sizes.turning_lag] : 0,
         estimator: size(estimator), estimates: remembers, learner: size(learner), learned, curved: of.test ? 0 : 1,
       },
-      tuning: 4,
+      slots: 1, tuning: 4,
     },
     values: {
+      begin: { function: "begin_mpc" }, request: { function: "request_of_mpc" }, step: { function: "step_mpc" },
+      takes_late: -1, plans: 1, beliefs: learns ? written.answer.length : 0,
       mpc: {
         parameters: share(model), states: constants.states.values.slice(), feed: { turning: share(turning) },
         informed: { estimator: share(estimator), learner: share(learner), fresh: share(fresh) },
       },
-      law: {},
     },
   };
 }
@@ -722,16 +722,20 @@ function shaped(name, rows, values = {}) {
   return parts;
 }
 
-/** All that a run is made of; counts: of its loop and its controller; settings: of the MPC, which are completed. */
-function runOfSizes(settings, counts, values) {
+/** All that a run is made of; sizes: those that are chosen; settings: of the MPC, which are completed. */
+function runOfSizes(settings, chosen, values) {
   const count = arraysOf("rollout.RunRecord"), table = mine(memory.array("I", [count, 4]));
-  const countsRow = mine(memory.row("rollout.RunCounts"));
-  for (const [field, value] of Object.entries(counts)) {
-    if (typeof value === "object") countsRow[field].$set(value);
-    else countsRow[field] = value;
-  }
-  const status = memory.call("run_sizes", settings, countsRow, table);
+  const sizes = mine(memory.row("rollout.RunSizes"));
+  setSizes(sizes, chosen);
+  const status = memory.call("run_sizes", settings, sizes, table);
   if (status !== count) throw new Error(`a run has ${count} arrays, and ${status} are known`);
   const rows = Array.from({ length: count }, (_, k) => [...table.values.subarray(4 * k, 4 * k + 4)].map(Number));
-  return shaped("rollout.RunRecord", rows, { ...values, mpc: { ...values.mpc, settings: settings.$numbers } });
+  const { controller } = values, mpc = { ...controller.mpc, settings: settings.$numbers };
+  return shaped("rollout.RunRecord", rows, { ...values, controller: { ...controller, mpc } });
+}
+function setSizes(sizes, chosen) {
+  for (const [field, value] of Object.entries(chosen)) {
+    if (typeof value === "object") setSizes(sizes[field], value);
+    else sizes[field] = value;
+  }
 }

@@ -1,0 +1,94 @@
+"""A control law as a part of a loop: the function of `contract` as a controller of `part`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ..kernel import address_of, exported, inlined
+from ..layout import allocate
+from ..models.contract import MEASUREMENT
+from ..road import RoadAheadRecord, line_of
+from .contract import Situation, call_law
+from .part import (
+    APPLY,
+    BEGIN,
+    COMMON_ANSWER,
+    REQUEST,
+    STEP,
+    Controller,
+    ControllerSizes,
+    complete_controller_sizes,
+)
+
+_COMMAND = 0
+"""Where a law answers its command; its diagnostics are behind."""
+
+
+@exported(BEGIN)
+def begin_law(slot, command, controller):
+    """Let a law forget everything; it is told the command at every step."""
+    _forget(slot, controller.law)
+
+
+@inlined
+def _forget(slot, law):
+    law.memory[slot, :] = 0.0
+
+
+@exported(APPLY)
+def request_of_law(slot, request, command, controller):
+    """Restart a law, which knows of its own command and of the path only what a step tells it."""
+    if request[REQUEST.restart] > 0.5:
+        _forget(slot, controller.law)
+
+
+@exported(STEP)
+def step_law(slot, speed, command, station, road, measured, reference, speeds, roads, controller):
+    """One control period of a law; a command that is not finite holds the last one."""
+    law, out = controller.law, controller.answer[slot]
+    situation, answer = law.situation, law.answer
+    current = Situation(
+        measured[MEASUREMENT.vy] if law.has_vy > 0 else 0.0,
+        measured[MEASUREMENT.yaw],
+        measured[MEASUREMENT.yaw_rate],
+        measured[MEASUREMENT.y],
+        speed,
+        command,
+    )
+    for i in range(len(current)):
+        situation[i] = current[i]
+    ahead = reference if law.preview > 0 else reference[:1]
+    road_ahead = RoadAheadRecord(line_of(road, roads), station, speeds)
+    call_law(
+        law.function, situation, ahead, road_ahead, controller.tuning[slot], law.parameters, law.memory[slot], answer
+    )  # fmt: skip
+    usable = math.isfinite(answer[_COMMAND])
+    out[COMMON_ANSWER.command] = answer[_COMMAND] if usable else command
+    out[COMMON_ANSWER.command_change] = out[COMMON_ANSWER.command] - command
+    out[COMMON_ANSWER.held] = 1.0 if not usable or (law.held > 0 and answer[law.held] > 0.5) else 0.0
+    diagnostics, recorded = answer[_COMMAND + 1 :], out[len(COMMON_ANSWER) :]
+    for i in range(recorded.size):
+        recorded[i] = diagnostics[i]
+
+
+def law_controller(slots: int, law: Any, tuning: Any, has_vy: bool = True) -> Any:
+    """A `part.Controller` of a `CompiledController` for `slots` slots, before its first step."""
+    diagnostics, parameters = law.diagnostic_names, np.array(law.parameters(), float)
+    (sizes,) = ControllerSizes.new(
+        1, slots=slots, answer=len(COMMON_ANSWER) + len(diagnostics), law_parameters=parameters.size,
+        law_memory=law.memory_size, law_answer=1 + len(diagnostics), tuning=len(tuning),
+    )  # fmt: skip
+    sizes.mpc.slots = slots
+    complete_controller_sizes(sizes)
+    controller = allocate(Controller, sizes)
+    controller.law.parameters[:], controller.tuning[:], controller.first_tuning[:] = parameters, tuning, tuning
+    return controller._replace(
+        begin=address_of(begin_law), request=address_of(request_of_law), step=address_of(step_law), takes_late=-1,
+        law=controller.law._replace(
+            function=address_of(law.function), held=1 + diagnostics.index("held") if "held" in diagnostics else 0,
+            preview=int(law.preview), has_vy=int(has_vy),
+        ),
+    )  # fmt: skip
