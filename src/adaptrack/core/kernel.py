@@ -137,7 +137,8 @@ class Field(NamedTuple):
     unit: str
     """empty for a pure number"""
     default: float | tuple[float, ...]
-    """NaN: unknown, None in Python; a tuple: an array of so many numbers; an int: a whole number in Python"""
+    """NaN: unknown, None in Python; a tuple: an array of so many numbers; an int, a bool: a whole number, a truth in
+    Python"""
     meaning: str
     bounds: str = ""
     """the interval of the values that users may set, such as "[0, inf)"; empty: a constant that they do not set"""
@@ -151,9 +152,14 @@ class Field(NamedTuple):
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The lower and the upper bound."""
-        low, high = self.bounds[1:-1].split(",")
+        """The lower and the upper bound; infinite without bounds."""
+        low, high = self.bounds[1:-1].split(",") if self.bounds else ("-inf", "inf")
         return float(low), float(high)
+
+    @property
+    def is_truth(self) -> bool:
+        """Whether the field is True or False in Python."""
+        return isinstance(self.default, bool)
 
     @property
     def kind(self) -> Any:
@@ -183,7 +189,7 @@ def record(name: str, fields: Collection[str | Field | tuple[Any, ...]], integer
 
 def _named_kind(field: Any, integers: Iterable[str]) -> tuple[str, Any]:
     if isinstance(field, Field):
-        return field.name, field.kind
+        return field.name, int64 if field.name in integers else field.kind
     return (field, int64 if field in integers else float64) if isinstance(field, str) else field[:2]
 
 
@@ -221,9 +227,20 @@ def _new(kind: Any, count: int = 1, **values: Any) -> Any:
     return entries
 
 
-def columns(*names: str) -> Any:
-    """The places 0, 1, ... of columns (or rows) under their names: ``C = columns("x", "y")``, then ``row[C.y]``."""
-    return namedtuple("Columns", names)(*range(len(names)))
+def columns(*fields: str | Field) -> Any:
+    """The places 0, 1, ... of columns (or rows) under their names: ``C = columns("x", "y")``, then ``row[C.y]``.
+
+    A column is a name or a `Field`; ``C.field_settings`` holds the fields by name.
+    """
+    settings = {field.name: field for field in fields if isinstance(field, Field)}
+    kind = cast(Any, namedtuple)("Columns", [field if isinstance(field, str) else field.name for field in fields])
+    kind.field_settings = settings
+    return kind(*range(len(fields)))
+
+
+def fields_of(table: Any) -> tuple[Field, ...]:
+    """The `Field`s of a record or of columns, in order."""
+    return tuple(table.field_settings.values())
 
 
 def size_of(kind: Any) -> int:

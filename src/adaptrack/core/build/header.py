@@ -116,6 +116,7 @@ def _enumerations(module: str) -> Iterator[str]:
     for name, (remark, fields) in remarks(module).items():
         places = getattr(import_module(module), name)
         if type(places).__name__ == "Columns":
+            fields = fields | {field: setting.remark for field, setting in places.field_settings.items()}
             prefix = f"{_c_name(module, name)}_".upper()
             lines = [
                 f"    {prefix}{field.upper()} = {i},{_after(fields, field)}\n" for i, field in enumerate(places._fields)
