@@ -55,7 +55,7 @@ class CTracker:
         """Result of the library for a sample of `Tracker.step`."""
         answer = self.tracker.step([t, t, *motion, lateral_velocity])
         result = self.twin.step(t, *motion, lateral_velocity=lateral_velocity)
-        numbers = [answer.command, *(getattr(answer, name) for name in export_speed.REQUESTS[:5])]
+        numbers = [answer.command, *(getattr(answer, name) for name in export_speed.SPEED_REQUEST._fields[:5])]
         expected = [result.command, *result.longitudinal[:5]]
         self.calls += 1
         self.differences += struct.pack("6d", *numbers) != struct.pack("6d", *expected)

@@ -20,6 +20,7 @@ from adaptrack.control.recording import Recorder
 from adaptrack.control.tracker import Status, Tracker
 from adaptrack.core.estimators.learning import BELIEF_NAMES
 from adaptrack.core.input_check.record import ABOUT, MISTAKES
+from adaptrack.core.tracker.signals import TrackerSample
 from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Reading, read_columns
 from adaptrack.road import Arc, Clothoid, Line, Road
@@ -321,11 +322,18 @@ def test_a_doubtful_belief_is_told_at_every_step_and_warned_of_once(monkeypatch,
 
 
 # -- the record -------------------------------------------------------------------------------------------------------
+def sampled(t, now):
+    """A sample with a speed alone."""
+    return TrackerSample(
+        **dict.fromkeys(TrackerSample._fields, math.nan) | dict(t=t, now=now, motion_time=t, speed=10.0)
+    )
+
+
 def test_a_killed_loop_leaves_what_it_had_and_the_next_one_puts_it_aside(tmp_path):
     path = tmp_path / "loop.parquet"
     killed = Recorder(path)
     for k in range(200):
-        killed.add(0.05 * k, 0.05 * k, (10.0, *(math.nan,) * 7), 0.01, 0.0)
+        killed.add(sampled(0.05 * k, 0.05 * k), 0.01, 0.0)
     assert not path.exists()
     killed._stream.close()
     Recorder(path).close()
@@ -339,7 +347,7 @@ def test_late_samples_stand_at_their_own_time_beside_the_command_that_was_in_for
     recorder = Recorder(tmp_path / "loop.csv")
     for k in range(60):
         age = 0.15 if k % 3 == 0 else 0.05
-        recorder.add(0.05 * k - age, 0.05 * k, (10.0, *(math.nan,) * 7), 0.001 * k, 0.0)
+        recorder.add(sampled(0.05 * k - age, 0.05 * k), 0.001 * k, 0.0)
     recorder.close()
     recorder.close()
     log = read_columns(tmp_path / "loop.csv", Reading())

@@ -25,7 +25,7 @@ from adaptrack.core import speed_control as kernel
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.tracker.longitudinal import longitudinal_step
-from adaptrack.core.tracker.records import TRACKED
+from adaptrack.core.tracker.signals import TRACKED
 from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
 
 CAR = load_vehicle("midsize-sedan")

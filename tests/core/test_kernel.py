@@ -11,9 +11,22 @@ import numpy as np
 import pytest
 
 from adaptrack.core import library
-from adaptrack.core.kernel import INTERPRETED, Field, copier, defaults, record, size_of, vector, void
+from adaptrack.core.build import header
+from adaptrack.core.kernel import (
+    INTERPRETED,
+    Field,
+    columns,
+    copier,
+    defaults,
+    fields_of,
+    record,
+    size_of,
+    vector,
+    void,
+)
 from adaptrack.core.member import member
 from adaptrack.core.road import foot_about
+from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.road import Arc, Line, Road
 from inlined import entry
 
@@ -30,6 +43,16 @@ def test_a_quantity_defines_default_bounds_and_remark_of_a_field():
     source, target = kind.new(1, lag=0.1)[0], kind.new(1)[0]
     entry(copier(record("Copied", [kind.field_settings["lag"], kind.field_settings["open"]])))(source, target)
     assert target.lag == 0.1
+
+
+def test_columns_keep_their_fields_and_the_header_describes_them():
+    speed = Field("speed", "m/s", float("nan"), "along the car", "(-10, 10)")
+    table = columns("t", speed)
+    assert (table.t, table.speed, fields_of(table)) == (0, 1, (speed,))
+    text = "".join(header._enumerations("adaptrack.core.tracker.signals"))
+    for field in fields_of(TRACKER_SAMPLE):
+        assert f"TRACKER_SAMPLE_{field.name.upper()} = " in text
+        assert f"/* {field.remark} */" in text
 
 
 def test_an_exported_kernel_answers_as_its_python_does():

@@ -13,11 +13,11 @@ from adaptrack.control.controllers import LQR, MPC, Learning, PurePursuit, Stanl
 from adaptrack.control.scheduling import SchedulingVariables, load_scheduler
 from adaptrack.control.tracker import Status, Tracker
 from adaptrack.control.tracking import packed_plan, tracking_of
-from adaptrack.core.kernel import direct
+from adaptrack.core.kernel import direct, fields_of
 from adaptrack.core.tracker.change_path import tracker_follow
-from adaptrack.core.tracker.records import FOLLOWING, HELD, NO_TIME, REPEATED, TRACKED
+from adaptrack.core.tracker.signals import FOLLOWING, HELD, NO_TIME, REPEATED, TRACKED, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_step
-from adaptrack.core.tracker.take_call import tracker_engage
+from adaptrack.core.tracker.take_call import tracker_engage, tracker_take
 from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
 from adaptrack.road.road_ahead import pack_roads, stacked
 from tracker_calls import calls, in_python
@@ -94,6 +94,18 @@ def test_a_call_without_a_time_is_left_out():
         assert answer[TRACKED.status] == NO_TIME
         assert answer[:1] + answer[2:] == first[:1] + first[2:]
     assert call(tracking, step, 0.0, math.nan, 0.0, 0.0, 0.0, 10.0)[TRACKED.status] == REPEATED
+
+
+@pytest.mark.parametrize("field", [field for field in fields_of(TRACKER_SAMPLE) if field.bounds], ids=lambda f: f.name)
+def test_a_value_beyond_its_bounds_counts_as_not_measured(field):
+    tracking, _ = compiled(MAKERS["LQR"]())
+    sample, place, (_, high) = tracking.tracker.sample, TRACKER_SAMPLE._fields.index(field.name), field.ends
+    for value, is_measured in ((0.99 * high, True), (high, field.bounds.endswith("]")), (1.01 * high, False)):
+        for signed in (value, -value):
+            sample[:] = math.nan
+            sample[TRACKER_SAMPLE.t], sample[place] = 0.0, signed
+            tracker_take(tracking.tracker)
+            assert bool(sample[place] == signed) == is_measured
 
 
 def test_an_angle_that_is_no_number_engages_nothing():

@@ -14,10 +14,10 @@ import adaptrack as at
 import exported
 from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLimit, SpeedState
 from adaptrack.control.tracker import Status, Tracker
-from adaptrack.core.kernel import INTERPRETED
+from adaptrack.core.kernel import INTERPRETED, fields_of
 from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.speed_control import SPEED_REQUEST
 from adaptrack.export.c_library import export_c
-from adaptrack.export.tracking import REQUESTS
 from adaptrack.road import Comfort, Stop, plan_speed, road_through
 from exported import TARGET, Answer, CPath, CTracker, Exported, Sample
 from programs import find_program
@@ -54,8 +54,8 @@ class Flaw(ctypes.Structure):
 
 
 class SpeedAnswer(ctypes.Structure):
-    _fields_ = (*Answer._fields_, *((name, ctypes.c_double) for name in REQUESTS[:5]), ("state", ctypes.c_int),
-                ("limited_by", ctypes.c_int), *((name, ctypes.c_double) for name in FRICTION))  # fmt: skip
+    _fields_ = (*Answer._fields_, *((field.name, ctypes.c_int if isinstance(field.default, int) else ctypes.c_double)
+                                    for field in fields_of(SPEED_REQUEST)))  # fmt: skip
 
 
 class CPlan:
@@ -135,16 +135,16 @@ def drive(tracker, twin, calls, seed=1, slippery=math.inf):
         grade = float(PATH.along("grade", station)) + 0.02 * rng.normal() if k % 200 < 120 else math.nan
         answer = tracker.step(sample, float(driver), grade)
         row = [answer.command, float(answer.status), answer.offset, answer.heading_error, answer.station]
-        row += [float(getattr(answer, name)) for name in (*REQUESTS, *FRICTION)]
+        row += [float(getattr(answer, name)) for name in SPEED_REQUEST._fields]
         differences += any(
             struct.pack("d", a) != struct.pack("d", b) and (a == a or b == b)
             for a, b in zip(row, twin(sample, driver, grade), strict=True)
         )
         station = answer.station if math.isfinite(answer.station) else station
-        states.add(list(SpeedState)[answer.state])
+        states.add(list(SpeedState)[answer.speed_state])
         limits.add(list(SpeedLimit)[answer.limited_by])
         intervals.add((answer.friction_low, answer.friction_high))
-        if answer.state == list(SpeedState).index(SpeedState.STOPPED):
+        if answer.speed_state == list(SpeedState).index(SpeedState.STOPPED):
             stands.append(station)
         grip = GRAVITY * (0.3 if slippery < station < slippery + 40.0 else 0.9)
         push = min(max(answer.force / CAR.mass, -grip), grip) - GRAVITY * float(PATH.along("grade", station))

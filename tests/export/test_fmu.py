@@ -20,7 +20,7 @@ from adaptrack import cli
 from adaptrack.control.speed_control import SpeedLimit, SpeedState
 from adaptrack.control.tracking import tracking_of
 from adaptrack.core.kernel import Resident, direct
-from adaptrack.core.tracker.records import TRACKER_SAMPLE
+from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_step
 from adaptrack.core.units import car as kernel
 from adaptrack.core.units import controller as controller_kernel

@@ -23,7 +23,7 @@ from adaptrack.core.kernel import INTERPRETED
 from adaptrack.core.maths.values import FUNCTION_NAMES
 from adaptrack.core.synthesis import laws
 from adaptrack.core.synthesis.rows import row_of
-from adaptrack.core.tracker.records import TRACKER_SAMPLE as CALL
+from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.drive.batch import Batch
 from adaptrack.export.recorded_drive import record_drive
 from adaptrack.export.tracking import speed_part

@@ -14,7 +14,7 @@ from adaptrack import MPC, DualTrack, Learning, SpeedControl, load_road, load_ve
 from adaptrack.control.qp.active_set import ActiveSet
 from adaptrack.core import library
 from adaptrack.core.controllers.mpc import MPC_ANSWER
-from adaptrack.core.tracker.records import TRACKER_SAMPLE as CALL
+from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.export.c_library import export_c
 from adaptrack.export.recorded_drive import record_drive
 from adaptrack.export.tracking import speed_part, tracking_block

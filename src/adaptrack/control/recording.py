@@ -7,14 +7,29 @@ import logging
 import math
 import os
 from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.files import check_replaceable, write_atomically
+from adaptrack.core import portable
+from adaptrack.core.tracker.signals import TRACKER_SAMPLE, TrackerSample
 
-LOG_COLUMNS = ("time", "command", "speed", "yaw_rate", "vy", "acceleration", "wheel", "x", "y", "yaw",
-               "called", "answer", "offset")  # fmt: skip
+LOGGED = (
+    *TRACKER_SAMPLE._fields[TRACKER_SAMPLE.x : TRACKER_SAMPLE.friction],
+    *TRACKER_SAMPLE._fields[TRACKER_SAMPLE.grade + 1 :],
+)
+"""Signals in a log: all but times, those of a schedule and those of the speed control."""
+LOG_NAMES = dict(
+    zip(
+        TRACKER_SAMPLE._fields[TRACKER_SAMPLE.lateral_velocity : TRACKER_SAMPLE.friction],
+        ("vy", "acceleration", "wheel"),
+        strict=True,
+    )
+)
+"""Names of columns that differ from those of the signals."""
+LOG_COLUMNS = ("time", "command", *(LOG_NAMES.get(name, name) for name in LOGGED), "called", "answer", "offset")
 """A row is a sample, at its own time, with the command that was in force then; behind it what the call was: its time,
 the command that it answered, the distance from the path. SI units."""
 CHUNK, MAX_LATENESS = 1.0, 1.0
@@ -57,16 +72,20 @@ class Recorder:
         except OSError as error:
             raise StorageError(f"Tracker: record = {str(path)!r}: cannot be written: {error.strerror}.") from error
 
-    def add(self, t: float, call_time: float, values: tuple[float, ...], answer: float, offset: float) -> None:
-        """Take a call: time of its sample and its own (s), the sample from ``speed`` to ``yaw``, what was answered."""
-        time = t if math.isfinite(t) else call_time
+    def add(self, sample: Sequence[float], answer: float, offset: float) -> None:
+        """Take a call: its row of `TRACKER_SAMPLE`, the command (rad) that it answered, the distance (m) from the path.
+
+        The pose is carried to the time of the motion, which is that of the row.
+        """
+        call = _at_motion_time(TrackerSample(*map(float, sample)))
+        time, call_time = call.motion_time if math.isfinite(call.motion_time) else call.now, call.now
         if call_time < self._due - 10.0 * CHUNK:  # the clock was set back
             self._write(math.inf)
             self._commands.clear()
             self._written = -math.inf
         self._commands.append((call_time, answer))
         command = next((angle for since, angle in reversed(self._commands) if since <= time + 1e-6), math.nan)
-        self._rows.append((time, command, *values, call_time, answer, offset))
+        self._rows.append((time, command, *(getattr(call, name) for name in LOGGED), call_time, answer, offset))
         if not call_time < self._due:
             self._due = call_time + CHUNK
             self._write(call_time - MAX_LATENESS)
@@ -120,3 +139,14 @@ def _free(path: Path) -> Path:
     """Where what a killed loop has left is put."""
     numbers = (path.with_name(f"{path.stem}-{number}.csv") for number in range(1, 10_000))
     return next(candidate for candidate in numbers if not candidate.exists())
+
+
+def _at_motion_time(call: Any) -> Any:
+    """Carry the pose of a sample to the time of its motion by speed and yaw rate; an unknown yaw rate counts as 0."""
+    time = call.motion_time - call.t
+    if not abs(time) > 0.0:
+        return call
+    turned = time * call.yaw_rate if math.isfinite(call.yaw_rate) else 0.0
+    middle, way = call.yaw + 0.5 * turned, time * call.speed
+    x, y = call.x + way * portable.cos(middle), call.y + way * portable.sin(middle)
+    return call._replace(x=x, y=y, yaw=call.yaw + turned)

@@ -24,6 +24,7 @@ from adaptrack.core.estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
 from adaptrack.core.friction_estimate import begin_friction
 from adaptrack.core.kernel import OK, Resident
 from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.speed_control import SPEED_REQUEST
 from adaptrack.core.speed_place import SPEED_GRACE
 from adaptrack.core.synthesis.speed import resistance, usable_friction
 from adaptrack.core.tracker.longitudinal import (
@@ -36,8 +37,10 @@ from adaptrack.core.tracker.longitudinal import (
     narrow_friction_step,
     narrow_tracked_friction,
     speed_control_step,
+    write_requests,
 )
-from adaptrack.core.tracker.records import LONGEST_GAP, STATUS
+from adaptrack.core.tracker.records import LONGEST_GAP
+from adaptrack.core.tracker.signals import STATUS
 from adaptrack.road import Comfort, Road, SpeedPlan
 from adaptrack.road.cornering import packed, steering_limit
 
@@ -412,15 +415,14 @@ class SpeedController:
     @property
     def command(self) -> SpeedCommand:
         """Requests in force."""
-        record, pedals = self.record, self.control.pedals or self.control.car.pedals
-        memory, friction = record.memory[0], record.friction.memory[0]
-        force, speed, hold = float(memory.force), float(memory.speed), float(memory.hold)
-        positions = (math.nan, math.nan) if pedals is None else pedals.positions(force, speed, hold)
-        return SpeedCommand(
-            float(memory.acceleration), force, hold, float(memory.target_speed), float(memory.grip_used),
-            _STATES[int(memory.state)], _LIMITS[int(memory.limited_by)], float(friction.low), float(friction.high),
-            *positions,
-        )  # fmt: skip
+        row, pedals = np.empty(len(SPEED_REQUEST)), self.control.pedals or self.control.car.pedals
+        write_requests(self.record, row, 0)
+        *motion, state, cause, low, high = row.tolist()
+        force, hold = motion[SPEED_REQUEST.force], motion[SPEED_REQUEST.hold]
+        positions = (math.nan, math.nan)
+        if pedals is not None:
+            positions = pedals.positions(force, float(self.record.memory[0].speed), hold)
+        return SpeedCommand(*motion, _STATES[int(state)], _LIMITS[int(cause)], low, high, *positions)
 
     @property
     def learned(self) -> dict[str, Any]:

@@ -8,6 +8,7 @@ rate). Instants without a call are gone through on the estimate, with the comman
 
 from __future__ import annotations
 
+import inspect
 import logging
 import math
 import os
@@ -31,10 +32,10 @@ from adaptrack.control.speed_target import SpeedTarget
 from adaptrack.control.tracking import input_check_of, join, packed_plan, python_part, tracker_of
 from adaptrack.core import portable
 from adaptrack.core.controllers.part import APPLY, COMMON_ANSWER, REQUEST, STEP
-from adaptrack.core.kernel import Resident, direct
+from adaptrack.core.kernel import Resident, direct, fields_of
 from adaptrack.core.member import CallBack
 from adaptrack.core.tracker.change_path import tracker_follow
-from adaptrack.core.tracker.records import NO_BELIEF, TRACKER_SAMPLE
+from adaptrack.core.tracker.signals import NO_BELIEF, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_apply, tracker_step
 from adaptrack.core.tracker.take_call import tracker_engage
 from adaptrack.road import Road, SpeedPlan
@@ -70,7 +71,7 @@ class Status(StrEnum):
 
 
 _STATUSES = tuple(Status)
-"""In the order of `core.tracker.records`."""
+"""In the order of `core.tracker.signals.STATUS`."""
 
 
 class Tracked(NamedTuple):
@@ -106,8 +107,6 @@ class Timing(NamedTuple):
     """s, from a call to its command"""
 
 
-_SAMPLE_NAMES = ("t", "now", "x", "y", "yaw", "speed", "yaw_rate", "lateral_velocity", "lateral_acceleration",
-                 "wheel_angle")  # fmt: skip
 TIMED_STEPS = 50
 """Control steps after which their times are compared with the computation time that the controller assumes."""
 _NOT_COPIED = ("_resident", "_part", "_python", "_calls_back", "_run", "_apply")
@@ -343,7 +342,7 @@ class Tracker:
         control then learns nothing, and its requests follow the motion of the car; grade: dz/ds measured under the
         car, positive uphill: it replaces that of the path in the requests of the speed control. What is not known is
         NaN; a call without a position is one as well. What no car can have, and all but the speed of a sample that is
-        2 s old, counts as not known (`core.tracker.records`).
+        2 s old, counts as not known (`core.tracker.signals`).
 
         Raises
         ------
@@ -351,26 +350,19 @@ class Tracker:
             When an argument is no number, neither t nor now is finite, or a newer tracker or simulation uses the
             controller.
         """
+        signals = locals()  # the arguments by the names of TRACKER_SAMPLE
         if self.controller.user is not self._user:
             raise InvalidInput(
                 "Tracker.step: a newer tracker or simulation uses this controller, which has forgotten this drive: "
                 "give each its own, such as copy.copy(controller), or call engage() to begin again."
             )
-        numbers = [t, math.nan, x, y, yaw, speed, yaw_rate, lateral_velocity, lateral_acceleration]
-        numbers.append(math.nan if wheel_angle is None else wheel_angle)
+        kernel, resident = self._kernel, self._resident
         call_start = time.perf_counter()
-        row = [real("Tracker.step", name, number) for name, number in zip(_SAMPLE_NAMES, numbers, strict=True)]
-        at = row[0] if now is None else real("Tracker.step", "now", now)
+        row = [_number(name, signals.get(name)) for name in TRACKER_SAMPLE._fields]
+        at = row[TRACKER_SAMPLE.t if now is None else TRACKER_SAMPLE.now]
         if not math.isfinite(at):
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
-        row[1] = at
-        kernel = self._kernel
-        motion_t = row[0] if motion_time is None else real("Tracker.step", "motion_time", motion_time)
-        kernel.sample[: len(row)] = row
-        acceleration = real("Tracker.step", "longitudinal_acceleration", longitudinal_acceleration)
-        if not isinstance(driver, bool | np.bool_ | int) or driver not in (0, 1):
-            raise InvalidInput(f"Tracker.step: driver = {format_value(driver)}: must be True or False.")
-        kernel.sample[TRACKER_SAMPLE.motion_t :] = motion_t, acceleration, driver, real("Tracker.step", "grade", grade)
+        kernel.sample[:] = row
         if self._part is not self.controller.own_part:  # it has been reset
             self._load(kernel)
         self._call(self._run)
@@ -383,14 +375,9 @@ class Tracker:
         if not self._warned_of_speed and memory.speed > tracked.first_top_speed:
             self._warn_of_speed(memory.speed, tracked.first_top_speed)
         if memory.answered and memory.started:
-            self._take_times(at - row[0], time.perf_counter() - call_start)
+            self._take_times(at - row[TRACKER_SAMPLE.t], time.perf_counter() - call_start)
         if self._recorder is not None and tracked.status is not Status.REPEATED:
-            sample_time, _, *where, forward, rate, vy, pull, angle = kernel.sample[: len(row)].tolist()
-            if abs(motion_t - sample_time) > 0.0:
-                where, sample_time = _carried(where, motion_t - sample_time, forward, rate), motion_t
-            self._recorder.add(
-                sample_time, at, (forward, rate, vy, pull, angle, *where), tracked.command, tracked.offset
-            )
+            self._recorder.add(kernel.sample, tracked.command, tracked.offset)
         return tracked
 
     def _answer(self, time: float) -> Tracked:
@@ -500,12 +487,21 @@ class Tracker:
         return np.asarray(self.controller.predicted_path(self._road_ahead()))
 
 
-def _carried(pose: Sequence[float], time: float, speed: float, yaw_rate: float) -> list[float]:
-    """Carry a pose x, y (m), yaw (rad) over a time (s) at a speed (m/s) and a yaw rate (rad/s); NaN: none."""
-    turned = time * yaw_rate if math.isfinite(yaw_rate) else 0.0
-    x, y, yaw = pose
-    middle, way = yaw + 0.5 * turned, time * speed
-    return [x + way * portable.cos(middle), y + way * portable.sin(middle), yaw + turned]
+_ARGUMENTS = inspect.signature(Tracker.step).parameters
+_OPTIONAL = {name for name in TRACKER_SAMPLE._fields if name not in _ARGUMENTS or _ARGUMENTS[name].default is None}
+"""Signals that may be None; those of a schedule are no arguments."""
+_TRUTHS = {field.name for field in fields_of(TRACKER_SAMPLE) if field.is_truth}
+
+
+def _number(name: str, value: Any) -> float:
+    """Check a signal of `Tracker.step` and return it as a number; NaN for None."""
+    if value is None and name in _OPTIONAL:
+        return math.nan
+    if name not in _TRUTHS:
+        return real("Tracker.step", name, value)
+    if not isinstance(value, bool | np.bool_ | int) or value not in (0, 1):
+        raise InvalidInput(f"Tracker.step: {name} = {format_value(value)}: must be True or False.")
+    return float(value)
 
 
 def yaw_of(quaternion: Sequence[float] | ArrayLike) -> float:

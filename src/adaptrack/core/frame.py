@@ -154,7 +154,7 @@ def _write_speed_numbers(longitudinal, row):
     row[SPEED_FRAME.target_speed], row[SPEED_FRAME.grip_used] = memory.target_speed, memory.grip_used
     row[SPEED_FRAME.requested_acceleration] = memory.acceleration
     row[SPEED_FRAME.requested_force] = memory.force - memory.hold
-    row[SPEED_FRAME.speed_state], row[SPEED_FRAME.limited_by] = memory.state, memory.limited_by
+    row[SPEED_FRAME.speed_state], row[SPEED_FRAME.limited_by] = memory.speed_state, memory.limited_by
     friction = longitudinal.friction.memory[0]
     row[SPEED_FRAME.friction_low], row[SPEED_FRAME.friction_high] = friction.low, friction.high
 

@@ -18,6 +18,7 @@ from .models.contract import MEASUREMENT
 from .plants.contract import ENVIRONMENT, OBSERVED, PLANT_INPUT, PLANT_STATE, input_at, observe, state_at
 from .plants.forces import GRAVITY, slope_sine_and_cosine, wheel_angle
 from .road import foot_near, line_of, point_at
+from .tracker.signals import TRACKED
 from .traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
 from .variables import VARIABLE_COLUMNS
 
@@ -75,7 +76,7 @@ LOOP_MEMORY = record(
         "arrived",  # 1 once the vehicle has been within the failure distance
         "ended",  # RUNNING, or why the run ended
         "ended_at",  # s
-        "offset", "heading_error",  # m, rad, of the car against the path
+        *(TRACKED.field_settings[name] for name in ("offset", "heading_error")),
         "error",  # m, of the offset against its reference
         "speed",  # m/s, as measured at the present instant
         "station", "heading",  # m, rad, of its foot on a curved road

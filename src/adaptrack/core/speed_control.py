@@ -33,7 +33,7 @@ from .actuator_faults import (
     top_speed_after_fault,
     watch_actuators,
 )
-from .kernel import exported, float64, inlined, int64, record, vector, void
+from .kernel import Field, columns, exported, fields_of, float64, inlined, int64, record, vector, void
 from .loop import STANDING_SPEED
 from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
@@ -130,14 +130,27 @@ OFF, DRIVING, STOPPING, WAITING, EMERGENCY = range(5)
 ) = range(11)  # fmt: skip
 """Causes that limit the speed or the acceleration."""
 
+SPEED_REQUEST = columns(
+    Field("acceleration", "m/s^2", 0.0, "dv/dt along the road, without gravity; negative: slower"),
+    Field("force", "N", 0.0, "at the wheels: positive drives forward; negative is a force of the brakes, which opposes "
+          "the motion either way and never moves a standing car"),
+    Field("hold", "N", 0.0, "never negative: a force of the brakes likewise, in addition; it holds the car at rest"),
+    Field("target_speed", "m/s", 0.0, "where the request acts"),
+    Field("grip_used", "", 0.0, "acceleration of the car, in both directions, over what the assumed friction gives"),
+    Field("speed_state", "", 0, "0 off, 1 driving, 2 stopping, 3 stopped, 4 emergency"),
+    Field("limited_by", "", 0, "0 plan, 1 comfort, 2 grip, 3 stop, 4 path end, 5 fault, 6 driver, 7 steering unknown, "
+          "8 powertrain, 9 brake fault, 10 drive fault"),
+    Field("friction_low", "", 0.0, "low end of the interval of the friction, as narrowed so far"),
+    Field("friction_high", "", 0.0, "high end of the interval of the friction, as narrowed so far"),
+)  # fmt: skip
+"""What a speed control requests in a control period."""
+
 SPEED_MEMORY = record(
     "SpeedMemory",
     (
-        "state", "limited_by",
+        *fields_of(SPEED_REQUEST)[: SPEED_REQUEST.friction_low],  # in force
         "standing",  # s, at the present stop
         "creeping",  # s, braked with a speed of nearly 0
-        "acceleration", "force", "hold",  # m/s^2, N, N: requests in force; hold: of the brakes besides the force
-        "target_speed", "grip_used",  # m/s, -: lateral and longitudinal acceleration over the assumed friction
         "speed", "station",  # m/s, m: of the car at present
         "lateral",  # m/s^2, filtered
         "motion",  # m/s^2, acceleration of the car, filtered
@@ -183,11 +196,11 @@ SPEED_MEMORY = record(
         "place_x", "place_y", "stop_x", "stop_y", "served_x", "served_y",  # m, behind a tracker, of the three places
     ),
     integers=(
-        "state", "limited_by", "fault", "is_placed", "is_changed", "is_released", "is_braking", "is_starting",
+        "speed_state", "limited_by", "fault", "is_placed", "is_changed", "is_released", "is_braking", "is_starting",
         "instant", "repeats", "is_distrusted", "distrust",
     ),
 )  # fmt: skip
-"""What a speed controller remembers, and its answer."""
+"""What a speed controller remembers, and its requests."""
 
 MAX_PLAN_GRADE = 0.4
 """dz/ds of a plan; a measured grade beyond it, either way, counts as not measured."""
@@ -315,7 +328,7 @@ def _govern(station, top_square, push, settings, path, memory, ahead):
             square_speed = min(square_speed, max(bend_grip + tilt, 0.0) / abs(curvature))
         ahead[j] = square_speed
     way = way_to(memory.stop_place, station, path)
-    if memory.state != WAITING and 0.0 < way < (ahead.size - 2) * path.spacing:
+    if memory.speed_state != WAITING and 0.0 < way < (ahead.size - 2) * path.spacing:
         ahead[whole(way / path.spacing) + 2] = 0.0  # beyond the stop: its last metres have a law of their own
     for j in range(ahead.size - 2, -1, -1):
         if ahead[j] <= ahead[j + 1]:
@@ -362,7 +375,7 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
     ratio = drive.ratio if tyres > 0.0 else brakes.ratio
     demand = settings.mass * tyres / ratio
     friction = memory.friction
-    if memory.state == EMERGENCY:
+    if memory.speed_state == EMERGENCY:
         friction = memory.friction_high
     elif tyres > 0.0:
         sway = SWAY_CAUTION * (1.0 - settings.drive_front) * memory.sway
@@ -395,7 +408,7 @@ def _hold(beyond, slope, brakes, dt, settings, memory):
     needed = max(abs(slope - brakes.disturbance), abs(slope)) + HOLD_RESERVE
     needed += CREEP_STIFFNESS * min(abs(beyond), LARGEST_CREEP)
     at_rest = HOLD_AT_REST
-    if memory.state != DRIVING and memory.state != OFF:  # the car has just come to rest: no jolt
+    if memory.speed_state != DRIVING and memory.speed_state != OFF:  # the car has just come to rest: no jolt
         at_rest = min(at_rest, memory.hold / settings.mass + HOLDING_RATE * dt)
     deceleration = max(needed, at_rest) / min(brakes.ratio, 1.0) + memory.rolling
     memory.hold = min(settings.mass * deceleration, settings.brake_limit)
@@ -435,30 +448,30 @@ def _dwell(dt, path, memory):
     enough = max(LEFT_DISTANCE, LEFT_SIGMAS * sqrt(memory.p_station))
     way = way_to(memory.stop_place, memory.station, path)
     if index == NO_STOP or way > enough or (way < -enough and not is_path_end(index, path)):
-        memory.state = DRIVING
+        memory.speed_state = DRIVING
         return
     memory.standing += dt
     is_released = memory.is_released > 0 and not is_path_end(index, path)
     if memory.standing >= path.seconds[index] or is_released:
-        memory.state, memory.served_place = DRIVING, memory.stop_place
+        memory.speed_state, memory.served_place = DRIVING, memory.stop_place
 
 
 @inlined
 def _find_stop(dt, path, memory):
     """Find the next stop: its index and the way to it (m); wait at one that the car has reached."""
-    if memory.state == WAITING:
+    if memory.speed_state == WAITING:
         _dwell(dt, path, memory)
-    if memory.state != WAITING:
+    if memory.speed_state != WAITING:
         memory.is_released = 0
     forget_served_stop(path, memory)
-    is_stopping = memory.state == STOPPING or memory.state == EMERGENCY
-    if memory.state == WAITING:
+    is_stopping = memory.speed_state == STOPPING or memory.speed_state == EMERGENCY
+    if memory.speed_state == WAITING:
         return stop_at(memory.stop_place, SAME_PLACE, path), way_to(memory.stop_place, memory.station, path)
     index, way = next_stop(is_stopping, path, memory)
     memory.stop_place = path.stops[index] if index != NO_STOP else math.nan
     tolerance = STOP_TOLERANCE if memory.travelled > ARRIVAL_WAY else NEAR_STOP
     if is_stopping and way <= tolerance and _stands(memory):
-        memory.state, memory.standing = WAITING, 0.0
+        memory.speed_state, memory.standing = WAITING, 0.0
     return index, way
 
 
@@ -494,7 +507,7 @@ def acknowledge(memory):
 @inlined
 def _yield_to_driver(slope, lateral, drive, brakes, dt, settings, memory, banks):
     """Let the requests follow the motion that a driver gives to the car; nothing is learned."""
-    memory.state, memory.handover, memory.settled = OFF, math.nan, 0.0
+    memory.speed_state, memory.handover, memory.settled = OFF, math.nan, 0.0
     if memory.speed < STANDING_SPEED:
         _hold(0.0, slope, brakes, dt, settings, memory)
     else:
@@ -522,17 +535,20 @@ def _stop_unguided(deceleration, slope, lateral, drive, brakes, dt, settings, me
     memory.handover = 0.0
     if _stands(memory):
         _hold(0.0, slope, brakes, dt, settings, memory)
-        memory.state = EMERGENCY if memory.state == EMERGENCY else STOPPING
+        memory.speed_state = EMERGENCY if memory.speed_state == EMERGENCY else STOPPING
         if memory.fault != NO_FAULT:
             memory.hold = settings.brake_limit
     else:
-        memory.state = EMERGENCY if deceleration > EMERGENCY_RATIO * settings.brake else STOPPING
+        memory.speed_state = EMERGENCY if deceleration > EMERGENCY_RATIO * settings.brake else STOPPING
         memory.target_speed, memory.hold, memory.is_braking = 0.0, 0.0, 1
         _request(-deceleration, memory.speed, slope, lateral, drive, brakes, settings, memory)
     memory.limited_by = BY_FAULT
     if memory.fault != NO_FAULT:
         memory.force = min(memory.force, 0.0)
-        memory.state, memory.limited_by = EMERGENCY, BY_BRAKE_FAULT if memory.fault == BRAKES_FAIL else BY_DRIVE_FAULT
+        memory.speed_state, memory.limited_by = (
+            EMERGENCY,
+            BY_BRAKE_FAULT if memory.fault == BRAKES_FAIL else BY_DRIVE_FAULT,
+        )
 
 
 # -- along the plan ---------------------------------------------------------------------------------------------------
@@ -639,14 +655,14 @@ def _follow(index, way, slope, top_square, lateral, drive, brakes, dt, settings,
     """Follow the governed speeds and the next stop; write the requests. index, way: of the stop, and m to it."""
     is_near = -math.inf < way < NEAR_STOP and memory.travelled <= ARRIVAL_WAY
     if memory.speed < STANDING_SPEED and (is_near or way <= STOP_TOLERANCE < ARRIVAL_WAY < memory.travelled):
-        memory.state, memory.limited_by, memory.standing = STOPPING, _stop_cause(index, path), 0.0
+        memory.speed_state, memory.limited_by, memory.standing = STOPPING, _stop_cause(index, path), 0.0
         _stand(-way, slope, lateral, drive, brakes, dt, settings, memory)
         return
     resistance = _resistance(memory.speed, slope, settings)
     rolls_back = memory.travelled < ARRIVAL_WAY and _moved(memory) < 0
     is_at_start = memory.is_starting > 0 or memory.speed < STANDING_SPEED or rolls_back
     if is_at_start and _start(way, slope, lateral, drive, brakes, dt, settings, memory):
-        memory.state, memory.limited_by = DRIVING, BY_PLAN
+        memory.speed_state, memory.limited_by = DRIVING, BY_PLAN
         return
     acceleration, target, coming_speed, remaining_way, cause = _aim(
         index, way, top_square, resistance, drive, brakes, settings, path, memory, banks, ahead
@@ -659,13 +675,13 @@ def _follow(index, way, slope, top_square, lateral, drive, brakes, dt, settings,
         acceleration, target, coming_speed, remaining_way, cause = _aim(
             index, way, top_square, resistance, drive, brakes, settings, path, memory, banks, ahead
         )
-    memory.limited_by, memory.target_speed, memory.state = cause, target, DRIVING
+    memory.limited_by, memory.target_speed, memory.speed_state = cause, target, DRIVING
     memory.hold = max(memory.hold - STARTED_RELEASE_RATE * dt * settings.mass, 0.0)
     if cause in (BY_STOP, BY_PATH_END):
-        memory.state = STOPPING
+        memory.speed_state = STOPPING
         is_far = remaining_way > STOP_TOLERANCE
         if is_far and square(coming_speed) > 2.0 * EMERGENCY_RATIO * settings.brake * remaining_way:
-            memory.state, memory.hold, memory.handover, memory.is_braking = EMERGENCY, 0.0, 0.0, 1
+            memory.speed_state, memory.hold, memory.handover, memory.is_braking = EMERGENCY, 0.0, 0.0, 1
             needed = 0.5 * square(coming_speed) / max(remaining_way, REACHED)
             _request(
                 -min(needed, settings.emergency), memory.speed, slope, lateral, drive, brakes, settings, memory
@@ -710,7 +726,7 @@ def _learn(sample, dt, slope, settings, memory, banks):
             speed if is_believed else math.nan, resistance, settings.period, memory.speed_age, elapsed,
             not is_suspected(memory), is_settled, banks,
         )  # fmt: skip
-    if memory.state == OFF or not is_settled or not is_believed:
+    if memory.speed_state == OFF or not is_settled or not is_believed:
         forget_faults(sample.speed, 0.0, memory)
     else:
         watch_actuators(
@@ -818,7 +834,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     if sample.driver > 0.0:
         _yield_to_driver(slope, lateral, drive, brakes, dt, settings, memory, banks)
         return
-    was_off = memory.state == OFF
+    was_off = memory.speed_state == OFF
     needed, delay = 0.0, brakes.lag + brakes.dead_time + BLIND_SIGMAS * brakes.delay_sigma + BLIND_MARGIN
     if not was_off:
         needed = _blind_deceleration(sample.blind_time, sample.is_guided, delay, settings, memory)
@@ -827,14 +843,14 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         needed = max(needed, settings.emergency if memory.fault == BRAKES_FAIL else settings.brake + pull)
     index, way = NO_STOP, math.inf
     if needed <= 0.0:
-        memory.state = DRIVING if was_off else memory.state
+        memory.speed_state = DRIVING if was_off else memory.speed_state
         index, way = _find_stop(dt, path, memory)
         if index == NO_STOP and path.closed == 0 and memory.station > path.length:
             needed = settings.brake  # beyond the end of the path
     if needed > 0.0:
         _stop_unguided(needed, slope, lateral, drive, brakes, dt, settings, memory)
-        memory.state = OFF if was_off else memory.state
-    elif memory.state == WAITING:
+        memory.speed_state = OFF if was_off else memory.speed_state
+    elif memory.speed_state == WAITING:
         memory.limited_by = _stop_cause(index, path)
         _stand(-way, slope, lateral, drive, brakes, dt, settings, memory)
     else:

@@ -20,18 +20,17 @@ from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLimit, SpeedState
 from adaptrack.core import library, path, road
-from adaptrack.core.friction_estimate import FRICTION_MEMORY
 from adaptrack.core.input_check.record import MISTAKES
 from adaptrack.core.kernel import Array as KernelArray
-from adaptrack.core.speed_control import SPEED_MEMORY
 from adaptrack.core.speed_path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, PlanArrays, speed_path_words
-from adaptrack.core.tracker.records import TRACKED, TRACKER_SAMPLE, TrackerRecord
+from adaptrack.core.tracker.records import TrackerRecord
+from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.core.tracker.step import Tracking
 from adaptrack.export import bounds
 from adaptrack.export.block import Block
+from adaptrack.export.c_signals import signal_texts
 from adaptrack.export.recorded_drive import Recorded, record_drive
 from adaptrack.export.tracking import (
-    REQUESTS,
     SpeedPart,
     refuse,
     speed_part,
@@ -202,6 +201,7 @@ def _texts(
         "CONSTANTS_SIZE": f"{len(block.content):,}", "SIZE": f"{block.laid_size:,}",
         "STATE_SIZE": f"{block.saved_size:,}", "PERIOD": f"{controller.period:g}",
         "STEPS": f"{len(recorded.samples):,}", "KERNELS": library.kernels_hash(), "ACTIONS": _actions(),
+        **signal_texts(),
     }  # fmt: skip
     texts = {}
     for folder, names in FOLDERS.items():
@@ -293,8 +293,6 @@ def _parts_header(block: Block) -> str:
     ]
     lines += [f"    ADAPTRACK_PATH_END = {words['plan_speed'] + 2},"]
     lines += [f"    ADAPTRACK_{name.upper()}_AT = {words[name]}," for name in ("sample", "tracked")]
-    lines += [f"    ADAPTRACK_SAMPLE_{name.upper()} = {i}," for i, name in enumerate(TRACKER_SAMPLE._fields)]
-    lines += [f"    ADAPTRACK_TRACKED_{name.upper()} = {i}," for i, name in enumerate(TRACKED._fields)]
     lines += [
         f"    ADAPTRACK_ROAD_LENGTH = {road.LENGTH},",
         f"    ADAPTRACK_ROAD_SPACING = {road.HEADING_SPACING},",
@@ -327,11 +325,9 @@ def _speed_places(block: Block, places: Mapping[str, int]) -> list[str]:
         "LONGITUDINAL": places[f"{before}sample"], "LONGITUDINAL_MEMORY_AT": places[f"{before}memory"],
         "LONGITUDINAL_BRAKE": places[f"{before}settings_brake"], "LONGITUDINAL_AHEAD": places[f"{before}ahead"],
         "LONGITUDINAL_FRICTION_AT": places[f"{before}friction_memory"],
-        **{f"FRICTION_{name.upper()}": FRICTION_MEMORY._fields.index(name) for name in ("low", "high")},
         "LONGITUDINAL_CELLS": next(array.sizes[0] for array in block.arrays if array.name == "longitudinal.ahead"),
         "LONGITUDINAL_PATH_END": places[f"{before}banks_drive"], "PLAN_ARRAYS_WORDS": words_of(PlanArrays),
         **{name.upper(): at for name, at in places.items() if name.startswith(f"{before}path_")},
-        **{f"REQUEST_{name.upper()}": SPEED_MEMORY._fields.index(name) for name in REQUESTS},
         **{f"PLAN_ARRAYS_{name.upper()}": at for name, at in _words("", PlanArrays, 0)},
         "PLAN_MEMORY_TOO_SMALL": PLAN_MEMORY_TOO_SMALL,
     }  # fmt: skip

@@ -12,6 +12,7 @@ import math
 import os
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -43,11 +44,7 @@ from adaptrack.scenario import RoadDrive, Scenario
 from adaptrack.scenario.profile import Profile
 
 VERSIONS = ("2.0", "3.0")
-_BASE_UNITS = {
-    "s": {"s": 1}, "m": {"m": 1}, "rad": {"rad": 1}, "m/s": {"m": 1, "s": -1}, "m/s^2": {"m": 1, "s": -2},
-    "rad/s": {"rad": 1, "s": -1}, "1/m": {"m": -1},
-    "N": {"kg": 1, "m": 1, "s": -2},
-}  # fmt: skip
+_BASE_UNITS = {"1": {}, "s": {"s": 1}, "m": {"m": 1}, "rad": {"rad": 1}, "N": {"kg": 1, "m": 1, "s": -2}}
 _TYPES = {"2.0": {REAL: "Real", WHOLE_VALUE: "Integer", TRUTH: "Boolean"},
           "3.0": {REAL: "Float64", WHOLE_VALUE: "Int64", TRUTH: "Boolean"}}  # fmt: skip
 REMEDY = f"run: python -m {fmu_build.__name__}"
@@ -213,7 +210,18 @@ def description(unit: Unit, token: str, version: str) -> bytes:
 def _units(definitions: ET.Element, unit: Unit) -> None:
     for name in sorted({value.unit for value in unit.values if value.unit}):
         element = ET.SubElement(definitions, "Unit", {"name": name})
-        ET.SubElement(element, "BaseUnit", {base: str(power) for base, power in _BASE_UNITS[name].items()})
+        ET.SubElement(element, "BaseUnit", {base: str(power) for base, power in _base_units(name).items()})
+
+
+def _base_units(unit: str) -> dict[str, int]:
+    """Return the powers of the base units in a unit such as "m/s^2" or "N m"."""
+    powers = Counter[str]()
+    for sign, factors in zip((1, -1), unit.split("/"), strict=False):
+        for factor in factors.split():
+            name, _, power = factor.partition("^")
+            for base, exponent in _BASE_UNITS[name].items():
+                powers[base] += sign * int(power or 1) * exponent
+    return powers
 
 
 def _variable(variables: ET.Element, reference: int, value: UnitValue, version: str) -> None:

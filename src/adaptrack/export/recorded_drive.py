@@ -21,8 +21,8 @@ from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.core import portable
 from adaptrack.core.models.contract import MEASUREMENT
-from adaptrack.core.tracker.records import TRACKED
-from adaptrack.core.tracker.records import TRACKER_SAMPLE as CALL
+from adaptrack.core.tracker.signals import TRACKED
+from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.simulate import simulate
 from adaptrack.export.tracking import SpeedPart, Twin
@@ -94,7 +94,11 @@ STRETCHES = (
     RecordedStretch(1.5, 19.0, 1.0),
     RecordedStretch(4.0, -60.0, 12.0, offset=0.8, wave=1.5, age=0.4, missing=0.2),
     RecordedStretch(
-        6.0, -100.0, 15.0, wave=1.0, faults={"yaw_rate": (1.0, 0.3), "vy": (1.0, 1.0), "wheel_angle": (1.0, 0.1)}
+        6.0,
+        -100.0,
+        15.0,
+        wave=1.0,
+        faults={"yaw_rate": (1.0, 0.3), "lateral_velocity": (1.0, 1.0), "wheel_angle": (1.0, 0.1)},
     ),
     RecordedStretch(3.0, -80.0, 15.0, wave=0.7, faults={"lateral_acceleration": (1.0, 3.0), "yaw": (1.0, 0.1)}),
     RecordedStretch(2.0, -50.0, 20.0, without=("x", "y")),
@@ -103,9 +107,10 @@ STRETCHES = (
     RecordedStretch(2.0, -20.0, 5.0),
 )
 """What the record goes through behind the simulated drive."""
-SENSOR_NOISE = {"x": 0.02, "y": 0.02, "yaw": 0.003, "speed": 0.02, "yaw_rate": 0.005, "vy": 0.02,
-         "lateral_acceleration": 0.05, "wheel_angle": 0.002}  # fmt: skip
-"""Standard deviations: m, rad, m/s, rad/s, m/s^2."""
+MEASURED = CALL._fields[CALL.x : CALL.friction]
+"""Measured signals of a sample, from its position to the wheel angle."""
+SENSOR_NOISE = (0.02, 0.02, 0.003, 0.02, 0.005, 0.02, 0.05, 0.002)
+"""Standard deviations of `MEASURED`."""
 
 
 class RecordedPlan(NamedTuple):
@@ -128,7 +133,7 @@ class Recorded:
     """the path through them, with its grade"""
     plan: RecordedPlan
     samples: Array
-    """(calls, columns of a `core.tracker.records.TRACKER_SAMPLE`)"""
+    """(calls, columns of a `core.tracker.signals.TRACKER_SAMPLE`)"""
     answers: Array
     """(calls, columns), see `Twin.call`"""
     driven_calls: int
@@ -213,20 +218,19 @@ def _wild(
             offset, yaw = stretch.offset * portable.sin(turn), float(foot.heading)
             yaw += stretch.offset / stretch.wave * portable.cos(turn)
             yaw_rate = speed * float(foot.curvature)
-            values = dict(
-                x=float(foot.x) - offset * portable.sin(foot.heading),
-                y=float(foot.y) + offset * portable.cos(foot.heading),
-                yaw=yaw, speed=speed, yaw_rate=yaw_rate, vy=0.5 * car.lr * yaw_rate,
-                lateral_acceleration=speed * yaw_rate,
-                wheel_angle=portable.atan((car.lf + car.lr) * float(foot.curvature)),
-            )  # fmt: skip
-            for name, deviation in SENSOR_NOISE.items():
+            values = [
+                float(foot.x) - offset * portable.sin(foot.heading),
+                float(foot.y) + offset * portable.cos(foot.heading),
+                yaw, speed, yaw_rate, 0.5 * car.lr * yaw_rate, speed * yaw_rate,
+                portable.atan((car.lf + car.lr) * float(foot.curvature)),
+            ]  # fmt: skip
+            for i, (name, deviation) in enumerate(zip(MEASURED, SENSOR_NOISE, strict=True)):
                 factor, step = stretch.faults.get(name, (1.0, 0.0)) if portable.sin(turn) > 0.0 else (1.0, 0.0)
-                values[name] = factor * values[name] + step + deviation * stretch.noise * rng.normal()
+                values[i] = factor * values[i] + step + deviation * stretch.noise * rng.normal()
             sample = np.full(len(CALL), math.nan)
-            sample[: CALL.friction] = time - stretch.age * rng.random(), time, *values.values()
-            sample[CALL.friction : CALL.motion_t] = 0.4 + 0.5 * rng.random(), 5.0 * rng.normal()
-            sample[CALL.motion_t] = 0.5 * (sample[CALL.t] + time)
+            sample[: CALL.friction] = time - stretch.age * rng.random(), time, *values
+            sample[CALL.friction : CALL.motion_time] = 0.4 + 0.5 * rng.random(), 5.0 * rng.normal()
+            sample[CALL.motion_time] = 0.5 * (sample[CALL.t] + time)
             sample[CALL.longitudinal_acceleration] = stretch.acceleration + 0.1 * rng.normal()
             sample[CALL.driver], sample[CALL.grade] = float(stretch.driver), 0.03 * rng.normal()
             sample[CALL.x :][rng.random(len(CALL) - CALL.x) < stretch.missing] = math.nan
@@ -314,7 +318,7 @@ class _Driver(Controller):
         sample = np.full(len(CALL), math.nan)
         sample[: CALL.friction] = time - age, time, x, y, yaw, speed, *signals, measured[MEASUREMENT.wheel_angle]
         motion_age = float(measured[MEASUREMENT.motion_age])
-        sample[CALL.motion_t] = time - (motion_age if math.isfinite(motion_age) else 0.0)
+        sample[CALL.motion_time] = time - (motion_age if math.isfinite(motion_age) else 0.0)
         self._instant += 1
         return self.call(sample) if time < self._seconds else 0.0
 

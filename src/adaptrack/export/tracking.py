@@ -16,7 +16,8 @@ from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.speed_control import SpeedControl, SpeedStart, longitudinal_of, patience_of, speed_path
 from adaptrack.control.tracking import tracking_of
 from adaptrack.core.kernel import direct
-from adaptrack.core.speed_control import SpeedPath
+from adaptrack.core.speed_control import SPEED_REQUEST, SpeedPath
+from adaptrack.core.tracker.longitudinal import write_requests
 from adaptrack.core.tracker.step import tracker_step
 from adaptrack.export.block import ArrayRole, ArrayStart, Block, pack
 from adaptrack.road import Road, SpeedPlan
@@ -47,8 +48,6 @@ STARTS = (ArrayStart("controller.mpc.informed.learned", "controller.mpc.informed
 RESETS = {"controller.mpc.memory": {"speed": math.nan}}
 """The model, and all that follows from it, is formed anew."""
 OUTSIDE = ("tracker.path", "tracker.plan", "longitudinal.path")
-REQUESTS = ("acceleration", "force", "hold", "target_speed", "grip_used", "state", "limited_by")
-"""Fields of `core.speed_control.SPEED_MEMORY` that an exported speed control returns."""
 
 
 class SpeedPart(NamedTuple):
@@ -171,14 +170,15 @@ class Twin:
         self._run = direct(tracker_step, record)
 
     def call(self, sample: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return one call's result: a row of `core.tracker.records.TRACKED`.
+        """Return one call's result: a row of `TRACKED`, with a speed control one of `SPEED_REQUEST` behind it.
 
-        With a speed control `REQUESTS` and the interval of the friction follow. sample: start of a `SAMPLE` row.
+        sample: the start of a row of `TRACKER_SAMPLE`.
         """
         self._sample[:] = math.nan
         self._sample[: len(sample)] = sample
         self._run()
         if self._longitudinal is None:
             return self._tracked.copy()
-        requests, friction = self._longitudinal.memory[0], self._longitudinal.friction.memory[0]
-        return np.array([*self._tracked, *(float(requests[name]) for name in REQUESTS), friction.low, friction.high])
+        answer = np.append(self._tracked, np.zeros(len(SPEED_REQUEST)))
+        write_requests(self._longitudinal, answer, len(self._tracked))
+        return answer

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -13,11 +12,10 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import Bound, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.limits import MAX_GRADE
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SpeedControl, longitudinal_of, speed_path
-from adaptrack.core.build.header import remarks
+from adaptrack.core.kernel import Field
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.period import RunInputs
 from adaptrack.core.plants.contract import place, vehicle_batch
@@ -33,12 +31,8 @@ from adaptrack.scenario.profile import Profile, load_profile
 
 REAL, WHOLE_VALUE, TRUTH, PARAMETER, INPUT_VALUE, CONSTANT_VALUE = 0, 1, 2, 4, 8, 16
 """What a value is, as `fmu.h` numbers it: its type and its role; an output without one."""
-MAX_FMU_SEED = 2.0**53
 MAX_FREE_SPEED = 70.0
 """m/s, to which a car is integrated where no drive says how fast it goes."""
-MAX_FORCE = 1e6
-"""N, of a request."""
-_UNIT = re.compile(r"(?P<unit>1/m|m/s\^2|m/s|rad/s|rad|m|s|N|-|true)(?P<end>[,:] |$)")
 
 
 @dataclass(frozen=True)
@@ -84,25 +78,20 @@ class Unit:
         return next(value.start for value in self.values if value.name == "period")
 
 
-def described(module: str, groups: Mapping[int, tuple[str, ...]], starts: Mapping[str, tuple[float, ...]]) -> Any:
-    """The values of a unit in the words of its kernel's file; whole numbers are those that say nothing of a unit.
+def unit_values(groups: Mapping[int, Iterable[Field]], starts: Mapping[str, float]) -> tuple[UnitValue, ...]:
+    """The values of a unit by their fields.
 
-    groups: names of the constants, parameters, inputs and outputs by their role (`CONSTANT_VALUE`, `PARAMETER`,
-    `INPUT_VALUE`, 0);
-    given: start, least and most where they are not 0 and no limit.
+    groups: constants, parameters, inputs and outputs by their role (`CONSTANT_VALUE`, `PARAMETER`, `INPUT_VALUE`, 0);
+    starts: where they are not the defaults. Closed bounds are limits; what is beyond open ones counts as not measured.
     """
-    words = {name: text for _, fields in remarks(module).values() for name, text in fields.items()}
-    variables = []
-    for role, names in groups.items():
-        for name in names:
-            match = _UNIT.match(words.get(name, ""))
-            unit = match["unit"] if match else ""
-            kind = TRUTH if unit == "true" else REAL if match else WHOLE_VALUE
-            text = words.get(name, "")[match.end() if match and unit != "true" else 0 :]
-            variables.append(
-                UnitValue(name, kind | role, "" if unit in ("-", "true") else unit, text, *starts.get(name, ()))
-            )
-    return tuple(variables)
+    values = []
+    for role, fields in groups.items():
+        for field in fields:
+            kind = TRUTH if field.is_truth else WHOLE_VALUE if isinstance(field.default, int) else REAL
+            start = starts.get(field.name, np.nan_to_num(field.default))
+            limits = field.ends if field.bounds.startswith("[") else ()
+            values.append(UnitValue(field.name, kind | role, field.unit, field.meaning, float(start), *limits))
+    return tuple(values)
 
 
 @checked
@@ -143,14 +132,9 @@ def car_unit(
     )
     loop = world.loop(inputs, vehicles, world.settings(world.substeps(fastest)), needs_variables=False)
     starts = {
-        "period": (world.period,), "speed_preview": (ahead,), "seed": (0.0, 0.0, MAX_FMU_SEED),
-        "parallel_exchange": (0.0, 0.0, 1.0), "start_speed": (speed, 0.0, 100.0), "command": (0.0, -math.pi, math.pi),
-        "speed": (speed, 0.0, 100.0), "speed_ahead": (speed, 0.0, 100.0), "on_plan": (0.0, 0.0, 1.0),
-        **dict(zip(("start_x", "start_y", "start_yaw"), ((coordinate, -1e8, 1e8) for coordinate in pose), strict=True)),
-        "start_station": (0.0, -1e8, 1e8), "plan_station": (0.0, -1e8, 1e8), "bank": (0.0, -10.0, 10.0),
-        "grade": (0.0, -MAX_GRADE, MAX_GRADE), "force": (0.0, -MAX_FORCE, MAX_FORCE), "hold": (0.0, 0.0, MAX_FORCE),
-        **{name: (0.9, 1e-3, 3.0) for name in car.CAR_INPUTS if name.startswith("friction")},
-        **{name: (0.0, -100.0, 100.0) for name in ("wind_x", "wind_y")},
+        "period": world.period, "speed_preview": ahead,
+        **dict(zip(("start_x", "start_y", "start_yaw"), pose, strict=True)),
+        **dict.fromkeys(("start_speed", "speed", "speed_ahead"), speed),
     }  # fmt: skip
     groups = {
         CONSTANT_VALUE: car.CAR_CONSTANTS,
@@ -158,7 +142,7 @@ def car_unit(
         INPUT_VALUE: car.CAR_INPUTS,
         0: car.CAR_OUTPUTS,
     }
-    values = described(car.__name__, groups, starts)
+    values = unit_values(groups, starts)
     record = car.CarUnit(*_columns(values), loop=loop)
     title = f"car {(getattr(plant, 'vehicle', None) or plant).name}, {plant.name}, profile {world.profile.name}"
     roles = dict.fromkeys(("loop.vehicles.parameters", "loop.inputs.roads"), ArrayRole.FIXED)
@@ -200,18 +184,16 @@ def controller_unit(
     ahead = built_controller.period if speed_preview is None else speed_preview
     expected = getattr(built_controller.model, "dead_time", 0.0)
     starts = {
-        "period": (built_controller.period,), "expected_delay": (expected,),
-        "start_wheel_angle": (0.0, -math.pi / 2, math.pi / 2),
-        "speed_preview": (ahead, 0.0, 10.0), "pose_known": (1.0,), "yaw_rate_known": (1.0,),
-        "grade": (0.0, -MAX_GRADE, MAX_GRADE),
-        **dict.fromkeys(("planned_speed", "planned_speed_ahead"), (first,)),
+        "period": built_controller.period, "expected_delay": expected, "speed_preview": ahead,
+        **dict.fromkeys(("pose_known", "yaw_rate_known"), 1.0),
+        **dict.fromkeys(("planned_speed", "planned_speed_ahead"), first),
     }  # fmt: skip
     groups = {
         CONSTANT_VALUE: controller.STEERING_CONSTANTS, PARAMETER: controller.PARAMETERS,
         INPUT_VALUE: controller.STEERING_INPUTS,
         0: controller.STEERING_OUTPUTS + (() if speed is None else controller.SPEED_OUTPUTS),
     }  # fmt: skip
-    values = described(controller.__name__, groups, starts)
+    values = unit_values(groups, starts)
     roles = ROLES | dict.fromkeys(OUTSIDE, ArrayRole.FIXED)
     roles = FIXED_ROLES | {f"tracking.{name}": role for name, role in roles.items()}
     record = controller.SteeringUnit(*_columns(values), tracking=tracking)

@@ -15,7 +15,7 @@ import numpy as np
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.speed_control import SpeedLimit, SpeedState
 from adaptrack.control.tracker import Status, Tracker
-from adaptrack.core.tracker.records import STATUS
+from adaptrack.core.tracker.signals import STATUS
 from adaptrack.export.c_library import KERNELS_FILE, export_c, own_target
 from adaptrack.export.tracking import speed_part, tracking_block
 from tools.fuzz.speed.drives import TOP_SPEED, Drive, Route, Variant

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from ..kernel import columns, exported, float64, inlined, int64, record, size_of, vector, viewer, void
+from ..kernel import columns, exported, fields_of, float64, inlined, int64, record, size_of, vector, viewer, void
 from ..maths.bits import left
+from ..tracker.signals import TRACKER_SAMPLE
 
 TICK, WINDOW, TICKS, FEWEST = 0.095, 4, 9, 4
 """s, between two looks at the samples; looks that a window spans, that are kept, and that are needed to compare."""
@@ -66,17 +67,9 @@ COMPARED = columns("way", "course", "turn", "pull", "point", "lateral", "wheel",
 GRAMS_OF = (1, 1, 1, 1, 1, 1, BANKS * DELAYS, BANKS * DELAYS, SHIFTS, 1)
 """Alternatives of each comparison."""
 SAMPLE = columns(
-    "t",  # s, when it was taken
-    "now",  # s, of the call, on the same clock
-    "x", "y",  # m, m
-    "yaw",  # rad
-    "speed",  # m/s, along the car
-    "yaw_rate",  # rad/s
-    "vy",  # m/s
-    "lateral_acceleration",  # m/s^2
-    "wheel_angle",  # rad, of the road wheels
-    "longitudinal_acceleration",  # m/s^2, dv/dt without gravity
-)  # fmt: skip
+    *fields_of(TRACKER_SAMPLE)[: TRACKER_SAMPLE.wheel_angle + 1],
+    TRACKER_SAMPLE.field_settings["longitudinal_acceleration"],
+)
 """A call of the loop; NaN: not known."""
 SUMMED = len(SAMPLE) - SAMPLE.speed
 """Signals of a sample from the speed on."""

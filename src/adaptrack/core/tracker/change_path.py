@@ -5,7 +5,8 @@ from __future__ import annotations
 from ..controllers.contract import wrapped
 from ..kernel import Place, exported, float64, inlined, void
 from .pose import find_on_path, has_path, hint, restart
-from .records import MAX_SIGNAL, REQUEST, TrackerRecord
+from .records import REQUEST, TrackerRecord
+from .signals import MAX_SIGNAL
 
 
 @exported(void(float64, Place(TrackerRecord)))

@@ -6,17 +6,8 @@ import math
 
 from ..kernel import Place, exported, inlined, void
 from .pose import hold, is_beyond
-from .records import (
-    BEYOND_END,
-    CONTROLLER_ANSWER,
-    ESTIMATED,
-    FOLLOWING,
-    HELD,
-    OFF_PATH,
-    STANDS,
-    STANDSTILL_SPEED,
-    TrackerRecord,
-)
+from .records import CONTROLLER_ANSWER, STANDSTILL_SPEED, TrackerRecord
+from .signals import BEYOND_END, ESTIMATED, FOLLOWING, HELD, OFF_PATH, STANDS
 
 
 @exported(void(Place(TrackerRecord)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..friction_estimate import FrictionEstimate, begin_friction, narrow_friction
 from ..input_check.record import MISTAKES, SUBJECTS, memory_of, report
-from ..kernel import Place, exported, float64, inlined, record, rows, vector, void
+from ..kernel import Place, exported, fields_of, float64, inlined, packer, record, rows, vector, void
 from ..layout import empty
 from ..maths.bits import whole
 from ..maths.exact import clip, square
@@ -17,6 +17,7 @@ from ..road import foot_near, point_at
 from ..speed_control import (
     BLIND_GRACE,
     SPEED_MEMORY,
+    SPEED_REQUEST,
     SPEED_SAMPLE,
     SpeedPath,
     SpeedSettings,
@@ -26,7 +27,8 @@ from ..speed_control import (
 from ..speed_learning import SpeedBanks, begin_bank
 from ..speed_path import MAX_PLAN_SPEED
 from .pose import forward, has_position, line, time_of
-from .records import INSTANT, MAX_SIGNAL, TRACKED, TRACKER_SAMPLE, TrackerRecord
+from .records import INSTANT, TrackerRecord
+from .signals import MAX_SIGNAL, TRACKED, TRACKER_SAMPLE
 
 Longitudinal = record(
     "Longitudinal",
@@ -37,6 +39,8 @@ Longitudinal = record(
 )  # fmt: skip
 """A speed control: sample and memory (1,), settings, plan, banks, the governed squares ahead (m^2/s^2), and the
 estimate of the friction."""
+
+_write_memory = packer(record("Requests", fields_of(SPEED_REQUEST)[: SPEED_REQUEST.friction_low]))
 
 
 def no_speed_control() -> Any:
@@ -154,19 +158,26 @@ def _write_sample(tracker, m, blind_time, action, sample, memory):
     sample.blind_time = blind_time if is_blind else 0.0
     sample.station, sample.station_age = math.nan, 0.0
     sample.offset = m.offset if abs(m.offset) < MAX_SIGNAL else 0.0
-    if m.started > 0 and has_position(m) and m.given_t > memory.pose_time and m.offset == m.offset:
-        memory.pose_time = m.given_t
-        age = clip(instant_time - m.given_t, 0.0, MAX_POSITION_AGE)
+    if m.started > 0 and has_position(m) and m.given.t > memory.pose_time and m.offset == m.offset:
+        memory.pose_time = m.given.t
+        age = clip(instant_time - m.given.t, 0.0, MAX_POSITION_AGE)
         sample.station, sample.station_age = m.station - age * forward(m), age
     speed = call[TRACKER_SAMPLE.speed]
     sample.speed = speed if abs(speed) <= MAX_PLAN_SPEED else math.nan
-    age = instant_time - call[TRACKER_SAMPLE.motion_t]
+    age = instant_time - call[TRACKER_SAMPLE.motion_time]
     sample.speed_age = max(age, 0.0) if age > -EARLY_PERIODS * period else math.inf
     sample.yaw_rate = call[TRACKER_SAMPLE.yaw_rate]
-    acceleration = call[TRACKER_SAMPLE.longitudinal_acceleration]
-    sample.acceleration = acceleration if abs(acceleration) < MAX_SIGNAL else math.nan
+    sample.acceleration = call[TRACKER_SAMPLE.longitudinal_acceleration]
     sample.driver = 1.0 if call[TRACKER_SAMPLE.driver] > 0.5 else 0.0
     sample.grade = call[TRACKER_SAMPLE.grade]
+
+
+@inlined
+def write_requests(longitudinal, row, first):
+    """Write SPEED_REQUEST to a row from a place on."""
+    _write_memory(row, first, longitudinal.memory[0])
+    friction = longitudinal.friction.memory[0]
+    row[first + SPEED_REQUEST.friction_low], row[first + SPEED_REQUEST.friction_high] = friction.low, friction.high
 
 
 @inlined

@@ -6,16 +6,19 @@ import math
 
 from ..controllers.contract import wrapped
 from ..estimators.learning import KNOWN_DELAY_SIGMA
-from ..kernel import inlined, record
+from ..kernel import fields_of, inlined, packer, record
 from ..maths.exact import clip
 from ..maths.trigonometric import cos, sin
 from ..road import CLOSED, LENGTH, foot_near, line_of, nearest, point_at
-from .records import ACROSS_PENALTY, CONTROLLER_ANSWER, HELD, MAX_POSITION, NO_BELIEF, REQUEST, TRACKED
+from .records import ACROSS_PENALTY, CONTROLLER_ANSWER, REQUEST
+from .signals import HELD, MAX_POSITION, NO_BELIEF, TRACKED
 
 PoseRow = record("PoseRow", ("x", "y", "yaw"))
 """m, m, rad."""
 Beside = record("Beside", ("offset", "heading_error"))
 """m, rad, of a pose against the path; NaN where it has no foot."""
+
+_write_answer = packer(record("Answer", fields_of(TRACKED)[: TRACKED.suspect]))
 
 
 @inlined
@@ -40,19 +43,19 @@ def keep_pose(m, pose):
 @inlined
 def sampled_pose(m):
     """The position of the sample at hand."""
-    return PoseRow(m.given_x, m.given_y, m.given_yaw)
+    return PoseRow(m.given.x, m.given.y, m.given.yaw)
 
 
 @inlined
 def has_position(m):
     """Whether the sample at hand has a position and its time."""
-    return math.isfinite(m.given_t + (m.given_x + m.given_y + m.given_yaw))
+    return math.isfinite(m.given.t + (m.given.x + m.given.y + m.given.yaw))
 
 
 @inlined
 def leave_out_position(m):
     """Go by the rest of the sample at hand."""
-    m.given_x = m.given_y = m.given_yaw = math.nan
+    m.given.x = m.given.y = m.given.yaw = math.nan
 
 
 @inlined
@@ -163,9 +166,9 @@ def _first_top_speed(tracker, m):
 def write_tracked(tracker, m):
     """Write the answer of a call, see TRACKED; a call that was left out repeats the one before."""
     tracked = tracker.tracked
-    tracked[TRACKED.command] = m.command
-    tracked[TRACKED.status] = m.rejection if m.rejection > 0 else m.status
-    tracked[TRACKED.offset], tracked[TRACKED.heading_error] = m.offset, m.heading_error
-    tracked[TRACKED.station] = m.station if m.offset == m.offset else math.nan
-    tracked[TRACKED.belief_state], tracked[TRACKED.belief_at_bound] = m.belief_state, m.belief_at_bound
+    _write_answer(tracked, 0, m)
+    if m.rejection > 0:
+        tracked[TRACKED.status] = m.rejection
+    if m.offset != m.offset:
+        tracked[TRACKED.station] = math.nan
     tracked[TRACKED.first_top_speed] = _first_top_speed(tracker, m)

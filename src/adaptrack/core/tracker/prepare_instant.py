@@ -27,23 +27,8 @@ from .pose import (
     time_of,
     write_tracked,
 )
-from .records import (
-    CAR_SLIDES,
-    ESTIMATED,
-    EXPECTED_SPEEDS,
-    FOLLOWING,
-    HELD,
-    INSTANT,
-    LONGEST_CARRY,
-    LONGEST_GAP,
-    MAX_SIGNAL,
-    REQUEST,
-    REVERSE,
-    STANDSTILL_SPEED,
-    TRACKED,
-    TRACKER_SAMPLE,
-    TrackerRecord,
-)
+from .records import EXPECTED_SPEEDS, INSTANT, LONGEST_CARRY, LONGEST_GAP, REQUEST, STANDSTILL_SPEED, TrackerRecord
+from .signals import CAR_SLIDES, ESTIMATED, FOLLOWING, HELD, REVERSE, TRACKED, TRACKER_SAMPLE
 
 _aligned = local(len(SAMPLE))
 LATEST_POSE, LATEST_MOTION = 0.499, 0.999
@@ -104,14 +89,14 @@ def _advance(tracker, m, sampled):
     settings, centreline = tracker.settings[0], line(tracker)
     period, speed = settings.period, forward(m)
     m.instant += 1
-    if sampled and math.isfinite(m.given_yaw_rate):
-        m.yaw_rate = m.given_yaw_rate
+    if sampled and math.isfinite(m.given.yaw_rate):
+        m.yaw_rate = m.given.yaw_rate
     else:
         _, _, _, curvature = point_at(m.station, centreline)
         m.yaw_rate = speed * curvature
     pose = carried(pose_of(m), period, speed, m.yaw_rate)
-    if sampled and has_position(m) and m.given_t > m.newest:
-        age = time_of(m, period) - m.given_t
+    if sampled and has_position(m) and m.given.t > m.newest:
+        age = time_of(m, period) - m.given.t
         if -period <= age <= settings.late * period + LONGEST_CARRY:
             pose = carried(sampled_pose(m), age, speed, m.yaw_rate)
     keep_pose(m, pose)
@@ -163,36 +148,35 @@ def _align(sample, aligned):
     """Write the sample with its pose carried to the time of its motion: the inputs are compared at one time."""
     for i in range(SAMPLE.wheel_angle + 1):
         aligned[i] = sample[i]
-    acceleration = sample[TRACKER_SAMPLE.longitudinal_acceleration]
-    aligned[SAMPLE.longitudinal_acceleration] = acceleration if abs(acceleration) < MAX_SIGNAL else math.nan
-    time = sample[TRACKER_SAMPLE.motion_t] - sample[TRACKER_SAMPLE.t]
+    aligned[SAMPLE.longitudinal_acceleration] = sample[TRACKER_SAMPLE.longitudinal_acceleration]
+    time = sample[TRACKER_SAMPLE.motion_time] - sample[TRACKER_SAMPLE.t]
     speed, yaw_rate = sample[TRACKER_SAMPLE.speed], sample[TRACKER_SAMPLE.yaw_rate]
     if time != 0.0 and abs(time) <= LONGEST_CARRY and math.isfinite(speed):
         pose = PoseRow(sample[TRACKER_SAMPLE.x], sample[TRACKER_SAMPLE.y], sample[TRACKER_SAMPLE.yaw])
         pose = carried(pose, time, speed, yaw_rate if math.isfinite(yaw_rate) else 0.0)
         aligned[SAMPLE.x], aligned[SAMPLE.y], aligned[SAMPLE.yaw] = pose.x, pose.y, pose.yaw
-        aligned[SAMPLE.t] = sample[TRACKER_SAMPLE.motion_t]
+        aligned[SAMPLE.t] = sample[TRACKER_SAMPLE.motion_time]
 
 
 @inlined
 def _take(tracker, m, measured):
     """Write what the sample at hand says and how old it is; whether it has a position that can be used."""
     period, late = tracker.settings[0].period, tracker.settings[0].late
-    age, declared = _ages(m.given_t, late + LATEST_POSE, m, period)
-    motion_age, declared_motion_age = _ages(m.given_motion_t, late + LATEST_MOTION, m, period)
+    age, declared = _ages(m.given.t, late + LATEST_POSE, m, period)
+    motion_age, declared_motion_age = _ages(m.given.motion_time, late + LATEST_MOTION, m, period)
     carry = age - declared
     if max(age, motion_age) > (late + LATEST_MOTION + CARRIED) * period and has_position(m):
         tracker.request[REQUEST.late] = max(age, motion_age)
     if abs(motion_age - declared_motion_age) <= CARRIED * period:
-        measured[MEASUREMENT.vy], measured[MEASUREMENT.yaw_rate] = m.given_vy, m.given_yaw_rate
-        measured[MEASUREMENT.wheel_angle] = m.given_wheel_angle
-        measured[MEASUREMENT.lateral_acceleration] = m.given_lateral_acceleration
+        measured[MEASUREMENT.vy], measured[MEASUREMENT.yaw_rate] = m.given.lateral_velocity, m.given.yaw_rate
+        measured[MEASUREMENT.wheel_angle] = m.given.wheel_angle
+        measured[MEASUREMENT.lateral_acceleration] = m.given.lateral_acceleration
     measured[MEASUREMENT.pose_age], measured[MEASUREMENT.motion_age] = declared, declared_motion_age
-    is_seen = m.given_t <= m.newest and m.instant > 0
+    is_seen = m.given.t <= m.newest and m.instant > 0
     if not (has_position(m) and -period <= carry <= LONGEST_CARRY) or (is_seen and late == 0):
         return False
     if m.instant > 0:
-        m.newest = max(m.newest, m.given_t)
+        m.newest = max(m.newest, m.given.t)
     pose = carried(sampled_pose(m), carry, forward(m), m.yaw_rate)
     there = path_errors(tracker, pose, m.station - forward(m) * declared)
     measured[MEASUREMENT.y], measured[MEASUREMENT.yaw] = there.offset, there.heading_error

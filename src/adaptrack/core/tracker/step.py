@@ -12,7 +12,8 @@ from ..variables import VARIABLE_COLUMNS
 from .conclude_instant import tracker_conclude
 from .longitudinal import Longitudinal
 from .prepare_instant import tracker_prepare
-from .records import CONTROLLER_ANSWER, INSTANT, NO_BELIEF, TRACKER_SAMPLE, TrackerRecord
+from .records import CONTROLLER_ANSWER, INSTANT, TrackerRecord
+from .signals import NO_BELIEF, TRACKER_SAMPLE
 from .take_call import tracker_take
 
 Tracking = record(

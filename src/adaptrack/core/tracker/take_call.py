@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..input_check.call import begin_check
-from ..kernel import Place, exported, float64, inlined, int64, void
+from ..kernel import Place, copier, exported, float64, inlined, int64, local, viewer, void
 from ..maths.bits import whole
 from ..maths.exact import floor
 from ..maths.exponential import hypot
@@ -28,24 +28,28 @@ from .pose import (
     write_tracked,
 )
 from .records import (
-    HELD,
     JUMPS,
     LARGEST_JUMP,
     LONGEST_CARRY,
     LONGEST_GAP,
-    MAX_POSITION,
-    MAX_SIGNAL,
+    REQUEST,
+    SHARE_OF_LAST,
+    STANDSTILL_SPEED,
+    TrackerRecord,
+)
+from .signals import (
+    HELD,
     NO_BELIEF,
     NO_TIME,
     REPEATED,
-    REQUEST,
     REVERSE,
-    SHARE_OF_LAST,
-    STANDSTILL_SPEED,
+    SAMPLE_LIMITS,
     TRACKED,
     TRACKER_SAMPLE,
-    TrackerRecord,
+    TrackerSample,
 )
+
+_used, _sample_of, _copy_sample = local(len(TRACKER_SAMPLE)), viewer(TrackerSample), copier(TrackerSample)
 
 
 @exported(int64(float64, float64, Place(TrackerRecord)))
@@ -69,7 +73,7 @@ def tracker_engage(angle, near, tracker):
 
 @exported(void(Place(TrackerRecord)))
 def tracker_take(tracker):
-    """Take in the call in `tracker.sample`, see SAMPLE."""
+    """Take in the call in `tracker.sample`, see TRACKER_SAMPLE."""
     m, sample = tracker.memory[0], tracker.sample
     m.open, m.due, m.first, m.waiting, m.answered = 1, 0, 0, 0, 0
     tracker.request[REQUEST.late] = math.nan
@@ -80,8 +84,8 @@ def tracker_take(tracker):
     if m.rejection > 0:
         return
     sample[TRACKER_SAMPLE.now] = at
-    if not math.isfinite(sample[TRACKER_SAMPLE.motion_t]):
-        sample[TRACKER_SAMPLE.motion_t] = t
+    if not math.isfinite(sample[TRACKER_SAMPLE.motion_time]):
+        sample[TRACKER_SAMPLE.motion_time] = t
     _keep(m, sample, at)
     if math.isfinite(sample[TRACKER_SAMPLE.speed]):
         m.speed = sample[TRACKER_SAMPLE.speed]
@@ -97,8 +101,8 @@ def tracker_take(tracker):
 @inlined
 def _leave_out_absurd(sample):
     """Let what no car can have be missing."""
-    for i in range(TRACKER_SAMPLE.x, TRACKER_SAMPLE.wheel_angle + 1):
-        if not abs(sample[i]) < (MAX_POSITION if i <= TRACKER_SAMPLE.yaw else MAX_SIGNAL):
+    for i in range(len(TRACKER_SAMPLE)):
+        if abs(sample[i]) >= SAMPLE_LIMITS[i]:
             sample[i] = math.nan
 
 
@@ -115,26 +119,21 @@ def _rejection(m, at):
 @inlined
 def _keep(m, sample, at):
     """Keep the sample of a call at a time (s) without the pose or the motion that is older than `LONGEST_GAP`."""
-    nothing, old = math.nan, abs(at - sample[TRACKER_SAMPLE.t]) > LONGEST_GAP
-    m.given_t = nothing if old else sample[TRACKER_SAMPLE.t]
-    m.given_x = nothing if old else sample[TRACKER_SAMPLE.x]
-    m.given_y = nothing if old else sample[TRACKER_SAMPLE.y]
-    m.given_yaw = nothing if old else sample[TRACKER_SAMPLE.yaw]
-    old = abs(at - sample[TRACKER_SAMPLE.motion_t]) > LONGEST_GAP
-    m.given_motion_t = nothing if old else sample[TRACKER_SAMPLE.motion_t]
-    m.given_yaw_rate = nothing if old else sample[TRACKER_SAMPLE.yaw_rate]
-    m.given_vy = nothing if old else sample[TRACKER_SAMPLE.vy]
-    m.given_lateral_acceleration = nothing if old else sample[TRACKER_SAMPLE.lateral_acceleration]
-    m.given_wheel_angle = nothing if old else sample[TRACKER_SAMPLE.wheel_angle]
+    used, pose_is_old = _used(), abs(at - sample[TRACKER_SAMPLE.t]) > LONGEST_GAP
+    motion_is_old = abs(at - sample[TRACKER_SAMPLE.motion_time]) > LONGEST_GAP
+    for i in range(len(TRACKER_SAMPLE)):
+        is_of_pose = i == TRACKER_SAMPLE.t or TRACKER_SAMPLE.x <= i <= TRACKER_SAMPLE.yaw
+        used[i] = math.nan if (pose_is_old if is_of_pose else motion_is_old) else sample[i]
+    _copy_sample(_sample_of(used, 0), m.given)
 
 
 @inlined
 def _begin(tracker, m, at):
     """The first call, or one that is still no beginning."""
     period = tracker.settings[0].period
-    if math.isfinite(m.given_wheel_angle):
-        hold(tracker, m, m.given_wheel_angle)
-    age = at - m.given_t
+    if math.isfinite(m.given.wheel_angle):
+        hold(tracker, m, m.given.wheel_angle)
+    age = at - m.given.t
     backwards = m.speed < -STANDSTILL_SPEED
     is_usable = has_position(m) and math.isfinite(m.speed) and -period <= age <= LONGEST_CARRY
     if backwards or not is_usable or not has_path(tracker):
@@ -143,12 +142,12 @@ def _begin(tracker, m, at):
         nowhere(m)
         return
     m.began = m.last = at
-    m.instant, m.started, m.newest = 0, 1, m.given_t
-    m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.given_x, m.given_y, m.given_yaw, m.given_t
-    m.yaw_rate = m.given_yaw_rate if math.isfinite(m.given_yaw_rate) else 0.0
+    m.instant, m.started, m.newest = 0, 1, m.given.t
+    m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.given.x, m.given.y, m.given.yaw, m.given.t
+    m.yaw_rate = m.given.yaw_rate if math.isfinite(m.given.yaw_rate) else 0.0
     keep_pose(m, carried(sampled_pose(m), age, forward(m), m.yaw_rate))
     find_on_path(tracker, m)
-    m.given_t, m.given_x, m.given_y, m.given_yaw = at, m.x, m.y, m.yaw
+    m.given.t, m.given.x, m.given.y, m.given.yaw = at, m.x, m.y, m.yaw
     m.due = m.first = 1
 
 
@@ -176,11 +175,11 @@ def _advance_to(tracker, m, at):
 @inlined
 def _leave_out_if_placed_before(m):
     """Leave out a pose that is the one before under a later time stamp: a car that moves has another."""
-    is_repeated = m.given_x == m.placed_x and m.given_y == m.placed_y and m.given_yaw == m.placed_yaw
-    if is_repeated and m.given_t > m.placed_t and forward(m) > STANDSTILL_SPEED:
+    is_repeated = m.given.x == m.placed_x and m.given.y == m.placed_y and m.given.yaw == m.placed_yaw
+    if is_repeated and m.given.t > m.placed_t and forward(m) > STANDSTILL_SPEED:
         leave_out_position(m)
     elif has_position(m):
-        m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.given_x, m.given_y, m.given_yaw, m.given_t
+        m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.given.x, m.given.y, m.given.yaw, m.given.t
 
 
 @inlined
@@ -188,6 +187,6 @@ def _has_jumped(m, at, period):
     """Whether a position is far from where the car was expected."""
     since = at - time_of(m, period)
     expected = carried(pose_of(m), since, forward(m), m.yaw_rate)
-    sampled = carried(sampled_pose(m), at - m.given_t, forward(m), m.yaw_rate)
+    sampled = carried(sampled_pose(m), at - m.given.t, forward(m), m.yaw_rate)
     distance = hypot(sampled.x - expected.x, sampled.y - expected.y)
     return distance > LARGEST_JUMP + 0.5 * forward(m) * abs(since)

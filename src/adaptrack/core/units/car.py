@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import OK, Place, columns, exported, inlined, int64, int_vector, local, record, vector
+from ..kernel import OK, Field, Place, columns, exported, inlined, int64, int_vector, local, record, vector
 from ..loop import RUNNING, SIGNAL, STATE_NOT_FINITE
 from ..maths.bits import whole
 from ..maths.trigonometric import cos, sin
@@ -18,56 +18,70 @@ from ..plants.contract import ENVIRONMENT, MOTION_STATES, OBSERVED, PLANT_STATE,
 from ..road import line_of, point_at
 from .contract import NO_DELAY, UNIT_FAILED, outside
 
+_SPEED, _PLACE, _ANGLE = "[0, 100]", "[-1e8, 1e8]", f"[-{math.pi}, {math.pi}]"
+_FRICTION, _WIND, _FORCE = "[0.001, 3]", "[-100, 100]", "[-1e6, 1e6]"
 CAR_CONSTANTS = (
-    "time",  # s, of the present instant
-    "period",  # s, of a step
-    "speed_preview",  # s, how far ahead speed_ahead is planned
+    Field("time", "s", 0.0, "of the present instant"),
+    Field("period", "s", 0.0, "of a step"),
+    Field("speed_preview", "s", 0.0, "how far ahead speed_ahead is planned"),
 )
 PARAMETERS = (
-    "seed",  # of all that the sensors draw: the same number gives the same drive
-    "parallel_exchange",  # true: the master exchanges in parallel, which stands for a period of the car's own delay
-    "start_x", "start_y",  # m, m: position in the world at the start
-    "start_yaw",  # rad, at the start, from the world's x axis, positive to the left
-    "start_speed",  # m/s, along the car's axis at the start, in equilibrium
-    "start_station",  # m, along the road, about which the car's foot is looked for at the start
+    Field("seed", "", 0, "of all that the sensors draw: the same number gives the same drive", f"[0, {2**53}]"),
+    Field("parallel_exchange", "", False, "true: the master exchanges in parallel, which stands for a period of the "
+          "car's own delay", "[0, 1]"),
+    Field("start_x", "m", 0.0, "position in the world at the start", _PLACE),
+    Field("start_y", "m", 0.0, "position in the world at the start", _PLACE),
+    Field("start_yaw", "rad", 0.0, "at the start, from the world's x axis, positive to the left", _PLACE),
+    Field("start_speed", "m/s", 0.0, "along the car's axis at the start, in equilibrium", _SPEED),
+    Field("start_station", "m", 0.0, "along the road, about which the car's foot is looked for at the start", _PLACE),
 )  # fmt: skip
 CAR_INPUTS = (
-    "command",  # rad, requested angle of the road wheels, positive to the left
-    "speed",  # m/s, planned for this instant
-    "speed_ahead",  # m/s, planned for the time of speed_preview from now
-    "on_plan",  # true: a car that is early or late against plan_station drives a little slower or faster
-    "plan_station",  # m, along the road, where the plan is at this instant
-    "friction_front_left", "friction_front_right",  # -, -: coefficient under the wheel
-    "friction_rear_left", "friction_rear_right",  # -, -: coefficient under the wheel
-    "wind_x", "wind_y",  # m/s, m/s: velocity of the air in the world
-    "bank",  # m/s^2, what the pull of a banked road adds to dv_y/dt, positive to the left
-    "grade",  # -, dz/ds of the road, positive uphill
-    "force",  # N, requested at the wheels, positive forward; acts in a car that is exported for a speed control
-    "hold",  # N, of the brakes in addition to the force; acts in a car that is exported for a speed control
+    Field("command", "rad", 0.0, "requested angle of the road wheels, positive to the left", _ANGLE),
+    Field("speed", "m/s", 0.0, "planned for this instant", _SPEED),
+    Field("speed_ahead", "m/s", 0.0, "planned for the time of speed_preview from now", _SPEED),
+    Field("on_plan", "", False, "true: a car that is early or late against plan_station drives a little slower or "
+          "faster", "[0, 1]"),
+    Field("plan_station", "m", 0.0, "along the road, where the plan is at this instant", _PLACE),
+    *(Field(f"friction_{wheel}", "", 0.9, "coefficient under the wheel", _FRICTION)
+      for wheel in ("front_left", "front_right", "rear_left", "rear_right")),
+    *(Field(f"wind_{axis}", "m/s", 0.0, "velocity of the air in the world", _WIND) for axis in "xy"),
+    Field("bank", "m/s^2", 0.0, "what the pull of a banked road adds to dv_y/dt, positive to the left", "[-10, 10]"),
+    Field("grade", "", 0.0, "dz/ds of the road, positive uphill", "[-0.4, 0.4]"),
+    Field("force", "N", 0.0, "requested at the wheels, positive forward; acts in a car that is exported for a speed "
+          "control", _FORCE),
+    Field("hold", "N", 0.0, "of the brakes in addition to the force; acts in a car that is exported for a speed "
+          "control", "[0, 1e6]"),
 )  # fmt: skip
 CAR_OUTPUTS = (
-    "measured_x", "measured_y",  # m, m: measured position in the world, measured_pose_age ago; NaN: missing
-    "measured_yaw",  # rad, measured yaw angle, measured_pose_age ago, positive to the left; NaN: missing
-    "measured_offset",  # m, measured distance from the road, measured_pose_age ago, positive to the left; NaN: missing
-    "measured_heading_error",  # rad, measured_yaw less the road's heading; NaN: missing
-    "measured_pose_age",  # s, how old measured position and yaw are
-    "measured_speed",  # m/s, measured speed along the car's axis, measured_speed_age ago
-    "measured_vy",  # m/s, measured lateral velocity, measured_motion_age ago, positive to the left; NaN: missing
-    "measured_yaw_rate",  # rad/s, measured yaw rate, measured_motion_age ago, positive to the left; NaN: missing
-    "measured_wheel_angle",  # rad, measured angle of the road wheels, measured_motion_age ago; NaN: missing
-    "measured_lateral_acceleration",  # m/s^2, of an accelerometer, measured_motion_age ago; NaN: missing
-    "measured_motion_age",  # s, how old vy, yaw rate, wheel angle and lateral acceleration are as measured
-    "x", "y",  # m, m: true position of the centre of mass in the world
-    "yaw",  # rad, true yaw angle, from the world's x axis, positive to the left
-    "vx", "vy",  # m/s, m/s: true velocity along the car's axes, x forward, y to the left
-    "yaw_rate",  # rad/s, true yaw rate, positive to the left
-    "wheel_angle",  # rad, true angle of the road wheels, positive to the left
-    "lateral_acceleration",  # m/s^2, true lateral acceleration, positive to the left
-    "station",  # m, along the road, of the car's foot on it, over all laps; without a road x
-    "offset",  # m, true distance from the road, positive to the left; without a road y
-    "heading_error",  # rad, true yaw angle less the road's heading
-    "ended",  # 0, or 2 once the car has spun
-    "measured_speed_age",  # s, how old the measured speed is
+    Field("measured_x", "m", 0.0, "measured position in the world, measured_pose_age ago; NaN: missing"),
+    Field("measured_y", "m", 0.0, "measured position in the world, measured_pose_age ago; NaN: missing"),
+    Field("measured_yaw", "rad", 0.0, "measured yaw angle, measured_pose_age ago, positive to the left; NaN: missing"),
+    Field("measured_offset", "m", 0.0, "measured distance from the road, measured_pose_age ago, positive to the left; "
+          "NaN: missing"),
+    Field("measured_heading_error", "rad", 0.0, "measured_yaw less the road's heading; NaN: missing"),
+    Field("measured_pose_age", "s", 0.0, "how old measured position and yaw are"),
+    Field("measured_speed", "m/s", 0.0, "measured speed along the car's axis, measured_speed_age ago"),
+    Field("measured_vy", "m/s", 0.0, "measured lateral velocity, measured_motion_age ago, positive to the left; "
+          "NaN: missing"),
+    Field("measured_yaw_rate", "rad/s", 0.0, "measured yaw rate, measured_motion_age ago, positive to the left; "
+          "NaN: missing"),
+    Field("measured_wheel_angle", "rad", 0.0, "measured angle of the road wheels, measured_motion_age ago; "
+          "NaN: missing"),
+    Field("measured_lateral_acceleration", "m/s^2", 0.0, "of an accelerometer, measured_motion_age ago; NaN: missing"),
+    Field("measured_motion_age", "s", 0.0, "how old measured vy, yaw rate, wheel angle and lateral acceleration are"),
+    Field("x", "m", 0.0, "true position of the centre of mass in the world"),
+    Field("y", "m", 0.0, "true position of the centre of mass in the world"),
+    Field("yaw", "rad", 0.0, "true yaw angle, from the world's x axis, positive to the left"),
+    Field("vx", "m/s", 0.0, "true velocity along the car's axes, x forward, y to the left"),
+    Field("vy", "m/s", 0.0, "true velocity along the car's axes, x forward, y to the left"),
+    Field("yaw_rate", "rad/s", 0.0, "true yaw rate, positive to the left"),
+    Field("wheel_angle", "rad", 0.0, "true angle of the road wheels, positive to the left"),
+    Field("lateral_acceleration", "m/s^2", 0.0, "true lateral acceleration, positive to the left"),
+    Field("station", "m", 0.0, "along the road, of the car's foot on it, over all laps; without a road x"),
+    Field("offset", "m", 0.0, "true distance from the road, positive to the left; without a road y"),
+    Field("heading_error", "rad", 0.0, "true yaw angle less the road's heading"),
+    Field("ended", "", 0, "0, or 2 once the car has spun"),
+    Field("measured_speed_age", "s", 0.0, "how old the measured speed is"),
 )  # fmt: skip
 CAR_VALUE = columns(*CAR_CONSTANTS, *PARAMETERS, *CAR_INPUTS, *CAR_OUTPUTS)
 """The values of a car."""

@@ -277,13 +277,7 @@ static adaptrack_error put_plan(uint64_t *record, const void *memory) {
 static void read_requests(const uint64_t *record, adaptrack_answer *answer) {
     const word *memory = (const word *)(const void *)numbers_at(record, ADAPTRACK_LONGITUDINAL_MEMORY_AT);
     const double *friction = numbers_at(record, ADAPTRACK_LONGITUDINAL_FRICTION_AT);
-    answer->acceleration = memory[ADAPTRACK_REQUEST_ACCELERATION].number;
-    answer->force = memory[ADAPTRACK_REQUEST_FORCE].number, answer->hold = memory[ADAPTRACK_REQUEST_HOLD].number;
-    answer->target_speed = memory[ADAPTRACK_REQUEST_TARGET_SPEED].number;
-    answer->grip_used = memory[ADAPTRACK_REQUEST_GRIP_USED].number;
-    answer->speed_state = (adaptrack_speed_state)memory[ADAPTRACK_REQUEST_STATE].whole;
-    answer->limited_by = (adaptrack_speed_limit)memory[ADAPTRACK_REQUEST_LIMITED_BY].whole;
-    answer->friction_low = friction[ADAPTRACK_FRICTION_LOW], answer->friction_high = friction[ADAPTRACK_FRICTION_HIGH];
+@READ_REQUESTS@
 }
 #else
 enum { CALLER_WORDS = ADAPTRACK_PATH_END - ADAPTRACK_PATH_OF };
@@ -418,18 +412,11 @@ adaptrack_error adaptrack_follow(void *tracker, const void *path, double near, c
 /* A number that stands for a status or a state, 0 where it is none. */
 static int small(double value) { return value > -1000.0 && value < 1000.0 ? (int)value : 0; }
 
+/* A number of bits, 0 where it is none. */
+static uint64_t bits(double value) { return value >= 1.0 && value < 9e15 ? (uint64_t)value : 0u; }
+
 static void read_answer(const double *tracked, adaptrack_answer *answer) {
-    double suspect;
-    answer->command = tracked[ADAPTRACK_TRACKED_COMMAND];
-    answer->offset = tracked[ADAPTRACK_TRACKED_OFFSET];
-    answer->heading_error = tracked[ADAPTRACK_TRACKED_HEADING_ERROR];
-    answer->station = tracked[ADAPTRACK_TRACKED_STATION];
-    answer->status = (adaptrack_status)small(tracked[ADAPTRACK_TRACKED_STATUS]);
-    answer->belief = small(tracked[ADAPTRACK_TRACKED_BELIEF_STATE]);
-    answer->at_bound = small(tracked[ADAPTRACK_TRACKED_BELIEF_AT_BOUND]);
-    suspect = tracked[ADAPTRACK_TRACKED_SUSPECT];
-    answer->suspect = suspect >= 1.0 && suspect < 9e15 ? (uint64_t)suspect : 0u;
-    answer->first_top_speed = tracked[ADAPTRACK_TRACKED_FIRST_TOP_SPEED];
+@READ_ANSWER@
 }
 
 /* ADAPTRACK_BAD_PATH where the path that is followed has been overwritten. */
@@ -447,25 +434,17 @@ static adaptrack_error check_path(void *tracker) {
 }
 
 adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, adaptrack_answer *answer) {
+    const double *signals = (const double *)(const void *)sample; /* it has nothing but numbers */
     adaptrack_error error;
-    double *given;
+    double *row;
     if (!sample || !answer) return ADAPTRACK_BAD_ARGUMENT;
     error = adaptrack_block_take(tracker);
     if (error != ADAPTRACK_OK) return error;
     error = adaptrack_arithmetic();
     if (error == ADAPTRACK_OK) error = check_path(tracker);
     if (error == ADAPTRACK_OK) {
-        given = numbers_at(record_of(tracker), ADAPTRACK_SAMPLE_AT);
-        given[ADAPTRACK_SAMPLE_T] = sample->t, given[ADAPTRACK_SAMPLE_NOW] = sample->now;
-        given[ADAPTRACK_SAMPLE_X] = sample->x, given[ADAPTRACK_SAMPLE_Y] = sample->y;
-        given[ADAPTRACK_SAMPLE_YAW] = sample->yaw, given[ADAPTRACK_SAMPLE_SPEED] = sample->speed;
-        given[ADAPTRACK_SAMPLE_YAW_RATE] = sample->yaw_rate, given[ADAPTRACK_SAMPLE_VY] = sample->lateral_velocity;
-        given[ADAPTRACK_SAMPLE_LATERAL_ACCELERATION] = sample->lateral_acceleration;
-        given[ADAPTRACK_SAMPLE_WHEEL_ANGLE] = sample->wheel_angle;
-        given[ADAPTRACK_SAMPLE_FRICTION] = sample->friction, given[ADAPTRACK_SAMPLE_WIND] = sample->wind;
-        given[ADAPTRACK_SAMPLE_MOTION_T] = sample->motion_time;
-        given[ADAPTRACK_SAMPLE_LONGITUDINAL_ACCELERATION] = sample->longitudinal_acceleration;
-        given[ADAPTRACK_SAMPLE_DRIVER] = sample->driver, given[ADAPTRACK_SAMPLE_GRADE] = sample->grade;
+        row = numbers_at(record_of(tracker), ADAPTRACK_SAMPLE_AT);
+        for (size_t i = 0; i < sizeof *sample / sizeof *row; i++) row[i] = signals[i];
         adaptrack_parts_step(record_of(tracker));
         read_answer(numbers_at(record_of(tracker), ADAPTRACK_TRACKED_AT), answer);
 #if ADAPTRACK_SPEED_CONTROL

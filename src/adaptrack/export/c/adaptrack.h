@@ -138,67 +138,22 @@ adaptrack_error adaptrack_acknowledge_fault(void *tracker);
 
 /* -- a call ------------------------------------------------------------------------------------------------------- */
 typedef struct {
-    double t;                    /* s, when the pose was taken, and the motion without a time of its own */
-    double now;                  /* s, of the call, on the same clock; NaN: t */
-    double x, y;                 /* m, of the centre of mass */
-    double yaw;                  /* rad, from the path's x axis, wrapped or not */
-    double speed;                /* m/s, negative backwards */
-    double yaw_rate;             /* rad/s */
-    double lateral_velocity;     /* m/s */
-    double lateral_acceleration; /* m/s^2, without the pull of a bank */
-    double wheel_angle;          /* rad, of the road wheels; where it is given, the first command is near it */
-    double friction;             /* of tyre and road, for a controller with a schedule */
-    double wind;                 /* m/s, of the air to the left, for a controller with a schedule */
-    double motion_time;          /* s, when speed, yaw rate, lateral velocity and acceleration and wheel angle were
-                                    taken; NaN: t */
-    double longitudinal_acceleration; /* m/s^2, dv/dt without gravity, for a speed control */
-    double driver;               /* 1: a driver uses the pedals, for a speed control: it learns nothing, and its requests
-                                    follow the motion of the car; 0 or NaN: no driver does */
-    double grade;                /* dz/ds under the car, measured, positive uphill, at most 0.4 to either side, for a
-                                    speed control: for requests and learning it replaces the plan's; NaN: the plan's */
+@SAMPLE@
 } adaptrack_sample;
-#define ADAPTRACK_UNKNOWN {NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN}
+#define ADAPTRACK_UNKNOWN {@UNKNOWN@}
 
 /* What a call was. */
 typedef enum {
-    ADAPTRACK_STATUS_OK = 0,        /* a new position was used */
-    ADAPTRACK_STATUS_ESTIMATED = 1, /* no new position, or none to be believed: the command is that of the estimate */
-    ADAPTRACK_STATUS_HELD = 2,      /* no position yet or for too long, no solution, or the car turns against its
-                                       commands: the command before is held; stop the car, or steer by hand */
-    ADAPTRACK_STATUS_STANDING = 3,  /* the car stands, its wheels stay at rest */
-    ADAPTRACK_STATUS_REVERSE = 4,   /* the car drives backwards: the wheels are left where they are */
-    ADAPTRACK_STATUS_OFF_PATH = 5,  /* far from the path: stop the car, or give another path */
-    ADAPTRACK_STATUS_END = 6,       /* beyond the end of an open path: it goes on straight; stop the car */
-    ADAPTRACK_STATUS_SLIDING = 7,   /* the car slides or spins: a command is given all the same; slow down */
-    ADAPTRACK_STATUS_REPEATED = 8,  /* at the time of the call before, or earlier: left out, the command is the same */
-    ADAPTRACK_STATUS_NO_TIME = 9    /* neither t nor now is a time: left out */
+@STATUSES@
 } adaptrack_status;
 
 typedef struct {
-    double command;       /* rad, angle of the road wheels to ask for, positive to the left; always finite */
-    double offset;        /* m, of the car from the path, positive to the left; NaN without a position to go by */
-    double heading_error; /* rad, the car's heading less the path's; likewise */
-    double station;       /* m, arc length of the car's foot on the path, over all laps; likewise */
-    adaptrack_status status;
-    int belief;           /* in what is learned of the car: 0 still learning, 1 settled, 2 at the end of a range,
-                             3 contradictory; -1 where nothing is learned */
-    int at_bound;         /* 1, 2, ...: the learned quantity that is at the end of its range (docs/learning.md) */
-    uint64_t suspect;     /* ADAPTRACK_SUSPECT_...: inputs that contradict each other, since the tracker engaged */
-    double first_top_speed; /* m/s, below which to drive until the controller has learned its car; then, and without
-                               learning, infinite */
+@ANSWER@
 #if ADAPTRACK_SPEED_CONTROL
     /* Requests of the speed control for the present period. Pass on `force` or `acceleration`, not both, and `hold`.
-       They are finite, and within the limits of the car, whatever a sample contains. */
-    double acceleration;  /* m/s^2, dv/dt along the road, without gravity; negative: slower */
-    double force;         /* N, of all wheels: positive drives forward; negative is a force of the brakes, which opposes
-                             the motion either way and never moves a standing car. It is for a car of ADAPTRACK_MASS;
-                             its limits of friction do not adapt to a different mass. */
-    double hold;          /* N, never negative: a force of the brakes likewise, in addition; it holds the car at rest */
-    double target_speed;  /* m/s, where the request acts */
-    double grip_used;     /* -, acceleration of the car over what the assumed friction gives */
-    adaptrack_speed_state speed_state;
-    adaptrack_speed_limit limited_by;
-    double friction_low, friction_high; /* -, ends of the interval of the friction, as narrowed so far */
+       They are finite, and within the limits of the car, whatever a sample contains. The force is for a car of
+       ADAPTRACK_MASS; its limits of friction do not adapt to a different mass. */
+@REQUESTS@
 #endif
 } adaptrack_answer;
 

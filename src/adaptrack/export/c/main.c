@@ -18,22 +18,13 @@ static uint32_t crc32_of(const unsigned char *bytes, size_t size) {
 }
 
 static uint32_t fingerprint(const adaptrack_answer *answer) {
+    const double numbers[] = {
+@ANSWER_NUMBERS@
 #if ADAPTRACK_SPEED_CONTROL
-    double numbers[18];
-#else
-    double numbers[9];
+@REQUEST_NUMBERS@
 #endif
+    };
     unsigned char bytes[sizeof numbers];
-    numbers[0] = answer->command, numbers[1] = (double)answer->status, numbers[2] = answer->offset;
-    numbers[3] = answer->heading_error, numbers[4] = answer->station, numbers[5] = (double)answer->belief;
-    numbers[6] = (double)answer->at_bound, numbers[7] = (double)answer->suspect;
-    numbers[8] = answer->first_top_speed;
-#if ADAPTRACK_SPEED_CONTROL
-    numbers[9] = answer->acceleration, numbers[10] = answer->force, numbers[11] = answer->hold;
-    numbers[12] = answer->target_speed, numbers[13] = answer->grip_used;
-    numbers[14] = (double)answer->speed_state, numbers[15] = (double)answer->limited_by;
-    numbers[16] = answer->friction_low, numbers[17] = answer->friction_high;
-#endif
     for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++) {
         uint64_t bits = 0x7ff8000000000000u; /* any NaN */
         if (numbers[i] == numbers[i]) memcpy(&bits, numbers + i, sizeof bits);
