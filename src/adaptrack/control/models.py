@@ -23,12 +23,12 @@ from adaptrack.core import portable
 from adaptrack.core.controllers import condensing
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.models import path, single_track
-from adaptrack.core.models.contract import compile_model
+from adaptrack.core.models.contract import MEASUREMENT, compile_model
 from adaptrack.core.portable import product
 
 Array = NDArray[np.float64]
 
-MEASURED_STATES = ("vy", "yaw", "yaw_rate", "y", "wheel_angle")
+MEASURED_STATES = MEASUREMENT._fields[: MEASUREMENT.lateral_acceleration]
 """What is measured, and what a model's states may be: m/s, rad, rad/s, m, rad."""
 
 

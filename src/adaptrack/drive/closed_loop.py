@@ -29,6 +29,7 @@ from adaptrack.core.kernel import Resident
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants import contract, stepped
 from adaptrack.core.plants.contract import vehicle_batch
+from adaptrack.core.speed_control import SPEED_REQUEST
 from adaptrack.drive.world import Driver, RequestedForces, SpeedFollower, World, reason_of, warn_once
 from adaptrack.road.road_ahead import RoadAhead, pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
@@ -202,7 +203,7 @@ class ClosedLoop:
                 float(memory["station_estimate"]), float(memory["speed"]), float(measured[MEASUREMENT.yaw_rate]),
             )  # fmt: skip
             try:
-                force, hold, _ = (real("", name, getattr(request, name)) for name in ("force", "hold", "acceleration"))
+                _, force, hold = (real("", name, getattr(request, name)) for name in SPEED_REQUEST._fields[:3])
             except (AttributeError, InvalidInput):
                 raise call.refusal(request) from None
             if not (math.isfinite(force) and 0.0 <= hold < math.inf):

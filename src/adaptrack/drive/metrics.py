@@ -307,11 +307,11 @@ class PathRecord:
 
         The offset is the error from the reference of the run.
         """
-        columns = {
-            "t": run.t, "offset": run.error, "heading_error": run.heading_error, "speed": run.vx,
-            "lateral_acceleration": run.lateral_acceleration, "wheel_angle": run.steering, "yaw_rate": run.yaw_rate,
-            "command": run.command, "curvature": run.road.get("curvature", np.zeros(len(run))),
-        }  # fmt: skip
+        names = {"offset": "error", "speed": "vx", "wheel_angle": "steering"}  # of the run, where they differ
+        columns = {"curvature": run.road.get("curvature", np.zeros(len(run)))}
+        for column in dataclasses.fields(cls):
+            if column.name not in columns:
+                columns[column.name] = getattr(run, names.get(column.name, column.name))
         is_finite = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
         end = len(run) if is_finite.all() else int(is_finite.argmin())
         return None if end < 2 else cls(**{name: values[:end] for name, values in columns.items()})

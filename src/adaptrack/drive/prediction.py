@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.control.models import PredictionModel
+from adaptrack.control.models import MEASURED_STATES, PredictionModel
 from adaptrack.core import portable
 from adaptrack.core.portable import product
 from adaptrack.drive.failure import MIN_JUDGED_SPEED
@@ -29,13 +29,9 @@ def run_prediction_error(run: Trajectory, model: PredictionModel) -> dict[float,
     model is stepped at 1 m/s, as in the controller. Only the finite beginning of the run is used. The error is NaN if
     this part is too short, or if the run does not contain a state of the model.
     """
-    columns = {
-        "vy": run.vy, "yaw": run.road.get("heading_error", run.psi), "yaw_rate": run.yaw_rate,
-        "wheel_angle": run.steering, "y": run.road.get("offset", run.Y),
-    }  # fmt: skip
-    if not set(model.states) <= set(columns):
+    if not set(model.states) <= set(MEASURED_STATES):
         return dict.fromkeys(TIMES, math.nan)
-    states = np.stack([columns[name] for name in model.states], axis=-1)
+    states = np.stack([_state(run, name) for name in model.states], axis=-1)
     curvature = run.road.get("curvature", np.zeros(len(run)))
     complete = np.isfinite(np.column_stack([states, run.command, run.vx, curvature])).all(axis=1)
     end = len(run) if complete.all() else int(complete.argmin())
@@ -48,6 +44,15 @@ def run_prediction_error(run: Trajectory, model: PredictionModel) -> dict[float,
             model, states[:end], run.command[:end], speeds, curvatures=curvature[:end], times=times
         )
     return errors
+
+
+def _state(run: Trajectory, name: str) -> Array:
+    """A state of a model over a run, by its name in `MEASUREMENT`; on a road yaw and y count from the road."""
+    if name == "yaw":
+        return run.road.get("heading_error", run.psi)
+    if name == "y":
+        return run.road.get("offset", run.Y)
+    return run.steering if name == "wheel_angle" else getattr(run, name)
 
 
 def prediction_error(

@@ -24,7 +24,8 @@ from adaptrack.control.controllers import MPC, CompiledController, Controller, c
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.speed_control import SpeedCommand, SpeedController, SpeedLimit, SpeedState
 from adaptrack.core.models.contract import MEASUREMENT
-from adaptrack.core.plants.contract import PLANT_STATE
+from adaptrack.core.period import TRACE_SIGNALS
+from adaptrack.core.plants.contract import MOTION_STATES, PLANT_STATE
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, FailureLimits
@@ -306,7 +307,8 @@ def _trajectory(
     description = controller.describe()
     road = {}
     if isinstance(scenario, RoadDrive):
-        road = dict(zip(("station", "offset", "heading_error"), record.signals[:, 2:].T, strict=True))
+        first = TRACE_SIGNALS.station
+        road = dict(zip(TRACE_SIGNALS._fields[first:], record.signals[:, first:].T, strict=True))
         place = np.nan_to_num(road["station"])
         road["curvature"] = scenario.road.at(place).curvature
         road["planned_speed"] = np.where(np.isfinite(road["station"]), scenario.plan.at(place), np.nan)
@@ -319,13 +321,8 @@ def _trajectory(
     groups = {"tuning": record.tuning_names, "diagnostics": diagnostics, "road": road}
     recorded = {f"{group}.{name}" for group, names in groups.items() for name in names}
     return Trajectory(
-        t=signals.t[:n],
-        X=state[:, PLANT_STATE.x],
-        Y=state[:, PLANT_STATE.y],
-        psi=state[:, PLANT_STATE.yaw],
-        vx=state[:, PLANT_STATE.vx],
-        vy=state[:, PLANT_STATE.vy],
-        yaw_rate=state[:, PLANT_STATE.yaw_rate],
+        signals.t[:n],
+        *state[:, :MOTION_STATES].T,
         steering=record.signals[:, 1],
         command=record.command[:, 0],
         command_change=record.command[:, 1],

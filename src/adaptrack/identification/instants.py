@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import AdaptrackError, InvalidInput
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.control.recording import LOG_NAMES
 from adaptrack.core import portable
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.tracker.records import ACROSS_PENALTY
@@ -25,6 +26,8 @@ from adaptrack.road.road_ahead import foot_near, foot_of_car
 Array = NDArray[np.float64]
 LogSource = str | os.PathLike[str] | Mapping[str, Any]
 
+MOTION = [name for name in MEASUREMENT._fields[: MEASUREMENT.pose_age] if name not in ("yaw", "y")]
+"""Measured signals of the motion of the car."""
 ON_GRID = 1e-6
 """Share of a period within which a sample is that of an instant."""
 POINTS, LARGEST_STEP = 0.25, 5.0
@@ -75,14 +78,12 @@ class ReadLog:
         for i, j in zip(first, np.append(first[1:], log.samples), strict=True):
             t = log.time[i:j]
             grid = t[0] + period * np.arange(math.floor((t[-1] - t[0]) / period + ON_GRID) + 1)
-            speed, yaw, *motion = (
-                _sample_at(grid, t, values[i:j], period)
-                for values in (log.speed, log.yaw, log.vy, log.yaw_rate, log.wheel, log.acceleration)
-            )
+            speed, yaw = (_sample_at(grid, t, values[i:j], period) for values in (log.speed, log.yaw))
             measured = np.zeros((grid.size, len(MEASUREMENT)))
             measured[:, [MEASUREMENT.yaw, MEASUREMENT.y]] = math.nan
-            for name, values in zip(("vy", "yaw_rate", "wheel_angle", "lateral_acceleration"), motion, strict=True):
-                measured[:, getattr(MEASUREMENT, name)] = values
+            for name in MOTION:
+                values = getattr(log, LOG_NAMES.get(name, name))[i:j]
+                measured[:, getattr(MEASUREMENT, name)] = _sample_at(grid, t, values, period)
             command = log.command[i:j][np.searchsorted(t, grid + ON_GRID * period, side="right") - 1]
             before = self.before if i == 0 and self.before is not None else float(command[0])
             samples = InstantSamples(grid, speed, command, before, measured)

@@ -15,6 +15,7 @@ from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core.period import TRACE_SIGNALS
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
@@ -179,6 +180,6 @@ def on_road(run: Trajectory, road: Road) -> Trajectory:
             break
         feet[i] = foot.s, foot.offset, foot.heading, foot.curvature
         near = float(foot.s)
-    turned = np.remainder(run.psi - feet[:, 2] + np.pi, 2.0 * np.pi) - np.pi
-    columns = {"station": feet[:, 0], "offset": feet[:, 1], "heading_error": turned, "curvature": feet[:, 3]}
-    return dataclasses.replace(run, road=columns)
+    feet[:, 2] = np.remainder(run.psi - feet[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+    names = (*TRACE_SIGNALS._fields[TRACE_SIGNALS.station :], "curvature")
+    return dataclasses.replace(run, road=dict(zip(names, feet.T, strict=True)))

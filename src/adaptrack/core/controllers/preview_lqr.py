@@ -26,6 +26,7 @@ from ..maths.bits import whole
 from ..maths.exponential import log
 from ..maths.trigonometric import cos
 from ..models import path as model
+from ..models.contract import MEASUREMENT
 from . import predicted_path
 from .contract import (
     COMMON_PARAMETERS,
@@ -67,7 +68,9 @@ answer_of = viewer(record("Answer", ("command", *PREVIEW_DIAGNOSTICS)))
 OF_THE_MODEL = len(model.Parameters._fields)
 PREVIEW_MEMORY = size_of(Direction)
 """Numbers that the memory begins with; `predicted_path` behind them, then scratch."""
-PreviewState = record("PreviewState", ("vy", "yaw", "yaw_rate", "wheel_angle"))
+PreviewState = record(
+    "PreviewState", [name for name in MEASUREMENT._fields[: MEASUREMENT.lateral_acceleration] if name != "y"]
+)
 """What a state begins with, without the wheel angle where there is no lag; y is its last number."""
 state_of = viewer(PreviewState)
 
