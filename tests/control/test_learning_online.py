@@ -169,7 +169,7 @@ def test_a_curved_road_teaches_as_well_and_its_page_shows_it():
     assert learned_quantities(run)["delay"].truth[0] == pytest.approx(0.32)
     figure = print_figure(learned_picture({"informed": run}))
     titles = [axes.get_title(loc="left").split(") ")[1] for axes in figure.axes]
-    assert titles[:2] == ["Lag and dead time", "Steering lag"]
+    assert titles[:2] == ["Lag and dead time together", "Lag of the steering"]
     with pytest.raises(InvalidInput, match="needs a controller that learns"):
         learned_picture({"informed": rollout(DualTrack(CAR), MPC(CAR, profile="road"), trip, profile=world(), seed=1)})
 

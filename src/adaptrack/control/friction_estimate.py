@@ -12,18 +12,13 @@ from adaptrack.cars.vehicle import SteeringActuator, Vehicle, load_tyre, pack_pl
 from adaptrack.control.controllers import Controller
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.core import friction_estimate as kernel
+from adaptrack.core.kernel import defaults
 from adaptrack.core.models.contract import MEASUREMENT
 
 FRICTION_COUNT = 13
 """Coefficients of friction, evenly within the interval."""
 LONGEST_STEERING_DELAY = 1.0
 """s, of the steering and the samples together, for which commands are remembered."""
-ASSUMED_KNOWLEDGE = {
-    "delay_sigma": 0.01, "stiffness": 1.0, "stiffness_sigma": 0.1, "balance": 1.0, "balance_sigma": 0.05, "bias": 0.0,
-    "bias_sigma": 0.005,
-}  # fmt: skip
-"""Entries of `core.friction_estimate.SteeringKnowledge` where the car file states the car and no controller learns it.
-"""
 FRICTION_SENSORS = [MEASUREMENT.vy, MEASUREMENT.yaw_rate, MEASUREMENT.lateral_acceleration]
 """Sensors whose variances an estimate has."""
 
@@ -42,7 +37,7 @@ def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float
         return kernel.FrictionEstimate(memory, bank, nothing, nothing, period, nothing, low, high, knowledge)
     rate = belief.rate.value if belief.lag.value > 0.0 else math.inf  # a rate limit acts on a lag
     steering = SteeringActuator(lag=belief.lag.value, rate=rate, limit=belief.limit.value)
-    knowledge = kernel.SteeringKnowledge(lag=belief.lag.value, dead_time=belief.delay, **ASSUMED_KNOWLEDGE)
+    knowledge = defaults(kernel.SteeringKnowledge)._replace(lag=belief.lag.value, dead_time=belief.delay)
     return kernel.FrictionEstimate(
         kernel.FRICTION_MEMORY.new(1), kernel.FRICTION_HYPOTHESIS.new(FRICTION_COUNT),
         np.zeros(math.ceil(LONGEST_STEERING_DELAY / period) + 1),

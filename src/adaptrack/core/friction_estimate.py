@@ -21,7 +21,7 @@ import math
 from .estimators.extended_kalman import bounded, carry, correct, scatter
 from .estimators.friction_wind import steered
 from .estimators.learning import memory_of
-from .kernel import columns, exported, float64, inlined, local, record, rows, vector, void
+from .kernel import Field, columns, exported, fields_of, float64, inlined, local, record, rows, vector, void
 from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import exp, log
@@ -33,6 +33,7 @@ from .plants.parameters import unpack
 from .plants.tyre import CURVED_MAGIC_FORMULA, LEAST_LOAD, MAGIC_FORMULA, friction_ellipse, lateral_force
 from .speed_control import cell_at
 from .speed_learning import mean_of_bank
+from .tracker.signals import TRACKER_SAMPLE
 
 _Z = columns(
     "vy", "yaw_rate",  # m/s, rad/s
@@ -55,13 +56,18 @@ FRICTION_HYPOTHESIS = record(
 SteeringKnowledge = record(
     "SteeringKnowledge",
     (
-        "lag", "dead_time", "delay_sigma",  # s; the dead time with the computation
-        "stiffness_sigma", "balance", "balance_sigma",  # -, of logarithms; balance: of the stiffness, front over rear
-        "stiffness",  # -, factor on the stiffness of the car file
-        "bias", "bias_sigma",  # rad
+        Field("lag", "s", 0.0, "of the steering"),
+        Field("dead_time", "s", 0.0, "of the steering, with the computation"),
+        Field("delay_sigma", "s", 0.01, "of lag and dead time together"),
+        Field("stiffness_sigma", "", 0.1, "of the logarithm"),
+        Field("balance", "", 1.0, "of the stiffness, front over rear"),
+        Field("balance_sigma", "", 0.05, "of the logarithm"),
+        Field("stiffness", "", 1.0, "factor on the stiffness of the car file"),
+        Field("bias", "rad", 0.0, "of the steering"),
+        Field("bias_sigma", "rad", 0.005, "of the steering"),
     ),
 )  # fmt: skip
-"""Steering and tyres as assumed or learned."""
+"""Steering and tyres as learned; the defaults hold where the car file states the car and no controller learns it."""
 LateralMotion = record(
     "LateralMotion",
     (
@@ -74,7 +80,7 @@ LateralMotion = record(
 FrictionSample = record(
     "FrictionSample",
     (
-        "speed", "yaw_rate", "lateral_acceleration", "lateral_velocity",  # m/s, rad/s, m/s^2, m/s; NaN: not measured
+        *fields_of(TRACKER_SAMPLE)[TRACKER_SAMPLE.speed : TRACKER_SAMPLE.wheel_angle],
         "age",  # s, of the motion
         "command",  # rad, of the steering, sent in the last period
     ),
@@ -469,7 +475,7 @@ def narrow_friction(measured, speed, command, learned, longitudinal):
         return
     age = measured[MEASUREMENT.motion_age]
     sample = FrictionSample(
-        speed, measured[MEASUREMENT.yaw_rate], measured[MEASUREMENT.lateral_acceleration], measured[MEASUREMENT.vy],
+        speed, measured[MEASUREMENT.yaw_rate], measured[MEASUREMENT.vy], measured[MEASUREMENT.lateral_acceleration],
         age if math.isfinite(age) else 0.0, command,
     )  # fmt: skip
     drive, brakes = mean_of_bank(longitudinal.banks.drive), mean_of_bank(longitudinal.banks.brakes)

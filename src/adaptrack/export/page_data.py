@@ -22,7 +22,7 @@ from adaptrack.core.controllers.feed_forward import TurnIn
 from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.frame import FRAME, SPEED_FRAME
-from adaptrack.core.kernel import size_of
+from adaptrack.core.kernel import Field, columns, fields_of, size_of
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.models import path as path_model
 from adaptrack.core.models import single_track
@@ -59,19 +59,33 @@ CONTROLLER_KINDS = {
     "pure-pursuit": "pure pursuit", "stanley": "Stanley", "lqr": "LQR",
 }  # fmt: skip
 """Descriptions of the controllers on the page, by name."""
-INPUT_BOUNDS = {
-    "lag": (0.0, 1.0), "dead_time": (0.0, 1.0), "bias": (-0.1, 0.1), "noise": (0.0, 20.0), "friction": (0.05, 1.5),
-    "wind": (-40.0, 40.0), "vy": (-10.0, 10.0), "yaw_rate": (-3.0, 3.0), "angle": (-0.3, 0.3), "duration": (0.0, 10.0),
-    "constant": (1.0, 60.0), "lateral": (0.5, 12.0), "road_length": (10.0, 100_000.0),
-    "assumed_friction": (0.05, 1.5), "brake_lag": (0.01, 1.0), "slope": (-0.15, 0.15), "mass": (0.5, 2.0),
-}  # fmt: skip
-"""Of what is set: s, s, rad, factor, -, m/s, m/s, rad/s, rad, s, m/s, m/s^2, m, -, s, -, factor."""
+INPUTS = columns(
+    Field("lag", "s", 0.0, "The true lag", "[0, 1]"),
+    Field("dead_time", "s", 0.0, "The true dead time", "[0, 1]"),
+    Field("bias", "rad", 0.0, "The true bias", "[-0.1, 0.1]"),
+    Field("noise", "", 1.0, "The factor on the noise", "[0, 20]"),
+    Field("friction", "", 1.0, "The friction", "[0.05, 1.5]"),
+    Field("wind", "m/s", 0.0, "The wind", "[-40, 40]"),
+    Field("vy", "m/s", 0.0, "The push to the side", "[-10, 10]"),
+    Field("yaw_rate", "rad/s", 0.0, "The push that turns", "[-3, 3]"),
+    Field("angle", "rad", 0.0, "The pull of the wheel", "[-0.3, 0.3]"),
+    Field("duration", "s", 0.0, "How long the wheel is pulled", "[0, 10]"),
+    Field("constant", "m/s", 0.0, "The speed", "[1, 60]"),
+    Field("lateral", "m/s²", 0.0, "The lateral acceleration", "[0.5, 12]"),
+    Field("road_length", "m", 0.0, "", "[10, 100000]"),
+    Field("assumed_friction", "", 1.0, "The friction that the speed control assumes", "[0.05, 1.5]"),
+    Field("brake_lag", "s", 0.0, "The lag of the brakes", "[0.01, 1]"),
+    Field("slope", "", 0.0, "The slope of the road", "[-0.15, 0.15]"),
+    Field("mass", "", 1.0, "The factor on the mass", "[0.5, 2]"),
+)
+"""What is set on the page, with its bounds."""
 
 
 def page_data() -> dict[str, Any]:
     """All of it."""
     return plain({
-        "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(), "bounds": INPUT_BOUNDS,
+        "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(),
+        "bounds": {field.name: field.ends for field in fields_of(INPUTS)},
         "words": _words(),
         "cars": {name: page_car(load_vehicle(name)) for name in list_vehicles()}, "inputs": car_fields(),
         "ideal": SteeringActuator.ideal().model_dump(), "comfort": _comfort(), "road_defaults": _along(_straight()),
@@ -181,14 +195,8 @@ def _words() -> dict[str, Any]:
                  "No speed can be planned on this road.", "What bounds the speed must be numbers above 0.",
                  "At s = {s} m the grade is too steep for this car.",
                  "At s = {s} m the grade is too steep for this friction."],
-        "named": {"lag": "The true lag (s)", "dead_time": "The true dead time (s)", "bias": "The true bias (rad)",
-                  "noise": "The factor on the noise", "friction": "The friction", "wind": "The wind (m/s)",
-                  "vy": "The push to the side (m/s)", "yaw_rate": "The push that turns (rad/s)",
-                  "angle": "The pull of the wheel (rad)", "duration": "How long the wheel is pulled (s)",
-                  "constant": "The speed (m/s)", "lateral": "The lateral acceleration (m/s²)",
-                  "assumed_friction": "The friction that the speed control assumes",
-                  "brake_lag": "The lag of the brakes (s)", "slope": "The slope of the road",
-                  "mass": "The factor on the mass"},
+        "named": {field.name: field.meaning + (f" ({field.unit})" if field.unit else "")
+                  for field in fields_of(INPUTS) if field.meaning},
         "informed": ["", *(f"The controller cannot be made: {informed._WRONG.get(k, 'its memory is too small.')}"
                            for k in range(1, 7))],
     }  # fmt: skip

@@ -28,7 +28,7 @@ from adaptrack.base.html import content_policy
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
 from adaptrack.drive.world import World
-from adaptrack.export.page_data import CONTROLLER_KINDS, INPUT_BOUNDS, page_data
+from adaptrack.export.page_data import CONTROLLER_KINDS, INPUTS, page_data
 from adaptrack.export.page_inputs import MAX_PAGE_POINTS, page_car
 from adaptrack.export.page_kernels import page_kernels
 from adaptrack.export.page_setup import PAGE_ROADS, controller_of, drive_of
@@ -161,7 +161,7 @@ def _refuse_undrivable(setup: Mapping[str, Any], car: Vehicle) -> None:
         When one of them does not fit the car or the profile; the message says where.
     """
     ((kind, speed),) = setup["speed"].items()
-    low, high = INPUT_BOUNDS[kind]
+    low, high = INPUTS.field_settings[kind].ends
     if not low <= speed <= high:
         raise InvalidInput(f"export_page: {SPEED_WORDS[kind]} = {speed!r}: the page drives {low:g} to {high:g}.")
     profile = load_profile(setup["profile"])

@@ -29,6 +29,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import LQR, MPC, Controller, Learning, PurePursuit, Stanley, Tuning, published_mpc
+from adaptrack.control.controllers.learned_car import STEERING_QUANTITIES
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.control.speed_control import SpeedControl
 from adaptrack.drive.batch import Batch
@@ -122,7 +123,7 @@ def drive_of(setup: Mapping[str, Any], car: Vehicle) -> RoadDrive | Scenario:
 
 def world_of(profile: Profile, truth: Mapping[str, Any]) -> Profile:
     """The simulated world: the profile with another steering and with so many times its noise."""
-    steering = {name: truth[name] for name in ("lag", "dead_time", "bias") if truth.get(name) is not None}
+    steering = {name: truth[name] for name in STEERING_QUANTITIES if truth.get(name) is not None}
     if steering.get("lag", profile.steering.lag) == 0.0:
         steering["rate"] = math.inf  # a rate limit acts on a lag
     factor = 1.0 if truth.get("noise") is None else float(truth["noise"])

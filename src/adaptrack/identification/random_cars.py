@@ -12,6 +12,7 @@ import numpy as np
 from adaptrack.base.checked import RISING, Finite, Natural, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
+from adaptrack.control.controllers.learned_car import STEERING_QUANTITIES
 from adaptrack.core import portable
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -98,7 +99,7 @@ def random_car(
     mass, stiffness, ratio, noise = (
         factor(interval) for interval in (ranges.mass, ranges.stiffness, ranges.front_to_rear, ranges.noise)
     )
-    lag, dead_time, bias = (float(rng.uniform(*interval)) for interval in (ranges.lag, ranges.dead_time, ranges.bias))
+    steering = {name: float(rng.uniform(*getattr(ranges, name))) for name in STEERING_QUANTITIES}
     tyre = tyre.replace(
         name=f"{tyre.name}-{seed}",
         stiffness_front=tyre.stiffness_front * stiffness * math.sqrt(ratio),
@@ -112,7 +113,7 @@ def random_car(
     noises = ("noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "noise_wheel_angle", "noise_lateral_acceleration")
     world = world.replace(
         name=f"{world.name}-{seed}",
-        steering=world.steering.replace(lag=lag, dead_time=dead_time, bias=bias),
+        steering=world.steering.replace(**steering),
         **{name: getattr(world, name) * noise for name in noises},
     )
     return RandomCar(seed, base, vehicle, tyre, world, noise)

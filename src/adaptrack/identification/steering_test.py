@@ -19,6 +19,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import LearnedCar
 from adaptrack.core import portable
+from adaptrack.core.estimators.learning import LEARNED, QUANTITIES_BOUNDED, STIFFNESS_BOUND
 from adaptrack.core.synthesis.learner import MAX_BALANCE_RANGE, MAX_BIAS_RANGE, MAX_STIFFNESS_RANGE, UNIFORM_SIGMA
 from adaptrack.identification.estimates import ReportedRow, slopes_at, values_at
 from adaptrack.identification.likelihood import Likelihood
@@ -181,12 +182,14 @@ class SteeringTest:
         """
         fit = self.fit()
         lag, dead_time = (max(math.sqrt(variance), MIN_TEST_SIGMA) for variance in np.diag(fit.covariance))
+        ranges = portable.log(MAX_STIFFNESS_RANGE), portable.log(MAX_BALANCE_RANGE), MAX_BIAS_RANGE
+        unknown = dict(zip(QUANTITIES_BOUNDED[STIFFNESS_BOUND:], ranges, strict=True))
         return LearnedCar(
             car=self.car.name, lag=fit.lag, lag_sigma=lag, dead_time=fit.dead_time, dead_time_sigma=dead_time,
             delay_sigma=max(math.sqrt(fit.covariance.sum()), MIN_TEST_SIGMA),
-            stiffness=1.0, stiffness_sigma=UNIFORM_SIGMA * portable.log(MAX_STIFFNESS_RANGE),
-            balance=1.0, balance_sigma=UNIFORM_SIGMA * portable.log(MAX_BALANCE_RANGE),
-            bias=0.0, bias_sigma=UNIFORM_SIGMA * MAX_BIAS_RANGE, seconds=self._rows[-1][0] - self._rows[0][0],
+            **{name: LEARNED.field_settings[name].default for name in unknown},
+            **{f"{name}_sigma": UNIFORM_SIGMA * spread for name, spread in unknown.items()},
+            seconds=self._rows[-1][0] - self._rows[0][0],
         )  # fmt: skip
 
 

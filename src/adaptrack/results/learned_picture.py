@@ -11,23 +11,28 @@ import numpy as np
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import REFERENCE_STROKE, Panel, Picture, Stroke
 from adaptrack.core import portable
+from adaptrack.core.estimators.learning import LEARNED, LOGARITHMIC
+from adaptrack.core.kernel import Field, fields_of
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.marks import draw_ribbon
 from adaptrack.results.run_pictures import Array, DrawnRun, Runs, prepare_runs, thin_curve
+from adaptrack.results.words import capital
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LEARNED_QUANTITIES = {
-    "delay": ("Lag and dead time", "Delay (s)", "s"), "lag": ("Steering lag", "Lag (s)", "s"),
-    "stiffness": ("Stiffness/mass, relative to the model", "Factor (–)", ""),
-    "bias": ("Steering bias", "Bias (rad)", "rad"), "bank": ("Bank acceleration", "Acceleration (m/s²)", "m/s²"),
-    "friction": ("Friction", "μ (–)", ""),
-}  # fmt: skip
-"""Learned quantities that are drawn: title, label and unit."""
+_LABELS = {"friction": "μ (–)", "bank": "Acceleration (m/s²)"} | dict.fromkeys(LOGARITHMIC[:2], "Factor (–)")
 
-LOGARITHMIC = ("stiffness", "balance", "friction")
-"""Learned quantities whose standard deviation refers to their logarithm."""
+
+def _label(quantity: Field) -> tuple[str, str, str]:
+    """Title, label and unit of a learned quantity."""
+    unit = quantity.unit.replace("^2", "²")
+    return capital(quantity.meaning), _LABELS.get(quantity.name, f"{capital(quantity.name)} ({unit})"), unit
+
+
+LABELS = {quantity.name: _label(quantity) for quantity in fields_of(LEARNED)}
+"""Learned quantities by name: title, label and unit."""
+DRAWN = ("delay", *(name for name in LABELS if name not in ("delay", "dead_time", "balance")))
 
 
 class Learnt(NamedTuple):
@@ -74,7 +79,8 @@ def learned_picture(runs: Runs, line_styles: Mapping[str, Stroke] | None = None,
     if not learners:
         raise InvalidInput("a picture of learned quantities needs a controller that learns: MPC(car, learning=...).")
     panels = []
-    for quantity, (title, label, unit) in LEARNED_QUANTITIES.items():
+    for quantity in DRAWN:
+        title, label, unit = LABELS[quantity]
         curves = [(line, learned[line.label][quantity]) for line in learners]
         ends = [f"{line.label}: {learnt.mean[-1]:.3g} {unit} at the end" for line, learnt in curves]
         panels.append(Panel(title, partial(_draw_learned, curves=curves, label=label), "; ".join(ends)))

@@ -22,10 +22,11 @@ from adaptrack.base.result import (
 )
 from adaptrack.control.controllers.learned_car import WITHIN
 from adaptrack.core import portable
+from adaptrack.core.estimators.learning import LEARNED
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
 from adaptrack.identification.shadow_predictions import PREDICTORS
-from adaptrack.results.learned_picture import LEARNED_QUANTITIES
+from adaptrack.results.learned_picture import LABELS
 from adaptrack.results.marks import add_degrees, draw_dots, draw_ribbon
 from adaptrack.results.run_pictures import thin_curve, turning_part
 from adaptrack.results.words import capital, listed, number
@@ -41,10 +42,6 @@ VERDICT_WORDS = {"not believable": "implausible", "believable": "plausible", "at
 PREDICTOR_STROKES = strokes(PREDICTORS)
 SHOWN_SECONDS = 15.0
 """Length of the drawn part of the log, which has the most turning (s)."""
-BELIEF_LABELS = {name: LEARNED_QUANTITIES[name] for name in ("delay", "lag", "stiffness", "bias")}
-BELIEF_LABELS["balance"] = ("Front/rear stiffness ratio, relative to the model", "Factor (–)", "")
-LEARNED_CAR_ROWS = ("lag", "dead time", "delay", "stiffness", "front/rear", "bias")
-"""Names of the rows of `LearnedCar.intervals`."""
 SOON, LATER = TIMES
 
 PREDICTION_COLUMNS = (
@@ -173,9 +170,9 @@ def _tables(log: ShadowLog, suffix: str) -> list[ResultTable]:
         for name in ("soon", "later", "fastest", *(("y",) if y else ()))
     ]
     learned_rows = [
-        {"name": name, "value": interval.value, "interval": (interval.low, interval.high),
+        {"name": name.replace("_", " "), "value": interval.value, "interval": (interval.low, interval.high),
          "before": (old.low, old.high), "unit": interval.unit}
-        for name, interval, old in zip(LEARNED_CAR_ROWS, log.learned.intervals, log.before.intervals, strict=True)
+        for name, interval, old in zip(LEARNED._fields, log.learned.intervals, log.before.intervals, strict=False)
     ]  # fmt: skip
     title = f"RMS errors of predicted yaw rate{' and offset' if y else ''}{suffix}"
     columns = PREDICTION_COLUMNS if y else PREDICTION_COLUMNS[:-1]
@@ -222,7 +219,7 @@ def _believed(logs: Sequence[ShadowLog]) -> Picture:
             title, partial(_draw_believed, logs=logs, name=name, label=label),
             f"{logs[-1].beliefs[f'belief_{name}'][-1]:.3g} {unit} at the end.",
         )
-        for name, (title, label, unit) in BELIEF_LABELS.items()
+        for name, (title, label, unit) in LABELS.items() if name not in ("dead_time", "bank", "friction")
     ]  # fmt: skip
     return Picture(
         "believed", "Learned values over time. Band: 90 % interval.", panels, file="believed.png", row_height=1.9

@@ -22,11 +22,14 @@ from adaptrack.core import portable
 from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.estimators.learning import LearnerParameters, memory_of
 from adaptrack.core.estimators.learning_method import LearningMethod
-from adaptrack.core.kernel import size_of
+from adaptrack.core.kernel import Field as KernelField
+from adaptrack.core.kernel import fields_of, size_of
 from adaptrack.core.synthesis import learner as synthesis
 
 Array = NDArray[np.float64]
 
+STEERING_QUANTITIES = tuple(name for name in kernel.LEARNED._fields if name in SteeringActuator.model_fields)
+"""Learned quantities of the steering, as in `SteeringActuator`: lag, dead time and bias."""
 UNKNOWN_CAR = Uncertainty(*synthesis.UNKNOWN_CAR_ROW)
 """Default uncertainty of a car."""
 
@@ -89,24 +92,17 @@ class LearnedCar(Record):
     @property
     def intervals(self) -> tuple[LearnedNumber, ...]:
         """The learned numbers, each with its interval of 90 %."""
-        delay = self.lag + self.dead_time
-        return (
-            _interval("lag of the steering", self.lag, self.lag_sigma, "s", 0.0),
-            _interval("dead time of the steering", self.dead_time, self.dead_time_sigma, "s", 0.0),
-            _interval("lag and dead time together", delay, self.delay_sigma, "s", 0.0),
-            _factor("stiffness/mass, relative to the car file", self.stiffness, self.stiffness_sigma),
-            _factor("front/rear stiffness, relative to the car file", self.balance, self.balance_sigma),
-            _interval("bias of the wheels", self.bias, self.bias_sigma, "rad", -math.inf),
-        )
+        values = self.model_dump() | {"delay": self.lag + self.dead_time}
+        learned = [field for field in fields_of(kernel.LEARNED) if f"{field.name}_sigma" in values]
+        return tuple(_interval(field, values[field.name], values[f"{field.name}_sigma"]) for field in learned)
 
 
-def _interval(quantity: str, value: float, sigma: float, unit: str, least: float) -> LearnedNumber:
-    return LearnedNumber(quantity, value, max(value - WITHIN * sigma, least), value + WITHIN * sigma, unit)
-
-
-def _factor(quantity: str, value: float, sigma: float) -> LearnedNumber:
-    factor = portable.exp(WITHIN * sigma)
-    return LearnedNumber(quantity, value, value / factor, value * factor, "-")
+def _interval(field: KernelField, value: float, sigma: float) -> LearnedNumber:
+    if field.name in kernel.LOGARITHMIC:
+        factor = portable.exp(WITHIN * sigma)
+        return LearnedNumber(field.meaning, value, value / factor, value * factor, "-")
+    least = 0.0 if field.unit == "s" else -math.inf
+    return LearnedNumber(field.meaning, value, max(value - WITHIN * sigma, least), value + WITHIN * sigma, field.unit)
 
 
 @checked
@@ -187,7 +183,7 @@ class Learner:
 
         Stiffness and balance are those of the tyres at the static loads over the mass.
         """
-        values = {"lag": steering.lag, "dead_time": steering.dead_time, "bias": steering.bias}
+        values = {name: getattr(steering, name) for name in STEERING_QUANTITIES}
         car, tyre = getattr(plant, "vehicle", None), getattr(plant, "tyre", None)
         if isinstance(car, Vehicle) and isinstance(tyre, Tyre):
             front, rear = (

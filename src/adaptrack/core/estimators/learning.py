@@ -49,7 +49,21 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import columns, exported, float64, inlined, int64, local, record, size_of, vector, viewer, void
+from ..kernel import (
+    Field,
+    columns,
+    exported,
+    fields_of,
+    float64,
+    inlined,
+    int64,
+    local,
+    record,
+    size_of,
+    vector,
+    viewer,
+    void,
+)
 from ..maths.bits import two_to, whole
 from ..maths.exact import clip, floor, sqrt, square
 from ..maths.exponential import exp, log
@@ -91,22 +105,29 @@ LearnerParameters = record("LearnerParameters", (
 """The parameters."""
 parameters_of = viewer(LearnerParameters)
 
+LEARNED = columns(
+    Field("lag", "s", 0.0, "lag of the steering", "[0, 10]"),
+    Field("dead_time", "s", 0.0, "dead time of the steering", "[0, 10]"),
+    Field("delay", "s", 0.0, "lag and dead time together"),
+    Field("stiffness", "", 1.0, "stiffness/mass, relative to the car file", "(0, 100]"),
+    Field("balance", "", 1.0, "front/rear stiffness, relative to the car file", "(0, 100]"),
+    Field("bias", "rad", 0.0, "bias of the wheels", "[-1, 1]"),
+    Field("bank", "m/s^2", 0.0, "acceleration by the bank"),
+    Field("friction", "", 1.0, "friction"),
+)
+"""Learned quantities. Those with bounds have a range that is never left; of a factor, whose default is 1, the logarithm
+has the standard deviation."""
+QUANTITIES_BOUNDED = tuple(field.name for field in fields_of(LEARNED) if field.bounds)
+LOGARITHMIC = tuple(field.name for field in fields_of(LEARNED) if field.default == 1.0)
 BELIEF_NAMES = (
-    "belief_lag", "belief_lag_sigma", "belief_dead_time", "belief_dead_time_sigma",  # s
-    "belief_delay", "belief_delay_sigma",  # s, lag and dead time together
-    "belief_stiffness", "belief_stiffness_sigma",  # factor on what is known, sigma of its logarithm
-    "belief_balance", "belief_balance_sigma",  # front over rear, likewise
-    "belief_bias", "belief_bias_sigma",  # rad
-    "belief_bank", "belief_bank_sigma",  # m/s^2
-    "belief_friction", "belief_friction_sigma",  # sigma of its logarithm
+    *(f"belief_{name}{end}" for name in LEARNED._fields for end in ("", "_sigma")),
     "belief_noise",  # of the yaw rate, over what was given
-    "used_lag", "used_dead_time", "used_stiffness", "used_balance", "used_bias", "used_caution",  # by the controller
+    *(f"used_{name}" for name in QUANTITIES_BOUNDED), "used_caution",  # by the controller
     "belief_state", "belief_at_bound",  # `LEARNING_BELIEF`, ...; 0 or 1 + a place in `QUANTITIES_BOUNDED`
     "belief_change",  # 1: the innovations showed another delay, and it has not settled since
     "belief_grip_use",  # largest share of its grip that an axle uses
 )  # fmt: skip
 """What is learned, and what the controller believes of it, at every step."""
-QUANTITIES_BOUNDED = ("lag", "dead_time", "stiffness", "balance", "bias")
 LAG_BOUND, DEAD_TIME_BOUND, STIFFNESS_BOUND, BALANCE_BOUND, BIAS_BOUND = range(5)
 """Whose ranges have ends."""
 LEARNING_BELIEF, SETTLED_BELIEF, AT_BOUND, CONTRADICTORY = range(4)
