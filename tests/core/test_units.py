@@ -62,16 +62,18 @@ def test_a_value_out_of_its_range_is_named_by_the_status():
 def test_an_optional_input_reaches_the_tracker_only_with_its_flag():
     unit = controller_unit(at.Stanley(CAR, period=0.05), at.load_road("town", seed=1, length=150.0))
     values, sample, places = unit.record.values, unit.record.tracking.tracker.sample, controller.STEERING_VALUE
-    flags = {name: "pose_known" if name in ("x", "y", "yaw") else f"{controller.NAMES.get(name, name)}_known"
+    flags = {name: "pose_known" if name in ("x", "y", "yaw") else f"{controller.INPUT_NAMES.get(name, name)}_known"
              for name in TRACKER_SAMPLE._fields}  # fmt: skip
     optional = {name: flag for name, flag in flags.items() if flag in places._fields}
     assert {"x", "yaw_rate", "lateral_velocity", "wheel_angle", "wind", "grade"} <= set(optional)
     for k, (name, flag) in enumerate(optional.items()):
-        values[getattr(places, controller.NAMES.get(name, name))] = 0.01 * (k + 1)
-        for known in (0.0, 1.0):
-            values[getattr(places, flag)] = known
+        values[getattr(places, controller.INPUT_NAMES.get(name, name))] = 0.01 * (k + 1)
+        for is_measured in (0.0, 1.0):
+            values[getattr(places, flag)] = is_measured
             assert controller.law_steering_step(Resident(unit.record)) == contract.OK
-            assert np.array_equal(sample[getattr(TRACKER_SAMPLE, name)], 0.01 * (k + 1) if known else np.nan, True)
+            assert np.array_equal(
+                sample[getattr(TRACKER_SAMPLE, name)], 0.01 * (k + 1) if is_measured else np.nan, True
+            )
 
 
 def test_each_value_says_what_it_is_and_in_which_unit():

@@ -14,20 +14,11 @@ from typing import Any, TextIO
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.files import check_replaceable, write_atomically
 from adaptrack.core import portable
-from adaptrack.core.tracker.signals import TRACKER_SAMPLE, TrackerSample
+from adaptrack.core.tracker.signals import MEASURED, TRACKER_SAMPLE, TrackerSample
 
-LOGGED = (
-    *TRACKER_SAMPLE._fields[TRACKER_SAMPLE.x : TRACKER_SAMPLE.friction],
-    *TRACKER_SAMPLE._fields[TRACKER_SAMPLE.grade + 1 :],
-)
+LOGGED = MEASURED + TRACKER_SAMPLE._fields[TRACKER_SAMPLE.grade + 1 :]
 """Signals in a log: all but times, those of a schedule and those of the speed control."""
-LOG_NAMES = dict(
-    zip(
-        TRACKER_SAMPLE._fields[TRACKER_SAMPLE.lateral_velocity : TRACKER_SAMPLE.friction],
-        ("vy", "acceleration", "wheel"),
-        strict=True,
-    )
-)
+LOG_NAMES = dict(zip(MEASURED[-3:], ("vy", "acceleration", "wheel"), strict=True))
 """Names of columns that differ from those of the signals."""
 LOG_COLUMNS = ("time", "command", *(LOG_NAMES.get(name, name) for name in LOGGED), "called", "answer", "offset")
 """A row is a sample, at its own time, with the command that was in force then; behind it what the call was: its time,

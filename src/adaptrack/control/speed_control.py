@@ -417,12 +417,14 @@ class SpeedController:
         """Requests in force."""
         row, pedals = np.empty(len(SPEED_REQUEST)), self.control.pedals or self.control.car.pedals
         write_requests(self.record, row, 0)
-        *motion, state, cause, low, high = row.tolist()
-        force, hold = motion[SPEED_REQUEST.force], motion[SPEED_REQUEST.hold]
+        acceleration, force, hold, target_speed, grip_used, state, cause, low, high = row.tolist()
         positions = (math.nan, math.nan)
         if pedals is not None:
             positions = pedals.positions(force, float(self.record.memory[0].speed), hold)
-        return SpeedCommand(*motion, _STATES[int(state)], _LIMITS[int(cause)], low, high, *positions)
+        return SpeedCommand(
+            acceleration, force, hold, target_speed, grip_used, _STATES[int(state)], _LIMITS[int(cause)], low, high,
+            *positions,
+        )  # fmt: skip
 
     @property
     def learned(self) -> dict[str, Any]:

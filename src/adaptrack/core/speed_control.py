@@ -134,7 +134,7 @@ SPEED_REQUEST = columns(
     Field("acceleration", "m/s^2", 0.0, "dv/dt along the road, without gravity; negative: slower"),
     Field("force", "N", 0.0, "at the wheels: positive drives forward; negative is a force of the brakes, which opposes "
           "the motion either way and never moves a standing car"),
-    Field("hold", "N", 0.0, "never negative: a force of the brakes likewise, in addition; it holds the car at rest"),
+    Field("hold", "N", 0.0, "never negative: an additional force of the brakes, which holds the car at rest"),
     Field("target_speed", "m/s", 0.0, "where the request acts"),
     Field("grip_used", "", 0.0, "acceleration of the car, in both directions, over what the assumed friction gives"),
     Field("speed_state", "", 0, "0 off, 1 driving, 2 stopping, 3 stopped, 4 emergency"),

@@ -25,7 +25,7 @@ from adaptrack.control.qp import QPStatus
 from adaptrack.control.speed_control import SpeedCommand, SpeedController, SpeedLimit, SpeedState
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.period import TRACE_SIGNALS
-from adaptrack.core.plants.contract import MOTION_STATES, PLANT_STATE
+from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, FailureLimits
@@ -321,8 +321,13 @@ def _trajectory(
     groups = {"tuning": record.tuning_names, "diagnostics": diagnostics, "road": road}
     recorded = {f"{group}.{name}" for group, names in groups.items() for name in names}
     return Trajectory(
-        signals.t[:n],
-        *state[:, :MOTION_STATES].T,
+        t=signals.t[:n],
+        X=state[:, PLANT_STATE.x],
+        Y=state[:, PLANT_STATE.y],
+        psi=state[:, PLANT_STATE.yaw],
+        vx=state[:, PLANT_STATE.vx],
+        vy=state[:, PLANT_STATE.vy],
+        yaw_rate=state[:, PLANT_STATE.yaw_rate],
         steering=record.signals[:, 1],
         command=record.command[:, 0],
         command_change=record.command[:, 1],

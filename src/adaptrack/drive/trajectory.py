@@ -9,9 +9,9 @@ import os
 import platform
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,14 +51,14 @@ _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 class StoredArray:
     """Storage of one array of a trajectory."""
 
-    name: str
-    """The attribute of `Trajectory`."""
     unit: str
     """SI unit; ``-`` for dimensionless quantities."""
     kind: Literal["real", "whole", "truth"] = "real"
     """Element type: ``float64``, ``int64`` or ``bool``."""
     parts: tuple[str, ...] = ()
     """Suffixes of the m columns in a file, for an array (n, m)."""
+    name: str = ""
+    """The attribute of `Trajectory`."""
 
     @property
     def dtype(self) -> np.dtype:
@@ -70,27 +70,6 @@ class StoredArray:
         """Names of the columns in a file."""
         return tuple(f"{self.name}_{part}" for part in self.parts) or (self.name,)
 
-
-TRAJECTORY_COLUMNS = (
-    StoredArray("t", "s"),
-    StoredArray("X", "m"),
-    StoredArray("Y", "m"),
-    StoredArray("psi", "rad"),
-    StoredArray("vx", "m/s"),
-    StoredArray("vy", "m/s"),
-    StoredArray("yaw_rate", "rad/s"),
-    StoredArray("steering", "rad"),
-    StoredArray("command", "rad"),
-    StoredArray("command_change", "rad"),
-    StoredArray("y_ref", "m"),
-    StoredArray("v_ref", "m/s"),
-    StoredArray("friction", "-", parts=_WHEELS),
-    StoredArray("wind", "m/s", parts=("x", "y")),
-    StoredArray("lateral_acceleration", "m/s^2"),
-    StoredArray("held", "-", "truth"),
-    StoredArray("step_time", "s"),
-)
-"""Arrays of every `Trajectory`, in the order of its fields and of the columns in a file."""
 
 _ARRAY_GROUPS = ("tuning", "diagnostics", "road")
 
@@ -110,39 +89,39 @@ class Trajectory:
         cannot be written as JSON. The message names the array.
     """
 
-    t: Array
+    t: Annotated[Array, StoredArray("s")]
     """Time since the start of the scenario (s), (n,)."""
-    X: Array
+    X: Annotated[Array, StoredArray("m")]
     """World x coordinate of the centre of gravity (m), (n,)."""
-    Y: Array
+    Y: Annotated[Array, StoredArray("m")]
     """World y coordinate of the centre of gravity (m), (n,)."""
-    psi: Array
+    psi: Annotated[Array, StoredArray("rad")]
     """Yaw angle, not wrapped (rad), (n,)."""
-    vx: Array
+    vx: Annotated[Array, StoredArray("m/s")]
     """Longitudinal velocity in the body frame (m/s), (n,)."""
-    vy: Array
+    vy: Annotated[Array, StoredArray("m/s")]
     """Lateral velocity in the body frame, positive to the left (m/s), (n,)."""
-    yaw_rate: Array
+    yaw_rate: Annotated[Array, StoredArray("rad/s")]
     """Yaw rate (rad/s), (n,)."""
-    steering: Array
+    steering: Annotated[Array, StoredArray("rad")]
     """Angle of the road wheels at t, after the steering actuator (rad), (n,)."""
-    command: Array
+    command: Annotated[Array, StoredArray("rad")]
     """Steering command u(k): requested road-wheel angle for the period that begins at t (rad), (n,)."""
-    command_change: Array
+    command_change: Annotated[Array, StoredArray("rad")]
     """Change of the command Δu(k) = u(k) − u(k−1) (rad), (n,)."""
-    y_ref: Array
+    y_ref: Annotated[Array, StoredArray("m")]
     """Lateral reference: world y coordinate to follow, or offset from the road to follow (m), (n,)."""
-    v_ref: Array
+    v_ref: Annotated[Array, StoredArray("m/s")]
     """Speed reference at its time (m/s), (n,); a driver on a road follows ``road["planned_speed"]``."""
-    friction: Array
+    friction: Annotated[Array, StoredArray("-", parts=_WHEELS)]
     """Friction coefficients of front-left, front-right, rear-left and rear-right wheel, (n, 4)."""
-    wind: Array
+    wind: Annotated[Array, StoredArray("m/s", parts=("x", "y"))]
     """Wind velocity along world X and Y (m/s), (n, 2)."""
-    lateral_acceleration: Array
+    lateral_acceleration: Annotated[Array, StoredArray("m/s^2")]
     """Lateral acceleration of the centre of gravity in the body frame (m/s²), (n,)."""
-    held: Array
+    held: Annotated[Array, StoredArray("-", "truth")]
     """Whether the controller had no usable solution and kept a safe steering angle, bool (n,)."""
-    step_time: Array
+    step_time: Annotated[Array, StoredArray("s")]
     """Computation time of the control step (s), (n,); NaN if not measured."""
     period: Annotated[Positive, "s"]
     """Control period Ts (s)."""
@@ -372,6 +351,15 @@ class Trajectory:
             raise Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}") from error
 
 
+TRAJECTORY_COLUMNS = tuple(
+    replace(mark, name=name)
+    for name, hint in get_type_hints(Trajectory, include_extras=True).items()
+    for mark in getattr(hint, "__metadata__", ())
+    if isinstance(mark, StoredArray)
+)
+"""Arrays of every `Trajectory`, in the order of its fields and of the columns in a file."""
+
+
 @dataclass(frozen=True)
 class Origin:
     """Scenario, plant and controller of a run; each is a name, or a table with ``name`` and the parameters in use."""
@@ -442,7 +430,7 @@ def _storable_arrays(group: str, group_arrays: Mapping[str, Any], steps: int) ->
         kind = kinds.get(np.asarray(values).dtype.kind)
         if kind is None:
             raise InvalidInput(f"trajectory: `{group}[{name!r}]` must hold numbers or truth values.")
-        arrays[name] = _checked(StoredArray(f"{group}[{name!r}]", "-", kind), values, steps)
+        arrays[name] = _checked(StoredArray("-", kind, name=f"{group}[{name!r}]"), values, steps)
     return arrays
 
 

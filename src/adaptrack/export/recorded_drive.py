@@ -21,7 +21,7 @@ from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.core import portable
 from adaptrack.core.models.contract import MEASUREMENT
-from adaptrack.core.tracker.signals import TRACKED
+from adaptrack.core.tracker.signals import MEASURED, TRACKED
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.simulate import simulate
@@ -107,8 +107,6 @@ STRETCHES = (
     RecordedStretch(2.0, -20.0, 5.0),
 )
 """What the record goes through behind the simulated drive."""
-MEASURED = CALL._fields[CALL.x : CALL.friction]
-"""Measured signals of a sample, from its position to the wheel angle."""
 SENSOR_NOISE = (0.02, 0.02, 0.003, 0.02, 0.005, 0.02, 0.05, 0.002)
 """Standard deviations of `MEASURED`."""
 

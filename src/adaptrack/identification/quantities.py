@@ -23,16 +23,6 @@ from adaptrack.core.plants.forces import GRAVITY
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """One entry of the fit."""
-
-    name: str
-    unit: str
-    kind: Literal["positive", "real", "share", "from zero"]
-    meaning: str
-
-
 class Prior(NamedTuple):
     """Prior of a quantity before the log is read."""
 
@@ -41,44 +31,60 @@ class Prior(NamedTuple):
     """of its logarithm, value or logit; 0: it is kept"""
 
 
+@dataclass(frozen=True)
+class Quantity:
+    """One entry of the fit."""
+
+    name: str
+    unit: str
+    kind: Literal["positive", "real", "share", "from zero"]
+    meaning: str
+    prior: Prior | None = None
+    """of any car; None: the car file gives it"""
+
+
 def kinds_of(quantities: Sequence[Quantity]) -> NDArray[np.intp]:
     """Kinds of quantities as numbers, for `values_of`."""
     return np.array([("positive", "real", "share", "from zero").index(quantity.kind) for quantity in quantities])
 
 
 QUANTITIES = (
-    Quantity("delay", "s", "from zero", "lag and dead time together"),
-    Quantity("lag_share", "-", "share", "the lag's share of the delay"),
-    Quantity("rate", "rad/s", "positive", "fastest turn of the road wheels"),
-    Quantity("lateness", "s", "real", "of what is measured of the motion, against the wheel angle"),
-    Quantity("gain", "-", "positive", "road wheels over the logged steering angle"),
-    Quantity("offset", "rad", "real", "what the road wheels turn beyond the command"),
+    Quantity("delay", "s", "from zero", "lag and dead time together", Prior(0.3, 0.7)),
+    Quantity("lag_share", "-", "share", "the lag's share of the delay", Prior(0.5, 1.5)),
+    Quantity("rate", "rad/s", "positive", "fastest turn of the road wheels", Prior(0.7, 0.6)),
+    Quantity("lateness", "s", "real", "of what is measured of the motion, against the wheel angle", Prior(0.0, 0.15)),
+    Quantity("gain", "-", "positive", "road wheels over the logged steering angle", Prior(1.0, 0.15)),
+    Quantity("offset", "rad", "real", "what the road wheels turn beyond the command", Prior(0.0, 0.03)),
     Quantity("front", "N/rad", "positive", "cornering stiffness of the front axle"),
     Quantity("rear", "N/rad", "positive", "cornering stiffness of the rear axle"),
-    Quantity("mass", "kg", "positive", "total mass"),
+    Quantity("mass", "kg", "positive", "total mass", Prior(1500.0, 0.0)),
     Quantity("yaw_inertia", "kg m^2", "positive", "yaw inertia"),
     Quantity("front_share", "-", "share", "l_f over the wheelbase"),
     Quantity("relaxation", "m", "from zero", "relaxation length of the tyres"),
-    Quantity("friction", "-", "positive", "friction at which the tyres' curve bends, a mean over the log"),
-    Quantity("wind_mean", "m/s", "real", "mean side wind"),
-    Quantity("wind_spread", "m/s", "positive", "standard deviation of the gusts"),
-    Quantity("wind_time", "s", "positive", "correlation time of the gusts"),
-    Quantity("wind_smoothness", "-", "share", "shorter over longer time constant of the gusts"),
-    Quantity("lever", "m", "real", "by which gusts act before where the car's air moment has them"),
-    Quantity("push_mean", "m/s^2", "real", "mean push of the bank"),
-    Quantity("push_spread", "m/s^2", "positive", "standard deviation of the bank's push"),
-    Quantity("superelevation", "-", "real", "share of the lateral acceleration that the bank of bends gives"),
-    Quantity("jolt", "rad/s^1.5", "positive", "white yaw acceleration of the road"),
-    Quantity("noise_yaw_rate", "rad/s", "positive", "noise of the yaw rate"),
-    Quantity("noise_vy", "m/s", "positive", "noise of the lateral velocity"),
-    Quantity("noise_acceleration", "m/s^2", "positive", "noise of the lateral acceleration"),
-    Quantity("noise_yaw", "rad", "positive", "noise of the yaw angle"),
-    Quantity("noise_wheel", "rad", "positive", "noise of the wheel angle"),
-    Quantity("gyro_offset", "rad/s", "real", "offset of the yaw rate"),
-    Quantity("acceleration_offset", "m/s^2", "real", "offset of the lateral acceleration"),
-    Quantity("wheel_offset", "rad", "real", "offset of the measured wheel angle"),
-    Quantity("vy_ahead", "m", "real", "sensor of the lateral velocity before the centre of gravity"),
-    Quantity("vy_turned", "rad", "real", "turn of that sensor"),
+    Quantity(
+        "friction", "-", "positive", "friction at which the tyres' curve bends, a mean over the log", Prior(0.7, 0.35)
+    ),
+    Quantity("wind_mean", "m/s", "real", "mean side wind", Prior(0.0, 4.0)),
+    Quantity("wind_spread", "m/s", "positive", "standard deviation of the gusts", Prior(4.0, 1.0)),
+    Quantity("wind_time", "s", "positive", "correlation time of the gusts", Prior(0.6, 0.6)),
+    Quantity("wind_smoothness", "-", "share", "shorter over longer time constant of the gusts", Prior(0.5, 1.5)),
+    Quantity("lever", "m", "real", "by which gusts act before where the car's air moment has them", Prior(0.0, 0.8)),
+    Quantity("push_mean", "m/s^2", "real", "mean push of the bank", Prior(0.0, 0.2)),
+    Quantity("push_spread", "m/s^2", "positive", "standard deviation of the bank's push", Prior(0.15, 1.0)),
+    Quantity(
+        "superelevation", "-", "real", "share of lateral acceleration that the bank of bends gives", Prior(0.0, 0.08)
+    ),
+    Quantity("jolt", "rad/s^1.5", "positive", "white yaw acceleration of the road", Prior(0.01, 1.5)),
+    Quantity("noise_yaw_rate", "rad/s", "positive", "noise of the yaw rate", Prior(0.01, 1.5)),
+    Quantity("noise_vy", "m/s", "positive", "noise of the lateral velocity", Prior(0.05, 1.5)),
+    Quantity("noise_acceleration", "m/s^2", "positive", "noise of the lateral acceleration", Prior(0.1, 1.5)),
+    Quantity("noise_yaw", "rad", "positive", "noise of the yaw angle", Prior(0.003, 1.5)),
+    Quantity("noise_wheel", "rad", "positive", "noise of the wheel angle", Prior(0.002, 1.5)),
+    Quantity("gyro_offset", "rad/s", "real", "offset of the yaw rate", Prior(0.0, 0.003)),
+    Quantity("acceleration_offset", "m/s^2", "real", "offset of the lateral acceleration", Prior(0.0, 0.2)),
+    Quantity("wheel_offset", "rad", "real", "offset of the measured wheel angle", Prior(0.0, 0.02)),
+    Quantity("vy_ahead", "m", "real", "sensor of the lateral velocity before the centre of gravity", Prior(0.0, 1.0)),
+    Quantity("vy_turned", "rad", "real", "turn of that sensor", Prior(0.0, 0.01)),
 )
 """All, in the order of the fit."""
 INDEX = {quantity.name: i for i, quantity in enumerate(QUANTITIES)}
@@ -93,18 +99,7 @@ LEAST_LINEAR = 0.1
 SHAPE = 1.35
 """-, shape factor of the tyres' curve where nothing is known of it."""
 
-DISTURBANCES: Mapping[str, Prior] = {
-    "delay": Prior(0.3, 0.7), "lag_share": Prior(0.5, 1.5), "rate": Prior(0.7, 0.6),
-    "gain": Prior(1.0, 0.15), "offset": Prior(0.0, 0.03),
-    "mass": Prior(1500.0, 0.0), "friction": Prior(0.7, 0.35), "wind_mean": Prior(0.0, 4.0),
-    "wind_spread": Prior(4.0, 1.0), "wind_time": Prior(0.6, 0.6), "push_mean": Prior(0.0, 0.2),
-    "lateness": Prior(0.0, 0.15), "lever": Prior(0.0, 0.8), "superelevation": Prior(0.0, 0.08),
-    "push_spread": Prior(0.15, 1.0), "wind_smoothness": Prior(0.5, 1.5), "jolt": Prior(0.01, 1.5),
-    "noise_yaw_rate": Prior(0.01, 1.5),
-    "noise_vy": Prior(0.05, 1.5), "noise_acceleration": Prior(0.1, 1.5), "noise_yaw": Prior(0.003, 1.5),
-    "noise_wheel": Prior(0.002, 1.5), "gyro_offset": Prior(0.0, 0.003), "acceleration_offset": Prior(0.0, 0.2),
-    "wheel_offset": Prior(0.0, 0.02), "vy_ahead": Prior(0.0, 1.0), "vy_turned": Prior(0.0, 0.01),
-}  # fmt: skip
+DISTURBANCES = {quantity.name: quantity.prior for quantity in QUANTITIES if quantity.prior is not None}
 """What is believed of steering, sensors and weather: wide enough for any car on a road."""
 
 

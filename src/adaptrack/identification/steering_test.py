@@ -183,13 +183,13 @@ class SteeringTest:
         fit = self.fit()
         lag, dead_time = (max(math.sqrt(variance), MIN_TEST_SIGMA) for variance in np.diag(fit.covariance))
         ranges = portable.log(MAX_STIFFNESS_RANGE), portable.log(MAX_BALANCE_RANGE), MAX_BIAS_RANGE
-        unknown = dict(zip(QUANTITIES_BOUNDED[STIFFNESS_BOUND:], ranges, strict=True))
+        unknown: dict[str, Any] = {}
+        for name, spread in zip(QUANTITIES_BOUNDED[STIFFNESS_BOUND:], ranges, strict=True):
+            unknown |= {name: LEARNED.field_settings[name].default, f"{name}_sigma": UNIFORM_SIGMA * spread}
         return LearnedCar(
             car=self.car.name, lag=fit.lag, lag_sigma=lag, dead_time=fit.dead_time, dead_time_sigma=dead_time,
             delay_sigma=max(math.sqrt(fit.covariance.sum()), MIN_TEST_SIGMA),
-            **{name: LEARNED.field_settings[name].default for name in unknown},
-            **{f"{name}_sigma": UNIFORM_SIGMA * spread for name, spread in unknown.items()},
-            seconds=self._rows[-1][0] - self._rows[0][0],
+            seconds=self._rows[-1][0] - self._rows[0][0], **unknown,
         )  # fmt: skip
 
 

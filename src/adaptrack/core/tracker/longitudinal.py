@@ -158,9 +158,9 @@ def _write_sample(tracker, m, blind_time, action, sample, memory):
     sample.blind_time = blind_time if is_blind else 0.0
     sample.station, sample.station_age = math.nan, 0.0
     sample.offset = m.offset if abs(m.offset) < MAX_SIGNAL else 0.0
-    if m.started > 0 and has_position(m) and m.given.t > memory.pose_time and m.offset == m.offset:
-        memory.pose_time = m.given.t
-        age = clip(instant_time - m.given.t, 0.0, MAX_POSITION_AGE)
+    if m.started > 0 and has_position(m) and m.sample.t > memory.pose_time and m.offset == m.offset:
+        memory.pose_time = m.sample.t
+        age = clip(instant_time - m.sample.t, 0.0, MAX_POSITION_AGE)
         sample.station, sample.station_age = m.station - age * forward(m), age
     speed = call[TRACKER_SAMPLE.speed]
     sample.speed = speed if abs(speed) <= MAX_PLAN_SPEED else math.nan

@@ -43,19 +43,19 @@ def keep_pose(m, pose):
 @inlined
 def sampled_pose(m):
     """The position of the sample at hand."""
-    return PoseRow(m.given.x, m.given.y, m.given.yaw)
+    return PoseRow(m.sample.x, m.sample.y, m.sample.yaw)
 
 
 @inlined
 def has_position(m):
     """Whether the sample at hand has a position and its time."""
-    return math.isfinite(m.given.t + (m.given.x + m.given.y + m.given.yaw))
+    return math.isfinite(m.sample.t + (m.sample.x + m.sample.y + m.sample.yaw))
 
 
 @inlined
 def leave_out_position(m):
     """Go by the rest of the sample at hand."""
-    m.given.x = m.given.y = m.given.yaw = math.nan
+    m.sample.x = m.sample.y = m.sample.yaw = math.nan
 
 
 @inlined

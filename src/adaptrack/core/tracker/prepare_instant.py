@@ -89,14 +89,14 @@ def _advance(tracker, m, sampled):
     settings, centreline = tracker.settings[0], line(tracker)
     period, speed = settings.period, forward(m)
     m.instant += 1
-    if sampled and math.isfinite(m.given.yaw_rate):
-        m.yaw_rate = m.given.yaw_rate
+    if sampled and math.isfinite(m.sample.yaw_rate):
+        m.yaw_rate = m.sample.yaw_rate
     else:
         _, _, _, curvature = point_at(m.station, centreline)
         m.yaw_rate = speed * curvature
     pose = carried(pose_of(m), period, speed, m.yaw_rate)
-    if sampled and has_position(m) and m.given.t > m.newest:
-        age = time_of(m, period) - m.given.t
+    if sampled and has_position(m) and m.sample.t > m.newest:
+        age = time_of(m, period) - m.sample.t
         if -period <= age <= settings.late * period + LONGEST_CARRY:
             pose = carried(sampled_pose(m), age, speed, m.yaw_rate)
     keep_pose(m, pose)
@@ -162,21 +162,21 @@ def _align(sample, aligned):
 def _take(tracker, m, measured):
     """Write what the sample at hand says and how old it is; whether it has a position that can be used."""
     period, late = tracker.settings[0].period, tracker.settings[0].late
-    age, declared = _ages(m.given.t, late + LATEST_POSE, m, period)
-    motion_age, declared_motion_age = _ages(m.given.motion_time, late + LATEST_MOTION, m, period)
+    age, declared = _ages(m.sample.t, late + LATEST_POSE, m, period)
+    motion_age, declared_motion_age = _ages(m.sample.motion_time, late + LATEST_MOTION, m, period)
     carry = age - declared
     if max(age, motion_age) > (late + LATEST_MOTION + CARRIED) * period and has_position(m):
         tracker.request[REQUEST.late] = max(age, motion_age)
     if abs(motion_age - declared_motion_age) <= CARRIED * period:
-        measured[MEASUREMENT.vy], measured[MEASUREMENT.yaw_rate] = m.given.lateral_velocity, m.given.yaw_rate
-        measured[MEASUREMENT.wheel_angle] = m.given.wheel_angle
-        measured[MEASUREMENT.lateral_acceleration] = m.given.lateral_acceleration
+        measured[MEASUREMENT.vy], measured[MEASUREMENT.yaw_rate] = m.sample.lateral_velocity, m.sample.yaw_rate
+        measured[MEASUREMENT.wheel_angle] = m.sample.wheel_angle
+        measured[MEASUREMENT.lateral_acceleration] = m.sample.lateral_acceleration
     measured[MEASUREMENT.pose_age], measured[MEASUREMENT.motion_age] = declared, declared_motion_age
-    is_seen = m.given.t <= m.newest and m.instant > 0
+    is_seen = m.sample.t <= m.newest and m.instant > 0
     if not (has_position(m) and -period <= carry <= LONGEST_CARRY) or (is_seen and late == 0):
         return False
     if m.instant > 0:
-        m.newest = max(m.newest, m.given.t)
+        m.newest = max(m.newest, m.sample.t)
     pose = carried(sampled_pose(m), carry, forward(m), m.yaw_rate)
     there = path_errors(tracker, pose, m.station - forward(m) * declared)
     measured[MEASUREMENT.y], measured[MEASUREMENT.yaw] = there.offset, there.heading_error

@@ -76,7 +76,7 @@ MEMORY = record(
         "heading",  # rad, of the path at the car's foot
         "turned",  # rad, heading of the path at the foot less that of a period ago
         "near",  # m, about which a foot is looked for at the beginning; NaN: on the whole path
-        ("given", TrackerSample),  # the sample at hand as it is used
+        ("sample", TrackerSample),  # the sample at hand as it is used
         "ended_top_speed",  # m/s, first top speed that ended when the delay of the steering was learned; 0: none
     ),
     integers=(

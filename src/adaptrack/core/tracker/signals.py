@@ -12,34 +12,35 @@ import numpy as np
 
 from ..kernel import Field, columns, fields_of, record
 
-UNKNOWN = math.nan
 MAX_POSITION, MAX_SIGNAL = 1e8, 1e3
 """m, from the origin; SI units: no position, and no speed, rate, acceleration or angle of a car is as large: what is
 counts as not measured."""
 _POSITION, _SIGNAL = (f"(-{limit:g}, {limit:g})" for limit in (MAX_POSITION, MAX_SIGNAL))
 
 TRACKER_SAMPLE = columns(
-    Field("t", "s", UNKNOWN, "when the pose was taken, and the motion without a time of its own"),
-    Field("now", "s", UNKNOWN, "of the call, on the same clock; NaN: t"),
-    Field("x", "m", UNKNOWN, "of the centre of mass, in the world of the path", _POSITION),
-    Field("y", "m", UNKNOWN, "of the centre of mass, in the world of the path", _POSITION),
-    Field("yaw", "rad", UNKNOWN, "from the world's x axis, positive to the left, wrapped or not", _POSITION),
-    Field("speed", "m/s", UNKNOWN, "along the car's axis, negative backwards", _SIGNAL),
-    Field("yaw_rate", "rad/s", UNKNOWN, "positive to the left", _SIGNAL),
-    Field("lateral_velocity", "m/s", UNKNOWN, "of the centre of mass, positive to the left", _SIGNAL),
-    Field("lateral_acceleration", "m/s^2", UNKNOWN, "positive to the left, without the pull of a bank", _SIGNAL),
-    Field("wheel_angle", "rad", UNKNOWN, "of the road wheels, positive to the left; the first command is near it",
+    Field("t", "s", math.nan, "when the pose was taken, and the motion without a time of its own"),
+    Field("now", "s", math.nan, "of the call, on the same clock; NaN: t"),
+    Field("x", "m", math.nan, "of the centre of mass, in the world of the path", _POSITION),
+    Field("y", "m", math.nan, "of the centre of mass, in the world of the path", _POSITION),
+    Field("yaw", "rad", math.nan, "from the world's x axis, positive to the left, wrapped or not", _POSITION),
+    Field("speed", "m/s", math.nan, "along the car's axis, negative backwards", _SIGNAL),
+    Field("yaw_rate", "rad/s", math.nan, "positive to the left", _SIGNAL),
+    Field("lateral_velocity", "m/s", math.nan, "of the centre of mass, positive to the left", _SIGNAL),
+    Field("lateral_acceleration", "m/s^2", math.nan, "positive to the left, without the pull of a bank", _SIGNAL),
+    Field("wheel_angle", "rad", math.nan, "of the road wheels, positive to the left; the first command is near it",
           _SIGNAL),
-    Field("friction", "", UNKNOWN, "of tyre and road, for a controller with a schedule"),
-    Field("wind", "m/s", UNKNOWN, "of the air to the left, for a controller with a schedule"),
-    Field("motion_time", "s", UNKNOWN, "when speed and all other signals of the motion were taken; NaN: t"),
-    Field("longitudinal_acceleration", "m/s^2", UNKNOWN, "dv/dt without gravity, for a speed control", _SIGNAL),
+    Field("friction", "", math.nan, "of tyre and road, for a controller with a schedule"),
+    Field("wind", "m/s", math.nan, "of the air to the left, for a controller with a schedule"),
+    Field("motion_time", "s", math.nan, "when speed and all other signals of the motion were taken; NaN: t"),
+    Field("longitudinal_acceleration", "m/s^2", math.nan, "dv/dt without gravity, for a speed control", _SIGNAL),
     Field("driver", "", False, "1: a driver uses the pedals, for a speed control: it learns nothing, and its requests "
           "follow the motion of the car; 0 or NaN: no driver does"),
-    Field("grade", "", UNKNOWN, "dz/ds under the car, positive uphill, for a speed control: for requests and learning "
+    Field("grade", "", math.nan, "dz/ds under the car, positive uphill, for a speed control: for requests and learning "
           "it replaces that of the plan; NaN: the plan's", "[-0.4, 0.4]"),
 )  # fmt: skip
 """A call. What is not known is NaN; what is beyond its bounds is made NaN in `tracker_take`."""
+MEASURED = TRACKER_SAMPLE._fields[TRACKER_SAMPLE.x : TRACKER_SAMPLE.friction]
+"""Signals of the pose and the motion of a car, which every controller may use."""
 TrackerSample = record("TrackerSample", fields_of(TRACKER_SAMPLE))
 """The same as a record."""
 
@@ -73,18 +74,18 @@ NO_BELIEF = -1.0
 """The state of a belief where nothing is learned."""
 
 TRACKED = columns(
-    Field("command", "rad", UNKNOWN, "angle of the road wheels to ask for, positive to the left; always finite"),
+    Field("command", "rad", math.nan, "angle of the road wheels to ask for, positive to the left; always finite"),
     Field("status", "", 0, ", ".join(f"{i} {name.replace('_', ' ')}" for i, name in enumerate(_STATUSES))),
-    Field("offset", "m", UNKNOWN, "of the car from the path, positive to the left; NaN without a position to go by"),
-    Field("heading_error", "rad", UNKNOWN, "the car's heading less the path's; NaN without a position to go by"),
-    Field("station", "m", UNKNOWN, "arc length of the car's foot on the path, over all laps; NaN without a position to "
-          "go by"),
+    Field("offset", "m", math.nan, "of the car from the path, positive to the left; NaN without a position to go by"),
+    Field("heading_error", "rad", math.nan, "the car's heading less the path's; NaN without a position to go by"),
+    Field("station", "m", math.nan, "arc length of the car's foot on the path, over all laps; NaN without a position "
+          "to go by"),
     Field("belief_state", "", 0, "of what is learned of the car: 0 learning, 1 settled, 2 at the end of a range, "
           "3 contradictory; -1 where nothing is learned"),
     Field("belief_at_bound", "", 0, "the learned quantity at the end of its range: 1 lag, 2 dead time, 3 stiffness, "
           "4 balance, 5 bias; 0 none, -1 where nothing is learned"),
     Field("suspect", "", 0, "sum of 1, 2, 4, ...: inputs that contradict each other, since the tracker engaged"),
-    Field("first_top_speed", "m/s", UNKNOWN, "below which to drive until the controller has learned its car; then, and "
-          "without learning, infinite"),
+    Field("first_top_speed", "m/s", math.nan, "below which to drive until the controller has learned its car; then, "
+          "and without learning, infinite"),
 )  # fmt: skip
 """What a call gives."""

@@ -124,16 +124,16 @@ def _keep(m, sample, at):
     for i in range(len(TRACKER_SAMPLE)):
         is_of_pose = i == TRACKER_SAMPLE.t or TRACKER_SAMPLE.x <= i <= TRACKER_SAMPLE.yaw
         used[i] = math.nan if (pose_is_old if is_of_pose else motion_is_old) else sample[i]
-    _copy_sample(_sample_of(used, 0), m.given)
+    _copy_sample(_sample_of(used, 0), m.sample)
 
 
 @inlined
 def _begin(tracker, m, at):
     """The first call, or one that is still no beginning."""
     period = tracker.settings[0].period
-    if math.isfinite(m.given.wheel_angle):
-        hold(tracker, m, m.given.wheel_angle)
-    age = at - m.given.t
+    if math.isfinite(m.sample.wheel_angle):
+        hold(tracker, m, m.sample.wheel_angle)
+    age = at - m.sample.t
     backwards = m.speed < -STANDSTILL_SPEED
     is_usable = has_position(m) and math.isfinite(m.speed) and -period <= age <= LONGEST_CARRY
     if backwards or not is_usable or not has_path(tracker):
@@ -142,12 +142,12 @@ def _begin(tracker, m, at):
         nowhere(m)
         return
     m.began = m.last = at
-    m.instant, m.started, m.newest = 0, 1, m.given.t
-    m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.given.x, m.given.y, m.given.yaw, m.given.t
-    m.yaw_rate = m.given.yaw_rate if math.isfinite(m.given.yaw_rate) else 0.0
+    m.instant, m.started, m.newest = 0, 1, m.sample.t
+    m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.sample.x, m.sample.y, m.sample.yaw, m.sample.t
+    m.yaw_rate = m.sample.yaw_rate if math.isfinite(m.sample.yaw_rate) else 0.0
     keep_pose(m, carried(sampled_pose(m), age, forward(m), m.yaw_rate))
     find_on_path(tracker, m)
-    m.given.t, m.given.x, m.given.y, m.given.yaw = at, m.x, m.y, m.yaw
+    m.sample.t, m.sample.x, m.sample.y, m.sample.yaw = at, m.x, m.y, m.yaw
     m.due = m.first = 1
 
 
@@ -175,11 +175,11 @@ def _advance_to(tracker, m, at):
 @inlined
 def _leave_out_if_placed_before(m):
     """Leave out a pose that is the one before under a later time stamp: a car that moves has another."""
-    is_repeated = m.given.x == m.placed_x and m.given.y == m.placed_y and m.given.yaw == m.placed_yaw
-    if is_repeated and m.given.t > m.placed_t and forward(m) > STANDSTILL_SPEED:
+    is_repeated = m.sample.x == m.placed_x and m.sample.y == m.placed_y and m.sample.yaw == m.placed_yaw
+    if is_repeated and m.sample.t > m.placed_t and forward(m) > STANDSTILL_SPEED:
         leave_out_position(m)
     elif has_position(m):
-        m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.given.x, m.given.y, m.given.yaw, m.given.t
+        m.placed_x, m.placed_y, m.placed_yaw, m.placed_t = m.sample.x, m.sample.y, m.sample.yaw, m.sample.t
 
 
 @inlined
@@ -187,6 +187,6 @@ def _has_jumped(m, at, period):
     """Whether a position is far from where the car was expected."""
     since = at - time_of(m, period)
     expected = carried(pose_of(m), since, forward(m), m.yaw_rate)
-    sampled = carried(sampled_pose(m), at - m.given.t, forward(m), m.yaw_rate)
+    sampled = carried(sampled_pose(m), at - m.sample.t, forward(m), m.yaw_rate)
     distance = hypot(sampled.x - expected.x, sampled.y - expected.y)
     return distance > LARGEST_JUMP + 0.5 * forward(m) * abs(since)

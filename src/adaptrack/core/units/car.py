@@ -56,17 +56,13 @@ CAR_OUTPUTS = (
     Field("measured_x", "m", 0.0, "measured position in the world, measured_pose_age ago; NaN: missing"),
     Field("measured_y", "m", 0.0, "measured position in the world, measured_pose_age ago; NaN: missing"),
     Field("measured_yaw", "rad", 0.0, "measured yaw angle, measured_pose_age ago, positive to the left; NaN: missing"),
-    Field("measured_offset", "m", 0.0, "measured distance from the road, measured_pose_age ago, positive to the left; "
-          "NaN: missing"),
+    Field("measured_offset", "m", 0.0, "from the road, measured_pose_age ago, positive to the left; NaN: missing"),
     Field("measured_heading_error", "rad", 0.0, "measured_yaw less the road's heading; NaN: missing"),
     Field("measured_pose_age", "s", 0.0, "how old measured position and yaw are"),
     Field("measured_speed", "m/s", 0.0, "measured speed along the car's axis, measured_speed_age ago"),
-    Field("measured_vy", "m/s", 0.0, "measured lateral velocity, measured_motion_age ago, positive to the left; "
-          "NaN: missing"),
-    Field("measured_yaw_rate", "rad/s", 0.0, "measured yaw rate, measured_motion_age ago, positive to the left; "
-          "NaN: missing"),
-    Field("measured_wheel_angle", "rad", 0.0, "measured angle of the road wheels, measured_motion_age ago; "
-          "NaN: missing"),
+    Field("measured_vy", "m/s", 0.0, "lateral velocity, measured_motion_age ago, positive to the left; NaN: missing"),
+    Field("measured_yaw_rate", "rad/s", 0.0, "measured_motion_age ago, positive to the left; NaN: missing"),
+    Field("measured_wheel_angle", "rad", 0.0, "of the road wheels, measured_motion_age ago; NaN: missing"),
     Field("measured_lateral_acceleration", "m/s^2", 0.0, "of an accelerometer, measured_motion_age ago; NaN: missing"),
     Field("measured_motion_age", "s", 0.0, "how old measured vy, yaw rate, wheel angle and lateral acceleration are"),
     Field("x", "m", 0.0, "true position of the centre of mass in the world"),

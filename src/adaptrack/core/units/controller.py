@@ -31,13 +31,15 @@ PARAMETERS = (
           "is near it", f"[-{math.pi / 2}, {math.pi / 2}]"),
     Field("speed_preview", "s", 0.0, "how far ahead planned_speed_ahead is planned; that of the car", "[0, 10]"),
 )  # fmt: skip
-NAMES = {"lateral_velocity": "vy"}
+INPUT_NAMES = {"lateral_velocity": "vy"}
 """Names of inputs that differ from those of the tracker's signals: as of the car's outputs."""
 
 
 def _inputs(first: int, end: int = len(TRACKER_SAMPLE)) -> list[Field]:
     """The signals of a call between two places of `TRACKER_SAMPLE`, as inputs."""
-    return [field._replace(name=NAMES.get(field.name, field.name)) for field in fields_of(TRACKER_SAMPLE)[first:end]]
+    return [
+        field._replace(name=INPUT_NAMES.get(field.name, field.name)) for field in fields_of(TRACKER_SAMPLE)[first:end]
+    ]
 
 
 def _flag(field: Field) -> Field:
@@ -57,9 +59,7 @@ STEERING_INPUTS = (
     *_inputs(TRACKER_SAMPLE.x, TRACKER_SAMPLE.friction),
     _AGES[0],
     *_inputs(TRACKER_SAMPLE.friction, TRACKER_SAMPLE.motion_time),
-    Field(
-        "pose_known", "", False, "true: position and yaw angle are measured at this instant; a NaN is not known either"
-    ),
+    Field("pose_known", "", False, "true: position and yaw angle are measured; a NaN is not known either"),
     *map(_flag, _OPTIONAL),
     *(value for field in _FURTHER for value in (field, _flag(field))),
 )
@@ -79,7 +79,7 @@ SPEED_VALUE = columns(*fields_of(STEERING_VALUE), *SPEED_OUTPUTS)
 _PARAMETER, _INPUT = STEERING_VALUE.start_wheel_angle, STEERING_VALUE.x
 
 
-_PLACES = {NAMES.get(name, name): place for place, name in enumerate(TRACKER_SAMPLE._fields)}
+_PLACES = {INPUT_NAMES.get(name, name): place for place, name in enumerate(TRACKER_SAMPLE._fields)}
 _FLAGS = {name: f"{name}_known" for name in _PLACES if f"{name}_known" in STEERING_VALUE._fields}
 _FLAGS |= dict.fromkeys(("x", "y", "yaw"), "pose_known")
 _SOURCES = np.array(
