@@ -13,6 +13,7 @@ import pytest
 import adaptrack.export
 from adaptrack.core import library
 from adaptrack.core.kernel import EXPORTED
+from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.export.c_library import own_target
 from programs import find_program
 
@@ -95,10 +96,7 @@ class Memory:
 
 
 class Sample(ctypes.Structure):
-    _fields_ = tuple((name, ctypes.c_double) for name in (
-        "t", "now", "x", "y", "yaw", "speed", "yaw_rate", "lateral_velocity", "lateral_acceleration", "wheel_angle",
-        "friction", "wind", "motion_time", "longitudinal_acceleration", "driver", "grade",
-    ))  # fmt: skip
+    _fields_ = tuple((name, ctypes.c_double) for name in TRACKER_SAMPLE._fields)
 
 
 class Answer(ctypes.Structure):
