@@ -9,7 +9,7 @@ from adaptrack.control.controllers import LearnedCar
 from adaptrack.control.recording import LOG_COLUMNS, LOG_NAMES
 from adaptrack.control.speed_control import SpeedCommand, SpeedLimit, SpeedState
 from adaptrack.control.tracker import Status, Tracked, Tracker
-from adaptrack.core.estimators.learning import LEARNED
+from adaptrack.core.estimators.learning import LEARNED, QUANTITIES_BOUNDED
 from adaptrack.core.kernel import fields_of
 from adaptrack.core.speed_control import SPEED_MEMORY, SPEED_REQUEST
 from adaptrack.core.tracker.signals import STATUS, TRACKED, TRACKER_SAMPLE
@@ -21,6 +21,11 @@ ARGUMENTS = inspect.signature(Tracker.step).parameters.keys() - {"self"}
 
 def test_a_step_takes_the_signals_of_the_table():
     assert set(TRACKER_SAMPLE._fields) == ARGUMENTS | OF_SCHEDULES
+
+
+def test_the_bound_of_a_belief_is_described_by_the_bounded_quantities():
+    words = [f"{i + 1} {name.replace('_', ' ')}" for i, name in enumerate(QUANTITIES_BOUNDED)]
+    assert ", ".join(words) in TRACKED.field_settings["belief_at_bound"].meaning
 
 
 def test_a_step_answers_the_signals_of_the_table_and_its_statuses():

@@ -33,13 +33,7 @@ PARAMETERS = (
 )  # fmt: skip
 INPUT_NAMES = {"lateral_velocity": "vy"}
 """Names of inputs that differ from those of the tracker's signals: as of the car's outputs."""
-
-
-def _inputs(first: int, end: int = len(TRACKER_SAMPLE)) -> list[Field]:
-    """The signals of a call between two places of `TRACKER_SAMPLE`, as inputs."""
-    return [
-        field._replace(name=INPUT_NAMES.get(field.name, field.name)) for field in fields_of(TRACKER_SAMPLE)[first:end]
-    ]
+_SIGNALS = [field._replace(name=INPUT_NAMES.get(field.name, field.name)) for field in fields_of(TRACKER_SAMPLE)]
 
 
 def _flag(field: Field) -> Field:
@@ -47,21 +41,17 @@ def _flag(field: Field) -> Field:
     return Field(f"{field.name}_known", "", False, f"true: {field.name} is measured")
 
 
-_AGES = [
-    Field("age", "s", 0.0, "how old the sample is"),
-    Field(
-        "motion_age", "s", 0.0, "how old speed and all other signals of the motion are: age then belongs to the pose"
-    ),
+_LATER = [
+    Field("motion_age", "s", 0.0, "how old speed and all other signals of the motion are: age then is the pose's"),
+    *_SIGNALS[TRACKER_SAMPLE.grade :],
 ]
-_OPTIONAL = _inputs(TRACKER_SAMPLE.yaw_rate, TRACKER_SAMPLE.motion_time)
-_FURTHER = [_AGES[1], *_inputs(TRACKER_SAMPLE.grade)]
 STEERING_INPUTS = (
-    *_inputs(TRACKER_SAMPLE.x, TRACKER_SAMPLE.friction),
-    _AGES[0],
-    *_inputs(TRACKER_SAMPLE.friction, TRACKER_SAMPLE.motion_time),
+    *_SIGNALS[TRACKER_SAMPLE.x : TRACKER_SAMPLE.friction],
+    Field("age", "s", 0.0, "how old the sample is"),
+    *_SIGNALS[TRACKER_SAMPLE.friction : TRACKER_SAMPLE.motion_time],
     Field("pose_known", "", False, "true: position and yaw angle are measured; a NaN is not known either"),
-    *map(_flag, _OPTIONAL),
-    *(value for field in _FURTHER for value in (field, _flag(field))),
+    *map(_flag, _SIGNALS[TRACKER_SAMPLE.yaw_rate : TRACKER_SAMPLE.motion_time]),
+    *(value for field in _LATER for value in (field, _flag(field))),
 )
 """An optional signal has a flag. The first ones stand before their flags, each later one before its own. Longitudinal
 acceleration and driver are no inputs."""
@@ -78,8 +68,7 @@ SPEED_VALUE = columns(*fields_of(STEERING_VALUE), *SPEED_OUTPUTS)
 """The values of a controller with speed control."""
 _PARAMETER, _INPUT = STEERING_VALUE.start_wheel_angle, STEERING_VALUE.x
 
-
-_PLACES = {INPUT_NAMES.get(name, name): place for place, name in enumerate(TRACKER_SAMPLE._fields)}
+_PLACES = {field.name: place for place, field in enumerate(_SIGNALS)}
 _FLAGS = {name: f"{name}_known" for name in _PLACES if f"{name}_known" in STEERING_VALUE._fields}
 _FLAGS |= dict.fromkeys(("x", "y", "yaw"), "pose_known")
 _SOURCES = np.array(
