@@ -22,9 +22,9 @@ from adaptrack.road import Arc, Comfort, Line, Road, generate_road, plan_speed
 
 CAR = load_vehicle("midsize-sedan")
 LOW, HIGH, PERIOD = 0.4, 1.0, 0.05
-KNOWLEDGE = kernel.SteeringKnowledge(
-    lag=0.1, dead_time=0.05, delay_sigma=0.01, stiffness=1.0, stiffness_sigma=0.1, balance=1.0, balance_sigma=0.05,
-    bias=0.0, bias_sigma=0.005,
+KNOWLEDGE = kernel.LearnedRow(
+    lag=0.1, lag_sigma=0.0, dead_time=0.05, dead_time_sigma=0.0, delay_sigma=0.01, stiffness=1.0, stiffness_sigma=0.1,
+    balance=1.0, balance_sigma=0.05, bias=0.0, bias_sigma=0.005,
 )  # fmt: skip
 
 

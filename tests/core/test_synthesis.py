@@ -18,6 +18,7 @@ from adaptrack.core import library
 from adaptrack.core.controllers.mpc import MPCSettings
 from adaptrack.core.estimators import learning
 from adaptrack.core.maths.decimal import to_digits, to_places
+from adaptrack.core.models.car import SingleTrackCar
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.synthesis import belief, car, filter, informed, laws, published, tuning
 from adaptrack.core.synthesis.rows import row_of
@@ -61,7 +62,8 @@ def test_an_estimated_car_keeps_the_ratios_of_measured_ones(mass, wheelbase, tru
     front, rear = mass * GRAVITY * row.lr / wheelbase, mass * GRAVITY * row.lf / wheelbase
     assert (2 * row.stiffness_front / front, 2 * row.stiffness_rear / rear) == pytest.approx((13.8, 21.9), rel=1e-3)
     assert within.stiffness_front == within.stiffness_rear == 1.62
-    assert not any(math.isnan(row[name]) for name in car.CarRow._fields)
+    names = *SingleTrackCar._fields, *car.ESTIMATED, "side_force_slope", "yaw_moment_slope"
+    assert not any(math.isnan(row[name]) for name in names)
 
 
 def test_what_is_given_of_a_car_stays_and_has_no_spread():
@@ -112,24 +114,23 @@ def test_each_number_of_the_steering_is_from_the_first_that_says_it():
         row_of(car.SteeringRow, lag=0.1), row_of(car.SteeringRow, lag=0.2, dead_time=0.07),
         row_of(car.SteeringRow, lag=0.3, dead_time=0.3, rate=math.inf),
     )  # fmt: skip
-    result = row_of(belief.BeliefRow)
+    result = belief.BeliefRow.new(1)[0]
     belief.believe_steering(arguments, file_steering, actuator, 0.05, result)
-    assert (result.lag, result.dead_time, result.computation, result.rate) == (0.1, 0.07, 0.05, math.inf)
-    assert (result.lag_source, result.dead_time_source, result.rate_source, result.limit_source) == (
-        belief.GIVEN, belief.CAR_FILE, belief.PROFILE, belief.SLOW_ASSUMED,
-    )  # fmt: skip
+    assert result.steering.tolist() == (0.1, 0.07, math.inf, belief.ANGLE)
+    assert result.source.tolist() == (belief.GIVEN, belief.CAR_FILE, belief.PROFILE, belief.SLOW_ASSUMED)
+    assert result.computation == 0.05
 
 
 @pytest.mark.parametrize("computation", [0.0, 0.05, 0.1])
 @pytest.mark.parametrize("steering", [{}, {"lag": 0.1}, {"lag": 0.5}, {"dead_time": 0.1}, {"dead_time": 0.5}], ids=str)
 def test_an_unknown_delay_is_with_the_computation_time_as_long_as_published_ones(steering, computation):
-    result = row_of(belief.BeliefRow)
+    result = belief.BeliefRow.new(1)[0]
     belief.believe_steering(
         row_of(car.SteeringRow, **steering), row_of(car.SteeringRow), row_of(car.SteeringRow), computation, result
     )
     longest = max(0.4 - min(computation, 0.05) - 1e-9, sum(steering.values()))
-    assert longest <= result.lag + result.dead_time <= longest + 0.05
-    assert result.lag > 0.0
+    assert longest <= result.steering.lag + result.steering.dead_time <= longest + 0.05
+    assert result.steering.lag > 0.0
 
 
 def test_caution_doubles_r_at_the_tolerated_delay_and_grows_with_everything():

@@ -97,8 +97,8 @@ def _slowest_loop(mpc: MPC, profile: Profile) -> tuple[MPC, Profile]:
     assert belief is not None
     assert mpc.learner is not None
     lag, dead_time = (high for _, high in mpc.learner.ranges)
-    rate = belief.rate.value if math.isfinite(belief.rate.value) else None
-    slow_steering = Steering(lag=lag, dead_time=dead_time, rate=rate, limit=belief.limit.value)
+    assumed = {name: value for name, value in belief.steering.items() if math.isfinite(value)}
+    slow_steering = Steering(**assumed).replace(lag=lag, dead_time=dead_time)
     actuator = profile.steering.replace(lag=lag, dead_time=dead_time)
     slow = profile.replace(steering=actuator)
     return MPC(mpc.vehicle, mpc.tuning, profile=slow, belief=slow_steering, period=mpc.period), slow

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import inspect
 import io
 import json
+import math
 import os
 import re
 import secrets
@@ -20,12 +22,12 @@ import typing
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, TypeVar
 
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, field_validator
 from pydantic.fields import FieldInfo
 
 from adaptrack.base.checked import allowed
@@ -171,6 +173,46 @@ class Record(BaseModel):
             When the file cannot be written; no partial file is left.
         """
         write_toml(path, self.model_dump(), meanings(self))
+
+
+class FieldRecord(Record):
+    """A record with an entry for each field of a table (`core.kernel.Field`), with its unit, meaning and bounds.
+
+        class Steering(FieldRecord, fields=STEERING, optional=True):
+            "A steering."
+
+    A field without a default is required, or None where `optional` is set. The entries of the class body follow those
+    of the table, except the entry `after` and those before it.
+    """
+
+    def __init_subclass__(
+        cls, fields: Iterable[Any] = (), optional: bool = False, after: str = "", **options: Any
+    ) -> None:
+        super().__init_subclass__(**options)
+        declared = inspect.get_annotations(cls)
+        count = 1 + list(declared).index(after) if after else 0
+        table = {}
+        for field in fields:
+            is_unknown = math.isnan(field.default)
+            table[field.name] = float | None if is_unknown and optional else float
+            setattr(cls, field.name, _entry_of(field, None if optional else ..., is_unknown))
+        cls.__annotations__ = dict([*list(declared.items())[:count], *table.items(), *list(declared.items())[count:]])
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+
+def _entry_of(field: Any, unknown: Any, is_unknown: bool) -> Any:
+    """Return pydantic's description of a field; unknown: default of one without its own."""
+    low, high = field.ends
+    limits: dict[str, Any] = {"ge" if field.bounds.startswith("[") else "gt": low}
+    if high < math.inf:
+        limits["le" if field.bounds.endswith("]") else "lt"] = high
+    elif field.bounds.endswith("]"):
+        limits["allow_inf_nan"] = True
+    default = unknown if is_unknown else field.default
+    return Field(default=default, description=f"{field.unit or '-'}, {field.meaning}", **limits)
 
 
 def _tuple_of(value: Any) -> Any:

@@ -28,6 +28,7 @@ from adaptrack.base.registry import PluginCall, Registry
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
 from adaptrack.core import portable
 from adaptrack.core.member import MemberFunction
+from adaptrack.core.models.car import POWERTRAIN
 from adaptrack.core.plants import dual_track, single_track
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_INPUTS, PLANT_STATES
 from adaptrack.core.plants.user import compile_plant, layout_of
@@ -149,7 +150,7 @@ class _Car(Plant):
 
     @property
     def powertrain(self) -> dict[str, float]:
-        return {key: getattr(self.vehicle, key) for key in ("mass", "engine_power", "traction_limit", "brake_limit")}
+        return {field.name: getattr(self.vehicle, field.name) for field in POWERTRAIN}
 
     @property
     def _law(self) -> int:
@@ -179,7 +180,7 @@ class _Car(Plant):
         """
         if self.steps is not None:
             return self.steps
-        return int(kernel.plant_substeps(self.vehicle.chassis, self.tyre.numbers, self.relaxes, period, top_speed))
+        return int(kernel.plant_substeps(self.vehicle.numbers, self.tyre.numbers, self.relaxes, period, top_speed))
 
     def derivative(self, x: ArrayLike, u: ArrayLike, environment: ArrayLike) -> Array:
         n = len(self.state_names)
@@ -322,7 +323,7 @@ class UserPlant(Plant):
 
     @property
     def powertrain(self) -> dict[str, float]:
-        return {key: getattr(self, key) for key in ("mass", "engine_power", "traction_limit", "brake_limit")}
+        return {field.name: getattr(self, field.name) for field in POWERTRAIN}
 
     @property
     def compiled(self) -> Any:
@@ -393,7 +394,7 @@ class SteppedPlant(ABC):
     @property
     def powertrain(self) -> dict[str, float]:
         """mass (kg), engine_power (W), traction_limit and brake_limit (N): what the driver may ask for."""
-        return {key: getattr(self, key) for key in ("mass", "engine_power", "traction_limit", "brake_limit")}
+        return {field.name: getattr(self, field.name) for field in POWERTRAIN}
 
     @property
     def axles(self) -> dict[str, float]:

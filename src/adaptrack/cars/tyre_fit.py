@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Tyre
+from adaptrack.core.models.car import CarRow
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.synthesis import plant as kernel
 from adaptrack.core.synthesis.rows import row_of
@@ -64,7 +65,7 @@ def lateral_force(tyre: Tyre, slip: ArrayLike, load: ArrayLike, friction: float,
     """Lateral force (N) of one tyre of the plant: slip (rad), vertical load (N), rear or front tyre."""
     wheels = np.stack(np.broadcast_arrays(slip, load, rear), axis=-1).astype(np.float64)
     parameters, forces = np.zeros(len(PLANT_PARAMETERS)), np.empty(wheels.shape[:-1])
-    kernel.plant_parameters(row_of(kernel.Chassis), tyre.numbers, row_of(kernel.Actuator), parameters)
+    kernel.plant_parameters(row_of(CarRow), tyre.numbers, row_of(kernel.Actuator), parameters)
     kernel.tyre_forces(parameters, friction, wheels.reshape(-1, 3), forces.reshape(-1))
     return forces
 

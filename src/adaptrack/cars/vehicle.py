@@ -17,13 +17,24 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.base.files import LISTED, SHIPPED, Record, build, dump_toml, meanings, read_toml, write_atomically
+from adaptrack.base.files import (
+    LISTED,
+    SHIPPED,
+    FieldRecord,
+    Record,
+    build,
+    dump_toml,
+    meanings,
+    read_toml,
+    write_atomically,
+)
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.core.kernel import OK
+from adaptrack.core.models.car import ACTUATOR, CAR, FORCE_ACTUATOR, OUTLINE, RATIO, STEERING, CarRow
 from adaptrack.core.plants.forces import GRAVITY as GRAVITY
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.synthesis import car
@@ -121,22 +132,12 @@ _LOAD_LAWS = {
 }
 
 
-class SteeringActuator(Record):
+class SteeringActuator(FieldRecord, fields=ACTUATOR):
     """The steering actuator of the plant: first-order lag behind a rate limit and an angle limit, at the road wheels.
 
     d(delta)/dt = (command + bias - delta)/lag, clipped to +-rate, with the command of a dead time ago, clipped to
     +-limit. With a lag of 0 the wheels are where the command is.
     """
-
-    lag: float = Field(default=0.0, ge=0, le=10, description="s, time constant of the first-order lag; 0: none")
-    rate: float = Field(
-        default=math.inf, gt=0, allow_inf_nan=True, description="rad/s, fastest change of the angle; inf: no limit"
-    )
-    limit: float = Field(default=math.pi / 2, gt=0, le=math.pi / 2, description="rad, largest angle to either side")
-    dead_time: float = Field(default=0.0, ge=0, le=10, description="s, from a command until the wheels begin to move")
-    bias: float = Field(
-        default=0.0, ge=-math.pi / 4, le=math.pi / 4, description="rad, what the wheels turn beyond the command"
-    )
 
     @field_validator("rate")
     @classmethod
@@ -151,21 +152,11 @@ class SteeringActuator(Record):
         return cls()
 
 
-class ForceActuatorRecord(Record):
+class ForceActuatorRecord(FieldRecord, fields=FORCE_ACTUATOR):
     """Drive or brakes between a requested force and the wheels: gain, dead time, first-order lag behind a rate limit.
 
     dF/dt = clip((gain request - F)/lag, +-rate m), with the request of a dead time ago and the mass m of the car.
     """
-
-    lag: float = Field(default=0.0, ge=0, le=10, description="s, time constant of the first-order lag; 0: none")
-    dead_time: float = Field(default=0.0, ge=0, le=10, description="s, from a request until the force begins to change")
-    gain: float = Field(default=1.0, gt=0, le=10, description="-, force that is reached over the requested one")
-    rate: float = Field(
-        default=math.inf,
-        gt=0,
-        allow_inf_nan=True,
-        description="m/s^3, fastest change of the force over the mass; inf: any",
-    )
 
 
 class BrakeActuator(ForceActuatorRecord):
@@ -180,21 +171,11 @@ class DriveActuator(ForceActuatorRecord):
     )
 
 
-class Steering(Record):
+class Steering(FieldRecord, fields=(*STEERING, RATIO), optional=True):
     """Steering parameters: the section ``[steering]`` of a car file. Omitted values are unknown.
 
     All angles are those of the road wheels. The simulated actuator is a profile's, see `SteeringActuator`.
     """
-
-    lag: float | None = Field(default=None, ge=0, le=10, description="s, time constant of the first-order lag; 0: none")
-    dead_time: float | None = Field(
-        default=None, ge=0, le=10, description="s, from a command until the wheels begin to move"
-    )
-    rate: float | None = Field(default=None, gt=0, le=100, description="rad/s, fastest change of the angle")
-    limit: float | None = Field(default=None, gt=0, le=math.pi / 2, description="rad, largest angle to either side")
-    ratio: float | None = Field(
-        default=None, gt=0, le=100, description="-, angle of the steering wheel over that of the road wheels"
-    )
 
     @field_validator("rate")
     @classmethod
@@ -207,13 +188,8 @@ class Steering(Record):
         return rate
 
 
-class Body(Record):
+class Body(FieldRecord, fields=OUTLINE, optional=True):
     """Outline parameters: the section ``[body]`` of a car file. Omitted values are estimated."""
-
-    length: float | None = Field(default=None, gt=0, le=30, description="m, over all")
-    width: float | None = Field(default=None, gt=0, le=10, description="m, without mirrors")
-    front_overhang: float | None = Field(default=None, ge=0, le=10, description="m, front axle to the front end")
-    rear_overhang: float | None = Field(default=None, ge=0, le=10, description="m, rear axle to the rear end")
 
     def overhangs(self, wheelbase: float) -> tuple[float, float]:
         """Front and rear overhang (m) over a wheelbase (m), estimated where they are not known.
@@ -237,7 +213,7 @@ class Body(Record):
         return row_of(kernel.BodyRow, self)
 
 
-class Vehicle(Record):
+class Vehicle(FieldRecord, fields=CAR, after="tyre"):
     """Body, air resistance and powertrain of a car, and the tyre stiffness that the controller's model believes in.
 
     `mass`, `yaw_inertia`, `lf`, `lr`, `stiffness_front` and `stiffness_rear` are the single-track model of the
@@ -247,43 +223,6 @@ class Vehicle(Record):
     name: str = Field(min_length=1, description="how lists and tables call the car")
     description: str = Field(default="", description="one sentence for lists")
     tyre: str = Field(default="passenger-car", description="tyre of the plant: a name, or a .toml file beside this one")
-
-    mass: float = Field(gt=0, le=1e5, description="kg, total mass m")
-    yaw_inertia: float = Field(gt=0, le=1e7, description="kg m^2, I_z about the centre of gravity")
-    lf: float = Field(gt=0, le=20, description="m, l_f, centre of gravity to front axle")
-    lr: float = Field(gt=0, le=20, description="m, l_r, centre of gravity to rear axle")
-    stiffness_front: float = Field(gt=0, le=1e7, description="N/rad, C_f of one tyre in the prediction model")
-    stiffness_rear: float = Field(gt=0, le=1e7, description="N/rad, C_r of one tyre in the prediction model")
-
-    track_front: float = Field(default=1.5, gt=0, le=10, description="m, distance of the front wheels")
-    track_rear: float = Field(default=1.5, gt=0, le=10, description="m, distance of the rear wheels")
-    cg_height: float = Field(default=0.55, ge=0, le=5, description="m, centre of gravity above the road")
-    load_transfer_time: float = Field(
-        default=0.1, gt=0, le=10, description="s, lag of the suspension from acceleration to wheel load"
-    )
-
-    frontal_area: float = Field(default=2.0, ge=0, le=50, description="m^2, reference area A_f of all air forces")
-    air_density: float = Field(default=1.225, ge=0, le=10, description="kg/m^3, density of the air")
-    drag_coefficient: float = Field(default=0.3, ge=0, le=10, description="-, of the air drag")
-    side_force_slope: float = Field(
-        default=car.SIDE_FORCE_SLOPE, ge=0, le=100, description="1/rad, side-force coefficient per relative wind angle"
-    )
-    yaw_moment_slope: float = Field(
-        default=car.YAW_MOMENT_SLOPE,
-        ge=0,
-        le=100,
-        description="1/rad, yaw-moment coefficient (on the wheelbase) per wind angle",
-    )
-    wind_angle_limit: float = Field(
-        default=0.3, gt=0, le=math.pi / 2, description="rad, both coefficients stay constant beyond it"
-    )
-
-    rolling_resistance: float = Field(default=0.013, ge=0, le=1, description="-, rolling resistance over weight")
-    engine_power: float = Field(default=1e5, gt=0, le=1e7, description="W, at the wheels")
-    traction_limit: float = Field(default=8000.0, gt=0, le=1e6, description="N, driving force, all wheels together")
-    brake_limit: float = Field(default=15000.0, gt=0, le=1e6, description="N, braking force, all wheels together")
-    drive_front: float = Field(default=1.0, ge=0, le=1, description="-, share of the driving force on the front axle")
-    brake_front: float = Field(default=0.65, ge=0, le=1, description="-, share of the braking force on the front axle")
 
     estimated: Annotated[tuple[str, ...], LISTED] = Field(
         default=(), description="keys whose numbers no source gives for this car: estimated from others"
@@ -353,7 +292,7 @@ class Vehicle(Record):
     def outline(self) -> Outline:
         """The body from above; what the car file does not say is estimated from wheelbase and track, and named."""
         body, row = self.body or Body(), row_of(kernel.OutlineRow)
-        kernel.outline_of(body.numbers, self.chassis, row)
+        kernel.outline_of(body.numbers, self.numbers, row)
         is_specified = {
             "length": body.length is not None or None not in (body.front_overhang, body.rear_overhang),
             "front_overhang": body.front_overhang is not None or None not in (body.length, body.rear_overhang),
@@ -369,18 +308,13 @@ class Vehicle(Record):
 
     @property
     def numbers(self) -> Any:
-        """Kernel record of the car for controller synthesis, `core.synthesis.car.CarRow`."""
-        return row_of(car.CarRow, self)
-
-    @property
-    def chassis(self) -> Any:
-        """Kernel record of the car without tyre and steering, `core.synthesis.plant.Chassis`."""
-        return row_of(kernel.Chassis, self)
+        """Kernel record of the car, `core.models.car.CarRow`."""
+        return row_of(CarRow, self)
 
     @property
     def static_loads(self) -> tuple[float, float]:
         """Vertical load (N) of one front and one rear wheel of the car at rest."""
-        front, rear = car.static_loads(self.mass, self.lf, self.lr)
+        front, rear = car.static_loads(self.numbers)
         return front, rear
 
     @property
@@ -480,7 +414,7 @@ def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDAr
     import numpy as np
 
     parameters = np.zeros(len(PLANT_PARAMETERS))
-    kernel.plant_parameters(vehicle.chassis, tyre.numbers, row_of(kernel.Actuator, actuator), parameters)
+    kernel.plant_parameters(vehicle.numbers, tyre.numbers, row_of(kernel.Actuator, actuator), parameters)
     return parameters
 
 

@@ -295,7 +295,7 @@ class FrictionWindEstimator:
         self.steering = steering or SteeringActuator.ideal()
         self.delay = bool(delay)
         self.period = period
-        rate = lateral_rate(vehicle.chassis, self.tyre.numbers)
+        rate = lateral_rate(vehicle.numbers, self.tyre.numbers)
         self.steps = math.ceil(self.period * rate / MIN_FILTER_SPEED)
         self.noise = (noise_vy, noise_yaw_rate, noise_acceleration)
         self._packed = pack_plant(self.vehicle, self.tyre, self.steering)

@@ -12,13 +12,19 @@ from adaptrack.cars.vehicle import SteeringActuator, Vehicle, load_tyre, pack_pl
 from adaptrack.control.controllers import Controller
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.core import friction_estimate as kernel
-from adaptrack.core.kernel import defaults
+from adaptrack.core.models.car import LearnedRow
 from adaptrack.core.models.contract import MEASUREMENT
 
 FRICTION_COUNT = 13
 """Coefficients of friction, evenly within the interval."""
 LONGEST_STEERING_DELAY = 1.0
 """s, of the steering and the samples together, for which commands are remembered."""
+ASSUMED_KNOWLEDGE = {
+    "delay_sigma": 0.01, "stiffness": 1.0, "stiffness_sigma": 0.1, "balance": 1.0, "balance_sigma": 0.05, "bias": 0.0,
+    "bias_sigma": 0.005,
+}  # fmt: skip
+"""Entries of `core.models.car.LearnedRow` where the car file states the car and no controller learns it.
+"""
 FRICTION_SENSORS = [MEASUREMENT.vy, MEASUREMENT.yaw_rate, MEASUREMENT.lateral_acceleration]
 """Sensors whose variances an estimate has."""
 
@@ -32,17 +38,22 @@ def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float
     belief = None if controller is None else controller.belief
     if controller is None or belief is None or not low < high:
         memory, bank = kernel.FRICTION_MEMORY.new(1), kernel.FRICTION_HYPOTHESIS.new(0)
-        knowledge = kernel.SteeringKnowledge(*np.zeros(len(kernel.SteeringKnowledge._fields)))
+        knowledge = _knowledge()
         nothing = np.zeros(0)
         return kernel.FrictionEstimate(memory, bank, nothing, nothing, period, nothing, low, high, knowledge)
     rate = belief.rate.value if belief.lag.value > 0.0 else math.inf  # a rate limit acts on a lag
-    steering = SteeringActuator(lag=belief.lag.value, rate=rate, limit=belief.limit.value)
-    knowledge = defaults(kernel.SteeringKnowledge)._replace(lag=belief.lag.value, dead_time=belief.delay)
+    steering = SteeringActuator(**{**belief.steering, "rate": rate})
+    knowledge = _knowledge(lag=belief.lag.value, dead_time=belief.delay, **ASSUMED_KNOWLEDGE)
     return kernel.FrictionEstimate(
         kernel.FRICTION_MEMORY.new(1), kernel.FRICTION_HYPOTHESIS.new(FRICTION_COUNT),
         np.zeros(math.ceil(LONGEST_STEERING_DELAY / period) + 1),
         pack_plant(car, load_tyre(car.tyre), steering), period, _variances(controller), low, high, knowledge,
     )  # fmt: skip
+
+
+def _knowledge(**values: float) -> Any:
+    """The car as assumed; zero where unspecified."""
+    return LearnedRow(**dict.fromkeys(LearnedRow._fields, 0.0) | values)
 
 
 def _variances(controller: Controller) -> NDArray[np.float64]:

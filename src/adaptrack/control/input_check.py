@@ -24,6 +24,8 @@ from adaptrack.core.input_check.record import (
     memory_of,
 )
 from adaptrack.core.kernel import Resident
+from adaptrack.core.models.car import CarRow
+from adaptrack.core.synthesis.rows import row_of
 
 
 class Finding(NamedTuple):
@@ -130,10 +132,8 @@ class InputCheck:
         self.vehicle = vehicle
         self.suspect: tuple[str, ...] = ()
         self.check = Check(np.zeros(SETTINGS_SIZE), np.zeros(MEMORY_SIZE))
-        car = (0.0,) * 5
-        if vehicle is not None:
-            car = (vehicle.mass, vehicle.lf, vehicle.lr, vehicle.stiffness_front, vehicle.stiffness_rear)
-        check_settings(*car, period, delay, position_noise, self.check.settings)
+        car = row_of(CarRow) if vehicle is None else vehicle.numbers
+        check_settings(car, period, delay, position_noise, self.check.settings)
         begin_check(self.check)
         self._resident, self._sample, self._bits = Resident(self.check), np.empty(len(SAMPLE)), 0
 

@@ -23,6 +23,7 @@ from adaptrack.core import portable
 from adaptrack.core.controllers import condensing
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.models import path, single_track
+from adaptrack.core.models.car import SingleTrackCar
 from adaptrack.core.models.contract import MEASUREMENT, compile_model
 from adaptrack.core.portable import product
 
@@ -182,7 +183,7 @@ class SingleTrackModel(PredictionModel):
         return "single-track"
 
     def parameters(self) -> Array:
-        return np.array([getattr(self.vehicle, name) for name in single_track.Parameters._fields], dtype=float)
+        return np.array([getattr(self.vehicle, name) for name in SingleTrackCar._fields], dtype=float)
 
     @property
     def function(self) -> Any:
@@ -240,7 +241,7 @@ class PathModel(PredictionModel):
         return ("vy", "yaw", "yaw_rate", *(("wheel_angle",) if self.lag > 0.0 else ()), "y")
 
     def parameters(self) -> Array:
-        numbers = [getattr(self.vehicle, name) for name in path.Parameters._fields if name != "lag"]
+        numbers = [getattr(self.vehicle, name) for name in SingleTrackCar._fields]
         return np.array([*numbers, self.lag], dtype=float)
 
     @property

@@ -23,6 +23,7 @@ from adaptrack.core import speed_path as path_kernel
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
 from adaptrack.core.friction_estimate import begin_friction
 from adaptrack.core.kernel import OK, Resident
+from adaptrack.core.models.car import AXLES, POWERTRAIN
 from adaptrack.core.plants.forces import GRAVITY
 from adaptrack.core.speed_control import SPEED_REQUEST
 from adaptrack.core.speed_place import SPEED_GRACE
@@ -209,10 +210,10 @@ class SpeedControl:
         if pedals is not None:
             traction_limit = min(traction_limit, max(row[-1] for row in pedals.force))
             brake_limit = min(brake_limit, pedals.brake_force[-1])
-        names = ("mass", "lf", "lr", "cg_height", "drive_front", "brake_front", "engine_power")
+        numbers = {field.name: getattr(car, field.name) for field in (*AXLES, *POWERTRAIN)}
         return kernel.SpeedSettings(
-            **{name: getattr(car, name) for name in names},
-            traction_limit=traction_limit, brake_limit=brake_limit, period=period, drag=drag, rolling=rolling,
+            **numbers | {"traction_limit": traction_limit, "brake_limit": brake_limit},
+            period=period, drag=drag, rolling=rolling,
             accelerate=comfort.accelerate, brake=comfort.brake, emergency=self.emergency, stop_jerk=self.stop_jerk,
             friction=low, friction_high=high, straight_ratio=self.friction_interval[0] / low,
             governor=self.governor, guard=self.guard,

@@ -21,12 +21,13 @@ import math
 from .estimators.extended_kalman import bounded, carry, correct, scatter
 from .estimators.friction_wind import steered
 from .estimators.learning import memory_of
-from .kernel import Field, columns, exported, fields_of, float64, inlined, local, record, rows, vector, void
+from .kernel import columns, exported, fields_of, float64, inlined, local, record, rows, vector, void
 from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import exp, log
 from .maths.fast import fast_arctangent_of_ratio
 from .maths.vectors import VECTOR_WIDTH
+from .models.car import LearnedRow
 from .models.contract import MEASUREMENT
 from .plants.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
 from .plants.parameters import unpack
@@ -53,27 +54,12 @@ FRICTION_HYPOTHESIS = record(
     ),
 )  # fmt: skip
 """A coefficient of friction with its filter."""
-SteeringKnowledge = record(
-    "SteeringKnowledge",
-    (
-        Field("lag", "s", 0.0, "of the steering"),
-        Field("dead_time", "s", 0.0, "of the steering, with the computation"),
-        Field("delay_sigma", "s", 0.01, "of lag and dead time together"),
-        Field("stiffness_sigma", "", 0.1, "of the logarithm"),
-        Field("balance", "", 1.0, "of the stiffness, front over rear"),
-        Field("balance_sigma", "", 0.05, "of the logarithm"),
-        Field("stiffness", "", 1.0, "factor on the stiffness of the car file"),
-        Field("bias", "rad", 0.0, "of the steering"),
-        Field("bias_sigma", "rad", 0.005, "of the steering"),
-    ),
-)  # fmt: skip
-"""Steering and tyres as learned; the defaults hold where the car file states the car and no controller learns it."""
 LateralMotion = record(
     "LateralMotion",
     (
         "speed", "force", "pull",  # m/s; N, of drive and brakes; m/s^2, of a banked road
         "along", "lateral",  # m/s^2, accelerations that have moved the load
-        ("knowledge", SteeringKnowledge),
+        ("knowledge", LearnedRow),
     ),
 )  # fmt: skip
 """What all hypotheses share in a period."""
@@ -105,7 +91,7 @@ FrictionEstimate = record(
     (
         ("memory", rows(FRICTION_MEMORY)), ("bank", rows(FRICTION_HYPOTHESIS)), ("commands", vector), ("car", vector),
         ("period", float64), ("variances", vector), ("low", float64), ("high", float64),
-        ("knowledge", SteeringKnowledge),
+        ("knowledge", LearnedRow),
     ),
 )  # fmt: skip
 """An estimate: hypotheses, ascending, none of a friction that is certain; commands that were sent (rad), the latest
@@ -368,11 +354,11 @@ def _weigh(distance, memory, bank):
     memory.friction, memory.high = mean, max(high, memory.low)
 
 
-@exported(void(FrictionSample, SteeringKnowledge, float64, float64, FrictionEstimate))
+@exported(void(FrictionSample, LearnedRow, float64, float64, FrictionEstimate))
 def estimate_friction(sample, knowledge, force, pull, estimate):
     """Take in a sample (`FrictionSample`) at a control instant; write the ends of the interval to the memory.
 
-    knowledge: `SteeringKnowledge`; force: N, of drive and brakes; pull: m/s^2, of a banked road. A single hypothesis
+    knowledge: `LearnedRow`; force: N, of drive and brakes; pull: m/s^2, of a banked road. A single hypothesis
     is certain.
     """
     memory, bank, commands, period = estimate.memory[0], estimate.bank, estimate.commands, estimate.period
@@ -453,9 +439,10 @@ def _knowledge(learned, estimate):
     if learned.size == 0:
         return estimate.knowledge
     b = memory_of(learned, 0).beliefs
-    return SteeringKnowledge(
-        b.belief_lag, b.belief_dead_time, b.belief_delay_sigma, b.belief_stiffness_sigma, b.belief_balance,
-        b.belief_balance_sigma, b.belief_stiffness, b.belief_bias, b.belief_bias_sigma,
+    return LearnedRow(
+        b.belief_lag, b.belief_lag_sigma, b.belief_dead_time, b.belief_dead_time_sigma, b.belief_delay_sigma,
+        b.belief_stiffness, b.belief_stiffness_sigma, b.belief_balance, b.belief_balance_sigma, b.belief_bias,
+        b.belief_bias_sigma,
     )  # fmt: skip
 
 

@@ -35,15 +35,16 @@ from .maths.exact import ceil, square
 from .maths.exponential import exp, tanh
 from .maths.matrix_exponential import apply, integrals
 from .maths.trigonometric import atan, cos, sin
+from .models.car import BODY, DEAD_TIME, LAG, RATE
 from .plants.forces import GRAVITY, SLIP_SPEED_FLOOR
 
 Quantities = record("Quantities", (
-    "lag", "dead_time", "rate",  # s, s, rad/s: of the steering
+    LAG, DEAD_TIME, RATE,  # of the steering
     "lateness",  # s, of all that is measured of the motion, against the wheels
     "gain", "offset",  # -, rad: road wheels over command
     "wheel_gain",  # -, road wheels over their measured angle
     "front", "rear",  # N/rad, cornering stiffness of the axles
-    "mass", "yaw_inertia", "lf", "lr",  # kg, kg m^2, m, m
+    *BODY,
     "relaxation", "friction", "shape_factor",  # m, -, -: of the tyres
     "side", "moment", "wind_angle_limit",  # N s^2/m^2, N s^2/m: of the wind, s and t; rad
     "lever",  # m, by which the side force acts before where the car's moment has it

@@ -14,6 +14,7 @@ from .maths.exact import ceil, clip, floor
 from .maths.exponential import hypot
 from .maths.random import counted_normal, counted_uniform
 from .maths.trigonometric import atan2
+from .models.car import AXLES, POWERTRAIN
 from .models.contract import MEASUREMENT
 from .plants.contract import ENVIRONMENT, OBSERVED, PLANT_INPUT, PLANT_STATE, input_at, observe, state_at
 from .plants.forces import GRAVITY, slope_sine_and_cosine, wheel_angle
@@ -40,12 +41,10 @@ LoopSettings = record(
         "steering_bias",  # rad, what the wheels are turned beyond the command
         "driver_preview",  # s, how far ahead the driver looks at the speed profile
         "driver_integral",  # 1/s^2, gain on the integral of the speed error
-        "mass",  # kg, with which the driver turns acceleration into force
-        "engine_power", "traction_limit", "brake_limit",  # W, N, N
+        *POWERTRAIN,  # with the mass the driver turns acceleration into force
         "failure_distance",  # m, a run has failed when |Y - y_ref| exceeds this after it has once been within
         "failure_sideslip",  # rad, or the sideslip angle this
-        "lf", "lr", "cg_height",  # m, with which the driver's traction guard finds the axle loads
-        "drive_front", "brake_front",  # -, share of the front axle
+        *AXLES,  # with which the driver's traction guard finds the axle loads
         "understeer_gradient", "rear_slip_gradient",  # rad s^2/m, of the steady turn at the start; NaN: unknown
         "guard",  # -, share of what the axles have left beside their lateral forces that the driver uses; inf: any
         "drive_whole", "drive_share",  # of the drive, as `dead_whole` and `dead_share` of the steering

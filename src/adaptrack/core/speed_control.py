@@ -38,6 +38,7 @@ from .loop import STANDING_SPEED
 from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import power
+from .models.car import AXLES, POWERTRAIN
 from .plants.forces import GRAVITY
 from .speed_learning import (
     LEAST_ACTION,
@@ -78,10 +79,10 @@ from .speed_stops import (
 )
 from .traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
 
-SPEED_SETTINGS = (
+SpeedSettings = record("SpeedSettings", (
     "period",  # s
-    "mass", "lf", "lr", "cg_height", "drive_front", "brake_front",  # kg, m, m, m, -, -
-    "engine_power", "traction_limit", "brake_limit",  # W, N, N
+    *AXLES,
+    *POWERTRAIN,
     "drag", "rolling",  # kg/m, force of the air over v^2; m/s^2
     "accelerate", "brake", "emergency", "stop_jerk",  # m/s^2, m/s^2, m/s^2, m/s^3
     "friction", "friction_high",  # -, assumed: the low and the high end of its interval, in a bend
@@ -90,8 +91,7 @@ SPEED_SETTINGS = (
     "drive_lag", "drive_dead_time", "brake_lag", "brake_dead_time",  # s, NaN: learned while driving
     "gain",  # 1/s
     "patience",  # s without a position, after which the steering has no estimate; 0: unlimited
-)  # fmt: skip
-SpeedSettings = record("SpeedSettings", SPEED_SETTINGS)
+))  # fmt: skip
 """Car, comfort, friction and gains of a speed controller."""
 
 SpeedPath = record(

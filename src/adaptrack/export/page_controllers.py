@@ -71,13 +71,12 @@ from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import LQR, MPC, CompiledController, Learning, PurePursuit, Stanley, published_mpc
 from adaptrack.control.controllers.informed import order_of
 from adaptrack.control.friction_estimate import (
+    ASSUMED_KNOWLEDGE,
     FRICTION_COUNT,
     FRICTION_SENSORS,
     LONGEST_STEERING_DELAY,
 )
 from adaptrack.control.speed_control import SpeedControl, speed_banks
-from adaptrack.core.friction_estimate import SteeringKnowledge
-from adaptrack.core.kernel import defaults
 from adaptrack.core.loop import EXTERNAL_FORCES
 from adaptrack.core.plants.tyre import TYRE_NAMES
 from adaptrack.core.speed_path import PLACE_SPACING
@@ -130,7 +129,7 @@ def speed_numbers() -> dict[str, Any]:
     return {
         "settings": {name: getattr(settings, name) for name in names}, "bank": speed_banks(settings, 1.0).drive.size,
         "speeds_ahead": LONGEST_SPEEDS_AHEAD, "spacing": PLACE_SPACING, "external_forces": EXTERNAL_FORCES,
-        "knowledge": defaults(SteeringKnowledge)._asdict(), "frictions": FRICTION_COUNT, "sensors": FRICTION_SENSORS,
+        "knowledge": ASSUMED_KNOWLEDGE, "frictions": FRICTION_COUNT, "sensors": FRICTION_SENSORS,
         "longest_delay": LONGEST_STEERING_DELAY,
     }  # fmt: skip
 

@@ -26,6 +26,7 @@ from adaptrack.core.kernel import Field, columns, fields_of, size_of
 from adaptrack.core.loop import SIGNAL
 from adaptrack.core.models import path as path_model
 from adaptrack.core.models import single_track
+from adaptrack.core.models.car import CarRow, SingleTrackCar, SteeringRow
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.period import RunSpan
 from adaptrack.core.planning import drive, speed, station_table
@@ -48,8 +49,8 @@ from adaptrack.scenario.profile import list_profiles, load_profile
 
 RECORDS = (
     rollout.RunRecord, rollout.RunSizes, RunSpan, road.Centreline, station_table.AlongRecord, speed.Planning,
-    drive.RoadDriveRecord, Order, InformedParts, Constants, laws.Common, car.CarRow, car.KnownWithinRow,
-    car.SteeringRow, plant.Chassis, plant.TyreRow, plant.Actuator, plant.BodyRow, plant.OutlineRow, Longitudinal,
+    drive.RoadDriveRecord, Order, InformedParts, Constants, laws.Common, CarRow, car.KnownWithinRow,
+    SteeringRow, plant.TyreRow, plant.Actuator, plant.BodyRow, plant.OutlineRow, Longitudinal,
     speed_path.PlanArrays,
 )  # fmt: skip
 """What the engine lays into memory."""
@@ -106,7 +107,7 @@ def _sizes() -> dict[str, int]:
         "parameters": len(PLANT_PARAMETERS), "own_states": len(PLANT_STATE) - 1, "measured": len(MEASUREMENT),
         "common_answer": len(COMMON_ANSWER), "road_numbers": len(road.LINE_NUMBERS), "piece": road.PIECE_COLUMNS,
         "signals": len(SIGNAL), "plan": len(PLAN),
-        "model": size_of(path_model.Parameters), "published_model": size_of(single_track.Parameters),
+        "model": size_of(path_model.Parameters), "published_model": size_of(SingleTrackCar),
         "published_states": len(single_track.SINGLE_TRACK_STATE), "turning": size_of(TurnIn),
         "turning_lag": TurnIn._fields.index("lag"), "estimator": size_of(kalman.FilterParameters),
         "learner": size_of(learning.LearnerParameters), "most_Np": min(150, int(PREDICTION_HORIZON.most)),

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import make_dataclass
 from typing import Any, Literal, NamedTuple
 
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.settings import RecordSettings
+from adaptrack.core.kernel import Field
+from adaptrack.core.models.car import DEAD_TIME, LAG, LIMIT, RATE, STEERING
+from adaptrack.core.models.car import SteeringRow as SteeringRow
 from adaptrack.core.synthesis import belief as kernel
-from adaptrack.core.synthesis.car import SteeringRow as SteeringRow
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.scenario.profile import Profile
 
@@ -24,8 +26,8 @@ MOST_COMPUTATION = 1.0
 """s, longest computation time that a controller takes."""
 UNKNOWN: Literal["unknown"] = "unknown"
 """As `belief`: ignore what the car file and the profile say about the steering."""
-_NAMES = {"lag": "s", "dead_time": "s", "computation": "s", "rate": "rad/s", "limit": "rad"}
-_STEERING = ("lag", "dead_time", "rate", "limit")
+_COMPUTATION = Field("computation", "s", 0.0, "from a measurement until its command is given")
+_ENTRIES = (LAG, DEAD_TIME, _COMPUTATION, RATE, LIMIT)
 _SOURCES = {ASSUMED_SOURCE: kernel.SLOW_ASSUMED, TO_LEARN_SOURCE: kernel.MEDIAN_TO_LEARN}
 
 
@@ -55,30 +57,31 @@ class SourcedValue(NamedTuple):
     source: str
 
 
-@dataclass(frozen=True)
-class Belief:
-    """The steering that a controller assumes; each entry has a `value` and its `source`."""
+_BeliefEntries: Any = make_dataclass("_BeliefEntries", [(field.name, SourcedValue) for field in _ENTRIES], frozen=True)
 
-    lag: SourcedValue
-    """s, time constant of the first-order lag"""
-    dead_time: SourcedValue
-    """s, from a command until the wheels begin to move"""
-    computation: SourcedValue
-    """s, from a measurement until its command is given"""
-    rate: SourcedValue
-    """rad/s, fastest change of the angle; inf: no limit"""
-    limit: SourcedValue
-    """rad, largest angle to either side"""
+
+class Belief(_BeliefEntries):  # type: ignore[misc]
+    """The steering that a controller assumes; each entry has a `value` and its `source`.
+
+    lag, dead_time, rate and limit as in `core.models.car`, a rate of inf: no limit; computation: s, from a measurement
+    until its command is given.
+    """
+
+    @property
+    def steering(self) -> dict[str, float]:
+        """The assumed numbers of the steering by name."""
+        return {field.name: getattr(self, field.name).value for field in STEERING}
 
     @property
     def delay(self) -> float:
         """From an instant until its command begins to act (s): computation and dead time."""
-        return self.computation.value + self.dead_time.value
+        return float(self.computation.value + self.dead_time.value)
 
     @property
     def assumed(self) -> tuple[str, ...]:
         """The names of the unknown entries."""
-        return tuple(name for name in _NAMES if getattr(self, name).source in (ASSUMED_SOURCE, TO_LEARN_SOURCE))
+        unknown = (ASSUMED_SOURCE, TO_LEARN_SOURCE)
+        return tuple(field.name for field in _ENTRIES if getattr(self, field.name).source in unknown)
 
     @property
     def is_cautious(self) -> bool:
@@ -88,9 +91,9 @@ class Belief:
     @property
     def row(self) -> Any:
         """A row of `core.synthesis.belief.BeliefRow`, whose sources tell what is assumed."""
-        row = row_of(kernel.BeliefRow, **{name: getattr(self, name).value for name in _NAMES})
-        for name in _STEERING:
-            row[f"{name}_source"] = _SOURCES.get(getattr(self, name).source, kernel.GIVEN)
+        row = kernel.BeliefRow.new(1, computation=self.computation.value)[0]
+        for name, value in self.steering.items():
+            row.steering[name], row.source[name] = value, _SOURCES.get(getattr(self, name).source, kernel.GIVEN)
         return row
 
     def bounds(self, period: float) -> Limits:
@@ -101,10 +104,10 @@ class Belief:
 
     def __str__(self) -> str:
         parts: dict[str, list[str]] = {}
-        for name, unit in _NAMES.items():
-            entry: SourcedValue = getattr(self, name)
-            text = f"{entry.value:.4g} {unit}" if math.isfinite(entry.value) else "without limit"
-            parts.setdefault(entry.source, []).append(f"{name.replace('_', ' ')} {text}")
+        for field in _ENTRIES:
+            entry: SourcedValue = getattr(self, field.name)
+            text = f"{entry.value:.4g} {field.unit}" if math.isfinite(entry.value) else "without limit"
+            parts.setdefault(entry.source, []).append(f"{field.name.replace('_', ' ')} {text}")
         return "; ".join(f"{', '.join(entries)} ({source})" for source, entries in parts.items())
 
 
@@ -134,7 +137,7 @@ def belief_about_steering(
     computation: `assumed_computation`; uses_actuator: whether the profile's actuator counts: not where only its sensors
     are taken by default, nor for a controller that learns, for which a profile is the simulated world.
     """
-    row = row_of(kernel.BeliefRow)
+    row = kernel.BeliefRow.new(1)[0]
     kernel.believe_steering(*steering_rows(vehicle, steering, profile, uses_actuator), computation.value, row)
     return belief_of(row, vehicle, profile, computation)
 
@@ -142,7 +145,7 @@ def belief_about_steering(
 def steering_rows(
     vehicle: Vehicle, steering: GivenSteering, profile: Profile, uses_actuator: bool
 ) -> tuple[Any, Any, Any]:
-    """The steering of the caller, of the car file and of the profile: rows of `core.synthesis.car.SteeringRow`."""
+    """The steering of the caller, of the car file and of the profile: rows of `core.models.car.SteeringRow`."""
     if steering == UNKNOWN:
         return row_of(SteeringRow), row_of(SteeringRow), row_of(SteeringRow)
     limit = min(profile.steering.limit, kernel.ANGLE)
@@ -157,7 +160,9 @@ def belief_of(row: Any, vehicle: Vehicle, profile: Profile, computation: Sourced
         kernel.FROM_EARLIER_DRIVE: f"learned before, in {seconds:.0f} s",
         **{code: source for source, code in _SOURCES.items()},
     }  # fmt: skip
-    steering = {name: SourcedValue(float(row[name]), sources[int(row[f"{name}_source"])]) for name in _STEERING}
+    steering = {
+        name: SourcedValue(float(row.steering[name]), sources[int(row.source[name])]) for name in SteeringRow._fields
+    }
     return Belief(**steering, computation=computation)
 
 

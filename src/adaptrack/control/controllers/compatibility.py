@@ -7,11 +7,10 @@ from functools import cache
 from typing import Any
 
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
+from adaptrack.core.models.car import SingleTrackCar
 
 INCREMENTAL = "incremental"
 """What the files of schedulers call the paper's model and estimator."""
-
-_MODEL = ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear")
 
 
 def car_of(part: Any) -> str | None:
@@ -25,7 +24,7 @@ def car_of(part: Any) -> str | None:
     if vehicle.name not in list_vehicles():
         return vehicle.name
     shipped = _shipped(vehicle.name)
-    is_shipped = all(getattr(vehicle, key) == getattr(shipped, key) for key in _MODEL)
+    is_shipped = all(getattr(vehicle, key) == getattr(shipped, key) for key in SingleTrackCar._fields)
     return vehicle.name if is_shipped else f"{vehicle.name} with other numbers"
 
 

@@ -31,9 +31,9 @@ from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel, PredictionModel
 from adaptrack.core import portable
 from adaptrack.core.estimators.learning_method import MAX_HYPOTHESES
+from adaptrack.core.models.car import LearnedRow
 from adaptrack.core.synthesis import informed as kernel
 from adaptrack.core.synthesis.car import KnownWithinRow
-from adaptrack.core.synthesis.learner import LearnerStart
 from adaptrack.core.synthesis.rows import row_of
 from adaptrack.core.synthesis.tuning import HORIZON_DURATION as HORIZON_DURATION
 from adaptrack.core.synthesis.tuning import tune_informed
@@ -198,7 +198,7 @@ def _order(
     rows["caller"], rows["file"], rows["actuator"] = steering
     rows["unsure"] = (uncertainty or Uncertainty()).row
     rows["longest_horizon"], rows["most_moves"] = _MOST
-    rows["method"], rows["start"] = method.row, row_of(LearnerStart, method.start)
+    rows["method"], rows["start"] = method.row, row_of(LearnedRow, method.start)
     return rows[0]
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from adaptrack.base.checked import Hint, checked
-from adaptrack.base.files import Record, build, read_toml
+from adaptrack.base.files import FieldRecord, build, read_toml
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle
 from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
@@ -24,6 +24,7 @@ from adaptrack.core.estimators.learning import LearnerParameters, memory_of
 from adaptrack.core.estimators.learning_method import LearningMethod
 from adaptrack.core.kernel import Field as KernelField
 from adaptrack.core.kernel import fields_of, size_of
+from adaptrack.core.models.car import LEARNED_CAR
 from adaptrack.core.synthesis import learner as synthesis
 
 Array = NDArray[np.float64]
@@ -71,21 +72,10 @@ class LearnedNumber(NamedTuple):
     unit: str
 
 
-class LearnedCar(Record):
+class LearnedCar(FieldRecord, fields=LEARNED_CAR, after="car"):
     """A learned car, each number with its standard deviation: for the next drive, see `Learning.start`."""
 
     car: str = Field(default="", description="whose model the factors belong to")
-    lag: float = Field(ge=0, le=10, description="s, of the steering")
-    lag_sigma: float = Field(ge=0, le=10, description="s")
-    dead_time: float = Field(ge=0, le=10, description="s, of the steering, without the computation")
-    dead_time_sigma: float = Field(ge=0, le=10, description="s")
-    delay_sigma: float = Field(ge=0, le=10, description="s, of lag and dead time together")
-    stiffness: float = Field(gt=0, le=100, description="-, cornering stiffness over mass, factor on what is known")
-    stiffness_sigma: float = Field(ge=0, le=10, description="-, of its logarithm")
-    balance: float = Field(default=1.0, gt=0, le=100, description="-, factor on front over rear stiffness")
-    balance_sigma: float = Field(default=0.1, ge=0, le=10, description="-, of its logarithm")
-    bias: float = Field(default=0.0, ge=-1, le=1, description="rad, by which the wheels turn beyond the command")
-    bias_sigma: float = Field(default=0.0, ge=0, le=1, description="rad")
     at_bound: str = Field(default="", description="which of these is at the end of its range: it may lie beyond")
     seconds: float = Field(default=0.0, ge=0, description="s, for which it was learned")
 

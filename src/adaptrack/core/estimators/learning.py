@@ -69,6 +69,7 @@ from ..maths.exact import clip, floor, sqrt, square
 from ..maths.exponential import exp, log
 from ..maths.vectors import VECTOR_WIDTH
 from ..models import path
+from ..models.car import SINGLE_TRACK
 from ..models.contract import MEASUREMENT
 from ..plants.forces import GRAVITY
 from . import kalman
@@ -83,7 +84,7 @@ LearnerParameters = record("LearnerParameters", (
     "lag",  # s, of the steering, as given
     "hypotheses",  # how many
     "commands",  # commands that are remembered
-    "mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear",  # as known; stiffness of an axle
+    *SINGLE_TRACK,  # as known; stiffness of an axle
     "wind_turn",  # 1/m, yaw acceleration over lateral acceleration of side wind
     "rate",  # rad/s, of the steering; inf: no limit
     "drift_vy", "drift_yaw_rate", "drift_wind", "drift_bias", "drift_bank", "drift_stiffness", "drift_balance",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from ..kernel import columns, exported, fields_of, float64, inlined, int64, record, size_of, vector, viewer, void
+from ..kernel import Row, columns, exported, fields_of, float64, inlined, int64, record, size_of, vector, viewer, void
 from ..maths.bits import left
+from ..models.car import CarRow
 from ..tracker.signals import TRACKER_SAMPLE
 
 TICK, WINDOW, TICKS, FEWEST = 0.095, 4, 9, 4
@@ -151,17 +152,17 @@ def is_reported(memory, subject):
     return memory.suspect & ABOUT[subject] != 0
 
 
-@exported(void(float64, float64, float64, float64, float64, float64, float64, float64, vector))
-def check_settings(mass, lf, lr, stiffness_front, stiffness_rear, period, delay, position_noise, settings):
-    """Write `Settings` of a car; mass 0: one that is not known, of which only signs and units are compared.
+@exported(void(Row(CarRow), float64, float64, float64, vector))
+def check_settings(car, period, delay, position_noise, settings):
+    """Write `Settings` of a car; mass NaN: an unknown car, of which only signs and units are compared.
 
-    stiffness: N/rad of a tyre, two on an axle. The turning is that of Rajamani, 2nd ed., section 3.3.
+    The turning is that of Rajamani, 2nd ed., section 3.3.
     """
     to = settings_of(settings, 0)
     to.period, to.delay, to.position_noise = period, delay, position_noise
-    if mass > 0.0:
-        to.known, to.lf, to.lr, to.length = 1.0, lf, lr, lf + lr
-        to.gradient = 0.5 * mass / (lf + lr) * (lr / stiffness_front - lf / stiffness_rear)
-        to.slip = 0.5 * mass * lf / (stiffness_rear * (lf + lr))
+    if car.mass > 0.0:
+        to.known, to.lf, to.lr, to.length = 1.0, car.lf, car.lr, car.lf + car.lr
+        to.gradient = 0.5 * car.mass / to.length * (car.lr / car.stiffness_front - car.lf / car.stiffness_rear)
+        to.slip = 0.5 * car.mass * car.lf / (car.stiffness_rear * to.length)
     else:
         to.known, to.lf, to.lr, to.length, to.gradient, to.slip = 0.0, 1.3, 1.5, 2.8, 0.0, 0.0

@@ -20,10 +20,11 @@ from ..kernel import Row, columns, exported, float64, inlined, local, matrix, re
 from ..maths.matrix_exponential import apply, integrals
 from ..maths.trigonometric import asin, tan
 from ..plants.forces import GRAVITY
+from .car import LAG, SINGLE_TRACK
 from .contract import DISCRETISE
 
-Parameters = record("Parameters", ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear", "lag"))
-"""kg, kg m^2, m, m, N/rad and N/rad per tyre, s."""
+Parameters = record("Parameters", (*SINGLE_TRACK, LAG))
+"""The car, and the lag of its steering."""
 parameters_of = viewer(Parameters)
 MIN_SLIP_SPEED = 3.0
 """m/s: slip angles are formed with at least this speed, for noise over a small one is no slip."""

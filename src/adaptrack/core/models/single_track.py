@@ -7,15 +7,14 @@ discretisation needs only the functions phi_k(M T) of a 2 x 2 matrix, phi_k(Z) =
 
 from __future__ import annotations
 
-from ..kernel import columns, exported, float64, inlined, local, matrix, record, unpacker, vector, void
+from ..kernel import columns, exported, float64, inlined, local, matrix, unpacker, vector, void
 from ..maths.matrix_exponential import apply, integrals
+from .car import SingleTrackCar
 from .contract import DISCRETISE
 
 SINGLE_TRACK_STATE = columns("vy", "yaw", "yaw_rate", "y")
 """x_c; the output is the last one."""
-Parameters = record("Parameters", ("mass", "yaw_inertia", "lf", "lr", "stiffness_front", "stiffness_rear"))
-"""kg, kg m^2, m, m, N/rad and N/rad per tyre."""
-unpack = unpacker(Parameters)
+unpack = unpacker(SingleTrackCar)
 
 _Q = columns("vy", "yaw_rate")
 _square, _column = local(len(_Q), 8), local(len(_Q))

@@ -3,34 +3,9 @@
 from __future__ import annotations
 
 from ..kernel import record, unpacker
+from ..models.car import CHASSIS
 
-CHASSIS = (
-    # body
-    "mass",  # kg
-    "yaw_inertia",  # kg m^2
-    "lf",  # m, centre of gravity to front axle
-    "lr",  # m, centre of gravity to rear axle
-    "track_front",  # m
-    "track_rear",  # m
-    "cg_height",  # m
-    "load_transfer_time",  # s, first-order lag from acceleration to wheel load
-    # air
-    "frontal_area",  # m^2
-    "air_density",  # kg/m^3
-    "drag_coefficient",  # -
-    "side_force_slope",  # 1/rad, side-force coefficient per relative wind angle
-    "yaw_moment_slope",  # 1/rad
-    "wind_angle_limit",  # rad, both coefficients stay constant beyond it
-    # powertrain
-    "rolling_resistance",  # -
-    "engine_power",  # W
-    "traction_limit",  # N, wheel-force limit of the drivetrain
-    "brake_limit",  # N
-    "drive_front",  # share of the traction on the front axle, 0..1
-    "brake_front",  # share of the braking on the front axle, 0..1
-)
-"""Of the car without its tyres and its steering."""
-PLANT_PARAMETERS = (
+_PARAMETERS = (
     *CHASSIS,
     # tyre
     "tyre_linear",  # 1 linear, 0 Magic Formula
@@ -49,7 +24,7 @@ PLANT_PARAMETERS = (
     "steering_rate",  # rad/s, inf: none
     "steering_limit",  # rad
 )
+PlantParameters = record("PlantParameters", _PARAMETERS)
+PLANT_PARAMETERS = PlantParameters._fields
 """The plants' packed parameters, in this order; a user's plant packs its own record behind its own names."""
-
-PlantParameters = record("PlantParameters", PLANT_PARAMETERS)
 unpack = unpacker(PlantParameters)

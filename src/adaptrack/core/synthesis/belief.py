@@ -6,23 +6,23 @@ import math
 
 from ..kernel import Field, Row, exported, float64, inlined, int64, record, void
 from ..maths.exponential import hypot, log, power
-from .car import KnownWithinRow, SteeringRow
+from ..models.car import SteeringRow
+from .car import KnownWithinRow
 from .filter import DriftsRow
 
 GIVEN, CAR_FILE, PROFILE, SLOW_ASSUMED, MEDIAN_TO_LEARN, FROM_EARLIER_DRIVE = range(6)
 """Sources of a number: the caller; the car file; the profile; none, so a slow published value is assumed; none, so
 learning starts at the published median; an earlier drive."""
+SteeringSource = record("SteeringSource", SteeringRow._fields, integers=SteeringRow._fields)
+"""Source of each number of a steering."""
 BeliefRow = record(
     "BeliefRow",
     (
-        "lag", "dead_time",  # s, of the steering
+        ("steering", SteeringRow),  # its rate is inf where there is no limit
+        ("source", SteeringSource),
         "computation",  # s, from a measurement until its command is given
-        "rate",  # rad/s; inf: no limit
-        "limit",  # rad
-        "lag_source", "dead_time_source", "rate_source", "limit_source",  # `GIVEN`, ...
     ),
-    integers=("lag_source", "dead_time_source", "rate_source", "limit_source"),
-)  # fmt: skip
+)
 """The steering that a controller assumes."""
 MAX_DELAY, MAX_STIFFNESS, MAX_MASS = 1.0, 4.0, 0.9
 """s, -, -: largest uncertainties."""
@@ -72,18 +72,19 @@ def believe_steering(caller, car, actuator, computation, belief):
     caller: by the caller; car: of the car file; actuator: of the profile; computation: s. A known lag shortens an
     assumed dead time, and a known dead time an assumed lag.
     """
+    steering, source = belief.steering, belief.source
     transport = max(PUBLISHED_COMPUTATION - computation, 0.0)
-    lag, belief.lag_source = _first_known(caller.lag, car.lag, actuator.lag)
-    dead, belief.dead_time_source = _first_known(caller.dead_time, car.dead_time, actuator.dead_time)
-    rate, belief.rate_source = _first_known(caller.rate, car.rate, actuator.rate)
-    limit, belief.limit_source = _first_known(caller.limit, car.limit, actuator.limit)
-    belief.lag, belief.dead_time = lag, dead
-    if belief.lag_source == SLOW_ASSUMED:
-        belief.lag = max(MOST_STEERING_DELAY - (0.0 if math.isnan(dead) else dead - transport), MIN_ASSUMED_LAG)
-    if belief.dead_time_source == SLOW_ASSUMED:
-        belief.dead_time = transport + (0.0 if math.isnan(lag) else max(MOST_STEERING_DELAY - lag, 0.0))
-    belief.rate = LEAST_STEERING_RATE if belief.rate_source == SLOW_ASSUMED else rate
-    belief.limit = ANGLE if belief.limit_source == SLOW_ASSUMED else limit
+    lag, source.lag = _first_known(caller.lag, car.lag, actuator.lag)
+    dead, source.dead_time = _first_known(caller.dead_time, car.dead_time, actuator.dead_time)
+    rate, source.rate = _first_known(caller.rate, car.rate, actuator.rate)
+    limit, source.limit = _first_known(caller.limit, car.limit, actuator.limit)
+    steering.lag, steering.dead_time = lag, dead
+    if source.lag == SLOW_ASSUMED:
+        steering.lag = max(MOST_STEERING_DELAY - (0.0 if math.isnan(dead) else dead - transport), MIN_ASSUMED_LAG)
+    if source.dead_time == SLOW_ASSUMED:
+        steering.dead_time = transport + (0.0 if math.isnan(lag) else max(MOST_STEERING_DELAY - lag, 0.0))
+    steering.rate = LEAST_STEERING_RATE if source.rate == SLOW_ASSUMED else rate
+    steering.limit = ANGLE if source.limit == SLOW_ASSUMED else limit
     belief.computation = computation
 
 
@@ -96,7 +97,7 @@ def is_unknown(source):
 @inlined
 def is_cautious(belief):
     """Whether lag or dead time is assumed."""
-    return is_unknown(belief.lag_source) or is_unknown(belief.dead_time_source)
+    return is_unknown(belief.source.lag) or is_unknown(belief.source.dead_time)
 
 
 @inlined
@@ -113,8 +114,8 @@ def _largest(a, b):
 @exported(void(Row(KnownWithinRow), Row(BeliefRow), Row(UncertaintyRow)))
 def uncertainty_of_car(within, belief, unsure):
     """Write the uncertainty of the car file; that of lag and dead time only where the belief has them from there."""
-    unsure.lag = _capped(within.steering_lag, MAX_DELAY) if belief.lag_source == CAR_FILE else 0.0
-    unsure.dead_time = _capped(within.steering_dead_time, MAX_DELAY) if belief.dead_time_source == CAR_FILE else 0.0
+    unsure.lag = _capped(within.steering_lag, MAX_DELAY) if belief.source.lag == CAR_FILE else 0.0
+    unsure.dead_time = _capped(within.steering_dead_time, MAX_DELAY) if belief.source.dead_time == CAR_FILE else 0.0
     unsure.stiffness = min(_largest(within.stiffness_front, within.stiffness_rear), MAX_STIFFNESS)
     unsure.mass = min(_largest(within.mass, within.yaw_inertia) - 1.0, MAX_MASS)
 
@@ -162,8 +163,9 @@ def bound_commands(belief, period, bounds):
     unknown rate being `LEAST_STEERING_RATE`: wheels that turn at their limit are late by more than the delay, and of
     2,000 unknown cars that start at 20 to 30 m/s it loses 75 without the bound and 14 with it.
     """
-    assumed = belief.lag_source == SLOW_ASSUMED or belief.dead_time_source == SLOW_ASSUMED
-    bounded = belief.rate < math.inf and not assumed
-    bounds.move = belief.rate * period if bounded else MOVE
-    bounds.ahead = belief.rate * (belief.lag + period) if bounded else 0.0
-    bounds.angle = belief.limit
+    steering, source = belief.steering, belief.source
+    assumed = source.lag == SLOW_ASSUMED or source.dead_time == SLOW_ASSUMED
+    bounded = steering.rate < math.inf and not assumed
+    bounds.move = steering.rate * period if bounded else MOVE
+    bounds.ahead = steering.rate * (steering.lag + period) if bounded else 0.0
+    bounds.angle = steering.limit

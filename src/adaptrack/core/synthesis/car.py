@@ -6,32 +6,21 @@ import math
 
 from ..kernel import OK, Row, exported, float64, inlined, int64, record, several
 from ..maths.decimal import to_digits, to_places
+from ..models.car import SIDE_FORCE_SLOPE, YAW_MOMENT_SLOPE, CarRow
+from ..models.car import SteeringRow as SteeringRow
 from ..plants.forces import GRAVITY
 
-CarRow = record(
-    "CarRow",
-    (
-        "mass",  # kg
-        "yaw_inertia",  # kg m^2
-        "lf", "lr",  # m, centre of gravity to front axle, to rear axle
-        "stiffness_front", "stiffness_rear",  # N/rad, of one tyre
-        "track_front", "track_rear",  # m
-        "cg_height",  # m
-        "frontal_area",  # m^2
-        "side_force_slope", "yaw_moment_slope",  # 1/rad, coefficients of the wind per angle
-    ),
+ESTIMATED = (
+    "cg_height", "frontal_area", "yaw_inertia", "stiffness_front", "stiffness_rear", "track_front", "track_rear",
 )  # fmt: skip
-"""NaN: not given, see `complete_car`. Track and height are the plant's; no controller uses them."""
-SteeringRow = record("SteeringRow", ("lag", "dead_time", "rate", "limit"))
-"""s, s, rad/s and rad at the road wheels; NaN: nothing is said."""
+"""Numbers that `complete_car` estimates, besides the place of the centre of gravity."""
 KnownWithinRow = record(
     "KnownWithinRow",
     (
         "is_given",  # 1: the numbers of the car come with how well they are known, 0: nobody says
-        "mass", "yaw_inertia", "stiffness_front", "stiffness_rear",  # factors
+        "mass",  # factor
         "lf",  # m, to either side
-        "track_front", "track_rear", "cg_height",  # m
-        "frontal_area",  # factor
+        *ESTIMATED,  # lengths in m, to either side; the others are factors
         "steering_lag", "steering_dead_time",  # s, to either side
     ),
     integers=("is_given",),
@@ -52,8 +41,6 @@ STIFFNESS_FACTOR = 1.62
 (nkapania/Wolverine: 15.8 to 18.7 in front, 21.5 to 28.7 behind) and of an Acura TSX (kktse.github.io, 2019: 6.7 and
 3.1 deg/g, thus 8.6 and 18.5) lie within."""
 AREA_FACTOR = 1.25
-SIDE_FORCE_SLOPE, YAW_MOMENT_SLOPE = 3.0, 1.0
-"""1/rad, where nobody says."""
 
 BodyStyle = record(
     "BodyStyle",
@@ -163,11 +150,11 @@ INERTIA_ODD, FRONT_ODD, REAR_ODD = range(1, 4)
 """What `car_flaw` answers."""
 
 
-@exported(several(float64, float64)(float64, float64, float64))
-def static_loads(mass, lf, lr):
-    """Vertical load (N) of one front and one rear wheel at rest; mass: kg; lf, lr: m."""
-    per_length = 0.5 * mass * GRAVITY / (lf + lr)
-    return per_length * lr, per_length * lf
+@exported(several(float64, float64)(Row(CarRow)))
+def static_loads(car):
+    """Vertical load (N) of one front and one rear wheel at rest."""
+    per_length = 0.5 * car.mass * GRAVITY / (car.lf + car.lr)
+    return per_length * car.lr, per_length * car.lf
 
 
 @exported(several(int64, float64)(Row(CarRow)))
@@ -176,7 +163,7 @@ def car_flaw(car):
     index = car.yaw_inertia / (car.mass * car.lf * car.lr)
     if not INERTIAS[0] <= index <= INERTIAS[1]:
         return INERTIA_ODD, index
-    front, rear = static_loads(car.mass, car.lf, car.lr)
+    front, rear = static_loads(car)
     front, rear = car.stiffness_front / front, car.stiffness_rear / rear
     if not STIFFNESSES[0] <= front <= STIFFNESSES[1]:
         return FRONT_ODD, front

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 from ..estimators import kalman
-from ..kernel import Field, Row, defaults, exported, float64, inlined, int64, record, several, vector, void
+from ..kernel import Field, Row, copier, defaults, exported, float64, inlined, int64, record, several, vector, void
 from ..maths.bits import whole
 from ..maths.exact import floor, sqrt, square
-from .car import CarRow, wind_turn
+from ..models.car import CarRow, SingleTrackCar
+from .car import wind_turn
 from .tuning import ControllerWorld
 
 _LEAST = kalman.memory_size(0, 0)
@@ -74,6 +75,7 @@ Filter = record("Filter", (
 ))  # fmt: skip
 """A Kalman filter of a path model."""
 DEFAULT_DRIFTS = defaults(DriftsRow)
+_copy_single_track = copier(SingleTrackCar)
 _DEFAULTS = tuple(Filter.new(1, **defaults(Filter)._asdict()).view(float).tolist())
 
 
@@ -176,6 +178,5 @@ def filter_numbers(filtering, car, period, lag, dead_time, numbers):
     p.friction, p.shape_factor = filtering.friction, filtering.shape_factor
     p.spread_side, p.spread_turn = square(filtering.spread[0]), square(filtering.spread[1])
     p.spread_offset = square(noise.yaw_rate_offset)
-    c = p.model
-    c.mass, c.yaw_inertia, c.lf, c.lr = car.mass, car.yaw_inertia, car.lf, car.lr
-    c.stiffness_front, c.stiffness_rear, c.lag = car.stiffness_front, car.stiffness_rear, lag
+    _copy_single_track(car, p.model)
+    p.model.lag = lag

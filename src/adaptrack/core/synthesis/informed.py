@@ -26,6 +26,7 @@ from ..kernel import (
 )
 from ..maths.exponential import hypot
 from ..models import path
+from ..models.car import CarRow, LearnedRow, SteeringRow
 from ..models.contract import MEASUREMENT
 from .belief import (
     FROM_EARLIER_DRIVE,
@@ -45,12 +46,11 @@ from .belief import (
     uncertainty_of_car,
     widen_drifts,
 )  # fmt: skip
-from .car import CarRow, KnownWithinRow, SteeringRow, relaxation_delay
+from .car import KnownWithinRow, relaxation_delay
 from .filter import DEFAULT_DRIFTS, Filter, filter_numbers, filter_periods, filter_size, sensor_noise
 from .learner import (
     UNKNOWN_CAR_ROW,
     LearnerRow,
-    LearnerStart,
     begin_learner,
     learner_memory,
     learner_numbers,
@@ -71,7 +71,7 @@ Order = record(
         "learning",  # `NEVER`, ...
         "filter_given",  # 1: the filter is the caller's, 0: it is made of `world`
         "longest_horizon", "most_moves",  # Np and Nc at most
-        ("method", LearningMethod), ("start", LearnerStart),
+        ("method", LearningMethod), ("start", LearnedRow),
     ),
     integers=("unsure_given", "learning", "filter_given", "longest_horizon", "most_moves"),
 )  # fmt: skip
@@ -131,15 +131,16 @@ def _set_fixed_belief(order, parts):
     belief, unsure, world = parts.belief, parts.unsure, order.world
     if order.unsure_given == 0:
         uncertainty_of_car(order.within, belief, unsure)
-    belief.lag += delay_margin(unsure.lag)
-    belief.dead_time += delay_margin(unsure.dead_time)
+    steering = belief.steering
+    steering.lag += delay_margin(unsure.lag)
+    steering.dead_time += delay_margin(unsure.dead_time)
     tune_informed(world, caution_of(unsure), order.longest_horizon, order.most_moves, parts.tuning)
     if is_cautious(belief):
         parts.tuning[3] *= ASSUMED_DELAY_CAUTION
     if order.filter_given == 0:
         widen_drifts(unsure, 1 if world.noise_vy < math.inf else 0, parts.filter.drifts)
     bound_commands(belief, world.period, parts.bounds)
-    parts.lag, parts.dead_time = belief.lag, belief.computation + belief.dead_time
+    parts.lag, parts.dead_time = steering.lag, belief.computation + steering.dead_time
     if world.noise_vy == math.inf:
         parts.dead_time += relaxation_delay(order.car)
 
@@ -147,10 +148,10 @@ def _set_fixed_belief(order, parts):
 @inlined
 def _widen_unknown_delay(parts):
     """Widen the uncertainty of an unknown lag or dead time that is declared certain."""
-    belief, unsure = parts.belief, parts.unsure
-    if belief.lag_source == SLOW_ASSUMED and unsure.lag == 0.0:
+    source, unsure = parts.belief.source, parts.unsure
+    if source.lag == SLOW_ASSUMED and unsure.lag == 0.0:
         unsure.lag = UNKNOWN_CAR_ROW.lag
-    if belief.dead_time_source == SLOW_ASSUMED and unsure.dead_time == 0.0:
+    if source.dead_time == SLOW_ASSUMED and unsure.dead_time == 0.0:
         unsure.dead_time = UNKNOWN_CAR_ROW.dead_time
 
 
@@ -179,10 +180,11 @@ def _set_learner(order, parts):
     sensing.longest = learner.longest
     tune_informed(world, 1.0, order.longest_horizon, order.most_moves, parts.tuning)
     learned_before = not math.isnan(order.start.lag)
-    belief.lag_source = _source_at_start(belief.lag_source, learned_before)
-    belief.dead_time_source = _source_at_start(belief.dead_time_source, learned_before)
+    steering, source = belief.steering, belief.source
+    source.lag = _source_at_start(source.lag, learned_before)
+    source.dead_time = _source_at_start(source.dead_time, learned_before)
     bound_commands(belief, world.period, parts.bounds)
-    belief.lag, belief.dead_time = lag, dead_time
+    steering.lag, steering.dead_time = lag, dead_time
     parts.lag, parts.dead_time = lag, dead_time + belief.computation
 
 
@@ -259,7 +261,8 @@ def informed_parts(order, parts):
     if order.filter_given == 0:
         sensor_noise(order.world, parts.filter.noise)
         parts.filter.oldest = order.world.oldest
-    unknown = parts.belief.lag_source == SLOW_ASSUMED or parts.belief.dead_time_source == SLOW_ASSUMED
+    source = parts.belief.source
+    unknown = source.lag == SLOW_ASSUMED or source.dead_time == SLOW_ASSUMED
     parts.learns = 1 if order.learning == ALWAYS or (order.learning == UNLESS_SAID and unknown) else 0
     if parts.learns > 0:
         _set_learner(order, parts)

@@ -10,7 +10,8 @@ from ..kernel import Row, exported, float64, inlined, int64, local, matrix, reco
 from ..maths.exact import square
 from ..maths.exponential import exp, log
 from ..maths.matrix_exponential import apply, integrals
-from .car import CarRow, SteeringRow, rear_slip_gradient, understeer_gradient
+from ..models.car import CarRow, SteeringRow
+from .car import rear_slip_gradient, understeer_gradient
 
 Common = record("Common", COMMON_PARAMETERS)
 """What the parameters of every law begin with."""

@@ -10,15 +10,11 @@ from ..kernel import Row, copier, exported, float64, inlined, int64, record, vec
 from ..maths.bits import whole
 from ..maths.exact import ceil, clip, sqrt, square
 from ..maths.exponential import exp, hypot, log, log1p
+from ..models.car import SIDE_FORCE_SLOPE, CarRow, LearnedRow, SingleTrackCar
 from .belief import SLOW_ASSUMED, BeliefRow, UncertaintyRow, is_unknown, uncertainty_of_car
-from .car import PASSENGER_BODY, SIDE_FORCE_SLOPE, CarRow, KnownWithinRow, given_or, wind_turn
+from .car import PASSENGER_BODY, KnownWithinRow, given_or, wind_turn
 from .filter import DEFAULT_DRIFTS, Filter, sensor_variances
 
-LearnerStart = record(
-    "LearnerStart", ("lag", "lag_sigma", "dead_time", "dead_time_sigma", "stiffness", "stiffness_sigma", "balance",
-              "balance_sigma", "bias", "bias_sigma"),
-)  # fmt: skip
-"""What an earlier drive has learned, each with its standard deviation; a lag of NaN: there was none."""
 DelayRange = record(
     "DelayRange",
     (
@@ -80,7 +76,8 @@ _BEFORE = learning.memory_size(0, 0)
 _HYPOTHESIS = learning.memory_size(0, 1) - _BEFORE
 _USUAL_SIDE = SIDE_FORCE_SLOPE * PASSENGER_BODY.frontal_area
 _DEFAULTS = tuple(map(float, DEFAULT_METHOD))
-_copy_car, _copy_method, _copy_beliefs = copier(CarRow), copier(LearningMethod), copier(learning.Beliefs)
+_copy_car, _copy_single_track = copier(CarRow), copier(SingleTrackCar)
+_copy_method, _copy_beliefs = copier(LearningMethod), copier(learning.Beliefs)
 
 
 @exported(void(vector))
@@ -113,8 +110,9 @@ def _set_hypotheses(count, learned, sigma, delays):
 @inlined
 def _set_ranges(belief, uncertainty, by_caller, learner):
     """Write the ranges of lag and dead time: about the assumed values, or about the middle of published ones."""
-    lag = PUBLISHED_MEDIAN[0] if is_unknown(belief.lag_source) else belief.lag
-    dead_time = PUBLISHED_MEDIAN[1] if is_unknown(belief.dead_time_source) else belief.dead_time
+    steering, source = belief.steering, belief.source
+    lag = PUBLISHED_MEDIAN[0] if is_unknown(source.lag) else steering.lag
+    dead_time = PUBLISHED_MEDIAN[1] if is_unknown(source.dead_time) else steering.dead_time
     _set_ends(lag, uncertainty.lag, learning.SHORTEST_LAG, MOST_LAG, by_caller, learner.lag)
     _set_ends(dead_time, uncertainty.dead_time, 0.0, MOST_DEAD_TIME, by_caller, learner.dead_time)
 
@@ -130,7 +128,7 @@ def _copy_car_with_moved_cg(car, share, within, target):
 
 @exported(
     void(
-        Row(LearningMethod), Row(LearnerStart), Row(CarRow), Row(KnownWithinRow), Row(BeliefRow), Row(UncertaintyRow),
+        Row(LearningMethod), Row(LearnedRow), Row(CarRow), Row(KnownWithinRow), Row(BeliefRow), Row(UncertaintyRow),
         int64, Row(Filter), float64, Row(LearnerRow),
     )
 )  # fmt: skip
@@ -152,8 +150,8 @@ def begin_learner(method, start, car, within, belief, uncertainty, by_caller, se
     _set_ranges(belief, uncertainty, by_caller, learner)
     _set_hypotheses(method.lags, start.lag, start.lag_sigma, learner.lag)
     _set_hypotheses(method.dead_times, start.dead_time, start.dead_time_sigma, learner.dead_time)
-    learner.period, learner.computation, learner.assumed_lag = period, belief.computation, belief.lag
-    learner.rate = math.inf if belief.rate_source == SLOW_ASSUMED else belief.rate
+    learner.period, learner.computation, learner.assumed_lag = period, belief.computation, belief.steering.lag
+    learner.rate = math.inf if belief.source.rate == SLOW_ASSUMED else belief.steering.rate
     stiffness, mass = log(uncertainty.stiffness), log1p(uncertainty.mass)
     learner.stiffness = stiffness + mass if by_caller > 0 else max(stiffness + mass, log(MAX_STIFFNESS_RANGE))
     learner.stiffness_spread = UNIFORM_SIGMA * hypot(stiffness, mass)
@@ -325,7 +323,7 @@ def learner_numbers(learner, sensing, numbers):
         float(learner.commands),
     )
     p.hypotheses = float(learner.lag.count * learner.dead_time.count)
-    p.mass, p.yaw_inertia, p.lf, p.lr = car.mass, car.yaw_inertia, car.lf, car.lr
+    _copy_single_track(car, p)
     p.stiffness_front, p.stiffness_rear = 2.0 * car.stiffness_front, 2.0 * car.stiffness_rear
     p.wind_turn, p.rate = wind_turn(car), learner.rate
     p.least_lag, p.most_lag = learner.lag.least, learner.lag.most

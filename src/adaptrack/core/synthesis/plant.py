@@ -1,9 +1,9 @@
-"""The simulated car: plant parameters, integration steps and outline, from chassis, tyre and steering actuator.
+"""The simulated car: plant parameters, integration steps and outline, from car, tyre and steering actuator.
 
-    chassis, tyre, actuator    -> plant_parameters, plant_law, plant_substeps: what a plant is driven with
+    car, tyre, actuator    -> plant_parameters, plant_law, plant_substeps: what a plant is driven with
     plant parameters           -> tyre_forces
     delay, dead time           -> dead_periods: `core.loop.LoopSettings.dead_whole` and `dead_share`
-    body, chassis              -> outline_of
+    body, car              -> outline_of
 
 Axes of ISO 8855; stiffness and load are those of one tyre.
 """
@@ -15,13 +15,12 @@ import math
 from ..kernel import OK, Row, exported, float64, inlined, int64, matrix, packer, record, several, vector, void
 from ..maths.bits import whole
 from ..maths.exact import ceil, square
-from ..plants.parameters import CHASSIS, unpack
+from ..models.car import ACTUATOR, CHASSIS, OUTLINE, CarRow
+from ..plants.parameters import unpack
 from ..plants.tyre import lateral_force, tyre_law
 from .car import static_loads
 from .filter import split_periods
 
-Chassis = record("Chassis", CHASSIS)
-"""Body, air and powertrain of a plant."""
 TyreRow = record(
     "TyreRow",
     (
@@ -39,16 +38,16 @@ TyreRow = record(
 """A tyre, see `adaptrack.cars.vehicle.Tyre`."""
 CONSTANT_STIFFNESS, LINEAR_STIFFNESS, DIGRESSIVE_STIFFNESS = range(3)
 """How the stiffness depends on the load."""
-Actuator = record("Actuator", ("lag", "rate", "limit", "dead_time", "bias"))
-"""The steering between command and road wheels: s, rad/s, rad, s, rad."""
+Actuator = record("Actuator", ACTUATOR)
+"""The steering of a simulated car."""
 
 MAX_PLANT_STEP, STABLE, STEP_ROUNDING = 0.0125, 2.2, 1e-9
 """s; -, step times the fastest rate of a mode, within the region where Runge-Kutta is stable; of a number of steps."""
 MIN_RELAXATION_SPEED = 1.0
 """m/s, below which no tyre relaxes more slowly."""
 
-BodyRow = record("BodyRow", ("length", "width", "front_overhang", "rear_overhang"))
-"""m, what is known of a car's outline; NaN: not given."""
+BodyRow = record("BodyRow", OUTLINE)
+"""A car's outline; NaN: unknown."""
 OutlineRow = record("OutlineRow", ("front", "rear", "width"))
 """m, from the centre of mass to either end, and the width without mirrors."""
 LENGTH_OVER_WHEELBASE = 1.65
@@ -61,7 +60,7 @@ AXLE_OUTSIDE, LENGTH_DISAGREES = range(1, 3)
 """What `overhangs` answers: fine; no room for an axle; length, wheelbase and overhangs differ."""
 MATCHING = 0.02
 """m, by which they may differ."""
-_pack = packer(Chassis)
+_pack = packer(record("Chassis", CHASSIS))
 
 
 # -- tyre -------------------------------------------------------------------------------------------------------------
@@ -96,10 +95,10 @@ def plant_law(tyre):
 
 
 # -- plant ------------------------------------------------------------------------------------------------------------
-@exported(void(Row(Chassis), Row(TyreRow), Row(Actuator), vector))
-def plant_parameters(chassis, tyre, actuator, parameters):
+@exported(void(Row(CarRow), Row(TyreRow), Row(Actuator), vector))
+def plant_parameters(car, tyre, actuator, parameters):
     """Write `plants.parameters.PlantParameters`."""
-    _pack(parameters, 0, chassis)
+    _pack(parameters, 0, car)
     p = parameters[len(CHASSIS) :]
     p[0] = 1.0 if tyre.linear > 0 else 0.0
     p[1], p[2], p[3] = tyre.stiffness_front, tyre.stiffness_rear, tyre.nominal_load
@@ -122,18 +121,18 @@ def tyre_forces(plant, friction, wheels, forces):
         forces[i] = lateral_force(wheels[i, 0], wheels[i, 1], friction, stiffness, car, law)
 
 
-@exported(float64(Row(Chassis), Row(TyreRow)))
-def lateral_rate(chassis, tyre):
+@exported(float64(Row(CarRow), Row(TyreRow)))
+def lateral_rate(car, tyre):
     """The fastest rate (1/s) of lateral and yaw motion at 1 m/s, the lowest speed of the slip angles."""
-    front, rear = static_loads(chassis.mass, chassis.lf, chassis.lr)
+    front, rear = static_loads(car)
     front, rear = tyre_stiffness(tyre, front, rear)
     front, rear = 2.0 * front, 2.0 * rear
-    turning = front * square(chassis.lf) + rear * square(chassis.lr)
-    return max((front + rear) / chassis.mass, turning / chassis.yaw_inertia)
+    turning = front * square(car.lf) + rear * square(car.lr)
+    return max((front + rear) / car.mass, turning / car.yaw_inertia)
 
 
-@exported(int64(Row(Chassis), Row(TyreRow), int64, float64, float64))
-def plant_substeps(chassis, tyre, relaxes, period, top_speed):
+@exported(int64(Row(CarRow), Row(TyreRow), int64, float64, float64))
+def plant_substeps(car, tyre, relaxes, period, top_speed):
     """Runge-Kutta steps in a control period (s) that keep every mode stable up to a speed (m/s).
 
     relaxes: 1: the plant's tyres build up their force over the relaxation length (dual track), 0: at once.
@@ -141,7 +140,7 @@ def plant_substeps(chassis, tyre, relaxes, period, top_speed):
     if relaxes > 0 and tyre.relaxation_length > 0.0:
         rate = max(top_speed, MIN_RELAXATION_SPEED) / tyre.relaxation_length
     else:
-        rate = lateral_rate(chassis, tyre)
+        rate = lateral_rate(car, tyre)
     steps = max(ceil(period / MAX_PLANT_STEP - STEP_ROUNDING), ceil(period * rate / STABLE - STEP_ROUNDING))
     return max(1, whole(steps))
 
@@ -179,11 +178,11 @@ def overhangs(body, wheelbase):
     return (LENGTH_DISAGREES if abs(front + rear - beyond) > MATCHING else OK), front, rear
 
 
-@exported(int64(Row(BodyRow), Row(Chassis), Row(OutlineRow)))
-def outline_of(body, chassis, outline):
+@exported(int64(Row(BodyRow), Row(CarRow), Row(OutlineRow)))
+def outline_of(body, car, outline):
     """Write the rectangle that a car fills; what is not given is estimated from wheelbase and track. As `overhangs`."""
-    status, front, rear = overhangs(body, chassis.lf + chassis.lr)
-    outline.front, outline.rear, outline.width = chassis.lf + front, chassis.lr + rear, body.width
+    status, front, rear = overhangs(body, car.lf + car.lr)
+    outline.front, outline.rear, outline.width = car.lf + front, car.lr + rear, body.width
     if math.isnan(body.width):
-        outline.width = max(chassis.track_front, chassis.track_rear) + WIDER_THAN_TRACK
+        outline.width = max(car.track_front, car.track_rear) + WIDER_THAN_TRACK
     return status

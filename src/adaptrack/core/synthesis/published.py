@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import OK, Place, Row, exported, float64, int64
+from ..kernel import OK, Place, Row, exported, float64, int64, packer
 from ..models import single_track
+from ..models.car import CarRow, SingleTrackCar
 from ..models.contract import MEASUREMENT
 from .belief import ANGLE, MOVE
-from .car import CarRow
 from .informed import CAR_WRONG, LOOP_WRONG, MEMORY_TOO_SMALL, Constants, is_a_car
 from .tuning import PAPER_TUNING
 
-_MODEL, _STATES = len(single_track.Parameters._fields), len(single_track.SINGLE_TRACK_STATE)
+_pack = packer(SingleTrackCar)
+_MODEL, _STATES = len(SingleTrackCar._fields), len(single_track.SINGLE_TRACK_STATE)
 
 
 @exported(int64(Row(CarRow), float64, Place(Constants)))
@@ -34,7 +35,6 @@ def published_constants(car, period, constants):
     s.move_min, s.move_max, s.angle_min, s.angle_max = -MOVE, MOVE, -ANGLE, ANGLE
     s.informed, s.learns = 0, 0
     tuning[0], tuning[1], tuning[2], tuning[3] = PAPER_TUNING
-    model[0], model[1], model[2], model[3] = car.mass, car.yaw_inertia, car.lf, car.lr
-    model[4], model[5] = car.stiffness_front, car.stiffness_rear
+    _pack(model, 0, car)
     states[0], states[1], states[2], states[3] = MEASUREMENT.vy, MEASUREMENT.yaw, MEASUREMENT.yaw_rate, MEASUREMENT.y
     return OK

@@ -173,13 +173,12 @@ const inputs = (() => {
   }
 
   function carOfSheet(sheet, car, within, given) {
-    const numbers = {}, parts = {};
+    const numbers = {}, parts = {}, finite = (x) => (Number.isFinite(x) ? x : null);
     for (const field of given.sections[""]) {
       if (field.kind !== "number") continue;
-      numbers[field.key] = car[field.key] ?? sheet.known[field.key] ?? field.default;
+      numbers[field.key] = finite(car[field.key]) ?? sheet.known[field.key] ?? field.default;
     }
     for (const part of PARTS) parts[part] = byKey(given.sections[part], (field) => field.default);
-    const finite = (x) => (Number.isFinite(x) ? x : null);
     parts.known_within = byKey(given.sections.known_within, ({ key }) => finite(within[key]));
     const description = `estimated from ${sheet.mass} kg and ${sheet.wheelbase} m of wheelbase`;
     return { name: sheet.name, description, numbers, ...parts, tyre: given.tyre };

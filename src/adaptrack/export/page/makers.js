@@ -96,14 +96,14 @@ function savedCar({ name, file, sheet }) {
 
 const carOfSheet = (typed) => carOfRows(...completed(typed));
 
-/** The car of a sheet, and its rows of numbers and of how well they are known. */
+/** The car of a sheet, and the row of how well its numbers are known. */
 function completed(typed) {
   const sheet = readBy("car", () => inputs.readSheet(typed, written.inputs));
-  const row = copied("synthesis.car.CarRow", { ...sheet.known, mass: sheet.mass }),
+  const row = copied("models.car.CarRow", { ...sheet.known, mass: sheet.mass }),
     within = copied("synthesis.car.KnownWithinRow");
   const status = memory.call("complete_car", sheet.wheelbase, sheet.load, sheet.truck, row, within);
   refuseFlaw("car", inputs.sheetFlaw(status, sheet, written.inputs));
-  return [inputs.carOfSheet(sheet, row.$numbers, within.$numbers, written.inputs), row, within];
+  return [inputs.carOfSheet(sheet, row.$numbers, within.$numbers, written.inputs), within];
 }
 
 /** What a controller knows of a car: all of it, or, where it knows the sheet, its mass and wheelbase. */
@@ -114,26 +114,25 @@ function carKnownTo(entry, car) {
 }
 
 function carOfFile(car) {
-  const row = copied("synthesis.car.CarRow", car.numbers), said = car.known_within;
-  const within = copied("synthesis.car.KnownWithinRow", said ? { ...said, is_given: 1 } : {});
-  if (memory.call("car_flaw", row)[0] !== written.inputs.answers.car_flaw.OK) throw new Refusal("car", NO_CAR);
-  return carOfRows(car, row, within);
+  const said = car.known_within;
+  return carOfRows(car, copied("synthesis.car.KnownWithinRow", said ? { ...said, is_given: 1 } : {}));
 }
 
-function carOfRows(car, row, within) {
+function carOfRows(car, within) {
+  const row = copied("models.car.CarRow", car.numbers);
+  if (memory.call("car_flaw", row)[0] !== written.inputs.answers.car_flaw.OK) throw new Refusal("car", NO_CAR);
   const rows = {
     car: row,
     within,
-    file: copied("synthesis.car.SteeringRow", car.steering),
-    chassis: copied("synthesis.plant.Chassis", car.numbers),
+    file: copied("models.car.SteeringRow", car.steering),
     tyre: copied("synthesis.plant.TyreRow", car.tyre.numbers), body: copied("synthesis.plant.BodyRow", car.body),
   };
-  const outline = copied("synthesis.plant.OutlineRow"), { lf, lr, track_front, track_rear } = rows.chassis.$numbers;
+  const outline = copied("synthesis.plant.OutlineRow"), { lf, lr, track_front, track_rear } = row.$numbers;
   if (memory.call("overhangs", rows.body, lf + lr)[0] !== written.inputs.answers.overhangs.OK)
     throw new Refusal("car", NO_CAR);
-  memory.call("outline_of", rows.body, rows.chassis, outline);
+  memory.call("outline_of", rows.body, row, outline);
   const plain = mine(memory.array("F", [written.sizes.parameters]));
-  memory.call("plant_parameters", rows.chassis, rows.tyre, copied("synthesis.plant.Actuator", written.ideal), plain);
+  memory.call("plant_parameters", row, rows.tyre, copied("synthesis.plant.Actuator", written.ideal), plain);
   return {
     name: car.name,
     rows,
@@ -183,31 +182,30 @@ function changeTruth(world, truth) {
   }
 }
 
-/** The plant of a car up to a speed (m/s), as it truly is: chassis, parameters, steps and functions. */
+/** The plant of a car up to a speed (m/s), as it truly is: car, parameters, steps and functions. */
 function plantOf(car, world, topSpeed) {
   const plant = {
-    topSpeed, chassis: copied("synthesis.plant.Chassis", car.rows.chassis.$numbers),
-    row: copied("synthesis.car.CarRow", car.rows.car.$numbers),
+    topSpeed, car: copied("models.car.CarRow", car.rows.car.$numbers),
     parameters: mine(memory.array("F", [written.sizes.parameters])), functions: world.plants[memory.call("plant_law", car.rows.tyre)],
   };
   writePlant(plant, car, world);
   return plant;
 }
 function writePlant(plant, car, world) {
-  const { chassis } = plant, { tyre } = car.rows;
-  plant.row.mass = chassis.mass = car.rows.chassis.mass * world.mass;
-  memory.call("plant_parameters", chassis, tyre, world.actuator, plant.parameters);
-  plant.substeps = memory.call("plant_substeps", chassis, tyre, 1, world.period, plant.topSpeed);
+  const { tyre } = car.rows;
+  plant.car.mass = car.rows.car.mass * world.mass;
+  memory.call("plant_parameters", plant.car, tyre, world.actuator, plant.parameters);
+  plant.substeps = memory.call("plant_substeps", plant.car, tyre, 1, world.period, plant.topSpeed);
 }
-function settingsOf(car, world, { substeps, chassis, row }) {
-  const { actuator, period, delay } = world, { mass, engine_power, traction_limit, brake_limit, lf, lr } = chassis;
+function settingsOf(car, world, plant) {
+  const { actuator, period, delay } = world, { mass, engine_power, traction_limit, brake_limit, lf, lr } = plant.car;
   const [dead_whole, dead_share] = memory.call("dead_periods", delay, actuator.dead_time, period);
   return {
-    ...world.settings, substeps, dead_whole, dead_share, steering_lag: actuator.lag, steering_limit: actuator.limit,
-    steering_bias: actuator.bias, mass, engine_power, traction_limit, brake_limit,
+    ...world.settings, substeps: plant.substeps, dead_whole, dead_share, steering_lag: actuator.lag,
+    steering_limit: actuator.limit, steering_bias: actuator.bias, mass, engine_power, traction_limit, brake_limit,
     failure_distance: car.domain.failure_distance, lf, lr,
-    understeer_gradient: memory.call("understeer_gradient", row),
-    rear_slip_gradient: memory.call("rear_slip_gradient", row),
+    understeer_gradient: memory.call("understeer_gradient", plant.car),
+    rear_slip_gradient: memory.call("rear_slip_gradient", plant.car),
   };
 }
 
@@ -522,7 +520,7 @@ function informedConstants(known, car, believed, where) {
   order.car = car.rows.car;
   order.within = car.rows.within;
   order.file = car.rows.file;
-  order.caller = copied("synthesis.car.SteeringRow", believed);
+  order.caller = copied("models.car.SteeringRow", believed);
   const parts = mine(memory.row("synthesis.informed.InformedParts"));
   memory.call("usual_filter", new Block(memory, parts.filter.$at, "F", [parts.filter.$layout.words]));
   let status = memory.call("informed_parts", order, parts);
@@ -576,14 +574,14 @@ function frictionOf({ rows }, { parts }, { period }, [low, high]) {
   const estimate = { memory: { shape: [1] }, period, low, high };
   if (!parts) return estimate;
   const { frictions, knowledge, longest_delay, sensors } = written.speed_control, { belief } = parts;
-  const { lag, rate, limit } = belief, variances = mine(memory.array("F", [written.sizes.measured]));
+  const { lag, dead_time } = belief.steering, variances = mine(memory.array("F", [written.sizes.measured]));
   const car = mine(memory.array("F", [written.sizes.parameters]));
-  memory.call("plant_parameters", rows.chassis, rows.tyre, copied("synthesis.plant.Actuator", { lag, rate, limit }), car);
+  memory.call("plant_parameters", rows.car, rows.tyre, copied("synthesis.plant.Actuator", belief.steering.$numbers), car);
   memory.call("sensor_variances", parts.filter.noise, variances);
   return {
     ...estimate, bank: { shape: [frictions] }, commands: { shape: [Math.ceil(longest_delay / period) + 1] },
     car: share(car), variances: share(vectorOf(sensors.map((sensor) => variances.values[sensor]))),
-    knowledge: { ...knowledge, lag, dead_time: belief.computation + belief.dead_time },
+    knowledge: { ...knowledge, lag, dead_time: belief.computation + dead_time },
   };
 }
 
@@ -593,18 +591,18 @@ function frictionOf({ rows }, { parts }, { period }, [low, high]) {
  */
 function speedControlOf(entry, car, controller, { world, of, samples, setup }, where) {
   if (of.test) throw new Refusal(where, "The paper's tests prescribe their speed: a speed control needs a road.");
-  const constants = written.speed_control, { plan } = samples, { chassis, file } = car.rows;
+  const constants = written.speed_control, { plan } = samples, { car: numbers, file } = car.rows;
   const ends = (friction) => {
     const [low, high = low] = [friction].flat().map((end) => checked(where, "assumed_friction", end));
     if (!(low <= high)) throw new Refusal(where, `${written.words.named.assumed_friction}: the lower end must come first.`);
     return [low, high];
   };
   const grip = (friction) => ends(friction).map((end) => memory.call("usable_friction", car.plain, file.limit, end));
-  const { air_density, frontal_area, drag_coefficient, rolling_resistance } = chassis;
+  const { air_density, frontal_area, drag_coefficient, rolling_resistance } = numbers;
   const [drag, rolling] = memory.call("resistance", air_density, frontal_area, drag_coefficient, rolling_resistance);
   const assumed = ends(entry.speed_control.friction), [friction, friction_high] = grip(assumed), { period } = world;
   const settings = copied("speed_control.SpeedSettings",
-    { period, drag, rolling, friction, friction_high, straight_ratio: assumed[0] / friction }, constants.settings, chassis.$numbers);
+    { period, drag, rolling, friction, friction_high, straight_ratio: assumed[0] / friction }, constants.settings, numbers.$numbers);
   const top = plan.speed.values.reduce((most, each) => Math.max(most, each), 0);
   const { path, climb } = speedPathOf(of, plan, slopeOf(setup.truth ?? {}));
   const record = mine(memory.make("tracker.longitudinal.Longitudinal", {
