@@ -15,17 +15,18 @@ import adaptrack as at
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers.learned_car import Learning
 from adaptrack.core import library
-from adaptrack.core.controllers.mpc import MPCSettings
 from adaptrack.core.estimators import learning
+from adaptrack.core.kernel import row_of
 from adaptrack.core.maths.decimal import to_digits, to_places
 from adaptrack.core.models.car import SingleTrackCar
 from adaptrack.core.plants.forces import GRAVITY
-from adaptrack.core.synthesis import belief, car, filter, informed, laws, published, tuning
-from adaptrack.core.synthesis.rows import row_of
-from by_kernels import CASES, UNTOUCHED, make_order, make_parts
+from adaptrack.core.synthesis import belief, car, filter, laws, mpc, tuning
+from adaptrack.core.synthesis.learner import learner_memory
+from by_kernels import CASES, make_order
 from programs import find_program
 
 SEDAN = load_vehicle("midsize-sedan")
+UNTOUCHED = -1234.5
 
 
 # -- numbers as they are printed --------------------------------------------------------------------------------------
@@ -295,73 +296,74 @@ def test_the_gains_of_the_lqr_are_those_of_scipy():
 
 
 # -- all of an MPC at once --------------------------------------------------------------------------------------------
-def constants_by_kernels(vehicle, options):
-    """What the filter remembers, and all numbers of an MPC, by kernels alone."""
-    order, parts, constants = make_parts(vehicle, options)
-    assert informed.informed_parts(order, parts) == informed.OK
-    assert informed.informed_constants(order, parts, constants) == informed.OK
-    for field in ("estimator", "model", "turning", "tuning"):
-        shorter = constants._replace(**{field: getattr(constants, field)[:-1].copy()})
-        assert informed.informed_constants(order, parts, shorter) == informed.MEMORY_TOO_SMALL
-    return informed.informed_sizes(order, parts)[1], constants
+def words_of(row):
+    """The numbers of a row of numbers."""
+    return np.array([row]).view(np.float64)
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_numbers_of_an_mpc_are_all_there_without_python(case):
-    """Every word of each array is written, and is that of the controller that Python makes."""
+    """Those of the controller that Python makes."""
     vehicle = load_vehicle("van")
-    remembered, constants = constants_by_kernels(vehicle, CASES[case])
-    mpc = at.MPC(vehicle, **CASES[case])
-    batch = mpc.batch(1, mpc.settings(), curved=True)
-    expected = (mpc.tuning.as_array(), batch.parameters, batch.states, batch.feed.turning, batch.informed.estimator,
-                batch.informed.learner, batch.informed.fresh)  # fmt: skip
-    for field, first, other in zip(constants._fields[1:], constants[1:], expected, strict=True):
+    order, numbers = make_order(vehicle, CASES[case])
+    assert mpc.informed_numbers(order, numbers) == mpc.OK
+    fresh = np.full(numbers.learned, UNTOUCHED)
+    learning_numbers = words_of(numbers.learning) if numbers.learned else np.zeros(0)
+    if numbers.learned:
+        learner_memory(numbers.learner, numbers.filter, fresh)
+    controller = at.MPC(vehicle, **CASES[case])
+    batch = controller.batch(1, controller.settings(), curved=True)
+    for field, first, other in (
+        ("tuning", numbers.tuning, controller.tuning.as_array()), ("model", words_of(numbers.model), batch.parameters),
+        ("states", numbers.states[: numbers.state_count].astype(np.int64), batch.states),
+        ("turning", words_of(numbers.turning), batch.feed.turning),
+        ("estimator", words_of(numbers.estimator), batch.informed.estimator),
+        ("learner", learning_numbers, batch.informed.learner), ("fresh", fresh, batch.informed.fresh),
+    ):  # fmt: skip
         assert first.tobytes() == np.ascontiguousarray(other).tobytes(), field
-    assert batch.informed.estimates.size == remembered
-    settings = constants.settings[0]
+    assert batch.informed.estimates.size == numbers.remembered
     for field in ("period", "move_min", "move_max", "angle_min", "angle_max", "ahead", "error_max", "preview", "delay",
                   "informed", "learns"):  # fmt: skip
-        assert settings[field] == getattr(batch.settings, field), field
+        assert numbers.settings[field] == getattr(batch.settings, field), field
 
 
 WRONG = [
-    ("car", "mass", math.nan, informed.CAR_WRONG), ("car", "lf", -1.0, informed.CAR_WRONG),
-    ("car", "stiffness_rear", math.inf, informed.CAR_WRONG), ("car", "side_force_slope", math.nan, informed.CAR_WRONG),
-    ("world", "period", 0.0, informed.LOOP_WRONG), ("world", "noise_y", math.inf, informed.LOOP_WRONG),
-    ("world", "computation", math.nan, informed.LOOP_WRONG), ("world", "oldest", math.inf, informed.LOOP_WRONG),
-    ("caller", "lag", -0.1, informed.STEERING_WRONG), ("file", "rate", 0.0, informed.STEERING_WRONG),
-    ("actuator", "limit", math.inf, informed.STEERING_WRONG),
-    ("caller", "dead_time", math.inf, informed.STEERING_WRONG),
-    ("unsure", "stiffness", math.nan, informed.UNCERTAINTY_WRONG), ("method", "lags", 1e9, informed.METHOD_WRONG),
+    ("car", "mass", math.nan, mpc.CAR_WRONG), ("car", "lf", -1.0, mpc.CAR_WRONG),
+    ("car", "stiffness_rear", math.inf, mpc.CAR_WRONG), ("car", "side_force_slope", math.nan, mpc.CAR_WRONG),
+    ("world", "period", 0.0, mpc.LOOP_WRONG), ("world", "noise_y", math.inf, mpc.LOOP_WRONG),
+    ("world", "computation", math.nan, mpc.LOOP_WRONG), ("world", "oldest", math.inf, mpc.LOOP_WRONG),
+    ("caller", "lag", -0.1, mpc.STEERING_WRONG), ("file", "rate", 0.0, mpc.STEERING_WRONG),
+    ("actuator", "limit", math.inf, mpc.STEERING_WRONG),
+    ("caller", "dead_time", math.inf, mpc.STEERING_WRONG),
+    ("unsure", "stiffness", math.nan, mpc.UNCERTAINTY_WRONG), ("method", "lags", 1e9, mpc.METHOD_WRONG),
 ]  # fmt: skip
 
 
 def test_an_order_that_makes_no_controller_is_a_status_and_nothing_is_written():
     for section, name, value, status in WRONG:
-        order, parts = make_order(SEDAN, CASES["unsure"])
-        before = parts.tobytes()
+        order, numbers = make_order(SEDAN, CASES["unsure"])
+        before = numbers.tobytes()
         order[section][name] = value
-        assert informed.informed_parts(order, parts) == status, (section, name)
-        assert parts.tobytes() == before
+        assert mpc.informed_numbers(order, numbers) == status, (section, name)
+        assert mpc.ORDER_FAULTS[status]
+        assert numbers.tobytes() == before
 
 
 def test_the_papers_mpc_has_the_numbers_of_its_table():
-    vehicle, room = load_vehicle("paper"), np.full(7, UNTOUCHED)
-    nothing = np.zeros(0)
-    constants = informed.Constants(
-        MPCSettings.new(1), np.zeros(4), room, np.full(4, -7), nothing, nothing, nothing, nothing
-    )
-    assert published.published_constants(vehicle.numbers, 0.1, constants) == informed.OK
+    vehicle, rows = load_vehicle("paper"), mpc.MPCNumbers.new(1)
+    numbers = rows[0]
+    assert mpc.published_numbers(vehicle.numbers, 0.1, numbers) == mpc.OK
     batch = at.published_mpc(vehicle).batch(1, at.published_mpc(vehicle).settings())
-    assert constants.tuning.tolist() == [35, 8, 10.0, 0.01]
-    assert constants.model[:6].tobytes() == batch.parameters.tobytes()
-    assert constants.model[6] == UNTOUCHED
-    assert constants.states.tolist() == batch.states.tolist()
-    settings = constants.settings[0]
+    assert numbers.tuning.tolist() == [35, 8, 10.0, 0.01]
+    assert words_of(numbers.model)[:6].tobytes() == batch.parameters.tobytes()
+    assert numbers.states[: numbers.state_count].tolist() == batch.states.tolist()
+    settings = numbers.settings
     assert (settings.move_max, settings.angle_max) == pytest.approx((math.radians(15.0), math.radians(30.0)))
     assert (settings.period, settings.delay, settings.informed, settings.error_max) == (0.1, 0.0, 0, math.inf)
-    assert published.published_constants(row_of(car.CarRow), 0.1, constants) == informed.CAR_WRONG
-    assert published.published_constants(vehicle.numbers, math.nan, constants) == informed.LOOP_WRONG
+    before = rows.tobytes()
+    assert mpc.published_numbers(row_of(car.CarRow), 0.1, numbers) == mpc.CAR_WRONG
+    assert mpc.published_numbers(vehicle.numbers, math.nan, numbers) == mpc.LOOP_WRONG
+    assert rows.tobytes() == before
 
 
 # -- without Python ---------------------------------------------------------------------------------------------------
@@ -378,12 +380,9 @@ def test_a_program_in_c_makes_the_same_controller(tmp_path):
     subprocess.run([str(tmp_path / "make"), str(tmp_path / "answers")], check=True)
     answers = np.fromfile(tmp_path / "answers")
 
-    vehicle = at.vehicle_from_data_sheet("mine", 1500.0, 2.7)
-    mpc = at.MPC(vehicle)
-    batch = mpc.batch(1, mpc.settings(), curved=True)
-    estimator, learner = (
-        np.pad(row, (0, size - row.size))
-        for row, size in ((batch.informed.estimator, 100), (batch.informed.learner, 120))
-    )
-    expected = [mpc.tuning.as_array(), batch.parameters, batch.feed.turning, estimator, learner, batch.informed.fresh]
+    controller = at.MPC(at.vehicle_from_data_sheet("mine", 1500.0, 2.7))
+    batch = controller.batch(1, controller.settings(), curved=True)
+    informed = batch.informed
+    expected = [controller.tuning.as_array(), batch.parameters, batch.feed.turning, informed.estimator,
+                informed.learner, informed.fresh]  # fmt: skip
     assert answers.tobytes() == np.concatenate(expected).tobytes()

@@ -19,16 +19,15 @@ from adaptrack.control.controllers.base import Room
 from adaptrack.core import library
 from adaptrack.core.build.objects import undefined
 from adaptrack.core.controllers.mpc_step import MPCStep
-from adaptrack.core.kernel import INTERPRETED
+from adaptrack.core.kernel import INTERPRETED, row_of
 from adaptrack.core.maths.values import FUNCTION_NAMES
 from adaptrack.core.synthesis import laws
-from adaptrack.core.synthesis.rows import row_of
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.drive.batch import Batch
 from adaptrack.export.recorded_drive import record_drive
 from adaptrack.export.tracking import speed_part
 from adaptrack.road import plan_speed, road_through
-from by_kernels import CASES, make_parts
+from by_kernels import CASES, make_order
 from processors import board
 from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, GAINS, MAKE, STEP, TELL, Image, bits, run
 from programs import find_program
@@ -146,11 +145,10 @@ def synthesis(rng):
     """The numbers of MPCs and of an LQR, made of cars and beliefs."""
     image = Image()
     for name, case in itertools.product(("paper", "midsize-sedan", "van"), CASES):
-        order, parts, constants = make_parts(at.load_vehicle(name), CASES[case])
-        rows, memory = [image.put(np.array([row])) for row in (order, parts)], image.record(constants)
-        image.do(MAKE, *rows, memory)
-        for values in constants:
-            image.do(TELL, image.put(values), values.nbytes // 8)
+        rows = make_order(at.load_vehicle(name), CASES[case])
+        order, numbers = (image.put(np.array([row])) for row in rows)
+        image.do(MAKE, order, numbers)
+        image.do(TELL, numbers, rows[1].nbytes // 8)
     car = at.load_vehicle("van")
     common = row_of(laws.Common, period=0.05, move_min=-0.1, move_max=0.1, angle_min=-0.5, angle_max=0.5)
     tuning, gains = np.array([1.0, 100.0, 1000.0, 0.0]), np.zeros(laws.LQR_NUMBERS)

@@ -13,8 +13,7 @@ extern void adaptrack_elementary_values(int64_t, void *, int64_t, int64_t, void 
 extern void adaptrack_mpc_step(void *);
 extern void adaptrack_begin_runs(int64_t, void *);
 extern void adaptrack_rollout(void *, void *);
-extern int64_t adaptrack_informed_parts(void *, void *);
-extern int64_t adaptrack_informed_constants(void *, void *, void *);
+extern int64_t adaptrack_informed_numbers(void *, void *);
 extern int64_t adaptrack_lqr_parameters(void *, void *, void *, int64_t, void *, int64_t);
 
 enum { GAINS = 6820 }; /* numbers of an LQR, `core.synthesis.laws.LQR` */
@@ -36,8 +35,7 @@ int main(int count, char **names) {
         case 3: adaptrack_begin_runs(at[1], memory + at[2]); break;
         case 4: adaptrack_rollout(memory + at[1], memory + at[2]); break;
         case 6:
-            adaptrack_informed_parts(memory + at[1], memory + at[2]);
-            adaptrack_informed_constants(memory + at[1], memory + at[2], memory + at[3]);
+            adaptrack_informed_numbers(memory + at[1], memory + at[2]);
             break;
         case 7:
             adaptrack_lqr_parameters(memory + at[1], memory + at[2], memory + at[3], 4, memory + at[4], GAINS);

@@ -14,8 +14,8 @@ from adaptrack.core import rollout
 from adaptrack.core.controllers.mpc_step import step as mpc_step
 from adaptrack.core.kernel import EXPORTED, Array, float64
 from adaptrack.core.maths.values import elementary_values
-from adaptrack.core.synthesis.informed import informed_constants, informed_parts
 from adaptrack.core.synthesis.laws import LQR_NUMBERS, lqr_parameters
+from adaptrack.core.synthesis.mpc import informed_numbers
 
 ELEMENTARY, COPY, STEP, BEGIN, DRIVE, TELL, MAKE, GAINS = range(8)
 
@@ -96,7 +96,7 @@ def run(image, library):
     for word, number in image.links:
         memory[word] = address(image.functions[number])
     elementary, step, begin, drive = map(kernel, (elementary_values, mpc_step, rollout.begin, rollout.rollout))
-    parts, constants, gains = map(kernel, (informed_parts, informed_constants, lqr_parameters))
+    make, gains = map(kernel, (informed_numbers, lqr_parameters))
     answers = []
     for operation, a, b, c, d in image.code:
         if operation == ELEMENTARY:
@@ -110,8 +110,7 @@ def run(image, library):
         elif operation == DRIVE:
             drive(base + 8 * a, base + 8 * b)
         elif operation == MAKE:
-            parts(base + 8 * a, base + 8 * b)
-            constants(base + 8 * a, base + 8 * b, base + 8 * c)
+            make(base + 8 * a, base + 8 * b)
         elif operation == GAINS:
             gains(base + 8 * a, base + 8 * b, base + 8 * c, 4, base + 8 * d, LQR_NUMBERS)
         else:

@@ -11,9 +11,10 @@ from adaptrack.base.checked import Finite, Hint, NotNegative, checked, real, wit
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core.kernel import row_of
+from adaptrack.core.models.car import CarRow
 from adaptrack.core.synthesis import car as kernel
 from adaptrack.core.synthesis.car import MASSES, WHEELBASES
-from adaptrack.core.synthesis.rows import row_of
 
 DRIVER = 75.0
 """kg, driver in the mass in running order (Regulation (EU) No 1230/2012)."""
@@ -71,7 +72,7 @@ def vehicle_from_data_sheet(
             raise InvalidInput("vehicle_from_data_sheet: driven_axle and drive_front: give only one of them.")
         entries["drive_front"] = DRIVEN_AXLES[driven_axle]
     arms = {key: real("vehicle_from_data_sheet", key, entries.pop(key)) for key in ("lf", "lr") if key in entries}
-    car_row, within = row_of(kernel.CarRow, mass=mass, **arms), row_of(kernel.KnownWithinRow)
+    car_row, within = row_of(CarRow, mass=mass, **arms), row_of(kernel.KnownWithinRow)
     status = kernel.complete_car(wheelbase, load, BODY_STYLES.index(body_style), car_row, within)
     if status == kernel.TOO_MUCH_LOAD:
         raise InvalidInput(f"vehicle_from_data_sheet: load = {load:g} kg: must not be more than the car itself.")

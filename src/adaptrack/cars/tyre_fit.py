@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Tyre
+from adaptrack.core.kernel import row_of
 from adaptrack.core.models.car import CarRow
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.synthesis import plant as kernel
-from adaptrack.core.synthesis.rows import row_of
 
 Array = NDArray[np.float64]
 

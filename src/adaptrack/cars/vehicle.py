@@ -33,7 +33,7 @@ from adaptrack.cars.domain import Domain
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.tolerances import KnownWithin
-from adaptrack.core.kernel import OK
+from adaptrack.core.kernel import OK, row_of
 from adaptrack.core.models.car import ACTUATOR, CAR, FORCE_ACTUATOR, OUTLINE, RATIO, STEERING, CarRow
 from adaptrack.core.plants.forces import GRAVITY as GRAVITY
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
@@ -41,7 +41,6 @@ from adaptrack.core.synthesis import car
 from adaptrack.core.synthesis import plant as kernel
 from adaptrack.core.synthesis.car import INERTIAS, STIFFNESSES
 from adaptrack.core.synthesis.filter import split_periods as split_periods
-from adaptrack.core.synthesis.rows import row_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -241,6 +240,10 @@ class Vehicle(FieldRecord, fields=CAR, after="tyre"):
         default=None, description="how far the numbers may be off, see `KnownWithin`"
     )
     domain: Domain = Field(default_factory=Domain, description="where the car is driven, see `Domain`")
+
+    if TYPE_CHECKING:
+
+        def __init__(self, **values: Any) -> None: ...
 
     @field_validator("tyre")
     @classmethod

@@ -57,8 +57,10 @@ class PublishedOptions:
     @property
     def tuning(self) -> dict[str, Any]:
         """Tuning entries on the command line, by name."""
-        entries = {"Np": self.np_, "Nc": self.nc, "Q": self.q, "R": self.r}
-        return {name: value for name, value in entries.items() if value is not None}
+        from adaptrack.control.controllers.tuning import ENTRIES
+
+        values = zip(ENTRIES, (self.np_, self.nc, self.q, self.r), strict=True)
+        return {name: value for name, value in values if value is not None}
 
     def make_moves(self) -> Moves:
         """Return the move parametrisation for the MPC."""

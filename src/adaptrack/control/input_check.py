@@ -23,9 +23,8 @@ from adaptrack.core.input_check.record import (
     check_settings,
     memory_of,
 )
-from adaptrack.core.kernel import Resident
+from adaptrack.core.kernel import Resident, row_of
 from adaptrack.core.models.car import CarRow
-from adaptrack.core.synthesis.rows import row_of
 
 
 class Finding(NamedTuple):

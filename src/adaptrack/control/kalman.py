@@ -16,9 +16,8 @@ from adaptrack.control.estimation import Estimator
 from adaptrack.control.models import MEASURED_STATES, PathModel, PredictionModel
 from adaptrack.control.settings import RecordSettings
 from adaptrack.core.estimators.kalman import FilterParameters, kalman, memory_of, move_path
-from adaptrack.core.kernel import size_of
+from adaptrack.core.kernel import row_of
 from adaptrack.core.synthesis import filter as kernel
-from adaptrack.core.synthesis.rows import row_of
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
@@ -106,6 +105,6 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
 
     def parameters(self, model: PredictionModel) -> Array:
         assert isinstance(model, PathModel)
-        numbers = np.zeros(size_of(FilterParameters))
-        kernel.filter_numbers(self.row, model.vehicle.numbers, model.period, model.lag, model.dead_time, numbers)
-        return numbers
+        rows = FilterParameters.new(1)
+        kernel.filter_numbers(self.row, model.vehicle.numbers, model.period, model.lag, model.dead_time, rows[0])
+        return rows.view(np.float64)

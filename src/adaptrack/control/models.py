@@ -21,6 +21,7 @@ from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.core import portable
 from adaptrack.core.controllers import condensing
+from adaptrack.core.kernel import size_of
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.models import path, single_track
 from adaptrack.core.models.car import SingleTrackCar
@@ -73,7 +74,7 @@ class PredictionModel(ABC):
         """The compiled ``discretise(speed, period, parameters, a, b, e)``, see `core.models.contract`."""
 
     def turning(self) -> Array:
-        """Steering coefficients on curved roads, the first five of `core.controllers.feed_forward.TurnIn`; or (0,).
+        """Steering coefficients on curved roads, those of `core.models.path.Turning` but for the tyres; or (0,).
 
         Without it the moves of the MPC are counted from none, and a horizon much longer than the free moves cuts bends.
         """
@@ -249,9 +250,9 @@ class PathModel(PredictionModel):
         return path.discretise
 
     def turning(self) -> Array:
-        parameters = np.zeros(5)
-        path.write_turning(self.parameters(), parameters)
-        return parameters
+        numbers = np.zeros(size_of(path.Turning))
+        path.write_turning(self.parameters(), numbers)
+        return numbers[:-2]
 
     def continuous(self, speed: float) -> tuple[Array, Array]:
         """A_c (n, n) and the columns (n, 4) of u, d_y, d_r and of the path's curvature times speed."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import math
 import struct
 import sys
 from collections import namedtuple
@@ -227,6 +228,15 @@ def _new(kind: Any, count: int = 1, **values: Any) -> Any:
     return entries
 
 
+def row_of(kind: Any, source: Any = None, **values: Any) -> Any:
+    """A row of a record of numbers: each field the attribute of that name, NaN where it is missing or None."""
+    row = kind.new(1)[0]
+    for name in kind.dtype.names:
+        value = values[name] if name in values else getattr(source, name, None)
+        row[name] = (math.nan if kind.kinds[name].name == "float64" else 0) if value is None else value
+    return row
+
+
 def columns(*fields: str | Field) -> Any:
     """The places 0, 1, ... of columns (or rows) under their names: ``C = columns("x", "y")``, then ``row[C.y]``.
 
@@ -280,6 +290,24 @@ def copier(kind: Any) -> Any:
     return _written("\n".join(["def written(source, target):", *lines]), kind)
 
 
+def default_setter(kind: Any) -> Any:
+    """An inlined function ``set_defaults(target)``: writes the defaults of a record of settings to a row."""
+    lines = [f"    target.{place} = {value!r}" for place, value in _default_entries(kind)]
+    return _written("\n".join(["def written(target):", *lines]), kind)
+
+
+def _default_entries(kind: Any) -> Iterable[tuple[str, float]]:
+    """The place of each number of a record of settings, and its default."""
+    for name, of in kind.kinds.items():
+        default = kind.field_settings[name].default if name in kind.field_settings else None
+        if default is None:
+            yield from ((f"{name}.{place}", value) for place, value in _default_entries(of))
+        elif isinstance(default, tuple):
+            yield from ((f"{name}[{i}]", float(value)) for i, value in enumerate(default))
+        else:
+            yield name, float(default)
+
+
 def stepper(kind: Any) -> Any:
     """An inlined function ``step(x, h, slope)``: the record x + h slope."""
     entries = ", ".join(f"fma(h, slope.{name}, x.{name})" for name in kind._fields)
@@ -291,7 +319,7 @@ def _entries(kind: Any, stride: int) -> list[str]:
 
 
 def _written(text: str, kind: Any) -> Any:
-    scope: dict[str, Any] = {"kind": kind, "fma": fma}
+    scope: dict[str, Any] = {"kind": kind, "fma": fma, "inf": math.inf, "nan": math.nan}
     exec(text, scope)
     return inlined(scope["written"])
 

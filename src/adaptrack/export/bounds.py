@@ -12,12 +12,12 @@ import numpy as np
 from adaptrack.core import functions, guard, schedule
 from adaptrack.core.controllers import lqr, mpc
 from adaptrack.core.controllers.constraints import SAMPLE_ROWS
-from adaptrack.core.controllers.feed_forward import TurnIn
 from adaptrack.core.estimators import kalman, learning
 from adaptrack.core.input_check.record import Settings as CheckSettings
 from adaptrack.core.kernel import Scalar, int64, size_of
 from adaptrack.core.layout import arrays_of
 from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.models.path import Turning
 from adaptrack.core.tracker.records import MEMORY, TRACKER_SETTINGS
 from adaptrack.core.tracker.step import Tracking
 from adaptrack.core.variables import VARIABLE_COLUMNS
@@ -130,7 +130,7 @@ def _mpc_places(block: Block) -> dict[str, int]:
         **{f"{name.upper()}_AT": block.words[f"controller.{name}"] for name in ("takes_late", "beliefs")},
         **{f"MPC_{name.upper()}": block.words[f"controller.mpc.settings.{name}"]
            for name in ("laguerre", "terms", "longest_horizon", "most_moves")},
-        "RESET_AT": _place(mpc.MEMORY, "speed"), "TURNING_LAG": _place(TurnIn, "lag"),
+        "RESET_AT": _place(mpc.MEMORY, "speed"), "TURNING_LAG": _place(Turning, "lag"),
         **{f"ESTIMATOR_{name.upper()}": _place(kalman.FilterParameters, name)
            for name in ("periods", "share", "longest", "late")},
         **{f"LEARNER_{name.upper()}": _place(learning.LearnerParameters, name) for name in ("commands", "hypotheses")},

@@ -6,22 +6,21 @@ program lays rows in its memory (`numbers by name`), copies into them what is na
 
 **A car.** Its numbers by name are the keys of a car file, those left out with the defaults of `page_inputs.car_fields`.
 
-1. From a sheet: `synthesis.car.Car` with ``mass`` and what else the sheet says, NaN elsewhere, an empty
-   `synthesis.car.KnownWithin`; ``complete_car(wheelbase, load, truck, car, within)``. Every other number has its
-   default; the tyre is that of the default. From a file: `Car` is a copy by name, `KnownWithin` a copy of the section
-   ``known_within`` with ``said = 1``, or all NaN with ``said = 0`` where there is none; ``car_flaw(car)`` must answer
-   `OK`.
-2. `synthesis.plant.Chassis`, `Tyre` (``linear`` and ``stiffness_load`` are numbers: the places of the words in
-   `page_inputs.car_fields`; ``shape_factor`` is the file's ``shape``), `Body`: copies by name.
-   ``outline_of(body, chassis, outline)`` must answer `OK`.
+1. From a sheet: a row of `models.car.CarRow` with ``mass`` and what else the sheet says, NaN elsewhere, an empty
+   `synthesis.car.KnownWithinRow`; ``complete_car(wheelbase, load, truck, car, within)``. Every other number has its
+   default; the tyre is that of the default. From a file: `KnownWithinRow` is a copy of the section ``known_within``
+   with ``is_given = 1``, or all NaN with ``is_given = 0`` where there is none.
+2. `CarRow` is a copy by name; ``car_flaw(car)`` must answer `OK`. So are `synthesis.plant.TyreRow` (``linear`` and
+   ``stiffness_load`` are numbers: the places of the words in `page_inputs.car_fields`; ``shape_factor`` is the file's
+   ``shape``) and `BodyRow`. ``outline_of(body, car, outline)`` must answer `OK`.
 
 **A world.** The profile's `world_numbers`.
 
-1. ``plant_parameters(chassis, tyre, actuator, parameters)``; ``plant_law(tyre)`` chooses among ``plants`` which
+1. ``plant_parameters(car, tyre, actuator, parameters)``; ``plant_law(tyre)`` chooses among ``plants`` which
    functions the `plants.contract.Vehicles` hold.
-2. ``plant_substeps(chassis, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `core.loop.LoopSettings`;
+2. ``plant_substeps(car, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `core.loop.LoopSettings`;
    ``dead_periods(delay, actuator.dead_time, period)`` -> ``dead_whole``, ``dead_share``. The rest of Settings are
-   copies: of ``settings``, of the actuator (``steering_lag``, ``steering_limit``, ``steering_bias``), of the chassis
+   copies: of ``settings``, of the actuator (``steering_lag``, ``steering_limit``, ``steering_bias``), of the car
    (``mass``, ``engine_power``, ``traction_limit``, ``brake_limit``) and of the domain (``failure_distance``).
 3. ``drive_start(line, offset, turned, pose)`` of `core.planning.drive`, then the speed there: the first four of the 12
    entries of ``start``; the others are zero.
@@ -30,18 +29,17 @@ When the truth changes while it drives, 1 and 2 are called again with a changed 
 
 **An informed MPC** (`informed`, `learning`): from ``order`` of `controller_numbers`.
 
-1. Into the row of `synthesis.informed.Order`: ``car`` and ``within`` of the car; ``file``: lag, dead_time, rate and
+1. Into the row of `synthesis.mpc.Order`: ``car`` and ``within`` of the car; ``file``: lag, dead_time, rate and
    limit of the section ``steering``, NaN where it has none; ``caller``: what a caller believes of lag and dead time.
-2. ``usual_filter`` writes the numbers of ``parts.filter``; ``informed_parts(order, parts)`` must answer `OK`.
-3. ``informed_sizes(order, parts)``: states, numbers of the filter's memory, of the learner's.
-4. ``settings`` of `controller_numbers` in a row of `controllers.mpc.Settings`; ``informed_constants(order, parts,
-   constants)`` must answer `OK`. It writes tuning, model, turning, estimator, learner and fresh of the `Mpc`. A
-   tuning of the caller's then takes the place of ``tuning``. ``longest_horizon`` and ``most_moves`` are those of
-   ``settings``, or Np and Nc where these are larger.
-5. ``learns`` is ``settings.learns``; on a road ``curved`` and ``feeds_forward`` are 1. ``functions`` names the members.
+2. ``informed_numbers(order, numbers)`` must answer `OK`; it writes a row of `synthesis.mpc.MPCNumbers`: tuning, model,
+   states, turning, estimator, learner of the `Mpc`. A tuning of the caller's then takes the place of ``tuning``.
+   ``learner_memory`` writes ``fresh``, as many numbers as ``learned``.
+3. ``settings`` of `controller_numbers` go into ``numbers.settings``; ``longest_horizon`` and ``most_moves`` are those
+   of ``settings``, or Np and Nc where these are larger.
+4. ``learns`` is ``settings.learns``; on a road ``curved`` and ``feeds_forward`` are 1. ``functions`` names the members.
 
-**The published MPC** (`published`, and with a schedule): 4. with ``published_constants(car, period, constants)``; five
-arrays of `Constants` may be empty, ``states`` has 4 entries. On a road ``curved`` is 1 and ``feeds_forward`` 0.
+**The published MPC** (`published`, and with a schedule): ``published_numbers(car, period, numbers)``; there is no
+turning, estimator or learner. On a road ``curved`` is 1 and ``feeds_forward`` 0.
 
 **A speed control**: `speed_numbers`.
 

@@ -13,19 +13,15 @@ import numpy as np
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, MAX_SPEED, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_vehicle
-from adaptrack.control.controllers import informed
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.core import path, path_parts, road, rollout, speed_path  # noqa: F401 (kernels that the page calls)
 from adaptrack.core.build.page import CALLED
 from adaptrack.core.controllers import mpc
-from adaptrack.core.controllers.feed_forward import TurnIn
 from adaptrack.core.controllers.part import COMMON_ANSWER
-from adaptrack.core.estimators import kalman, learning
+from adaptrack.core.estimators import learning
 from adaptrack.core.frame import FRAME, SPEED_FRAME
 from adaptrack.core.kernel import Field, columns, fields_of, size_of
 from adaptrack.core.loop import SIGNAL
-from adaptrack.core.models import path as path_model
-from adaptrack.core.models import single_track
 from adaptrack.core.models.car import CarRow, SingleTrackCar, SteeringRow
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.period import RunSpan
@@ -34,8 +30,8 @@ from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, PLANT_STATES, SLOTS
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.schedule import no_schedule
-from adaptrack.core.synthesis import car, laws, plant, published  # noqa: F401
-from adaptrack.core.synthesis.informed import Constants, InformedParts, Order
+from adaptrack.core.synthesis import car, laws, plant
+from adaptrack.core.synthesis.mpc import ORDER_FAULTS, MPCNumbers, Order
 from adaptrack.core.tracker.longitudinal import Longitudinal
 from adaptrack.export.page_controllers import controller_numbers, speed_numbers, world_numbers
 from adaptrack.export.page_inputs import car_fields, page_car, plain
@@ -49,7 +45,7 @@ from adaptrack.scenario.profile import list_profiles, load_profile
 
 RECORDS = (
     rollout.RunRecord, rollout.RunSizes, RunSpan, road.Centreline, station_table.AlongRecord, speed.Planning,
-    drive.RoadDriveRecord, Order, InformedParts, Constants, laws.Common, CarRow, car.KnownWithinRow,
+    drive.RoadDriveRecord, Order, MPCNumbers, laws.Common, CarRow, car.KnownWithinRow,
     SteeringRow, plant.TyreRow, plant.Actuator, plant.BodyRow, plant.OutlineRow, Longitudinal,
     speed_path.PlanArrays,
 )  # fmt: skip
@@ -107,10 +103,7 @@ def _sizes() -> dict[str, int]:
         "parameters": len(PLANT_PARAMETERS), "own_states": len(PLANT_STATE) - 1, "measured": len(MEASUREMENT),
         "common_answer": len(COMMON_ANSWER), "road_numbers": len(road.LINE_NUMBERS), "piece": road.PIECE_COLUMNS,
         "signals": len(SIGNAL), "plan": len(PLAN),
-        "model": size_of(path_model.Parameters), "published_model": size_of(SingleTrackCar),
-        "published_states": len(single_track.SINGLE_TRACK_STATE), "turning": size_of(TurnIn),
-        "turning_lag": TurnIn._fields.index("lag"), "estimator": size_of(kalman.FilterParameters),
-        "learner": size_of(learning.LearnerParameters), "most_Np": min(150, int(PREDICTION_HORIZON.most)),
+        "published_model": size_of(SingleTrackCar), "most_Np": min(150, int(PREDICTION_HORIZON.most)),
         "most_Nc": min(40, int(CONTROL_HORIZON.most)),
     }  # fmt: skip
 
@@ -198,6 +191,5 @@ def _words() -> dict[str, Any]:
                  "At s = {s} m the grade is too steep for this friction."],
         "named": {field.name: field.meaning + (f" ({field.unit})" if field.unit else "")
                   for field in fields_of(INPUTS) if field.meaning},
-        "informed": ["", *(f"The controller cannot be made: {informed._WRONG.get(k, 'its memory is too small.')}"
-                           for k in range(1, 7))],
+        "controller": ["", *(f"The controller cannot be made: {fault}" for fault in ORDER_FAULTS.values())],
     }  # fmt: skip

@@ -25,6 +25,8 @@ from adaptrack.base.files import (
     write_atomically,
 )
 from adaptrack.base.presentation import figure_of, html_of
+from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
+from adaptrack.core.controllers.tuning import MPC_TUNING_FIELDS
 from adaptrack.paper import operating_points as points
 from adaptrack.paper.operating_points import POINT_NAMES, check_operating_points, fold
 
@@ -35,7 +37,6 @@ DATA_SET_VERSION = 1
 """Raised whenever a column or an entry is added, dropped, renamed or changes its unit."""
 
 _DATA = SHIPPED / "datasets"
-_TUNING = ("Np", "Nc", "Q", "R")
 _WHOLE = ("evaluations", "control_steps", "stream", "mirrored_from", "seed")
 
 
@@ -55,10 +56,12 @@ DATA_SET_COLUMNS = (
         "stream", "-", "int64", "number of the operating point; its random numbers depend on seed and stream only"
     ),
     *(TunedColumn(column.name, column.unit, "float64", column.meaning) for column in points.POINT_COORDINATES),
-    TunedColumn("Np", "-", "int64", "prediction horizon of the best tuning found, control periods"),
-    TunedColumn("Nc", "-", "int64", "control horizon of the best tuning found, control periods"),
-    TunedColumn("Q", "1/m^2", "float64", "weight of the tracking error of the best tuning found"),
-    TunedColumn("R", "1/rad^2", "float64", "weight of the moves of the best tuning found"),
+    *(
+        TunedColumn(field.name, "-", "int64", f"{field.meaning} of the best tuning found, {field.unit}")
+        if field.name in HORIZONS
+        else TunedColumn(field.name, field.unit, "float64", f"{field.meaning} of the best tuning found")
+        for field in MPC_TUNING_FIELDS
+    ),
     TunedColumn("r_over_q", "m^2/rad^2", "float64", "R/Q, the only part of the two that changes the control law"),
     TunedColumn("cost", "m^2", "float64", "cost of the best tuning found; inf when the run failed with every one"),
     TunedColumn("standard_cost", "m^2", "float64", "cost of the paper's tuning, 35/8/10/0.01"),
@@ -218,7 +221,7 @@ class DataSet:
             When that fails; an older file at `path` is then untouched.
         """
         values = dict(zip(POINT_NAMES, self.operating_points.T, strict=True))
-        values |= dict(zip(_TUNING, self.tunings.T, strict=True)) | {name: getattr(self, name) for name in _WHOLE}
+        values |= dict(zip(ENTRIES, self.tunings.T, strict=True)) | {name: getattr(self, name) for name in _WHOLE}
         values |= {"r_over_q": self.ratios, "cost": self.costs, "standard_cost": self.standard_costs}
         values |= {"trace": self.traces, "landscape": self.landscape}
         columns = [
@@ -250,7 +253,7 @@ class DataSet:
             library = np.array(metadata.pop("library"), dtype=np.float64)
             return cls(
                 operating_points=np.column_stack([columns[name] for name in POINT_NAMES]),
-                tunings=np.column_stack([columns[name] for name in _TUNING]),
+                tunings=np.column_stack([columns[name] for name in ENTRIES]),
                 costs=columns["cost"],
                 standard_costs=columns["standard_cost"],
                 traces=columns["trace"],

@@ -61,8 +61,8 @@ STANDARD_MOVES, ADAPTIVE_MOVES, PULSE_MOVES = Moves.laguerre(0.95), Moves.laguer
 """What the authors' standard and adaptive controllers move by, and eq. (10)."""
 
 CLAMPS: Mapping[str, Mapping[str, tuple[float, float]]] = {
-    "nn": {"Nc": (5, math.inf), "Np": (9, math.inf), "Q": (0.75, 10.0), "R": (0.01, 0.5)},
-    "anfis": {"Nc": (1, 25), "Np": (20, 55), "Q": (0.75, 20.0), "R": (0.005, 0.8)},
+    "nn": dict(zip(ENTRIES, ((9, math.inf), (5, math.inf), (0.75, 10.0), (0.01, 0.5)), strict=True)),
+    "anfis": dict(zip(ENTRIES, ((20, 55), (1, 25), (0.75, 20.0), (0.005, 0.8)), strict=True)),
 }
 """Bounds that the authors' programs put on the outputs of each model; infinite where they put none."""
 

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import reports_progress
+from adaptrack.control.controllers import ENTRIES
 from adaptrack.control.scheduling.functions.network import Network
 from adaptrack.control.scheduling.functions.sugeno import Sugeno
 from adaptrack.core import portable
@@ -34,7 +35,7 @@ MODEL_CLASSES: dict[str, type[MLP] | type[ANFIS]] = {"nn": MLP, "anfis": ANFIS}
 TREES = 150
 """Boosted trees at most, see `ceiling`."""
 
-TARGET_SLOTS = {"paper": ("Np", "Nc", "Q", "R"), "ratio": ("Np", "Nc", "log10_ratio")}
+TARGET_SLOTS = {"paper": ENTRIES, "ratio": ("Np", "Nc", "log10_ratio")}
 """The slots that are learned: of "paper" each number of the tuning as it is. Only R/Q changes the control law, so that
 "ratio" learns its decimal logarithm instead of both."""
 

@@ -23,6 +23,7 @@ from adaptrack.base.result import (
     Stroke,
     strokes,
 )
+from adaptrack.control.controllers.tuning import ENTRIES
 from adaptrack.control.speed_control import SpeedLimit
 from adaptrack.core import portable
 from adaptrack.drive.failure import find_failure
@@ -280,7 +281,7 @@ def condition_panels(lines: Lines) -> list[Panel]:
     panels += [_horizons(lines)] if {"Np", "Nc"} & set(adapted) else []
     panels += [_weights(lines)] if {"Q", "R"} & set(adapted) else []
     for name, run in adapted.items():
-        if name not in ("Np", "Nc", "Q", "R"):
+        if name not in ENTRIES:
             label = data_text(f"{name} ({run.units[f'tuning.{name}'].replace('-', '–')})")
             draw = partial(_draw_tuning, lines=lines, name=name)
             panels.append(_panel(data_text(name), label, lines, tuning_signal(name), draw))

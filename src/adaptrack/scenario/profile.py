@@ -13,7 +13,7 @@ from pydantic import Field, field_validator, model_validator
 from adaptrack.base.files import Record, build, read_toml
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator, find_data, list_data
 from adaptrack.core import portable
-from adaptrack.core.synthesis.rows import row_of
+from adaptrack.core.kernel import row_of
 from adaptrack.core.synthesis.tuning import ControllerWorld
 
 

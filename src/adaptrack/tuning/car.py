@@ -336,5 +336,5 @@ def _search_tuning(
     candidate_costs = costs(rows)
     if candidate_costs.min() <= best.cost:
         return candidates[int(candidate_costs.argmin())]
-    Np, Nc, Q, R = best.x.tolist()
-    return replace(default, Np=round(Np), Nc=round(Nc), Q=Q, R=float(f"{R:.6g}"))
+    *others, R = best.x.tolist()
+    return Tuning.of((*others, float(f"{R:.6g}")))

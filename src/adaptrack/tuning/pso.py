@@ -26,6 +26,7 @@ from pydantic import Field, model_validator
 from adaptrack.base.checked import Natural, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import LISTED, Record
+from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
 from adaptrack.core import portable
 from adaptrack.core import swarm as kernel
 from adaptrack.core.swarm import decode
@@ -113,10 +114,10 @@ class SearchSpace(Record):
     def tuning(cls) -> Self:
         """Return the space of Np, Nc, Q and R in the paper, with the bounds in its authors' programs."""
         return cls(
-            names=("Np", "Nc", "Q", "R"),
+            names=ENTRIES,
             low=(1.0, 1.0, 0.1, 0.001),
             high=(55.0, 18.0, 10.0, 0.1),
-            integers=("Np", "Nc"),
+            integers=HORIZONS,
             ordered=("Nc", "Np"),
             spread=2.0,
         )

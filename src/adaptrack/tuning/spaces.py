@@ -11,7 +11,8 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record
-from adaptrack.control.controllers import Controller, Tuning, TuningBounds
+from adaptrack.control.controllers import ENTRIES, Controller, Tuning, TuningBounds
+from adaptrack.control.controllers.tuning import HORIZONS
 from adaptrack.tuning.pso import SearchSpace
 
 
@@ -37,12 +38,12 @@ class SearchBounds(Record):
 
     @model_validator(mode="after")
     def _holds_a_tuning(self) -> Self:
-        for name in ("Np", "Nc", "Q", "R"):
+        for name in ENTRIES:
             low, high = getattr(self, name)
             if not low <= high:
                 raise ValueError(f"{name} = [{low:g}, {high:g}] is empty: need low <= high.")
-            if not (low >= 1 if name in ("Np", "Nc") else low > 0):
-                raise ValueError(f"{name} = [{low:g}, {high:g}]: must be {'>= 1' if name in ('Np', 'Nc') else '> 0'}.")
+            if not (low >= 1 if name in HORIZONS else low > 0):
+                raise ValueError(f"{name} = [{low:g}, {high:g}]: must be {'>= 1' if name in HORIZONS else '> 0'}.")
         if self.Nc[0] > self.Np[0]:
             raise ValueError(
                 f"Nc from {self.Nc[0]} and Np from {self.Np[0]}: the lower bounds violate Nc <= Np; "
@@ -59,24 +60,29 @@ class SearchBounds(Record):
         Np goes up to 60 and Nc up to 18, or to those of the tuning if they are larger. Q is 1, since only the ratio R/Q
         changes the control law.
         """
-        ratio, Np, Nc = constant.R / constant.Q, max(60, constant.Np), max(18, constant.Nc)
-        return cls(Np=(5, Np), Nc=(1, Nc), Q=(1.0, 1.0), R=(1e-3 * ratio, 1e3 * ratio), decades=True)
+        ratio = constant.R / constant.Q
+        return cls.up_to(max(60, constant.Np), max(18, constant.Nc), (1e-3 * ratio, 1e3 * ratio))
+
+    @classmethod
+    def up_to(cls, longest: int, most_moves: int, ratio: tuple[float, float]) -> Self:
+        """Return the bounds of horizons up to these numbers of control periods, and of R, in decades, for Q = 1."""
+        return cls(**dict(zip(ENTRIES, ((5, longest), (1, most_moves), (1.0, 1.0), ratio), strict=True)), decades=True)
 
     def space(self) -> SearchSpace:
         """Return the search space for a swarm. Its initial positions have Np >= 2 Nc, as in the authors' programs."""
-        bounds = [tuple(float(end) for end in pair) for pair in (self.Np, self.Nc, self.Q, self.R)]
+        bounds = [tuple(float(end) for end in pair) for pair in (getattr(self, name) for name in ENTRIES)]
         return SearchSpace(
-            names=("Np", "Nc", "Q", "R"),
+            names=ENTRIES,
             low=tuple(low for low, _ in bounds),
             high=tuple(high for _, high in bounds),
-            integers=("Np", "Nc"),
+            integers=HORIZONS,
             decades=("Q", "R") if self.decades else (),
             ordered=("Nc", "Np"),
             spread=2.0,
         )
 
 
-PUBLISHED_BOUNDS = SearchBounds(Np=(5, 60), Nc=(1, 18), Q=(1.0, 1.0), R=(1e-3, 1e7), decades=True)
+PUBLISHED_BOUNDS = SearchBounds.up_to(60, 18, (1e-3, 1e7))
 """Bounds for the controller of the paper.
 
 Its best R/Q (m^2/rad^2) depends on car and road: 0.001 in the paper's table, thousands for a car with steering lag,

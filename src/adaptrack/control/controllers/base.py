@@ -20,9 +20,9 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.core.controllers.law import law_controller
+from adaptrack.core.kernel import row_of
 from adaptrack.core.models.car import SteeringRow as SteeringRow
 from adaptrack.core.synthesis import laws
-from adaptrack.core.synthesis.rows import row_of
 from adaptrack.road.road_ahead import RoadAhead, straight
 
 Array = NDArray[np.float64]

@@ -9,11 +9,10 @@ from typing import Any, Literal, NamedTuple
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.settings import RecordSettings
-from adaptrack.core.kernel import Field
+from adaptrack.core.kernel import Field, row_of
 from adaptrack.core.models.car import DEAD_TIME, LAG, LIMIT, RATE, STEERING
 from adaptrack.core.models.car import SteeringRow as SteeringRow
 from adaptrack.core.synthesis import belief as kernel
-from adaptrack.core.synthesis.rows import row_of
 from adaptrack.scenario.profile import Profile
 
 ASSUMED_SOURCE = "not given; a slow published value is assumed"

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptrack.base.checked import Hint, Positive, checked
 from adaptrack.base.errors import InvalidInput
@@ -30,11 +29,10 @@ from adaptrack.control.estimation import Estimator
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel, PredictionModel
 from adaptrack.core import portable
-from adaptrack.core.estimators.learning_method import MAX_HYPOTHESES
+from adaptrack.core.kernel import row_of
 from adaptrack.core.models.car import LearnedRow
-from adaptrack.core.synthesis import informed as kernel
+from adaptrack.core.synthesis import mpc as kernel
 from adaptrack.core.synthesis.car import KnownWithinRow
-from adaptrack.core.synthesis.rows import row_of
 from adaptrack.core.synthesis.tuning import HORIZON_DURATION as HORIZON_DURATION
 from adaptrack.core.synthesis.tuning import tune_informed
 from adaptrack.scenario.profile import Profile, load_profile
@@ -46,14 +44,6 @@ DEFAULT_LEARNING = Learning(dead_times=4)
 long, and the car may leave the road before they have come down: in 41 of 400 drives of four cars, with four in none."""
 GivenLearning = Learning | Literal["auto"] | None
 _MOST = int(PREDICTION_HORIZON.most), int(CONTROL_HORIZON.most)
-_WRONG = {
-    kernel.CAR_WRONG: "a number of the car is not positive and finite: correct its file.",
-    kernel.LOOP_WRONG: "a number of the profile is negative or not finite: correct its file.",
-    kernel.STEERING_WRONG: "a number of the steering is impossible: correct belief, car file or profile.",
-    kernel.UNCERTAINTY_WRONG: "the uncertainty is beyond its bounds: give a smaller one.",
-    kernel.METHOD_WRONG: f"need 1 to {MAX_HYPOTHESES} hypotheses of lag and of dead time.",
-}
-"""Sentences for the statuses of `core.synthesis.informed.informed_parts`."""
 DEFAULT_PROFILE = "road"
 """Profile of period, preview and sensors where the caller names none."""
 
@@ -79,12 +69,7 @@ def informed_tuning(
     step = _check_period(world.period if period is None else period)
     entries = np.zeros(len(ENTRIES))
     tune_informed(world.controller_world(step), (uncertainty or Uncertainty()).caution, *_MOST, entries)
-    return _tuning(entries)
-
-
-def _tuning(entries: NDArray[np.float64]) -> Tuning:
-    Np, Nc, Q, R = entries.tolist()
-    return Tuning(int(Np), int(Nc), Q, R)
+    return Tuning.of(entries.tolist())
 
 
 class MPCParts(NamedTuple):
@@ -119,25 +104,26 @@ def informed_parts(
         vehicle, profile, knowledge, period, estimator, preview, computation
     )
     car, step = vehicle, float(order.world.period)
-    rows = kernel.InformedParts.new(1)
-    rows["filter"] = (KalmanFilter() if estimator is None else estimator).row
+    rows = kernel.MPCNumbers.new(1)
+    if estimator is not None:
+        rows["filter"] = estimator.row
     parts = rows[0]
-    if flaw := kernel.informed_parts(order, parts):
-        raise InvalidInput(f"MPC: {_WRONG[flaw]}")
+    if flaw := kernel.informed_numbers(order, parts):
+        raise InvalidInput(f"MPC: {kernel.ORDER_FAULTS[flaw]}")
     filtering = KalmanFilter.from_row(parts.filter)
-    learner = Learner(method, car, filtering, parts.learner) if parts.learns else None
+    learner = Learner(method, car, filtering, parts.learner) if parts.settings.learns else None
     seconds = 0.0 if method.start is None else method.start.seconds
     belief = belief_of(parts.belief, car, world, computation_time, seconds)
     learns = "" if learner is None else f": {_learned_ranges(learner)}"
     return MPCParts(
-        tuning=_tuning(parts.tuning),
+        tuning=Tuning.of(parts.tuning.tolist()),
         model=PathModel(car if learner is None else learner.car, step, float(parts.lag), float(parts.dead_time)),
         estimator=filtering,
         limits=replace(limits_of(parts.bounds), error=kernel.LARGEST_CORRECTION),
         preview=world.preview,
         belief=belief,
         learner=learner,
-        learns=f"{'learns' if parts.learns else 'does not learn'}, {_learning_reason(order, knowledge[2])}{learns}",
+        learns=f"{'does not learn' if learner is None else 'learns'}, {_learning_reason(order, knowledge[2])}{learns}",
         late_signals=_late_signals(world, filtering, step),
     )
 
@@ -167,7 +153,7 @@ def order_of(
     vehicle: Vehicle, profile: str | Profile | None, knowledge: tuple[GivenSteering, Uncertainty | None, GivenLearning],
     period: float | None, estimator: KalmanFilter | None, preview: bool | None = None, computation: float | None = None,
 ) -> tuple[Any, Profile, Learning, SourcedValue]:  # fmt: skip
-    """A row of `core.synthesis.informed.Order`, its profile, the method of learning, and the computation time (s).
+    """A row of `core.synthesis.mpc.Order`, its profile, the method of learning, and the computation time (s).
 
     Arguments and errors are those of `informed_parts`.
     """
@@ -182,24 +168,17 @@ def order_of(
     computation_time = assumed_computation(computation, world, step, uses_actuator=profile is not None)
     loop = world.controller_world(step)
     loop.computation = computation_time.value
-    order = _order(car, loop, steering_rows(car, steering, world, uses_actuator), uncertainty, method)
-    order.learning = kernel.NEVER if learning is None else kernel.UNLESS_SAID if learning == AUTO else kernel.ALWAYS
-    order.filter_given = estimator is not None
-    return order, world, method, computation_time
-
-
-def _order(
-    car: Vehicle, world: Any, steering: tuple[Any, Any, Any], uncertainty: Uncertainty | None, method: Learning
-) -> Any:
-    """A row of `core.synthesis.informed.Order`."""
-    rows = kernel.Order.new(1, unsure_given=uncertainty is not None)
-    rows["car"], rows["world"] = car.numbers, world
-    rows["within"] = row_of(KnownWithinRow, car.known_within, is_given=car.known_within is not None)
-    rows["caller"], rows["file"], rows["actuator"] = steering
-    rows["unsure"] = (uncertainty or Uncertainty()).row
-    rows["longest_horizon"], rows["most_moves"] = _MOST
-    rows["method"], rows["start"] = method.row, row_of(LearnedRow, method.start)
-    return rows[0]
+    given, file, actuator = steering_rows(car, steering, world, uses_actuator)
+    (longest, most), within = _MOST, car.known_within
+    orders = kernel.Order.new(
+        1, car=car.numbers, within=row_of(KnownWithinRow, within, is_given=within is not None),
+        caller=given, file=file, actuator=actuator, world=loop,
+        unsure=(uncertainty or Uncertainty()).row, unsure_given=uncertainty is not None,
+        learning=kernel.NEVER if learning is None else kernel.UNLESS_SAID if learning == AUTO else kernel.ALWAYS,
+        filter_given=estimator is not None, longest_horizon=longest, most_moves=most,
+        method=method.row, start=row_of(LearnedRow, method.start),
+    )  # fmt: skip
+    return orders[0], world, method, computation_time
 
 
 def _check_same_car(car: Vehicle, learning: Learning | Literal["auto"]) -> None:

@@ -6,7 +6,7 @@ import math
 import os
 from enum import IntEnum
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.estimators.learning import LearnerParameters, memory_of
 from adaptrack.core.estimators.learning_method import LearningMethod
 from adaptrack.core.kernel import Field as KernelField
-from adaptrack.core.kernel import fields_of, size_of
+from adaptrack.core.kernel import fields_of
 from adaptrack.core.models.car import LEARNED_CAR
 from adaptrack.core.synthesis import learner as synthesis
 
@@ -78,6 +78,10 @@ class LearnedCar(FieldRecord, fields=LEARNED_CAR, after="car"):
     car: str = Field(default="", description="whose model the factors belong to")
     at_bound: str = Field(default="", description="which of these is at the end of its range: it may lie beyond")
     seconds: float = Field(default=0.0, ge=0, description="s, for which it was learned")
+
+    if TYPE_CHECKING:
+
+        def __init__(self, **values: Any) -> None: ...
 
     @property
     def intervals(self) -> tuple[LearnedNumber, ...]:
@@ -152,9 +156,9 @@ class Learner:
 
     def parameters(self) -> Array:
         """As `core.estimators.learning.LearnerParameters` has them."""
-        numbers = np.zeros(size_of(LearnerParameters))
-        synthesis.learner_numbers(self._row[0], self.sensing.row, numbers)
-        return numbers
+        rows = LearnerParameters.new(1)
+        synthesis.learner_numbers(self._row[0], self.sensing.row, rows[0])
+        return rows.view(np.float64)
 
     def fresh(self) -> Array:
         """The learner's memory before the first sample."""

@@ -23,8 +23,8 @@ from adaptrack.control.controllers.base import (
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.core import portable
 from adaptrack.core.controllers import lqr as kernel
+from adaptrack.core.kernel import row_of
 from adaptrack.core.synthesis import laws
-from adaptrack.core.synthesis.rows import row_of
 
 GAIN_SPEEDS = portable.geomspace(laws.MIN_GAIN_SPEED, laws.MAX_GAIN_SPEED, laws.GAIN_SPEED_COUNT)
 """m/s, where gains are computed; between them they are interpolated over log v."""

@@ -11,6 +11,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from functools import cached_property
 from math import isfinite
 from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self, runtime_checkable
@@ -446,7 +447,7 @@ class MPC(Controller):
         )  # fmt: skip
 
     def _turning(self) -> Array:
-        """Rows that compute the moves on a curved road, `core.controllers.feed_forward.TurnIn`; or (0,)."""
+        """Rows that compute the moves on a curved road, `core.models.path.Turning`; or (0,)."""
         parameters = self.model.turning()
         return np.concatenate([parameters, self.estimator.tyres]) if parameters.size else parameters
 
@@ -468,7 +469,7 @@ class MPC(Controller):
     def with_tuning(self, tuning: Mapping[str, float]) -> Self:
         """See `Controller.with_tuning`; the horizons are rounded, and a scheduler has nothing to say any more."""
         entries = self._entries(tuning)
-        constant = Tuning(round(entries["Np"]), round(entries["Nc"]), entries["Q"], entries["R"])
+        constant = Tuning.of(entries[name] for name in ENTRIES)
         controller = copy.copy(self)
         controller.scheduler, controller.tuning = None, constant
         controller._set_sizes(max(self.longest_horizon, constant.Np), max(self.most_moves, constant.Nc))
@@ -833,7 +834,7 @@ class MPC(Controller):
     def describe(self) -> dict[str, Any]:
         """The controller's configuration, for provenance."""
         return {
-            "tuning": {"Np": self.tuning.Np, "Nc": self.tuning.Nc, "Q": self.tuning.Q, "R": self.tuning.R},
+            "tuning": asdict(self.tuning),
             "period": self.period,
             "limits": {
                 "move": list(self.limits.move),

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, make_dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +13,25 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import real, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
-from adaptrack.core.synthesis.tuning import PAPER_TUNING
+from adaptrack.core.controllers.tuning import MPC_TUNING_FIELDS, MPCTuning
 
 Array = NDArray[np.float64]
 
-ENTRIES = ("Np", "Nc", "Q", "R")
+ENTRIES = MPCTuning._fields
 """The MPC's named tuning entries."""
+HORIZONS = ENTRIES[:2]
+"""Entries of the MPC that are whole numbers."""
+_Entries: Any = make_dataclass(
+    "_Entries", [(field.name, float, field.default) for field in MPC_TUNING_FIELDS], frozen=True,
+    namespace={"__post_init__": lambda self: None},
+)  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Tuning:
+class Tuning(_Entries):  # type: ignore[misc]
     """Horizons and weights of the MPC; the defaults are the paper's table.
+
+    Np and Nc are the prediction and the control horizon (control periods), Q (1/m^2) weighs the tracking error and R
+    (1/rad^2) the moves; only R/Q changes the control law.
 
     Raises
     ------
@@ -31,20 +39,10 @@ class Tuning:
         Unless 1 <= Nc <= Np are integers, Q >= 0 and R > 0 are finite.
     """
 
-    Np: int = PAPER_TUNING.Np
-    """prediction horizon (control periods)"""
-    Nc: int = PAPER_TUNING.Nc
-    """control horizon (control periods)"""
-    Q: float = PAPER_TUNING.Q
-    """1/m^2, weight of the tracking error"""
-    R: float = PAPER_TUNING.R
-    """1/rad^2, weight of the moves; only R/Q changes the control law"""
-
     def __post_init__(self) -> None:
-        for name in ("Np", "Nc"):
-            object.__setattr__(self, name, whole_number("Tuning", name, getattr(self, name)))
-        for name in ("Q", "R"):
-            object.__setattr__(self, name, real("Tuning", name, getattr(self, name)))
+        for name in ENTRIES:
+            check = whole_number if name in HORIZONS else real
+            object.__setattr__(self, name, check("Tuning", name, getattr(self, name)))
         check_limit("Tuning: Np", self.Np, PREDICTION_HORIZON)
         check_limit("Tuning: Nc", self.Nc, CONTROL_HORIZON)
         if self.Nc > self.Np:
@@ -56,7 +54,13 @@ class Tuning:
 
     def as_array(self) -> Array:
         """[Np, Nc, Q, R] as floats."""
-        return np.array([self.Np, self.Nc, self.Q, self.R], dtype=float)
+        return np.array(astuple(self), dtype=float)
+
+    @classmethod
+    def of(cls, values: Iterable[float]) -> Self:
+        """Return the tuning of four numbers, in the order of `ENTRIES`; horizons are rounded."""
+        entries = zip(ENTRIES, values, strict=True)
+        return cls(**{name: round(value) if name in HORIZONS else value for name, value in entries})
 
 
 def read_tuning(answer: Any, entries: Sequence[str] = ENTRIES) -> tuple[float, ...]:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import ContractError
-from adaptrack.control.controllers.tuning import ENTRIES, read_tuning
-from adaptrack.control.scheduling.schedule import HORIZONS, Schedule
+from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS, read_tuning
+from adaptrack.control.scheduling.schedule import Schedule
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables
 from adaptrack.core import portable
 

@@ -22,7 +22,7 @@ from adaptrack.base.checked import checked, real, reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.control.controllers import Tuning
-from adaptrack.control.controllers.tuning import ENTRIES
+from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
 from adaptrack.control.scheduling.document import write_document
 from adaptrack.control.scheduling.functions import Function, Number, Pool, Table, load_function, save_function
 from adaptrack.control.scheduling.guard import Guard, StabilityMap
@@ -34,8 +34,6 @@ from adaptrack.core.variables import VARIABLE_NAMES
 
 Array = NDArray[np.float64]
 
-HORIZONS = ("Np", "Nc")
-"""Entries of the MPC that are whole numbers."""
 ENTRY_BOUNDS: dict[str, tuple[float, float]] = {"Np": (1, 60), "Nc": (1, 20), "Q": (1e-6, 1e9), "R": (1e-9, 1e9)}
 """Bounds of the entries of the MPC, where no others are given."""
 MAX_HORIZON = 1000

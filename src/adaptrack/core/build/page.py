@@ -11,7 +11,7 @@ CALLED = (
     "complete_car", "car_flaw", "outline_of", "overhangs", "plant_parameters", "plant_substeps",
     "plant_law", "dead_periods", "steering_delay", "understeer_gradient", "rear_slip_gradient",
     # controllers
-    "usual_filter", "informed_parts", "informed_sizes", "informed_constants", "published_constants",
+    "informed_numbers", "published_numbers", "learner_memory",
     "pure_pursuit_parameters", "stanley_parameters", "lqr_parameters",
     # speed controls
     "resistance", "usable_friction", "first_top_speed", "longitudinal_begin", "begin_friction", "sensor_variances",

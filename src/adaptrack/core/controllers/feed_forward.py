@@ -15,7 +15,7 @@ frame of its tangent, so Y'' is curvature times squared speed. With the moves of
 free moves and their weight are about what the car does beyond it, and a horizon longer than the free moves does not
 straighten bends.
 
-Tyres that pull less than linear ones (`models.path.saturation`) need K times as much angle more. An estimator that
+Tyres that pull less than linear ones (`models.saturation`) need K times as much angle more. An estimator that
 knows of this counts it as a push, which the prediction holds as it is now: these moves answer how it grows and falls
 along the road, so the prediction does not know of them.
 """
@@ -25,20 +25,12 @@ from __future__ import annotations
 from ..kernel import exported, inlined, int64, record, vector, viewer, void
 from ..maths.bits import whole
 from ..maths.exact import ceil, clip
-from ..models import path
+from ..models.path import saturation, turning_of
 
-TurnIn = record(
-    "TurnIn",
-    (
-        *path.Turning._fields,
-        "friction", "shape_factor",  # of the tyres as the estimator knows them, see `models.path.saturation`; 0: linear
-    ),
-)  # fmt: skip
-turning_of = viewer(TurnIn)
 FeedForward = record(
     "FeedForward",
     (
-        ("turning", vector, "turning"),  # `TurnIn` of the car; empty: the moves know nothing of the road
+        ("turning", vector, "turning"),  # `models.path.Turning`; empty: the moves know nothing of the road
         ("expected", vector, "road_moves"),  # (> Np,) rad, moves that the prediction knows
         ("moves", vector, "road_moves"),  # (> Np,) rad, all of them
         ("scratch", vector, "road_moves"),  # (> Np,)
@@ -57,7 +49,7 @@ bend_at = viewer(Bend)
 
 @inlined
 def bend_size(horizon, period, turning, lag):
-    """How far ahead (instants) the road has to be known; turning: numbers of `TurnIn`, lag: (s) that in it."""
+    """How far ahead (instants) the road has to be known; turning: numbers of `Turning`, lag: (s) that in it."""
     if turning == 0:
         return horizon + 1
     return horizon + 1 + whole(ceil((lag + MAX_TURN_IN) / period)) + 2
@@ -106,9 +98,7 @@ def road_moves(horizon, speed, settings, bend, feed):
     expected, moves = feed.expected, feed.moves
     for i in range(horizon + 1):
         turn = _requested(earlier + i - 0.5, bend) / (period * period)
-        expected[i] = (
-            -car.understeer * path.saturation(turn, car.friction, car.shape_factor) if car.friction > 0.0 else 0.0
-        )
+        expected[i] = -car.understeer * saturation(turn, car.friction, car.shape_factor) if car.friction > 0.0 else 0.0
         moves[i] = turn * steady / (speed * speed) + expected[i]
     _limit(horizon + 1, min(settings.move_max, -settings.move_min), moves, feed.scratch)
     for i in range(horizon):

@@ -37,10 +37,12 @@ from ..kernel import (
 from ..layout import allocate, sizer
 from ..maths import vectors
 from ..models.contract import MEASUREMENT
+from ..models.path import turning_of
 from ..qp import problem as qp
 from .condensing import Discrete, laguerre_moves
 from .constraints import OUTPUT_ROWS, SAMPLE_ROWS, limit_rows
-from .feed_forward import FeedForward, bend_size, turning_of
+from .feed_forward import FeedForward, bend_size
+from .tuning import MPCTuning
 
 # -- settings, fixed over a run ---------------------------------------------------------------------------------------
 MPCSettings = record(
@@ -86,7 +88,7 @@ MEMORY = record(
     (
         "started",  # 1 after the first step
         "command",  # rad, the last one
-        "speed", "Np", "Nc", "Q", "R",  # what the workspace holds for this slot; NaN: nothing
+        "speed", *MPCTuning._fields,  # what the workspace holds for this slot; NaN: nothing
         "factor_status", "condition",  # of the Hessian
         "active", "has_factor",  # active rows of the last solution, and whether their factor still belongs to E
         "planned", "age",  # entries of the last plan (0: none), and periods since it was made
@@ -95,10 +97,10 @@ MEMORY = record(
     integers=("started", "factor_status", "active", "has_factor", "planned", "age"),
 )  # fmt: skip
 
-MPC_TUNING = columns("Np", "Nc", "Q", "R")
+MPC_TUNING = columns(*MPCTuning._fields)
 """The MPC's named tuning entries."""
 MPC_ANSWER = columns(
-    "command", "command_change", "held", "Np", "Nc", "Q", "R", "qp_status", "qp_iterations", "qp_residual", "at_limit",
+    "command", "command_change", "held", *MPCTuning._fields, "qp_status", "qp_iterations", "qp_residual", "at_limit",
     "dead_reckoning",
 )  # fmt: skip
 """What a step answers: command (rad), its change (rad), 1 when no solution could be used, the tuning as used, and the
@@ -264,7 +266,7 @@ def batch(
 ) -> Any:  # fmt: skip
     """Fresh MPCs for `slots` slots under `MPCSettings`; curved: whether they drive curved roads.
 
-    model: parameters (p,), places of its states in `MEASUREMENT` (n,), `feed_forward.TurnIn` (7,) or nothing;
+    model: parameters (p,), places of its states in `MEASUREMENT` (n,), `models.path.Turning` (7,) or nothing;
     estimator: parameters (q,) and length of the memory; learner: parameters and first memory, None: nothing is learned.
     """
     (parameters, states, turning), (numbers, estimates) = model, estimator

@@ -42,10 +42,11 @@ Turning = record(
         "understeer", "turning",  # rad s^2/m, K and W
         "lr",  # m
         "lag",  # s, of the steering
+        "friction", "shape_factor",  # of the tyres as the estimator knows them, see `saturation`; 0: linear
     ),
 )  # fmt: skip
 """How a car turns in, see `controllers.feed_forward`."""
-_turning_of = viewer(Turning)
+turning_of = viewer(Turning)
 _Q = columns("vy", "yaw_rate", "wheel_angle")
 _square, _column = local(len(_Q), 8), local(len(_Q))
 _transition, _response = local(PATH_STATES, 8), local(PATH_STATES)
@@ -174,8 +175,13 @@ def lateral_acceleration_row(speed, c, h):
 
 @exported(void(vector, vector))
 def write_turning(parameters, turning):
-    """Write `Turning` to turning[:5]."""
-    c, t = parameters_of(parameters, 0), _turning_of(turning, 0)
+    """Write `Turning`, but for the tyres."""
+    turn_in(parameters_of(parameters, 0), turning_of(turning, 0))
+
+
+@inlined
+def turn_in(c, t):
+    """Write how a car turns in, but for the tyres."""
     cf, cr = 2.0 * c.stiffness_front, 2.0 * c.stiffness_rear
     t.wheelbase, t.lr, t.lag = c.lf + c.lr, c.lr, c.lag
     t.understeer = c.mass * (c.lr * cr - c.lf * cf) / (t.wheelbase * cf * cr)

@@ -6,8 +6,7 @@
     filter      the numbers of the Kalman filter
     learner     those of the learner, and what it remembers before its first step
     laws        those of pure pursuit, Stanley and LQR; a Riccati equation
-    published   all numbers of the paper's MPC
-    informed    the parts of the MPC that knows, or learns, its car; all numbers of it at once
+    mpc         all numbers of an MPC at once
 
 NaN means not given. Memory is the caller's; no kernel keeps any.
 """

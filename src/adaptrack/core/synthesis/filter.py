@@ -5,7 +5,21 @@ from __future__ import annotations
 import math
 
 from ..estimators import kalman
-from ..kernel import Field, Row, copier, defaults, exported, float64, inlined, int64, record, several, vector, void
+from ..kernel import (
+    Field,
+    Row,
+    copier,
+    default_setter,
+    defaults,
+    exported,
+    float64,
+    inlined,
+    int64,
+    record,
+    several,
+    vector,
+    void,
+)
 from ..maths.bits import whole
 from ..maths.exact import floor, sqrt, square
 from ..models.car import CarRow, SingleTrackCar
@@ -76,14 +90,13 @@ Filter = record("Filter", (
 """A Kalman filter of a path model."""
 DEFAULT_DRIFTS = defaults(DriftsRow)
 _copy_single_track = copier(SingleTrackCar)
-_DEFAULTS = tuple(Filter.new(1, **defaults(Filter)._asdict()).view(float).tolist())
+_set_defaults = default_setter(Filter)
 
 
-@exported(void(vector))
-def usual_filter(numbers):
-    """Write the default values to the numbers of a `Filter`."""
-    for i in range(len(_DEFAULTS)):
-        numbers[i] = _DEFAULTS[i]
+@exported(void(Row(Filter)))
+def usual_filter(filtering):
+    """Write the default values to a filter."""
+    _set_defaults(filtering)
 
 
 @exported(void(Row(ControllerWorld), Row(Noise)))
@@ -145,10 +158,9 @@ def filter_size(longest, late):
     return _LEAST + _EACH * longest + _LATE * late
 
 
-@exported(void(Row(Filter), Row(CarRow), float64, float64, float64, vector))
-def filter_numbers(filtering, car, period, lag, dead_time, numbers):
-    """Write `kalman.FilterParameters` for the path model with a lag and a dead time (s)."""
-    p = kalman.parameters_of(numbers, 0)
+@exported(void(Row(Filter), Row(CarRow), float64, float64, float64, Row(kalman.FilterParameters)))
+def filter_numbers(filtering, car, period, lag, dead_time, p):
+    """Write the parameters of the filter for the path model with a lag and a dead time (s)."""
     drifts, noise = filtering.drifts, filtering.noise
     p.period, p.bias = period, 0.0
     whole_periods, p.share = split_periods(dead_time, period)

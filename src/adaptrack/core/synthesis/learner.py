@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from ..estimators import learning
-from ..estimators.learning_method import DEFAULT_METHOD, LearningMethod
-from ..kernel import Row, copier, exported, float64, inlined, int64, record, vector, void
+from ..estimators.learning_method import LearningMethod
+from ..kernel import Row, copier, default_setter, exported, float64, inlined, int64, record, vector, void
 from ..maths.bits import whole
 from ..maths.exact import ceil, clip, sqrt, square
 from ..maths.exponential import exp, hypot, log, log1p
@@ -75,16 +75,15 @@ LEAST_WINDY, MOST_WINDY = 0.5, 4.0
 _BEFORE = learning.memory_size(0, 0)
 _HYPOTHESIS = learning.memory_size(0, 1) - _BEFORE
 _USUAL_SIDE = SIDE_FORCE_SLOPE * PASSENGER_BODY.frontal_area
-_DEFAULTS = tuple(map(float, DEFAULT_METHOD))
+_set_defaults = default_setter(LearningMethod)
 _copy_car, _copy_single_track = copier(CarRow), copier(SingleTrackCar)
 _copy_method, _copy_beliefs = copier(LearningMethod), copier(learning.Beliefs)
 
 
-@exported(void(vector))
-def usual_method(numbers):
-    """Write the default values to the numbers of a `LearningMethod`."""
-    for i in range(len(_DEFAULTS)):
-        numbers[i] = _DEFAULTS[i]
+@exported(void(Row(LearningMethod)))
+def usual_method(method):
+    """Write the default values to a method of learning."""
+    _set_defaults(method)
 
 
 @inlined
@@ -309,10 +308,10 @@ def _write_drifts(learner, p):
     p.friction_left, p.usual_friction = exp(-period / method.friction_time), log(method.friction)
 
 
-@exported(void(Row(LearnerRow), Row(Filter), vector))
-def learner_numbers(learner, sensing, numbers):
-    """Write `learning.LearnerParameters`; its priors are those before the first sample of the first drive."""
-    p, car, method, period = learning.parameters_of(numbers, 0), learner.car, learner.method, learner.period
+@exported(void(Row(LearnerRow), Row(Filter), Row(learning.LearnerParameters)))
+def learner_numbers(learner, sensing, p):
+    """Write the parameters of the learner; its priors are those before the first sample of the first drive."""
+    car, method, period = learner.car, learner.method, learner.period
     _copy_method(method, p.method)
     _write_priors(learner, p)
     _write_drifts(learner, p)

@@ -23,8 +23,6 @@ ControllerWorld = record(
 )  # fmt: skip
 """Loop and sensors, as the controller knows them."""
 
-PAPER_TUNING = record("Table", ("Np", "Nc", "Q", "R"))(35, 8, 10.0, 0.01)
-"""The tuning of the paper's table: periods, periods, 1/m^2, 1/rad^2."""
 UNSEEN = 3.0
 """Factor on R where the lateral velocity is not measured: what the filter makes of it is less sure. On seven cars
 random drives in `production` cost a quarter less, half on the van and the electric car, a fifth more on the paper's."""

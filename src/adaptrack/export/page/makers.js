@@ -493,64 +493,35 @@ function checkedBelief(belief, where) {
   return belief;
 }
 
+/** An MPC of this car with what it believes: all its numbers, and those that its learner remembers at first. */
 function mpcOf(entry, known, car, world, where) {
   const believed = checkedBelief(entry.belief, where),
     wanted = entry.tuning ? checkedTuning(entry.tuning, where) : null;
-  const synthesis = known.order
-    ? informedConstants(known, car, believed, where)
-    : publishedConstants(known, car, world.period, where);
-  const { constants } = synthesis, settings = constants.settings.row(0);
-  const tuning = wanted ?? [...constants.tuning.values.slice(0, 4)];
+  const numbers = mine(memory.row("synthesis.mpc.MPCNumbers"));
+  const status = known.order
+    ? memory.call("informed_numbers", orderOf(known, car, believed), numbers)
+    : memory.call("published_numbers", car.rows.car, world.period, numbers);
+  if (status !== OK) throw new Refusal(where, written.words.controller[status]);
+  const settings = filled(numbers.settings, known.settings), learns = settings.learns > 0;
+  const fresh = mine(memory.array("F", [numbers.learned]));
+  if (learns) memory.call("learner_memory", numbers.learner, numbers.filter, fresh);
+  const tuning = wanted ?? [...numbers.tuning];
   settings.longest_horizon = Math.max(settings.longest_horizon, tuning[0]);
   settings.most_moves = Math.max(settings.most_moves, tuning[1]);
   return {
-    ...synthesis,
-    kind: entry.kind,
-    known,
-    settings,
-    tuning,
-    learns: settings.learns > 0,
+    kind: entry.kind, known, numbers, parts: known.order ? numbers : undefined, fresh, settings, tuning, learns,
     schedule: written.schedules[known.schedule],
   };
 }
 
-/** The numbers of an informed MPC of this car with what it believes. */
-function informedConstants(known, car, believed, where) {
-  const order = filled(mine(memory.row("synthesis.informed.Order")), known.order);
+/** What is known of a car and its loop. */
+function orderOf(known, car, believed) {
+  const order = filled(mine(memory.row("synthesis.mpc.Order")), known.order);
   order.car = car.rows.car;
   order.within = car.rows.within;
   order.file = car.rows.file;
   order.caller = copied("models.car.SteeringRow", believed);
-  const parts = mine(memory.row("synthesis.informed.InformedParts"));
-  memory.call("usual_filter", new Block(memory, parts.filter.$at, "F", [parts.filter.$layout.words]));
-  let status = memory.call("informed_parts", order, parts);
-  if (status !== OK) throw new Refusal(where, written.words.informed[status]);
-  const [states, remembers, learned] = memory.call("informed_sizes", order, parts);
-  const constants = constantsOf(states, learned);
-  filled(constants.settings.row(0), known.settings);
-  status = memory.call("informed_constants", order, parts, constants);
-  if (status !== OK) throw new Refusal(where, written.words.informed[status]);
-  return { constants, states, remembers, learned, order, parts };
-}
-
-function publishedConstants(known, car, period, where) {
-  const constants = constantsOf(written.sizes.published_states, 0, true);
-  filled(constants.settings.row(0), known.settings);
-  const status = memory.call("published_constants", car.rows.car, period, constants);
-  if (status !== OK) throw new Refusal(where, written.words.informed[status]);
-  return { constants, states: written.sizes.published_states, remembers: 0, learned: 0 };
-}
-
-function constantsOf(states, learned, published = false) {
-  const { model, published_model, turning, estimator, learner } = written.sizes;
-  return mine(memory.make("synthesis.informed.Constants", {
-    settings: { shape: [1] },
-    tuning: { shape: [4] },
-    model: { shape: [published ? published_model : model] },
-    states: { shape: [states] },
-    turning: { shape: [published ? 0 : turning] }, estimator: { shape: [published ? 0 : estimator] },
-    learner: { shape: [learned ? learner : 0] }, fresh: { shape: [learned] },
-  }));
+  return order;
 }
 
 function lawOf(entry, known, car, where) {
@@ -673,18 +644,22 @@ function laidLaw({ known, parameters, tuning }, hasVy) {
 }
 const ZEROS = (name) => Object.fromEntries(Object.keys(memory.layouts[name].fields).map((field) => [field, 0]));
 
-function laidMpc({ constants, states, remembers, learned, settings, learns }, of) {
-  const { model, turning, estimator, learner, fresh } = constants, size = (block) => block.shape[0];
+function laidMpc({ numbers, parts, fresh, settings, learns }, of) {
+  const words = (row, count = row.$layout.words) => new Block(memory, row.$at, "F", [count]), none = vectorOf([]);
+  const model = words(numbers.model, parts ? undefined : written.sizes.published_model);
+  const turning = parts ? words(numbers.turning) : none, estimator = parts ? words(numbers.estimator) : none;
+  const learner = learns ? words(numbers.learning) : none, size = (block) => block.shape[0];
   return {
     settings, said: [...written.answer.slice(1), ...(learns ? written.beliefs : [])],
     sizes: {
       mpc: {
         slots: 1,
-        states,
+        states: numbers.state_count,
         parameters: size(model),
         turning: size(turning),
-        lag: size(turning) ? turning.values[written.sizes.turning_lag] : 0,
-        estimator: size(estimator), estimates: remembers, learner: size(learner), learned, curved: of.test ? 0 : 1,
+        lag: numbers.turning.lag,
+        estimator: size(estimator), estimates: numbers.remembered, learner: size(learner), learned: numbers.learned,
+        curved: of.test ? 0 : 1,
       },
       slots: 1, tuning: 4,
     },
@@ -692,7 +667,8 @@ function laidMpc({ constants, states, remembers, learned, settings, learns }, of
       begin: { function: "begin_mpc" }, request: { function: "request_of_mpc" }, step: { function: "step_mpc" },
       takes_late: -1, plans: 1, beliefs: learns ? written.answer.length : 0,
       mpc: {
-        parameters: share(model), states: constants.states.values.slice(), feed: { turning: share(turning) },
+        parameters: share(model), states: Array.from(numbers.states.slice(0, numbers.state_count), BigInt),
+        feed: { turning: share(turning) },
         informed: { estimator: share(estimator), learner: share(learner), fresh: share(fresh) },
       },
     },

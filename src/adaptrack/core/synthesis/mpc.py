@@ -1,39 +1,26 @@
-"""The parts of the MPC that knows, or learns, its car, and all of its numbers at once."""
+"""All numbers of an MPC: of one that knows, or learns, its car, and of the paper's."""
 
 from __future__ import annotations
 
 import math
 
-from ..controllers.feed_forward import TurnIn, turning_of
 from ..controllers.mpc import MPCSettings
+from ..controllers.tuning import PAPER_TUNING, MPCTuning
 from ..estimators import kalman, learning
 from ..estimators.learning_method import MAX_HYPOTHESES, LearningMethod
-from ..kernel import (
-    OK,
-    Place,
-    Row,
-    copier,
-    exported,
-    float64,
-    inlined,
-    int64,
-    int_vector,
-    record,
-    rows,
-    several,
-    size_of,
-    vector,
-)
+from ..kernel import OK, Row, copier, exported, float64, inlined, int64, record
 from ..maths.exponential import hypot
 from ..models import path
-from ..models.car import CarRow, LearnedRow, SteeringRow
+from ..models.car import CarRow, LearnedRow, SingleTrackCar, SteeringRow
 from ..models.contract import MEASUREMENT
 from .belief import (
+    ANGLE,
     FROM_EARLIER_DRIVE,
     MAX_DELAY,
     MAX_MASS,
     MAX_STIFFNESS,
     MEDIAN_TO_LEARN,
+    MOVE,
     SLOW_ASSUMED,
     BeliefRow,
     CommandBounds,
@@ -47,12 +34,11 @@ from .belief import (
     widen_drifts,
 )  # fmt: skip
 from .car import KnownWithinRow, relaxation_delay
-from .filter import DEFAULT_DRIFTS, Filter, filter_numbers, filter_periods, filter_size, sensor_noise
+from .filter import DEFAULT_DRIFTS, Filter, filter_numbers, filter_periods, filter_size, sensor_noise, usual_filter
 from .learner import (
     UNKNOWN_CAR_ROW,
     LearnerRow,
     begin_learner,
-    learner_memory,
     learner_numbers,
     learner_size,
 )  # fmt: skip
@@ -76,44 +62,42 @@ Order = record(
     integers=("unsure_given", "learning", "filter_given", "longest_horizon", "most_moves"),
 )  # fmt: skip
 """What is known of a car and its loop, and what is wanted."""
-InformedParts = record(
-    "InformedParts",
+MPCNumbers = record(
+    "MPCNumbers",
     (
         ("belief", BeliefRow),
         ("unsure", UncertaintyRow),
         ("bounds", CommandBounds),
         ("filter", Filter),
         ("learner", LearnerRow),
-        ("tuning", (float64, 4)),
         "lag", "dead_time",  # s, of the prediction model; the dead time with the computation
-        "learns",  # 1: the car is learned
+        ("settings", MPCSettings),  # those of the loop are written, of horizons and solver they stay
+        ("tuning", (float64, len(MPCTuning._fields))),
+        ("model", path.Parameters),
+        ("states", (float64, path.PATH_STATES)),  # places of the states among what is measured
+        ("turning", path.Turning),
+        ("estimator", kalman.FilterParameters),
+        ("learning", learning.LearnerParameters),  # not written where nothing is learned
+        "state_count", "remembered", "learned",  # states; numbers that filter and learner remember
     ),
-    integers=("learns",),
+    integers=("state_count", "remembered", "learned"),
 )  # fmt: skip
-"""What an informed MPC is made of; its filter is given where `Order.filter_given`, the usual one else."""
-Constants = record(
-    "Constants",
-    (
-        ("settings", rows(MPCSettings)),  # (1,): those of the loop are written, of horizons and solver they stay
-        ("tuning", vector),  # (4,)
-        ("model", vector),  # (7,) `models.path.Parameters`
-        ("states", int_vector),  # (5,)
-        ("turning", vector),  # (7,) `controllers.feed_forward.Turning`
-        ("estimator", vector),  # `kalman.FilterParameters`
-        ("learner", vector),  # `learning.LearnerParameters`; may be empty where nothing is learned
-        ("fresh", vector),  # the learner's memory before the first sample, likewise
-    ),
-)
-"""The numbers of an `Mpc`, in memory of the caller's."""
+"""The numbers of an MPC, and what they follow from. The paper's has settings, tuning, model and states alone."""
 
 _copy_uncertainty, _copy_model = copier(UncertaintyRow), copier(path.Parameters)
-_FILTER, _MODEL, _TURNING, _LEARNER = map(
-    size_of, (kalman.FilterParameters, path.Parameters, TurnIn, learning.LearnerParameters)
-)
+_copy_single_track = copier(SingleTrackCar)
+_PAPER_TUNING = tuple(map(float, PAPER_TUNING))
 MOST_TIME, MIN_POSITIVE = 10.0, 1e-300
 """s, of a lag, a dead time or an age; the least that is more than nothing."""
-CAR_WRONG, LOOP_WRONG, STEERING_WRONG, UNCERTAINTY_WRONG, METHOD_WRONG, MEMORY_TOO_SMALL = range(1, 7)
-"""What `informed_parts` and `informed_constants` answer."""
+CAR_WRONG, LOOP_WRONG, STEERING_WRONG, UNCERTAINTY_WRONG, METHOD_WRONG = range(1, 6)
+ORDER_FAULTS = {
+    CAR_WRONG: "a number of the car is not positive and finite: correct its file.",
+    LOOP_WRONG: "a number of the profile is negative or not finite: correct its file.",
+    STEERING_WRONG: "a number of the steering is impossible: correct belief, car file or profile.",
+    UNCERTAINTY_WRONG: "the uncertainty is beyond its bounds: give a smaller one.",
+    METHOD_WRONG: f"need 1 to {MAX_HYPOTHESES} hypotheses of lag and of dead time.",
+}
+"""Sentences for the statuses of `informed_numbers` and `published_numbers`."""
 UNEXPLAINED = (1.0, 0.6)
 """m/s^2, rad/s^2: what wheels that nobody has aligned push and turn a car before their bias is learned. With the
 filter's own spread, .3 and .3, the first minute of 40 unknown cars costs 1.28 instead of 1.26 in `road`."""
@@ -122,33 +106,33 @@ LARGEST_CORRECTION = 0.25
 
 
 @inlined
-def _set_fixed_belief(order, parts):
+def _set_fixed_belief(order, mpc):
     """Make the parts of a controller that does not learn: it assumes a high quantile of the delay.
 
     Where the lateral velocity is not measured the model's dead time includes `relaxation_delay`: without it the loop of
     a heavy car is unstable at speed. With that sensor the loop is stable without it.
     """
-    belief, unsure, world = parts.belief, parts.unsure, order.world
+    belief, unsure, world = mpc.belief, mpc.unsure, order.world
     if order.unsure_given == 0:
         uncertainty_of_car(order.within, belief, unsure)
     steering = belief.steering
     steering.lag += delay_margin(unsure.lag)
     steering.dead_time += delay_margin(unsure.dead_time)
-    tune_informed(world, caution_of(unsure), order.longest_horizon, order.most_moves, parts.tuning)
+    tune_informed(world, caution_of(unsure), order.longest_horizon, order.most_moves, mpc.tuning)
     if is_cautious(belief):
-        parts.tuning[3] *= ASSUMED_DELAY_CAUTION
+        mpc.tuning[3] *= ASSUMED_DELAY_CAUTION
     if order.filter_given == 0:
-        widen_drifts(unsure, 1 if world.noise_vy < math.inf else 0, parts.filter.drifts)
-    bound_commands(belief, world.period, parts.bounds)
-    parts.lag, parts.dead_time = steering.lag, belief.computation + steering.dead_time
+        widen_drifts(unsure, 1 if world.noise_vy < math.inf else 0, mpc.filter.drifts)
+    bound_commands(belief, world.period, mpc.bounds)
+    mpc.lag, mpc.dead_time = steering.lag, belief.computation + steering.dead_time
     if world.noise_vy == math.inf:
-        parts.dead_time += relaxation_delay(order.car)
+        mpc.dead_time += relaxation_delay(order.car)
 
 
 @inlined
-def _widen_unknown_delay(parts):
+def _widen_unknown_delay(mpc):
     """Widen the uncertainty of an unknown lag or dead time that is declared certain."""
-    source, unsure = parts.belief.source, parts.unsure
+    source, unsure = mpc.belief.source, mpc.unsure
     if source.lag == SLOW_ASSUMED and unsure.lag == 0.0:
         unsure.lag = UNKNOWN_CAR_ROW.lag
     if source.dead_time == SLOW_ASSUMED and unsure.dead_time == 0.0:
@@ -164,12 +148,12 @@ def _source_at_start(source, learned_before):
 
 
 @inlined
-def _set_learner(order, parts):
+def _set_learner(order, mpc):
     """Make the parts of a controller that learns its car."""
-    belief, learner, sensing, world = parts.belief, parts.learner, parts.filter, order.world
-    _widen_unknown_delay(parts)
+    belief, learner, sensing, world = mpc.belief, mpc.learner, mpc.filter, order.world
+    _widen_unknown_delay(mpc)
     begin_learner(
-        order.method, order.start, order.car, order.within, belief, parts.unsure, order.unsure_given, sensing,
+        order.method, order.start, order.car, order.within, belief, mpc.unsure, order.unsure_given, sensing,
         world.period, learner,
     )  # fmt: skip
     lag, dead_time = learner.first.used_lag, learner.first.used_dead_time
@@ -178,14 +162,14 @@ def _set_learner(order, parts):
     wheel_drift = order.method.wheel_drift_rate * learner.first.belief_delay_sigma / order.method.sigma_inflation
     sensing.drifts.wheel_angle = hypot(DEFAULT_DRIFTS.wheel_angle, wheel_drift)
     sensing.longest = learner.longest
-    tune_informed(world, 1.0, order.longest_horizon, order.most_moves, parts.tuning)
+    tune_informed(world, 1.0, order.longest_horizon, order.most_moves, mpc.tuning)
     learned_before = not math.isnan(order.start.lag)
     steering, source = belief.steering, belief.source
     source.lag = _source_at_start(source.lag, learned_before)
     source.dead_time = _source_at_start(source.dead_time, learned_before)
-    bound_commands(belief, world.period, parts.bounds)
+    bound_commands(belief, world.period, mpc.bounds)
     steering.lag, steering.dead_time = lag, dead_time
-    parts.lag, parts.dead_time = lag, dead_time + belief.computation
+    mpc.lag, mpc.dead_time = lag, dead_time + belief.computation
 
 
 @inlined
@@ -247,80 +231,79 @@ def _order_status(order):
     return OK
 
 
-@exported(int64(Row(Order), Row(InformedParts)))
-def informed_parts(order, parts):
-    """Write what an informed MPC is made of; parts.filter is that of `filter.usual_filter`, or the caller's.
+@exported(int64(Row(Order), Row(MPCNumbers)))
+def informed_numbers(order, mpc):
+    """Write all numbers of an informed MPC; mpc.filter is the caller's where `Order.filter_given`.
 
-    Answers `OK`, or what of the order is wrong: then nothing is written.
+    Answers `OK`, or what of the order is wrong: then nothing is written. `learner_memory` of mpc.learner and mpc.filter
+    writes the mpc.learned numbers that are remembered before the first sample.
     """
     status = _order_status(order)
     if status != OK:
         return status
-    _copy_uncertainty(order.unsure, parts.unsure)
-    believe_steering(order.caller, order.file, order.actuator, order.world.computation, parts.belief)
+    _copy_uncertainty(order.unsure, mpc.unsure)
+    believe_steering(order.caller, order.file, order.actuator, order.world.computation, mpc.belief)
     if order.filter_given == 0:
-        sensor_noise(order.world, parts.filter.noise)
-        parts.filter.oldest = order.world.oldest
-    source = parts.belief.source
+        usual_filter(mpc.filter)
+        sensor_noise(order.world, mpc.filter.noise)
+        mpc.filter.oldest = order.world.oldest
+    source = mpc.belief.source
     unknown = source.lag == SLOW_ASSUMED or source.dead_time == SLOW_ASSUMED
-    parts.learns = 1 if order.learning == ALWAYS or (order.learning == UNLESS_SAID and unknown) else 0
-    if parts.learns > 0:
-        _set_learner(order, parts)
+    if order.learning == ALWAYS or (order.learning == UNLESS_SAID and unknown):
+        _set_learner(order, mpc)
+        _write_numbers(order, mpc.learner.car, mpc)
+        mpc.settings.learns, mpc.learned = 1, learner_size(mpc.learner)
+        learner_numbers(mpc.learner, mpc.filter, mpc.learning)
     else:
-        _set_fixed_belief(order, parts)
+        _set_fixed_belief(order, mpc)
+        _write_numbers(order, order.car, mpc)
+        mpc.settings.learns, mpc.learned = 0, 0
     return OK
 
 
-@exported(several(int64, int64, int64)(Row(Order), Row(InformedParts)))
-def informed_sizes(order, parts):
-    """States of the model, numbers that the filter remembers, and those that the learner remembers."""
-    longest, late_periods = filter_periods(parts.filter, order.world.period, parts.dead_time)
-    learned = learner_size(parts.learner) if parts.learns > 0 else 0
-    return path.PATH_STATES if parts.lag > 0.0 else path.PATH_STATES - 1, filter_size(longest, late_periods), learned
-
-
 @inlined
-def _write_settings(order, parts, s):
-    """Write the settings that follow from the loop: period, preview, delay and limits."""
-    bounds, world = parts.bounds, order.world
-    s.period, s.preview, s.delay = world.period, world.preview, parts.dead_time / world.period
+def _write_numbers(order, car, mpc):
+    """Write what follows from the parts of an MPC, the learner excepted; car: as its model knows it."""
+    world, bounds, s = order.world, mpc.bounds, mpc.settings
+    s.period, s.preview, s.delay, s.informed = world.period, world.preview, mpc.dead_time / world.period, 1
     s.move_min, s.move_max, s.ahead = -bounds.move, bounds.move, bounds.ahead
     s.angle_min, s.angle_max, s.error_max = -bounds.angle, bounds.angle, LARGEST_CORRECTION
-    s.informed, s.learns = 1, parts.learns
+    _write_states(mpc.lag > 0.0, mpc)
+    filter_numbers(mpc.filter, car, world.period, mpc.lag, mpc.dead_time, mpc.estimator)
+    longest, late_periods = filter_periods(mpc.filter, world.period, mpc.dead_time)
+    mpc.remembered = filter_size(longest, late_periods)
+    _copy_model(mpc.estimator.model, mpc.model)
+    path.turn_in(mpc.model, mpc.turning)
+    mpc.turning.friction, mpc.turning.shape_factor = mpc.filter.friction, mpc.filter.shape_factor
 
 
 @inlined
-def _write_states(lag, states):
-    """Places of the states among what is measured."""
+def _write_states(has_lag, mpc):
+    """Write the places of the states among what is measured; only behind a lag is the wheel angle one of them."""
+    states = mpc.states
     states[0], states[1], states[2] = MEASUREMENT.vy, MEASUREMENT.yaw, MEASUREMENT.yaw_rate
-    if lag > 0.0:
+    if has_lag:
         states[3] = MEASUREMENT.wheel_angle
-    states[states.size - 1] = MEASUREMENT.y
+    mpc.state_count = path.PATH_STATES if has_lag else path.PATH_STATES - 1
+    states[mpc.state_count - 1] = MEASUREMENT.y
 
 
-@exported(int64(Row(Order), Row(InformedParts), Place(Constants)))
-def informed_constants(order, parts, constants):
-    """Write the numbers of an informed MPC of these parts; `OK`, or `MEMORY_TOO_SMALL`: then nothing is written."""
-    states, _, learned = informed_sizes(order, parts)
-    small = constants.tuning.size < 4 or constants.states.size != states or constants.estimator.size < _FILTER
-    small = small or constants.model.size < _MODEL or constants.turning.size < _TURNING or constants.settings.size < 1
-    if parts.learns > 0:
-        small = small or constants.learner.size < _LEARNER or constants.fresh.size < learned
-    if small:
-        return MEMORY_TOO_SMALL
-    period, lag, dead_time, filtering = order.world.period, parts.lag, parts.dead_time, parts.filter
-    _write_settings(order, parts, constants.settings[0])
-    _write_states(lag, constants.states)
-    for i in range(4):
-        constants.tuning[i] = parts.tuning[i]
-    if parts.learns > 0:
-        filter_numbers(filtering, parts.learner.car, period, lag, dead_time, constants.estimator)
-        learner_numbers(parts.learner, filtering, constants.learner)
-        learner_memory(parts.learner, filtering, constants.fresh)
-    else:
-        filter_numbers(filtering, order.car, period, lag, dead_time, constants.estimator)
-    _copy_model(kalman.parameters_of(constants.estimator, 0).model, path.parameters_of(constants.model, 0))
-    path.write_turning(constants.model, constants.turning)
-    t = turning_of(constants.turning, 0)
-    t.friction, t.shape_factor = filtering.friction, filtering.shape_factor
+@exported(int64(Row(CarRow), float64, Row(MPCNumbers)))
+def published_numbers(car, period, mpc):
+    """Write tuning and limits of the paper's table, and its model of a car; period: s.
+
+    `OK`, or what is wrong: then nothing is written.
+    """
+    if not is_a_car(car):
+        return CAR_WRONG
+    if not 0.0 < period < math.inf:
+        return LOOP_WRONG
+    s = mpc.settings
+    s.period, s.delay, s.ahead, s.error_max = period, 0.0, 0.0, math.inf
+    s.move_min, s.move_max, s.angle_min, s.angle_max = -MOVE, MOVE, -ANGLE, ANGLE
+    s.informed, s.learns, mpc.learned, mpc.remembered = 0, 0, 0, 0
+    for i in range(len(_PAPER_TUNING)):
+        mpc.tuning[i] = _PAPER_TUNING[i]
+    _copy_single_track(car, mpc.model)
+    _write_states(False, mpc)
     return OK
