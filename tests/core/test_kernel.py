@@ -38,7 +38,8 @@ def test_a_quantity_defines_default_bounds_and_remark_of_a_field():
                            Field("open", "", 3.0, "", "(0, inf]")])  # fmt: skip
     assert tuple(defaults(kind)) == (0.5, (1.0, 2.0), 3.0)
     assert size_of(kind) == 4
-    assert kind.field_settings["lag"].ends == (0.0, 1.0)
+    assert kind.field_settings["lag"].limits == {"ge": 0.0, "lt": 1.0}
+    assert kind.field_settings["open"].limits == {"gt": 0.0}
     assert kind.field_settings["lag"].remark == "s, [0, 1), of the steering"
     source, target = kind.new(1, lag=0.1)[0], kind.new(1)[0]
     entry(copier(record("Copied", [kind.field_settings["lag"], kind.field_settings["open"]])))(source, target)

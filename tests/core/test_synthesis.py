@@ -63,7 +63,7 @@ def test_an_estimated_car_keeps_the_ratios_of_measured_ones(mass, wheelbase, tru
     front, rear = mass * GRAVITY * row.lr / wheelbase, mass * GRAVITY * row.lf / wheelbase
     assert (2 * row.stiffness_front / front, 2 * row.stiffness_rear / rear) == pytest.approx((13.8, 21.9), rel=1e-3)
     assert within.stiffness_front == within.stiffness_rear == 1.62
-    names = *SingleTrackCar._fields, *car.ESTIMATED, "side_force_slope", "yaw_moment_slope"
+    names = *SingleTrackCar._fields, *car.ESTIMATED_NUMBERS, "side_force_slope", "yaw_moment_slope"
     assert not any(math.isnan(row[name]) for name in names)
 
 

@@ -205,12 +205,7 @@ class FieldRecord(Record):
 
 def _entry_of(field: Any, unknown: Any, is_unknown: bool) -> Any:
     """Return pydantic's description of a field; unknown: default of one without its own."""
-    low, high = field.ends
-    limits: dict[str, Any] = {"ge" if field.bounds.startswith("[") else "gt": low}
-    if high < math.inf:
-        limits["le" if field.bounds.endswith("]") else "lt"] = high
-    elif field.bounds.endswith("]"):
-        limits["allow_inf_nan"] = True
+    limits = field.limits | ({"allow_inf_nan": True} if field.bounds.endswith("inf]") else {})
     default = unknown if is_unknown else field.default
     return Field(default=default, description=f"{field.unit or '-'}, {field.meaning}", **limits)
 

@@ -24,7 +24,7 @@ DRIVEN_AXLES = {"front": 1.0, "rear": 0.0, "all": 0.5}
 """Driven axles: share of the driving force on the front axle, `Vehicle.drive_front`."""
 BODY_STYLES = ("car", "truck")
 """Passenger cars; pickups, vans and sport utility vehicles."""
-_ESTIMATED = ("lf", "lr", *kernel.ESTIMATED)
+_ESTIMATED = ("lf", "lr", *kernel.ESTIMATED_NUMBERS)
 _MEASURED = Hint("the estimates are of such cars; of another, give all six numbers in a car file")
 
 

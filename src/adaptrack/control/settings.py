@@ -91,12 +91,8 @@ def _is_unknown(setting: Field) -> bool:
 
 def _annotation(setting: Field) -> Any:
     """The annotation by which `checked` checks a setting."""
-    low, high = setting.ends
-    limits: dict[str, Any] = {"ge" if setting.bounds.startswith("[") else "gt": low}
-    if high < math.inf:
-        limits["le" if setting.bounds.endswith("]") else "lt"] = high
     number = Whole if isinstance(setting.default, int) else Number if setting.bounds.endswith("inf]") else Finite
-    kind: Any = Annotated[number, pydantic.Field(**limits)]
+    kind: Any = Annotated[number, pydantic.Field(**cast(Any, setting.limits))]
     if isinstance(setting.default, tuple):
         kind = cast(Any, tuple)[(kind,) * len(setting.default)]
     marks = [mark for mark in (setting.unit, setting.hint and Hint(setting.hint)) if mark]

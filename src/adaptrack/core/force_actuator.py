@@ -13,13 +13,13 @@ import math
 from .kernel import inlined, record
 from .maths.exact import clip
 from .maths.exponential import exp
-from .models.car import LAG
+from .models.car import ACTUATOR_LAG
 
 ForceActuator = record(
     "ForceActuator",
     (
         "dead_whole", "dead_share",  # control periods from a request until it acts: whole ones, and the share of one
-        LAG,
+        ACTUATOR_LAG,
         "rate",  # N/s, fastest change of the force; inf: no limit
         "gain",  # -, force that is reached over the force that is requested
         "limit",  # N, largest force

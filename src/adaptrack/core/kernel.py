@@ -158,6 +158,12 @@ class Field(NamedTuple):
         return float(low), float(high)
 
     @property
+    def limits(self) -> dict[str, float]:
+        """The finite bounds as pydantic names them: gt or ge, lt or le."""
+        names = "ge" if self.bounds[0] == "[" else "gt", "le" if self.bounds[-1] == "]" else "lt"
+        return {name: end for name, end in zip(names, self.ends, strict=True) if math.isfinite(end)}
+
+    @property
     def is_truth(self) -> bool:
         """Whether the field is True or False in Python."""
         return isinstance(self.default, bool)

@@ -16,6 +16,7 @@ from .maths.random import counted_normal, counted_uniform
 from .maths.trigonometric import atan2
 from .models.car import AXLES, POWERTRAIN
 from .models.contract import MEASUREMENT
+from .models.sensors import SENSORS
 from .plants.contract import ENVIRONMENT, OBSERVED, PLANT_INPUT, PLANT_STATE, input_at, observe, state_at
 from .plants.forces import GRAVITY, slope_sine_and_cosine, wheel_angle
 from .road import foot_near, line_of, point_at
@@ -30,13 +31,7 @@ LoopSettings = record(
         "substeps",  # Runge-Kutta steps per period
         "prescribed_speed",  # `DRIVER_FORCES`, `PRESCRIBED`, `PRESCRIBED_WITHOUT_ROAD` or `EXTERNAL_FORCES`
         "dead_whole", "dead_share",  # periods from an instant until its command acts: whole ones, and the share of one
-        "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y",  # m/s, rad, rad/s, m, standard deviations; inf: no sensor
-        "noise_wheel_angle", "noise_lateral_acceleration",  # rad, m/s^2
-        "noise_speed",  # -, of the measured speed over the speed
-        "bias_yaw_rate", "bias_wheel_angle",  # rad/s, rad: an error of the sensor that stays over a run is within this
-        "pose_age", "pose_age_spread", "motion_age",  # s, how old yaw and y are, +- a spread; and the other samples
-        "missing",  # -, share of the samples that are missing
-        "dropout_pause", "dropout_least", "dropout_most",  # s, mean time between gaps of the pose, which last so long
+        *SENSORS,
         "steering_lag", "steering_limit",  # s, rad, of the actuator
         "steering_bias",  # rad, what the wheels are turned beyond the command
         "driver_preview",  # s, how far ahead the driver looks at the speed profile
@@ -52,9 +47,6 @@ LoopSettings = record(
         "creep",  # m/s^2, of the drive at standstill without a request
         "brake_whole", "brake_share",  # of the brakes, as those of the drive
         "brake_lag", "brake_rate", "brake_gain",  # s, m/s^3, -
-        "noise_station", "station_age",  # m, s: standard deviation and age of the measured position along the road
-        "noise_speed_floor", "speed_resolution", "speed_dead_zone",  # m/s, of the measured speed, see `_read_speed`
-        "speed_age", "motion_age_spread",  # s, age of the measured speed; +- spread of the ages of motion and speed
     ),
     integers=("substeps", "prescribed_speed", "dead_whole", "drive_whole", "brake_whole"),
 )  # fmt: skip

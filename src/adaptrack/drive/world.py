@@ -25,12 +25,13 @@ from adaptrack.control.speed_control import SpeedCommand, SpeedControl
 from adaptrack.core import loop as loop_kernel
 from adaptrack.core import period as period_kernel
 from adaptrack.core.loop import SIGNAL
+from adaptrack.core.models.sensors import SENSORS
 from adaptrack.core.planning.drive import complete_samples
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.failure import FailureLimits, Reason
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.scenario import RoadDrive, Scenario, Signals
-from adaptrack.scenario.profile import SENSOR_FIELDS, Profile, load_profile
+from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
@@ -207,7 +208,7 @@ class World:
             prescribed_speed=self._speed_kind,
             dead_whole=self.dead_periods[0],
             dead_share=self.dead_periods[1],
-            **{name: getattr(profile, name) for name in SENSOR_FIELDS},
+            **{field.name: getattr(profile, field.name) for field in SENSORS},
             steering_lag=steering.lag,
             steering_limit=steering.limit,
             steering_bias=steering.bias,

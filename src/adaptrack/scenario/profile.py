@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
-import math
 import os
 from functools import cache
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from adaptrack.base.files import Record, build, read_toml
+from adaptrack.base.files import FieldRecord, build, read_toml
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator, find_data, list_data
 from adaptrack.core import portable
 from adaptrack.core.kernel import row_of
+from adaptrack.core.models.sensors import SENSORS
 from adaptrack.core.synthesis.tuning import ControllerWorld
 
-
-def _noise(description: str) -> Any:
-    return Field(default=0.0, ge=0, allow_inf_nan=True, description=description)
-
-
-SENSOR_FIELDS = (
-    "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y", "noise_wheel_angle", "noise_lateral_acceleration",
-    "noise_speed", "bias_yaw_rate", "bias_wheel_angle", "pose_age", "pose_age_spread", "motion_age", "missing",
-    "dropout_pause", "dropout_least", "dropout_most", "noise_station", "station_age", "noise_speed_floor",
-    "speed_resolution", "speed_dead_zone", "speed_age", "motion_age_spread",
-)  # fmt: skip
-"""Fields of `Profile` that describe the sensors."""
 _AGES_BY_SPREAD = {"pose_age_spread": ("pose_age", "station_age"), "motion_age_spread": ("motion_age", "speed_age")}
 """Ages to which each spread applies. The spread does not apply to the second age if this age is 0."""
 
 
-class Profile(Record):
+class Profile(FieldRecord, fields=SENSORS, after="preview"):
     """Simulated steering actuator, sensors and computation time of a car, and the weight of steering in the cost.
 
     Each profile is one TOML file, see `load_profile`.
@@ -59,78 +47,14 @@ class Profile(Record):
         default=False,
         description="default for whether controllers know the reference ahead",
     )
-    noise_vy: float = _noise("m/s, standard deviation of the measured lateral velocity; inf: no such sensor")
-    noise_yaw: float = _noise("rad, standard deviation of the measured yaw angle")
-    noise_yaw_rate: float = _noise("rad/s, standard deviation of the measured yaw rate")
-    noise_y: float = Field(default=0.0, ge=0, description="m, standard deviation of the measured lateral position")
-    noise_wheel_angle: float = _noise("rad, standard deviation of the measured front-wheel angle")
-    noise_lateral_acceleration: float = Field(
-        default=math.inf,
-        ge=0,
-        allow_inf_nan=True,
-        description="m/s^2, standard deviation of the measured lateral acceleration; inf: no such sensor",
-    )
-    noise_speed: float = Field(
-        default=0.0, ge=0, le=1, description="-, standard deviation of the measured speed, as a share of the speed"
-    )
-    bias_yaw_rate: float = Field(
-        default=0.0, ge=0, description="rad/s, largest constant offset of the measured yaw rate; each run draws one"
-    )
-    bias_wheel_angle: float = Field(
-        default=0.0, ge=0, description="rad, largest constant offset of the measured wheel angle; each run draws one"
-    )
-    pose_age: float = Field(default=0.0, ge=0, le=2, description="s, mean age of yaw and y when they arrive")
-    pose_age_spread: float = Field(
-        default=0.0,
-        ge=0,
-        le=2,
-        description="s, largest deviation of pose_age; the controller receives the age of each sample",
-    )
-    motion_age: float = Field(
-        default=0.0,
-        ge=0,
-        le=2,
-        description="s, mean age of yaw rate, lateral velocity and acceleration when they arrive",
-    )
-    missing: float = Field(default=0.0, ge=0, lt=1, description="-, share of the samples that are missing")
-    dropout_pause: float = Field(
-        default=0.0, ge=0, description="s, mean pause between two dropouts of yaw and y; 0: no dropouts"
-    )
-    dropout_least: float = Field(default=0.0, ge=0, le=60, description="s, shortest dropout of yaw and y")
-    dropout_most: float = Field(default=0.0, ge=0, le=60, description="s, longest dropout of yaw and y")
     move_weight: float = Field(
         default=0.0,
         ge=0,
         description="m^2/rad^2, weight w of steering activity in J = mean e^2 + w mean (change of command)^2",
     )
-    noise_station: float = Field(
-        default=0.0, ge=0, le=100, description="m, standard deviation of the measured position along the road"
-    )
-    station_age: float = Field(
-        default=0.0,
-        ge=0,
-        le=2,
-        description="s, mean age of the position along the road (pose_age_spread applies); 0: none",
-    )
-    noise_speed_floor: float = Field(
-        default=0.0,
-        ge=0,
-        le=10,
-        description="m/s, standard deviation of a noise of the speed in addition to noise_speed",
-    )
-    speed_resolution: float = Field(
-        default=0.0, ge=0, le=5, description="m/s, measured speeds are multiples of it; 0: continuous"
-    )
-    speed_dead_zone: float = Field(default=0.0, ge=0, le=5, description="m/s, lower speeds are measured as 0")
-    speed_age: float = Field(
-        default=0.0, ge=0, le=2, description="s, mean age of the measured speed, which varies by motion_age_spread"
-    )
-    motion_age_spread: float = Field(
-        default=0.0,
-        ge=0,
-        le=2,
-        description="s, largest deviation of motion_age; controllers receive each age",
-    )
+    if TYPE_CHECKING:
+
+        def __init__(self, **values: Any) -> None: ...
 
     @field_validator("delay")
     @classmethod

@@ -336,5 +336,5 @@ def _search_tuning(
     candidate_costs = costs(rows)
     if candidate_costs.min() <= best.cost:
         return candidates[int(candidate_costs.argmin())]
-    *others, R = best.x.tolist()
-    return Tuning.of((*others, float(f"{R:.6g}")))
+    *entries, R = best.x.tolist()
+    return Tuning.of((*entries, float(f"{R:.6g}")))

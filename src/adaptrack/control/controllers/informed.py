@@ -168,11 +168,11 @@ def order_of(
     computation_time = assumed_computation(computation, world, step, uses_actuator=profile is not None)
     loop = world.controller_world(step)
     loop.computation = computation_time.value
-    given, file, actuator = steering_rows(car, steering, world, uses_actuator)
+    caller, file, actuator = steering_rows(car, steering, world, uses_actuator)
     (longest, most), within = _MOST, car.known_within
     orders = kernel.Order.new(
         1, car=car.numbers, within=row_of(KnownWithinRow, within, is_given=within is not None),
-        caller=given, file=file, actuator=actuator, world=loop,
+        caller=caller, file=file, actuator=actuator, world=loop,
         unsure=(uncertainty or Uncertainty()).row, unsure_given=uncertainty is not None,
         learning=kernel.NEVER if learning is None else kernel.UNLESS_SAID if learning == AUTO else kernel.ALWAYS,
         filter_given=estimator is not None, longest_horizon=longest, most_moves=most,

@@ -50,24 +50,24 @@ POWERTRAIN = tuple(
 AXLES = tuple(field for field in CHASSIS if field.name in ("lf", "lr", "cg_height", "drive_front", "brake_front"))
 """What tells the loads of the axles."""
 
-LAG = Field("lag", "s", _UNKNOWN, "time constant of the first-order lag; 0: none", "[0, 10]")
-DEAD_TIME = Field("dead_time", "s", _UNKNOWN, "from a command until the wheels begin to move", "[0, 10]")
-RATE = Field("rate", "rad/s", _UNKNOWN, "fastest change of the angle", "(0, 100]")
-LIMIT = Field("limit", "rad", _UNKNOWN, "largest angle to either side", f"(0, {0.5 * math.pi}]")
-RATIO = Field("ratio", "", _UNKNOWN, "angle of the steering wheel over that of the road wheels", "(0, 100]")
-STEERING = (LAG, DEAD_TIME, RATE, LIMIT)
+ACTUATOR_LAG = Field("lag", "s", _UNKNOWN, "time constant of the first-order lag; 0: none", "[0, 10]")
+ACTUATOR_DEAD_TIME = Field("dead_time", "s", _UNKNOWN, "from a command until the wheels begin to move", "[0, 10]")
+STEERING_RATE = Field("rate", "rad/s", _UNKNOWN, "fastest change of the angle", "(0, 100]")
+STEERING_LIMIT = Field("limit", "rad", _UNKNOWN, "largest angle to either side", f"(0, {0.5 * math.pi}]")
+STEERING_RATIO = Field("ratio", "", _UNKNOWN, "angle of the steering wheel over that of the road wheels", "(0, 100]")
+STEERING = (ACTUATOR_LAG, ACTUATOR_DEAD_TIME, STEERING_RATE, STEERING_LIMIT)
 """A steering between command and road wheels."""
 ACTUATOR = (
-    LAG._replace(default=0.0),
-    DEAD_TIME._replace(default=0.0),
-    RATE._replace(default=math.inf, meaning=f"{RATE.meaning}; inf: no limit", bounds="(0, inf]"),
-    LIMIT._replace(default=0.5 * math.pi),
+    ACTUATOR_LAG._replace(default=0.0),
+    ACTUATOR_DEAD_TIME._replace(default=0.0),
+    STEERING_RATE._replace(default=math.inf, meaning=f"{STEERING_RATE.meaning}; inf: no limit", bounds="(0, inf]"),
+    STEERING_LIMIT._replace(default=0.5 * math.pi),
     Field("bias", "rad", 0.0, "what the wheels turn beyond the command", f"[{-0.25 * math.pi}, {0.25 * math.pi}]"),
 )
 """The steering of a simulated car."""
 FORCE_ACTUATOR = (
-    LAG._replace(default=0.0),
-    DEAD_TIME._replace(default=0.0, meaning="from a request until the force begins to change"),
+    ACTUATOR_LAG._replace(default=0.0),
+    ACTUATOR_DEAD_TIME._replace(default=0.0, meaning="from a request until the force begins to change"),
     Field("gain", "", 1.0, "force that is reached over the requested one", "(0, 10]"),
     Field("rate", "m/s^3", math.inf, "fastest change of the force over the mass; inf: any", "(0, inf]"),
 )

@@ -20,10 +20,10 @@ from ..kernel import Row, columns, exported, float64, inlined, local, matrix, re
 from ..maths.matrix_exponential import apply, integrals
 from ..maths.trigonometric import asin, tan
 from ..plants.forces import GRAVITY
-from .car import LAG, SINGLE_TRACK
+from .car import ACTUATOR_LAG, SINGLE_TRACK
 from .contract import DISCRETISE
 
-Parameters = record("Parameters", (*SINGLE_TRACK, LAG))
+Parameters = record("Parameters", (*SINGLE_TRACK, ACTUATOR_LAG))
 """The car, and the lag of its steering."""
 parameters_of = viewer(Parameters)
 MIN_SLIP_SPEED = 3.0

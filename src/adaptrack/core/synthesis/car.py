@@ -10,7 +10,7 @@ from ..models.car import SIDE_FORCE_SLOPE, YAW_MOMENT_SLOPE, CarRow
 from ..models.car import SteeringRow as SteeringRow
 from ..plants.forces import GRAVITY
 
-ESTIMATED = (
+ESTIMATED_NUMBERS = (
     "cg_height", "frontal_area", "yaw_inertia", "stiffness_front", "stiffness_rear", "track_front", "track_rear",
 )  # fmt: skip
 """Numbers that `complete_car` estimates, besides the place of the centre of gravity."""
@@ -20,7 +20,7 @@ KnownWithinRow = record(
         "is_given",  # 1: the numbers of the car come with how well they are known, 0: nobody says
         "mass",  # factor
         "lf",  # m, to either side
-        *ESTIMATED,  # lengths in m, to either side; the others are factors
+        *ESTIMATED_NUMBERS,  # lengths in m, to either side; the others are factors
         "steering_lag", "steering_dead_time",  # s, to either side
     ),
     integers=("is_given",),

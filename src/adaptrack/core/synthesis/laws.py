@@ -6,7 +6,7 @@ import math
 
 from ..controllers import lqr, pure_pursuit, stanley
 from ..controllers.contract import COMMON_PARAMETERS
-from ..kernel import Row, exported, float64, inlined, int64, local, matrix, record, vector, void
+from ..kernel import Row, exported, float64, inlined, int64, local, matrix, packer, record, vector, void
 from ..maths.exact import square
 from ..maths.exponential import exp, log
 from ..maths.matrix_exponential import apply, integrals
@@ -15,6 +15,7 @@ from .car import rear_slip_gradient, understeer_gradient
 
 Common = record("Common", COMMON_PARAMETERS)
 """What the parameters of every law begin with."""
+_begin = packer(Common)
 PURSUIT, STANLEY = len(pure_pursuit.PARAMETERS), len(stanley.PARAMETERS)
 STEERING_DELAY = 0.2
 """s, lag and dead time together of a steering of which nothing is known: published values are 0.1 to 0.5 s."""
@@ -42,24 +43,17 @@ def steering_delay(steering):
     return (0.0 if math.isnan(lag) else lag) + (0.0 if math.isnan(dead) else dead)
 
 
-@inlined
-def _begin(common, parameters):
-    """Write what the parameters of every law begin with."""
-    parameters[0], parameters[1], parameters[2] = common.period, common.move_min, common.move_max
-    parameters[3], parameters[4] = common.angle_min, common.angle_max
-
-
 @exported(void(Row(CarRow), Row(Common), vector))
 def pure_pursuit_parameters(car, common, parameters):
     """Write `controllers.pure_pursuit.PARAMETERS`."""
-    _begin(common, parameters)
+    _begin(parameters, 0, common)
     parameters[5], parameters[6] = car.lf + car.lr, car.lr
 
 
 @exported(void(Row(CarRow), Row(Common), vector))
 def stanley_parameters(car, common, parameters):
     """Write `controllers.stanley.PARAMETERS`: the front tyres slip by m l_r/(2 C_f L) for each m/s^2."""
-    _begin(common, parameters)
+    _begin(parameters, 0, common)
     parameters[5] = car.lf
     parameters[6] = car.mass * car.lr / (2.0 * car.stiffness_front * (car.lf + car.lr))
 
@@ -230,7 +224,7 @@ def lqr_parameters(car, common, tuning, parameters):
 
     1; 0: there is no gain for weights so far apart.
     """
-    _begin(common, parameters)
+    _begin(parameters, 0, common)
     length, steps = car.lf + car.lr, GAIN_DECADES * log(10.0)
     e, heading = log(tuning[0] / tuning[2]) - steps, log(tuning[1] / tuning[2]) - steps
     weight_step = 2.0 * steps / (GAIN_WEIGHTS - 1)

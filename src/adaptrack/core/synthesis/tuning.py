@@ -6,6 +6,7 @@ import math
 
 from ..kernel import Row, exported, float64, int64, record, vector, void
 from ..maths.decimal import to_digits, to_places
+from ..models.sensors import MEASURED_MOTION
 
 ControllerWorld = record(
     "ControllerWorld",
@@ -14,9 +15,7 @@ ControllerWorld = record(
         "computation",  # s, from a measurement until its command is given
         "preview",  # 1: the reference is known ahead
         "move_weight",  # s^2, R/Q times the squared control period that the drive's cost asks for
-        "noise_vy", "noise_yaw", "noise_yaw_rate", "noise_y",  # m/s, rad, rad/s, m: standard deviations; inf: no sensor
-        "noise_wheel_angle", "noise_lateral_acceleration",  # rad, m/s^2
-        "bias_yaw_rate", "bias_wheel_angle",  # rad/s, rad: sensors are off by up to so much
+        *MEASURED_MOTION,
         "oldest",  # s, age of a sample at most
     ),
     integers=("preview",),
