@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from adaptrack.core.build import header
 from adaptrack.core.kernel import (
     INTERPRETED,
     Field,
+    bounds_checker,
     columns,
     copier,
     defaults,
@@ -54,6 +56,20 @@ def test_columns_keep_their_fields_and_the_header_describes_them():
     for field in fields_of(TRACKER_SAMPLE):
         assert f"TRACKER_SAMPLE_{field.name.upper()} = " in text
         assert f"/* {field.remark} */" in text
+
+
+@pytest.mark.parametrize(
+    ("lag", "ratio", "required", "optional"),
+    [(0.0, 2.0, True, True), (1.0, 2.0, False, False), (-0.1, 2.0, False, False), (0.5, 0.0, False, False),
+     (0.5, math.inf, True, True), (math.inf, 2.0, False, False), (math.nan, 2.0, False, True)],
+)  # fmt: skip
+def test_numbers_are_within_the_bounds_of_their_fields_and_unknown_ones_where_they_may_be(
+    lag, ratio, required, optional
+):
+    fields = Field("lag", "s", math.nan, "", "[0, 1)"), Field("ratio", "", math.nan, "", "(0, inf]")
+    row = record("Bounded", fields).new(1, lag=lag, ratio=ratio)[0]
+    assert entry(bounds_checker(fields))(row) == required
+    assert entry(bounds_checker(fields, optional=True))(row) == optional
 
 
 def test_an_exported_kernel_answers_as_its_python_does():

@@ -308,7 +308,7 @@ def test_the_numbers_of_an_mpc_are_all_there_without_python(case):
     order, numbers = make_order(vehicle, CASES[case])
     assert mpc.informed_numbers(order, numbers) == mpc.OK
     fresh = np.full(numbers.learned, UNTOUCHED)
-    learning_numbers = words_of(numbers.learning) if numbers.learned else np.zeros(0)
+    learning_numbers = words_of(numbers.learner.parameters) if numbers.learned else np.zeros(0)
     if numbers.learned:
         learner_memory(numbers.learner, numbers.filter, fresh)
     controller = at.MPC(vehicle, **CASES[case])

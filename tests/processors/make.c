@@ -40,7 +40,7 @@ int main(int count, char **names) {
     fwrite(&mpc.model, sizeof mpc.model, 1, answers);
     fwrite(&mpc.turning, sizeof mpc.turning, 1, answers);
     fwrite(&mpc.estimator, sizeof mpc.estimator, 1, answers);
-    fwrite(&mpc.learning, sizeof mpc.learning, 1, answers);
+    fwrite(&mpc.learner.parameters, sizeof mpc.learner.parameters, 1, answers);
     fwrite(fresh, 8, (size_t)mpc.learned, answers);
     return fclose(answers) != 0;
 }

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from adaptrack.base.files import FieldRecord
-from adaptrack.core.models.car import CAR, OUTLINE, STEERING, STEERING_RATIO
+from adaptrack.core.models.car import CAR, OUTLINE, STEERING, STEERING_WHEEL_RATIO
 
 FACTOR = "-, factor"
 """How the description of a key begins whose uncertainty is a factor; that of another begins with its unit."""
@@ -29,7 +29,7 @@ def _tolerance(name: str, field: Any) -> Any:
 
 
 _CAR = tuple(_tolerance(field.name, field) for field in (*CAR, *OUTLINE) if field.name != "lr")
-_STEERING = tuple(_tolerance(f"steering_{field.name}", field) for field in (*STEERING, STEERING_RATIO))
+_STEERING = tuple(_tolerance(f"steering_{field.name}", field) for field in (*STEERING, STEERING_WHEEL_RATIO))
 
 
 class KnownWithin(FieldRecord, fields=(*_CAR, *_STEERING), optional=True):

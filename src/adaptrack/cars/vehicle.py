@@ -34,7 +34,7 @@ from adaptrack.cars.outline import Outline
 from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.core.kernel import OK, row_of
-from adaptrack.core.models.car import ACTUATOR, CAR, FORCE_ACTUATOR, OUTLINE, STEERING, STEERING_RATIO, CarRow
+from adaptrack.core.models.car import ACTUATOR, CAR, FORCE_ACTUATOR, OUTLINE, STEERING, STEERING_WHEEL_RATIO, CarRow
 from adaptrack.core.plants.forces import GRAVITY as GRAVITY
 from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.synthesis import car
@@ -170,7 +170,7 @@ class DriveActuator(ForceActuatorRecord):
     )
 
 
-class Steering(FieldRecord, fields=(*STEERING, STEERING_RATIO), optional=True):
+class Steering(FieldRecord, fields=(*STEERING, STEERING_WHEEL_RATIO), optional=True):
     """Steering parameters: the section ``[steering]`` of a car file. Omitted values are unknown.
 
     All angles are those of the road wheels. The simulated actuator is a profile's, see `SteeringActuator`.

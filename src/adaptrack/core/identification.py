@@ -35,11 +35,11 @@ from .maths.exact import ceil, square
 from .maths.exponential import exp, tanh
 from .maths.matrix_exponential import apply, integrals
 from .maths.trigonometric import atan, cos, sin
-from .models.car import ACTUATOR_DEAD_TIME, ACTUATOR_LAG, BODY, STEERING_RATE
+from .models.car import ACTUATOR_DEAD_TIME, ACTUATOR_LAG, ACTUATOR_RATE, BODY
 from .plants.forces import GRAVITY, SLIP_SPEED_FLOOR
 
 Quantities = record("Quantities", (
-    ACTUATOR_LAG, ACTUATOR_DEAD_TIME, STEERING_RATE,  # of the steering
+    ACTUATOR_LAG, ACTUATOR_DEAD_TIME, ACTUATOR_RATE,  # of the steering
     "lateness",  # s, of all that is measured of the motion, against the wheels
     "gain", "offset",  # -, rad: road wheels over command
     "wheel_gain",  # -, road wheels over their measured angle

@@ -296,6 +296,24 @@ def copier(kind: Any) -> Any:
     return _written("\n".join(["def written(source, target):", *lines]), kind)
 
 
+def bounds_checker(fields: Iterable[Field], optional: bool = False) -> Any:
+    """An inlined function ``is_within(row)``: whether the numbers of a row lie within the bounds of fields.
+
+    optional: NaN, an unknown number, counts as within.
+    """
+    opposites = {">": "<=", ">=": "<", "<": ">=", "<=": ">"}
+    signs = dict(zip(("gt", "ge", "lt", "le"), opposites, strict=True))
+    tests = []
+    for field in fields:
+        limits = field.limits | ({"lt": math.inf} if field.bounds.endswith("inf)") else {})
+        tests += [(f"row.{field.name}", signs[name], f"{end!r}") for name, end in limits.items()]
+    if optional:
+        test = f"not ({' or '.join(f'{number} {opposites[sign]} {end}' for number, sign, end in tests)})"
+    else:
+        test = " and ".join(map(" ".join, tests))
+    return _written(f"def written(row):\n    return {test}")
+
+
 def default_setter(kind: Any) -> Any:
     """An inlined function ``set_defaults(target)``: writes the defaults of a record of settings to a row."""
     lines = [f"    target.{place} = {value!r}" for place, value in _default_entries(kind)]
@@ -324,7 +342,7 @@ def _entries(kind: Any, stride: int) -> list[str]:
     return [f"{stride * i} + first" for i in range(len(kind._fields))]
 
 
-def _written(text: str, kind: Any) -> Any:
+def _written(text: str, kind: Any = None) -> Any:
     scope: dict[str, Any] = {"kind": kind, "fma": fma, "inf": math.inf, "nan": math.nan}
     exec(text, scope)
     return inlined(scope["written"])

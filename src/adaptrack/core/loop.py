@@ -16,7 +16,7 @@ from .maths.random import counted_normal, counted_uniform
 from .maths.trigonometric import atan2
 from .models.car import AXLES, POWERTRAIN
 from .models.contract import MEASUREMENT
-from .models.sensors import SENSORS
+from .models.sensors import SENSOR_FIELDS
 from .plants.contract import ENVIRONMENT, OBSERVED, PLANT_INPUT, PLANT_STATE, input_at, observe, state_at
 from .plants.forces import GRAVITY, slope_sine_and_cosine, wheel_angle
 from .road import foot_near, line_of, point_at
@@ -31,7 +31,7 @@ LoopSettings = record(
         "substeps",  # Runge-Kutta steps per period
         "prescribed_speed",  # `DRIVER_FORCES`, `PRESCRIBED`, `PRESCRIBED_WITHOUT_ROAD` or `EXTERNAL_FORCES`
         "dead_whole", "dead_share",  # periods from an instant until its command acts: whole ones, and the share of one
-        *SENSORS,
+        *SENSOR_FIELDS,
         "steering_lag", "steering_limit",  # s, rad, of the actuator
         "steering_bias",  # rad, what the wheels are turned beyond the command
         "driver_preview",  # s, how far ahead the driver looks at the speed profile

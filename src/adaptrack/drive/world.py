@@ -25,7 +25,7 @@ from adaptrack.control.speed_control import SpeedCommand, SpeedControl
 from adaptrack.core import loop as loop_kernel
 from adaptrack.core import period as period_kernel
 from adaptrack.core.loop import SIGNAL
-from adaptrack.core.models.sensors import SENSORS
+from adaptrack.core.models.sensors import SENSOR_FIELDS
 from adaptrack.core.planning.drive import complete_samples
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.failure import FailureLimits, Reason
@@ -208,7 +208,7 @@ class World:
             prescribed_speed=self._speed_kind,
             dead_whole=self.dead_periods[0],
             dead_share=self.dead_periods[1],
-            **{field.name: getattr(profile, field.name) for field in SENSORS},
+            **{field.name: getattr(profile, field.name) for field in SENSOR_FIELDS},
             steering_lag=steering.lag,
             steering_limit=steering.limit,
             steering_bias=steering.bias,

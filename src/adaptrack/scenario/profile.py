@@ -13,14 +13,14 @@ from adaptrack.base.files import FieldRecord, build, read_toml
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator, find_data, list_data
 from adaptrack.core import portable
 from adaptrack.core.kernel import row_of
-from adaptrack.core.models.sensors import SENSORS
+from adaptrack.core.models.sensors import SENSOR_FIELDS
 from adaptrack.core.synthesis.tuning import ControllerWorld
 
 _AGES_BY_SPREAD = {"pose_age_spread": ("pose_age", "station_age"), "motion_age_spread": ("motion_age", "speed_age")}
 """Ages to which each spread applies. The spread does not apply to the second age if this age is 0."""
 
 
-class Profile(FieldRecord, fields=SENSORS, after="preview"):
+class Profile(FieldRecord, fields=SENSOR_FIELDS, after="preview"):
     """Simulated steering actuator, sensors and computation time of a car, and the weight of steering in the cost.
 
     Each profile is one TOML file, see `load_profile`.

@@ -10,7 +10,7 @@ from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.control.settings import RecordSettings
 from adaptrack.core.kernel import Field, row_of
-from adaptrack.core.models.car import ACTUATOR_DEAD_TIME, ACTUATOR_LAG, STEERING, STEERING_LIMIT, STEERING_RATE
+from adaptrack.core.models.car import ACTUATOR_DEAD_TIME, ACTUATOR_LAG, ACTUATOR_LIMIT, ACTUATOR_RATE, STEERING
 from adaptrack.core.models.car import SteeringRow as SteeringRow
 from adaptrack.core.synthesis import belief as kernel
 from adaptrack.scenario.profile import Profile
@@ -26,7 +26,7 @@ MOST_COMPUTATION = 1.0
 UNKNOWN: Literal["unknown"] = "unknown"
 """As `belief`: ignore what the car file and the profile say about the steering."""
 _COMPUTATION = Field("computation", "s", 0.0, "from a measurement until its command is given")
-_ENTRIES = (ACTUATOR_LAG, ACTUATOR_DEAD_TIME, _COMPUTATION, STEERING_RATE, STEERING_LIMIT)
+_ENTRIES = (ACTUATOR_LAG, ACTUATOR_DEAD_TIME, _COMPUTATION, ACTUATOR_RATE, ACTUATOR_LIMIT)
 _SOURCES = {ASSUMED_SOURCE: kernel.SLOW_ASSUMED, TO_LEARN_SOURCE: kernel.MEDIAN_TO_LEARN}
 
 

@@ -20,7 +20,7 @@ from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.settings import RecordSettings
 from adaptrack.core import portable
 from adaptrack.core.estimators import learning as kernel
-from adaptrack.core.estimators.learning import LearnerParameters, memory_of
+from adaptrack.core.estimators.learning import memory_of
 from adaptrack.core.estimators.learning_method import LearningMethod
 from adaptrack.core.kernel import Field as KernelField
 from adaptrack.core.kernel import fields_of
@@ -139,13 +139,14 @@ class Learner:
     def __init__(self, learning: Learning, car: Vehicle, sensing: KalmanFilter, row: Any) -> None:
         self.learning, self.sensing = learning, sensing
         self._row = np.array([row], synthesis.LearnerRow.dtype)
-        self.period, self.computation = float(row.period), float(row.computation)
+        parameters = row.parameters
+        self.period, self.computation = float(parameters.period), float(parameters.computation)
         delays = row.lag, row.dead_time
         self.ranges = Ranges(*((float(delay.low), float(delay.high)) for delay in delays))
         """at first"""
         self.limits = Ranges(*((float(delay.least), float(delay.most)) for delay in delays))
         """never left"""
-        self.stiffness, self.stiffness_spread = float(row.stiffness), float(row.stiffness_spread)
+        self.stiffness, self.stiffness_spread = float(parameters.most_stiffness), float(parameters.prior_stiffness)
         self.longest, self.commands = float(row.longest), int(row.commands)
         self.car = car.replace(lf=float(row.car.lf), lr=float(row.car.lr))
 
@@ -156,9 +157,7 @@ class Learner:
 
     def parameters(self) -> Array:
         """As `core.estimators.learning.LearnerParameters` has them."""
-        rows = LearnerParameters.new(1)
-        synthesis.learner_numbers(self._row[0], self.sensing.row, rows[0])
-        return rows.view(np.float64)
+        return np.array([self._row[0].parameters]).view(np.float64)
 
     def fresh(self) -> Array:
         """The learner's memory before the first sample."""

@@ -49,19 +49,23 @@ POWERTRAIN = tuple(
 """What a driver may ask for."""
 AXLES = tuple(field for field in CHASSIS if field.name in ("lf", "lr", "cg_height", "drive_front", "brake_front"))
 """What tells the loads of the axles."""
+WIND = tuple(field for field in CHASSIS if field.name in ("frontal_area", "side_force_slope", "yaw_moment_slope"))
+"""What the wind acts on."""
 
 ACTUATOR_LAG = Field("lag", "s", _UNKNOWN, "time constant of the first-order lag; 0: none", "[0, 10]")
 ACTUATOR_DEAD_TIME = Field("dead_time", "s", _UNKNOWN, "from a command until the wheels begin to move", "[0, 10]")
-STEERING_RATE = Field("rate", "rad/s", _UNKNOWN, "fastest change of the angle", "(0, 100]")
-STEERING_LIMIT = Field("limit", "rad", _UNKNOWN, "largest angle to either side", f"(0, {0.5 * math.pi}]")
-STEERING_RATIO = Field("ratio", "", _UNKNOWN, "angle of the steering wheel over that of the road wheels", "(0, 100]")
-STEERING = (ACTUATOR_LAG, ACTUATOR_DEAD_TIME, STEERING_RATE, STEERING_LIMIT)
+ACTUATOR_RATE = Field("rate", "rad/s", _UNKNOWN, "fastest change of the angle", "(0, 100]")
+ACTUATOR_LIMIT = Field("limit", "rad", _UNKNOWN, "largest angle to either side", f"(0, {0.5 * math.pi}]")
+STEERING_WHEEL_RATIO = Field(
+    "ratio", "", _UNKNOWN, "angle of the steering wheel over that of the road wheels", "(0, 100]"
+)
+STEERING = (ACTUATOR_LAG, ACTUATOR_DEAD_TIME, ACTUATOR_RATE, ACTUATOR_LIMIT)
 """A steering between command and road wheels."""
 ACTUATOR = (
     ACTUATOR_LAG._replace(default=0.0),
     ACTUATOR_DEAD_TIME._replace(default=0.0),
-    STEERING_RATE._replace(default=math.inf, meaning=f"{STEERING_RATE.meaning}; inf: no limit", bounds="(0, inf]"),
-    STEERING_LIMIT._replace(default=0.5 * math.pi),
+    ACTUATOR_RATE._replace(default=math.inf, meaning=f"{ACTUATOR_RATE.meaning}; inf: no limit", bounds="(0, inf]"),
+    ACTUATOR_LIMIT._replace(default=0.5 * math.pi),
     Field("bias", "rad", 0.0, "what the wheels turn beyond the command", f"[{-0.25 * math.pi}, {0.25 * math.pi}]"),
 )
 """The steering of a simulated car."""

@@ -21,7 +21,7 @@ MEASURED_MOTION = (
           "[0, inf)"),
 )  # fmt: skip
 """Sensors that the steering uses."""
-SENSORS = (
+SENSOR_FIELDS = (
     *MEASURED_MOTION,
     Field("noise_speed", "", 0.0, f"{_NOISE} speed, as a share of the speed", "[0, 1]"),
     Field("pose_age", "s", 0.0, "mean age of yaw and y when they arrive", "[0, 2]"),

@@ -26,12 +26,13 @@ BeliefRow = record(
 """The steering that a controller assumes."""
 MAX_DELAY, MAX_STIFFNESS, MAX_MASS = 1.0, 4.0, 0.9
 """s, -, -: largest uncertainties."""
-UncertaintyRow = record("UncertaintyRow", (
+UNCERTAINTY = (
     Field("lag", "s", 0.0, "of the steering's lag", f"[0, {MAX_DELAY:g}]"),
     Field("dead_time", "s", 0.0, "of the steering's dead time", f"[0, {MAX_DELAY:g}]"),
     Field("stiffness", "", 1.0, "factor on the cornering stiffness of an axle", f"[1, {MAX_STIFFNESS:g}]"),
     Field("mass", "", 0.0, "share of mass and yaw inertia", f"[0, {MAX_MASS:g}]"),
-))  # fmt: skip
+)
+UncertaintyRow = record("UncertaintyRow", UNCERTAINTY)
 """By how much the belief may be wrong, to either side."""
 CommandBounds = record("CommandBounds", ("move", "ahead", "angle"))
 """rad: of the change of a command in a period, of the command ahead of the wheels, of the command; to either side."""

@@ -10,9 +10,9 @@ from ..kernel import Row, copier, default_setter, exported, float64, inlined, in
 from ..maths.bits import whole
 from ..maths.exact import ceil, clip, sqrt, square
 from ..maths.exponential import exp, hypot, log, log1p
-from ..models.car import SIDE_FORCE_SLOPE, CarRow, LearnedRow, SingleTrackCar
-from .belief import SLOW_ASSUMED, BeliefRow, UncertaintyRow, is_unknown, uncertainty_of_car
-from .car import PASSENGER_BODY, KnownWithinRow, given_or, wind_turn
+from ..models.car import SIDE_FORCE_SLOPE, CarRow, SingleTrackCar
+from .belief import SLOW_ASSUMED, UncertaintyRow, is_unknown, uncertainty_of_car
+from .car import PASSENGER_BODY, given_or, wind_turn
 from .filter import DEFAULT_DRIFTS, Filter, sensor_variances
 
 DelayRange = record(
@@ -29,16 +29,10 @@ DelayRange = record(
 LearnerRow = record(
     "LearnerRow",
     (
-        ("method", LearningMethod),  # its bias and balance are the ends of their ranges, never left
+        ("parameters", learning.LearnerParameters),
         ("car", CarRow),  # as assumed
         ("lag", DelayRange), ("dead_time", DelayRange),
-        "period", "computation", "rate",  # s, s, rad/s: as assumed
-        "assumed_lag",  # s
-        "stiffness",  # end of the range of its logarithm, never left
-        "balance", "bias",  # ends of their ranges at first: factor, rad
-        "stiffness_spread",  # standard deviation of the logarithm at first
         "wind",  # m/s^2, change of side wind in a second
-        "delay_tolerance", "stiffness_tolerance",  # s, -: standard deviations that double R
         ("first", learning.Beliefs),  # before the first sample
         "start_stiffness", "start_balance",  # of the filters: logarithm, half the logarithm
         "longest",  # s, of dead time and computation
@@ -125,44 +119,46 @@ def _copy_car_with_moved_cg(car, share, within, target):
         target.lr = car.lf + car.lr - target.lf
 
 
-@exported(
-    void(
-        Row(LearningMethod), Row(LearnedRow), Row(CarRow), Row(KnownWithinRow), Row(BeliefRow), Row(UncertaintyRow),
-        int64, Row(Filter), float64, Row(LearnerRow),
-    )
-)  # fmt: skip
-def begin_learner(method, start, car, within, belief, uncertainty, by_caller, sensing, period, learner):
+@inlined
+def begin_learner(order, mpc):
     """Write what a controller may learn of a car, and where it begins.
 
-    uncertainty: how far car and belief may be wrong; by_caller: 1: specified by the caller, its ranges are never left;
-    0: unknown, its defaults are written to `uncertainty`. sensing: the filter, with its sensors; period: s.
+    order, mpc: `mpc.Order`, `mpc.MPCNumbers` with its filter. An uncertainty that the caller gives is never left; the
+    default one of an unknown car is written to `mpc.unsure`.
     """
-    _copy_method(method, learner.method)
-    learner.method.bias = given_or(method.bias, MAX_BIAS_RANGE)
-    learner.method.balance = given_or(method.balance, MAX_BALANCE_RANGE)
+    method, start, car, within, belief = order.method, order.start, order.car, order.within, mpc.belief
+    uncertainty, learner, p, period = mpc.unsure, mpc.learner, mpc.learner.parameters, order.world.period
+    _copy_method(method, p.method)
+    p.method.bias = given_or(method.bias, MAX_BIAS_RANGE)
+    p.method.balance = given_or(method.balance, MAX_BALANCE_RANGE)
     _copy_car_with_moved_cg(car, method.rearward_share, within, learner.car)
-    if by_caller == 0:
+    if order.unsure_given == 0:
         uncertainty.stiffness, uncertainty.mass = UNKNOWN_CAR_ROW.stiffness, UNKNOWN_CAR_ROW.mass
         if within.is_given > 0:
             uncertainty_of_car(within, belief, uncertainty)
         uncertainty.lag, uncertainty.dead_time = UNKNOWN_CAR_ROW.lag, UNKNOWN_CAR_ROW.dead_time
-    _set_ranges(belief, uncertainty, by_caller, learner)
+    _set_ranges(belief, uncertainty, order.unsure_given, learner)
     _set_hypotheses(method.lags, start.lag, start.lag_sigma, learner.lag)
     _set_hypotheses(method.dead_times, start.dead_time, start.dead_time_sigma, learner.dead_time)
-    learner.period, learner.computation, learner.assumed_lag = period, belief.computation, belief.steering.lag
-    learner.rate = math.inf if belief.source.rate == SLOW_ASSUMED else belief.steering.rate
-    stiffness, mass = log(uncertainty.stiffness), log1p(uncertainty.mass)
-    learner.stiffness = stiffness + mass if by_caller > 0 else max(stiffness + mass, log(MAX_STIFFNESS_RANGE))
-    learner.stiffness_spread = UNIFORM_SIGMA * hypot(stiffness, mass)
-    learner.balance, learner.bias = given_or(method.balance, UNKNOWN_BALANCE), given_or(method.bias, UNKNOWN_BIAS)
+    learner.longest = learner.dead_time.most + belief.computation
+    learner.commands = whole(ceil((learner.longest + mpc.filter.oldest) / period)) + 4
     gust_ratio = car.frontal_area * car.side_force_slope / _USUAL_SIDE * WINDY / car.mass
     learner.wind = method.wind * clip(gust_ratio, LEAST_WINDY, MOST_WINDY)
-    measures_vy = sensing.noise.vy < math.inf
-    learner.delay_tolerance = method.delay_tolerance if measures_vy else method.delay_tolerance_blind
-    learner.stiffness_tolerance = method.stiffness_tolerance if measures_vy else method.stiffness_tolerance_blind
-    learner.longest = learner.dead_time.most + learner.computation
-    learner.commands = whole(ceil((learner.longest + sensing.oldest) / period)) + 4
+    p.period, p.computation, p.lag = period, belief.computation, belief.steering.lag
+    p.rate = math.inf if belief.source.rate == SLOW_ASSUMED else belief.steering.rate
+    stiffness, mass = log(uncertainty.stiffness), log1p(uncertainty.mass)
+    p.most_stiffness = stiffness + mass
+    if order.unsure_given == 0:
+        p.most_stiffness = max(p.most_stiffness, log(MAX_STIFFNESS_RANGE))
+    p.prior_stiffness = UNIFORM_SIGMA * hypot(stiffness, mass)
+    p.prior_balance = 2.0 * (UNIFORM_SIGMA * 0.5 * log(given_or(method.balance, UNKNOWN_BALANCE)))
+    p.prior_bias = UNIFORM_SIGMA * given_or(method.bias, UNKNOWN_BIAS)
+    measures_vy = mpc.filter.noise.vy < math.inf
+    p.delay_tolerance = method.delay_tolerance if measures_vy else method.delay_tolerance_blind
+    p.stiffness_tolerance = method.stiffness_tolerance if measures_vy else method.stiffness_tolerance_blind
+    sensor_variances(mpc.filter.noise, p.variance)
     _set_first_belief(learner, start)
+    _write_parameters(learner, p)
 
 
 @inlined
@@ -192,13 +188,14 @@ def _mean_and_variance(delays, middle, half):
 @inlined
 def _set_first_belief(learner, start):
     """Write the belief before the first sample."""
-    lags, dead_times, b, method = learner.lag, learner.dead_time, learner.first, learner.method
+    lags, dead_times, b, p = learner.lag, learner.dead_time, learner.first, learner.parameters
+    method = p.method
     lag, lag_variance = _mean_and_variance(lags, lags.middle, lags.half)
     dead_time, dead_variance = _mean_and_variance(dead_times, dead_times.middle, dead_times.half)
     sigma = sqrt(max(lag_variance + dead_variance, LEAST_VARIANCE))
-    stiffness, stiffness_sigma = 0.0, learner.stiffness_spread
-    balance, balance_sigma = 0.0, UNIFORM_SIGMA * 0.5 * log(learner.balance)
-    bias, bias_sigma = 0.0, UNIFORM_SIGMA * learner.bias
+    stiffness, stiffness_sigma = 0.0, p.prior_stiffness
+    balance, balance_sigma = 0.0, 0.5 * p.prior_balance
+    bias, bias_sigma = 0.0, p.prior_bias
     if not math.isnan(start.lag):
         stiffness = log(start.stiffness)
         stiffness_sigma = min(start.stiffness_sigma + MIN_STIFFNESS_SIGMA, stiffness_sigma)
@@ -219,8 +216,8 @@ def _set_first_belief(learner, start):
     b.used_lag = clip(lag + later * lag_variance, lags.least, lags.most)
     b.used_dead_time = clip(dead_time + later * dead_variance, dead_times.least, dead_times.most)
     b.used_stiffness, b.used_balance, b.used_bias = b.belief_stiffness, b.belief_balance, bias
-    caution = min(1.0 + square(sigma / learner.delay_tolerance), method.max_delay_caution)
-    b.used_caution = caution * (1.0 + square(stiffness_sigma / learner.stiffness_tolerance))
+    caution = min(1.0 + square(sigma / p.delay_tolerance), method.max_delay_caution)
+    b.used_caution = caution * (1.0 + square(stiffness_sigma / p.stiffness_tolerance))
 
 
 @exported(int64(Row(LearnerRow)))
@@ -237,7 +234,7 @@ def _set_sigma(covariance, state, sigma):
 @inlined
 def _write_variances(learner, covariance):
     """Write the variances of a filter before the first sample."""
-    method, first = learner.method, learner.first
+    method, first = learner.parameters.method, learner.first
     _set_sigma(covariance, learning.LATERAL_VELOCITY, 0.3)
     _set_sigma(covariance, learning.YAW_RATE, 0.1)
     _set_sigma(covariance, learning.WIND_FORCE, learner.wind * sqrt(0.5 * method.wind_time))
@@ -265,8 +262,8 @@ def learner_memory(learner, sensing, memory):
             hypothesis = learning.hypothesis(i * dead_times.count + j, learner.commands, memory)
             x, dead_time = hypothesis.x, _hypothesis_delay(j, dead_times, dead_times.middle, dead_times.half)
             x[learning.STEERING_LAG] = _hypothesis_delay(i, lags, lags.middle, lags.half)
-            x[learning.DEAD_TIME] = dead_time + learner.computation
-            x[learning.FRICTION], x[learning.BIAS] = log(learner.method.friction), learner.first.belief_bias
+            x[learning.DEAD_TIME] = dead_time + learner.parameters.computation
+            x[learning.FRICTION], x[learning.BIAS] = log(learner.parameters.method.friction), learner.first.belief_bias
             x[learning.STIFFNESS_SCALE], x[learning.BALANCE] = learner.start_stiffness, learner.start_balance
             _write_variances(learner, hypothesis.covariance)
 
@@ -285,19 +282,9 @@ def _first_variance(delays):
 
 
 @inlined
-def _write_priors(learner, p):
-    """Standard deviations before the first sample of the first drive."""
-    lag, dead_time = _first_variance(learner.lag), _first_variance(learner.dead_time)
-    p.prior_lag, p.prior_dead_time = sqrt(lag), sqrt(dead_time)
-    p.prior_delay = sqrt(max(lag + dead_time, LEAST_VARIANCE))
-    p.prior_stiffness, p.prior_bias = learner.stiffness_spread, UNIFORM_SIGMA * learner.bias
-    p.prior_balance = 2.0 * (UNIFORM_SIGMA * 0.5 * log(learner.balance))
-
-
-@inlined
 def _write_drifts(learner, p):
     """Write the variances that a period adds, and the shares of a deviation that remain after it."""
-    method, period = learner.method, learner.period
+    method, period = p.method, p.period
     p.drift_vy, p.drift_yaw_rate = square(method.drift_vy) * period, square(method.drift_yaw_rate) * period
     p.drift_wind, p.drift_bias = square(learner.wind) * period, square(method.drift_bias) * period
     p.drift_bank = square(_gauss_markov_drift(method.bank, method.bank_time)) * period
@@ -308,35 +295,28 @@ def _write_drifts(learner, p):
     p.friction_left, p.usual_friction = exp(-period / method.friction_time), log(method.friction)
 
 
-@exported(void(Row(LearnerRow), Row(Filter), Row(learning.LearnerParameters)))
-def learner_numbers(learner, sensing, p):
-    """Write the parameters of the learner; its priors are those before the first sample of the first drive."""
-    car, method, period = learner.car, learner.method, learner.period
-    _copy_method(method, p.method)
-    _write_priors(learner, p)
+@inlined
+def _write_parameters(learner, p):
+    """Write what follows from the ranges, the car and the method; the priors are those of the first drive."""
+    car, method, period = learner.car, p.method, p.period
+    lag, dead_time = _first_variance(learner.lag), _first_variance(learner.dead_time)
+    p.prior_lag, p.prior_dead_time = sqrt(lag), sqrt(dead_time)
+    p.prior_delay = sqrt(max(lag + dead_time, LEAST_VARIANCE))
+    p.prior_friction = method.friction_sigma
     _write_drifts(learner, p)
-    p.period, p.computation, p.lag, p.commands = (
-        period,
-        learner.computation,
-        learner.assumed_lag,
-        float(learner.commands),
-    )
-    p.hypotheses = float(learner.lag.count * learner.dead_time.count)
+    p.commands, p.hypotheses = float(learner.commands), float(learner.lag.count * learner.dead_time.count)
     _copy_single_track(car, p)
     p.stiffness_front, p.stiffness_rear = 2.0 * car.stiffness_front, 2.0 * car.stiffness_rear
-    p.wind_turn, p.rate = wind_turn(car), learner.rate
+    p.wind_turn = wind_turn(car)
     p.least_lag, p.most_lag = learner.lag.least, learner.lag.most
     p.least_dead_time, p.most_dead_time = learner.dead_time.least, learner.dead_time.most
-    p.most_stiffness, p.most_balance = learner.stiffness, 0.5 * log(method.balance)
-    p.delay_tolerance, p.stiffness_tolerance = learner.delay_tolerance, learner.stiffness_tolerance
+    p.most_balance = 0.5 * log(method.balance)
     p.evidence_share = min(1.0, period / method.evidence_time)
     p.contradiction_share = min(1.0, period / method.contradiction_time)
     p.return_share, p.doubt_share = min(1.0, period / method.return_time), min(1.0, period / method.doubt_time)
-    p.noise_share = min(1.0, period / method.noise_time)
+    p.noise_share, p.change_share = min(1.0, period / method.noise_time), min(1.0, period / method.change_time)
     p.max_delay_step, p.max_stiffness_step = method.max_delay_rate * period, method.max_stiffness_rate * period
     p.max_bias_step = method.max_bias_rate * period
-    sensor_variances(sensing.noise, p.variance)
-    p.change_share, p.prior_friction = min(1.0, period / method.change_time), method.friction_sigma
 
 
 MAX_BIAS_PULL = 5.5

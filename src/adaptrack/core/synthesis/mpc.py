@@ -6,22 +6,21 @@ import math
 
 from ..controllers.mpc import MPCSettings
 from ..controllers.tuning import PAPER_TUNING, MPCTuning
-from ..estimators import kalman, learning
+from ..estimators import kalman
 from ..estimators.learning_method import MAX_HYPOTHESES, LearningMethod
-from ..kernel import OK, Row, copier, exported, float64, inlined, int64, record
+from ..kernel import OK, Row, bounds_checker, copier, exported, float64, inlined, int64, record
 from ..maths.exponential import hypot
 from ..models import path
-from ..models.car import CarRow, LearnedRow, SingleTrackCar, SteeringRow
+from ..models.car import ACTUATOR, SINGLE_TRACK, WIND, CarRow, LearnedRow, SingleTrackCar, SteeringRow
 from ..models.contract import MEASUREMENT
+from ..models.sensors import MEASURED_MOTION
 from .belief import (
     ANGLE,
     FROM_EARLIER_DRIVE,
-    MAX_DELAY,
-    MAX_MASS,
-    MAX_STIFFNESS,
     MEDIAN_TO_LEARN,
     MOVE,
     SLOW_ASSUMED,
+    UNCERTAINTY,
     BeliefRow,
     CommandBounds,
     UncertaintyRow,
@@ -35,13 +34,7 @@ from .belief import (
 )  # fmt: skip
 from .car import KnownWithinRow, relaxation_delay
 from .filter import DEFAULT_DRIFTS, Filter, filter_numbers, filter_periods, filter_size, sensor_noise, usual_filter
-from .learner import (
-    UNKNOWN_CAR_ROW,
-    LearnerRow,
-    begin_learner,
-    learner_numbers,
-    learner_size,
-)  # fmt: skip
+from .learner import UNKNOWN_CAR_ROW, LearnerRow, begin_learner, learner_size
 from .tuning import ASSUMED_DELAY_CAUTION, ControllerWorld, tune_informed
 
 NEVER, UNLESS_SAID, ALWAYS = range(3)
@@ -69,7 +62,7 @@ MPCNumbers = record(
         ("unsure", UncertaintyRow),
         ("bounds", CommandBounds),
         ("filter", Filter),
-        ("learner", LearnerRow),
+        ("learner", LearnerRow),  # not written where nothing is learned
         "lag", "dead_time",  # s, of the prediction model; the dead time with the computation
         ("settings", MPCSettings),  # those of the loop are written, of horizons and solver they stay
         ("tuning", (float64, len(MPCTuning._fields))),
@@ -77,7 +70,6 @@ MPCNumbers = record(
         ("states", (float64, path.PATH_STATES)),  # places of the states among what is measured
         ("turning", path.Turning),
         ("estimator", kalman.FilterParameters),
-        ("learning", learning.LearnerParameters),  # not written where nothing is learned
         "state_count", "remembered", "learned",  # states; numbers that filter and learner remember
     ),
     integers=("state_count", "remembered", "learned"),
@@ -87,8 +79,11 @@ MPCNumbers = record(
 _copy_uncertainty, _copy_model = copier(UncertaintyRow), copier(path.Parameters)
 _copy_single_track = copier(SingleTrackCar)
 _PAPER_TUNING = tuple(map(float, PAPER_TUNING))
-MOST_TIME, MIN_POSITIVE = 10.0, 1e-300
-"""s, of a lag, a dead time or an age; the least that is more than nothing."""
+_is_car, _is_windy_car = bounds_checker(SINGLE_TRACK), bounds_checker(WIND)
+_is_steering, _is_uncertainty = bounds_checker(ACTUATOR[:-1], optional=True), bounds_checker(UNCERTAINTY)
+_are_sensors = bounds_checker(MEASURED_MOTION)
+MOST_TIME = 10.0
+"""s, of a computation or an age."""
 CAR_WRONG, LOOP_WRONG, STEERING_WRONG, UNCERTAINTY_WRONG, METHOD_WRONG = range(1, 6)
 ORDER_FAULTS = {
     CAR_WRONG: "a number of the car is not positive and finite: correct its file.",
@@ -152,10 +147,7 @@ def _set_learner(order, mpc):
     """Make the parts of a controller that learns its car."""
     belief, learner, sensing, world = mpc.belief, mpc.learner, mpc.filter, order.world
     _widen_unknown_delay(mpc)
-    begin_learner(
-        order.method, order.start, order.car, order.within, belief, mpc.unsure, order.unsure_given, sensing,
-        world.period, learner,
-    )  # fmt: skip
+    begin_learner(order, mpc)
     lag, dead_time = learner.first.used_lag, learner.first.used_dead_time
     if order.filter_given == 0:
         sensing.spread[0], sensing.spread[1] = UNEXPLAINED
@@ -173,58 +165,17 @@ def _set_learner(order, mpc):
 
 
 @inlined
-def _positive(x):
-    return 0.0 < x < math.inf
-
-
-@inlined
-def _finite(x):
-    """Whether a number is finite and not negative."""
-    return 0.0 <= x < math.inf
-
-
-@inlined
-def is_a_car(car):
-    """Whether mass, inertia, axles and stiffness are those of a car."""
-    shape = _positive(car.mass) and _positive(car.yaw_inertia) and _positive(car.lf) and _positive(car.lr)
-    return shape and _positive(car.stiffness_front) and _positive(car.stiffness_rear)
-
-
-@inlined
-def _within_if_known(x, least, most):
-    """Whether a number is unknown (NaN) or lies within a range."""
-    return math.isnan(x) or least <= x <= most
-
-
-@inlined
-def _is_steering(steering):
-    """Whether a steering is possible; rate and limit must be positive."""
-    delays = _within_if_known(steering.lag, 0.0, MOST_TIME) and _within_if_known(steering.dead_time, 0.0, MOST_TIME)
-    moves = _within_if_known(steering.rate, MIN_POSITIVE, math.inf) and _within_if_known(
-        steering.limit, MIN_POSITIVE, 0.5 * math.pi
-    )
-    return delays and moves
-
-
-@inlined
 def _order_status(order):
     """`OK`, or the part of an order that makes no controller."""
-    car, world, unsure, method = order.car, order.world, order.unsure, order.method
-    windy = _finite(car.frontal_area) and _finite(car.side_force_slope) and abs(car.yaw_moment_slope) < math.inf
-    if not (is_a_car(car) and windy):
+    world, method = order.world, order.method
+    if not (_is_car(order.car) and _is_windy_car(order.car)):
         return CAR_WRONG
-    times = _positive(world.period) and 0.0 <= world.computation <= MOST_TIME and 0.0 <= world.oldest <= MOST_TIME
-    sensed = world.noise_vy >= 0.0 and world.noise_yaw >= 0.0 and world.noise_yaw_rate >= 0.0 and _finite(world.noise_y)
-    sensed = sensed and world.noise_wheel_angle >= 0.0 and world.noise_lateral_acceleration >= 0.0
-    off = _finite(world.bias_yaw_rate) and _finite(world.bias_wheel_angle)
-    if not (times and sensed and off and _finite(world.move_weight)):
+    times = 0.0 < world.period < math.inf and 0.0 <= world.computation <= MOST_TIME and 0.0 <= world.oldest <= MOST_TIME
+    if not (times and _are_sensors(world) and 0.0 <= world.move_weight < math.inf):
         return LOOP_WRONG
     if not (_is_steering(order.caller) and _is_steering(order.file) and _is_steering(order.actuator)):
         return STEERING_WRONG
-    if order.unsure_given > 0 and not (
-        0.0 <= unsure.lag <= MAX_DELAY and 0.0 <= unsure.dead_time <= MAX_DELAY
-        and 1.0 <= unsure.stiffness <= MAX_STIFFNESS and 0.0 <= unsure.mass <= MAX_MASS
-    ):  # fmt: skip
+    if order.unsure_given > 0 and not _is_uncertainty(order.unsure):
         return UNCERTAINTY_WRONG
     if not (1.0 <= method.lags <= MAX_HYPOTHESES and 1.0 <= method.dead_times <= MAX_HYPOTHESES):
         return METHOD_WRONG
@@ -253,7 +204,6 @@ def informed_numbers(order, mpc):
         _set_learner(order, mpc)
         _write_numbers(order, mpc.learner.car, mpc)
         mpc.settings.learns, mpc.learned = 1, learner_size(mpc.learner)
-        learner_numbers(mpc.learner, mpc.filter, mpc.learning)
     else:
         _set_fixed_belief(order, mpc)
         _write_numbers(order, order.car, mpc)
@@ -294,7 +244,7 @@ def published_numbers(car, period, mpc):
 
     `OK`, or what is wrong: then nothing is written.
     """
-    if not is_a_car(car):
+    if not _is_car(car):
         return CAR_WRONG
     if not 0.0 < period < math.inf:
         return LOOP_WRONG

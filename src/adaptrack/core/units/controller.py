@@ -151,5 +151,3 @@ def steering_step(unit):
     period = values[STEERING_VALUE.period]
     values[STEERING_VALUE.time] = (whole(values[STEERING_VALUE.time] / period + 0.5) + 1) * period
     return OK
-
-

@@ -648,7 +648,7 @@ function laidMpc({ numbers, parts, fresh, settings, learns }, of) {
   const words = (row, count = row.$layout.words) => new Block(memory, row.$at, "F", [count]), none = vectorOf([]);
   const model = words(numbers.model, parts ? undefined : written.sizes.published_model);
   const turning = parts ? words(numbers.turning) : none, estimator = parts ? words(numbers.estimator) : none;
-  const learner = learns ? words(numbers.learning) : none, size = (block) => block.shape[0];
+  const learner = learns ? words(numbers.learner.parameters) : none, size = (block) => block.shape[0];
   return {
     settings, said: [...written.answer.slice(1), ...(learns ? written.beliefs : [])],
     sizes: {
