@@ -204,11 +204,11 @@ def believing(run, batch):
     car = page_setup.car_of(TOUCHED["car"])
     other = at.MPC(car, profile="road", belief=at.Steering(lag=0.3, dead_time=0.1))
     mpc = other.batch(1, other.settings(), curved=True)
-    kept = run.controller.mpc
-    old = kept.memory[0]
+    before = run.controller.mpc
+    old = before.memory[0]
     mpc.memory["command"], mpc.memory["reference"] = old.command, old.reference
     mpc.memory["planned"], mpc.memory["age"] = old.planned, old.age
-    mpc.plan[0, : kept.plan.shape[1]] = kept.plan[0]
+    mpc.plan[0, : before.plan.shape[1]] = before.plan[0]
     return run._replace(controller=run.controller._replace(mpc=mpc))
 
 

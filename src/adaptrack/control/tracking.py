@@ -13,8 +13,7 @@ from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.estimation import Perception
 from adaptrack.control.input_check import InputCheck
-from adaptrack.core.controllers.part import COMMON_ANSWER, ControllerSizes
-from adaptrack.core.controllers.part import Controller as ControllerPart
+from adaptrack.core.controllers.part import COMMON_ANSWER, ControllerPart, ControllerSizes
 from adaptrack.core.estimators.learning import BELIEF_NAMES
 from adaptrack.core.kernel import address_of
 from adaptrack.core.layout import allocate

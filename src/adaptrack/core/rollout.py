@@ -11,7 +11,7 @@ from . import period
 from .controllers import mpc
 from .controllers.part import (
     COMMON_ANSWER,
-    Controller,
+    ControllerPart,
     ControllerSizes,
     begin_controller,
     complete_controller_sizes,
@@ -25,7 +25,7 @@ from .period import LOOP_SIZES, RUN_LOOP, RunSpan, after_control, before_control
 from .plants.contract import place_one
 from .qp import problem as qp
 
-RunRecord = record("RunRecord", (*RUN_LOOP, ("controller", Controller)))
+RunRecord = record("RunRecord", (*RUN_LOOP, ("controller", ControllerPart)))
 """A batch of runs with their controllers."""
 RunSizes = record("RunSizes", (*LOOP_SIZES, ("controller", ControllerSizes)), integers=LOOP_SIZES)
 """The sizes of a `RunRecord`."""

@@ -84,13 +84,13 @@ def _is_of_numbers(array: ArrayLayout) -> bool:
     return array.kind == "f" and array.name not in _WITH_NAN
 
 
-def _of_mpc(block: Block) -> bool:
+def _has_mpc(block: Block) -> bool:
     return "step_mpc" in block.functions
 
 
 def _is_open(name: str, block: Block) -> bool:
     """Whether the sizes of an array follow from numbers; those of a law are as they were exported."""
-    is_fixed = name in _CLOSED or (not _of_mpc(block) and not name.startswith("controller.schedule."))
+    is_fixed = name in _CLOSED or (not _has_mpc(block) and not name.startswith("controller.schedule."))
     return name.startswith(_OPEN) and not is_fixed
 
 
@@ -98,7 +98,7 @@ def _is_open(name: str, block: Block) -> bool:
 def places(block: Block) -> dict[str, int]:
     """Numbers that the C source calls by name, less their prefix."""
     at = {array.name: i for i, array in enumerate(block.arrays)}
-    tunes_mpc = _of_mpc(block)
+    tunes_mpc = _has_mpc(block)
     names = ARRAY_PLACES | (MPC_PLACES if tunes_mpc else {})
     numbers = {f"AT_{name.upper()}": at[array] for name, array in names.items()}
     numbers |= {
@@ -200,7 +200,7 @@ def _bounds(block: Block) -> Iterator[tuple[int, int, int, float, float]]:
         if array.kind == "V" and array.role is not ArrayRole.KEPT:
             for name, word, number in _fields_of(_rows_of(array.name).dtype, 0):
                 yield i, word, *_bounds_of(name, number, int(array.values[word]))
-        elif _of_mpc(block) and array.name == MPC_PLACES["learner"]:
+        elif _has_mpc(block) and array.name == MPC_PLACES["learner"]:
             for name in STEERING_TIMES:
                 yield i, _place(learning.LearnerParameters, name), 0, 0.0, LONGEST_LAG
         elif array.name == "controller.law.parameters" and "lqr" in block.functions:
@@ -219,7 +219,7 @@ def _equals(block: Block) -> Iterator[tuple[int, int, int, int]]:
         name: _place(TRACKER_SETTINGS, name) for name in ("period", "angle_min", "angle_max", "move", "drift_arm")
     }
     pairs = [("period", "tracker.check.settings", 0), ("drift_arm", "tracker.check.settings", CHECK_PLACES["CAR_LR"])]
-    if _of_mpc(block):
+    if _has_mpc(block):
         records = {"estimator": kalman.FilterParameters, "learner": learning.LearnerParameters}
         pairs += [("period", MPC_PLACES[name], _place(record, "period")) for name, record in records.items()]
         for name, field in (*((name, name) for name in ("period", "angle_min", "angle_max")), ("move", "move_max")):
@@ -245,7 +245,7 @@ def has_speed_control(block: Block) -> bool:
 
 def _absent_words(block: Block) -> set[int]:
     """Words of the record for the numbers of parts that it does not have: an MPC, a speed control."""
-    parts = [] if _of_mpc(block) else ["controller.mpc."]
+    parts = [] if _has_mpc(block) else ["controller.mpc."]
     parts += [] if has_speed_control(block) else ["longitudinal."]
     return {word for name, word in block.words.items() if name.startswith(tuple(parts))}
 

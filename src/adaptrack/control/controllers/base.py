@@ -134,9 +134,9 @@ class Controller(ABC):
     learner: Any = None
     """Estimator of the car's parameters; None if the controller does not learn."""
     needs_whole_state: bool = False
-    """Whether it takes the state of its model as measured, because it has no estimator."""
+    """Whether the whole state of the model must be measured, for lack of an estimator."""
     has_horizons: bool = False
-    """Whether it plans moves over the horizons Np and Nc of its tuning."""
+    """Whether moves are planned over the horizons Np and Nc of a tuning."""
     runs_in_kernel: bool = False
     """Whether loops that are compiled can call it, see `part`."""
     own_part: Any = None
@@ -211,7 +211,7 @@ class Controller(ABC):
         return {}
 
     def part(self, slots: int, room: Room | None = None, *, curved: bool = True, has_vy: bool = True) -> Any:
-        """Fresh controllers for `slots` slots of a compiled loop (`core.controllers.part.Controller`).
+        """Fresh controllers for `slots` slots of a compiled loop (`core.controllers.part.ControllerPart`).
 
         room: by default as much as the controller has; curved: whether roads may bend; has_vy: whether the lateral
         velocity is measured.
@@ -382,7 +382,7 @@ class CompiledController(Controller):
 
     @property
     def own_part(self) -> Any:  # type: ignore[override]
-        """The controller itself as a part of compiled loops (`core.controllers.part.Controller`), its memory shared."""
+        """The controller itself as a part of compiled loops (`core.controllers.part`), its memory shared."""
         if self._own_part is None:
             part = self.part(1)
             law = part.law._replace(memory=self._memory[None], answer=self._answer)

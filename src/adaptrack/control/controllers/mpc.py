@@ -374,7 +374,7 @@ class MPC(Controller):
 
     @property
     def needs_whole_state(self) -> bool:  # type: ignore[override]
-        """Whether it takes the state of its model as measured, because it has no estimator."""
+        """Whether the whole state of the model must be measured, for lack of an estimator."""
         return self.estimator.function is None
 
     def user_functions(self) -> list[Any]:

@@ -18,7 +18,7 @@ from .part import (
     COMMON_ANSWER,
     REQUEST,
     STEP,
-    Controller,
+    ControllerPart,
     ControllerSizes,
     complete_controller_sizes,
 )
@@ -75,7 +75,7 @@ def step_law(slot, speed, command, station, road, measured, reference, speeds, r
 
 
 def law_controller(slots: int, law: Any, tuning: Any, has_vy: bool = True) -> Any:
-    """A `part.Controller` of a `CompiledController` for `slots` slots, before its first step."""
+    """A `part.ControllerPart` of a `CompiledController` for `slots` slots, before its first step."""
     diagnostics, parameters = law.diagnostic_names, np.array(law.parameters(), float)
     (sizes,) = ControllerSizes.new(
         1, slots=slots, answer=len(COMMON_ANSWER) + len(diagnostics), law_parameters=parameters.size,
@@ -83,7 +83,7 @@ def law_controller(slots: int, law: Any, tuning: Any, has_vy: bool = True) -> An
     )  # fmt: skip
     sizes.mpc.slots = slots
     complete_controller_sizes(sizes)
-    controller = allocate(Controller, sizes)
+    controller = allocate(ControllerPart, sizes)
     controller.law.parameters[:], controller.tuning[:], controller.first_tuning[:] = parameters, tuning, tuning
     return controller._replace(
         begin=address_of(begin_law), request=address_of(request_of_law), step=address_of(step_law), takes_late=-1,

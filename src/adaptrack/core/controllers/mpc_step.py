@@ -23,7 +23,7 @@ from ..maths.bits import whole
 from ..road import bend_ahead
 from . import informed, published
 from .mpc import MPC_ANSWER, MPC_PLACE, Functions, Mpc, change_path, delay_of, forget, restart
-from .part import APPLY, BEGIN, REQUEST, STEP, Controller, ControllerSizes
+from .part import APPLY, BEGIN, REQUEST, STEP, ControllerPart, ControllerSizes
 
 STEP_INPUT = columns("speed", "count")
 """What a step is given: v_x (m/s), and how many numbers of y_ref count."""
@@ -79,10 +79,10 @@ def step_mpc(slot, speed, command, station, road, measured, reference, speeds, r
 
 
 def mpc_controller(mpc: Any, functions: Any, tuning: Any, takes_late: int = -1) -> Any:
-    """A `part.Controller` of MPCs (`mpc.batch`), before its first step; takes_late: see there."""
+    """A `part.ControllerPart` of MPCs (`mpc.batch`), before its first step; takes_late: see there."""
     slots = len(mpc.memory)
     (sizes,) = ControllerSizes.new(1, slots=slots, answer=mpc.answer.shape[1], tuning=len(tuning))
-    controller = allocate(Controller, sizes)
+    controller = allocate(ControllerPart, sizes)
     controller.tuning[:], controller.first_tuning[:] = tuning, tuning
     return controller._replace(
         begin=address_of(begin_mpc), request=address_of(request_of_mpc), step=address_of(step_mpc),

@@ -43,8 +43,8 @@ Law = record(
     ),
 )
 """A batch of controllers that are one function, see `contract`; empty for an MPC."""
-Controller = record(
-    "Controller",
+ControllerPart = record(
+    "ControllerPart",
     (
         ("begin", int64), ("request", int64), ("step", int64),  # addresses
         ("beliefs", int64),  # column of an answer from which on it says what is learned; 0: nothing is learned
@@ -70,9 +70,9 @@ _CHOSEN = (
 )  # fmt: skip
 _DERIVED = ("law_situation", "scheduled_slots")
 ControllerSizes = record("ControllerSizes", (("mpc", MPCSizes), *_CHOSEN, *_DERIVED), integers=(*_CHOSEN, *_DERIVED))
-"""The sizes of a `Controller`. The slots of its MPC count only where it is one."""
+"""The sizes of a `ControllerPart`. The slots of its MPC count only where it is one."""
 
-_PLACE = Place(Controller)
+_PLACE = Place(ControllerPart)
 BEGIN = void(int64, float64, _PLACE)
 """``begin(slot, command, controller)``; command: rad, that a vehicle has at its start"""
 APPLY = void(int64, vector, float64, _PLACE)

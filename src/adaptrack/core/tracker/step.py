@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..controllers.part import COMMON_ANSWER, Controller, apply_requests, control
+from ..controllers.part import COMMON_ANSWER, ControllerPart, apply_requests, control
 from ..estimators.learning import BELIEF_COLUMNS
 from ..kernel import Caller, Place, exported, inlined, int64, local, record, vector, void
 from ..maths.bits import whole
@@ -20,7 +20,7 @@ Tracking = record(
     "Tracking",
     (
         ("tracker", TrackerRecord),
-        ("controller", Controller),
+        ("controller", ControllerPart),
         ("narrow_friction", int64),  # address of `longitudinal.narrow_tracked_friction`; 0: the friction stays
         ("control_speed", int64),  # address of `longitudinal.longitudinal_step`; 0: there is no speed control
         ("longitudinal", Longitudinal),  # empty without a speed control
@@ -55,7 +55,7 @@ def tracker_apply(tracking):
     apply_requests(0, tracker.request, tracker.memory[0].command, tracking.controller)
 
 
-@exported(void(Place(TrackerRecord), Place(Controller)))
+@exported(void(Place(TrackerRecord), Place(ControllerPart)))
 def tracker_control(tracker, controller):
     """The controller's step at an instant."""
     ahead, answer = tracker.ahead, tracker.answer
