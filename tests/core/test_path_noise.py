@@ -203,7 +203,7 @@ def mean_governed_speed(road, top_speed):
     speeds = []
     for station in np.arange(0.0, road.length - 5.0, 2.0):
         controller.step(station, top_speed, math.nan)
-        speeds.append(math.sqrt(controller._record.ahead[0]))
+        speeds.append(math.sqrt(controller.record.ahead[0]))
     return 1.0 / np.mean(1.0 / np.array(speeds))
 
 

@@ -70,7 +70,7 @@ def test_an_optional_input_reaches_the_tracker_only_with_its_flag():
         values[getattr(places, controller.INPUT_NAMES.get(name, name))] = 0.01 * (k + 1)
         for is_measured in (0.0, 1.0):
             values[getattr(places, flag)] = is_measured
-            assert controller.law_steering_step(Resident(unit.record)) == contract.OK
+            assert controller.steering_step(Resident(unit.record)) == contract.OK
             assert np.array_equal(
                 sample[getattr(TRACKER_SAMPLE, name)], 0.01 * (k + 1) if is_measured else np.nan, True
             )
