@@ -21,7 +21,7 @@ import numpy as np
 
 from adaptrack import SpeedControl, load_vehicle
 from adaptrack.control.speed_control import SpeedController, SpeedLimit
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road import Comfort, Line, Road, Stop, plan_speed
 
 CAR = load_vehicle("midsize-sedan")

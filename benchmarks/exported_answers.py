@@ -183,12 +183,14 @@ class _Unit:
         from adaptrack.core.kernel import Resident
         from adaptrack.core.units import car, controller
 
-        law = "law_" if "Law" in type(unit.record).__name__ else ""
-        module, name = (car, "car") if unit.name == "car" else (controller, f"{law}speed_steering")
+        module, name = (car, "car") if unit.name == "car" else (controller, "steering")
+        law = "law_" if "Law" in type(unit.record).__name__ else ""  # releases that had a kernel for each kind
+        steps = [f"{name}_step"] if hasattr(module, f"{name}_step") and not law else []
+        steps = [f"{law}speed_{name}_step"] if hasattr(module, f"{law}speed_{name}_step") else steps
         self.values, self._record = unit.record.values, Resident(unit.record)
         self._places = {value.name: i for i, value in enumerate(unit.values)}
-        self._step = getattr(module, f"{name}_step")
-        getattr(module, f"{name.replace('speed_', '')}_begin")(self._record)
+        self._step = getattr(module, steps[0])
+        getattr(module, f"{law}{name}_begin")(self._record)
 
     def get(self, name: str) -> float:
         return float(self.values[self._places[name]])

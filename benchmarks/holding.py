@@ -34,7 +34,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import adaptrack as at
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.speed_control import slope_of
 from adaptrack.road import Comfort, Line, Road, SpeedPlan, Stop, plan_speed
 

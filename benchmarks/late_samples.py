@@ -432,7 +432,7 @@ class Drive:
         self.plant.send(request.force, request.hold, out.command)
         self.suspects = out.suspect
         innovation = math.nan
-        if self.plant.v > 0.5 and math.isfinite(self.tracker._speed._record.sample[0].station):
+        if self.plant.v > 0.5 and math.isfinite(self.tracker._speed.record.sample[0].station):
             innovation = surprise
         plant = self.plant
         row = Row(
@@ -445,7 +445,7 @@ class Drive:
 
     def _place(self) -> tuple[float, ...]:
         """Return station (m), its variance (m^2), its normalised innovation squared, and the scale of the speed."""
-        memory = self.tracker._speed._record.memory
+        memory = self.tracker._speed.record.memory
         numbers = memory.item()
         return tuple(numbers[memory.dtype.names.index(name)] for name in PLACE_FIELDS)
 

@@ -60,7 +60,7 @@ class SensedController(SpeedController):
         is_new = len(self.stations) % self.sensors.pose_period == 0
         self._measured = station if is_new else self._measured + speed * self._period
         command = super().step(self._measured, speed, yaw_rate, **options)
-        self.stations.append(float(self._record.memory[0].station))
+        self.stations.append(float(self.record.memory[0].station))
         return command
 
 

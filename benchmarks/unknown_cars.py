@@ -30,7 +30,7 @@ from adaptrack.cars.vehicle import Steering, load_tyre
 from adaptrack.control.controllers import Learning
 from adaptrack.control.controllers.learned_car import WITHIN
 from adaptrack.core.estimators.learning import BELIEF_NAMES
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.batch import Batch
 from adaptrack.scenario import random_drive
 from adaptrack.scenario.profile import Profile, load_profile

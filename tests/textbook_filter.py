@@ -20,7 +20,7 @@ from adaptrack.core.estimators.kalman import (
     UNKNOWN_VARIANCE,
 )
 from adaptrack.core.models.path import MIN_SLIP_SPEED, MOST_SHARE
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 
 POSE = ("yaw", "y")
 

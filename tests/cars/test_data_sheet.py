@@ -13,7 +13,7 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.cars.vehicle import Steering, Vehicle, list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC, Uncertainty
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.synthesis.belief import widen_drifts
 from adaptrack.core.synthesis.car import AXLE_COEFFICIENTS
 from adaptrack.drive.batch import rollout_batch

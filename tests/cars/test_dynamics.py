@@ -7,9 +7,9 @@ import pytest
 
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, load_tyre, load_vehicle
+from adaptrack.core.physics.forces import GRAVITY
+from adaptrack.core.physics.parameters import unpack
 from adaptrack.core.plants.contract import PLANT_STATES, SLOTS, vehicle_batch
-from adaptrack.core.plants.forces import GRAVITY
-from adaptrack.core.plants.parameters import unpack
 from inlined import entry
 from references import vehicle as reference
 

@@ -5,6 +5,7 @@ import pytest
 
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, load_tyre, load_vehicle
+from adaptrack.core.physics.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, MAGIC_FORMULA
 from adaptrack.core.plants.contract import (
     GROUP,
     PLANT_INPUT,
@@ -14,7 +15,6 @@ from adaptrack.core.plants.contract import (
     SLOTS,
     vehicle_batch,
 )
-from adaptrack.core.plants.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, MAGIC_FORMULA
 from adaptrack.core.plants.user import compile_plant
 from adaptrack.scenario.profile import load_profile
 from references import vehicle as reference

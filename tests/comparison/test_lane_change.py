@@ -31,7 +31,7 @@ from adaptrack.comparison.lane_change import (
     track_road,
 )
 from adaptrack.control.controllers import get_controller
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Line, Road
 from adaptrack.scenario.profile import load_profile

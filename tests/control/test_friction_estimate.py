@@ -15,7 +15,7 @@ from adaptrack.control.friction_estimate import friction_estimate
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
 from adaptrack.core import friction_estimate as kernel
 from adaptrack.core.models.contract import MEASUREMENT
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import World
 from adaptrack.road import Arc, Comfort, Line, Road, generate_road, plan_speed
@@ -84,7 +84,7 @@ def test_cars_near_their_limit_without_lateral_velocity_tell_slippery_from_dry_r
 def test_a_certain_friction_stays() -> None:
     controller = _drive(0.9, SpeedControl(CAR, friction=0.6), 10.0)
     assert controller.command.friction_low == controller.command.friction_high == 0.6
-    memory, settings = controller._record.memory[0], controller._record.settings
+    memory, settings = controller.record.memory[0], controller.record.settings
     assert memory.friction == memory.friction_high == memory.cautious_friction == settings.friction
 
 
@@ -94,7 +94,7 @@ def test_caution_lowers_drive_forces_in_bends_and_spares_the_brakes() -> None:
 
     def force(speed: float, cautious: float, lateral: float = 0.0) -> float:
         controller = SpeedController(SpeedControl(CAR, friction=(low, 1.0)), road, plan, PERIOD)
-        memory = controller._record.memory[0]
+        memory = controller.record.memory[0]
         memory.friction, memory.friction_high, memory.cautious_friction, memory.lateral = low, 1.0, cautious, lateral
         return controller.step(20.0, speed, lateral / speed).force
 
@@ -109,7 +109,7 @@ def test_a_car_that_slides_gets_no_drive_force_and_is_slower_in_the_bends_of_the
     road = Road.from_segments([Arc(length=1000.0, curvature=0.01)], name="bend")
     friction, speed = 0.6, 22.0
     controller = SpeedController(SpeedControl(CAR, friction=friction), road, plan_speed(road, CAR, Comfort()), PERIOD)
-    controller._record.path.square[:] = 30.0**2
+    controller.record.path.square[:] = 30.0**2
 
     stations = itertools.count(20.0, speed * PERIOD)
 

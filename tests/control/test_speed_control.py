@@ -23,7 +23,7 @@ from adaptrack.control.speed_control import (
 from adaptrack.control.tracker import Status
 from adaptrack.core import speed_control as kernel
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.tracker.longitudinal import longitudinal_step
 from adaptrack.core.tracker.signals import TRACKED
 from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
@@ -106,7 +106,7 @@ def test_a_noisy_position_and_a_wrong_scale_of_the_speed_hardly_move_a_stop(scal
         request = controller.step(car.s + noise * rng.normal(), scale * car.v, 0.0)
         if request.state == SpeedState.STOPPED:
             break
-        errors.append(abs(float(controller._record.memory[0].station) - car.s))
+        errors.append(abs(float(controller.record.memory[0].station) - car.s))
         car.move(request.force, request.hold)
     assert abs(car.s - 300.0) < 0.15
     assert np.quantile(errors[100:], 0.95) < 0.7 * noise  # of single positions: 1.96
@@ -116,7 +116,7 @@ def test_exact_positions_are_taken_as_they_are_and_jumps_are_followed_at_once() 
     road = _straight(900.0)
     plan = plan_speed(road, CAR, COMFORT, top_speed=14.0)
     controller = SpeedController(SpeedControl(CAR), road, plan, PERIOD)
-    station, memory = 0.0, controller._record.memory[0]
+    station, memory = 0.0, controller.record.memory[0]
     for k in range(600):
         station += PERIOD * (10.0 + 4.0 * math.sin(PERIOD * (k - 0.5)))
         shift = 30.0 if k >= 400 else 0.0
@@ -158,7 +158,7 @@ def test_a_car_does_not_roll_back_at_a_stop_on_an_ascent_of_ten_per_cent() -> No
 def test_a_car_that_stands_although_it_should_drive_gets_more_force_until_it_drives(disturbance, kerb) -> None:
     road = _straight(300.0)
     controller = SpeedController(SpeedControl(CAR), road, plan_speed(road, CAR, COMFORT, top_speed=14.0), PERIOD)
-    for bank in (controller._record.banks.drive, controller._record.banks.brakes):
+    for bank in (controller.record.banks.drive, controller.record.banks.brakes):
         for hypothesis in bank:
             hypothesis.disturbance = disturbance  # m/s^2, for which brakes would hold the car
     car = PointMass(0.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.2))
@@ -211,7 +211,7 @@ def test_governed_speeds_keep_their_share_of_the_assumed_friction_and_the_brakin
     controller = SpeedController(control, road, plan, PERIOD)
     for station in np.linspace(0.0, road.length - 150.0, 40):
         controller.step(station, float(plan.at(station)), math.nan)
-        squares, spacing = controller._record.ahead, controller._record.path.spacing
+        squares, spacing = controller.record.ahead, controller.record.path.spacing
         first = math.floor(station / spacing)
         places = (first + np.arange(squares.size) + 0.5) * spacing
         inside = places < road.length

@@ -95,7 +95,7 @@ def drive(
                 max(pose_tick, 0) * TICK, measured_x, 0.0, 0.0, measured_speed, 0.0, now=tick * TICK,
                 motion_time=max(motion_tick, 0) * TICK,
             )  # fmt: skip
-            requests, memory = out.longitudinal, tracker._speed._record.memory[0]
+            requests, memory = out.longitudinal, tracker._speed.record.memory[0]
             rows.append(
                 (x, v, memory.station, math.sqrt(memory.p_station), memory.scale, requests.force, requests.state)
             )

@@ -13,7 +13,7 @@ import pytest
 
 from adaptrack import PurePursuit, SpeedControl, Tracker, load_vehicle
 from adaptrack.control.speed_control import SpeedController
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.speed_control import slope_of
 from adaptrack.road import Arc, Comfort, Line, Road, SpeedPlan, Stop, plan_speed
 from small_controllers import Scripted
@@ -496,7 +496,7 @@ def test_a_car_that_has_rolled_back_before_starts_with_all_its_drive() -> None:
     """A push beyond what the drive has is not waited for."""
     world = World(_tracker(_straight(grade=0.1)), grade=0.1)
     world.run(PERIOD)
-    world.tracker._speed._record.memory[0].rolled = 20.0
+    world.tracker._speed.record.memory[0].rolled = 20.0
     assert world.run(12.0)[-1].s > 5.0
 
 

@@ -19,7 +19,7 @@ from adaptrack.core.estimators import learning
 from adaptrack.core.kernel import row_of
 from adaptrack.core.maths.decimal import to_digits, to_places
 from adaptrack.core.models.car import SingleTrackCar
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.synthesis import belief, car, filter, laws, mpc, tuning
 from adaptrack.core.synthesis.learner import learner_memory
 from by_kernels import CASES, make_order

@@ -14,7 +14,7 @@ from adaptrack.control.controllers import LQR, MPC, PurePursuit, Stanley
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.core.models.contract import MEASUREMENT
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.predicted_paths import PredictedPaths

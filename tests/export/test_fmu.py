@@ -253,12 +253,11 @@ class UnitOfKernels:
     """A unit behind the interface of `Instance`, called without an FMU around it."""
 
     def __init__(self, unit):
-        law = "law_" if "Law" in type(unit.record).__name__ else ""
-        module, name = (kernel, "car") if unit.name == "car" else (controller_kernel, f"{law}speed_steering")
+        module, name = (kernel, "car") if unit.name == "car" else (controller_kernel, "steering")
         self._values, self._record = unit.record.values, Resident(unit.record)
         self._names = {value.name: i for i, value in enumerate(unit.values)}
         self._step = getattr(module, f"{name}_step")
-        assert getattr(module, f"{name.replace('speed_', '')}_begin")(self._record) == 0
+        assert getattr(module, f"{name}_begin")(self._record) == 0
 
     def get(self, *names):
         values = [self._values[self._names[name]] for name in names]

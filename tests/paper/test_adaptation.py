@@ -23,7 +23,7 @@ from adaptrack.control.scheduling import (
     load_scheduler,
     made_for,
 )
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.paper import adaptation, evaluation, improvement, landscape, learning_task
 from adaptrack.paper.adaptation import CONTENDER_NAMES, identity_of, shipped_schedules

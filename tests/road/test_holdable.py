@@ -12,7 +12,7 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Stanley
 from adaptrack.control.controllers.learned_car import Learning
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, generate_road, plan_speed
 from adaptrack.road.holdable_speed import HoldableSpeed, load_holdable

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array, diags_array, vstack
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, load_vehicle
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road import (
     Arc,
     Clothoid,

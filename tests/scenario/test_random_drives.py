@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.scenario import LaneChange, Scenario, Step, list_scenarios, load_scenario, random_drive

@@ -23,7 +23,7 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.core import portable
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.holdable_speed import HoldableSpeed
 from adaptrack.scenario.profile import Profile, load_profile

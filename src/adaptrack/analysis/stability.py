@@ -37,7 +37,7 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, tw
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.core import portable
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.portable import product
 from adaptrack.scenario.profile import Profile
 

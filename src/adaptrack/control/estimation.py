@@ -345,7 +345,7 @@ class FrictionWindEstimator:
         return numbers
 
     def packed(self) -> Array:
-        """The vehicle as the kernel expects it (`core.plants.parameters.PLANT_PARAMETERS`)."""
+        """The vehicle as the kernel expects it (`core.physics.parameters.PLANT_PARAMETERS`)."""
         return self._packed.copy()
 
     def packed_for(self, slots: int) -> Any:

@@ -24,7 +24,7 @@ from adaptrack.core.estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
 from adaptrack.core.friction_estimate import begin_friction
 from adaptrack.core.kernel import OK, Resident
 from adaptrack.core.models.car import AXLES, POWERTRAIN
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.speed_control import SPEED_REQUEST
 from adaptrack.core.speed_place import SPEED_GRACE
 from adaptrack.core.synthesis.speed import resistance, usable_friction

@@ -29,9 +29,9 @@ from .maths.fast import fast_arctangent_of_ratio
 from .maths.vectors import VECTOR_WIDTH
 from .models.car import LearnedRow
 from .models.contract import MEASUREMENT
-from .plants.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
-from .plants.parameters import unpack
-from .plants.tyre import CURVED_MAGIC_FORMULA, LEAST_LOAD, MAGIC_FORMULA, friction_ellipse, lateral_force
+from .physics.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
+from .physics.parameters import unpack
+from .physics.tyre import CURVED_MAGIC_FORMULA, LEAST_LOAD, MAGIC_FORMULA, friction_ellipse, lateral_force
 from .speed_control import cell_at
 from .speed_learning import mean_of_bank
 from .tracker.signals import TRACKER_SAMPLE

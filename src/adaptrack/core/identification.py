@@ -13,7 +13,7 @@ The lateral part of the front force is cos(delta) F_f, to which front wheels tha
 sin(delta) tan(delta) F_f: with the driven axle unknown, F_f lies in the middle.
 F is the Magic Formula D sin(C atan(S a/(C D))) with the axle's stiffness S and D = mu m g times its share of the load
 (Pacejka, *Tire and Vehicle Dynamics*, 3rd ed., eq. 4.E19); f = (v^2 + W^2) limit tanh(atan(W/v)/limit)
-is the load of a side wind W, as in `plants.forces`. w and d are Gauss-Markov processes, w of second order
+is the load of a side wind W, as in `physics.forces`. w and d are Gauss-Markov processes, w of second order
 (T_1 dw/dt = g - w, T_2 dg/dt = -g + white noise), as gusts are more or less smooth (T_1 << T_2: not at all): what
 no log tells of side wind and bank is noise of the process, without which estimates are biased by the driver's answer
 to it and standard errors too small. c is the bank of bends. What is measured of the motion is late against the wheels:
@@ -36,7 +36,7 @@ from .maths.exponential import exp, tanh
 from .maths.matrix_exponential import apply, integrals
 from .maths.trigonometric import atan, cos, sin
 from .models.car import ACTUATOR_DEAD_TIME, ACTUATOR_LAG, ACTUATOR_RATE, BODY
-from .plants.forces import GRAVITY, SLIP_SPEED_FLOOR
+from .physics.forces import GRAVITY, SLIP_SPEED_FLOOR
 
 Quantities = record("Quantities", (
     ACTUATOR_LAG, ACTUATOR_DEAD_TIME, ACTUATOR_RATE,  # of the steering

@@ -17,11 +17,11 @@ from .maths.trigonometric import atan2
 from .models.car import AXLES, POWERTRAIN
 from .models.contract import MEASUREMENT
 from .models.sensors import SENSOR_FIELDS
+from .physics.forces import GRAVITY, STANDING_SPEED, slope_sine_and_cosine, wheel_angle
+from .physics.traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
 from .plants.contract import ENVIRONMENT, OBSERVED, PLANT_INPUT, PLANT_STATE, input_at, observe, state_at
-from .plants.forces import GRAVITY, slope_sine_and_cosine, wheel_angle
 from .road import foot_near, line_of, point_at
 from .tracker.signals import TRACKED
-from .traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
 from .variables import VARIABLE_COLUMNS
 
 LoopSettings = record(
@@ -117,8 +117,8 @@ SIGNAL = columns(
 )  # fmt: skip
 """Rows of a scenario's samples. Friction and wind as they are known and the reference preview are scheduling variables;
 station is where the plan is on a curved road (m); grade is dz/ds of the road, positive uphill."""
-STANDING_SPEED, HOLDING_SPEED, HOLDING_DECELERATION = 0.05, 0.3, 1.0
-"""m/s, below which a car counts as standing; m/s, below which the driver holds it at a stop; m/s^2, with which."""
+HOLDING_SPEED, HOLDING_DECELERATION = 0.3, 1.0
+"""m/s, below which the driver holds a car at a stop; m/s^2, with which."""
 CREEP_SPEED = 2.0
 """m/s, at which creeping has faded out."""
 TOLERATED, CATCH_UP, MOST_CATCH_UP = 0.5, 2.0, 0.1

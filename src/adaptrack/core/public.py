@@ -73,7 +73,7 @@ from .kernel import (
     viewer,
     void,
 )
-from .loop import HOLDING_DECELERATION, SIGNAL, STANDING_SPEED
+from .loop import HOLDING_DECELERATION, SIGNAL
 from .maths.bits import whole
 from .maths.exact import ceil, clip, floor, fmod, sqrt, square
 from .maths.exponential import exp, hypot, log
@@ -88,9 +88,9 @@ from .models import path as path_model
 from .models.contract import MEASUREMENT
 from .observation import MIN_APPROACH_SPEED, ObservationSpace, write_one_observation
 from .period import after_control, before_control, move
+from .physics.forces import GRAVITY, STANDING_SPEED, wind_load
 from .plants.contract import MOTION_STATES, PLANT_STATE, SLOTS
 from .plants.contract import PlantState as PlantState
-from .plants.forces import GRAVITY, wind_load
 from .plants.foreign import compiled_foreign
 from .plants.user import U as PLANT_INPUT
 from .plants.user import layout_of

@@ -34,12 +34,12 @@ from .actuator_faults import (
     watch_actuators,
 )
 from .kernel import Field, columns, exported, fields_of, float64, inlined, int64, record, vector, void
-from .loop import STANDING_SPEED
 from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import power
 from .models.car import AXLES, POWERTRAIN
-from .plants.forces import GRAVITY
+from .physics.forces import GRAVITY, STANDING_SPEED
+from .physics.traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
 from .speed_learning import (
     LEAST_ACTION,
     SETTLING_TIME,
@@ -77,7 +77,6 @@ from .speed_stops import (
     stop_at,
     way_to,
 )
-from .traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
 
 SpeedSettings = record("SpeedSettings", (
     "period",  # s

@@ -15,10 +15,10 @@ from __future__ import annotations
 import math
 
 from .kernel import inlined, record, rows, vector
-from .loop import STANDING_SPEED
 from .maths.bits import whole
 from .maths.exact import clip, floor, sqrt, square
 from .maths.exponential import exp, log
+from .physics.forces import STANDING_SPEED
 
 MAX_LAG, MAX_DEAD_TIME = 0.6, 0.4
 """s, ends of the prior ranges."""

@@ -8,8 +8,8 @@ from .kernel import OK, exported, float64, inlined, int64, record, several, vect
 from .maths.bits import whole
 from .maths.exact import ceil, square
 from .maths.trigonometric import sin
+from .physics.forces import GRAVITY
 from .planning.station_table import AlongRecord, value_at
-from .plants.forces import GRAVITY
 from .road import CLOSED, LENGTH, Centreline, point_at
 from .speed_control import MAX_PLAN_GRADE, slope_of
 from .speed_plan import planned_speeds

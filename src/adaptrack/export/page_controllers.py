@@ -76,7 +76,7 @@ from adaptrack.control.friction_estimate import (
 )
 from adaptrack.control.speed_control import SpeedControl, speed_banks
 from adaptrack.core.loop import EXTERNAL_FORCES
-from adaptrack.core.plants.tyre import TYRE_NAMES
+from adaptrack.core.physics.tyre import TYRE_NAMES
 from adaptrack.core.speed_path import PLACE_SPACING
 from adaptrack.core.synthesis import laws
 from adaptrack.drive.closed_loop import LONGEST_SPEEDS_AHEAD

@@ -25,10 +25,10 @@ from adaptrack.core.loop import SIGNAL
 from adaptrack.core.models.car import CarRow, SingleTrackCar, SteeringRow
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.period import RunSpan
+from adaptrack.core.physics.parameters import PLANT_PARAMETERS
 from adaptrack.core.planning import drive, speed, station_table
 from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, PLANT_STATES, SLOTS
-from adaptrack.core.plants.parameters import PLANT_PARAMETERS
 from adaptrack.core.schedule import no_schedule
 from adaptrack.core.synthesis import car, laws, plant
 from adaptrack.core.synthesis.mpc import ORDER_FAULTS, MPCNumbers, Order

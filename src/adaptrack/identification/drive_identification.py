@@ -21,7 +21,7 @@ from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.core import drive_identification as kernel
 from adaptrack.core import portable
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.portable import product
 from adaptrack.identification.conventions import refuse_contradictions
 from adaptrack.identification.estimates import ReportedRow, estimates_at

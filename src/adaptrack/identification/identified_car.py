@@ -15,7 +15,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Steering, Tyre, Vehicle
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.identification.log import Log
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.core import portable
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.portable import product
 from adaptrack.identification.conventions import CLEAR, LEAST_BOTH, WINDOW, Agreement, find_meaning, smoothed
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from adaptrack.cars.vehicle import Vehicle, load_tyre
 from adaptrack.core import portable
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core import portable
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.road.road import Road
 from adaptrack.road.speed import STRAIGHT_CURVATURE, SpeedPlan, unlimited

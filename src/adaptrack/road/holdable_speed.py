@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from adaptrack.base.files import LISTED, Record, build, read_toml
 from adaptrack.core import portable
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road.segments import Array
 
 _Axis = Annotated[tuple[float, ...], LISTED, Field(min_length=2)]

@@ -20,7 +20,7 @@ from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, format_value
 from adaptrack.base.files import SHIPPED, read_toml
 from adaptrack.cars.domain import Domain
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.scenario import random_drives
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Gust, LaneChange, Shape, Sine, as_shape

@@ -31,7 +31,7 @@ import numpy as np
 import scipy
 
 from adaptrack.control.speed_control import SpeedState
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from tools.fuzz.speed.drives import PERIOD, Drive
 from tools.fuzz.speed.ways import LIMITS, STATES, Answer
 from tools.fuzz.speed.world import SPACING, World

@@ -13,7 +13,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle, load_vehicle
 from adaptrack.control.controllers import MPC, Controller, Learning, PurePursuit
 from adaptrack.control.speed_control import SpeedControl
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road import Comfort, Road, SpeedPlan, Stop, plan_speed, road_through
 from tools.fuzz.inputs import Array, Rng, choose
 from tools.fuzz.speed.faults import CROSS, LISTS, VISIBLE, SensorFault

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 from tools.fuzz.speed.drives import Drive
 from tools.fuzz.speed.faults import Sample
 

@@ -11,7 +11,7 @@ from adaptrack.base.checked import Count, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling.functions import Pool, Table, load_function, save_function
-from adaptrack.core.plants.forces import GRAVITY
+from adaptrack.core.physics.forces import GRAVITY
 
 
 @checked

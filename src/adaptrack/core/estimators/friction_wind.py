@@ -41,9 +41,9 @@ from ..maths.exponential import exp, hypot
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine
 from ..maths.vectors import VECTOR_WIDTH
 from ..models.contract import MEASUREMENT
-from ..plants.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
-from ..plants.parameters import unpack
-from ..plants.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, MAGIC_FORMULA, lateral_force
+from ..physics.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
+from ..physics.parameters import unpack
+from ..physics.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, MAGIC_FORMULA, lateral_force
 from .contract import IMPOSSIBLE_SIGNAL
 from .extended_kalman import carry, correct, scatter
 
@@ -141,7 +141,7 @@ def _axle(slip, steer, load, friction, stiffness, c, law):
 def accelerations(angle, yaw, vx, p, z, slopes):
     """Lateral (m/s^2) and yaw acceleration (rad/s^2) under a steering angle, and the forces of both axles (N).
 
-    The derivatives of both accelerations by z are written to slopes (2, 8); p: the vehicle, see `plants.parameters`.
+    The derivatives of both accelerations by z are written to slopes (2, 8); p: the vehicle, see `physics.parameters`.
     """
     c = unpack(p)
     law = LINEAR_TYRE if c.tyre_linear > 0.5 else (MAGIC_FORMULA if c.curvature == 0.0 else CURVED_MAGIC_FORMULA)
@@ -267,7 +267,7 @@ def estimate(slot, measured, speed, command, acceleration, p, settings, memory):
 
     measured: x_c = [v_y, yaw, yaw rate, y]; speed: v_x (m/s); command: the controller's last steering command (rad);
     acceleration: measured lateral acceleration (m/s^2), NaN where there is no such sensor; p: the vehicle that the
-    estimator believes in, packed as a plant (`plants.parameters`); settings: numbers of `FrictionWindSettings`. A row
+    estimator believes in, packed as a plant (`physics.parameters`); settings: numbers of `FrictionWindSettings`. A row
     of zeros in memory (slots,) is an estimator before its first step.
 
     A measurement that is absurd or not a number is left out; in the place of yaw, speed or command the last one stands.

@@ -71,7 +71,7 @@ from ..maths.vectors import VECTOR_WIDTH
 from ..models import path
 from ..models.car import SINGLE_TRACK
 from ..models.contract import MEASUREMENT
-from ..plants.forces import GRAVITY
+from ..physics.forces import GRAVITY
 from . import kalman
 from .contract import IMPOSSIBLE_SIGNAL
 from .extended_kalman import bounded, carry, correct, scatter

@@ -19,7 +19,7 @@ import math
 from ..kernel import Row, columns, exported, float64, inlined, local, matrix, record, vector, viewer, void
 from ..maths.matrix_exponential import apply, integrals
 from ..maths.trigonometric import asin, tan
-from ..plants.forces import GRAVITY
+from ..physics.forces import GRAVITY
 from .car import ACTUATOR_LAG, SINGLE_TRACK
 from .contract import DISCRETISE
 

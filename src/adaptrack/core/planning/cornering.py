@@ -1,7 +1,7 @@
 """How hard a car can corner: the steady turn in which a tyre is at its peak, or the wheels at their limit.
 
 Each axle carries its share of the car: m a l_r/L and m a l_f/L. Its two tyres pull at one slip angle under the loads
-that roll leaves them, by the plant's tyre (`plants.tyre`); the front wheels, turned by delta = atan(L kappa) + alpha_f
+that roll leaves them, by the plant's tyre (`physics.tyre`); the front wheels, turned by delta = atan(L kappa) + alpha_f
 - alpha_r, push sideways with cos(delta) of their force.
 """
 
@@ -12,9 +12,9 @@ import math
 from ..kernel import exported, float64, inlined, record, vector, void
 from ..maths.bits import whole
 from ..maths.trigonometric import atan, cos, tan
-from ..plants.forces import GRAVITY
-from ..plants.parameters import unpack
-from ..plants.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, lateral_force
+from ..physics.forces import GRAVITY
+from ..physics.parameters import unpack
+from ..physics.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, lateral_force
 
 STEERING_LIMIT = math.pi / 6
 """rad, of the road wheels, where nobody says: the limit of the paper's table."""

@@ -7,7 +7,7 @@ from ..loop import SIGNAL
 from ..maths.bits import ROUNDER, whole
 from ..maths.exact import floor
 from ..maths.trigonometric import cos, sin
-from ..plants.forces import GRAVITY
+from ..physics.forces import GRAVITY
 from ..road import Centreline, point_at
 from ..speed_plan import SpeedPlanRecord, motion_at
 from .station_table import Route, on_lap, value_at

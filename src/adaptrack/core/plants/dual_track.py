@@ -7,8 +7,7 @@ from functools import cache
 from ..kernel import exported, fma, inlined, vector, void
 from ..maths.exact import clip
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
-from .contract import ADVANCE, OBSERVE, CompiledPlant, PlantState
-from .forces import (
+from ..physics.forces import (
     GRAVITY,
     SLIP_SPEED_FLOOR,
     brake_direction,
@@ -18,8 +17,9 @@ from .forces import (
     steering_rate,
     wind_load,
 )
+from ..physics.tyre import LEAST_LOAD, LINEAR_TYRE, TYRE_NAMES, friction_ellipse, lateral_force
+from .contract import ADVANCE, OBSERVE, CompiledPlant, PlantState
 from .runge_kutta import advance_all, observe_one, slope_of
-from .tyre import LEAST_LOAD, LINEAR_TYRE, TYRE_NAMES, friction_ellipse, lateral_force
 
 
 @inlined

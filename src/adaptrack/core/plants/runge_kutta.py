@@ -7,9 +7,9 @@ of straight arithmetic for each law that is used.
 from __future__ import annotations
 
 from ..kernel import inlined, packer, stepper, unpacker
+from ..physics.forces import stops, wheel_angle
+from ..physics.parameters import unpack
 from .contract import GROUP, OBSERVED, PLANT_INPUTS, PLANT_STATE, PLANT_STATES, SLOTS, PlantInput, PlantState
-from .forces import stops, wheel_angle
-from .parameters import unpack
 
 _along = stepper(PlantState)
 _state, _input, _set_slope = unpacker(PlantState), unpacker(PlantInput), packer(PlantState)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ..kernel import columns, exported
+from ..physics.forces import wheel_angle
 from .contract import MOTION_STATES, OBSERVE, OBSERVED, PLANT_INPUT, PLANT_STATE, CompiledPlant, input_at, state_at
-from .forces import wheel_angle
 
 STEPPED_ACTUATOR = columns("lag", "limit")
 """Its parameters: those of the steering, s and rad."""

@@ -11,6 +11,7 @@ import numpy as np
 from ..kernel import Caller, columns, exported, inlined, vector, void
 from ..maths.exact import clip
 from ..member import member
+from ..physics.forces import wheel_angle
 from .contract import (
     ADVANCE,
     ENVIRONMENT,
@@ -23,7 +24,6 @@ from .contract import (
     input_at,
     state_at,
 )
-from .forces import wheel_angle
 
 RIGHT_HAND_SIDE = void(vector, vector, vector, vector, vector)
 call_right_hand_side = Caller(RIGHT_HAND_SIDE)

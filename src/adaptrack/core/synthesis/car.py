@@ -8,7 +8,7 @@ from ..kernel import OK, Row, exported, float64, inlined, int64, record, several
 from ..maths.decimal import to_digits, to_places
 from ..models.car import SIDE_FORCE_SLOPE, YAW_MOMENT_SLOPE, CarRow
 from ..models.car import SteeringRow as SteeringRow
-from ..plants.forces import GRAVITY
+from ..physics.forces import GRAVITY
 
 ESTIMATED_NUMBERS = (
     "cg_height", "frontal_area", "yaw_inertia", "stiffness_front", "stiffness_rear", "track_front", "track_rear",

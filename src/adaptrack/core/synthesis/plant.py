@@ -16,8 +16,8 @@ from ..kernel import OK, Row, exported, float64, inlined, int64, matrix, packer,
 from ..maths.bits import whole
 from ..maths.exact import ceil, square
 from ..models.car import ACTUATOR, CHASSIS, OUTLINE, CarRow
-from ..plants.parameters import unpack
-from ..plants.tyre import lateral_force, tyre_law
+from ..physics.parameters import unpack
+from ..physics.tyre import lateral_force, tyre_law
 from .car import static_loads
 from .filter import split_periods
 
@@ -90,14 +90,14 @@ def tyre_stiffness(tyre, front_load, rear_load):
 
 @exported(int64(Row(TyreRow)))
 def plant_law(tyre):
-    """Which plant drives on it: `plants.tyre.LINEAR`, `MAGIC_FORMULA` or `CURVED_MAGIC_FORMULA`."""
+    """Which plant drives on it: `physics.tyre.LINEAR`, `MAGIC_FORMULA` or `CURVED_MAGIC_FORMULA`."""
     return tyre_law(tyre.linear > 0, tyre.curvature)
 
 
 # -- plant ------------------------------------------------------------------------------------------------------------
 @exported(void(Row(CarRow), Row(TyreRow), Row(Actuator), vector))
 def plant_parameters(car, tyre, actuator, parameters):
-    """Write `plants.parameters.PlantParameters`."""
+    """Write `physics.parameters.PlantParameters`."""
     _pack(parameters, 0, car)
     p = parameters[len(CHASSIS) :]
     p[0] = 1.0 if tyre.linear > 0 else 0.0
@@ -112,7 +112,7 @@ def plant_parameters(car, tyre, actuator, parameters):
 def tyre_forces(plant, friction, wheels, forces):
     """Write the lateral forces (N) of tyres at rows (n, 3) of slip (rad), vertical load (N) and rear (1) or front (0).
 
-    plant: `plants.parameters.PLANT_PARAMETERS`.
+    plant: `physics.parameters.PLANT_PARAMETERS`.
     """
     car = unpack(plant)
     law = tyre_law(car.tyre_linear > 0.5, car.curvature)

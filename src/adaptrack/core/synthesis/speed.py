@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ..kernel import exported, float64, local, several, vector
+from ..physics.forces import GRAVITY
 from ..planning.cornering import BENDS, cornering_at, cornering_limits
-from ..plants.forces import GRAVITY
 
 TYPICAL_CURVATURE = 0.02
 """1/m, of the bend in which the car's share of the friction is taken."""

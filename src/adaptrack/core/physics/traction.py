@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from .kernel import inlined
-from .maths.exact import sqrt, square
+from ..kernel import inlined
+from ..maths.exact import sqrt, square
 
 LARGEST_BEND_SHARE, LEAST_BRAKING = 0.98, 0.5
 """-, share of the grip that a bend asks for at most; m/s^2, that the guard always leaves to the brakes."""

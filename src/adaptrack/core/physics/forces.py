@@ -8,6 +8,8 @@ from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
 
 GRAVITY = 9.80665
 """Standard acceleration of free fall (m/s^2)."""
+STANDING_SPEED = 0.05
+"""m/s, below which a car counts as standing."""
 SLIP_SPEED_FLOOR = 1.0
 """Slip angles are formed with at least this speed (m/s): tan(gamma) of eq. (4) is singular at standstill."""
 
