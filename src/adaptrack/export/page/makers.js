@@ -114,8 +114,8 @@ function carKnownTo(entry, car) {
 }
 
 function carOfFile(car) {
-  const said = car.known_within;
-  return carOfRows(car, copied("synthesis.car.KnownWithinRow", said ? { ...said, is_given: 1 } : {}));
+  const tolerances = car.known_within;
+  return carOfRows(car, copied("synthesis.car.KnownWithinRow", tolerances ? { ...tolerances, is_given: 1 } : {}));
 }
 
 function carOfRows(car, within) {
