@@ -203,7 +203,7 @@ def test_a_drive_with_speed_control_says_its_speed_error_stops_and_delay_and_sho
     text = (tmp_path / "index.html").read_text()
     panels = ("Longitudinal acceleration", "Used share of the assumed grip", "Speed limited by", "assumed interval")
     assert all(panel in text for panel in panels)
-    assert [text.count(f"Stop at {place} m") for place in (100, 300)] == [1, 1]
+    assert [text.count(f"Stop at {place}&nbsp;m") for place in (100, 300)] == [1, 1]
     (row,) = json.loads(run_command("drive", *words, "--json")[1])["rows"]
     assert [stop["place"] for stop in row["stops"]] == pytest.approx([100.0, 300.0], abs=0.5)
     assert max(abs(stop["error"]) for stop in row["stops"]) == pytest.approx(row["stop_error"])

@@ -10,7 +10,6 @@ import pytest
 from adaptrack import MPC, DualTrack, Learning, PurePursuit, RoadDrive, Tracker, load_vehicle, simulate
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
-from adaptrack.control import speed_control
 from adaptrack.control.speed_control import (
     SPEED_ACTIONS,
     SpeedAction,
@@ -21,11 +20,15 @@ from adaptrack.control.speed_control import (
     speed_path,
 )
 from adaptrack.control.tracker import Status
+from adaptrack.control.tracking import join
 from adaptrack.core import speed_control as kernel
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
+from adaptrack.core.kernel import direct
 from adaptrack.core.physics.forces import GRAVITY
+from adaptrack.core.speed_control import slope_of
 from adaptrack.core.tracker.longitudinal import longitudinal_step
 from adaptrack.core.tracker.signals import TRACKED
+from adaptrack.core.tracker.step import tracker_step
 from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
 
 CAR = load_vehicle("midsize-sedan")
@@ -112,6 +115,19 @@ def test_a_noisy_position_and_a_wrong_scale_of_the_speed_hardly_move_a_stop(scal
     assert np.quantile(errors[100:], 0.95) < 0.7 * noise  # of single positions: 1.96
 
 
+def test_a_stop_does_not_depend_on_the_scale_of_the_speed_once_that_is_learned() -> None:
+    road, stands = _straight(900.0), []
+    plan = plan_speed(road, CAR, COMFORT, stops=[Stop(800.0, 9.0)], top_speed=14.0)
+    for scale in (0.93, 1.07):
+        controller = SpeedController(SpeedControl(CAR), road, plan, PERIOD)
+        car = PointMass(14.0, CAR.mass, DriveActuator(lag=0.3, dead_time=0.2), BrakeActuator(lag=0.25, dead_time=0.2))
+        while controller.step(car.s, car.v / scale, 0.0).state != SpeedState.STOPPED:
+            request = controller.command
+            car.move(request.force, request.hold)
+        stands.append(car.s)
+    assert np.ptp(stands) < 0.05
+
+
 def test_exact_positions_are_taken_as_they_are_and_jumps_are_followed_at_once() -> None:
     road = _straight(900.0)
     plan = plan_speed(road, CAR, COMFORT, top_speed=14.0)
@@ -152,6 +168,39 @@ def test_a_car_does_not_roll_back_at_a_stop_on_an_ascent_of_ten_per_cent() -> No
         rolled_back = max(rolled_back, farthest - car.s)
     assert car.s > 300.0
     assert rolled_back < 0.02
+
+
+def test_a_car_at_the_end_of_its_path_drives_on_once_its_place_jumps_back() -> None:
+    road = _straight(100.0)
+    plan = plan_speed(road, CAR, COMFORT, top_speed=8.0, end=0.0)
+    controller = SpeedController(SpeedControl(CAR), road, plan, PERIOD)
+    car = PointMass(8.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.2, dead_time=0.1))
+    states = []
+    for k in range(1000):
+        shift = 8.0 if 60 <= k < 500 else 0.0
+        request = controller.step(car.s + shift, car.v, 0.0)
+        states.append(request.state)
+        car.move(request.force, request.hold)
+    assert states[499] == SpeedState.STOPPED
+    assert (states[-1], car.v) == (SpeedState.STOPPED, 0.0)
+    assert abs(car.s - 100.0) < 0.1
+
+
+@pytest.mark.parametrize("grade", [None, -0.2])
+def test_a_car_that_starts_on_a_descent_stays_near_its_plan(grade) -> None:
+    slope = slope_of(-0.2)
+    road = _straight(100.0) if grade is None else _straight(100.0, grade=grade)
+    comfort = Comfort(accelerate=0.5, brake=2.5)
+    plan = plan_speed(road, CAR, comfort, stops=[Stop(20.0, 3.0)], top_speed=12.0, start=0.0)
+    controller = SpeedController(SpeedControl(CAR), road, plan, PERIOD)
+    drive, brakes = DriveActuator(lag=0.25, dead_time=0.2), BrakeActuator(lag=0.25, dead_time=0.2)
+    car, excess = PointMass(0.0, CAR.mass, drive, brakes, slope), []
+    while car.s < 90.0:
+        request = controller.step(car.s, car.v, 0.0)
+        car.move(request.force, request.hold)
+        if car.s > 20.2:
+            excess.append(car.v - float(plan.at(car.s)))
+    assert max(excess) < 0.75
 
 
 @pytest.mark.parametrize(("disturbance", "kerb"), [(4.0, 0.0), (0.0, 3.0)])
@@ -286,11 +335,15 @@ def test_the_tracker_obeys_each_row_of_the_table_of_actions(status, has_position
     car = PointMass(5.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
     before = _track(tracker, car, 40)[-1].longitudinal
 
-    def step_with_status(resident, longitudinal) -> None:
-        tracker._kernel.tracked[TRACKED.status] = list(Status).index(status)
-        longitudinal_step(resident, longitudinal)
+    speed = tracker._speed
+    steering = join(tracker._kernel, tracker._part)
 
-    monkeypatch.setattr(speed_control, "longitudinal_step", step_with_status)
+    def call_with_status() -> None:
+        direct(tracker_step, steering)()
+        tracker._kernel.tracked[TRACKED.status] = list(Status).index(status)
+        longitudinal_step(tracker._kernel, speed.record)
+
+    monkeypatch.setattr(tracker, "_run", call_with_status)
     action, command = SPEED_ACTIONS[status][0 if has_position else 1], before
     for k in range(40, 40 + round((1.3 if action is SpeedAction.SLOW else 0.7) / PERIOD)):
         if action is SpeedAction.SLOW and k > 40:

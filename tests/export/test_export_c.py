@@ -213,7 +213,7 @@ def test_sizes_counts_and_numbers_out_of_bounds_are_refused_under_a_right_checks
     places, mpc = data_places(block), "controller.mpc.settings."
     words = {block.words["tracker.settings"]: 5e-324, block.words["tracker.settings"] + 1: math.nan}
     if name == "lqr":
-        words[block.words["law.parameters"] + 11] = 1e6  # nodes of a grid
+        words[block.words["controller.law.parameters"] + 11] = 1e6  # nodes of a grid
     else:
         words |= {block.words[mpc + "longest_horizon"]: 5e-324, block.words[mpc + "period"]: 1e-9}
     for array in block.arrays:

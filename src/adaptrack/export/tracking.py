@@ -132,7 +132,7 @@ def tracking_block(
             rows[:] = np.zeros_like(rows)
     record = small_record_of(controller, none, None, furthest, room, longitudinal)
     kind = f"tracker of {record.controller.step.function.name}{'' if speed is None else ', speed control'}"
-    return pack(record, kind, ROLES, STARTS, RESETS, OUTSIDE)
+    return pack(record, kind, ROLES, STARTS, RESETS if record.controller.plans else {}, OUTSIDE)
 
 
 def small_record_of(
