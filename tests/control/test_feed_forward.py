@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from adaptrack.cars.plant import SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.control.models import PathModel
-from adaptrack.core.controllers.feed_forward import FeedForward, bend_size, feed_forward_sizes, road_moves
+from adaptrack.core.controllers.feed_forward import FeedForward, bend_size, road_moves
 from adaptrack.core.layout import allocate
 from adaptrack.drive.simulate import rollout
 from adaptrack.road import Arc, Clothoid, Line, Road
@@ -41,7 +42,7 @@ def turning_of(model, tyres=(0.0, 0.0)):
 def moves_of(model, speed, bend, count, most=1.0, tyres=(0.0, 0.0)):
     settings = MPC(model.vehicle, period=model.period).settings()._replace(move_min=-most, move_max=most)
     turning = turning_of(model, tyres)
-    feed = allocate(FeedForward, feed_forward_sizes, turning.size, count + 1)
+    feed = allocate(FeedForward, SimpleNamespace(turning=turning.size, road_moves=count + 1))
     feed.turning[:] = turning
     road_moves(count, speed, settings, bend, feed)
     return np.array([feed.expected[:count], feed.moves[:count]]) if tyres[0] else feed.expected[:count]

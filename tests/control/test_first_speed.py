@@ -6,10 +6,12 @@ import math
 import pytest
 
 from adaptrack import MPC, Learning, Tracker, load_vehicle
+from adaptrack.core.controllers.part import COMMON_ANSWER
+from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.synthesis.belief import LEAST_STEERING_RATE
 from adaptrack.core.synthesis.learner import MAX_BIAS_PULL
-from adaptrack.core.tracker.records import CONTROLLER_ANSWER
 from adaptrack.road import Line, Road
+from tracker_calls import called_back
 
 STRAIGHT = Road.from_segments([Line(length=300.0)])
 
@@ -73,11 +75,12 @@ class StatedTracker(Tracker):
 
     def _control(self) -> None:
         super()._control()
-        self._kernel.answer[CONTROLLER_ANSWER.delay_sigma] = self.delay_sigma
+        self._python.answer[0, len(COMMON_ANSWER) + BELIEF_COLUMNS.belief_delay_sigma] = self.delay_sigma
 
 
 def test_the_first_top_speed_ends_when_the_delay_is_learned_and_does_not_come_back() -> None:
-    tracker = StatedTracker(MPC(load_vehicle("midsize-sedan"), belief="unknown", learning=Learning()), STRAIGHT)
+    learning = MPC(load_vehicle("midsize-sedan"), belief="unknown", learning=Learning())
+    tracker = StatedTracker(called_back(learning), STRAIGHT)
     assert max(drive(tracker, 30.0)) < math.inf
     tracker.delay_sigma = 0.01
     tracker.engage()

@@ -25,6 +25,7 @@ from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Reading, read_columns
 from adaptrack.road import Arc, Clothoid, Line, Road
 from foreign_loop import drive, on_road
+from tracker_calls import called_back
 
 CAR = load_vehicle("paper")
 EASING = Clothoid(length=20.0, start_curvature=0.0, end_curvature=1 / 60)
@@ -309,7 +310,7 @@ def test_a_tracker_says_that_the_car_slides():
 
 # -- the belief -------------------------------------------------------------------------------------------------------
 def test_a_doubtful_belief_is_told_at_every_step_and_warned_of_once(monkeypatch, caplog):
-    own = Tracker(MPC(CAR, profile="road", belief="unknown", learning=Learning()), BEND)
+    own = Tracker(called_back(MPC(CAR, profile="road", belief="unknown", learning=Learning())), BEND)
     monkeypatch.setattr(
         own.controller, "step", lambda *given, step=own.controller.step, **more: step(*given, **more)._replace(
             learned=tuple(2.0 * (name == "belief_state") for name in BELIEF_NAMES)

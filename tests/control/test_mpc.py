@@ -286,7 +286,7 @@ def test_what_a_workspace_held_before_changes_no_bit(options, rng):
     used = mpc.batch(1, settings)
     for _ in range(40):
         fresh = mpc.batch(1, settings)
-        kernel.forget(0, used)
+        kernel.forget(0, 0.0, used)
         for k in range(6):
             if k % 3 == 0:
                 tuning = np.array(

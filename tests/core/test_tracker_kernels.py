@@ -20,7 +20,7 @@ from adaptrack.core.tracker.step import tracker_step
 from adaptrack.core.tracker.take_call import tracker_engage, tracker_take
 from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
 from adaptrack.road.road_ahead import pack_roads, stacked
-from tracker_calls import calls, in_python
+from tracker_calls import called_back, calls, in_python
 
 pytestmark = pytest.mark.kernels
 CAR = load_vehicle("paper")
@@ -64,7 +64,7 @@ def call(tracking, step, *numbers):
 @pytest.mark.compiled
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 def test_a_whole_call_in_a_kernel_gives_what_the_class_gives_to_the_bit(make, rng):
-    tracker, tracking = Tracker(make(), ROAD, plan=PLAN), tracking_of(make(), ROAD, PLAN)
+    tracker, tracking = Tracker(called_back(make()), ROAD, plan=PLAN), tracking_of(make(), ROAD, PLAN)
     step = stepper(tracking)
     for k, row in enumerate(calls(rng, 400, ROAD)):
         if not (math.isfinite(row[0]) or math.isfinite(row[1])):  # the class needs a time

@@ -448,8 +448,7 @@ def test_all_elements_and_attributes_that_are_not_read_are_named(tmp_path):
         head='<header revMajor="1"><geoReference/></header><road id="2"><signals/></road><junction/>',
     )
     unread = "header/geoReference, junction, road/objects, road/link, lane@advisory, roadMark, material, userData"
-    (note,) = load_road(path, road=1).notes
-    assert note.startswith("not read: ")
+    (note,) = (note for note in load_road(path, road=1).notes if note.startswith("not read: "))
     for name in unread.split(", "):
         assert name in note
     assert "signals" not in note  # of the other road

@@ -91,8 +91,9 @@ class CallBack:
     """
 
     def __init__(self, function: Callable[[], None], signature: Signature) -> None:
-        self.function, self._error = function, None
-        self._callback = None if INTERPRETED else signature.prototype(self)
+        self.function = function
+        self._error: BaseException | None = None
+        self._callback: Any = None if INTERPRETED else signature.prototype(self)
 
     @property
     def address(self) -> int:

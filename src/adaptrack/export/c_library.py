@@ -47,6 +47,7 @@ FOLDERS = {
 }
 """Where the files that are the same for all go."""
 KERNELS_FILE = "adaptrack_kernels.o"
+STEP_KERNEL = "tracker_step"
 CONSTANTS_FILE = "constants.bin"
 MAX_C_POINTS = 100_000
 """Of a path or a plan."""
@@ -371,11 +372,11 @@ def _parts(block: Block) -> str:
         [
             "/* adaptrack: the kernels that the constants call. Written by adaptrack.export. */",
             '#include "adaptrack_parts.h"', "", "#include <math.h>", "", *declarations,
-            "extern void adaptrack_tracker_step(void *tracking);", "",
+            f"extern void adaptrack_{STEP_KERNEL}(void *tracking);", "",
             "static const adaptrack_function FUNCTIONS[] = {", *rows, "};",
             f"const adaptrack_reader adaptrack_parts = {{UINT64_C({header.kernels:#018x}), {header.kind:#010x}u, "
             f"FUNCTIONS, {len(rows)}, adaptrack_check_bounds}};", "", *bounds.tables(block), "",
-            "void adaptrack_parts_step(void *record) { adaptrack_tracker_step(record); }", "",
+            f"void adaptrack_parts_step(void *record) {{ adaptrack_{STEP_KERNEL}(record); }}", "",
         ]
     )  # fmt: skip
 

@@ -48,7 +48,7 @@ TrackerSample = record("TrackerSample", fields_of(TRACKER_SAMPLE))
 def _limit(field: Field) -> float:
     """Magnitude from which a value counts as not measured; NaN: none."""
     high = field.ends[1]
-    return math.nan if not field.bounds else math.nextafter(high, math.inf) if field.bounds.endswith("]") else high
+    return math.nan if not field.bounds else high * (1.0 + 2.0**-52) if field.bounds.endswith("]") else high
 
 
 SAMPLE_LIMITS = np.array([_limit(field) for field in fields_of(TRACKER_SAMPLE)])
