@@ -179,9 +179,7 @@ def make_tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controlle
     return tuning.label(file), tuning.make(settings.car, settings.profile, *loop)
 
 
-def certify_tuned(
-    file: Path, controller: Controller, settings: ControllerSettings, plant: Any, allow_unstable: bool
-) -> None:
+def certify_tuned(file: Path, controller: Any, settings: ControllerSettings, plant: Any, allow_unstable: bool) -> None:
     """Certify the constant tuning of an MPC that was found for a different car, see `new_car`."""
     from adaptrack.cli.new_car import judge
     from adaptrack.tuning.constant_file import load_tuning

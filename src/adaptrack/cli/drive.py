@@ -119,7 +119,9 @@ def _make_controllers(
         learning=controllers.make_learning(arguments.drive.learn, arguments.drive.learned),
     )  # fmt: skip
     default = [] if arguments.tuning else [settings.default_name]
-    drivers = [controllers.make_controller(name, settings) for name in dict.fromkeys(arguments.controller or default)]
+    drivers: list[tuple[str, Any]] = [
+        controllers.make_controller(name, settings) for name in dict.fromkeys(arguments.controller or default)
+    ]
     for label, controller in drivers:
         if controller.has_horizons:
             certify_meeting(label, controller, plant, car, world, arguments.drive.allow_failed)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from .controllers.part import COMMON_ANSWER
 from .episode import EPISODE_RUNS, Episodes, depart, move_on
 from .estimators.learning import BELIEF_NAMES, BELIEFS_OFFSET
 from .kernel import Place, exported, void
 from .loop import look
 from .models.contract import MEASUREMENT
 from .observation import bounded, keep
-from .rollout import COMMON_ANSWER, control_slot
+from .rollout import control_slot
 from .variables import VARIABLE_COLUMNS
 
 

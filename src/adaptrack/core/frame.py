@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 from .controllers import mpc
+from .controllers.part import COMMON_ANSWER
 from .controllers.receding import plan_moves, predict_outputs
 from .estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
 from .kernel import Place, columns, exported, inlined, int64, matrix, vector
@@ -20,7 +21,7 @@ from .period import TRACE_SIGNALS, RunSpan, before_control, move, write_trace_si
 from .planning.drive import instant
 from .plants.contract import PLANT_INPUT, PLANT_STATE, input_at, state_at
 from .road import line_of, points_ahead
-from .rollout import COMMON_ANSWER, RunRecord, answer_instant, close_all, control_along, control_slot, end_slot
+from .rollout import RunRecord, answer_instant, close_all, control_along, control_slot, end_slot
 from .speed_control import cell_at, governed_speeds
 from .tracker.longitudinal import Longitudinal, narrow_friction_step, speed_control_step
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from adaptrack.base.checked import Positive, checked
-from adaptrack.control.controllers import Controller
 from adaptrack.road.road_ahead import RoadAhead
 
 Array = NDArray[np.float64]
@@ -48,7 +47,7 @@ class PredictedPaths:
         """Predicted positions x, y (m), (m, points, 2)."""
         return np.array(self._points).reshape(-1, self.count, 2)
 
-    def record(self, time: float, controller: Controller, road_ahead: RoadAhead | None) -> None:
+    def record(self, time: float, controller: Any, road_ahead: RoadAhead | None) -> None:
         """Record the prediction of a controller's last step at `time` (s), unless the last record is too recent."""
         is_due = not self._time or time > self._time[-1] + self.every - 1e-6
         if road_ahead is None or not is_due or not controller.has_horizons:

@@ -85,10 +85,11 @@ def refuse(controller: Any) -> None:
             f"export: scheduler {scheduler!r} of {name!r} is Python: give one of a file (Schedule.save)."
         )
     if not controller.runs_in_kernel:
-        raise InvalidInput(f"export: QP solver {controller.solver.name!r} of {name!r} is Python's: use 'active-set'.")
+        solver: Any = getattr(controller, "solver", None)
+        raise InvalidInput(f"export: QP solver {solver.name!r} of {name!r} is Python's: use 'active-set'.")
 
 
-def room_of(controller: Controller, room: tuple[int, int] | None = None) -> Room:
+def room_of(controller: Any, room: tuple[int, int] | None = None) -> Room:
     """Largest Np and Nc for which there is memory: by default what tuning and schedule ask for.
 
     Raises

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
@@ -79,7 +79,7 @@ class ConstantTuning(Record):
 
         If the controller is no `MPC`, or has a scheduler, the result is this object itself.
         """
-        controller = self.make(car, profile, self.period, profile.preview)
+        controller: Any = self.make(car, profile, self.period, profile.preview)
         if not controller.has_horizons or controller.scheduler is not None:
             return self
         return self.replace(holds=holdable_speed(car, controller, profile))

@@ -135,6 +135,8 @@ class Controller(ABC):
     """Estimator of the car's parameters; None if the controller does not learn."""
     needs_whole_state: bool = False
     """Whether the whole state of the model must be measured, for lack of an estimator."""
+    is_published: bool = False
+    """Whether model and estimator are the paper's."""
     has_horizons: bool = False
     """Whether moves are planned over the horizons Np and Nc of a tuning."""
     runs_in_kernel: bool = False
@@ -381,7 +383,7 @@ class CompiledController(Controller):
         self._own_part: Any = None
 
     @property
-    def own_part(self) -> Any:  # type: ignore[override]
+    def own_part(self) -> Any:
         """The controller itself as a part of compiled loops (`core.controllers.part`), its memory shared."""
         if self._own_part is None:
             part = self.part(1)

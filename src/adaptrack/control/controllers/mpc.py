@@ -308,7 +308,7 @@ class MPC(Controller):
         return f"{scheduled} MPC ({self.model.name}, {self.estimator.name}, {moves})".strip()
 
     @property
-    def is_published(self) -> bool:
+    def is_published(self) -> bool:  # type: ignore[override]
         """Whether model and estimator are the paper's."""
         return isinstance(self.model, SingleTrackModel) and isinstance(self.estimator, Deadbeat)
 
@@ -398,7 +398,7 @@ class MPC(Controller):
         return self.estimator.noise.y if isinstance(self.estimator, KalmanFilter) else 0.0
 
     @property
-    def learner_memory(self) -> Array:  # type: ignore[override]
+    def learner_memory(self) -> Array:
         """Memory of its learner, as the kernels have it; empty where nothing is learned."""
         return np.asarray(self._mpc.informed.learned[0])
 
@@ -733,7 +733,7 @@ class MPC(Controller):
             self._resident, self._step = Resident(self._mpc), None
 
     @property
-    def own_part(self) -> Any:  # type: ignore[override]
+    def own_part(self) -> Any:
         """The controller itself as a part of compiled loops, its memory shared; None where its QP solver is Python."""
         if self._own_part is None and self.runs_in_kernel:
             self._see_curves()
