@@ -48,7 +48,7 @@ CEILINGS: Mapping[str, int] = {
     "cli": 4240,
     "adaptrack": 50,
     "JavaScript, templates, C": 9720,
-    "tests": 42460,
+    "tests": 42480,
     "benchmarks, tools, experiments, examples": 15220,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.

@@ -321,7 +321,7 @@ function assumeFriction(cars, given) {
 function belief(cars, given) {
   for (const car of cars) {
     const { controller, where, entry } = car, made = [];
-    if (!controller.order) throw new Refusal(where, "This controller believes nothing of the steering.");
+    if (!controller.parts) throw new Refusal(where, "This controller believes nothing of the steering.");
     const believed = { ...entry.belief, ...given };
     owning(made, () => {
       const other = controllerOf({ ...entry, belief: believed, tuning: null }, drive.car, car.world, where);
