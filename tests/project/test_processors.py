@@ -76,11 +76,11 @@ def answers(folder, **environment):
     return json.loads((folder / "answers.json").read_text()), files
 
 
-def has_same_digits(one, other):
+def has_same_digits(expected, computed):
     """Whether the numbers of two answers agree to eight digits, residuals near 0 to 1e-9; times are not compared."""
     old, new = (
         {path: value for path, value in leaves(answer) if not any(part in path for part in NOT_COMPARED)}
-        for answer in (one, other)
+        for answer in (expected, computed)
     )
     numbers = {path for path, value in old.items() if isinstance(value, float)}
     is_close = (old[path] == pytest.approx(new[path], rel=1e-8, abs=1e-9, nan_ok=True) for path in numbers)
@@ -99,9 +99,9 @@ def test_twenty_commands_give_the_same_bits_whatever_code_the_libraries_choose(o
     if "NPY_DISABLE_CPU_FEATURES" in environment and not any(__cpu_features__[name] for name in __cpu_dispatch__):
         pytest.skip(f"this processor has none of {', '.join(__cpu_dispatch__)}: NumPy has nothing to switch off")
     there, files = answers(tmp_path, **environment)
-    here = dict(local_features[0])
+    expected = dict(local_features[0])
     if "OPENBLAS_CORETYPE" in environment:
-        assert has_same_digits(here.pop(TRAINING), there.pop(TRAINING))
-    different = [line for name, answer in here.items() for line in [name, *compare(answer, there[name])][2:]]
+        assert has_same_digits(expected.pop(TRAINING), there.pop(TRAINING))
+    different = [line for name, answer in expected.items() for line in [name, *compare(answer, there[name])][2:]]
     assert not different
     assert files == local_features[1]
