@@ -335,15 +335,14 @@ def test_the_tracker_obeys_each_row_of_the_table_of_actions(status, has_position
     car = PointMass(5.0, CAR.mass, DriveActuator(lag=0.2), BrakeActuator(lag=0.1))
     before = _track(tracker, car, 40)[-1].longitudinal
 
-    speed = tracker._speed
     steering = join(tracker._kernel, tracker._part)
 
     def call_with_status() -> None:
         direct(tracker_step, steering)()
         tracker._kernel.tracked[TRACKED.status] = list(Status).index(status)
-        longitudinal_step(tracker._kernel, speed.record)
+        longitudinal_step(tracker._kernel, tracker._speed.record)
 
-    monkeypatch.setattr(tracker, "_run", call_with_status)
+    monkeypatch.setitem(tracker._calls, tracker_step, call_with_status)
     action, command = SPEED_ACTIONS[status][0 if has_position else 1], before
     for k in range(40, 40 + round((1.3 if action is SpeedAction.SLOW else 0.7) / PERIOD)):
         if action is SpeedAction.SLOW and k > 40:

@@ -164,10 +164,20 @@ def test_a_lap_has_no_seam():
 
 
 def test_a_wheel_angle_is_taken_over_before_the_first_position():
-    tracker = Tracker(informed(), SHORT)
-    step = tracker.step(0.0, math.nan, math.nan, math.nan, 10.0, wheel_angle=0.2)
+    step = Tracker(informed(), SHORT).step(0.0, math.nan, math.nan, math.nan, 10.0, wheel_angle=0.2)
     assert step[:2] == (0.2, Status.HELD)
     assert math.isnan(step.offset)
+
+
+@pytest.mark.parametrize("make", [informed, lambda: LQR(CAR)], ids=["MPC", "LQR"])
+def test_a_reset_of_the_controller_before_engaging_is_as_a_new_one(make):
+    drive(used := Tracker(make(), SHORT), SHORT, 1.0)
+    used.controller.reset()
+    new = Tracker(make(), SHORT)
+    for tracker in (new, used):
+        tracker.engage(0.2)
+    assert new.controller.angle == used.controller.angle == 0.2
+    assert at_rest(new, speed=10.0).command == at_rest(used, t=5.0, speed=10.0).command
 
 
 # -- delays of the loop -----------------------------------------------------------------------------------------------

@@ -109,7 +109,7 @@ class Timing(NamedTuple):
 
 TIMED_STEPS = 50
 """Control steps after which their times are compared with the computation time that the controller assumes."""
-_NOT_COPIED = ("_resident", "_part", "_python", "_calls_back", "_run", "_apply")
+_NOT_COPIED = ("_resident", "_part", "_python", "_calls_back", "_calls")
 """Of a tracker, by a copy of it: see `Tracker._load`."""
 PERIOD_TOLERANCE = 0.4
 """Control periods, difference of the two from which it is reported."""
@@ -205,13 +205,17 @@ class Tracker:
             self._calls_back = CallBack(self._control, STEP), CallBack(self._do_requests, APPLY)
             part = self._python = python_part(*self._calls_back, self.controller.learner is not None)
         tracking = join(kernel, part, None if self._speed is None else self._speed.record)
-        self._run, self._apply = direct(tracker_step, tracking), direct(tracker_apply, tracking)
+        self._calls = {kernel: direct(kernel, tracking) for kernel in (tracker_step, tracker_apply)}
 
     def _call(self, kernel: Any) -> None:
-        """Call a kernel; the controller may have been reset meanwhile, and one in Python may raise."""
-        kernel()
+        """Call a kernel, raise what a controller in Python has raised, and let a control law know its command."""
+        if self._part is not self.controller.own_part:  # it has been reset
+            self._load(self._kernel)
+        self._calls[kernel]()
         for called_back in self._calls_back:
             called_back.raise_error()
+        if self._part is not None and not self._part.plans:
+            self.controller.applied(float(self._kernel.memory[0].command))
 
     def __getstate__(self) -> dict[str, Any]:
         state = {name: value for name, value in vars(self).items() if name not in _NOT_COPIED}
@@ -254,7 +258,7 @@ class Tracker:
         self._check.forget()
         self._target = None if self.plan is None else SpeedTarget(self.plan)
         tracker_engage(wheel_angle, math.nan if near is None else near, self._resident)
-        self._call(self._apply)
+        self._call(tracker_apply)
 
     def close(self) -> None:
         """Complete the record; nothing where there is none.
@@ -295,7 +299,7 @@ class Tracker:
             self._speed.follow(path, plan)
         self._load(self._kernel._replace(path=stacked(path), plan=packed_plan(plan)))
         tracker_follow(math.nan if near is None else near, self._resident)
-        self._call(self._apply)
+        self._call(tracker_apply)
 
     def release(self) -> None:
         """Let the car leave the stop at which it stands, whatever its time; at the end of a path it stays.
@@ -356,20 +360,16 @@ class Tracker:
                 "Tracker.step: a newer tracker or simulation uses this controller, which has forgotten this drive: "
                 "give each its own, such as copy.copy(controller), or call engage() to begin again."
             )
-        kernel, resident = self._kernel, self._resident
+        kernel = self._kernel
         call_start = time.perf_counter()
         row = [_number(name, signals.get(name)) for name in TRACKER_SAMPLE._fields]
         at = row[TRACKER_SAMPLE.t if now is None else TRACKER_SAMPLE.now]
         if not math.isfinite(at):
             raise InvalidInput(f"Tracker.step: t = {t!r}, now = {now!r}: the time of the call must be finite.")
         kernel.sample[:] = row
-        if self._part is not self.controller.own_part:  # it has been reset
-            self._load(kernel)
-        self._call(self._run)
+        self._call(tracker_step)
         memory = kernel.memory[0]
         tracked = self._answer(at)
-        if self._part is not None and not self._part.plans:
-            self.controller.applied(tracked.command)
         if not self._warned and not math.isnan(age := float(kernel.request[REQUEST.late])):
             self._warn_of_late_samples(age)
         if not self._warned_of_speed and memory.speed > tracked.first_top_speed:
