@@ -281,19 +281,19 @@ def unpacker(kind: Any, stride: int = 1) -> Any:
     apart.
     """
     entries = ", ".join(f"p[{at}]" for at in _entries(kind, stride))
-    return _written(f"def written(p, first=0):\n    return kind({entries})", kind)
+    return written(f"def written(p, first=0):\n    return kind({entries})", kind)
 
 
 def packer(kind: Any, stride: int = 1) -> Any:
     """An inlined function ``pack(p, first, value)``: writes a record where `unpacker`'s reads it."""
     lines = [f"    p[{at}] = value.{name}" for name, at in zip(kind._fields, _entries(kind, stride), strict=True)]
-    return _written("\n".join(["def written(p, first, value):", *lines]), kind)
+    return written("\n".join(["def written(p, first, value):", *lines]), kind)
 
 
 def copier(kind: Any) -> Any:
     """An inlined function ``copy(source, target)``: copies the numbers of a row to a different row."""
     lines = [f"    target.{name} = source.{name}" for name in kind._fields]
-    return _written("\n".join(["def written(source, target):", *lines]), kind)
+    return written("\n".join(["def written(source, target):", *lines]), kind)
 
 
 def bounds_checker(fields: Iterable[Field], optional: bool = False) -> Any:
@@ -311,13 +311,13 @@ def bounds_checker(fields: Iterable[Field], optional: bool = False) -> Any:
         test = f"not ({' or '.join(f'{number} {opposites[sign]} {end}' for number, sign, end in tests)})"
     else:
         test = " and ".join(map(" ".join, tests))
-    return _written(f"def written(row):\n    return {test}")
+    return written(f"def written(row):\n    return {test}")
 
 
 def default_setter(kind: Any) -> Any:
     """An inlined function ``set_defaults(target)``: writes the defaults of a record of settings to a row."""
     lines = [f"    target.{place} = {value!r}" for place, value in _default_entries(kind)]
-    return _written("\n".join(["def written(target):", *lines]), kind)
+    return written("\n".join(["def written(target):", *lines]), kind)
 
 
 def _default_entries(kind: Any) -> Iterable[tuple[str, float]]:
@@ -335,14 +335,15 @@ def _default_entries(kind: Any) -> Iterable[tuple[str, float]]:
 def stepper(kind: Any) -> Any:
     """An inlined function ``step(x, h, slope)``: the record x + h slope."""
     entries = ", ".join(f"fma(h, slope.{name}, x.{name})" for name in kind._fields)
-    return _written(f"def written(x, h, slope):\n    return kind({entries})", kind)
+    return written(f"def written(x, h, slope):\n    return kind({entries})", kind)
 
 
 def _entries(kind: Any, stride: int) -> list[str]:
     return [f"{stride * i} + first" for i in range(len(kind._fields))]
 
 
-def _written(text: str, kind: Any = None) -> Any:
+def written(text: str, kind: Any = None) -> Any:
+    """An inlined function that a text defines as ``written``; the text may use a record by the name ``kind``."""
     scope: dict[str, Any] = {"kind": kind, "fma": fma, "inf": math.inf, "nan": math.nan}
     exec(text, scope)
     return inlined(scope["written"])

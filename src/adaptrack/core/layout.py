@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from .kernel import Array, inlined
+from .kernel import Array, written
 
 ALIGNMENT = 64
 """bytes, a cache line: loads of eight numbers then touch one, not two"""
@@ -44,9 +44,7 @@ def sizer(kind: Any, sizes_kind: Any) -> Any:
     for row, shape in enumerate(shapes):
         padded = [*shape, *["0"] * (SIZES - len(shape))]
         lines += [f"    table[{row}, {column}] = {size}" for column, size in enumerate(padded)]
-    scope: dict[str, Any] = {}
-    exec("\n".join([*lines, f"    return {len(shapes)}"]), scope)
-    return inlined(scope["written"])
+    return written("\n".join([*lines, f"    return {len(shapes)}"]))
 
 
 def _shapes(kind: Any, sizes_kind: Any, before: str) -> Iterator[list[str]]:

@@ -28,7 +28,7 @@ import math
 from functools import lru_cache
 from typing import Any
 
-from ..kernel import Caller, inlined, record, unpacker, vector, viewer, void
+from ..kernel import Caller, inlined, packer, record, unpacker, vector, viewer, void
 from ..maths.bits import whole
 from ..maths.exact import clip, fmod, sqrt, square
 from ..maths.trigonometric import atan2, cos, sin
@@ -66,7 +66,7 @@ MAX_REFERENCE_PERIODS = 1e6
 """periods, how far ahead a reference is read at most"""
 
 Situation = record("Situation", SITUATION)
-read_situation = unpacker(Situation)
+read_situation, write_situation = unpacker(Situation), packer(Situation)
 Direction = record("Direction", ("heading",))
 """What the memory of a law begins with whose path is straight while the car stands: the last heading of it (rad)."""
 direction_of = viewer(Direction)

@@ -11,7 +11,7 @@ from ..kernel import address_of, exported, inlined
 from ..layout import allocate
 from ..models.contract import MEASUREMENT
 from ..road import RoadAheadRecord, line_of
-from .contract import Situation, call_law
+from .contract import Situation, call_law, write_situation
 from .part import (
     APPLY,
     BEGIN,
@@ -48,9 +48,8 @@ def request_of_law(slot, request, command, controller):
 @exported(STEP)
 def step_law(slot, speed, command, station, road, measured, reference, speeds, roads, controller):
     """One control period of a law; a command that is not finite holds the last one."""
-    law, out = controller.law, controller.answer[slot]
-    situation, answer = law.situation, law.answer
-    current = Situation(
+    law, out, answer = controller.law, controller.answer[slot], controller.law.answer
+    now = Situation(
         measured[MEASUREMENT.vy] if law.has_vy > 0 else 0.0,
         measured[MEASUREMENT.yaw],
         measured[MEASUREMENT.yaw_rate],
@@ -58,12 +57,12 @@ def step_law(slot, speed, command, station, road, measured, reference, speeds, r
         speed,
         command,
     )
-    for i in range(len(current)):
-        situation[i] = current[i]
+    write_situation(law.situation, 0, now)
     ahead = reference if law.preview > 0 else reference[:1]
     road_ahead = RoadAheadRecord(line_of(road, roads), station, speeds)
     call_law(
-        law.function, situation, ahead, road_ahead, controller.tuning[slot], law.parameters, law.memory[slot], answer
+        law.function, law.situation, ahead, road_ahead, controller.tuning[slot], law.parameters, law.memory[slot],
+        answer,
     )  # fmt: skip
     usable = math.isfinite(answer[_COMMAND])
     out[COMMON_ANSWER.command] = answer[_COMMAND] if usable else command
