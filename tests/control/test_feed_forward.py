@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -42,7 +41,7 @@ def turning_of(model, tyres=(0.0, 0.0)):
 def moves_of(model, speed, bend, count, most=1.0, tyres=(0.0, 0.0)):
     settings = MPC(model.vehicle, period=model.period).settings()._replace(move_min=-most, move_max=most)
     turning = turning_of(model, tyres)
-    feed = allocate(FeedForward, SimpleNamespace(turning=turning.size, road_moves=count + 1))
+    feed = allocate(FeedForward, {"turning": turning.size, "road_moves": count + 1})
     feed.turning[:] = turning
     road_moves(count, speed, settings, bend, feed)
     return np.array([feed.expected[:count], feed.moves[:count]]) if tyres[0] else feed.expected[:count]

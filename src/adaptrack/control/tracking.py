@@ -107,7 +107,7 @@ def python_part(step: CallBack, request: CallBack, learns: bool) -> Any:
     """A controller in Python as a part of compiled loops; learns: whether its answer says what it has learned."""
     (sizes,) = ControllerSizes.new(1, slots=1, answer=len(COMMON_ANSWER) + (len(BELIEF_NAMES) if learns else 0))
     sizes.mpc.slots = 1
-    return allocate(ControllerPart, sizes)._replace(
-        begin=0, request=address_of(request), step=address_of(step), takes_late=-1,
+    return allocate(
+        ControllerPart, sizes, request=address_of(request), step=address_of(step), takes_late=-1,
         beliefs=len(COMMON_ANSWER) if learns else 0,
     )  # fmt: skip

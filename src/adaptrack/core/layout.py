@@ -58,16 +58,19 @@ def _shapes(kind: Any, sizes_kind: Any, before: str) -> Iterator[list[str]]:
             yield from _shapes(field_kind, part if is_part else sizes_kind, f"{before}{name}." if is_part else before)
 
 
-def allocate(kind: Any, sizes: Any) -> Any:
-    """A record whose numbers and arrays are zero; sizes: a row of the record of its sizes, or any object with them."""
+def allocate(kind: Any, sizes: Any, **given: Any) -> Any:
+    """A record of zeros but for the fields that are given; sizes: a row of the record of its sizes, or a dictionary."""
+    names = sizes.dtype.names if isinstance(sizes, np.void) else ()
     values: list[Any] = []
     for name, field_kind in kind.kinds.items():
-        if isinstance(field_kind, Array):
-            shape = [int(getattr(sizes, size)) if isinstance(size, str) else size for size in kind.shapes[name]]
+        if name in given:
+            values.append(given[name])
+        elif isinstance(field_kind, Array):
+            shape = [sizes[size] if isinstance(size, str) else size for size in kind.shapes[name]]
             values.append(aligned(shape, field_kind.dtype))
         elif hasattr(field_kind, "kinds"):
-            part = getattr(sizes, name, None)
-            values.append(allocate(field_kind, part if isinstance(part, np.record) else sizes))
+            part = sizes[name] if name in names else sizes
+            values.append(allocate(field_kind, part if isinstance(part, np.void) else sizes))
         else:
             values.append(0)
     return kind(*values)
@@ -86,6 +89,8 @@ def empty(kind: Any) -> Any:
 
 def aligned(shape: Any, dtype: Any = np.float64) -> Any:
     """A zeroed array that begins at a multiple of `ALIGNMENT`."""
+    if 0 in shape:
+        return np.zeros(shape, dtype)
     size = math.prod(shape) * np.dtype(dtype).itemsize
     raw = np.zeros(size + ALIGNMENT, np.uint8)
     start = -raw.ctypes.data % ALIGNMENT

@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 from .estimators import friction_wind
@@ -185,7 +184,7 @@ def no_trace() -> Any:
 
 def traces(slots: int, periods: int, answers: int) -> Any:
     """Traces before the first instant, NaN, with so many columns of answers."""
-    trace = allocate(Trace, SimpleNamespace(traced_slots=slots, traced=periods, answers=answers))
+    trace = allocate(Trace, {"traced_slots": slots, "traced": periods, "answers": answers})
     for array in trace:
         array[:] = math.nan
     return trace

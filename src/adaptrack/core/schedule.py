@@ -9,7 +9,6 @@ in `integers` and `numbers` (see `functions`).
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -71,7 +70,7 @@ SCHEDULE_SCRATCH = len(VARIABLE_COLUMNS) + MAX_ENTRIES + MAP_AXES
 
 def no_schedule() -> Any:
     """Return the empty schedule of a run without a scheduler."""
-    return allocate(ScheduleRecord, SimpleNamespace(scheduled_slots=0, integers=0, numbers=0, scratch=0))
+    return allocate(ScheduleRecord, dict.fromkeys(("scheduled_slots", "integers", "numbers", "scratch"), 0))
 
 
 def counted(memory: Any) -> Any:

@@ -290,7 +290,7 @@ def _room(settings: Any, **chosen: Any) -> Any:
     """Zeroed memory of MPCs under settings, those completed; chosen: `MPCSizes` that are not 0."""
     (settled,), (sizes,) = MPCSettings.new(1, **settings._asdict()), MPCSizes.new(1, **chosen)
     complete_sizes(settled, sizes)
-    return allocate(Mpc, sizes)._replace(settings=MPCSettings(*settled.tolist()))
+    return allocate(Mpc, sizes, settings=MPCSettings(*settled.tolist()))
 
 
 def _lag_of(turning: Any) -> float:

@@ -82,13 +82,13 @@ def mpc_controller(mpc: Any, functions: Any, tuning: Any, takes_late: int = -1) 
     """A `part.ControllerPart` of MPCs (`mpc.batch`), before its first step; takes_late: see there."""
     slots = len(mpc.memory)
     (sizes,) = ControllerSizes.new(1, slots=slots, answer=mpc.answer.shape[1], tuning=len(tuning))
-    controller = allocate(ControllerPart, sizes)
-    controller.tuning[:], controller.first_tuning[:] = tuning, tuning
-    return controller._replace(
-        begin=address_of(begin_mpc), request=address_of(request_of_mpc), step=address_of(step_mpc),
-        beliefs=len(MPC_ANSWER) if mpc.settings.learns else 0, plans=1, takes_late=takes_late, mpc=mpc,
-        functions=functions,
+    controller = allocate(
+        ControllerPart, sizes, begin=address_of(begin_mpc), request=address_of(request_of_mpc),
+        step=address_of(step_mpc), beliefs=len(MPC_ANSWER) if mpc.settings.learns else 0, plans=1,
+        takes_late=takes_late, mpc=mpc, functions=functions,
     )  # fmt: skip
+    controller.tuning[:], controller.first_tuning[:] = tuning, tuning
+    return controller
 
 
 @exported(void(Place(MPCStep)), name="mpc_step")

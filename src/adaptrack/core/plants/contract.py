@@ -14,7 +14,6 @@ A plant with states of its own keeps all of them in ``states`` (SLOTS, n); the f
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -89,12 +88,10 @@ block, own states, scratch, initial states."""
 def vehicle_batch(compiled: Any, parameters: Any, start: Any) -> Any:
     """A batch of a `CompiledPlant`'s vehicles before their first period: initial states `start` (slots, n)."""
     slots, n = np.shape(start)
-    vehicles = allocate(
-        Vehicles,
-        SimpleNamespace(
-            slots=slots, plant_parameters=len(parameters), plant_states=n, work_states=work_states(n)
-        ),
-    )  # fmt: skip
+    sizes = {
+        "slots": slots, "plant_parameters": len(parameters), "plant_states": n, "work_states": work_states(n)
+    }  # fmt: skip
+    vehicles = allocate(Vehicles, sizes)
     vehicles.parameters[:], vehicles.start[:] = parameters, start
     return vehicles._replace(**{name: address_of(getattr(compiled, name)) for name in ("advance", "observe", "member")})
 
