@@ -35,7 +35,7 @@ import numpy as np
 
 import adaptrack as at
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.core.speed_control import slope_of
+from adaptrack.core.speed.speed_control import slope_of
 from adaptrack.road import Comfort, Line, Road, SpeedPlan, Stop, plan_speed
 
 CARS = ("midsize-sedan", "compact-ev", "van")

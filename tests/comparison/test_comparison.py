@@ -16,7 +16,7 @@ from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison, ContenderRole, finite
 from adaptrack.control.controllers import LQR, Tuning, UserController, get_controller, register_controller
 from adaptrack.control.scheduling import Constant, Guarded, Learned
-from adaptrack.core import guard
+from adaptrack.core.scheduling import guard
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.simulate import simulate
 from adaptrack.tuning.objective import Objective

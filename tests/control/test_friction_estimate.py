@@ -13,9 +13,9 @@ from adaptrack.cars.vehicle import SteeringActuator, load_tyre, pack_plant
 from adaptrack.control.controllers import command_of
 from adaptrack.control.friction_estimate import friction_estimate
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
-from adaptrack.core import friction_estimate as kernel
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.physics.forces import GRAVITY
+from adaptrack.core.speed import friction as kernel
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import World
 from adaptrack.road import Arc, Comfort, Line, Road, generate_road, plan_speed

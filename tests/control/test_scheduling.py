@@ -34,7 +34,7 @@ from adaptrack.control.scheduling import (
     made_for,
 )
 from adaptrack.control.scheduling.functions.sugeno import ANY
-from adaptrack.core import guard
+from adaptrack.core.scheduling import guard
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.scenario import Scenario, load_scenario

@@ -11,7 +11,7 @@ from adaptrack.control.speed_control import SpeedCommand, SpeedLimit, SpeedState
 from adaptrack.control.tracker import Status, Tracked, Tracker
 from adaptrack.core.estimators.learning import LEARNED, QUANTITIES_BOUNDED
 from adaptrack.core.kernel import fields_of
-from adaptrack.core.speed_control import SPEED_MEMORY, SPEED_REQUEST
+from adaptrack.core.speed.speed_control import SPEED_MEMORY, SPEED_REQUEST
 from adaptrack.core.tracker.signals import STATUS, TRACKED, TRACKER_SAMPLE
 
 OF_SCHEDULES = {"friction", "wind"}

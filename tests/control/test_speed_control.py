@@ -21,11 +21,11 @@ from adaptrack.control.speed_control import (
 )
 from adaptrack.control.tracker import Status
 from adaptrack.control.tracking import join
-from adaptrack.core import speed_control as kernel
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.kernel import direct
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.core.speed_control import slope_of
+from adaptrack.core.speed import speed_control as kernel
+from adaptrack.core.speed.speed_control import slope_of
 from adaptrack.core.tracker.longitudinal import longitudinal_step
 from adaptrack.core.tracker.signals import TRACKED
 from adaptrack.core.tracker.step import tracker_step

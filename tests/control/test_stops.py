@@ -14,7 +14,7 @@ import pytest
 from adaptrack import PurePursuit, SpeedControl, Tracker, load_vehicle
 from adaptrack.control.speed_control import SpeedController
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.core.speed_control import slope_of
+from adaptrack.core.speed.speed_control import slope_of
 from adaptrack.road import Arc, Comfort, Line, Road, SpeedPlan, Stop, plan_speed
 from small_controllers import Scripted
 

@@ -5,12 +5,12 @@ import pytest
 
 import adaptrack as at
 from adaptrack.control.controllers.base import Room
-from adaptrack.core import frame, rollout
 from adaptrack.core.controllers.mpc import MPC_ANSWER
-from adaptrack.core.frame import FRAME
 from adaptrack.core.kernel import Resident
-from adaptrack.core.loop import OFF_ROAD, RUNNING
-from adaptrack.core.period import TRACE_SIGNALS, RunSpan
+from adaptrack.core.loop import frame, rollout
+from adaptrack.core.loop.frame import FRAME
+from adaptrack.core.loop.period import TRACE_SIGNALS, RunSpan
+from adaptrack.core.loop.world import OFF_ROAD, RUNNING
 from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.core.tracker.longitudinal import no_speed_control
 from adaptrack.drive.batch import Batch

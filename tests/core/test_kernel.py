@@ -27,7 +27,7 @@ from adaptrack.core.kernel import (
     void,
 )
 from adaptrack.core.member import member
-from adaptrack.core.road import foot_about
+from adaptrack.core.roads.road import foot_about
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.road import Arc, Line, Road
 from inlined import entry
@@ -206,8 +206,8 @@ int main(void) {{
 def test_the_header_describes_the_library_to_c(built, tmp_path):
     from adaptrack.core.controllers.mpc import Mpc, MPCSettings
     from adaptrack.core.plants.contract import PLANT_STATE
-    from adaptrack.core.road import RoadAheadRecord
-    from adaptrack.core.swarm import place_between
+    from adaptrack.core.roads.road import RoadAheadRecord
+    from adaptrack.core.tuning.swarm import place_between
 
     low, high = 0.1, 0.7
     (tmp_path / "main.c").write_text(C_PROGRAM.format(count=2, values=f"{low.hex()}, {high.hex()}"))

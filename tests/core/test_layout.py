@@ -5,9 +5,10 @@ import pytest
 
 import adaptrack as at
 from adaptrack.control.controllers.base import Room
-from adaptrack.core import layout, rollout
+from adaptrack.core import layout
 from adaptrack.core.controllers import mpc
 from adaptrack.core.kernel import Array
+from adaptrack.core.loop import rollout
 from adaptrack.drive.batch import Batch
 from adaptrack.road import Arc, Road
 from adaptrack.scenario import RoadDrive

@@ -17,7 +17,7 @@ from adaptrack.core import library
 from adaptrack.core.kernel import INTERPRETED, float64, vector, void
 from adaptrack.core.member import CFunction, member
 from adaptrack.core.plants.user import compile_plant
-from adaptrack.core.road import RoadAheadRecord
+from adaptrack.core.roads.road import RoadAheadRecord
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import load_scenario

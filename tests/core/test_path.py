@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from adaptrack.core import path
-from adaptrack.core import road as kernel
+from adaptrack.core.roads import path
+from adaptrack.core.roads import road as kernel
 from adaptrack.road import road_through
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.road.table import points_on_pieces

@@ -7,7 +7,8 @@ import pytest
 
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.speed_control import SpeedControl, SpeedController
-from adaptrack.core import path, path_noise
+from adaptrack.core.roads import noise as path_noise
+from adaptrack.core.roads import path
 from adaptrack.road import ROAD_KINDS, Comfort, generate_road, plan_speed, road_through
 
 pytestmark = pytest.mark.kernels

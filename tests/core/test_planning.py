@@ -10,15 +10,15 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC
-from adaptrack.core import path
-from adaptrack.core.loop import SIGNAL
+from adaptrack.core.loop.world import SIGNAL
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.cells import PLAN, plan_places
 from adaptrack.core.planning.drive import RoadDriveRecord as Drive
 from adaptrack.core.planning.drive import complete_samples, drive_periods, drive_samples, drive_start
 from adaptrack.core.planning.station_table import AlongRecord, Route
-from adaptrack.core.speed_plan import SpeedPlanRecord
+from adaptrack.core.roads import path
+from adaptrack.core.speed.plan import SpeedPlanRecord
 from adaptrack.drive.world import World
 from adaptrack.road import Along as PythonAlong
 from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through

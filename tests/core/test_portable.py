@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.road.segments import NODES, WEIGHTS
 
 pytestmark = pytest.mark.kernels

@@ -21,9 +21,9 @@ from adaptrack.control.scheduling import (
     Table,
 )
 from adaptrack.control.scheduling.functions.sugeno import ANY
-from adaptrack.core import functions, guard
-from adaptrack.core import schedule as kernel
 from adaptrack.core.physics.forces import GRAVITY
+from adaptrack.core.scheduling import functions, guard
+from adaptrack.core.scheduling import schedule as kernel
 from small_models import line, random_network, random_sugeno, random_table, stability_map
 
 pytestmark = pytest.mark.kernels

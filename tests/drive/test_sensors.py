@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 import adaptrack as at
-from adaptrack.core.loop import PAST_SIGNAL
+from adaptrack.core.loop.world import PAST_SIGNAL
 from adaptrack.core.maths.random import counted_normal, counted_uniform
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.contract import PLANT_STATE, state_at

@@ -25,7 +25,7 @@ from adaptrack.cli.app import app
 from adaptrack.control.tracker import Tracker
 from adaptrack.core import library
 from adaptrack.core.kernel import INTERPRETED
-from adaptrack.core.road import LINE_NUMBERS
+from adaptrack.core.roads.road import LINE_NUMBERS
 from adaptrack.export.c_library import export_c
 from adaptrack.export.recorded_drive import record_drive
 from adaptrack.export.tracking import Twin, tracking_block

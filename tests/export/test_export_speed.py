@@ -16,7 +16,7 @@ from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLi
 from adaptrack.control.tracker import Status, Tracker
 from adaptrack.core.kernel import INTERPRETED, fields_of
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.core.speed_control import SPEED_REQUEST
+from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.export.c_library import export_c
 from adaptrack.road import Comfort, Stop, plan_speed, road_through
 from exported import TARGET, Answer, CPath, CTracker, Exported, Sample

@@ -14,10 +14,11 @@ import page_drives
 from adaptrack.base.errors import AdaptrackError
 from adaptrack.cars.vehicle import pack_plant
 from adaptrack.control.controllers.base import Room
-from adaptrack.core import library, rollout
+from adaptrack.core import library
 from adaptrack.core.kernel import Resident
-from adaptrack.core.loop import SIGNAL
-from adaptrack.core.period import RunSpan
+from adaptrack.core.loop import rollout
+from adaptrack.core.loop.period import RunSpan
+from adaptrack.core.loop.world import SIGNAL
 from adaptrack.core.plants.contract import PLANT_STATE, SLOTS
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.batch import Batch

@@ -16,8 +16,8 @@ import adaptrack as at
 from adaptrack import cli
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.vehicle import list_vehicles, load_tyre, load_vehicle
-from adaptrack.core import path
 from adaptrack.core.kernel import row_of
+from adaptrack.core.roads import path
 from adaptrack.core.synthesis import car as cars
 from adaptrack.export.page_inputs import SECTIONS, car_fields, page_car
 from adaptrack.identification.reading import ALIASES, Reading, read_columns

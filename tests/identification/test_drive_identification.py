@@ -12,7 +12,7 @@ from adaptrack import MPC, DualTrack, RoadDrive, SpeedControl, load_vehicle, sim
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
 from adaptrack.cli.app import app
-from adaptrack.core import drive_identification as kernel
+from adaptrack.core.identification import drive as kernel
 from adaptrack.identification import DriveIdentification, identify_drive
 from adaptrack.identification.longitudinal_conventions import compare_longitudinal
 from adaptrack.road import Comfort, Line, Road, Stop, plan_speed

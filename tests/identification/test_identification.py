@@ -109,7 +109,7 @@ def test_the_filter_run_blind_is_the_single_track_vehicle_in_tight_bends_too(
 
 
 def test_wheels_move_as_lag_and_rate_limit_let_them() -> None:
-    from adaptrack.core.identification import _move_wheels
+    from adaptrack.core.identification.steering import _move_wheels
 
     angle, target, lag, rate, span = -0.02, 0.2, 0.15, 0.5, 0.4
 

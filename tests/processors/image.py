@@ -10,9 +10,9 @@ import struct
 
 import numpy as np
 
-from adaptrack.core import rollout
 from adaptrack.core.controllers.mpc_step import step as mpc_step
 from adaptrack.core.kernel import EXPORTED, Array, float64
+from adaptrack.core.loop import rollout
 from adaptrack.core.maths.values import elementary_values
 from adaptrack.core.synthesis.laws import LQR_NUMBERS, lqr_parameters
 from adaptrack.core.synthesis.mpc import informed_numbers

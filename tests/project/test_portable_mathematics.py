@@ -1,7 +1,8 @@
 """Which functions of libraries the package may call: those that give the same bits on every processor, but for a table.
 
 NumPy chooses the code of its elementary functions by the vector unit, BLAS and LAPACK the order of their sums, and the
-C library whether it fuses a product with a sum: `core.portable` has the kernels' own. `test_processors.py` compares.
+C library whether it fuses a product with a sum: `core.maths.portable` has the kernels' own. `test_processors.py`
+compares.
 """
 
 import ast
@@ -68,11 +69,12 @@ TRAINING = {"paper/anfis.py", "paper/surfaces.py", "paper/partition.py"}
 SPARSE = {"road/smoothing.py", "road/speed.py"}
 """Products of sparse matrices, which SciPy sums in the order of the rows."""
 COMPLEX = {
-    "core/portable.py", "analysis/stability.py", "road/generate.py", "road/opendrive.py", "road/opendrive_lanes.py",
+    "core/maths/portable.py", "analysis/stability.py", "road/generate.py", "road/opendrive.py",
+    "road/opendrive_lanes.py",
 }  # fmt: skip
 """Complex numbers: a product of two is `portable.times`, a magnitude `portable.magnitude`."""
 
-EXACT = {("core/path.py", "math.cos"), ("core/path.py", "_GRID ** j")}
+EXACT = {("core/roads/path.py", "math.cos"), ("core/roads/path.py", "_GRID ** j")}
 """Expressions whose value is rounded to few digits, or a whole number."""
 
 
@@ -113,12 +115,12 @@ def _called(name: str, path: str) -> str:
         return f"{path} is BLAS: portable.product" if path.endswith(".dot") else ""
     heads = {f"{library}.{'.'.join(other_names.split('.')[:count])}" for count in (1, 2)}
     trained = name in TRAINING and other_names.startswith("linalg.")
-    return "" if heads & ALLOWED or trained else f"{path}: core.portable has it"
+    return "" if heads & ALLOWED or trained else f"{path}: core.maths.portable has it"
 
 
 def _imported(name: str, module: str) -> str:
     if module in ("cmath", "statistics"):
-        return f"{module}: core.portable has it"
+        return f"{module}: core.maths.portable has it"
     if module in ("numpy.typing", "numpy") or module.split(".")[0] not in ("numpy", "scipy"):
         return ""
     return "" if name in IMPORTS.get(module, "").split() else f"{module}: see IMPORTS"

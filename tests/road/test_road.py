@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from scipy.spatial import cKDTree
 
 from adaptrack.base.errors import InvalidInput, UnknownName
-from adaptrack.core import road as kernel
+from adaptrack.core.roads import road as kernel
 from adaptrack.road import ROAD_KINDS, Along, Arc, Clothoid, Cubic, Line, Pose, Road, generate_road, road_through
 from adaptrack.road.opendrive_lanes import line_at_offset
 from adaptrack.road.table import joined, placed, tabulate

@@ -12,10 +12,10 @@ from scipy import stats
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import build, read_toml
-from adaptrack.core import swarm
 from adaptrack.core.kernel import Place, exported, int64, matrix, vector, void
 from adaptrack.core.maths import random
 from adaptrack.core.maths.random import counted_normal, counted_uniform
+from adaptrack.core.tuning import swarm
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings, minimise
 from inlined import entry
 

@@ -36,7 +36,7 @@ from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Scheduler, Tuning, read_tuning
 from adaptrack.control.scheduling import VARIABLES, Constant, Schedule, SchedulingVariables
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]

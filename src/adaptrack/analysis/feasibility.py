@@ -21,7 +21,7 @@ from adaptrack.base.limits import MAX_SPEED
 from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]

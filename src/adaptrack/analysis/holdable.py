@@ -22,7 +22,7 @@ from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.control.controllers import MPC
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit
 from adaptrack.road.holdable_speed import HoldableSpeed

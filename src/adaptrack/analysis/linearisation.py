@@ -24,9 +24,9 @@ from adaptrack.cars.vehicle import SteeringActuator
 from adaptrack.control.controllers import MPC
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PredictionModel, laguerre_basis
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 from adaptrack.core.models import contract
-from adaptrack.core.portable import product
 from adaptrack.scenario.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
@@ -325,7 +325,7 @@ def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, del
 
 
 def _with_late_outputs(prompt: Sampled, ages: SampleAges, period: float) -> Sampled:
-    """Return the plant with its measurements delayed, linear between two control instants as in `core.loop`."""
+    """Return the plant with its measurements delayed, linear between two control instants as in `core.loop.world`."""
     periods = {i: ages.sensor_age(name) / period for i, name in enumerate(sensed()) if prompt.c[i].any()}
     size = len(prompt.b)
     total = size + sum(math.ceil(late) for late in periods.values())

@@ -36,9 +36,9 @@ from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, twin_of
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import MPC, Tuning
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.core.portable import product
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Positive, checked, reals
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.limits import MAX_STEPS, check_limit
 from adaptrack.base.registry import PluginCall, Registry
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, VehicleArgument, load_tyre, pack_plant
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.models.car import POWERTRAIN
 from adaptrack.core.plants import dual_track, single_track
@@ -75,7 +75,7 @@ class Plant(ABC):
 
     @property
     def axles(self) -> dict[str, float]:
-        """Entries of `core.loop.LoopSettings`: the axles, for the driver, and the steady turn, for the start."""
+        """Entries of `core.loop.world.LoopSettings`: the axles, for the driver, and the steady turn, for the start."""
         return axles_of(getattr(self, "vehicle", None))
 
     @property

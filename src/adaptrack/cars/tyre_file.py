@@ -30,7 +30,7 @@ from adaptrack.base.errors import ConfigError, did_you_mean
 from adaptrack.base.files import printable, read_bytes
 from adaptrack.cars.tyre_fit import TyreFit, TyreSamples, assess_fit, fit_law
 from adaptrack.cars.vehicle import Tyre
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 
 Array = NDArray[np.float64]
 

@@ -296,7 +296,7 @@ def _stiffness_notes(loop: DrivenLoop) -> list[str]:
     car, tyre = loop.car, getattr(loop.plant, "tyre", None)
     if tyre is None:
         return []
-    from adaptrack.core import portable  # NumPy, which --help does not need
+    from adaptrack.core.maths import portable  # NumPy, which --help does not need
 
     if max(abs(portable.log(factor)) for factor in car.stiffness_factors(tyre)) < portable.log(STIFFNESS_MISMATCH):
         return []

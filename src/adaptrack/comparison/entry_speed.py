@@ -31,7 +31,7 @@ from adaptrack.comparison.lane_change import (
     scan_speeds,
 )
 from adaptrack.control.controllers import Controller
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.drive.batch import Batch
 from adaptrack.road import Road
 from adaptrack.scenario import RoadDrive

@@ -1,4 +1,4 @@
-"""Estimate of the friction that narrows the interval of a speed control while driving (`core.friction_estimate`)."""
+"""Estimate of the friction that narrows the interval of a speed control while driving (`core.speed.friction`)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from adaptrack.cars.vehicle import SteeringActuator, Vehicle, load_tyre, pack_plant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.kalman import KalmanFilter
-from adaptrack.core import friction_estimate as kernel
 from adaptrack.core.models.car import LearnedRow
 from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.speed import friction as kernel
 
 FRICTION_COUNT = 13
 """Coefficients of friction, evenly within the interval."""
@@ -30,7 +30,7 @@ FRICTION_SENSORS = [MEASUREMENT.vy, MEASUREMENT.yaw_rate, MEASUREMENT.lateral_ac
 
 
 def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float, controller: Controller | None) -> Any:
-    """An estimate of the friction by the steering model of a controller (`core.friction_estimate.FrictionEstimate`).
+    """An estimate of the friction by the steering model of a controller (`core.speed.friction.FrictionEstimate`).
 
     It has no hypotheses where the friction is certain, and without a steering model. period: s, of the control.
     """

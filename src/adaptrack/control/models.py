@@ -19,14 +19,14 @@ from adaptrack.base.checked import Finite, NotNegative, Positive, checked
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
-from adaptrack.core import portable
 from adaptrack.core.controllers import condensing
 from adaptrack.core.kernel import size_of
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.models import path, single_track
 from adaptrack.core.models.car import SingleTrackCar
 from adaptrack.core.models.contract import MEASUREMENT, compile_model
-from adaptrack.core.portable import product
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from typing import Any, TextIO
 
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.files import check_replaceable, write_atomically
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.core.tracker.signals import MEASURED, TRACKER_SAMPLE, TrackerSample
 
 LOGGED = MEASURED + TRACKER_SAMPLE._fields[TRACKER_SAMPLE.grade + 1 :]

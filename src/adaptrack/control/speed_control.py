@@ -1,4 +1,4 @@
-"""Speed control along a planned path: settings of the kernel `core.speed_control`, and one run of it."""
+"""Speed control along a planned path: settings of the kernel `core.speed.speed_control`, and one run of it."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
 from adaptrack.control.controllers import Controller, MPCCommand
 from adaptrack.control.friction_estimate import friction_estimate
 from adaptrack.control.kalman import KalmanFilter
-from adaptrack.core import speed_control as kernel
-from adaptrack.core import speed_learning as learning
-from adaptrack.core import speed_path as path_kernel
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
-from adaptrack.core.friction_estimate import begin_friction
 from adaptrack.core.kernel import OK, Resident
 from adaptrack.core.models.car import AXLES, POWERTRAIN
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.core.speed_control import SPEED_REQUEST
-from adaptrack.core.speed_place import SPEED_GRACE
+from adaptrack.core.speed import learning as learning
+from adaptrack.core.speed import path as path_kernel
+from adaptrack.core.speed import speed_control as kernel
+from adaptrack.core.speed.friction import begin_friction
+from adaptrack.core.speed.place import SPEED_GRACE
+from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.core.synthesis.speed import resistance, usable_friction
 from adaptrack.core.tracker.longitudinal import (
     STATUS_ACTIONS,
@@ -329,7 +329,7 @@ class SpeedController:
         self._load(self.record._replace(friction=friction))
 
     def narrow_friction(self, measured: Array, speed: float, command: float) -> None:
-        """Narrow the friction before a step of the controller, see `core.friction_estimate.narrow_friction`."""
+        """Narrow the friction before a step of the controller, see `core.speed.friction.narrow_friction`."""
         narrow_friction_step(measured, speed, command, self._learned, self._resident)
 
     def narrow_behind(self, tracker: Any) -> None:
@@ -429,7 +429,7 @@ class SpeedController:
 
     @property
     def learned(self) -> dict[str, Any]:
-        """Estimates of ``drive`` and ``brakes``: `core.speed_learning.ActuatorBelief` of each."""
+        """Estimates of ``drive`` and ``brakes``: `core.speed.learning.ActuatorBelief` of each."""
         return {name: learning.mean_of_bank(getattr(self.record.banks, name)) for name in ("drive", "brakes")}
 
     def release(self) -> None:

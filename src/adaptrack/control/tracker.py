@@ -30,9 +30,9 @@ from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
 from adaptrack.control.speed_target import SpeedTarget
 from adaptrack.control.tracking import input_check_of, join, packed_plan, python_part, tracker_of
-from adaptrack.core import portable
 from adaptrack.core.controllers.part import APPLY, COMMON_ANSWER, REQUEST, STEP
 from adaptrack.core.kernel import Resident, direct, fields_of
+from adaptrack.core.maths import portable
 from adaptrack.core.member import CallBack
 from adaptrack.core.tracker.change_path import tracker_follow
 from adaptrack.core.tracker.signals import NO_BELIEF, TRACKER_SAMPLE

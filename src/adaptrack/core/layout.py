@@ -60,7 +60,7 @@ def _shapes(kind: Any, sizes_kind: Any, before: str) -> Iterator[list[str]]:
 
 def allocate(kind: Any, sizes: Any, **given: Any) -> Any:
     """A record of zeros but for the fields that are given; sizes: a row of the record of its sizes, or a dictionary."""
-    names = sizes.dtype.names if isinstance(sizes, np.void) else ()
+    names = _names_of(sizes)
     values: list[Any] = []
     for name, field_kind in kind.kinds.items():
         if name in given:
@@ -70,10 +70,15 @@ def allocate(kind: Any, sizes: Any, **given: Any) -> Any:
             values.append(aligned(shape, field_kind.dtype))
         elif hasattr(field_kind, "kinds"):
             part = sizes[name] if name in names else sizes
-            values.append(allocate(field_kind, part if isinstance(part, np.void) else sizes))
+            values.append(allocate(field_kind, part if _names_of(part) else sizes))
         else:
             values.append(0)
     return kind(*values)
+
+
+def _names_of(sizes: Any) -> Any:
+    """The names of a row of sizes; none of a dictionary or a number."""
+    return () if isinstance(sizes, dict) else sizes.dtype.names or ()
 
 
 def empty(kind: Any) -> Any:

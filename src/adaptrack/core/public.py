@@ -25,7 +25,6 @@ a control period       its two halves, between which a controller stands: `befor
 =====================  =============================================================================================
 """
 
-from . import portable
 from .controllers.contract import (
     COMMON_PARAMETERS,
     LAW_SIGNATURE,
@@ -41,9 +40,6 @@ from .controllers.contract import (
     wrapped,
 )
 from .controllers.lqr import node_below
-from .episode import EPISODE, EPISODE_ARRIVED, EPISODE_FAILED, EPISODE_RUNS, Episodes, arrive, renew
-from .episode_steer import steer, write_observations
-from .episode_tune import control, write_variables
 from .estimators.learning import BELIEF_NAMES
 from .estimators.learning import BELIEFS_OFFSET as LEARNED
 from .kernel import (
@@ -73,7 +69,13 @@ from .kernel import (
     viewer,
     void,
 )
-from .loop import HOLDING_DECELERATION, SIGNAL
+from .loop.episode import EPISODE, EPISODE_ARRIVED, EPISODE_FAILED, EPISODE_RUNS, Episodes, arrive, renew
+from .loop.episode_steer import steer, write_observations
+from .loop.episode_tune import control, write_variables
+from .loop.observation import MIN_APPROACH_SPEED, ObservationSpace, write_one_observation
+from .loop.period import after_control, before_control, move
+from .loop.world import HOLDING_DECELERATION, SIGNAL
+from .maths import portable
 from .maths.bits import whole
 from .maths.exact import ceil, clip, floor, fmod, sqrt, square
 from .maths.exponential import exp, hypot, log
@@ -86,8 +88,6 @@ from .maths.vectors import padded
 from .member import compiles, member
 from .models import path as path_model
 from .models.contract import MEASUREMENT
-from .observation import MIN_APPROACH_SPEED, ObservationSpace, write_one_observation
-from .period import after_control, before_control, move
 from .physics.forces import GRAVITY, STANDING_SPEED, wind_load
 from .plants.contract import MOTION_STATES, PLANT_STATE, SLOTS
 from .plants.contract import PlantState as PlantState

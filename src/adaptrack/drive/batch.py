@@ -18,11 +18,11 @@ from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.control.controllers import MPC, CompiledScheduler, Controller
 from adaptrack.control.controllers.base import Room
-from adaptrack.core import guard as guard_kernel
-from adaptrack.core import period as period_kernel
-from adaptrack.core import rollout
 from adaptrack.core.kernel import Resident
+from adaptrack.core.loop import period as period_kernel
+from adaptrack.core.loop import rollout
 from adaptrack.core.plants.contract import SLOTS, vehicle_batch
+from adaptrack.core.scheduling import guard as guard_kernel
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, PerceptionSource, RequestedForces, World, reason_of
 from adaptrack.road.road_ahead import pack_roads
@@ -60,7 +60,7 @@ class BatchResult:
     qp_iterations: NDArray[np.int64]
     """Iterations of the QP solver in all steps."""
     scheduler: dict[str, NDArray[np.int64]]
-    """Counters of the scheduler by name (`core.guard.COUNTS`); empty without a scheduler."""
+    """Counters of the scheduler by name (`core.scheduling.guard.COUNTS`); empty without a scheduler."""
 
     def cost(self, move_weight: float = 0.0) -> Array:
         """Return the cost of tuning, J = mean e^2 + move_weight * mean (change of command)^2 (m^2).
@@ -156,10 +156,10 @@ class BatchRuns:
     """Results of `Batch.run`."""
 
     result: Any
-    """Results of the kernels, (runs,) records `core.period.RESULT`."""
+    """Results of the kernels, (runs,) records `core.loop.period.RESULT`."""
     trace: Any
-    """Signals of the runs, a `core.period.Trace` of arrays (runs, periods of the longest run, ...). They are NaN after
-    the end of a run, and empty unless requested."""
+    """Signals of the runs, a `core.loop.period.Trace` of arrays (runs, periods of the longest run, ...). They are NaN
+    after the end of a run, and empty unless requested."""
     counts: dict[str, NDArray[np.int64]]
     """Counters (runs,) of the scheduler by name; empty without a scheduler."""
     segments: Array
@@ -200,8 +200,8 @@ def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[li
     list of Signals
         Samples of each scenario.
     (scenarios, SIGNAL, n + 1) array
-        The same samples as the kernels read them (`core.loop.SIGNAL`), where n is the number of periods of the longest
-        scenario. Shorter scenarios repeat their last sample; a preview beyond their end reads the same values.
+        The same samples as the kernels read them (`core.loop.world.SIGNAL`), where n is the number of periods of the
+        longest scenario. Shorter scenarios repeat their last sample; a preview beyond their end reads the same values.
 
     Raises
     ------
@@ -294,7 +294,7 @@ class Batch:
         self, slots: int, steps: int, room: Room, segments: int = 0, periods: int = 0,
         scheduler: CompiledScheduler | None = None,
     ) -> Any:  # fmt: skip
-        """Allocate the kernels' arrays for up to `slots` runs (`core.rollout.RunRecord`).
+        """Allocate the kernels' arrays for up to `slots` runs (`core.loop.rollout.RunRecord`).
 
         Parameters
         ----------
@@ -415,7 +415,7 @@ class Batch:
         return BatchRuns(result, _joined(traces, runs) if traces else period_kernel.no_trace(), guard_counts, segments)
 
     def _drive(self, chunk: NDArray[np.int64], inputs: _BatchInputs, room: Room, previous_record: Any) -> Any:
-        """Drive the runs of one chunk and return their `core.rollout.RunRecord`.
+        """Drive the runs of one chunk and return their `core.loop.rollout.RunRecord`.
 
         previous_record: record of an earlier chunk, or None. Its arrays are reused if their sizes match and its results
         are no longer needed.

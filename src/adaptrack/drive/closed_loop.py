@@ -2,7 +2,7 @@
 
 A control period has three steps: `ClosedLoop.sense` measures, `ClosedLoop.send` applies a command, and
 `ClosedLoop.advance` moves the car. Between the first two, the caller chooses the command: a controller in `simulate`, a
-learning agent in `gym`. Compiled runs call the same kernels (`core.period`).
+learning agent in `gym`. Compiled runs call the same kernels (`core.loop.period`).
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from adaptrack.control.controllers import Controller
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.scheduling.variables import SchedulingVariables
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
-from adaptrack.core import loop as loop_kernel
-from adaptrack.core import period as period_kernel
-from adaptrack.core import portable
 from adaptrack.core.kernel import Resident
+from adaptrack.core.loop import period as period_kernel
+from adaptrack.core.loop import world as loop_kernel
+from adaptrack.core.maths import portable
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants import contract, stepped
 from adaptrack.core.plants.contract import vehicle_batch
-from adaptrack.core.speed_control import SPEED_REQUEST
+from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.drive.world import Driver, RequestedForces, SpeedFollower, World, reason_of, warn_once
 from adaptrack.road.road_ahead import RoadAhead, pack_roads
 from adaptrack.scenario import RoadDrive, Scenario

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.checked import Bound, Hint, checked
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.drive.trajectory import Trajectory
 
 DISTANCE = 5.0

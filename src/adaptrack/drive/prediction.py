@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.models import MEASURED_STATES, PredictionModel
-from adaptrack.core import portable
-from adaptrack.core.portable import product
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 from adaptrack.drive.failure import MIN_JUDGED_SPEED
 from adaptrack.drive.trajectory import Trajectory
 

@@ -2,7 +2,7 @@
 
 `simulate` loops in Python and accepts any controller, plant, scheduler and QP solver. `rollout` runs the whole loop in
 the compiled kernels, as `batch.rollout_batch` does for many runs. Both use the same kernels for a control period
-(`core.period`) and return the same trajectory.
+(`core.loop.period`) and return the same trajectory.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of, step_call
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.speed_control import SpeedCommand, SpeedController, SpeedLimit, SpeedState
+from adaptrack.core.loop.period import TRACE_SIGNALS
 from adaptrack.core.models.contract import MEASUREMENT
-from adaptrack.core.period import TRACE_SIGNALS
 from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
@@ -45,7 +45,7 @@ DriveArgument = Annotated[
 
 
 class _Recorder:
-    """Record of one run with a row for each control instant. state and signals: see `core.period.Trace`."""
+    """Record of one run with a row for each control instant. state and signals: see `core.loop.period.Trace`."""
 
     def __init__(self, n: int, controller: Controller, state: Array, signals: Array) -> None:
         self.state, self.signals, self.step_call = state, signals, step_call(controller)

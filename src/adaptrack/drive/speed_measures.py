@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.core.public import GRAVITY, STANDING_SPEED
 from adaptrack.drive.failure import MIN_JUDGED_SPEED
 from adaptrack.drive.signal_statistics import mean_square, r79

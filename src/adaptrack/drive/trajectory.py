@@ -30,8 +30,8 @@ from adaptrack.base.files import (
     write_atomically,
 )
 from adaptrack.base.presentation import figure_of, html_of
-from adaptrack.core import portable
 from adaptrack.core.library import kernels_hash
+from adaptrack.core.maths import portable
 
 if TYPE_CHECKING:
     from adaptrack.road import Road

@@ -1,7 +1,7 @@
 """World: the simulated car and everything around its controller.
 
 It has plant, profile, driver, the perception of friction and wind, and the failure limits. Runs in Python and compiled
-runs both use it to build the inputs of the kernels (`core.period`).
+runs both use it to build the inputs of the kernels (`core.loop.period`).
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuato
 from adaptrack.control.controllers import Controller
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl
-from adaptrack.core import loop as loop_kernel
-from adaptrack.core import period as period_kernel
-from adaptrack.core.loop import SIGNAL
+from adaptrack.core.loop import period as period_kernel
+from adaptrack.core.loop import world as loop_kernel
+from adaptrack.core.loop.world import SIGNAL
 from adaptrack.core.models.sensors import SENSOR_FIELDS
 from adaptrack.core.planning.drive import complete_samples
 from adaptrack.core.synthesis.plant import dead_periods
@@ -200,7 +200,7 @@ class World:
         return self.plant.substeps(self.period, top_speed)
 
     def settings(self, substeps: int) -> Any:
-        """Return the `core.loop.LoopSettings` for a number of integration steps per control period."""
+        """Return the `core.loop.world.LoopSettings` for a number of integration steps per control period."""
         profile, driver, steering = self.profile, self.driver, self.steering
         return loop_kernel.LoopSettings(
             period=self.period,
@@ -232,7 +232,7 @@ class World:
 
     @property
     def _speed_kind(self) -> int:
-        """Value of `prescribed_speed` in `core.loop.LoopSettings`: prescribed, a driver, or requested forces."""
+        """Value of `prescribed_speed` in `core.loop.world.LoopSettings`: prescribed, a driver, or requested forces."""
         if self.driver is None:
             return loop_kernel.PRESCRIBED
         if not isinstance(self.driver, Driver):
@@ -263,12 +263,12 @@ class World:
     def loop(
         self, inputs: Any, vehicles: Any, settings: Any, *, needs_variables: bool, trace: Any = None, segments: int = 0
     ) -> Any:  # fmt: skip
-        """Allocate the loop of new runs (`core.period.RunLoop`), one run per vehicle.
+        """Allocate the loop of new runs (`core.loop.period.RunLoop`), one run per vehicle.
 
         Parameters
         ----------
         inputs
-            Samples, roads and seeds (`core.period.RunInputs`).
+            Samples, roads and seeds (`core.loop.period.RunInputs`).
         vehicles
             Batch of vehicles.
         settings
@@ -276,7 +276,7 @@ class World:
         needs_variables
             Whether a scheduler or an agent reads the scheduling variables.
         trace
-            Memory of the recorded signals (`core.period.traces`); None to record nothing.
+            Memory of the recorded signals (`core.loop.period.traces`); None to record nothing.
         segments
             Number of segments whose cost is recorded in each run.
         """
@@ -305,7 +305,7 @@ class World:
         )
 
     def samples(self, signals: Signals, number: int) -> Array:
-        """Convert the samples of a scenario to the rows that the kernels read (`core.loop.SIGNAL`), (rows, n + 1).
+        """Convert the samples of a scenario to the rows of the kernels (`core.loop.world.SIGNAL`), (rows, n + 1).
 
         Parameters
         ----------
@@ -344,7 +344,7 @@ class World:
 
 
 def _actuator_settings(name: str, actuator: DriveActuator | BrakeActuator, period: float) -> dict[str, float]:
-    """Entries of `core.loop.LoopSettings` of drive or brakes."""
+    """Entries of `core.loop.world.LoopSettings` of drive or brakes."""
     whole_periods, share = dead_periods(0.0, actuator.dead_time, period)
     values = {"whole": whole_periods, "share": share, "lag": actuator.lag, "rate": actuator.rate, "gain": actuator.gain}
     return {f"{name}_{key}": value for key, value in values.items()}

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.core import functions, guard, schedule
 from adaptrack.core.controllers import lqr, mpc
 from adaptrack.core.controllers.constraints import SAMPLE_ROWS
 from adaptrack.core.estimators import kalman, learning
@@ -18,9 +17,10 @@ from adaptrack.core.kernel import Scalar, int64, size_of
 from adaptrack.core.layout import arrays_of
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.models.path import Turning
+from adaptrack.core.scheduling import functions, guard, schedule
+from adaptrack.core.scheduling.variables import VARIABLE_COLUMNS
 from adaptrack.core.tracker.records import MEMORY, TRACKER_SETTINGS
 from adaptrack.core.tracker.step import Tracking
-from adaptrack.core.variables import VARIABLE_COLUMNS
 from adaptrack.export.block import ArrayLayout, ArrayRole, Block
 
 LONGEST_LAG = 10

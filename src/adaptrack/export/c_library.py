@@ -19,10 +19,11 @@ from adaptrack.base.files import keep_replaced, write_atomically
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLimit, SpeedState
-from adaptrack.core import library, path, road
+from adaptrack.core import library
 from adaptrack.core.input_check.record import MISTAKES
 from adaptrack.core.kernel import Array as KernelArray
-from adaptrack.core.speed_path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, PlanArrays, speed_path_words
+from adaptrack.core.roads import path, road
+from adaptrack.core.speed.path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, PlanArrays, speed_path_words
 from adaptrack.core.tracker.records import TrackerRecord
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.core.tracker.step import Tracking

@@ -5,9 +5,9 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable
 
-from adaptrack.core.friction_estimate import FRICTION_MEMORY
 from adaptrack.core.kernel import Field, fields_of
-from adaptrack.core.speed_control import SPEED_REQUEST
+from adaptrack.core.speed.friction import FRICTION_MEMORY
+from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.core.tracker.signals import STATUS, TRACKED, TRACKER_SAMPLE
 
 TYPES = {"status": "adaptrack_status", "suspect": "uint64_t", "speed_state": "adaptrack_speed_state",

@@ -18,7 +18,7 @@ program lays rows in its memory (`numbers by name`), copies into them what is na
 
 1. ``plant_parameters(car, tyre, actuator, parameters)``; ``plant_law(tyre)`` chooses among ``plants`` which
    functions the `plants.contract.Vehicles` hold.
-2. ``plant_substeps(car, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `core.loop.LoopSettings`;
+2. ``plant_substeps(car, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `core.loop.world.LoopSettings`;
    ``dead_periods(delay, actuator.dead_time, period)`` -> ``dead_whole``, ``dead_share``. The rest of Settings are
    copies: of ``settings``, of the actuator (``steering_lag``, ``steering_limit``, ``steering_bias``), of the car
    (``mass``, ``engine_power``, ``traction_limit``, ``brake_limit``) and of the domain (``failure_distance``).
@@ -43,7 +43,7 @@ turning, estimator or learner. On a road ``curved`` is 1 and ``feeds_forward`` 0
 
 **A speed control**: `speed_numbers`.
 
-1. ``settings`` in a row of `core.speed_control.SpeedSettings`, completed by the period, the car and what ``resistance``
+1. ``settings`` in a row of `speed_control.SpeedSettings`, completed by the period, the car and what ``resistance``
    and ``usable_friction`` answer.
 2. ``write_speed_path`` of the plan, then a `core.tracker.longitudinal.Longitudinal` with ``bank`` hypotheses each of
    drive and brakes and ``speed_requests``; ``horizon_cells`` counts the cells ahead. ``top_speed`` of its sample is
@@ -75,9 +75,9 @@ from adaptrack.control.friction_estimate import (
     LONGEST_STEERING_DELAY,
 )
 from adaptrack.control.speed_control import SpeedControl, speed_banks
-from adaptrack.core.loop import EXTERNAL_FORCES
+from adaptrack.core.loop.world import EXTERNAL_FORCES
 from adaptrack.core.physics.tyre import TYRE_NAMES
-from adaptrack.core.speed_path import PLACE_SPACING
+from adaptrack.core.speed.path import PLACE_SPACING
 from adaptrack.core.synthesis import laws
 from adaptrack.drive.closed_loop import LONGEST_SPEEDS_AHEAD
 from adaptrack.drive.world import World
@@ -98,7 +98,7 @@ def world_numbers(profile: str | Profile) -> dict[str, Any]:
     """A profile for a program without Python, see the module.
 
     ``period`` (s), ``delay`` (periods), ``actuator`` (`synthesis.plant.Actuator`), ``settings``
-    (`core.loop.LoopSettings`, all that is not of car or drive), ``remembered`` (instants whose samples are kept),
+    (`core.loop.world.LoopSettings`, all that is not of car or drive), ``remembered`` (instants whose samples are kept),
     ``requested`` (forces that are remembered), ``speed_requests`` (those of a speed control) and ``plants``, the names
     of the functions for each answer of ``plant_law``.
     """

@@ -14,22 +14,24 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, MAX_SPEED, PREDICTION_HORIZON
 from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_vehicle
 from adaptrack.control.scheduling import load_scheduler
-from adaptrack.core import path, path_parts, road, rollout, speed_path  # noqa: F401 (kernels that the page calls)
 from adaptrack.core.build.page import CALLED
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators import learning
-from adaptrack.core.frame import FRAME, SPEED_FRAME
 from adaptrack.core.kernel import Field, columns, fields_of, size_of
-from adaptrack.core.loop import SIGNAL
+from adaptrack.core.loop import rollout
+from adaptrack.core.loop.frame import FRAME, SPEED_FRAME
+from adaptrack.core.loop.period import RunSpan
+from adaptrack.core.loop.world import SIGNAL
 from adaptrack.core.models.car import CarRow, SingleTrackCar, SteeringRow
 from adaptrack.core.models.contract import MEASUREMENT
-from adaptrack.core.period import RunSpan
 from adaptrack.core.physics.parameters import PLANT_PARAMETERS
 from adaptrack.core.planning import drive, speed, station_table
 from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, PLANT_STATES, SLOTS
-from adaptrack.core.schedule import no_schedule
+from adaptrack.core.roads import road
+from adaptrack.core.scheduling.schedule import no_schedule
+from adaptrack.core.speed import path as speed_path
 from adaptrack.core.synthesis import car, laws, plant
 from adaptrack.core.synthesis.mpc import ORDER_FAULTS, MPCNumbers, Order
 from adaptrack.core.tracker.longitudinal import Longitudinal

@@ -18,8 +18,8 @@ from adaptrack.cars import data_sheet
 from adaptrack.cars.domain import MAX_DOMAIN, Domain
 from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.cars.vehicle import Body, Steering, Tyre, Vehicle, load_tyre
-from adaptrack.core import path
 from adaptrack.core.kernel import OK
+from adaptrack.core.roads import path
 from adaptrack.core.synthesis import car, plant
 from adaptrack.road.points import COLUMN_UNITS, DEGREE_COLUMNS, NAME, POINT_COLUMNS, WITHOUT_HEADER
 

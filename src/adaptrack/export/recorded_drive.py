@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.tracker.signals import MEASURED, TRACKED
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL

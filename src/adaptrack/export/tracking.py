@@ -16,7 +16,7 @@ from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.speed_control import SpeedControl, SpeedStart, longitudinal_of, patience_of, speed_path
 from adaptrack.control.tracking import tracking_of
 from adaptrack.core.kernel import direct
-from adaptrack.core.speed_control import SPEED_REQUEST, SpeedPath
+from adaptrack.core.speed.speed_control import SPEED_REQUEST, SpeedPath
 from adaptrack.core.tracker.longitudinal import write_requests
 from adaptrack.core.tracker.step import tracker_step
 from adaptrack.export.block import ArrayRole, ArrayStart, Block, pack

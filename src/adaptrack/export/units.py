@@ -16,8 +16,8 @@ from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SpeedControl, longitudinal_of, speed_path
 from adaptrack.core.kernel import Field
-from adaptrack.core.loop import SIGNAL
-from adaptrack.core.period import RunInputs
+from adaptrack.core.loop.period import RunInputs
+from adaptrack.core.loop.world import SIGNAL
 from adaptrack.core.plants.contract import place, vehicle_batch
 from adaptrack.core.units import car, controller
 from adaptrack.drive.failure import FailureLimits

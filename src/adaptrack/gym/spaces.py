@@ -31,7 +31,7 @@ OBSERVATION_BOUNDS = {
     "speed": (0.0, 100.0), "wheel_angle": (-math.pi / 2, math.pi / 2), "command": (-math.pi / 2, math.pi / 2),
     "pose_age": (0.0, 600.0),
 }  # fmt: skip
-"""Bounds of the columns of `core.observation.OBSERVATION`, SI units."""
+"""Bounds of the columns of `core.loop.observation.OBSERVATION`, SI units."""
 PREVIEW_REFERENCE_BOUNDS, PREVIEW_CURVATURE_BOUNDS = (-CLIP_DISTANCE, CLIP_DISTANCE), (-1.0, 1.0)
 """Bounds of a previewed reference (m) and of a previewed curvature (1/m)."""
 VARIABLE_BOUNDS = {

@@ -68,7 +68,7 @@ class CarBlock(NamedTuple):
     vehicle: Vehicle
     """Data sheet of the cars."""
     episodes: Any
-    """State of the episodes, a record `core.episode.Episodes`."""
+    """State of the episodes, a record `core.loop.episode.Episodes`."""
     resident: Any
     """Packed form of `episodes` for kernels, `core.kernel.Resident`."""
 

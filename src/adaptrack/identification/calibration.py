@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 
 
 class Correction(NamedTuple):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.identification.identified_car import Estimate
 from adaptrack.identification.quantities import degrees_per_g

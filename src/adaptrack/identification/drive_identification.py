@@ -19,10 +19,10 @@ from scipy.optimize import lsq_linear
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
-from adaptrack.core import drive_identification as kernel
-from adaptrack.core import portable
+from adaptrack.core.identification import drive as kernel
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.core.portable import product
 from adaptrack.identification.conventions import refuse_contradictions
 from adaptrack.identification.estimates import ReportedRow, estimates_at
 from adaptrack.identification.identified_car import DriveIdentification
@@ -75,7 +75,7 @@ _KINDS = kinds_of(DRIVE_QUANTITIES)
 class DriveLikelihood(InnovationLikelihood):
     """Likelihood of the speed along a log.
 
-    rows: (4, n) as `core.drive_identification.DRIVE_ROW`; beliefs: by the names of `DRIVE_QUANTITIES`
+    rows: (4, n) as `core.identification.drive.DRIVE_ROW`; beliefs: by the names of `DRIVE_QUANTITIES`
     """
 
     def __init__(self, rows: Array, beliefs: Mapping[str, Prior]) -> None:
@@ -93,7 +93,7 @@ class DriveLikelihood(InnovationLikelihood):
         return values_of(z, self.median, self.spread, _KINDS)
 
     def packed(self, z: Array) -> Array:
-        """The quantities at a point z, in the order of `core.drive_identification.DriveQuantities`."""
+        """The quantities at a point z, in the order of `core.identification.drive.DriveQuantities`."""
         value = dict(zip(_INDEX, self.values(z), strict=True))
         for name in ACTUATORS:
             delay, share = value.pop(f"{name}_delay"), value.pop(f"{name}_lag_share")

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.core import portable
-from adaptrack.core.portable import product
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 from adaptrack.identification.calibration import corrected
 from adaptrack.identification.identified_car import Estimate
 from adaptrack.identification.likelihood import InnovationLikelihood

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import AdaptrackError, InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.recording import LOG_NAMES
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.tracker.records import ACROSS_PENALTY
 from adaptrack.drive.trajectory import Trajectory

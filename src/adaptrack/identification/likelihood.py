@@ -1,6 +1,6 @@
 """The likelihood of a log, and the quantities that maximise it.
 
-With innovations e_i and variances S_i of a Kalman filter (`core.identification`), and a standard normal prior on z,
+With innovations e_i and variances S_i of a filter (`core.identification.steering`), and a standard normal prior on z,
 
     -ln p = 1/2 sum(e_i^2/S_i + ln S_i) + 1/2 |z|^2
 
@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.core import identification as kernel
-from adaptrack.core import portable
-from adaptrack.core.portable import product
+from adaptrack.core.identification import steering as kernel
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 from adaptrack.identification.log import Log
 from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SHAPE, Prior, values_of
 from adaptrack.road.smoothing import Smoother

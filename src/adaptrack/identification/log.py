@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.identification.outliers import find_outliers, find_stuck, outlier_note
 
 Array = NDArray[np.float64]

@@ -13,9 +13,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.core.portable import product
 from adaptrack.identification.conventions import CLEAR, LEAST_BOTH, WINDOW, Agreement, find_meaning, smoothed
 
 Array = NDArray[np.float64]

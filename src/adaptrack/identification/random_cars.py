@@ -13,7 +13,7 @@ from adaptrack.base.checked import RISING, Finite, Natural, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.control.controllers.learned_car import STEERING_QUANTITIES
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.scenario.profile import Profile, load_profile
 
 BASES = ("paper", "midsize-sedan")

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.identification.conventions import smoothed
 from adaptrack.identification.identified_car import HARDLY, Estimate
 from adaptrack.identification.likelihood import Likelihood

@@ -28,9 +28,9 @@ from adaptrack.control.controllers.belief import UNKNOWN, GivenSteering
 from adaptrack.control.controllers.informed import DEFAULT_PROFILE
 from adaptrack.control.controllers.learned_car import UNKNOWN_CAR
 from adaptrack.control.kalman import SENSORS
-from adaptrack.core import portable
 from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.estimators.learning import SHORTEST_LAG
+from adaptrack.core.maths import portable
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN
 from adaptrack.drive.prediction import TIMES

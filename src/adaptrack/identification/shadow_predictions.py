@@ -23,9 +23,9 @@ from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel
 from adaptrack.core.estimators import kalman
 from adaptrack.core.estimators import learning as kernel
+from adaptrack.core.maths.portable import product
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.models.path import PATH_STATES, discretise_disturbed
-from adaptrack.core.portable import product
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.instants import InstantSamples
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.identification.likelihood import NEARLY, Likelihood
 from adaptrack.identification.quantities import INDEX, QUANTITIES, shift_from_zero
 

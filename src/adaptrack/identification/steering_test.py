@@ -18,8 +18,8 @@ from adaptrack.base.checked import Finite, checked, real, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import LearnedCar
-from adaptrack.core import portable
 from adaptrack.core.estimators.learning import LEARNED, QUANTITIES_BOUNDED, STIFFNESS_BOUND
+from adaptrack.core.maths import portable
 from adaptrack.core.synthesis.learner import MAX_BALANCE_RANGE, MAX_BIAS_RANGE, MAX_STIFFNESS_RANGE, UNIFORM_SIGMA
 from adaptrack.identification.estimates import ReportedRow, slopes_at, values_at
 from adaptrack.identification.likelihood import Likelihood

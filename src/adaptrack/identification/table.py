@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import read_arrow_table, read_bytes, table_lines
-from adaptrack.core.portable import product
+from adaptrack.core.maths.portable import product
 from adaptrack.drive.trajectory import TRAJECTORY_FORMAT, Trajectory
 from adaptrack.scenario.profile import list_profiles, load_profile
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.identification.identified_car import Estimate, Validation
 from adaptrack.identification.log import Log
 from adaptrack.identification.quantities import degrees_per_g

@@ -36,7 +36,7 @@ from adaptrack.control.scheduling import (
     load_scheduler,
     made_for,
 )
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.paper.campaign import run_campaign, software_versions
 from adaptrack.paper.campaign_config import CampaignConfig
 from adaptrack.paper.data_set import DataSet, load_dataset

@@ -33,7 +33,7 @@ from adaptrack.control.scheduling.functions.sugeno import (
     bell_exponent,
     distance,
 )
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.paper import partition as partitions
 from adaptrack.paper.samples import held_out, mean, part, row_weights
 

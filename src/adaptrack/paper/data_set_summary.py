@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.operating_points import POINT_COORDINATES
 

@@ -18,7 +18,7 @@ from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import reports_progress
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Function, Learned, Schedule, SchedulingVariables
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.paper.landscape import LEARNED_OUTPUTS, Rescue, WeightedMoves, explore_landscape
 from adaptrack.paper.surfaces import Surface
 from adaptrack.tuning.runs import Indices, RunSet

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.scheduling import Schedule
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.tuning.runs import Indices, RunSet
 
 Array = NDArray[np.float64]

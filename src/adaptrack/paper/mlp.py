@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 from adaptrack.base.checked import Count, Positive, check_parameters
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.network import Network
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.paper.samples import held_out, mean, part, row_weights
 
 Array = NDArray[np.float64]

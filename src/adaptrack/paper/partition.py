@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import Positive, Share, checked, whole_number
 from adaptrack.base.errors import InvalidInput
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 
 Array = NDArray[np.float64]
 RuleIndices = NDArray[np.intp]

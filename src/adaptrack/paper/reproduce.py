@@ -28,7 +28,7 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Moves, Tuning, published_mpc
 from adaptrack.control.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.metrics import PAPER_MSE, compute_metrics, published_mse

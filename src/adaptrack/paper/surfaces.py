@@ -18,7 +18,7 @@ from scipy.special import expit
 
 from adaptrack.control.scheduling.functions import Function, Network, Number, Sugeno
 from adaptrack.control.scheduling.functions.sugeno import BELL_SLOPE, BELL_WIDTH
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 
 Array = NDArray[np.float64]
 

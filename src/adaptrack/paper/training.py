@@ -22,7 +22,7 @@ from adaptrack.base.progress import reports_progress
 from adaptrack.control.controllers import ENTRIES
 from adaptrack.control.scheduling.functions.network import Network
 from adaptrack.control.scheduling.functions.sugeno import Sugeno
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.paper.anfis import ANFIS
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.mlp import MLP

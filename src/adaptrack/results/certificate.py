@@ -25,7 +25,7 @@ from adaptrack.base.result import (
     select_entries,
 )
 from adaptrack.control.scheduling import SchedulingVariables
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.results.answers import certificate_answer
 from adaptrack.results.marks import ColourScale, draw_dots, draw_heat_map, draw_ribbon, edges_around
 from adaptrack.results.words import INPUT_LABELS, number

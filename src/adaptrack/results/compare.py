@@ -15,7 +15,7 @@ from adaptrack.comparison.run import Compared
 from adaptrack.comparison.table import Comparison
 from adaptrack.comparison.views import standing_rows
 from adaptrack.control.controllers import about_controller
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.results.dots import Dot, caption_notes, dots_panel
 from adaptrack.results.marks import draw_dots, name_rows, set_log_scale
 from adaptrack.results.words import counted, data_text, number, span

@@ -23,7 +23,7 @@ from adaptrack.base.result import (
     Row,
     Stroke,
 )
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.paper.campaign_config import STANDARD_ROW
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.data_set_summary import describe

@@ -15,7 +15,7 @@ from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, R
 from adaptrack.base.statistics import binned_geometric_mean
 from adaptrack.comparison.table import Comparison, finite
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.paper.evaluation import BEST_CONSTANT, POINT_OPTIMUM
 from adaptrack.results.comparison_pictures import ratios_picture
 from adaptrack.results.marks import ColourScale, draw_heat_map

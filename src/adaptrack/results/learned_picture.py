@@ -10,9 +10,9 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import REFERENCE_STROKE, Panel, Picture, Stroke
-from adaptrack.core import portable
 from adaptrack.core.estimators.learning import LEARNED, LOGARITHMIC
 from adaptrack.core.kernel import Field, fields_of
+from adaptrack.core.maths import portable
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.marks import draw_ribbon
 from adaptrack.results.run_pictures import Array, DrawnRun, Runs, prepare_runs, thin_curve

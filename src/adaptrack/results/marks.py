@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from adaptrack.base.result import INK, MUTED, SERIES, Stroke
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.text import printable
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.results.marks import deviation_colours
 from adaptrack.results.record import SPEED_SIGNALS, Array, DriveRecord

@@ -20,7 +20,7 @@ from adaptrack.base.result import (
     ResultTable,
     Stroke,
 )
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.results.answers import road_answer
 from adaptrack.results.marks import ColourScale, draw_coloured_line, draw_dots
 from adaptrack.results.words import data_text

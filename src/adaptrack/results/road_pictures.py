@@ -11,7 +11,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import BACKGROUND_STROKE, INK, PALE, Panel, Picture
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.results.marks import ColourScale, draw_coloured_line, draw_dots, write_beside
 from adaptrack.results.record import Array, DriveRecord
 from adaptrack.results.words import data_text, span

@@ -25,7 +25,7 @@ from adaptrack.base.result import (
 )
 from adaptrack.control.controllers.tuning import ENTRIES
 from adaptrack.control.speed_control import SpeedLimit
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results.marks import (

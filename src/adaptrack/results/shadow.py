@@ -21,8 +21,8 @@ from adaptrack.base.result import (
     strokes,
 )
 from adaptrack.control.controllers.learned_car import WITHIN
-from adaptrack.core import portable
 from adaptrack.core.estimators.learning import LEARNED
+from adaptrack.core.maths import portable
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
 from adaptrack.identification.shadow_predictions import PREDICTORS

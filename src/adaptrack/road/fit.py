@@ -23,11 +23,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import NotNegative, Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
-from adaptrack.core import path, path_noise, portable
 from adaptrack.core.kernel import OK
-from adaptrack.core.path import MIN_PATH_POINTS, WIDEST
-from adaptrack.core.portable import product
-from adaptrack.core.road import CLOSED, LENGTH, MOST_CURVATURE, project_all
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
+from adaptrack.core.roads import noise as path_noise
+from adaptrack.core.roads import path
+from adaptrack.core.roads.path import MIN_PATH_POINTS, WIDEST
+from adaptrack.core.roads.road import CLOSED, LENGTH, MOST_CURVATURE, project_all
 from adaptrack.road.height import grade_of_heights
 from adaptrack.road.road import Road
 from adaptrack.road.segments import MAX_COORDINATE, Array, Cubic, Pose
@@ -167,7 +169,7 @@ def road_through(
     """A road through the points of a planner, many times as fast as `fit_road`.
 
     A cubic spline over the length of their polygon: continuous curvature, exact at points without noise. Points with
-    noise are smoothed first (`core.path_noise`). Exported controllers make the same road to the bit.
+    noise are smoothed first (`core.roads.noise`). Exported controllers make the same road to the bit.
 
     Parameters
     ----------
@@ -239,7 +241,7 @@ def _repetition_notes(points: Array, rows: NDArray[np.int64]) -> tuple[str, ...]
 
 
 def _points_apart(points: Array, closed: bool) -> tuple[NDArray[np.int64], Array]:
-    """Numbers (m,), and points (m, 2) beside them that stand for all points near to each other (`core.path`)."""
+    """Numbers (m,), and points (m, 2) beside them that stand for all points near to each other (`core.roads.path`)."""
     places = np.empty(len(points))
     places = places[: path.points_apart(points, closed, places)]
     low = np.floor(places).astype(np.int64)

@@ -20,7 +20,7 @@ import numpy as np
 
 from adaptrack.base.checked import Finite, Natural, checked, within
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Arc, Array, Clothoid, Line, Pose, heading_integral
 

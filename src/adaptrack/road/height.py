@@ -11,7 +11,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_GRADE
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.road.segments import Array
 from adaptrack.road.smoothing import Smoother
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from adaptrack.base.files import LISTED, Record, build, read_toml
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road.segments import Array
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import is_number, printable, read_bytes
-from adaptrack.core import portable
-from adaptrack.core.road import X, Y
+from adaptrack.core.maths import portable
+from adaptrack.core.roads.road import X, Y
 from adaptrack.road.opendrive_lanes import (
     MAX_CLOSED_GAP,
     Lanes,

@@ -17,8 +17,8 @@ import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.base.files import printable
-from adaptrack.core import portable
-from adaptrack.core.road import HALF_LENGTH
+from adaptrack.core.maths import portable
+from adaptrack.core.roads.road import HALF_LENGTH
 from adaptrack.road.segments import Array
 from adaptrack.road.station_table import NO_LIMIT, Along
 from adaptrack.road.table import Pieces, cubic_line, points_on_pieces

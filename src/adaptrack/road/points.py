@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import NumberedLines, is_number, printable, read_bytes, table_lines
 from adaptrack.base.limits import MAX_SPEED
-from adaptrack.core import portable
-from adaptrack.core.path import MIN_PATH_POINTS
+from adaptrack.core.maths import portable
+from adaptrack.core.roads.path import MIN_PATH_POINTS
 from adaptrack.road.fit import SPARSE, fit_road
 from adaptrack.road.road import Road
 from adaptrack.road.segments import Array

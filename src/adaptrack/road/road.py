@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_GRADE, ROAD_LENGTH, check_limit
-from adaptrack.core import portable
-from adaptrack.core import road as kernel
+from adaptrack.core.maths import portable
 from adaptrack.core.planning import station_table as along_kernel
-from adaptrack.core.road import X, Y
+from adaptrack.core.roads import road as kernel
+from adaptrack.core.roads.road import X, Y
 from adaptrack.road.segments import MAX_COORDINATE, Array, Points, Pose, Segment
 from adaptrack.road.station_table import ALONG_QUANTITIES, Along, alongs
 from adaptrack.road.table import Pieces, sequence, tabulate
@@ -313,7 +313,7 @@ class Road:
         return Projection(*(feet[:, k].reshape(shape) for k in range(4)))
 
     def packed(self) -> Any:
-        """The centre line as the record that `adaptrack.core.road` reads; read-only."""
+        """The centre line as the record that `adaptrack.core.roads.road` reads; read-only."""
         return self._packed
 
     @cached_property

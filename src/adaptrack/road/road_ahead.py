@@ -12,14 +12,14 @@ import numpy as np
 
 from adaptrack.base.checked import real, reals
 from adaptrack.base.errors import InvalidInput, format_value
-from adaptrack.core import road as kernel
-from adaptrack.core.path import cells_of
+from adaptrack.core.roads import road as kernel
+from adaptrack.core.roads.path import cells_of
 from adaptrack.road.road import Projection, Road
 from adaptrack.road.segments import Array
 
 
 def pack_roads(roads: Sequence[Road | None]) -> Any:
-    """The roads of scenarios, None for a straight one, as `core.road.Roads`; equal ones are kept once."""
+    """The roads of scenarios, None for a straight one, as `core.roads.road.Roads`; equal ones are kept once."""
     packed: list[Road] = []
     of = np.full(len(roads), -1, np.int64)
     for i, road in enumerate(roads):
@@ -50,7 +50,7 @@ def pack_roads(roads: Sequence[Road | None]) -> Any:
 
 @lru_cache(maxsize=16)
 def stacked(road: Road) -> Any:
-    """A road alone as `core.road.Roads`."""
+    """A road alone as `core.roads.road.Roads`."""
     return pack_roads([road])
 
 
@@ -98,13 +98,13 @@ class RoadAhead:
 
     @property
     def packed(self) -> Any:
-        """The centre line, the foot and the speeds, `core.road.RoadAheadRecord`."""
+        """The centre line, the foot and the speeds, `core.roads.road.RoadAheadRecord`."""
         return kernel.RoadAheadRecord(self.road.packed(), self.station, self.speeds)
 
     def bend(self, count: int, speed: float, delay: float, period: float) -> Array:
         """(count,) m, how far the road lies to the left of its tangent here: after `delay` periods, then every period.
 
-        speed: m/s, of the model; delay: in periods; period: s; see `core.road.bend_ahead`.
+        speed: m/s, of the model; delay: in periods; period: s; see `core.roads.road.bend_ahead`.
         """
         curvatures = np.zeros(count)
         kernel.bend_of(self.station, self.speeds, speed, delay, period, 0, stacked(self.road), curvatures)
@@ -122,6 +122,6 @@ class RoadAhead:
 
 @cache
 def straight() -> Any:
-    """`core.road.RoadAheadRecord` of a straight road."""
+    """`core.roads.road.RoadAheadRecord` of a straight road."""
     line = kernel.Centreline(np.zeros(0), np.zeros((0, kernel.PIECE_COLUMNS)), np.zeros(0))
     return kernel.RoadAheadRecord(line, 0.0, np.zeros(0))

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from adaptrack.base.files import Record
-from adaptrack.core import portable
-from adaptrack.core.portable import product
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 
 Array = NDArray[np.float64]
 MIN_ELEMENT_LENGTH, MAX_ELEMENT_LENGTH = 1e-15, 1e6

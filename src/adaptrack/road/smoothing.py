@@ -21,8 +21,8 @@ import scipy  # loads its parts when they are first used
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.core import portable
-from adaptrack.core.portable import product
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 from adaptrack.road.segments import Array
 
 KNOTS = 10.0

@@ -22,11 +22,11 @@ from adaptrack.base.files import Record
 from adaptrack.base.limits import MAX_SPEED
 from adaptrack.cars.domain import Domain
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.core import portable
-from adaptrack.core import speed_plan as plan_kernel
+from adaptrack.core.maths import portable
 from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.cells import PLAN, plan_places
 from adaptrack.core.planning.speed import STRAIGHT_CURVATURE as STRAIGHT_CURVATURE
+from adaptrack.core.speed import plan as plan_kernel
 from adaptrack.road.cornering import cornering_limit, packed, steering_limit
 from adaptrack.road.holdable_speed import HoldableSpeed, highest
 from adaptrack.road.road import Road

@@ -2,7 +2,7 @@
 
 Every element (`segments`) is cut into pieces that turn by at most 1 rad. On each, position and heading are polynomials
 of degree 11 in u = (s - middle)/half, -1 <= u <= 1, in a frame at its middle. Lines, arcs and clothoids keep their
-exact heading, so their curvature is exact; a cubic is halved until its pieces fit (`core.path`).
+exact heading, so their curvature is exact; a cubic is halved until its pieces fit (`core.roads.path`).
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import TURNS, check_limit
-from adaptrack.core import portable
 from adaptrack.core.kernel import OK
-from adaptrack.core.path import TOO_SMALL, TURN, line_numbers, write_cubics
-from adaptrack.core.portable import product
-from adaptrack.core.road import (
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
+from adaptrack.core.roads.path import TOO_SMALL, TURN, line_numbers, write_cubics
+from adaptrack.core.roads.road import (
     ACROSS_COEFFICIENTS,
     ALONG_COEFFICIENTS,
     COS,
@@ -54,7 +54,7 @@ class Pieces(NamedTuple):
         return float(self.start[-1])
 
     def packed(self, closed: bool) -> Any:
-        """The record that `adaptrack.core.road` reads."""
+        """The record that `adaptrack.core.roads.road` reads."""
         start, pieces, numbers = *map(np.ascontiguousarray, self), np.empty(4)
         line_numbers(start, pieces, closed, numbers)
         return Centreline(start, pieces, numbers)

@@ -31,8 +31,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.files import Record, write_toml
-from adaptrack.core import portable
-from adaptrack.core.road import (
+from adaptrack.core.maths import portable
+from adaptrack.core.roads.road import (
     ACROSS_COEFFICIENTS,
     COS,
     HALF_LENGTH,
@@ -44,7 +44,7 @@ from adaptrack.core.road import (
     X,
     Y,
 )
-from adaptrack.core.road import ALONG_COEFFICIENTS as ALONG_PIECE
+from adaptrack.core.roads.road import ALONG_COEFFICIENTS as ALONG_PIECE
 from adaptrack.road.segments import MAX_COORDINATE, MAX_ELEMENT_LENGTH, MIN_ELEMENT_LENGTH, Segment
 from adaptrack.road.station_table import Along
 from adaptrack.road.table import Pieces, end_to_end

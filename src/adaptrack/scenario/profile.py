@@ -11,8 +11,8 @@ from pydantic import Field, field_validator, model_validator
 
 from adaptrack.base.files import FieldRecord, build, read_toml
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator, find_data, list_data
-from adaptrack.core import portable
 from adaptrack.core.kernel import row_of
+from adaptrack.core.maths import portable
 from adaptrack.core.models.sensors import SENSOR_FIELDS
 from adaptrack.core.synthesis.tuning import ControllerWorld
 

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from adaptrack.base.checked import RISING, Hint, Natural, NotNegative, Positive, checked
 from adaptrack.cars.domain import Domain
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.scenario.scenario import Scenario
 from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Constant, Gust, Knots, LaneChange, Shape, Step, Sum

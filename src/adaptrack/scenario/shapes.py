@@ -26,7 +26,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import Record, build
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.scenario.profile import Profile, load_profile
 from adaptrack.tuning.pso import Swarm, SwarmSettings

@@ -18,11 +18,11 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC
 from adaptrack.control.controllers.base import Room
-from adaptrack.core import swarm as swarm_kernel
-from adaptrack.core import tune as kernels
 from adaptrack.core.kernel import Resident
-from adaptrack.core.period import RunSpan
+from adaptrack.core.loop.period import RunSpan
 from adaptrack.core.plants.contract import SLOTS
+from adaptrack.core.tuning import swarm as swarm_kernel
+from adaptrack.core.tuning import tune as kernels
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.scenario import Scenario, load_scenario
@@ -171,7 +171,7 @@ class Objective:
         return PointTuning(result.x, result.cost, result.trace, result.evaluations, steps)
 
     def _trial(self, point: ArrayLike, slots: int, max_Np: float, max_Nc: float) -> tuple[Any, Any]:
-        """Return the runs of up to `slots` tunings at an operating point, and the `core.tune.Trial` that uses them.
+        """Return the runs of up to `slots` tunings at an operating point, and their `core.tuning.tune.Trial`.
 
         max_Np and max_Nc (control periods) are the largest horizons of these tunings.
         """

@@ -8,8 +8,8 @@ A caller that computes the costs itself passes them one generation at a time:
     while not swarm.is_done:
         swarm.tell(evaluate(swarm.ask()))
 
-`adaptrack.core.swarm` contains the algorithm. This module adds validated settings, and a state that can be saved and
-restored without any change of the result.
+`adaptrack.core.tuning.swarm` contains the algorithm. This module adds validated settings, and a state that can be saved
+and restored without any change of the result.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from adaptrack.base.checked import Natural, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import LISTED, Record
 from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
-from adaptrack.core import portable
-from adaptrack.core import swarm as kernel
-from adaptrack.core.swarm import decode
+from adaptrack.core.maths import portable
+from adaptrack.core.tuning import swarm as kernel
+from adaptrack.core.tuning.swarm import decode
 
 Array = NDArray[np.float64]
 
@@ -128,7 +128,7 @@ class SearchSpace(Record):
         return len(self.names)
 
     def packed(self) -> Array:
-        """Return the space for the kernels, (4, dims), with the rows of `adaptrack.core.swarm.SPACE`."""
+        """Return the space for the kernels, (4, dims), with the rows of `adaptrack.core.tuning.swarm.SPACE`."""
         scale = [portable.log10 if name in self.decades else float for name in self.names]
         return np.array(
             [
@@ -217,7 +217,7 @@ class SwarmSettings(Record):
         return self.particles * self.generations
 
     def packed(self, space: SearchSpace) -> Array:
-        """Return the settings for the kernels, in the order of `adaptrack.core.swarm.SWARM_SETTINGS`."""
+        """Return the settings for the kernels, in the order of `adaptrack.core.tuning.swarm.SWARM_SETTINGS`."""
         smaller, larger = (-1, -1) if space.ordered is None else (space.names.index(name) for name in space.ordered)
         return np.array(
             [

@@ -11,7 +11,7 @@ import numpy as np
 
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.control.controllers.base import Array, Controller, command_of, step_call
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 from adaptrack.road import Arc, Line, Road
 from adaptrack.road.road_ahead import RoadAhead
 

@@ -28,8 +28,8 @@ from adaptrack.control.controllers.tuning import ENTRIES, Tuning
 from adaptrack.control.estimation import Estimator
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PathModel, PredictionModel
-from adaptrack.core import portable
 from adaptrack.core.kernel import row_of
+from adaptrack.core.maths import portable
 from adaptrack.core.models.car import LearnedRow
 from adaptrack.core.synthesis import mpc as kernel
 from adaptrack.core.synthesis.car import KnownWithinRow

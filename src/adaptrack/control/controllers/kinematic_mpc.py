@@ -15,9 +15,9 @@ from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array,
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.qp import QP
-from adaptrack.core import portable
 from adaptrack.core.controllers import kinematic_mpc as kernel
-from adaptrack.core.portable import product
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 from adaptrack.scenario.profile import Profile
 
 AUTOWARE_WEIGHTS = {

@@ -18,12 +18,12 @@ from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle
 from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.settings import RecordSettings
-from adaptrack.core import portable
 from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.estimators.learning import memory_of
 from adaptrack.core.estimators.learning_method import LearningMethod
 from adaptrack.core.kernel import Field as KernelField
 from adaptrack.core.kernel import fields_of
+from adaptrack.core.maths import portable
 from adaptrack.core.models.car import LEARNED_CAR
 from adaptrack.core.synthesis import learner as synthesis
 

@@ -21,9 +21,9 @@ from adaptrack.control.controllers.base import (
     steering_delay,
 )
 from adaptrack.control.controllers.limits import LimitsArgument
-from adaptrack.core import portable
 from adaptrack.core.controllers import lqr as kernel
 from adaptrack.core.kernel import row_of
+from adaptrack.core.maths import portable
 from adaptrack.core.synthesis import laws
 
 GAIN_SPEEDS = portable.geomspace(laws.MIN_GAIN_SPEED, laws.MAX_GAIN_SPEED, laws.GAIN_SPEED_COUNT)

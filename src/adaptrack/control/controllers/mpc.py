@@ -42,10 +42,10 @@ from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.controllers.mpc_step import MPCStep, form_qp, mpc_controller, step
 from adaptrack.core.controllers.receding import apply_move, predict_outputs
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS, BELIEF_NAMES, memory_of
-from adaptrack.core.guard import COUNTS
 from adaptrack.core.kernel import Resident, direct
-from adaptrack.core.schedule_step import schedule_step
-from adaptrack.core.variables import VARIABLE_NAMES
+from adaptrack.core.scheduling.guard import COUNTS
+from adaptrack.core.scheduling.schedule_step import schedule_step
+from adaptrack.core.scheduling.variables import VARIABLE_NAMES
 from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -83,7 +83,7 @@ class Scheduler(Protocol):
 
 @runtime_checkable
 class CompiledScheduler(Scheduler, Protocol):
-    """A scheduler that compiled runs can ask, see `core.schedule`."""
+    """A scheduler that compiled runs can ask, see `core.scheduling.schedule`."""
 
     def plan(self, slots: int) -> Any:
         """The packed scheduler with a fresh memory for `slots` runs."""
@@ -535,7 +535,7 @@ class MPC(Controller):
 
     @property
     def scheduler_counts(self) -> dict[str, int]:
-        """Counters of the scheduler since the last reset, by name, see `core.guard.COUNTS`.
+        """Counters of the scheduler since the last reset, by name, see `core.scheduling.guard.COUNTS`.
 
         ``raised``: steps at which a scheduler in Python raised an error or answered what is no tuning; the tuning
         before was kept.

@@ -17,9 +17,9 @@ from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.control.controllers.lqr import GAIN_SPEEDS, WEIGHT_FACTORS, feedback, riccati
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.models import PathModel
-from adaptrack.core import portable
 from adaptrack.core.controllers import preview_lqr as kernel
-from adaptrack.core.portable import product
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 from adaptrack.scenario.profile import Profile
 
 CURVATURE_PREVIEW = 3.0

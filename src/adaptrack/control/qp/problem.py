@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput
-from adaptrack.core.portable import product
+from adaptrack.core.maths.portable import product
 
 Array = npt.NDArray[np.float64]
 

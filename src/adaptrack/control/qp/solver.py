@@ -10,8 +10,8 @@ import numpy as np
 from adaptrack.base.checked import checked
 from adaptrack.control.qp.kernel import Workspace
 from adaptrack.control.qp.problem import QP, Array, Attempt, QPStatus, Residuals, Solution, kkt_residuals
-from adaptrack.core import portable
-from adaptrack.core.portable import product
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
 
 ACCEPTED = 1e-6
 """A solver's "solved" is believed when no scaled residual exceeds this; else the answer is not certified."""

@@ -12,7 +12,7 @@ from adaptrack.base.errors import ContractError
 from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS, read_tuning
 from adaptrack.control.scheduling.schedule import Schedule
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables
-from adaptrack.core import portable
+from adaptrack.core.maths import portable
 
 Array = NDArray[np.float64]
 

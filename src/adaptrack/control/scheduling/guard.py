@@ -35,7 +35,7 @@ class StabilityMap:
             raise InvalidInput("StabilityMap: needs a multilinear table over speed, friction, Np, Nc and log10 R/Q.")
 
     def pack(self, row: Any, pool: Pool) -> None:
-        """Write it to a guard's record (`core.guard.GUARD`) and the packed functions."""
+        """Write it to a guard's record (`core.scheduling.guard.GUARD`) and the packed functions."""
         row.mapped, row.limit = True, self.limit
         pool.add(self.table, row)
 
@@ -72,7 +72,7 @@ class Guard:
             raise InvalidInput(f"Guard: rates = {self.rates!r}: those of Np and Nc must be whole numbers.")
 
     def pack(self, row: Any, pool: Pool) -> None:
-        """Write it to its record in a packed schedule (`core.guard.GUARD`)."""
+        """Write it to its record in a packed schedule (`core.scheduling.guard.GUARD`)."""
         row.used, row.hold, row.slack = True, self.hold, self.slack
         row.fallback[:] = self.fallback.as_array()
         row.rates[:], row.ratio_rate = self.rates[:2], self.rates[2]

@@ -27,10 +27,10 @@ from adaptrack.control.scheduling.document import write_document
 from adaptrack.control.scheduling.functions import Function, Number, Pool, Table, load_function, save_function
 from adaptrack.control.scheduling.guard import Guard, StabilityMap
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables, complete
-from adaptrack.core import guard as guard_kernel
-from adaptrack.core import portable
-from adaptrack.core import schedule as kernel
-from adaptrack.core.variables import VARIABLE_NAMES
+from adaptrack.core.maths import portable
+from adaptrack.core.scheduling import guard as guard_kernel
+from adaptrack.core.scheduling import schedule as kernel
+from adaptrack.core.scheduling.variables import VARIABLE_NAMES
 
 Array = NDArray[np.float64]
 
@@ -180,7 +180,7 @@ class Schedule:
         return html_of(self)
 
     def plan(self, slots: int) -> Any:
-        """The schedule for the kernels (`core.schedule.ScheduleRecord`), with a fresh memory for `slots` runs."""
+        """The schedule for the kernels (`core.scheduling.schedule.ScheduleRecord`), memory for `slots` runs fresh."""
         settings, integers, numbers, scratch = self._packed()
         return kernel.ScheduleRecord(
             settings, np.zeros(slots, guard_kernel.MEMORY), integers, numbers, np.zeros(scratch)
@@ -217,7 +217,7 @@ class Schedule:
         return tunings
 
     def _packed(self) -> tuple[Any, NDArray[np.int64], Array, int]:
-        """settings, integers, numbers and the length of the scratch, see `core.schedule`; packed once."""
+        """settings, integers, numbers and the length of the scratch, see `core.scheduling.schedule`; packed once."""
         cached: tuple[Any, NDArray[np.int64], Array, int] | None = self.__dict__.get("_cache")
         if cached is None:
             cached = _pack(self)

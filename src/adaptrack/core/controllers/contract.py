@@ -10,7 +10,7 @@ all but `road` float64, one-dimensional and C-contiguous:
     reference   (n,), n >= 1: y_ref (m) now and at the control instants that follow, one period apart; without preview
                 its present value alone, once or repeated
     road        the centre line, the arc length of the car's foot on it and the planned speeds
-                (`core.road.RoadAheadRecord`); without pieces and speeds where the road is straight
+                (`core.roads.road.RoadAheadRecord`); without pieces and speeds where the road is straight
     tuning      the law's named tuning entries: they may change at every step
     parameters  constant numbers, which begin with `COMMON_PARAMETERS`
     memory      the law's own state, zeros before the first step
@@ -33,7 +33,7 @@ from ..maths.bits import whole
 from ..maths.exact import clip, fmod, sqrt, square
 from ..maths.trigonometric import atan2, cos, sin
 from ..member import member
-from ..road import RoadAheadRecord, point_at
+from ..roads.road import RoadAheadRecord, point_at
 
 SITUATION = (
     "vy",  # m/s, measured lateral velocity

@@ -10,7 +10,7 @@ import numpy as np
 from ..kernel import address_of, exported, inlined
 from ..layout import allocate
 from ..models.contract import MEASUREMENT
-from ..road import RoadAheadRecord, line_of
+from ..roads.road import RoadAheadRecord, line_of
 from .contract import Situation, call_law, write_situation
 from .part import (
     APPLY,

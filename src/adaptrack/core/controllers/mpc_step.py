@@ -20,7 +20,7 @@ from ..kernel import (
 )
 from ..layout import allocate
 from ..maths.bits import whole
-from ..road import bend_ahead
+from ..roads.road import bend_ahead
 from . import informed, published
 from .mpc import MPC_ANSWER, MPC_PLACE, Functions, Mpc, change_path, delay_of, forget, restart
 from .part import APPLY, BEGIN, REQUEST, STEP, ControllerPart, ControllerSizes

@@ -12,8 +12,8 @@ with `COMMON_ANSWER`.
 from __future__ import annotations
 
 from ..kernel import Caller, Place, columns, float64, inlined, int64, matrix, record, vector, void
-from ..road import Roads
-from ..schedule import ScheduleRecord, begin_schedule, schedule
+from ..roads.road import Roads
+from ..scheduling.schedule import ScheduleRecord, begin_schedule, schedule
 from .contract import SITUATION
 from .mpc import Functions, Mpc, MPCSizes
 

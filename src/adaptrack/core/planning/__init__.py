@@ -8,12 +8,12 @@
 
 Memory is the caller's; no kernel keeps any. Another program calls, in this order:
 
-    path_words, path_through            (`core.path`) points -> `core.road.Centreline`, which `speed.Planning` holds
+    path_words, path_through            (`core.roads.path`) points -> a `Centreline`, which `speed.Planning` holds
     plan_places                         how many places the plan has; then `Planning.table` is (PLAN, places)
     plan_along_road                     the fastest speed, into `Planning.table`; or
     plan_constant                       one speed all along the road
     drive_periods                       how many control periods n a `drive.RoadDriveRecord` along that plan lasts
-    drive_samples                       its samples, (`core.loop.SIGNAL`, n + 1)
+    drive_samples                       its samples, (`core.loop.world.SIGNAL`, n + 1)
     drive_start                         where the car begins
     road_edges                          to draw the road
 

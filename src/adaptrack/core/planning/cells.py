@@ -11,8 +11,8 @@ from ..kernel import columns, exported, float64, inlined, int64, vector
 from ..maths.bits import whole
 from ..maths.exact import ceil
 from ..physics.forces import GRAVITY, slope_sine_and_cosine
-from ..road import HALF_LENGTH, POLYNOMIAL_DEGREE, TURN_COEFFICIENTS
-from ..speed_plan import last_at
+from ..roads.road import HALF_LENGTH, POLYNOMIAL_DEGREE, TURN_COEFFICIENTS
+from ..speed.plan import last_at
 from .station_table import least_between, value_at
 
 PLAN = columns(

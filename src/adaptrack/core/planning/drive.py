@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from ..kernel import exported, float64, inlined, int64, matrix, record, vector, void
-from ..loop import SIGNAL
+from ..loop.world import SIGNAL
 from ..maths.bits import ROUNDER, whole
 from ..maths.exact import floor
 from ..maths.trigonometric import cos, sin
 from ..physics.forces import GRAVITY
-from ..road import Centreline, point_at
-from ..speed_plan import SpeedPlanRecord, motion_at
+from ..roads.road import Centreline, point_at
+from ..speed.plan import SpeedPlanRecord, motion_at
 from .station_table import Route, on_lap, value_at
 
 LOOK_AHEAD = 3.0

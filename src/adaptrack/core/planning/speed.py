@@ -25,8 +25,8 @@ from ..maths.exponential import power
 from ..maths.trigonometric import cos, sin
 from ..physics.forces import GRAVITY
 from ..physics.parameters import unpack
-from ..road import CLOSED
-from ..speed_plan import last_at
+from ..roads.road import CLOSED
+from ..speed.plan import last_at
 from .cells import PLAN, write_cells
 from .cornering import BENDS, cornering_at, cornering_limits
 from .station_table import Route, between

@@ -7,8 +7,8 @@ import math
 from ..kernel import exported, inlined, int64, matrix, record, vector, void
 from ..maths.exact import floor
 from ..maths.trigonometric import cos, sin
-from ..road import CLOSED, LENGTH, Centreline, point_at
-from ..speed_plan import last_at
+from ..roads.road import CLOSED, LENGTH, Centreline, point_at
+from ..speed.plan import last_at
 
 AlongRecord = record("AlongRecord", (("s", vector), ("value", vector), ("steps", int64)))
 """Values at ascending arc lengths (m): straight lines between them or, where steps is 1, each up to the next; constant

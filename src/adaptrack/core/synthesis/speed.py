@@ -1,4 +1,4 @@
-"""What a speed control (`core.speed_control`) assumes of resistance and grip, from the numbers of a car."""
+"""What a speed control (`core.speed.speed_control`) assumes of resistance and grip, from the numbers of a car."""
 
 from __future__ import annotations
 

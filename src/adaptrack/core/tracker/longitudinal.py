@@ -7,14 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from ..friction_estimate import FrictionEstimate, begin_friction, narrow_friction
 from ..input_check.record import MISTAKES, SUBJECTS, memory_of, report
 from ..kernel import Place, exported, fields_of, float64, inlined, packer, record, rows, vector, void
 from ..layout import empty
 from ..maths.bits import whole
 from ..maths.exact import clip, square
-from ..road import foot_near, point_at
-from ..speed_control import (
+from ..roads.road import foot_near, point_at
+from ..speed.friction import FrictionEstimate, begin_friction, narrow_friction
+from ..speed.learning import SpeedBanks, begin_bank
+from ..speed.path import MAX_PLAN_SPEED
+from ..speed.speed_control import (
     BLIND_GRACE,
     SPEED_MEMORY,
     SPEED_REQUEST,
@@ -24,8 +26,6 @@ from ..speed_control import (
     acknowledge,
     speed_control,
 )
-from ..speed_learning import SpeedBanks, begin_bank
-from ..speed_path import MAX_PLAN_SPEED
 from .pose import forward, has_position, line, time_of
 from .records import INSTANT, TrackerRecord
 from .signals import MAX_SIGNAL, TRACKED, TRACKER_SAMPLE
@@ -257,7 +257,7 @@ def narrow_tracked_friction(tracker, learned, longitudinal):
 def longitudinal_step(tracker, longitudinal):
     """Run the speed control after a call of the tracker, once a control instant.
 
-    The requests are in `longitudinal.memory`, see `core.speed_control.SPEED_MEMORY`. The speed is limited to the
+    The requests are in `longitudinal.memory`, see `core.speed.speed_control.SPEED_MEMORY`. The speed is limited to the
     tracker's first top speed.
     """
     m, sample, memory = tracker.memory[0], longitudinal.sample[0], longitudinal.memory[0]

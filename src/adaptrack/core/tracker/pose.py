@@ -9,7 +9,7 @@ from ..estimators.learning import KNOWN_DELAY_SIGMA
 from ..kernel import fields_of, inlined, packer, record
 from ..maths.exact import clip
 from ..maths.trigonometric import cos, sin
-from ..road import CLOSED, LENGTH, foot_near, line_of, nearest, point_at
+from ..roads.road import CLOSED, LENGTH, foot_near, line_of, nearest, point_at
 from .records import ACROSS_PENALTY, CONTROLLER_ANSWER, REQUEST
 from .signals import HELD, MAX_POSITION, NO_BELIEF, TRACKED
 

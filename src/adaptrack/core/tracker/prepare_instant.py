@@ -11,8 +11,8 @@ from ..input_check.record import SAMPLE, memory_of
 from ..kernel import Place, exported, inlined, int64, local
 from ..maths.exact import clip
 from ..models.contract import MEASUREMENT
-from ..road import CLOSED, foot_near, point_at
-from ..speed_plan import planned_speeds
+from ..roads.road import CLOSED, foot_near, point_at
+from ..speed.plan import planned_speeds
 from .pose import (
     PoseRow,
     carried,

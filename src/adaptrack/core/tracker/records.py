@@ -11,8 +11,8 @@ from ..controllers.part import REQUEST as REQUEST
 from ..input_check.record import Check
 from ..kernel import columns, fields_of, record, rows, vector
 from ..models.contract import MEASUREMENT
-from ..road import Roads
-from ..variables import VARIABLE_COLUMNS
+from ..roads.road import Roads
+from ..scheduling.variables import VARIABLE_COLUMNS
 from .signals import TRACKED, TRACKER_SAMPLE, TrackerSample
 
 LONGEST_GAP = 2.0

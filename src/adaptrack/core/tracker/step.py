@@ -8,7 +8,7 @@ from ..controllers.part import COMMON_ANSWER, ControllerPart, apply_requests, co
 from ..estimators.learning import BELIEF_COLUMNS
 from ..kernel import Caller, Place, exported, inlined, int64, local, record, vector, void
 from ..maths.bits import whole
-from ..variables import VARIABLE_COLUMNS
+from ..scheduling.variables import VARIABLE_COLUMNS
 from .conclude_instant import tracker_conclude
 from .longitudinal import Longitudinal
 from .prepare_instant import tracker_prepare

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 
 from ..kernel import OK, Field, Place, columns, exported, inlined, int64, int_vector, local, record, vector
-from ..loop import RUNNING, SIGNAL, STATE_NOT_FINITE
+from ..loop.period import RunLoop, RunSpan, after_control, before_control, begin_slot, move
+from ..loop.world import RUNNING, SIGNAL, STATE_NOT_FINITE
 from ..maths.bits import whole
 from ..maths.trigonometric import cos, sin
 from ..models.contract import MEASUREMENT
-from ..period import RunLoop, RunSpan, after_control, before_control, begin_slot, move
 from ..plants.contract import ENVIRONMENT, MOTION_STATES, OBSERVED, PLANT_STATE, observe, state_at
-from ..road import line_of, point_at
+from ..roads.road import line_of, point_at
 from .contract import NO_DELAY, UNIT_FAILED, outside
 
 _SPEED, _PLACE, _ANGLE = "[0, 100]", "[-1e8, 1e8]", f"[-{math.pi}, {math.pi}]"

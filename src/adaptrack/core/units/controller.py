@@ -11,9 +11,9 @@ import numpy as np
 
 from ..kernel import OK, Field, Place, columns, exported, fields_of, inlined, int64, int_vector, local, record, vector
 from ..maths.bits import whole
-from ..road import CLOSED
-from ..speed_control import SPEED_REQUEST
-from ..speed_plan import planned_speeds
+from ..roads.road import CLOSED
+from ..speed.plan import planned_speeds
+from ..speed.speed_control import SPEED_REQUEST
 from ..tracker.longitudinal import write_requests
 from ..tracker.signals import TRACKED, TRACKER_SAMPLE
 from ..tracker.step import Tracking, tracker_step

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class Packed(NamedTuple):
-    """A function as the kernels read it, see `core.functions`."""
+    """A function as the kernels read it, see `core.scheduling.functions`."""
 
     kind: int
     integers: Sequence[int]

@@ -11,9 +11,9 @@ import numpy as np
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, read_array, register_function
-from adaptrack.core import functions as kernel
-from adaptrack.core import portable
-from adaptrack.core.portable import product
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
+from adaptrack.core.scheduling import functions as kernel
 
 
 @register_function

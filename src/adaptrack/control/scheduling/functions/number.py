@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptrack.base.checked import Finite, checked
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, register_function
-from adaptrack.core import functions as kernel
+from adaptrack.core.scheduling import functions as kernel
 
 
 @register_function

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, read_array, register_function
-from adaptrack.core import functions as kernel
-from adaptrack.core import portable
-from adaptrack.core.functions import MAX_DISTANCE_WIDTHS
-from adaptrack.core.portable import product
+from adaptrack.core.maths import portable
+from adaptrack.core.maths.portable import product
+from adaptrack.core.scheduling import functions as kernel
+from adaptrack.core.scheduling.functions import MAX_DISTANCE_WIDTHS
 
 IndexArray = NDArray[np.intp]
 

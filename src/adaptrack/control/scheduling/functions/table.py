@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.function import Array, Function, Packed, read_array, register_function
-from adaptrack.core import functions as kernel
+from adaptrack.core.scheduling import functions as kernel
 
 
 @register_function

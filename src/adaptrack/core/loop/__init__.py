@@ -1,0 +1,1 @@
+"""The loop: the simulated world, its control period, and those who drive by it."""

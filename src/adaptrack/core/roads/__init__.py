@@ -1,0 +1,1 @@
+"""Roads and paths: a point on them, the foot of a car, a line from points of a planner."""

@@ -1,0 +1,153 @@
+"""The noise of the points of a path, and smooth points in their place.
+
+Smooth points q minimise, over points p and the third derivatives c''' of curves through four points of q in a row,
+
+    sum_k |p_k - q_k|^2 + sum_j r_j^6 |c'''_j|^2,
+
+so that waves of a length 2 pi r lose half, and twice as long ones 1/65 (P. Eilers, A perfect smoother, Analytical
+Chemistry 75 (2003)). Of noise sigma at steps h, c''' keeps sigma sqrt(h/18) r^-3.5. The radius r makes this a share of
+the largest |c'''| within half a wave: long on straights, short in hairpins.
+
+The noise is estimated from the sixth divided differences across the path, in which curves have no part.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import boolean, exported, float64, inlined, local, matrix, shaped, vector
+from ..maths.bits import whole
+from ..maths.exact import sqrt, square
+from ..maths.exponential import hypot, power
+
+MIN_NOISY_POINTS, NEGLIGIBLE_CURVATURE = 16, 5e-4
+"""Points from which noise is estimated; 1/m, noise of the curvature that stays: 0.5 m/s^2 at 30 m/s."""
+CURVATURE_NOISE = 4.0
+"""Noise of the curvature of a cubic spline through points, over that of the points and the square of their step."""
+WHITENESS = -0.5
+"""Largest correlation of neighbouring differences of noise: -6/7 if it is white, 0.7 of waves of 8 points."""
+MEDIAN, HALVINGS, TINY = 1.4826, 30, 1e-300
+"""Standard deviation over the median of absolute values; halvings of the range of the median; least divisor."""
+AMPLITUDE, SHARE, MIN_THIRD_DERIVATIVE = 0.057, 0.2, 2e-4
+"""sqrt(m), of r^6 |c'''|^2 over sigma sqrt(h); -, of c''', its noise; 1/m^2, less of c''' is negligible: a lateral jerk
+of 5 m/s^3 at 30 m/s. Chosen on hairpins, chicanes and lane changes (`benchmarks/noisy_paths.py`)."""
+MAX_RADIUS, ROUNDS = 60.0, 4
+"""Steps; fits, each with radii that suit the curve of the fit before."""
+BANDS = 7
+"""Of the equations, with the diagonal."""
+
+_four, _seven = local(4), local(7)
+
+
+@inlined
+def _difference(points, first, factors):
+    """Write the factors of the divided difference of points in a row; their mean step (m), and the difference."""
+    count, last, places, x, y = len(points), factors.size - 1, _seven(), 0.0, 0.0
+    for j in range(last):
+        k, after = (first + j) % count, (first + j + 1) % count
+        places[j + 1] = places[j] + hypot(points[after, 0] - points[k, 0], points[after, 1] - points[k, 1])
+    for j in range(last + 1):
+        k, factors[j] = (first + j) % count, 1.0
+        for i in range(last + 1):
+            factors[j] /= places[j] - places[i] if i != j else 1.0
+        x += factors[j] * (points[k, 0] - points[first, 0])
+        y += factors[j] * (points[k, 1] - points[first, 1])
+    return places[last] / last, x, y
+
+
+@exported(float64(matrix, boolean, vector))
+def noise_of(points, closed, differences):
+    """Return the standard deviation (m) of the noise of x and y of points (n, columns), one behind the other.
+
+    0 for few points, for what is no noise but a curve, and for noise that the curvature hardly has. differences: (n,).
+    """
+    count, factors = len(points), _seven()
+    rows = count if closed else count - factors.size + 1
+    products = squares = length = before = low = high = 0.0
+    for k in range(rows if count >= MIN_NOISY_POINTS else 0):
+        step, dx, dy = _difference(points, k, factors)
+        end, size = (k + factors.size - 1) % count, 0.0
+        for j in range(factors.size):
+            size += square(factors[j])
+        tx, ty = points[end, 0] - points[k, 0], points[end, 1] - points[k, 1]
+        across = (tx * dy - ty * dx) / max(hypot(tx, ty) * sqrt(size), TINY)
+        products, squares, length = products + before * across, squares + square(across), length + step
+        differences[k], before, high = abs(across), across, max(high, abs(across))
+    if not products < WHITENESS * squares:
+        return 0.0
+    for _ in range(HALVINGS):
+        middle, below = 0.5 * (low + high), 0
+        for k in range(rows):
+            below += 1 if differences[k] <= middle else 0
+        low, high = (low, middle) if 2 * below >= rows else (middle, high)
+    noise = MEDIAN * high
+    return noise if CURVATURE_NOISE * noise > NEGLIGIBLE_CURVATURE * square(length / rows) else 0.0
+
+
+@inlined
+def _row_of(k, count):
+    """The row of a point in the equations: there and back in turns, so that those of a lap are a band, too."""
+    return 2 * k if 2 * k < count else 2 * (count - k) - 1
+
+
+@inlined
+def _solve(equations):
+    """Solve symmetric equations by Cholesky's factors: bands (n, BANDS) from the diagonal down, then right sides."""
+    for i in range(len(equations)):
+        for d in range(min(BANDS - 1, i), -1, -1):
+            entry = equations[i, d]
+            for k in range(d + 1, min(BANDS - 1, i) + 1):
+                entry -= equations[i, k] * equations[i - d, k - d]
+            equations[i, d] = entry / equations[i - d, 0] if d > 0 else sqrt(entry)
+        for column in range(BANDS, BANDS + 2):
+            for d in range(1, min(BANDS - 1, i) + 1):
+                equations[i, column] -= equations[i, d] * equations[i - d, column]
+            equations[i, column] /= equations[i, 0]
+    for i in range(len(equations) - 1, -1, -1):
+        for column in range(BANDS, BANDS + 2):
+            equations[i, column] /= equations[i, 0]
+            for d in range(1, min(BANDS - 1, i) + 1):
+                equations[i - d, column] -= equations[i, d] * equations[i, column]
+
+
+@inlined
+def smooth_points(points, closed, noise, memory):
+    """Smooth points (n, columns) of x, y (m) with some noise (m). memory: 13 numbers for each point."""
+    count, factors = len(points), _four()
+    rows = count if closed else count - 3
+    x, y = memory[:count], memory[count : 2 * count]  # m, of the points less the smooth ones
+    sharpness, radius = memory[2 * count : 3 * count], memory[3 * count : 4 * count]
+    equations = shaped(memory[4 * count : (BANDS + 6) * count], count, BANDS + 2)
+    x[:], y[:], radius[:] = 0.0, 0.0, 0.0
+    for fit in range(ROUNDS):
+        equations[:] = 0.0
+        equations[:, 0] = 1.0
+        for k in range(rows):
+            _, dx, dy = _difference(points, k, factors)
+            sharpness[k] = 6.0 * hypot(dx, dy) if fit > 0 else 0.0
+        for k in range(rows):
+            step, dx, dy = _difference(points, k, factors)
+            near, sharpest = math.pi * radius[k], MIN_THIRD_DERIVATIVE
+            reach = whole(near / step) if near < rows * step else rows
+            for other in range(k - reach, k + reach + 1):
+                sharpest = max(sharpest, sharpness[other % rows]) if closed or 0 <= other < rows else sharpest
+            spread = noise * sqrt(step)
+            amplitude, share = sqrt(AMPLITUDE * spread) / sharpest, spread / (sqrt(18.0) * SHARE * sharpest)
+            radius[k] = min(max(power(amplitude, 1.0 / 3.0), power(share, 2.0 / 7.0)), MAX_RADIUS * step)
+            weight = square(6.0 * radius[k] * square(radius[k]))
+            for i in range(factors.size):
+                point = (k + i) % count
+                dx, dy = dx + factors[i] * x[point], dy + factors[i] * y[point]
+            for i in range(factors.size):
+                row = _row_of((k + i) % count, count)
+                equations[row, BANDS] += weight * factors[i] * dx
+                equations[row, BANDS + 1] += weight * factors[i] * dy
+                for j in range(i + 1):
+                    other = _row_of((k + j) % count, count)
+                    equations[max(row, other), abs(row - other)] += weight * factors[i] * factors[j]
+        _solve(equations)
+        for k in range(count):
+            row = _row_of(k, count)
+            points[k, 0] += x[k] - equations[row, BANDS]
+            points[k, 1] += y[k] - equations[row, BANDS + 1]
+            x[k], y[k] = equations[row, BANDS], equations[row, BANDS + 1]

@@ -1,0 +1,1 @@
+"""Schedules: from scheduling variables to the tuning of a controller."""

@@ -1,0 +1,234 @@
+"""The improved particle swarm of the paper's section III: one equation per routine, on plain arrays.
+
+    begin
+    for g in 0 .. G-1:
+        evaluate the positions `swarm.x`
+        learn
+        move, unless g = G-1
+
+Generation 0 is the initial draw, so `particles * G` positions are evaluated. A whole swarm run, and each of its
+numbers, depends on the costs, the seed and the stream only: every draw is counted (`random.counted_uniform`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ..kernel import Place, exported, float64, inlined, int64, matrix, record, several, unpacker, vector, void
+from ..maths.bits import whole
+from ..maths.exact import ceil, clip, floor
+from ..maths.exponential import exp, power
+from ..maths.random import counted_uniform
+
+# -- settings, fixed over a run ---------------------------------------------------------------------------------------
+SWARM_SETTINGS = (
+    "generations",  # G
+    "improved",  # 1: inertia and accelerations by eqs. (19) and (20); 0: the constants w, c1 and c2 (classic)
+    "w",  # inertia of the classic swarm
+    "w_max",  # eq. (19)
+    "w_min",
+    "lambda1",
+    "lambda2",
+    "c1",  # cognitive acceleration, of eq. (20) the initial value
+    "c2",  # social acceleration
+    "step_1",  # alpha of eq. (20): change of c1 per generation, and minus the change of c2, for g/G <= 20 %
+    "step_2",  # up to 35 %
+    "step_3",  # up to 75 %
+    "step_4",  # after
+    "velocity_clamp",  # largest velocity, as a share of the dimension's range
+    "smaller",  # dimensions with x[smaller] <= x[larger] at all times; -1: none
+    "larger",
+    "spread",  # in the initial draw x[larger] >= spread*x[smaller]
+)
+(
+    GENERATIONS, IMPROVED, W, W_MAX, W_MIN, LAMBDA1, LAMBDA2, C1, C2, STEP_1, STEP_2, STEP_3, STEP_4, VELOCITY_CLAMP,
+    SMALLER, LARGER, DRAW_SPREAD,
+) = range(len(SWARM_SETTINGS))  # fmt: skip
+
+SPACE = ("low", "high", "whole", "decades")
+"""The search space, (4, dims): bounds of each dimension, 1 where it holds whole numbers, and 1 where a coordinate is
+the decimal logarithm of the value that it stands for (its bounds are logarithms too)."""
+LOW, HIGH, WHOLE_NUMBERS, DECIMAL_LOGARITHM = range(len(SPACE))
+
+# -- the swarm --------------------------------------------------------------------------------------------------------
+PROGRESS = (
+    "leader_cost",  # cost of Gb
+    "w",  # inertia of the last move, 0 before
+    "c1",  # accelerations of the next move
+    "c2",
+)
+LEADER_COST, LAST_W, NEXT_C1, NEXT_C2 = range(len(PROGRESS))
+
+_FIELDS = (
+    ("x", matrix),  # (particles, dims) positions, to be evaluated
+    ("v", matrix),  # (particles, dims) velocities, in units of x per generation
+    ("best", matrix),  # (particles, dims) Pb, each particle's best position so far
+    ("best_costs", vector),  # (particles,)
+    ("leader", vector),  # (dims,) Gb, the best position so far
+    ("progress", vector),  # (PROGRESS,)
+)
+Particles = record("Particles", _FIELDS)
+
+
+def particles(count: int, dims: int) -> Any:
+    """The arrays of a swarm, zero: `begin` fills them."""
+    return Particles(
+        x=np.zeros((count, dims)),
+        v=np.zeros((count, dims)),
+        best=np.zeros((count, dims)),
+        best_costs=np.zeros(count),
+        leader=np.zeros(dims),
+        progress=np.zeros(len(PROGRESS)),
+    )
+
+
+# -- the paper's equations --------------------------------------------------------------------------------------------
+@exported(float64(int64, int64, float64, float64, float64, float64))
+def inertia(g, G, w_max, w_min, lambda1, lambda2):
+    """w of generation g, eq. (19): w_min + exp(w_max - lambda1 (w_max + w_min) g/G) / lambda2."""
+    return w_min + exp(w_max - lambda1 * (w_max + w_min) * (g / G)) / lambda2
+
+
+_alphas = unpacker(record("Alphas", ("up_to_20", "up_to_35", "up_to_75", "after")))
+
+
+@exported(several(float64, float64)(int64, int64, float64, float64, vector), name="swarm_accelerations")
+def accelerations(g, G, c1, c2, steps):
+    """(c1, c2) of generation g + 1 from those of generation g, eq. (20); the ranges share ends, the first one wins.
+
+    steps (4,): alpha in the four ranges of g/G, the paper's being 0.05, 0.02, -0.035 and -0.0015; beta = -alpha, so
+    that c1 + c2 stays.
+    """
+    part, alphas = g / G, _alphas(steps)
+    if part <= 0.20:
+        alpha = alphas.up_to_20
+    elif part <= 0.35:
+        alpha = alphas.up_to_35
+    elif part <= 0.75:
+        alpha = alphas.up_to_75
+    else:
+        alpha = alphas.after
+    return c1 + alpha, c2 - alpha
+
+
+SwarmCoefficients = record("SwarmCoefficients", ("w", "c1", "c2"))
+"""Of eq. (18): inertia, cognitive and social acceleration of a generation."""
+
+
+@inlined
+def velocity(v, x, best, leader, by, r1, r2):
+    """One dimension of eq. (18): w v + c1 r1 (Pb - x) + c2 r2 (Gb - x); by: `SwarmCoefficients`."""
+    return by.w * v + by.c1 * r1 * (best - x) + by.c2 * r2 * (leader - x)
+
+
+# -- one run ----------------------------------------------------------------------------------------------------------
+@exported(float64(float64, float64, float64, float64))
+def place_between(low, high, integers, u):
+    """The point that u in [0, 1) picks from [low, high]; with `whole`, from its integers, each as likely."""
+    if integers > 0.5:
+        return min(low + floor(u * (high - low + 1.0)), high)
+    return min(low + u * (high - low), high)
+
+
+@exported(void(vector, matrix, vector))
+def repair(settings, space, x):
+    """Bring a position (dims,) into the space: clamp it, round what is whole, lower x[smaller] to x[larger]."""
+    for d in range(x.size):
+        x[d] = clip(x[d], space[LOW, d], space[HIGH, d])
+        if space[WHOLE_NUMBERS, d] > 0.5:
+            x[d] = floor(x[d] + 0.5)
+    smaller, larger = whole(settings[SMALLER]), whole(settings[LARGER])
+    if smaller >= 0:
+        x[smaller] = min(x[smaller], x[larger])
+
+
+@exported(void(int64, matrix, matrix, matrix))
+def decode(count, space, x, values):
+    """Write the values that the first `count` positions x (.., dims) stand for."""
+    _, dims = x.shape
+    for i in range(count):
+        for d in range(dims):
+            values[i, d] = power(10.0, x[i, d]) if space[DECIMAL_LOGARITHM, d] > 0.5 else x[i, d]
+
+
+@exported(void(int64, int64, vector, matrix, Place(Particles)), name="begin_swarm")
+def begin(seed, stream, settings, space, swarm):
+    """Generation 0: positions uniform in the space, velocities zero, nothing learnt yet.
+
+    Of an ordered pair, x[smaller] is drawn first and x[larger] between spread*x[smaller] and its upper bound.
+    """
+    count, dims = swarm.x.shape
+    smaller, larger = whole(settings[SMALLER]), whole(settings[LARGER])
+    for i in range(count):
+        x = swarm.x[i]
+        for d in range(dims):
+            high = space[HIGH, d]
+            if d == smaller:
+                high = min(high, space[HIGH, larger])
+            u = counted_uniform(seed, stream, 0, i, d)
+            x[d] = place_between(space[LOW, d], high, space[WHOLE_NUMBERS, d], u)
+        if smaller >= 0:
+            integers, high = space[WHOLE_NUMBERS, larger], space[HIGH, larger]
+            low = min(max(settings[DRAW_SPREAD] * x[smaller], space[LOW, larger]), high)
+            if integers > 0.5:
+                low = ceil(low)
+            x[larger] = place_between(low, high, integers, counted_uniform(seed, stream, 0, i, larger))
+        for d in range(dims):
+            swarm.v[i, d] = 0.0
+            swarm.best[i, d] = x[d]
+        swarm.best_costs[i] = math.inf
+    for d in range(dims):
+        swarm.leader[d] = swarm.x[0, d]
+    swarm.progress[LEADER_COST], swarm.progress[LAST_W] = math.inf, 0.0
+    swarm.progress[NEXT_C1], swarm.progress[NEXT_C2] = settings[C1], settings[C2]
+
+
+@exported(void(vector, Place(Particles)), name="learn_costs")
+def learn(costs, swarm):
+    """Take in the costs (particles,) of the positions: update every Pb, then Gb.
+
+    Only a strictly lower cost replaces a best one, and of equal costs the first particle's leads. NaN counts as +inf.
+    """
+    _, dims = swarm.x.shape
+    for i in range(costs.size):
+        if costs[i] < swarm.best_costs[i]:  # never true for NaN
+            swarm.best_costs[i] = costs[i]
+            for d in range(dims):
+                swarm.best[i, d] = swarm.x[i, d]
+    for i in range(costs.size):
+        if swarm.best_costs[i] < swarm.progress[LEADER_COST]:
+            swarm.progress[LEADER_COST] = swarm.best_costs[i]
+            for d in range(dims):
+                swarm.leader[d] = swarm.best[i, d]
+
+
+@exported(void(int64, int64, int64, vector, matrix, Place(Particles)))
+def move(g, seed, stream, settings, space, swarm):
+    """Move generation g, whose costs are learnt, to generation g + 1: eq. (18), then the clamps and repairs.
+
+    r1 and r2 are drawn for each particle and dimension. The velocity is clamped before it moves the particle; it
+    keeps its value where the position is clamped, rounded or repaired.
+    """
+    G = whole(settings[GENERATIONS])
+    c1, c2 = swarm.progress[NEXT_C1], swarm.progress[NEXT_C2]
+    if settings[IMPROVED] > 0.5:
+        w = inertia(g, G, settings[W_MAX], settings[W_MIN], settings[LAMBDA1], settings[LAMBDA2])
+        following = accelerations(g, G, c1, c2, settings[STEP_1 : STEP_4 + 1])
+        swarm.progress[NEXT_C1], swarm.progress[NEXT_C2] = following
+    else:
+        w = settings[W]
+    swarm.progress[LAST_W] = w
+    by = SwarmCoefficients(w, c1, c2)
+    count, dims = swarm.x.shape
+    for i in range(count):
+        x, v = swarm.x[i], swarm.v[i]
+        for d in range(dims):
+            r1 = counted_uniform(seed, stream, g + 1, i, 2 * d)
+            r2 = counted_uniform(seed, stream, g + 1, i, 2 * d + 1)
+            fastest = settings[VELOCITY_CLAMP] * (space[HIGH, d] - space[LOW, d])
+            v[d] = clip(velocity(v[d], x[d], swarm.best[i, d], swarm.leader[d], by, r1, r2), -fastest, fastest)
+            x[d] += v[d]
+        repair(settings, space, x)

@@ -1,0 +1,88 @@
+"""A whole swarm on one operating point inside one compiled call: evaluate, learn, move; the particles are the slots."""
+
+from __future__ import annotations
+
+import math
+
+from ..kernel import Place, exported, int64, int_vector, matrix, record, several, vector
+from ..loop.period import RunSpan
+from ..loop.rollout import RunRecord, begin, rollout
+from ..loop.world import RUNNING, STOPPED
+from .swarm import LEADER_COST, Particles, decode, learn, move
+from .swarm import begin as begin_swarm
+
+Trial = record("Trial", (("run", RunRecord), ("span", RunSpan), ("noise", int_vector)))
+"""What a tuning is tried on: a batch of runs, what is driven (its
+slots are the most at a time), and the noise seeds over which a cost is the mean."""
+
+TuningCosts = record("TuningCosts", (("tunings", matrix), ("cost_limits", vector), ("costs", vector)))
+"""Tunings (n, entries), the cost (n,) below which each must come out, and its cost (n,), which is written."""
+
+SearchRecord = record(
+    "SearchRecord",
+    (
+        ("seed", int64), ("stream", int64), ("settings", vector), ("space", matrix), ("swarm", Particles),
+        ("tuning_costs", TuningCosts), ("best", vector),
+    ),
+)  # fmt: skip
+"""A swarm: seed and stream of its random numbers, settings and space (see `swarm`), particles, scratch for all of them,
+and the best cost after each generation (generations,), which is written."""
+
+
+@exported(int64(int64, int64, TuningCosts, Place(Trial)), name="evaluate_tunings")
+def evaluate(first, slots, candidates, trial):
+    """Write the cost of so many tunings from `first` on: J = mean e^2 + weight * mean (change of command)^2.
+
+    The mean of J over the noise seeds; inf when a run has failed, or was stopped because J cannot come out below its
+    limit any more. Returns the control steps done.
+    """
+    run, span, count = trial.run, trial.span, trial.noise.size
+    span = RunSpan(span.periods, slots, span.segment, span.weight)
+    tunings, cost_limits, costs = candidates.tunings[first:], candidates.cost_limits[first:], candidates.costs[first:]
+    steps = 0
+    _, entries = tunings.shape
+    for i in range(slots):
+        costs[i] = 0.0
+    for s in range(count):
+        begin(slots, run)
+        for i in range(slots):
+            for j in range(entries):
+                run.controller.tuning[i, j] = tunings[i, j]
+            run.inputs.seeds[i] = trial.noise[s]
+            run.cost_limit[i] = (cost_limits[i] * count - costs[i]) * span.periods
+            if not costs[i] < math.inf:
+                run.memory.drives[i].ended = STOPPED
+        rollout(span, run)
+        for i in range(slots):
+            result = run.result[i]
+            steps += result.instants
+            if result.ended != RUNNING or not costs[i] < math.inf:
+                costs[i] = math.inf
+            else:
+                costs[i] += (result.squared_error + span.weight * result.squared_move) / span.periods
+    for i in range(slots):
+        costs[i] /= count
+    return steps
+
+
+@exported(several(int64, int64)(Place(SearchRecord), Place(Trial)))
+def tune(search, trial):
+    """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
+
+    On return search.swarm.leader is the best position and search.swarm.progress[LEADER_COST] its cost. A particle's run
+    is stopped once it cannot improve on that particle's best: the swarm takes the same way as without, in less time.
+    """
+    steps = 0
+    swarm, candidates, slots = search.swarm, search.tuning_costs, trial.span.slots
+    candidates = TuningCosts(candidates.tunings, swarm.best_costs, candidates.costs)
+    begin_swarm(search.seed, search.stream, search.settings, search.space, swarm)
+    generations, count = search.best.size, len(swarm.x)
+    for g in range(generations):
+        decode(count, search.space, swarm.x, candidates.tunings)
+        for first in range(0, count, slots):
+            steps += evaluate(first, min(slots, count - first), candidates, trial)
+        learn(candidates.costs, swarm)
+        search.best[g] = swarm.progress[LEADER_COST]
+        if g < generations - 1:
+            move(g, search.seed, search.stream, search.settings, search.space, swarm)
+    return generations * count, steps
