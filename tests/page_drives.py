@@ -5,7 +5,7 @@ import functools
 import numpy as np
 
 import adaptrack as at
-from adaptrack.core.loop.frame import FRAME
+from adaptrack.core.simulation.frame import FRAME
 from adaptrack.export.page_inputs import page_car
 from adaptrack.export.page_setup import simulate_setup
 

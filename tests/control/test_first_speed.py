@@ -73,7 +73,7 @@ class StatedTracker(Tracker):
     delay_sigma = 0.1
     """s"""
 
-    def _control(self) -> None:
+    def _control(self, *words) -> None:
         super()._control()
         self._python.answer[0, len(COMMON_ANSWER) + BELIEF_COLUMNS.belief_delay_sigma] = self.delay_sigma
 

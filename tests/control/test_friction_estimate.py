@@ -52,19 +52,17 @@ def _drive(friction: float, control: SpeedControl, seconds: float) -> SpeedContr
     plan = plan_speed(road, CAR, Comfort(lateral=20.0, grip_share=0.95))
     controller = MPC(CAR, profile="production")
     world = World.of(DualTrack(CAR), controller, "production", control, None, None)
-    loop = ClosedLoop(world, RoadDrive(road, plan), 1)
-    loop.estimate_friction(controller)
     controller.reset()
+    loop = ClosedLoop(world, RoadDrive(road, plan), 1, controller)
     for _ in range(round(seconds / PERIOD)):
-        sensed = loop.sense()
+        sensed = loop.sensed
         assert not loop.ended
         sensed.measured[MEASUREMENT.vy] = 0.0
         ahead = loop.road_ahead(sensed.speed)
         answer = controller.step(sensed.measured, sensed.speed, sensed.reference, sensed.variables, road=ahead)
         loop.send(command_of(answer, loop.command).angle)
-        loop.advance()
-    assert isinstance(loop.speed_controller, SpeedController)
-    return loop.speed_controller
+    assert loop.speed_control is not None
+    return loop.speed_control
 
 
 @pytest.mark.compiled

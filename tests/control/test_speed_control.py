@@ -21,6 +21,7 @@ from adaptrack.control.speed_control import (
 )
 from adaptrack.control.tracker import Status
 from adaptrack.control.tracking import join
+from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.kernel import direct
 from adaptrack.core.physics.forces import GRAVITY
@@ -29,6 +30,8 @@ from adaptrack.core.speed.speed_control import slope_of
 from adaptrack.core.tracker.longitudinal import longitudinal_step
 from adaptrack.core.tracker.signals import TRACKED
 from adaptrack.core.tracker.step import tracker_step
+from adaptrack.drive.closed_loop import ClosedLoop
+from adaptrack.drive.world import World
 from adaptrack.road import Arc, Comfort, Line, Road, Stop, generate_road, plan_speed, road_through
 
 CAR = load_vehicle("midsize-sedan")
@@ -456,13 +459,22 @@ def test_the_speed_is_limited_until_the_delay_of_the_steering_is_learned() -> No
         car.move(request.force, request.hold)
     assert car.v == pytest.approx(mpc.learner.first_top_speed, abs=0.1)
     assert request.limited_by == SpeedLimit.STEERING
-    answer = mpc.step(np.zeros(4), 10.0, np.zeros(60))
-    controller.limit_speed(mpc, answer)
-    assert controller.top_speed == mpc.learner.first_top_speed
-    learned = list(answer.learned)
-    learned[BELIEF_COLUMNS.belief_delay_sigma] = 0.01
-    controller.limit_speed(mpc, answer._replace(learned=tuple(learned)))
-    assert controller.top_speed == math.inf
+    for sigma, top_speed in ((0.2, mpc.learner.first_top_speed), (0.01, math.inf)):
+        loop = _loop_that_learned(mpc, sigma)
+        loop.roll_on(1)
+        assert loop.speed_control.top_speed == top_speed
+
+
+def _loop_that_learned(mpc: MPC, sigma: float) -> ClosedLoop:
+    """A run whose controller says of the delay of its steering that it knows it up to sigma (s)."""
+    road = _straight(900.0)
+    drive = RoadDrive(road, plan_speed(road, CAR, COMFORT, top_speed=30.0))
+    world = World.of(DualTrack(CAR), mpc, "production", SpeedControl(CAR), None, None)
+
+    def step() -> None:
+        loop.answer[len(COMMON_ANSWER) + BELIEF_COLUMNS.belief_delay_sigma] = sigma
+
+    return (loop := ClosedLoop(world, drive, 1, mpc, step))
 
 
 def _drive(car: PointMass, controller: SpeedController, periods: int, **faults: object) -> list:

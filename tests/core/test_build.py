@@ -171,7 +171,7 @@ def test_a_file_of_kernels_is_compiled_again_only_when_one_of_its_sources_has_ch
     assert (compiled, compiled_again, again) == (1, 0, first)
     hashes = dict(library.source_hashes())
     monkeypatch.setattr(library, "source_hashes", lambda: hashes)
-    hashes["core/loop/period.py"] = "edited"  # none of its sources
+    hashes["core/simulation/run.py"] = "edited"  # none of its sources
     assert one_kernel(text) == (first, 0)
     hashes["core/kernel.py"] = "edited"
     assert one_kernel(text)[1] == 1

@@ -6,13 +6,13 @@ import pytest
 import adaptrack as at
 from adaptrack.control.controllers.base import Room
 from adaptrack.core.controllers.mpc import MPC_ANSWER
-from adaptrack.core.kernel import Resident
-from adaptrack.core.loop import frame, rollout
-from adaptrack.core.loop.frame import FRAME
-from adaptrack.core.loop.period import TRACE_SIGNALS, RunSpan
-from adaptrack.core.loop.world import OFF_ROAD, RUNNING
+from adaptrack.core.kernel import Resident, address_of
 from adaptrack.core.plants.contract import PLANT_STATE
-from adaptrack.core.tracker.longitudinal import no_speed_control
+from adaptrack.core.simulation import frame
+from adaptrack.core.simulation import run as kernel
+from adaptrack.core.simulation.frame import FRAME
+from adaptrack.core.simulation.run import TRACE_SIGNALS, Shown
+from adaptrack.core.simulation.world import OFF_ROAD, RUNNING
 from adaptrack.drive.batch import Batch
 from adaptrack.road import Arc, Line, Road
 from adaptrack.scenario import RoadDrive
@@ -21,30 +21,28 @@ CAR = at.load_vehicle("paper")
 CIRCLE = Road.from_segments([Arc(length=2.0 * np.pi * 60.0, curvature=1 / 60.0)], name="circle")
 
 
-def run_of(controller, scenario, profile="road", traced=False, scheduler=None, **options):
-    """A run of one slot before its first instant, and what it drives."""
+def run_of(controller, scenario, profile="road", traced=False, **options):
+    """A run of one slot before its first instant, which shows as many periods as it has, and how many these are."""
     batch = Batch(at.DualTrack(CAR), controller, [scenario], profile, **options)
     n = int(batch.periods[0])
     run = batch.run_record(
         1, int(batch.substeps[0]), Room(), 0, n if traced else 0, batch.scheduler,
     )  # fmt: skip
+    part, settings = run.controller, run.controller.mpc.settings
+    width = len(FRAME) + part.answer.shape[1] - 1 + (0 if part.plans else part.tuning.shape[1])
+    widths = width, 2 * int(settings.longest_horizon), int(settings.most_moves)
+    shown = Shown(*(np.full((n, columns), np.nan) for columns in widths))
+    run = run._replace(show=address_of(frame.show_period), shown=shown)
     run.inputs.seeds[:], run.vehicles.start[:], run.controller.tuning[:] = 3, batch.starts[0], batch.tuning
-    rollout.begin(1, Resident(run))
-    return run, RunSpan(n, 1, 0, 0.0)
+    kernel.begin(1, Resident(run))
+    return run, n
 
 
-def frames_of(run, span, pieces):
+def frames_of(run, pieces):
     """The frames of a drive that is driven in pieces of so many periods."""
-    controller = run.controller
-    settings = controller.mpc.settings
-    width = len(FRAME) + controller.answer.shape[1] - 1 + (0 if controller.plans else controller.tuning.shape[1])
-    most = int(settings.longest_horizon), int(settings.most_moves)
-    parts = []
-    for count in pieces:
-        room = [np.full((count, n), np.nan) for n in (width, 2 * most[0], most[1])]
-        steps = frame.drive_and_show(count, span, run, no_speed_control(), np.zeros(0), *room)
-        parts.append([column[:steps] for column in room])
-    return [np.concatenate(columns) for columns in zip(*parts, strict=True)]
+    first = int(run.memory.drives["instant"][0])
+    periods = sum(kernel.roll_on(count, 1, run) for count in pieces)
+    return [table[first : first + periods] for table in run.shown]
 
 
 def pieces_of(n):
@@ -63,12 +61,12 @@ CONTROLLERS = {
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_the_frames_of_a_drive_in_pieces_are_its_trace_to_the_bit(name):
     scenario = at.load_scenario("double-lane-change")
-    run, span = run_of(CONTROLLERS[name](), scenario)
-    numbers, _, _ = frames_of(run, span, pieces_of(span.periods))
+    run, periods = run_of(CONTROLLERS[name](), scenario)
+    numbers, _, _ = frames_of(run, pieces_of(periods))
     unbroken, _ = run_of(CONTROLLERS[name](), scenario, traced=True)
-    rollout.rollout(span, Resident(unbroken))
+    kernel.roll_on(periods, 1, Resident(unbroken))
     trace = unbroken.trace
-    assert len(numbers) == span.periods
+    assert len(numbers) == periods
     for column, expected in (
         ("x", trace.state[0, :, PLANT_STATE.x]),
         ("yaw_rate", trace.state[0, :, PLANT_STATE.yaw_rate]),
@@ -84,10 +82,10 @@ def test_the_frames_of_a_drive_in_pieces_are_its_trace_to_the_bit(name):
 
 
 def test_a_run_that_fails_ends_and_says_why():
-    run, span = run_of(at.MPC(CAR, profile="road"), at.load_scenario("double-lane-change"), profile="paper")
-    frames_of(run, span, [20])
+    run, _ = run_of(at.MPC(CAR, profile="road"), at.load_scenario("double-lane-change"), profile="paper")
+    frames_of(run, [20])
     run.vehicles.block[PLANT_STATE.y * 32] += 30.0
-    numbers, _, _ = frames_of(run, span, [5, 5])
+    numbers, _, _ = frames_of(run, [5, 5])
     assert len(numbers) == 0
     assert int(run.memory.drives[0].ended) == OFF_ROAD != RUNNING
     assert run.memory.drives[0].ended_at == pytest.approx(20 * run.settings.period)
@@ -95,10 +93,10 @@ def test_a_run_that_fails_ends_and_says_why():
 
 def test_on_a_straight_road_the_predicted_path_is_what_is_driven():
     straight = Road.from_segments([Line(length=400.0)], name="straight")
-    run, span = run_of(at.MPC(CAR, profile="paper"), RoadDrive(straight, speed=15.0), "paper")
+    run, _ = run_of(at.MPC(CAR, profile="paper"), RoadDrive(straight, speed=15.0), "paper")
     run.vehicles.start[0, PLANT_STATE.y] = 0.4
-    rollout.begin(1, Resident(run))
-    numbers, predicted, moves = frames_of(run, span, [120])
+    kernel.begin(1, Resident(run))
+    numbers, predicted, moves = frames_of(run, [120])
     horizon, delay = int(numbers[0, len(FRAME) + MPC_ANSWER.Np - 1]), run.controller.mpc.settings.delay
     at_instant = 30
     points = predicted[at_instant].reshape(-1, 2)
@@ -116,8 +114,8 @@ def test_on_a_straight_road_the_predicted_path_is_what_is_driven():
 
 
 def test_on_a_circle_the_predicted_path_is_the_circle():
-    run, span = run_of(at.MPC(CAR, profile="paper"), RoadDrive(CIRCLE, speed=10.0), "paper")
-    numbers, predicted, _ = frames_of(run, span, [200])
+    run, _ = run_of(at.MPC(CAR, profile="paper"), RoadDrive(CIRCLE, speed=10.0), "paper")
+    numbers, predicted, _ = frames_of(run, [200])
     points = predicted[-1].reshape(-1, 2)
     points = points[np.isfinite(points[:, 0])]
     radius = np.hypot(points[:, 0], points[:, 1] - 60.0)

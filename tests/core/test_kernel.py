@@ -189,12 +189,12 @@ C_PROGRAM = r"""
 #include "adaptrack.h"
 int main(void) {{
     printf("%zu %zu %zu %d\n", sizeof(struct adaptrack_controllers_mpc_Mpc),
-           sizeof(struct adaptrack_road_RoadAheadRecord), sizeof(struct adaptrack_controllers_mpc_MPCSettings),
+           sizeof(struct adaptrack_roads_road_RoadAheadRecord), sizeof(struct adaptrack_controllers_mpc_MPCSettings),
            ADAPTRACK_PLANTS_CONTRACT_PLANT_STATE_VX);
     double values[{count}] = {{ {values} }};
     double least = adaptrack_place_between(values[0], values[1], 0.0, 0.25);
-    struct adaptrack_road_Centreline line = {{0}};
-    struct adaptrack_road_RoadAheadRecord ahead = {{.line = line, .station = 3.0}};
+    struct adaptrack_roads_road_Centreline line = {{0}};
+    struct adaptrack_roads_road_RoadAheadRecord ahead = {{.line = line, .station = 3.0}};
     printf("%a %f\n", least, ahead.station);
     return 0;
 }}

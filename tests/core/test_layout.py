@@ -8,7 +8,7 @@ from adaptrack.control.controllers.base import Room
 from adaptrack.core import layout
 from adaptrack.core.controllers import mpc
 from adaptrack.core.kernel import Array
-from adaptrack.core.loop import rollout
+from adaptrack.core.simulation import run as kernel
 from adaptrack.drive.batch import Batch
 from adaptrack.road import Arc, Road
 from adaptrack.scenario import RoadDrive
@@ -47,7 +47,7 @@ def sizes_of(run):
     """The sizes that are chosen, as a program has them that knows only how many numbers there are."""
     loop, part, plan = run, run.controller, run.controller.schedule
     law, controller, inputs, turning = part.law, part.mpc, run.inputs, part.mpc.feed.turning
-    (row,) = rollout.RunSizes.new(1)
+    (row,) = kernel.RunSizes.new(1)
     for name, value in {
         "slots": len(part.tuning), "plant_parameters": loop.vehicles.parameters.size,
         "plant_states": loop.vehicles.start.shape[1],
@@ -85,8 +85,8 @@ def test_the_sizes_that_kernels_say_are_those_that_python_lays(name):
     run = batch.run_record(3, int(batch.substeps[0]), Room(), 4, 50, batch.scheduler)
     (settings,) = mpc.MPCSettings.new(1, **run.controller.mpc.settings._asdict())
     settings.learns, settings.curved, settings.feeds_forward = 0, 0, 0
-    table = np.full((layout.arrays_of(rollout.RunRecord), layout.SIZES), -1)
-    assert rollout.write_sizes(settings, sizes_of(run), table) == len(table)
+    table = np.full((layout.arrays_of(kernel.Run), layout.SIZES), -1)
+    assert kernel.write_sizes(settings, sizes_of(run), table) == len(table)
     for row, laid in zip(table.tolist(), arrays(run), strict=True):
         assert tuple(row[: laid.ndim]) == laid.shape
         assert not any(row[laid.ndim :])

@@ -10,7 +10,6 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC
-from adaptrack.core.loop.world import SIGNAL
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.cells import PLAN, plan_places
@@ -18,6 +17,7 @@ from adaptrack.core.planning.drive import RoadDriveRecord as Drive
 from adaptrack.core.planning.drive import complete_samples, drive_periods, drive_samples, drive_start
 from adaptrack.core.planning.station_table import AlongRecord, Route
 from adaptrack.core.roads import path
+from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.core.speed.plan import SpeedPlanRecord
 from adaptrack.drive.world import World
 from adaptrack.road import Along as PythonAlong

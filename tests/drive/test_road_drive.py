@@ -121,7 +121,7 @@ def wheel_angle_measured_at_the_start(drive):
     for lag in (0.0, 0.1):
         profile = load_profile("paper").replace(steering=SteeringActuator(lag=lag))
         loop = ClosedLoop(World.of(PLANT, MPC(CAR, profile=profile), profile, None, None, None), drive, 0)
-        angles.append(float(loop.sense().measured[MEASUREMENT.wheel_angle]))
+        angles.append(float(loop.sensed.measured[MEASUREMENT.wheel_angle]))
     assert angles[0] == angles[1]
     return angles[0]
 

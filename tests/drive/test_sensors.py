@@ -9,10 +9,10 @@ import pytest
 from scipy import stats
 
 import adaptrack as at
-from adaptrack.core.loop.world import PAST_SIGNAL
 from adaptrack.core.maths.random import counted_normal, counted_uniform
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.contract import PLANT_STATE, state_at
+from adaptrack.core.simulation.world import PAST_SIGNAL
 from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import World
@@ -44,7 +44,9 @@ class Readings:
         self.loop, rows = ClosedLoop(world, drive, seed), {}
         memory, block = self.loop.run.memory.drives, self.loop.run.vehicles.block
         for k in range(instants):
-            sample = self.loop.sense()
+            if k:
+                assert self.loop.send(float(steering))
+            sample = self.loop.sensed
             row = {f"measured_{name}": sample.measured[i] for i, name in enumerate(MEASUREMENT._fields)}
             row |= {name: memory[name][0] for name in memory.dtype.names}
             row |= {
@@ -55,8 +57,6 @@ class Readings:
                 rows.setdefault(name, []).append(value)
             bend = CURVATURE if drive is CIRCLE else 0.003 * math.sin(0.3 * k)
             steering = 2.8 * bend - 0.05 * memory["offset"][0] - 0.5 * memory["heading_error"][0]
-            assert self.loop.send(float(steering))
-            self.loop.advance()
         self.t = PERIOD * np.arange(instants)
         for name, values in rows.items():
             setattr(self, name, np.array(values))

@@ -83,14 +83,13 @@ def differing(instance, plant, controller, route, profile, driver, seed, late=0)
     loop, difference = signals.loop(seed), 0
     states = np.stack([run.X, run.Y, run.psi, run.vx, run.vy, run.yaw_rate], axis=-1)
     for k in range(signals.signals.n):
-        sample = loop.sense()
+        sample = loop.sensed
         sensed = [*sample.measured[:8], sample.speed, loop.run.memory.drives["speed_age"][0]]
         measured = instance.get(*MEASURED, "measured_speed", "measured_speed_age")
         difference += not (same(instance.get(*TRUE), states[k]) and same(measured, sensed))
         command = run.command[k - late] if k >= late else 0.0
         instance.step(command=command, **signals.at(k, instance.get("station")))
         loop.send(float(run.command[k]))
-        loop.advance()
     return difference
 
 

@@ -16,10 +16,9 @@ from adaptrack.cars.vehicle import pack_plant
 from adaptrack.control.controllers.base import Room
 from adaptrack.core import library
 from adaptrack.core.kernel import Resident
-from adaptrack.core.loop import rollout
-from adaptrack.core.loop.period import RunSpan
-from adaptrack.core.loop.world import SIGNAL
 from adaptrack.core.plants.contract import PLANT_STATE, SLOTS
+from adaptrack.core.simulation import run as kernel
+from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.batch import Batch
 from adaptrack.export import page_setup
@@ -169,12 +168,12 @@ def by_python(before, touch, after):
     run.inputs.seeds[:], run.vehicles.start[:] = TOUCHED["seed"], batch.starts[0]
     run.controller.tuning[:] = batch.tuning
     run = run._replace(memory=run.memory._replace(sent=np.zeros((1, 40))))  # room for a longer dead time
-    span, states = RunSpan(int(batch.periods[0]), 1, 0, 0.0), []
-    rollout.begin(1, Resident(run))
+    states = []
+    kernel.begin(1, Resident(run))
     for count in (before, after):
         for _ in range(count):
             states.append([run.vehicles.block[j * SLOTS] for j in range(6)])
-            rollout.roll_on(1, span, Resident(run))
+            kernel.roll_on(1, 1, Resident(run))
         if touch is not None:
             run, touch = touch(run, batch), None
     return np.array(states)

@@ -29,7 +29,7 @@ from adaptrack.export.tracking import speed_part
 from adaptrack.road import plan_speed, road_through
 from by_kernels import CASES, make_order
 from processors import board
-from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, GAINS, MAKE, STEP, TELL, Image, bits, run
+from processors.image import BEGIN, COPY, DRIVE, ELEMENTARY, GAINS, MAKE, STEP, TELL, Image, run
 from programs import find_program
 from tracker_calls import calls
 
@@ -134,9 +134,8 @@ def add_drive(image, batch):
     run_record.inputs.scenario[:], run_record.inputs.seeds[:] = 0, 7
     run_record.vehicles.start[:], run_record.controller.tuning[:] = batch.starts[0], batch.tuning
     place = image.record(run_record)
-    span = image.put(np.array([periods, 1, 0, bits(0.0)], np.int64))
     image.do(BEGIN, 1, place)
-    image.do(DRIVE, span, place)
+    image.do(DRIVE, periods, 1, place)
     for part in (run_record.result, *run_record.trace):
         image.do(TELL, image.put(part), part.nbytes // 8)
 

@@ -131,7 +131,7 @@ def test_the_offset_is_positive_to_the_left_of_the_path_in_both_environments():
     for env in (PathTrackingEnv(road=scenario), MPCTuningEnv(road=scenario)):
         observation, _ = env.reset(seed=1)
         run = env._run.loop.run
-        expected = run.measured[3] - run.inputs.signals[0, 0, 0]
+        expected = run.measured[0, 3] - run.inputs.signals[0, 0, 0]
         assert observation[env.names.index("offset")] == expected
 
 

@@ -12,7 +12,7 @@
 extern void adaptrack_elementary_values(int64_t, void *, int64_t, int64_t, void *, int64_t);
 extern void adaptrack_mpc_step(void *);
 extern void adaptrack_begin_runs(int64_t, void *);
-extern void adaptrack_rollout(void *, void *);
+extern int64_t adaptrack_roll_on(int64_t, int64_t, void *);
 extern int64_t adaptrack_informed_numbers(void *, void *);
 extern int64_t adaptrack_lqr_parameters(void *, void *, void *, int64_t, void *, int64_t);
 
@@ -33,7 +33,7 @@ int main(int count, char **names) {
         case 1: memmove(memory + at[2], memory + at[1], 8 * at[3]); break;
         case 2: adaptrack_mpc_step(memory + at[1]); break;
         case 3: adaptrack_begin_runs(at[1], memory + at[2]); break;
-        case 4: adaptrack_rollout(memory + at[1], memory + at[2]); break;
+        case 4: adaptrack_roll_on(at[1], at[2], memory + at[3]); break;
         case 6:
             adaptrack_informed_numbers(memory + at[1], memory + at[2]);
             break;

@@ -30,7 +30,7 @@ for (let i = 0; i < steps; i++, at += 5) {
   else if (what === 1n) memory.copyWithin(Number(b), Number(a), Number(a + c));
   else if (what === 2n) kernels.adaptrack_mpc_step(place(a));
   else if (what === 3n) kernels.adaptrack_begin_runs(a, place(b));
-  else if (what === 4n) kernels.adaptrack_rollout(place(a), place(b));
+  else if (what === 4n) kernels.adaptrack_roll_on(a, b, place(c));
   else if (what === 6n) kernels.adaptrack_informed_numbers(place(a), place(b));
   else if (what === 7n) kernels.adaptrack_lqr_parameters(place(a), place(b), place(c), 4n, place(d), 6820n);
   else fs.writeSync(out, new Uint8Array(kernels.memory.buffer, place(a), 8 * Number(b)));

@@ -12,8 +12,9 @@ import numpy as np
 
 from adaptrack.core.controllers.mpc_step import step as mpc_step
 from adaptrack.core.kernel import EXPORTED, Array, float64
-from adaptrack.core.loop import rollout
 from adaptrack.core.maths.values import elementary_values
+from adaptrack.core.simulation.run import begin as begin_runs
+from adaptrack.core.simulation.run import roll_on
 from adaptrack.core.synthesis.laws import LQR_NUMBERS, lqr_parameters
 from adaptrack.core.synthesis.mpc import informed_numbers
 
@@ -95,7 +96,7 @@ def run(image, library):
         memory[word] = base + 8 * other
     for word, number in image.links:
         memory[word] = address(image.functions[number])
-    elementary, step, begin, drive = map(kernel, (elementary_values, mpc_step, rollout.begin, rollout.rollout))
+    elementary, step, begin, drive = map(kernel, (elementary_values, mpc_step, begin_runs, roll_on))
     make, gains = map(kernel, (informed_numbers, lqr_parameters))
     answers = []
     for operation, a, b, c, d in image.code:
@@ -108,7 +109,7 @@ def run(image, library):
         elif operation == BEGIN:
             begin(a, base + 8 * b)
         elif operation == DRIVE:
-            drive(base + 8 * a, base + 8 * b)
+            drive(a, b, base + 8 * c)
         elif operation == MAKE:
             make(base + 8 * a, base + 8 * b)
         elif operation == GAINS:

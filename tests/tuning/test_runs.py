@@ -15,8 +15,8 @@ from adaptrack.control.controllers import Tuning
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Guarded, Learned, SchedulingVariables, Table
 from adaptrack.core.controllers.mpc import MPC_ANSWER
-from adaptrack.core.loop import world as loop
 from adaptrack.core.plants.contract import PLANT_STATE
+from adaptrack.core.simulation import world as loop
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.simulate import rollout, simulate

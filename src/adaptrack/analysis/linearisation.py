@@ -325,7 +325,7 @@ def sampled_about(plant: Plant, period: float, turn: Steady, world: Profile, del
 
 
 def _with_late_outputs(prompt: Sampled, ages: SampleAges, period: float) -> Sampled:
-    """Return the plant with its measurements delayed, linear between two control instants as in `core.loop.world`."""
+    """Return the plant with its measurements delayed, linear between two control instants as in simulations."""
     periods = {i: ages.sensor_age(name) / period for i, name in enumerate(sensed()) if prompt.c[i].any()}
     size = len(prompt.b)
     total = size + sum(math.ceil(late) for late in periods.values())

@@ -75,7 +75,7 @@ class Plant(ABC):
 
     @property
     def axles(self) -> dict[str, float]:
-        """Entries of `core.loop.world.LoopSettings`: the axles, for the driver, and the steady turn, for the start."""
+        """Entries of a simulation's `LoopSettings`: the axles, for the driver, and the steady turn, for the start."""
         return axles_of(getattr(self, "vehicle", None))
 
     @property

@@ -114,7 +114,7 @@ class LaneChangeTest:
             failure.
         """
         batch = Batch(self.plant, controller, [self.entering_at(speed)], self.profile)
-        rows = np.repeat(batch.checked_tunings(tunings), len(seeds), axis=0)
+        rows = np.repeat(batch.controller.checked_tunings(tunings), len(seeds), axis=0)
         noise_seeds = np.tile(np.array(seeds, dtype=np.int64), len(tunings))
         outcome = batch.run(np.zeros(len(rows), np.int64), rows, noise_seeds, 1, traced=True)
         poses = [refined_poses(states, controller.period) for states in outcome.trace.state]

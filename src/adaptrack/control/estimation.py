@@ -25,10 +25,10 @@ from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, p
 from adaptrack.control.models import PredictionModel
 from adaptrack.core.estimators import friction_wind
 from adaptrack.core.estimators.contract import compile_estimator
-from adaptrack.core.loop.period import VariableEstimator
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.core.member import MemberFunction
+from adaptrack.core.simulation.run import VariableEstimator
 from adaptrack.core.synthesis.plant import lateral_rate
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -349,7 +349,7 @@ class FrictionWindEstimator:
         return self._packed.copy()
 
     def packed_for(self, slots: int) -> Any:
-        """So many fresh estimators like this one, as `core.loop.period.VariableEstimator`."""
+        """So many fresh estimators like this one, as `core.simulation.run.VariableEstimator`."""
         return VariableEstimator(self._packed, self._settings, friction_wind.Memory.new(slots))
 
     def reset(self, memory: Array | None = None) -> None:

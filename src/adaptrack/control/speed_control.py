@@ -14,10 +14,9 @@ from adaptrack.base.checked import Finite, Hint, checked, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
-from adaptrack.control.controllers import Controller, MPCCommand
+from adaptrack.control.controllers import Controller
 from adaptrack.control.friction_estimate import friction_estimate
 from adaptrack.control.kalman import KalmanFilter
-from adaptrack.core.estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
 from adaptrack.core.kernel import OK, Resident
 from adaptrack.core.models.car import AXLES, POWERTRAIN
 from adaptrack.core.physics.forces import GRAVITY
@@ -372,17 +371,10 @@ class SpeedController:
         speed_control_step(self._resident)
         return self.command
 
-    def limit_speed(self, controller: Controller, answer: object = None) -> None:
-        """Limit the speed to `Learner.first_top_speed` until the controller has learned the delay of its steering.
-
-        answer: of the latest step of the controller; None before the first.
-        """
-        if controller.learner is None:
-            return
-        if answer is None:
+    def limit_speed(self, controller: Controller) -> None:
+        """Limit the speed to `Learner.first_top_speed`, until a run finds that the delay of the steering is learned."""
+        if controller.learner is not None:
             self.record.sample[0].top_speed = controller.learner.first_top_speed
-        elif isinstance(answer, MPCCommand) and answer.learned[BELIEF_COLUMNS.belief_delay_sigma] < KNOWN_DELAY_SIGMA:
-            self.record.sample[0].top_speed = math.inf
 
     @property
     def governed_speed(self) -> float:

@@ -203,7 +203,7 @@ class Tracker:
         part = self._part
         if part is None:
             self._calls_back = CallBack(self._control, STEP), CallBack(self._do_requests, APPLY)
-            part = self._python = python_part(*self._calls_back, self.controller.learner is not None)
+            part = self._python = python_part(self.controller, *self._calls_back)
         tracking = join(kernel, part, None if self._speed is None else self._speed.record)
         self._calls = {kernel: direct(kernel, tracking) for kernel in (tracker_step, tracker_apply)}
 
@@ -396,7 +396,7 @@ class Tracker:
         requests = None if self._speed is None else self._speed.command
         return Tracked(command, kind, offset, heading_error, station, state, suspects, target, requests, top)
 
-    def _do_requests(self) -> None:
+    def _do_requests(self, *_: Any) -> None:
         """Apply the requests of the kernels to a controller in Python."""
         is_restart, is_applied, is_path_change, turn, shift, _ = self._kernel.request.tolist()
         if is_restart:
@@ -406,7 +406,7 @@ class Tracker:
         if is_applied:
             self.controller.applied(float(self._kernel.memory[0].command))
 
-    def _control(self) -> None:
+    def _control(self, *_: Any) -> None:
         """One step of a controller in Python."""
         kernel, controller = self._kernel, self.controller
         speed, *_ = kernel.ahead.tolist()

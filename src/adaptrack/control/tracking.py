@@ -103,11 +103,20 @@ def join(tracker: Any, part: Any, longitudinal: Any = None) -> Any:
     )  # fmt: skip
 
 
-def python_part(step: CallBack, request: CallBack, learns: bool) -> Any:
-    """A controller in Python as a part of compiled loops; learns: whether its answer says what it has learned."""
+def python_part(controller: Controller | None, step: CallBack | None, request: CallBack | None = None) -> Any:
+    """A controller in Python as a part of compiled loops, for one slot.
+
+    Its answer says what it has learned, if it learns. controller, step: None if the caller of the loop is the
+    controller.
+    """
+    learns = controller is not None and controller.learner is not None
     (sizes,) = ControllerSizes.new(1, slots=1, answer=len(COMMON_ANSWER) + (len(BELIEF_NAMES) if learns else 0))
     sizes.mpc.slots = 1
-    return allocate(
+    part = allocate(
         ControllerPart, sizes, request=address_of(request), step=address_of(step), takes_late=-1,
         beliefs=len(COMMON_ANSWER) if learns else 0,
     )  # fmt: skip
+    if controller is None:
+        return part
+    informed = part.mpc.informed._replace(learned=controller.learner_memory[None])
+    return part._replace(mpc=part.mpc._replace(informed=informed))

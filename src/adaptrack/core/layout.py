@@ -59,7 +59,10 @@ def _shapes(kind: Any, sizes_kind: Any, before: str) -> Iterator[list[str]]:
 
 
 def allocate(kind: Any, sizes: Any, **given: Any) -> Any:
-    """A record of zeros but for the fields that are given; sizes: a row of the record of its sizes, or a dictionary."""
+    """A record of zeros but for the fields that are given; an array that states no shape is empty.
+
+    sizes: a row of the record of its sizes, or a dictionary.
+    """
     names = _names_of(sizes)
     values: list[Any] = []
     for name, field_kind in kind.kinds.items():
@@ -67,7 +70,7 @@ def allocate(kind: Any, sizes: Any, **given: Any) -> Any:
             values.append(given[name])
         elif isinstance(field_kind, Array):
             shape = [sizes[size] if isinstance(size, str) else size for size in kind.shapes[name]]
-            values.append(aligned(shape, field_kind.dtype))
+            values.append(aligned(shape or [0] * field_kind.ndim, field_kind.dtype))
         elif hasattr(field_kind, "kinds"):
             part = sizes[name] if name in names else sizes
             values.append(allocate(field_kind, part if _names_of(part) else sizes))

@@ -85,12 +85,13 @@ class UserFunction(Exported):
 
 
 class CallBack:
-    """A function of Python's without arguments, as a member of a signature that returns nothing.
+    """A function of Python's as a member of a signature that returns nothing; it is given the words of its arguments.
 
-    What it raises cannot pass through the kernels: `raise_error` raises it once they have returned.
+    What it raises cannot pass through the kernels: `raise_error` raises it once they have returned, and until then it
+    is not called again.
     """
 
-    def __init__(self, function: Callable[[], None], signature: Signature) -> None:
+    def __init__(self, function: Callable[..., None], signature: Signature) -> None:
         self.function = function
         self._error: BaseException | None = None
         self._callback: Any = None if INTERPRETED else signature.prototype(self)
@@ -102,7 +103,7 @@ class CallBack:
     def __call__(self, *arguments: Any) -> None:
         if self._error is None:
             try:
-                self.function()
+                self.function(*arguments)
             except BaseException as error:
                 self._error = error
 

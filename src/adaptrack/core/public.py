@@ -18,10 +18,9 @@ counted random         `counted_uniform`, `counted_normal`: the same number for 
                        `random_bits` of counters, and a `random_unit` of bits
 a plant                `MOTION_STATES` and `PlantState`, the input of a right-hand side (`PLANT_INPUT`), `wind_load`,
                        `layout_of` parameters, `compiled_foreign` (functions of other packages)
-a control period       its two halves, between which a controller stands: `before_control` and `after_control`, then
-                       `move`; whole episodes of a batch: `Episodes`, `renew`, `arrive`, `steer`, `control`; what an
-                       agent observes: `ObservationSpace`, `write_one_observation`, `write_observations`,
-                       `write_variables`; rows of the signals and of the state of a plant, `SIGNAL` and `PLANT_STATE`
+a simulated run        episodes of a batch: `Episodes`, `renew`, `drive_on`; what an agent observes: `ObservationSpace`,
+                       `write_one_observation`, `write_observations`, `write_variables`; rows of the signals and of the
+                       state of a plant, `SIGNAL` and `PLANT_STATE`
 =====================  =============================================================================================
 """
 
@@ -69,12 +68,6 @@ from .kernel import (
     viewer,
     void,
 )
-from .loop.episode import EPISODE, EPISODE_ARRIVED, EPISODE_FAILED, EPISODE_RUNS, Episodes, arrive, renew
-from .loop.episode_steer import steer, write_observations
-from .loop.episode_tune import control, write_variables
-from .loop.observation import MIN_APPROACH_SPEED, ObservationSpace, write_one_observation
-from .loop.period import after_control, before_control, move
-from .loop.world import HOLDING_DECELERATION, SIGNAL
 from .maths import portable
 from .maths.bits import whole
 from .maths.exact import ceil, clip, floor, fmod, sqrt, square
@@ -97,6 +90,19 @@ from .plants.user import layout_of
 from .qp import problem as qp
 from .qp.active_set import active_set
 from .qp.factor import factorise
+from .simulation.episode import (
+    EPISODE,
+    EPISODE_ARRIVED,
+    EPISODE_FAILED,
+    EPISODE_RUNS,
+    Episodes,
+    drive_on,
+    renew,
+    write_observations,
+    write_variables,
+)
+from .simulation.observation import MIN_APPROACH_SPEED, ObservationSpace, write_one_observation
+from .simulation.world import HOLDING_DECELERATION, SIGNAL
 
 __all__ = [
     "BELIEF_NAMES",
@@ -128,24 +134,21 @@ __all__ = [
     "Resident",
     "active_set",
     "address_of",
-    "after_control",
     "all_finite",
-    "arrive",
     "asin",
     "atan",
     "atan2",
-    "before_control",
     "boolean",
     "ceil",
     "clip",
     "columns",
     "compiled_foreign",
     "compiles",
-    "control",
     "cos",
     "counted_normal",
     "counted_uniform",
     "cube",
+    "drive_on",
     "exp",
     "exported",
     "factorise",
@@ -167,7 +170,6 @@ __all__ = [
     "log",
     "matrix",
     "member",
-    "move",
     "node_below",
     "packer",
     "padded",
@@ -189,7 +191,6 @@ __all__ = [
     "size_of",
     "sqrt",
     "square",
-    "steer",
     "tan",
     "unpacker",
     "vector",

@@ -16,13 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, MissingExtra
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
-from adaptrack.control.controllers import MPC, CompiledScheduler, Controller
+from adaptrack.control.controllers import CompiledScheduler, Controller
 from adaptrack.control.controllers.base import Room
 from adaptrack.core.kernel import Resident
-from adaptrack.core.loop import period as period_kernel
-from adaptrack.core.loop import rollout
 from adaptrack.core.plants.contract import SLOTS, vehicle_batch
 from adaptrack.core.scheduling import guard as guard_kernel
+from adaptrack.core.simulation import run as kernel
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, PerceptionSource, RequestedForces, World, reason_of
 from adaptrack.road.road_ahead import pack_roads
@@ -130,7 +129,7 @@ def rollout_batch(
         tunings = np.repeat(batch.tuning[None], np.size(scenario_indices), axis=0)
     elif batch.scheduler is not None:
         raise InvalidInput("tunings: this MPC has a scheduler, which chooses the tunings; leave the argument out.")
-    tuning_rows = batch.checked_tunings(tunings)
+    tuning_rows = batch.controller.checked_tunings(tunings)
     runs = len(tuning_rows)
     index = np.zeros(runs, np.int64) if scenario_indices is None else np.array(scenario_indices)
     if index.dtype.kind not in "iu":
@@ -156,10 +155,10 @@ class BatchRuns:
     """Results of `Batch.run`."""
 
     result: Any
-    """Results of the kernels, (runs,) records `core.loop.period.RESULT`."""
+    """Results of the kernels, (runs,) records `core.simulation.run.RESULT`."""
     trace: Any
-    """Signals of the runs, a `core.loop.period.Trace` of arrays (runs, periods of the longest run, ...). They are NaN
-    after the end of a run, and empty unless requested."""
+    """Signals of the runs, a `core.simulation.run.Trace` of arrays (runs, periods of the longest run, ...). They are
+    NaN after the end of a run, and empty unless requested."""
     counts: dict[str, NDArray[np.int64]]
     """Counters (runs,) of the scheduler by name; empty without a scheduler."""
     segments: Array
@@ -200,8 +199,8 @@ def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[li
     list of Signals
         Samples of each scenario.
     (scenarios, SIGNAL, n + 1) array
-        The same samples as the kernels read them (`core.loop.world.SIGNAL`), where n is the number of periods of the
-        longest scenario. Shorter scenarios repeat their last sample; a preview beyond their end reads the same values.
+        The same samples as the kernels read them (`core.simulation.world.SIGNAL`), where n is the number of periods of
+        the longest scenario. Shorter ones repeat their last sample; a preview beyond their end reads the same values.
 
     Raises
     ------
@@ -272,29 +271,11 @@ class Batch:
         """Tuning of the controller, (entries,)."""
         return self.controller.packed_tuning()
 
-    def checked_tunings(self, tunings: ArrayLike) -> Array:
-        """Return tunings as an array (runs, entries) after a check of their shape and values.
-
-        Raises
-        ------
-        InvalidInput
-            When the shape is wrong, a value is not finite, or an MPC weight is not allowed.
-        """
-        names = self.controller.tuning_names
-        rows = np.array(tunings, dtype=np.float64, ndmin=2)
-        if rows.ndim != 2 or rows.shape[1] != len(names) or not np.isfinite(rows).all():
-            raise InvalidInput(
-                f"tunings: need finite (runs, {len(names)}) of {', '.join(names)}; got shape {rows.shape}."
-            )
-        if isinstance(self.controller, MPC) and ((rows[:, 2] < 0.0).any() or (rows[:, 3] <= 0.0).any()):
-            raise InvalidInput("tunings: every Q must be >= 0 and every R > 0.")
-        return rows
-
     def run_record(
         self, slots: int, steps: int, room: Room, segments: int = 0, periods: int = 0,
-        scheduler: CompiledScheduler | None = None,
+        scheduler: CompiledScheduler | None = None, **given: Any,
     ) -> Any:  # fmt: skip
-        """Allocate the kernels' arrays for up to `slots` runs (`core.loop.rollout.RunRecord`).
+        """Allocate the kernels' arrays for up to `slots` runs (`core.simulation.run.Run`).
 
         Parameters
         ----------
@@ -310,6 +291,8 @@ class Batch:
             Number of control periods to trace; 0 for no trace.
         scheduler
             Scheduler of the MPC; None for a fixed tuning.
+        given
+            Further arguments of `World.run`.
         """
         plant, settings = self.world.plant, self.settings[steps]
         assert isinstance(plant, Plant)
@@ -319,15 +302,13 @@ class Batch:
         if scheduler is not None:
             part = part._replace(schedule=scheduler.plan(slots))
         width = part.answer.shape[1] + (0 if part.plans else part.tuning.shape[1])
-        loop = self.world.loop(
-            period_kernel.RunInputs(self.samples, self.roads, np.zeros(slots, np.int64), np.zeros(slots, np.int64)),
+        scenario, seeds = np.zeros(slots, np.int64), np.zeros(slots, np.int64)
+        return self.world.run(
+            kernel.RunInputs(self.samples, self.roads, scenario, seeds, np.full(slots, self.periods[0])),
             vehicle_batch(plant.compiled, plant.packed(), np.zeros((slots, self.starts.shape[1]))),
-            settings,
-            needs_variables=scheduler is not None,
-            trace=period_kernel.traces(slots, periods, width) if periods else None,
-            segments=segments,
-        )
-        return rollout.RunRecord(*loop, controller=part)
+            settings, part, trace=kernel.traces(slots, periods, width) if periods else None, segments=segments,
+            **{"needs_variables": scheduler is not None} | given,
+        )  # fmt: skip
 
     def chunks(self, runs: NDArray[np.int64], threads: int = 1) -> list[NDArray[np.int64]]:
         """Split runs into chunks for one kernel call each, with equal duration and integration steps within a chunk.
@@ -382,7 +363,7 @@ class Batch:
         runs, n = len(scenario_indices), int(self.periods.max())
         inputs = _BatchInputs(scenario_indices, tunings, seeds, segment, weight, n if traced else 0, scheduler)
         room = Room() if traced else self.controller.room_for(tunings, scheduler)
-        result, counts = period_kernel.RESULT.new(runs), np.zeros((len(guard_kernel.COUNTS), runs), np.int64)
+        result, counts = kernel.RESULT.new(runs), np.zeros((len(guard_kernel.COUNTS), runs), np.int64)
         segments = np.full((runs, math.ceil(n / segment) if segment else 0), np.nan)
         traces: list[tuple[NDArray[np.int64], Any]] = []
         waiting: queue.SimpleQueue[NDArray[np.int64]] = queue.SimpleQueue()
@@ -412,10 +393,10 @@ class Batch:
                 for future in [pool.submit(work) for _ in range(workers)]:
                     future.result()
         guard_counts = {} if scheduler is None else dict(zip(guard_kernel.COUNTS, counts, strict=True))
-        return BatchRuns(result, _joined(traces, runs) if traces else period_kernel.no_trace(), guard_counts, segments)
+        return BatchRuns(result, _joined(traces, runs) if traces else kernel.no_trace(), guard_counts, segments)
 
     def _drive(self, chunk: NDArray[np.int64], inputs: _BatchInputs, room: Room, previous_record: Any) -> Any:
-        """Drive the runs of one chunk and return their `core.loop.rollout.RunRecord`.
+        """Drive the runs of one chunk and return their `core.simulation.run.Run`.
 
         previous_record: record of an earlier chunk, or None. Its arrays are reused if their sizes match and its results
         are no longer needed.
@@ -427,12 +408,15 @@ class Batch:
         is_reusable = run is not None and len(run.memory.drives) == size and run.settings is self.settings[steps]
         is_reusable = is_reusable and run.segments.shape[1] == segments
         if not is_reusable or inputs.traced_periods or inputs.scheduler is not None:
-            run = self.run_record(size, steps, room, segments, inputs.traced_periods, inputs.scheduler)
-        run.inputs.scenario[:], run.inputs.seeds[:] = scenarios, inputs.seeds[chunk]
+            run = self.run_record(
+                size, steps, room, segments, inputs.traced_periods, inputs.scheduler, segment=inputs.segment,
+                weight=inputs.weight,
+            )  # fmt: skip
+        run.inputs.scenario[:], run.inputs.seeds[:], run.inputs.periods[:] = scenarios, inputs.seeds[chunk], n
         run.vehicles.start[:], run.controller.tuning[:] = self.starts[scenarios], inputs.tunings[chunk]
         resident = Resident(run)
-        rollout.begin(size, resident)
-        rollout.rollout(period_kernel.RunSpan(n, size, inputs.segment, inputs.weight), resident)
+        kernel.begin(size, resident)
+        kernel.roll_on(n, size, resident)
         return run
 
 

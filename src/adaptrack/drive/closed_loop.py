@@ -1,13 +1,12 @@
-"""Simulation around a controller in one run, one control period at a time.
+"""Simulation of one run around a controller in Python: one that is called back, or the caller.
 
-A control period has three steps: `ClosedLoop.sense` measures, `ClosedLoop.send` applies a command, and
-`ClosedLoop.advance` moves the car. Between the first two, the caller chooses the command: a controller in `simulate`, a
-learning agent in `gym`. Compiled runs call the same kernels (`core.loop.period`).
+Plants and drivers in Python are called back as well. The run is that of compiled batches (`core.simulation.run`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,15 +21,18 @@ from adaptrack.control.controllers import Controller
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.scheduling.variables import SchedulingVariables
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
-from adaptrack.core.kernel import Resident
-from adaptrack.core.loop import period as period_kernel
-from adaptrack.core.loop import world as loop_kernel
+from adaptrack.control.tracking import python_part
+from adaptrack.core.controllers.part import COMMON_ANSWER, STEP
+from adaptrack.core.kernel import Resident, Signature, address_of
 from adaptrack.core.maths import portable
+from adaptrack.core.member import CallBack
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants import contract, stepped
 from adaptrack.core.plants.contract import vehicle_batch
+from adaptrack.core.simulation import run as kernel
+from adaptrack.core.simulation.world import ANSWERED, RUNNING, SIGNAL, STATE_NOT_FINITE
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
-from adaptrack.drive.world import Driver, RequestedForces, SpeedFollower, World, reason_of, warn_once
+from adaptrack.drive.world import Driver, RequestedForces, SpeedDriver, SpeedFollower, World, reason_of, warn_once
 from adaptrack.road.road_ahead import RoadAhead, pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
 
@@ -82,8 +84,9 @@ class _SteppedVehicle:
             gap -= math.copysign(self._steering.rate * limited, gap)
         return command - gap * portable.exp((limited - time) / self._steering.lag)
 
-    def advance(self, steps: int, h: float) -> None:
-        """Advance the vehicle by a number of integration steps of h (s)."""
+    def advance(self, *words: Any) -> None:
+        """Advance the vehicle by a number of integration steps of h (s), see `core.plants.contract.ADVANCE`."""
+        steps, h = words[-2:]
         names, state, demand = contract.PLANT_INPUT, self._state, self._input
         force, acceleration = demand[names.force], demand[names.acceleration]
         target = force / self._mass if math.isnan(acceleration) else acceleration
@@ -123,9 +126,11 @@ class Sensed:
 
 
 class ClosedLoop:
-    """One closed-loop run. In each control period, call `sense`, `send` and `advance` in this order.
+    """One simulated run, from its first instant on (`core.simulation.run`).
 
-    A run is complete after ``signals.n`` periods; a failure ends it earlier (`ended`).
+    The controller is a function that the run calls back at every instant, or the caller: it reads `sensed` and gives
+    its command to `send`, which drives on to the next instant. The run is complete after ``signals.n`` periods; a
+    failure ends it earlier (`ended`).
 
     Parameters
     ----------
@@ -135,37 +140,139 @@ class ClosedLoop:
         Scenario or road drive.
     seed
         Seed of the sensor noise.
+    controller
+        Controller by whose steering model, and what it learns, a speed control narrows its friction. None: it does not.
+    step
+        Function that is called at every control instant and writes the answer (`answer`). None: the caller controls.
     traced
         Whether to record the signals at every control instant.
+
+    Raises
+    ------
+    InvalidInput
+        When a speed control is given for a scenario without a road.
     """
 
-    def __init__(self, world: World, scenario: Scenario | RoadDrive, seed: int, traced: bool = False) -> None:
+    def __init__(
+        self, world: World, scenario: Scenario | RoadDrive, seed: int, controller: Controller | None = None,
+        step: Callable[[], None] | None = None, traced: bool = False,
+    ) -> None:  # fmt: skip
         self.world = world
         self.signals = scenario.sample(world.period)
         self.road: Any = getattr(scenario, "road", None)
-        inputs = period_kernel.RunInputs(
-            world.samples(self.signals, 0)[None], pack_roads([self.road]), np.zeros(1, np.int64), np.array([seed])
-        )
         start, n = world.start(scenario, self.signals), self.signals.n
-        self._stepped: _SteppedVehicle | None = None
-        if isinstance(world.plant, SteppedPlant):
-            self._stepped = _SteppedVehicle(world, start)
-            vehicles = self._stepped.batch
-        else:
-            vehicles = vehicle_batch(world.plant.compiled, world.plant.packed(), start[None])
-        self.run = world.loop(
-            inputs, vehicles, world.settings(world.substeps(float(self.signals.speed.max()))),
-            needs_variables=True, trace=period_kernel.traces(1, n, 0) if traced else None,
+        inputs = kernel.RunInputs(
+            world.samples(self.signals, 0)[None], pack_roads([self.road]), np.zeros(1, np.int64), np.array([seed]),
+            np.array([n]),
+        )  # fmt: skip
+        self._calls_back: list[CallBack] = []
+        part = python_part(controller, None if step is None else self._called_back(lambda *_: step(), STEP))
+        self.speed_control: SpeedController | None = None
+        """Speed control of the run, if it has one."""
+        self._follower: SpeedFollower | None = None
+        self._request: SpeedCommand | None = None
+        self.run = world.run(
+            inputs, self._vehicles(start), world.settings(world.substeps(float(self.signals.speed.max()))), part,
+            needs_variables=True, asks=step is None, weight=world.profile.move_weight,
+            trace=kernel.traces(1, n, part.answer.shape[1]) if traced else None,
+            **self._speed_part(scenario, controller),
         )  # fmt: skip
         if isinstance(world.perception, FrictionWindEstimator):
             world.perception.reset(self.run.variable_estimator.memory)
-        self.resident, self._span = Resident(self.run), Resident(period_kernel.RunSpan(n, 1, 0, 0.0))
-        """`run` and the limits of its loop in the memory of the kernels."""
-        period_kernel.begin_one(self.resident)
-        self.speed_controller = _speed_follower(world, scenario)
-        self.request: SpeedCommand | None = None
-        """Last requests of the speed controller."""
-        self._drives, self._references = self.run.memory.drives, inputs.signals[0, loop_kernel.SIGNAL.y_ref]
+        self.resident = Resident(self.run)
+        """`run` in the memory of the kernels."""
+        self._drives, self._references = self.run.memory.drives, inputs.signals[0, SIGNAL.y_ref]
+        kernel.begin(1, self.resident)
+        if step is None:
+            self.roll_on(1)
+
+    def _called_back(self, function: Callable[..., None], signature: Signature) -> CallBack:
+        """Let the run call a function; if it raises an error, the run ends."""
+
+        def call(*words: Any) -> None:
+            try:
+                function(*words)
+            except BaseException:
+                self._drives["ended"] = STATE_NOT_FINITE
+                raise
+
+        self._calls_back.append(CallBack(call, signature))
+        return self._calls_back[-1]
+
+    def _vehicles(self, start: Array) -> Any:
+        """The car at its start, a batch of one (`core.plants.contract.Vehicles`)."""
+        plant = self.world.plant
+        if not isinstance(plant, SteppedPlant):
+            return vehicle_batch(plant.compiled, plant.packed(), start[None])
+        car = _SteppedVehicle(self.world, start)
+        return car.batch._replace(advance=address_of(self._called_back(car.advance, contract.ADVANCE)))
+
+    def _speed_part(self, scenario: Scenario | RoadDrive, controller: Controller | None) -> dict[str, Any]:
+        """Fields of the run that let a speed control, or a driver of your own, request the forces.
+
+        Raises
+        ------
+        InvalidInput
+            When the scenario has no road.
+        """
+        driver = self.world.driver
+        if driver is None or isinstance(driver, Driver | RequestedForces):
+            return {}
+        if not isinstance(scenario, RoadDrive):
+            raise InvalidInput(
+                f"driver: a {type(driver).__name__} follows a plan along a road, and {scenario.name!r} has none: give "
+                "a RoadDrive."
+            )
+        if not isinstance(driver, SpeedControl):
+            self._follower = _follower(driver, scenario, self.world.period)
+            return {"control_speed": address_of(self._called_back(self._ask_follower, kernel.CONTROL_SPEED))}
+        control = self.speed_control = SpeedController(driver, scenario.road, scenario.plan, self.world.period)
+        if controller is not None:
+            control.estimate_friction(controller)
+            control.limit_speed(controller)
+        return {
+            "control_speed": address_of(kernel.control_planned_speed), "longitudinal": control.record,
+            "speeds": np.zeros(LONGEST_SPEEDS_AHEAD),
+        }  # fmt: skip
+
+    def _ask_follower(self, *_: Any) -> None:
+        """Let a driver of your own request the forces of the present period."""
+        memory = self._drives[0]
+        call = PluginCall(f"driver {type(self.world.driver).__name__}: step()", _REQUESTS)
+        request = self._request = call(
+            self._follower.step,  # type: ignore[union-attr]
+            float(memory["station_estimate"]), float(memory["speed"]),
+            float(self.run.measured[0, MEASUREMENT.yaw_rate]),
+        )  # fmt: skip
+        try:
+            force, hold = [real("", name, getattr(request, name)) for name in SPEED_REQUEST._fields[:3]][1:]
+        except (AttributeError, InvalidInput):
+            raise call.refusal(request) from None
+        if not (math.isfinite(force) and 0.0 <= hold < math.inf):
+            raise call.refusal(request)
+        memory["requested_force"], memory["requested_hold"] = force, hold
+
+    # -- a run --------------------------------------------------------------------------------------------------------
+    def roll_on(self, periods: int) -> None:
+        """Drive so many periods, or until the caller is to give its command; raise what a function has raised."""
+        kernel.roll_on(periods, 1, self.resident)
+        for called_back in self._calls_back:
+            called_back.raise_error()
+
+    def send(self, command: float) -> bool:
+        """Send the caller's command (rad) to the steering, and drive on to the next instant.
+
+        A command that is not finite ends the run and returns False.
+        """
+        self.answer[COMMON_ANSWER.command] = command
+        self._drives["asked"] = ANSWERED
+        self.roll_on(2)
+        return math.isfinite(command)
+
+    @property
+    def answer(self) -> Array:
+        """Answer of the controller, `core.controllers.part.COMMON_ANSWER` and what it has learned; a view."""
+        return np.asarray(self.run.controller.answer[0])
 
     @property
     def instant(self) -> int:
@@ -178,108 +285,53 @@ class ClosedLoop:
         return float(self._drives["command"][0])
 
     @property
-    def error(self) -> float:
-        """Y - y_ref (m) at the last call of `sense`."""
-        return float(self._drives["error"][0])
+    def cost(self) -> float:
+        """Squared error plus weighted squared change of the command of the last period (m^2)."""
+        return float(self._drives["cost"][0])
 
     @property
     def ended(self) -> bool:
         """Whether a failure has ended the run."""
-        return bool(self._drives["ended"][0] != loop_kernel.RUNNING)
+        return bool(self._drives["ended"][0] != RUNNING)
 
-    def sense(self) -> Sensed:
-        """Check the run for a failure and return the signals at this instant.
+    @property
+    def request(self) -> SpeedCommand | None:
+        """Requests of the speed control, or of a driver of your own, at this instant."""
+        return self._request if self.speed_control is None else self.speed_control.command
 
-        If the state of the car is not finite, the sensors repeat their last values.
-        """
-        period_kernel.sense_one(self._span, self.resident)
-        if self.speed_controller is not None:
-            memory, measured = self._drives[0], self.run.measured
-            if isinstance(self.speed_controller, SpeedController):
-                self.speed_controller.narrow_friction(measured, float(memory["speed"]), float(memory["command"]))
-            call = PluginCall(f"driver {type(self.world.driver).__name__}: step()", _REQUESTS)
-            request = self.request = call(
-                self.speed_controller.step,
-                float(memory["station_estimate"]), float(memory["speed"]), float(measured[MEASUREMENT.yaw_rate]),
-            )  # fmt: skip
-            try:
-                _, force, hold = (real("", name, getattr(request, name)) for name in SPEED_REQUEST._fields[:3])
-            except (AttributeError, InvalidInput):
-                raise call.refusal(request) from None
-            if not (math.isfinite(force) and 0.0 <= hold < math.inf):
-                raise call.refusal(request)
-            memory["requested_force"], memory["requested_hold"] = force, hold
-        variables = SchedulingVariables(*self.run.variables.tolist())
-        return Sensed(self.run.measured, float(self._drives["speed"][0]), self._references[self.instant :], variables)
-
-    def estimate_friction(self, controller: Controller) -> None:
-        """Let the speed control narrow its friction by the steering model of a controller."""
-        if isinstance(self.speed_controller, SpeedController):
-            self.speed_controller.estimate_friction(controller)
+    @property
+    def sensed(self) -> Sensed:
+        """Signals at this instant. If the state of the car is not finite, the sensors repeat their last values."""
+        variables = SchedulingVariables(*self.run.variables[0].tolist())
+        reference = self._references[self.instant :]
+        return Sensed(self.run.measured[0], float(self._drives["speed"][0]), reference, variables)
 
     def road_ahead(self, speed: float) -> RoadAhead:
         """Return the road ahead as measured, with the speed plan shifted to start at the current speed (m/s)."""
-        if isinstance(self.speed_controller, SpeedController):
-            planned = self.speed_controller.speeds_ahead(speed, LONGEST_SPEEDS_AHEAD)
-            return RoadAhead(self.road, float(self._drives["station_estimate"][0]), planned)
+        station = float(self._drives["station_estimate"][0])
+        if self.speed_control is not None:
+            return RoadAhead(self.road, station, self.run.speeds)
         by_place = self.road is not None and self.world.driver is not None
         first = int(self._drives["place"][0]) if by_place else self.instant
         planned = self.signals.speed[first:][:LONGEST_PREVIEW]
-        station = float(self._drives["station_estimate"][0])
         return RoadAhead(self.road, station, np.maximum(planned + (speed - planned[0]), 0.0))
 
-    def send(self, command: float) -> bool:
-        """Send a command (rad) to the steering. A command that is not finite ends the run and returns False."""
-        if math.isfinite(command):
-            period_kernel.send_one(command, command - self.command, self._span, self.resident)
-            return True
-        self._drives["ended"], self._drives["ended_at"] = loop_kernel.STATE_NOT_FINITE, self.instant * self.world.period
-        return False
-
-    def advance(self) -> None:
-        """Move the car to the next control instant."""
-        if self._stepped is None:
-            period_kernel.move_one(self.resident)
-            return
-        (before, after), period = period_kernel.substeps_of(self.resident), self.world.period
-        share = float(self.run.settings.dead_share)
-        if before:
-            self._stepped.advance(before, share * period / before)
-            period_kernel.change_command_of_one(self.resident)
-        self._stepped.advance(after, (1.0 - share) * period / after)
-
+    @property
     def failure(self) -> tuple[str | None, float]:
-        """Return the reason and time (s) of the failure of a finished run; None and NaN if it did not fail.
+        """Reason and time (s) of the failure of a finished run; None and NaN if it did not fail.
 
         A car that never came near its reference has also failed.
         """
-        period_kernel.close_one(self.resident)
-        return failure_of(int(self._drives["ended"][0]), float(self._drives["ended_at"][0]))
+        return failure_of(int(self.run.result[0].ended), float(self.run.result[0].ended_at))
 
 
-def _speed_follower(world: World, scenario: Scenario | RoadDrive) -> SpeedFollower | None:
-    """The speed controller of a run, if the world has one.
-
-    Raises
-    ------
-    InvalidInput
-        When the scenario has no road.
-    """
-    driver = world.driver
-    if driver is None or isinstance(driver, Driver | RequestedForces):
-        return None
-    if not isinstance(scenario, RoadDrive):
-        raise InvalidInput(
-            f"driver: a {type(driver).__name__} follows a plan along a road, and {scenario.name!r} has none: give a "
-            "RoadDrive."
-        )
-    if isinstance(driver, SpeedControl):
-        return SpeedController(driver, scenario.road, scenario.plan, world.period)
+def _follower(driver: SpeedDriver, drive: RoadDrive, period: float) -> SpeedFollower:
+    """Begin a run of a driver of your own."""
     call = PluginCall(
         f"method `begin` of the driver {type(driver).__name__}",
         "an object with the method step(station, speed, yaw_rate)",
     )
-    follower: SpeedFollower = call(driver.begin, scenario.road, scenario.plan, world.period)
+    follower: SpeedFollower = call(driver.begin, drive.road, drive.plan, period)
     if not callable(getattr(follower, "step", None)):
         raise call.refusal(follower)
     return follower

@@ -1,8 +1,8 @@
-"""Simulation of one closed-loop run, in Python or compiled.
+"""Simulation of one closed-loop run.
 
-`simulate` loops in Python and accepts any controller, plant, scheduler and QP solver. `rollout` runs the whole loop in
-the compiled kernels, as `batch.rollout_batch` does for many runs. Both use the same kernels for a control period
-(`core.loop.period`) and return the same trajectory.
+`simulate` accepts any controller, plant, scheduler and QP solver: the kernels of a run (`core.simulation.run`) call the
+controller back. `rollout` accepts compiled parts only, as `batch.rollout_batch` does for many runs, and returns the
+same trajectory.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ from pydantic import Field
 
 from adaptrack.base.checked import Hint, Natural, checked
 from adaptrack.cars.plant import Plant, SteppedPlant
-from adaptrack.control.controllers import MPC, CompiledController, Controller, command_of, step_call
+from adaptrack.control.controllers import Controller, command_of, step_call
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.speed_control import SpeedCommand, SpeedController, SpeedLimit, SpeedState
-from adaptrack.core.loop.period import TRACE_SIGNALS
+from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.contract import PLANT_STATE
+from adaptrack.core.simulation.run import TRACE_SIGNALS
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, FailureLimits
@@ -36,6 +37,8 @@ from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
 
 Array = NDArray[np.float64]
+PROGRESS_PERIODS = 64
+"""Control periods between two reports of progress."""
 
 
 DriveArgument = Annotated[
@@ -45,7 +48,7 @@ DriveArgument = Annotated[
 
 
 class _Recorder:
-    """Record of one run with a row for each control instant. state and signals: see `core.loop.period.Trace`."""
+    """Record of one run with a row for each control instant. state and signals: see `core.simulation.run.Trace`."""
 
     def __init__(self, n: int, controller: Controller, state: Array, signals: Array) -> None:
         self.state, self.signals, self.step_call = state, signals, step_call(controller)
@@ -114,7 +117,7 @@ def simulate(
     predicted
         Recorder of the paths that an MPC predicts along a road.
     progress
-        Function that is called every 64 periods with the numbers of completed and of all periods.
+        Function that is called every `PROGRESS_PERIODS` periods with the numbers of completed and of all periods.
 
     Raises
     ------
@@ -122,25 +125,15 @@ def simulate(
         When arguments do not match each other.
     """
     world = World.of(plant, controller, profile, driver, perception, failure)
-    loop = ClosedLoop(world, scenario, seed, traced=True)
-    loop.estimate_friction(controller)
-    signals, trace = loop.signals, loop.run.trace
-    record = _Recorder(signals.n, controller, trace.state[0], trace.signals[0])
-    has_no_vy = isinstance(controller, CompiledController) and math.isinf(world.profile.noise_vy)
+    has_no_vy = not controller.replaces_vy and math.isinf(world.profile.noise_vy)
     controller.reset()
-    controller.applied(loop.command)
     controller.user = object()  # a tracker with this controller refuses to go on
-    speed_control = loop.speed_controller if isinstance(loop.speed_controller, SpeedController) else None
-    if speed_control is not None:
-        speed_control.limit_speed(controller)
-    for k in range(signals.n):
-        if progress is not None and k % 64 == 0:
-            progress(k, signals.n)
-        instant = loop.sense()
-        if loop.ended:
-            break
+
+    def step() -> None:
+        """Step the controller at an instant."""
+        k, instant = loop.instant, loop.sensed
         if loop.request is not None:
-            record.requests[k] = _request_row(loop.request, speed_control)
+            record.requests[k] = _request_row(loop.request, loop.speed_control)
         if has_no_vy:
             instant.measured[MEASUREMENT.vy] = 0.0  # the car has no sensor for the lateral velocity
         # only some controllers use the wheel angle and the accelerometer
@@ -152,18 +145,28 @@ def simulate(
             controller.step, measured, instant.speed, instant.reference, instant.variables, **road_ahead
         )
         record.times[k] = time.perf_counter() - start_time
-        if speed_control is not None:
-            speed_control.limit_speed(controller, answer)
         command = record.record(k, answer, loop.command)
+        loop.answer[: len(COMMON_ANSWER)] = record.command[k]
+        if controller.learner is not None:
+            loop.answer[len(COMMON_ANSWER) :] = getattr(answer, "learned", math.nan)
         if predicted is not None and record.command[k, 2] < 0.5:
             predicted.record(k * world.period, controller, road_ahead.get("road"))
-        if not loop.send(command):
+        if not math.isfinite(command):
             warn_once(f"adaptrack: the run ends: {record.step_call.refusal(answer)}")
+
+    loop = ClosedLoop(world, scenario, seed, controller, step, traced=True)
+    signals, trace = loop.signals, loop.run.trace
+    record = _Recorder(signals.n, controller, trace.state[0], trace.signals[0])
+    controller.applied(loop.command)
+    for k in range(0, signals.n, PROGRESS_PERIODS):
+        if progress is not None:
+            progress(k, signals.n)
+        loop.roll_on(PROGRESS_PERIODS)
+        if loop.ended:
             break
-        loop.advance()
     if progress is not None:
         progress(signals.n, signals.n)
-    record.failed, record.failed_at = loop.failure()
+    record.failed, record.failed_at = loop.failure
     record.counted = dict(controller.scheduler_counts)
     return _trajectory(world, controller, scenario, signals, seed, record)
 
@@ -231,13 +234,11 @@ def _batch_trajectory(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) 
     trace = runs.trace
     record = _Recorder(n, controller, trace.state[i, :n].copy(), trace.signals[i, :n].copy())
     result, answer = runs.result[i], trace.answer[i, :n]
-    record.command[:], columns = answer[:, :3], answer[:, 3:]  # an MPC writes its tuning first, other controllers last
-    if isinstance(controller, MPC):
-        count = len(record.tuning_names)
-        record.tuning[:], record.diagnostics[:] = columns[:, :count], columns[:, count:]
-    else:
-        count = len(record.diagnostic_names)
-        record.diagnostics[:], record.tuning[:] = columns[:, :count], columns[:, count:]
+    columns = dict(zip(controller.answer_names, answer[:, 3:].T, strict=True))
+    record.command[:] = answer[:, :3]
+    for table, names in ((record.tuning, record.tuning_names), (record.diagnostics, record.diagnostic_names)):
+        for column, name in zip(table.T, names, strict=True):
+            column[:] = columns[name]
     record.failed, record.failed_at = failure_of(int(result.ended), float(result.ended_at))
     record.counted = {name: int(values[i]) for name, values in runs.counts.items()}
     return _trajectory(batch.world, controller, batch.scenarios[k], batch.signals[k], seed, record)

@@ -1,7 +1,7 @@
 """World: the simulated car and everything around its controller.
 
 It has plant, profile, driver, the perception of friction and wind, and the failure limits. Runs in Python and compiled
-runs both use it to build the inputs of the kernels (`core.loop.period`).
+runs both use it to build the inputs of the kernels (`core.simulation.run`).
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuato
 from adaptrack.control.controllers import Controller
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl
-from adaptrack.core.loop import period as period_kernel
-from adaptrack.core.loop import world as loop_kernel
-from adaptrack.core.loop.world import SIGNAL
 from adaptrack.core.models.sensors import SENSOR_FIELDS
 from adaptrack.core.planning.drive import complete_samples
+from adaptrack.core.simulation import run as run_kernel
+from adaptrack.core.simulation import world as kernel
+from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.core.synthesis.plant import dead_periods
 from adaptrack.drive.failure import FailureLimits, Reason
 from adaptrack.road import Road, SpeedPlan
@@ -200,9 +200,9 @@ class World:
         return self.plant.substeps(self.period, top_speed)
 
     def settings(self, substeps: int) -> Any:
-        """Return the `core.loop.world.LoopSettings` for a number of integration steps per control period."""
+        """Return the `core.simulation.world.LoopSettings` for a number of integration steps per control period."""
         profile, driver, steering = self.profile, self.driver, self.steering
-        return loop_kernel.LoopSettings(
+        return kernel.LoopSettings(
             period=self.period,
             substeps=substeps,
             prescribed_speed=self._speed_kind,
@@ -232,12 +232,12 @@ class World:
 
     @property
     def _speed_kind(self) -> int:
-        """Value of `prescribed_speed` in `core.loop.world.LoopSettings`: prescribed, a driver, or requested forces."""
+        """Value of `prescribed_speed` in the `LoopSettings`: prescribed, a driver, or requested forces."""
         if self.driver is None:
-            return loop_kernel.PRESCRIBED
+            return kernel.PRESCRIBED
         if not isinstance(self.driver, Driver):
-            return loop_kernel.EXTERNAL_FORCES
-        return loop_kernel.PRESCRIBED_WITHOUT_ROAD if self.driver.roads_only else loop_kernel.DRIVER_FORCES
+            return kernel.EXTERNAL_FORCES
+        return kernel.PRESCRIBED_WITHOUT_ROAD if self.driver.roads_only else kernel.DRIVER_FORCES
 
     @property
     def drive(self) -> DriveActuator:
@@ -258,54 +258,56 @@ class World:
     @property
     def remembered(self) -> int:
         """Number of past instants whose samples are stored because they arrive late; 0 without late samples."""
-        return int(loop_kernel.instants_back(self.profile.oldest, self.period))
+        return int(kernel.instants_back(self.profile.oldest, self.period))
 
-    def loop(
-        self, inputs: Any, vehicles: Any, settings: Any, *, needs_variables: bool, trace: Any = None, segments: int = 0
+    def run(
+        self, inputs: Any, vehicles: Any, settings: Any, controller: Any, *, needs_variables: bool, trace: Any = None,
+        segments: int = 0, asks: bool = False, **given: Any,
     ) -> Any:  # fmt: skip
-        """Allocate the loop of new runs (`core.loop.period.RunLoop`), one run per vehicle.
+        """Allocate new runs with their controllers (`core.simulation.run.Run`), one run per vehicle.
 
         Parameters
         ----------
         inputs
-            Samples, roads and seeds (`core.loop.period.RunInputs`).
+            Samples, roads and seeds (`core.simulation.run.RunInputs`).
         vehicles
             Batch of vehicles.
         settings
             Result of `settings`.
+        controller
+            The controllers (`core.controllers.part.ControllerPart`).
         needs_variables
             Whether a scheduler or an agent reads the scheduling variables.
         trace
-            Memory of the recorded signals (`core.loop.period.traces`); None to record nothing.
+            Memory of the recorded signals (`core.simulation.run.traces`); None to record nothing.
         segments
             Number of segments whose cost is recorded in each run.
+        asks
+            Whether the caller is asked before each step of a controller, or is the controller.
+        given
+            Other fields of the record.
         """
-        past = self.remembered
+        slots, past = len(vehicles.start), self.remembered
         estimator = self.perception if needs_variables and isinstance(self.perception, FrictionWindEstimator) else None
-        loop = period_kernel.run_loop(
-            slots=len(vehicles.start),
-            dead_whole=self.dead_periods[0],
-            past=past,
-            segments=segments,
-            requested=2 * (2 + max(settings.drive_whole, settings.brake_whole)),
-        )
-        loop.cost_limit[:] = np.nan
-        return loop._replace(
-            settings=settings,
-            features=period_kernel.Features(
-                late=past > 0,
-                variables=needs_variables,
-                estimates=estimator is not None,
-                traces=trace is not None,
-            ),
-            vehicles=vehicles,
-            inputs=inputs,
-            variable_estimator=estimator.packed_for(len(vehicles.start)) if estimator else loop.variable_estimator,
-            trace=loop.trace if trace is None else trace,
-        )
+        if estimator is not None:
+            given["variable_estimator"] = estimator.packed_for(slots)
+        if trace is not None:
+            given["trace"] = trace
+        features = run_kernel.Features(
+            late=past > 0, variables=needs_variables, estimates=estimator is not None, traces=trace is not None,
+            asks=asks, window=0,
+        )  # fmt: skip
+        sizes = {
+            "slots": slots, "dead_whole": self.dead_periods[0], "past": past, "segments": segments,
+            "requested": 2 * (2 + max(settings.drive_whole, settings.brake_whole)),
+        }  # fmt: skip
+        return run_kernel.new_run(
+            sizes, settings=settings, features=features, vehicles=vehicles, inputs=inputs, controller=controller,
+            cost_limit=np.full(slots, np.nan), **given,
+        )  # fmt: skip
 
     def samples(self, signals: Signals, number: int) -> Array:
-        """Convert the samples of a scenario to the rows of the kernels (`core.loop.world.SIGNAL`), (rows, n + 1).
+        """Convert the samples of a scenario to the rows of the kernels (`core.simulation.world.SIGNAL`), (rows, n + 1).
 
         Parameters
         ----------
@@ -344,7 +346,7 @@ class World:
 
 
 def _actuator_settings(name: str, actuator: DriveActuator | BrakeActuator, period: float) -> dict[str, float]:
-    """Entries of `core.loop.world.LoopSettings` of drive or brakes."""
+    """Entries of `core.simulation.world.LoopSettings` of drive or brakes."""
     whole_periods, share = dead_periods(0.0, actuator.dead_time, period)
     values = {"whole": whole_periods, "share": share, "lag": actuator.lag, "rate": actuator.rate, "gain": actuator.gain}
     return {f"{name}_{key}": value for key, value in values.items()}
@@ -372,8 +374,8 @@ def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:
 def reason_of(ended: int) -> str | None:
     """Return the name of the failure that ended a run; None if it is complete or was stopped at a limit of its cost."""
     return {
-        loop_kernel.OFF_ROAD: Reason.OFF_ROAD.value,
-        loop_kernel.NEVER_ARRIVED: Reason.OFF_ROAD.value,
-        loop_kernel.SPUN: Reason.SPUN.value,
-        loop_kernel.STATE_NOT_FINITE: Reason.NOT_FINITE.value,
+        kernel.OFF_ROAD: Reason.OFF_ROAD.value,
+        kernel.NEVER_ARRIVED: Reason.OFF_ROAD.value,
+        kernel.SPUN: Reason.SPUN.value,
+        kernel.STATE_NOT_FINITE: Reason.NOT_FINITE.value,
     }.get(ended)

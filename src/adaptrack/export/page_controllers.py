@@ -18,7 +18,7 @@ program lays rows in its memory (`numbers by name`), copies into them what is na
 
 1. ``plant_parameters(car, tyre, actuator, parameters)``; ``plant_law(tyre)`` chooses among ``plants`` which
    functions the `plants.contract.Vehicles` hold.
-2. ``plant_substeps(car, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `core.loop.world.LoopSettings`;
+2. ``plant_substeps(car, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `simulation.world.LoopSettings`;
    ``dead_periods(delay, actuator.dead_time, period)`` -> ``dead_whole``, ``dead_share``. The rest of Settings are
    copies: of ``settings``, of the actuator (``steering_lag``, ``steering_limit``, ``steering_bias``), of the car
    (``mass``, ``engine_power``, ``traction_limit``, ``brake_limit``) and of the domain (``failure_distance``).
@@ -50,7 +50,8 @@ turning, estimator or learner. On a road ``curved`` is 1 and ``feeds_forward`` 0
    inf, or ``first_top_speed`` of a learner. Its estimate of the friction has no hypotheses without an informed MPC;
    otherwise ``plant_parameters`` of the steering that this assumes, and of ``sensor_variances`` those of ``sensors``.
    ``longitudinal_begin``.
-3. ``prescribed_speed`` of the loop is ``external_forces``; `drive_and_show` drives.
+3. ``prescribed_speed`` of the run is ``external_forces``, `control_planned_speed` its ``control_speed``, and there is
+   room for ``speeds_ahead`` in ``speeds``. `roll_on` drives; what is seen is in ``shown``, by `show_period`.
 
 **A law** (`pure-pursuit`, `stanley`, `lqr`): ``common`` is a row of `synthesis.laws.Common`; ``size`` numbers are made
 by the kernel that ``made_by`` names, from car and common, of the LQR from its first three tuning entries as well; of
@@ -75,8 +76,8 @@ from adaptrack.control.friction_estimate import (
     LONGEST_STEERING_DELAY,
 )
 from adaptrack.control.speed_control import SpeedControl, speed_banks
-from adaptrack.core.loop.world import EXTERNAL_FORCES
 from adaptrack.core.physics.tyre import TYRE_NAMES
+from adaptrack.core.simulation.world import EXTERNAL_FORCES
 from adaptrack.core.speed.path import PLACE_SPACING
 from adaptrack.core.synthesis import laws
 from adaptrack.drive.closed_loop import LONGEST_SPEEDS_AHEAD
@@ -98,8 +99,8 @@ def world_numbers(profile: str | Profile) -> dict[str, Any]:
     """A profile for a program without Python, see the module.
 
     ``period`` (s), ``delay`` (periods), ``actuator`` (`synthesis.plant.Actuator`), ``settings``
-    (`core.loop.world.LoopSettings`, all that is not of car or drive), ``remembered`` (instants whose samples are kept),
-    ``requested`` (forces that are remembered), ``speed_requests`` (those of a speed control) and ``plants``, the names
+    (`simulation.world.LoopSettings`, all that is not of car or drive), ``remembered`` (instants whose samples are
+    kept), ``requested`` (forces that are remembered), ``speed_requests`` (those of a speed control) and ``plants``, the names
     of the functions for each answer of ``plant_law``.
     """
     profile_world, car = load_profile(profile), _any_car()

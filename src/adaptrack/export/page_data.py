@@ -19,10 +19,6 @@ from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators import learning
 from adaptrack.core.kernel import Field, columns, fields_of, size_of
-from adaptrack.core.loop import rollout
-from adaptrack.core.loop.frame import FRAME, SPEED_FRAME
-from adaptrack.core.loop.period import RunSpan
-from adaptrack.core.loop.world import SIGNAL
 from adaptrack.core.models.car import CarRow, SingleTrackCar, SteeringRow
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.physics.parameters import PLANT_PARAMETERS
@@ -31,6 +27,9 @@ from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, PLANT_STATES, SLOTS
 from adaptrack.core.roads import road
 from adaptrack.core.scheduling.schedule import no_schedule
+from adaptrack.core.simulation import run
+from adaptrack.core.simulation.frame import FRAME, SPEED_FRAME
+from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.core.speed import path as speed_path
 from adaptrack.core.synthesis import car, laws, plant
 from adaptrack.core.synthesis.mpc import ORDER_FAULTS, MPCNumbers, Order
@@ -46,7 +45,7 @@ from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 RECORDS = (
-    rollout.RunRecord, rollout.RunSizes, RunSpan, road.Centreline, station_table.AlongRecord, speed.Planning,
+    run.Run, run.RunSizes, road.Centreline, station_table.AlongRecord, speed.Planning,
     drive.RoadDriveRecord, Order, MPCNumbers, laws.Common, CarRow, car.KnownWithinRow,
     SteeringRow, plant.TyreRow, plant.Actuator, plant.BodyRow, plant.OutlineRow, Longitudinal,
     speed_path.PlanArrays,

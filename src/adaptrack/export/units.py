@@ -15,10 +15,11 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SpeedControl, longitudinal_of, speed_path
+from adaptrack.control.tracking import python_part
 from adaptrack.core.kernel import Field
-from adaptrack.core.loop.period import RunInputs
-from adaptrack.core.loop.world import SIGNAL
 from adaptrack.core.plants.contract import place, vehicle_batch
+from adaptrack.core.simulation.run import RunInputs
+from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.core.units import car, controller
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.world import Driver, World
@@ -31,6 +32,8 @@ from adaptrack.scenario.profile import Profile, load_profile
 
 REAL, WHOLE_VALUE, TRUTH, PARAMETER, INPUT_VALUE, CONSTANT_VALUE = 0, 1, 2, 4, 8, 16
 """What a value is, as `fmu.h` numbers it: its type and its role; an output without one."""
+ENDLESS = 2**62
+"""Control periods of a drive without an end."""
 MAX_FREE_SPEED = 70.0
 """m/s, to which a car is integrated where no drive says how fast it goes."""
 
@@ -128,9 +131,12 @@ def car_unit(
     vehicles = vehicle_batch(world.plant.compiled, world.plant.packed(), world.plant.initial_state(motion)[None])  # type: ignore[union-attr]
     place(1, vehicles.start, vehicles.block, vehicles.states)
     inputs = RunInputs(
-        np.zeros((1, len(SIGNAL), samples)), pack_roads([road]), np.zeros(1, np.int64), np.zeros(1, np.int64)
-    )
-    loop = world.loop(inputs, vehicles, world.settings(world.substeps(fastest)), needs_variables=False)
+        np.zeros((1, len(SIGNAL), samples)), pack_roads([road]), np.zeros(1, np.int64), np.zeros(1, np.int64),
+        np.array([ENDLESS]),
+    )  # fmt: skip
+    settings = world.settings(world.substeps(fastest))
+    run = world.run(inputs, vehicles, settings, python_part(None, None), needs_variables=False, asks=True)
+    run = run._replace(features=run.features._replace(window=1))
     starts = {
         "period": world.period, "speed_preview": ahead,
         **dict(zip(("start_x", "start_y", "start_yaw"), pose, strict=True)),
@@ -143,9 +149,9 @@ def car_unit(
         0: car.CAR_OUTPUTS,
     }
     values = unit_values(groups, starts)
-    record = car.CarUnit(*_columns(values), loop=loop)
+    record = car.CarUnit(*_columns(values), run=run)
     title = f"car {(getattr(plant, 'vehicle', None) or plant).name}, {plant.name}, profile {world.profile.name}"
-    roles = dict.fromkeys(("loop.vehicles.parameters", "loop.inputs.roads"), ArrayRole.FIXED)
+    roles = dict.fromkeys(("run.vehicles.parameters", "run.inputs.roads"), ArrayRole.FIXED)
     return Unit("car", title, record, values, FIXED_ROLES | roles)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 
 from adaptrack.control.controllers import Controller
-from adaptrack.drive.closed_loop import ClosedLoop, Sensed
+from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import World
 from adaptrack.gym.task import Episode, Task
 
@@ -31,11 +31,18 @@ class EpisodeRun:
             episode.plant, controller, episode.profile, task.driver, task.perception, task.failure
         )  # fmt: skip
         self.loop = ClosedLoop(world, episode.drive, episode.noise_seed)
-        self._move_weight = world.profile.move_weight
         self._failure_cost = task.cost_of_failure(world.failure.distance)
         self._total = 0.0
-        self.terminated = self.truncated = False
-        self.sensed: Sensed = self._sense()
+
+    @property
+    def terminated(self) -> bool:
+        """Whether a failure has ended the episode."""
+        return self.loop.ended
+
+    @property
+    def truncated(self) -> bool:
+        """Whether the episode has come to the end of its drive."""
+        return self.loop.instant == self.loop.signals.n and not self.terminated
 
     @property
     def over(self) -> bool:
@@ -53,34 +60,18 @@ class EpisodeRun:
             Cost of speed and acceleration in this period (m^2), if the agent commands the acceleration.
         """
         loop = self.loop
-        error, move = loop.error, command - loop.command
-        cost = speed_cost + (error * error + self._move_weight * move * move)
         loop.send(command)
-        loop.advance()
-        self.sensed = self._sense()
+        cost = speed_cost + loop.cost
         cost += (loop.signals.n - loop.instant) * self._failure_cost if self.terminated else 0.0
         self._total += cost
         return cost
-
-    def _sense(self) -> Sensed:
-        """Return the sensor signals at the present instant and note whether the episode has ended.
-
-        If the state of the car is not finite, the previous signals are returned.
-        """
-        loop = self.loop
-        sensed = loop.sense()
-        self.terminated = loop.ended
-        if loop.instant == loop.signals.n:
-            self.terminated = loop.failure()[0] is not None
-            self.truncated = not self.terminated
-        return sensed
 
     @property
     def info(self) -> dict[str, Any]:
         """The ``info`` of ``step``: empty before the end, then the reason of a failure and the cost J (m^2)."""
         if not self.over:
             return {}
-        reason = self.loop.failure()[0]
+        reason, _ = self.loop.failure
         return {"failed": reason or "", "J": math.inf if reason else self._total / self.loop.signals.n}
 
 

@@ -126,7 +126,7 @@ class MPCTuningEnv(gymnasium.Env):
         self._scheduler.tuning = tuple(self.tunings.entries(check_action(action, self.tunings.box)).tolist())
         loop, cost = run.loop, 0.0
         for _ in range(self.every):
-            sensed = run.sensed
+            sensed = loop.sensed
             preview: dict[str, Any] = {} if loop.road is None else {"road": loop.road_ahead(sensed.speed)}
             command = self._mpc.step(sensed.measured, sensed.speed, sensed.reference, sensed.variables, **preview)
             self._belief = command.learned or self._belief
@@ -141,7 +141,7 @@ class MPCTuningEnv(gymnasium.Env):
         return {} if self._mpc.learner is None else {BELIEF_STATE: int(self._belief[BELIEF_NAMES.index(BELIEF_STATE)])}
 
     def _observe(self, run: EpisodeRun) -> Array:
-        variables = run.sensed.variables
+        variables = run.loop.sensed.variables
         inputs = np.array([*variables._replace(offset=-variables.offset), *self._belief])
         space, present = self.observation_space, np.isfinite(inputs)
         self._observation = np.clip(np.where(present, inputs, self._observation), space.low, space.high)  # type: ignore[attr-defined]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.control.controllers import MPC, Learning, published_mpc
+from adaptrack.control.controllers import MPC, Controller, Learning, published_mpc
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.core.public import BELIEF_NAMES, portable
 from adaptrack.core.public import LEARNED as BELIEFS_OFFSET
@@ -31,7 +31,7 @@ OBSERVATION_BOUNDS = {
     "speed": (0.0, 100.0), "wheel_angle": (-math.pi / 2, math.pi / 2), "command": (-math.pi / 2, math.pi / 2),
     "pose_age": (0.0, 600.0),
 }  # fmt: skip
-"""Bounds of the columns of `core.loop.observation.OBSERVATION`, SI units."""
+"""Bounds of the columns of `core.simulation.observation.OBSERVATION`, SI units."""
 PREVIEW_REFERENCE_BOUNDS, PREVIEW_CURVATURE_BOUNDS = (-CLIP_DISTANCE, CLIP_DISTANCE), (-1.0, 1.0)
 """Bounds of a previewed reference (m) and of a previewed curvature (1/m)."""
 VARIABLE_BOUNDS = {
@@ -171,7 +171,7 @@ def variable_bounds(mpc: MPC) -> dict[str, tuple[float, float]]:
     return {**VARIABLE_BOUNDS, **(BELIEF_BOUNDS if mpc.belief is not None else {})}
 
 
-def initial_belief(mpc: MPC) -> tuple[float, ...]:
+def initial_belief(mpc: Controller) -> tuple[float, ...]:
     """Return the initial values of the columns after the scheduling variables, see `variable_bounds`."""
     if mpc.learner is not None:
         return tuple(mpc.learner.fresh()[BELIEFS_OFFSET : BELIEFS_OFFSET + len(BELIEF_NAMES)].tolist())

@@ -233,5 +233,8 @@ class ExternalCommands(CompiledController):
     def function(self) -> Any:
         return None
 
+    def part(self, slots: int, room: Any = None, *, curved: bool = True, has_vy: bool = True) -> Any:
+        return super().part(slots, room, curved=curved, has_vy=has_vy)._replace(step=0)  # the caller is the controller
+
     def own_parameters(self) -> tuple[float, ...]:
         return ()

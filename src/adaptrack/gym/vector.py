@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers import MPC, Controller
+from adaptrack.control.controllers import Controller
 from adaptrack.control.controllers.base import Room
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.core.public import (
@@ -25,15 +25,12 @@ from adaptrack.core.public import (
     EPISODE_ARRIVED,
     EPISODE_FAILED,
     EPISODE_RUNS,
-    MEASUREMENT,
     SLOTS,
     Episodes,
     ObservationSpace,
     Resident,
-    arrive,
-    control,
+    drive_on,
     renew,
-    steer,
     write_observations,
     write_variables,
 )
@@ -68,7 +65,7 @@ class CarBlock(NamedTuple):
     vehicle: Vehicle
     """Data sheet of the cars."""
     episodes: Any
-    """State of the episodes, a record `core.loop.episode.Episodes`."""
+    """State of the episodes, a record `core.simulation.episode.Episodes`."""
     resident: Any
     """Packed form of `episodes` for kernels, `core.kernel.Resident`."""
 
@@ -225,7 +222,6 @@ class _VectorEnv(VectorEnv):
                 self._schedule_start(block, car, episodes[car])
             if block_cars:
                 renew(block.resident)  # starts the scheduled episodes
-                arrive(block.resident)  # senses their first instant
                 self._observations[block_cars, self._step_columns :] = self._constant_columns(block.batch)
         for car, episode in episodes.items():
             infos = self._add_info(infos, episode.info, car)
@@ -246,13 +242,14 @@ class _VectorEnv(VectorEnv):
             task.perception,
         )  # fmt: skip
         size, space = slots.stop - slots.start, self.single_observation_space
-        run = batch.run_record(size, int(batch.substeps.max()), Room(*self._longest_horizons, residuals=False))
-        world = batch.world
+        run = batch.run_record(
+            size, int(batch.substeps.max()), Room(*self._longest_horizons, residuals=False),
+            asks=True, needs_variables=True, weight=batch.world.profile.move_weight,
+        )  # fmt: skip
         episodes = Episodes(
-            run, self._episode_states[slots], np.zeros((size, len(MEASUREMENT))),
+            run, self._episode_states[slots],
             ObservationSpace(self._distances, space.low.copy(), space.high.copy()),  # type: ignore[attr-defined]
-            self._observations[slots],
-            world.profile.move_weight, task.cost_of_failure(world.failure.distance),
+            self._observations[slots], task.cost_of_failure(batch.world.failure.distance),
         )  # fmt: skip
         return CarBlock(slots, batch, episode.vehicle, episodes, Resident(episodes))
 
@@ -261,16 +258,16 @@ class _VectorEnv(VectorEnv):
         slot, run = car - block.slots.start, block.episodes.run
         road = 0 if self.task.randomised else episode.road
         run.inputs.scenario[slot], run.inputs.seeds[slot] = road, episode.noise_seed
-        run.vehicles.start[slot] = block.batch.starts[road]
-        self._episode_states["last"][car], self._episode_states["renewed"][car] = block.batch.periods[road], 1
+        run.vehicles.start[slot], run.inputs.periods[slot] = block.batch.starts[road], block.batch.periods[road]
+        self._episode_states["renewed"][car] = 1
 
     def _add_outcomes(self, cars: NDArray[np.int64], infos: dict[str, Any]) -> None:
         """Add failure and cost of the episodes of some cars, which have ended, to the infos."""
         for block in self._blocks:
             for car in cars[(cars >= block.slots.start) & (cars < block.slots.stop)]:
-                reason = reason_of(int(block.episodes.run.memory.drives["ended"][car - block.slots.start]))
-                state = self._episode_states[car]
-                cost = math.inf if reason else float(state["total"] / state["last"])
+                run, slot = block.episodes.run, car - block.slots.start
+                reason = reason_of(int(run.memory.drives["ended"][slot]))
+                cost = math.inf if reason else float(self._episode_states["total"][car] / run.inputs.periods[slot])
                 self._add_info(infos, {"failed": reason or "", "J": cost}, int(car))
 
     _distances = np.zeros(0)
@@ -351,8 +348,8 @@ class PathTrackingVectorEnv(_VectorEnv):
             states, last = self._episode_states[block.slots], self._accelerations[block.slots]
             cost = self._speed.request(self._actions[block.slots, 1], last, block.vehicle, block.episodes.run)
             states["cost"] += np.where(states["over"] == EPISODE_RUNS, cost, 0.0)
-        steer(self._actions[block.slots, 0].copy(), block.resident)
-        arrive(block.resident)
+        block.episodes.run.controller.answer[:, 0] = self._actions[block.slots, 0]
+        drive_on(block.resident)
 
     def _write_observations(self, block: CarBlock) -> None:
         write_observations(block.resident)
@@ -406,9 +403,7 @@ class MPCTuningVectorEnv(_VectorEnv):
         return make_mpc(self.controller, episode.vehicle, episode.profile)
 
     def _constant_columns(self, batch: Batch) -> tuple[float, ...]:
-        mpc = batch.controller
-        assert isinstance(mpc, MPC)
-        return () if mpc.learner is not None else initial_belief(mpc)
+        return () if batch.controller.learner is not None else initial_belief(batch.controller)
 
     def _store_actions(self, actions: Array) -> None:
         tunings = self.tunings.entries(actions)
@@ -417,8 +412,7 @@ class MPCTuningVectorEnv(_VectorEnv):
 
     def _drive(self, block: CarBlock) -> None:
         for _ in range(self.every):
-            control(block.resident)
-            arrive(block.resident)
+            drive_on(block.resident)
 
     def _write_observations(self, block: CarBlock) -> None:
         write_variables(block.resident)

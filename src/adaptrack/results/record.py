@@ -15,7 +15,7 @@ from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.core.loop.period import TRACE_SIGNALS
+from adaptrack.core.simulation.run import TRACE_SIGNALS
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory

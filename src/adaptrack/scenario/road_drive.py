@@ -12,8 +12,8 @@ from pydantic import Field
 from adaptrack.base.checked import Count, Finite, Hint, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import PERIODS
-from adaptrack.core.loop.world import SIGNAL
 from adaptrack.core.planning import drive as kernel
+from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.scenario.shapes import Shape, as_shape
 from adaptrack.scenario.signals import Signals, instants
 from adaptrack.scenario.surroundings import Wind, as_wind

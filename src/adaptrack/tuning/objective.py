@@ -19,7 +19,6 @@ from adaptrack.cars.plant import Plant, SteppedPlant
 from adaptrack.control.controllers import MPC
 from adaptrack.control.controllers.base import Room
 from adaptrack.core.kernel import Resident
-from adaptrack.core.loop.period import RunSpan
 from adaptrack.core.plants.contract import SLOTS
 from adaptrack.core.tuning import swarm as swarm_kernel
 from adaptrack.core.tuning import tune as kernels
@@ -177,8 +176,8 @@ class Objective:
         """
         assert isinstance(self.plant, Plant)
         batch = Batch(self.plant, self.mpc, [self.scenario(point)], self.profile, failure=self.failure)
-        run = batch.run_record(slots, int(batch.substeps[0]), Room(max_Np, max_Nc, residuals=False))
+        room = Room(max_Np, max_Nc, residuals=False)
+        run = batch.run_record(slots, int(batch.substeps[0]), room, weight=self.weight)
         run.vehicles.start[:] = batch.starts
         noise = np.array(self.noise_seeds, dtype=np.int64)
-        span = RunSpan(batch.signals[0].n, slots, 0, self.weight)
-        return run, Resident(kernels.Trial(run, span, noise))
+        return run, Resident(kernels.Trial(run, noise))

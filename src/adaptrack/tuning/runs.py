@@ -28,8 +28,8 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.control.controllers import MPC, Controller, Tuning
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Schedule
-from adaptrack.core.loop.world import SIGNAL
 from adaptrack.core.maths import portable
+from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.drive.batch import Batch, interpreted_functions, sampled
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.metrics import PAPER_MSE

@@ -125,6 +125,8 @@ class Controller(ABC):
     """Whether `step` has the argument `road`; without it a controller steers along roads by offset and heading."""
     sees_all_sensors: bool = False
     """Whether `step` is given all that is measured (`core.models.contract.MEASUREMENT`), not four numbers only."""
+    replaces_vy: bool = True
+    """Whether it has a use for a lateral velocity that is not measured, NaN; else it is given 0."""
     scheduler: Any = None
     """Scheduler that changes the tuning while driving; None without one."""
     model: Any = None
@@ -225,6 +227,27 @@ class Controller(ABC):
         """
         raise InvalidInput(f"controller {self.name!r} is not compiled.")
 
+    @property
+    def answer_names(self) -> tuple[str, ...]:
+        """Names of what a compiled loop traces behind `core.controllers.part.COMMON_ANSWER`."""
+        return (*self.diagnostic_names, *self.tuning_names)
+
+    def checked_tunings(self, tunings: ArrayLike) -> Array:
+        """Return tunings as an array (runs, entries) after a check of their shape and values.
+
+        Raises
+        ------
+        InvalidInput
+            When the shape is wrong, a value is not finite, or a weight of an MPC is not allowed.
+        """
+        names = self.tuning_names
+        rows = np.array(tunings, dtype=np.float64, ndmin=2)
+        if rows.ndim != 2 or rows.shape[1] != len(names) or not np.isfinite(rows).all():
+            raise InvalidInput(
+                f"tunings: need finite (runs, {len(names)}) of {', '.join(names)}; got shape {rows.shape}."
+            )
+        return rows
+
     def part_with_learned(self, room: Room) -> Any:
         """`part` of one slot, with what the controller has learned so far."""
         return self.part(1, room)
@@ -314,7 +337,7 @@ class CompiledController(Controller):
     limits: Limits
     memory_size: int
     """Numbers that the law remembers from step to step."""
-    runs_in_kernel = True
+    runs_in_kernel, replaces_vy = True, False
     positive: ClassVar[tuple[str, ...]] = ()
     """Entries of the tuning that must not be zero either."""
 

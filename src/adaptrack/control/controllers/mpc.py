@@ -413,6 +413,18 @@ class MPC(Controller):
             longest, most = max(longest, scheduler.largest[0]), max(most, scheduler.largest[1])
         return Room(float(longest), float(most), residuals=False)
 
+    @property
+    def answer_names(self) -> tuple[str, ...]:
+        """See `Controller.answer_names`; its answer begins with the tuning."""
+        return (*self.tuning_names, *self.diagnostic_names)
+
+    def checked_tunings(self, tunings: ArrayLike) -> Array:
+        """See `Controller.checked_tunings`."""
+        rows = super().checked_tunings(tunings)
+        if (rows[:, 2] < 0.0).any() or (rows[:, 3] <= 0.0).any():
+            raise InvalidInput("tunings: every Q must be >= 0 and every R > 0.")
+        return rows
+
     def part_with_learned(self, room: Room) -> Any:
         """See `Controller.part_with_learned`; the road ahead is seen further where a longer lag may be learned."""
         longer = 0

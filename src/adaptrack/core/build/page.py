@@ -4,7 +4,7 @@ from .units import CONTROLLERS, PLANTS
 
 CALLED = (
     # a run, and what is shown of it
-    "run_sizes", "mpc_prepare", "begin_runs", "drive_and_show",
+    "run_sizes", "mpc_prepare", "begin_runs", "roll_on",
     # roads
     "path_words", "path_through", "path_parts", "heading_count", "headings_along", "points_at", "road_edges",
     # cars and plants
@@ -23,4 +23,5 @@ CALLED = (
 PAGE_MEMBERS = (
     *CONTROLLERS,
     *(plant for plant in PLANTS if plant.startswith("dual_track")),
+    "control_planned_speed", "show_period",
 )  # fmt: skip

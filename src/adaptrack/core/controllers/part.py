@@ -46,7 +46,7 @@ Law = record(
 ControllerPart = record(
     "ControllerPart",
     (
-        ("begin", int64), ("request", int64), ("step", int64),  # addresses
+        ("begin", int64), ("request", int64), ("step", int64),  # addresses; 0: the caller of the loop is the controller
         ("beliefs", int64),  # column of an answer from which on it says what is learned; 0: nothing is learned
         ("plans", int64),  # 1: it predicts and plans moves, and its answer is a `mpc.MPC_ANSWER`
         ("takes_late", int64),  # periods by which its Kalman filter takes late samples; -1: it has none
@@ -97,7 +97,8 @@ def complete_controller_sizes(sizes):
 @inlined
 def begin_controller(slot, command, controller):
     """Let a controller forget everything; command: rad, that a vehicle has at its start."""
-    _call_begin(controller.begin, slot, command, controller)
+    if controller.begin != 0:
+        _call_begin(controller.begin, slot, command, controller)
 
 
 @inlined

@@ -13,7 +13,7 @@ Memory is the caller's; no kernel keeps any. Another program calls, in this orde
     plan_along_road                     the fastest speed, into `Planning.table`; or
     plan_constant                       one speed all along the road
     drive_periods                       how many control periods n a `drive.RoadDriveRecord` along that plan lasts
-    drive_samples                       its samples, (`core.loop.world.SIGNAL`, n + 1)
+    drive_samples                       its samples, (`core.simulation.world.SIGNAL`, n + 1)
     drive_start                         where the car begins
     road_edges                          to draw the road
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from ..kernel import exported, float64, inlined, int64, matrix, record, vector, void
-from ..loop.world import SIGNAL
 from ..maths.bits import ROUNDER, whole
 from ..maths.exact import floor
 from ..maths.trigonometric import cos, sin
 from ..physics.forces import GRAVITY
 from ..roads.road import Centreline, point_at
+from ..simulation.world import SIGNAL
 from ..speed.plan import SpeedPlanRecord, motion_at
 from .station_table import Route, on_lap, value_at
 

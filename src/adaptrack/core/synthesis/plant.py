@@ -2,7 +2,7 @@
 
     car, tyre, actuator    -> plant_parameters, plant_law, plant_substeps: what a plant is driven with
     plant parameters           -> tyre_forces
-    delay, dead time           -> dead_periods: `core.loop.world.LoopSettings.dead_whole` and `dead_share`
+    delay, dead time           -> dead_periods: `core.simulation.world.LoopSettings.dead_whole` and `dead_share`
     body, car              -> outline_of
 
 Axes of ISO 8855; stiffness and load are those of one tyre.

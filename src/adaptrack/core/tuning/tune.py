@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 
 from ..kernel import Place, exported, int64, int_vector, matrix, record, several, vector
-from ..loop.period import RunSpan
-from ..loop.rollout import RunRecord, begin, rollout
-from ..loop.world import RUNNING, STOPPED
+from ..simulation.run import Run, begin, roll_on
+from ..simulation.world import RUNNING, STOPPED
 from .swarm import LEADER_COST, Particles, decode, learn, move
 from .swarm import begin as begin_swarm
 
-Trial = record("Trial", (("run", RunRecord), ("span", RunSpan), ("noise", int_vector)))
-"""What a tuning is tried on: a batch of runs, what is driven (its
-slots are the most at a time), and the noise seeds over which a cost is the mean."""
+Trial = record("Trial", (("run", Run), ("noise", int_vector)))
+"""What a tuning is tried on: a batch of runs, whose slots are the most at a time, and the noise seeds over which a cost
+is the mean."""
 
 TuningCosts = record("TuningCosts", (("tunings", matrix), ("cost_limits", vector), ("costs", vector)))
 """Tunings (n, entries), the cost (n,) below which each must come out, and its cost (n,), which is written."""
@@ -36,30 +35,30 @@ def evaluate(first, slots, candidates, trial):
     The mean of J over the noise seeds; inf when a run has failed, or was stopped because J cannot come out below its
     limit any more. Returns the control steps done.
     """
-    run, span, count = trial.run, trial.span, trial.noise.size
-    span = RunSpan(span.periods, slots, span.segment, span.weight)
+    run, count, most = trial.run, trial.noise.size, 0
     tunings, cost_limits, costs = candidates.tunings[first:], candidates.cost_limits[first:], candidates.costs[first:]
     steps = 0
     _, entries = tunings.shape
     for i in range(slots):
         costs[i] = 0.0
+        most = max(most, run.inputs.periods[i])
     for s in range(count):
         begin(slots, run)
         for i in range(slots):
             for j in range(entries):
                 run.controller.tuning[i, j] = tunings[i, j]
             run.inputs.seeds[i] = trial.noise[s]
-            run.cost_limit[i] = (cost_limits[i] * count - costs[i]) * span.periods
+            run.cost_limit[i] = (cost_limits[i] * count - costs[i]) * run.inputs.periods[i]
             if not costs[i] < math.inf:
                 run.memory.drives[i].ended = STOPPED
-        rollout(span, run)
+        roll_on(most, slots, run)
         for i in range(slots):
             result = run.result[i]
             steps += result.instants
             if result.ended != RUNNING or not costs[i] < math.inf:
                 costs[i] = math.inf
             else:
-                costs[i] += (result.squared_error + span.weight * result.squared_move) / span.periods
+                costs[i] += (result.squared_error + run.weight * result.squared_move) / run.inputs.periods[i]
     for i in range(slots):
         costs[i] /= count
     return steps
@@ -73,7 +72,7 @@ def tune(search, trial):
     is stopped once it cannot improve on that particle's best: the swarm takes the same way as without, in less time.
     """
     steps = 0
-    swarm, candidates, slots = search.swarm, search.tuning_costs, trial.span.slots
+    swarm, candidates, slots = search.swarm, search.tuning_costs, trial.run.result.size
     candidates = TuningCosts(candidates.tunings, swarm.best_costs, candidates.costs)
     begin_swarm(search.seed, search.stream, search.settings, search.space, swarm)
     generations, count = search.best.size, len(swarm.x)

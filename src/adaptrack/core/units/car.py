@@ -1,4 +1,4 @@
-"""A car of the simulated world as a unit of co-simulation: `period` around a controller and a plan that are inputs.
+"""A car of the simulated world as a unit of co-simulation: a run whose controller and plan are inputs.
 
 A step is what `drive.simulate` does between two steps of a controller, to the bit: the command is sent, the car moves
 on by a period, it is sensed. Plan and environment are a window of the signals that begins at the present instant.
@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 
+from ..controllers.part import COMMON_ANSWER
 from ..kernel import OK, Field, Place, columns, exported, inlined, int64, int_vector, local, record, vector
-from ..loop.period import RunLoop, RunSpan, after_control, before_control, begin_slot, move
-from ..loop.world import RUNNING, SIGNAL, STATE_NOT_FINITE
 from ..maths.bits import whole
 from ..maths.trigonometric import cos, sin
 from ..models.contract import MEASUREMENT
 from ..plants.contract import ENVIRONMENT, MOTION_STATES, OBSERVED, PLANT_STATE, observe, state_at
 from ..roads.road import line_of, point_at
+from ..simulation.run import Run, begin_slot, roll_on
+from ..simulation.world import ANSWERED, RUNNING, SIGNAL, STATE_NOT_FINITE
 from .contract import NO_DELAY, UNIT_FAILED, outside
 
 _SPEED, _PLACE, _ANGLE = "[0, 100]", "[-1e8, 1e8]", f"[-{math.pi}, {math.pi}]"
@@ -87,24 +88,19 @@ _OUTPUT = _INPUT + len(CAR_INPUTS)
 CarUnit = record(
     "CarUnit",
     (
-        ("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("loop", RunLoop),
+        ("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("run", Run),
     ),
 )  # fmt: skip
-"""A unit of co-simulation (see `contract`), its values by `CAR_VALUE`; the loop: one slot, one scenario, whose signals
+"""A unit of co-simulation (see `contract`), its values by `CAR_VALUE`; the run: one slot, one scenario, whose signals
 are as many samples as the driver looks ahead."""
 
 _observed = local(len(OBSERVED))
 
 
 @inlined
-def _span():
-    return RunSpan(2**62, 1, 0, 0.0)
-
-
-@inlined
 def _open_window(car):
     """Write what is planned and what surrounds the car to the signals from now on."""
-    values, signals, drive = car.values, car.loop.inputs.signals, car.loop.memory.drives[0]
+    values, signals, drive = car.values, car.run.inputs.signals, car.run.memory.drives[0]
     signals[0, SIGNAL.speed, :] = values[CAR_VALUE.speed_ahead]
     signals[0, SIGNAL.speed, 0] = values[CAR_VALUE.speed]
     signals[0, SIGNAL.station, :] = math.inf  # the plan, whose place is the first sample, is not looked for
@@ -120,10 +116,10 @@ def _open_window(car):
 
 @inlined
 def _sense(car):
-    """Write the outputs of the present instant; the status."""
-    values, loop = car.values, car.loop
-    drive, block, measured = loop.memory.drives[0], loop.vehicles.block, loop.measured
-    before_control(0, _span(), loop)
+    """Go on to the next instant, and write the outputs there; the status."""
+    values, run = car.values, car.run
+    drive, block, measured = run.memory.drives[0], run.vehicles.block, run.measured[0]
+    roll_on(2, 1, run)
     if drive.ended == STATE_NOT_FINITE:
         return UNIT_FAILED
     if drive.ended != RUNNING:
@@ -131,7 +127,7 @@ def _sense(car):
     offset, error, station = measured[MEASUREMENT.y], measured[MEASUREMENT.yaw], drive.pose_station
     x, y, heading = station, 0.0, 0.0
     if drive.located > 0:
-        x, y, heading, _ = point_at(station, line_of(loop.inputs.roads.of[0], loop.inputs.roads))
+        x, y, heading, _ = point_at(station, line_of(run.inputs.roads.of[0], run.inputs.roads))
     values[CAR_VALUE.measured_x], values[CAR_VALUE.measured_y] = x - sin(heading) * offset, y + cos(heading) * offset
     values[CAR_VALUE.measured_yaw] = heading + error
     values[CAR_VALUE.measured_offset], values[CAR_VALUE.measured_heading_error] = offset, error
@@ -145,31 +141,31 @@ def _sense(car):
     for j in range(MOTION_STATES):
         values[CAR_VALUE.x + j] = block[state_at(j, 0)]
     observed = _observed()
-    observe(0, loop.vehicles, observed)
+    observe(0, run.vehicles, observed)
     values[CAR_VALUE.lateral_acceleration] = observed[OBSERVED.lateral_acceleration]
     values[CAR_VALUE.wheel_angle] = observed[OBSERVED.wheel_angle]
     values[CAR_VALUE.station] = drive.station if drive.located > 0 else values[CAR_VALUE.x]
     values[CAR_VALUE.offset], values[CAR_VALUE.heading_error] = drive.offset, drive.heading_error
-    values[CAR_VALUE.time] = float(drive.instant) * loop.settings.period
+    values[CAR_VALUE.time] = float(drive.instant) * run.settings.period
     return OK
 
 
 @exported(int64(Place(CarUnit)))
 def car_begin(car):
     """Read the parameters, put the car at its start and sense it; the status."""
-    values, loop = car.values, car.loop
+    values, run = car.values, car.run
     invalid = outside(_PARAMETER, _OUTPUT, values, car.least, car.most)
     if invalid != OK:
         return invalid
-    if values[CAR_VALUE.parallel_exchange] > 0.5 and loop.settings.dead_whole == 0:
+    if values[CAR_VALUE.parallel_exchange] > 0.5 and run.settings.dead_whole == 0:
         return NO_DELAY
-    loop.inputs.seeds[0] = whole(values[CAR_VALUE.seed])
-    start = loop.vehicles.start
+    run.inputs.seeds[0] = whole(values[CAR_VALUE.seed])
+    start = run.vehicles.start
     start[0, PLANT_STATE.x], start[0, PLANT_STATE.y] = values[CAR_VALUE.start_x], values[CAR_VALUE.start_y]
     start[0, PLANT_STATE.yaw], start[0, PLANT_STATE.vx] = values[CAR_VALUE.start_yaw], values[CAR_VALUE.start_speed]
     _open_window(car)
-    loop.inputs.signals[0, SIGNAL.station, 0] = values[CAR_VALUE.start_station]
-    begin_slot(0, loop)
+    run.inputs.signals[0, SIGNAL.station, 0] = values[CAR_VALUE.start_station]
+    begin_slot(0, run)
     values[CAR_VALUE.ended] = float(RUNNING)
     return _sense(car)
 
@@ -181,16 +177,15 @@ def car_step(car):
     With a parallel exchange the command is that of the instant before. It takes the place that it would have in the
     car's own delay, of which a period is left out.
     """
-    values, loop = car.values, car.loop
+    values, run = car.values, car.run
     invalid = outside(_INPUT, _OUTPUT, values, car.least, car.most)
     if invalid != OK:
         return invalid
-    command, drive = values[CAR_VALUE.command], loop.memory.drives[0]
+    command, drive = values[CAR_VALUE.command], run.memory.drives[0]
     drive.requested_force, drive.requested_hold = values[CAR_VALUE.force], values[CAR_VALUE.hold]
     if values[CAR_VALUE.parallel_exchange] > 0.5:
-        loop.memory.sent[0, 0] = command
+        run.memory.sent[0, 0] = command
     _open_window(car)
-    after_control(0, command, command - loop.memory.drives[0].command, _span(), loop)
-    move(1, loop)
-    drive.sample = drive.place = drive.departed = drive.standing = 0  # the window begins at the car
+    run.controller.answer[0, COMMON_ANSWER.command] = command
+    drive.asked, drive.ended = ANSWERED, RUNNING
     return _sense(car)

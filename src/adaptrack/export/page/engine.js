@@ -26,6 +26,7 @@ class Refusal extends Error {
 
 const MOST_PERIODS = 2000; // of an answer
 const MOST_CARS = 2;
+const SHOWN = 100; // periods of which a run keeps what is shown
 let memory = null, written = null, drive = null;
 
 function load({ kernels, data }) {
@@ -58,10 +59,7 @@ function begin(made, setup) {
     throw new Refusal("seed", `The seed is ${setup.seed}: it must be a whole number of at least 0.`);
   const world = worldOf(setup.profile, setup.truth), car = carOf(setup.car), of = roadOf(setup.road);
   const samples = samplesOf(setup, of, car, world);
-  const noSpeedControl = {
-    record: mine(memory.make("tracker.longitudinal.Longitudinal")), speeds: mine(memory.array("F", [0])),
-  };
-  Object.assign(made, { world, car, of, samples, seed, noSpeedControl });
+  Object.assign(made, { world, car, of, samples, seed });
   controllers.forEach((entry, k) => carRun(entry, made, `controller ${k + 1}`));
 }
 
@@ -74,20 +72,13 @@ function carRun(entry, made, where) {
     world: { ...world, settings: { ...world.settings }, actuator },
     sensors: {},
     made: [],
-    shown: null,
   };
   made.cars.push(state);
   state.plant = plantOf(car, state.world, topSpeedOf(samples));
-  state.measured = mine(memory.array("F", [written.sizes.measured]));
-  state.span = mine(memory.row("period.RunSpan", { periods: samples.periods, slots: 1, segment: 0, weight: 0 }));
   if (entry?.speed_control) state.world.settings.prescribed_speed = written.speed_control.external_forces;
-  owning(state.made, () => {
-    const controller = controllerOf(entry, car, state.world, where);
-    Object.assign(state, ready(state, controller, made));
-  });
-  state.speed = entry.speed_control ? speedControlOf(entry, carKnownTo(entry, car), state.controller, made, where) : null;
-  const answerColumns = state.parts.said.map((name) => (written.frame.includes(name) ? `answered_${name}` : name));
-  state.columns = [...written.frame, ...answerColumns, ...(state.speed ? written.speed_frame : [])];
+  const controller = owning(state.made, () => controllerOf(entry, car, state.world, where));
+  state.speed = entry.speed_control ? speedControlOf(entry, carKnownTo(entry, car), controller, made, where) : null;
+  owning(state.made, () => Object.assign(state, ready(state, controller, made)));
   state.horizon = state.run.controller.mpc.settings.longest_horizon;
   state.moves = state.run.controller.mpc.settings.most_moves;
 }
@@ -95,10 +86,13 @@ function carRun(entry, made, where) {
 /** A run with a controller, before its first instant. */
 function ready(own, controller, made) {
   const parts = laid(controller, made.of, own.world.settings.noise_vy < Infinity);
-  const run = memory.make("rollout.RunRecord", runOf({ ...own, controller, parts }, made));
+  const answerColumns = parts.said.map((name) => (written.frame.includes(name) ? `answered_${name}` : name));
+  const columns = [...written.frame, ...answerColumns, ...(own.speed ? written.speed_frame : [])];
+  const run = memory.make("simulation.run.Run", runOf({ ...own, controller, parts, columns }, made));
+  if (own.speed) own.speed.record = run.longitudinal;
   if (!controller.law) memory.call("mpc_prepare", run.controller.mpc);
   memory.call("begin_runs", 1, run);
-  return { controller, parts, run };
+  return { controller, parts, run, columns };
 }
 
 function topSpeedOf({ signals }) {
@@ -110,7 +104,7 @@ function topSpeedOf({ signals }) {
 }
 
 /** All that a run is made of. */
-function runOf({ controller, parts, plant, measured, world }, { car, of, samples, seed }) {
+function runOf({ controller, parts, plant, speed: control, columns, world }, { car, of, samples, seed }) {
   const { sizes } = written, { signals } = samples, { schedule } = controller;
   const [rows, count] = signals.shape, speed = view(signals, written.places.signal.speed * count, [1]).values[0];
   const first = new Float64Array(sizes.own_states);
@@ -126,6 +120,9 @@ function runOf({ controller, parts, plant, measured, world }, { car, of, samples
     starts: size(roads.start), pieces: size(roads.pieces), headings: size(roads.headings),
     dead_whole: memory.call("dead_periods", world.delay, written.bounds.dead_time[1], world.period)[0] + 1,
     past: world.remembered, requested: world.requested,
+    speeds: control ? written.speed_control.speeds_ahead : 0,
+    shown: SHOWN, columns: columns.length,
+    points: 2 * parts.settings.longest_horizon, moves: parts.settings.most_moves,
     controller: {
       ...parts.sizes,
       ...(schedule
@@ -140,6 +137,8 @@ function runOf({ controller, parts, plant, measured, world }, { car, of, samples
       variables: schedule ? 1 : 0,
       estimates: 0,
       traces: 0,
+      asks: 0,
+      window: 0,
     },
     vehicles: {
       advance: linked(plant.functions.advance),
@@ -148,8 +147,11 @@ function runOf({ controller, parts, plant, measured, world }, { car, of, samples
       parameters: share(plant.parameters),
       start: first,
     },
-    inputs: { signals: share(view(signals, 0, [1, rows, count])), roads, seeds: [BigInt(seed)] },
-    measured: share(measured), cost_limit: [NaN],
+    inputs: { signals: share(view(signals, 0, [1, rows, count])), roads, seeds: [BigInt(seed)], periods: [BigInt(samples.periods)] },
+    cost_limit: [NaN],
+    control_speed: linked(control ? "control_planned_speed" : null),
+    longitudinal: control ? lent(control.record) : {},
+    show: linked("show_period"),
     controller: {
       ...parts.values,
       functions: controller.known.functions
@@ -167,7 +169,7 @@ const NO_ROAD = { of: [-1n] };
 
 function end(ended) {
   for (const car of ended?.cars ?? []) {
-    [car.run, ...(car.shown ?? [])].forEach((part) => memory.free(part));
+    memory.free(car.run);
     forget(car.made);
   }
   if (ended) forget(ended.owned);
@@ -209,15 +211,6 @@ function beliefOf({ controller }) {
 const truthOf = ({ actuator }) => ({ lag: actuator.lag, dead_time: actuator.dead_time, bias: actuator.bias });
 
 // -- frames -----------------------------------------------------------------------------------------------------------
-/** Room for what so many periods show. */
-function room(own, count) {
-  if ((own.shown?.[0].shape[0] ?? 0) >= count) return own.shown;
-  (own.shown ?? []).forEach((part) => memory.free(part));
-  return (own.shown = [own.columns.length, 2 * own.horizon, own.moves].map((width) =>
-    memory.array("F", [count, width]),
-  ));
-}
-
 function advance({ id, periods }) {
   const count = Math.max(0, Math.min(Math.floor(Number(periods)) || 0, MOST_PERIODS)), first = current().done;
   const cars = drive.cars.map((car) => advanceCar(car, count));
@@ -232,46 +225,42 @@ function current() {
 }
 
 function advanceCar(own, count) {
-  const [numbers, predicted, moves] = room(own, Math.max(count, 1));
+  const widths = { numbers: own.columns.length, predicted: 2 * own.horizon, moves: own.moves }, rows = {};
+  for (const [table, width] of Object.entries(widths)) rows[table] = new Float64Array(count * width);
   let periods = 0;
   while (periods < count) {
-    const chunk = Math.min(count - periods, pulledFor(own));
-    const advanced = memory.call(
-      "drive_and_show",
-      chunk,
-      own.span,
-      own.run,
-      own.speed?.record ?? drive.noSpeedControl.record,
-      own.speed?.speeds ?? drive.noSpeedControl.speeds,
-      below(numbers, periods),
-      below(predicted, periods),
-      below(moves, periods),
-    );
+    const first = own.run.memory.drives.row(0).instant, chunk = Math.min(count - periods, pulledFor(own), SHOWN);
+    const advanced = memory.call("roll_on", chunk, 1, own.run);
+    for (const [table, width] of Object.entries(widths)) {
+      const { values } = own.run.shown[table];
+      for (let k = 0; k < advanced; k++) {
+        const from = ((first + k) % SHOWN) * width;
+        rows[table].set(values.subarray(from, from + width), (periods + k) * width);
+      }
+    }
     periods += advanced;
     afterPull(own, advanced);
     if (advanced < chunk) break;
   }
-  const cut = (block) => block.values.slice(0, periods * block.shape[1]);
+  const cut = (table) => rows[table].slice(0, periods * widths[table]);
   return {
     count: periods,
-    numbers: cut(numbers),
-    predicted: new Float32Array(cut(predicted)),
-    moves: new Float32Array(cut(moves)),
+    numbers: cut("numbers"),
+    predicted: new Float32Array(cut("predicted")),
+    moves: new Float32Array(cut("moves")),
     ended: ending(own),
   };
 }
-/** The rows of a table from one on. */
-const below = (block, row) => view(block, row * block.shape[1], [block.shape[0] - row, block.shape[1]]);
 
 const ENDINGS = [null, "it left the road", "it spun", "its motion is no number any more", "it never came near the road",
   "it was stopped"];
 
 /** When a car has ended, and why: null at the end of its road; null while it drives. */
-function ending({ run, span }) {
-  const record = run.memory.drives.row(0);
-  if (record.ended === 0 && record.instant < span.periods) return null;
+function ending({ run }) {
+  const record = run.memory.drives.row(0), periods = Number(run.inputs.periods.values[0]);
+  if (record.ended === 0 && record.instant < periods) return null;
   return {
-    at: record.ended === 0 ? span.periods * run.settings.period : record.ended_at,
+    at: record.ended === 0 ? periods * run.settings.period : record.ended_at,
     why: ENDINGS[record.ended],
     kind: record.ended,
   };

@@ -5,7 +5,7 @@
 //   roadOf(setup.road)                          -> { name, closed, length, line, roads } or { test, ... }
 //   samplesOf(setup, road, car, world)          -> { signals, periods, plan, laps, pose, duration }
 //   controllerOf(entry, car, world, where)      -> { kind, mpc | law, tuning, functions, schedule, columns, limits }
-//   speedControlOf(entry, car, controller, { world, of, samples, setup }, where)      -> { record, speeds, ends, grip, climb }
+//   speedControlOf(entry, car, controller, { world, of, samples, setup }, where)      -> { record, ends, grip, climb }
 //
 // What they lay into memory is given back by `forget(list)`, where `owning(list, make)` has called them.
 "use strict";
@@ -232,7 +232,7 @@ const view = (block, first, shape) => new Block(memory, block.at + WORD * first,
 
 function road(said, numbers, start, pieces, headings, fresh) {
   const line = mine(
-    memory.make("road.Centreline", {
+    memory.make("roads.road.Centreline", {
       start: share(start),
       pieces: share(pieces),
       numbers: share(view(numbers, 0, [4])),
@@ -572,7 +572,7 @@ function speedControlOf(entry, car, controller, { world, of, samples, setup }, w
   const { air_density, frontal_area, drag_coefficient, rolling_resistance } = numbers;
   const [drag, rolling] = memory.call("resistance", air_density, frontal_area, drag_coefficient, rolling_resistance);
   const assumed = ends(entry.speed_control.friction), [friction, friction_high] = grip(assumed), { period } = world;
-  const settings = copied("speed_control.SpeedSettings",
+  const settings = copied("speed.speed_control.SpeedSettings",
     { period, drag, rolling, friction, friction_high, straight_ratio: assumed[0] / friction }, constants.settings, numbers.$numbers);
   const top = plan.speed.values.reduce((most, each) => Math.max(most, each), 0);
   const { path, climb } = speedPathOf(of, plan, slopeOf(setup.truth ?? {}));
@@ -585,13 +585,13 @@ function speedControlOf(entry, car, controller, { world, of, samples, setup }, w
   memory.call("longitudinal_begin", record);
   const top_speed = controller.learns ? memory.call("first_top_speed", controller.parts.learner) : Infinity;
   record.sample.row(0).$set({ acceleration: NaN, top_speed, grade: NaN });
-  return { record, speeds: mine(memory.array("F", [constants.speeds_ahead])), ends, grip, climb };
+  return { record, ends, grip, climb };
 }
 
 /** A plan at even places of its road of a slope, and what writes it for another slope. */
 function speedPathOf(of, plan, slope) {
   const { line, length, closed } = of;
-  const arrays = mine(memory.make("speed_path.PlanArrays", {
+  const arrays = mine(memory.make("speed.path.PlanArrays", {
     line: { start: share(line.start), pieces: share(line.pieces), numbers: share(line.numbers) },
     s: share(plan.s), speed: share(plan.speed), grade: alongOf(slope), bank: alongOf(Infinity), stops_at_end: 0,
   }));
@@ -688,7 +688,8 @@ function shaped(name, rows, values = {}) {
     const value = values[field];
     if (kind === "r") parts[field] = shaped(more, rows, value);
     else if ("FIR".includes(kind)) {
-      const shape = rows.shift().slice(0, kind === "R" ? 1 : more);
+      const stated = rows.shift().slice(0, kind === "R" ? 1 : more);
+      const shape = value?.share && stated.every((size) => size === 0) ? value.shape : stated;
       parts[field] =
         value?.share || value?.words || value?.f8 || value?.i8 ? { ...value, shape } : { shape, values: value };
     } else if (value !== undefined) parts[field] = value;
@@ -696,16 +697,24 @@ function shaped(name, rows, values = {}) {
   return parts;
 }
 
+/** A record as a part of another one: its numbers, and its arrays, which both have. */
+function lent(record) {
+  return Object.fromEntries(Object.entries(record.$layout.fields).map(([field, [, kind]]) => {
+    const value = record[field];
+    return [field, kind === "r" ? lent(value) : "FIR".includes(kind) ? share(value) : value];
+  }));
+}
+
 /** All that a run is made of; sizes: those that are chosen; settings: of the MPC, which are completed. */
 function runOfSizes(settings, chosen, values) {
-  const count = arraysOf("rollout.RunRecord"), table = mine(memory.array("I", [count, 4]));
-  const sizes = mine(memory.row("rollout.RunSizes"));
+  const count = arraysOf("simulation.run.Run"), table = mine(memory.array("I", [count, 4]));
+  const sizes = mine(memory.row("simulation.run.RunSizes"));
   setSizes(sizes, chosen);
   const status = memory.call("run_sizes", settings, sizes, table);
   if (status !== count) throw new Error(`a run has ${count} arrays, and ${status} are known`);
   const rows = Array.from({ length: count }, (_, k) => [...table.values.subarray(4 * k, 4 * k + 4)].map(Number));
   const { controller } = values, mpc = { ...controller.mpc, settings: settings.$numbers };
-  return shaped("rollout.RunRecord", rows, { ...values, controller: { ...controller, mpc } });
+  return shaped("simulation.run.Run", rows, { ...values, controller: { ...controller, mpc } });
 }
 function setSizes(sizes, chosen) {
   for (const [field, value] of Object.entries(chosen)) {

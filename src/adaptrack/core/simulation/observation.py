@@ -9,7 +9,7 @@ from ..maths.bits import whole
 from ..maths.exact import clip, floor
 from ..models.contract import MEASUREMENT
 from ..roads.road import line_of, point_at
-from .period import RunLoop
+from .run import Run
 from .world import SIGNAL
 
 OBSERVATION = columns(
@@ -42,12 +42,13 @@ def bounded(row, space):
 
 
 @inlined
-def write_observation(slot, measured, run, space, row):
+def write_observation(slot, run, space, row):
     """Write the observation of a slot to a row, from what is measured.
 
     The row holds the observation of the instant before, zeros at the first one.
     """
     drive, scenario, period = run.memory.drives[slot], run.inputs.scenario[slot], run.settings.period
+    measured = run.measured[slot]
     references, road = run.inputs.signals[scenario, SIGNAL.y_ref], run.inputs.roads.of[scenario]
     k, last = drive.instant, references.size - 1
     y_ref = references[k]
@@ -72,7 +73,7 @@ def write_observation(slot, measured, run, space, row):
     bounded(row, space)
 
 
-@exported(void(Place(RunLoop), Place(ObservationSpace), vector))
+@exported(void(Place(Run), Place(ObservationSpace), vector))
 def write_one_observation(run, space, row):
     """`write_observation`, of the only slot."""
-    write_observation(0, run.measured, run, space, row)
+    write_observation(0, run, space, row)

@@ -1,6 +1,6 @@
 """What of a drive is shown: a row of numbers a control period, the path that the MPC predicts, the moves that it plans.
 
-A program that shows a drive lets it go on by `drive_and_show`, a few periods at a time.
+A run whose `show` is the address of `show_period` has these of its last instants in `shown` (`run.Shown`).
 """
 
 from __future__ import annotations
@@ -10,20 +10,16 @@ import math
 from ..controllers import mpc
 from ..controllers.part import COMMON_ANSWER
 from ..controllers.receding import plan_moves, predict_outputs
-from ..estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
-from ..kernel import Place, columns, exported, inlined, int64, matrix, vector
+from ..kernel import columns, exported, inlined
 from ..maths.bits import whole
 from ..maths.exact import sqrt
 from ..maths.trigonometric import cos, sin
-from ..models.contract import MEASUREMENT
 from ..planning.drive import instant
 from ..plants.contract import PLANT_INPUT, PLANT_STATE, input_at, state_at
 from ..roads.road import line_of, points_ahead
-from ..speed.speed_control import cell_at, governed_speeds
-from ..tracker.longitudinal import Longitudinal, narrow_friction_step, speed_control_step
-from .period import TRACE_SIGNALS, RunSpan, before_control, move, write_trace_signals
-from .rollout import RunRecord, answer_instant, close_all, control_along, control_slot, end_slot
-from .world import RUNNING, SIGNAL
+from ..speed.speed_control import cell_at
+from .run import SHOW, TRACE_SIGNALS, write_trace_signals
+from .world import SIGNAL
 
 _DRIVEN = PLANT_STATE._fields[: PLANT_STATE.yaw_rate + 1]
 FRAME = columns(
@@ -39,7 +35,7 @@ FRAME = columns(
     "wind",  # m/s, across the car, positive to the left
     "guard",  # steps in which the guard of a schedule has limited its tuning, made it give way or replaced it, so far
 )
-"""Of an instant, its command known, the car not yet moved: `period.TRACE_SIGNALS`, the first entries of
+"""Of an instant, its command known, the car not yet moved: `run.TRACE_SIGNALS`, the first entries of
 `plants.STATE`, then these. Behind them is the answer of the controller without its command; control laws add the
 tuning."""
 
@@ -133,20 +129,6 @@ def _write_plan(slot, run, speeds, points, moves):
 
 
 @inlined
-def _control_speed(run, longitudinal, speeds):
-    """Step the speed control at the present instant; write its requests, and the governed speeds (m/s) from now on."""
-    drive, sample, memory = run.memory.drives[0], longitudinal.sample[0], longitudinal.memory[0]
-    narrow_friction_step(run.measured, drive.speed, drive.command, run.controller.mpc.informed.learned[0], longitudinal)
-    sample.station, sample.speed, sample.is_guided, sample.periods = drive.station_estimate, drive.speed, 1.0, 1.0
-    sample.yaw_rate = run.measured[MEASUREMENT.yaw_rate]
-    speed_control_step(longitudinal)
-    drive.requested_force, drive.requested_hold = memory.force, memory.hold
-    governed_speeds(
-        drive.speed, longitudinal.settings.period, longitudinal.path.spacing, longitudinal.ahead, speeds
-    )  # fmt: skip
-
-
-@inlined
 def _write_speed_numbers(longitudinal, row):
     """Write SPEED_FRAME."""
     memory, path = longitudinal.memory[0], longitudinal.path
@@ -160,50 +142,21 @@ def _write_speed_numbers(longitudinal, row):
     row[SPEED_FRAME.friction_low], row[SPEED_FRAME.friction_high] = friction.low, friction.high
 
 
-@inlined
-def _control(k, run, longitudinal, speeds):
-    """The controllers at instant k: of the speed, where there is one, then of the steering; speeds: see there."""
-    if longitudinal.memory.size == 0:
-        control_slot(0, run)
-        return
-    _control_speed(run, longitudinal, speeds)
-    control_along(0, k, speeds, run)
-    controller = run.controller
-    sigma = controller.beliefs + BELIEF_COLUMNS.belief_delay_sigma
-    if controller.beliefs > 0 and controller.answer[0, sigma] < KNOWN_DELAY_SIGMA:
-        longitudinal.sample[0].top_speed = math.inf
+@exported(SHOW)
+def show_period(slot, run):
+    """Write what is shown of a period, its command known, the car not yet moved; see `run.Shown`.
 
-
-@exported(int64(int64, RunSpan, Place(RunRecord), Place(Longitudinal), vector, matrix, matrix, matrix))
-def drive_and_show(count, span, run, longitudinal, speeds, numbers, predicted, moves):
-    """`rollout.roll_on` of a run of one slot, with a row for each period driven: how many.
-
-    longitudinal: a speed control, which requests the forces of the run (`loop.EXTERNAL_FORCES`); empty: none. It
-    limits the speed to `sample.top_speed` until the controller knows the delay of its steering. speeds: (n,) m/s, room
-    for the governed speeds that the controller is given.
-    numbers: (count, .) see FRAME; behind a speed control the rows end with SPEED_FRAME. predicted: (count, 2 longest
-    horizon) x and y (m) in turn of where the car will be 1, 2, ..., Np periods after the dead time. moves: (count, most
-    moves) rad, changes of the command that are planned, those for the road included. Both are NaN behind the horizons,
-    of control laws, and where a step found no solution. No row is written of the instant at which a run fails.
+    numbers: see FRAME; behind a speed control the rows end with SPEED_FRAME. predicted: x and y (m) in turn of where
+    the car will be 1, 2, ..., Np periods after the dead time. moves: rad, changes of the command that are planned,
+    those for the road included. Both are NaN behind the horizons, of control laws, and where a step found no solution.
     """
-    drive, periods = run.memory.drives[0], 0
-    has_speed_control = longitudinal.memory.size > 0
-    width = numbers.shape[1] - (len(SPEED_FRAME) if has_speed_control else 0)
-    while periods < count and drive.ended == RUNNING and drive.instant < span.periods:
-        k, row = drive.instant, numbers[periods]
-        before_control(0, span, run)
-        if drive.ended == RUNNING:
-            _control(k, run, longitudinal, speeds)
-            answer_instant(k, 0, span, run)
-        if drive.ended != RUNNING:
-            end_slot(k, 0, span, run)
-            break
-        _write_numbers(k, 0, run, row[:width])
-        if has_speed_control:
-            _write_speed_numbers(longitudinal, row[width:])
-        planned = run.inputs.signals[run.inputs.scenario[0], SIGNAL.speed, k:]
-        _write_plan(0, run, speeds if has_speed_control else planned, predicted[periods], moves[periods])
-        move(span.slots, run)
-        periods += 1
-    close_all(span, run)
-    return periods
+    shown, k = run.shown, run.memory.drives[slot].instant - 1
+    place = k % len(shown.numbers)
+    row, width = shown.numbers[place], shown.numbers.shape[1]
+    if run.longitudinal.sample.size > 0:
+        width -= len(SPEED_FRAME)
+        _write_speed_numbers(run.longitudinal, row[width:])
+    _write_numbers(k, slot, run, row[:width])
+    planned = run.inputs.signals[run.inputs.scenario[slot], SIGNAL.speed, k:]
+    speeds = run.speeds if run.speeds.size > 0 else planned
+    _write_plan(slot, run, speeds, shown.predicted[place], shown.moves[place])

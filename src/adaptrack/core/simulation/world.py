@@ -1,6 +1,6 @@
-"""The pieces of a control period: where the car is, whether its run has failed, sensors, driver, steering.
+"""The pieces of a simulated control period: where the car is, whether its run has failed, sensors, driver, steering.
 
-`period` has them in their order. They take a slot and its run (`period.RunLoop`), in which they read and write by name.
+`run` has them in their order. They take a slot and its run (`run.Run`), in which they read and write by name.
 """
 
 from __future__ import annotations
@@ -83,11 +83,15 @@ LOOP_MEMORY = record(
         "pose_station",  # m, measured position along the road at the time of the measured pose; without a road x
         "station_estimate",  # m, the same carried forward to the present instant
         "path_heading",  # rad, heading of the road at this estimate
+        "asked",  # NOT_ASKED, or what the caller has to do or has done at this instant
+        "cost",  # m^2, of the last period
     ),
-    integers=("instant", "sample", "arrived", "ended", "located", "place", "standing", "departed"),
+    integers=("instant", "sample", "arrived", "ended", "located", "place", "standing", "departed", "asked"),
 )  # fmt: skip
 """What the loop remembers of each slot: its scalars."""
 
+NOT_ASKED, ASKED, ANSWERED = range(3)
+"""Of a caller that is asked before each step of a controller: not at this instant; the run waits for it; it goes on."""
 SENSED = 6
 """How many of `MEASUREMENT` are measured; the others are their ages."""
 PAST_SIGNAL = columns(*MEASUREMENT._fields[:SENSED], "speed", "station")
@@ -312,7 +316,7 @@ def _estimate_station(slot, station, age, run):
     If the position is missing, the estimate moves on with the speed. The measured heading error is relative to the
     road at the estimated position at the time of the pose, as in `tracker`.
     """
-    drive, world, measured = run.memory.drives[slot], run.settings, run.measured
+    drive, world, measured = run.memory.drives[slot], run.settings, run.measured[slot]
     k, seed = drive.instant, run.inputs.seeds[slot]
     if k == 0 or math.isfinite(measured[MEASUREMENT.y]):
         estimate = _noisy(station, world.noise_station, k, _STATION, seed) + age * drive.speed
@@ -334,7 +338,9 @@ def _estimate_station(slot, station, age, run):
 @inlined
 def sense(slot, run):
     """Write what the sensors of a slot's vehicle give: `models.contract.MEASUREMENT`, its speed and its station."""
-    drive, block, world, measured = run.memory.drives[slot], run.vehicles.block, run.settings, run.measured
+    drive, block, world, measured = (
+        run.memory.drives[slot], run.vehicles.block, run.settings, run.measured[slot]
+    )  # fmt: skip
     k, seed = drive.instant, run.inputs.seeds[slot]
     if world.noise_lateral_acceleration < math.inf:
         observed = _observed()
@@ -376,14 +382,10 @@ def sense(slot, run):
 
 
 @inlined
-def look(slot, measured, run):
-    """Write the scheduling variables (`VARIABLE_COLUMNS`) of a slot; measured: see `sense`."""
-    drive, signals, scenario, variables = (
-        run.memory.drives[slot],
-        run.inputs.signals,
-        run.inputs.scenario[slot],
-        run.variables,
-    )
+def look(slot, run):
+    """Write the scheduling variables (`VARIABLE_COLUMNS`) of a slot."""
+    drive, signals, scenario = run.memory.drives[slot], run.inputs.signals, run.inputs.scenario[slot]
+    measured, variables = run.measured[slot], run.variables[slot]
     k = drive.sample
     y_ref = signals[scenario, SIGNAL.y_ref, k]
     variables[VARIABLE_COLUMNS.speed] = drive.speed
@@ -633,5 +635,6 @@ def forget(slot, memory):
     drive.curvature, drive.drive_force, drive.brake_force, drive.standing, drive.departed = 0.0, 0.0, 0.0, 0, 0
     drive.requested_force, drive.requested_hold = 0.0, 0.0
     drive.speed_age, drive.pose_station, drive.station_estimate, drive.path_heading = 0.0, 0.0, 0.0, 0.0
+    drive.asked, drive.cost = NOT_ASKED, 0.0
     memory.sent[slot, :], memory.requested[slot, :] = 0.0, 0.0
     memory.past[slot, :, :] = 0.0
