@@ -229,7 +229,7 @@ def test_a_schedule_is_given_friction_and_wind_that_are_known(folder):
             tracking.tracker.sample[TRACKER_SAMPLE._fields.index(name)] = value
         step()
         assert same(mind.get("command", "offset", "station"), tracking.tracker.tracked[[0, 2, 4]])
-    assert len(np.unique(tracking.step.tuning)) > 1
+    assert len(np.unique(tracking.controller.tuning)) > 1
 
 
 def test_the_two_drive_a_planned_road_by_themselves(folder):
