@@ -43,6 +43,7 @@ class Readings:
         )
         self.loop, rows = ClosedLoop(world, drive, seed), {}
         memory, block = self.loop.run.memory.drives, self.loop.run.vehicles.block
+        steering = 0.0
         for k in range(instants):
             if k:
                 assert self.loop.send(float(steering))
