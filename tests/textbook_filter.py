@@ -26,7 +26,7 @@ POSE = ("yaw", "y")
 
 
 class TextbookFilter:
-    """``step(speed, measured, command)`` gives (x, d) as `core.estimators.contract.ESTIMATE` says.
+    """``step(speed, measured, command)`` gives (x, d) as `core.estimators.extended_kalman.ESTIMATE` says.
 
     z = [x, d_y, d_r] and, where it is estimated, the yaw-rate sensor's offset; P: its covariance.
     """

@@ -7,8 +7,8 @@ import pytest
 
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, load_tyre, load_vehicle
+from adaptrack.core.models.car import unpack
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.core.physics.parameters import unpack
 from adaptrack.core.plants.contract import PLANT_STATES, SLOTS, vehicle_batch
 from inlined import entry
 from references import vehicle as reference

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adaptrack.cars.vehicle import SteeringActuator, list_tyres, load_tyre, load_vehicle, pack_plant
-from adaptrack.core.physics.parameters import unpack
+from adaptrack.core.models.car import unpack
 from adaptrack.core.physics.tyre import (
     CURVED_MAGIC_FORMULA,
     LINEAR_TYRE,

@@ -319,7 +319,7 @@ class TestPackPlant:
         return vehicle, slick, SteeringActuator(lag=0.15, rate=0.5, limit=0.52)
 
     def test_each_number_reaches_its_own_slot(self):
-        from adaptrack.core.physics.parameters import PLANT_PARAMETERS
+        from adaptrack.core.models.car import PLANT_PARAMETERS
 
         vehicle, slick, actuator = self.distinct()
         packed = pack_plant(vehicle, slick, actuator)

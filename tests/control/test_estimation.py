@@ -23,7 +23,7 @@ from adaptrack.control.estimation import (
 from adaptrack.control.models import SingleTrackModel
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.core.estimators import friction_wind as kernel
-from adaptrack.core.physics.parameters import unpack
+from adaptrack.core.models.car import unpack
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import Scenario, load_scenario

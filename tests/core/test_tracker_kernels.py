@@ -14,10 +14,9 @@ from adaptrack.control.scheduling import SchedulingVariables, load_scheduler
 from adaptrack.control.tracker import Status, Tracker
 from adaptrack.control.tracking import packed_plan, tracking_of
 from adaptrack.core.kernel import direct, fields_of
-from adaptrack.core.tracker.change_path import tracker_follow
 from adaptrack.core.tracker.signals import FOLLOWING, HELD, NO_TIME, REPEATED, TRACKED, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_step
-from adaptrack.core.tracker.take_call import tracker_engage, tracker_take
+from adaptrack.core.tracker.take_call import tracker_engage, tracker_follow, tracker_take
 from adaptrack.road import Arc, Line, Road, generate_road, plan_speed
 from adaptrack.road.road_ahead import pack_roads, stacked
 from tracker_calls import called_back, calls, in_python

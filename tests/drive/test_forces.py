@@ -22,8 +22,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import Plant
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
 from adaptrack.core.physics import force_actuator
-from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.core.physics.traction import axle_force_limit
+from adaptrack.core.physics.forces import GRAVITY, axle_force_limit
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, input_at, place, state_at, vehicle_batch
 from adaptrack.drive.world import Driver
 from adaptrack.road import Arc, Clothoid, Comfort, Line, Road, Stop, plan_speed

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Tyre
 from adaptrack.core.kernel import row_of
-from adaptrack.core.models.car import CarRow
-from adaptrack.core.physics.parameters import PLANT_PARAMETERS
+from adaptrack.core.models.car import PLANT_PARAMETERS, CarRow
 from adaptrack.core.synthesis import plant as kernel
 
 Array = NDArray[np.float64]

@@ -34,9 +34,17 @@ from adaptrack.cars.outline import Outline
 from adaptrack.cars.pedals import PedalMap
 from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.core.kernel import OK, row_of
-from adaptrack.core.models.car import ACTUATOR, CAR, FORCE_ACTUATOR, OUTLINE, STEERING, STEERING_WHEEL_RATIO, CarRow
+from adaptrack.core.models.car import (
+    ACTUATOR,
+    CAR,
+    FORCE_ACTUATOR,
+    OUTLINE,
+    PLANT_PARAMETERS,
+    STEERING,
+    STEERING_WHEEL_RATIO,
+    CarRow,
+)
 from adaptrack.core.physics.forces import GRAVITY as GRAVITY
-from adaptrack.core.physics.parameters import PLANT_PARAMETERS
 from adaptrack.core.synthesis import car
 from adaptrack.core.synthesis import plant as kernel
 from adaptrack.core.synthesis.car import INERTIAS, STIFFNESSES

@@ -24,7 +24,7 @@ from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 from adaptrack.control.models import PredictionModel
 from adaptrack.core.estimators import friction_wind
-from adaptrack.core.estimators.contract import compile_estimator
+from adaptrack.core.estimators.extended_kalman import compile_estimator
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.core.member import MemberFunction
@@ -63,7 +63,7 @@ class Estimator(ABC):
     def function(self) -> Any:
         """The compiled ``estimate(speed, measured, command, a, b, parameters, memory, x, d)``.
 
-        See `core.estimators.contract`. None: the controller's own form on increments of the measured state.
+        See `core.estimators.extended_kalman`. None: the controller's own form on increments of the measured state.
         """
 
     def parameters(self, model: PredictionModel) -> Array:
@@ -128,8 +128,8 @@ class UserEstimator(Estimator):
     """An estimator of one's own: one function and its numbers. `check_estimator` admits it.
 
     estimate(speed, measured, command, a, b, parameters, memory, x, d) writes x and d and may return for how long (s) it
-    has had no position, see `core.estimators.contract`, and `UserPlant` for how it is called; parameters: name ->
-    number; memory_size: numbers that it remembers, a whole number or a function of the number of states.
+    has had no position, see `core.estimators.extended_kalman`, and `UserPlant` for how it is called; parameters:
+    name -> number; memory_size: numbers that it remembers, a whole number or a function of the number of states.
 
     Raises
     ------
@@ -345,7 +345,7 @@ class FrictionWindEstimator:
         return numbers
 
     def packed(self) -> Array:
-        """The vehicle as the kernel expects it (`core.physics.parameters.PLANT_PARAMETERS`)."""
+        """The vehicle as the kernel expects it (`core.models.car.PLANT_PARAMETERS`)."""
         return self._packed.copy()
 
     def packed_for(self, slots: int) -> Any:

@@ -26,7 +26,7 @@ from adaptrack.core.speed import speed_control as kernel
 from adaptrack.core.speed.friction import begin_friction
 from adaptrack.core.speed.place import SPEED_GRACE
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
-from adaptrack.core.synthesis.speed import resistance, usable_friction
+from adaptrack.core.synthesis.car import resistance, usable_friction
 from adaptrack.core.tracker.longitudinal import (
     STATUS_ACTIONS,
     Longitudinal,

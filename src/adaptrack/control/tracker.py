@@ -34,10 +34,9 @@ from adaptrack.core.controllers.part import APPLY, COMMON_ANSWER, REQUEST, STEP
 from adaptrack.core.kernel import Resident, direct, fields_of
 from adaptrack.core.maths import portable
 from adaptrack.core.member import CallBack
-from adaptrack.core.tracker.change_path import tracker_follow
 from adaptrack.core.tracker.signals import NO_BELIEF, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_apply, tracker_step
-from adaptrack.core.tracker.take_call import tracker_engage
+from adaptrack.core.tracker.take_call import tracker_engage, tracker_follow
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.road.road_ahead import RoadAhead, stacked
 

@@ -27,7 +27,8 @@ from adaptrack.core.kernel import Resident, Signature, address_of
 from adaptrack.core.maths import portable
 from adaptrack.core.member import CallBack
 from adaptrack.core.models.contract import MEASUREMENT
-from adaptrack.core.plants import contract, stepped
+from adaptrack.core.plants import contract
+from adaptrack.core.plants import user as stepped
 from adaptrack.core.plants.contract import vehicle_batch
 from adaptrack.core.simulation import run as kernel
 from adaptrack.core.simulation.world import ANSWERED, RUNNING, SIGNAL, STATE_NOT_FINITE

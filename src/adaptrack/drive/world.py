@@ -22,7 +22,7 @@ from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuato
 from adaptrack.control.controllers import Controller
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl
-from adaptrack.core.models.sensors import SENSOR_FIELDS
+from adaptrack.core.models.contract import SENSOR_FIELDS
 from adaptrack.core.planning.drive import complete_samples
 from adaptrack.core.simulation import run as run_kernel
 from adaptrack.core.simulation import world as kernel

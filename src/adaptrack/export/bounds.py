@@ -18,7 +18,7 @@ from adaptrack.core.layout import arrays_of
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.models.path import Turning
 from adaptrack.core.scheduling import functions, guard, schedule
-from adaptrack.core.scheduling.variables import VARIABLE_COLUMNS
+from adaptrack.core.scheduling.functions import VARIABLE_COLUMNS
 from adaptrack.core.tracker.records import MEMORY, TRACKER_SETTINGS
 from adaptrack.core.tracker.step import Tracking
 from adaptrack.export.block import ArrayLayout, ArrayRole, Block

@@ -100,8 +100,8 @@ def world_numbers(profile: str | Profile) -> dict[str, Any]:
 
     ``period`` (s), ``delay`` (periods), ``actuator`` (`synthesis.plant.Actuator`), ``settings``
     (`simulation.world.LoopSettings`, all that is not of car or drive), ``remembered`` (instants whose samples are
-    kept), ``requested`` (forces that are remembered), ``speed_requests`` (those of a speed control) and ``plants``, the names
-    of the functions for each answer of ``plant_law``.
+    kept), ``requested`` (forces that are remembered), ``speed_requests`` (those of a speed control) and ``plants``, the
+    names of the functions for each answer of ``plant_law``.
     """
     profile_world, car = load_profile(profile), _any_car()
     world = World.of(DualTrack(car), MPC(car, profile=profile_world), profile_world, None, None, None)

@@ -19,9 +19,8 @@ from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators import learning
 from adaptrack.core.kernel import Field, columns, fields_of, size_of
-from adaptrack.core.models.car import CarRow, SingleTrackCar, SteeringRow
+from adaptrack.core.models.car import PLANT_PARAMETERS, CarRow, SingleTrackCar, SteeringRow
 from adaptrack.core.models.contract import MEASUREMENT
-from adaptrack.core.physics.parameters import PLANT_PARAMETERS
 from adaptrack.core.planning import drive, speed, station_table
 from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, PLANT_STATES, SLOTS

@@ -26,7 +26,7 @@ from adaptrack.base.files import (
 )
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
-from adaptrack.core.controllers.tuning import MPC_TUNING_FIELDS
+from adaptrack.core.controllers.mpc import MPC_TUNING_FIELDS
 from adaptrack.paper import operating_points as points
 from adaptrack.paper.operating_points import POINT_NAMES, check_operating_points, fold
 

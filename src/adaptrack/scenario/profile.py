@@ -13,7 +13,7 @@ from adaptrack.base.files import FieldRecord, build, read_toml
 from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator, find_data, list_data
 from adaptrack.core.kernel import row_of
 from adaptrack.core.maths import portable
-from adaptrack.core.models.sensors import SENSOR_FIELDS
+from adaptrack.core.models.contract import SENSOR_FIELDS
 from adaptrack.core.synthesis.tuning import ControllerWorld
 
 _AGES_BY_SPREAD = {"pose_age_spread": ("pose_age", "station_age"), "motion_age_spread": ("motion_age", "speed_age")}

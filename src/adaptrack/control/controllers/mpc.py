@@ -43,9 +43,9 @@ from adaptrack.core.controllers.mpc_step import MPCStep, form_qp, mpc_controller
 from adaptrack.core.controllers.receding import apply_move, predict_outputs
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS, BELIEF_NAMES, memory_of
 from adaptrack.core.kernel import Resident, direct
+from adaptrack.core.scheduling.functions import VARIABLE_NAMES
 from adaptrack.core.scheduling.guard import COUNTS
-from adaptrack.core.scheduling.schedule_step import schedule_step
-from adaptrack.core.scheduling.variables import VARIABLE_NAMES
+from adaptrack.core.scheduling.schedule import schedule_step
 from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario.profile import Profile, load_profile
 

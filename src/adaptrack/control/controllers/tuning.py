@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import real, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
-from adaptrack.core.controllers.tuning import MPC_TUNING_FIELDS, MPCTuning
+from adaptrack.core.controllers.mpc import MPC_TUNING_FIELDS, MPCTuning
 
 Array = NDArray[np.float64]
 

@@ -30,7 +30,7 @@ from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariable
 from adaptrack.core.maths import portable
 from adaptrack.core.scheduling import guard as guard_kernel
 from adaptrack.core.scheduling import schedule as kernel
-from adaptrack.core.scheduling.variables import VARIABLE_NAMES
+from adaptrack.core.scheduling.functions import VARIABLE_NAMES
 
 Array = NDArray[np.float64]
 

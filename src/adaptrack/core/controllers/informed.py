@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from ..estimators import kalman, learning
-from ..estimators.contract import IMPOSSIBLE_SIGNAL, IMPOSSIBLE_SPEED, call_estimate
+from ..estimators.extended_kalman import IMPOSSIBLE_SIGNAL, IMPOSSIBLE_SPEED, call_estimate
 from ..kernel import exported, float64, inlined, int64, several, vector, void
 from ..maths.bits import whole
 from ..models import path

@@ -4,7 +4,7 @@
     informed    predicts from the state and the disturbance that an estimator gives
 
 Every slot of a batch is a controller of its own, with its own memory and tuning. A model and an estimator come as
-compiled functions (`models.contract`, `estimators.contract`); nothing here knows how many states they have.
+compiled functions (`models.contract`, `estimators.extended_kalman`); nothing here knows how many states they have.
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ import numpy as np
 
 from ..estimators import kalman, learning
 from ..kernel import (
+    Field,
     Place,
     Row,
     address_of,
     columns,
     cube,
+    defaults,
     exported,
     four_dimensions,
     inlined,
@@ -42,7 +44,17 @@ from ..qp import problem as qp
 from .condensing import Discrete, laguerre_moves
 from .constraints import OUTPUT_ROWS, SAMPLE_ROWS, limit_rows
 from .feed_forward import FeedForward, bend_size
-from .tuning import MPCTuning
+
+MPC_TUNING_FIELDS = (
+    Field("Np", "control periods", 35, "prediction horizon", "[1, inf)"),
+    Field("Nc", "control periods", 8, "control horizon", "[1, inf)"),
+    Field("Q", "1/m^2", 10.0, "weight of the tracking error", "[0, inf)"),
+    Field("R", "1/rad^2", 0.01, "weight of the moves", "(0, inf)"),
+)
+MPCTuning = record("MPCTuning", MPC_TUNING_FIELDS)
+PAPER_TUNING = defaults(MPCTuning)
+"""The tuning of the paper's table."""
+
 
 # -- settings, fixed over a run ---------------------------------------------------------------------------------------
 MPCSettings = record(

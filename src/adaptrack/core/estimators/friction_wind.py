@@ -40,12 +40,11 @@ from ..maths.exact import clip, sqrt
 from ..maths.exponential import exp, hypot
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine
 from ..maths.vectors import VECTOR_WIDTH
+from ..models.car import unpack
 from ..models.contract import MEASUREMENT
 from ..physics.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
-from ..physics.parameters import unpack
 from ..physics.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, MAGIC_FORMULA, lateral_force
-from .contract import IMPOSSIBLE_SIGNAL
-from .extended_kalman import carry, correct, scatter
+from .extended_kalman import IMPOSSIBLE_SIGNAL, carry, correct, scatter
 
 FrictionWindPrior = record("FrictionWindPrior", (
     Field("nominal_friction", "", 0.65, "median of friction, to which it returns without evidence"),

@@ -57,7 +57,7 @@ from ..maths.vectors import VECTOR_WIDTH, add, load, mul, splat, store, sub, tot
 from ..models import path
 from ..models.contract import MEASUREMENT
 from . import extended_kalman
-from .contract import ESTIMATE
+from .extended_kalman import ESTIMATE
 
 FILTER_STATE = columns(*path.PATH_STATE._fields, "offset")
 """Places in z, whether the model has a lag or not."""

@@ -73,8 +73,7 @@ from ..models.car import SINGLE_TRACK
 from ..models.contract import MEASUREMENT
 from ..physics.forces import GRAVITY
 from . import kalman
-from .contract import IMPOSSIBLE_SIGNAL
-from .extended_kalman import bounded, carry, correct, scatter
+from .extended_kalman import IMPOSSIBLE_SIGNAL, bounded, carry, correct, scatter
 from .learning_method import LearningMethod
 
 LearnerParameters = record("LearnerParameters", (

@@ -14,8 +14,7 @@ from ..controllers.contract import wrapped
 from ..kernel import Place, exported, float64, inlined, int64, vector, void
 from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2
-from .forward import compare_forward
-from .frames import compare_course
+from .motion import compare_course, compare_forward, compare_sideways, judge_sliding
 from .pose import begin_pose, compare_pose
 from .record import (
     COMPARED,
@@ -38,10 +37,8 @@ from .record import (
     report,
     settings_of,
 )
-from .reference_point import compare_sideways
 from .regression import LOOKS, compare
 from .requests import advance_requests
-from .sliding import judge_sliding
 from .turning import compare_clocks, compare_pull, compare_steering, compare_turn
 
 

@@ -7,8 +7,8 @@ import math
 from ..controllers.contract import wrapped
 from ..kernel import inlined, local
 from ..maths.exact import clip
-from .frames import ROUGH, course_turns, explain_course
 from .hypotheses import DEGREE, FIRST_GRAM, UNKNOWN_STEERING
+from .motion import ROUGH, SKID, course_turns, explain_course
 from .record import (
     BANKS,
     COMPARED,
@@ -27,7 +27,6 @@ from .record import (
 )
 from .regression import LOOKS, add_window, compare, judge, late_steering, start_window
 from .requests import LAG, back_to, command_range, left_of_beginning, requested
-from .sliding import SKID
 
 YAW_NOISE = 0.005
 """rad, noise of a difference of two samples."""

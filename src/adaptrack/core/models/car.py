@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Field, record
+from ..kernel import Field, record, unpacker
 
 _UNKNOWN = math.nan
 SIDE_FORCE_SLOPE, YAW_MOMENT_SLOPE = 3.0, 1.0
@@ -108,3 +108,28 @@ SteeringRow = record("SteeringRow", STEERING)
 """A steering; NaN: unknown."""
 LearnedRow = record("LearnedRow", LEARNED_CAR)
 """A learned or assumed car; a lag of NaN: none."""
+
+
+_PARAMETERS = (
+    *CHASSIS,
+    # tyre
+    "tyre_linear",  # 1 linear, 0 Magic Formula
+    "stiffness_front",  # N/rad per tyre at the nominal load
+    "stiffness_rear",  # N/rad per tyre at the nominal load
+    "nominal_load",  # N
+    "stiffness_load_0",  # stiffness(F_z)/stiffness = (s0 + s1 q)/(1 + s2 q^2), q = F_z/nominal_load
+    "stiffness_load_1",
+    "stiffness_load_2",
+    "shape",  # Magic Formula C
+    "curvature",  # Magic Formula E
+    "friction_load_sensitivity",  # D = mu F_z (1 - d (q - 1))
+    "relaxation_length",  # m, 0: none
+    # steering actuator
+    "steering_lag",  # s, 0: none
+    "steering_rate",  # rad/s, inf: none
+    "steering_limit",  # rad
+)
+PlantParameters = record("PlantParameters", _PARAMETERS)
+PLANT_PARAMETERS = PlantParameters._fields
+"""The plants' packed parameters, in this order; a user's plant packs its own record behind its own names."""
+unpack = unpacker(PlantParameters)

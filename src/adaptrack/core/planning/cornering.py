@@ -12,8 +12,8 @@ import math
 from ..kernel import exported, float64, inlined, record, vector, void
 from ..maths.bits import whole
 from ..maths.trigonometric import atan, cos, tan
+from ..models.car import unpack
 from ..physics.forces import GRAVITY
-from ..physics.parameters import unpack
 from ..physics.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, lateral_force
 
 STEERING_LIMIT = math.pi / 6

@@ -23,8 +23,8 @@ from ..kernel import OK, columns, exported, float64, inlined, int64, local, matr
 from ..maths.exact import sqrt, square
 from ..maths.exponential import power
 from ..maths.trigonometric import cos, sin
+from ..models.car import unpack
 from ..physics.forces import GRAVITY
-from ..physics.parameters import unpack
 from ..roads.road import CLOSED
 from ..speed.plan import last_at
 from .cells import PLAN, write_cells

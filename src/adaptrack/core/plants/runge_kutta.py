@@ -7,8 +7,8 @@ of straight arithmetic for each law that is used.
 from __future__ import annotations
 
 from ..kernel import inlined, packer, stepper, unpacker
+from ..models.car import unpack
 from ..physics.forces import stops, wheel_angle
-from ..physics.parameters import unpack
 from .contract import GROUP, OBSERVED, PLANT_INPUTS, PLANT_STATE, PLANT_STATES, SLOTS, PlantInput, PlantState
 
 _along = stepper(PlantState)

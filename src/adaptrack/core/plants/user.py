@@ -1,4 +1,7 @@
-"""A user's plant: one right-hand side on plain vectors, integrated one vehicle after the other."""
+"""A user's plant: one right-hand side on plain vectors, integrated one vehicle after the other.
+
+One that is moved outside the kernels is `STEPPED`: whoever moves it writes its state to the batch.
+"""
 
 from __future__ import annotations
 
@@ -148,3 +151,22 @@ def compile_plant(function: Any, layout: Any = None) -> CompiledPlant:
     """
     plant_member = member(function, RIGHT_HAND_SIDE, viewed=layout)
     return CompiledPlant(plant_member, advance, observe, plant_member)
+
+
+STEPPED_ACTUATOR = columns("lag", "limit")
+"""Its parameters: those of the steering, s and rad."""
+LATERAL_ACCELERATION = MOTION_STATES
+"""Its own states are the motion, then the lateral acceleration (m/s^2) over the last period."""
+
+
+@exported(OBSERVE, name="stepped_observe")
+def observe_stepped(member, parameters, block, states, work, slot, observed):
+    """See `contract.OBSERVE`."""
+    observed[OBSERVED.lateral_acceleration] = states[slot, LATERAL_ACCELERATION]
+    observed[OBSERVED.wheel_angle] = wheel_angle(
+        block[state_at(PLANT_STATE.steering, slot)], block[input_at(PLANT_INPUT.command, slot)],
+        parameters[STEPPED_ACTUATOR.lag], parameters[STEPPED_ACTUATOR.limit],
+    )  # fmt: skip
+
+
+STEPPED = CompiledPlant(right_hand_side=None, advance=None, observe=observe_stepped)

@@ -28,6 +28,7 @@ from ..maths.vectors import (
     zeros,
 )
 from .active_rows import activate, find_directions, newton, release, release_all, set_entry, take_row, worst_multiplier
+from .factor import unconstrained
 from .operations import (
     CORRECTED,
     MAX_REFINEMENTS,
@@ -41,7 +42,6 @@ from .operations import (
 )
 from .problem import CAPPED, INFEASIBLE, NON_FINITE, SOLVE, SOLVED, work_of
 from .residual import kkt_residual
-from .unconstrained import unconstrained
 
 VIOLATION = 1e-12
 """A row is violated when M_j x - gamma_j exceeds this part of |gamma_j| + sum |M_jk x_k| + NOISE |M_j| |x|."""

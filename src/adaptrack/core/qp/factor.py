@@ -1,4 +1,4 @@
-"""The inverses of E and of its Cholesky factor."""
+"""The inverses of E and of its Cholesky factor; the minimiser without rows."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from ..maths.vectors import (
     with_entry,
     zeros,
 )
+from .operations import CORRECTED, MAX_REFINEMENTS, UNIT_ROUNDING, advance, exact_stationarity
 from .problem import INVERSE, NON_FINITE, NOT_CONVEX, SOLVED
 
 CONDITION_LIMIT = 1e15
@@ -88,3 +89,30 @@ def factorise(n, E, factor):
     if not condition < CONDITION_LIMIT:
         return NOT_CONVEX, condition
     return SOLVED, condition
+
+
+@inlined
+def unconstrained(problem, factor, x, w):
+    """``x = -E^-1 K``, refined (see Accuracy in `problem`); returns whether it is finite (not when K is not)."""
+    n = problem.n
+    width = padded(n)
+    for b in range(0, width, VECTOR_WIDTH):
+        store(x, b, zeros())
+        s = zeros()
+        for k in range(n):
+            s = fma8(spread(problem.K, k), load(factor.inverse, k, b), s)
+        store(w.step, b, keep_first(sub(zeros(), s), n - b))
+    _, size, finite = advance(n, x, w.step)
+    error = UNIT_ROUNDING * factor.condition * size
+    for _ in range(MAX_REFINEMENTS):
+        if not error > CORRECTED * max(1.0, size):
+            break
+        exact_stationarity(problem, 0, x, w)
+        for b in range(0, width, VECTOR_WIDTH):
+            s = zeros()
+            for k in range(n):
+                s = fma8(spread(w.residual, k), load(factor.inverse, k, b), s)
+            store(w.step, b, keep_first(s, n - b))
+        moved, size, finite = advance(n, x, w.step)
+        error = UNIT_ROUNDING * factor.condition * moved
+    return finite

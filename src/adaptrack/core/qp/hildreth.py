@@ -22,9 +22,9 @@ from ..maths.vectors import (
     where_positive,
     zeros,
 )
+from .factor import unconstrained
 from .operations import advance, copy_bounds, find_gaps, magnitude
 from .problem import CAPPED, HILDRETH, NON_FINITE, ROW_VECTORS, SOLVED, work_of
-from .unconstrained import unconstrained
 
 CERTIFIED = 1e-9
 """The result counts as solved when the rows hold to this part of 1 + |gamma_j|."""

@@ -1,4 +1,4 @@
-"""The functions that a schedule is made of: a network, a fuzzy system, a table or a number, of D inputs.
+"""The scheduling variables, and the functions of them: a network, a fuzzy system, a table or a number, of D inputs.
 
 Each is packed into an array of whole numbers (`integers`) and one of reals (`numbers`) by the class that holds it, in
 the order of the reader here: `_network`, `_sugeno` and `_table` name the parts again.
@@ -8,10 +8,14 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import exported, float64, inlined, int64, int_vector, record, shaped, unpacker, vector
+from ..kernel import columns, exported, float64, inlined, int64, int_vector, record, shaped, unpacker, vector
 from ..maths.bits import left, right, whole
 from ..maths.exact import clip
 from ..maths.exponential import exp, log, log1p
+
+VARIABLE_NAMES = ("speed", "y_ref", "friction", "wind", "change", "acceleration", "offset")
+VARIABLE_COLUMNS = columns(*VARIABLE_NAMES)
+
 
 NUMBER, NETWORK, SUGENO, NEAREST, MULTILINEAR = range(5)
 """The kinds of functions; the last two are tables."""

@@ -11,8 +11,7 @@ import math
 from ..kernel import Row, boolean, columns, exported, float64, inlined, int64, int_vector, record, vector, void
 from ..maths.exact import clip, floor
 from ..maths.exponential import log10, power
-from .functions import multilinear
-from .variables import VARIABLE_COLUMNS
+from .functions import VARIABLE_COLUMNS, multilinear
 
 MAX_ENTRIES = 8
 """Entries of a controller's tuning, at most."""

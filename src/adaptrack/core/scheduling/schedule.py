@@ -17,9 +17,8 @@ from ..kernel import Place, exported, float64, inlined, int64, int_vector, matri
 from ..layout import allocate
 from ..maths.exact import clip, floor
 from ..maths.exponential import power
-from .functions import evaluate
+from .functions import VARIABLE_COLUMNS, evaluate
 from .guard import COUNTS, GUARD, MAP_AXES, MAX_ENTRIES, MEMORY, NC_ENTRY, NP_ENTRY, supervise
-from .variables import VARIABLE_COLUMNS
 
 SCHEDULE_INPUT = record(
     "Input",
@@ -165,3 +164,9 @@ def schedule_all(variables, plan, tunings):
     for i in range(len(variables)):
         memory.left, memory.holding = 0, 0
         schedule(0, variables[i], plan, tunings[i])
+
+
+@exported(void(vector, Place(ScheduleRecord), vector))
+def schedule_step(variables, plan, tuning):
+    """`schedule.schedule` for the only slot of a schedule."""
+    schedule(0, variables, plan, tuning)

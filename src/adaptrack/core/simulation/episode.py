@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from ..estimators.learning import BELIEF_NAMES, BELIEFS_OFFSET
 from ..kernel import Place, exported, float64, inlined, matrix, record, rows, void
-from ..scheduling.variables import VARIABLE_COLUMNS
+from ..scheduling.functions import VARIABLE_COLUMNS
 from .observation import ObservationSpace, bounded, keep, write_observation
 from .run import Run, begin_slot, roll_on
 from .world import ANSWERED, RUNNING

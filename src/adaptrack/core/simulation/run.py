@@ -62,7 +62,7 @@ from ..plants.contract import (
 )
 from ..qp import problem as qp
 from ..roads.road import Roads
-from ..scheduling.variables import VARIABLE_COLUMNS
+from ..scheduling.functions import VARIABLE_COLUMNS
 from ..speed.speed_control import governed_speeds
 from ..tracker.longitudinal import Longitudinal, narrow_friction_step, speed_control_step
 from .world import (

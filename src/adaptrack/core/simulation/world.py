@@ -14,14 +14,20 @@ from ..maths.exponential import hypot
 from ..maths.random import counted_normal, counted_uniform
 from ..maths.trigonometric import atan2
 from ..models.car import AXLES, POWERTRAIN
-from ..models.contract import MEASUREMENT
-from ..models.sensors import SENSOR_FIELDS
+from ..models.contract import MEASUREMENT, SENSOR_FIELDS
 from ..physics.force_actuator import ForceActuator, actuator_step
-from ..physics.forces import GRAVITY, STANDING_SPEED, slope_sine_and_cosine, wheel_angle
-from ..physics.traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
+from ..physics.forces import (
+    GRAVITY,
+    LARGEST_BEND_SHARE,
+    LEAST_BRAKING,
+    STANDING_SPEED,
+    axle_limits,
+    slope_sine_and_cosine,
+    wheel_angle,
+)
 from ..plants.contract import ENVIRONMENT, OBSERVED, PLANT_INPUT, PLANT_STATE, input_at, observe, state_at
 from ..roads.road import foot_near, line_of, point_at
-from ..scheduling.variables import VARIABLE_COLUMNS
+from ..scheduling.functions import VARIABLE_COLUMNS
 from ..tracker.signals import TRACKED
 
 LoopSettings = record(

@@ -27,10 +27,9 @@ from ..maths.exact import clip, floor, sqrt, square
 from ..maths.exponential import exp, log
 from ..maths.fast import fast_arctangent_of_ratio
 from ..maths.vectors import VECTOR_WIDTH
-from ..models.car import LearnedRow
+from ..models.car import LearnedRow, unpack
 from ..models.contract import MEASUREMENT
 from ..physics.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
-from ..physics.parameters import unpack
 from ..physics.tyre import CURVED_MAGIC_FORMULA, LEAST_LOAD, MAGIC_FORMULA, friction_ellipse, lateral_force
 from ..tracker.signals import TRACKER_SAMPLE
 from .learning import mean_of_bank

@@ -27,8 +27,7 @@ from ..maths.bits import whole
 from ..maths.exact import clip, floor, sqrt, square
 from ..maths.exponential import power
 from ..models.car import AXLES, POWERTRAIN
-from ..physics.forces import GRAVITY, STANDING_SPEED
-from ..physics.traction import LARGEST_BEND_SHARE, LEAST_BRAKING, axle_limits
+from ..physics.forces import GRAVITY, LARGEST_BEND_SHARE, LEAST_BRAKING, STANDING_SPEED, axle_limits
 from .faults import (
     BRAKES_FAIL,
     DRIVE_STICKS,

@@ -1,14 +1,15 @@
-"""A car as controllers know it, and what is estimated of one of which little is known."""
+"""A car as controllers know it, what is estimated of one of which little is known, and what a speed control assumes."""
 
 from __future__ import annotations
 
 import math
 
-from ..kernel import OK, Row, exported, float64, inlined, int64, record, several
+from ..kernel import OK, Row, exported, float64, inlined, int64, local, record, several, vector
 from ..maths.decimal import to_digits, to_places
 from ..models.car import SIDE_FORCE_SLOPE, YAW_MOMENT_SLOPE, CarRow
 from ..models.car import SteeringRow as SteeringRow
 from ..physics.forces import GRAVITY
+from ..planning.cornering import BENDS, cornering_at, cornering_limits
 
 ESTIMATED_NUMBERS = (
     "cg_height", "frontal_area", "yaw_inertia", "stiffness_front", "stiffness_rear", "track_front", "track_rear",
@@ -216,3 +217,26 @@ def relaxation_delay(car):
     relaxation = 0.5 * stiffness / TYRE_LATERAL_STIFFNESS / RELAXATION_SPEED
     turning = 2.0 * stiffness / (car.mass * RELAXATION_SPEED) / RELAXATION_FREQUENCY
     return to_places(relaxation / (1.0 + turning * turning), 3)
+
+
+TYPICAL_CURVATURE = 0.02
+"""1/m, of the bend in which the car's share of the friction is taken."""
+_limits = local(BENDS)
+
+
+@exported(several(float64, float64)(float64, float64, float64, float64))
+def resistance(air_density, frontal_area, drag_coefficient, rolling_resistance):
+    """Force of the air over v^2 (kg/m), and deceleration by rolling (m/s^2): `SpeedSettings.drag`, `rolling`."""
+    return 0.5 * air_density * frontal_area * drag_coefficient, rolling_resistance * GRAVITY
+
+
+@exported(float64(vector, float64, float64))
+def usable_friction(plant, steering_limit, friction):
+    """The friction of which a car reaches all in a bend: load transfer takes some from tyres that lose with load.
+
+    plant: `PLANT_PARAMETERS`; steering_limit: rad, NaN: `STEERING_LIMIT`.
+    """
+    limits = _limits()
+    tightest = cornering_limits(plant, steering_limit, friction, limits)
+    limit = cornering_at(TYPICAL_CURVATURE, tightest, limits)
+    return friction * min(limit / (friction * GRAVITY), 1.0)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 
-from ..controllers.mpc import MPCSettings
-from ..controllers.tuning import PAPER_TUNING, MPCTuning
+from ..controllers.mpc import PAPER_TUNING, MPCSettings, MPCTuning
 from ..estimators import kalman
 from ..estimators.learning_method import MAX_HYPOTHESES, LearningMethod
 from ..kernel import OK, Row, bounds_checker, copier, exported, float64, inlined, int64, record
 from ..maths.exponential import hypot
 from ..models import path
 from ..models.car import ACTUATOR, SINGLE_TRACK, WIND, CarRow, LearnedRow, SingleTrackCar, SteeringRow
-from ..models.contract import MEASUREMENT
-from ..models.sensors import MEASURED_MOTION
+from ..models.contract import MEASURED_MOTION, MEASUREMENT
 from .belief import (
     ANGLE,
     FROM_EARLIER_DRIVE,

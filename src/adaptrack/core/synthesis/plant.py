@@ -15,8 +15,7 @@ import math
 from ..kernel import OK, Row, exported, float64, inlined, int64, matrix, packer, record, several, vector, void
 from ..maths.bits import whole
 from ..maths.exact import ceil, square
-from ..models.car import ACTUATOR, CHASSIS, OUTLINE, CarRow
-from ..physics.parameters import unpack
+from ..models.car import ACTUATOR, CHASSIS, OUTLINE, CarRow, unpack
 from ..physics.tyre import lateral_force, tyre_law
 from .car import static_loads
 from .filter import split_periods

@@ -6,7 +6,7 @@ import math
 
 from ..kernel import Row, exported, float64, int64, record, vector, void
 from ..maths.decimal import to_digits, to_places
-from ..models.sensors import MEASURED_MOTION
+from ..models.contract import MEASURED_MOTION
 
 ControllerWorld = record(
     "ControllerWorld",

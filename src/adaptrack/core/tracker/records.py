@@ -12,7 +12,7 @@ from ..input_check.record import Check
 from ..kernel import columns, fields_of, record, rows, vector
 from ..models.contract import MEASUREMENT
 from ..roads.road import Roads
-from ..scheduling.variables import VARIABLE_COLUMNS
+from ..scheduling.functions import VARIABLE_COLUMNS
 from .signals import TRACKED, TRACKER_SAMPLE, TrackerSample
 
 LONGEST_GAP = 2.0

@@ -9,10 +9,9 @@ from ..estimators.learning import BELIEF_COLUMNS
 from ..kernel import Caller, Place, exported, inlined, int64, local, record, vector, void
 from ..loop import period_of
 from ..maths.bits import whole
-from ..scheduling.variables import VARIABLE_COLUMNS
-from .conclude_instant import tracker_conclude
+from ..scheduling.functions import VARIABLE_COLUMNS
+from .instant import tracker_conclude, tracker_prepare
 from .longitudinal import Longitudinal
-from .prepare_instant import tracker_prepare
 from .records import CONTROLLER_ANSWER, INSTANT, TrackerRecord
 from .signals import NO_BELIEF, TRACKER_SAMPLE
 from .take_call import tracker_take

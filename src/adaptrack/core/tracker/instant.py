@@ -1,4 +1,4 @@
-"""Before the controller: the next instant of a call, what is measured there, and the road ahead."""
+"""A control instant of a call: what is measured there and the road ahead; then, of the answer, command and status."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ..controllers.contract import wrapped
 from ..estimators.kalman import SENSOR_COUNT
 from ..input_check.call import check_call
 from ..input_check.record import SAMPLE, memory_of
-from ..kernel import Place, exported, inlined, int64, local
+from ..kernel import Place, exported, inlined, int64, local, void
 from ..maths.exact import clip
 from ..models.contract import MEASUREMENT
 from ..roads.road import CLOSED, foot_near, point_at
@@ -19,6 +19,7 @@ from .pose import (
     forward,
     has_position,
     hold,
+    is_beyond,
     keep_pose,
     line,
     path_errors,
@@ -27,8 +28,28 @@ from .pose import (
     time_of,
     write_tracked,
 )
-from .records import EXPECTED_SPEEDS, INSTANT, LONGEST_CARRY, LONGEST_GAP, REQUEST, STANDSTILL_SPEED, TrackerRecord
-from .signals import CAR_SLIDES, ESTIMATED, FOLLOWING, HELD, REVERSE, TRACKED, TRACKER_SAMPLE
+from .records import (
+    CONTROLLER_ANSWER,
+    EXPECTED_SPEEDS,
+    INSTANT,
+    LONGEST_CARRY,
+    LONGEST_GAP,
+    REQUEST,
+    STANDSTILL_SPEED,
+    TrackerRecord,
+)
+from .signals import (
+    BEYOND_END,
+    CAR_SLIDES,
+    ESTIMATED,
+    FOLLOWING,
+    HELD,
+    OFF_PATH,
+    REVERSE,
+    STANDS,
+    TRACKED,
+    TRACKER_SAMPLE,
+)
 
 _aligned = local(len(SAMPLE))
 LATEST_POSE, LATEST_MOTION = 0.499, 0.999
@@ -200,3 +221,41 @@ def _expect_speeds(tracker, m):
     for i in range(EXPECTED_SPEEDS):
         speeds[i] = max(speeds[i] + difference, 0.0)
     ahead[INSTANT.count] = EXPECTED_SPEEDS
+
+
+@exported(void(Place(TrackerRecord)))
+def tracker_conclude(tracker):
+    """Take in the controller's answer (`tracker.answer`) at an instant; nothing where none is waited for.
+
+    A command that is no number holds the last one.
+    """
+    m, answer = tracker.memory[0], tracker.answer
+    if m.waiting == 0:
+        return
+    m.waiting, previous = 0, m.command
+    usable = math.isfinite(answer[CONTROLLER_ANSWER.command])
+    m.command = answer[CONTROLLER_ANSWER.command] if usable else previous
+    m.belief_state, m.belief_at_bound = (
+        answer[CONTROLLER_ANSWER.belief_state],
+        answer[CONTROLLER_ANSWER.belief_at_bound],
+    )
+    m.status, m.answered = _status(tracker, m, not usable or answer[CONTROLLER_ANSWER.held] > 0.5), 1
+    m.due -= 1
+    if m.due > 0:  # at an instant without a call nothing was sent
+        hold(tracker, m, previous)
+
+
+@inlined
+def _status(tracker, m, is_held):
+    """The status of an instant, one of `STATUS`."""
+    if m.offset != m.offset:
+        return OFF_PATH
+    if is_held:
+        return HELD
+    if m.speed < STANDSTILL_SPEED:
+        return STANDS
+    if not abs(m.offset) <= tracker.settings[0].furthest:
+        return OFF_PATH
+    if is_beyond(tracker, m.station):
+        return BEYOND_END
+    return FOLLOWING if m.fresh > 0 else ESTIMATED
