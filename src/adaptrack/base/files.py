@@ -210,14 +210,17 @@ def _entry_of(field: Any, unknown: Any, is_unknown: bool) -> Any:
     return Field(default=default, description=f"{field.unit or '-'}, {field.meaning}", **limits)
 
 
-def _tuple_of(value: Any) -> Any:
+def as_tuples(value: Any) -> Any:
+    """Return nested lists and arrays as nested tuples, which immutable records need; mappings keep their keys."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
-    return tuple(value) if isinstance(value, list) else value
+    if isinstance(value, Mapping):
+        return {key: as_tuples(entry) for key, entry in value.items()}
+    return tuple(as_tuples(entry) for entry in value) if isinstance(value, list | tuple) else value
 
 
-LISTED = BeforeValidator(_tuple_of)
-"""Converter for tuple fields of a `Record`: they also accept a list, as read from a file, and an array."""
+LISTED = BeforeValidator(as_tuples)
+"""Converter for tuple fields of a `Record`: they also accept lists, as read from a file, and arrays."""
 
 
 def meanings(record: Record) -> dict[str, str]:

@@ -14,9 +14,9 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.base.files import Record, build, dump_toml, read_toml, write_atomically
+from adaptrack.base.files import Record, as_tuples, build, dump_toml, read_toml, write_atomically
 from adaptrack.base.limits import DURATION, PERIODS, check_limit
-from adaptrack.scenario.shapes import Array, Constant, Knots, Method, Shape, Signal, as_tuples
+from adaptrack.scenario.shapes import Array, Constant, Knots, Method, Shape, Signal
 from adaptrack.scenario.signals import Signals, instants
 from adaptrack.scenario.surroundings import WHEELS, Patch, Wind, as_friction, as_patches, as_wind
 from adaptrack.scenario.tables import FRICTION_COLUMNS, read_scenario_table

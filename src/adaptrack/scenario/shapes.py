@@ -25,7 +25,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.base.files import Record, build
+from adaptrack.base.files import LISTED, Record, build
 from adaptrack.core.maths import portable
 
 Array = NDArray[np.float64]
@@ -91,13 +91,6 @@ Signal = Annotated[Shape, BeforeValidator(as_shape)]
 """Type of a field that holds a shape and accepts every value that `as_shape` converts."""
 
 
-def as_tuples(value: Any) -> Any:
-    """Convert nested lists and arrays to nested tuples, which an immutable record can hold."""
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    return tuple(as_tuples(element) for element in value) if isinstance(value, list | tuple) else value
-
-
 class Constant(Shape):
     """Constant ``value`` at all times."""
 
@@ -138,7 +131,7 @@ class Knots(Shape):
 
     kind = "knots"
 
-    points: Annotated[tuple[tuple[float, float], ...], BeforeValidator(as_tuples)]
+    points: Annotated[tuple[tuple[float, float], ...], LISTED]
     method: Method = "linear"
 
     @model_validator(mode="after")
@@ -228,9 +221,7 @@ class TanhSteps(Shape):
     kind = "tanh-steps"
 
     steps: Annotated[
-        tuple[tuple[float, float, PositiveTime], ...],
-        BeforeValidator(as_tuples),
-        Field(min_length=1, description="[A, t0, tau]"),
+        tuple[tuple[float, float, PositiveTime], ...], LISTED, Field(min_length=1, description="[A, t0, tau]")
     ]
 
     def at(self, t: ArrayLike) -> Array:

@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.files import Record
+from adaptrack.base.files import LISTED, Record
 from adaptrack.control.controllers import ENTRIES, Controller, Tuning, TuningBounds
 from adaptrack.control.controllers.tuning import HORIZONS
 from adaptrack.tuning.pso import SearchSpace
 
-
-def as_tuples(value: Any) -> Any:
-    """Return nested lists as nested tuples, which immutable records need."""
-    return tuple(as_tuples(entry) for entry in value) if isinstance(value, list | tuple) else value
-
-
-Pair = Annotated[tuple[float, float], BeforeValidator(as_tuples)]
+Pair = Annotated[tuple[float, float], LISTED]
 
 
 class SearchBounds(Record):
@@ -30,8 +24,8 @@ class SearchBounds(Record):
     The defaults are the bounds in the programs of the paper's authors.
     """
 
-    Np: Annotated[tuple[int, int], BeforeValidator(as_tuples)] = Field(default=(1, 55), description="control periods")
-    Nc: Annotated[tuple[int, int], BeforeValidator(as_tuples)] = Field(default=(1, 18), description="control periods")
+    Np: Annotated[tuple[int, int], LISTED] = Field(default=(1, 55), description="control periods")
+    Nc: Annotated[tuple[int, int], LISTED] = Field(default=(1, 18), description="control periods")
     Q: Pair = Field(default=(0.1, 10.0), description="1/m^2")
     R: Pair = Field(default=(0.001, 0.1), description="1/rad^2")
     decades: bool = Field(default=False, description="whether log10 Q and log10 R are searched")
