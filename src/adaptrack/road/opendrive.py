@@ -72,6 +72,8 @@ READ = {
     "lane/speed": "sOffset max unit",
 }
 """Parent and element, and the attributes of the element: those that are read, and labels that change nothing."""
+SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
+"""Shapes of a <geometry>."""
 STATED_LENGTH = 0.1, 1e-3
 """m, and share of it: a larger difference between the stated length of a road and that of its geometry is reported."""
 
@@ -270,40 +272,37 @@ def _meets_itself(table: Pieces, gap: float = MAX_JOINT_GAP) -> bool:
 
 # -- shapes -----------------------------------------------------------------------------------------------------------
 def _segment(where: str, shape: Element) -> Segment:
+    """The element of a <geometry>."""
+
+    def number(key: str) -> float:
+        return number_of(where, kind, key)
+
     length = number_of(where, shape, "length")
-    kind = next((child for child in shape if child.tag in _READERS), None)
-    if kind is None:
-        tags = ", ".join(f"<{child.tag}>" for child in shape) or "nothing"
-        raise ConfigError(
-            f"{where}: <geometry> at s = {shape.get('s')} holds {printable(tags)}; known: {', '.join(_READERS)}."
-        )
-    return _READERS[kind.tag](where, kind, length)
+    kind = next((child for child in shape if child.tag in SHAPES), shape)
+    match kind.tag:
+        case "line":
+            return Line(length=length)
+        case "arc":
+            return Arc(length=length, curvature=number("curvature"))
+        case "spiral":
+            return Clothoid(length=length, start_curvature=number("curvStart"), end_curvature=number("curvEnd"))
+        case "poly3":
+            a, b, c, d = map(number, "abcd")
+            return Cubic(x=(0.0, 1.0, 0.0, 0.0), y=(a, b, c, d), end=_poly3_end(b, c, d, length))
+        case "paramPoly3":
+            span = kind.get("pRange", "normalized")
+            if span not in ("normalized", "arcLength"):
+                raise ConfigError(f"{where}: <paramPoly3 pRange={span!r}>: must be 'normalized' or 'arcLength'.")
+            x, y = (tuple(number(power + axis) for power in "abcd") for axis in "UV")
+            return Cubic(x=x, y=y, end=1.0 if span == "normalized" else length)  # type: ignore[arg-type]
+    tags = ", ".join(f"<{child.tag}>" for child in shape) or "nothing"
+    raise ConfigError(
+        f"{where}: <geometry> at s = {shape.get('s')} holds {printable(tags)}; known: {', '.join(SHAPES)}."
+    )
 
 
-def _line(where: str, kind: Element, length: float) -> Segment:
-    return Line(length=length)
-
-
-def _arc(where: str, kind: Element, length: float) -> Segment:
-    return Arc(length=length, curvature=number_of(where, kind, "curvature"))
-
-
-def _spiral(where: str, kind: Element, length: float) -> Segment:
-    start, end = (number_of(where, kind, key) for key in ("curvStart", "curvEnd"))
-    return Clothoid(length=length, start_curvature=start, end_curvature=end)
-
-
-def _param_poly3(where: str, kind: Element, length: float) -> Segment:
-    span = kind.get("pRange", "normalized")
-    if span not in ("normalized", "arcLength"):
-        raise ConfigError(f"{where}: <paramPoly3 pRange={span!r}>: must be 'normalized' or 'arcLength'.")
-    x, y = (tuple(number_of(where, kind, key + axis) for key in "abcd") for axis in "UV")
-    return Cubic(x=x, y=y, end=1.0 if span == "normalized" else length)  # type: ignore[arg-type]
-
-
-def _poly3(where: str, kind: Element, length: float) -> Segment:
-    """v(u) = a + b u + c u^2 + d u^3; u ends where the arc is `length` long."""
-    a, b, c, d = (number_of(where, kind, key) for key in "abcd")
+def _poly3_end(b: float, c: float, d: float, length: float) -> float:
+    """The u at which the arc of v(u) = a + b u + c u^2 + d u^3 is `length` (m) long."""
     end = length
     for _ in range(50):
         panels = np.linspace(0.0, end, 33)
@@ -314,7 +313,4 @@ def _poly3(where: str, kind: Element, length: float) -> Segment:
         end += step
         if not abs(step) >= 1e-13 * length:
             break
-    return Cubic(x=(0.0, 1.0, 0.0, 0.0), y=(a, b, c, d), end=end)
-
-
-_READERS = {"line": _line, "arc": _arc, "spiral": _spiral, "poly3": _poly3, "paramPoly3": _param_poly3}
+    return end

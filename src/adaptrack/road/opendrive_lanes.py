@@ -8,9 +8,9 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property, partial
+from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -374,9 +374,7 @@ class Lanes:
 
     def _sampled(self, parts: Sequence[Part]) -> Along:
         """Weighted sums of piecewise cubics, each from an arc length to the next one."""
-        s = [_samples(start, end) for start, end, _ in parts]
-        values = [_law_values(self._combined(summed), at) for at, (_, _, summed) in zip(s, parts, strict=True)]
-        return _increasing(np.concatenate(s), np.concatenate(values))
+        return _sampled((start, end, partial(_law_values, self._combined(summed))) for start, end, summed in parts)
 
     # ---- what lies along the lanes
 
@@ -428,9 +426,11 @@ def _law_values(laws: CubicLaws, s: Array) -> Array:
     return _shifted(rows[row].T, s - starts[row])[0]
 
 
-def _increasing(s: Any, values: Any) -> Along:
-    """Samples of which those at one place are moved apart by a micrometre: a step."""
-    s = np.maximum.accumulate(np.asarray(s, dtype=np.float64))
+def _sampled(parts: Iterable[tuple[float, float, Callable[[Array], Array]]]) -> Along:
+    """Functions of the arc length, each from a start to an end; samples at one place are moved 1e-6 m apart: a step."""
+    samples = [(_samples(start, end), function) for start, end, function in parts]
+    values = np.concatenate([function(places) for places, function in samples])
+    s = np.maximum.accumulate(np.concatenate([places for places, _ in samples]))
     for k in range(1, s.size):
         s[k] = max(s[k], s[k - 1] + 1e-6)
     return Along.through(s, values)
@@ -574,15 +574,15 @@ def bank_of(where: str, road: Element, stations: Stations, lanes: Lanes) -> dict
     """The bank of the line, level where its lane is."""
     surface, line, levels = _Surface(where, road, stations), lanes.line, dict(lanes.levels())
     starts = sorted(s for s in {0.0, *surface.starts, *levels} if s < stations.length)
-    s: list[float] = []
-    values: list[float] = []
-    for start, end in zip(starts, [*starts[1:], stations.length], strict=True):
-        places = _samples(start, end)
-        level = levels and _latest(levels, start)
-        t = np.zeros_like(places) if line is None else _law_values(line, places)
-        s += places.tolist()
-        values += [0.0] * places.size if level else surface.bank(start, places, t).tolist()
-    return {"bank": _increasing(s, np.array(values))} if any(values) else {}
+
+    def bank_from(start: float, s: Array) -> Array:
+        if levels and _latest(levels, start):
+            return np.zeros_like(s)
+        return surface.bank(start, s, np.zeros_like(s) if line is None else _law_values(line, s))
+
+    ends = [*starts[1:], stations.length]
+    bank = _sampled((start, end, partial(bank_from, start)) for start, end in zip(starts, ends, strict=True))
+    return {"bank": bank} if any(bank.value) else {}
 
 
 def grade_of(road: Element, stations: Stations) -> dict[str, Along]:
@@ -590,14 +590,16 @@ def grade_of(road: Element, stations: Stations) -> dict[str, Along]:
     elevations = stations.cubics(road.findall("elevationProfile/elevation"))
     if not elevations or elevations[0][0] > 0.0:  # level before the first one
         elevations = [(0.0, np.zeros(4)), *elevations]
-    starts = [start for start, _ in elevations]
-    s: list[float] = []
-    values: list[float] = []
-    for (start, cubic), end in zip(elevations, [*starts[1:], stations.length], strict=True):
-        places = _samples(start, end)
-        s += places.tolist()
-        values += _shifted(cubic, places - start)[1].tolist()
-    return {"grade": _increasing(s, np.array(values))} if any(values) else {}
+    ends = [*(start for start, _ in elevations[1:]), stations.length]
+    grade = _sampled(
+        (start, end, partial(_slope, start, cubic)) for (start, cubic), end in zip(elevations, ends, strict=True)
+    )
+    return {"grade": grade} if any(grade.value) else {}
+
+
+def _slope(start: float, cubic: Array, s: Array) -> Array:
+    """The slope of a cubic that begins at `start`, at arc lengths."""
+    return np.asarray(_shifted(cubic, s - start)[1])
 
 
 def height_notes(road: Element, stations: Stations) -> list[str]:

@@ -89,6 +89,18 @@ class Piece(Record):
     """rad, the heading less that at the middle"""
 
 
+_COLUMNS: dict[str, Any] = {
+    "half": HALF_LENGTH,
+    "x": X,
+    "y": Y,
+    "heading": HEADING,
+    "along": slice(ALONG_PIECE, ACROSS_COEFFICIENTS),
+    "across": slice(ACROSS_COEFFICIENTS, TURN_COEFFICIENTS),
+    "turned": slice(TURN_COEFFICIENTS, PIECE_COLUMNS),
+}
+"""Columns of the table of a centre line that the fields of a `Piece` hold."""
+
+
 class RoadFile(Record):
     """Content of a road file."""
 
@@ -159,8 +171,8 @@ def _table_of(road_pieces: Sequence[Piece]) -> Pieces:
     """The table of pieces one behind the other."""
     pieces = np.zeros((len(road_pieces), PIECE_COLUMNS))
     for row, piece in zip(pieces, road_pieces, strict=True):
-        row[[HALF_LENGTH, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
-        row[ALONG_PIECE:] = (*piece.along, *piece.across, *piece.turned)
+        for name, columns in _COLUMNS.items():
+            row[columns] = getattr(piece, name)
     pieces[:, COS], pieces[:, SIN] = portable.cos(pieces[:, HEADING]), portable.sin(pieces[:, HEADING])
     return end_to_end(pieces)
 
@@ -177,21 +189,11 @@ def write_road(path: str | os.PathLike[str], road: Road) -> None:
     if road.elements:
         data["elements"] = [element.model_dump(exclude_none=True) for element in road.elements]
     else:
-        data["pieces"] = [_piece(row) for row in road.table.pieces]
+        data["pieces"] = [
+            {name: row[columns].tolist() for name, columns in _COLUMNS.items()} for row in road.table.pieces
+        ]
     write_toml(path, data, {name: field.description or "" for name, field in RoadFile.model_fields.items()})
 
 
 def _plain(along: Along) -> Any:
     return along.value[0] if len(along.value) == 1 else along.model_dump()
-
-
-def _piece(row: Any) -> dict[str, Any]:
-    bounds = {
-        "along": (ALONG_PIECE, ACROSS_COEFFICIENTS),
-        "across": (ACROSS_COEFFICIENTS, TURN_COEFFICIENTS),
-        "turned": (TURN_COEFFICIENTS, PIECE_COLUMNS),
-    }
-    place = {"half": HALF_LENGTH, "x": X, "y": Y, "heading": HEADING}
-    return {name: float(row[column]) for name, column in place.items()} | {
-        name: row[first:last].tolist() for name, (first, last) in bounds.items()
-    }
