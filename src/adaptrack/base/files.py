@@ -817,9 +817,14 @@ def _syntax_report(where: str, language: str, text: str, message: str) -> str:
 
 
 def is_number(cell: str) -> bool:
-    """Whether the text in a table cell is a number."""
+    """Whether the text in a table cell is a number, which may be infinite or NaN."""
     try:
         float(cell)
     except ValueError:
         return False
     return True
+
+
+def finite_number(text: str) -> float | None:
+    """Return the number in a text, or None for other text, infinity and NaN."""
+    return float(text) if is_number(text) and math.isfinite(float(text)) else None

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.base.files import is_number, printable, read_bytes
+from adaptrack.base.files import finite_number, printable, read_bytes
 from adaptrack.core.maths import portable
 from adaptrack.core.roads.road import X, Y
 from adaptrack.road.opendrive_lanes import (
@@ -158,9 +158,7 @@ def _road(where: str, root: Element, road_id: str | int | None) -> Element:
 
 def _stated_length(element: Element) -> float:
     """m; 0 where a road does not say it as a number."""
-    text = element.get("length", "")
-    length = float(text) if is_number(text) else 0.0
-    return length if math.isfinite(length) else 0.0
+    return finite_number(element.get("length", "")) or 0.0
 
 
 def _unread(parent: Element, element: Element) -> Iterator[str]:

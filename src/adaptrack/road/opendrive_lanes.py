@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput
-from adaptrack.base.files import printable
+from adaptrack.base.files import finite_number, printable
 from adaptrack.core.maths import portable
 from adaptrack.core.roads.road import HALF_LENGTH
 from adaptrack.road.segments import Array
@@ -621,10 +621,7 @@ def _choice(where: str, element: Element, key: str, choices: Sequence[str]) -> s
 def number_of(where: str, element: Element, key: str) -> float:
     """An attribute that is a finite number."""
     text = element.get(key, "0" if key == "sOffset" else "")
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
+    number = finite_number(text)
+    if number is None:
         raise ConfigError(f"{where}: <{printable(element.tag)} {key}={text!r}>: must be a finite number.")
     return number

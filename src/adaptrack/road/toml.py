@@ -34,24 +34,12 @@ from pydantic import BeforeValidator, Field, model_validator
 from adaptrack.base.errors import ConfigError, InvalidInput
 from adaptrack.base.files import Record, as_tuples, build, read_toml, write_toml
 from adaptrack.core.maths import portable
-from adaptrack.core.roads.road import (
-    ACROSS_COEFFICIENTS,
-    COS,
-    HALF_LENGTH,
-    HEADING,
-    PIECE_COLUMNS,
-    POLYNOMIAL_DEGREE,
-    SIN,
-    TURN_COEFFICIENTS,
-    X,
-    Y,
-)
-from adaptrack.core.roads.road import ALONG_COEFFICIENTS as ALONG_PIECE
+from adaptrack.core.roads.road import COS, HALF_LENGTH, HEADING, PIECE_COLUMNS, POLYNOMIAL_DEGREE, SIN, X, Y
 from adaptrack.road.fit import MAX_DEVIATION, fit_road
 from adaptrack.road.road import Road
 from adaptrack.road.segments import MAX_COORDINATE, MAX_ELEMENT_LENGTH, MIN_ELEMENT_LENGTH, Segment
 from adaptrack.road.station_table import ALONG_QUANTITIES, Along, alongs
-from adaptrack.road.table import Pieces, end_to_end
+from adaptrack.road.table import ACROSS, ALONG, TURNED, Pieces, end_to_end
 
 
 def _quantity(value: Any) -> Any:
@@ -90,14 +78,8 @@ class Piece(Record):
 
 
 _COLUMNS: dict[str, Any] = {
-    "half": HALF_LENGTH,
-    "x": X,
-    "y": Y,
-    "heading": HEADING,
-    "along": slice(ALONG_PIECE, ACROSS_COEFFICIENTS),
-    "across": slice(ACROSS_COEFFICIENTS, TURN_COEFFICIENTS),
-    "turned": slice(TURN_COEFFICIENTS, PIECE_COLUMNS),
-}
+    "half": HALF_LENGTH, "x": X, "y": Y, "heading": HEADING, "along": ALONG, "across": ACROSS, "turned": TURNED,
+}  # fmt: skip
 """Columns of the table of a centre line that the fields of a `Piece` hold."""
 
 

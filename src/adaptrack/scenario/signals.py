@@ -11,10 +11,8 @@ from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_GRADE, MAX_SPEED
 from adaptrack.core.planning.drive import bank_pull, drive_instants
-from adaptrack.scenario.shapes import Array
+from adaptrack.scenario.shapes import HIGHEST_FRICTION, Array
 
-HIGHEST_FRICTION = 3.0
-"""Largest accepted friction coefficient. Racing tyres stay below 2; larger inputs are usually percentages."""
 STEEPEST_BANK = 0.8
 """Largest accepted bank angle of a road, to either side (rad)."""
 
