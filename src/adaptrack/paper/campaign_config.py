@@ -31,8 +31,7 @@ from adaptrack.core.maths import portable
 from adaptrack.drive.failure import DISTANCE, SIDESLIP, FailureLimits
 from adaptrack.paper.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.scenario.profile import list_profiles, load_profile
-from adaptrack.tuning.pso import SwarmSettings
-from adaptrack.tuning.spaces import Pair, SearchBounds
+from adaptrack.tuning.pso import Pair, SearchBounds, SwarmSettings
 
 Array = NDArray[np.float64]
 

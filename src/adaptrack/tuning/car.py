@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,9 +30,8 @@ from adaptrack.control.kalman import KalmanFilter
 from adaptrack.core.maths import portable
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.scenario.profile import Profile, load_profile
-from adaptrack.tuning.pso import Swarm, SwarmSettings
+from adaptrack.tuning.pso import SearchBounds, Swarm, SwarmSettings
 from adaptrack.tuning.runs import RunSet, random_drive_runs
-from adaptrack.tuning.spaces import SearchBounds
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
@@ -329,10 +329,7 @@ def _search_tuning(
             total += portable.log(values).reshape(len(tunings), len(runs)).mean(axis=1)
         return total
 
-    while not search.is_done:
-        report("search", search.generation, search.settings.generations)
-        search.tell(costs(search.ask()))
-    best, rows = search.result(), np.array([tuning.as_array() for tuning in candidates])
+    best, rows = search.run(costs, partial(report, "search")), np.array([tuning.as_array() for tuning in candidates])
     candidate_costs = costs(rows)
     if candidate_costs.min() <= best.cost:
         return candidates[int(candidate_costs.argmin())]
