@@ -337,16 +337,7 @@ def _read_table(path: str | os.PathLike[str]) -> dict[str, Array]:
     """Read the columns of a scenario's CSV file (see `Scenario.from_csv`) into arrays by name."""
     lines = _lines(path)
     (first, header), rows = lines[0], lines[1:]
-    where = f"{os.fspath(path)}, line {first}"
-    if len(header) == 1 and ";" in header[0]:
-        raise ConfigError(f"{where}: the columns are separated by ';'; write ',' between them and '.' in numbers.")
-    doubled = [name for name in header if header.count(name) > 1]
-    if doubled:
-        raise ConfigError(f"{where}: the column {doubled[0]!r} appears twice; remove one.")
-    try:
-        _check_header(header)
-    except InvalidInput as error:
-        raise ConfigError(f"{where}: {error}") from None
+    _check_header(f"{os.fspath(path)}, line {first}", header)
     if len(rows) < 2:
         raise ConfigError(f"{os.fspath(path)}: at least two rows of numbers are needed; there are {len(rows)}.")
     table = np.empty((len(rows), len(header)))
@@ -366,23 +357,30 @@ def _read_table(path: str | os.PathLike[str]) -> dict[str, Array]:
     return {name: table[:, j].copy() for j, name in enumerate(header)}
 
 
-def _check_header(header: list[str]) -> None:
-    """Raise InvalidInput unless the header names the columns of a scenario."""
+def _check_header(where: str, header: list[str]) -> None:
+    """Raise ConfigError unless the header in a line of a file names the columns of a scenario."""
+    if len(header) == 1 and ";" in header[0]:
+        raise ConfigError(f"{where}: the columns are separated by ';'; write ',' between them and '.' in numbers.")
+    doubled = [name for name in header if header.count(name) > 1]
+    if doubled:
+        raise ConfigError(f"{where}: the column {doubled[0]!r} appears twice; remove one.")
     if "t" not in header and (_ROAD_COLUMNS & {name.lower() for name in header} or all(map(files.is_number, header))):
-        raise InvalidInput(
-            "the table holds points of a road, but a scenario needs the time t: to drive along the road, use "
+        raise ConfigError(
+            f"{where}: the table holds points of a road, but a scenario needs the time t: to drive along the road, use "
             "RoadDrive(load_road(FILE), speed)."
         )
     for name in header:
         if name not in _ALL_COLUMNS:
-            raise InvalidInput(f"unknown column {name!r}. {did_you_mean(name, _ALL_COLUMNS)}")
+            raise ConfigError(f"{where}: unknown column {name!r}. {did_you_mean(name, _ALL_COLUMNS)}")
     ways = [names for names in FRICTION_COLUMNS if set(names) & set(header)]
     if len(ways) > 1:
-        raise InvalidInput(f"the friction is given twice, by {ways[0][0]!r} and by {ways[1][0]!r}; keep one of them.")
+        raise ConfigError(
+            f"{where}: the friction is given twice, by {ways[0][0]!r} and by {ways[1][0]!r}; keep one of them."
+        )
     expected = ["t", "y_ref", "speed", *(ways or FRICTION_COLUMNS)[0], "wind_y"]
     missing = [name for name in expected if name not in header]
     if missing:
-        raise InvalidInput(f"column {missing[0]!r} is missing; the columns must be {', '.join(expected)}.")
+        raise ConfigError(f"{where}: column {missing[0]!r} is missing; the columns must be {', '.join(expected)}.")
 
 
 def _lines(path: str | os.PathLike[str]) -> list[tuple[int, list[str]]]:

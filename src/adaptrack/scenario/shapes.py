@@ -60,9 +60,7 @@ class Shape(Record):
 
     def table(self) -> Any:
         """Return the table of a scenario file for this shape; `as_shape` converts it back."""
-        fields = type(self).model_fields
-        entries = {name: getattr(self, name) for name in fields if getattr(self, name) != fields[name].default}
-        return {"shape": self.kind} | {name: _lists(value) for name, value in entries.items()}
+        return {"shape": self.kind} | self.model_dump(mode="json", exclude_defaults=True)
 
     def __add__(self, other: Shape | float) -> Sum:
         return Sum(terms=(self, as_shape(other)))
@@ -405,10 +403,6 @@ def _elapsed(t: ArrayLike, start: float, duration: float) -> Array:
 
 def _product(factor: float, value: float) -> float:
     return factor * value + 0.0  # never -0.0
-
-
-def _lists(value: Any) -> Any:
-    return [_lists(element) for element in value] if isinstance(value, tuple) else value
 
 
 def _natural_slopes(step: Array, secant: Array) -> Array:
