@@ -22,17 +22,7 @@ from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
 from adaptrack.base.files import finite_number, printable, read_bytes
 from adaptrack.core.maths import portable
 from adaptrack.core.roads.road import X, Y
-from adaptrack.road.opendrive_lanes import (
-    MAX_CLOSED_GAP,
-    Lanes,
-    Stations,
-    bank_of,
-    grade_of,
-    height_notes,
-    line_at_offset,
-    number_of,
-    speed_limit,
-)
+from adaptrack.road.opendrive_lanes import MAX_CLOSED_GAP, Lanes, Stations, line_at_offset, number_of
 from adaptrack.road.road import MAX_JOINT_GAP, MAX_JOINT_KINK, Road
 from adaptrack.road.segments import MIN_ELEMENT_LENGTH, NODES, WEIGHTS, Arc, Array, Clothoid, Cubic, Line, Pose, Segment
 from adaptrack.road.station_table import Along, alongs
@@ -184,8 +174,7 @@ def _read(where: str, road: Element, lane: int | None, along: dict[str, Any]) ->
     stations = Stations(where, shapes, tables)
     lanes = Lanes(where, road, stations, lane)
     table = reference
-    values = {**lanes.widths(), **speed_limit(road, stations, lanes), **bank_of(where, road, stations, lanes)}
-    values |= grade_of(road, stations)
+    values, height_notes = lanes.along()
     if lanes.line is not None:
         table, base_s, s = line_at_offset(reference, *lanes.line, lanes.extent)
         values |= {name: _per_arc_length(values[name], base_s, s) for name in ("grade",) if name in values}
@@ -200,7 +189,7 @@ def _read(where: str, road: Element, lane: int | None, along: dict[str, Any]) ->
             for segment, pose, shift in zip(segments, poses, shifts[heads].tolist(), strict=True)
         )
     name = printable(road.get("name") or Path(where.partition(", road ")[0]).stem)
-    notes = [*notes, *stations.notes, *lanes.notes, *height_notes(road, stations)]
+    notes = [*notes, *stations.notes, *lanes.notes, *height_notes]
     stated = _stated_length(road)
     if abs(stated - stations.length) > max(STATED_LENGTH[0], STATED_LENGTH[1] * stated):
         notes.append(f"its geometry is {stations.length:.6g} m long, the file says {stated:.6g}")

@@ -120,16 +120,11 @@ def _natural(segment: Line | Arc | Clothoid) -> Pieces:
     if isinstance(segment, Line):
         pieces[:, ALONG.start + 1] = half
     else:
-        place = heading_integral(curvature[:, np.newaxis], sharpness, half[:, np.newaxis] * _U)
-        _set_positions(pieces, place)
+        place = heading_integral(curvature[:, np.newaxis], sharpness, half[:, np.newaxis] * _U)  # at the nodes
+        pieces[:, ALONG] = product(place.real, _TO_COEFFICIENTS.T)
+        pieces[:, ACROSS] = product(place.imag, _TO_COEFFICIENTS.T)
+        pieces[:, [ALONG.start, ACROSS.start]] = 0.0  # the frame is at the middle
     return _chained(start, pieces)
-
-
-def _set_positions(pieces: Array, place: NDArray[np.complex128]) -> None:
-    """The polynomials through positions, along + i across, at the nodes."""
-    pieces[:, ALONG] = product(place.real, _TO_COEFFICIENTS.T)
-    pieces[:, ACROSS] = product(place.imag, _TO_COEFFICIENTS.T)
-    pieces[:, [ALONG.start, ACROSS.start]] = 0.0  # the frame is at the middle
 
 
 def _chained(start: Array, pieces: Array) -> Pieces:

@@ -31,20 +31,11 @@ MAX_SCENARIO_HEADING = 0.25
 SignalLike = Shape | Mapping[str, Any] | float
 """Values that `as_shape` converts."""
 
-COMMON_OPTIONS = {
-    "duration": "s",
-    "window": "one of the scenario's named durations",
-    "mirrored": "left and right exchanged",
-    "reference": "m, lateral reference instead of the scenario's",
-    "speed": "m/s",
-    "friction": "coefficient: one for all wheels, [left, right], or one per wheel",
-    "friction_patches": "stretches with a different friction",
-    "wind": "m/s: lateral, or [x, y]",
-    "wind_gain": "factor on the wind",
-    "start_y": "m, lateral position at the start",
-    "start_heading": "rad, heading at the start",
-}
-"""The options of every scenario, each with its unit or meaning."""
+COMMON_OPTIONS = (
+    "duration", "window", "mirrored", "reference", "speed", "friction", "friction_patches", "wind", "wind_gain",
+    "start_y", "start_heading",
+)  # fmt: skip
+"""The options of every scenario: fields of `Scenario`, one of its windows, and whether left and right are exchanged."""
 
 DESCRIPTIONS = {
     "step": ("A step of the lateral reference under constant conditions, as in the tuning of the published MPC."),

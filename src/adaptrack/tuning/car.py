@@ -213,7 +213,9 @@ def tune(
     start_time, report = time.perf_counter(), progress or (lambda stage, steps_done, steps: None)
     effort = effort or TuningEffort()
     seed = whole_number("tune", "seed", seed, least=0)
-    car, simulated_plant = _car_and_plant(car, plant)
+    car = car if isinstance(car, Vehicle) else load_vehicle(car)
+    plant = "dual-track" if plant is None else plant
+    simulated_plant = get_plant(plant, car) if isinstance(plant, str) else plant
     profile = load_profile(profile)
     mpc = MPC(car, profile=profile, uncertainty=uncertainty, estimator=estimator)
     limits = {name: limit for name, limit in (("speed", speed), ("friction", friction)) if limit is not None}
@@ -250,15 +252,6 @@ def tune(
         controller, profile, domain, feasible, default, best, costs, gain, certificate, simulated_plant.name,
         simulated_plant.costly, seconds,
     )  # fmt: skip
-
-
-def _car_and_plant(
-    car: Vehicle | str, plant: Plant | SteppedPlant | str | None
-) -> tuple[Vehicle, Plant | SteppedPlant]:
-    """Return the car as the controller assumes it, and the simulated plant."""
-    assumed = car if isinstance(car, Vehicle) else load_vehicle(car)
-    simulated_plant = "dual-track" if plant is None else plant
-    return assumed, get_plant(simulated_plant, assumed) if isinstance(simulated_plant, str) else simulated_plant
 
 
 @dataclass(frozen=True, eq=False)
