@@ -24,9 +24,9 @@ from adaptrack.core.roads.path import TOO_SMALL, TURN, line_numbers, write_cubic
 from adaptrack.core.roads.road import COS, HALF_LENGTH, HEADING, PIECE_COLUMNS, POLYNOMIAL_DEGREE, SIN, X, Y
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Points, Pose, Segment, heading_integral
 
-ALONG = slice(kernel.ALONG_COEFFICIENTS, kernel.ACROSS_COEFFICIENTS)
-ACROSS = slice(kernel.ACROSS_COEFFICIENTS, kernel.TURN_COEFFICIENTS)
-TURNED = slice(kernel.TURN_COEFFICIENTS, PIECE_COLUMNS)
+ALONG_POLYNOMIAL = slice(kernel.ALONG_COEFFICIENTS, kernel.ACROSS_COEFFICIENTS)
+ACROSS_POLYNOMIAL = slice(kernel.ACROSS_COEFFICIENTS, kernel.TURN_COEFFICIENTS)
+TURN_POLYNOMIAL = slice(kernel.TURN_COEFFICIENTS, PIECE_COLUMNS)
 """Columns of the polynomials of a piece: positions (m) along and across the frame at its middle, and heading (rad)."""
 _U = portable.cos(np.pi * (np.arange(POLYNOMIAL_DEGREE + 1) + 0.5) / (POLYNOMIAL_DEGREE + 1))[::-1]
 _TO_COEFFICIENTS = portable.inverse(np.vander(_U, increasing=True))
@@ -72,14 +72,14 @@ class Pieces(NamedTuple):
 
 def points_on_pieces(piece: Array, u: Array) -> Points:
     """The points of pieces, (..., COLUMNS), at u, (...)."""
-    along = _polynomial(piece[..., ALONG], u)
-    across = _polynomial(piece[..., ACROSS], u)
+    along = _polynomial(piece[..., ALONG_POLYNOMIAL], u)
+    across = _polynomial(piece[..., ACROSS_POLYNOMIAL], u)
     cos, sin = piece[..., COS], piece[..., SIN]
     return Points(
         piece[..., X] + cos * along - sin * across,
         piece[..., Y] + sin * along + cos * across,
-        piece[..., HEADING] + _polynomial(piece[..., TURNED], u),
-        _polynomial(polyder(piece[..., TURNED], axis=-1), u) / piece[..., HALF_LENGTH],
+        piece[..., HEADING] + _polynomial(piece[..., TURN_POLYNOMIAL], u),
+        _polynomial(polyder(piece[..., TURN_POLYNOMIAL], axis=-1), u) / piece[..., HALF_LENGTH],
     )
 
 
@@ -115,21 +115,21 @@ def _natural(segment: Line | Arc | Clothoid) -> Pieces:
     curvature = k0 + sharpness * (start[:-1] + half)
     pieces = np.zeros((count, PIECE_COLUMNS))
     pieces[:, HALF_LENGTH] = half
-    pieces[:, TURNED.start + 1] = curvature * half
-    pieces[:, TURNED.start + 2] = 0.5 * sharpness * (half * half)
+    pieces[:, TURN_POLYNOMIAL.start + 1] = curvature * half
+    pieces[:, TURN_POLYNOMIAL.start + 2] = 0.5 * sharpness * (half * half)
     if isinstance(segment, Line):
-        pieces[:, ALONG.start + 1] = half
+        pieces[:, ALONG_POLYNOMIAL.start + 1] = half
     else:
         place = heading_integral(curvature[:, np.newaxis], sharpness, half[:, np.newaxis] * _U)  # at the nodes
-        pieces[:, ALONG] = product(place.real, _TO_COEFFICIENTS.T)
-        pieces[:, ACROSS] = product(place.imag, _TO_COEFFICIENTS.T)
-        pieces[:, [ALONG.start, ACROSS.start]] = 0.0  # the frame is at the middle
+        pieces[:, ALONG_POLYNOMIAL] = product(place.real, _TO_COEFFICIENTS.T)
+        pieces[:, ACROSS_POLYNOMIAL] = product(place.imag, _TO_COEFFICIENTS.T)
+        pieces[:, [ALONG_POLYNOMIAL.start, ACROSS_POLYNOMIAL.start]] = 0.0  # the frame is at the middle
     return _chained(start, pieces)
 
 
 def _chained(start: Array, pieces: Array) -> Pieces:
     """Pieces of which each begins where, and as, the one before it ends; the first at the origin along x."""
-    turns = _polynomial(pieces[:, TURNED], np.array([[-1.0], [1.0]]))
+    turns = _polynomial(pieces[:, TURN_POLYNOMIAL], np.array([[-1.0], [1.0]]))
     ends = np.cumsum(turns[1] - turns[0])
     pieces[:, HEADING] = np.concatenate([[0.0], ends[:-1]]) - turns[0]
     pieces[:, COS], pieces[:, SIN] = portable.cos(pieces[:, HEADING]), portable.sin(pieces[:, HEADING])
@@ -199,7 +199,7 @@ def joined(tables: Sequence[Pieces]) -> Pieces:
     pieces = np.concatenate([table.pieces for table in tables])
     lengths = np.concatenate([np.diff(table.start) for table in tables])
     start = np.concatenate([[0.0], np.cumsum(lengths)])
-    turns = _polynomial(pieces[:, TURNED], np.array([[-1.0], [1.0]]))
+    turns = _polynomial(pieces[:, TURN_POLYNOMIAL], np.array([[-1.0], [1.0]]))
     gaps = (pieces[1:, HEADING] + turns[0, 1:]) - (pieces[:-1, HEADING] + turns[1, :-1])
     full_turns = np.cumsum(np.round(gaps / (2.0 * np.pi)))
     pieces[1:, HEADING] -= 2.0 * np.pi * full_turns

@@ -39,7 +39,7 @@ from adaptrack.road.fit import MAX_DEVIATION, fit_road
 from adaptrack.road.road import Road
 from adaptrack.road.segments import MAX_COORDINATE, MAX_ELEMENT_LENGTH, MIN_ELEMENT_LENGTH, Segment
 from adaptrack.road.station_table import ALONG_QUANTITIES, Along, alongs
-from adaptrack.road.table import ACROSS, ALONG, TURNED, Pieces, end_to_end
+from adaptrack.road.table import ACROSS_POLYNOMIAL, ALONG_POLYNOMIAL, TURN_POLYNOMIAL, Pieces, end_to_end
 
 
 def _quantity(value: Any) -> Any:
@@ -78,7 +78,8 @@ class Piece(Record):
 
 
 _COLUMNS: dict[str, Any] = {
-    "half": HALF_LENGTH, "x": X, "y": Y, "heading": HEADING, "along": ALONG, "across": ACROSS, "turned": TURNED,
+    "half": HALF_LENGTH, "x": X, "y": Y, "heading": HEADING,
+    "along": ALONG_POLYNOMIAL, "across": ACROSS_POLYNOMIAL, "turned": TURN_POLYNOMIAL,
 }  # fmt: skip
 """Columns of the table of a centre line that the fields of a `Piece` hold."""
 
