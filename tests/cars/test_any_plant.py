@@ -24,7 +24,7 @@ from adaptrack.paper.campaign_config import CampaignConfig, CampaignPlan
 from adaptrack.paper.data_set import load_dataset
 from adaptrack.paper.evaluator import tuned_mpc
 from adaptrack.tuning.car import TuningEffort, tune
-from adaptrack.tuning.constant_file import load_tuning
+from adaptrack.tuning.constant import load_tuning
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmSettings
 from adaptrack.tuning.runs import operating_point_runs

@@ -19,7 +19,7 @@ from adaptrack.drive.world import ROAD_DRIVER
 from adaptrack.road import load_road, plan_speed
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.constant_file import ConstantTuning, load_tuning
+from adaptrack.tuning.constant import ConstantTuning, load_tuning
 
 pytestmark = pytest.mark.compiled
 ROADS = ("mountain", "town")

@@ -25,7 +25,7 @@ from adaptrack.cli.columns import ColumnOptions
 from adaptrack.cli.next_step import drive_words
 from adaptrack.comparison import views
 from adaptrack.paper import adaptation
-from adaptrack.tuning.constant_file import ConstantTuning
+from adaptrack.tuning.constant import ConstantTuning
 from small_data import small
 
 FOLDER = Path(adaptrack.cli.__file__).parent

@@ -15,7 +15,7 @@ from adaptrack.drive.batch import Batch
 from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.constant_file import ConstantTuning
+from adaptrack.tuning.constant import ConstantTuning
 from adaptrack.tuning.runs import RunSet
 
 SCHEDULERS = {name: load_scheduler(name) for name in list_schedulers()}

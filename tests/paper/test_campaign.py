@@ -27,7 +27,7 @@ from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.evaluator import tuned_mpc
 from adaptrack.paper.operating_points import fold
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.spaces import SearchBounds
+from adaptrack.tuning.pso import SearchBounds
 from small_data import small_campaign
 
 

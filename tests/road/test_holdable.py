@@ -19,7 +19,7 @@ from adaptrack.road.holdable_speed import HoldableSpeed, load_holdable
 from adaptrack.road.speed import Limit
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.constant_file import ConstantTuning, load_tuning
+from adaptrack.tuning.constant import ConstantTuning, load_tuning
 
 CAR = load_vehicle("midsize-sedan")
 TABLE = HoldableSpeed(

@@ -13,8 +13,7 @@ from adaptrack.control.controllers.lqr import WEIGHT_FACTORS
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant import swarm_within
-from adaptrack.tuning.pso import Swarm
-from adaptrack.tuning.spaces import at_bounds, search_space
+from adaptrack.tuning.pso import Swarm, at_bounds, search_space
 
 CAR = load_vehicle("midsize-sedan")
 LAWS = [law(CAR, preview=True) for law in (LQR, KinematicMPC, PreviewLQR, PurePursuit, Stanley)]

@@ -210,14 +210,17 @@ def _entry_of(field: Any, unknown: Any, is_unknown: bool) -> Any:
     return Field(default=default, description=f"{field.unit or '-'}, {field.meaning}", **limits)
 
 
-def _tuple_of(value: Any) -> Any:
+def as_tuples(value: Any) -> Any:
+    """Return nested lists and arrays as nested tuples, which immutable records need; mappings keep their keys."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
-    return tuple(value) if isinstance(value, list) else value
+    if isinstance(value, Mapping):
+        return {key: as_tuples(entry) for key, entry in value.items()}
+    return tuple(as_tuples(entry) for entry in value) if isinstance(value, list | tuple) else value
 
 
-LISTED = BeforeValidator(_tuple_of)
-"""Converter for tuple fields of a `Record`: they also accept a list, as read from a file, and an array."""
+LISTED = BeforeValidator(as_tuples)
+"""Converter for tuple fields of a `Record`: they also accept lists, as read from a file, and arrays."""
 
 
 def meanings(record: Record) -> dict[str, str]:
@@ -814,9 +817,14 @@ def _syntax_report(where: str, language: str, text: str, message: str) -> str:
 
 
 def is_number(cell: str) -> bool:
-    """Whether the text in a table cell is a number."""
+    """Whether the text in a table cell is a number, which may be infinite or NaN."""
     try:
         float(cell)
     except ValueError:
         return False
     return True
+
+
+def finite_number(text: str) -> float | None:
+    """Return the number in a text, or None for other text, infinity and NaN."""
+    return float(text) if is_number(text) and math.isfinite(float(text)) else None

@@ -131,7 +131,7 @@ def _reported(label: str) -> Iterator[Callable[..., None]]:
         if not is_outermost:
             yield work.update
             return
-        report = _notebook_bar() if _is_notebook() else _log_report()
+        report = _notebook_bar() if _is_notebook() else _log_report
         thread = threading.Thread(target=_report_until, args=(end, work, report), daemon=True)
         thread.start()
         try:
@@ -168,14 +168,10 @@ def _report_until(end: threading.Event, work: TrackedWork, report: Callable[[Tra
         report(work, True)
 
 
-def _log_report() -> Callable[[TrackedWork, bool], None]:
-    """Return a function that logs progress as a WARNING, which Python prints to standard error by default."""
-
-    def report(work: TrackedWork, ended: bool) -> None:
-        if not ended:
-            _log.warning("adaptrack: %s", work.status_line())
-
-    return report
+def _log_report(work: TrackedWork, ended: bool) -> None:
+    """Log the progress as a WARNING, which Python prints to standard error by default; nothing at the end."""
+    if not ended:
+        _log.warning("adaptrack: %s", work.status_line())
 
 
 def _notebook_bar() -> Callable[[TrackedWork, bool], None]:

@@ -170,7 +170,7 @@ def _no_schedule(name: str, settings: ControllerSettings) -> dict[str, Any]:
 
 def make_tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controller]:
     """Return the label and the controller of a tuning file; warn if it was made for different conditions."""
-    from adaptrack.tuning.constant_file import load_tuning
+    from adaptrack.tuning.constant import load_tuning
 
     tuning = load_tuning(file)
     for clause in tuning.mismatches(settings.car.name, settings.profile.name, settings.period):
@@ -182,7 +182,7 @@ def make_tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controlle
 def certify_tuned(file: Path, controller: Any, settings: ControllerSettings, plant: Any, allow_unstable: bool) -> None:
     """Certify the constant tuning of an MPC that was found for a different car, see `new_car`."""
     from adaptrack.cli.new_car import judge
-    from adaptrack.tuning.constant_file import load_tuning
+    from adaptrack.tuning.constant import load_tuning
 
     made_for, car = load_tuning(file).vehicle, settings.car
     if made_for != car.name and controller.has_horizons:

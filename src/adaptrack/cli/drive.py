@@ -133,7 +133,7 @@ def _make_controllers(
 
 def _held_speeds(arguments: DriveOptions) -> HoldableSpeed | None:
     """Return the speeds with sufficient margins from the first tuning file."""
-    from adaptrack.tuning.constant_file import load_tuning
+    from adaptrack.tuning.constant import load_tuning
 
     return next((load_tuning(file).holds for file in arguments.tuning or []), None)
 
@@ -355,7 +355,7 @@ def _comparable_road(arguments: DriveOptions) -> str | None:
 def _is_tunable(name: str, loop: DrivenLoop) -> bool:
     """Whether `tune` accepts a driven controller by its label."""
     from adaptrack.control.controllers import about_controller, list_controllers
-    from adaptrack.tuning.spaces import is_tunable
+    from adaptrack.tuning.pso import is_tunable
 
     return name in list_controllers() and about_controller(name).tunable and is_tunable(dict(loop.drivers)[name])
 

@@ -112,7 +112,7 @@ def _check_options(settings: TuneOptions) -> None:
 def _tune_car(settings: TuneOptions) -> Result:
     from adaptrack.results.tuning import tuned_car_result
     from adaptrack.tuning.car import tune as tune_car
-    from adaptrack.tuning.constant_file import ConstantTuning
+    from adaptrack.tuning.constant import ConstantTuning
 
     speed, friction = _pair("--speed", settings.speed), _pair("--friction", settings.friction)
     with show.progress("tune") as advance:

@@ -40,11 +40,9 @@ from adaptrack.drive.drivers import check_forces, make_driver
 from adaptrack.drive.speed_measures import SPEED_MEASURES
 from adaptrack.road import Road
 from adaptrack.scenario import RoadDrive
-from adaptrack.tuning.constant import search_constant
-from adaptrack.tuning.constant_file import load_tuning
-from adaptrack.tuning.pso import SwarmSettings
+from adaptrack.tuning.constant import load_tuning, search_constant
+from adaptrack.tuning.pso import SwarmSettings, is_tunable
 from adaptrack.tuning.runs import RunSet
-from adaptrack.tuning.spaces import is_tunable
 
 MAX_PARTICLES = 20
 """Largest number of particles of a search. A small budget gets fewer particles, so that some generations are left."""

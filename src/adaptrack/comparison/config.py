@@ -24,8 +24,7 @@ from adaptrack.road.generate import ROAD_KINDS
 from adaptrack.scenario import RoadDrive, Scenario, load_scenario, random_drive
 from adaptrack.scenario.library import list_scenarios
 from adaptrack.scenario.profile import Profile, load_profile
-from adaptrack.tuning.constant import MIN_TUNINGS
-from adaptrack.tuning.constant_file import load_tuning
+from adaptrack.tuning.constant import MIN_TUNINGS, load_tuning
 
 COMPARISONS = SHIPPED / "comparisons"
 PERIODS_PER_DRIVE = 1500

@@ -24,7 +24,7 @@ from adaptrack.comparison.config import Cell, ComparisonConfig, is_tuning_file, 
 from adaptrack.comparison.table import Comparison, label_of
 from adaptrack.core.library import kernels_hash
 from adaptrack.drive.speed_measures import SPEED_MEASURES
-from adaptrack.tuning.constant_file import load_tuning
+from adaptrack.tuning.constant import load_tuning
 
 REFERENCES = ("informed, tuned", "informed, default")
 """Labels of preferred reference contenders. A comparison without them uses its first contender."""

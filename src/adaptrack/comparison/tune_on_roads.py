@@ -14,11 +14,9 @@ from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison
 from adaptrack.control.controllers import MPC, Controller, about_controller, list_controllers
 from adaptrack.drive.world import ROAD_DRIVER
-from adaptrack.tuning.constant import ConstantSearch, search_constant, swarm_within
-from adaptrack.tuning.constant_file import ConstantTuning
-from adaptrack.tuning.pso import SwarmSettings
+from adaptrack.tuning.constant import ConstantSearch, ConstantTuning, search_constant, swarm_within
+from adaptrack.tuning.pso import SwarmSettings, search_space
 from adaptrack.tuning.runs import RunSet
-from adaptrack.tuning.spaces import search_space
 
 SEARCH_SEEDS = (1000, 1001)
 """Noise seeds of the search. Tests use seeds from 0 upwards."""

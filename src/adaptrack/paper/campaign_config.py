@@ -17,11 +17,11 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import UnknownName, did_you_mean
-from adaptrack.base.files import SHIPPED, Record, build, printable, read_toml
+from adaptrack.base.files import LISTED, SHIPPED, Record, build, printable, read_toml
 from adaptrack.base.limits import LANDSCAPE_COSTS, NOISE_SEEDS, check_limit
 from adaptrack.base.registry import import_plugin
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fingerprint, get_plant, twin_of
@@ -31,8 +31,7 @@ from adaptrack.core.maths import portable
 from adaptrack.drive.failure import DISTANCE, SIDESLIP, FailureLimits
 from adaptrack.paper.operating_points import Fold, check_box, fold, grid, paper_grid, sobol, unit_sobol
 from adaptrack.scenario.profile import list_profiles, load_profile
-from adaptrack.tuning.pso import SwarmSettings
-from adaptrack.tuning.spaces import Pair, SearchBounds, as_tuples
+from adaptrack.tuning.pso import Pair, SearchBounds, SwarmSettings
 
 Array = NDArray[np.float64]
 
@@ -45,7 +44,7 @@ STANDARD_ROW = tuple(Tuning().as_array().tolist())
 _DATA = SHIPPED / "campaigns"
 
 
-Levels = Annotated[tuple[float, ...], BeforeValidator(as_tuples), Field(min_length=1)]
+Levels = Annotated[tuple[float, ...], LISTED, Field(min_length=1)]
 Seed = Annotated[int, Field(ge=0, le=MAX_CAMPAIGN_SEED)]
 
 
@@ -115,7 +114,7 @@ class TuningLibrary(Record):
 
     size: int = Field(default=200, ge=1, le=10_000, description="how many tunings, the standard one included")
     seed: Seed = Field(default=0, description="of the scrambled Sobol sequence")
-    tunings: Annotated[tuple[tuple[float, float, float, float], ...], BeforeValidator(as_tuples)] = Field(
+    tunings: Annotated[tuple[tuple[float, float, float, float], ...], LISTED] = Field(
         default=(), description="rows of Np, Nc, Q, R: this library, instead of one of the given size"
     )
 
@@ -178,7 +177,7 @@ class CampaignConfig(Record):
     plant: str = Field(
         default="dual-track", min_length=1, description="what is driven: single-track, dual-track, or a registered one"
     )
-    plugin: Annotated[tuple[str, ...], BeforeValidator(as_tuples)] = Field(
+    plugin: Annotated[tuple[str, ...], LISTED] = Field(
         default=(), description="Python modules that are imported first, here and by workers: they register plants"
     )
     tyre: str | None = Field(default=None, description="name, or .toml file beside this one; by default the vehicle's")
@@ -192,7 +191,7 @@ class CampaignConfig(Record):
     move_weight: float | None = Field(
         default=None, ge=0, le=1e6, description="m^2/rad^2, weight of steering activity; by default the profile's"
     )
-    noise_seeds: Annotated[tuple[Seed, ...], BeforeValidator(as_tuples)] | None = Field(
+    noise_seeds: Annotated[tuple[Seed, ...], LISTED] | None = Field(
         default=None, description="each cost is the mean over these; by default [0], with sensor noise [0, 1, 2, 3]"
     )
     seed: Seed = Field(default=0, description="of the swarms")

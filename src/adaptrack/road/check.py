@@ -17,6 +17,7 @@ from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road.cornering import cornering_limit, steering_limit
 from adaptrack.road.road import Road
+from adaptrack.road.segments import Array
 from adaptrack.road.speed import STRAIGHT_CURVATURE, SpeedPlan, unlimited
 
 CHECK_SPACING = 0.5
@@ -104,20 +105,20 @@ class _Places:
         self.curvature = road.table.at(self.s, sides[order]).curvature
         self.speed = speed.at(self.s) if isinstance(speed, SpeedPlan) else np.full(s.shape, speed or 0.0, dtype=float)
 
-    def stretches(self, over: NDArray[np.bool_]) -> Iterator[slice]:
-        """The stretches of places at which something is over; gaps of 5 m are bridged."""
+    def stretches(self, over: NDArray[np.bool_], badness: Array) -> Iterator[tuple[slice, int]]:
+        """The stretches of places at which something is over, and the worst place of each; gaps of 5 m are bridged."""
         index = np.flatnonzero(over)
         if index.size:
             cuts = np.flatnonzero(np.diff(self.s[index]) > 5.0) + 1
             for group in np.split(index, cuts):
-                yield slice(int(group[0]), int(group[-1]) + 1)
+                stretch = slice(int(group[0]), int(group[-1]) + 1)
+                yield stretch, stretch.start + int(badness[stretch].argmax())
 
 
 def _radius(places: _Places, car: Vehicle) -> Iterator[Finding]:
     least = smallest_radius(car)
     size = np.abs(places.curvature)
-    for stretch in places.stretches(size * least > 1.0 + 1e-9):
-        k = stretch.start + int(size[stretch].argmax())
+    for stretch, k in places.stretches(size * least > 1.0 + 1e-9, size):
         radius = 1.0 / size[k]
         yield _finding(
             places, stretch, "radius", radius, least, False,
@@ -131,8 +132,7 @@ def _grip(places: _Places, car: Vehicle) -> Iterator[Finding]:
     felt = np.abs(portable.square(places.speed) * places.curvature - GRAVITY * portable.sin(bank)) / GRAVITY
     limit = np.minimum(friction, cornering_limit(car, places.curvature, friction) / GRAVITY) * portable.cos(bank)
     limit *= portable.cos(portable.atan(grade))
-    for stretch in places.stretches(felt > limit):
-        k = stretch.start + int((felt[stretch] - limit[stretch]).argmax())
+    for stretch, k in places.stretches(felt > limit, felt - limit):
         yield _finding(
             places, stretch, "grip", float(felt[k]), float(limit[k]), False,
             f"{felt[k]:.2g} g at {places.speed[k]:.3g} m/s, radius {1.0 / abs(places.curvature[k]):.0f} m "
@@ -149,8 +149,7 @@ def _steering_rate(places: _Places, car: Vehicle) -> Iterator[Finding]:
     change = np.diff(places.curvature, append=places.curvature[-1])
     slope = np.where(step > 1e-6, change / np.maximum(step, 1e-6), 0.0)
     needed = np.abs((car.wheelbase + car.understeer_gradient * portable.square(places.speed)) * slope * places.speed)
-    for stretch in places.stretches(needed > rate):
-        k = stretch.start + int(needed[stretch].argmax())
+    for stretch, k in places.stretches(needed > rate, needed):
         yield _finding(
             places, stretch, "steering-rate", float(needed[k]), rate, False,
             f"the wheels must turn at {needed[k]:.2g} rad/s at {places.speed[k]:.3g} m/s at s = {places.s[k]:.0f} m; "
@@ -161,8 +160,7 @@ def _steering_rate(places: _Places, car: Vehicle) -> Iterator[Finding]:
 def _width(places: _Places, car: Vehicle) -> Iterator[Finding]:
     width = places.road.along("width_left", places.s) + places.road.along("width_right", places.s)
     track = max(car.track_front, car.track_rear)
-    for stretch in places.stretches(width < track):
-        k = stretch.start + int(width[stretch].argmin())
+    for stretch, k in places.stretches(width < track, -width):
         yield _finding(
             places, stretch, "width", float(width[k]), track, False,
             f"{width[k]:.2f} m wide at s = {places.s[k]:.0f} m, less than this car's track of {track:.2f} m",
@@ -174,8 +172,7 @@ def _fold(places: _Places) -> Iterator[Finding]:
     left, right = (places.road.along(name, places.s) for name in ("width_left", "width_right"))
     inside = np.where(places.curvature > 0.0, left, right)
     folded = inside * np.abs(places.curvature)
-    for stretch in places.stretches(folded >= 1.0):
-        k = stretch.start + int(folded[stretch].argmax())
+    for stretch, k in places.stretches(folded >= 1.0, folded):
         radius = 1.0 / abs(places.curvature[k])
         yield _finding(
             places, stretch, "fold", float(inside[k]), radius, True,
@@ -205,11 +202,10 @@ def _domain(places: _Places, car: Vehicle) -> Iterator[Finding]:
     top = car.domain.speed[1]
     beyond, is_at_top = places.speed > top * (1.0 + 1e-9), places.speed > top * (1.0 - 1e-9)
     is_at_top &= ~beyond & places.planned & unlimited(places.road.along("speed_limit", places.s))
-    for stretch in places.stretches(beyond):
-        fastest = float(places.speed[stretch].max())
+    for stretch, k in places.stretches(beyond, places.speed):
         yield _finding(
-            places, stretch, "domain", fastest, top, True,
-            f"{fastest:.3g} m/s, beyond the domain of car {car.name!r}, which ends at {top:.3g} m/s",
+            places, stretch, "domain", places.speed[k], top, True,
+            f"{places.speed[k]:.3g} m/s, beyond the domain of car {car.name!r}, which ends at {top:.3g} m/s",
         )  # fmt: skip
     if is_at_top.any():
         index = np.flatnonzero(is_at_top)

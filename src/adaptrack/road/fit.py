@@ -30,11 +30,10 @@ from adaptrack.core.roads import noise as path_noise
 from adaptrack.core.roads import path
 from adaptrack.core.roads.path import MIN_PATH_POINTS, WIDEST
 from adaptrack.core.roads.road import CLOSED, LENGTH, MOST_CURVATURE, project_all
-from adaptrack.road.height import grade_of_heights
 from adaptrack.road.road import Road
 from adaptrack.road.segments import MAX_COORDINATE, Array, Cubic, Pose
-from adaptrack.road.smoothing import Smoother
-from adaptrack.road.station_table import ALONG_QUANTITIES, Along, alongs
+from adaptrack.road.smoothing import LENGTHS, Smoother, grade_of_heights
+from adaptrack.road.station_table import ALONG_QUANTITIES, alongs
 from adaptrack.road.table import Pieces, cubic_line, placed
 
 _log = logging.getLogger("adaptrack")
@@ -53,8 +52,6 @@ SHORTEST_KNOTS = 0.5
 """m, the least distance of the knots to begin with: denser points are averaged by the fit."""
 KNOT_REFINEMENTS = 3
 """How often the knots are put at half the distance when the curve cannot come as near as requested."""
-LENGTHS = 28
-"""Smoothing lengths that cross-validation compares."""
 ROUNDS = 3
 """How often outliers are looked for."""
 LEAP = 3.0
@@ -280,15 +277,13 @@ def smooth_road(road: Road, max_deviation: float = 0.1, spacing: float = 1.0) ->
         smoothest=True,
     )  # fmt: skip
     stretch = fitted.length / road.length
-    moved: dict[str, Any] = {name: _stretch(getattr(road, name), stretch) for name in ALONG_QUANTITIES}
+    along = {name: getattr(road, name) for name in ALONG_QUANTITIES}
+    moved = {name: values and values.replace(s=tuple(stretch * s for s in values.s)) for name, values in along.items()}
     return replace(fitted, **moved)
 
 
-def _stretch(along: Along | None, factor: float) -> Along | None:
-    return None if along is None else along.replace(s=tuple(factor * s for s in along.s))
-
-
 def _check_points(where: str, points: ArrayLike, shortest: float) -> Array:
+    """A copy of the points (n, 2); refuse anything that is no record of a road in metres, at least `shortest` long."""
     points = reals(f"{where}: points", points).copy()
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < MIN_PATH_POINTS:
         raise InvalidInput(
@@ -297,17 +292,11 @@ def _check_points(where: str, points: ArrayLike, shortest: float) -> Array:
     if not np.isfinite(points).all():
         row = int(np.argwhere(~np.isfinite(points))[0, 0])
         raise InvalidInput(f"{where}: point {row} is not finite; leave it out.")
-    _check_distances(where, points, shortest)
-    return points
-
-
-def _check_distances(where: str, points: Array, shortest: float) -> None:
-    """Refuse what is no record of a road in metres."""
-    row, column = np.unravel_index(np.abs(points).argmax(), points.shape)
-    if abs(points[row, column]) > MAX_COORDINATE:
+    farthest, column = np.unravel_index(np.abs(points).argmax(), points.shape)
+    if abs(points[farthest, column]) > MAX_COORDINATE:
         raise InvalidInput(
-            f"{where}: point {row} has a coordinate of {points[row, column]:.3g} m: at most {MAX_COORDINATE:g} m are "
-            "allowed; correct it or leave it out."
+            f"{where}: point {farthest} has a coordinate of {points[farthest, column]:.3g} m: at most "
+            f"{MAX_COORDINATE:g} m are allowed; correct it or leave it out."
         )
     steps = portable.hypot(*np.diff(points, axis=0).T)
     widest = int(steps.argmax())
@@ -325,6 +314,7 @@ def _check_distances(where: str, points: Array, shortest: float) -> None:
         raise InvalidInput(
             f"{where}: the points make a line of {steps.sum():.3g} m: {shortest:g} m at least are needed; {remedy}"
         )
+    return points
 
 
 def _check_pieces(points: Array) -> None:

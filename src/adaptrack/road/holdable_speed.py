@@ -17,8 +17,6 @@ from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.road.segments import Array
 
 _Axis = Annotated[tuple[float, ...], LISTED, Field(min_length=2)]
-_Row = Annotated[tuple[float, ...], LISTED]
-_Plane = Annotated[tuple[_Row, ...], LISTED]
 BEND_SPEEDS = 96
 """Speeds at which a bend is looked at."""
 MAX_BRAKING_SLOPE = 3.0
@@ -41,7 +39,7 @@ class HoldableSpeed(Record):
     sideways: _Axis = Field(description="-, lateral acceleration that the tyres feel, over the largest of the car")
     frictions: _Axis = Field(description="-")
     cornering: _Axis = Field(description="m/s^2, the largest lateral acceleration of the car, by friction")
-    braking: Annotated[tuple[_Plane, ...], LISTED] = Field(
+    braking: Annotated[tuple[tuple[tuple[float, ...], ...], ...], LISTED] = Field(
         description="-, deceleration over mu g up to which the margins hold, by friction, speed and sideways; "
         "below 0: not without braking either"
     )

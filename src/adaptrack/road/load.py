@@ -5,67 +5,18 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from adaptrack.base.checked import checked
-from adaptrack.base.errors import ConfigError, InvalidInput, UnknownName, did_you_mean
-from adaptrack.base.files import build, read_toml
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.road.commonroad import read_commonroad
-from adaptrack.road.fit import MAX_DEVIATION, fit_road
+from adaptrack.road.fit import fit_road
 from adaptrack.road.generate import ROAD_KINDS, generate_road
 from adaptrack.road.opendrive import read_opendrive
 from adaptrack.road.points import road_from_csv
 from adaptrack.road.road import Road
-from adaptrack.road.station_table import ALONG_QUANTITIES, alongs
-from adaptrack.road.toml import RoadFile, table_of
-
-
-def road_from_toml(path: str | os.PathLike[str], **along: Any) -> Road:
-    """The road of a TOML file.
-
-    Parameters
-    ----------
-    **along
-        As in `Road.from_segments`, in place of what the file says.
-
-    Raises
-    ------
-    StorageError
-        When the file cannot be read.
-    ConfigError
-        When it describes no road; with the key, the value and the remedy.
-    """
-    where = os.fspath(path)
-    file = build(RoadFile, _tuples(read_toml(path)), where)
-    values = {key: getattr(file, key) for key in ALONG_QUANTITIES if getattr(file, key) is not None}
-    values |= {"name": file.name or Path(path).stem} | along
-    try:
-        return _build_road(file, values)
-    except InvalidInput as error:
-        raise ConfigError(f"{where}: {error}") from None
-
-
-def _tuples(data: Any) -> Any:
-    """TOML's arrays as tuples, which records ask for."""
-    if isinstance(data, dict):
-        return {key: _tuples(value) for key, value in data.items()}
-    return tuple(map(_tuples, data)) if isinstance(data, list) else data
-
-
-def _build_road(file: RoadFile, values: dict[str, Any]) -> Road:
-    if file.points:
-        bound = MAX_DEVIATION if file.max_deviation is None else file.max_deviation
-        return fit_road(np.array(file.points), closed=file.closed, max_deviation=bound, **values)
-    closed = bool(file.closed)
-    if file.elements:
-        road = Road.from_segments(file.elements, closed=closed, **values)
-    else:
-        road = Road(table=table_of(file.pieces or ()), closed=closed, **alongs(values))
-    return road.replace(notes=file.notes, deviation=file.deviation)
-
+from adaptrack.road.station_table import ALONG_QUANTITIES
+from adaptrack.road.toml import road_from_toml
 
 _READERS: dict[str, Callable[..., Road]] = {
     ".csv": road_from_csv,

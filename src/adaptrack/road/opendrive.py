@@ -19,20 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.base.files import is_number, printable, read_bytes
+from adaptrack.base.files import finite_number, printable, read_bytes
 from adaptrack.core.maths import portable
 from adaptrack.core.roads.road import X, Y
-from adaptrack.road.opendrive_lanes import (
-    MAX_CLOSED_GAP,
-    Lanes,
-    Stations,
-    bank_of,
-    grade_of,
-    height_notes,
-    line_at_offset,
-    number_of,
-    speed_limit,
-)
+from adaptrack.road.opendrive_lanes import MAX_CLOSED_GAP, Lanes, Stations, line_at_offset, number_of
 from adaptrack.road.road import MAX_JOINT_GAP, MAX_JOINT_KINK, Road
 from adaptrack.road.segments import MIN_ELEMENT_LENGTH, NODES, WEIGHTS, Arc, Array, Clothoid, Cubic, Line, Pose, Segment
 from adaptrack.road.station_table import Along, alongs
@@ -72,6 +62,8 @@ READ = {
     "lane/speed": "sOffset max unit",
 }
 """Parent and element, and the attributes of the element: those that are read, and labels that change nothing."""
+SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
+"""Shapes of a <geometry>."""
 STATED_LENGTH = 0.1, 1e-3
 """m, and share of it: a larger difference between the stated length of a road and that of its geometry is reported."""
 
@@ -156,9 +148,7 @@ def _road(where: str, root: Element, road_id: str | int | None) -> Element:
 
 def _stated_length(element: Element) -> float:
     """m; 0 where a road does not say it as a number."""
-    text = element.get("length", "")
-    length = float(text) if is_number(text) else 0.0
-    return length if math.isfinite(length) else 0.0
+    return finite_number(element.get("length", "")) or 0.0
 
 
 def _unread(parent: Element, element: Element) -> Iterator[str]:
@@ -184,8 +174,7 @@ def _read(where: str, road: Element, lane: int | None, along: dict[str, Any]) ->
     stations = Stations(where, shapes, tables)
     lanes = Lanes(where, road, stations, lane)
     table = reference
-    values = {**lanes.widths(), **speed_limit(road, stations, lanes), **bank_of(where, road, stations, lanes)}
-    values |= grade_of(road, stations)
+    values, height_notes = lanes.along()
     if lanes.line is not None:
         table, base_s, s = line_at_offset(reference, *lanes.line, lanes.extent)
         values |= {name: _per_arc_length(values[name], base_s, s) for name in ("grade",) if name in values}
@@ -200,7 +189,7 @@ def _read(where: str, road: Element, lane: int | None, along: dict[str, Any]) ->
             for segment, pose, shift in zip(segments, poses, shifts[heads].tolist(), strict=True)
         )
     name = printable(road.get("name") or Path(where.partition(", road ")[0]).stem)
-    notes = [*notes, *stations.notes, *lanes.notes, *height_notes(road, stations)]
+    notes = [*notes, *stations.notes, *lanes.notes, *height_notes]
     stated = _stated_length(road)
     if abs(stated - stations.length) > max(STATED_LENGTH[0], STATED_LENGTH[1] * stated):
         notes.append(f"its geometry is {stations.length:.6g} m long, the file says {stated:.6g}")
@@ -270,40 +259,37 @@ def _meets_itself(table: Pieces, gap: float = MAX_JOINT_GAP) -> bool:
 
 # -- shapes -----------------------------------------------------------------------------------------------------------
 def _segment(where: str, shape: Element) -> Segment:
+    """The element of a <geometry>."""
+
+    def number(key: str) -> float:
+        return number_of(where, kind, key)
+
     length = number_of(where, shape, "length")
-    kind = next((child for child in shape if child.tag in _READERS), None)
-    if kind is None:
-        tags = ", ".join(f"<{child.tag}>" for child in shape) or "nothing"
-        raise ConfigError(
-            f"{where}: <geometry> at s = {shape.get('s')} holds {printable(tags)}; known: {', '.join(_READERS)}."
-        )
-    return _READERS[kind.tag](where, kind, length)
+    kind = next((child for child in shape if child.tag in SHAPES), shape)
+    match kind.tag:
+        case "line":
+            return Line(length=length)
+        case "arc":
+            return Arc(length=length, curvature=number("curvature"))
+        case "spiral":
+            return Clothoid(length=length, start_curvature=number("curvStart"), end_curvature=number("curvEnd"))
+        case "poly3":
+            a, b, c, d = map(number, "abcd")
+            return Cubic(x=(0.0, 1.0, 0.0, 0.0), y=(a, b, c, d), end=_poly3_end(b, c, d, length))
+        case "paramPoly3":
+            span = kind.get("pRange", "normalized")
+            if span not in ("normalized", "arcLength"):
+                raise ConfigError(f"{where}: <paramPoly3 pRange={span!r}>: must be 'normalized' or 'arcLength'.")
+            x, y = (tuple(number(power + axis) for power in "abcd") for axis in "UV")
+            return Cubic(x=x, y=y, end=1.0 if span == "normalized" else length)  # type: ignore[arg-type]
+    tags = ", ".join(f"<{child.tag}>" for child in shape) or "nothing"
+    raise ConfigError(
+        f"{where}: <geometry> at s = {shape.get('s')} holds {printable(tags)}; known: {', '.join(SHAPES)}."
+    )
 
 
-def _line(where: str, kind: Element, length: float) -> Segment:
-    return Line(length=length)
-
-
-def _arc(where: str, kind: Element, length: float) -> Segment:
-    return Arc(length=length, curvature=number_of(where, kind, "curvature"))
-
-
-def _spiral(where: str, kind: Element, length: float) -> Segment:
-    start, end = (number_of(where, kind, key) for key in ("curvStart", "curvEnd"))
-    return Clothoid(length=length, start_curvature=start, end_curvature=end)
-
-
-def _param_poly3(where: str, kind: Element, length: float) -> Segment:
-    span = kind.get("pRange", "normalized")
-    if span not in ("normalized", "arcLength"):
-        raise ConfigError(f"{where}: <paramPoly3 pRange={span!r}>: must be 'normalized' or 'arcLength'.")
-    x, y = (tuple(number_of(where, kind, key + axis) for key in "abcd") for axis in "UV")
-    return Cubic(x=x, y=y, end=1.0 if span == "normalized" else length)  # type: ignore[arg-type]
-
-
-def _poly3(where: str, kind: Element, length: float) -> Segment:
-    """v(u) = a + b u + c u^2 + d u^3; u ends where the arc is `length` long."""
-    a, b, c, d = (number_of(where, kind, key) for key in "abcd")
+def _poly3_end(b: float, c: float, d: float, length: float) -> float:
+    """The u at which the arc of v(u) = a + b u + c u^2 + d u^3 is `length` (m) long."""
     end = length
     for _ in range(50):
         panels = np.linspace(0.0, end, 33)
@@ -314,7 +300,4 @@ def _poly3(where: str, kind: Element, length: float) -> Segment:
         end += step
         if not abs(step) >= 1e-13 * length:
             break
-    return Cubic(x=(0.0, 1.0, 0.0, 0.0), y=(a, b, c, d), end=end)
-
-
-_READERS = {"line": _line, "arc": _arc, "spiral": _spiral, "poly3": _poly3, "paramPoly3": _param_poly3}
+    return end

@@ -8,15 +8,15 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property, partial
+from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from adaptrack.base.errors import ConfigError, InvalidInput
-from adaptrack.base.files import printable
+from adaptrack.base.files import finite_number, printable
 from adaptrack.core.maths import portable
 from adaptrack.core.roads.road import HALF_LENGTH
 from adaptrack.road.segments import Array
@@ -167,7 +167,7 @@ class Lanes:
     """<laneOffset> and the lanes beside it; the line is the middle of one of them, or the lane offset."""
 
     def __init__(self, where: str, road: Element, stations: Stations, lane: int | None) -> None:
-        self._where, self._stations = where, stations
+        self._where, self._road, self._stations = where, road, stations
         self._offset = stations.cubics(road.findall("lanes/laneOffset"))
         self._left, self._right = self._sides(road.findall("lanes/laneSection"))
         self._path = None if lane is None else self._follow(lane)
@@ -352,7 +352,7 @@ class Lanes:
                     rows[row] += weight * _shifted(coefficients, s - begin)
         return starts, rows
 
-    def widths(self) -> dict[str, Along]:
+    def _widths(self) -> dict[str, Along]:
         """Width to the left and to the right of the line, where the file has lanes."""
         if self._path is not None:
             half = self._half_width()
@@ -374,32 +374,67 @@ class Lanes:
 
     def _sampled(self, parts: Sequence[Part]) -> Along:
         """Weighted sums of piecewise cubics, each from an arc length to the next one."""
-        s = [_samples(start, end) for start, end, _ in parts]
-        values = [_law_values(self._combined(summed), at) for at, (_, _, summed) in zip(s, parts, strict=True)]
-        return _increasing(np.concatenate(s), np.concatenate(values))
+        return _sampled((start, end, partial(_law_values, self._combined(summed))) for start, end, summed in parts)
 
-    # ---- what lies along the lanes
+    # ---- what lies along
 
-    def limits(self) -> list[tuple[float, float, dict[float, float]]]:
-        """Start and end (m) of the lanes that count, and their speed limits (m/s) by arc length.
+    def along(self) -> tuple[dict[str, Along], list[str]]:
+        """Widths, speed limit, bank and grade by the arc length of the reference line, if the file has them; notes."""
+        values = {**self._widths(), **self._speed_limit(), **self._bank()}
+        grade, notes = self._grade()
+        return values | grade, notes
 
-        Without a lane all driving lanes count.
-        """
-        path = self._path or [
-            (number, stretch)
-            for stretch in (*self._left, *self._right)
-            for number, lane in stretch.lanes.items()
-            if lane.is_driven
-        ]
-        return [
+    def _speed_limit(self) -> dict[str, Along]:
+        """The lowest limit of the lane, or else of all driving lanes: their own, or that of the road."""
+        types = self._stations.located(self._road.findall("type"))
+        road_limits = {0.0: NO_LIMIT} | {s: self._stations.limit(kind.find("speed")) for s, kind in types}
+        sides = (*self._left, *self._right)
+        path = self._path or [(number, stretch) for stretch in sides for number in stretch.driven_lanes]
+        lane_limits = [
             (stretch.start, stretch.end, {stretch.start: NO_LIMIT} | stretch.lanes[number].limits)
             for number, stretch in path
         ]
+        places = sorted({*road_limits, *(s for _, end, limits in lane_limits for s in limits if s < end)})
+        values = []
+        for place in places:
+            general = _latest(road_limits, place)
+            limits = [_latest(limits, place) for start, end, limits in lane_limits if start <= place < end]
+            values.append(min((general if limit == NO_LIMIT else limit for limit in limits), default=general))
+        if min(values) == NO_LIMIT:
+            return {}
+        return {"speed_limit": Along.through(np.array(places), np.array(values), "steps")}
 
-    def levels(self) -> list[tuple[float, bool]]:
-        """Where sections of the lane begin (m), the first one at 0, and whether it stays level there."""
-        levels = [(stretch.start, stretch.lanes[number].level) for number, stretch in self._path or ()]
-        return [(0.0, level) for _, level in levels[:1]] + levels[1:]
+    def _bank(self) -> dict[str, Along]:
+        """The bank of the line, level where its lane is."""
+        surface, line, length = _Surface(self._where, self._road, self._stations), self.line, self._stations.length
+        levels = {
+            stretch.start if k else 0.0: stretch.lanes[lane].level for k, (lane, stretch) in enumerate(self._path or ())
+        }
+        starts = sorted(s for s in {0.0, *surface.starts, *levels} if s < length)
+
+        def bank_from(start: float, s: Array) -> Array:
+            if levels and _latest(levels, start):
+                return np.zeros_like(s)
+            return surface.bank(start, s, np.zeros_like(s) if line is None else _law_values(line, s))
+
+        ends = [*starts[1:], length]
+        bank = _sampled((start, end, partial(bank_from, start)) for start, end in zip(starts, ends, strict=True))
+        return {"bank": bank} if any(bank.value) else {}
+
+    def _grade(self) -> tuple[dict[str, Along], list[str]]:
+        """The grade of the reference line, the slope of its elevations; a note on the largest step between two."""
+        laws = self._stations.cubics(self._road.findall("elevationProfile/elevation"))
+        steps = [
+            (after[0] - _shifted(law, end - start)[0], end) for (start, law), (end, after) in itertools.pairwise(laws)
+        ]
+        step, s = max(steps, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
+        notes = [f"the height steps by {step:.3g} m at s = {s:.2f} m: left out"] if abs(step) > HEIGHT_STEP else []
+        if not laws or laws[0][0] > 0.0:  # level before the first one
+            laws = [(0.0, np.zeros(4)), *laws]
+        ends = [*(start for start, _ in laws[1:]), self._stations.length]
+        slopes = [partial(_slope, start, law) for start, law in laws]
+        grade = _sampled(zip([start for start, _ in laws], ends, slopes, strict=True))
+        return {"grade": grade} if any(grade.value) else {}, notes
 
 
 def _next_id(number: int, stretch: _Stretch, lanes: dict[int, _Lane]) -> int:
@@ -428,9 +463,11 @@ def _law_values(laws: CubicLaws, s: Array) -> Array:
     return _shifted(rows[row].T, s - starts[row])[0]
 
 
-def _increasing(s: Any, values: Any) -> Along:
-    """Samples of which those at one place are moved apart by a micrometre: a step."""
-    s = np.maximum.accumulate(np.asarray(s, dtype=np.float64))
+def _sampled(parts: Iterable[tuple[float, float, Callable[[Array], Array]]]) -> Along:
+    """Functions of the arc length, each from a start to an end; samples at one place are moved 1e-6 m apart: a step."""
+    samples = [(_samples(start, end), function) for start, end, function in parts]
+    values = np.concatenate([function(places) for places, function in samples])
+    s = np.maximum.accumulate(np.concatenate([places for places, _ in samples]))
     for k in range(1, s.size):
         s[k] = max(s[k], s[k - 1] + 1e-6)
     return Along.through(s, values)
@@ -491,23 +528,7 @@ def line_at_offset(
     return line, s, places
 
 
-# -- what else lies along ---------------------------------------------------------------------------------------------
-def speed_limit(road: Element, stations: Stations, lanes: Lanes) -> dict[str, Along]:
-    """The lowest limit of the lanes that count: their own, or else that of the road."""
-    types = stations.located(road.findall("type"))
-    road_limits = {0.0: NO_LIMIT} | {s: stations.limit(kind.find("speed")) for s, kind in types}
-    lane_limits = lanes.limits()
-    places = sorted({*road_limits, *(s for _, end, limits in lane_limits for s in limits if s < end)})
-    values = []
-    for place in places:
-        general = _latest(road_limits, place)
-        limits = [_latest(limits, place) for start, end, limits in lane_limits if start <= place < end]
-        values.append(min((general if limit == NO_LIMIT else limit for limit in limits), default=general))
-    if min(values) == NO_LIMIT:
-        return {}
-    return {"speed_limit": Along.through(np.array(places), np.array(values), "steps")}
-
-
+# -- values along -----------------------------------------------------------------------------------------------------
 def _latest(steps: Mapping[float, float], place: float) -> float:
     """The value of steps at a place."""
     return steps[max(s for s in steps if s <= place)]
@@ -570,42 +591,9 @@ def _valid_cubic(cubics: Cubics, start: float, s: Array) -> Array:
     return _shifted(before[-1][1], s - before[-1][0])[0] if before else np.zeros_like(s)
 
 
-def bank_of(where: str, road: Element, stations: Stations, lanes: Lanes) -> dict[str, Along]:
-    """The bank of the line, level where its lane is."""
-    surface, line, levels = _Surface(where, road, stations), lanes.line, dict(lanes.levels())
-    starts = sorted(s for s in {0.0, *surface.starts, *levels} if s < stations.length)
-    s: list[float] = []
-    values: list[float] = []
-    for start, end in zip(starts, [*starts[1:], stations.length], strict=True):
-        places = _samples(start, end)
-        level = levels and _latest(levels, start)
-        t = np.zeros_like(places) if line is None else _law_values(line, places)
-        s += places.tolist()
-        values += [0.0] * places.size if level else surface.bank(start, places, t).tolist()
-    return {"bank": _increasing(s, np.array(values))} if any(values) else {}
-
-
-def grade_of(road: Element, stations: Stations) -> dict[str, Along]:
-    """The grade dz/ds of the reference line: the derivative of its elevation."""
-    elevations = stations.cubics(road.findall("elevationProfile/elevation"))
-    if not elevations or elevations[0][0] > 0.0:  # level before the first one
-        elevations = [(0.0, np.zeros(4)), *elevations]
-    starts = [start for start, _ in elevations]
-    s: list[float] = []
-    values: list[float] = []
-    for (start, cubic), end in zip(elevations, [*starts[1:], stations.length], strict=True):
-        places = _samples(start, end)
-        s += places.tolist()
-        values += _shifted(cubic, places - start)[1].tolist()
-    return {"grade": _increasing(s, np.array(values))} if any(values) else {}
-
-
-def height_notes(road: Element, stations: Stations) -> list[str]:
-    """A note on the largest step of the height between two elevations, which the grade does not show."""
-    laws = stations.cubics(road.findall("elevationProfile/elevation"))
-    steps = [(after[0] - _shifted(law, end - start)[0], end) for (start, law), (end, after) in itertools.pairwise(laws)]
-    step, s = max(steps, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
-    return [f"the height steps by {step:.3g} m at s = {s:.2f} m: left out"] if abs(step) > HEIGHT_STEP else []
+def _slope(start: float, cubic: Array, s: Array) -> Array:
+    """The slope of a cubic that begins at `start`, at arc lengths."""
+    return np.asarray(_shifted(cubic, s - start)[1])
 
 
 def _choice(where: str, element: Element, key: str, choices: Sequence[str]) -> str:
@@ -619,10 +607,7 @@ def _choice(where: str, element: Element, key: str, choices: Sequence[str]) -> s
 def number_of(where: str, element: Element, key: str) -> float:
     """An attribute that is a finite number."""
     text = element.get(key, "0" if key == "sOffset" else "")
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
+    number = finite_number(text)
+    if number is None:
         raise ConfigError(f"{where}: <{printable(element.tag)} {key}={text!r}>: must be a finite number.")
     return number

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections.abc import Sequence
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.base.files import NumberedLines, is_number, printable, read_bytes, table_lines
+from adaptrack.base.files import NumberedLines, finite_number, is_number, printable, read_bytes, table_lines
 from adaptrack.base.limits import MAX_SPEED
 from adaptrack.core.maths import portable
 from adaptrack.core.roads.path import MIN_PATH_POINTS
@@ -222,7 +221,7 @@ def _header(where: str, lines: NumberedLines, remarks: NumberedLines) -> tuple[_
     if not lines:
         return _Header(where, []), lines
     line, text = lines[0]
-    if not _is_number(_cells(text)[0]):
+    if not is_number(_cells(text)[0].replace(",", ".")):
         return _Header(f"{where}, line {line}", _cells(text)), lines[1:]
     above = [remark for remark in remarks if remark[0] < line]
     return _commented_header(where, above, len(_cells(text)), _separator(text.strip()) is None), lines
@@ -254,10 +253,6 @@ def _separator(content: str) -> str | None:
 def _cells(content: str) -> list[str]:
     content = content.strip()
     return [cell.strip().strip('"') for cell in content.split(_separator(content))]
-
-
-def _is_number(cell: str) -> bool:
-    return is_number(cell.replace(",", "."))
 
 
 def _plain(title: str) -> str:
@@ -335,10 +330,9 @@ def _check_speeds(where: str, column: str, speeds: Array, lines: NDArray[np.int6
 
 
 def _number(where: str, line: int, cell: str, is_required: bool) -> float:
-    if not is_required:
-        return 0.0
-    if not _is_number(cell) or not math.isfinite(float(cell.replace(",", "."))):
+    number = finite_number(cell.replace(",", ".")) if is_required else 0.0
+    if number is None:
         raise ConfigError(
             f"{where}, line {line}: {printable(cell)!r} is not a finite number; correct or remove the line."
         )
-    return float(cell.replace(",", "."))
+    return number

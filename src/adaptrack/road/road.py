@@ -22,7 +22,6 @@ from adaptrack.core.roads.road import X, Y
 from adaptrack.road.segments import MAX_COORDINATE, Array, Points, Pose, Segment
 from adaptrack.road.station_table import ALONG_QUANTITIES, Along, alongs
 from adaptrack.road.table import Pieces, sequence, tabulate
-from adaptrack.road.toml import write_road
 
 MAX_JOINT_GAP, MAX_JOINT_KINK = 0.01, 0.01
 """Largest step of the position (m) and of the heading (rad) where elements meet: rounding in files, not geometry."""
@@ -200,10 +199,9 @@ class Road:
         StorageError
             When the file cannot be written.
         """
-        write_road(
-            path, name=self.name, closed=self.closed, deviation=self.deviation, notes=self.notes,
-            along={key: getattr(self, key) for key in ALONG_QUANTITIES}, elements=self.elements, table=self.table,
-        )  # fmt: skip
+        from adaptrack.road.toml import write_road  # which reads roads
+
+        write_road(path, self)
 
     # ---- geometry
 

@@ -20,32 +20,19 @@ from adaptrack.road.segments import Array
 
 def pack_roads(roads: Sequence[Road | None]) -> Any:
     """The roads of scenarios, None for a straight one, as `core.roads.road.Roads`; equal ones are kept once."""
-    packed: list[Road] = []
-    of = np.full(len(roads), -1, np.int64)
-    for i, road in enumerate(roads):
-        if road is None:
-            continue
-        indices = [k for k, packed_road in enumerate(packed) if packed_road is road]
-        if not indices:
-            packed.append(road)
-        of[i] = indices[0] if indices else len(packed) - 1
+    packed = list(dict.fromkeys(road for road in roads if road is not None))
+    of = np.array([-1 if road is None else packed.index(road) for road in roads], np.int64)
     numbers = np.zeros((len(packed), len(kernel.LINE_NUMBERS)))
-    parts: tuple[list[Array], list[Array], list[Array]] = [], [], []
+    tables = [(np.zeros(0), np.zeros((0, kernel.PIECE_COLUMNS)), np.zeros(0))]
     places = np.zeros(3)
     for k, road in enumerate(packed):
         line, cells = road.packed(), cells_of(road.length)
-        tables = line.start, line.pieces, np.empty(cells + 1)
-        kernel.headings_along(line, tables[2])
-        numbers[k] = (*line.numbers, places[0], places[1], len(tables[1]), places[2], road.length / cells)
-        places += [table.shape[0] for table in tables]
-        for part, table in zip(parts, tables, strict=True):
-            part.append(table)
-    none = np.zeros(0), np.zeros((0, kernel.PIECE_COLUMNS)), np.zeros(0)
-    joined = (
-        part[0] if len(part) == 1 else np.concatenate([empty, *part])
-        for empty, part in zip(none, parts, strict=True)
-    )  # fmt: skip
-    return kernel.Roads(of, numbers, *joined)
+        headings = np.empty(cells + 1)
+        kernel.headings_along(line, headings)
+        numbers[k] = (*line.numbers, places[0], places[1], len(line.pieces), places[2], road.length / cells)
+        tables.append((line.start, line.pieces, headings))
+        places += [len(table) for table in tables[-1]]
+    return kernel.Roads(of, numbers, *map(np.concatenate, zip(*tables, strict=True)))
 
 
 @lru_cache(maxsize=16)

@@ -19,23 +19,15 @@ from adaptrack.base.limits import TURNS, check_limit
 from adaptrack.core.kernel import OK
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
+from adaptrack.core.roads import road as kernel
 from adaptrack.core.roads.path import TOO_SMALL, TURN, line_numbers, write_cubics
-from adaptrack.core.roads.road import (
-    ACROSS_COEFFICIENTS,
-    ALONG_COEFFICIENTS,
-    COS,
-    HALF_LENGTH,
-    HEADING,
-    PIECE_COLUMNS,
-    POLYNOMIAL_DEGREE,
-    SIN,
-    TURN_COEFFICIENTS,
-    Centreline,
-    X,
-    Y,
-)
+from adaptrack.core.roads.road import COS, HALF_LENGTH, HEADING, PIECE_COLUMNS, POLYNOMIAL_DEGREE, SIN, X, Y
 from adaptrack.road.segments import Arc, Array, Clothoid, Cubic, Line, Points, Pose, Segment, heading_integral
 
+ALONG_POLYNOMIAL = slice(kernel.ALONG_COEFFICIENTS, kernel.ACROSS_COEFFICIENTS)
+ACROSS_POLYNOMIAL = slice(kernel.ACROSS_COEFFICIENTS, kernel.TURN_COEFFICIENTS)
+TURN_POLYNOMIAL = slice(kernel.TURN_COEFFICIENTS, PIECE_COLUMNS)
+"""Columns of the polynomials of a piece: positions (m) along and across the frame at its middle, and heading (rad)."""
 _U = portable.cos(np.pi * (np.arange(POLYNOMIAL_DEGREE + 1) + 0.5) / (POLYNOMIAL_DEGREE + 1))[::-1]
 _TO_COEFFICIENTS = portable.inverse(np.vander(_U, increasing=True))
 
@@ -57,7 +49,7 @@ class Pieces(NamedTuple):
         """The record that `adaptrack.core.roads.road` reads."""
         start, pieces, numbers = *map(np.ascontiguousarray, self), np.empty(4)
         line_numbers(start, pieces, closed, numbers)
-        return Centreline(start, pieces, numbers)
+        return kernel.Centreline(start, pieces, numbers)
 
     def at(self, s: ArrayLike, sides: ArrayLike = 1) -> Points:
         """The points at the arc lengths `s`, 0 <= s <= length, in the shape of `s`.
@@ -80,14 +72,14 @@ class Pieces(NamedTuple):
 
 def points_on_pieces(piece: Array, u: Array) -> Points:
     """The points of pieces, (..., COLUMNS), at u, (...)."""
-    along = _polynomial(piece[..., ALONG_COEFFICIENTS:ACROSS_COEFFICIENTS], u)
-    across = _polynomial(piece[..., ACROSS_COEFFICIENTS:TURN_COEFFICIENTS], u)
+    along = _polynomial(piece[..., ALONG_POLYNOMIAL], u)
+    across = _polynomial(piece[..., ACROSS_POLYNOMIAL], u)
     cos, sin = piece[..., COS], piece[..., SIN]
     return Points(
         piece[..., X] + cos * along - sin * across,
         piece[..., Y] + sin * along + cos * across,
-        piece[..., HEADING] + _polynomial(piece[..., TURN_COEFFICIENTS:PIECE_COLUMNS], u),
-        _polynomial(polyder(piece[..., TURN_COEFFICIENTS:PIECE_COLUMNS], axis=-1), u) / piece[..., HALF_LENGTH],
+        piece[..., HEADING] + _polynomial(piece[..., TURN_POLYNOMIAL], u),
+        _polynomial(polyder(piece[..., TURN_POLYNOMIAL], axis=-1), u) / piece[..., HALF_LENGTH],
     )
 
 
@@ -123,26 +115,21 @@ def _natural(segment: Line | Arc | Clothoid) -> Pieces:
     curvature = k0 + sharpness * (start[:-1] + half)
     pieces = np.zeros((count, PIECE_COLUMNS))
     pieces[:, HALF_LENGTH] = half
-    pieces[:, TURN_COEFFICIENTS + 1] = curvature * half
-    pieces[:, TURN_COEFFICIENTS + 2] = 0.5 * sharpness * (half * half)
+    pieces[:, TURN_POLYNOMIAL.start + 1] = curvature * half
+    pieces[:, TURN_POLYNOMIAL.start + 2] = 0.5 * sharpness * (half * half)
     if isinstance(segment, Line):
-        pieces[:, ALONG_COEFFICIENTS + 1] = half
+        pieces[:, ALONG_POLYNOMIAL.start + 1] = half
     else:
-        place = heading_integral(curvature[:, np.newaxis], sharpness, half[:, np.newaxis] * _U)
-        _set_positions(pieces, place)
+        place = heading_integral(curvature[:, np.newaxis], sharpness, half[:, np.newaxis] * _U)  # at the nodes
+        pieces[:, ALONG_POLYNOMIAL] = product(place.real, _TO_COEFFICIENTS.T)
+        pieces[:, ACROSS_POLYNOMIAL] = product(place.imag, _TO_COEFFICIENTS.T)
+        pieces[:, [ALONG_POLYNOMIAL.start, ACROSS_POLYNOMIAL.start]] = 0.0  # the frame is at the middle
     return _chained(start, pieces)
-
-
-def _set_positions(pieces: Array, place: NDArray[np.complex128]) -> None:
-    """The polynomials through positions, along + i across, at the nodes."""
-    pieces[:, ALONG_COEFFICIENTS:ACROSS_COEFFICIENTS] = product(place.real, _TO_COEFFICIENTS.T)
-    pieces[:, ACROSS_COEFFICIENTS:TURN_COEFFICIENTS] = product(place.imag, _TO_COEFFICIENTS.T)
-    pieces[:, [ALONG_COEFFICIENTS, ACROSS_COEFFICIENTS]] = 0.0  # the frame is at the middle
 
 
 def _chained(start: Array, pieces: Array) -> Pieces:
     """Pieces of which each begins where, and as, the one before it ends; the first at the origin along x."""
-    turns = _polynomial(pieces[:, TURN_COEFFICIENTS:PIECE_COLUMNS], np.array([[-1.0], [1.0]]))
+    turns = _polynomial(pieces[:, TURN_POLYNOMIAL], np.array([[-1.0], [1.0]]))
     ends = np.cumsum(turns[1] - turns[0])
     pieces[:, HEADING] = np.concatenate([[0.0], ends[:-1]]) - turns[0]
     pieces[:, COS], pieces[:, SIN] = portable.cos(pieces[:, HEADING]), portable.sin(pieces[:, HEADING])
@@ -212,7 +199,7 @@ def joined(tables: Sequence[Pieces]) -> Pieces:
     pieces = np.concatenate([table.pieces for table in tables])
     lengths = np.concatenate([np.diff(table.start) for table in tables])
     start = np.concatenate([[0.0], np.cumsum(lengths)])
-    turns = _polynomial(pieces[:, TURN_COEFFICIENTS:PIECE_COLUMNS], np.array([[-1.0], [1.0]]))
+    turns = _polynomial(pieces[:, TURN_POLYNOMIAL], np.array([[-1.0], [1.0]]))
     gaps = (pieces[1:, HEADING] + turns[0, 1:]) - (pieces[:-1, HEADING] + turns[1, :-1])
     full_turns = np.cumsum(np.round(gaps / (2.0 * np.pi)))
     pieces[1:, HEADING] -= 2.0 * np.pi * full_turns
@@ -223,7 +210,7 @@ def sequence(tables: Sequence[Pieces], start: Pose, poses: Sequence[Pose | None]
     """Tables in their own frames, laid end to end from a pose; one with a pose in `poses` has its origin there."""
     laid, pose = [], start
     for k, table in enumerate(tables):
-        first, last = (Pose(*(float(value) for value in point[:3])) for point in _both_ends(table))
+        first, last = (Pose(*map(float, table.at(s)[:3])) for s in (0.0, table.length))
         turn = pose.heading - first.heading
         x, y = _turned(first, turn)
         origin = (poses[k] if poses else None) or Pose(pose.x - x, pose.y - y, turn)
@@ -232,10 +219,6 @@ def sequence(tables: Sequence[Pieces], start: Pose, poses: Sequence[Pose | None]
         x, y = _turned(last, turn)
         pose = Pose(origin.x + x, origin.y + y, turn + last.heading)
     return joined(laid)
-
-
-def _both_ends(table: Pieces) -> tuple[Points, Points]:
-    return table.at(0.0), table.at(table.length)
 
 
 def _turned(pose: Pose, angle: float) -> tuple[float, float]:

@@ -24,30 +24,22 @@ of their pieces.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from adaptrack.base.files import Record, write_toml
+from adaptrack.base.errors import ConfigError, InvalidInput
+from adaptrack.base.files import Record, as_tuples, build, read_toml, write_toml
 from adaptrack.core.maths import portable
-from adaptrack.core.roads.road import (
-    ACROSS_COEFFICIENTS,
-    COS,
-    HALF_LENGTH,
-    HEADING,
-    PIECE_COLUMNS,
-    POLYNOMIAL_DEGREE,
-    SIN,
-    TURN_COEFFICIENTS,
-    X,
-    Y,
-)
-from adaptrack.core.roads.road import ALONG_COEFFICIENTS as ALONG_PIECE
+from adaptrack.core.roads.road import COS, HALF_LENGTH, HEADING, PIECE_COLUMNS, POLYNOMIAL_DEGREE, SIN, X, Y
+from adaptrack.road.fit import MAX_DEVIATION, fit_road
+from adaptrack.road.road import Road
 from adaptrack.road.segments import MAX_COORDINATE, MAX_ELEMENT_LENGTH, MIN_ELEMENT_LENGTH, Segment
-from adaptrack.road.station_table import Along
-from adaptrack.road.table import Pieces, end_to_end
+from adaptrack.road.station_table import ALONG_QUANTITIES, Along, alongs
+from adaptrack.road.table import ACROSS_POLYNOMIAL, ALONG_POLYNOMIAL, TURN_POLYNOMIAL, Pieces, end_to_end
 
 
 def _quantity(value: Any) -> Any:
@@ -85,6 +77,13 @@ class Piece(Record):
     """rad, the heading less that at the middle"""
 
 
+_COLUMNS: dict[str, Any] = {
+    "half": HALF_LENGTH, "x": X, "y": Y, "heading": HEADING,
+    "along": ALONG_POLYNOMIAL, "across": ACROSS_POLYNOMIAL, "turned": TURN_POLYNOMIAL,
+}  # fmt: skip
+"""Columns of the table of a centre line that the fields of a `Piece` hold."""
+
+
 class RoadFile(Record):
     """Content of a road file."""
 
@@ -114,45 +113,70 @@ class RoadFile(Record):
         return self
 
 
-def table_of(road_pieces: Sequence[Piece]) -> Pieces:
+def road_from_toml(path: str | os.PathLike[str], **along: Any) -> Road:
+    """The road of a TOML file.
+
+    Parameters
+    ----------
+    **along
+        As in `Road.from_segments`, in place of what the file says.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When it describes no road; with the key, the value and the remedy.
+    """
+    where = os.fspath(path)
+    file = build(RoadFile, as_tuples(read_toml(path)), where)
+    values = {key: getattr(file, key) for key in ALONG_QUANTITIES if getattr(file, key) is not None}
+    values |= {"name": file.name or Path(path).stem} | along
+    try:
+        return _build_road(file, values)
+    except InvalidInput as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def _build_road(file: RoadFile, values: dict[str, Any]) -> Road:
+    if file.points:
+        bound = MAX_DEVIATION if file.max_deviation is None else file.max_deviation
+        return fit_road(np.array(file.points), closed=file.closed, max_deviation=bound, **values)
+    closed = bool(file.closed)
+    if file.elements:
+        road = Road.from_segments(file.elements, closed=closed, **values)
+    else:
+        road = Road(table=_table_of(file.pieces or ()), closed=closed, **alongs(values))
+    return road.replace(notes=file.notes, deviation=file.deviation)
+
+
+def _table_of(road_pieces: Sequence[Piece]) -> Pieces:
     """The table of pieces one behind the other."""
     pieces = np.zeros((len(road_pieces), PIECE_COLUMNS))
     for row, piece in zip(pieces, road_pieces, strict=True):
-        row[[HALF_LENGTH, X, Y, HEADING]] = piece.half, piece.x, piece.y, piece.heading
-        row[ALONG_PIECE:] = (*piece.along, *piece.across, *piece.turned)
+        for name, columns in _COLUMNS.items():
+            row[columns] = getattr(piece, name)
     pieces[:, COS], pieces[:, SIN] = portable.cos(pieces[:, HEADING]), portable.sin(pieces[:, HEADING])
     return end_to_end(pieces)
 
 
-def write_road(
-    path: str | os.PathLike[str], *, name: str, closed: bool, deviation: float, notes: Sequence[str],
-    along: Mapping[str, Along | None], elements: Sequence[Segment], table: Pieces,
-) -> None:  # fmt: skip
-    """Write the file of a road; arguments as the fields of `Road`, along: what lies along it by its name."""
-    data: dict[str, Any] = {"name": name, "closed": closed}
-    if deviation:
-        data["deviation"] = deviation
-    if notes:
-        data["notes"] = notes
-    data |= {key: _plain(values) for key, values in along.items() if values is not None}
-    if elements:
-        data["elements"] = [element.model_dump(exclude_none=True) for element in elements]
+def write_road(path: str | os.PathLike[str], road: Road) -> None:
+    """Write the file of a road."""
+    data: dict[str, Any] = {"name": road.name, "closed": road.closed}
+    if road.deviation:
+        data["deviation"] = road.deviation
+    if road.notes:
+        data["notes"] = road.notes
+    along = {name: getattr(road, name) for name in ALONG_QUANTITIES}
+    data |= {name: _plain(values) for name, values in along.items() if values is not None}
+    if road.elements:
+        data["elements"] = [element.model_dump(exclude_none=True) for element in road.elements]
     else:
-        data["pieces"] = [_piece(row) for row in table.pieces]
+        data["pieces"] = [
+            {name: row[columns].tolist() for name, columns in _COLUMNS.items()} for row in road.table.pieces
+        ]
     write_toml(path, data, {name: field.description or "" for name, field in RoadFile.model_fields.items()})
 
 
 def _plain(along: Along) -> Any:
     return along.value[0] if len(along.value) == 1 else along.model_dump()
-
-
-def _piece(row: Any) -> dict[str, Any]:
-    bounds = {
-        "along": (ALONG_PIECE, ACROSS_COEFFICIENTS),
-        "across": (ACROSS_COEFFICIENTS, TURN_COEFFICIENTS),
-        "turned": (TURN_COEFFICIENTS, PIECE_COLUMNS),
-    }
-    place = {"half": HALF_LENGTH, "x": X, "y": Y, "heading": HEADING}
-    return {name: float(row[column]) for name, column in place.items()} | {
-        name: row[first:last].tolist() for name, (first, last) in bounds.items()
-    }

@@ -10,15 +10,16 @@ from adaptrack.scenario.shapes import (
     Gust,
     Knots,
     LaneChange,
+    Patch,
     Shape,
     Sine,
     Step,
     Sum,
     TanhSteps,
+    Wind,
     as_shape,
 )
 from adaptrack.scenario.signals import Signals
-from adaptrack.scenario.surroundings import Patch, Wind
 
 __all__ = [
     "CONTROL_PERIOD",

@@ -23,8 +23,7 @@ from adaptrack.cars.domain import Domain
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.scenario import random_drives
 from adaptrack.scenario.scenario import Scenario
-from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Gust, LaneChange, Shape, Sine, as_shape
-from adaptrack.scenario.surroundings import as_friction
+from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Gust, LaneChange, Shape, Sine, as_friction, as_shape
 
 MAX_SCENARIO_HEADING = 0.25
 """Largest heading of a reference (rad) for which the prediction model's small-angle approximation is accurate."""
@@ -32,20 +31,11 @@ MAX_SCENARIO_HEADING = 0.25
 SignalLike = Shape | Mapping[str, Any] | float
 """Values that `as_shape` converts."""
 
-COMMON_OPTIONS = {
-    "duration": "s",
-    "window": "one of the scenario's named durations",
-    "mirrored": "left and right exchanged",
-    "reference": "m, lateral reference instead of the scenario's",
-    "speed": "m/s",
-    "friction": "coefficient: one for all wheels, [left, right], or one per wheel",
-    "friction_patches": "stretches with a different friction",
-    "wind": "m/s: lateral, or [x, y]",
-    "wind_gain": "factor on the wind",
-    "start_y": "m, lateral position at the start",
-    "start_heading": "rad, heading at the start",
-}
-"""The options of every scenario, each with its unit or meaning."""
+COMMON_OPTIONS = (
+    "duration", "window", "mirrored", "reference", "speed", "friction", "friction_patches", "wind", "wind_gain",
+    "start_y", "start_heading",
+)  # fmt: skip
+"""The options of every scenario: fields of `Scenario`, one of its windows, and whether left and right are exchanged."""
 
 DESCRIPTIONS = {
     "step": ("A step of the lateral reference under constant conditions, as in the tuning of the published MPC."),
@@ -59,6 +49,11 @@ DESCRIPTIONS = {
 _DATA = SHIPPED / "scenarios"
 
 
+def _manoeuvre(name: str, **fields: Any) -> Scenario:
+    """Return the scenario of a manoeuvre, which begins at y = 0."""
+    return Scenario(name=name, description=DESCRIPTIONS[name], start_y=0.0, **fields)
+
+
 def step(
     amplitude: float = 2.0,
     speed: SignalLike = 15.0,
@@ -67,16 +62,14 @@ def step(
     duration: float = 18.0,
 ) -> Scenario:
     """A step of the lateral reference under constant conditions, as in the tuning of the published MPC."""
-    return Scenario(
-        name="step",
-        description=DESCRIPTIONS["step"],
+    return _manoeuvre(
+        "step",
         source="Fitness of the paper's particle swarm (section III), 18 s; constant y_ref, speed, friction and wind.",
         duration=duration,
         reference=amplitude,
         speed=speed,
         friction=friction,
         wind=wind,
-        start_y=0.0,
     )
 
 
@@ -117,16 +110,14 @@ def lane_change(
             math.sqrt(QUINTIC_PEAK * abs(amplitude) / (0.35 * lowest * GRAVITY)),
             QUINTIC_SLOPE * abs(amplitude) / (MAX_SCENARIO_HEADING * slowest),
         )
-    return Scenario(
-        name="lane-change",
-        description=DESCRIPTIONS["lane-change"],
+    return _manoeuvre(
+        "lane-change",
         source="Quintic change (least jerk) that uses 35 % of the friction; 1-cosine gust as in EASA CS-25.341.",
         duration=duration,
         reference=LaneChange(amplitude=amplitude, start=start, duration=change_time),
         speed=speed,
         friction=friction,
         wind=Gust(peak=gust, start=gust_start, duration=gust_duration),
-        start_y=0.0,
     )
 
 
@@ -161,9 +152,8 @@ def double_lane_change(
     entry, departure, second_lane, back, end = (length / speed for length in (15.0, 30.0, 25.0, 25.0, 30.0))
     first_change = approach + entry
     second_change = first_change + departure + second_lane
-    return Scenario(
-        name="double-lane-change",
-        description=DESCRIPTIONS["double-lane-change"],
+    return _manoeuvre(
+        "double-lane-change",
         source="Section lengths and lane offset of ISO 3888-1 (passenger cars, double lane change); quintic centre.",
         duration=second_change + back + end + 2.0 if duration is None else duration,
         reference=LaneChange(amplitude=amplitude, start=first_change, duration=departure)
@@ -171,7 +161,6 @@ def double_lane_change(
         speed=speed,
         friction=friction,
         wind=wind,
-        start_y=0.0,
     )
 
 
@@ -195,15 +184,13 @@ def sine(
     start : float
         Time at which the weaving begins, s.
     """
-    return Scenario(
-        name="sine",
-        description=DESCRIPTIONS["sine"],
+    return _manoeuvre(
+        "sine",
         duration=duration,
         reference=Sine(amplitude=amplitude, frequency=frequency, start=start),
         speed=speed,
         friction=friction,
         wind=wind,
-        start_y=0.0,
     )
 
 

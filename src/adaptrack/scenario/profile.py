@@ -161,10 +161,8 @@ def load_profile(profile: str | os.PathLike[str] | Profile) -> Profile:
     return _shipped(path) if profile in list_profiles() else _read(path)
 
 
-@cache
-def _shipped(path: Path) -> Profile:
-    return _read(path)
-
-
 def _read(path: Path) -> Profile:
     return build(Profile, {"name": path.stem, **read_toml(path)}, path)
+
+
+_shipped = cache(_read)

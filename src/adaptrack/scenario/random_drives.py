@@ -19,10 +19,9 @@ from adaptrack.base.checked import RISING, Hint, Natural, NotNegative, Positive,
 from adaptrack.cars.domain import Domain
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
+from adaptrack.scenario import shapes
 from adaptrack.scenario.scenario import Scenario
-from adaptrack.scenario.shapes import QUINTIC_PEAK, QUINTIC_SLOPE, Constant, Gust, Knots, LaneChange, Shape, Step, Sum
-from adaptrack.scenario.signals import HIGHEST_FRICTION
-from adaptrack.scenario.surroundings import Wind
+from adaptrack.scenario.shapes import Constant, Gust, Knots, LaneChange, Shape, Step, Sum, Wind
 
 Array = NDArray[np.float64]
 
@@ -63,7 +62,7 @@ _STEP = 0.05  # s, sampling time of the arrays in `_DriveGenerator`
 _FRICTION, _SPEED, _CURVES, _CHANGES, _WIND = range(5)  # numbers of the random streams
 
 
-_Friction = Annotated[Positive, Field(le=HIGHEST_FRICTION)]
+_Friction = Annotated[Positive, Field(le=shapes.HIGHEST_FRICTION)]
 _PositiveShare = Annotated[Positive, Field(le=1.0)]
 
 
@@ -200,13 +199,13 @@ class _DriveGenerator:
             heading_share, side = rng.uniform(*CURVE_HEADING_SHARE), _side(rng)
             during = _window(start, span)
             width = min(
-                share * self.grip(start, span) * (span * span) / QUINTIC_PEAK,
-                heading_share * self.slope * float(self.speed[during].min()) * span / QUINTIC_SLOPE,
+                share * self.grip(start, span) * (span * span) / shapes.QUINTIC_PEAK,
+                heading_share * self.slope * float(self.speed[during].min()) * span / shapes.QUINTIC_SLOPE,
             )
             width = math.floor(100.0 * width) / 100.0
             curves.append(LaneChange(amplitude=side * width, start=start, duration=span))
-            self.curve_acceleration[during] = QUINTIC_PEAK * width / (span * span)
-            self.curve_velocity[during] = QUINTIC_SLOPE * width / span
+            self.curve_acceleration[during] = shapes.QUINTIC_PEAK * width / (span * span)
+            self.curve_velocity[during] = shapes.QUINTIC_SLOPE * width / span
             start = round(start + span + _between(rng, 1.0, 12.0), 2)
         return curves
 
@@ -231,7 +230,7 @@ class _DriveGenerator:
         rate = self.slope * self.speed[during].min() - self.curve_velocity[during].max()
         if min(acceleration, rate) <= 0.0:
             return math.inf
-        return max(math.sqrt(QUINTIC_PEAK * width / acceleration), QUINTIC_SLOPE * width / rate)
+        return max(math.sqrt(shapes.QUINTIC_PEAK * width / acceleration), shapes.QUINTIC_SLOPE * width / rate)
 
     def draw_wind(self, limit: float) -> Shape:
         """Draw a steady lateral wind and gusts; the total wind never exceeds `limit` (m/s) to either side."""

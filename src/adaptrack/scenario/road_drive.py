@@ -14,9 +14,8 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import PERIODS
 from adaptrack.core.planning import drive as kernel
 from adaptrack.core.simulation.world import SIGNAL
-from adaptrack.scenario.shapes import Shape, as_shape
+from adaptrack.scenario.shapes import Shape, Wind, as_shape, as_wind
 from adaptrack.scenario.signals import Signals, instants
-from adaptrack.scenario.surroundings import Wind, as_wind
 
 if TYPE_CHECKING:
     from adaptrack.road.road import Road

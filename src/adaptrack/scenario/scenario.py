@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import re
 from collections.abc import Sequence
@@ -12,19 +13,28 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, model_validator
 
+from adaptrack.base import files
 from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
-from adaptrack.base.files import Record, build, dump_toml, read_toml, write_atomically
+from adaptrack.base.files import Record, as_tuples, build
 from adaptrack.base.limits import DURATION, PERIODS, check_limit
-from adaptrack.scenario.shapes import Array, Constant, Knots, Method, Shape, Signal, as_tuples
+from adaptrack.scenario import shapes
+from adaptrack.scenario.shapes import Array, Constant, Knots, Method, Patch, Shape, Signal, Wind
 from adaptrack.scenario.signals import Signals, instants
-from adaptrack.scenario.surroundings import WHEELS, Patch, Wind, as_friction, as_patches, as_wind
-from adaptrack.scenario.tables import FRICTION_COLUMNS, read_scenario_table
 
 CONTROL_PERIOD = 0.1
 """Control period of the published MPC (s)."""
 
 _MIRRORED = " (mirrored)"
+FRICTION_COLUMNS = (
+    ("friction",),
+    ("friction_left", "friction_right"),
+    ("friction_front_left", "friction_front_right", "friction_rear_left", "friction_rear_right"),
+)
+"""The three choices of friction columns: one for all wheels, one per side, or one per wheel."""
+
+_ALL_COLUMNS = ("t", "y_ref", "speed", "wind_x", "wind_y", *(name for names in FRICTION_COLUMNS for name in names))
+_ROAD_COLUMNS = {"x", "y", "x_m", "y_m"}
 
 
 class Scenario(Record):
@@ -48,13 +58,13 @@ class Scenario(Record):
     )
     reference: Signal = Field(description="lateral position to follow, m")
     speed: Signal = Field(description="longitudinal speed to follow, m/s")
-    friction: Annotated[tuple[Shape, ...], BeforeValidator(as_friction)] = Field(
+    friction: Annotated[tuple[Shape, ...], BeforeValidator(shapes.as_friction)] = Field(
         description="friction coefficient: one for all wheels, [left, right], or one per wheel"
     )
-    friction_patches: Annotated[tuple[Patch, ...], BeforeValidator(as_patches)] = Field(
+    friction_patches: Annotated[tuple[Patch, ...], BeforeValidator(shapes.as_patches)] = Field(
         default=(), description="stretches with a different friction; where several overlap, the last one applies"
     )
-    wind: Annotated[Wind, BeforeValidator(as_wind)] = Field(
+    wind: Annotated[Wind, BeforeValidator(shapes.as_wind)] = Field(
         default=Wind(), description="wind velocity in the world frame, m/s"
     )
     wind_gain: float = Field(default=1.0, description="factor on the wind")
@@ -95,7 +105,7 @@ class Scenario(Record):
         friction = np.stack([frictions[k] for k in wheels], axis=-1)
         for patch in self.friction_patches:
             inside = (t >= patch.start) & (t < patch.end)
-            for wheel in WHEELS[patch.wheels]:
+            for wheel in shapes.WHEELS[patch.wheels]:
                 friction[..., wheel] = np.where(inside, patch.friction, friction[..., wheel])
         return friction
 
@@ -245,7 +255,7 @@ class Scenario(Record):
         ConfigError
             When the table is invalid; the message names the line and the remedy.
         """
-        columns = read_scenario_table(path)
+        columns = _read_table(path)
         wheels = next(names for names in FRICTION_COLUMNS if names[0] in columns)
         wind = [columns["wind_x"], columns["wind_y"]] if "wind_x" in columns else [columns["wind_y"]]
         try:
@@ -272,7 +282,7 @@ class Scenario(Record):
         ConfigError
             When values are invalid; the message lists each key with its value and the allowed values.
         """
-        return build(cls, {"name": Path(path).stem} | read_toml(path), path)
+        return build(cls, {"name": Path(path).stem} | files.read_toml(path), path)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entries of the scenario's TOML file as plain Python values; `None` marks entries that it omits."""
@@ -299,10 +309,10 @@ class Scenario(Record):
             When the file cannot be written.
         """
         remarks = {name: field.description for name, field in type(self).model_fields.items() if field.description}
-        text = dump_toml(self.to_dict(), remarks)
+        text = files.dump_toml(self.to_dict(), remarks)
         # One point per line, where tomli-w would write one number per line.
         rows = re.sub(r"\[\n\s*([-+.,\w\s]*?),?\n\s*\]", lambda row: f"[{' '.join(row[1].split())}]", text)
-        write_atomically(path, rows.encode())
+        files.write_atomically(path, rows.encode())
 
 
 def _columns(
@@ -317,6 +327,82 @@ def _columns(
         return [Constant(value=float(array))]
     columns = array[:, np.newaxis] if array.ndim == 1 else array
     if columns.ndim != 2 or columns.shape[0] != times.size or columns.shape[1] not in widths:
-        shapes = ", ".join(f"({times.size}, {width})" if width > 1 else f"({times.size},)" for width in widths)
-        raise InvalidInput(f"{name} has shape {array.shape}; with {times.size} times it must be {shapes}.")
+        expected = ", ".join(f"({times.size}, {width})" if width > 1 else f"({times.size},)" for width in widths)
+        raise InvalidInput(f"{name} has shape {array.shape}; with {times.size} times it must be {expected}.")
     return [Knots(points=as_tuples(np.stack([times, column], axis=-1)), method=method) for column in columns.T]
+
+
+# -- tables in CSV files ----------------------------------------------------------------------------------------------
+def _read_table(path: str | os.PathLike[str]) -> dict[str, Array]:
+    """Read the columns of a scenario's CSV file (see `Scenario.from_csv`) into arrays by name."""
+    lines = _lines(path)
+    (first, header), rows = lines[0], lines[1:]
+    _check_header(f"{os.fspath(path)}, line {first}", header)
+    if len(rows) < 2:
+        raise ConfigError(f"{os.fspath(path)}: at least two rows of numbers are needed; there are {len(rows)}.")
+    table = np.empty((len(rows), len(header)))
+    for k, (line, row) in enumerate(rows):
+        where = f"{os.fspath(path)}, line {line}"
+        if len(row) != len(header):
+            raise ConfigError(f"{where}: {len(row)} cells, but the header has {len(header)} columns.")
+        table[k] = [_number(where, name, cell) for name, cell in zip(header, row, strict=True)]
+    t = table[:, header.index("t")]
+    is_unsorted = np.diff(t) <= 0.0
+    if is_unsorted.any():
+        k = int(is_unsorted.argmax())
+        raise ConfigError(
+            f"{os.fspath(path)}, line {rows[k + 1][0]}: t = {float(t[k + 1])!r} does not come after "
+            f"t = {float(t[k])!r} in line {rows[k][0]}; sort the rows by time and remove repetitions."
+        )
+    return {name: table[:, j].copy() for j, name in enumerate(header)}
+
+
+def _check_header(where: str, header: list[str]) -> None:
+    """Raise ConfigError unless the header in a line of a file names the columns of a scenario."""
+    if len(header) == 1 and ";" in header[0]:
+        raise ConfigError(f"{where}: the columns are separated by ';'; write ',' between them and '.' in numbers.")
+    doubled = [name for name in header if header.count(name) > 1]
+    if doubled:
+        raise ConfigError(f"{where}: the column {doubled[0]!r} appears twice; remove one.")
+    if "t" not in header and (_ROAD_COLUMNS & {name.lower() for name in header} or all(map(files.is_number, header))):
+        raise ConfigError(
+            f"{where}: the table holds points of a road, but a scenario needs the time t: to drive along the road, use "
+            "RoadDrive(load_road(FILE), speed)."
+        )
+    for name in header:
+        if name not in _ALL_COLUMNS:
+            raise ConfigError(f"{where}: unknown column {name!r}. {did_you_mean(name, _ALL_COLUMNS)}")
+    ways = [names for names in FRICTION_COLUMNS if set(names) & set(header)]
+    if len(ways) > 1:
+        raise ConfigError(
+            f"{where}: the friction is given twice, by {ways[0][0]!r} and by {ways[1][0]!r}; keep one of them."
+        )
+    expected = ["t", "y_ref", "speed", *(ways or FRICTION_COLUMNS)[0], "wind_y"]
+    missing = [name for name in expected if name not in header]
+    if missing:
+        raise ConfigError(f"{where}: column {missing[0]!r} is missing; the columns must be {', '.join(expected)}.")
+
+
+def _lines(path: str | os.PathLike[str]) -> list[tuple[int, list[str]]]:
+    """Return the numbers and cells of the lines of a CSV file, without empty lines and comments."""
+    numbered, _ = files.table_lines(os.fspath(path), files.read_bytes(path), "strict")
+    try:
+        lines = [(number, [cell.strip() for row in csv.reader([line]) for cell in row]) for number, line in numbered]
+    except csv.Error as error:
+        raise ConfigError(f"{os.fspath(path)}: not a CSV file: {error}.") from error
+    lines = [(number, row) for number, row in lines if any(row)]
+    if not lines:
+        raise ConfigError(f"{os.fspath(path)}: empty; its first line must name the columns.")
+    return lines
+
+
+def _number(where: str, name: str, cell: str) -> float:
+    """Return the number in a cell of the column `name`, or raise ConfigError if the column cannot hold it."""
+    number = files.finite_number(cell)
+    if number is None:
+        raise ConfigError(f"{where}: {name} = {cell!r} is not a finite number; correct it or remove the row.")
+    if name == "speed" and number < 0.0:
+        raise ConfigError(f"{where}: speed = {cell!r} must be >= 0 m/s.")
+    if name.startswith("friction") and not 0.0 < number <= shapes.HIGHEST_FRICTION:
+        raise ConfigError(f"{where}: {name} = {cell!r} must be a coefficient such as 0.8, > 0 and at most 3.")
+    return number

@@ -1,4 +1,4 @@
-"""Named shapes: scalar functions of time that make up the signals of a scenario.
+"""Named shapes: scalar functions of time that make up the signals of a scenario; friction and wind made of them.
 
 A shape is a small immutable record:
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,10 +26,12 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.base.files import Record, build
+from adaptrack.base.files import LISTED, Record, build
 from adaptrack.core.maths import portable
 
 Array = NDArray[np.float64]
+HIGHEST_FRICTION = 3.0
+"""Largest accepted friction coefficient. Racing tyres stay below 2; larger inputs are usually percentages."""
 
 Method = Literal["linear", "pchip", "cubic"]
 """Interpolation between the points of `Knots`."""
@@ -57,9 +60,7 @@ class Shape(Record):
 
     def table(self) -> Any:
         """Return the table of a scenario file for this shape; `as_shape` converts it back."""
-        fields = type(self).model_fields
-        entries = {name: getattr(self, name) for name in fields if getattr(self, name) != fields[name].default}
-        return {"shape": self.kind} | {name: _lists(value) for name, value in entries.items()}
+        return {"shape": self.kind} | self.model_dump(mode="json", exclude_defaults=True)
 
     def __add__(self, other: Shape | float) -> Sum:
         return Sum(terms=(self, as_shape(other)))
@@ -89,13 +90,6 @@ def as_shape(value: Any) -> Shape:
 
 Signal = Annotated[Shape, BeforeValidator(as_shape)]
 """Type of a field that holds a shape and accepts every value that `as_shape` converts."""
-
-
-def as_tuples(value: Any) -> Any:
-    """Convert nested lists and arrays to nested tuples, which an immutable record can hold."""
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
-    return tuple(as_tuples(element) for element in value) if isinstance(value, list | tuple) else value
 
 
 class Constant(Shape):
@@ -138,7 +132,7 @@ class Knots(Shape):
 
     kind = "knots"
 
-    points: Annotated[tuple[tuple[float, float], ...], BeforeValidator(as_tuples)]
+    points: Annotated[tuple[tuple[float, float], ...], LISTED]
     method: Method = "linear"
 
     @model_validator(mode="after")
@@ -228,9 +222,7 @@ class TanhSteps(Shape):
     kind = "tanh-steps"
 
     steps: Annotated[
-        tuple[tuple[float, float, PositiveTime], ...],
-        BeforeValidator(as_tuples),
-        Field(min_length=1, description="[A, t0, tau]"),
+        tuple[tuple[float, float, PositiveTime], ...], LISTED, Field(min_length=1, description="[A, t0, tau]")
     ]
 
     def at(self, t: ArrayLike) -> Array:
@@ -313,6 +305,97 @@ SHAPE_TYPES: dict[str, type[Shape]] = {
 """The shapes by their names in scenario files."""
 
 
+# -- friction and wind -----------------------------------------------------------------------------------------------
+WHEELS = {
+    "all": (0, 1, 2, 3),
+    "left": (0, 2),
+    "right": (1, 3),
+    "front": (0, 1),
+    "rear": (2, 3),
+    "front-left": (0,),
+    "front-right": (1,),
+    "rear-left": (2,),
+    "rear-right": (3,),
+}
+"""Columns of `Signals.friction` by name."""
+
+
+class Wind(Record):
+    """Wind velocity in the world frame (m/s): ``x`` along +X (forward at the start), ``y`` along +Y (left).
+
+    Wind from the right has ``y`` > 0. The lateral wind v_w of the paper is ``y``.
+    """
+
+    x: Signal = Constant(value=0.0)
+    y: Signal = Constant(value=0.0)
+
+    def at(self, t: ArrayLike) -> Array:
+        """Return the wind velocities (..., 2) in m/s at the times `t` (s)."""
+        return np.stack([self.x.at(t), self.y.at(t)], axis=-1)
+
+    def mirrored(self) -> Wind:
+        """Return the wind with left and right exchanged."""
+        return self.replace(y=self.y.scaled(-1.0))
+
+    def table(self) -> Any:
+        """Return the entry of a scenario file for this wind."""
+        if self.x == Constant(value=0.0):
+            return self.y.table()
+        return {"x": self.x.table(), "y": self.y.table()}
+
+
+def as_wind(value: Any) -> Wind:
+    """Convert a lateral wind (number or shape), a pair [x, y] or a table {x, y} to a `Wind`."""
+    if isinstance(value, Wind):
+        return value
+    if isinstance(value, Mapping) and "shape" not in value:
+        return build(Wind, value, "wind")
+    if isinstance(value, list | tuple):
+        if len(value) != 2:
+            raise InvalidInput("wind: give one lateral wind, or the pair [x, y].")
+        return Wind(x=as_shape(value[0]), y=as_shape(value[1]))
+    return Wind(y=as_shape(value))
+
+
+def as_friction(value: Any) -> tuple[Shape, ...]:
+    """Convert one friction for all wheels, [left, right] or one per wheel to a tuple of shapes."""
+    if not isinstance(value, list | tuple):
+        return (as_shape(value),)
+    if len(value) not in (1, 2, 4):
+        raise InvalidInput("give one value, [left, right], or [front-left, front-right, rear-left, rear-right].")
+    return tuple(as_shape(shape) for shape in value)
+
+
+class Patch(Record):
+    """Different friction under the named ``wheels`` from time ``start`` until time ``end`` (s)."""
+
+    start: Annotated[float, Field(description="s")]
+    end: Annotated[float, Field(description="s")]
+    friction: Annotated[float, Field(gt=0.0, le=HIGHEST_FRICTION)]
+    wheels: Literal["all", "left", "right", "front", "rear", "front-left", "front-right", "rear-left", "rear-right"] = (
+        "all"
+    )
+
+    @model_validator(mode="after")
+    def _check_times(self) -> Self:
+        if not self.end > self.start:
+            raise InvalidInput(f"the patch ends at {self.end!r} s; it must end after its start at {self.start!r} s.")
+        return self
+
+    def mirrored(self) -> Patch:
+        """Return the patch with left and right exchanged."""
+        swap = {"left": "right", "right": "left"}
+        return self.replace(wheels=re.sub("left|right", lambda side: swap[side[0]], self.wheels))
+
+
+def as_patches(value: Any) -> tuple[Patch, ...]:
+    """Convert a list of tables to a tuple of patches."""
+    if not isinstance(value, list | tuple):
+        raise InvalidInput("give a list of patches.")
+    return tuple(patch if isinstance(patch, Patch) else build(Patch, patch, "patch") for patch in value)
+
+
+# -- curves -----------------------------------------------------------------------------------------------------------
 def _elapsed(t: ArrayLike, start: float, duration: float) -> Array:
     """Elapsed share of the time from `start` to `start + duration` at `t`, limited to 0 before and 1 after."""
     return np.clip((np.asarray(t, dtype=np.float64) - start) / duration, 0.0, 1.0)
@@ -320,10 +403,6 @@ def _elapsed(t: ArrayLike, start: float, duration: float) -> Array:
 
 def _product(factor: float, value: float) -> float:
     return factor * value + 0.0  # never -0.0
-
-
-def _lists(value: Any) -> Any:
-    return [_lists(element) for element in value] if isinstance(value, tuple) else value
 
 
 def _natural_slopes(step: Array, secant: Array) -> Array:

@@ -11,10 +11,8 @@ from adaptrack.base.checked import Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_GRADE, MAX_SPEED
 from adaptrack.core.planning.drive import bank_pull, drive_instants
-from adaptrack.scenario.shapes import Array
+from adaptrack.scenario.shapes import HIGHEST_FRICTION, Array
 
-HIGHEST_FRICTION = 3.0
-"""Largest accepted friction coefficient. Racing tyres stay below 2; larger inputs are usually percentages."""
 STEEPEST_BANK = 0.8
 """Largest accepted bank angle of a road, to either side (rad)."""
 
@@ -52,12 +50,8 @@ class Signals:
         for name in ("bank", "station", "curvature", "grade"):
             values = np.broadcast_to(reals(name, getattr(self, name)), (samples,))
             object.__setattr__(self, name, np.array(values, order="C"))
-        columns = {
-            "t": (), "y_ref": (), "speed": (), "friction": (4,), "wind": (2,), "bank": (), "station": (),
-            "curvature": (), "grade": (),
-        }  # fmt: skip
-        for name, width in columns.items():
-            shape = (samples, *width)
+        for name in ("t", "y_ref", "speed", "friction", "wind", "bank", "station", "curvature", "grade"):
+            shape = (samples, *{"friction": (4,), "wind": (2,)}.get(name, ()))
             values = getattr(self, name)
             if values.shape != shape:
                 raise InvalidInput(f"{name} has shape {values.shape}; with {samples} instants it must be {shape}.")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,9 +30,8 @@ from adaptrack.control.kalman import KalmanFilter
 from adaptrack.core.maths import portable
 from adaptrack.drive.failure import FailureLimits
 from adaptrack.scenario.profile import Profile, load_profile
-from adaptrack.tuning.pso import Swarm, SwarmSettings
+from adaptrack.tuning.pso import SearchBounds, Swarm, SwarmSettings
 from adaptrack.tuning.runs import RunSet, random_drive_runs
-from adaptrack.tuning.spaces import SearchBounds
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
@@ -213,7 +213,9 @@ def tune(
     start_time, report = time.perf_counter(), progress or (lambda stage, steps_done, steps: None)
     effort = effort or TuningEffort()
     seed = whole_number("tune", "seed", seed, least=0)
-    car, simulated_plant = _car_and_plant(car, plant)
+    car = car if isinstance(car, Vehicle) else load_vehicle(car)
+    plant = "dual-track" if plant is None else plant
+    simulated_plant = get_plant(plant, car) if isinstance(plant, str) else plant
     profile = load_profile(profile)
     mpc = MPC(car, profile=profile, uncertainty=uncertainty, estimator=estimator)
     limits = {name: limit for name, limit in (("speed", speed), ("friction", friction)) if limit is not None}
@@ -250,15 +252,6 @@ def tune(
         controller, profile, domain, feasible, default, best, costs, gain, certificate, simulated_plant.name,
         simulated_plant.costly, seconds,
     )  # fmt: skip
-
-
-def _car_and_plant(
-    car: Vehicle | str, plant: Plant | SteppedPlant | str | None
-) -> tuple[Vehicle, Plant | SteppedPlant]:
-    """Return the car as the controller assumes it, and the simulated plant."""
-    assumed = car if isinstance(car, Vehicle) else load_vehicle(car)
-    simulated_plant = "dual-track" if plant is None else plant
-    return assumed, get_plant(simulated_plant, assumed) if isinstance(simulated_plant, str) else simulated_plant
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,10 +322,7 @@ def _search_tuning(
             total += portable.log(values).reshape(len(tunings), len(runs)).mean(axis=1)
         return total
 
-    while not search.is_done:
-        report("search", search.generation, search.settings.generations)
-        search.tell(costs(search.ask()))
-    best, rows = search.result(), np.array([tuning.as_array() for tuning in candidates])
+    best, rows = search.run(costs, partial(report, "search")), np.array([tuning.as_array() for tuning in candidates])
     candidate_costs = costs(rows)
     if candidate_costs.min() <= best.cost:
         return candidates[int(candidate_costs.argmin())]

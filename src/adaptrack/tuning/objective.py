@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -146,13 +147,7 @@ class Objective:
         evaluations, steps = kernels.tune(search, trial)
         leader_cost = float(search.swarm.progress[swarm_kernel.LEADER_COST])
         # `search.best` contains the lowest cost up to each generation
-        return PointTuning(
-            space.values(search.swarm.leader),
-            leader_cost,
-            search.best,
-            evaluations,
-            steps,
-        )
+        return PointTuning(space.values(search.swarm.leader), leader_cost, search.best, evaluations, steps)
 
     def _simulated_costs(self, point: ArrayLike, tunings: Array) -> Array:
         """Compute `costs` with `simulate`, one run at a time."""
@@ -163,9 +158,7 @@ class Objective:
 
     def _search_by_costs(self, point: ArrayLike, swarm: Swarm) -> PointTuning:
         """Search like `tune`, but with costs that `costs` computes: every run is driven to its end."""
-        while not swarm.is_done:
-            swarm.tell(self.costs(point, swarm.ask()))
-        result, runs = swarm.result(), swarm.settings.evaluations * len(self.noise_seeds)
+        result, runs = swarm.run(partial(self.costs, point)), swarm.settings.evaluations * len(self.noise_seeds)
         steps = runs * self.scenario(point).sample(self.mpc.period).n
         return PointTuning(result.x, result.cost, result.trace, result.evaluations, steps)
 
