@@ -183,7 +183,7 @@ RUN = (
 Run = record("Run", RUN)
 """A batch of runs with their controllers."""
 CONTROL_SPEED = void(Place(Run))
-"""``control_speed(run)``: request the forces of the only slot (`loop.EXTERNAL_FORCES`) before its controller steps."""
+"""``control_speed(run)``: request the forces of the only slot (`world.EXTERNAL_FORCES`) before its controller steps."""
 SHOW = void(int64, Place(Run))
 """``show(slot, run)``: take what is to be seen of a period, before the car moves."""
 _call_control_speed, _call_show = Caller(CONTROL_SPEED), Caller(SHOW)
