@@ -32,9 +32,8 @@ from adaptrack.analysis.linearisation import (
 )
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall
-from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, twin_of
-from adaptrack.cars.vehicle import Vehicle
+from adaptrack.cars.vehicle import Domain, Vehicle
 from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
