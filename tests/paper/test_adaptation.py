@@ -26,11 +26,10 @@ from adaptrack.control.scheduling import (
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.paper import adaptation, evaluation, improvement, landscape, learning_task
-from adaptrack.paper.adaptation import CONTENDER_NAMES, identity_of, shipped_schedules
+from adaptrack.paper.adaptation import CONTENDER_NAMES, Effort, LearningTask, identity_of, shipped_schedules
 from adaptrack.paper.campaign_config import list_campaigns, load_campaign
 from adaptrack.paper.data_set import load_dataset
 from adaptrack.paper.evaluation import evaluate_on_drives, evaluate_on_operating_points, evaluate_on_tests
-from adaptrack.paper.learning_task import Effort, LearningTask
 from adaptrack.tuning.objective import Objective
 from small_chain import CAMPAIGN, EFFORT, learned, short_cuts, task_of, write
 from small_runs import Rated, bowl, lane_changes, run_set

@@ -386,7 +386,7 @@ class Vehicle(FieldRecord, fields=CAR, after="tyre"):
     @field_validator("tyre")
     @classmethod
     def _tyre_is_known_or_a_file(cls, tyre: str) -> str:
-        if _is_path(tyre):
+        if is_path(tyre):
             if not Path(tyre).is_file():
                 raise ValueError("no such file.")
         elif tyre not in list_tyres():
@@ -526,7 +526,7 @@ class Vehicle(FieldRecord, fields=CAR, after="tyre"):
             When the file cannot be written.
         """
         data = self.replace(name=Path(path).stem).model_dump()
-        if _is_path(self.tyre):
+        if is_path(self.tyre):
             data["tyre"] = os.path.relpath(self.tyre, Path(path).parent)
         comments = "".join(f"# {line}\n" for line in head) + "\n" * bool(head)
         write_atomically(path, (comments + dump_toml(data, meanings(self))).encode())
@@ -590,7 +590,7 @@ def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
     path = find_data("vehicles", name_or_path)
     data = {"name": path.stem, **read_toml(path)}
     tyre = data.get("tyre")
-    if isinstance(tyre, str) and _is_path(tyre):
+    if isinstance(tyre, str) and is_path(tyre):
         data["tyre"] = str(path.parent / tyre)
     return build(Vehicle, data, path)
 
@@ -617,7 +617,7 @@ def find_data(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
     InvalidInput
         For what is neither text nor a path.
     """
-    if isinstance(name_or_path, os.PathLike) or _is_path(name_or_path):
+    if isinstance(name_or_path, os.PathLike) or is_path(name_or_path):
         return Path(name_or_path)
     if not isinstance(name_or_path, str):
         raise InvalidInput(f"a {folder[:-1]} is given by its name or by the path of its file, not by {name_or_path!r}.")
@@ -628,5 +628,6 @@ def find_data(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
     return SHIPPED / folder / f"{name_or_path}.toml"
 
 
-def _is_path(text: Any) -> bool:
+def is_path(text: Any) -> bool:
+    """Whether a text means a TOML file rather than a name: it ends in ``.toml`` or holds a directory."""
     return str(text).endswith(".toml") or any(mark in str(text) for mark in (os.sep, os.altsep) if mark)
