@@ -16,6 +16,7 @@ from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, SHIPPED, Record, build, read_toml
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
+from adaptrack.comparison.table import WITH
 from adaptrack.control.controllers import About, Controller, about_controller, get_controller
 from adaptrack.drive.drivers import make_driver
 from adaptrack.drive.world import ROAD_DRIVER, Driver
@@ -35,8 +36,6 @@ STEP_TIME = 1e-3
 """Assumed computation time of a control period with a driver, which often needs Python at every step (s)."""
 STOP_DURATION = 2.0
 """Time for which cars stand at stops (s)."""
-WITH = " + "
-"""Text between the names of a controller and its driver."""
 
 Friction = Annotated[float, Field(gt=0.0, le=3.0)]
 Names = Annotated[tuple[str, ...], LISTED, Field(min_length=1)]

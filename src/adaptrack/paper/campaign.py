@@ -115,9 +115,8 @@ def tuned_mpc(setup: Setup, tuning: Tuning | None = None, **options: Any) -> MPC
 def campaign_objective(setup: Setup) -> Objective:
     """The cost of a tuning in a campaign: its plant or the plant's twin, its profile, and the MPC with free moves."""
     config = setup.config
-    mpc = tuned_mpc(
-        setup, longest_horizon=max(60, config.search.Np[1]), most_moves=max(20, config.search.Nc[1])
-    )  # fmt: skip
+    Np, Nc = config.search.Np[1], config.search.Nc[1]
+    mpc = tuned_mpc(setup, longest_horizon=max(60, Np), most_moves=max(20, Nc))
     return Objective(
         plant=setup.searched_on,
         mpc=mpc,

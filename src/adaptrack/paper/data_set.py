@@ -38,6 +38,8 @@ DATA_SET_VERSION = 1
 """Raised whenever a column or an entry is added, dropped, renamed or changes its unit."""
 
 _DATA = SHIPPED / "datasets"
+_COLUMN = {"costs": "cost", "standard_costs": "standard_cost", "traces": "trace"}
+"""Names of columns that differ from those of the arrays."""
 _WHOLE = ("evaluations", "control_steps", "stream", "mirrored_from", "seed")
 
 
@@ -56,7 +58,7 @@ DATA_SET_COLUMNS = (
     TunedColumn(
         "stream", "-", "int64", "number of the operating point; its random numbers depend on seed and stream only"
     ),
-    *(TunedColumn(column.name, column.unit, "float64", column.meaning) for column in POINT_COORDINATES),
+    *(TunedColumn(column.name, column.unit or "-", "float64", column.meaning) for column in POINT_COORDINATES),
     *(
         TunedColumn(field.name, "-", "int64", f"{field.meaning} of the best tuning found, {field.unit}")
         if field.name in HORIZONS
@@ -222,9 +224,8 @@ class DataSet:
             When that fails; an older file at `path` is then untouched.
         """
         values = dict(zip(POINT_NAMES, self.operating_points.T, strict=True))
-        values |= dict(zip(ENTRIES, self.tunings.T, strict=True)) | {name: getattr(self, name) for name in _WHOLE}
-        values |= {"r_over_q": self.ratios, "cost": self.costs, "standard_cost": self.standard_costs}
-        values |= {"trace": self.traces, "landscape": self.landscape}
+        values |= dict(zip(ENTRIES, self.tunings.T, strict=True)) | {"r_over_q": self.ratios}
+        values |= {_COLUMN.get(name, name): getattr(self, name) for name in self.ROW_FIELDS[2:]}
         columns = [
             ParquetColumn(name, unit, np.ascontiguousarray(values[name], dtype=dtype), meaning)
             for name, unit, dtype, meaning, _ in DATA_SET_COLUMNS
@@ -251,17 +252,12 @@ class DataSet:
             for name, _, dtype, _, ndim in DATA_SET_COLUMNS:
                 if columns[name].dtype != np.dtype(dtype) or columns[name].ndim != ndim:
                     raise ValueError(f"column {name!r} holds {columns[name].dtype}, not {dtype}")
-            library = np.array(metadata.pop("library"), dtype=np.float64)
             return cls(
                 operating_points=np.column_stack([columns[name] for name in POINT_NAMES]),
                 tunings=np.column_stack([columns[name] for name in ENTRIES]),
-                costs=columns["cost"],
-                standard_costs=columns["standard_cost"],
-                traces=columns["trace"],
-                landscape=columns["landscape"],
-                library=library,
+                library=np.array(metadata.pop("library"), dtype=np.float64),
                 provenance=metadata,
-                **{name: columns[name] for name in _WHOLE},
+                **{name: columns[_COLUMN.get(name, name)] for name in cls.ROW_FIELDS[2:]},
             )
         except (AttributeError, KeyError, ValueError, TypeError, OverflowError) as error:
             raise Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}.") from error
@@ -356,7 +352,7 @@ def describe(dataset: DataSet) -> dict[str, Any]:
         "ranges": [
             {
                 "quantity": column.name,
-                "unit": column.unit,
+                "unit": column.unit or "-",
                 "lowest": float(values.min()),
                 "highest": float(values.max()),
                 "levels": int(np.unique(values).size),

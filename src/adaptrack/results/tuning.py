@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from adaptrack.base.result import Column, Result, ResultTable
-from adaptrack.comparison.table import finite
+from adaptrack.comparison.table import finite, standing_rows
 from adaptrack.comparison.tune_on_roads import TunedOnRoads
-from adaptrack.comparison.views import standing_rows
 from adaptrack.results.compare import console_table
 from adaptrack.tuning.car import TunedCar
 
