@@ -44,6 +44,8 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _ANGLES = portable.geomspace(1e-3, np.pi, 768)  # frequencies of the loop gain (rad per control period)
+COARSE_ANGLES = portable.geomspace(2e-3, np.pi, 192)
+"""Frequencies of the loop gain (rad per control period) where only the modulus margin is needed."""
 
 
 # -- the loop ---------------------------------------------------------------------------------------------------------
@@ -101,16 +103,9 @@ def closed_loop(
     return loops(linear, laws(mpc, speed, (tuning or mpc.tuning).as_array(), estimator))[0]
 
 
-def spectral_radius(
-    plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, friction: float = 0.9,
-    profile: str | Profile = "paper", lateral_acceleration: float = 0.0, delay: float = 0.0,
-) -> float:  # fmt: skip
-    """Return the spectral radius of `closed_loop`; the loop is stable if it is less than 1."""
-    matrix = closed_loop(
-        plant, mpc, speed, tuning=tuning, friction=friction, profile=profile,
-        lateral_acceleration=lateral_acceleration, delay=delay,
-    )  # fmt: skip
-    return float(radii(matrix))
+def spectral_radius(plant: Plant, mpc: MPC, speed: float, **options: Any) -> float:
+    """Return the spectral radius of `closed_loop`, with its options; the loop is stable if it is less than 1."""
+    return float(radii(closed_loop(plant, mpc, speed, **options)))
 
 
 def radii(matrices: Array) -> Array:
@@ -136,13 +131,19 @@ class Margins:
 
     def worst(self, other: Margins) -> Margins:
         """Return the worse margins of two sets, loop by loop."""
-        return Margins(
-            np.maximum(self.radius, other.radius),
-            np.minimum(self.gain_up, other.gain_up),
-            np.maximum(self.gain_down, other.gain_down),
-            np.minimum(self.delay, other.delay),
-            np.minimum(self.modulus_margin, other.modulus_margin),
-        )
+        return Margins(*(worse(getattr(self, name), getattr(other, name)) for name, worse in _WORSE.items()))
+
+    @property
+    def extremes(self) -> dict[str, float]:
+        """The worst value of each margin over all loops."""
+        return {name: float(worse.reduce(getattr(self, name))) for name, worse in _WORSE.items()}
+
+
+_WORSE = {
+    "radius": np.maximum, "gain_up": np.minimum, "gain_down": np.maximum, "delay": np.minimum,
+    "modulus_margin": np.minimum,
+}  # fmt: skip
+"""Function that returns the worse of two values of each margin."""
 
 
 def loop_gain(plant: Sampled, law: LinearControllers, angles: ArrayLike = _ANGLES) -> Complex:

@@ -6,7 +6,6 @@ reference contender over cars and roads, and a bootstrap interval that resamples
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -274,18 +273,6 @@ class Comparison:
 def _finite_values(values: Array) -> Array:
     """Return the finite values, (n,)."""
     return values[np.isfinite(values)]
-
-
-def _plain(values: Any) -> Any:
-    """Return nested lists with None instead of NaN, as strict JSON needs."""
-    if isinstance(values, list):
-        return [_plain(value) for value in values]
-    return None if isinstance(values, float) and not math.isfinite(values) else values
-
-
-def finite(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows for strict JSON, with None instead of NaN."""
-    return [{key: _plain(value) for key, value in row.items()} for row in rows]
 
 
 # -- rows of all measures ---------------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from adaptrack.base.files import (
     write_atomically,
 )
 from adaptrack.base.presentation import figure_of, html_of
+from adaptrack.base.result import strict
 from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
 from adaptrack.core.controllers.tuning import MPC_TUNING_FIELDS
 from adaptrack.core.maths import portable
@@ -364,7 +365,7 @@ def describe(dataset: DataSet) -> dict[str, Any]:
             for name, values in best_tunings(rows).items()
         ],
         "flatness": [
-            {"within": within, "mean": _finite(share.mean() if share.size else np.nan), **_quantiles(share)}
+            {"within": within, "mean": strict(share.mean() if share.size else np.nan), **_quantiles(share)}
             for within in NEAR_BEST
             for share in (flatness(dataset, within),)
         ],
@@ -379,7 +380,7 @@ def _costs(rows: DataSet) -> dict[str, float | int | None]:
     positive = np.isfinite(rows.best_costs) & (rows.best_costs > 0.0)
     excess = rows.costs[positive] / rows.best_costs[positive] - 1.0
     return {
-        "standard_over_best_geomean": _finite(portable.exp(portable.log(gain).mean()) if gain.size else np.nan),
+        "standard_over_best_geomean": strict(portable.exp(portable.log(gain).mean()) if gain.size else np.nan),
         "swarm_behind_the_best_known_p50": _quantile(excess, 0.5),
         "swarm_behind_the_best_known_p90": _quantile(excess, 0.9),
         "failed_by_the_standard": int(np.isinf(rows.standard_costs).sum()),
@@ -416,7 +417,3 @@ def _share_at_bounds(values: Array, bounds: tuple[float, float] | None) -> float
     if bounds is None:
         return None
     return float(((values <= bounds[0] + 1e-9) | (values >= bounds[1] - 1e-9)).mean())
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall, reports_progress
+from adaptrack.base.result import strict
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Moves, Tuning, published_mpc
@@ -386,7 +387,7 @@ def measure(configuration: Configuration, controller: PaperController, scenario:
         "preview": preview,
         "moves": describe_moves(controller.moves),
         "paper_mse": published,
-        "ratio": None if published is None else _finite(measures.mse / published),
+        "ratio": None if published is None else strict(measures.mse / published),
         "clipped_share": None if schedule is None else outside(run, schedule)["any"],
         **measures.as_row(),
     }
@@ -432,7 +433,7 @@ def ablation(
                     "moves": describe_moves(moves),
                     "controller": name,
                     "adapts": adapts,
-                    "mse": _finite(mse),
+                    "mse": strict(mse),
                     "failed": failed,
                     "constants_better": int((by_constants < (1.0 - RELATIVE_TIE) * mse).sum()),
                 }
@@ -457,7 +458,7 @@ def swaps(plant: Plant, scenarios: Iterable[Scenario], constant: Tuning) -> list
             "changed": name,
             "table": table,
             "constant": value,
-            "mse": _finite(compute_metrics(drive(plant, PaperController(name, PULSE_MOVES, tuning), scenario)).mse),
+            "mse": strict(compute_metrics(drive(plant, PaperController(name, PULSE_MOVES, tuning), scenario)).mse),
         }
         for scenario in scenarios
         for name, (table, value, tuning) in changes.items()
@@ -538,7 +539,3 @@ def drive_informed(scenarios: Iterable[Scenario], schedules: Mapping[str, Schedu
                     "rms_rate": math.sqrt(runs.mean_squared_move[ended].mean()) / mpc.period if ended.any() else None,
                 })  # fmt: skip
     return rows
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
