@@ -152,16 +152,9 @@ class Certificate:
     def worst_points(
         self, count: int = 5, sweep: Sweep | None = None, driving: Driving = "straight"
     ) -> list[dict[str, Any]]:
-        """Return the points with the smallest modulus margin, worst first: variables, tuning and margins.
+        """Return the `count` points with the smallest modulus margin, worst first: variables, tuning and margins.
 
-        Parameters
-        ----------
-        count
-            Number of points.
-        sweep
-            Sweep of this certificate; None for `counted`.
-        driving
-            Straight driving or the hard turn.
+        sweep: one of this certificate, None for `counted`; driving: straight driving or the hard turn.
         """
         sweep = sweep or self.counted
         driving_margins: Margins = getattr(sweep, driving)

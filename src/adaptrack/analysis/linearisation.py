@@ -56,21 +56,9 @@ def steady_turn(
     """Return state (n,) and front-wheel angle (rad) of a steady turn to the left without wind.
 
     The velocity points along X. Newton's method finds a state in which the derivatives of all states except X, Y, yaw
-    and v_x vanish. The lateral acceleration rises from zero in steps of at most 1 m/s^2.
-
-    Parameters
-    ----------
-    plant
-        Plant with a right-hand side.
-    speed
-        Speed (m/s).
-    lateral_acceleration
-        Lateral acceleration (m/s^2), speed times yaw rate.
-    friction
-        Friction coefficient.
-    deceleration
-        Deceleration (m/s^2) of a moment of braking, with its longitudinal tyre forces and load transfer, at constant
-        speed.
+    and v_x vanish. The lateral acceleration rises from zero in steps of at most 1 m/s^2. speed: m/s;
+    lateral_acceleration: m/s^2, speed times yaw rate; deceleration: m/s^2, of a moment of braking, with its
+    longitudinal tyre forces and load transfer, at constant speed.
 
     Raises
     ------
@@ -278,18 +266,9 @@ def sampled(
 ) -> Sampled:  # fmt: skip
     """Return the linearised plant with its steering, exactly discretised with a zero-order hold of the commands.
 
-    The rate limit of the steering has no effect on small deviations.
-
-    Parameters
-    ----------
-    plant, speed, friction, lateral_acceleration
-        As for `steady_turn`.
-    period
-        Control period (s).
-    profile
-        Steering and dead time of the car, and mean ages of its samples.
-    delay
-        Dead time (s) in addition to that of the profile, also fractions of a period.
+    The rate limit of the steering has no effect on small deviations. plant, speed, friction, lateral_acceleration: as
+    for `steady_turn`; period: s; profile: steering and dead time of the car, and mean ages of its samples; delay: s,
+    dead time in addition to that of the profile, also fractions of a period.
 
     Raises
     ------
@@ -595,14 +574,8 @@ class EstimatorAt:
     def with_turn_gains(self, measured: Array, command: float) -> LinearEstimator:
         """Return the linear estimator with the gains that it has after some time in a steady turn.
 
-        The gains are treated as constant, since they follow the tyre forces more slowly than the loop moves.
-
-        Parameters
-        ----------
-        measured
-            Signals in the turn, (9,), see `Steady.measured`.
-        command
-            Steering command in the turn (rad).
+        The gains are treated as constant, since they follow the tyre forces more slowly than the loop moves. measured:
+        (9,) signals in the turn, see `Steady.measured`; command: rad, steering command in the turn.
         """
         if self._is_deadbeat:
             return self.straight
@@ -706,21 +679,11 @@ class LinearControllers:
 
 
 def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator | None = None) -> LinearControllers:
-    """Return the linear controllers of an MPC with n tunings at one speed.
+    """Return the linear controllers of an MPC with n tunings at one speed (m/s).
 
-    A controller that learns is analysed in its initial state: with its initial belief, and R times its initial caution
-    factor.
-
-    Parameters
-    ----------
-    mpc
-        Controller.
-    speed
-        Speed (m/s).
-    tunings
-        Np, Nc, Q and R, (n, 4), with whole horizons and 1 <= Nc <= Np.
-    estimator
-        Linear estimator; None for `linear_estimator` at this speed.
+    The tunings are Np, Nc, Q and R, (n, 4), with whole horizons and 1 <= Nc <= Np. A controller that learns is analysed
+    in its initial state: with its initial belief, and R times its initial caution factor. estimator: None for
+    `linear_estimator` at this speed
     """
     caution = mpc.first_caution
     rows = np.atleast_2d(np.asarray(tunings, dtype=np.float64))

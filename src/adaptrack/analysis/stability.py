@@ -52,14 +52,8 @@ COARSE_ANGLES = portable.geomspace(2e-3, np.pi, 192)
 def loops(plant: Sampled, law: LinearControllers, gain: float = 1.0) -> Array:
     """Return the closed-loop matrices over one control period of n controllers, (n, m + q, m + q).
 
-    Parameters
-    ----------
-    plant
-        Sampled plant with m states.
-    law
-        Controllers, whose estimator has q states. The loop's state is that of the plant, then that of the estimator.
-    gain
-        Factor on the commands between controller and steering.
+    The loop's state is that of the plant (m,), then that of the controllers' estimator (q,). gain: factor on the
+    commands between controller and steering
     """
     estimator, measured = law.estimator, _measured(plant, law)
     m, q = len(plant.b), len(estimator.a)
@@ -303,20 +297,8 @@ def margin_map(
 ) -> Array:  # fmt: skip
     """Return the smallest modulus margin of an MPC with several plants, on a grid of operating points and tunings.
 
-    Parameters
-    ----------
-    mpc
-        Controller.
-    plants
-        Linear plants.
-    axes
-        Values of speed (m/s), friction, Np, Nc and log10 R/Q. A node with Nc > Np is computed with Nc = Np.
-    angles
-        Frequencies of the loop gain (rad per control period).
-    ages
-        Ages of the samples in the plants.
-    progress
-        Function called with (stage, steps done, steps in all).
+    The axes are values of speed (m/s), friction, Np, Nc and log10 R/Q. A node with Nc > Np is computed with Nc = Np.
+    angles: frequencies of the loop gain (rad per control period); ages: of the samples in the plants.
     """
     horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
     tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), portable.power(10.0, ratio)])

@@ -253,12 +253,7 @@ class ControllerSetting:
 def load_setting(car: str, profile: str) -> ControllerSetting:
     """Return a car with its plant and profile.
 
-    Parameters
-    ----------
-    car
-        Name or .toml file of a car, optionally followed by a slash and the name of a plant.
-    profile
-        Name or file of a profile.
+    car: name or .toml file of a car, optionally followed by a slash and the name of a plant; profile: name or file.
 
     Raises
     ------
@@ -277,21 +272,10 @@ def load_drive(
     name: str, car: Vehicle, length: float, duration: float, *, friction: float | None = None,
     stops: Sequence[float] = (), jerk: float | None = None,
 ) -> Scenario | RoadDrive:  # fmt: skip
-    """Return the drive on a road with a speed that is planned for a car.
+    """Return the drive on a road, named as in `ComparisonConfig.roads`, with a speed that is planned for a car.
 
-    Parameters
-    ----------
-    name
-        Road in the form of `ComparisonConfig.roads`.
-    car
-        Car whose speed is planned.
-    length
-        Length of a generated road (m).
-    duration
-        Duration of a random drive (s).
-    friction, stops, jerk
-        True friction of a road, which the plan does not use, places where the car stands for `STOP_DURATION` (m), and
-        limit of the planned jerk (m/s^3).
+    length: m, of a generated road; duration: s, of a random drive; friction: true friction of a road, which the plan
+    does not use; stops: m, places where the car stands for `STOP_DURATION`; jerk: m/s^3, limit of the planned one.
 
     Raises
     ------

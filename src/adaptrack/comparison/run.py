@@ -56,8 +56,6 @@ from adaptrack.tuning.pso import SwarmSettings
 from adaptrack.tuning.runs import RunSet
 from adaptrack.tuning.spaces import is_tunable
 
-Array = NDArray[np.float64]
-
 # -- one cell ---------------------------------------------------------------------------------------------------------
 MAX_PARTICLES = 20
 """Largest number of particles of a search. A small budget gets fewer particles, so that some generations are left."""
@@ -108,20 +106,15 @@ def _shared_roads(car: str) -> dict[float, Road]:
 
 
 def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
-    """Tune and test one controller on one car in one profile.
+    """Tune and test one controller on one car in one profile; return values that JSON can represent.
 
-    Returns
-    -------
-    dict
-        Values that JSON can represent:
-
-        - `rows`: one for each test run;
-        - `tunings`: default and best tuning;
-        - `entry_speed`: highest clean entry speed (m/s) by label;
-        - `not_entered`: reason why ISO 3888-2 was not driven;
-        - `loops`: number of simulated drives of the search;
-        - `seconds`: computation time (s);
-        - `left_out`: reason why nothing was driven.
+    - `rows`: one for each test run;
+    - `tunings`: default and best tuning;
+    - `entry_speed`: highest clean entry speed (m/s) by label;
+    - `not_entered`: reason why ISO 3888-2 was not driven;
+    - `loops`: number of simulated drives of the search;
+    - `seconds`: computation time (s);
+    - `left_out`: reason why nothing was driven.
 
     Raises
     ------
@@ -216,21 +209,6 @@ ENTRY_SPEEDS = tuple((np.arange(26.0, 91.0, 2.0) / 3.6).tolist())
 """Entry speeds that are driven (m/s)."""
 
 
-def columns(cells: Sequence[Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
-    """Return the rows of all cells as columns by name, with NaN for missing measures.
-
-    Raises
-    ------
-    InvalidInput
-        When no cell has a row.
-    """
-    rows = [row for cell in cells for row in cell["rows"]]
-    if not rows:
-        reasons = "; ".join(dict.fromkeys(cell["left_out"] for cell in cells))
-        raise InvalidInput(f"compare: no contender can drive here: {reasons}")
-    return {name: as_column([row[name] for row in rows]) for name in rows[0]}
-
-
 # -- all cells --------------------------------------------------------------------------------------------------------
 REFERENCES = ("informed, tuned", "informed, default")
 """Labels of preferred reference contenders. A comparison without them uses its first contender."""
@@ -252,8 +230,18 @@ class Compared:
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns of all runs, see `cells.columns`."""
-        return columns(list(self.cells.values()))
+        """The rows of all cells as columns by name, with NaN for missing measures.
+
+        Raises
+        ------
+        InvalidInput
+            When no cell has a row.
+        """
+        rows = [row for cell in self.cells.values() for row in cell["rows"]]
+        if not rows:
+            reasons = "; ".join(dict.fromkeys(cell["left_out"] for cell in self.cells.values()))
+            raise InvalidInput(f"compare: no contender can drive here: {reasons}")
+        return {name: as_column([row[name] for row in rows]) for name in rows[0]}
 
     @cached_property
     def profile_comparisons(self) -> dict[str, Comparison]:

@@ -103,18 +103,9 @@ class Comparison:
         roles: Mapping[str, ContenderRole] | None = None, overall: Mapping[str, Mapping[str, float]] | None = None,
         over: tuple[str, ...] = ("road",), failure: FailureLimits | None = None,
     ) -> Comparison:  # fmt: skip
-        """Return a comparison on one car.
+        """Return a comparison on one car from entries by contender and measure, each (roads, seeds) or (roads,).
 
-        Parameters
-        ----------
-        runs
-            Entries by contender and measure, each (roads, seeds) or (roads,).
-        reference, car, roles, overall, over, failure
-            See the fields.
-        roads, seeds
-            Names of the roads and noise seeds; None for their indices.
-        where
-            Coordinates of the roads, (roads, k); None for their indices.
+        The other arguments are the fields of these names. Roads, seeds and coordinates `where` are indices by default.
         """
         arrays = {
             contender: {name: np.asarray(values) for name, values in measures.items()}
@@ -135,14 +126,9 @@ class Comparison:
 
     @classmethod
     def from_columns(cls, columns: Mapping[str, NDArray[Any]], preferred: Sequence[str] = ()) -> Comparison:
-        """Return a comparison from the columns of its runs.
+        """Return a comparison from columns "contender", "tuning", "car", "road", "seed" and measures, each (runs,).
 
-        Parameters
-        ----------
-        columns
-            Columns "contender", "tuning", "car", "road", "seed" and measures by name, each (runs,).
-        preferred
-            Labels of preferred references. The first one among the contenders is used, otherwise the first contender.
+        The reference is the first of the `preferred` labels among the contenders, otherwise the first contender.
         """
         pairs = list(zip(columns["contender"].tolist(), columns["tuning"].tolist(), strict=True))
         roles = {

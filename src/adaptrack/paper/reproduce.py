@@ -16,7 +16,6 @@ import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -83,7 +82,7 @@ EXPERIMENT_STAGES = (
 
 QUICK_OPTIONS: Mapping[str, Mapping[str, Any]] = {"nn": {"epochs": 100}, "anfis": {"epochs": 5}}
 QUICK_ROWS = 1500
-"""A quick run trains for fewer epochs, and on fewer operating points."""
+"""A quick run trains for fewer epochs, and on fewer operating points, chosen at random."""
 
 
 @dataclass(frozen=True)
@@ -244,8 +243,14 @@ def reproduce(
     dataset = load_dataset("paper-grid") if dataset is None else dataset
     search_bounds(dataset)
     constant, table = best_of_library(dataset), grid_lookup(dataset)
-    source = learning_rows(dataset, seed) if quick else dataset
-    enter = partial(_enter, progress)
+    source = dataset
+    if quick and len(dataset) > QUICK_ROWS:
+        source = dataset.rows(np.sort(np.random.default_rng(seed).permutation(len(dataset))[:QUICK_ROWS]))
+
+    def enter(stage: int) -> None:
+        if progress is not None:
+            progress(EXPERIMENT_STAGES[stage], stage, len(EXPERIMENT_STAGES))
+
     free, learning = {}, []
     for stage, model in enumerate(LEARNED_MODELS):
         enter(stage)
@@ -257,14 +262,25 @@ def reproduce(
     scenarios = [load_scenario(name) for name in PAPER_TESTS]
     released, same_moves = configurations(constant.tuning, table, clamped, free)
     enter(2)
-    rows = drive_all((released, same_moves), scenarios)
+    rows = [
+        measure(configuration, controller, scenario, preview)
+        for configuration in (released, same_moves)
+        for scenario in scenarios
+        for controller in configuration.controllers
+        for preview in (False, True)
+    ]
     enter(3)
     parts = ablation(released.plant, scenarios, constant.tuning, clamped, dataset.library)
     swapped = swaps(same_moves.plant, scenarios, constant.tuning)
     enter(4)
     informed = drive_informed(scenarios, clamped)
     enter(5)
-    runs = timed_runs(released, scenarios)
+    runs = [
+        (controller.stands_for, drive(released.plant, controller, scenario, timed=True))
+        for scenario in scenarios
+        for controller in released.controllers
+        if controller.stands_for
+    ]
     return Reproduction(
         rows=rows,
         ablation=parts,
@@ -285,39 +301,6 @@ def reproduce(
         seconds=time.perf_counter() - begun,
         training_seconds=training_seconds,
     )
-
-
-def learning_rows(dataset: DataSet, seed: int) -> DataSet:
-    """The operating points of a quick run: `QUICK_ROWS` at random."""
-    if len(dataset) <= QUICK_ROWS:
-        return dataset
-    return dataset.rows(np.sort(np.random.default_rng(seed).permutation(len(dataset))[:QUICK_ROWS]))
-
-
-def drive_all(configurations: Iterable[Configuration], scenarios: Sequence[Scenario]) -> list[Row]:
-    """Every controller on both tests, without and with preview, see `Reproduction.rows`."""
-    return [
-        measure(configuration, controller, scenario, preview)
-        for configuration in configurations
-        for scenario in scenarios
-        for controller in configuration.controllers
-        for preview in (False, True)
-    ]
-
-
-def timed_runs(released: Configuration, scenarios: Iterable[Scenario]) -> list[tuple[str, Trajectory]]:
-    """Standard, nn and anfis from Python, with their step times."""
-    return [
-        (controller.stands_for, drive(released.plant, controller, scenario, timed=True))
-        for scenario in scenarios
-        for controller in released.controllers
-        if controller.stands_for
-    ]
-
-
-def _enter(progress: ProgressCall | None, stage: int) -> None:
-    if progress is not None:
-        progress(EXPERIMENT_STAGES[stage], stage, len(EXPERIMENT_STAGES))
 
 
 def _within(schedule: Schedule, clamps: Mapping[str, tuple[float, float]]) -> Schedule:
@@ -421,10 +404,10 @@ def ablation(
             ]
             mpc = controllers[0].mpc(preview=False)
             by_constants = rollout_batch(plant, mpc, scenario, library, failure=DRIVEN_ON).mse
-            driven = [compute_metrics(drive(plant, controller, scenario)) for controller in controllers]
+            results = [compute_metrics(drive(plant, controller, scenario)) for controller in controllers]
             outcomes = [
                 (controller.name, controller.schedule is not None, measures.mse, measures.failed)
-                for controller, measures in zip(controllers, driven, strict=True)
+                for controller, measures in zip(controllers, results, strict=True)
             ]
             hindsight = float(by_constants.min())
             rows += [
