@@ -556,7 +556,8 @@ class EstimatorAt:
             self._step(back if k % 2 else swing, 0.0, remembered)
             if k % _SETTLING_INTERVAL == 0:
                 earlier, change = change, remembered - before  # compared, since a counter changes at a constant rate
-                if _within(change - earlier, _SETTLED * np.nanmax(np.abs(before), initial=0.0)):
+                limit = _SETTLED * np.nanmax(np.abs(before), initial=0.0)
+                if not (np.abs(change - earlier) > limit).any():  # NaN, for a missing measurement, is ignored
                     break
                 before = remembered.copy()
         derivatives = _differences(partial(self._answer, 0.0), equilibrium, self._memory, self._age_places)
@@ -607,11 +608,6 @@ def _check_ages(mpc: MPC, ages: SampleAges) -> None:
             f"the samples are {oldest:.3g} s old, and the controller's filter takes in none older than {longest:.3g} "
             f"s: give MPC(..., estimator=KalmanFilter(..., oldest={oldest:.3g})), or an MPC of this profile."
         )
-
-
-def _within(values: Array, limit: float) -> bool:
-    """Whether no value exceeds a limit in magnitude; NaN, for a missing measurement, is ignored."""
-    return not (np.abs(values) > limit).any()
 
 
 def _increments(model: PredictionModel) -> LinearEstimator:

@@ -17,19 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from adaptrack.base import files
 from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.base.files import (
-    LISTED,
-    SHIPPED,
-    FieldRecord,
-    Record,
-    build,
-    dump_toml,
-    meanings,
-    read_toml,
-    write_atomically,
-)
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.cars.outline import Outline
 from adaptrack.core.kernel import OK, row_of
@@ -45,7 +35,7 @@ FASTEST_RATE = 10.0
 """rad/s, of road wheels, beyond which a rate is in another unit: a model car's servo has some 10 at its own lever."""
 
 
-class Tyre(Record):
+class Tyre(files.Record):
     """The tyre of the plant: lateral force of slip angle, vertical load and friction; the same on both sides.
 
     With q = F_z/nominal_load, the cornering stiffness of one tyre (N/rad) is
@@ -122,7 +112,7 @@ _LOAD_LAWS = {
 }  # fmt: skip
 
 
-class SteeringActuator(FieldRecord, fields=ACTUATOR):
+class SteeringActuator(files.FieldRecord, fields=ACTUATOR):
     """The steering actuator of the plant: first-order lag behind a rate limit and an angle limit, at the road wheels.
 
     d(delta)/dt = (command + bias - delta)/lag, clipped to +-rate, with the command of a dead time ago, clipped to
@@ -142,7 +132,7 @@ class SteeringActuator(FieldRecord, fields=ACTUATOR):
         return cls()
 
 
-class ForceActuatorRecord(FieldRecord, fields=FORCE_ACTUATOR):
+class ForceActuatorRecord(files.FieldRecord, fields=FORCE_ACTUATOR):
     """Drive or brakes between a requested force and the wheels: gain, dead time, first-order lag behind a rate limit.
 
     dF/dt = clip((gain request - F)/lag, +-rate m), with the request of a dead time ago and the mass m of the car.
@@ -161,7 +151,7 @@ class DriveActuator(ForceActuatorRecord):
     )
 
 
-class Steering(FieldRecord, fields=(*STEERING, STEERING_WHEEL_RATIO), optional=True):
+class Steering(files.FieldRecord, fields=(*STEERING, STEERING_WHEEL_RATIO), optional=True):
     """Steering parameters: the section ``[steering]`` of a car file. Omitted values are unknown.
 
     All angles are those of the road wheels. The simulated actuator is a profile's, see `SteeringActuator`.
@@ -178,7 +168,7 @@ class Steering(FieldRecord, fields=(*STEERING, STEERING_WHEEL_RATIO), optional=T
         return rate
 
 
-class Body(FieldRecord, fields=OUTLINE, optional=True):
+class Body(files.FieldRecord, fields=OUTLINE, optional=True):
     """Outline parameters: the section ``[body]`` of a car file. Omitted values are estimated."""
 
     def overhangs(self, wheelbase: float) -> tuple[float, float]:
@@ -205,11 +195,11 @@ class Body(FieldRecord, fields=OUTLINE, optional=True):
 
 COASTING_SHARE = 0.01
 """Of the largest brake force: up to so far below the force of the coasting car, a request presses no pedal."""
-Numbers = Annotated[tuple[float, ...], LISTED]
+Numbers = Annotated[tuple[float, ...], files.LISTED]
 """Values at the points of a table; a list in TOML."""
 
 
-class PedalMap(Record):
+class PedalMap(files.Record):
     """Static map between pedals and forces at the wheels: the section ``[pedals]`` of a car file.
 
     Forces are those of drive and brakes alone, without air drag, rolling resistance and slope. Between its points the
@@ -218,7 +208,7 @@ class PedalMap(Record):
 
     speed: Numbers = Field(description="m/s, of the rows of force")
     throttle: Numbers = Field(description="-, pedal positions of the columns of force, from 0 to at most 1")
-    force: Annotated[tuple[Numbers, ...], LISTED] = Field(
+    force: Annotated[tuple[Numbers, ...], files.LISTED] = Field(
         description="N, at the wheels, a row for each speed; at throttle 0 creep (> 0) or engine braking (< 0)"
     )
     brake: Numbers = Field(description="-, pedal positions of brake_force, from 0 to at most 1")
@@ -292,7 +282,7 @@ _CAR = tuple(_tolerance(field.name, field) for field in (*CAR, *OUTLINE) if fiel
 _STEERING = tuple(_tolerance(f"steering_{field.name}", field) for field in (*STEERING, STEERING_WHEEL_RATIO))
 
 
-class KnownWithin(FieldRecord, fields=(*_CAR, *_STEERING), optional=True):
+class KnownWithin(files.FieldRecord, fields=(*_CAR, *_STEERING), optional=True):
     """How far the numbers of a car may be off: the section ``[known_within]`` of a car file.
 
     A factor f says that the true value lies between value/f and f value; a margin d, between value - d and value + d.
@@ -317,11 +307,11 @@ class KnownWithin(FieldRecord, fields=(*_CAR, *_STEERING), optional=True):
 
 MAX_DOMAIN = {"speed": 100.0, "friction": 2.0}
 """m/s, -: the ranges of a domain end there at the latest."""
-Range = Annotated[tuple[float, float], LISTED]
+Range = Annotated[tuple[float, float], files.LISTED]
 """Lowest and highest value; a list in TOML."""
 
 
-class Domain(Record):
+class Domain(files.Record):
     """Where a car is at home: the section ``[domain]`` of a car file. Random drives are drawn in it.
 
     The defaults are those of a passenger car on public roads. `failure_distance` is when a run of the car has failed,
@@ -350,7 +340,7 @@ class Domain(Record):
         return {name: getattr(self, name) for name in ("speed", "friction", "wind", "lane_width")}
 
 
-class Vehicle(FieldRecord, fields=CAR, after="tyre"):
+class Vehicle(files.FieldRecord, fields=CAR, after="tyre"):
     """Body, air resistance and powertrain of a car, and the tyre stiffness that the controller's model believes in.
 
     `mass`, `yaw_inertia`, `lf`, `lr`, `stiffness_front` and `stiffness_rear` are the single-track model of the
@@ -361,7 +351,7 @@ class Vehicle(FieldRecord, fields=CAR, after="tyre"):
     description: str = Field(default="", description="one sentence for lists")
     tyre: str = Field(default="passenger-car", description="tyre of the plant: a name, or a .toml file beside this one")
 
-    estimated: Annotated[tuple[str, ...], LISTED] = Field(
+    estimated: Annotated[tuple[str, ...], files.LISTED] = Field(
         default=(), description="keys whose numbers no source gives for this car: estimated from others"
     )
 
@@ -529,7 +519,7 @@ class Vehicle(FieldRecord, fields=CAR, after="tyre"):
         if is_path(self.tyre):
             data["tyre"] = os.path.relpath(self.tyre, Path(path).parent)
         comments = "".join(f"# {line}\n" for line in head) + "\n" * bool(head)
-        write_atomically(path, (comments + dump_toml(data, meanings(self))).encode())
+        files.write_atomically(path, (comments + files.dump_toml(data, files.meanings(self))).encode())
 
     def plot(self) -> Any:
         """The car from above, to scale, as a matplotlib figure."""
@@ -588,23 +578,23 @@ def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
         When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
     """
     path = find_data("vehicles", name_or_path)
-    data = {"name": path.stem, **read_toml(path)}
+    data = {"name": path.stem, **files.read_toml(path)}
     tyre = data.get("tyre")
     if isinstance(tyre, str) and is_path(tyre):
         data["tyre"] = str(path.parent / tyre)
-    return build(Vehicle, data, path)
+    return files.build(Vehicle, data, path)
 
 
 @checked
 def load_tyre(name_or_path: str | os.PathLike[str]) -> Tyre:
     """The named tyre, or the one that a TOML file describes (keys: the fields of `Tyre`); see `load_vehicle`."""
     path = find_data("tyres", name_or_path)
-    return build(Tyre, {"name": path.stem, **read_toml(path)}, path)
+    return files.build(Tyre, {"name": path.stem, **files.read_toml(path)}, path)
 
 
 def list_data(folder: str) -> list[str]:
     """The names of the shipped TOML files of one folder (vehicles, tyres, profiles), sorted."""
-    return sorted(path.stem for path in (SHIPPED / folder).glob("*.toml"))
+    return sorted(path.stem for path in (files.SHIPPED / folder).glob("*.toml"))
 
 
 def find_data(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
@@ -625,7 +615,7 @@ def find_data(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
     if name_or_path not in names:
         hint = did_you_mean(name_or_path, names)
         raise UnknownName(f"no {folder[:-1]} is named {name_or_path!r}. {hint} A file is given by its .toml path.")
-    return SHIPPED / folder / f"{name_or_path}.toml"
+    return files.SHIPPED / folder / f"{name_or_path}.toml"
 
 
 def is_path(text: Any) -> bool:

@@ -12,19 +12,9 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.base import files
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
-from adaptrack.base.files import (
-    MAX_NUMBERS,
-    SHIPPED,
-    Damaged,
-    ParquetColumn,
-    decode_parquet,
-    encode_parquet,
-    read_bytes,
-    safe_name,
-    write_atomically,
-)
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.base.result import strict
 from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
@@ -38,7 +28,7 @@ DATA_SET_FORMAT = "adaptrack data set"
 DATA_SET_VERSION = 1
 """Raised whenever a column or an entry is added, dropped, renamed or changes its unit."""
 
-_DATA = SHIPPED / "datasets"
+_DATA = files.SHIPPED / "datasets"
 _COLUMN = {"costs": "cost", "standard_costs": "standard_cost", "traces": "trace"}
 """Names of columns that differ from those of the arrays."""
 _WHOLE = ("evaluations", "control_steps", "stream", "mirrored_from", "seed")
@@ -165,8 +155,8 @@ class DataSet:
     @property
     def command(self) -> str:
         """The command that makes it again (with the campaign's own file, unless that ships with the package)."""
-        name = safe_name(self.name)
-        ships = (SHIPPED / "campaigns" / f"{name}.toml").exists()
+        name = files.safe_name(self.name)
+        ships = (files.SHIPPED / "campaigns" / f"{name}.toml").exists()
         return shlex.join(["adaptrack", "paper", "campaign", name if ships else f"{name}.toml", "--out", name])
 
     @property
@@ -228,11 +218,11 @@ class DataSet:
         values |= dict(zip(ENTRIES, self.tunings.T, strict=True)) | {"r_over_q": self.ratios}
         values |= {_COLUMN.get(name, name): getattr(self, name) for name in self.ROW_FIELDS[2:]}
         columns = [
-            ParquetColumn(name, unit, np.ascontiguousarray(values[name], dtype=dtype), meaning)
+            files.ParquetColumn(name, unit, np.ascontiguousarray(values[name], dtype=dtype), meaning)
             for name, unit, dtype, meaning, _ in DATA_SET_COLUMNS
         ]
         metadata = {**self.provenance, "library": self.library.tolist()}
-        write_atomically(path, encode_parquet(DATA_SET_FORMAT, DATA_SET_VERSION, columns, metadata))
+        files.write_atomically(path, files.encode_parquet(DATA_SET_FORMAT, DATA_SET_VERSION, columns, metadata))
 
     @classmethod
     @checked
@@ -246,8 +236,8 @@ class DataSet:
         """
         remedy = "run its campaign again, or use the release that wrote it"
         names = [column.name for column in DATA_SET_COLUMNS]
-        columns, metadata = decode_parquet(
-            read_bytes(path, 8 * MAX_NUMBERS), path, DATA_SET_FORMAT, DATA_SET_VERSION, remedy, names
+        columns, metadata = files.decode_parquet(
+            files.read_bytes(path, 8 * files.MAX_NUMBERS), path, DATA_SET_FORMAT, DATA_SET_VERSION, remedy, names
         )
         try:
             for name, _, dtype, _, ndim in DATA_SET_COLUMNS:
@@ -261,7 +251,7 @@ class DataSet:
                 **{name: columns[_COLUMN.get(name, name)] for name in cls.ROW_FIELDS[2:]},
             )
         except (AttributeError, KeyError, ValueError, TypeError, OverflowError) as error:
-            raise Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}.") from error
+            raise files.Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}.") from error
 
 
 def _read_only(array: Array) -> Array:

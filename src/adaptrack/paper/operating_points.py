@@ -191,8 +191,7 @@ def fold(points: ArrayLike) -> Fold:
     its levels are symmetric (2,860 of the paper's 6,435 operating points have one), in a Sobol sample there are none.
     """
     rows = check_operating_points(points)
-    images = mirrored(rows)
-    _, first, by_value = np.unique(_canonical(rows, images), axis=0, return_index=True, return_inverse=True)
+    _, first, by_value = np.unique(canonical(rows), axis=0, return_index=True, return_inverse=True)
     # np.unique numbers families by their values; we number them by their first member.
     order = np.argsort(first)
     rank = np.empty_like(order)
@@ -205,13 +204,9 @@ def fold(points: ArrayLike) -> Fold:
 def canonical(points: ArrayLike) -> Array:
     """(n, 4): of each operating point and its mirror image the one that lies to the left (y_ref > 0, or wind >= 0)."""
     rows = check_operating_points(points)
-    return _canonical(rows, mirrored(rows))
-
-
-def _canonical(rows: Array, images: Array) -> Array:
     y_ref, wind = rows[:, POINT_NAMES.index("y_ref")], rows[:, POINT_NAMES.index("wind")]
     left = (y_ref > 0.0) | ((y_ref == 0.0) & (wind >= 0.0))
-    return np.where(left[:, np.newaxis], rows, images)
+    return np.where(left[:, np.newaxis], rows, mirrored(rows))
 
 
 def _range(column: Field) -> str:
