@@ -168,21 +168,18 @@ class Certificate:
         number of unstable points at this speed and friction. Infinite values are None.
         """
         sweeps = [(False, self.bare)] if self.guarded is None else [(True, self.guarded), (False, self.bare)]
-        return [
-            {"guard": guard, "unstable": unstable, **self._point(sweep, driving, i)}
-            for guard, sweep in sweeps
-            for driving in DRIVING_CASES
-            for i, unstable in self._worst_of_cells(getattr(sweep, driving))
-        ]
-
-    def _worst_of_cells(self, driving_margins: Margins) -> list[tuple[int, int]]:
-        """Return, for each speed and friction, the index of the worst point and the number of unstable points."""
-        least, unstable = (
-            self.cells(driving_margins.modulus_margin),
-            self.cells(driving_margins.radius >= 1.0).sum(axis=2),
-        )
-        first = np.arange(unstable.size) * least.shape[2]
-        return list(zip((first + least.argmin(axis=2).ravel()).tolist(), unstable.ravel().tolist(), strict=True))
+        rows = []
+        for guard, sweep in sweeps:
+            for driving in DRIVING_CASES:
+                driving_margins: Margins = getattr(sweep, driving)
+                least = self.cells(driving_margins.modulus_margin)
+                unstable = self.cells(driving_margins.radius >= 1.0).sum(axis=2)
+                worst = np.arange(unstable.size) * least.shape[2] + least.argmin(axis=2).ravel()
+                rows += [
+                    {"guard": guard, "unstable": count, **self._point(sweep, driving, i)}
+                    for i, count in zip(worst.tolist(), unstable.ravel().tolist(), strict=True)
+                ]
+        return rows
 
     def summary(self) -> dict[str, Any]:
         """Return the verdict, and the worst margins and points in straight driving and in the turn, for JSON."""

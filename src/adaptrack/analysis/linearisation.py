@@ -207,22 +207,19 @@ def _linearised_at(plant: Plant, turn: Steady) -> tuple[list[str], Array, Array]
         return np.array([(slope(x + h, steering) - slope(x - h, steering)) / (2 * step) for h in moved]).T
 
     a = matrix(_STEP)
-    _refuse_jumps(plant, a, matrix(4 * _STEP), [plant.state_names[i] for i in keep])
+    jumps = np.abs(a - matrix(4 * _STEP)).max(axis=0) > _SMOOTH * np.abs(a).max()
+    if jumps.any():
+        raise InvalidInput(
+            f"Plant {plant.name!r}: its derivatives jump with {plant.state_names[keep[int(np.argmax(jumps))]]}: it has "
+            "no linear model there. Use a smoother plant of the same car (single-track), or test it in simulated "
+            "drives."
+        )
     b = (slope(x, steering + _STEP) - slope(x, steering - _STEP)) / (2 * _STEP)
     observed = np.array([plant.state_names[i] in SENSED_STATES for i in keep])
     for _ in keep:
         observed |= (np.abs(a[observed]) > _ROUNDING * np.abs(a).max()).any(axis=0)
     part = np.flatnonzero(observed)
     return [plant.state_names[keep[j]] for j in part], a[np.ix_(part, part)], b[part]
-
-
-def _refuse_jumps(plant: Plant, a: Array, wider: Array, names: list[str]) -> None:
-    jumps = np.abs(a - wider).max(axis=0) > _SMOOTH * np.abs(a).max()
-    if jumps.any():
-        raise InvalidInput(
-            f"Plant {plant.name!r}: its derivatives jump with {names[int(np.argmax(jumps))]}: it has no linear model "
-            "there. Use a smoother plant of the same car (single-track), or test it in simulated drives."
-        )
 
 
 class SampleAges(NamedTuple):

@@ -94,24 +94,10 @@ class LaneChangeTest:
         return RoadDrive(road, coasting_plan(self.track, road, self.car, speed))
 
     def drive(self, controller: Controller, speed: float, tunings: Array, seeds: Sequence[int]) -> Array:
-        """Drive through the track with every tuning and noise seed, compiled.
+        """Drive through the track at an entry speed (m/s) with every tuning and noise seed of a compiled controller.
 
-        Parameters
-        ----------
-        controller
-            Compiled controller.
-        speed
-            Entry speed (m/s).
-        tunings
-            Tunings in the order of `tuning_names`, (tunings, entries).
-        seeds
-            Seeds of the sensor noise.
-
-        Returns
-        -------
-        array
-            Poses x (m), y (m), yaw (rad), (tunings, seeds, poses, 3), interpolated by `refined_poses`; NaN after a
-            failure.
+        The tunings (tunings, entries) are in the order of `tuning_names`. The result (tunings, seeds, poses, 3)
+        contains x (m), y (m), yaw (rad), interpolated by `refined_poses`, with NaN after a failure.
         """
         batch = Batch(self.plant, controller, [self.entering_at(speed)], self.profile)
         rows = np.repeat(batch.checked_tunings(tunings), len(seeds), axis=0)
@@ -165,20 +151,10 @@ def tunings_to_try(name: str, controller: Controller) -> Array:
 
 
 def tune_for_track(test: LaneChangeTest, name: str, controller: Controller, speed: float) -> tuple[Array, Clearance]:
-    """Return the tuning with the largest clearance in its worst drive at one entry speed, and that clearance.
+    """Return the tuning with the largest clearance in its worst drive at one entry speed (m/s), and that clearance.
 
-    The candidates are those of `tunings_to_try`, each driven with the noise seeds `TUNING_SEEDS`.
-
-    Parameters
-    ----------
-    test
-        Car, plant, track and profile.
-    name
-        Registered name of the controller.
-    controller
-        The controller itself.
-    speed
-        Entry speed (m/s).
+    The candidates are those of `tunings_to_try`, each driven with the noise seeds `TUNING_SEEDS`. name: registered name
+    of the controller
 
     Raises
     ------

@@ -219,19 +219,9 @@ def track_road(
 def driven_line(track: Track, car: Vehicle, speed: float, friction: float = 0.9) -> Road:
     """Return `track_road` for a car at a speed: as far from the cones as its grip allows.
 
-    The curvature bound is `GRIP_USE` mu g/v^2. The sideslip angle is that of a steady turn with linear tyres,
-    (l_r - m l_f v^2/(2 C_r L)) times the curvature (Rajamani, *Vehicle Dynamics and Control*, 2nd ed., section 3.2).
-
-    Parameters
-    ----------
-    track
-        Gates of the track.
-    car
-        Car with its outline and tyres.
-    speed
-        Speed v (m/s).
-    friction
-        Friction coefficient mu.
+    The curvature bound is `GRIP_USE` mu g/v^2 with the speed v (m/s) and the friction coefficient mu. The sideslip
+    angle is that of a steady turn with linear tyres, (l_r - m l_f v^2/(2 C_r L)) times the curvature (Rajamani,
+    *Vehicle Dynamics and Control*, 2nd ed., section 3.2).
 
     Raises
     ------

@@ -101,15 +101,15 @@ def explore_landscape(
     if isinstance(runs.perception, FrictionWindEstimator):
         raise InvalidInput("runs with estimated friction and wind cannot be learned from: use the exact values.")
 
-    def costs(shift: Array) -> Array:
-        return runs.segments(schedule(shift), seed, indices)
-
-    base = costs(np.zeros(3))
+    base = runs.segments(schedule(np.zeros(3)), seed, indices)
     scale = _run_costs(base, runs)
-    relative = _relative(base, scale)
+
+    def relative_cost(shift: Array) -> Array:
+        return np.minimum(runs.segments(schedule(shift), seed, indices) / scale, MAX_SEGMENT_COST)
+
+    relative = np.minimum(base / scale, MAX_SEGMENT_COST)
     up, down = (
-        np.stack([_relative(costs(sign * shift), scale) for shift in np.diag(OUTPUT_SHIFT)], axis=-1)
-        for sign in (1.0, -1.0)
+        np.stack([relative_cost(sign * shift) for shift in np.diag(OUTPUT_SHIFT)], axis=-1) for sign in (1.0, -1.0)
     )
     share = np.clip(np.nan_to_num(relative), 0.0, 1.0) + MIN_SHARE
     moves, weights = preferred_moves(relative.ravel(), up.reshape(-1, 3), down.reshape(-1, 3), share.ravel())
@@ -126,10 +126,6 @@ def _run_costs(base: Array, runs: RunSet) -> Array:
     failed = np.isinf(base).any(axis=1)
     median = np.median(total[~failed]) if not failed.all() else runs.failed_cost * runs.periods
     return np.where(failed, median, total)[:, None]
-
-
-def _relative(costs: Array, scale: Array) -> Array:
-    return np.minimum(costs / scale, MAX_SEGMENT_COST)
 
 
 def _sample_segment(

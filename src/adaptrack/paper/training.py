@@ -98,21 +98,19 @@ def train(
             f"train: {MODEL_CLASSES[model].__name__} has no option {name!r}. {did_you_mean(name, parameters)}"
         )
     options = {"random_state": seed, **options}
-
+    report = progress or (lambda stage, steps_done, steps: None)
     learned, holdout_rows = dataset.rows(np.isfinite(dataset.costs)).split(holdout, seed)
     estimators: dict[str, MLP | ANFIS] = {}
     quality = []
     for number, slot in enumerate(TARGET_SLOTS[targets]):
-        if progress is not None:
-            progress(slot, 2 * number, 2 * len(TARGET_SLOTS[targets]))
+        report(slot, 2 * number, 2 * len(TARGET_SLOTS[targets]))
         y, y_held = target(learned, slot), target(holdout_rows, slot)
         start = time.perf_counter()
         with threadpool_limits(1):  # the matrices are small: more threads only wait for each other
             estimators[slot] = MODEL_CLASSES[model](**options).fit(learned.operating_points, y)
         seconds = time.perf_counter() - start
         r2, rmse = score(y_held, estimators[slot].predict(holdout_rows.operating_points))
-        if progress is not None:
-            progress(f"{slot} by trees", 2 * number + 1, 2 * len(TARGET_SLOTS[targets]))
+        report(f"{slot} by trees", 2 * number + 1, 2 * len(TARGET_SLOTS[targets]))
         best_r2, best_rmse = score(
             y_held, ceiling(learned.operating_points, y, holdout_rows.operating_points, y_held, seed)
         )
