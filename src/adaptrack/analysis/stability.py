@@ -81,18 +81,16 @@ def _measured(plant: Sampled, law: LinearControllers) -> Array:
 
 
 def closed_loop(
-    plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, friction: float = 0.9,
-    profile: str | Profile = "paper", lateral_acceleration: float = 0.0, delay: float = 0.0,
+    plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, profile: str | Profile = "paper",
+    **options: float,
 ) -> Array:  # fmt: skip
     """Return the closed-loop matrix over one control period.
 
-    Its state is that of `sampled`, then that of `linear_estimator`. The arguments are those of `sampled`. `delay` (s)
-    is an additional dead time of the commands. A `tuning` of None is the MPC's own.
+    Its state is that of `sampled`, then that of `linear_estimator`. A `tuning` of None is the MPC's own. The options
+    are those of `sampled`: `friction`, `lateral_acceleration` (m/s^2), and `delay` (s), an additional dead time of the
+    commands.
     """
-    linear = sampled(
-        plant, mpc.period, speed, friction=friction, profile=profile, lateral_acceleration=lateral_acceleration,
-        delay=delay,
-    )  # fmt: skip
+    linear = sampled(plant, mpc.period, speed, profile=profile, **options)
     estimator = linear_estimator(mpc, speed, SampleAges.of(profile))
     return loops(linear, laws(mpc, speed, (tuning or mpc.tuning).as_array(), estimator))[0]
 
