@@ -16,8 +16,8 @@ import pytest
 from adaptrack.base.files import write_toml
 from adaptrack.control.scheduling import Schedule
 from adaptrack.paper import adaptation
+from adaptrack.paper.adaptation import Effort, LearningTask
 from adaptrack.paper.campaign_config import load_campaign
-from adaptrack.paper.learning_task import Effort, LearningTask
 
 BOX = {"speed": [8.0, 25.0], "y_ref": [-4.0, 4.0], "friction": [0.5, 1.0], "wind": [-15.0, 15.0]}
 CAMPAIGN: dict[str, Any] = {

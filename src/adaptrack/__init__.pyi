@@ -10,8 +10,6 @@ from .base.errors import (
     UnknownName as UnknownName,
 )
 from .cars.data_sheet import vehicle_from_data_sheet as vehicle_from_data_sheet
-from .cars.domain import Domain as Domain
-from .cars.tolerances import KnownWithin as KnownWithin
 from .cars.plant import (
     DualTrack as DualTrack,
     Plant as Plant,
@@ -24,9 +22,11 @@ from .cars.plant import (
     register_plant as register_plant,
 )
 from .cars.tyre_file import read_tyre_file as read_tyre_file
-from .cars.tyre_table import tyre_from_table as tyre_from_table
+from .cars.tyre_fit import tyre_from_table as tyre_from_table
 from .cars.vehicle import (
     Body as Body,
+    Domain as Domain,
+    KnownWithin as KnownWithin,
     Steering as Steering,
     SteeringActuator as SteeringActuator,
     Tyre as Tyre,

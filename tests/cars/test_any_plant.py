@@ -19,10 +19,9 @@ from adaptrack.cars import plant as plant_module
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint, twin_of
 from adaptrack.cars.vehicle import list_vehicles, load_vehicle
 from adaptrack.control.controllers import Tuning
-from adaptrack.paper.campaign import run_campaign
+from adaptrack.paper.campaign import run_campaign, tuned_mpc
 from adaptrack.paper.campaign_config import CampaignConfig, CampaignPlan
 from adaptrack.paper.data_set import load_dataset
-from adaptrack.paper.evaluator import tuned_mpc
 from adaptrack.tuning.car import TuningEffort, tune
 from adaptrack.tuning.constant import load_tuning
 from adaptrack.tuning.objective import Objective

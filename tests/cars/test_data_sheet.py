@@ -10,8 +10,7 @@ import pytest
 from adaptrack.base.errors import InvalidInput, UnknownName
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.plant import DualTrack
-from adaptrack.cars.tolerances import KnownWithin
-from adaptrack.cars.vehicle import Steering, Vehicle, list_vehicles, load_vehicle
+from adaptrack.cars.vehicle import KnownWithin, Steering, Vehicle, list_vehicles, load_vehicle
 from adaptrack.control.controllers import MPC, Uncertainty
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.synthesis.belief import widen_drifts

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.pedals import COASTING_SHARE, PedalMap
+from adaptrack.cars.vehicle import COASTING_SHARE, PedalMap
 
 MAP = PedalMap(
     speed=[0.0, 3.0, 20.0], throttle=[0.0, 0.1, 0.4, 1.0],

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from adaptrack.base.errors import ConfigError, InvalidInput
-from adaptrack.cars.tyre_fit import lateral_force
-from adaptrack.cars.tyre_table import tyre_from_table
+from adaptrack.cars.tyre_fit import lateral_force, tyre_from_table
 from adaptrack.cars.vehicle import load_tyre
 
 LOADS = (3800.0, 2600.0)

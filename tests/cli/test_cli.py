@@ -113,7 +113,7 @@ def test_every_error_of_the_package_becomes_one_message(monkeypatch, run_command
         ("certify {mine} --out {file}", "adaptrack.analysis.certify.certify"),
         ("paper train --data paper-grid --model nn --out {file}.json", "adaptrack.paper.training.train"),
         ("paper reproduce --out {file}", "adaptrack.paper.reproduce.reproduce"),
-        ("paper adapt {pond} --out {file}", "adaptrack.paper.learning_task.operating_point_runs"),
+        ("paper adapt {pond} --out {file}", "adaptrack.paper.adaptation.operating_point_runs"),
         ("paper evaluate --out {file}", "adaptrack.paper.evaluation.operating_point_runs"),
     ],
 )

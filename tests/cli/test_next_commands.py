@@ -23,7 +23,7 @@ from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.cli import compare, shadow
 from adaptrack.cli.columns import ColumnOptions
 from adaptrack.cli.next_step import drive_words
-from adaptrack.comparison import views
+from adaptrack.comparison import table
 from adaptrack.paper import adaptation
 from adaptrack.tuning.constant import ConstantTuning
 from small_data import small
@@ -373,7 +373,7 @@ def test_a_proposed_command_keeps_the_options_and_runs(proposal, run_command, fi
 
 
 def test_the_winner_that_was_tuned_is_tuned_on_the_first_road_and_car(monkeypatch) -> None:
-    monkeypatch.setattr(views, "standing_rows", lambda comparison: [{"contender": "lqr", "tuning": "tuned"}])
+    monkeypatch.setattr(table, "standing_rows", lambda comparison: [{"contender": "lqr", "tuning": "tuned"}])
     task = SimpleNamespace(cars=("van/single-track",), roads=("town:2@3",), drivers=(), profiles=("road",))
     settings = compare.CompareOptions(plugin=["json"])
     reason, line = compare._next_step(settings, SimpleNamespace(task=task, profile_comparisons={"road": None}))

@@ -16,7 +16,6 @@ from adaptrack.base.errors import AdaptrackError, InvalidInput, MissingExtra, Un
 from adaptrack.base.statistics import ratio
 from adaptrack.cars.plant import DualTrack
 from adaptrack.comparison import run as study
-from adaptrack.comparison.cells import run_cell
 from adaptrack.comparison.config import (
     Cell,
     ComparisonConfig,
@@ -26,9 +25,8 @@ from adaptrack.comparison.config import (
     load_drive,
     load_setting,
 )
-from adaptrack.comparison.run import run_comparison
-from adaptrack.comparison.table import Comparison
-from adaptrack.comparison.views import standing_rows
+from adaptrack.comparison.run import run_cell, run_comparison
+from adaptrack.comparison.table import Comparison, standing_rows
 from adaptrack.control.controllers import MPC, About, list_controllers, registry
 from adaptrack.drive.failure import DISTANCE
 from adaptrack.scenario import RoadDrive

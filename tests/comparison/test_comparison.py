@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.result import strict
 from adaptrack.base.statistics import BOOTSTRAP_RESAMPLES
 from adaptrack.cars.plant import SingleTrack
 from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
-from adaptrack.comparison.table import Comparison, ContenderRole, finite
+from adaptrack.comparison.table import Comparison, ContenderRole
 from adaptrack.control.controllers import LQR, Tuning, UserController, get_controller, register_controller
 from adaptrack.control.scheduling import Constant, Guarded, Learned
 from adaptrack.core.scheduling import guard
@@ -68,7 +69,7 @@ def test_a_run_that_fails_with_any_of_its_seeds_is_one_failure():
 
 
 def test_the_rows_are_strict_json_with_none_for_what_is_no_number():
-    rows = finite([*compared(nn=[1.0, 2.0]).rows(), {"contender": "x", "regret_worst": math.inf, "clipped": math.nan}])
+    rows = strict([*compared(nn=[1.0, 2.0]).rows(), {"contender": "x", "regret_worst": math.inf, "clipped": math.nan}])
     read = json.loads(json.dumps(rows, allow_nan=False))
     assert read[2] == {"contender": "x", "regret_worst": None, "clipped": None}
     assert {"contender", "regret_geomean", "regret_p90", "regret_worst", "failures"} <= set(read[1])

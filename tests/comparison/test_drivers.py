@@ -13,7 +13,7 @@ from adaptrack.base.errors import AdaptrackError, InvalidInput
 from adaptrack.comparison import run as study
 from adaptrack.comparison.config import ComparisonConfig
 from adaptrack.comparison.run import run_comparison
-from adaptrack.comparison.views import driver_rows
+from adaptrack.comparison.table import driver_rows
 from adaptrack.core.public import GRAVITY
 from adaptrack.drive import drivers
 from adaptrack.drive.drivers import check_forces, list_drivers, make_driver, register_driver

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import adaptrack as at
-from adaptrack.cars.pedals import PedalMap
+from adaptrack.cars.vehicle import PedalMap
 from adaptrack.identification import identify_drive
 from adaptrack.road import Stop
 from pedal_cars import DRIVE_LAG, PedalCar

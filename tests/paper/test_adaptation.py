@@ -25,12 +25,11 @@ from adaptrack.control.scheduling import (
 )
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.drive.metrics import PAPER_MSE
-from adaptrack.paper import adaptation, evaluation, improvement, landscape, learning_task
-from adaptrack.paper.adaptation import CONTENDER_NAMES, identity_of, shipped_schedules
+from adaptrack.paper import adaptation, evaluation, improvement
+from adaptrack.paper.adaptation import CONTENDER_NAMES, Effort, LearningTask, identity_of, shipped_schedules
 from adaptrack.paper.campaign_config import list_campaigns, load_campaign
 from adaptrack.paper.data_set import load_dataset
 from adaptrack.paper.evaluation import evaluate_on_drives, evaluate_on_operating_points, evaluate_on_tests
-from adaptrack.paper.learning_task import Effort, LearningTask
 from adaptrack.tuning.objective import Objective
 from small_chain import CAMPAIGN, EFFORT, learned, short_cuts, task_of, write
 from small_runs import Rated, bowl, lane_changes, run_set
@@ -98,7 +97,7 @@ def test_no_operating_point_drive_or_noise_is_in_two_of_learning_holding_out_and
             parts[part]["drives"] |= set(numbers)
             return numbers
 
-        for module in (learning_task, evaluation):
+        for module in (adaptation, evaluation):
             monkeypatch.setattr(module, "operating_point_runs", points)
             monkeypatch.setattr(module, "random_drive_runs", drives)
         monkeypatch.setattr(
@@ -144,8 +143,8 @@ def test_the_shipped_schedules_were_learned_with_the_constants_of_the_method():
         settings = schedule.provenance["settings"]
         method, learning = settings["method"], settings["learning"]
         assert schedule.provenance["campaign"] == campaign
-        assert settings["seed"] == learning_task.LEARNING_SEED
-        assert tuple(learning["inputs"]) == learning_task.LEARNED_INPUTS
+        assert settings["seed"] == adaptation.LEARNING_SEED
+        assert tuple(learning["inputs"]) == adaptation.LEARNED_INPUTS
         effort = Effort()
         runs, steps, shape = method["runs"], method["improvement"], method["landscape"]
         assert [learning[key] for key in ("rounds", "operating_points", "drives", "hard_drives", "rules")] == [
@@ -153,9 +152,9 @@ def test_the_shipped_schedules_were_learned_with_the_constants_of_the_method():
         ]  # fmt: skip
         assert (runs["held_out_points"], runs["held_out_drives"], runs["segment"]) == (*effort[4:6], 2.0)
         assert tuple(runs[f"round_{part}"] for part in ("points", "drives", "hard_drives")) == effort.round_runs
-        assert shape["shift"] == landscape.OUTPUT_SHIFT.tolist()
-        assert shape["least_curvature"] == landscape.MIN_CURVATURE.tolist()
-        assert (shape["least_share"], shape["worst_segment"]) == (landscape.MIN_SHARE, landscape.MAX_SEGMENT_COST)
+        assert shape["shift"] == improvement.OUTPUT_SHIFT.tolist()
+        assert shape["least_curvature"] == improvement.MIN_CURVATURE.tolist()
+        assert (shape["least_share"], shape["worst_segment"]) == (improvement.MIN_SHARE, improvement.MAX_SEGMENT_COST)
         assert (steps["damping"], steps["damping_end"]) == (improvement.DAMPING, improvement.FINAL_DAMPING)
         assert (steps["check"], steps["averaged"]) == (improvement.CHECK_INTERVAL, improvement.AVERAGED_ROUNDS)
         assert {key: tuple(steps[key]) for key in improvement.TUNING_BOUNDS} == improvement.TUNING_BOUNDS
@@ -225,7 +224,7 @@ def test_the_best_constant_costs_no_more_than_the_first_and_is_within_its_bounds
     runs = run_set(lane_changes(6, 3.0))
     constant = adaptation.best_constant(runs, 40)
     cost, first = (
-        geometric_mean(runs.costs(tuning, [adaptation.CONSTANT_NOISE])) for tuning in (constant, learning_task.START)
+        geometric_mean(runs.costs(tuning, [adaptation.CONSTANT_NOISE])) for tuning in (constant, adaptation.START)
     )
     assert cost <= first
     space = adaptation.CONSTANT_SPACE
@@ -356,7 +355,7 @@ def test_the_optimum_is_the_best_of_what_was_searched_on_the_noise_of_the_choice
     tunings = evaluation.find_optimum(chain.task, chain.task.evaluated_plant, points, 7, constants)
     objective = Objective(
         chain.task.evaluated_plant, chain.task.mpc, "lane-change", "road", evaluation.CHOICE_NOISE,
-        failure=learning_task.FAILURE,
+        failure=adaptation.FAILURE,
     )  # fmt: skip
     for point, tuning in zip(points, tunings, strict=True):
         assert objective.costs(point, [tuning])[0] <= objective.costs(point, constants).min()

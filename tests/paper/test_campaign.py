@@ -14,7 +14,7 @@ import pytest
 from adaptrack.base.errors import AdaptrackError, InvalidInput, MissingExtra, StorageError
 from adaptrack.cars.vehicle import Steering, load_tyre, load_vehicle
 from adaptrack.paper import campaign as module
-from adaptrack.paper.campaign import run_campaign
+from adaptrack.paper.campaign import run_campaign, tuned_mpc
 from adaptrack.paper.campaign_config import (
     STANDARD_ROW,
     CampaignPlan,
@@ -24,7 +24,6 @@ from adaptrack.paper.campaign_config import (
     spread_tunings,
 )
 from adaptrack.paper.data_set import DataSet, load_dataset
-from adaptrack.paper.evaluator import tuned_mpc
 from adaptrack.paper.operating_points import fold
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.pso import SearchBounds

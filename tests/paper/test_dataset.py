@@ -11,8 +11,7 @@ import pytest
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName
 from adaptrack.paper import data_set as module
 from adaptrack.paper.campaign_config import CampaignPlan, load_campaign
-from adaptrack.paper.data_set import DataSet, list_datasets, load_dataset
-from adaptrack.paper.data_set_summary import SUMMARY_TARGETS, describe, flatness
+from adaptrack.paper.data_set import SUMMARY_TARGETS, DataSet, describe, flatness, list_datasets, load_dataset
 from adaptrack.paper.operating_points import fold, grid, mirrored, sobol
 from adaptrack.results import dataset as pictures
 from adaptrack.results.dataset import dataset_result

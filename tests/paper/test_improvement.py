@@ -16,14 +16,17 @@ from adaptrack.base.statistics import geometric_mean
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Learned, Number, SchedulingVariables
 from adaptrack.paper import improvement
-from adaptrack.paper.improvement import REVISITED, TUNING_BOUNDS, Learnable, improve
-from adaptrack.paper.landscape import (
+from adaptrack.paper.improvement import (
     LEARNED_OUTPUTS,
     MAX_SEGMENT_COST,
     MIN_CURVATURE,
     OUTPUT_SHIFT,
+    REVISITED,
+    TUNING_BOUNDS,
+    Learnable,
     Rescue,
     explore_landscape,
+    improve,
     preferred_moves,
 )
 from adaptrack.paper.surfaces import FuzzySurface, Level, NetworkSurface

@@ -8,7 +8,7 @@ import pytest
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.paper import MLP
-from adaptrack.paper.samples import held_out
+from adaptrack.paper.regressor import held_out
 
 QUICK = {"epochs": 60, "batch_size": 20}
 

@@ -17,8 +17,7 @@ from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.metrics import PAPER_MSE
 from adaptrack.paper import reproduce as paper
 from adaptrack.paper.reproduce import best_of_library, grid_lookup, reproduce
-from adaptrack.paper.schedules import trained_schedule
-from adaptrack.paper.training import train
+from adaptrack.paper.training import train, trained_schedule
 from adaptrack.results import reproduce as page
 from adaptrack.results import style
 from adaptrack.results.page import write_result

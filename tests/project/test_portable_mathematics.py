@@ -64,7 +64,7 @@ IMPORTS = {
     "scipy.special": "paper/anfis.py paper/surfaces.py",
 }
 """Modules of NumPy and SciPy, and the files that may import from them."""
-TRAINING = {"paper/anfis.py", "paper/surfaces.py", "paper/partition.py"}
+TRAINING = {"paper/anfis.py", "paper/surfaces.py"}
 """Training of the paper's schedules: BLAS and scikit-learn."""
 SPARSE = {"road/smoothing.py", "road/speed.py"}
 """Products of sparse matrices, which SciPy sums in the order of the rows."""

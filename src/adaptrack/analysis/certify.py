@@ -33,6 +33,7 @@ from adaptrack.base.checked import real
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.base.limits import MAX_SPEED, check_limit
 from adaptrack.base.progress import ProgressCall, reports_progress
+from adaptrack.base.result import strict
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import ENTRIES, MPC, Scheduler, Tuning, read_tuning
 from adaptrack.control.scheduling import VARIABLES, Constant, Schedule, SchedulingVariables
@@ -46,6 +47,10 @@ OPERATING = {name: (variable.low, variable.high) for name, variable in VARIABLES
 Driving = Literal["straight", "turn"]
 DRIVING_CASES: tuple[Driving, ...] = ("straight", "turn")
 """Steady motions about which the loop is linearised, in the order of tables and maps."""
+SUMMARISED = (
+    "scheduler", "plant", "tyre", "profile", "model", "estimator", "belief", "sample_ages", "verdict", "passed",
+)  # fmt: skip
+"""Entries of `Certificate.summary` that are attributes of the certificate."""
 _MAX_COMBINATIONS = 64  # of the inputs other than speed and friction, at each speed and friction
 
 
@@ -131,15 +136,9 @@ class Certificate:
         """Return the mismatches that make the loop unstable as a sentence; empty without mismatches."""
         if not self.mismatched:
             return ""
-        unstable_counts = {
-            name: int((mismatch_margins.radius >= 1.0).sum()) for name, mismatch_margins in self.mismatched.items()
-        }
-        counts_text = ", ".join(f"{name}: {count:,}" for name, count in unstable_counts.items() if count)
-        return (
-            f" Of {len(unstable_counts)} mismatches none makes it unstable."
-            if not counts_text
-            else f" Unstable with {counts_text}."
-        )
+        counts = {name: int((mismatch.radius >= 1.0).sum()) for name, mismatch in self.mismatched.items()}
+        unstable = ", ".join(f"{name}: {count:,}" for name, count in counts.items() if count)
+        return f" Unstable with {unstable}." if unstable else f" Of {len(counts)} mismatches none makes it unstable."
 
     @property
     def fallback(self) -> NDArray[np.bool_]:
@@ -153,16 +152,9 @@ class Certificate:
     def worst_points(
         self, count: int = 5, sweep: Sweep | None = None, driving: Driving = "straight"
     ) -> list[dict[str, Any]]:
-        """Return the points with the smallest modulus margin, worst first: variables, tuning and margins.
+        """Return the `count` points with the smallest modulus margin, worst first: variables, tuning and margins.
 
-        Parameters
-        ----------
-        count
-            Number of points.
-        sweep
-            Sweep of this certificate; None for `counted`.
-        driving
-            Straight driving or the hard turn.
+        sweep: one of this certificate, None for `counted`; driving: straight driving or the hard turn.
         """
         sweep = sweep or self.counted
         driving_margins: Margins = getattr(sweep, driving)
@@ -176,35 +168,23 @@ class Certificate:
         number of unstable points at this speed and friction. Infinite values are None.
         """
         sweeps = [(False, self.bare)] if self.guarded is None else [(True, self.guarded), (False, self.bare)]
-        return [
-            {"guard": guard, "unstable": unstable, **self._point(sweep, driving, i)}
-            for guard, sweep in sweeps
-            for driving in DRIVING_CASES
-            for i, unstable in self._worst_of_cells(getattr(sweep, driving))
-        ]
-
-    def _worst_of_cells(self, driving_margins: Margins) -> list[tuple[int, int]]:
-        """Return, for each speed and friction, the index of the worst point and the number of unstable points."""
-        least, unstable = (
-            self.cells(driving_margins.modulus_margin),
-            self.cells(driving_margins.radius >= 1.0).sum(axis=2),
-        )
-        first = np.arange(unstable.size) * least.shape[2]
-        return list(zip((first + least.argmin(axis=2).ravel()).tolist(), unstable.ravel().tolist(), strict=True))
+        rows = []
+        for guard, sweep in sweeps:
+            for driving in DRIVING_CASES:
+                driving_margins: Margins = getattr(sweep, driving)
+                least = self.cells(driving_margins.modulus_margin)
+                unstable = self.cells(driving_margins.radius >= 1.0).sum(axis=2)
+                worst = np.arange(unstable.size) * least.shape[2] + least.argmin(axis=2).ravel()
+                rows += [
+                    {"guard": guard, "unstable": count, **self._point(sweep, driving, i)}
+                    for i, count in zip(worst.tolist(), unstable.ravel().tolist(), strict=True)
+                ]
+        return rows
 
     def summary(self) -> dict[str, Any]:
         """Return the verdict, and the worst margins and points in straight driving and in the turn, for JSON."""
         return {
-            "scheduler": self.scheduler,
-            "plant": self.plant,
-            "tyre": self.tyre,
-            "profile": self.profile,
-            "model": self.model,
-            "estimator": self.estimator,
-            "belief": self.belief,
-            "sample_ages": self.sample_ages,
-            "verdict": self.verdict,
-            "passed": self.passed,
+            **{name: getattr(self, name) for name in SUMMARISED},
             "points": len(self.points),
             "unstable": int(self.counted.unstable.sum()),
             "unstable_without_guard": int(self.bare.unstable.sum()),
@@ -212,7 +192,7 @@ class Certificate:
             "fallback_share": float(self.fallback.mean()),
             **{
                 driving: {
-                    **_finite(extremes(getattr(self.counted, driving))),
+                    **strict(getattr(self.counted, driving).extremes),
                     "worst": self.worst_points(1, driving=driving)[0],
                 }
                 for driving in DRIVING_CASES
@@ -222,13 +202,14 @@ class Certificate:
 
     def mismatched_rows(self) -> list[dict[str, Any]]:
         """Return the worst point and the number of unstable points with each mismatch, for JSON."""
-        rows = []
-        for name, mismatch_margins in self.mismatched.items():
-            unstable, i = int((mismatch_margins.radius >= 1.0).sum()), int(np.argmin(mismatch_margins.modulus_margin))
-            rows.append(
-                {"mismatch": name, "unstable": unstable, **self._point(self.counted, "straight", i, mismatch_margins)}
-            )
-        return rows
+        return [
+            {
+                "mismatch": name,
+                "unstable": int((margins.radius >= 1.0).sum()),
+                **self._point(self.counted, "straight", int(np.argmin(margins.modulus_margin)), margins),
+            }
+            for name, margins in self.mismatched.items()
+        ]
 
     def _point(self, sweep: Sweep, driving: Driving, i: int, point_margins: Margins | None = None) -> dict[str, Any]:
         point_margins = getattr(sweep, driving) if point_margins is None else point_margins
@@ -236,24 +217,8 @@ class Certificate:
             **dict(zip(SchedulingVariables._fields, self.points[i].tolist(), strict=True)),
             **dict(zip(ENTRIES, sweep.tunings[i].tolist(), strict=True)),
             "driving": driving,
-            **_finite({field.name: float(getattr(point_margins, field.name)[i]) for field in fields(Margins)}),
+            **strict({field.name: float(getattr(point_margins, field.name)[i]) for field in fields(Margins)}),
         }
-
-
-def extremes(loop_margins: Margins) -> dict[str, float]:
-    """Return the worst value of each margin over all loops."""
-    return {
-        "radius": float(loop_margins.radius.max()),
-        "gain_up": float(loop_margins.gain_up.min()),
-        "gain_down": float(loop_margins.gain_down.max()),
-        "delay": float(loop_margins.delay.min()),
-        "modulus_margin": float(loop_margins.modulus_margin.min()),
-    }
-
-
-def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Return numbers for JSON, with None for infinite ones."""
-    return {name: value if math.isfinite(value) else None for name, value in values.items()}
 
 
 @reports_progress("certify")

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from adaptrack.analysis.linearisation import Mismatch, SampleAges, Turn, linear_plants
-from adaptrack.analysis.stability import hard_turn, margin_map, speed_nodes
+from adaptrack.analysis.stability import COARSE_ANGLES, hard_turn, margin_map, speed_nodes
 from adaptrack.base.checked import RISING, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_SPEED
@@ -34,7 +34,6 @@ Each of 116 constant tunings with a larger margin at every speed and friction dr
 """
 TUNINGS = ((10.0, 20.0, 36.0, 60.0), (1.0, 4.0, 16.0), np.linspace(-3.0, 6.0, 16))
 """Grid of tunings: Np and Nc (control periods), log10 R/Q (R/Q in m^2/rad^2)."""
-_ANGLES = portable.geomspace(2e-3, np.pi, 192)  # frequencies of the loop gain (rad per control period)
 
 
 class FeasibleRanges(NamedTuple):
@@ -264,7 +263,7 @@ def feasibility(
         *allowed,
     )
     plants = linear_plants(plant, mpc.period, profile, turn, mismatches)
-    margins = margin_map(mpc, plants, axes, _ANGLES, SampleAges.of(profile), progress)
+    margins = margin_map(mpc, plants, axes, COARSE_ANGLES, SampleAges.of(profile), progress)
     return Feasibility.from_map(axes, margins, margin)
 
 

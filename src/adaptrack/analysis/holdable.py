@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
 from adaptrack.analysis.linearisation import EstimatorAt, Steady, laws, sampled_about
-from adaptrack.analysis.stability import modulus_margin
+from adaptrack.analysis.stability import COARSE_ANGLES, modulus_margin
 from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import MAX_SPEED
@@ -44,7 +45,6 @@ BRAKING_SHARES = (0.0, 0.17, 0.34, 0.51)
 """Decelerations of the table / (mu g)."""
 OUTSIDE_GRIP_MARGIN = -1.0
 """Margin that is assumed if braking exceeds the grip of the tyres in a turn."""
-_ANGLES = portable.geomspace(2e-3, np.pi, 192)  # frequencies of the loop gain (rad per control period)
 
 
 @checked
@@ -73,22 +73,21 @@ def holdable_speed(
     longest
         Longest time (s) during which an instability is considered. A longer time allows less instability.
     """
-    loop = _slowest_loop(mpc, load_profile(profile)) if mpc.learner is not None else (mpc, load_profile(profile))
-    return _cached_speeds(car, _Loop(*loop), longest)
+    profile = load_profile(profile)
+    if mpc.learner is not None:
+        mpc, profile = _slowest_loop(mpc, profile)
+    inputs = mpc.model, mpc.estimator, mpc.tuning, mpc.moves, mpc.speed_floor
+    return _cached_speeds(car, _Loop(mpc, profile, inputs), longest)
 
 
+@dataclass(frozen=True)
 class _Loop:
     """A controller in a profile, as a key of a cache: equal if all inputs of the analysis are equal."""
 
-    def __init__(self, mpc: MPC, profile: Profile) -> None:
-        self.mpc, self.profile = mpc, profile
-        self._inputs = (mpc.model, mpc.estimator, mpc.tuning, mpc.moves, mpc.speed_floor, profile)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Loop) and self._inputs == other._inputs
-
-    def __hash__(self) -> int:
-        return hash(self._inputs)
+    mpc: MPC = field(compare=False)
+    profile: Profile
+    inputs: tuple[Any, ...]
+    """Model, estimator, tuning, moves and lowest speed of the controller."""
 
 
 def _slowest_loop(mpc: MPC, profile: Profile) -> tuple[MPC, Profile]:
@@ -157,7 +156,7 @@ def _margins(
             steady = Steady.of(plant, speed, mu, lateral, share * mu * GRAVITY) if share > 0.0 else without_braking
         except InvalidInput:
             return OUTSIDE_GRIP_MARGIN
-        return float(modulus_margin(sampled_about(plant, mpc.period, steady, profile), law, _ANGLES)[0])
+        return float(modulus_margin(sampled_about(plant, mpc.period, steady, profile), law, COARSE_ANGLES)[0])
 
     return map(margin, BRAKING_SHARES)
 

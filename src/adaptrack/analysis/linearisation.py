@@ -56,21 +56,9 @@ def steady_turn(
     """Return state (n,) and front-wheel angle (rad) of a steady turn to the left without wind.
 
     The velocity points along X. Newton's method finds a state in which the derivatives of all states except X, Y, yaw
-    and v_x vanish. The lateral acceleration rises from zero in steps of at most 1 m/s^2.
-
-    Parameters
-    ----------
-    plant
-        Plant with a right-hand side.
-    speed
-        Speed (m/s).
-    lateral_acceleration
-        Lateral acceleration (m/s^2), speed times yaw rate.
-    friction
-        Friction coefficient.
-    deceleration
-        Deceleration (m/s^2) of a moment of braking, with its longitudinal tyre forces and load transfer, at constant
-        speed.
+    and v_x vanish. The lateral acceleration rises from zero in steps of at most 1 m/s^2. speed: m/s;
+    lateral_acceleration: m/s^2, speed times yaw rate; deceleration: m/s^2, of a moment of braking, with its
+    longitudinal tyre forces and load transfer, at constant speed.
 
     Raises
     ------
@@ -219,22 +207,19 @@ def _linearised_at(plant: Plant, turn: Steady) -> tuple[list[str], Array, Array]
         return np.array([(slope(x + h, steering) - slope(x - h, steering)) / (2 * step) for h in moved]).T
 
     a = matrix(_STEP)
-    _refuse_jumps(plant, a, matrix(4 * _STEP), [plant.state_names[i] for i in keep])
+    jumps = np.abs(a - matrix(4 * _STEP)).max(axis=0) > _SMOOTH * np.abs(a).max()
+    if jumps.any():
+        raise InvalidInput(
+            f"Plant {plant.name!r}: its derivatives jump with {plant.state_names[keep[int(np.argmax(jumps))]]}: it has "
+            "no linear model there. Use a smoother plant of the same car (single-track), or test it in simulated "
+            "drives."
+        )
     b = (slope(x, steering + _STEP) - slope(x, steering - _STEP)) / (2 * _STEP)
     observed = np.array([plant.state_names[i] in SENSED_STATES for i in keep])
     for _ in keep:
         observed |= (np.abs(a[observed]) > _ROUNDING * np.abs(a).max()).any(axis=0)
     part = np.flatnonzero(observed)
     return [plant.state_names[keep[j]] for j in part], a[np.ix_(part, part)], b[part]
-
-
-def _refuse_jumps(plant: Plant, a: Array, wider: Array, names: list[str]) -> None:
-    jumps = np.abs(a - wider).max(axis=0) > _SMOOTH * np.abs(a).max()
-    if jumps.any():
-        raise InvalidInput(
-            f"Plant {plant.name!r}: its derivatives jump with {names[int(np.argmax(jumps))]}: it has no linear model "
-            "there. Use a smoother plant of the same car (single-track), or test it in simulated drives."
-        )
 
 
 class SampleAges(NamedTuple):
@@ -278,18 +263,9 @@ def sampled(
 ) -> Sampled:  # fmt: skip
     """Return the linearised plant with its steering, exactly discretised with a zero-order hold of the commands.
 
-    The rate limit of the steering has no effect on small deviations.
-
-    Parameters
-    ----------
-    plant, speed, friction, lateral_acceleration
-        As for `steady_turn`.
-    period
-        Control period (s).
-    profile
-        Steering and dead time of the car, and mean ages of its samples.
-    delay
-        Dead time (s) in addition to that of the profile, also fractions of a period.
+    The rate limit of the steering has no effect on small deviations. plant, speed, friction, lateral_acceleration: as
+    for `steady_turn`; period: s; profile: steering and dead time of the car, and mean ages of its samples; delay: s,
+    dead time in addition to that of the profile, also fractions of a period.
 
     Raises
     ------
@@ -577,7 +553,8 @@ class EstimatorAt:
             self._step(back if k % 2 else swing, 0.0, remembered)
             if k % _SETTLING_INTERVAL == 0:
                 earlier, change = change, remembered - before  # compared, since a counter changes at a constant rate
-                if _within(change - earlier, _SETTLED * np.nanmax(np.abs(before), initial=0.0)):
+                limit = _SETTLED * np.nanmax(np.abs(before), initial=0.0)
+                if not (np.abs(change - earlier) > limit).any():  # NaN, for a missing measurement, is ignored
                     break
                 before = remembered.copy()
         derivatives = _differences(partial(self._answer, 0.0), equilibrium, self._memory, self._age_places)
@@ -595,14 +572,8 @@ class EstimatorAt:
     def with_turn_gains(self, measured: Array, command: float) -> LinearEstimator:
         """Return the linear estimator with the gains that it has after some time in a steady turn.
 
-        The gains are treated as constant, since they follow the tyre forces more slowly than the loop moves.
-
-        Parameters
-        ----------
-        measured
-            Signals in the turn, (9,), see `Steady.measured`.
-        command
-            Steering command in the turn (rad).
+        The gains are treated as constant, since they follow the tyre forces more slowly than the loop moves. measured:
+        (9,) signals in the turn, see `Steady.measured`; command: rad, steering command in the turn.
         """
         if self._is_deadbeat:
             return self.straight
@@ -634,11 +605,6 @@ def _check_ages(mpc: MPC, ages: SampleAges) -> None:
             f"the samples are {oldest:.3g} s old, and the controller's filter takes in none older than {longest:.3g} "
             f"s: give MPC(..., estimator=KalmanFilter(..., oldest={oldest:.3g})), or an MPC of this profile."
         )
-
-
-def _within(values: Array, limit: float) -> bool:
-    """Whether no value exceeds a limit in magnitude; NaN, for a missing measurement, is ignored."""
-    return not (np.abs(values) > limit).any()
 
 
 def _increments(model: PredictionModel) -> LinearEstimator:
@@ -706,21 +672,11 @@ class LinearControllers:
 
 
 def laws(mpc: MPC, speed: float, tunings: ArrayLike, estimator: LinearEstimator | None = None) -> LinearControllers:
-    """Return the linear controllers of an MPC with n tunings at one speed.
+    """Return the linear controllers of an MPC with n tunings at one speed (m/s).
 
-    A controller that learns is analysed in its initial state: with its initial belief, and R times its initial caution
-    factor.
-
-    Parameters
-    ----------
-    mpc
-        Controller.
-    speed
-        Speed (m/s).
-    tunings
-        Np, Nc, Q and R, (n, 4), with whole horizons and 1 <= Nc <= Np.
-    estimator
-        Linear estimator; None for `linear_estimator` at this speed.
+    The tunings are Np, Nc, Q and R, (n, 4), with whole horizons and 1 <= Nc <= Np. A controller that learns is analysed
+    in its initial state: with its initial belief, and R times its initial caution factor. estimator: None for
+    `linear_estimator` at this speed
     """
     caution = mpc.first_caution
     rows = np.atleast_2d(np.asarray(tunings, dtype=np.float64))

@@ -32,9 +32,8 @@ from adaptrack.analysis.linearisation import (
 )
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall
-from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, twin_of
-from adaptrack.cars.vehicle import Vehicle
+from adaptrack.cars.vehicle import Domain, Vehicle
 from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
@@ -45,20 +44,16 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _ANGLES = portable.geomspace(1e-3, np.pi, 768)  # frequencies of the loop gain (rad per control period)
+COARSE_ANGLES = portable.geomspace(2e-3, np.pi, 192)
+"""Frequencies of the loop gain (rad per control period) where only the modulus margin is needed."""
 
 
 # -- the loop ---------------------------------------------------------------------------------------------------------
 def loops(plant: Sampled, law: LinearControllers, gain: float = 1.0) -> Array:
     """Return the closed-loop matrices over one control period of n controllers, (n, m + q, m + q).
 
-    Parameters
-    ----------
-    plant
-        Sampled plant with m states.
-    law
-        Controllers, whose estimator has q states. The loop's state is that of the plant, then that of the estimator.
-    gain
-        Factor on the commands between controller and steering.
+    The loop's state is that of the plant (m,), then that of the controllers' estimator (q,). gain: factor on the
+    commands between controller and steering
     """
     estimator, measured = law.estimator, _measured(plant, law)
     m, q = len(plant.b), len(estimator.a)
@@ -86,32 +81,23 @@ def _measured(plant: Sampled, law: LinearControllers) -> Array:
 
 
 def closed_loop(
-    plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, friction: float = 0.9,
-    profile: str | Profile = "paper", lateral_acceleration: float = 0.0, delay: float = 0.0,
+    plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, profile: str | Profile = "paper",
+    **options: float,
 ) -> Array:  # fmt: skip
     """Return the closed-loop matrix over one control period.
 
-    Its state is that of `sampled`, then that of `linear_estimator`. The arguments are those of `sampled`. `delay` (s)
-    is an additional dead time of the commands. A `tuning` of None is the MPC's own.
+    Its state is that of `sampled`, then that of `linear_estimator`. A `tuning` of None is the MPC's own. The options
+    are those of `sampled`: `friction`, `lateral_acceleration` (m/s^2), and `delay` (s), an additional dead time of the
+    commands.
     """
-    linear = sampled(
-        plant, mpc.period, speed, friction=friction, profile=profile, lateral_acceleration=lateral_acceleration,
-        delay=delay,
-    )  # fmt: skip
+    linear = sampled(plant, mpc.period, speed, profile=profile, **options)
     estimator = linear_estimator(mpc, speed, SampleAges.of(profile))
     return loops(linear, laws(mpc, speed, (tuning or mpc.tuning).as_array(), estimator))[0]
 
 
-def spectral_radius(
-    plant: Plant, mpc: MPC, speed: float, *, tuning: Tuning | None = None, friction: float = 0.9,
-    profile: str | Profile = "paper", lateral_acceleration: float = 0.0, delay: float = 0.0,
-) -> float:  # fmt: skip
-    """Return the spectral radius of `closed_loop`; the loop is stable if it is less than 1."""
-    matrix = closed_loop(
-        plant, mpc, speed, tuning=tuning, friction=friction, profile=profile,
-        lateral_acceleration=lateral_acceleration, delay=delay,
-    )  # fmt: skip
-    return float(radii(matrix))
+def spectral_radius(plant: Plant, mpc: MPC, speed: float, **options: Any) -> float:
+    """Return the spectral radius of `closed_loop`, with its options; the loop is stable if it is less than 1."""
+    return float(radii(closed_loop(plant, mpc, speed, **options)))
 
 
 def radii(matrices: Array) -> Array:
@@ -137,13 +123,19 @@ class Margins:
 
     def worst(self, other: Margins) -> Margins:
         """Return the worse margins of two sets, loop by loop."""
-        return Margins(
-            np.maximum(self.radius, other.radius),
-            np.minimum(self.gain_up, other.gain_up),
-            np.maximum(self.gain_down, other.gain_down),
-            np.minimum(self.delay, other.delay),
-            np.minimum(self.modulus_margin, other.modulus_margin),
-        )
+        return Margins(*(worse(getattr(self, name), getattr(other, name)) for name, worse in _WORSE.items()))
+
+    @property
+    def extremes(self) -> dict[str, float]:
+        """The worst value of each margin over all loops."""
+        return {name: float(worse.reduce(getattr(self, name))) for name, worse in _WORSE.items()}
+
+
+_WORSE = {
+    "radius": np.maximum, "gain_up": np.minimum, "gain_down": np.maximum, "delay": np.minimum,
+    "modulus_margin": np.minimum,
+}  # fmt: skip
+"""Function that returns the worse of two values of each margin."""
 
 
 def loop_gain(plant: Sampled, law: LinearControllers, angles: ArrayLike = _ANGLES) -> Complex:
@@ -303,20 +295,8 @@ def margin_map(
 ) -> Array:  # fmt: skip
     """Return the smallest modulus margin of an MPC with several plants, on a grid of operating points and tunings.
 
-    Parameters
-    ----------
-    mpc
-        Controller.
-    plants
-        Linear plants.
-    axes
-        Values of speed (m/s), friction, Np, Nc and log10 R/Q. A node with Nc > Np is computed with Nc = Np.
-    angles
-        Frequencies of the loop gain (rad per control period).
-    ages
-        Ages of the samples in the plants.
-    progress
-        Function called with (stage, steps done, steps in all).
+    The axes are values of speed (m/s), friction, Np, Nc and log10 R/Q. A node with Nc > Np is computed with Nc = Np.
+    angles: frequencies of the loop gain (rad per control period); ages: of the samples in the plants.
     """
     horizon, moves, ratio = (axis.ravel() for axis in np.meshgrid(*axes[2:], indexing="ij"))
     tunings = np.column_stack([horizon, np.minimum(moves, horizon), np.ones_like(ratio), portable.power(10.0, ratio)])

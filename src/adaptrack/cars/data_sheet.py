@@ -9,8 +9,7 @@ from typing import Annotated, Any, Literal
 
 from adaptrack.base.checked import Finite, Hint, NotNegative, checked, real, within
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.cars.tolerances import KnownWithin
-from adaptrack.cars.vehicle import Vehicle
+from adaptrack.cars.vehicle import KnownWithin, Vehicle
 from adaptrack.core.kernel import row_of
 from adaptrack.core.models.car import CarRow
 from adaptrack.core.synthesis import car as kernel

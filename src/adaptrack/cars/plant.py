@@ -40,12 +40,8 @@ MOTION_STATES = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
 """The states that every plant begins with: m, m, rad, m/s, m/s, rad/s."""
 
 
-@dataclass(frozen=True)
-class Plant(ABC):
-    """A vehicle that can be driven: right-hand side, parameters, integration step.
-
-    Subclasses are the two built-in vehicles and `UserPlant`; `check_plant` tells whether one keeps the contract.
-    """
+class _AnyPlant:
+    """Common part of all plants: names for tables, and what the driver needs to know."""
 
     takes_grade = False
     """Whether its equations read the grade of the road."""
@@ -54,29 +50,46 @@ class Plant(ABC):
     found is judged on the plant."""
 
     @property
-    @abstractmethod
     def name(self) -> str:
         """How tables call the plant."""
+        return type(self).__name__
 
     @property
-    @abstractmethod
     def tyre_name(self) -> str:
         """How tables call its tyres."""
+        return "own"
+
+    @property
+    def powertrain(self) -> dict[str, float]:
+        """mass (kg), engine_power (W), traction_limit and brake_limit (N): what the driver may ask for."""
+        return {field.name: getattr(self, field.name) for field in POWERTRAIN}
+
+    @property
+    def axles(self) -> dict[str, float]:
+        """Entries of a simulation's `LoopSettings`: the axles, for the driver, and the steady turn, for the start.
+
+        They are geometry (m), shares of the front axle and gradients (rad s^2/m). An unknown car has equal axles
+        without load transfer, and no gradients (NaN).
+        """
+        unknown = {
+            "lf": 1.0, "lr": 1.0, "cg_height": 0.0, "drive_front": 0.5, "brake_front": 0.5,
+            "understeer_gradient": math.nan, "rear_slip_gradient": math.nan,
+        }  # fmt: skip
+        vehicle = getattr(self, "vehicle", None)
+        return unknown if vehicle is None else {name: getattr(vehicle, name) for name in unknown}
+
+
+@dataclass(frozen=True)
+class Plant(_AnyPlant, ABC):
+    """A vehicle that can be driven: right-hand side, parameters, integration step.
+
+    Subclasses are the two built-in vehicles and `UserPlant`; `check_plant` tells whether one keeps the contract.
+    """
 
     @property
     @abstractmethod
     def state_names(self) -> tuple[str, ...]:
         """The plant's own states, beginning with `MOTION_STATES`."""
-
-    @property
-    @abstractmethod
-    def powertrain(self) -> dict[str, float]:
-        """mass (kg), engine_power (W), traction_limit and brake_limit (N): what the driver may ask for."""
-
-    @property
-    def axles(self) -> dict[str, float]:
-        """Entries of a simulation's `LoopSettings`: the axles, for the driver, and the steady turn, for the start."""
-        return axles_of(getattr(self, "vehicle", None))
 
     @property
     @abstractmethod
@@ -202,17 +215,12 @@ class SingleTrack(_Car):
     Loads are static, slip angles act at once; the tyre may be linear (eqs. 2, 6) or the Magic Formula.
     """
 
-    @property
-    def name(self) -> str:
-        return "single-track"
+    name = "single-track"
+    state_names = MOTION_STATES
 
     @property
     def compiled(self) -> Any:
         return single_track.compiled(self._law)
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        return MOTION_STATES
 
 
 @final
@@ -223,19 +231,15 @@ class DualTrack(_Car):
     """
 
     relaxes = True
-
-    @property
-    def name(self) -> str:
-        return "dual-track"
+    name = "dual-track"
+    state_names = (
+        *MOTION_STATES, "slip_front_left", "slip_front_right", "slip_rear_left", "slip_rear_right",
+        "felt_ax", "felt_ay",
+    )  # fmt: skip
 
     @property
     def compiled(self) -> Any:
         return dual_track.compiled(self._law)
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        slips = tuple(f"slip_{wheel}" for wheel in ("front_left", "front_right", "rear_left", "rear_right"))
-        return (*MOTION_STATES, *slips, "felt_ax", "felt_ay")
 
 
 @final
@@ -293,7 +297,10 @@ class UserPlant(Plant):
 
     def __post_init__(self) -> None:
         values = flattened(self.parameters)
-        invalid_values = [f"{key} = {value!r}" for key, value in values.items() if not _is_finite(value)]
+        invalid_values = [
+            f"{key} = {value!r}" for key, value in values.items()
+            if not (isinstance(value, numbers.Real) and math.isfinite(value))
+        ]  # fmt: skip
         if invalid_values:
             raise InvalidInput(
                 f"UserPlant {self.label!r}: parameters must be finite numbers: {', '.join(invalid_values)}."
@@ -320,10 +327,6 @@ class UserPlant(Plant):
     @property
     def state_names(self) -> tuple[str, ...]:
         return (*MOTION_STATES, *self.own_states)
-
-    @property
-    def powertrain(self) -> dict[str, float]:
-        return {field.name: getattr(self, field.name) for field in POWERTRAIN}
 
     @property
     def compiled(self) -> Any:
@@ -359,7 +362,7 @@ class UserPlant(Plant):
         return slope
 
 
-class SteppedPlant(ABC):
+class SteppedPlant(_AnyPlant, ABC):
     """A vehicle in Python that is moved step by step: any outside simulator. `simulate` drives it as it drives ours.
 
     The loop's steering actuator (the profile's, or `steering`) stands before it; compiled runs cannot take it.
@@ -370,7 +373,6 @@ class SteppedPlant(ABC):
     vehicle: Vehicle | None = None
     """as `UserPlant.vehicle`"""
     costly = True
-    """as `Plant.costly`"""
     takes_grade: bool = False
     """whether `step` reads the grade dz/ds of the road, positive uphill, as an eighth entry of environment"""
     longest_step: float = 0.02
@@ -380,26 +382,6 @@ class SteppedPlant(ABC):
     engine_power: float = 1e5
     traction_limit: float = 8000.0
     brake_limit: float = 15000.0
-
-    @property
-    def name(self) -> str:
-        """How tables call the plant."""
-        return type(self).__name__
-
-    @property
-    def tyre_name(self) -> str:
-        """How tables call its tyres."""
-        return "own"
-
-    @property
-    def powertrain(self) -> dict[str, float]:
-        """mass (kg), engine_power (W), traction_limit and brake_limit (N): what the driver may ask for."""
-        return {field.name: getattr(self, field.name) for field in POWERTRAIN}
-
-    @property
-    def axles(self) -> dict[str, float]:
-        """As `Plant.axles`."""
-        return axles_of(self.vehicle)
 
     @abstractmethod
     def reset(self, motion: Array) -> None:
@@ -413,18 +395,6 @@ class SteppedPlant(ABC):
         friction front-left, front-right, rear-left, rear-right; wind along X and Y (m/s); pull of a banked road to the
         left (m/s^2).
         """
-
-
-def axles_of(vehicle: Vehicle | None) -> dict[str, float]:
-    """Geometry (m), shares of the front axle and gradients (rad s^2/m) of a car.
-
-    An unknown car has equal axles without load transfer, and no gradients (NaN).
-    """
-    unknown = {
-        "lf": 1.0, "lr": 1.0, "cg_height": 0.0, "drive_front": 0.5, "brake_front": 0.5,
-        "understeer_gradient": math.nan, "rear_slip_gradient": math.nan,
-    }  # fmt: skip
-    return unknown if vehicle is None else {name: getattr(vehicle, name) for name in unknown}
 
 
 def steps_in(period: float, plant: UserPlant | SteppedPlant) -> int:
@@ -459,10 +429,6 @@ def flattened(parameters: Mapping[str, Any], before: str = "") -> dict[str, Any]
         inner = flattened(value, f"{before}{name}.") if isinstance(value, Mapping) else {f"{before}{name}": value}
         entries |= inner
     return entries
-
-
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, numbers.Real) and math.isfinite(value)
 
 
 def _input(values: ArrayLike) -> Array:
@@ -615,13 +581,11 @@ def _check_stepped(plant: SteppedPlant, speeds: Sequence[float], symmetric: bool
         if not abs(straight[0] - speed) < 0.2 * speed:
             _break(plant, "position must follow the speed", f"X = {straight[0]:g} m after 1 s {place}")
         if not left[2] > 0.0:
-            _break(
-                plant, "steering to the left (positive) must begin a turn to the left", f"yaw {left[2]:g} rad {place}"
-            )
+            evidence = f"yaw {left[2]:g} rad {place}"
+            _break(plant, "steering to the left (positive) must begin a turn to the left", evidence)
         if symmetric and not np.allclose(left * [1, -1, -1, 1, -1, -1], right, atol=1e-6):
-            _break(
-                plant, "the mirrored steering must give the mirrored motion", f"{left} and {right} {place}", _LOPSIDED
-            )
+            evidence = f"{left} and {right} {place}"
+            _break(plant, "the mirrored steering must give the mirrored motion", evidence, _LOPSIDED)
         if (drive_one_second(speed, 0.02) != left).any():
             _break(plant, "after reset() the same steps must give the same motion", place)
 
@@ -658,15 +622,9 @@ def fingerprint(plant: Plant | SteppedPlant) -> str:
 
 
 _registry: Registry[Plant | SteppedPlant] = Registry(
-    "plant",
-    "register_plant",
-    {
-        "single-track": SingleTrack,
-        "dual-track": DualTrack,
-    },
-    ("vehicle", "tyre"),
+    "plant", "register_plant", {"single-track": SingleTrack, "dual-track": DualTrack}, ("vehicle", "tyre"),
     Plant | SteppedPlant,
-)
+)  # fmt: skip
 
 
 @checked

@@ -44,7 +44,6 @@ TYRE_FILE_UNITS = {
 }  # fmt: skip
 """Units that a file may be in, as factors to SI."""
 SCALINGS = ("LFZO", "LCY", "LMUY", "LEY", "LKY", "LSGAL")
-REQUIRED = ("PCY1", "PDY1", "PKY1", "PKY2")
 OPTIONAL_COEFFICIENTS = ("PDY2", "PEY1", "PEY2", "PEY3", "PHY1", "PHY2", "PVY1", "PVY2")
 CAMBER = ("PDY3", "PEY4", "PEY5", "PKY3", "PKY5", "PKY6", "PKY7", "PHY3", "PVY3", "PVY4")
 """Lateral coefficients of the camber angle, which the plant's wheels do not have."""
@@ -53,7 +52,7 @@ UNUSED_SECTIONS = {
     "OVERTURNING_COEFFICIENTS": "overturning moment", "ROLLING_COEFFICIENTS": "rolling resistance",
     "TURNSLIP_COEFFICIENTS": "turn slip",
 }  # fmt: skip
-"""Sections that have no use here."""
+"""Sections that have no use here, in words."""
 REMEDIES = {
     "MODEL": "it says which tyre model the file is of (FITTYP or PROPERTY_FILE_FORMAT)",
     "UNITS": "write LENGTH = 'meter', FORCE = 'newton', ANGLE = 'radians' if it is in SI",
@@ -72,7 +71,7 @@ COEFFICIENT_BOUNDS = {
     "PKY1": (1.5, 100.0, "the stiffness of a tyre per radian (or per degree, as [UNITS] say) over its nominal load"),
     "PKY2": (1e-6, 1e6, "the load over the nominal one at which a tyre is stiffest"),
 }
-"""Sizes of coefficients, in SI, that tyres have."""
+"""Sizes of the required coefficients, in SI, that tyres have."""
 MAX_FITTED_SLIP = 0.21
 """rad (12 degrees), largest slip that is fitted."""
 LIGHTEST, HEAVIEST = 0.3, 1.6
@@ -115,6 +114,12 @@ class TyreFile:
         """F_z0' (N)."""
         return self.nominal_load * self.scaling["LFZO"]
 
+    @property
+    def fitted_loads(self) -> tuple[float, float]:
+        """Lowest and highest load (N) that is fitted, see `LIGHTEST` and `HEAVIEST`."""
+        low, high = self.loads
+        return max(low, LIGHTEST * self.scaled_load), min(high, HEAVIEST * self.scaled_load)
+
     def stiffness(self, load: ArrayLike) -> Array:
         """Cornering stiffness |K| (N/rad) at a load (N)."""
         p, q = self.coefficients, np.asarray(load, dtype=float) / self.scaled_load
@@ -156,9 +161,7 @@ class TyreFile:
 
         Its stiffness is that of the file where PKY4 = 2, else fitted; its friction is the road's, see `TyreFit`.
         """
-        low = max(self.loads[0], LIGHTEST * self.scaled_load)
-        high = min(self.loads[1], HEAVIEST * self.scaled_load)
-        loads = np.linspace(low, high, 25)
+        loads = np.linspace(*self.fitted_loads, 25)
         slips = np.linspace(0.0, min(self.slips, MAX_FITTED_SLIP), 61)[1:]
         slip, load = (grid.ravel() for grid in np.meshgrid(slips, loads))
         samples = TyreSamples(slip, load, self.force(slip, load), np.zeros(slip.size, bool))
@@ -171,7 +174,7 @@ class TyreFile:
             relaxation_length=0.0 if reaches is None else float(f"{float(reaches):.3g}"),
         )  # fmt: skip
         tyre, friction, _ = fit_law(start, samples, float(self.friction(self.scaled_load)), ["load sensitivity"])
-        return assess_fit(tyre, samples, friction, (*self.notes, *self._relaxation_note(loads, reaches)))
+        return assess_fit(tyre, samples, friction, (*self.notes, self._relaxation_note(loads[[0, -1]], reaches)))
 
     def _digressive(self, loads: Array) -> tuple[float, float]:
         """Stiffness (N/rad) at the nominal load and the load ratio p of C sin(2 atan(q/p))."""
@@ -189,16 +192,13 @@ class TyreFile:
         solution = least_squares(lambda x: residual(x * [1e5, 1.0]), start, bounds=([0.0, 0.1], [1e3, 100.0]))
         return float(f"{1e5 * solution.x[0]:.5g}"), float(f"{solution.x[1]:.5g}")
 
-    def _relaxation_note(self, loads: Array, reaches: Array | None) -> list[str]:
-        """Return the note on the relaxation length."""
-        if reaches is None:
-            return ["No relaxation length in the file: forces build up at once."]
-        ends = self.relaxation_length(loads[[0, -1]])
-        assert ends is not None
-        return [
-            f"The relaxation length, {ends[0]:.2f} m at {loads[0]:.0f} N and {ends[1]:.2f} m at {loads[-1]:.0f} N, is "
-            f"taken at the nominal load: {float(reaches):.2f} m."
-        ]
+    def _relaxation_note(self, ends: Array, nominal: Array | None) -> str:
+        """Return the note on the relaxation length; ends: N, loads; nominal: m, at the nominal load."""
+        reaches = self.relaxation_length(ends)
+        if nominal is None or reaches is None:
+            return "No relaxation length in the file: forces build up at once."
+        low, high = (f"{reach:.2f} m at {load:.0f} N" for reach, load in zip(reaches, ends, strict=True))
+        return f"The relaxation length, {low} and {high}, is taken at the nominal load: {float(nominal):.2f} m."
 
 
 @checked
@@ -213,41 +213,33 @@ def read_tyre_file(path: str | os.PathLike[str]) -> TyreFile:
         When a section, a key or a unit is missing or impossible, or the file is of another tyre model; the message
         names the key, and its line where there is one.
     """
-    where = os.fspath(path)
-    return _Reader(printable(where), _sections(where)).read(Path(path).stem)
-
-
-def _sections(where: str) -> dict[str, dict[str, _Value]]:
-    """Values by section and key, both in capitals, without empty values, comments ($ or !) and tables without keys."""
-    text = read_bytes(where).decode("latin-1").lstrip("\ufeff").removeprefix("ï»¿")
-    sections: dict[str, dict[str, _Value]] = {}
-    section = ""
-    for number, line in enumerate(text.splitlines(), 1):
-        bare = re.split(r"[$!]", line, maxsplit=1)[0].strip()
-        if heading := re.fullmatch(r"\[([^\]]*)\]", bare):
-            section = heading[1].strip().upper()
-            sections.setdefault(section, {})
-        elif "=" in bare:
-            key, _, value = (part.strip(" \t'\"") for part in bare.partition("="))
-            key, values = key.upper(), sections.setdefault(section, {})
-            if key in values and value not in ("", values[key].text):
-                raise ConfigError(
-                    f"{printable(where)}, line {number}: {key} stands in line {values[key].line} with another value: "
-                    "keep one."
-                )
-            if value:
-                values[key] = _Value(value, number)
-    return sections
+    return _Reader(os.fspath(path)).read(Path(path).stem)
 
 
 class _Reader:
-    """The sections of a file; every refusal names file, line and key."""
+    """The values of a file by section and key, both in capitals; every refusal names file, line and key."""
 
-    def __init__(self, where: str, sections: dict[str, dict[str, _Value]]) -> None:
-        self.where, self.sections = where, sections
+    def __init__(self, where: str) -> None:
+        """Read a file, without empty values, comments ($ or !) and tables without keys."""
+        self.where = printable(where)
+        self.sections: dict[str, dict[str, _Value]] = {}
+        section, text = "", read_bytes(where).decode("latin-1").lstrip("\ufeff").removeprefix("ï»¿")
+        for number, line in enumerate(text.splitlines(), 1):
+            bare = re.split(r"[$!]", line, maxsplit=1)[0].strip()
+            if heading := re.fullmatch(r"\[([^\]]*)\]", bare):
+                section = heading[1].strip().upper()
+                self.sections.setdefault(section, {})
+            elif "=" in bare:
+                key, _, entry = (part.strip(" \t'\"") for part in bare.partition("="))
+                key, values, value = key.upper(), self.sections.setdefault(section, {}), _Value(entry, number)
+                if key in values and entry not in ("", values[key].text):
+                    line_text = f"{key} stands in line {values[key].line} with another value: keep one."
+                    raise self.fail(line_text, value)
+                if entry:
+                    values[key] = value
 
     def read(self, name: str) -> TyreFile:
-        """The tyre of the file."""
+        """Return the tyre of the file, checked over the loads at which it is fitted."""
         model = self.model()
         angle, force, length = (self.unit(quantity) for quantity in ("ANGLE", "FORCE", "LENGTH"))
         p, scaling = self.coefficients(model, angle), self.scaling()
@@ -256,16 +248,13 @@ class _Reader:
         if self.value("DIMENSION", "UNLOADED_RADIUS"):
             radius = self.positive("DIMENSION", "UNLOADED_RADIUS", length, (0.01, 3.0), "m")
         if model.startswith("MF 6"):
-            sections = ("STRUCTURAL", "VERTICAL")
-            numbers = [self.number(section, "LATERAL_STIFFNESS", 0.0) for section in sections]
+            numbers = [self.number(section, "LATERAL_STIFFNESS", 0.0) for section in ("STRUCTURAL", "VERTICAL")]
             stiffness = next((number * force / length for number in numbers if number), None)
-        loads = tuple(
-            (self.number("VERTICAL_FORCE_RANGE", key, 0.0) or default) * force
-            for key, default in (("FZMIN", 0.0), ("FZMAX", math.inf))
-        )
+        low, high = (self.number("VERTICAL_FORCE_RANGE", key, 0.0) for key in ("FZMIN", "FZMAX"))
+        loads = low * force, (high or math.inf) * force
         steepest = abs(self.number("SLIP_ANGLE_RANGE", "ALPMAX", 0.0) * angle) or 1.5
         notes = tuple(self.notes(model, p, nominal))
-        tyre = TyreFile(name, model, p, scaling, nominal, steepest, loads, radius, stiffness, notes)  # type: ignore[arg-type]
+        tyre = TyreFile(name, model, p, scaling, nominal, steepest, loads, radius, stiffness, notes)
         self.check_range(tyre)
         return tyre
 
@@ -287,9 +276,10 @@ class _Reader:
 
     def number(self, section: str, key: str, default: float | None = None) -> float:
         """A finite number; without a default it must be there."""
-        value = self.value(section, key) if default is not None else self.required(section, key)
-        if value is None:
-            return default or 0.0
+        value = self.value(section, key)
+        if value is None and default is not None:
+            return default
+        value = self.required(section, key)
         try:
             number = float(re.sub("[dD]", "e", value.text))
         except ValueError:
@@ -311,10 +301,11 @@ class _Reader:
     def unit(self, quantity: str) -> float:
         """The factor to SI of a quantity."""
         value, units = self.required("UNITS", quantity), TYRE_FILE_UNITS[quantity]
-        if value.text.lower() not in units:
-            hint = did_you_mean(value.text.lower(), units)
-            raise self.fail(f"{quantity} = {printable(value.text)!r}: unknown unit. {hint}", value)
-        return units[value.text.lower()]
+        name = value.text.lower()
+        if name not in units:
+            text = f"{quantity} = {printable(value.text)!r}: unknown unit. {did_you_mean(name, units)}"
+            raise self.fail(text, value)
+        return units[name]
 
     # ---- sections
 
@@ -322,8 +313,7 @@ class _Reader:
         """The formula that the file is of: a PAC2002 file may have a FITTYP as well."""
         kind, fit = self.value("MODEL", "PROPERTY_FILE_FORMAT"), self.value("MODEL", "FITTYP")
         value = kind if kind is not None and (fit is None or kind.text.upper() == "PAC2002") else fit
-        if value is None:
-            value = self.required("MODEL", "FITTYP and no PROPERTY_FILE_FORMAT")
+        value = value or self.required("MODEL", "FITTYP and no PROPERTY_FILE_FORMAT")
         model = TYRE_MODELS.get(re.sub(r"\.0*$", "", value.text.upper()))
         if model is None:
             raise self.fail(
@@ -335,14 +325,13 @@ class _Reader:
     def coefficients(self, model: str, angle: float) -> dict[str, float]:
         """The lateral coefficients in SI: angles in them follow [UNITS]."""
         section = "LATERAL_COEFFICIENTS"
-        p = {key: self.number(section, key) for key in REQUIRED}
+        p = {key: self.number(section, key) for key in COEFFICIENT_BOUNDS}
         p |= {key: self.number(section, key, 0.0) for key in (*OPTIONAL_COEFFICIENTS, *CAMBER, "PTY1", "PTY2")}
         p["PKY4"] = (self.number(section, "PKY4", 0.0) or 2.0) if model.startswith("MF 6") else 2.0
         p |= {key: self.number("STRUCTURAL", key, 0.0) for key in ("PCFY1", "PCFY2")}
         p |= {"PKY1": p["PKY1"] / angle, "PHY1": p["PHY1"] * angle, "PHY2": p["PHY2"] * angle}
-        sizes = {"PCY1": p["PCY1"], "PDY1": abs(p["PDY1"]), "PKY1": abs(p["PKY1"]), "PKY2": p["PKY2"]}
         for key, (low, high, meaning) in COEFFICIENT_BOUNDS.items():
-            if not low <= sizes[key] <= high:
+            if not low <= (abs(p[key]) if key in ("PDY1", "PKY1") else p[key]) <= high:
                 value = self.required(section, key)
                 raise self.fail(f"{key} = {value.text}: {meaning} is from {low:g} to {high:g} in size.", value)
         return p
@@ -360,7 +349,7 @@ class _Reader:
 
     def check_range(self, tyre: TyreFile) -> None:
         """Stiffness and friction must be positive wherever the tyre is fitted."""
-        low, high = max(tyre.loads[0], LIGHTEST * tyre.scaled_load), min(tyre.loads[1], HEAVIEST * tyre.scaled_load)
+        low, high = tyre.fitted_loads
         if not low < high:
             raise self.fail(
                 f"FZMIN to FZMAX, {tyre.loads[0]:g} to {tyre.loads[1]:g} N, holds no load near FNOMIN = "

@@ -1,17 +1,30 @@
-"""Fitting the plant's tyre law to lateral forces, and saying how far it is from them."""
+"""Tyres that are fitted to lateral forces: the fit, its deviation, and CSV tables of axle force over slip.
+
+Columns of a table, in any order: ``slip_rad`` or ``slip_deg``; ``force_front_N`` and ``force_rear_N`` of the whole
+axle, where a positive slip pushes to the positive side, left; and, where several loads were driven, ``load_front_N``
+and ``load_rear_N`` of the axle. A force may be left empty where an axle was not measured.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
+import math
+import os
 from collections.abc import Collection
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.checked import checked
+from adaptrack.base.errors import ConfigError, InvalidInput, did_you_mean
+from adaptrack.base.files import is_number, printable, read_bytes
 from adaptrack.cars.vehicle import Tyre
 from adaptrack.core.kernel import row_of
+from adaptrack.core.maths import portable
 from adaptrack.core.models.car import PLANT_PARAMETERS, CarRow
 from adaptrack.core.synthesis import plant as kernel
 
@@ -174,3 +187,159 @@ def assess_fit(tyre: Tyre, samples: TyreSamples, friction: float, notes: tuple[s
 
 def _short(value: float) -> float:
     return float(f"{value:.5g}")
+
+
+# -- tables of axle forces --------------------------------------------------------------------------------------------
+FORCES, LOADS, SLIPS = ("force_front_N", "force_rear_N"), ("load_front_N", "load_rear_N"), ("slip_rad", "slip_deg")
+MIN_TABLE_ROWS = 5
+SMALL = 0.5
+"""Share of the largest force over load up to which the stiffness is first taken from the slope."""
+LEAST_OFFSET = 5e-4
+"""rad, a smaller one is not worth a word."""
+SATURATION_RATIO = 0.8
+"""Largest force over stiffness times slip from which on a table says nothing of where its tyre saturates."""
+ASSUMED_FRICTION = 1.0
+LOAD_LEVEL_RATIO = 1.1
+"""Ratio of loads from which on they count as several."""
+
+
+@checked
+def tyre_from_table(
+    path: str | os.PathLike[str], loads: tuple[float, float] | None = None, name: str | None = None
+) -> TyreFit:
+    """The tyre that is nearest to a table of axle forces, and how near.
+
+    loads: N, static load of a front and a rear wheel, needed where the table has no loads; name: of the tyre, by
+    default that of the file. With one load for each axle the stiffness does not depend on the load (the table of an
+    axle holds its load transfer); with several the digressive law is fitted. A table that does not reach saturation
+    leaves shape and friction as they are assumed for passenger-car tyres, and `TyreFit.notes` says so.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read.
+    ConfigError
+        When it is no such table; the message names column or line.
+    InvalidInput
+        When there are no loads.
+    """
+    where = os.fspath(path)
+    columns = _columns(where)
+    axles = [_axle(where, columns, i, loads) for i in (0, 1)]
+    samples = TyreSamples(*map(np.concatenate, zip(*axles, strict=True)))
+    several = any(axle.load.max() > LOAD_LEVEL_RATIO * axle.load.min() for axle in axles)
+    start, notes = _begin(axles, name or Path(path).stem, several), []
+    if not several:
+        notes.append("One load for each axle: the stiffness does not depend on the load.")
+    peak, free = float((np.abs(samples.force) / samples.load).max()), ["stiffness", "offsets"]
+    free += ["load ratio"] if several else []
+    free += ["load sensitivity"] if samples.load.max() > LOAD_LEVEL_RATIO * samples.load.min() else []
+    tyre, friction, offsets = fit_law(start, samples, peak, free)
+    for axle_name, offset in zip(("front", "rear"), offsets, strict=True):
+        if abs(offset) > LEAST_OFFSET:
+            notes.append(f"The {axle_name} axle has no force at a slip of {offset:.4f} rad: that offset is taken out.")
+    samples = samples._replace(slip=samples.slip - np.where(samples.rear, offsets[1], offsets[0]))
+    if not _saturates(tyre, samples):
+        notes.append("The forces hardly saturate: shape and friction, 1.35 and 1, are assumed.")
+        tyre, friction = tyre.replace(shape=1.35, curvature=0.0, friction_load_sensitivity=0.0), ASSUMED_FRICTION
+    notes.append("No relaxation length in a table of steady forces: they build up at once.")
+    return assess_fit(tyre, samples, friction, tuple(notes))
+
+
+def _columns(where: str) -> dict[str, Array]:
+    """The columns by name, an empty cell NaN."""
+    source = printable(where)
+    try:
+        text = read_bytes(where).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ConfigError(f"{source}: is no text (UTF-8).") from None
+    rows = [(number, row) for number, row in enumerate(csv.reader(io.StringIO(text)), 1) if any(map(str.strip, row))]
+    rows = [(number, row) for number, row in rows if not row[0].lstrip().startswith("#")]
+    if not rows:
+        raise ConfigError(f"{source}: is empty.")
+    names = [cell.strip() for cell in rows[0][1]]
+    known_names = (*SLIPS, *FORCES, *LOADS)
+    for name in names:
+        if name not in known_names:
+            raise ConfigError(f"{source}: column {printable(name)!r}: unknown. {did_you_mean(name, known_names)}")
+    if len(set(names)) < len(names):
+        raise ConfigError(f"{source}: a column stands there twice.")
+    if sum(slip in names for slip in SLIPS) != 1 or not set(FORCES) <= set(names):
+        raise ConfigError(f"{source}: needs slip_rad or slip_deg, and {' and '.join(FORCES)}.")
+    if (LOADS[0] in names) != (LOADS[1] in names):
+        raise ConfigError(f"{source}: needs {' and '.join(LOADS)}, or neither.")
+    values = np.full((len(rows) - 1, len(names)), np.nan)
+    for i, (number, row) in enumerate(rows[1:]):
+        if len(row) != len(names):
+            raise ConfigError(f"{source}, line {number}: {len(row)} cells, the head has {len(names)}.")
+        for j, cell in enumerate(row):
+            if cell.strip() or names[j] not in FORCES:
+                values[i, j] = _number(source, number, names[j], cell)
+    columns = dict(zip(names, values.T, strict=True))
+    slip = np.radians(columns.pop("slip_deg")) if "slip_deg" in columns else columns.pop("slip_rad")
+    if slip.size and np.abs(slip).max() > 1.0:
+        raise ConfigError(
+            f"{source}: slip of up to {np.abs(slip).max():.3g} rad: no tyre is measured there; in degrees it is column "
+            "slip_deg."
+        )
+    return columns | {"slip": slip}
+
+
+def _number(source: str, line: int, column: str, cell: str) -> float:
+    value = float(cell) if is_number(cell) else math.nan
+    if not math.isfinite(value):
+        raise ConfigError(f"{source}, line {line}: {column} = {printable(cell)[:40]!r}: must be a finite number.")
+    return value
+
+
+def _axle(where: str, columns: dict[str, Array], i: int, loads: tuple[float, float] | None) -> TyreSamples:
+    """Return the measured data of the front axle (i = 0) or the rear axle (1), for one of its tyres."""
+    source, force = printable(where), columns[FORCES[i]]
+    there = np.isfinite(force)
+    slip, force = columns["slip"][there], 0.5 * force[there]
+    if LOADS[i] in columns:
+        load = 0.5 * columns[LOADS[i]][there]
+    elif loads is None:
+        raise InvalidInput(
+            f"{source}: has no loads: add {LOADS[0]} and {LOADS[1]}, or give the static wheel loads (of a car file)."
+        )
+    else:
+        load = np.full(slip.size, float(loads[i]))
+    if slip.size < MIN_TABLE_ROWS or np.ptp(slip) < 0.01:
+        raise ConfigError(
+            f"{source}: {FORCES[i]}: {slip.size} rows over {np.ptp(slip) if slip.size else 0.0:.3g} rad; needs at "
+            f"least {MIN_TABLE_ROWS} over 0.01 rad."
+        )
+    if not (load > 0.0).all():
+        raise ConfigError(f"{source}: {LOADS[i]}: every load must be positive.")
+    if np.sum((slip - slip.mean()) * (force - force.mean())) <= 0.0:
+        raise ConfigError(
+            f"{source}: {FORCES[i]} falls with slip: here a wheel that is turned left of its velocity has a positive "
+            "slip and is pushed to the left, positive (ISO 8855 axes); change the sign of one of the columns."
+        )
+    if np.abs(force / load).max() > 3.0:
+        raise ConfigError(
+            f"{source}: {FORCES[i]} is up to {np.abs(force / load).max():.3g} times the load: wrong unit?"
+        )
+    return TyreSamples(slip, load, force, np.full(slip.size, i == 1))
+
+
+def _saturates(tyre: Tyre, samples: TyreSamples) -> bool:
+    """Whether the forces at large slips tell where the tyre ends."""
+    slip, endless = np.abs(samples.slip), tyre.model_copy(update={"kind": "linear"})
+    linear = lateral_force(endless, slip, samples.load, 1.0, samples.rear)
+    return bool((np.abs(samples.force) < SATURATION_RATIO * linear)[slip > 0.5 * slip.max()].any())
+
+
+def _begin(axles: list[TyreSamples], name: str, several: bool) -> Tyre:
+    """A tyre with the slopes of the axles at small forces, where the fit begins."""
+    slopes = []
+    for axle in axles:
+        near = np.abs(axle.force / axle.load) <= SMALL * np.abs(axle.force / axle.load).max()
+        x, y = (axle.slip[near], axle.force[near]) if near.sum() >= 3 else (axle.slip, axle.force)
+        slopes.append(max(float(portable.least_squares(np.stack([x, np.ones_like(x)], axis=1), y)[0]), 1e-3))
+    return Tyre(
+        name=name, description="fitted to a table of axle forces", kind="magic-formula", stiffness_front=slopes[0],
+        stiffness_rear=slopes[1], nominal_load=float(f"{np.mean([np.median(axle.load) for axle in axles]):.5g}"),
+        stiffness_load="digressive" if several else "constant", digressive_load_ratio=2.0 if several else None,
+    )  # fmt: skip

@@ -13,26 +13,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from adaptrack.base import files
 from adaptrack.base.checked import Hint, checked
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.base.files import (
-    LISTED,
-    SHIPPED,
-    FieldRecord,
-    Record,
-    build,
-    dump_toml,
-    meanings,
-    read_toml,
-    write_atomically,
-)
 from adaptrack.base.presentation import figure_of, html_of
-from adaptrack.cars.domain import Domain
 from adaptrack.cars.outline import Outline
-from adaptrack.cars.pedals import PedalMap
-from adaptrack.cars.tolerances import KnownWithin
 from adaptrack.core.kernel import OK, row_of
 from adaptrack.core.models.car import (
     ACTUATOR,
@@ -50,17 +39,11 @@ from adaptrack.core.synthesis import plant as kernel
 from adaptrack.core.synthesis.car import INERTIAS, STIFFNESSES
 from adaptrack.core.synthesis.filter import split_periods as split_periods
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
 FASTEST_RATE = 10.0
 """rad/s, of road wheels, beyond which a rate is in another unit: a model car's servo has some 10 at its own lever."""
 
-_DATA = SHIPPED
 
-
-class Tyre(Record):
+class Tyre(files.Record):
     """The tyre of the plant: lateral force of slip angle, vertical load and friction; the same on both sides.
 
     With q = F_z/nominal_load, the cornering stiffness of one tyre (N/rad) is
@@ -133,13 +116,11 @@ class Tyre(Record):
 
 
 _LOAD_LAWS = {
-    "constant": kernel.CONSTANT_STIFFNESS,
-    "linear": kernel.LINEAR_STIFFNESS,
-    "digressive": kernel.DIGRESSIVE_STIFFNESS,
-}
+    "constant": kernel.CONSTANT_STIFFNESS, "linear": kernel.LINEAR_STIFFNESS, "digressive": kernel.DIGRESSIVE_STIFFNESS,
+}  # fmt: skip
 
 
-class SteeringActuator(FieldRecord, fields=ACTUATOR):
+class SteeringActuator(files.FieldRecord, fields=ACTUATOR):
     """The steering actuator of the plant: first-order lag behind a rate limit and an angle limit, at the road wheels.
 
     d(delta)/dt = (command + bias - delta)/lag, clipped to +-rate, with the command of a dead time ago, clipped to
@@ -159,7 +140,7 @@ class SteeringActuator(FieldRecord, fields=ACTUATOR):
         return cls()
 
 
-class ForceActuatorRecord(FieldRecord, fields=FORCE_ACTUATOR):
+class ForceActuatorRecord(files.FieldRecord, fields=FORCE_ACTUATOR):
     """Drive or brakes between a requested force and the wheels: gain, dead time, first-order lag behind a rate limit.
 
     dF/dt = clip((gain request - F)/lag, +-rate m), with the request of a dead time ago and the mass m of the car.
@@ -178,7 +159,7 @@ class DriveActuator(ForceActuatorRecord):
     )
 
 
-class Steering(FieldRecord, fields=(*STEERING, STEERING_WHEEL_RATIO), optional=True):
+class Steering(files.FieldRecord, fields=(*STEERING, STEERING_WHEEL_RATIO), optional=True):
     """Steering parameters: the section ``[steering]`` of a car file. Omitted values are unknown.
 
     All angles are those of the road wheels. The simulated actuator is a profile's, see `SteeringActuator`.
@@ -195,7 +176,7 @@ class Steering(FieldRecord, fields=(*STEERING, STEERING_WHEEL_RATIO), optional=T
         return rate
 
 
-class Body(FieldRecord, fields=OUTLINE, optional=True):
+class Body(files.FieldRecord, fields=OUTLINE, optional=True):
     """Outline parameters: the section ``[body]`` of a car file. Omitted values are estimated."""
 
     def overhangs(self, wheelbase: float) -> tuple[float, float]:
@@ -220,7 +201,154 @@ class Body(FieldRecord, fields=OUTLINE, optional=True):
         return row_of(kernel.BodyRow, self)
 
 
-class Vehicle(FieldRecord, fields=CAR, after="tyre"):
+COASTING_SHARE = 0.01
+"""Of the largest brake force: up to so far below the force of the coasting car, a request presses no pedal."""
+Numbers = Annotated[tuple[float, ...], files.LISTED]
+"""Values at the points of a table; a list in TOML."""
+
+
+class PedalMap(files.Record):
+    """Static map between pedals and forces at the wheels: the section ``[pedals]`` of a car file.
+
+    Forces are those of drive and brakes alone, without air drag, rolling resistance and slope. Between its points the
+    map is linear; beyond them it is constant. Lag and dead time are those of the sections ``[drive]`` and ``[brakes]``.
+    """
+
+    speed: Numbers = Field(description="m/s, of the rows of force")
+    throttle: Numbers = Field(description="-, pedal positions of the columns of force, from 0 to at most 1")
+    force: Annotated[tuple[Numbers, ...], files.LISTED] = Field(
+        description="N, at the wheels, a row for each speed; at throttle 0 creep (> 0) or engine braking (< 0)"
+    )
+    brake: Numbers = Field(description="-, pedal positions of brake_force, from 0 to at most 1")
+    brake_force: Numbers = Field(description="N, at the wheels, from 0")
+
+    @model_validator(mode="after")
+    def _force_rises_with_the_pedals(self) -> Self:
+        for name in ("speed", "throttle", "brake"):
+            points = getattr(self, name)
+            if not points or points[0] < 0.0 or any(after <= before for before, after in itertools.pairwise(points)):
+                raise ValueError(f"{name} must begin with a value of at least 0 and rise from value to value.")
+            if name != "speed" and not 0.0 == points[0] < points[-1] <= 1.0:
+                raise ValueError(f"{name} must begin with 0 and end at most at 1; divide per cent by 100.")
+        if len(self.force) != len(self.speed) or self.brake_force[:1] != (0.0,):
+            raise ValueError("force must have a row for each speed, and brake_force must begin with 0.")
+        rows = [(f"force at {speed:g} m/s", row, "throttle") for speed, row in zip(self.speed, self.force, strict=True)]
+        for name, forces, pedal in (*rows, ("brake_force", self.brake_force, "brake")):
+            falls = any(after < before for before, after in itertools.pairwise(forces))
+            if len(forces) != len(getattr(self, pedal)) or falls or forces[0] >= forces[-1]:
+                raise ValueError(
+                    f"{name} is {', '.join(f'{force:g}' for force in forces)} N: give a value for each position of "
+                    f"{pedal}, none below the one before it, and the last above the first."
+                )
+        return self
+
+    def drive_forces(self, speed: float) -> NDArray[np.float64]:
+        """Return the forces (N) at the points of the throttle, at a speed (m/s)."""
+        return np.array([np.interp(speed, self.speed, column) for column in zip(*self.force, strict=True)])
+
+    def force_at(self, throttle: float, brake: float, speed: float) -> float:
+        """Return the force (N) at the wheels, positive forward, of throttle and brake (0 to 1) at a speed (m/s)."""
+        driving = np.interp(throttle, self.throttle, self.drive_forces(speed))
+        return float(driving - np.interp(brake, self.brake, self.brake_force))
+
+    def positions(self, force: float, speed: float, hold: float = 0.0) -> tuple[float, float]:
+        """Return throttle and brake (0 to 1) that give a force (N) at a speed (m/s).
+
+        A force above that of the coasting car needs the throttle, a force below it the brakes. They begin to act
+        `COASTING_SHARE` below it, and act fully from twice that on, so that the pedals do not alternate.
+
+        hold: N, of the brakes in addition
+        """
+        drive_forces = self.drive_forces(speed)
+        missing = float(drive_forces[0]) - force
+        throttle = float(np.interp(force, drive_forces, self.throttle)) if missing < 0.0 else 0.0
+        braking = hold + max(min(missing, 2.0 * (missing - COASTING_SHARE * self.brake_force[-1])), 0.0)
+        return throttle, float(np.interp(braking, self.brake_force, self.brake)) if braking > 0.0 else 0.0
+
+
+FACTOR = "-, factor"
+"""How the description of a key begins whose uncertainty is a factor; that of another begins with its unit."""
+_MARGINS = {
+    "lf": 5.0, "track_front": 5.0, "track_rear": 5.0, "cg_height": 5.0, "drive_front": 1.0, "brake_front": 1.0,
+    "length": 10.0, "width": 5.0, "front_overhang": 5.0, "rear_overhang": 5.0, "steering_lag": 1.0,
+    "steering_dead_time": 1.0,
+}  # fmt: skip
+"""Largest margins; the other tolerances are factors."""
+
+
+def _tolerance(name: str, field: Any) -> Any:
+    """The field of the tolerance of a number."""
+    margin = _MARGINS.get(name)
+    if margin is None:
+        meaning = f"factor by which it may be larger or smaller: {field.meaning}"
+        return field._replace(name=name, unit="", default=math.nan, meaning=meaning, bounds="[1, 10]")
+    meaning = f"by which it may differ to either side: {field.meaning}"
+    return field._replace(name=name, default=math.nan, meaning=meaning, bounds=f"[0, {margin:g}]")
+
+
+_CAR = tuple(_tolerance(field.name, field) for field in (*CAR, *OUTLINE) if field.name != "lr")
+_STEERING = tuple(_tolerance(f"steering_{field.name}", field) for field in (*STEERING, STEERING_WHEEL_RATIO))
+
+
+class KnownWithin(files.FieldRecord, fields=(*_CAR, *_STEERING), optional=True):
+    """How far the numbers of a car may be off: the section ``[known_within]`` of a car file.
+
+    A factor f says that the true value lies between value/f and f value; a margin d, between value - d and value + d.
+    Keys are those of the car, of its ``[steering]`` with ``steering_`` in front. What is left out is not said.
+    """
+
+    @classmethod
+    def is_factor(cls, name: str) -> bool:
+        """Whether the uncertainty of a key is a factor, not a margin."""
+        return (cls.model_fields[name].description or "").startswith(FACTOR)
+
+    def clause(self, name: str) -> str:
+        """A factor as "x/÷ 1.3", a margin as "± 0.05 m"; empty where nothing is said."""
+        value = getattr(self, name, None)
+        if value is None:
+            return ""
+        if self.is_factor(name):
+            return f"x/÷ {value:.3g}"
+        unit = (type(self).model_fields[name].description or "").split(",")[0]
+        return f"± {value:.3g}" + ("" if unit == "-" else f" {unit}")
+
+
+MAX_DOMAIN = {"speed": 100.0, "friction": 2.0}
+"""m/s, -: the ranges of a domain end there at the latest."""
+Range = Annotated[tuple[float, float], files.LISTED]
+"""Lowest and highest value; a list in TOML."""
+
+
+class Domain(files.Record):
+    """Where a car is at home: the section ``[domain]`` of a car file. Random drives are drawn in it.
+
+    The defaults are those of a passenger car on public roads. `failure_distance` is when a run of the car has failed,
+    unless the caller says otherwise.
+    """
+
+    speed: Range = Field(default=(4.0, 27.0), description="m/s, lowest and highest")
+    friction: Range = Field(default=(0.3, 1.0), description="-, lowest and highest coefficient")
+    wind: float = Field(default=30.0, ge=0, le=100, description="m/s, strongest lateral wind")
+    lane_width: float = Field(default=3.5, gt=0, le=20, description="m; lane changes are 2/7 to 12/7 of it")
+    failure_distance: float = Field(
+        default=5.0, gt=0, le=100, description="m from the reference, beyond which the car is off the road"
+    )
+
+    @model_validator(mode="after")
+    def _ranges_rise(self) -> Self:
+        for name, most in MAX_DOMAIN.items():
+            low, high = getattr(self, name)
+            if not 0.0 < low <= high <= most:
+                raise ValueError(f"{name} = [{low:g}, {high:g}]: need 0 < lowest <= highest <= {most:g}.")
+        return self
+
+    @property
+    def drive_options(self) -> dict[str, Any]:
+        """Options of `scenario.random_drive` that draw a drive in the domain."""
+        return {name: getattr(self, name) for name in ("speed", "friction", "wind", "lane_width")}
+
+
+class Vehicle(files.FieldRecord, fields=CAR, after="tyre"):
     """Body, air resistance and powertrain of a car, and the tyre stiffness that the controller's model believes in.
 
     `mass`, `yaw_inertia`, `lf`, `lr`, `stiffness_front` and `stiffness_rear` are the single-track model of the
@@ -231,7 +359,7 @@ class Vehicle(FieldRecord, fields=CAR, after="tyre"):
     description: str = Field(default="", description="one sentence for lists")
     tyre: str = Field(default="passenger-car", description="tyre of the plant: a name, or a .toml file beside this one")
 
-    estimated: Annotated[tuple[str, ...], LISTED] = Field(
+    estimated: Annotated[tuple[str, ...], files.LISTED] = Field(
         default=(), description="keys whose numbers no source gives for this car: estimated from others"
     )
 
@@ -256,7 +384,7 @@ class Vehicle(FieldRecord, fields=CAR, after="tyre"):
     @field_validator("tyre")
     @classmethod
     def _tyre_is_known_or_a_file(cls, tyre: str) -> str:
-        if _is_path(tyre):
+        if is_path(tyre):
             if not Path(tyre).is_file():
                 raise ValueError("no such file.")
         elif tyre not in list_tyres():
@@ -396,10 +524,10 @@ class Vehicle(FieldRecord, fields=CAR, after="tyre"):
             When the file cannot be written.
         """
         data = self.replace(name=Path(path).stem).model_dump()
-        if _is_path(self.tyre):
+        if is_path(self.tyre):
             data["tyre"] = os.path.relpath(self.tyre, Path(path).parent)
         comments = "".join(f"# {line}\n" for line in head) + "\n" * bool(head)
-        write_atomically(path, (comments + dump_toml(data, meanings(self))).encode())
+        files.write_atomically(path, (comments + files.dump_toml(data, files.meanings(self))).encode())
 
     def plot(self) -> Any:
         """The car from above, to scale, as a matplotlib figure."""
@@ -422,8 +550,6 @@ class Vehicle(FieldRecord, fields=CAR, after="tyre"):
 
 def pack_plant(vehicle: Vehicle, tyre: Tyre, actuator: SteeringActuator) -> NDArray[np.float64]:
     """The plant's parameters as one array, shape (len(PLANT_PARAMETERS),), in the order that the kernels expect."""
-    import numpy as np
-
     parameters = np.zeros(len(PLANT_PARAMETERS))
     kernel.plant_parameters(vehicle.numbers, tyre.numbers, row_of(kernel.Actuator, actuator), parameters)
     return parameters
@@ -460,23 +586,23 @@ def load_vehicle(name_or_path: str | os.PathLike[str]) -> Vehicle:
         When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
     """
     path = find_data("vehicles", name_or_path)
-    data = {"name": path.stem, **read_toml(path)}
+    data = {"name": path.stem, **files.read_toml(path)}
     tyre = data.get("tyre")
-    if isinstance(tyre, str) and _is_path(tyre):
+    if isinstance(tyre, str) and is_path(tyre):
         data["tyre"] = str(path.parent / tyre)
-    return build(Vehicle, data, path)
+    return files.build(Vehicle, data, path)
 
 
 @checked
 def load_tyre(name_or_path: str | os.PathLike[str]) -> Tyre:
     """The named tyre, or the one that a TOML file describes (keys: the fields of `Tyre`); see `load_vehicle`."""
     path = find_data("tyres", name_or_path)
-    return build(Tyre, {"name": path.stem, **read_toml(path)}, path)
+    return files.build(Tyre, {"name": path.stem, **files.read_toml(path)}, path)
 
 
 def list_data(folder: str) -> list[str]:
     """The names of the shipped TOML files of one folder (vehicles, tyres, profiles), sorted."""
-    return sorted(path.stem for path in (_DATA / folder).glob("*.toml"))
+    return sorted(path.stem for path in (files.SHIPPED / folder).glob("*.toml"))
 
 
 def find_data(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
@@ -489,7 +615,7 @@ def find_data(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
     InvalidInput
         For what is neither text nor a path.
     """
-    if isinstance(name_or_path, os.PathLike) or _is_path(name_or_path):
+    if isinstance(name_or_path, os.PathLike) or is_path(name_or_path):
         return Path(name_or_path)
     if not isinstance(name_or_path, str):
         raise InvalidInput(f"a {folder[:-1]} is given by its name or by the path of its file, not by {name_or_path!r}.")
@@ -497,8 +623,9 @@ def find_data(folder: str, name_or_path: str | os.PathLike[str]) -> Path:
     if name_or_path not in names:
         hint = did_you_mean(name_or_path, names)
         raise UnknownName(f"no {folder[:-1]} is named {name_or_path!r}. {hint} A file is given by its .toml path.")
-    return _DATA / folder / f"{name_or_path}.toml"
+    return files.SHIPPED / folder / f"{name_or_path}.toml"
 
 
-def _is_path(text: Any) -> bool:
+def is_path(text: Any) -> bool:
+    """Whether a text means a TOML file rather than a name: it ends in ``.toml`` or holds a directory."""
     return str(text).endswith(".toml") or any(mark in str(text) for mark in (os.sep, os.altsep) if mark)

@@ -194,7 +194,7 @@ def _fit(tir: Path | None, table: Path | None, vehicle: Vehicle | None) -> TyreF
 
         return read_tyre_file(tir).to_tyre()
     if table is not None:
-        from adaptrack.cars.tyre_table import tyre_from_table
+        from adaptrack.cars.tyre_fit import tyre_from_table
 
         return tyre_from_table(table, None if vehicle is None else vehicle.static_loads)
     return None
@@ -263,7 +263,7 @@ def _say_fit(fit: TyreFit) -> None:
 
 def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
     """Return a row for each parameter of a car."""
-    from adaptrack.cars.tolerances import KnownWithin
+    from adaptrack.cars.vehicle import KnownWithin
 
     tolerances = vehicle.known_within or KnownWithin()
     rows = []

@@ -159,7 +159,7 @@ def _load_task(settings: CompareOptions) -> ComparisonConfig:
 
 def _next_step(settings: CompareOptions, compared: Compared) -> tuple[str, str]:
     """Suggest to drive or tune the best controller of the last profile on the first road with the first car."""
-    from adaptrack.comparison.views import standing_rows
+    from adaptrack.comparison.table import standing_rows
 
     task, plugins = compared.task, [word for name in settings.plugin or () for word in ("--plugin", name)]
     car, plant = task.cars[0], list[str]()

@@ -17,7 +17,7 @@ from adaptrack.cli.next_step import next_line, replace_option
 
 if TYPE_CHECKING:
     from adaptrack.control.scheduling import Schedule
-    from adaptrack.paper.learning_task import LearningTask
+    from adaptrack.paper.adaptation import LearningTask
     from adaptrack.results.evaluation import Views
 
 DEFAULT_POINTS = 2000
@@ -73,9 +73,8 @@ def evaluate(arguments: EvaluateOptions) -> None:
 
     Failed runs are part of the result: they are counted for each contender, and the exit code is 0.
     """
-    from adaptrack.paper.adaptation import read_schedules, shipped_schedules
+    from adaptrack.paper.adaptation import LearningTask, read_schedules, shipped_schedules
     from adaptrack.paper.campaign_config import load_campaign
-    from adaptrack.paper.learning_task import LearningTask
     from adaptrack.results.evaluation import evaluation_result
     from adaptrack.results.page import write_result
     from adaptrack.tuning.runs import make_perception

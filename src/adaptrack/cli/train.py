@@ -48,7 +48,7 @@ def train(arguments: TrainOptions) -> None:
     """
     from adaptrack.control.scheduling import check_scheduler
     from adaptrack.paper.data_set import load_dataset
-    from adaptrack.paper.schedules import purpose_of, trained_schedule
+    from adaptrack.paper.training import purpose_of, trained_schedule
     from adaptrack.paper.training import train as train_models
 
     out, model, targets = arguments.out, str(arguments.model), str(arguments.targets)

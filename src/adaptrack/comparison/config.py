@@ -16,6 +16,7 @@ from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.files import LISTED, SHIPPED, Record, build, read_toml
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
+from adaptrack.comparison.table import WITH
 from adaptrack.control.controllers import About, Controller, about_controller, get_controller
 from adaptrack.drive.drivers import make_driver
 from adaptrack.drive.world import ROAD_DRIVER, Driver
@@ -34,8 +35,6 @@ STEP_TIME = 1e-3
 """Assumed computation time of a control period with a driver, which often needs Python at every step (s)."""
 STOP_DURATION = 2.0
 """Time for which cars stand at stops (s)."""
-WITH = " + "
-"""Text between the names of a controller and its driver."""
 
 Friction = Annotated[float, Field(gt=0.0, le=3.0)]
 Names = Annotated[tuple[str, ...], LISTED, Field(min_length=1)]
@@ -253,12 +252,7 @@ class ControllerSetting:
 def load_setting(car: str, profile: str) -> ControllerSetting:
     """Return a car with its plant and profile.
 
-    Parameters
-    ----------
-    car
-        Name or .toml file of a car, optionally followed by a slash and the name of a plant.
-    profile
-        Name or file of a profile.
+    car: name or .toml file of a car, optionally followed by a slash and the name of a plant; profile: name or file.
 
     Raises
     ------
@@ -277,21 +271,10 @@ def load_drive(
     name: str, car: Vehicle, length: float, duration: float, *, friction: float | None = None,
     stops: Sequence[float] = (), jerk: float | None = None,
 ) -> Scenario | RoadDrive:  # fmt: skip
-    """Return the drive on a road with a speed that is planned for a car.
+    """Return the drive on a road, named as in `ComparisonConfig.roads`, with a speed that is planned for a car.
 
-    Parameters
-    ----------
-    name
-        Road in the form of `ComparisonConfig.roads`.
-    car
-        Car whose speed is planned.
-    length
-        Length of a generated road (m).
-    duration
-        Duration of a random drive (s).
-    friction, stops, jerk
-        True friction of a road, which the plan does not use, places where the car stands for `STOP_DURATION` (m), and
-        limit of the planned jerk (m/s^3).
+    length: m, of a generated road; duration: s, of a random drive; friction: true friction of a road, which the plan
+    does not use; stops: m, places where the car stands for `STOP_DURATION`; jerk: m/s^3, limit of the planned one.
 
     Raises
     ------

@@ -94,24 +94,10 @@ class LaneChangeTest:
         return RoadDrive(road, coasting_plan(self.track, road, self.car, speed))
 
     def drive(self, controller: Controller, speed: float, tunings: Array, seeds: Sequence[int]) -> Array:
-        """Drive through the track with every tuning and noise seed, compiled.
+        """Drive through the track at an entry speed (m/s) with every tuning and noise seed of a compiled controller.
 
-        Parameters
-        ----------
-        controller
-            Compiled controller.
-        speed
-            Entry speed (m/s).
-        tunings
-            Tunings in the order of `tuning_names`, (tunings, entries).
-        seeds
-            Seeds of the sensor noise.
-
-        Returns
-        -------
-        array
-            Poses x (m), y (m), yaw (rad), (tunings, seeds, poses, 3), interpolated by `refined_poses`; NaN after a
-            failure.
+        The tunings (tunings, entries) are in the order of `tuning_names`. The result (tunings, seeds, poses, 3)
+        contains x (m), y (m), yaw (rad), interpolated by `refined_poses`, with NaN after a failure.
         """
         batch = Batch(self.plant, controller, [self.entering_at(speed)], self.profile)
         rows = np.repeat(batch.controller.checked_tunings(tunings), len(seeds), axis=0)
@@ -130,19 +116,10 @@ class LaneChangeTest:
 
 
 def refined_poses(states: Array, period: float) -> Array:
-    """Interpolate poses between control instants by cubic Hermite splines.
+    """Interpolate poses between control instants, a period (s) apart, by cubic Hermite splines.
 
-    Parameters
-    ----------
-    states
-        States x, y, yaw, v_x, v_y, yaw rate, ... at n instants, (n, 6 or more), SI units.
-    period
-        Time between the instants (s).
-
-    Returns
-    -------
-    array
-        x (m), y (m), yaw (rad) at `POSES_PER_PERIOD` instants in each period and at the last instant, (m, 3).
+    The states are x, y, yaw, v_x, v_y, yaw rate, ... at n instants, (n, 6 or more), in SI units. The result (m, 3)
+    contains x (m), y (m), yaw (rad) at `POSES_PER_PERIOD` instants in each period and at the last instant.
     """
     x, y, yaw, vx, vy, rate = states[:, :6].T
     poses = np.stack([x, y, yaw], axis=-1)
@@ -158,17 +135,7 @@ def refined_poses(states: Array, period: float) -> Array:
 def tunings_to_try(name: str, controller: Controller) -> Array:
     """Return the tuning of a controller, followed by its variants with the values of `SEARCH_GRIDS`.
 
-    Parameters
-    ----------
-    name
-        Registered name of the controller.
-    controller
-        The controller itself.
-
-    Returns
-    -------
-    array
-        Tunings in the order of `tuning_names`, (tunings, entries).
+    The tunings (tunings, entries) are in the order of `tuning_names`. name: registered name of the controller
 
     Raises
     ------
@@ -177,30 +144,17 @@ def tunings_to_try(name: str, controller: Controller) -> Array:
     """
     if name not in SEARCH_GRIDS:
         raise InvalidInput(f"no search for controller {name!r}: one of {', '.join(SEARCH_GRIDS)}.")
-    names, default = list(controller.tuning_names), controller.packed_tuning()
-    tunings = [default]
-    for values in itertools.product(*SEARCH_GRIDS[name].values()):
-        tuning = default.copy()
-        tuning[[names.index(entry) for entry in SEARCH_GRIDS[name]]] = values
-        tunings.append(tuning)
-    return np.array(tunings)
+    names, variants = list(controller.tuning_names), list(itertools.product(*SEARCH_GRIDS[name].values()))
+    tunings = np.tile(controller.packed_tuning(), (1 + len(variants), 1))
+    tunings[1:, [names.index(entry) for entry in SEARCH_GRIDS[name]]] = variants
+    return tunings
 
 
 def tune_for_track(test: LaneChangeTest, name: str, controller: Controller, speed: float) -> tuple[Array, Clearance]:
-    """Return the tuning with the largest clearance in its worst drive at one entry speed, and that clearance.
+    """Return the tuning with the largest clearance in its worst drive at one entry speed (m/s), and that clearance.
 
-    The candidates are those of `tunings_to_try`, each driven with the noise seeds `TUNING_SEEDS`.
-
-    Parameters
-    ----------
-    test
-        Car, plant, track and profile.
-    name
-        Registered name of the controller.
-    controller
-        The controller itself.
-    speed
-        Entry speed (m/s).
+    The candidates are those of `tunings_to_try`, each driven with the noise seeds `TUNING_SEEDS`. name: registered name
+    of the controller
 
     Raises
     ------

@@ -121,15 +121,9 @@ def iso_3888_1(width: float) -> Track:
         Unless the width is positive and at most 4 m.
     """
     first, middle, last = (factor * _width(width) + 0.25 for factor in (1.1, 1.2, 1.3))
-    right = -0.5 * first
-    return Track(
-        "iso-3888-1",
-        (
-            Gate(0.0, 15.0, right, right + first),
-            Gate(45.0, 70.0, right + 3.5, right + 3.5 + middle),
-            Gate(95.0, 125.0, right, right + last),
-        ),
-    )
+    right, second = -0.5 * first, -0.5 * first + 3.5
+    lanes = (0.0, 15.0, right, first), (45.0, 70.0, second, middle), (95.0, 125.0, right, last)
+    return Track("iso-3888-1", tuple(Gate(start, end, edge, edge + width) for start, end, edge, width in lanes))
 
 
 def iso_3888_2(width: float) -> Track:
@@ -146,14 +140,8 @@ def iso_3888_2(width: float) -> Track:
     b = _width(width)
     first, middle, last = 1.1 * b + 0.25, b + 1.0, max(1.3 * b + 0.25, 3.0)
     right, second = -0.5 * first, 0.5 * first + 1.0
-    return Track(
-        "iso-3888-2",
-        (
-            Gate(0.0, 12.0, right, right + first),
-            Gate(25.5, 36.5, second, second + middle),
-            Gate(49.0, 61.0, right, right + last),
-        ),
-    )
+    lanes = (0.0, 12.0, right, first), (25.5, 36.5, second, middle), (49.0, 61.0, right, last)
+    return Track("iso-3888-2", tuple(Gate(start, end, edge, edge + width) for start, end, edge, width in lanes))
 
 
 def _width(width: float) -> float:
@@ -231,19 +219,9 @@ def track_road(
 def driven_line(track: Track, car: Vehicle, speed: float, friction: float = 0.9) -> Road:
     """Return `track_road` for a car at a speed: as far from the cones as its grip allows.
 
-    The curvature bound is `GRIP_USE` mu g/v^2. The sideslip angle is that of a steady turn with linear tyres,
-    (l_r - m l_f v^2/(2 C_r L)) times the curvature (Rajamani, *Vehicle Dynamics and Control*, 2nd ed., section 3.2).
-
-    Parameters
-    ----------
-    track
-        Gates of the track.
-    car
-        Car with its outline and tyres.
-    speed
-        Speed v (m/s).
-    friction
-        Friction coefficient mu.
+    The curvature bound is `GRIP_USE` mu g/v^2 with the speed v (m/s) and the friction coefficient mu. The sideslip
+    angle is that of a steady turn with linear tyres, (l_r - m l_f v^2/(2 C_r L)) times the curvature (Rajamani,
+    *Vehicle Dynamics and Control*, 2nd ed., section 3.2).
 
     Raises
     ------
@@ -331,19 +309,8 @@ def _widths(track: Track, road: Road) -> dict[str, tuple[list[float], list[float
 def coasting_plan(track: Track, road: Road, car: Vehicle, speed: float) -> SpeedPlan:
     """Return the speed along a track's road: constant up to the first cones, then coasting.
 
-    The car loses speed by drag and rolling resistance, m v dv/ds = -(rho A c_d v^2/2 + f m g). The cornering resistance
-    of the tyres is neglected.
-
-    Parameters
-    ----------
-    track
-        Gates of the track.
-    road
-        Road of `track_road`.
-    car
-        Car with its resistances.
-    speed
-        Entry speed (m/s).
+    The car enters with a speed (m/s) and loses it by drag and rolling resistance, m v dv/ds = -(rho A c_d v^2/2 + f m
+    g). The cornering resistance of the tyres is neglected. road: that of `track_road`
 
     Raises
     ------

@@ -31,22 +31,11 @@ Units in this order: m, m, m, m, rad/s, m/s^2, m/s^3, s.
 def measure_runs(
     runs: RunSet, policy: Policy, seeds: Sequence[int], outline: Outline, *, with_driver: bool = False
 ) -> list[list[dict[str, Any]]]:
-    """Drive every run with every noise seed and return all measures.
+    """Drive every run with every noise seed, as `RunSet.trajectories` does, and return all measures.
 
-    Parameters
-    ----------
-    runs, policy, seeds
-        As for `RunSet.trajectories`.
-    outline
-        Outline of the car, whose corners are measured.
-    with_driver
-        Whether to add `speed_measures`; all runs must then be drives along roads.
-
-    Returns
-    -------
-    list of list of dict
-        For each run and seed `cost` (m^2), `failed`, `reason`, `failed_at` (s) and the measures of `RUN`; None for a
-        measure that does not exist.
+    These are for each run and seed `cost` (m^2), `failed`, `reason`, `failed_at` (s) and the measures of `RUN`; None
+    for a measure that does not exist. outline: of the car, whose corners are measured; with_driver: whether to add
+    `speed_measures`, which need drives along roads.
     """
     return [
         [_run_measures(run, runs, outline, drive if with_driver else None) for run in road]

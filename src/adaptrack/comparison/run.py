@@ -1,13 +1,21 @@
-"""Runs of a comparison on cars, roads and profiles; finished cells are stored in a folder."""
+"""Runs of a comparison on cars, roads and profiles: the cells, and a folder that stores the finished ones.
+
+A cell is the tuning and the test of one controller, or of one with a driver, on one car. The search for the tuning
+drives the training roads a limited number of times. If the plant is costly, the search uses the car's twin
+(`plant.twin_of`). The default and the tuned controller then drive the test roads with each noise seed; every such run
+gives one row. Both also drive the obstacle avoidance of ISO 3888-2 at increasing entry speeds.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +23,191 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack import __version__
-from adaptrack.base.errors import StorageError
+from adaptrack.base.errors import InvalidInput, MissingExtra, StorageError
 from adaptrack.base.files import ParquetColumn, encode_parquet, read_json, safe_name, write_atomically, write_json
 from adaptrack.base.progress import ProgressCall
-from adaptrack.cars.plant import fingerprint
-from adaptrack.comparison.cells import columns, run_cell
-from adaptrack.comparison.config import Cell, ComparisonConfig, is_tuning_file, load_setting
+from adaptrack.cars.outline import Outline
+from adaptrack.cars.plant import Plant, SteppedPlant, fingerprint, twin_of
+from adaptrack.comparison.compare import check_fits
+from adaptrack.comparison.config import (
+    Cell,
+    ComparisonConfig,
+    ControllerSetting,
+    about_contender,
+    is_tuning_file,
+    load_drive,
+    load_setting,
+)
+from adaptrack.comparison.contenders import Contender
+from adaptrack.comparison.entry_speed import LaneChangeTest, entry_speed
+from adaptrack.comparison.lane_change import iso_3888_2
+from adaptrack.comparison.measures import RUN, as_column, measure_runs
 from adaptrack.comparison.table import Comparison, label_of
+from adaptrack.control.controllers import MPC, About, Controller
+from adaptrack.control.estimation import Perception
 from adaptrack.core.library import kernels_hash
+from adaptrack.drive.drivers import check_forces, make_driver
 from adaptrack.drive.speed_measures import SPEED_MEASURES
-from adaptrack.tuning.constant import load_tuning
+from adaptrack.road import Road
+from adaptrack.scenario import RoadDrive
+from adaptrack.tuning.constant import load_tuning, search_constant
+from adaptrack.tuning.pso import SwarmSettings, is_tunable
+from adaptrack.tuning.runs import RunSet
 
+# -- one cell ---------------------------------------------------------------------------------------------------------
+MAX_PARTICLES = 20
+"""Largest number of particles of a search. A small budget gets fewer particles, so that some generations are left."""
+ASSUMED_SURFACE = Perception(friction=0.9)
+"""Friction that controllers and drivers assume if the true one is compared."""
+
+
+@lru_cache(maxsize=8)
+def _run_sets(
+    task: ComparisonConfig, car: str, profile: str, driver: str, friction: float | None
+) -> tuple[ControllerSetting, RunSet | None, RunSet]:
+    """Return the setting, the training runs (None without a budget) and the test runs of all controllers."""
+    setting = load_setting(car, profile)
+    mpc = MPC(setting.car, profile=setting.profile, preview=True)
+
+    def load_runs(plant: Plant | SteppedPlant, names: Sequence[str], length: float, **options: Any) -> RunSet:
+        drives = [load_drive(name, setting.car, length, task.duration, **options) for name in names]
+        if (driver or any(options.values())) and not all(isinstance(drive, RoadDrive) for drive in drives):
+            raise InvalidInput("roads: drivers, frictions, stops and a limit of the jerk need roads, not scenarios.")
+        mover = make_driver(driver, setting.car) if driver else task.driver
+        if driver and mover is not None:
+            check_forces(plant)
+        perception = None if friction is None else ASSUMED_SURFACE
+        return RunSet(plant, mpc, drives, setting.profile, driver=mover, perception=perception)
+
+    training = None
+    if task.budget:
+        plant = twin_of(setting.car) if setting.plant.costly else setting.plant
+        training = load_runs(plant, task.training, task.training_length)
+    options = {"friction": friction, "stops": task.stops, "jerk": task.jerk}
+    return setting, training, load_runs(setting.plant, task.roads, task.length, **options)
+
+
+@lru_cache(maxsize=4)
+def _obstacle(car: str, profile: str) -> LaneChangeTest | None:
+    """Return the obstacle avoidance of ISO 3888-2 for a car, or None if its plant is stepped in Python."""
+    setting = load_setting(car, profile)
+    if not isinstance(setting.plant, Plant):
+        return None
+    track = iso_3888_2(setting.car.outline.width)
+    return LaneChangeTest(setting.car, setting.plant, track, setting.profile, _roads=_shared_roads(car))
+
+
+@lru_cache(maxsize=16)
+def _shared_roads(car: str) -> dict[float, Road]:
+    """Return a cache of the roads through the track by entry speed (m/s), which all profiles of a car share."""
+    return {}
+
+
+def run_cell(task: ComparisonConfig, cell: Cell) -> dict[str, Any]:
+    """Tune and test one controller on one car in one profile; return values that JSON can represent.
+
+    - `rows`: one for each test run;
+    - `tunings`: default and best tuning;
+    - `entry_speed`: highest clean entry speed (m/s) by label;
+    - `not_entered`: reason why ISO 3888-2 was not driven;
+    - `loops`: number of simulated drives of the search;
+    - `seconds`: computation time (s);
+    - `left_out`: reason why nothing was driven.
+
+    Raises
+    ------
+    AdaptrackError
+        When the car, the profile or a road cannot be loaded.
+    """
+    start_time = time.perf_counter()
+    properties = about_contender(cell.contender)
+    setting, training, test = _run_sets(task, cell.car, cell.profile, cell.driver, cell.friction)
+    result: dict[str, Any] = {
+        "rows": [], "tunings": {}, "entry_speed": {}, "not_entered": "", "loops": 0, "left_out": "",
+    }  # fmt: skip
+    try:
+        controller, tuning = _make_controller(task, cell, setting)
+        check_fits(Contender(cell.contender, controller), test)
+    except (InvalidInput, MissingExtra) as error:
+        return result | {"left_out": str(error), "seconds": 0.0}
+    controllers = {tuning: controller}
+    if training is not None and properties.tunable and is_tunable(controller):
+        swarm = _swarm(task.budget, len(training) * len(task.training_seeds))
+        best = search_constant(training, controller, swarm, noise_seeds=task.training_seeds)
+        result["loops"] = swarm.evaluations * len(training) * len(task.training_seeds)
+        result["tunings"] = {"default": best.default, "tuned": best.tuning}
+        controllers["tuned"] = controller.with_tuning(best.tuning)
+    name = load_tuning(cell.contender).controller if is_tuning_file(cell.contender) else cell.contender
+    for tuning, controller in controllers.items():
+        names = {"contender": cell.with_driver(name), "tuning": tuning, "car": cell.car, "profile": cell.condition}
+        result["rows"] += [names | row for row in _test_rows(task, cell, test, controller, setting.car.outline)]
+        try:
+            result["entry_speed"][label_of(name, tuning)] = _entry_speed(task, cell, properties, controller)
+        except InvalidInput as error:
+            result["not_entered"] = str(error)
+    return result | {"seconds": time.perf_counter() - start_time}
+
+
+def _test_rows(
+    task: ComparisonConfig, cell: Cell, test: RunSet, controller: Controller, outline: Outline
+) -> list[dict[str, Any]]:
+    """Return one row for each test run: road, noise seed and `MEASURES`, with a driver `SPEED_MEASURES` as well."""
+    measures = (*MEASURES, *SPEED_MEASURES) if cell.driver else MEASURES
+    rows = measure_runs(test, controller, task.seeds, outline, with_driver=bool(cell.driver))
+    return [
+        {"road": road, "seed": seed, **{name: row[name] for name in measures}}
+        for road, runs in zip(task.roads, rows, strict=True)
+        for seed, row in zip(task.seeds, runs, strict=True)
+    ]
+
+
+def _make_controller(task: ComparisonConfig, cell: Cell, setting: ControllerSetting) -> tuple[Controller, str]:
+    """Return the controller of a cell before any search, and its kind of tuning: "default", "scheduled" or a file.
+
+    Raises
+    ------
+    InvalidInput
+        When a scheduler or a tuning file belongs to a different car or profile, or its search used noise seeds of the
+        test.
+    """
+    if not is_tuning_file(cell.contender):
+        controller = setting.controller(cell.contender)
+        return controller, "scheduled" if controller.scheduler else "default"
+    file, profile = load_tuning(cell.contender), setting.profile
+    mismatches = file.mismatches(setting.car.name, profile.name, profile.period)
+    if set(file.noise_seeds) & set(task.seeds):
+        mismatches.append("was found with noise seeds of this comparison")
+    if mismatches:
+        raise InvalidInput(f"{cell.contender}: {'; '.join(mismatches)}.")
+    return file.make(setting.car, profile, profile.period, preview=True), cell.contender
+
+
+MEASURES = ("cost", "failed", "reason", "failed_at", *RUN)
+"""Measures of a run in the rows of a cell."""
+
+
+def _swarm(budget: int, drives_per_tuning: int) -> SwarmSettings:
+    """Return the settings of a swarm that simulates at most `budget` drives."""
+    tunings = budget // drives_per_tuning
+    particles = min(MAX_PARTICLES, max(5, round(math.sqrt(tunings))))
+    return SwarmSettings(particles=particles, generations=max(1, tunings // particles))
+
+
+def _entry_speed(task: ComparisonConfig, cell: Cell, properties: About, controller: Controller) -> float | None:
+    """Return the highest clean entry speed into ISO 3888-2 (m/s), 0 if none is clean, None if it is not driven."""
+    is_driven = task.entry_speeds and properties.compiled and not (cell.driver or cell.friction)
+    test = _obstacle(cell.car, cell.profile) if is_driven else None
+    if test is None:
+        return None
+    speed = entry_speed(test, cell.contender, controller, ENTRY_SPEEDS).scan.speed
+    return float(speed) if math.isfinite(speed) else 0.0
+
+
+ENTRY_SPEEDS = tuple((np.arange(26.0, 91.0, 2.0) / 3.6).tolist())
+"""Entry speeds that are driven (m/s)."""
+
+
+# -- all cells --------------------------------------------------------------------------------------------------------
 REFERENCES = ("informed, tuned", "informed, default")
 """Labels of preferred reference contenders. A comparison without them uses its first contender."""
 COMPARISON_FORMAT, COMPARISON_VERSION, RUNS_FILE = "adaptrack comparison", 1, "runs.parquet"
@@ -46,8 +228,18 @@ class Compared:
 
     @cached_property
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns of all runs, see `cells.columns`."""
-        return columns(list(self.cells.values()))
+        """The rows of all cells as columns by name, with NaN for missing measures.
+
+        Raises
+        ------
+        InvalidInput
+            When no cell has a row.
+        """
+        rows = [row for cell in self.cells.values() for row in cell["rows"]]
+        if not rows:
+            reasons = "; ".join(dict.fromkeys(cell["left_out"] for cell in self.cells.values()))
+            raise InvalidInput(f"compare: no contender can drive here: {reasons}")
+        return {name: as_column([row[name] for row in rows]) for name in rows[0]}
 
     @cached_property
     def profile_comparisons(self) -> dict[str, Comparison]:

@@ -6,9 +6,9 @@ reference contender over cars and roads, and a bootstrap interval that resamples
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,8 @@ from adaptrack.drive.failure import FailureLimits
 
 Array = NDArray[np.float64]
 
+WITH = " + "
+"""Text between the names of a controller and its driver."""
 CELL_AXES = ("car", "road", "seed")
 """Axes of the entries of one contender."""
 
@@ -101,18 +103,9 @@ class Comparison:
         roles: Mapping[str, ContenderRole] | None = None, overall: Mapping[str, Mapping[str, float]] | None = None,
         over: tuple[str, ...] = ("road",), failure: FailureLimits | None = None,
     ) -> Comparison:  # fmt: skip
-        """Return a comparison on one car.
+        """Return a comparison on one car from entries by contender and measure, each (roads, seeds) or (roads,).
 
-        Parameters
-        ----------
-        runs
-            Entries by contender and measure, each (roads, seeds) or (roads,).
-        reference, car, roles, overall, over, failure
-            See the fields.
-        roads, seeds
-            Names of the roads and noise seeds; None for their indices.
-        where
-            Coordinates of the roads, (roads, k); None for their indices.
+        The other arguments are the fields of these names. Roads, seeds and coordinates `where` are indices by default.
         """
         arrays = {
             contender: {name: np.asarray(values) for name, values in measures.items()}
@@ -133,14 +126,9 @@ class Comparison:
 
     @classmethod
     def from_columns(cls, columns: Mapping[str, NDArray[Any]], preferred: Sequence[str] = ()) -> Comparison:
-        """Return a comparison from the columns of its runs.
+        """Return a comparison from columns "contender", "tuning", "car", "road", "seed" and measures, each (runs,).
 
-        Parameters
-        ----------
-        columns
-            Columns "contender", "tuning", "car", "road", "seed" and measures by name, each (runs,).
-        preferred
-            Labels of preferred references. The first one among the contenders is used, otherwise the first contender.
+        The reference is the first of the `preferred` labels among the contenders, otherwise the first contender.
         """
         pairs = list(zip(columns["contender"].tolist(), columns["tuning"].tolist(), strict=True))
         roles = {
@@ -273,13 +261,71 @@ def _finite_values(values: Array) -> Array:
     return values[np.isfinite(values)]
 
 
-def _plain(values: Any) -> Any:
-    """Return nested lists with None instead of NaN, as strict JSON needs."""
-    if isinstance(values, list):
-        return [_plain(value) for value in values]
-    return None if isinstance(values, float) and not math.isfinite(values) else values
+# -- rows of all measures ---------------------------------------------------------------------------------------------
+def standing_rows(comparison: Comparison) -> list[dict[str, Any]]:
+    """Return one row for each contender, sorted by the rank of its RMS error.
+
+    A row contains, over all runs of the contender:
+
+    - the rank (see `Comparison.ranks`), and the ratios of RMS error and cost to the reference with their intervals;
+    - the RMS of the RMS errors, the median of the 95th percentiles of the error and the largest corner error (m);
+    - the RMS steering rate (rad/s);
+    - the 95th percentiles of lateral acceleration (m/s^2) and jerk (m/s^3);
+    - the numbers of runs and failures.
+    """
+    ranks = comparison.ranks()
+    rows = [_standing(comparison, name, ranks[name]) for name in comparison.contenders]
+    return sorted(rows, key=lambda row: (row["rank"], row["rms_ratio"]))
 
 
-def finite(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows for strict JSON, with None instead of NaN."""
-    return [{key: _plain(value) for key, value in row.items()} for row in rows]
+def _standing(comparison: Comparison, name: str, rank: int) -> dict[str, Any]:
+    rms, cost = comparison.ratio(name, comparison.reference, "rms_error"), comparison.ratio(name, comparison.reference)
+    role, failed = comparison.role(name), comparison.of(name, "failed")
+    return {
+        "contender": role.controller, "tuning": role.tuning, "label": name, "rank": rank,
+        "rms_ratio": rms.mean, "rms_low": rms.low, "rms_high": rms.high,
+        "cost_ratio": cost.mean, "cost_low": cost.low, "cost_high": cost.high,
+        "rms_error": _rms(comparison.of(name, "rms_error")),
+        "p95_error": _percentile(comparison.of(name, "p95_error"), 50.0),
+        "max_corner": _percentile(comparison.of(name, "max_corner"), 100.0),
+        "steering_rate": _rms(comparison.of(name, "steering_rate")),
+        "acceleration": _percentile(comparison.of(name, "acceleration"), 95.0),
+        "jerk": _percentile(comparison.of(name, "jerk"), 95.0),
+        "runs": int(np.isfinite(failed).sum()), "failures": int(np.nansum(failed)),
+    }  # fmt: skip
+
+
+def driver_rows(comparison: Comparison) -> list[dict[str, Any]]:
+    """Return one row for each controller with a driver, in the order of the comparison, without a rank.
+
+    A row contains the numbers of runs and failures, and `DRIVER_SUMMARIES` of the runs that did not fail.
+    """
+    rows = []
+    for name in comparison.contenders:
+        failed, role = comparison.of(name, "failed"), comparison.role(name)
+        controller, _, driver = role.controller.partition(WITH)
+        row: dict[str, Any] = {
+            "label": name, "controller": controller if role.tuning == "default" else label_of(controller, role.tuning),
+            "driver": driver, "runs": int(np.isfinite(failed).sum()), "failures": int(np.nansum(failed)),
+        }  # fmt: skip
+        for measure, summary in DRIVER_SUMMARIES.items():
+            values = comparison.of(name, measure)[failed == 0.0]
+            row[measure] = float(summary(values[np.isfinite(values)])) if np.isfinite(values).any() else None
+        rows.append(row)
+    return rows
+
+
+def _rms(values: NDArray[Any]) -> float:
+    return float(np.sqrt(np.nanmean(values * values))) if np.isfinite(values).any() else float("nan")
+
+
+def _percentile(values: NDArray[Any], percent: float, missing: float = float("nan")) -> float:
+    return float(np.nanpercentile(values, percent)) if np.isfinite(values).any() else missing
+
+
+DRIVER_SUMMARIES: dict[str, Callable[[NDArray[Any]], Any]] = {
+    "time_lost": lambda values: round(float(np.mean(values)), 2) + 0.0,  # a control period is 0.05 s
+    "way_driven": np.mean, "speed_error": _rms, "rms_error": _rms, "max_error": np.max,
+    "longitudinal_jerk": partial(_percentile, percent=95.0), "used_grip": np.max, "stop_error": np.max,
+}  # fmt: skip
+"""Function that summarises a measure over the runs."""

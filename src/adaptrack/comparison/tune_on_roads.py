@@ -47,26 +47,11 @@ def tune_on_roads(
     loops: int | None = None, prescribed_speed: bool = False, command: str = "",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> TunedOnRoads:  # fmt: skip
-    """Find the tuning of a controller with the lowest mean cost on specified roads.
+    """Find the tuning of a registered controller with the lowest mean cost on roads, named as in `ComparisonConfig`.
 
-    Parameters
-    ----------
-    setting
-        Car, plant and profile.
-    roads
-        Roads in the form of `ComparisonConfig.roads`.
-    controller
-        Registered name of the controller.
-    length
-        Length of generated roads (m).
-    loops
-        Largest number of simulated drives of the search; None for 300 tunings on each road with each noise seed.
-    prescribed_speed
-        Whether the car follows its planned speed exactly, without forces along the road.
-    command
-        Command line, which is stored in the file.
-    progress
-        Function called with (stage, steps done, steps in all).
+    length: m, of generated roads; loops: largest number of simulated drives of the search, None for 300 tunings on each
+    road with each noise seed; prescribed_speed: whether the car follows its planned speed exactly, without forces along
+    the road; command: command line, which is stored in the file; progress: called with (stage, steps done, steps).
 
     Raises
     ------

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import Finite, Hint, checked, within
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.pedals import PedalMap
-from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
+from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, PedalMap, Vehicle
 from adaptrack.control.controllers import Controller
 from adaptrack.control.friction_estimate import friction_estimate
 from adaptrack.control.kalman import KalmanFilter

@@ -15,9 +15,7 @@ from pydantic.fields import FieldInfo
 from adaptrack.base.checked import allowed
 from adaptrack.base.files import Record
 from adaptrack.cars import data_sheet
-from adaptrack.cars.domain import MAX_DOMAIN, Domain
-from adaptrack.cars.tolerances import KnownWithin
-from adaptrack.cars.vehicle import Body, Steering, Tyre, Vehicle, load_tyre
+from adaptrack.cars.vehicle import MAX_DOMAIN, Body, Domain, KnownWithin, Steering, Tyre, Vehicle, load_tyre
 from adaptrack.core.kernel import OK
 from adaptrack.core.roads import path
 from adaptrack.core.synthesis import car, plant

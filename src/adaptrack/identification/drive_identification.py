@@ -17,8 +17,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.pedals import PedalMap
-from adaptrack.cars.vehicle import Vehicle, load_vehicle
+from adaptrack.cars.vehicle import PedalMap, Vehicle, load_vehicle
 from adaptrack.core.identification import drive as kernel
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product

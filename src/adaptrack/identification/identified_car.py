@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.pedals import PedalMap
-from adaptrack.cars.tolerances import KnownWithin
-from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Steering, Tyre, Vehicle
+from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, KnownWithin, PedalMap, Steering, Tyre, Vehicle
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.identification.log import Log
 

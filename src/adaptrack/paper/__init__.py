@@ -1,8 +1,8 @@
 """The paper's experiment, sections III to V in the paper's order; docs/notation.md lists its symbols.
 
 * `operating_points`, `campaign_config`, `campaign`, `data_set`: particle swarms tune the MPC at operating points.
-* `mlp`, `anfis` with `partition`, `fis`, `training`, `schedules`: networks and neuro-fuzzy models learn the tuning.
-* `learning_task`, `landscape`, `surfaces`, `improvement`, `adaptation`: schedules learn on the closed loop.
+* `regressor`, `mlp`, `anfis`, `training`: networks and neuro-fuzzy models learn the tuning.
+* `surfaces`, `improvement`, `adaptation`: schedules learn on the closed loop.
 * `evaluation`: these schedules, the best constant and the optimum of each operating point.
 * `reproduce`: both tests of the paper with the standard, the NN and the ANFIS controller.
 

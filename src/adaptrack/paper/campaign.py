@@ -10,8 +10,10 @@ the software only: not on the number of workers, the interruptions, or other pro
 
 from __future__ import annotations
 
+import importlib
 import multiprocessing
 import os
+import re
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -30,18 +32,103 @@ from numpy.typing import NDArray
 
 from adaptrack import __version__
 from adaptrack.base.checked import Count, checked
-from adaptrack.base.errors import AdaptrackError, ContractError, InvalidInput, StorageError
+from adaptrack.base.errors import AdaptrackError, ContractError, InvalidInput, MissingExtra, StorageError
 from adaptrack.base.files import Damaged
 from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.plant import DualTrack, SingleTrack, fingerprint
+from adaptrack.control.controllers import MPC, Tuning, published_mpc
 from adaptrack.core.library import kernels_hash
 from adaptrack.paper.campaign_config import STANDARD_ROW, CampaignConfig, CampaignPlan, Setup
-from adaptrack.paper.cluster import dask_client
 from adaptrack.paper.data_set import DataSet
-from adaptrack.paper.evaluator import campaign_objective
+from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.objective import Objective, PointTuning
 
 Array = NDArray[np.float64]
+
+# -- workers of a cluster ---------------------------------------------------------------------------------------------
+DASK_TIMEOUT = 5.0
+"""s, for the connection to a scheduler, and then for its first worker"""
+
+_ADDRESS = re.compile(r"(?:[a-z]+://)?(?:[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})/?")
+"""tcp://host:port or host:port"""
+
+
+def dask_client(address: str) -> Any:
+    """A `distributed.Client` of the scheduler at an address, once it has a worker.
+
+    Raises
+    ------
+    MissingExtra
+        When Dask is not installed.
+    InvalidInput
+        When there is no scheduler at the address, or the scheduler has no worker.
+    """
+    try:
+        distributed = importlib.import_module("distributed")
+    except ImportError:
+        raise MissingExtra("Dask is not installed; install it: python -m pip install 'adaptrack[cluster]'") from None
+    form = _ADDRESS.fullmatch(address)
+    if form is None or not 0 < int(form["port"]) < 65536:
+        raise InvalidInput(f"cluster = {address!r}: not an address; give one like tcp://127.0.0.1:8786.")
+    try:
+        _check_scheduler(distributed, address)
+        client = distributed.Client(address, timeout=DASK_TIMEOUT, set_as_default=False)
+    except Exception as error:  # a server other than Dask's can cause almost any error
+        reason = str(error) or f"no answer within {DASK_TIMEOUT:g} s"
+        raise InvalidInput(f"cluster = {address!r}: no Dask scheduler answers there ({reason}).") from None
+    try:
+        client.wait_for_workers(1, timeout=DASK_TIMEOUT)
+    except TimeoutError:
+        client.close()
+        raise InvalidInput(
+            f"cluster = {address!r}: the scheduler has no workers; start one: dask worker {address}"
+        ) from None
+    except BaseException:
+        client.close()
+        raise
+    return client
+
+
+def _check_scheduler(distributed: Any, address: str) -> None:
+    """Ask a server for its type within `DASK_TIMEOUT`: a client would wait for a silent server without end."""
+
+    async def ask() -> str:
+        options = distributed.Security().get_connection_args("client")
+        server = await distributed.core.connect(address, timeout=0.8 * DASK_TIMEOUT, **options)
+        return str((await distributed.core.send_recv(server, op="identity", close=True))["type"])
+
+    server_type = distributed.utils.LoopRunner().run_sync(ask, callback_timeout=DASK_TIMEOUT)
+    if server_type != "Scheduler":
+        raise OSError(f"the server is a {server_type}")
+
+
+# -- the closed loop --------------------------------------------------------------------------------------------------
+def tuned_mpc(setup: Setup, tuning: Tuning | None = None, **options: Any) -> MPC:
+    """The paper's MPC for a campaign's car and profile, by default with the paper's tuning.
+
+    options: of `MPC`.
+    """
+    profile = load_profile(setup.config.profile)
+    return published_mpc(setup.vehicle, tuning, period=profile.period, preview=profile.preview, **options)
+
+
+def campaign_objective(setup: Setup) -> Objective:
+    """The cost of a tuning in a campaign: its plant or the plant's twin, its profile, and the MPC with free moves."""
+    config = setup.config
+    Np, Nc = config.search.Np[1], config.search.Nc[1]
+    mpc = tuned_mpc(setup, longest_horizon=max(60, Np), most_moves=max(20, Nc))
+    return Objective(
+        plant=setup.searched_on,
+        mpc=mpc,
+        test=config.scenario,
+        profile=load_profile(config.profile),
+        noise_seeds=config.noise_seeds or (0,),
+        move_weight=config.move_weight,
+        duration=config.duration,
+        failure=config.failure.rule,
+    )
+
+
 StreamNumbers = NDArray[np.int64]
 Map = Callable[..., Iterable["TunedPoint"]]
 """The `map` of an executor"""

@@ -9,7 +9,7 @@ import logging
 import math
 import os
 import socket
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -21,11 +21,11 @@ from pydantic import Field, field_validator, model_validator
 
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import UnknownName, did_you_mean
-from adaptrack.base.files import LISTED, SHIPPED, Record, build, printable, read_toml
+from adaptrack.base.files import LISTED, Record, build, printable, read_toml
 from adaptrack.base.limits import LANDSCAPE_COSTS, NOISE_SEEDS, check_limit
 from adaptrack.base.registry import import_plugin
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant, fingerprint, get_plant, twin_of
-from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
+from adaptrack.cars.vehicle import Tyre, Vehicle, find_data, is_path, list_data, load_tyre, load_vehicle
 from adaptrack.control.controllers import Tuning
 from adaptrack.core.maths import portable
 from adaptrack.drive.failure import DISTANCE, SIDESLIP, FailureLimits
@@ -40,8 +40,6 @@ _log = logging.getLogger("adaptrack")
 MAX_CAMPAIGN_SEED = 2**63 - 1
 STANDARD_ROW = tuple(Tuning().as_array().tolist())
 """The paper's table: Np 35, Nc 8, Q 10, R 0.01."""
-
-_DATA = SHIPPED / "campaigns"
 
 
 Levels = Annotated[tuple[float, ...], LISTED, Field(min_length=1)]
@@ -210,7 +208,7 @@ class CampaignConfig(Record):
     @field_validator("profile")
     @classmethod
     def _is_a_profile(cls, value: str) -> str:
-        if not _is_path(value) and value not in list_profiles():
+        if not is_path(value) and value not in list_profiles():
             raise ValueError(f"no profile is named {value!r}. {did_you_mean(value, list_profiles())}")
         return value
 
@@ -252,7 +250,8 @@ class CampaignConfig(Record):
 
 def list_campaigns() -> dict[str, str]:
     """The campaigns that `load_campaign` knows by name, each with one line of description."""
-    return {path.stem: str(read_toml(path).get("description", "")) for path in sorted(_DATA.glob("*.toml"))}
+    names = list_data("campaigns")
+    return {name: str(read_toml(find_data("campaigns", name)).get("description", "")) for name in names}
 
 
 @checked
@@ -271,25 +270,12 @@ def load_campaign(name_or_path: str | os.PathLike[str]) -> CampaignConfig:
     ConfigError
         When it is not TOML, or holds an unknown, missing or impossible value; all of them are in the message.
     """
-    if isinstance(name_or_path, os.PathLike) or _is_path(name_or_path):
-        path = Path(name_or_path)
-    else:
-        names = [path.stem for path in _DATA.glob("*.toml")]
-        if name_or_path not in names:
-            raise UnknownName(
-                f"no campaign is named {name_or_path!r}. {did_you_mean(name_or_path, names)} "
-                "A file is given by its .toml path."
-            )
-        path = _DATA / f"{name_or_path}.toml"
+    path = find_data("campaigns", name_or_path)
     data = {"name": path.stem, **read_toml(path)}
     for key in ("vehicle", "tyre", "profile"):
-        if isinstance(data.get(key), str) and _is_path(data[key]):
+        if isinstance(data.get(key), str) and is_path(data[key]):
             data[key] = str(path.parent / data[key])
     return build(CampaignConfig, data, path)
-
-
-def _is_path(text: str) -> bool:
-    return text.endswith(".toml") or any(mark in text for mark in (os.sep, os.altsep) if mark)
 
 
 # -- ready to run ---------------------------------------------------------------------------------------------
@@ -321,8 +307,13 @@ class Setup:
 
 @lru_cache(maxsize=8)
 def _plant(setup: Setup, name: str) -> Plant | SteppedPlant:
-    """`Setup.plant`, made once: its maker may start a simulator."""
-    _import(setup.config.plugin)
+    """`Setup.plant`, made once, since its maker may start a simulator; plug-ins that register plants come first."""
+    for module in setup.config.plugin:
+        missing = (
+            f"plugin {module!r}: there is no such module in the Python path of {socket.gethostname()}: install it "
+            "there, or add its folder to PYTHONPATH."
+        )
+        import_plugin(module, UnknownName(missing), _announce)
     try:
         return get_plant(name, setup.vehicle, setup.tyre if setup.config.tyre is not None else None)
     except UnknownName as error:
@@ -330,22 +321,6 @@ def _plant(setup: Setup, name: str) -> Plant | SteppedPlant:
             f"{error} A plant of one's own is registered by a Python module that every worker can import: name it in "
             "the campaign's key plugin."
         ) from None
-
-
-def _import(modules: Sequence[str]) -> None:
-    """Import the modules that register plants; the code of one that runs for the first time is announced.
-
-    Raises
-    ------
-    UnknownName
-        When there is no such module.
-    """
-    for name in modules:
-        missing = (
-            f"plugin {name!r}: there is no such module in the Python path of {socket.gethostname()}: install it there, "
-            "or add its folder to PYTHONPATH."
-        )
-        import_plugin(name, UnknownName(missing), _announce)
 
 
 def _announce(module: str) -> None:

@@ -1,9 +1,10 @@
-"""Data sets of tuned operating points: the record, its Parquet file, and those that ship with the package."""
+"""Data sets of tuned operating points: the record, its Parquet file, the shipped ones, and the summary of one."""
 
 from __future__ import annotations
 
 import os
 import shlex
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
@@ -11,24 +12,15 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from adaptrack.base import files
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
-from adaptrack.base.files import (
-    MAX_NUMBERS,
-    SHIPPED,
-    Damaged,
-    ParquetColumn,
-    decode_parquet,
-    encode_parquet,
-    read_bytes,
-    safe_name,
-    write_atomically,
-)
 from adaptrack.base.presentation import figure_of, html_of
+from adaptrack.base.result import strict
 from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
 from adaptrack.core.controllers.mpc import MPC_TUNING_FIELDS
-from adaptrack.paper import operating_points as points
-from adaptrack.paper.operating_points import POINT_NAMES, check_operating_points, fold
+from adaptrack.core.maths import portable
+from adaptrack.paper.operating_points import POINT_COORDINATES, POINT_NAMES, check_operating_points, fold
 
 Array = NDArray[Any]
 
@@ -36,7 +28,9 @@ DATA_SET_FORMAT = "adaptrack data set"
 DATA_SET_VERSION = 1
 """Raised whenever a column or an entry is added, dropped, renamed or changes its unit."""
 
-_DATA = SHIPPED / "datasets"
+_DATA = files.SHIPPED / "datasets"
+_COLUMN = {"costs": "cost", "standard_costs": "standard_cost", "traces": "trace"}
+"""Names of columns that differ from those of the arrays."""
 _WHOLE = ("evaluations", "control_steps", "stream", "mirrored_from", "seed")
 
 
@@ -55,7 +49,7 @@ DATA_SET_COLUMNS = (
     TunedColumn(
         "stream", "-", "int64", "number of the operating point; its random numbers depend on seed and stream only"
     ),
-    *(TunedColumn(column.name, column.unit, "float64", column.meaning) for column in points.POINT_COORDINATES),
+    *(TunedColumn(column.name, column.unit or "-", "float64", column.meaning) for column in POINT_COORDINATES),
     *(
         TunedColumn(field.name, "-", "int64", f"{field.meaning} of the best tuning found, {field.unit}")
         if field.name in HORIZONS
@@ -161,8 +155,8 @@ class DataSet:
     @property
     def command(self) -> str:
         """The command that makes it again (with the campaign's own file, unless that ships with the package)."""
-        name = safe_name(self.name)
-        ships = (SHIPPED / "campaigns" / f"{name}.toml").exists()
+        name = files.safe_name(self.name)
+        ships = (files.SHIPPED / "campaigns" / f"{name}.toml").exists()
         return shlex.join(["adaptrack", "paper", "campaign", name if ships else f"{name}.toml", "--out", name])
 
     @property
@@ -221,15 +215,14 @@ class DataSet:
             When that fails; an older file at `path` is then untouched.
         """
         values = dict(zip(POINT_NAMES, self.operating_points.T, strict=True))
-        values |= dict(zip(ENTRIES, self.tunings.T, strict=True)) | {name: getattr(self, name) for name in _WHOLE}
-        values |= {"r_over_q": self.ratios, "cost": self.costs, "standard_cost": self.standard_costs}
-        values |= {"trace": self.traces, "landscape": self.landscape}
+        values |= dict(zip(ENTRIES, self.tunings.T, strict=True)) | {"r_over_q": self.ratios}
+        values |= {_COLUMN.get(name, name): getattr(self, name) for name in self.ROW_FIELDS[2:]}
         columns = [
-            ParquetColumn(name, unit, np.ascontiguousarray(values[name], dtype=dtype), meaning)
+            files.ParquetColumn(name, unit, np.ascontiguousarray(values[name], dtype=dtype), meaning)
             for name, unit, dtype, meaning, _ in DATA_SET_COLUMNS
         ]
         metadata = {**self.provenance, "library": self.library.tolist()}
-        write_atomically(path, encode_parquet(DATA_SET_FORMAT, DATA_SET_VERSION, columns, metadata))
+        files.write_atomically(path, files.encode_parquet(DATA_SET_FORMAT, DATA_SET_VERSION, columns, metadata))
 
     @classmethod
     @checked
@@ -243,27 +236,22 @@ class DataSet:
         """
         remedy = "run its campaign again, or use the release that wrote it"
         names = [column.name for column in DATA_SET_COLUMNS]
-        columns, metadata = decode_parquet(
-            read_bytes(path, 8 * MAX_NUMBERS), path, DATA_SET_FORMAT, DATA_SET_VERSION, remedy, names
+        columns, metadata = files.decode_parquet(
+            files.read_bytes(path, 8 * files.MAX_NUMBERS), path, DATA_SET_FORMAT, DATA_SET_VERSION, remedy, names
         )
         try:
             for name, _, dtype, _, ndim in DATA_SET_COLUMNS:
                 if columns[name].dtype != np.dtype(dtype) or columns[name].ndim != ndim:
                     raise ValueError(f"column {name!r} holds {columns[name].dtype}, not {dtype}")
-            library = np.array(metadata.pop("library"), dtype=np.float64)
             return cls(
                 operating_points=np.column_stack([columns[name] for name in POINT_NAMES]),
                 tunings=np.column_stack([columns[name] for name in ENTRIES]),
-                costs=columns["cost"],
-                standard_costs=columns["standard_cost"],
-                traces=columns["trace"],
-                landscape=columns["landscape"],
-                library=library,
+                library=np.array(metadata.pop("library"), dtype=np.float64),
                 provenance=metadata,
-                **{name: columns[name] for name in _WHOLE},
+                **{name: columns[_COLUMN.get(name, name)] for name in cls.ROW_FIELDS[2:]},
             )
         except (AttributeError, KeyError, ValueError, TypeError, OverflowError) as error:
-            raise Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}.") from error
+            raise files.Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}.") from error
 
 
 def _read_only(array: Array) -> Array:
@@ -304,3 +292,118 @@ def load_dataset(name_or_path: str | os.PathLike[str]) -> DataSet:
             "A file of your own is given by its path."
         )
     return DataSet.load(path)
+
+
+# -- summary ----------------------------------------------------------------------------------------------------------
+SUMMARY_TARGETS = ("Np", "Nc", "log Q", "log R", "log R/Q")
+"""Parts of the best tuning; logarithms are natural."""
+NEAR_BEST = (0.05, 0.2)
+"""Tunings whose cost is at most this share above the best count as near it."""
+SUMMARY_SETTINGS = ("profile", "scenario", "duration", "plant", "move_weight", "noise_seeds")
+"""Settings of the campaign that the summary repeats."""
+
+
+def best_tunings(dataset: DataSet) -> dict[str, Array]:
+    """(n,) of each of `SUMMARY_TARGETS`."""
+    Np, Nc, Q, R = dataset.tunings.T
+    return dict(zip(SUMMARY_TARGETS, (Np, Nc, portable.log(Q), portable.log(R), portable.log(R / Q)), strict=True))
+
+
+def flatness(dataset: DataSet, within: float) -> Array:
+    """(m,) share of the library whose cost is at most (1 + within) times the lowest known, at each operating point.
+
+    Only operating points that a swarm searched and where some tuning did not fail.
+    """
+    best = dataset.best_costs
+    rows = dataset.computed & np.isfinite(best)
+    return (dataset.landscape[rows] <= ((1.0 + within) * best[rows])[:, np.newaxis]).mean(axis=1)
+
+
+def describe(dataset: DataSet) -> dict[str, Any]:
+    """The summary of a data set as plain JSON: tables are lists of rows.
+
+    Statistics are over the operating points that a swarm searched; left-right twins would count twice.
+    """
+    rows = dataset.rows(dataset.computed)
+    settings = dataset.provenance.get("settings", {})
+    bounds = _search_bounds(settings.get("search"))
+    return {
+        "name": dataset.name,
+        "operating_points": len(dataset),
+        "computed": len(rows),
+        "library": len(dataset.library),
+        **{key: settings.get(key) for key in SUMMARY_SETTINGS},
+        "vehicle": _name(settings.get("vehicle")),
+        "tyre": _name(settings.get("tyre")),
+        "evaluations": int(rows.evaluations.sum()),
+        "control_steps": int(rows.control_steps.sum()),
+        "versions": dataset.provenance.get("versions", {}),
+        "identity": dataset.provenance.get("identity"),
+        "command": dataset.command,
+        "ranges": [
+            {
+                "quantity": column.name,
+                "unit": column.unit or "-",
+                "lowest": float(values.min()),
+                "highest": float(values.max()),
+                "levels": int(np.unique(values).size),
+            }
+            for column, values in zip(POINT_COORDINATES, dataset.operating_points.T, strict=True)
+        ],
+        "optimum": [
+            {"target": name, **_quantiles(values), "at_a_bound": _share_at_bounds(values, bounds.get(name))}
+            for name, values in best_tunings(rows).items()
+        ],
+        "flatness": [
+            {"within": within, "mean": strict(share.mean() if share.size else np.nan), **_quantiles(share)}
+            for within in NEAR_BEST
+            for share in (flatness(dataset, within),)
+        ],
+        "costs": _costs(rows),
+    }
+
+
+def _costs(rows: DataSet) -> dict[str, float | int | None]:
+    """Compare the costs of the standard tuning, the swarm's best and the library; count failures."""
+    comparable = rows.comparable
+    gain = rows.standard_costs[comparable] / rows.costs[comparable]
+    positive = np.isfinite(rows.best_costs) & (rows.best_costs > 0.0)
+    excess = rows.costs[positive] / rows.best_costs[positive] - 1.0
+    return {
+        "standard_over_best_geomean": strict(portable.exp(portable.log(gain).mean()) if gain.size else np.nan),
+        "swarm_behind_the_best_known_p50": _quantile(excess, 0.5),
+        "swarm_behind_the_best_known_p90": _quantile(excess, 0.9),
+        "failed_by_the_standard": int(np.isinf(rows.standard_costs).sum()),
+        "failed_by_the_swarm": int(np.isinf(rows.costs).sum()),
+        "failed_by_all": int(np.isinf(rows.best_costs).sum()),
+        "library_failed": float(np.isinf(rows.landscape).mean()) if rows.landscape.size else 0.0,
+    }
+
+
+def _name(entry: Any) -> Any:
+    return entry.get("name") if isinstance(entry, dict) else entry
+
+
+def _quantiles(values: Array) -> dict[str, float | None]:
+    levels = {"lowest": 0.0, "p10": 0.1, "p50": 0.5, "p90": 0.9, "highest": 1.0}
+    return {name: _quantile(values, level) for name, level in levels.items()}
+
+
+def _quantile(values: Array, level: float) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(np.quantile(finite, level)) if finite.size else None
+
+
+def _search_bounds(search: Mapping[str, Any] | None) -> dict[str, tuple[float, float]]:
+    """The lowest and the highest value of each target in the search."""
+    if search is None:
+        return {}
+    (q_low, q_high), (r_low, r_high) = portable.log(search["Q"]), portable.log(search["R"])
+    pairs = (search["Np"], search["Nc"], (q_low, q_high), (r_low, r_high), (r_low - q_high, r_high - q_low))
+    return {name: (float(low), float(high)) for name, (low, high) in zip(SUMMARY_TARGETS, pairs, strict=True)}
+
+
+def _share_at_bounds(values: Array, bounds: tuple[float, float] | None) -> float | None:
+    if bounds is None:
+        return None
+    return float(((values <= bounds[0] + 1e-9) | (values >= bounds[1] - 1e-9)).mean())

@@ -20,8 +20,15 @@ from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison
 from adaptrack.drive.metrics import PAPER_MSE
-from adaptrack.paper.adaptation import ANYWHERE, Schedules
-from adaptrack.paper.learning_task import FAILURE, HELD_OUT_POINTS, SEGMENT, TRAINING_POINTS, LearningTask
+from adaptrack.paper.adaptation import (
+    ANYWHERE,
+    FAILURE,
+    HELD_OUT_POINTS,
+    SEGMENT,
+    TRAINING_POINTS,
+    LearningTask,
+    Schedules,
+)
 from adaptrack.paper.operating_points import sobol
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.runs import make_perception, operating_point_runs, paper_test_runs, random_drive_runs
@@ -66,14 +73,16 @@ def evaluate_on_operating_points(
         tunings = find_optimum(task, plant, points, seed, constants, progress)
         contenders.append(Contender(POINT_OPTIMUM, tunings, hindsight=True))
         reference = POINT_OPTIMUM
-    comparisons = {}
-    for name in perception:
-        knowledge = make_perception(name, task.estimated, task.profile)
-        runs = operating_point_runs(plant, task.mpc, points, task.profile, perception=knowledge, failure=FAILURE)
-        comparisons[name] = compare(
-            runs, _select_contenders(contenders, name), EVALUATION_NOISE, reference, points, progress
+    return {
+        name: compare(
+            operating_point_runs(
+                plant, task.mpc, points, task.profile, failure=FAILURE,
+                perception=make_perception(name, task.estimated, task.profile),
+            ),
+            _select_contenders(contenders, name), EVALUATION_NOISE, reference, points, progress,
         )
-    return comparisons
+        for name in perception
+    }  # fmt: skip
 
 
 def evaluate_on_drives(
@@ -82,30 +91,30 @@ def evaluate_on_drives(
 ) -> dict[str, Comparison]:  # fmt: skip
     """On `count` random drives, for each way of knowing friction and wind; the reference is the best constant."""
     numbers = evaluation_drives(count, seed)
-    roads = task.plan.setup.vehicle.domain.drive_options
-    contenders = _moving_contenders(schedules)
-    comparisons = {}
-    for name in perception:
-        runs = random_drive_runs(
-            task.evaluated_plant, task.mpc, numbers, EVALUATED_DURATION, task.profile, drive_options=roads,
-            segment_seconds=SEGMENT, perception=make_perception(name, task.estimated, task.profile), failure=FAILURE,
-        )  # fmt: skip
-        where = np.array(numbers, dtype=float)[:, None]
-        comparisons[name] = compare(
-            runs, _select_contenders(contenders, name), EVALUATION_NOISE[:1], BEST_CONSTANT, where, progress
+    roads, where = task.plan.setup.vehicle.domain.drive_options, np.array(numbers, dtype=float)[:, None]
+    return {
+        name: compare(
+            random_drive_runs(
+                task.evaluated_plant, task.mpc, numbers, EVALUATED_DURATION, task.profile, drive_options=roads,
+                segment_seconds=SEGMENT, perception=make_perception(name, task.estimated, task.profile),
+                failure=FAILURE,
+            ),
+            _select_contenders(_moving_contenders(schedules), name), EVALUATION_NOISE[:1], BEST_CONSTANT, where,
+            progress,
         )
-    return comparisons
+        for name in perception
+    }  # fmt: skip
 
 
 def evaluate_on_tests(task: LearningTask, schedules: Schedules) -> dict[str, Comparison]:
     """On the paper's two tests, in the campaign's profile; the reference is the best constant."""
-    comparisons = {}
-    for name in PAPER_MSE:
-        runs = paper_test_runs(task.evaluated_plant, task.mpc, name, task.profile, failure=FAILURE)
-        comparisons[name] = compare(
-            runs, _moving_contenders(schedules), EVALUATION_NOISE, BEST_CONSTANT, np.zeros((1, 1))
+    return {
+        name: compare(
+            paper_test_runs(task.evaluated_plant, task.mpc, name, task.profile, failure=FAILURE),
+            _moving_contenders(schedules), EVALUATION_NOISE, BEST_CONSTANT, np.zeros((1, 1)),
         )
-    return comparisons
+        for name in PAPER_MSE
+    }  # fmt: skip
 
 
 def evaluation_points(task: LearningTask, count: int, seed: int) -> Array:
@@ -131,9 +140,7 @@ def evaluation_drives(count: int, seed: int) -> range:
 def _point_contenders(schedules: Schedules, points: Array) -> list[Contender]:
     """The contenders on operating points; the look-up table is made from such, and takes the point as its input."""
     names = [name for name in schedules if name not in (DRIVE_CONSTANT, "fallback")]
-    return [
-        Contender(name, schedules[name].batch(points) if name == "look-up" else schedules[name]) for name in names
-    ]  # fmt: skip
+    return [Contender(name, schedules[name].batch(points) if name == "look-up" else schedules[name]) for name in names]
 
 
 def _moving_contenders(schedules: Schedules) -> list[Contender]:

@@ -1,5 +1,10 @@
 """The improvement of a schedule on the closed loop: its outputs follow the moves that lower the cost of its own runs.
 
+The tuning with the lowest cost on an operating point is noisy and not unique; the slope of the cost is neither. So the
+three outputs of a schedule (Np, Nc, log10 R/Q) are shifted a little up and down, and a parabola through the three costs
+of a segment of driving gives the move of the output there and its weight. Moves and weights of all segments are one
+weighted regression; repeated, it is Newton's method on the mean log cost.
+
 Every round has new sensor noise and other runs. Some runs are held out to choose the best round.
 """
 
@@ -8,7 +13,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +23,145 @@ from adaptrack.base.checked import whole_number
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import reports_progress
 from adaptrack.control.controllers import Tuning
+from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.scheduling import Function, Learned, Schedule, SchedulingVariables
 from adaptrack.core.maths import portable
-from adaptrack.paper.landscape import LEARNED_OUTPUTS, Rescue, WeightedMoves, explore_landscape
 from adaptrack.paper.surfaces import Surface
 from adaptrack.tuning.runs import Indices, RunSet
 
 Array = NDArray[np.float64]
+
+# -- the landscape around a schedule ----------------------------------------------------------------------------------
+LEARNED_OUTPUTS = ("Np", "Nc", "log10_ratio")
+"""Entries that a learned schedule has functions for. Only R/Q changes the control law; Q is 1."""
+OUTPUT_SHIFT = np.array([3.0, 1.5, 0.15])
+"""Shift of each output. Horizons are whole, so smaller ones are lost in rounding; larger ones leave the parabola."""
+MIN_CURVATURE = np.array([0.002, 0.005, 0.3])
+"""Curvature of the relative cost per squared unit that flatter segments count as: flat segments keep their tuning."""
+MIN_SHARE = 1e-3
+"""Share of a run's cost that is added to the share of every segment for `MIN_CURVATURE`, so that no weight is zero."""
+MAX_SEGMENT_COST = 5.0
+"""Largest cost of a segment, in costs of its run: one failure must not outweigh all other segments."""
+RESCUE_SHARES = (0.25, 0.5, 1.0)
+"""Shares of the way to the fallback at which a failed run is repeated, the smallest first."""
+SEGMENTS_BEFORE_FAILURE = 2
+"""Segments before a failure that share its cause: a car leaves the road some seconds after the mistake."""
+
+
+class WeightedMoves(NamedTuple):
+    """Moves of the outputs that lower the cost, one row for each sample of the scheduling variables."""
+
+    variables: Array
+    """(m, SchedulingVariables)"""
+    moves: Array
+    """(m, 3) of the outputs"""
+    weights: Array
+    """(m, 3) curvature of the relative cost"""
+
+
+@dataclass(frozen=True)
+class Rescue:
+    """The way from a schedule to a tuning that keeps the car on the road."""
+
+    schedule: Callable[[float], Schedule]
+    """the schedule a share of the way, 0..1"""
+    way: Callable[[Array], Array]
+    """(m, 3) whole way of the outputs at scheduling variables (m, SchedulingVariables)"""
+
+
+def preferred_moves(base: Array, up: Array, down: Array, share: Array) -> tuple[Array, Array]:
+    """Moves of the outputs to the minimum of a parabola through three costs, and their weights, each (n, 3).
+
+    base (n,), up and down (n, 3): costs of n segments with the outputs unchanged, and with one output shifted by
+    `OUTPUT_SHIFT`, all relative to the cost of the run; share (n,): the segment's part of that cost. A cost that is
+    not finite gives weight zero. A move is at most two shifts long.
+    """
+    finite = np.isfinite(up) & np.isfinite(down) & np.isfinite(base)[:, None]
+    base, up, down = (np.where(finite, costs, 0.0) for costs in (base[:, None], up, down))
+    slope = (up - down) / (2.0 * OUTPUT_SHIFT)
+    curvature = (up + down - 2.0 * base) / (OUTPUT_SHIFT * OUTPUT_SHIFT)
+    weight = np.maximum(curvature, MIN_CURVATURE * share[:, None])
+    weight = np.maximum(weight, np.abs(slope) / (2.0 * OUTPUT_SHIFT))
+    moves = np.divide(-slope, weight, out=np.zeros_like(slope), where=weight > 0.0)
+    return moves, np.where(finite, weight, 0.0)
+
+
+def explore_landscape(
+    runs: RunSet, schedule: Callable[[Array], Schedule], seed: int, indices: Indices, rescue: Rescue | None = None
+) -> WeightedMoves:
+    """Drive some runs with every output shifted up and down, and return the moves that lower their cost.
+
+    schedule: the schedule with its outputs shifted by (3,); seed: of the noise; rescue: for runs that fail.
+
+    Raises
+    ------
+    InvalidInput
+        When the runs estimate friction and wind: the estimates are unknown before driving.
+    """
+    if isinstance(runs.perception, FrictionWindEstimator):
+        raise InvalidInput("runs with estimated friction and wind cannot be learned from: use the exact values.")
+
+    base = runs.segments(schedule(np.zeros(3)), seed, indices)
+    scale = _run_costs(base, runs)
+
+    def relative_cost(shift: Array) -> Array:
+        return np.minimum(runs.segments(schedule(shift), seed, indices) / scale, MAX_SEGMENT_COST)
+
+    relative = np.minimum(base / scale, MAX_SEGMENT_COST)
+    up, down = (
+        np.stack([relative_cost(sign * shift) for shift in np.diag(OUTPUT_SHIFT)], axis=-1) for sign in (1.0, -1.0)
+    )
+    share = np.clip(np.nan_to_num(relative), 0.0, 1.0) + MIN_SHARE
+    moves, weights = preferred_moves(relative.ravel(), up.reshape(-1, 3), down.reshape(-1, 3), share.ravel())
+    segments = WeightedMoves(base, moves.reshape(*base.shape, 3), weights.reshape(*base.shape, 3))
+    shares = np.zeros(base.shape) if rescue is None else _rescue_shares(runs, base, rescue, seed, indices)
+    parts = [_sample_segment(runs, i, indices, segments, shares[:, i], rescue) for i in range(base.shape[1])]
+    variables, moves, weights = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return WeightedMoves(variables, moves, weights / len(indices))
+
+
+def _run_costs(base: Array, runs: RunSet) -> Array:
+    """(runs, 1) cost of each run; the median of the others for a failed one."""
+    total = np.nansum(np.where(np.isfinite(base), base, 0.0), axis=1)
+    failed = np.isinf(base).any(axis=1)
+    median = np.median(total[~failed]) if not failed.all() else runs.failed_cost * runs.periods
+    return np.where(failed, median, total)[:, None]
+
+
+def _sample_segment(
+    runs: RunSet, i: int, indices: Indices, segments: WeightedMoves, shares: Array, rescue: Rescue | None
+) -> WeightedMoves:
+    """Assign the moves of segment i of each run to the scheduling variables in it and shortly before it."""
+    first = max(0, i * runs.segment - runs.before)
+    samples = runs.variables[indices, first : (i + 1) * runs.segment : runs.stride]
+    count = samples.shape[1]
+    variables = samples.reshape(-1, samples.shape[2])
+    moves = np.repeat(segments.moves[:, i], count, axis=0)
+    weights = np.repeat(segments.weights[:, i], count, axis=0) / count
+    part = np.repeat(shares, count)
+    if rescue is not None and (rescued := part > 0.0).any():
+        way = part[rescued, None] * rescue.way(variables[rescued])
+        moves[rescued] = way
+        weights[rescued] = 2.0 * MAX_SEGMENT_COST / portable.square(np.maximum(np.abs(way), OUTPUT_SHIFT)) / count
+    return WeightedMoves(variables, moves, weights)
+
+
+def _rescue_shares(runs: RunSet, base: Array, rescue: Rescue, seed: int, indices: Indices) -> Array:
+    """(runs, segments) smallest share of the way that saves a failed run, in the segments up to its failure."""
+    shares = np.zeros(base.shape)
+    failed = np.flatnonzero(np.isinf(base).any(axis=1))
+    for share in RESCUE_SHARES:
+        if not failed.size:
+            break
+        rescued = np.isfinite(runs.segments(rescue.schedule(share), seed, indices[failed])).all(axis=1)
+        for i in failed[rescued]:
+            last = int(np.argmax(np.isinf(base[i])))
+            shares[i, max(0, last - SEGMENTS_BEFORE_FAILURE) : last + 1] = share
+        failed = failed[~rescued]
+    return shares
+
+
+# -- the rounds -------------------------------------------------------------------------------------------------------
 Surfaces = Mapping[str, Surface]
 """One for each of `LEARNED_OUTPUTS`."""
 Training = Sequence[tuple[RunSet, int]]
@@ -91,24 +229,30 @@ def improve(
     """
     learner = _Learner.of(start, training, safe)
     rng = np.random.default_rng((seed, 0xADA))
-    course = _Course(dict(start.surfaces), [set() for _ in training])
-    course.note_score(*learner.score(start.surfaces, held_out, seed, 0))
+    surfaces: Surfaces = dict(start.surfaces)
+    latest: list[Surfaces] = []
+    failures: list[set[int]] = [set() for _ in training]
+    checks = [learner.check(surfaces, held_out, seed, 0)]
     for k in range(rounds):
         if progress is not None:
             progress(k, rounds)
         noise = NOISE_BLOCK * seed + TRAINING_NOISE + k
         if k % CHECK_INTERVAL == 0:
-            course.note_failures(training, learner.schedule(course.surfaces), noise)
+            schedule = learner.schedule(surfaces)
+            for (runs, _), failed in zip(training, failures, strict=True):
+                failed |= set(np.flatnonzero(~np.isfinite(runs.drive(schedule, [noise])[:, 0])).tolist())
         drawn = [
-            _draw_runs(rng, len(runs), count, failed)
-            for (runs, count), failed in zip(training, course.failed, strict=True)
+            _draw_runs(rng, len(runs), count, failed) for (runs, count), failed in zip(training, failures, strict=True)
         ]
-        moves = learner.moves(course.surfaces, training, drawn, noise)
-        course.advance(learner.step(course.surfaces, moves, 1.0 - k / rounds))
+        surfaces = learner.step(surfaces, learner.moves(surfaces, training, drawn, noise), 1.0 - k / rounds)
+        latest = [*latest[1 - AVERAGED_ROUNDS :], surfaces]
         if (k + 1) % CHECK_INTERVAL == 0 or k == rounds - 1:
-            course.note_score(*learner.score(course.averaged(), held_out, seed, k + 1))
-    assert course.best is not None
-    return Improvement(*course.best, course.history)
+            averaged = {
+                slot: surfaces[slot].average([earlier[slot] for earlier in latest[:-1]]) for slot in LEARNED_OUTPUTS
+            }
+            checks.append(learner.check(averaged, held_out, seed, k + 1))
+    best = min(checks, key=lambda check: check.history[0]["score"])
+    return replace(best, history=[entry for check in checks for entry in check.history])
 
 
 def _draw_runs(rng: np.random.Generator, runs: int, count: int, failed: set[int]) -> Indices:
@@ -119,52 +263,13 @@ def _draw_runs(rng: np.random.Generator, runs: int, count: int, failed: set[int]
     return np.sort(np.concatenate([revisited, rng.choice(untried, count - len(revisited), replace=False)]))
 
 
-@dataclass(eq=False)
-class _Course:
-    """The part of a learning that changes from round to round."""
-
-    surfaces: Surfaces
-    failed: list[set[int]]
-    """runs of each run set that have failed at some time"""
-    latest: list[Surfaces] = field(default_factory=list)
-    """of the latest rounds"""
-    best: tuple[Schedule, Surfaces] | None = None
-    best_score: float = math.inf
-    history: list[dict[str, float]] = field(default_factory=list)
-
-    def note_failures(self, training: Training, schedule: Schedule, noise: int) -> None:
-        """Drive all training runs and remember those that fail."""
-        for (runs, _), failed in zip(training, self.failed, strict=True):
-            failed |= set(np.flatnonzero(~np.isfinite(runs.drive(schedule, [noise])[:, 0])).tolist())
-
-    def advance(self, surfaces: Surfaces) -> None:
-        """Take the surfaces of the next round."""
-        self.surfaces = surfaces
-        self.latest = [*self.latest[1 - AVERAGED_ROUNDS :], surfaces]
-
-    def averaged(self) -> Surfaces:
-        """The surfaces with the mean of the parameters of the latest rounds."""
-        earlier = self.latest[:-1]
-        return {slot: self.surfaces[slot].average([surfaces[slot] for surfaces in earlier]) for slot in LEARNED_OUTPUTS}
-
-    def note_score(self, schedule: Schedule, surfaces: Surfaces, entry: dict[str, float]) -> None:
-        """Note a score, and its schedule if it is the best."""
-        self.history.append(entry)
-        if self.best is None or entry["score"] < self.best_score:
-            self.best, self.best_score = (schedule, surfaces), entry["score"]
-
-
 @dataclass(frozen=True, eq=False)
 class _Learner:
     """The fixed part of a learning: from surfaces to a schedule, and the steps of the surfaces."""
 
-    inputs: tuple[str, ...]
-    columns: list[int]
-    """of the inputs, among the scheduling variables"""
-    domain: Array
+    start: Learnable
     goal: Array | None
     """(3,) outputs of the safe tuning"""
-    name: str
 
     @classmethod
     def of(cls, start: Learnable, training: Training, safe: Tuning | None) -> _Learner:
@@ -180,33 +285,30 @@ class _Learner:
         for _, count in training:
             whole_number("improve", "count", count)
         goal = None if safe is None else np.array([safe.Np, safe.Nc, portable.log10(safe.R / safe.Q)])
-        columns = [SchedulingVariables._fields.index(name) for name in start.inputs]
-        return cls(tuple(start.inputs), columns, start.domain, goal, start.name)
+        return cls(start, goal)
 
     def schedule(self, surfaces: Surfaces) -> Schedule:
         """The schedule of the surfaces."""
         return self._learned([surfaces[slot].function() for slot in LEARNED_OUTPUTS])
 
     def _learned(self, functions: Sequence[Function]) -> Schedule:
-        return Learned(
-            dict(zip(LEARNED_OUTPUTS, functions, strict=True)), self.inputs, self.domain, TUNING_BOUNDS, name=self.name
-        )
+        by_slot, start = dict(zip(LEARNED_OUTPUTS, functions, strict=True)), self.start
+        return Learned(by_slot, tuple(start.inputs), start.domain, TUNING_BOUNDS, name=start.name)
 
     def _inputs(self, variables: Array) -> Array:
-        return np.clip(variables[:, self.columns], *self.domain.T)
+        columns = [SchedulingVariables._fields.index(name) for name in self.start.inputs]
+        return np.clip(variables[:, columns], *self.start.domain.T)
 
     def _outputs(self, surfaces: Surfaces, variables: Array) -> Array:
         return np.stack([surfaces[slot].predict(self._inputs(variables)) for slot in LEARNED_OUTPUTS], axis=1)
 
-    def score(
-        self, surfaces: Surfaces, held_out: Sequence[RunSet], seed: int, k: int
-    ) -> tuple[Schedule, Surfaces, dict[str, float]]:
-        """The schedule, its surfaces, and the entry of the history: its score on the held-out runs after round k."""
+    def check(self, surfaces: Surfaces, held_out: Sequence[RunSet], seed: int, k: int) -> Improvement:
+        """The schedule of surfaces after round k, and its score on the held-out runs as the entry of a history."""
         schedule, noise = self.schedule(surfaces), NOISE_BLOCK * seed + HELD_OUT_NOISE
         costs = [runs.costs(schedule, [noise]) for runs in held_out]
         score = float(np.mean([portable.log(values).mean() for values in costs]))
         failed = sum((values >= runs.failed_cost).sum() for values, runs in zip(costs, held_out, strict=True))
-        return schedule, surfaces, {"round": k, "score": score, "failed": float(failed)}
+        return Improvement(schedule, surfaces, [{"round": k, "score": score, "failed": float(failed)}])
 
     def moves(self, surfaces: Surfaces, training: Training, drawn: Sequence[Indices], noise: int) -> WeightedMoves:
         """The moves that lower the costs of the drawn runs."""

@@ -11,24 +11,21 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
-from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPRegressor
-from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
-from adaptrack.base.checked import Count, Positive, check_parameters
+from adaptrack.base.checked import Count, Positive
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.scheduling.functions.network import Network
-from adaptrack.core.maths import portable
-from adaptrack.paper.samples import held_out, mean, part, row_weights
+from adaptrack.paper.regressor import Regressor, Samples, mean
 
 Array = NDArray[np.float64]
 
@@ -42,19 +39,8 @@ FLATTEST = 1e-6
 """Where "lbfgs" stops: largest derivative of half the mean squared error of the scaled target."""
 
 
-class _Rows(NamedTuple):
-    """Inputs x (n, D), target y (n,), weights (n,) or None."""
-
-    x: Array
-    y: Array
-    weight: Array | None
-
-    def rmse(self, network: Network) -> float:
-        """Root mean square error of a network's output on these rows."""
-        return math.sqrt(float(mean(portable.square(network.predict(self.x) - self.y), self.weight)))
-
-
-class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+@dataclass(eq=False, repr=False)
+class MLP(Regressor):
     """Feed-forward network with sigmoid hidden layers, trained on the mean squared error. The defaults are the paper's.
 
     Inputs are scaled to [-1, 1], the target to [0, 1]. (With inputs in [0, 1] less is learned in as many epochs.)
@@ -99,30 +85,17 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         From `fit`, when training diverges (a ValueError, as scikit-learn wants it).
     """
 
-    def __init__(
-        self,
-        hidden: Annotated[Sequence[Count], Field(min_length=1)] = (16, 8),
-        *,
-        solver: Literal["momentum", "adam", "lbfgs"] = "momentum",
-        learning_rate: Positive | None = None,
-        batch_size: Count = 200,
-        epochs: Count = 1000,
-        relu: bool = True,
-        early_stopping: bool = False,
-        validation_fraction: Annotated[Positive, Field(lt=1.0)] = 0.2,
-        patience: Count = 50,
-        random_state: Any = None,
-    ) -> None:
-        self.hidden = hidden
-        self.solver = solver
-        self.learning_rate = learning_rate
-        self.batch_size = batch_size
-        self.epochs = epochs
-        self.relu = relu
-        self.early_stopping = early_stopping
-        self.validation_fraction = validation_fraction
-        self.patience = patience
-        self.random_state = random_state
+    hidden: Annotated[Sequence[Count], Field(min_length=1)] = (16, 8)
+    _: KW_ONLY
+    solver: Literal["momentum", "adam", "lbfgs"] = "momentum"
+    learning_rate: Positive | None = None
+    batch_size: Count = 200
+    epochs: Count = 1000
+    relu: bool = True
+    early_stopping: bool = False
+    validation_fraction: Annotated[Positive, Field(lt=1.0)] = 0.2
+    patience: Count = 50
+    random_state: Any = None
 
     def fit(self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None) -> Self:
         """Learn from the inputs X (n, D) and the target y (n,); `sample_weight` (n,): how much each row counts.
@@ -130,24 +103,12 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         With all rows in one batch a weight of 2 is a row given twice, and of 0 one left out; smaller batches, and the
         rows held out, are drawn from the rows whatever their weights are.
         """
-        check_parameters(self)
-        x, target = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
-        target = np.asarray(target, dtype=np.float64)
-        weight = row_weights("MLP", sample_weight, x)
-        if weight is not None:
-            x, target, weight = (array[weight > 0.0] for array in (x, target, weight))
-        rng = check_random_state(self.random_state)
-        train, checked = np.arange(len(target)), np.arange(0)
-        if self.early_stopping:
-            train, checked = held_out("MLP", len(target), self.validation_fraction, rng)
-        scales = _scales(x[train], target[train], self.relu)
+        _, rows, checks, rng = self._samples(X, y, sample_weight)
         with threadpool_limits(limits=1), np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is the recipe
             warnings.filterwarnings("error", "Training interrupted by user")  # else Ctrl-C would end an epoch only
-            rows = _Rows(x[train], target[train], part(weight, train))
-            checks = _Rows(x[checked], target[checked], part(weight, checked))
-            self.network_, self.history_ = self._train(scales, rows, checks, rng)
-        decisive = self.history_["validation_rmse" if checked.size else "train_rmse"]
+            self.network_, self.history_ = self._train(_scales(rows.x, rows.y, self.relu), rows, checks, rng)
+        decisive = self.history_["validation_rmse" if len(checks.y) else "train_rmse"]
         self.best_epoch_ = int(self.history_["epoch"][np.argmin(decisive)])
         self.n_iter_ = int(self.history_["epoch"][-1])
         linear = replace(self.network_, relu=False)
@@ -178,7 +139,7 @@ class MLP(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         )
 
     def _train(
-        self, scales: Network, rows: _Rows, checks: _Rows, rng: np.random.RandomState
+        self, scales: Network, rows: Samples, checks: Samples, rng: np.random.RandomState
     ) -> tuple[Network, dict[str, Array]]:
         """The best network of all epochs, and the history; `scales` is a network of which only the scales are used."""
         x, y, weight = rows

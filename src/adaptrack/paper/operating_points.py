@@ -11,35 +11,24 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
+import pydantic
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 
 from adaptrack.base.checked import Count, Natural, checked
 from adaptrack.base.errors import InvalidInput
+from adaptrack.core.kernel import Field
 
 Array = NDArray[np.float64]
 IntegerArray = NDArray[np.int64]
 
 
-class Coordinate(NamedTuple):
-    """One of the four numbers of an operating point."""
-
-    name: str
-    unit: str
-    low: float
-    """smallest value that makes sense"""
-    high: float
-    """largest one"""
-    meaning: str
-
-
 POINT_COORDINATES = (
-    Coordinate("speed", "m/s", 1.0, 100.0, "forward speed"),
-    Coordinate("y_ref", "m", -1000.0, 1000.0, "lateral reference, from y = 0; positive to the left"),
-    Coordinate("friction", "-", 0.05, 2.0, "friction of road and tyre"),
-    Coordinate("wind", "m/s", -100.0, 100.0, "side wind: velocity of the air along +Y"),
+    Field("speed", "m/s", math.nan, "forward speed", "[1, 100]"),
+    Field("y_ref", "m", math.nan, "lateral reference, from y = 0; positive to the left", "[-1000, 1000]"),
+    Field("friction", "", math.nan, "friction of road and tyre", "[0.05, 2]"),
+    Field("wind", "m/s", math.nan, "side wind: velocity of the air along +Y", "[-100, 100]"),
 )
-"""The columns of every array of operating points."""
+"""The columns of every array of operating points; their bounds are the values that make sense."""
 
 POINT_NAMES = tuple(column.name for column in POINT_COORDINATES)
 
@@ -72,12 +61,12 @@ def check_operating_points(points: ArrayLike) -> Array:
             f"operating points: need rows of {', '.join(POINT_NAMES)}, at least one; got the shape {rows.shape}."
         )
     for column, values in zip(POINT_COORDINATES, rows.T, strict=True):
-        invalid = ~((values >= column.low) & (values <= column.high))  # NaN is invalid, too
+        low, high = column.ends
+        invalid = ~((values >= low) & (values <= high))  # NaN is invalid, too
         if invalid.any():
             first = int(np.flatnonzero(invalid)[0])
             raise InvalidInput(
-                f"operating points: {column.name} = {values[first]:g} in row {first}: must be in "
-                f"[{column.low:g}, {column.high:g}]{_unit(column)} ({column.meaning})."
+                f"operating points: {column.name} = {values[first]:g} in row {first}: must be in {_range(column)}."
             )
     return rows + 0.0  # no negative zeros: equal points are equal bit for bit
 
@@ -136,16 +125,16 @@ def check_box(box: Mapping[str, Sequence[float]]) -> Array:
         row[:] = pair
         if not row[0] <= row[1]:
             raise InvalidInput(f"box: {column.name} = [{row[0]:g}, {row[1]:g}] is empty: need low <= high.")
-        if not column.low <= row[0] <= row[1] <= column.high:
-            raise InvalidInput(
-                f"box: {column.name} = [{row[0]:g}, {row[1]:g}]: must be within "
-                f"[{column.low:g}, {column.high:g}]{_unit(column)} ({column.meaning})."
-            )
+        low, high = column.ends
+        if not low <= row[0] <= row[1] <= high:
+            raise InvalidInput(f"box: {column.name} = [{row[0]:g}, {row[1]:g}]: must be within {_range(column)}.")
     return bounds
 
 
 @checked
-def sobol(n: Annotated[Count, Field(le=MAX_POINTS)], box: Mapping[str, Sequence[float]], seed: Natural = 0) -> Array:
+def sobol(
+    n: Annotated[Count, pydantic.Field(le=MAX_POINTS)], box: Mapping[str, Sequence[float]], seed: Natural = 0
+) -> Array:
     """The first n points of a scrambled Sobol sequence in a box, (n, 4).
 
     box: a pair [low, high] for each of speed, y_ref, friction, wind; seed: of the scrambling. The points fill the box
@@ -202,8 +191,7 @@ def fold(points: ArrayLike) -> Fold:
     its levels are symmetric (2,860 of the paper's 6,435 operating points have one), in a Sobol sample there are none.
     """
     rows = check_operating_points(points)
-    images = mirrored(rows)
-    _, first, by_value = np.unique(_canonical(rows, images), axis=0, return_index=True, return_inverse=True)
+    _, first, by_value = np.unique(canonical(rows), axis=0, return_index=True, return_inverse=True)
     # np.unique numbers families by their values; we number them by their first member.
     order = np.argsort(first)
     rank = np.empty_like(order)
@@ -216,14 +204,10 @@ def fold(points: ArrayLike) -> Fold:
 def canonical(points: ArrayLike) -> Array:
     """(n, 4): of each operating point and its mirror image the one that lies to the left (y_ref > 0, or wind >= 0)."""
     rows = check_operating_points(points)
-    return _canonical(rows, mirrored(rows))
-
-
-def _canonical(rows: Array, images: Array) -> Array:
     y_ref, wind = rows[:, POINT_NAMES.index("y_ref")], rows[:, POINT_NAMES.index("wind")]
     left = (y_ref > 0.0) | ((y_ref == 0.0) & (wind >= 0.0))
-    return np.where(left[:, np.newaxis], rows, images)
+    return np.where(left[:, np.newaxis], rows, mirrored(rows))
 
 
-def _unit(column: Coordinate) -> str:
-    return "" if column.unit == "-" else f" {column.unit}"
+def _range(column: Field) -> str:
+    return f"{column.bounds}{' ' * bool(column.unit)}{column.unit} ({column.meaning})"

@@ -16,7 +16,6 @@ import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,10 +23,11 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall, reports_progress
+from adaptrack.base.result import strict
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Moves, Tuning, published_mpc
-from adaptrack.control.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables
+from adaptrack.control.scheduling import ENTRIES, Lookup, Schedule, SchedulingVariables, load_scheduler
 from adaptrack.core.maths import portable
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.failure import FailureLimits
@@ -35,13 +35,13 @@ from adaptrack.drive.metrics import PAPER_MSE, compute_metrics, published_mse
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.paper.data_set import DataSet, load_dataset
-from adaptrack.paper.informed import drive_informed
 from adaptrack.paper.operating_points import POINT_NAMES
-from adaptrack.paper.schedules import search_bounds, trained_schedule
-from adaptrack.paper.training import train
+from adaptrack.paper.training import search_bounds, train, trained_schedule
 from adaptrack.scenario import Scenario, load_scenario
+from adaptrack.scenario.profile import load_profile
 
 Array = NDArray[np.float64]
+
 Row = dict[str, Any]
 
 PAPER_TESTS = tuple(PAPER_MSE)
@@ -66,6 +66,15 @@ CLAMPS: Mapping[str, Mapping[str, tuple[float, float]]] = {
 }
 """Bounds that the authors' programs put on the outputs of each model; infinite where they put none."""
 
+INFORMED_PROFILES = ("paper", "road")
+"""Profiles in which the informed MPC is compared: ideal; with steering lag, rate limit, sensor noise and delay."""
+REPRODUCE_SEEDS = range(10)
+"""Noise seeds, in a profile with sensor noise."""
+ROAD_CONSTANT = Tuning(28, 6, 1.0, 3476.378659166587)
+"""The best constant tuning of the paper's MPC on random drives in profile `road`."""
+ROAD_SCHEDULE = "road-nn"
+"""The shipped schedule of the paper's MPC that was learned in profile `road`."""
+
 EXPERIMENT_STAGES = (
     "training nn", "training anfis", "driving both configurations", "splitting the gain",
     "driving the informed controller", "timing steps",
@@ -73,7 +82,7 @@ EXPERIMENT_STAGES = (
 
 QUICK_OPTIONS: Mapping[str, Mapping[str, Any]] = {"nn": {"epochs": 100}, "anfis": {"epochs": 5}}
 QUICK_ROWS = 1500
-"""A quick run trains for fewer epochs, and on fewer operating points."""
+"""A quick run trains for fewer epochs, and on fewer operating points, chosen at random."""
 
 
 @dataclass(frozen=True)
@@ -107,12 +116,12 @@ class PaperController:
     stands_for: str = ""
     """the controller of the paper that it repeats: standard, nn or anfis; empty for none"""
 
-    def mpc(self, preview: bool) -> MPC:
-        """The controller itself, at the start of a run."""
+    def mpc(self, preview: bool, period: float = 0.1) -> MPC:
+        """The controller itself, at the start of a run; period: s."""
         most = 20 if self.schedule is None else max(20, self.schedule.largest[1])
         return published_mpc(
-            load_vehicle("paper"), self.tuning, moves=self.moves, preview=preview, scheduler=self.schedule,
-            most_moves=most,
+            load_vehicle("paper"), self.tuning, period=period, moves=self.moves, preview=preview,
+            scheduler=self.schedule, most_moves=most,
         )  # fmt: skip
 
 
@@ -142,7 +151,7 @@ class Reproduction:
     """scenario, changed, table, constant (its value there), mse: the paper's table with one
     number of the best constant, where all have the same moves"""
     knowing: list[Row]
-    """the informed MPC beside the paper's controllers, see `informed.drive_informed`"""
+    """the informed MPC beside the paper's controllers, see `drive_informed`"""
     learning: list[Row]
     """a learned function each: see `training.Trained.quality`"""
     domain: list[Row]
@@ -234,8 +243,14 @@ def reproduce(
     dataset = load_dataset("paper-grid") if dataset is None else dataset
     search_bounds(dataset)
     constant, table = best_of_library(dataset), grid_lookup(dataset)
-    source = learning_rows(dataset, seed) if quick else dataset
-    enter = partial(_enter, progress)
+    source = dataset
+    if quick and len(dataset) > QUICK_ROWS:
+        source = dataset.rows(np.sort(np.random.default_rng(seed).permutation(len(dataset))[:QUICK_ROWS]))
+
+    def enter(stage: int) -> None:
+        if progress is not None:
+            progress(EXPERIMENT_STAGES[stage], stage, len(EXPERIMENT_STAGES))
+
     free, learning = {}, []
     for stage, model in enumerate(LEARNED_MODELS):
         enter(stage)
@@ -247,14 +262,25 @@ def reproduce(
     scenarios = [load_scenario(name) for name in PAPER_TESTS]
     released, same_moves = configurations(constant.tuning, table, clamped, free)
     enter(2)
-    rows = drive_all((released, same_moves), scenarios)
+    rows = [
+        measure(configuration, controller, scenario, preview)
+        for configuration in (released, same_moves)
+        for scenario in scenarios
+        for controller in configuration.controllers
+        for preview in (False, True)
+    ]
     enter(3)
     parts = ablation(released.plant, scenarios, constant.tuning, clamped, dataset.library)
     swapped = swaps(same_moves.plant, scenarios, constant.tuning)
     enter(4)
-    informed = drive_informed(PAPER_TESTS, clamped, ADAPTIVE_MOVES)
+    informed = drive_informed(scenarios, clamped)
     enter(5)
-    runs = timed_runs(released, scenarios)
+    runs = [
+        (controller.stands_for, drive(released.plant, controller, scenario, timed=True))
+        for scenario in scenarios
+        for controller in released.controllers
+        if controller.stands_for
+    ]
     return Reproduction(
         rows=rows,
         ablation=parts,
@@ -277,39 +303,6 @@ def reproduce(
     )
 
 
-def learning_rows(dataset: DataSet, seed: int) -> DataSet:
-    """The operating points of a quick run: `QUICK_ROWS` at random."""
-    if len(dataset) <= QUICK_ROWS:
-        return dataset
-    return dataset.rows(np.sort(np.random.default_rng(seed).permutation(len(dataset))[:QUICK_ROWS]))
-
-
-def drive_all(configurations: Iterable[Configuration], scenarios: Sequence[Scenario]) -> list[Row]:
-    """Every controller on both tests, without and with preview, see `Reproduction.rows`."""
-    return [
-        measure(configuration, controller, scenario, preview)
-        for configuration in configurations
-        for scenario in scenarios
-        for controller in configuration.controllers
-        for preview in (False, True)
-    ]
-
-
-def timed_runs(released: Configuration, scenarios: Iterable[Scenario]) -> list[tuple[str, Trajectory]]:
-    """Standard, nn and anfis from Python, with their step times."""
-    return [
-        (controller.stands_for, drive(released.plant, controller, scenario, timed=True))
-        for scenario in scenarios
-        for controller in released.controllers
-        if controller.stands_for
-    ]
-
-
-def _enter(progress: ProgressCall | None, stage: int) -> None:
-    if progress is not None:
-        progress(EXPERIMENT_STAGES[stage], stage, len(EXPERIMENT_STAGES))
-
-
 def _within(schedule: Schedule, clamps: Mapping[str, tuple[float, float]]) -> Schedule:
     entries = dict(schedule.tuning)
     for name, (low, high) in clamps.items():
@@ -324,33 +317,26 @@ def configurations(
     constant: Tuning, table: Schedule, clamped: Mapping[str, Schedule], free: Mapping[str, Schedule]
 ) -> tuple[Configuration, Configuration]:
     """`released` and `same-moves`; clamped, free: the learned schedules with and without the authors' clamps."""
-    car = load_vehicle("paper")
-    released = Configuration(
-        "released",
-        SingleTrack(car, "constant-stiffness"),
-        (
-            PaperController("standard-as-released", STANDARD_MOVES, stands_for="standard"),
-            PaperController("standard-as-written", PULSE_MOVES),
-            PaperController("best-constant", ADAPTIVE_MOVES, constant),
-            PaperController("lookup", ADAPTIVE_MOVES, schedule=table),
+
+    def compared(standard: str, moves: Moves, schedules: Mapping[str, Schedule]) -> tuple[PaperController, ...]:
+        standards = {"standard-as-released": STANDARD_MOVES, "standard-as-written": PULSE_MOVES}
+        return (
             *(
-                PaperController(model, ADAPTIVE_MOVES, schedule=clamped[model], stands_for=model)
-                for model in LEARNED_MODELS
+                PaperController(name, standard_moves, stands_for="standard" if name == standard else "")
+                for name, standard_moves in standards.items()
             ),
-        ),
+            PaperController("best-constant", moves, constant),
+            PaperController("lookup", moves, schedule=table),
+            *(PaperController(model, moves, schedule=schedules[model], stands_for=model) for model in LEARNED_MODELS),
+        )
+
+    car = load_vehicle("paper")
+    as_released = compared("standard-as-released", ADAPTIVE_MOVES, clamped)
+    as_written = compared("standard-as-written", PULSE_MOVES, free)
+    return (
+        Configuration("released", SingleTrack(car, "constant-stiffness"), as_released),
+        Configuration("same-moves", DualTrack(car, "magic-formula"), as_written),
     )
-    same_moves = Configuration(
-        "same-moves",
-        DualTrack(car, "magic-formula"),
-        (
-            PaperController("standard-as-released", STANDARD_MOVES),
-            PaperController("standard-as-written", PULSE_MOVES, stands_for="standard"),
-            PaperController("best-constant", PULSE_MOVES, constant),
-            PaperController("lookup", PULSE_MOVES, schedule=table),
-            *(PaperController(model, PULSE_MOVES, schedule=free[model], stands_for=model) for model in LEARNED_MODELS),
-        ),
-    )
-    return released, same_moves
 
 
 def drive(
@@ -384,7 +370,7 @@ def measure(configuration: Configuration, controller: PaperController, scenario:
         "preview": preview,
         "moves": describe_moves(controller.moves),
         "paper_mse": published,
-        "ratio": None if published is None else _finite(measures.mse / published),
+        "ratio": None if published is None else strict(measures.mse / published),
         "clipped_share": None if schedule is None else outside(run, schedule)["any"],
         **measures.as_row(),
     }
@@ -418,33 +404,26 @@ def ablation(
             ]
             mpc = controllers[0].mpc(preview=False)
             by_constants = rollout_batch(plant, mpc, scenario, library, failure=DRIVEN_ON).mse
-            measured = [
-                (controller.name, controller.schedule is not None, compute_metrics(drive(plant, controller, scenario)))
-                for controller in controllers
+            results = [compute_metrics(drive(plant, controller, scenario)) for controller in controllers]
+            outcomes = [
+                (controller.name, controller.schedule is not None, measures.mse, measures.failed)
+                for controller, measures in zip(controllers, results, strict=True)
             ]
+            hindsight = float(by_constants.min())
             rows += [
                 {
                     "scenario": scenario.name,
                     "moves": describe_moves(moves),
                     "controller": name,
                     "adapts": adapts,
-                    "mse": _finite(measures.mse),
-                    "failed": measures.failed,
-                    "constants_better": int((by_constants < (1.0 - RELATIVE_TIE) * measures.mse).sum()),
+                    "mse": strict(mse),
+                    "failed": failed,
+                    "constants_better": int((by_constants < (1.0 - RELATIVE_TIE) * mse).sum()),
                 }
-                for name, adapts, measures in measured
-            ]
-            rows.append(
-                {
-                    "scenario": scenario.name,
-                    "moves": describe_moves(moves),
-                    "controller": "best-in-hindsight",
-                    "adapts": False,
-                    "mse": _finite(float(by_constants.min())),
-                    "failed": not math.isfinite(by_constants.min()),
-                    "constants_better": 0,
-                }
-            )
+                for name, adapts, mse, failed in [
+                    *outcomes, ("best-in-hindsight", False, hindsight, not math.isfinite(hindsight)),
+                ]
+            ]  # fmt: skip
     return rows
 
 
@@ -462,7 +441,7 @@ def swaps(plant: Plant, scenarios: Iterable[Scenario], constant: Tuning) -> list
             "changed": name,
             "table": table,
             "constant": value,
-            "mse": _finite(compute_metrics(drive(plant, PaperController(name, PULSE_MOVES, tuning), scenario)).mse),
+            "mse": strict(compute_metrics(drive(plant, PaperController(name, PULSE_MOVES, tuning), scenario)).mse),
         }
         for scenario in scenarios
         for name, (table, value, tuning) in changes.items()
@@ -501,5 +480,45 @@ def shares(ablation: Sequence[Row]) -> list[Row]:
     return rows
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def drive_informed(scenarios: Iterable[Scenario], schedules: Mapping[str, Schedule]) -> list[Row]:
+    """The MPC with a model of its steering and an estimator beside the paper's controllers, on both tests.
+
+    The car is the one that the paper describes, in each of `INFORMED_PROFILES`; each controller runs at the period and
+    with the preview of the profile. schedules: of the paper's models, as released.
+
+    A row for each profile, test and controller: profile, scenario, controller, period (s), preview; runs (one, or one
+    for each noise seed), failed (number of runs), mse (m^2, mean over the runs that did not fail, None if all failed)
+    and rms_rate (rad/s, of the command, likewise).
+    """
+    rows: list[Row] = []
+    car = load_vehicle("paper")
+    plant = DualTrack(car, "magic-formula")
+    for profile in map(load_profile, INFORMED_PROFILES):
+        seeds = np.array(REPRODUCE_SEEDS if any(profile.noise) else REPRODUCE_SEEDS[:1])
+        controllers = [
+            PaperController("standard-as-written", PULSE_MOVES),
+            PaperController("standard-as-released", STANDARD_MOVES),
+            *(PaperController(name, ADAPTIVE_MOVES, schedule=schedule) for name, schedule in schedules.items()),
+        ]
+        if profile.name == "road":
+            controllers.append(PaperController("road-constant", PULSE_MOVES, ROAD_CONSTANT))
+            controllers.append(PaperController("road-nn", PULSE_MOVES, schedule=load_scheduler(ROAD_SCHEDULE)))
+        by_name = {controller.name: controller.mpc(profile.preview, profile.period) for controller in controllers}
+        by_name["informed"] = MPC(car, profile=profile)
+        for scenario in scenarios:
+            for name, mpc in by_name.items():
+                indices = np.zeros(len(seeds), int)
+                runs = rollout_batch(plant, mpc, scenario, scenario_indices=indices, profile=profile, seeds=seeds)
+                ended = np.array([reason is None for reason in runs.failed])
+                rows.append({
+                    "profile": profile.name,
+                    "scenario": scenario.name,
+                    "controller": name,
+                    "period": mpc.period,
+                    "preview": mpc.preview,
+                    "runs": len(seeds),
+                    "failed": int((~ended).sum()),
+                    "mse": float(runs.mse[ended].mean()) if ended.any() else None,
+                    "rms_rate": math.sqrt(runs.mean_squared_move[ended].mean()) / mpc.period if ended.any() else None,
+                })  # fmt: skip
+    return rows

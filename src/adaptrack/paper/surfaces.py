@@ -36,9 +36,9 @@ CONSEQUENT_HOLD = 0.02
 class Surface(ABC):
     """One output as a function of the inputs, which can take a step of a weighted regression."""
 
-    @abstractmethod
     def predict(self, x: Array) -> Array:
         """(n,) output at the inputs x (n, D)."""
+        return self.function().predict(x)
 
     @abstractmethod
     def fit(self, x: Array, target: Array, weight: Array, effort: float = 1.0) -> Self:
@@ -61,9 +61,6 @@ class Level(Surface):
     """A surface with one value everywhere."""
 
     value: float
-
-    def predict(self, x: Array) -> Array:
-        return np.full(len(x), self.value)
 
     def fit(self, x: Array, target: Array, weight: Array, effort: float = 1.0) -> Self:
         return replace(self, value=float(np.average(target, weights=weight)))
@@ -97,9 +94,6 @@ class NetworkSurface(Surface):
             biases.append(np.zeros(out) if last else rng.normal(size=out) * 1.5 - weights[-1].sum(axis=0) / 2.0)
         network = Network(domain[:, 0], domain[:, 1], tuple(weights), tuple(biases), value, value + span, relu=False)
         return cls(network)
-
-    def predict(self, x: Array) -> Array:
-        return self.network.predict(x)
 
     def fit(self, x: Array, target: Array, weight: Array, effort: float = 1.0) -> Self:
         net = self.network
@@ -193,9 +187,6 @@ class FuzzySurface(Surface):
         consequents = np.zeros_like(self.system.consequents)
         consequents[:, -1] = value
         return replace(self, system=replace(self.system, consequents=consequents))
-
-    def predict(self, x: Array) -> Array:
-        return self.system.predict(x)
 
     def fit(self, x: Array, target: Array, weight: Array, effort: float = 1.0) -> Self:
         strengths = self.system.strengths(x)

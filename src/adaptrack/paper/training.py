@@ -19,7 +19,8 @@ from threadpoolctl import threadpool_limits
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import reports_progress
-from adaptrack.control.controllers import ENTRIES
+from adaptrack.control.controllers.compatibility import INCREMENTAL
+from adaptrack.control.scheduling import ENTRIES, Learned, Schedule
 from adaptrack.control.scheduling.functions.network import Network
 from adaptrack.control.scheduling.functions.sugeno import Sugeno
 from adaptrack.core.maths import portable
@@ -97,21 +98,19 @@ def train(
             f"train: {MODEL_CLASSES[model].__name__} has no option {name!r}. {did_you_mean(name, parameters)}"
         )
     options = {"random_state": seed, **options}
-
+    report = progress or (lambda stage, steps_done, steps: None)
     learned, holdout_rows = dataset.rows(np.isfinite(dataset.costs)).split(holdout, seed)
     estimators: dict[str, MLP | ANFIS] = {}
     quality = []
     for number, slot in enumerate(TARGET_SLOTS[targets]):
-        if progress is not None:
-            progress(slot, 2 * number, 2 * len(TARGET_SLOTS[targets]))
+        report(slot, 2 * number, 2 * len(TARGET_SLOTS[targets]))
         y, y_held = target(learned, slot), target(holdout_rows, slot)
         start = time.perf_counter()
         with threadpool_limits(1):  # the matrices are small: more threads only wait for each other
             estimators[slot] = MODEL_CLASSES[model](**options).fit(learned.operating_points, y)
         seconds = time.perf_counter() - start
         r2, rmse = score(y_held, estimators[slot].predict(holdout_rows.operating_points))
-        if progress is not None:
-            progress(f"{slot} by trees", 2 * number + 1, 2 * len(TARGET_SLOTS[targets]))
+        report(f"{slot} by trees", 2 * number + 1, 2 * len(TARGET_SLOTS[targets]))
         best_r2, best_rmse = score(
             y_held, ceiling(learned.operating_points, y, holdout_rows.operating_points, y_held, seed)
         )
@@ -184,3 +183,38 @@ def _boosted_trees(x: Array, y: Array, seed: int, folds: int = 5) -> Array:
             trees.fit(x[~test], y[~test])
             stages[1:, test] = list(trees.staged_predict(x[test]))
     return stages[int(np.argmin(portable.square(stages - y).sum(axis=1)))]
+
+
+# -- from trained models to a schedule --------------------------------------------------------------------------------
+def trained_schedule(trained: Trained, dataset: DataSet) -> Schedule:
+    """The functions learned from a data set as a schedule, within the bounds of the data set's search."""
+    bounds = search_bounds(dataset)
+    functions: dict[str, Any] = dict(trained.functions)
+    if "log10_ratio" in functions:
+        (q_low, q_high), (r_low, r_high) = bounds.pop("Q"), bounds["R"]
+        bounds["R"] = (r_low / q_high, r_high / q_low)
+    return Learned(functions, trained.inputs, trained.domain, bounds, trained.model, trained.provenance)
+
+
+def search_bounds(dataset: DataSet) -> dict[str, tuple[float, float]]:
+    """(low, high) of each entry of the tuning in the search behind a data set.
+
+    Raises
+    ------
+    InvalidInput
+        When the provenance does not contain the bounds.
+    """
+    search = dataset.provenance.get("settings", {}).get("search", {})
+    if not set(ENTRIES) <= set(search):
+        raise InvalidInput(f"data set {dataset.name!r}: its provenance does not contain the bounds of its search.")
+    return {entry: (float(search[entry][0]), float(search[entry][1])) for entry in ENTRIES}
+
+
+def purpose_of(dataset: DataSet) -> dict[str, Any]:
+    """The car, profile and controller whose tunings a data set contains, for `Schedule.made_for`."""
+    settings = dataset.provenance.get("settings", {})
+    names = {"car": settings.get("vehicle"), "profile": settings.get("profile"), "tyre": settings.get("tyre")}
+    purpose = {key: entry["name"] if isinstance(entry, Mapping) else entry for key, entry in names.items() if entry}
+    controller = settings.get("controller", "as-written")  # data sets of earlier releases do not name the controller
+    model = INCREMENTAL if controller == "as-written" else controller
+    return {**purpose, "controller": {"kind": "MPC", "model": model}} if settings else {}

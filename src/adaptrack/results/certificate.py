@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.analysis.certify import DRIVING_CASES, Certificate, Driving, Sweep, extremes
+from adaptrack.analysis.certify import DRIVING_CASES, Certificate, Driving, Sweep
 from adaptrack.analysis.stability import Margins
 from adaptrack.base.result import (
     SERIES,
@@ -84,7 +84,7 @@ def certificate_result(certificate: Certificate, command: str = "", next_step: s
     command: command line that repeats it; next_step: suggested next command.
     """
     sweeps = _sweeps(certificate)
-    worst, turn = extremes(certificate.counted.straight), int(certificate.counted.unstable_in_turn.sum())
+    worst, turn = certificate.counted.straight.extremes, int(certificate.counted.unstable_in_turn.sum())
     maps = [
         _margin_maps(certificate, f"{file}{'-turn' * (driving == 'turn')}", f"{name}, {_NAMES[driving].lower()}",
                      getattr(sweep, driving))
@@ -158,7 +158,7 @@ def _margin_tables(certificate: Certificate) -> list[ResultTable]:
 
 
 def _extremes(name: str, margins: Margins) -> dict[str, Any]:
-    worst = extremes(margins)
+    worst = margins.extremes
     counts = {"points": len(margins.radius), "unstable": int((margins.radius >= 1.0).sum())}
     return {"name": name, **counts, **worst, "delay": 1000.0 * worst["delay"]}
 

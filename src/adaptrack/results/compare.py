@@ -12,8 +12,7 @@ import numpy as np
 from adaptrack.base.result import MUTED, SERIES, Column, Panel, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.comparison.config import about_contender
 from adaptrack.comparison.run import Compared
-from adaptrack.comparison.table import Comparison
-from adaptrack.comparison.views import standing_rows
+from adaptrack.comparison.table import Comparison, standing_rows
 from adaptrack.control.controllers import about_controller
 from adaptrack.core.maths import portable
 from adaptrack.results.dots import Dot, caption_notes, dots_panel

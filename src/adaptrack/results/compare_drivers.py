@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, select_entries, strokes
 from adaptrack.comparison.run import Compared
-from adaptrack.comparison.views import driver_rows
+from adaptrack.comparison.table import driver_rows
 from adaptrack.results.compare import best_cells, comparison_record, failure_tables
 from adaptrack.results.dots import Dot, caption_notes, dots_panel
 from adaptrack.results.words import counted, listed, slug

@@ -25,8 +25,7 @@ from adaptrack.base.result import (
 )
 from adaptrack.core.maths import portable
 from adaptrack.paper.campaign_config import STANDARD_ROW
-from adaptrack.paper.data_set import DataSet
-from adaptrack.paper.data_set_summary import describe
+from adaptrack.paper.data_set import DataSet, describe
 from adaptrack.results.marks import (
     ColourScale,
     draw_bars,

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries, strict
 from adaptrack.base.statistics import binned_geometric_mean
-from adaptrack.comparison.table import Comparison, finite
+from adaptrack.comparison.table import Comparison
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 from adaptrack.core.maths import portable
 from adaptrack.paper.evaluation import BEST_CONSTANT, POINT_OPTIMUM
@@ -110,7 +110,7 @@ def view_rows(views: Views) -> list[dict[str, Any]]:
         {"view": view, "scenario" if view == "tests" else "perception": name, "reference": comparison.reference, **row}
         for view, comparisons in views.items()
         for name, comparison in comparisons.items()
-        for row in finite([row | _over_constant(comparison, row["contender"]) for row in comparison.rows()])
+        for row in strict([row | _over_constant(comparison, row["contender"]) for row in comparison.rows()])
     ]
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from adaptrack.base.result import Column, Result, ResultTable
-from adaptrack.comparison.table import finite
+from adaptrack.base.result import Column, Result, ResultTable, strict
+from adaptrack.comparison.table import standing_rows
 from adaptrack.comparison.tune_on_roads import TunedOnRoads
-from adaptrack.comparison.views import standing_rows
 from adaptrack.results.compare import console_table
 from adaptrack.tuning.car import TunedCar
 
@@ -64,7 +63,7 @@ def tuned_roads_result(tuned: TunedOnRoads, file: str, next_step: str) -> Result
         "tuning": file, "controller": name, "entries": search.tuning, "default": search.default,
         "better": search.better, "at_bounds": search.at_bounds, "cost": search.cost,
         "default_cost": search.default_cost, "belief": tuned.file.belief, "runs": tuned.loops,
-        "seconds": tuned.seconds, "gain": over._asdict(), "rows": finite(rows),
+        "seconds": tuned.seconds, "gain": over._asdict(), "rows": strict(rows),
     }  # fmt: skip
     return Result(
         kind="tuned-roads",

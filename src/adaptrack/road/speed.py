@@ -20,8 +20,7 @@ from adaptrack.base.checked import Finite, NotNegative, Positive, checked, reals
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import Record
 from adaptrack.base.limits import MAX_SPEED
-from adaptrack.cars.domain import Domain
-from adaptrack.cars.vehicle import Vehicle
+from adaptrack.cars.vehicle import Domain, Vehicle
 from adaptrack.core.maths import portable
 from adaptrack.core.planning import speed as kernel
 from adaptrack.core.planning.cells import PLAN, plan_places

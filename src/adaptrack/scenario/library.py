@@ -19,7 +19,7 @@ import numpy as np
 from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean, format_value
 from adaptrack.base.files import SHIPPED, read_toml
-from adaptrack.cars.domain import Domain
+from adaptrack.cars.vehicle import Domain
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.scenario import random_drives
 from adaptrack.scenario.scenario import Scenario

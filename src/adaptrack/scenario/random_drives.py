@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from adaptrack.base.checked import RISING, Hint, Natural, NotNegative, Positive, checked
-from adaptrack.cars.domain import Domain
+from adaptrack.cars.vehicle import Domain
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.scenario import shapes

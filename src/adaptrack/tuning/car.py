@@ -21,9 +21,8 @@ from adaptrack.base.checked import checked, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.base.statistics import Ratio, geometric_mean, ratio
-from adaptrack.cars.domain import Domain
 from adaptrack.cars.plant import Plant, SteppedPlant, get_plant, twin_of
-from adaptrack.cars.vehicle import Vehicle, load_vehicle
+from adaptrack.cars.vehicle import Domain, Vehicle, load_vehicle
 from adaptrack.control.controllers import ENTRIES, MPC, Tuning
 from adaptrack.control.controllers.belief import Uncertainty
 from adaptrack.control.kalman import KalmanFilter

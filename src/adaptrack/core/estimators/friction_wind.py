@@ -140,7 +140,7 @@ def _axle(slip, steer, load, friction, stiffness, c, law):
 def accelerations(angle, yaw, vx, p, z, slopes):
     """Lateral (m/s^2) and yaw acceleration (rad/s^2) under a steering angle, and the forces of both axles (N).
 
-    The derivatives of both accelerations by z are written to slopes (2, 8); p: the vehicle, see `physics.parameters`.
+    The derivatives of both accelerations by z are written to slopes (2, 8); p: of the vehicle, `PlantParameters`.
     """
     c = unpack(p)
     law = LINEAR_TYRE if c.tyre_linear > 0.5 else (MAGIC_FORMULA if c.curvature == 0.0 else CURVED_MAGIC_FORMULA)
@@ -266,8 +266,8 @@ def estimate(slot, measured, speed, command, acceleration, p, settings, memory):
 
     measured: x_c = [v_y, yaw, yaw rate, y]; speed: v_x (m/s); command: the controller's last steering command (rad);
     acceleration: measured lateral acceleration (m/s^2), NaN where there is no such sensor; p: the vehicle that the
-    estimator believes in, packed as a plant (`physics.parameters`); settings: numbers of `FrictionWindSettings`. A row
-    of zeros in memory (slots,) is an estimator before its first step.
+    estimator believes in, packed as a plant (`models.car.PlantParameters`); settings: numbers of
+    `FrictionWindSettings`. A row of zeros in memory (slots,) is an estimator before its first step.
 
     A measurement that is absurd or not a number is left out; in the place of yaw, speed or command the last one stands.
     A filter whose state or variances are not finite begins anew.

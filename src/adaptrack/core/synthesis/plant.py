@@ -96,7 +96,7 @@ def plant_law(tyre):
 # -- plant ------------------------------------------------------------------------------------------------------------
 @exported(void(Row(CarRow), Row(TyreRow), Row(Actuator), vector))
 def plant_parameters(car, tyre, actuator, parameters):
-    """Write `physics.parameters.PlantParameters`."""
+    """Write `models.car.PlantParameters`."""
     _pack(parameters, 0, car)
     p = parameters[len(CHASSIS) :]
     p[0] = 1.0 if tyre.linear > 0 else 0.0
@@ -111,7 +111,7 @@ def plant_parameters(car, tyre, actuator, parameters):
 def tyre_forces(plant, friction, wheels, forces):
     """Write the lateral forces (N) of tyres at rows (n, 3) of slip (rad), vertical load (N) and rear (1) or front (0).
 
-    plant: `physics.parameters.PLANT_PARAMETERS`.
+    plant: `models.car.PLANT_PARAMETERS`.
     """
     car = unpack(plant)
     law = tyre_law(car.tyre_linear > 0.5, car.curvature)
