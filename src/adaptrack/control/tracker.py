@@ -482,9 +482,11 @@ class Tracker:
         InvalidInput
             When the controller is no `MPC`, or has not been called.
         """
-        if not self.controller.has_horizons or not self._kernel.memory[0].started:
+        has_stepped = self._kernel.memory[0].started
+        path = self.controller.predicted_path(self._road_ahead()) if has_stepped else np.zeros((0, 2))
+        if not path.size:
             raise InvalidInput("Tracker.predicted_path: needs an MPC that has made a step.")
-        return np.asarray(self.controller.predicted_path(self._road_ahead()))
+        return np.asarray(path)
 
 
 _ARGUMENTS = inspect.signature(Tracker.step).parameters

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.control.controllers import Controller
+from adaptrack.control.controllers.base import Policy
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmResult, SwarmSettings
-from adaptrack.tuning.runs import ControllerTunings, RunSet
+from adaptrack.tuning.runs import RunSet
 from adaptrack.tuning.spaces import at_bounds, search_space
 
 MIN_TUNINGS = 10
@@ -141,5 +142,5 @@ def mean_costs(
 ) -> NDArray[np.float64]:
     """Return the mean cost over a set of runs and noise seeds (m^2), (n,), of each of n tunings (n, entries)."""
     indices = np.tile(np.arange(len(runs)), len(tunings))
-    costs = runs.costs(ControllerTunings(controller, np.repeat(tunings, len(runs), axis=0)), noise_seeds, indices)
+    costs = runs.costs(Policy(controller, np.repeat(tunings, len(runs), axis=0)), noise_seeds, indices)
     return costs.reshape(len(tunings), len(runs)).mean(axis=1)

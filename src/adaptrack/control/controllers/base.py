@@ -85,6 +85,30 @@ class TuningBounds(NamedTuple):
     """low and high are factors on the controller's own value; else they are values"""
 
 
+class Policy(NamedTuple):
+    """A way to drive a set of runs: a controller, with its own tuning and scheduler or with others in their place."""
+
+    controller: Any = None
+    """the `Controller`; None: the MPC of the runs"""
+    tunings: Any = None
+    """a tuning (entries,), or one for each run (runs, entries), in the order of `tuning_names`; None: its own"""
+    scheduler: Any = None
+    """a schedule in place of the constant tuning"""
+
+    def as_policy(self) -> Policy:
+        """Return the policy itself."""
+        return self
+
+    @property
+    def adapts(self) -> bool:
+        """Whether the tuning changes between or during runs."""
+        if self.scheduler is not None:
+            return not self.scheduler.is_constant
+        if self.tunings is not None:
+            return np.ndim(self.tunings) == 2 and len(self.tunings) > 1
+        return self.controller.scheduler is not None
+
+
 TWO_DECADES = TuningBounds(0.01, 100.0, relative=True)
 """Two decades to either side of the controller's own value."""
 FIXED_TUNING = TuningBounds(1.0, 1.0, relative=True)
@@ -139,6 +163,8 @@ class Controller(ABC):
     """Whether model and estimator are the paper's."""
     has_horizons: bool = False
     """Whether moves are planned over the horizons Np and Nc of a tuning."""
+    is_exportable: bool = False
+    """Whether exports contain its functions (`CONTROLLERS` in `core/build/units.py`)."""
     runs_in_kernel: bool = False
     """Whether loops that are compiled can call it, see `part`."""
     own_part: Any = None
@@ -207,6 +233,14 @@ class Controller(ABC):
     def change_path(self, heading: float, offset: float) -> None:
         """Say that another path lies under the car, by how much (rad, m) heading and offset have grown against it."""
         change_of_path(heading, offset)
+
+    def predicted_path(self, ahead: RoadAhead) -> Array:
+        """(Np, 2) m: where the last step, on that road ahead of the car, predicts it; (0, 2) without a prediction."""
+        return np.zeros((0, 2))
+
+    def as_policy(self) -> Policy:
+        """Return the policy that drives runs with this controller in place of their MPC."""
+        return Policy(self)
 
     def describe(self) -> dict[str, Any]:
         """The configuration, for provenance: plain data."""

@@ -49,6 +49,7 @@ class LQR(CompiledController):
     vehicle's steering (0.2 s where nothing is known); the rest: see `CompiledController`.
     """
 
+    is_exportable = True
     # only the ratios to r count; gains are tabulated over two decades to either side of its own
     positive: ClassVar[tuple[str, ...]] = ("q_e", "q_heading", "r")
     tuning_bounds: Mapping[str, TuningBounds] = {

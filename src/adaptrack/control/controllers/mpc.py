@@ -183,7 +183,7 @@ class MPC(Controller):
     """
 
     tuning_names = ENTRIES
-    sees_all_sensors = True
+    sees_all_sensors = has_horizons = is_exportable = True
 
     @checked
     def __init__(
@@ -369,8 +369,6 @@ class MPC(Controller):
             ),
             most_moves=min(self.most_moves, max(1.0, math.floor(most + 0.5)) if most < math.inf else 1e9),
         )
-
-    has_horizons = True
 
     @property
     def needs_whole_state(self) -> bool:  # type: ignore[override]

@@ -27,6 +27,7 @@ class PurePursuit(CompiledController):
     Arguments: see `CompiledController`.
     """
 
+    is_exportable = True
     tuning_bounds: Mapping[str, TuningBounds] = {
         "lookahead_time": TuningBounds(0.1, 1.5),
         "lookahead_min": TuningBounds(1.0, 10.0),

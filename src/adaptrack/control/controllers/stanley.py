@@ -30,6 +30,7 @@ class Stanley(CompiledController):
     (0.2 s where nothing is known); the rest: see `CompiledController`.
     """
 
+    is_exportable = True
     tuning_bounds: Mapping[str, TuningBounds] = {
         "gain": TuningBounds(0.1, 10.0, relative=True),
         "softening": TuningBounds(0.1, 10.0, relative=True),

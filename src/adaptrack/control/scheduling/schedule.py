@@ -22,6 +22,7 @@ from adaptrack.base.checked import checked, real, reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.control.controllers import Tuning
+from adaptrack.control.controllers.base import Policy
 from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
 from adaptrack.control.scheduling.document import write_document
 from adaptrack.control.scheduling.functions import Function, Number, Pool, Table, load_function, save_function
@@ -156,6 +157,15 @@ class Schedule:
     def tunes_mpc(self) -> bool:
         """True if the schedule tunes the MPC, whose rules for horizons and weights then hold."""
         return self.entries == ENTRIES
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether all entries are numbers."""
+        return all(isinstance(entry.function, Number) for entry in self.tuning.values())
+
+    def as_policy(self) -> Policy:
+        """Return the policy that drives runs with their MPC and this schedule."""
+        return Policy(scheduler=self)
 
     @property
     def largest(self) -> tuple[int, int]:
