@@ -11,12 +11,11 @@ from adaptrack.control.controllers.base import (
 from adaptrack.control.controllers.belief import Belief, Uncertainty
 from adaptrack.control.controllers.check import check_controller
 from adaptrack.control.controllers.informed import informed_tuning
+from adaptrack.control.controllers.laws import LQR, PurePursuit, Stanley
 from adaptrack.control.controllers.learned_car import BeliefState, LearnedCar, Learning, load_learned_car
 from adaptrack.control.controllers.limits import Limits, Moves
-from adaptrack.control.controllers.lqr import LQR
 from adaptrack.control.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
 from adaptrack.control.controllers.published import published_mpc, released_mpc
-from adaptrack.control.controllers.pure_pursuit import PurePursuit
 from adaptrack.control.controllers.registry import (
     About,
     about_controller,
@@ -24,7 +23,6 @@ from adaptrack.control.controllers.registry import (
     list_controllers,
     register_controller,
 )
-from adaptrack.control.controllers.stanley import Stanley
 from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.control.controllers.user import UserController
 

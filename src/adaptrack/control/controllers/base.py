@@ -351,6 +351,8 @@ class CompiledController(Controller):
     runs_in_kernel = True
     positive: ClassVar[tuple[str, ...]] = ()
     """Entries of the tuning that must not be zero either."""
+    law_name: ClassVar[str] = ""
+    """Name of the law of a vehicle in `describe`; empty: it is not listed."""
 
     @checked
     def __init__(
@@ -495,6 +497,7 @@ class CompiledController(Controller):
             "period": self.period,
             "limits": {"move": list(self.limits.move), "angle": list(self.limits.angle)},
             "preview": self.preview,
+            **({"law": self.law_name, "vehicle": self.vehicle.name} if self.law_name else {}),
         }
 
     def __copy__(self) -> Self:

@@ -52,9 +52,9 @@ _SHIPPED: dict[str, tuple[str, About]] = {
         About("MPC of the paper, with its best constant on drives", tunable=False),
     ),
     "published-nn": ("control.variants:published_nn", About("published MPC, scheduled by networks", tunable=False)),
-    "pure-pursuit": ("control.controllers.pure_pursuit:PurePursuit", About("pure pursuit")),
-    "stanley": ("control.controllers.stanley:Stanley", About("Stanley, with dead time")),
-    "lqr": ("control.controllers.lqr:LQR", About("LQR with curvature feed-forward")),
+    "pure-pursuit": ("control.controllers.laws:PurePursuit", About("pure pursuit")),
+    "stanley": ("control.controllers.laws:Stanley", About("Stanley, with dead time")),
+    "lqr": ("control.controllers.laws:LQR", About("LQR with curvature feed-forward")),
     "preview-lqr": ("control.controllers.preview_lqr:PreviewLQR", About("LQR with optimal preview of the curvature")),
     "kinematic-mpc": (
         "control.controllers.kinematic_mpc:KinematicMPC",

@@ -1,15 +1,15 @@
-"""LQR with curvature feed-forward."""
+"""Control laws with closed formulas or gains: pure pursuit, Stanley, and LQR with curvature feed-forward."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adaptrack.base.checked import Positive, checked
+from adaptrack.base.checked import Hint, NotNegative, Positive, checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import (
@@ -21,7 +21,7 @@ from adaptrack.control.controllers.base import (
     steering_delay,
 )
 from adaptrack.control.controllers.limits import LimitsArgument
-from adaptrack.core.controllers import lqr as kernel
+from adaptrack.core.controllers import lqr, pure_pursuit, stanley
 from adaptrack.core.kernel import row_of
 from adaptrack.core.maths import portable
 from adaptrack.core.synthesis import laws
@@ -31,6 +31,105 @@ GAIN_SPEEDS = portable.geomspace(laws.MIN_GAIN_SPEED, laws.MAX_GAIN_SPEED, laws.
 WEIGHT_FACTORS = portable.power(10.0, np.linspace(-laws.GAIN_DECADES, laws.GAIN_DECADES, laws.GAIN_WEIGHTS))
 """Of q_e/r and q_heading/r, about the controller's own: where gains are computed for weights that change."""
 _FAR_APART = "LQR: no gain for weights (over r) so far apart: bring q_e, q_heading and r nearer."
+
+
+class PurePursuit(CompiledController):
+    """Pure pursuit: steer the arc that leads the rear axle to a point of the path ahead.
+
+        delta = atan(2 L sin(alpha)/l_d)
+
+    alpha: angle from the car's axis to the target; l_d: distance from the rear axle to it; L: wheelbase. The target is
+    the point of the path that lies max(lookahead_time v, lookahead_min) ahead of the centre of gravity. Tyre slip is
+    not modelled. R. C. Coulter, *Implementation of the Pure Pursuit Path Tracking Algorithm*, CMU-RI-TR-92-01, 1992;
+    a look-ahead that grows with the speed is common practice.
+
+    Arguments: see `CompiledController`.
+    """
+
+    name, law_name, is_exportable = "pure pursuit", "pure-pursuit", True
+    function = staticmethod(pure_pursuit.pure_pursuit)
+    memory_size, diagnostic_names = pure_pursuit.MEMORY, pure_pursuit.PURSUIT_DIAGNOSTICS
+    tuning_bounds: Mapping[str, TuningBounds] = {
+        "lookahead_time": TuningBounds(0.1, 1.5),
+        "lookahead_min": TuningBounds(1.0, 10.0),
+    }
+
+    @checked
+    def __init__(
+        self,
+        vehicle: VehicleArgument,
+        *,
+        lookahead_time: Annotated[NotNegative, "s"] = 0.6,
+        lookahead_min: Annotated[Positive, "m", Hint("a standing car has no target else")] = 4.0,
+        period: float = 0.1,
+        limits: LimitsArgument | None = None,
+        preview: bool = False,
+    ) -> None:
+        self.vehicle = vehicle
+        tuning = {"lookahead_time": lookahead_time, "lookahead_min": lookahead_min}
+        super().__init__(tuning, period=period, limits=limits, preview=preview)
+
+    def check_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
+        """See `Controller.check_tuning`; the least distance must be positive."""
+        if tuning["lookahead_min"] == 0.0:
+            raise InvalidInput("PurePursuit: lookahead_min = 0.0 m: must be positive, or a standing car has no target.")
+        return super().check_tuning(tuning)
+
+    def own_parameters(self) -> Array:
+        return self._made_by(laws.pure_pursuit_parameters, laws.PURSUIT)
+
+
+class Stanley(CompiledController):
+    """The law of the car that won the DARPA Grand Challenge of 2005, with a dead-time term.
+
+        delta = psi_e + m l_r/(2 C_f L) v^2 kappa + atan(gain e/(softening + v)) + yaw_rate_gain (v kappa - r)
+
+    psi_e: heading of the path less the car's; e: offset of the path from the front axle, positive to the left; kappa:
+    curvature of the path; the second term is the slip of the front tyres in the turn. G. M. Hoffmann, C. J. Tomlin,
+    M. Montemerlo, S. Thrun, *Autonomous Automobile Trajectory Tracking for Off-Road Driving*, American Control
+    Conference 2007; their damping of the steering servo is left out, because the wheel's angle is not measured here.
+
+    The dead-time term is ours: psi_e and e are those that the present motion (v_x, v_y, yaw rate) leads to after
+    `dead_time`, against the path there.
+
+    gain: 1/s; softening: m/s; yaw_rate_gain: s; dead_time: s, None for the lag and dead time of the vehicle's steering
+    (0.2 s where nothing is known); the rest: see `CompiledController`.
+    """
+
+    name, law_name, is_exportable = "Stanley", "stanley", True
+    function = staticmethod(stanley.stanley)
+    memory_size, diagnostic_names = stanley.MEMORY, stanley.STANLEY_DIAGNOSTICS
+    tuning_bounds: Mapping[str, TuningBounds] = {
+        "gain": TuningBounds(0.1, 10.0, relative=True),
+        "softening": TuningBounds(0.1, 10.0, relative=True),
+        "yaw_rate_gain": TuningBounds(0.0, 0.3),
+        "dead_time": TuningBounds(0.0, 0.6),
+    }
+
+    @checked
+    def __init__(
+        self,
+        vehicle: VehicleArgument,
+        *,
+        gain: float = 1.0,
+        softening: float = 1.0,
+        yaw_rate_gain: float = 0.05,
+        dead_time: float | None = None,
+        period: float = 0.1,
+        limits: LimitsArgument | None = None,
+        preview: bool = False,
+    ) -> None:
+        self.vehicle = vehicle
+        tuning = {
+            "gain": gain,
+            "softening": softening,
+            "yaw_rate_gain": yaw_rate_gain,
+            "dead_time": steering_delay(vehicle) if dead_time is None else dead_time,
+        }
+        super().__init__(tuning, period=period, limits=limits, preview=preview)
+
+    def own_parameters(self) -> Array:
+        return self._made_by(laws.stanley_parameters, laws.STANLEY)
 
 
 class LQR(CompiledController):
@@ -49,7 +148,9 @@ class LQR(CompiledController):
     vehicle's steering (0.2 s where nothing is known); the rest: see `CompiledController`.
     """
 
-    is_exportable = True
+    name, law_name, is_exportable = "LQR with curvature feed-forward", "lqr", True
+    function = staticmethod(lqr.lqr)
+    memory_size, diagnostic_names = lqr.MEMORY, lqr.LQR_DIAGNOSTICS
     # only the ratios to r count; gains are tabulated over two decades to either side of its own
     positive: ClassVar[tuple[str, ...]] = ("q_e", "q_heading", "r")
     tuning_bounds: Mapping[str, TuningBounds] = {
@@ -73,8 +174,6 @@ class LQR(CompiledController):
         preview: bool = False,
     ) -> None:
         self.vehicle = vehicle
-        self.tuning_names, self.diagnostic_names = kernel.LQR_TUNING, kernel.LQR_DIAGNOSTICS
-        self.memory_size = kernel.MEMORY
         tuning = {
             "q_e": q_e,
             "q_heading": q_heading,
@@ -83,14 +182,6 @@ class LQR(CompiledController):
         }
         super().__init__(tuning, period=period, limits=limits, preview=preview)
 
-    @property
-    def name(self) -> str:
-        return "LQR with curvature feed-forward"
-
-    @property
-    def function(self) -> Any:
-        return kernel.lqr
-
     def own_parameters(self) -> Array:
         return _parameters(self.vehicle, self.period, tuple(self.tuning[name] for name in ("q_e", "q_heading", "r")))
 
@@ -98,9 +189,6 @@ class LQR(CompiledController):
         """The feedback gain (4,) of the controller's own weights at a speed (m/s), not interpolated."""
         A, B = sampled_error_model(self.vehicle, self.period, speed)
         return lqr_gain(A, B, self.tuning["q_e"] / self.tuning["r"], self.tuning["q_heading"] / self.tuning["r"])
-
-    def describe(self) -> dict[str, Any]:
-        return {**super().describe(), "law": "lqr", "vehicle": self.vehicle.name}
 
 
 def error_model(vehicle: Vehicle, speed: float) -> tuple[Array, Array]:
