@@ -25,7 +25,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from adaptrack.base.checked import Count, Natural, NotNegative, Positive, check_parameters
-from adaptrack.control.scheduling.functions.sugeno import (
+from adaptrack.control.scheduling.functions import (
     BELL_CENTRE,
     BELL_SLOPE,
     BELL_WIDTH,

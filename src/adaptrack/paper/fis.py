@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import write_atomically
-from adaptrack.control.scheduling.functions.sugeno import Sugeno
+from adaptrack.control.scheduling import Sugeno
 from adaptrack.paper.anfis import ANFIS
 
 

@@ -26,7 +26,7 @@ from threadpoolctl import threadpool_limits
 
 from adaptrack.base.checked import Count, Positive, check_parameters
 from adaptrack.base.errors import InvalidInput
-from adaptrack.control.scheduling.functions.network import Network
+from adaptrack.control.scheduling import Network
 from adaptrack.core.maths import portable
 from adaptrack.paper.samples import held_out, mean, part, row_weights
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import ContractError
-from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS, read_tuning
+from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
+from adaptrack.control.controllers.tuning import read_tuning as read_tuning
 from adaptrack.control.scheduling.schedule import Schedule
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables
 from adaptrack.core.maths import portable

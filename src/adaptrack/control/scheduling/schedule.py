@@ -8,6 +8,8 @@ code runs in a car's control loop, in `simulate` and in whole batches of runs.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -19,19 +21,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import checked, real, reals
-from adaptrack.base.errors import InvalidInput, did_you_mean
+from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
+from adaptrack.base.files import SHIPPED, write_atomically
 from adaptrack.base.presentation import figure_of, html_of
-from adaptrack.control.controllers import Tuning
+from adaptrack.control.controllers import MPC, Tuning
 from adaptrack.control.controllers.base import Policy
-from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
-from adaptrack.control.scheduling.document import write_document
+from adaptrack.control.controllers.compatibility import car_of
+from adaptrack.control.controllers.tuning import ENTRIES as ENTRIES
+from adaptrack.control.controllers.tuning import HORIZONS
 from adaptrack.control.scheduling.functions import Function, Number, Pool, Table, load_function, save_function
 from adaptrack.control.scheduling.guard import Guard, StabilityMap
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables, complete
+from adaptrack.core.library import kernels_hash
 from adaptrack.core.maths import portable
 from adaptrack.core.scheduling import guard as guard_kernel
 from adaptrack.core.scheduling import schedule as kernel
 from adaptrack.core.scheduling.variables import VARIABLE_NAMES
+from adaptrack.scenario.profile import load_profile
 
 Array = NDArray[np.float64]
 
@@ -39,6 +45,9 @@ ENTRY_BOUNDS: dict[str, tuple[float, float]] = {"Np": (1, 60), "Nc": (1, 20), "Q
 """Bounds of the entries of the MPC, where no others are given."""
 MAX_HORIZON = 1000
 """The longest horizon that a schedule may ask for: a controller makes room for it."""
+SCHEDULER_FORMAT, VERSION = "adaptrack-scheduler", 2
+"""Of the files of schedules: JSON with a format, a version and a checksum."""
+_DATA = SHIPPED / "schedulers"
 MOST_ENTRIES = 8
 """Entries of a controller's tuning, at most."""
 
@@ -95,7 +104,7 @@ class Schedule:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """how it was made"""
     made_for: Mapping[str, Any] = field(default_factory=dict)
-    """the car, profile, controller and kernels that it was made for, as far as they are known; see `files.made_for`"""
+    """the car, profile, controller and kernels that it was made for, as far as they are known; see `made_for`"""
     entries: tuple[str, ...] = ENTRIES
     """names of the controller's tuning entries, in the controller's order"""
 
@@ -400,3 +409,115 @@ def _function(entry: str, function: Function | float) -> Function:
     if not math.isfinite(real("Learned", entry, function)):
         raise InvalidInput(f"Learned: {entry} = {function!r}: must be finite.")
     return Number(function)
+
+
+# -- files of schedules ------------------------------------------------------------------------------------------------
+@checked
+def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
+    """The schedule in a file, or one that ships with the package, by name (`list_schedulers`).
+
+    Its name is that of the file, without the ending.
+
+    Raises
+    ------
+    UnknownName
+        When no scheduler has the name.
+    StorageError
+        When the file cannot be read, is damaged, is not a scheduler, or has a version that this program cannot read.
+    """
+    path = _path(name_or_path)
+    content = read_document(path)
+    try:
+        schedule = replace(Schedule.loaded(content), name=path.stem)
+        schedule._packed()  # numbers too large for the kernels are found here
+    except KeyError as error:
+        raise StorageError(f"{path}: its content makes no scheduler: {error} is missing.") from None
+    except (InvalidInput, TypeError, ValueError, OverflowError, AttributeError) as error:
+        raise StorageError(f"{path}: its content makes no scheduler: {error}.") from None
+    return schedule
+
+
+def list_schedulers() -> list[str]:
+    """The names of the schedulers that ship with the package."""
+    return sorted(path.stem for path in _DATA.glob("*.json"))
+
+
+def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
+    """Return the scope of a schedule for its file: car, profile, controller and kernel version."""
+    described = mpc.describe()
+    return {
+        "car": car_of(mpc.model) or mpc.model.name,
+        "profile": load_profile(profile).name,
+        "controller": {
+            "kind": "MPC",
+            "model": mpc.kind_of_model,
+            **{key: described[key] for key in ("moves", "period", "preview")},
+        },
+        "kernels": kernels_hash(),
+    }
+
+
+def _path(name_or_path: str | os.PathLike[str]) -> Path:
+    path = Path(name_or_path)
+    if not isinstance(name_or_path, str) or path.suffix == ".json" or len(path.parts) != 1:
+        return path
+    path = _DATA / f"{name_or_path}.json"
+    if not path.exists():
+        raise UnknownName(
+            f"no scheduler is named {name_or_path!r}. {did_you_mean(name_or_path, list_schedulers())} "
+            "A file is given by its .json path."
+        )
+    return path
+
+
+def write_document(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
+    """Write a content, all of it or nothing.
+
+    Raises
+    ------
+    TypeError, ValueError
+        When it holds what JSON cannot.
+    StorageError
+        When the file cannot be written; an older one at `path` is then untouched.
+    """
+    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    file = {
+        "format": SCHEDULER_FORMAT,
+        "version": VERSION,
+        "sha256": hashlib.sha256(text.encode()).hexdigest(),
+        "content": content,
+    }
+    write_atomically(path, (json.dumps(file, separators=(",", ":")) + "\n").encode())
+
+
+def read_document(path: Path) -> Any:
+    """The content of a scheduler's file, its checksum compared.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read, is damaged, is no scheduler, or has a version that this program cannot read.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:  # not UTF-8, or a path that cannot be
+        raise StorageError(f"{path}: cannot be read: {error}.") from None
+    try:
+        file = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise StorageError(f"{path}: not a scheduler file, or damaged: {error}. Train or copy it again.") from None
+    if not isinstance(file, dict) or file.get("format") != SCHEDULER_FORMAT:
+        raise StorageError(f"{path}: not a scheduler file: its format is not {SCHEDULER_FORMAT!r}.")
+    if file.get("version") != VERSION:
+        raise StorageError(
+            f"{path}: version {file.get('version')!r} of the scheduler format; this program reads {VERSION}. "
+            "Train it again, or use the version of adaptrack that wrote it."
+        )
+    content = file.get("content")
+    try:
+        digest = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
+    except RecursionError:
+        raise StorageError(f"{path}: not a scheduler file: its content is nested too deeply.") from None
+    if digest != file.get("sha256"):
+        raise StorageError(f"{path}: damaged: its content does not match its checksum. Train or copy it again.")
+    return content
