@@ -35,9 +35,7 @@ from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.control.estimation import NOTHING_MEASURED, Deadbeat, Estimator, get_estimator
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PredictionModel, SingleTrackModel
-from adaptrack.control.qp import QP, QPSolver, QPStatus, Solution, get_qp_solver
-from adaptrack.control.qp.active_set import ActiveSet
-from adaptrack.control.qp.hildreth import Hildreth
+from adaptrack.control.qp import QP, ActiveSet, Hildreth, QPSolver, QPStatus, Solution, get_qp_solver
 from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.controllers.mpc_step import MPCStep, form_qp, mpc_controller, step
 from adaptrack.core.controllers.receding import apply_move, predict_outputs
