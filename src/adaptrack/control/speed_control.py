@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import Finite, Hint, checked, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.pedals import PedalMap
-from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, Vehicle
+from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, SteeringActuator, Vehicle, load_tyre, pack_plant
 from adaptrack.control.controllers import Controller, MPCCommand
-from adaptrack.control.friction_estimate import friction_estimate
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
 from adaptrack.core.kernel import OK, Resident
-from adaptrack.core.models.car import AXLES, POWERTRAIN
+from adaptrack.core.models.car import AXLES, POWERTRAIN, LearnedRow
+from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.physics.forces import GRAVITY
+from adaptrack.core.speed import friction as friction_kernel
 from adaptrack.core.speed import learning as learning
 from adaptrack.core.speed import path as path_kernel
 from adaptrack.core.speed import speed_control as kernel
-from adaptrack.core.speed.friction import begin_friction
 from adaptrack.core.speed.place import SPEED_GRACE
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.core.synthesis.speed import resistance, usable_friction
@@ -48,6 +48,18 @@ from adaptrack.road.cornering import packed, steering_limit
 Array = NDArray[np.float64]
 ASSUMABLE_FRICTION = (0.05, 1.5)
 """Lowest and highest coefficient of friction that may be assumed: wet ice, and racing tyres."""
+FRICTION_COUNT = 13
+"""Coefficients of friction, evenly within the interval."""
+LONGEST_STEERING_DELAY = 1.0
+"""s, of the steering and the samples together, for which commands are remembered."""
+ASSUMED_KNOWLEDGE = {
+    "delay_sigma": 0.01, "stiffness": 1.0, "stiffness_sigma": 0.1, "balance": 1.0, "balance_sigma": 0.05, "bias": 0.0,
+    "bias_sigma": 0.005,
+}  # fmt: skip
+"""Entries of `core.models.car.LearnedRow` where the car file states the car and no controller learns it.
+"""
+FRICTION_SENSORS = [MEASUREMENT.vy, MEASUREMENT.yaw_rate, MEASUREMENT.lateral_acceleration]
+"""Sensors whose variances an estimate has."""
 
 
 class SpeedState(StrEnum):
@@ -282,6 +294,40 @@ def longitudinal_of(
     return longitudinal
 
 
+def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float, controller: Controller | None) -> Any:
+    """An estimate of the friction by the steering model of a controller (`core.speed.friction.FrictionEstimate`).
+
+    It has no hypotheses where the friction is certain, and without a steering model. period: s, of the control.
+    """
+    low, high = interval
+    belief = None if controller is None else controller.belief
+    if controller is None or belief is None or not low < high:
+        memory, bank = friction_kernel.FRICTION_MEMORY.new(1), friction_kernel.FRICTION_HYPOTHESIS.new(0)
+        knowledge = _knowledge()
+        nothing = np.zeros(0)
+        return friction_kernel.FrictionEstimate(memory, bank, nothing, nothing, period, nothing, low, high, knowledge)
+    rate = belief.rate.value if belief.lag.value > 0.0 else math.inf  # a rate limit acts on a lag
+    steering = SteeringActuator(**{**belief.steering, "rate": rate})
+    knowledge = _knowledge(lag=belief.lag.value, dead_time=belief.delay, **ASSUMED_KNOWLEDGE)
+    return friction_kernel.FrictionEstimate(
+        friction_kernel.FRICTION_MEMORY.new(1), friction_kernel.FRICTION_HYPOTHESIS.new(FRICTION_COUNT),
+        np.zeros(math.ceil(LONGEST_STEERING_DELAY / period) + 1),
+        pack_plant(car, load_tyre(car.tyre), steering), period, _variances(controller), low, high, knowledge,
+    )  # fmt: skip
+
+
+def _knowledge(**values: float) -> Any:
+    """The car as assumed; zero where unspecified."""
+    return LearnedRow(**dict.fromkeys(LearnedRow._fields, 0.0) | values)
+
+
+def _variances(controller: Controller) -> Array:
+    """(3,) of `FRICTION_SENSORS`, as the controller assumes them."""
+    estimator = getattr(controller, "estimator", None)
+    filtering = estimator if isinstance(estimator, KalmanFilter) else KalmanFilter()
+    return filtering.variances()[FRICTION_SENSORS]
+
+
 def horizon_cells(top_speed: float, settings: Any) -> int:
     """How many cells the governor looks ahead for a top speed (m/s)."""
     return int(path_kernel.horizon_cells(top_speed, settings.brake, path_kernel.PLACE_SPACING))
@@ -324,7 +370,7 @@ class SpeedController:
     def estimate_friction(self, controller: Controller) -> None:
         """Narrow an interval of friction by the steering model of a controller, or by what it learns, from now on."""
         friction = friction_estimate(self.control.friction_interval, self.control.car, self._period, controller)
-        begin_friction(friction)
+        friction_kernel.begin_friction(friction)
         self._controller = controller
         self._load(self.record._replace(friction=friction))
 

@@ -11,7 +11,7 @@ from adaptrack.control.controllers.base import (
 from adaptrack.control.controllers.belief import Belief, Uncertainty
 from adaptrack.control.controllers.check import check_controller
 from adaptrack.control.controllers.informed import informed_tuning
-from adaptrack.control.controllers.laws import LQR, PurePursuit, Stanley
+from adaptrack.control.controllers.laws import LQR, PurePursuit, Stanley, UserController
 from adaptrack.control.controllers.learned_car import BeliefState, LearnedCar, Learning, load_learned_car
 from adaptrack.control.controllers.limits import Limits, Moves
 from adaptrack.control.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
@@ -24,7 +24,6 @@ from adaptrack.control.controllers.registry import (
     register_controller,
 )
 from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
-from adaptrack.control.controllers.user import UserController
 
 __all__ = [
     "ENTRIES",
