@@ -21,7 +21,6 @@ from adaptrack.base.registry import Registry
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.core.controllers import condensing
 from adaptrack.core.kernel import size_of
-from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.models import path, single_track
@@ -34,11 +33,11 @@ MEASURED_STATES = MEASUREMENT._fields[: MEASUREMENT.lateral_acceleration]
 """What is measured, and what a model's states may be: m/s, rad, rad/s, m, rad."""
 
 
-def _check_speed(speed: float) -> None:
+def _check_speed(speed: float, matrices: str = "a model") -> None:
     """Refuse a speed at which a model has no matrices."""
     if not 0.0 < speed < np.inf:
         raise InvalidInput(
-            f"speed = {speed!r} m/s: must be positive and finite, a model is singular at standstill; "
+            f"speed = {speed!r} m/s: must be positive and finite, {matrices} is singular at standstill; "
             "the controller floors the speed (MPC(speed_floor=...))."
         )
 
@@ -192,28 +191,9 @@ class SingleTrackModel(PredictionModel):
 
     def continuous(self, speed: float) -> tuple[Array, Array, Array]:
         """Eq. (7): A_c (4, 4), B_c (4, 1), C_c (1, 4) at a longitudinal speed (m/s)."""
-        if not 0.0 < speed < np.inf:
-            raise InvalidInput(
-                f"speed = {speed!r} m/s: must be positive and finite, A_c of eq. (7) is singular at standstill; "
-                "the controller floors the speed (MPC(speed_floor=...))."
-            )
-        v = self.vehicle
-        cf, cr = 2 * v.stiffness_front, 2 * v.stiffness_rear
-        a = np.array(
-            [
-                [-(cf + cr) / (v.mass * speed), 0, -speed - (cf * v.lf - cr * v.lr) / (v.mass * speed), 0],
-                [0, 0, 1, 0],
-                [
-                    -(cf * v.lf - cr * v.lr) / (v.yaw_inertia * speed),
-                    0,
-                    -(cf * portable.square(v.lf) + cr * portable.square(v.lr)) / (v.yaw_inertia * speed),
-                    0,
-                ],
-                [1, speed, 0, 0],
-            ]
-        )
-        b = np.array([[cf / v.mass], [0], [cf * v.lf / v.yaw_inertia], [0]])
-        return a, b, np.array([[0.0, 0.0, 0.0, 1.0]])
+        _check_speed(speed, "A_c of eq. (7)")
+        a, inputs = PathModel(self.vehicle, self.period).continuous(speed)  # without lag, and the path straight
+        return a, inputs[:, :1], self.output[None]
 
 
 @final

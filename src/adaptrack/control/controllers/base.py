@@ -378,7 +378,6 @@ class CompiledController(Controller):
         """Return the law's parameters that follow `core.controllers.contract.COMMON_PARAMETERS`."""
 
     def user_functions(self) -> list[Any]:
-        """See `Controller.user_functions`."""
         return [self.function]
 
     def parameters(self) -> Array:
@@ -406,11 +405,9 @@ class CompiledController(Controller):
         return entries
 
     def part(self, slots: int, room: Room | None = None, *, curved: bool = True, has_vy: bool = True) -> Any:
-        """See `Controller.part`."""
         return law_controller(slots, self, self.packed_tuning(), has_vy)
 
     def reset(self) -> None:
-        """Forget the past: the next step is the first, from steering angle 0."""
         self._parameters = self.parameters()
         self._tuning = self.packed_tuning()
         self._memory = np.zeros(self.memory_size)
@@ -436,13 +433,6 @@ class CompiledController(Controller):
         return self._angle
 
     def applied(self, angle: float) -> None:
-        """Say which angle (rad) was sent to the steering in place of the last command: the next step goes on from it.
-
-        Raises
-        ------
-        InvalidInput
-            When no road wheel can have it.
-        """
         self._angle = wheel_angle("applied: angle", angle)
 
     def step(

@@ -59,7 +59,7 @@ _STATE_SIZES = (4, 5, 6, 7, 8, 9)
 """with or without wheel angle, lateral acceleration, ages and the path's turn (`core.models.contract.MEASUREMENT`)"""
 _NOT_CARRIED = (
     "_lock", "_measured", "_answer", "_learned", "_state", "_reference", "_now", "_resident", "_resident_plan", "_step",
-    "_schedule_step", "_own_part", "functions",
+    "_own_part", "functions",
 )  # fmt: skip
 """Of a controller, by a copy of it: see `MPC._load`."""
 _METHOD = "'auto' serves as well, and Learning() gives one"
@@ -374,7 +374,6 @@ class MPC(Controller):
         return self.estimator.function is None
 
     def user_functions(self) -> list[Any]:
-        """See `Controller.user_functions`."""
         return [self.model.function, self.estimator.function]
 
     def nearest_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
@@ -399,11 +398,9 @@ class MPC(Controller):
         return np.asarray(self._mpc.informed.learned[0])
 
     def part(self, slots: int, room: Room | None = None, *, curved: bool = True, has_vy: bool = True) -> Any:
-        """See `Controller.part`."""
         return self.part_of(self.batch(slots, self.settings(*(room or Room())), curved))
 
     def room_for(self, tunings: Array, scheduler: CompiledScheduler | None = None) -> Room:
-        """See `Controller.room_for`."""
         longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)
         if scheduler is not None:
             longest, most = max(longest, scheduler.largest[0]), max(most, scheduler.largest[1])
@@ -448,11 +445,9 @@ class MPC(Controller):
         return np.concatenate([parameters, self.estimator.tyres]) if parameters.size else parameters
 
     def reset(self) -> None:
-        """Forget the past: the next step is the first, from steering angle 0."""
         self._mpc = self.batch(1, self.settings())
         self._requested = self.tuning.as_array()
         self._plan = self.scheduler.plan(1) if isinstance(self.scheduler, CompiledScheduler) else None
-        self._names = VARIABLE_NAMES
         self._variables = np.zeros(len(VARIABLE_NAMES))
         self._speed, self._without_speed = math.nan, 0
         self._raised = 0
@@ -551,13 +546,6 @@ class MPC(Controller):
         return float(self._mpc.memory[0].command)
 
     def applied(self, angle: float) -> None:
-        """Say which angle (rad) was sent to the steering in place of the last command: the next step goes on from it.
-
-        Raises
-        ------
-        InvalidInput
-            When no road wheel can have it.
-        """
         self._mpc.memory["command"][0] = wheel_angle("applied: angle", angle)
 
     def change_path(self, heading: float, offset: float) -> None:
@@ -747,7 +735,7 @@ class MPC(Controller):
         if numbers.size < values.size:
             values[numbers.size :] = 0.0
         values[: numbers.size] = numbers
-        self._schedule_step(values, self._resident_plan, self._requested)
+        schedule_step(values, self._resident_plan, self._requested)
 
     def _variable_numbers(self, variables: Sequence[float]) -> Array:
         """The variables as numbers; the last three may be left out."""
@@ -756,7 +744,7 @@ class MPC(Controller):
             return vector("variables", variables, (count - 3, count - 2, count - 1, count))
         except InvalidInput as error:
             raise InvalidInput(
-                f"variables: need {count} numbers, {', '.join(self._names)}; the last three may be left out."
+                f"variables: need {count} numbers, {', '.join(VARIABLE_NAMES)}; the last three may be left out."
             ) from error
 
     def _ask(self, variables: Sequence[float]) -> None:
@@ -776,10 +764,6 @@ class MPC(Controller):
                 _log.warning(
                     "adaptrack: the scheduler failed, its last tuning is kept: %s: %s", type(error).__name__, error
                 )
-
-    @cached_property
-    def _schedule_step(self) -> Any:
-        return schedule_step
 
     @cached_property
     def functions(self) -> Any:

@@ -231,7 +231,6 @@ class ActiveSet(QPSolver):
         self._workspace = Workspace()
 
     def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
-        """See `QPSolver.attempt`."""
         return self._workspace.solve_exactly(qp, warm_start, self.max_iterations)
 
 
