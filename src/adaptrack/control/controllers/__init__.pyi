@@ -20,7 +20,7 @@ from .learned_car import (
 )
 from .limits import Limits as Limits, Moves as Moves
 from .mpc import MPC as MPC, CompiledScheduler as CompiledScheduler, MPCCommand as MPCCommand, Scheduler as Scheduler
-from .published import published_mpc as published_mpc, released_mpc as released_mpc
+from .presets import published_mpc as published_mpc, released_mpc as released_mpc
 from .registry import (
     About as About,
     about_controller as about_controller,

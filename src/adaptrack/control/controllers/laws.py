@@ -191,7 +191,8 @@ class LQR(CompiledController):
     def gain_at(self, speed: float) -> Array:
         """The feedback gain (4,) of the controller's own weights at a speed (m/s), not interpolated."""
         A, B = sampled_error_model(self.vehicle, self.period, speed)
-        return lqr_gain(A, B, self.tuning["q_e"] / self.tuning["r"], self.tuning["q_heading"] / self.tuning["r"])
+        Q = np.diag([self.tuning["q_e"], 0.0, self.tuning["q_heading"], 0.0]) / self.tuning["r"]
+        return feedback(A, B, riccati(A, B, Q))
 
 
 def error_model(vehicle: Vehicle, speed: float) -> tuple[Array, Array]:
@@ -206,16 +207,6 @@ def sampled_error_model(vehicle: Vehicle, period: float, speed: float) -> tuple[
     A, B = np.zeros((4, 4)), np.zeros(4)
     laws.sampled_error_model(vehicle.numbers, period, speed, A, B)
     return A, B
-
-
-def lqr_gain(A: Array, B: Array, q_e: ArrayLike, q_heading: ArrayLike) -> Array:
-    """The gains (..., 4) that minimise sum q_e e^2 + q_heading psi_e^2 + delta^2 for x' = A x + B delta.
-
-    A (..., 4, 4) and B (..., 4), one weight of each kind for every model; errors as of `riccati`.
-    """
-    Q = np.zeros_like(A, dtype=float)
-    Q[..., 0, 0], Q[..., 2, 2] = q_e, q_heading
-    return feedback(A, B, riccati(A, B, Q))
 
 
 def riccati(A: ArrayLike, B: ArrayLike, Q: ArrayLike) -> Array:
