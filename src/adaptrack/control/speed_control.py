@@ -28,18 +28,7 @@ from adaptrack.core.speed import speed_control as kernel
 from adaptrack.core.speed.place import SPEED_GRACE
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.core.synthesis.speed import resistance, usable_friction
-from adaptrack.core.tracker.longitudinal import (
-    STATUS_ACTIONS,
-    Longitudinal,
-    longitudinal_acknowledge,
-    longitudinal_begin,
-    longitudinal_follow,
-    longitudinal_release,
-    narrow_friction_step,
-    narrow_tracked_friction,
-    speed_control_step,
-    write_requests,
-)
+from adaptrack.core.tracker import longitudinal as tracked_kernel
 from adaptrack.core.tracker.records import LONGEST_GAP
 from adaptrack.core.tracker.signals import STATUS
 from adaptrack.road import Comfort, Road, SpeedPlan
@@ -119,7 +108,7 @@ class SpeedAction(StrEnum):
 _ACTIONS = tuple(SpeedAction)
 SPEED_ACTIONS = {
     status.replace("_", "-"): tuple(_ACTIONS[action] for action in actions)
-    for status, actions in zip(STATUS._fields, STATUS_ACTIONS.tolist(), strict=True)
+    for status, actions in zip(STATUS._fields, tracked_kernel.STATUS_ACTIONS.tolist(), strict=True)
 }
 """By status of a tracker: the action with a position of the last `BLIND_GRACE` (s) of the kernel, and without one.
 
@@ -289,8 +278,10 @@ def longitudinal_of(
     sample = kernel.SPEED_SAMPLE.new(1, acceleration=math.nan, top_speed=math.inf, grade=math.nan)
     memory, ahead = kernel.SPEED_MEMORY.new(1), np.zeros(horizon_cells(start.top_speed, settings))
     friction = friction_estimate(control.friction_interval, control.car, period, controller)
-    longitudinal = Longitudinal(sample, memory, settings, path, speed_banks(settings, period), ahead, friction)
-    longitudinal_begin(longitudinal)
+    longitudinal = tracked_kernel.Longitudinal(
+        sample, memory, settings, path, speed_banks(settings, period), ahead, friction
+    )
+    tracked_kernel.longitudinal_begin(longitudinal)
     return longitudinal
 
 
@@ -376,11 +367,11 @@ class SpeedController:
 
     def narrow_friction(self, measured: Array, speed: float, command: float) -> None:
         """Narrow the friction before a step of the controller, see `core.speed.friction.narrow_friction`."""
-        narrow_friction_step(measured, speed, command, self._learned, self._resident)
+        tracked_kernel.narrow_friction_step(measured, speed, command, self._learned, self._resident)
 
     def narrow_behind(self, tracker: Any) -> None:
         """Narrow the friction at a control instant of a tracker (resident), before a step of its controller."""
-        narrow_tracked_friction(tracker, self._learned, self._resident)
+        tracked_kernel.narrow_tracked_friction(tracker, self._learned, self._resident)
 
     @property
     def _learned(self) -> Array:
@@ -396,7 +387,7 @@ class SpeedController:
                 ahead=np.zeros(horizon_cells(float(plan.speed.max()), settings)),
             )
         )  # fmt: skip
-        longitudinal_follow(self._resident)
+        tracked_kernel.longitudinal_follow(self._resident)
 
     def step(
         self, station: float, speed: float, yaw_rate: float, *, acceleration: float = math.nan, driver: bool = False,
@@ -415,7 +406,7 @@ class SpeedController:
         sample[0] = (
             station, 0.0, 0.0, speed, 0.0, yaw_rate, acceleration, driver, is_guided, top_speed, blind_time, grade, 1.0,
         )  # fmt: skip
-        speed_control_step(self._resident)
+        tracked_kernel.speed_control_step(self._resident)
         return self.command
 
     def limit_speed(self, controller: Controller, answer: object = None) -> None:
@@ -463,7 +454,7 @@ class SpeedController:
     def command(self) -> SpeedCommand:
         """Requests in force."""
         row, pedals = np.empty(len(SPEED_REQUEST)), self.control.pedals or self.control.car.pedals
-        write_requests(self.record, row, 0)
+        tracked_kernel.write_requests(self.record, row, 0)
         acceleration, force, hold, target_speed, grip_used, state, cause, low, high = row.tolist()
         positions = (math.nan, math.nan)
         if pedals is not None:
@@ -480,11 +471,11 @@ class SpeedController:
 
     def release(self) -> None:
         """Leave the stop at which the car stands, whatever its time; at the end of a path it stays."""
-        longitudinal_release(self._resident)
+        tracked_kernel.longitudinal_release(self._resident)
 
     def acknowledge_fault(self) -> None:
         """End a fault of brakes or drive, and the distrust of the measured speed: the car drives on."""
-        longitudinal_acknowledge(self._resident)
+        tracked_kernel.longitudinal_acknowledge(self._resident)
 
     def speeds_ahead(self, speed: float, count: int) -> Array:
         """(count,) m/s, governed speeds at the coming control instants, the first one the present speed (m/s)."""

@@ -174,10 +174,8 @@ class Tracker:
                 "controller with a constant tuning."
             )
         self.controller: Any = controller
-        self._warned = self._warned_of_speed = False
-        self._doubted: set[int] = set()
+        self._warned: set[object] = set()
         self._times: list[tuple[float, float]] = []
-        self._times_doubted = False
         self.timing: Timing | None = None
         """of the loop; None before `TIMED_STEPS` control steps"""
         self._speed: SpeedController | None = None
@@ -226,7 +224,7 @@ class Tracker:
 
     def __getstate__(self) -> dict[str, Any]:
         state = {name: value for name, value in vars(self).items() if name not in _NOT_COPIED}
-        return {**state, "_recorder": None}  # two would write one file
+        return {**state, "_recorder": None, "_warned": self._warned.copy()}  # two recorders would write one file
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -377,10 +375,15 @@ class Tracker:
         self._call(tracker_step)
         memory = kernel.memory[0]
         tracked = self._answer(at)
-        if not self._warned and not math.isnan(age := float(kernel.request[REQUEST.late])):
+        if not math.isnan(age := float(kernel.request[REQUEST.late])):
             self._warn_of_late_samples(age)
-        if not self._warned_of_speed and memory.speed > tracked.first_top_speed:
-            self._warn_of_speed(memory.speed, tracked.first_top_speed)
+        if memory.speed > tracked.first_top_speed:
+            self._warn_once(
+                "speed",
+                "the car drives %.3g m/s before the controller has learned it: drive below %.3g m/s until "
+                "Tracked.belief is settled, or give a narrower range of the steering bias, Learning(bias=...).",
+                memory.speed, tracked.first_top_speed,
+            )  # fmt: skip
         if memory.answered and memory.started:
             self._take_times(at - row[TRACKER_SAMPLE.t], time.perf_counter() - call_start)
         if self._recorder is not None and tracked.status is not Status.REPEATED:
@@ -393,8 +396,12 @@ class Tracker:
         for sentence in self._check.say(int(suspect)):
             _log.warning("adaptrack: inputs contradict each other. %s", sentence)
         state = None if belief == NO_BELIEF else BeliefState(int(belief))
-        if state in DOUBTFUL and state not in self._doubted:
-            self._warn_of_belief(state, bounded_quantity(bound))
+        if state in DOUBTFUL:
+            quantity = bounded_quantity(bound)
+            self._warn_once(
+                state, "the belief about the car is in doubt: %s%s; drive slower, see docs/learning.md.",
+                DOUBTFUL[state], f" ({quantity.replace('_', ' ')})" if quantity else "",
+            )  # fmt: skip
         speed, target = float(self._kernel.memory[0].speed), math.nan
         if self._target is not None:
             target = self._target.at(time, station, speed, self.period)
@@ -434,12 +441,11 @@ class Tracker:
         _, station, count = self._kernel.ahead.tolist()
         return RoadAhead(self.path, station, self._kernel.speeds[: int(count)].copy())
 
-    def _warn_of_belief(self, state: BeliefState, bound: str | None) -> None:
-        self._doubted.add(state)
-        _log.warning(
-            "adaptrack: the belief about the car is in doubt: %s%s; drive slower, see docs/learning.md.",
-            DOUBTFUL[state], f" ({bound.replace('_', ' ')})" if bound else "",
-        )  # fmt: skip
+    def _warn_once(self, subject: object, message: str, *values: object) -> None:
+        """Log a warning unless there was one about the subject."""
+        if subject not in self._warned:
+            self._warned.add(subject)
+            _log.warning(f"adaptrack: {message}", *values)
 
     def _take_times(self, age: float, computation: float) -> None:
         """Take in the age of a sample (s) and the time (s) of the call; report what contradicts the controller."""
@@ -448,34 +454,25 @@ class Tracker:
             return
         self.timing = Timing(*np.median(self._times, axis=0).tolist())
         self._times.clear()
-        if self.controller.belief is not None and not self._times_doubted:
+        if self.controller.belief is not None:
             self._compare_computation(self.timing, self.controller.belief.computation)
 
     def _compare_computation(self, timing: Timing, assumed: SourcedValue) -> None:
         """Warn where calls take longer or shorter than the controller assumes."""
-        if abs(timing.computation - assumed.value) <= PERIOD_TOLERANCE * self.period:
-            return
-        self._times_doubted = True
-        _log.warning(
-            "adaptrack: the controller assumes a computation time of %.3g s (%s), but Tracker.step returns its command "
-            "after %.2g s: if your loop sends the command at once, give the controller computation=%.3g. The tracker "
-            "accounts for the age of the samples, %.2g s, separately.",
-            assumed.value, assumed.source, timing.computation, round(timing.computation, 3), timing.sample_age,
-        )  # fmt: skip
-
-    def _warn_of_speed(self, speed: float, top_speed: float) -> None:
-        self._warned_of_speed = True
-        _log.warning(
-            "adaptrack: the car drives %.3g m/s before the controller has learned it: drive below %.3g m/s until "
-            "Tracked.belief is settled, or give a narrower range of the steering bias, Learning(bias=...).",
-            speed, top_speed,
-        )  # fmt: skip
+        if abs(timing.computation - assumed.value) > PERIOD_TOLERANCE * self.period:
+            self._warn_once(
+                "computation",
+                "the controller assumes a computation time of %.3g s (%s), but Tracker.step returns its command "
+                "after %.2g s: if your loop sends the command at once, give the controller computation=%.3g. The "
+                "tracker accounts for the age of the samples, %.2g s, separately.",
+                assumed.value, assumed.source, timing.computation, round(timing.computation, 3), timing.sample_age,
+            )  # fmt: skip
 
     def _warn_of_late_samples(self, age: float) -> None:
-        self._warned = True
         late = int(self._kernel.settings[0].late)
-        _log.warning(
-            "adaptrack: a sample is %.3g s late; the controller accepts at most %.3g s, so the position is "
+        self._warn_once(
+            "late samples",
+            "a sample is %.3g s late; the controller accepts at most %.3g s, so the position is "
             "extrapolated by speed and yaw rate. To accept it, give the MPC "
             "estimator=dataclasses.replace(KalmanFilter.from_profile(profile), oldest=%.2g).",
             age, (late + 1) * self.period, 1.5 * age,
