@@ -386,13 +386,8 @@ class FrictionWindEstimator:
     def estimate(self) -> FrictionWindEstimate:
         """The estimate of the last step."""
         memory = self._memory[0]
-        return FrictionWindEstimate(
-            friction=float(memory.friction),
-            wind=float(memory.wind),
-            friction_std=float(memory.friction_std),
-            wind_std=float(memory.wind_std),
-            stiffness=portable.exp(memory.z[friction_wind.LOG_STIFFNESS]),
-        )
+        values = {name: float(memory[name]) for name in ("friction", "wind", "friction_std", "wind_std")}
+        return FrictionWindEstimate(**values, stiffness=portable.exp(memory.z[friction_wind.LOG_STIFFNESS]))
 
 
 @checked

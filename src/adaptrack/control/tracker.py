@@ -25,18 +25,24 @@ from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers import BeliefState, Controller, command_of, step_call
 from adaptrack.control.controllers.belief import SourcedValue
+from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.learned_car import bounded_quantity
+from adaptrack.control.controllers.mpc import CompiledScheduler
+from adaptrack.control.estimation import Perception
+from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
-from adaptrack.control.tracking import input_check_of, join, packed_plan, python_part, tracker_of
-from adaptrack.core.controllers.part import APPLY, COMMON_ANSWER, REQUEST, STEP
-from adaptrack.core.kernel import Resident, direct, fields_of
+from adaptrack.core.controllers.part import APPLY, COMMON_ANSWER, REQUEST, STEP, ControllerPart, ControllerSizes
+from adaptrack.core.estimators.learning import BELIEF_NAMES
+from adaptrack.core.kernel import Resident, address_of, direct, fields_of
+from adaptrack.core.layout import allocate
 from adaptrack.core.maths import portable
 from adaptrack.core.member import CallBack
+from adaptrack.core.tracker import records
 from adaptrack.core.tracker.change_path import tracker_follow
-from adaptrack.core.tracker.records import STANDSTILL_SPEED
+from adaptrack.core.tracker.longitudinal import longitudinal_step, narrow_tracked_friction, no_speed_control
 from adaptrack.core.tracker.signals import NO_BELIEF, TRACKER_SAMPLE
-from adaptrack.core.tracker.step import tracker_apply, tracker_step
+from adaptrack.core.tracker.step import Tracking, tracker_apply, tracker_step
 from adaptrack.core.tracker.take_call import tracker_engage
 from adaptrack.road import Road, SpeedPlan, Stop
 from adaptrack.road.road_ahead import RoadAhead, stacked
@@ -493,6 +499,94 @@ class Tracker:
         return np.asarray(path)
 
 
+# -- trackers as records of the kernels: around any controller, and whole with a compiled one --------------------------
+def input_check_of(controller: Any) -> InputCheck:
+    """The check of the inputs of a controller, for the noise that its filter assumes.
+
+    It tests the delay of the steering that is specified and not learned.
+    """
+    is_specified = controller.belief is not None and controller.learner is None
+    delay = controller.model.lag + controller.model.dead_time if is_specified else math.inf
+    return InputCheck(controller.vehicle, float(controller.period), delay, controller.position_noise)
+
+
+def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: float, check: InputCheck) -> Any:
+    """A tracker around any controller before it engages (`core.tracker.records.TrackerRecord`)."""
+    return records.tracker(_settings(controller, furthest), stacked(path), packed_plan(plan), check.check)
+
+
+def packed_plan(plan: SpeedPlan | None) -> Any:
+    """A plan of the speed as the kernels take it (`core.tracker.records.PlanRecord`)."""
+    both = (np.zeros(0),) * 2 if plan is None else (plan.s, plan.speed)
+    return records.PlanRecord(*(np.ascontiguousarray(column, float) for column in both))
+
+
+def _settings(controller: Any, furthest: float) -> Any:
+    """A tracker's settings, see `core.tracker.records.TRACKER_SETTINGS`."""
+    car, limits, period = controller.vehicle, controller.limits, float(controller.period)
+    low, high = (-math.inf, math.inf) if limits is None else limits.angle
+    has_car = car is not None
+    return records.TRACKER_SETTINGS.new(
+        period=period,
+        angle_min=max(low, -MOST_WHEEL_ANGLE),
+        angle_max=min(high, MOST_WHEEL_ANGLE),
+        move=0.5 * period if limits is None else limits.move[1],
+        furthest=furthest,
+        late=max(controller.takes_late, 0),
+        filtered=controller.takes_late >= 0,
+        drift_arm=car.lr if has_car else 0.0,
+        drift_load=car.mass * car.lf if has_car else 0.0,
+        drift_stiffness=2.0 * car.stiffness_rear * car.wheelbase if has_car else 1.0,
+        nominal_friction=Perception().nominal_friction,
+        first_top_speed=math.inf if controller.learner is None else controller.learner.first_top_speed,
+    )
+
+
+def tracking_of(
+    controller: Controller, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0, part: Any = None,
+    longitudinal: Any = None,
+) -> Any:  # fmt: skip
+    """A tracker with a compiled controller at its start, engaged (`core.tracker.step.Tracking`).
+
+    part: the controller as a part of loops, by default a fresh one; longitudinal: the speed control behind the tracker
+    (`core.tracker.longitudinal.Longitudinal`), None: none. The controller stays as it is.
+
+    Raises
+    ------
+    InvalidInput
+        When a part of the controller is not compiled.
+    """
+    scheduler = controller.scheduler
+    if not (scheduler is None or isinstance(scheduler, CompiledScheduler)):
+        raise InvalidInput(f"tracking_of: scheduler {scheduler!r} is not compiled: give a scheduler of files.")
+    tracker = tracker_of(controller, path, plan, furthest, input_check_of(controller))
+    tracker_engage(0.0, math.nan, tracker)
+    part = controller.part(1) if part is None else part
+    if scheduler is not None:
+        part = part._replace(schedule=scheduler.plan(1))
+    return join(tracker, part, longitudinal)
+
+
+def join(tracker: Any, part: Any, longitudinal: Any = None) -> Any:
+    """A tracker, its controller as a part and its speed control, None without one, as one record (`Tracking`)."""
+    narrows = longitudinal is not None and part.plans
+    return Tracking(
+        tracker, part, address_of(narrow_tracked_friction if narrows else None),
+        address_of(None if longitudinal is None else longitudinal_step),
+        no_speed_control() if longitudinal is None else longitudinal,
+    )  # fmt: skip
+
+
+def python_part(step: CallBack, request: CallBack, learns: bool) -> Any:
+    """A controller in Python as a part of compiled loops; learns: whether its answer says what it has learned."""
+    (sizes,) = ControllerSizes.new(1, slots=1, answer=len(COMMON_ANSWER) + (len(BELIEF_NAMES) if learns else 0))
+    sizes.mpc.slots = 1
+    return allocate(
+        ControllerPart, sizes, request=address_of(request), step=address_of(step), takes_late=-1,
+        beliefs=len(COMMON_ANSWER) if learns else 0,
+    )  # fmt: skip
+
+
 class SpeedTarget:
     """Target speed along a plan with its stops, for a loop that regulates the speed itself.
 
@@ -516,7 +610,7 @@ class SpeedTarget:
         if not self._left - RELOCATION < station < self._next.s + RELOCATION:
             self._begin(station)
         place = station + max(speed, 0.0) * period
-        stands = speed < STANDSTILL_SPEED and station >= self._next.s - AT_STOP
+        stands = speed < records.STANDSTILL_SPEED and station >= self._next.s - AT_STOP
         if stands or place >= self._next.s:
             self._stopping = True
             if stands and not self._since <= time:

@@ -14,7 +14,7 @@ from adaptrack.control.controllers import Controller
 from adaptrack.control.controllers.base import Room
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.speed_control import SpeedControl, SpeedStart, longitudinal_of, patience_of, speed_path
-from adaptrack.control.tracking import tracking_of
+from adaptrack.control.tracker import tracking_of
 from adaptrack.core.kernel import direct
 from adaptrack.core.speed.speed_control import SPEED_REQUEST, SpeedPath
 from adaptrack.core.tracker.longitudinal import write_requests

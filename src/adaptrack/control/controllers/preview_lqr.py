@@ -106,8 +106,8 @@ class PreviewLQR(CompiledController):
         return preview_gains(A, B[:, 0], steady_turn(self.vehicle, speed, len(A))[0], e, heading, self.previewed)
 
     def describe(self) -> dict[str, Any]:
-        own = {"belief": str(self.belief), "pose_age": self.pose_age, "previewed": self.previewed}
-        return super().describe() | own
+        loop = {"belief": str(self.belief), "pose_age": self.pose_age}
+        return super().describe() | loop | {"previewed": self.previewed}
 
 
 def steady_turn(vehicle: Vehicle, speed: float, n: int) -> tuple[Array, float]:

@@ -66,13 +66,7 @@ class LoopSetup(NamedTuple):
         cls, where: str, vehicle: Vehicle, profile: str | Profile | None, belief: Steering | None,
         period: float | None, preview: bool | None, limits: Limits | None, computation: float | None = None,
     ) -> LoopSetup:  # fmt: skip
-        """For the controller called `where` in messages; arguments as for `MPC`.
-
-        Raises
-        ------
-        InvalidInput
-            For a belief that is no `Steering`, or a period or computation time out of range.
-        """
+        """For the controller called `where` in messages; arguments as for `MPC`, errors as for `world_and_belief`."""
         world, step, assumed = world_and_belief(where, vehicle, profile, belief, period, computation)
         return cls(
             belief=assumed,

@@ -8,16 +8,16 @@ from .functions import (
     Table as Table,
     register_function as register_function,
 )
-from .guard import Guard as Guard
-from .guard import StabilityMap as StabilityMap
 from .schedule import (
     ENTRIES as ENTRIES,
     Constant as Constant,
     Entry as Entry,
+    Guard as Guard,
     Guarded as Guarded,
     Learned as Learned,
     Lookup as Lookup,
     Schedule as Schedule,
+    StabilityMap as StabilityMap,
     list_schedulers as list_schedulers,
     load_scheduler as load_scheduler,
     made_for as made_for,

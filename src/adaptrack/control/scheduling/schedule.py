@@ -14,13 +14,14 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import checked, real, reals
+from adaptrack.base.checked import Count, NotNegative, Positive, checked, real, reals
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import SHIPPED, write_atomically
 from adaptrack.base.presentation import figure_of, html_of
@@ -30,10 +31,10 @@ from adaptrack.control.controllers.compatibility import car_of
 from adaptrack.control.controllers.tuning import ENTRIES as ENTRIES
 from adaptrack.control.controllers.tuning import HORIZONS
 from adaptrack.control.scheduling.functions import Function, Number, Pool, Table, load_function, save_function
-from adaptrack.control.scheduling.guard import Guard, StabilityMap
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables, complete
 from adaptrack.core.library import kernels_hash
 from adaptrack.core.maths import portable
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.scheduling import guard as guard_kernel
 from adaptrack.core.scheduling import schedule as kernel
 from adaptrack.core.scheduling.variables import VARIABLE_NAMES
@@ -77,6 +78,100 @@ class Entry:
         for bound in ("low", "high"):
             object.__setattr__(self, bound, real("entry", bound, getattr(self, bound)))
         object.__setattr__(self, "log10", bool(self.log10))
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class StabilityMap:
+    """1 - modulus margin of the loop over speed (m/s), friction, Np, Nc and log10 R/Q; see `stability.loop_map`.
+
+    Raises
+    ------
+    InvalidInput
+        When the table has not these five axes.
+    """
+
+    table: Table
+    """above 1 the loop is unstable"""
+    limit: Positive = 0.92
+    """the largest value that is allowed: 1 - the least modulus margin"""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.table, Table) or len(self.table.axes) != 5 or self.table.method != "multilinear":
+            raise InvalidInput("StabilityMap: needs a multilinear table over speed, friction, Np, Nc and log10 R/Q.")
+
+    def pack(self, row: Any, pool: Pool) -> None:
+        """Write it to a guard's record (`core.scheduling.guard.GUARD`) and the packed functions."""
+        row.mapped, row.limit = True, self.limit
+        pool.add(self.table, row)
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class Guard:
+    """Supervision of a scheduler's output before it reaches the MPC.
+
+    Raises
+    ------
+    InvalidInput
+        When a rate of the horizons is not whole.
+    """
+
+    fallback: Tuning
+    """used while the output is not trusted"""
+    rates: tuple[Positive, Positive, Positive] = (5.0, 2.0, 0.3)
+    """largest change of Np, of Nc (both whole numbers) and of log10 R/Q from one step to the next"""
+    slack: NotNegative = 0.25
+    """how far outside the domain an input may lie, in widths of the domain, before the fallback is used"""
+    hold: Count = 20
+    """steps that a fallback lasts, the last one with its cause included"""
+    stability: StabilityMap | None = None
+    """without it the loop's stability is not looked at"""
+    offset_limit: Annotated[Positive, "s^2"] | None = None
+    """the largest |offset| over friction times g, before the fallback is used; without it any offset is allowed
+
+    A tuning that is stable near the reference may not be so where the tyres saturate: an error too large for the grip
+    to take back in time is the first sign of it."""
+
+    def __post_init__(self) -> None:
+        if any(rate != round(rate) for rate in self.rates[:2]):
+            raise InvalidInput(f"Guard: rates = {self.rates!r}: those of Np and Nc must be whole numbers.")
+
+    def pack(self, row: Any, pool: Pool) -> None:
+        """Write it to its record in a packed schedule (`core.scheduling.guard.GUARD`)."""
+        row.used, row.hold, row.slack = True, self.hold, self.slack
+        row.fallback[:] = self.fallback.as_array()
+        row.rates[:], row.ratio_rate = self.rates[:2], self.rates[2]
+        row.offset_limit = math.inf if self.offset_limit is None else self.offset_limit * GRAVITY
+        if self.stability is not None:
+            self.stability.pack(row, pool)
+
+    def saved(self) -> dict[str, Any]:
+        """Return the content of the guard's file (text, numbers, lists), which `loaded` reads back to the bit."""
+        stability = self.stability
+        return {
+            "fallback": self.fallback.as_array().tolist(),
+            "rates": list(self.rates),
+            "slack": self.slack,
+            "hold": self.hold,
+            "offset_limit": self.offset_limit,
+            "stability": stability and {"limit": stability.limit, "table": save_function(stability.table)},
+        }
+
+    @classmethod
+    def loaded(cls, saved: Mapping[str, Any]) -> Self:
+        """The guard that was `saved`; raises `KeyError`, `TypeError`, `ValueError` or `InvalidInput` if it is none."""
+        Np, Nc, Q, R = saved["fallback"]
+        stability = saved["stability"]
+        if stability is not None:
+            table = load_function(stability["table"])
+            if not isinstance(table, Table):
+                raise InvalidInput("the guard's stability map is no table")
+            stability = StabilityMap(table, stability["limit"])
+        return cls(
+            Tuning(int(Np), int(Nc), Q, R), tuple(saved["rates"]), saved["slack"], saved["hold"], stability,
+            saved["offset_limit"],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +295,7 @@ class Schedule:
 
     def plan(self, slots: int) -> Any:
         """The schedule for the kernels (`core.scheduling.schedule.ScheduleRecord`), memory for `slots` runs fresh."""
-        settings, integers, numbers, scratch = self._packed()
+        settings, integers, numbers, scratch = self._packed
         return kernel.ScheduleRecord(
             settings, np.zeros(slots, guard_kernel.MEMORY), integers, numbers, np.zeros(scratch)
         )
@@ -235,17 +330,14 @@ class Schedule:
         kernel.schedule_all(rows, self.plan(1), tunings)
         return tunings
 
+    @cached_property
     def _packed(self) -> tuple[Any, NDArray[np.int64], Array, int]:
-        """settings, integers, numbers and the length of the scratch, see `core.scheduling.schedule`; packed once."""
-        cached: tuple[Any, NDArray[np.int64], Array, int] | None = self.__dict__.get("_cache")
-        if cached is None:
-            cached = _pack(self)
-            object.__setattr__(self, "_cache", cached)
-        return cached
+        """settings, integers, numbers and the length of the scratch, see `core.scheduling.schedule`."""
+        return _pack(self)
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what is packed: data types that were pickled are slower to pass to a kernel."""
-        return {name: value for name, value in self.__dict__.items() if name != "_cache"}
+        return {name: value for name, value in self.__dict__.items() if name != "_packed"}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it as one JSON file that `load_scheduler` reads back to the bit; it is then called as the file is.
@@ -429,7 +521,7 @@ def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
     content = read_document(path)
     try:
         schedule = replace(Schedule.loaded(content), name=path.stem)
-        schedule._packed()  # numbers too large for the kernels are found here
+        _ = schedule._packed  # numbers too large for the kernels are found here
     except KeyError as error:
         raise StorageError(f"{path}: its content makes no scheduler: {error} is missing.") from None
     except (InvalidInput, TypeError, ValueError, OverflowError, AttributeError) as error:
