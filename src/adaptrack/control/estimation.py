@@ -104,11 +104,7 @@ class Deadbeat(Estimator):
     incremental form of eqs. (9), (10). It needs the whole state measured.
     """
 
-    name = "deadbeat"
-
-    @property
-    def function(self) -> Any:
-        return None
+    name, function = "deadbeat", None
 
     def check_fits(self, model: PredictionModel) -> None:
         if "wheel_angle" in model.states:
@@ -137,6 +133,8 @@ class UserEstimator(Estimator):
         When numba cannot compile the function.
     """
 
+    function = None
+
     @checked
     def __init__(
         self, estimate: MemberFunction, *, parameters: Mapping[str, float] | None = None,
@@ -146,16 +144,12 @@ class UserEstimator(Estimator):
         self.numbers = {key: real(f"UserEstimator {label!r}", key, value) for key, value in (parameters or {}).items()}
         self._memory_size = memory_size
         try:
-            self._function = compile_estimator(estimate)
+            self.function = compile_estimator(estimate)
         except Exception as error:
             raise ContractError(
                 f"UserEstimator {label!r}: numba cannot compile its function as "
                 f"f(speed, measured, command, a, b, parameters, memory, x, d) on float64 numbers and arrays: {error}"
             ) from error
-
-    @property
-    def function(self) -> Any:
-        return self._function
 
     def parameters(self, model: PredictionModel) -> Array:
         return np.array(list(self.numbers.values()), dtype=float)

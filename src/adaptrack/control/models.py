@@ -177,17 +177,10 @@ class SingleTrackModel(PredictionModel):
     vehicle: VehicleArgument
     period: Annotated[Positive, "s"] = 0.1
     states = MEASURED_STATES[:4]
-
-    @property
-    def name(self) -> str:
-        return "single-track"
+    name, function = "single-track", staticmethod(single_track.discretise)
 
     def parameters(self) -> Array:
         return np.array([getattr(self.vehicle, name) for name in SingleTrackCar._fields], dtype=float)
-
-    @property
-    def function(self) -> Any:
-        return single_track.discretise
 
     def continuous(self, speed: float) -> tuple[Array, Array, Array]:
         """Eq. (7): A_c (4, 4), B_c (4, 1), C_c (1, 4) at a longitudinal speed (m/s)."""
@@ -213,9 +206,7 @@ class PathModel(PredictionModel):
     lag: Annotated[NotNegative, "s"] = 0.0
     dead_time: Annotated[NotNegative, "s"] = 0.0
 
-    @property
-    def name(self) -> str:
-        return "path"
+    name, function = "path", staticmethod(path.discretise)
 
     @property
     def states(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -224,10 +215,6 @@ class PathModel(PredictionModel):
     def parameters(self) -> Array:
         numbers = [getattr(self.vehicle, name) for name in SingleTrackCar._fields]
         return np.array([*numbers, self.lag], dtype=float)
-
-    @property
-    def function(self) -> Any:
-        return path.discretise
 
     def turning(self) -> Array:
         numbers = np.zeros(size_of(path.Turning))
@@ -274,6 +261,8 @@ class UserModel(PredictionModel):
         When numba cannot compile the function.
     """
 
+    name, function = "user", None
+
     @checked
     def __init__(
         self,
@@ -284,7 +273,8 @@ class UserModel(PredictionModel):
         period: Annotated[Positive, "s"] = 0.1,
         label: str = "user",
     ) -> None:
-        self.label, self.states = label, tuple(states)
+        self.name = self.label = label
+        self.states = tuple(states)
         where = f"UserModel {label!r}"
         unknown = [name for name in self.states if name not in MEASURED_STATES]
         if unknown or len(set(self.states)) < len(self.states) or self.states[-1:] != ("y",):
@@ -294,23 +284,15 @@ class UserModel(PredictionModel):
             )
         self.period, self.numbers = period, dict(parameters or {})
         try:
-            self._function = compile_model(discretise)
+            self.function = compile_model(discretise)
         except Exception as error:
             raise ContractError(
                 f"{where}: numba cannot compile its function as f(speed, period, parameters, a, b, e) on float64 "
                 f"numbers and arrays: {error}"
             ) from error
 
-    @property
-    def name(self) -> str:
-        return self.label
-
     def parameters(self) -> Array:
         return np.array(list(self.numbers.values()), dtype=float)
-
-    @property
-    def function(self) -> Any:
-        return self._function
 
 
 _registry: Registry[PredictionModel] = Registry(

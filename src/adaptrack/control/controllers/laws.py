@@ -273,6 +273,8 @@ class UserController(CompiledController):
         When numba cannot compile the law.
     """
 
+    name, function = "user", None
+
     @checked
     def __init__(
         self,
@@ -289,6 +291,7 @@ class UserController(CompiledController):
         label: str = "user",
     ) -> None:
         self.law, self.label = law, label
+        self.name = label
         where = f"UserController {label!r}"
         self.constants = {name: real(where, name, value) for name, value in (parameters or {}).items()}
         faulty = [f"{name} = {value!r}" for name, value in self.constants.items() if not math.isfinite(value)]
@@ -303,21 +306,13 @@ class UserController(CompiledController):
             name: TuningBounds(float(ends[0]), float(ends[1])) for name, ends in (bounds or {}).items()
         }
         try:
-            self._compiled = compile_law(law)
+            self.function = compile_law(law)
         except Exception as error:
             raise ContractError(
                 f"{where}: numba cannot compile its law as "
                 f"f(situation, reference, road, tuning, parameters, memory, answer) on float64 arrays: {error}"
             ) from error
         super().__init__(tuning or {}, period=period, limits=limits, preview=preview)
-
-    @property
-    def name(self) -> str:
-        return self.label
-
-    @property
-    def function(self) -> Any:
-        return self._compiled
 
     def own_parameters(self) -> Sequence[float]:
         return tuple(self.constants.values())
