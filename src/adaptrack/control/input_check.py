@@ -132,19 +132,9 @@ class InputCheck:
         return kernel.memory_of(self.check.memory, 0)
 
     @property
-    def against_steering(self) -> bool:
-        """Whether the car turns against its commands."""
-        return bool(self._memory.against_steering)
-
-    @property
     def sliding(self) -> bool:
         """Whether the car slides."""
         return bool(self._memory.sliding)
-
-    @property
-    def sideslip(self) -> float:
-        """Sideslip angle of the car (rad); NaN where it was not measured."""
-        return float(self._memory.sideslip)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

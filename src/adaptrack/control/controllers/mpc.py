@@ -180,6 +180,7 @@ class MPC(Controller):
         For arguments that make no controller: the message says which.
     """
 
+    period: float
     tuning_names = ENTRIES
     sees_all_sensors = has_horizons = is_exportable = True
 
@@ -222,12 +223,17 @@ class MPC(Controller):
         self.tuning = parts.tuning if tuning is None else tuning
         self.model, self.estimator, self.belief = parts.model, parts.estimator, parts.belief
         self.learner, self.learns, self.late_signals = parts.learner, parts.learns, parts.late_signals
-        self.vehicle = getattr(self.model, "vehicle", None)
+        self.vehicle, self.period = getattr(self.model, "vehicle", None), self.model.period
         self.estimator.check_fits(self.model)
+        self.needs_whole_state, self.takes_late = self.estimator.function is None, self.estimator.late(self.model)
+        self.position_noise = self.estimator.noise.y if isinstance(self.estimator, KalmanFilter) else 0.0
+        self.is_published = isinstance(self.model, SingleTrackModel) and isinstance(self.estimator, Deadbeat)
+        self.diagnostic_names = _DIAGNOSTICS if self.learner is None else (*_DIAGNOSTICS, *BELIEF_NAMES)
         self.limits = limits or parts.limits
         self.preview = parts.preview if preview is None else bool(preview)
         self.moves = moves or Moves()
         self.solver = get_qp_solver(solver) if isinstance(solver, str) else solver
+        self.runs_in_kernel = isinstance(self.solver, ActiveSet | Hildreth)
         if scheduler is not None and not callable(scheduler):
             raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, variables -> (Np, Nc, Q, R).")
         entries = tuple(getattr(scheduler, "entries", ENTRIES))
@@ -253,18 +259,6 @@ class MPC(Controller):
         self._furthest = self.longest_horizon + 1 + (delay_steps + 1 if delay_steps else 0)
         if self.moves.kind == "laguerre" and self.most_moves > self.longest_horizon:
             raise InvalidInput("most_moves must not exceed longest_horizon.")
-
-    @property
-    def period(self) -> float:
-        """Control period (s)."""
-        return self.model.period
-
-    @property
-    def diagnostic_names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the diagnostics of a step: of the QP and of the learned quantities."""
-        if self.learner is None:
-            return _DIAGNOSTICS
-        return (*_DIAGNOSTICS, *BELIEF_NAMES)
 
     @property
     def first_caution(self) -> float:
@@ -305,22 +299,12 @@ class MPC(Controller):
             return f"{scheduled} informed MPC ({moves})".strip()
         return f"{scheduled} MPC ({self.model.name}, {self.estimator.name}, {moves})".strip()
 
-    @property
-    def is_published(self) -> bool:  # type: ignore[override]
-        """Whether model and estimator are the paper's."""
-        return isinstance(self.model, SingleTrackModel) and isinstance(self.estimator, Deadbeat)
-
     def __repr__(self) -> str:
         car, tuning = getattr(self.model, "vehicle", None), self.tuning
         numbers = f"{tuning.Np}/{tuning.Nc}/{tuning.Q:g}/{tuning.R:g}"
         late = f"; late signals: {self.late_signals}" if self.late_signals else ""
         belief = f"; {self.learns}{late}; steering: {self.belief}" if self.belief is not None else ""
         return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{belief}>"
-
-    @property
-    def runs_in_kernel(self) -> bool:  # type: ignore[override]
-        """Whether the kernels solve the QP, rather than a back-end called from Python."""
-        return isinstance(self.solver, ActiveSet | Hildreth)
 
     def settings(self, longest: float = math.inf, most: float = math.inf, residuals: bool = True) -> Any:
         """Everything but model and tuning as the kernels expect it (`core.controllers.mpc.MPCSettings`).
@@ -368,11 +352,6 @@ class MPC(Controller):
             most_moves=min(self.most_moves, max(1.0, math.floor(most + 0.5)) if most < math.inf else 1e9),
         )
 
-    @property
-    def needs_whole_state(self) -> bool:  # type: ignore[override]
-        """Whether the whole state of the model must be measured, for lack of an estimator."""
-        return self.estimator.function is None
-
     def user_functions(self) -> list[Any]:
         return [self.model.function, self.estimator.function]
 
@@ -381,16 +360,6 @@ class MPC(Controller):
         longest = min(max(round(tuning["Np"]), 1), self.longest_horizon)
         most = min(max(round(tuning["Nc"]), 1), longest, self.most_moves)
         return {**tuning, "Np": longest, "Nc": most}
-
-    @property
-    def takes_late(self) -> int:  # type: ignore[override]
-        """Control periods by which its Kalman filter takes late samples; -1 without such a filter."""
-        return self.estimator.late(self.model)
-
-    @property
-    def position_noise(self) -> float:  # type: ignore[override]
-        """Standard deviation (m) of the position that its filter assumes; 0 without one."""
-        return self.estimator.noise.y if isinstance(self.estimator, KalmanFilter) else 0.0
 
     @property
     def learner_memory(self) -> Array:

@@ -281,6 +281,8 @@ class Network(Function):
     kind = "network"
 
     def __post_init__(self) -> None:
+        for name in ("out_low", "out_high"):
+            object.__setattr__(self, name, float(getattr(self, name)))
         width = len(self.low)
         fits = self.low.shape == self.high.shape == (width,) and len(self.weights) == len(self.biases) > 0
         for weights, biases in zip(self.weights, self.biases, strict=False):
