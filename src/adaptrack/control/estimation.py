@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Finite, Natural, NotNegative, Positive, checked, real, reals
 from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.base.registry import Registry
+from adaptrack.base.registry import Contract, Registry
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 from adaptrack.control.models import PredictionModel
@@ -208,9 +208,7 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
         Naming the clause that is broken and the evidence.
     """
 
-    def fail(clause: str, evidence: str) -> None:
-        raise ContractError(f"estimator {estimator.name!r}: {clause}: {evidence}.")
-
+    require = Contract(f"estimator {estimator.name!r}").require
     estimator.check_fits(model)
     if estimator.function is None:
         return
@@ -218,28 +216,26 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
     matrix, column, places = np.ascontiguousarray(a), b[:, 0].copy(), model.measured_places()
     parameters, memory = estimator.parameters(model), np.zeros(estimator.memory_size(model))
     x, estimate, d = np.zeros(model.n), np.full(model.n, np.nan), np.full(model.n, np.nan)
-    command = 0.0
+    command = ahead = 0.0
     for k in range(steps):
         measured = NOTHING_MEASURED.copy()
         measured[places] = x
         copies = [array.copy() for array in (measured, matrix, column, parameters)]
         estimator.function(speed, measured, command, matrix, column, parameters, memory, estimate, d)
         after = (measured, matrix, column, parameters)
-        if any(not np.array_equal(copied, other, equal_nan=True) for copied, other in zip(copies, after, strict=True)):
-            fail("it must write to memory, x and d only", f"step {k}")
-        if not (np.isfinite(estimate).all() and np.isfinite(d).all()):
-            fail("x and d must be written and finite", f"x = {estimate}, d = {d} at step {k}")
+        unchanged = all(np.array_equal(*pair, equal_nan=True) for pair in zip(copies, after, strict=True))
+        require(unchanged, "it must write to memory, x and d only", f"step {k}")
+        is_finite = np.isfinite([estimate, d]).all()
+        require(is_finite, "x and d must be written and finite", f"x = {estimate}, d = {d} at step {k}")
         command = 0.01 * portable.sin(0.2 * k)
         ahead = product(c, product(matrix, estimate) + column * command + d).item()
         x = product(matrix, x) + column * command
-        if k == steps - 1 and not abs(ahead - product(c, x).item()) < 1e-3:
-            fail(
-                "it must predict the model that it is driven by",
-                f"y = {ahead:g} m instead of {product(c, x).item():g} m",
-            )
+    y = product(c, x).item()
+    holds = abs(ahead - y) < 1e-3
+    require(holds, "it must predict the model that it is driven by", f"y = {ahead:g} m instead of {y:g} m")
     estimator.function(speed, NOTHING_MEASURED.copy(), command, matrix, column, parameters, memory, estimate, d)
-    if not (np.isfinite(estimate).all() and np.isfinite(d).all()):
-        fail("a measurement that is not finite must leave x and d finite", f"x = {estimate}, d = {d}")
+    is_finite = np.isfinite([estimate, d]).all()
+    require(is_finite, "a measurement that is not finite must leave x and d finite", f"x = {estimate}, d = {d}")
 
 
 class FrictionWindEstimate(NamedTuple):

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Finite, NotNegative, Positive, checked
 from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.base.registry import Registry
+from adaptrack.base.registry import Contract, Registry
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.core.controllers import condensing
 from adaptrack.core.kernel import size_of
@@ -344,10 +344,7 @@ def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30
         Naming the clause that is broken and the evidence.
     """
 
-    def fail(clause: str, evidence: str) -> None:
-        raise ContractError(f"prediction model {model.name!r}: {clause}: {evidence}.")
-
-    n = model.n
+    require, n = Contract(f"prediction model {model.name!r}").require, model.n
     for speed in speeds:
         place, parameters = f"at {speed:g} m/s", model.parameters()
         answers = []
@@ -355,23 +352,18 @@ def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30
             a, b, e = np.full((n, n), empty), np.full(n, empty), np.full(n, empty)
             model.function(float(speed), model.period, parameters, a, b, e)
             answers.append(np.column_stack([a, b, e]))
-        if not np.isfinite(answers[0]).all():
-            fail("A, B and E must be written and finite", place)
-        if (answers[0] != answers[1]).any():
-            fail("the same arguments must give the same matrices", place)
-        if (parameters != model.parameters()).any():
-            fail("the parameters must not be written to", place)
+        require(np.isfinite(answers[0]).all(), "A, B and E must be written and finite", place)
+        require((answers[0] == answers[1]).all(), "the same arguments must give the same matrices", place)
+        require((parameters == model.parameters()).all(), "the parameters must not be written to", place)
         a, b = answers[0][:, :n], answers[0][:, n]
-        if not np.allclose(product(a, model.output), model.output, atol=1e-9):
-            fail("a steady shift of y must stay where it is", f"A C' = {product(a, model.output)} {place}")
+        shifted = product(a, model.output)
+        holds = np.allclose(shifted, model.output, atol=1e-9)
+        require(holds, "a steady shift of y must stay where it is", f"A C' = {shifted} {place}")
         x = np.zeros(n)
         for _ in range(max(10, math.ceil(1.0 / model.period))):
             x = product(a, x) + b * 0.01
-        if not product(x, model.output) > 0.0:
-            fail(
-                "steering to the left must move y to the left",
-                f"y = {product(x, model.output):g} m after 0.01 rad {place}",
-            )
+        y = product(x, model.output)
+        require(y > 0.0, "steering to the left must move y to the left", f"y = {y:g} m after 0.01 rad {place}")
 
 
 def laguerre_basis(Np: int, terms: int, pole: float) -> Array:
