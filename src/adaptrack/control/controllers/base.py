@@ -16,12 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Positive, checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.registry import PluginCall
-from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.core.controllers.law import law_controller
 from adaptrack.core.kernel import row_of
-from adaptrack.core.models.car import SteeringRow as SteeringRow
 from adaptrack.core.synthesis import laws
 from adaptrack.road.road_ahead import RoadAhead, straight
 
@@ -493,8 +491,3 @@ class CompiledController(Controller):
     def __copy__(self) -> Self:
         """A controller of its own: memories are never shared."""
         return copy.deepcopy(self)
-
-
-def steering_delay(vehicle: Vehicle) -> float:
-    """Lag and dead time (s) of a car's steering as far as they are known, else `laws.STEERING_DELAY`."""
-    return float(laws.steering_delay(row_of(SteeringRow, vehicle.steering)))

@@ -13,20 +13,14 @@ from numpy.typing import ArrayLike
 from adaptrack.base.checked import Hint, NotNegative, Positive, checked, real, whole_number
 from adaptrack.base.errors import ContractError, InvalidInput
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
-from adaptrack.control.controllers.base import (
-    FIXED_TUNING,
-    TWO_DECADES,
-    Array,
-    CompiledController,
-    TuningBounds,
-    steering_delay,
-)
+from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
 from adaptrack.control.controllers.limits import LimitsArgument
 from adaptrack.core.controllers import lqr, pure_pursuit, stanley
 from adaptrack.core.controllers.contract import compile_law
 from adaptrack.core.kernel import row_of
 from adaptrack.core.maths import portable
 from adaptrack.core.member import MemberFunction
+from adaptrack.core.models.car import SteeringRow
 from adaptrack.core.synthesis import laws
 
 GAIN_SPEEDS = portable.geomspace(laws.MIN_GAIN_SPEED, laws.MAX_GAIN_SPEED, laws.GAIN_SPEED_COUNT)
@@ -34,6 +28,11 @@ GAIN_SPEEDS = portable.geomspace(laws.MIN_GAIN_SPEED, laws.MAX_GAIN_SPEED, laws.
 WEIGHT_FACTORS = portable.power(10.0, np.linspace(-laws.GAIN_DECADES, laws.GAIN_DECADES, laws.GAIN_WEIGHTS))
 """Of q_e/r and q_heading/r, about the controller's own: where gains are computed for weights that change."""
 _FAR_APART = "LQR: no gain for weights (over r) so far apart: bring q_e, q_heading and r nearer."
+
+
+def steering_delay(vehicle: Vehicle) -> float:
+    """Lag and dead time (s) of a car's steering as far as they are known, else `laws.STEERING_DELAY`."""
+    return float(laws.steering_delay(row_of(SteeringRow, vehicle.steering)))
 
 
 class PurePursuit(CompiledController):

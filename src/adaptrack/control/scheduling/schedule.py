@@ -351,11 +351,14 @@ class Schedule:
         """
         content = replace(self, name=Path(path).stem)._saved()
         try:
-            write_document(path, content)
+            text = json.dumps(content, allow_nan=False, separators=(",", ":"))
         except (TypeError, ValueError) as error:
             raise InvalidInput(
                 f"schedule {self.name!r}: its provenance and made_for must be text and finite numbers: {error}."
             ) from None
+        checksum = hashlib.sha256(text.encode()).hexdigest()
+        document = {"format": SCHEDULER_FORMAT, "version": VERSION, "sha256": checksum, "content": content}
+        write_atomically(path, (json.dumps(document, separators=(",", ":")) + "\n").encode())
 
     def _saved(self) -> dict[str, Any]:
         entries = {name: self.tuning[name] for name in self.entries}
@@ -518,7 +521,7 @@ def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
         When the file cannot be read, is damaged, is not a scheduler, or has a version that this program cannot read.
     """
     path = _path(name_or_path)
-    content = read_document(path)
+    content = _read_content(path)
     try:
         schedule = replace(Schedule.loaded(content), name=path.stem)
         _ = schedule._packed  # numbers too large for the kernels are found here
@@ -562,27 +565,7 @@ def _path(name_or_path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def write_document(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
-    """Write a content, all of it or nothing.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When it holds what JSON cannot.
-    StorageError
-        When the file cannot be written; an older one at `path` is then untouched.
-    """
-    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
-    file = {
-        "format": SCHEDULER_FORMAT,
-        "version": VERSION,
-        "sha256": hashlib.sha256(text.encode()).hexdigest(),
-        "content": content,
-    }
-    write_atomically(path, (json.dumps(file, separators=(",", ":")) + "\n").encode())
-
-
-def read_document(path: Path) -> Any:
+def _read_content(path: Path) -> Any:
     """The content of a scheduler's file, its checksum compared.
 
     Raises
