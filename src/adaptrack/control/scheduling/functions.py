@@ -62,9 +62,12 @@ class Function(ABC):
     def n_inputs(self) -> int | None:
         """The number D of inputs; None when any will do."""
 
-    @abstractmethod
     def predict(self, x: Array) -> Array:
-        """(n,) values at the inputs x (n, D), by NumPy: the reference for the kernels."""
+        """(n,) values at the inputs x (n, D)."""
+        packed, rows = self.pack(), np.ascontiguousarray(x, dtype=float)
+        integers, numbers = np.array(packed.integers, np.int64), np.array(packed.numbers, dtype=float)
+        work = np.zeros(packed.scratch)
+        return np.array([kernel.evaluate(packed.kind, row, integers, numbers, work) for row in rows])
 
     @abstractmethod
     def pack(self) -> Packed:
@@ -170,9 +173,6 @@ class Number(Function):
     def n_inputs(self) -> None:
         return None
 
-    def predict(self, x: Array) -> Array:
-        return np.full(len(x), self.value)
-
     def pack(self) -> Packed:
         return Packed(kernel.NUMBER, (), (self.value,), 0)
 
@@ -220,19 +220,6 @@ class Table(Function):
     @property
     def n_inputs(self) -> int:
         return len(self.axes)
-
-    def predict(self, x: Array) -> Array:
-        from scipy.interpolate import RegularGridInterpolator
-
-        x = np.clip(x, *np.array([(axis[0], axis[-1]) for axis in self.axes]).T)
-        varied_axes = [d for d, axis in enumerate(self.axes) if len(axis) > 1]  # an axis of one node says nothing
-        values = self.values.squeeze()
-        if not varied_axes:
-            return np.full(len(x), float(values))
-        method = "linear" if self.method == "multilinear" else "nearest"
-        return np.asarray(
-            RegularGridInterpolator([self.axes[d] for d in varied_axes], values, method)(x[:, varied_axes])
-        )
 
     def pack(self) -> Packed:
         kind = kernel.NEAREST if self.method == "nearest" else kernel.MULTILINEAR
