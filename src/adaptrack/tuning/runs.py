@@ -44,7 +44,6 @@ from adaptrack.scenario.profile import Profile, load_profile
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-
 PolicyArgument = Schedule | Tuning | Controller | Policy | ArrayLike
 """Way to drive a set of runs, one of
 

@@ -104,7 +104,7 @@ class Policy(NamedTuple):
             return not self.scheduler.is_constant
         if self.tunings is not None:
             return np.ndim(self.tunings) == 2 and len(self.tunings) > 1
-        return self.controller.scheduler is not None
+        return self.controller is not None and self.controller.scheduler is not None
 
 
 TWO_DECADES = TuningBounds(0.01, 100.0, relative=True)
