@@ -226,8 +226,7 @@ def users_estimator(at: Any) -> Any:
 
 def users_solver() -> Any:
     """A QP solver of a user's: the package's own, called from Python."""
-    from adaptrack.control.qp import QPSolver
-    from adaptrack.control.qp.active_set import ActiveSet
+    from adaptrack.control.qp import ActiveSet, QPSolver
 
     class Own(QPSolver):
         name = "own"
@@ -245,8 +244,7 @@ def users_solver() -> Any:
 # -- controllers, step by step ----------------------------------------------------------------------------------------
 def qp_solvers() -> dict[str, Any]:
     """Every setting of our QP solvers."""
-    from adaptrack.control.qp.active_set import ActiveSet
-    from adaptrack.control.qp.hildreth import Hildreth
+    from adaptrack.control.qp import ActiveSet, Hildreth
 
     return {
         "active-set": ActiveSet(), "active-set, 2 changes": ActiveSet(2),
@@ -584,8 +582,7 @@ def quadratic_programmes(at: Any) -> Named:
     """A corpus of the controllers' problems through our solvers: solutions, multipliers, iterations, residuals."""
     from tools.qp_corpus import chunk
 
-    from adaptrack.control.qp.active_set import ActiveSet
-    from adaptrack.control.qp.hildreth import Hildreth
+    from adaptrack.control.qp import ActiveSet, Hildreth
 
     problems = chunk(0)
     solvers = {

@@ -41,7 +41,7 @@ autodoc_type_aliases = {
         "Array",
         "ArrayLike",
         "PerceptionSource",
-        "Policy",
+        "PolicyArgument",
         "ProgressCall",
         "Segment",
         "SignalLike",

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 
 from adaptrack.control.scheduling import Network, StabilityMap, Sugeno, Table
-from adaptrack.control.scheduling.functions.sugeno import ANY
+from adaptrack.control.scheduling.functions import ANY
 
 
 def random_network(rng, inputs, relu=True):

@@ -335,7 +335,7 @@ def bench_tracker(calls: int = 20_000) -> dict[str, Any]:
 
     Calls at 20 Hz along a country road with a planned speed and noise.
     """
-    from adaptrack.control.tracking import tracking_of
+    from adaptrack.control.tracker import tracking_of
     from adaptrack.core.kernel import direct
     from adaptrack.core.tracker.step import tracker_step
 

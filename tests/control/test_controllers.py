@@ -27,7 +27,7 @@ from adaptrack.control.controllers import (
     registry,
 )
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
-from adaptrack.control.controllers.lqr import GAIN_SPEEDS, error_model
+from adaptrack.control.controllers.laws import GAIN_SPEEDS, error_model
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.controllers.contract import path_at, wrapped

@@ -11,8 +11,7 @@ import pytest
 from adaptrack import MPC, DualTrack, RoadDrive, load_vehicle
 from adaptrack.cars.vehicle import SteeringActuator, load_tyre, pack_plant
 from adaptrack.control.controllers import command_of
-from adaptrack.control.friction_estimate import friction_estimate
-from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
+from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, friction_estimate
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.speed import friction as kernel

@@ -10,7 +10,7 @@ from scipy.linalg import solve_discrete_are
 
 import adaptrack as at
 from adaptrack.cars.vehicle import Steering
-from adaptrack.control.controllers.lqr import GAIN_SPEEDS
+from adaptrack.control.controllers.laws import GAIN_SPEEDS
 from adaptrack.control.controllers.preview_lqr import PreviewLQR, steady_turn
 from adaptrack.control.models import PathModel
 from adaptrack.road import Arc, Clothoid, Line, Road

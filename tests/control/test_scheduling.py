@@ -33,7 +33,7 @@ from adaptrack.control.scheduling import (
     load_scheduler,
     made_for,
 )
-from adaptrack.control.scheduling.functions.sugeno import ANY
+from adaptrack.control.scheduling.functions import ANY
 from adaptrack.core.scheduling import guard
 from adaptrack.drive.batch import rollout_batch
 from adaptrack.drive.simulate import rollout, simulate

@@ -19,8 +19,7 @@ from adaptrack.control.speed_control import (
     SpeedState,
     speed_path,
 )
-from adaptrack.control.tracker import Status
-from adaptrack.control.tracking import join
+from adaptrack.control.tracker import Status, join
 from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators.learning import BELIEF_COLUMNS
 from adaptrack.core.kernel import direct

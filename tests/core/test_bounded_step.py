@@ -11,8 +11,7 @@ from tools.qp_corpus import chunk
 
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import MPC, Learning, Limits, Tuning, published_mpc
-from adaptrack.control.qp import QPStatus
-from adaptrack.control.qp.active_set import ActiveSet
+from adaptrack.control.qp import ActiveSet, QPStatus
 from adaptrack.control.tracker import Tracker
 from adaptrack.core.qp.problem import CHANGES
 from adaptrack.road import Line, Road

@@ -20,7 +20,7 @@ from adaptrack.control.scheduling import (
     Sugeno,
     Table,
 )
-from adaptrack.control.scheduling.functions.sugeno import ANY
+from adaptrack.control.scheduling.functions import ANY
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.scheduling import functions, guard
 from adaptrack.core.scheduling import schedule as kernel

@@ -11,8 +11,7 @@ import pytest
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import LQR, MPC, Learning, PurePursuit, Stanley, Tuning, published_mpc
 from adaptrack.control.scheduling import SchedulingVariables, load_scheduler
-from adaptrack.control.tracker import Status, Tracker
-from adaptrack.control.tracking import packed_plan, tracking_of
+from adaptrack.control.tracker import Status, Tracker, packed_plan, tracking_of
 from adaptrack.core.kernel import direct, fields_of
 from adaptrack.core.tracker.signals import FOLLOWING, HELD, NO_TIME, REPEATED, TRACKED, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_step

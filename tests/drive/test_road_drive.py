@@ -11,6 +11,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import SteeringActuator, load_vehicle
 from adaptrack.control.controllers import LQR, MPC, PurePursuit, Stanley
+from adaptrack.control.controllers.base import Policy
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.core.models.contract import MEASUREMENT
@@ -26,7 +27,7 @@ from adaptrack.scenario import RoadDrive, load_scenario
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant import tune_constant
 from adaptrack.tuning.pso import SwarmSettings
-from adaptrack.tuning.runs import ControllerTunings, RunSet
+from adaptrack.tuning.runs import RunSet
 
 CAR = load_vehicle("paper")
 PLANT = DualTrack(CAR)
@@ -262,7 +263,7 @@ def test_one_tuning_for_several_roads_is_at_least_as_good_as_its_swarm_saw():
 def test_a_law_retuned_in_a_batch_costs_what_it_costs_with_that_tuning():
     law = PurePursuit(CAR, period=0.05, preview=True)
     runs = RunSet(PLANT, MPC(CAR, profile="road"), drives_of_two_lengths()[:2], "road")
-    costs = runs.drive(ControllerTunings(law, [[0.6, 4.0], [0.4, 3.0]]), [2])[:, 0]
+    costs = runs.drive(Policy(law, [[0.6, 4.0], [0.4, 3.0]]), [2])[:, 0]
     retuned = PurePursuit(CAR, lookahead_time=0.4, lookahead_min=3.0, period=0.05, preview=True)
     assert costs[0] == runs.drive(law, [2])[0, 0]
     assert costs[1] == runs.drive(retuned, [2])[1, 0] != runs.drive(law, [2])[1, 0]

@@ -18,7 +18,7 @@ import adaptrack as at
 import adaptrack.export
 from adaptrack import cli
 from adaptrack.control.speed_control import SpeedLimit, SpeedState
-from adaptrack.control.tracking import tracking_of
+from adaptrack.control.tracker import tracking_of
 from adaptrack.core.kernel import Resident, direct
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
 from adaptrack.core.tracker.step import tracker_step

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptrack.control.scheduling.functions import Sugeno, sugeno
-from adaptrack.control.scheduling.functions.sugeno import ANY, BELL_CENTRE, BELL_SLOPE, BELL_WIDTH
+from adaptrack.control.scheduling import functions as sugeno
+from adaptrack.control.scheduling.functions import ANY, BELL_CENTRE, BELL_SLOPE, BELL_WIDTH, Sugeno
 from adaptrack.paper import ANFIS, subtractive_clustering
 from adaptrack.paper import anfis as module
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptrack import MPC, DualTrack, Learning, SpeedControl, load_road, load_vehicle, plan_speed, published_mpc
-from adaptrack.control.qp.active_set import ActiveSet
+from adaptrack.control.qp import ActiveSet
 from adaptrack.core import library
 from adaptrack.core.controllers.mpc import MPC_ANSWER
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL

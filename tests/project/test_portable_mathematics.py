@@ -54,7 +54,6 @@ IMPORTS = {
     "scipy.sparse": "comparison/lane_change.py",
     "scipy.spatial": "paper/adaptation.py road/generate.py",
     "scipy.signal": "drive/signal_statistics.py",
-    "scipy.interpolate": "control/scheduling/functions/table.py",
     "scipy": "road/fit.py road/smoothing.py road/speed.py paper/anfis.py",
     # last digits may differ: docs/install.md, "Reproducibility"
     "scipy.linalg": "identification/drive_identification.py",  # block_diag

@@ -7,8 +7,7 @@ import pytest
 
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import Stanley
-from adaptrack.control.speed_target import SpeedTarget
-from adaptrack.control.tracker import Status, Tracker
+from adaptrack.control.tracker import SpeedTarget, Status, Tracker
 from adaptrack.road import Arc, Line, Road, SpeedPlan, Stop, plan_speed
 
 CAR = load_vehicle("midsize-sedan")

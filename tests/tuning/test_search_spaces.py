@@ -9,7 +9,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import load_vehicle
 from adaptrack.control.controllers import LQR, MPC, Controller, PurePursuit, Stanley
 from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
-from adaptrack.control.controllers.lqr import WEIGHT_FACTORS
+from adaptrack.control.controllers.laws import WEIGHT_FACTORS
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.scenario.profile import load_profile
 from adaptrack.tuning.constant import swarm_within

@@ -153,6 +153,28 @@ class PluginCall(NamedTuple):
         return ContractError(f"{self.function_name} returned {format_value(answer)}: it must return {self.answer}.")
 
 
+class Contract(NamedTuple):
+    """Contract of a member, whose clauses a checker tests one by one."""
+
+    member: str
+    """Kind and name at the beginning of messages, such as ``prediction model 'mine'``."""
+
+    def require(self, holds: Any, clause: str, evidence: str) -> None:
+        """Refuse the member unless a clause holds.
+
+        Raises
+        ------
+        ContractError
+            With the clause and the evidence.
+        """
+        if not holds:
+            raise self.breach(clause, evidence)
+
+    def breach(self, clause: str, evidence: object) -> ContractError:
+        """Return the error for a clause that is broken."""
+        return ContractError(f"{self.member}: {clause}: {evidence}.")
+
+
 def import_plugin(name: str, missing: InvalidInput, announce: Callable[[str], None] | None = None) -> None:
     """Import a module that registers members.
 

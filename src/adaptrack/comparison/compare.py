@@ -19,11 +19,9 @@ from adaptrack.cars.outline import Outline
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.measures import as_cells, measure_runs
 from adaptrack.comparison.table import Comparison, ContenderRole, check_names
-from adaptrack.control.controllers import Controller, Tuning
-from adaptrack.control.scheduling import Schedule
 from adaptrack.drive.world import World
 from adaptrack.scenario.profile import load_profile
-from adaptrack.tuning.runs import ControllerTunings, RunSet
+from adaptrack.tuning.runs import RunSet
 
 
 def compare(
@@ -86,7 +84,7 @@ def check_fits(contender: Contender, runs: RunSet) -> None:
     InvalidInput
         The message gives the reason.
     """
-    if not isinstance(contender.policy, Schedule | Tuning | ControllerTunings | Controller):
+    if np.ndim(contender.as_policy().tunings) == 2:
         raise InvalidInput(f"contender {contender.name!r}: has a tuning for each run; on roads give one controller.")
     try:
         World.of(runs.plant, runs.controller_of(contender.policy), load_profile(runs.profile), None, None, runs.failure)
@@ -101,12 +99,13 @@ def _costs(
     costs = runs.drive(contender.policy, seeds)
     failed = ~np.isfinite(costs)
     cells = {"cost": np.where(failed, runs.failed_cost, costs), "failed": failed.astype(float)}
-    if not isinstance(contender.policy, Schedule):
+    scheduler = contender.as_policy().scheduler
+    if scheduler is None:
         return cells, {}
-    total = {name: float(count.sum()) for name, count in runs.counts(contender.policy, int(seeds[0])).items()}
+    total = {name: float(count.sum()) for name, count in runs.counts(scheduler, int(seeds[0])).items()}
     return cells, {name: count / total["steps"] for name, count in total.items() if name != "steps"}
 
 
 def _controller(contender: Contender, runs: RunSet) -> str:
     """Return the name of the contender's controller, or of the MPC of the runs that it tunes."""
-    return contender.controller if isinstance(contender.policy, Controller) else runs.controller
+    return runs.controller if contender.as_policy().controller is None else contender.controller

@@ -13,7 +13,7 @@ from adaptrack.drive.metrics import PathRecord, compute_metrics, path_metrics
 from adaptrack.drive.speed_measures import speed_measures
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.scenario import RoadDrive, Scenario
-from adaptrack.tuning.runs import Policy, RunSet
+from adaptrack.tuning.runs import PolicyArgument, RunSet
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ Units in this order: m, m, m, m, rad/s, m/s^2, m/s^3, s.
 
 
 def measure_runs(
-    runs: RunSet, policy: Policy, seeds: Sequence[int], outline: Outline, *, with_driver: bool = False
+    runs: RunSet, policy: PolicyArgument, seeds: Sequence[int], outline: Outline, *, with_driver: bool = False
 ) -> list[list[dict[str, Any]]]:
     """Drive every run with every noise seed, as `RunSet.trajectories` does, and return all measures.
 
@@ -39,7 +39,7 @@ def measure_runs(
     """
     return [
         [_run_measures(run, runs, outline, drive if with_driver else None) for run in road]
-        for drive, road in zip(runs.scenarios, runs.trajectories(policy, seeds), strict=True)  # type: ignore[arg-type]
+        for drive, road in zip(runs.scenarios, runs.trajectories(policy, seeds), strict=True)
     ]
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Finite, Natural, NotNegative, Positive, checked, real, reals
 from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.base.registry import Registry
+from adaptrack.base.registry import Contract, Registry
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, Vehicle, load_tyre, pack_plant
 from adaptrack.control.models import PredictionModel
@@ -104,11 +104,7 @@ class Deadbeat(Estimator):
     incremental form of eqs. (9), (10). It needs the whole state measured.
     """
 
-    name = "deadbeat"
-
-    @property
-    def function(self) -> Any:
-        return None
+    name, function = "deadbeat", None
 
     def check_fits(self, model: PredictionModel) -> None:
         if "wheel_angle" in model.states:
@@ -137,6 +133,8 @@ class UserEstimator(Estimator):
         When numba cannot compile the function.
     """
 
+    function = None
+
     @checked
     def __init__(
         self, estimate: MemberFunction, *, parameters: Mapping[str, float] | None = None,
@@ -146,16 +144,12 @@ class UserEstimator(Estimator):
         self.numbers = {key: real(f"UserEstimator {label!r}", key, value) for key, value in (parameters or {}).items()}
         self._memory_size = memory_size
         try:
-            self._function = compile_estimator(estimate)
+            self.function = compile_estimator(estimate)
         except Exception as error:
             raise ContractError(
                 f"UserEstimator {label!r}: numba cannot compile its function as "
                 f"f(speed, measured, command, a, b, parameters, memory, x, d) on float64 numbers and arrays: {error}"
             ) from error
-
-    @property
-    def function(self) -> Any:
-        return self._function
 
     def parameters(self, model: PredictionModel) -> Array:
         return np.array(list(self.numbers.values()), dtype=float)
@@ -214,9 +208,7 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
         Naming the clause that is broken and the evidence.
     """
 
-    def fail(clause: str, evidence: str) -> None:
-        raise ContractError(f"estimator {estimator.name!r}: {clause}: {evidence}.")
-
+    require = Contract(f"estimator {estimator.name!r}").require
     estimator.check_fits(model)
     if estimator.function is None:
         return
@@ -224,28 +216,26 @@ def check_estimator(estimator: Estimator, model: PredictionModel, speed: float =
     matrix, column, places = np.ascontiguousarray(a), b[:, 0].copy(), model.measured_places()
     parameters, memory = estimator.parameters(model), np.zeros(estimator.memory_size(model))
     x, estimate, d = np.zeros(model.n), np.full(model.n, np.nan), np.full(model.n, np.nan)
-    command = 0.0
+    command = ahead = 0.0
     for k in range(steps):
         measured = NOTHING_MEASURED.copy()
         measured[places] = x
         copies = [array.copy() for array in (measured, matrix, column, parameters)]
         estimator.function(speed, measured, command, matrix, column, parameters, memory, estimate, d)
         after = (measured, matrix, column, parameters)
-        if any(not np.array_equal(copied, other, equal_nan=True) for copied, other in zip(copies, after, strict=True)):
-            fail("it must write to memory, x and d only", f"step {k}")
-        if not (np.isfinite(estimate).all() and np.isfinite(d).all()):
-            fail("x and d must be written and finite", f"x = {estimate}, d = {d} at step {k}")
+        unchanged = all(np.array_equal(*pair, equal_nan=True) for pair in zip(copies, after, strict=True))
+        require(unchanged, "it must write to memory, x and d only", f"step {k}")
+        is_finite = np.isfinite([estimate, d]).all()
+        require(is_finite, "x and d must be written and finite", f"x = {estimate}, d = {d} at step {k}")
         command = 0.01 * portable.sin(0.2 * k)
         ahead = product(c, product(matrix, estimate) + column * command + d).item()
         x = product(matrix, x) + column * command
-        if k == steps - 1 and not abs(ahead - product(c, x).item()) < 1e-3:
-            fail(
-                "it must predict the model that it is driven by",
-                f"y = {ahead:g} m instead of {product(c, x).item():g} m",
-            )
+    y = product(c, x).item()
+    holds = abs(ahead - y) < 1e-3
+    require(holds, "it must predict the model that it is driven by", f"y = {ahead:g} m instead of {y:g} m")
     estimator.function(speed, NOTHING_MEASURED.copy(), command, matrix, column, parameters, memory, estimate, d)
-    if not (np.isfinite(estimate).all() and np.isfinite(d).all()):
-        fail("a measurement that is not finite must leave x and d finite", f"x = {estimate}, d = {d}")
+    is_finite = np.isfinite([estimate, d]).all()
+    require(is_finite, "a measurement that is not finite must leave x and d finite", f"x = {estimate}, d = {d}")
 
 
 class FrictionWindEstimate(NamedTuple):
@@ -386,13 +376,8 @@ class FrictionWindEstimator:
     def estimate(self) -> FrictionWindEstimate:
         """The estimate of the last step."""
         memory = self._memory[0]
-        return FrictionWindEstimate(
-            friction=float(memory.friction),
-            wind=float(memory.wind),
-            friction_std=float(memory.friction_std),
-            wind_std=float(memory.wind_std),
-            stiffness=portable.exp(memory.z[friction_wind.LOG_STIFFNESS]),
-        )
+        values = {name: float(memory[name]) for name in ("friction", "wind", "friction_std", "wind_std")}
+        return FrictionWindEstimate(**values, stiffness=portable.exp(memory.z[friction_wind.LOG_STIFFNESS]))
 
 
 @checked

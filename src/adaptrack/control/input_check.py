@@ -11,18 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core.input_check import record as kernel
 from adaptrack.core.input_check.call import begin_check, check_call
-from adaptrack.core.input_check.record import (
-    ABOUT,
-    COMPARED,
-    MEMORY_SIZE,
-    MISTAKES,
-    SAMPLE,
-    SETTINGS_SIZE,
-    Check,
-    check_settings,
-    memory_of,
-)
 from adaptrack.core.kernel import Resident, row_of
 from adaptrack.core.models.car import CarRow
 
@@ -67,7 +57,7 @@ _LATE_STEERING = (
     "the delay, MPC(..., learning=Learning()), or specify the true one."
 )
 _COMMAND = "; give the actuator radians at the road wheels."
-SENTENCES = type(MISTAKES)(*[
+SENTENCES = type(kernel.MISTAKES)(*[
     _CLOCK + "milliseconds; give it in seconds.",
     _CLOCK + "microseconds; give it in seconds.",
     _CLOCK + "nanoseconds; give it in seconds.",
@@ -130,21 +120,16 @@ class InputCheck:
     ) -> None:  # fmt: skip
         self.vehicle = vehicle
         self.suspect: tuple[str, ...] = ()
-        self.check = Check(np.zeros(SETTINGS_SIZE), np.zeros(MEMORY_SIZE))
+        self.check = kernel.Check(np.zeros(kernel.SETTINGS_SIZE), np.zeros(kernel.MEMORY_SIZE))
         car = row_of(CarRow) if vehicle is None else vehicle.numbers
-        check_settings(car, period, delay, position_noise, self.check.settings)
+        kernel.check_settings(car, period, delay, position_noise, self.check.settings)
         begin_check(self.check)
-        self._resident, self._sample, self._bits = Resident(self.check), np.empty(len(SAMPLE)), 0
+        self._resident, self._sample, self._bits = Resident(self.check), np.empty(len(kernel.SAMPLE)), 0
 
     @property
     def _memory(self) -> Any:
         """`core.input_check.record.Memory`, a view."""
-        return memory_of(self.check.memory, 0)
-
-    @property
-    def against_steering(self) -> bool:
-        """Whether the car turns against its commands."""
-        return bool(self._memory.against_steering)
+        return kernel.memory_of(self.check.memory, 0)
 
     @property
     def sliding(self) -> bool:
@@ -152,18 +137,13 @@ class InputCheck:
         return bool(self._memory.sliding)
 
     @property
-    def sideslip(self) -> float:
-        """Sideslip angle of the car (rad); NaN where it was not measured."""
-        return float(self._memory.sideslip)
-
-    @property
     def findings(self) -> tuple[Finding, ...]:
         """Results of all comparisons."""
-        memory, names = self._memory, ("", *MISTAKES._fields)
+        memory, names = self._memory, ("", *kernel.MISTAKES._fields)
         return tuple(
             Finding(words, float(memory.seconds[i]), names[memory.label[i]])
             for name, words in NAMES.items()
-            if (i := COMPARED._fields.index(name)) >= 0 and (self.vehicle or name not in NEED_A_CAR)
+            if (i := kernel.COMPARED._fields.index(name)) >= 0 and (self.vehicle or name not in NEED_A_CAR)
         )
 
     def add(
@@ -187,11 +167,11 @@ class InputCheck:
         """Sentences that are new, on the mistakes of these bits (`MISTAKES`)."""
         if bits == self._bits:
             return ()
-        new = tuple(self._sentence(i) for i in range(len(MISTAKES)) if (bits & ~self._bits) >> i & 1)
+        new = tuple(self._sentence(i) for i in range(len(kernel.MISTAKES)) if (bits & ~self._bits) >> i & 1)
         self._bits, self.suspect = bits, self.suspect + new
         return new
 
     def _sentence(self, mistake: int) -> str:
         """A mistake in words."""
-        (subject,) = (i for i, bits in enumerate(ABOUT) if bits >> mistake & 1)
+        (subject,) = (i for i, bits in enumerate(kernel.ABOUT) if bits >> mistake & 1)
         return SENTENCES[mistake].format(*self._memory.measured[subject])

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,7 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
 
     noise: SensorNoise = SensorNoise()
     drifts: Drifts = Drifts()
-    name = "kalman"
+    name, function = "kalman", staticmethod(kalman)
 
     def __post_init__(self) -> None:
         if self.trust > self.distrust:
@@ -70,10 +70,6 @@ class KalmanFilter(RecordSettings, Estimator, record=kernel.Filter):
         noise = row_of(kernel.Noise)
         kernel.sensor_noise(profile.controller_world(profile.period), noise)
         return cls(SensorNoise.from_row(noise), drifts or Drifts(), oldest=profile.oldest)
-
-    @property
-    def function(self) -> Any:
-        return kalman
 
     def check_fits(self, model: PredictionModel) -> None:
         if not isinstance(model, PathModel):

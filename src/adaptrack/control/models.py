@@ -17,11 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Finite, NotNegative, Positive, checked
 from adaptrack.base.errors import ContractError, InvalidInput
-from adaptrack.base.registry import Registry
+from adaptrack.base.registry import Contract, Registry
 from adaptrack.cars.vehicle import Vehicle, VehicleArgument
 from adaptrack.core.controllers import condensing
 from adaptrack.core.kernel import size_of
-from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.core.member import MemberFunction
 from adaptrack.core.models import path, single_track
@@ -34,11 +33,11 @@ MEASURED_STATES = MEASUREMENT._fields[: MEASUREMENT.lateral_acceleration]
 """What is measured, and what a model's states may be: m/s, rad, rad/s, m, rad."""
 
 
-def _check_speed(speed: float) -> None:
+def _check_speed(speed: float, matrices: str = "a model") -> None:
     """Refuse a speed at which a model has no matrices."""
     if not 0.0 < speed < np.inf:
         raise InvalidInput(
-            f"speed = {speed!r} m/s: must be positive and finite, a model is singular at standstill; "
+            f"speed = {speed!r} m/s: must be positive and finite, {matrices} is singular at standstill; "
             "the controller floors the speed (MPC(speed_floor=...))."
         )
 
@@ -178,42 +177,16 @@ class SingleTrackModel(PredictionModel):
     vehicle: VehicleArgument
     period: Annotated[Positive, "s"] = 0.1
     states = MEASURED_STATES[:4]
-
-    @property
-    def name(self) -> str:
-        return "single-track"
+    name, function = "single-track", staticmethod(single_track.discretise)
 
     def parameters(self) -> Array:
         return np.array([getattr(self.vehicle, name) for name in SingleTrackCar._fields], dtype=float)
 
-    @property
-    def function(self) -> Any:
-        return single_track.discretise
-
     def continuous(self, speed: float) -> tuple[Array, Array, Array]:
         """Eq. (7): A_c (4, 4), B_c (4, 1), C_c (1, 4) at a longitudinal speed (m/s)."""
-        if not 0.0 < speed < np.inf:
-            raise InvalidInput(
-                f"speed = {speed!r} m/s: must be positive and finite, A_c of eq. (7) is singular at standstill; "
-                "the controller floors the speed (MPC(speed_floor=...))."
-            )
-        v = self.vehicle
-        cf, cr = 2 * v.stiffness_front, 2 * v.stiffness_rear
-        a = np.array(
-            [
-                [-(cf + cr) / (v.mass * speed), 0, -speed - (cf * v.lf - cr * v.lr) / (v.mass * speed), 0],
-                [0, 0, 1, 0],
-                [
-                    -(cf * v.lf - cr * v.lr) / (v.yaw_inertia * speed),
-                    0,
-                    -(cf * portable.square(v.lf) + cr * portable.square(v.lr)) / (v.yaw_inertia * speed),
-                    0,
-                ],
-                [1, speed, 0, 0],
-            ]
-        )
-        b = np.array([[cf / v.mass], [0], [cf * v.lf / v.yaw_inertia], [0]])
-        return a, b, np.array([[0.0, 0.0, 0.0, 1.0]])
+        _check_speed(speed, "A_c of eq. (7)")
+        a, inputs = PathModel(self.vehicle, self.period).continuous(speed)  # without lag, and the path straight
+        return a, inputs[:, :1], self.output[None]
 
 
 @final
@@ -233,9 +206,7 @@ class PathModel(PredictionModel):
     lag: Annotated[NotNegative, "s"] = 0.0
     dead_time: Annotated[NotNegative, "s"] = 0.0
 
-    @property
-    def name(self) -> str:
-        return "path"
+    name, function = "path", staticmethod(path.discretise)
 
     @property
     def states(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -244,10 +215,6 @@ class PathModel(PredictionModel):
     def parameters(self) -> Array:
         numbers = [getattr(self.vehicle, name) for name in SingleTrackCar._fields]
         return np.array([*numbers, self.lag], dtype=float)
-
-    @property
-    def function(self) -> Any:
-        return path.discretise
 
     def turning(self) -> Array:
         numbers = np.zeros(size_of(path.Turning))
@@ -294,6 +261,8 @@ class UserModel(PredictionModel):
         When numba cannot compile the function.
     """
 
+    name, function = "user", None
+
     @checked
     def __init__(
         self,
@@ -304,7 +273,8 @@ class UserModel(PredictionModel):
         period: Annotated[Positive, "s"] = 0.1,
         label: str = "user",
     ) -> None:
-        self.label, self.states = label, tuple(states)
+        self.name = self.label = label
+        self.states = tuple(states)
         where = f"UserModel {label!r}"
         unknown = [name for name in self.states if name not in MEASURED_STATES]
         if unknown or len(set(self.states)) < len(self.states) or self.states[-1:] != ("y",):
@@ -314,23 +284,15 @@ class UserModel(PredictionModel):
             )
         self.period, self.numbers = period, dict(parameters or {})
         try:
-            self._function = compile_model(discretise)
+            self.function = compile_model(discretise)
         except Exception as error:
             raise ContractError(
                 f"{where}: numba cannot compile its function as f(speed, period, parameters, a, b, e) on float64 "
                 f"numbers and arrays: {error}"
             ) from error
 
-    @property
-    def name(self) -> str:
-        return self.label
-
     def parameters(self) -> Array:
         return np.array(list(self.numbers.values()), dtype=float)
-
-    @property
-    def function(self) -> Any:
-        return self._function
 
 
 _registry: Registry[PredictionModel] = Registry(
@@ -382,10 +344,7 @@ def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30
         Naming the clause that is broken and the evidence.
     """
 
-    def fail(clause: str, evidence: str) -> None:
-        raise ContractError(f"prediction model {model.name!r}: {clause}: {evidence}.")
-
-    n = model.n
+    require, n = Contract(f"prediction model {model.name!r}").require, model.n
     for speed in speeds:
         place, parameters = f"at {speed:g} m/s", model.parameters()
         answers = []
@@ -393,23 +352,18 @@ def check_model(model: PredictionModel, speeds: Sequence[float] = (2.0, 10.0, 30
             a, b, e = np.full((n, n), empty), np.full(n, empty), np.full(n, empty)
             model.function(float(speed), model.period, parameters, a, b, e)
             answers.append(np.column_stack([a, b, e]))
-        if not np.isfinite(answers[0]).all():
-            fail("A, B and E must be written and finite", place)
-        if (answers[0] != answers[1]).any():
-            fail("the same arguments must give the same matrices", place)
-        if (parameters != model.parameters()).any():
-            fail("the parameters must not be written to", place)
+        require(np.isfinite(answers[0]).all(), "A, B and E must be written and finite", place)
+        require((answers[0] == answers[1]).all(), "the same arguments must give the same matrices", place)
+        require((parameters == model.parameters()).all(), "the parameters must not be written to", place)
         a, b = answers[0][:, :n], answers[0][:, n]
-        if not np.allclose(product(a, model.output), model.output, atol=1e-9):
-            fail("a steady shift of y must stay where it is", f"A C' = {product(a, model.output)} {place}")
+        shifted = product(a, model.output)
+        holds = np.allclose(shifted, model.output, atol=1e-9)
+        require(holds, "a steady shift of y must stay where it is", f"A C' = {shifted} {place}")
         x = np.zeros(n)
         for _ in range(max(10, math.ceil(1.0 / model.period))):
             x = product(a, x) + b * 0.01
-        if not product(x, model.output) > 0.0:
-            fail(
-                "steering to the left must move y to the left",
-                f"y = {product(x, model.output):g} m after 0.01 rad {place}",
-            )
+        y = product(x, model.output)
+        require(y > 0.0, "steering to the left must move y to the left", f"y = {y:g} m after 0.01 rad {place}")
 
 
 def laguerre_basis(Np: int, terms: int, pole: float) -> Array:

@@ -12,32 +12,29 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import Finite, Hint, checked, within
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cars.vehicle import BrakeActuator, DriveActuator, PedalMap, Vehicle
+from adaptrack.cars.vehicle import (
+    BrakeActuator,
+    DriveActuator,
+    PedalMap,
+    SteeringActuator,
+    Vehicle,
+    load_tyre,
+    pack_plant,
+)
 from adaptrack.control.controllers import Controller
-from adaptrack.control.friction_estimate import friction_estimate
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.core.kernel import OK, Resident
-from adaptrack.core.models.car import AXLES, POWERTRAIN
+from adaptrack.core.models.car import AXLES, POWERTRAIN, LearnedRow
+from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.physics.forces import GRAVITY
+from adaptrack.core.speed import friction as friction_kernel
 from adaptrack.core.speed import learning as learning
 from adaptrack.core.speed import path as path_kernel
 from adaptrack.core.speed import speed_control as kernel
-from adaptrack.core.speed.friction import begin_friction
 from adaptrack.core.speed.place import SPEED_GRACE
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.core.synthesis.car import resistance, usable_friction
-from adaptrack.core.tracker.longitudinal import (
-    STATUS_ACTIONS,
-    Longitudinal,
-    longitudinal_acknowledge,
-    longitudinal_begin,
-    longitudinal_follow,
-    longitudinal_release,
-    narrow_friction_step,
-    narrow_tracked_friction,
-    speed_control_step,
-    write_requests,
-)
+from adaptrack.core.tracker import longitudinal as tracked_kernel
 from adaptrack.core.tracker.records import LONGEST_GAP
 from adaptrack.core.tracker.signals import STATUS
 from adaptrack.road import Comfort, Road, SpeedPlan
@@ -46,6 +43,18 @@ from adaptrack.road.cornering import packed, steering_limit
 Array = NDArray[np.float64]
 ASSUMABLE_FRICTION = (0.05, 1.5)
 """Lowest and highest coefficient of friction that may be assumed: wet ice, and racing tyres."""
+FRICTION_COUNT = 13
+"""Coefficients of friction, evenly within the interval."""
+LONGEST_STEERING_DELAY = 1.0
+"""s, of the steering and the samples together, for which commands are remembered."""
+ASSUMED_KNOWLEDGE = {
+    "delay_sigma": 0.01, "stiffness": 1.0, "stiffness_sigma": 0.1, "balance": 1.0, "balance_sigma": 0.05, "bias": 0.0,
+    "bias_sigma": 0.005,
+}  # fmt: skip
+"""Entries of `core.models.car.LearnedRow` where the car file states the car and no controller learns it.
+"""
+FRICTION_SENSORS = [MEASUREMENT.vy, MEASUREMENT.yaw_rate, MEASUREMENT.lateral_acceleration]
+"""Sensors whose variances an estimate has."""
 
 
 class SpeedState(StrEnum):
@@ -105,7 +114,7 @@ class SpeedAction(StrEnum):
 _ACTIONS = tuple(SpeedAction)
 SPEED_ACTIONS = {
     status.replace("_", "-"): tuple(_ACTIONS[action] for action in actions)
-    for status, actions in zip(STATUS._fields, STATUS_ACTIONS.tolist(), strict=True)
+    for status, actions in zip(STATUS._fields, tracked_kernel.STATUS_ACTIONS.tolist(), strict=True)
 }
 """By status of a tracker: the action with a position of the last `BLIND_GRACE` (s) of the kernel, and without one.
 
@@ -275,9 +284,45 @@ def longitudinal_of(
     sample = kernel.SPEED_SAMPLE.new(1, acceleration=math.nan, top_speed=math.inf, grade=math.nan)
     memory, ahead = kernel.SPEED_MEMORY.new(1), np.zeros(horizon_cells(start.top_speed, settings))
     friction = friction_estimate(control.friction_interval, control.car, period, controller)
-    longitudinal = Longitudinal(sample, memory, settings, path, speed_banks(settings, period), ahead, friction)
-    longitudinal_begin(longitudinal)
+    longitudinal = tracked_kernel.Longitudinal(
+        sample, memory, settings, path, speed_banks(settings, period), ahead, friction
+    )
+    tracked_kernel.longitudinal_begin(longitudinal)
     return longitudinal
+
+
+def friction_estimate(interval: tuple[float, float], car: Vehicle, period: float, controller: Controller | None) -> Any:
+    """An estimate of the friction by the steering model of a controller (`core.speed.friction.FrictionEstimate`).
+
+    It has no hypotheses where the friction is certain, and without a steering model. period: s, of the control.
+    """
+    low, high = interval
+    belief = None if controller is None else controller.belief
+    if controller is None or belief is None or not low < high:
+        memory, bank = friction_kernel.FRICTION_MEMORY.new(1), friction_kernel.FRICTION_HYPOTHESIS.new(0)
+        knowledge = _knowledge()
+        nothing = np.zeros(0)
+        return friction_kernel.FrictionEstimate(memory, bank, nothing, nothing, period, nothing, low, high, knowledge)
+    rate = belief.rate.value if belief.lag.value > 0.0 else math.inf  # a rate limit acts on a lag
+    steering = SteeringActuator(**{**belief.steering, "rate": rate})
+    knowledge = _knowledge(lag=belief.lag.value, dead_time=belief.delay, **ASSUMED_KNOWLEDGE)
+    return friction_kernel.FrictionEstimate(
+        friction_kernel.FRICTION_MEMORY.new(1), friction_kernel.FRICTION_HYPOTHESIS.new(FRICTION_COUNT),
+        np.zeros(math.ceil(LONGEST_STEERING_DELAY / period) + 1),
+        pack_plant(car, load_tyre(car.tyre), steering), period, _variances(controller), low, high, knowledge,
+    )  # fmt: skip
+
+
+def _knowledge(**values: float) -> Any:
+    """The car as assumed; zero where unspecified."""
+    return LearnedRow(**dict.fromkeys(LearnedRow._fields, 0.0) | values)
+
+
+def _variances(controller: Controller) -> Array:
+    """(3,) of `FRICTION_SENSORS`, as the controller assumes them."""
+    estimator = getattr(controller, "estimator", None)
+    filtering = estimator if isinstance(estimator, KalmanFilter) else KalmanFilter()
+    return filtering.variances()[FRICTION_SENSORS]
 
 
 def horizon_cells(top_speed: float, settings: Any) -> int:
@@ -322,17 +367,17 @@ class SpeedController:
     def estimate_friction(self, controller: Controller) -> None:
         """Narrow an interval of friction by the steering model of a controller, or by what it learns, from now on."""
         friction = friction_estimate(self.control.friction_interval, self.control.car, self._period, controller)
-        begin_friction(friction)
+        friction_kernel.begin_friction(friction)
         self._controller = controller
         self._load(self.record._replace(friction=friction))
 
     def narrow_friction(self, measured: Array, speed: float, command: float) -> None:
         """Narrow the friction before a step of the controller, see `core.speed.friction.narrow_friction`."""
-        narrow_friction_step(measured, speed, command, self._learned, self._resident)
+        tracked_kernel.narrow_friction_step(measured, speed, command, self._learned, self._resident)
 
     def narrow_behind(self, tracker: Any) -> None:
         """Narrow the friction at a control instant of a tracker (resident), before a step of its controller."""
-        narrow_tracked_friction(tracker, self._learned, self._resident)
+        tracked_kernel.narrow_tracked_friction(tracker, self._learned, self._resident)
 
     @property
     def _learned(self) -> Array:
@@ -348,7 +393,7 @@ class SpeedController:
                 ahead=np.zeros(horizon_cells(float(plan.speed.max()), settings)),
             )
         )  # fmt: skip
-        longitudinal_follow(self._resident)
+        tracked_kernel.longitudinal_follow(self._resident)
 
     def step(
         self, station: float, speed: float, yaw_rate: float, *, acceleration: float = math.nan, driver: bool = False,
@@ -367,7 +412,7 @@ class SpeedController:
         sample[0] = (
             station, 0.0, 0.0, speed, 0.0, yaw_rate, acceleration, driver, is_guided, top_speed, blind_time, grade, 1.0,
         )  # fmt: skip
-        speed_control_step(self._resident)
+        tracked_kernel.speed_control_step(self._resident)
         return self.command
 
     def limit_speed(self, controller: Controller) -> None:
@@ -408,7 +453,7 @@ class SpeedController:
     def command(self) -> SpeedCommand:
         """Requests in force."""
         row, pedals = np.empty(len(SPEED_REQUEST)), self.control.pedals or self.control.car.pedals
-        write_requests(self.record, row, 0)
+        tracked_kernel.write_requests(self.record, row, 0)
         acceleration, force, hold, target_speed, grip_used, state, cause, low, high = row.tolist()
         positions = (math.nan, math.nan)
         if pedals is not None:
@@ -425,11 +470,11 @@ class SpeedController:
 
     def release(self) -> None:
         """Leave the stop at which the car stands, whatever its time; at the end of a path it stays."""
-        longitudinal_release(self._resident)
+        tracked_kernel.longitudinal_release(self._resident)
 
     def acknowledge_fault(self) -> None:
         """End a fault of brakes or drive, and the distrust of the measured speed: the car drives on."""
-        longitudinal_acknowledge(self._resident)
+        tracked_kernel.longitudinal_acknowledge(self._resident)
 
     def speeds_ahead(self, speed: float, count: int) -> Array:
         """(count,) m/s, governed speeds at the coming control instants, the first one the present speed (m/s)."""

@@ -25,23 +25,36 @@ from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
 from adaptrack.control.controllers import BeliefState, Controller, command_of, step_call
 from adaptrack.control.controllers.belief import SourcedValue
+from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.learned_car import bounded_quantity
+from adaptrack.control.controllers.mpc import CompiledScheduler
+from adaptrack.control.estimation import Perception
+from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
-from adaptrack.control.speed_target import SpeedTarget
-from adaptrack.control.tracking import input_check_of, join, packed_plan, python_part, tracker_of
-from adaptrack.core.controllers.part import APPLY, COMMON_ANSWER, REQUEST, STEP
-from adaptrack.core.kernel import Resident, direct, fields_of
+from adaptrack.core.controllers.part import APPLY, COMMON_ANSWER, REQUEST, STEP, ControllerPart, ControllerSizes
+from adaptrack.core.estimators.learning import BELIEF_NAMES
+from adaptrack.core.kernel import Resident, address_of, direct, fields_of
+from adaptrack.core.layout import allocate
 from adaptrack.core.maths import portable
 from adaptrack.core.member import CallBack
+from adaptrack.core.tracker import records
+from adaptrack.core.tracker.longitudinal import longitudinal_step, narrow_tracked_friction, no_speed_control
 from adaptrack.core.tracker.signals import NO_BELIEF, TRACKER_SAMPLE
-from adaptrack.core.tracker.step import tracker_apply, tracker_step
+from adaptrack.core.tracker.step import Tracking, tracker_apply, tracker_step
 from adaptrack.core.tracker.take_call import tracker_engage, tracker_follow
-from adaptrack.road import Road, SpeedPlan
+from adaptrack.road import Road, SpeedPlan, Stop
 from adaptrack.road.road_ahead import RoadAhead, stacked
 
 Array = NDArray[np.float64]
 _log = logging.getLogger("adaptrack")
+
+AT_STOP = 0.25
+"""m, of a standing car from a stop that counts as reached; and how far ahead of a stop a car looks that leaves it."""
+OVERSHOT = 3.0
+"""m, of a car that is stopping already from the stop of another plan that counts as the same stop."""
+RELOCATION = 20.0
+"""m, beyond the last and the next stop, from which on the car has been moved rather than driven."""
 
 
 class Status(StrEnum):
@@ -166,10 +179,8 @@ class Tracker:
                 "controller with a constant tuning."
             )
         self.controller: Any = controller
-        self._warned = self._warned_of_speed = False
-        self._doubted: set[int] = set()
+        self._warned: set[object] = set()
         self._times: list[tuple[float, float]] = []
-        self._times_doubted = False
         self.timing: Timing | None = None
         """of the loop; None before `TIMED_STEPS` control steps"""
         self._speed: SpeedController | None = None
@@ -218,7 +229,7 @@ class Tracker:
 
     def __getstate__(self) -> dict[str, Any]:
         state = {name: value for name, value in vars(self).items() if name not in _NOT_COPIED}
-        return {**state, "_recorder": None}  # two would write one file
+        return {**state, "_recorder": None, "_warned": self._warned.copy()}  # two recorders would write one file
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -369,10 +380,15 @@ class Tracker:
         self._call(tracker_step)
         memory = kernel.memory[0]
         tracked = self._answer(at)
-        if not self._warned and not math.isnan(age := float(kernel.request[REQUEST.late])):
+        if not math.isnan(age := float(kernel.request[REQUEST.late])):
             self._warn_of_late_samples(age)
-        if not self._warned_of_speed and memory.speed > tracked.first_top_speed:
-            self._warn_of_speed(memory.speed, tracked.first_top_speed)
+        if memory.speed > tracked.first_top_speed:
+            self._warn_once(
+                "speed",
+                "the car drives %.3g m/s before the controller has learned it: drive below %.3g m/s until "
+                "Tracked.belief is settled, or give a narrower range of the steering bias, Learning(bias=...).",
+                memory.speed, tracked.first_top_speed,
+            )  # fmt: skip
         if memory.answered and memory.started:
             self._take_times(at - row[TRACKER_SAMPLE.t], time.perf_counter() - call_start)
         if self._recorder is not None and tracked.status is not Status.REPEATED:
@@ -385,8 +401,12 @@ class Tracker:
         for sentence in self._check.say(int(suspect)):
             _log.warning("adaptrack: inputs contradict each other. %s", sentence)
         state = None if belief == NO_BELIEF else BeliefState(int(belief))
-        if state in DOUBTFUL and state not in self._doubted:
-            self._warn_of_belief(state, bounded_quantity(bound))
+        if state in DOUBTFUL:
+            quantity = bounded_quantity(bound)
+            self._warn_once(
+                state, "the belief about the car is in doubt: %s%s; drive slower, see docs/learning.md.",
+                DOUBTFUL[state], f" ({quantity.replace('_', ' ')})" if quantity else "",
+            )  # fmt: skip
         speed, target = float(self._kernel.memory[0].speed), math.nan
         if self._target is not None:
             target = self._target.at(time, station, speed, self.period)
@@ -426,12 +446,11 @@ class Tracker:
         _, station, count = self._kernel.ahead.tolist()
         return RoadAhead(self.path, station, self._kernel.speeds[: int(count)].copy())
 
-    def _warn_of_belief(self, state: BeliefState, bound: str | None) -> None:
-        self._doubted.add(state)
-        _log.warning(
-            "adaptrack: the belief about the car is in doubt: %s%s; drive slower, see docs/learning.md.",
-            DOUBTFUL[state], f" ({bound.replace('_', ' ')})" if bound else "",
-        )  # fmt: skip
+    def _warn_once(self, subject: object, message: str, *values: object) -> None:
+        """Log a warning unless there was one about the subject."""
+        if subject not in self._warned:
+            self._warned.add(subject)
+            _log.warning(f"adaptrack: {message}", *values)
 
     def _take_times(self, age: float, computation: float) -> None:
         """Take in the age of a sample (s) and the time (s) of the call; report what contradicts the controller."""
@@ -440,34 +459,25 @@ class Tracker:
             return
         self.timing = Timing(*np.median(self._times, axis=0).tolist())
         self._times.clear()
-        if self.controller.belief is not None and not self._times_doubted:
+        if self.controller.belief is not None:
             self._compare_computation(self.timing, self.controller.belief.computation)
 
     def _compare_computation(self, timing: Timing, assumed: SourcedValue) -> None:
         """Warn where calls take longer or shorter than the controller assumes."""
-        if abs(timing.computation - assumed.value) <= PERIOD_TOLERANCE * self.period:
-            return
-        self._times_doubted = True
-        _log.warning(
-            "adaptrack: the controller assumes a computation time of %.3g s (%s), but Tracker.step returns its command "
-            "after %.2g s: if your loop sends the command at once, give the controller computation=%.3g. The tracker "
-            "accounts for the age of the samples, %.2g s, separately.",
-            assumed.value, assumed.source, timing.computation, round(timing.computation, 3), timing.sample_age,
-        )  # fmt: skip
-
-    def _warn_of_speed(self, speed: float, top_speed: float) -> None:
-        self._warned_of_speed = True
-        _log.warning(
-            "adaptrack: the car drives %.3g m/s before the controller has learned it: drive below %.3g m/s until "
-            "Tracked.belief is settled, or give a narrower range of the steering bias, Learning(bias=...).",
-            speed, top_speed,
-        )  # fmt: skip
+        if abs(timing.computation - assumed.value) > PERIOD_TOLERANCE * self.period:
+            self._warn_once(
+                "computation",
+                "the controller assumes a computation time of %.3g s (%s), but Tracker.step returns its command "
+                "after %.2g s: if your loop sends the command at once, give the controller computation=%.3g. The "
+                "tracker accounts for the age of the samples, %.2g s, separately.",
+                assumed.value, assumed.source, timing.computation, round(timing.computation, 3), timing.sample_age,
+            )  # fmt: skip
 
     def _warn_of_late_samples(self, age: float) -> None:
-        self._warned = True
         late = int(self._kernel.settings[0].late)
-        _log.warning(
-            "adaptrack: a sample is %.3g s late; the controller accepts at most %.3g s, so the position is "
+        self._warn_once(
+            "late samples",
+            "a sample is %.3g s late; the controller accepts at most %.3g s, so the position is "
             "extrapolated by speed and yaw rate. To accept it, give the MPC "
             "estimator=dataclasses.replace(KalmanFilter.from_profile(profile), oldest=%.2g).",
             age, (late + 1) * self.period, 1.5 * age,
@@ -481,9 +491,159 @@ class Tracker:
         InvalidInput
             When the controller is no `MPC`, or has not been called.
         """
-        if not self.controller.has_horizons or not self._kernel.memory[0].started:
+        has_stepped = self._kernel.memory[0].started
+        path = self.controller.predicted_path(self._road_ahead()) if has_stepped else np.zeros((0, 2))
+        if not path.size:
             raise InvalidInput("Tracker.predicted_path: needs an MPC that has made a step.")
-        return np.asarray(self.controller.predicted_path(self._road_ahead()))
+        return np.asarray(path)
+
+
+# -- trackers as records of the kernels: around any controller, and whole with a compiled one --------------------------
+def input_check_of(controller: Any) -> InputCheck:
+    """The check of the inputs of a controller, for the noise that its filter assumes.
+
+    It tests the delay of the steering that is specified and not learned.
+    """
+    is_specified = controller.belief is not None and controller.learner is None
+    delay = controller.model.lag + controller.model.dead_time if is_specified else math.inf
+    return InputCheck(controller.vehicle, float(controller.period), delay, controller.position_noise)
+
+
+def tracker_of(controller: Any, path: Road, plan: SpeedPlan | None, furthest: float, check: InputCheck) -> Any:
+    """A tracker around any controller before it engages (`core.tracker.records.TrackerRecord`)."""
+    return records.tracker(_settings(controller, furthest), stacked(path), packed_plan(plan), check.check)
+
+
+def packed_plan(plan: SpeedPlan | None) -> Any:
+    """A plan of the speed as the kernels take it (`core.tracker.records.PlanRecord`)."""
+    both = (np.zeros(0),) * 2 if plan is None else (plan.s, plan.speed)
+    return records.PlanRecord(*(np.ascontiguousarray(column, float) for column in both))
+
+
+def _settings(controller: Any, furthest: float) -> Any:
+    """A tracker's settings, see `core.tracker.records.TRACKER_SETTINGS`."""
+    car, limits, period = controller.vehicle, controller.limits, float(controller.period)
+    low, high = (-math.inf, math.inf) if limits is None else limits.angle
+    has_car = car is not None
+    return records.TRACKER_SETTINGS.new(
+        period=period,
+        angle_min=max(low, -MOST_WHEEL_ANGLE),
+        angle_max=min(high, MOST_WHEEL_ANGLE),
+        move=0.5 * period if limits is None else limits.move[1],
+        furthest=furthest,
+        late=max(controller.takes_late, 0),
+        filtered=controller.takes_late >= 0,
+        drift_arm=car.lr if has_car else 0.0,
+        drift_load=car.mass * car.lf if has_car else 0.0,
+        drift_stiffness=2.0 * car.stiffness_rear * car.wheelbase if has_car else 1.0,
+        nominal_friction=Perception().nominal_friction,
+        first_top_speed=math.inf if controller.learner is None else controller.learner.first_top_speed,
+    )
+
+
+def tracking_of(
+    controller: Controller, path: Road, plan: SpeedPlan | None = None, furthest: float = 10.0, part: Any = None,
+    longitudinal: Any = None,
+) -> Any:  # fmt: skip
+    """A tracker with a compiled controller at its start, engaged (`core.tracker.step.Tracking`).
+
+    part: the controller as a part of loops, by default a fresh one; longitudinal: the speed control behind the tracker
+    (`core.tracker.longitudinal.Longitudinal`), None: none. The controller stays as it is.
+
+    Raises
+    ------
+    InvalidInput
+        When a part of the controller is not compiled.
+    """
+    scheduler = controller.scheduler
+    if not (scheduler is None or isinstance(scheduler, CompiledScheduler)):
+        raise InvalidInput(f"tracking_of: scheduler {scheduler!r} is not compiled: give a scheduler of files.")
+    tracker = tracker_of(controller, path, plan, furthest, input_check_of(controller))
+    tracker_engage(0.0, math.nan, tracker)
+    part = controller.part(1) if part is None else part
+    if scheduler is not None:
+        part = part._replace(schedule=scheduler.plan(1))
+    return join(tracker, part, longitudinal)
+
+
+def join(tracker: Any, part: Any, longitudinal: Any = None) -> Any:
+    """A tracker, its controller as a part and its speed control, None without one, as one record (`Tracking`)."""
+    narrows = longitudinal is not None and part.plans
+    return Tracking(
+        tracker, part, address_of(narrow_tracked_friction if narrows else None),
+        address_of(None if longitudinal is None else longitudinal_step),
+        no_speed_control() if longitudinal is None else longitudinal,
+    )  # fmt: skip
+
+
+def python_part(controller: Controller | None, step: CallBack | None, request: CallBack | None = None) -> Any:
+    """A controller in Python as a part of compiled loops, for one slot.
+
+    Its answer says what it has learned, if it learns. controller, step: None if the caller of the loop is the
+    controller.
+    """
+    learns = controller is not None and controller.learner is not None
+    (sizes,) = ControllerSizes.new(1, slots=1, answer=len(COMMON_ANSWER) + (len(BELIEF_NAMES) if learns else 0))
+    sizes.mpc.slots = 1
+    part = allocate(
+        ControllerPart, sizes, request=address_of(request), step=address_of(step), takes_late=-1,
+        beliefs=len(COMMON_ANSWER) if learns else 0,
+    )  # fmt: skip
+    if controller is None:
+        return part
+    informed = part.mpc.informed._replace(learned=controller.learner_memory[None])
+    return part._replace(mpc=part.mpc._replace(informed=informed))
+
+
+class SpeedTarget:
+    """Target speed along a plan with its stops, for a loop that regulates the speed itself.
+
+    It is 0 from a stop on until the car has stood there for the time of the stop. A plan is a speed at each arc length,
+    and 0 at a stop alone. So a loop that looks ahead misses the stop, and a car that stands exactly there never leaves.
+    A `SpeedTarget` remembers which stop is next, and since when the car stands.
+    """
+
+    def __init__(self, plan: SpeedPlan) -> None:
+        self._stopping, self._since = False, math.nan  # s, since when the car has been standing at the next stop
+        self.follow(plan)
+
+    def follow(self, plan: SpeedPlan) -> None:
+        """Go over to another plan; a car that is stopping for a stop of both goes on stopping."""
+        self._plan, self._left, self._next = plan, math.nan, Stop(math.nan)
+
+    def at(self, time: float, station: float, speed: float, period: float) -> float:
+        """m/s, planned one period (s) ahead of the car's arc length (m), at its speed (m/s); NaN: no place to go by."""
+        if not math.isfinite(station):
+            return math.nan
+        if not self._left - RELOCATION < station < self._next.s + RELOCATION:
+            self._begin(station)
+        place = station + max(speed, 0.0) * period
+        stands = speed < records.STANDSTILL_SPEED and station >= self._next.s - AT_STOP
+        if stands or place >= self._next.s:
+            self._stopping = True
+            if stands and not self._since <= time:
+                self._since = time
+            if not time - self._since >= self._next.seconds:
+                return 0.0
+            self._stopping, self._since, self._left = False, math.nan, self._next.s
+            self._next = self._stop_beyond(self._left + 1e-6)
+        launch = self._left + min(AT_STOP, 0.5 * (self._next.s - self._left))
+        return float(self._plan.at(max(place, launch)))
+
+    def _begin(self, station: float) -> None:
+        """Look for the next stop of a car that has not been driven along this plan."""
+        self._left, self._next = station, self._stop_beyond(station - (OVERSHOT if self._stopping else 0.0))
+        if self._next.s > station + OVERSHOT:
+            self._stopping, self._since = False, math.nan
+
+    def _stop_beyond(self, place: float) -> Stop:
+        """The first stop beyond an arc length (m) over all laps; infinitely far without one."""
+        lap = float(self._plan.s[-1])
+        stops = [
+            stop._replace(s=stop.s + (math.floor((place - stop.s) / lap) + 1) * lap) if self._plan.closed else stop
+            for stop in self._plan.stops
+        ]
+        return min((stop for stop in stops if stop.s > place), default=Stop(math.inf))
 
 
 _ARGUMENTS = inspect.signature(Tracker.step).parameters

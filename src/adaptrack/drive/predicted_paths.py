@@ -50,8 +50,10 @@ class PredictedPaths:
     def record(self, time: float, controller: Any, road_ahead: RoadAhead | None) -> None:
         """Record the prediction of a controller's last step at `time` (s), unless the last record is too recent."""
         is_due = not self._time or time > self._time[-1] + self.every - 1e-6
-        if road_ahead is None or not is_due or not controller.has_horizons:
+        if road_ahead is None or not is_due:
             return
         path = controller.predicted_path(road_ahead)
+        if not path.size:
+            return
         self._time.append(time)
         self._points.append(path[np.rint(np.linspace(0, len(path) - 1, self.count)).astype(int)])

@@ -84,8 +84,9 @@ def export_fmu(
         return write_fmu(car_unit(part, route, profile=profile, driver=driver, period=period), path, version)
     if not isinstance(route, RoadDrive):
         raise InvalidInput("export_fmu: route: a controller follows a road: give a RoadDrive.")
-    speed = driver if isinstance(driver, SpeedControl) else None
-    return write_fmu(controller_unit(part, route.road, route.plan, furthest=furthest, speed=speed), path, version)
+    # a `Driver` is a part of a simulated car: `controller_unit` refuses it
+    unit = controller_unit(part, route.road, route.plan, furthest=furthest, speed=driver)  # type: ignore[arg-type]
+    return write_fmu(unit, path, version)
 
 
 @checked

@@ -69,13 +69,14 @@ from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle, load_vehicle
 from adaptrack.control.controllers import LQR, MPC, CompiledController, Learning, PurePursuit, Stanley, published_mpc
 from adaptrack.control.controllers.informed import order_of
-from adaptrack.control.friction_estimate import (
+from adaptrack.control.speed_control import (
     ASSUMED_KNOWLEDGE,
     FRICTION_COUNT,
     FRICTION_SENSORS,
     LONGEST_STEERING_DELAY,
+    SpeedControl,
+    speed_banks,
 )
-from adaptrack.control.speed_control import SpeedControl, speed_banks
 from adaptrack.core.physics.tyre import TYRE_NAMES
 from adaptrack.core.simulation.world import EXTERNAL_FORCES
 from adaptrack.core.speed.path import PLACE_SPACING

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.control.controllers import LQR, MPC, Controller, PurePursuit, Stanley
+from adaptrack.control.controllers import Controller
 from adaptrack.control.controllers.base import Room
 from adaptrack.control.controllers.mpc import CompiledScheduler
 from adaptrack.control.speed_control import SpeedControl, SpeedStart, longitudinal_of, patience_of, speed_path
-from adaptrack.control.tracking import tracking_of
+from adaptrack.control.tracker import tracking_of
 from adaptrack.core.kernel import direct
 from adaptrack.core.speed.speed_control import SPEED_REQUEST, SpeedPath
 from adaptrack.core.tracker.longitudinal import write_requests
@@ -72,7 +72,7 @@ def refuse(controller: Any) -> None:
         For a controller of another kind, or a part of one, that is not compiled ahead of time.
     """
     name = getattr(controller, "name", type(controller).__name__)
-    if not isinstance(controller, MPC | LQR | Stanley | PurePursuit):
+    if not getattr(controller, "is_exportable", False):
         raise InvalidInput(
             f"export: controller {name!r} is none that is compiled ahead of time: informed, its learning kin, the "
             "paper's with their schedules, lqr, stanley and pure-pursuit are."

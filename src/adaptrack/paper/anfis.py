@@ -29,7 +29,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from adaptrack.base.checked import Count, Natural, NotNegative, Positive, Share, checked, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import write_atomically
-from adaptrack.control.scheduling.functions.sugeno import (
+from adaptrack.control.scheduling.functions import (
     BELL_CENTRE,
     BELL_SLOPE,
     BELL_WIDTH,

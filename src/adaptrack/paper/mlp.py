@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from adaptrack.base.checked import Count, Positive
 from adaptrack.base.errors import InvalidInput
-from adaptrack.control.scheduling.functions.network import Network
+from adaptrack.control.scheduling import Network
 from adaptrack.paper.regressor import Regressor, Samples, mean
 
 Array = NDArray[np.float64]

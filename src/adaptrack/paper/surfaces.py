@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from adaptrack.control.scheduling.functions import Function, Network, Number, Sugeno
-from adaptrack.control.scheduling.functions.sugeno import BELL_SLOPE, BELL_WIDTH
+from adaptrack.control.scheduling.functions import BELL_SLOPE, BELL_WIDTH, Function, Network, Number, Sugeno
 from adaptrack.core.maths import portable
 
 Array = NDArray[np.float64]

@@ -19,10 +19,9 @@ from threadpoolctl import threadpool_limits
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.progress import reports_progress
+from adaptrack.control.controllers import ENTRIES
 from adaptrack.control.controllers.compatibility import INCREMENTAL
-from adaptrack.control.scheduling import ENTRIES, Learned, Schedule
-from adaptrack.control.scheduling.functions.network import Network
-from adaptrack.control.scheduling.functions.sugeno import Sugeno
+from adaptrack.control.scheduling import Learned, Network, Schedule, Sugeno
 from adaptrack.core.maths import portable
 from adaptrack.paper.anfis import ANFIS
 from adaptrack.paper.data_set import DataSet

@@ -17,10 +17,11 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import LISTED, Record, build, read_toml
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller, about_controller, get_controller
+from adaptrack.control.controllers.base import Policy
 from adaptrack.road.holdable_speed import HoldableSpeed
 from adaptrack.scenario.profile import Profile
 from adaptrack.tuning.pso import SearchSpace, Swarm, SwarmResult, SwarmSettings, at_bounds, search_space
-from adaptrack.tuning.runs import ControllerTunings, RunSet
+from adaptrack.tuning.runs import RunSet
 
 MIN_TUNINGS = 10
 """Smallest number of tunings that a search must try."""
@@ -145,7 +146,7 @@ def mean_costs(
 ) -> NDArray[np.float64]:
     """Return the mean cost over a set of runs and noise seeds (m^2), (n,), of each of n tunings (n, entries)."""
     indices = np.tile(np.arange(len(runs)), len(tunings))
-    costs = runs.costs(ControllerTunings(controller, np.repeat(tunings, len(runs), axis=0)), noise_seeds, indices)
+    costs = runs.costs(Policy(controller, np.repeat(tunings, len(runs), axis=0)), noise_seeds, indices)
     return costs.reshape(len(tunings), len(runs)).mean(axis=1)
 
 

@@ -17,7 +17,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +26,8 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
 from adaptrack.cars.vehicle import Domain
 from adaptrack.control.controllers import MPC, Controller, Tuning
+from adaptrack.control.controllers.base import Policy
+from adaptrack.control.controllers.tuning import ENTRIES
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.scheduling import Schedule
 from adaptrack.core.maths import portable
@@ -42,21 +44,12 @@ from adaptrack.scenario.profile import Profile, load_profile
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-
-class ControllerTunings(NamedTuple):
-    """A controller, and tunings that replace its tuning."""
-
-    controller: Controller
-    tunings: ArrayLike
-    """One tuning (entries,), or one for each run (runs, entries), in the order of `tuning_names`."""
-
-
-Policy = Schedule | Tuning | Controller | ControllerTunings | ArrayLike
+PolicyArgument = Schedule | Tuning | Controller | Policy | ArrayLike
 """Way to drive a set of runs, one of
 
 - a schedule of the set's MPC;
 - a tuning of the set's MPC for all runs, or an array (runs, 4) with Np, Nc, Q and R for each run;
-- a controller, with its tuning or with others (`ControllerTunings`).
+- a controller, with its tuning or with others (`Policy`).
 """
 
 PERCEPTIONS: dict[str, Perception] = {
@@ -162,7 +155,7 @@ class RunSet:
         """The cost that is assigned to a failed run (m^2): the square of the failure distance."""
         return portable.square(self.failure.distance)
 
-    def drive(self, policy: Policy, seeds: Sequence[int], indices: Indices | None = None) -> Array:
+    def drive(self, policy: PolicyArgument, seeds: Sequence[int], indices: Indices | None = None) -> Array:
         """Return J (m^2) of each run with each noise seed, (runs, seeds), infinite if it failed.
 
         Parameters
@@ -180,18 +173,18 @@ class RunSet:
             return np.array([[self._simulated_cost(policy, row, i, int(seed)) for seed in seeds] for row, i in runs])
         return np.stack([self._run(policy, int(seed), indices).costs for seed in seeds], axis=1)
 
-    def costs(self, policy: Policy, seeds: Sequence[int], indices: Indices | None = None) -> Array:
+    def costs(self, policy: PolicyArgument, seeds: Sequence[int], indices: Indices | None = None) -> Array:
         """Return the mean of J over the noise seeds (m^2), (runs,). A failed run costs `failed_cost`."""
         costs = self.drive(policy, seeds, indices)
         return np.where(np.isfinite(costs), costs, self.failed_cost).mean(axis=1)
 
-    def trajectories(self, policy: Schedule | Tuning | Controller, seeds: Sequence[int]) -> list[list[Trajectory]]:
+    def trajectories(self, policy: PolicyArgument, seeds: Sequence[int]) -> list[list[Trajectory]]:
         """Return the trajectories of the runs that `drive` evaluates: for each run a list with each noise seed."""
         if self._runs_compiled(policy):
             return rollouts(self._batch(self.controller_of(policy, 0)), [int(seed) for seed in seeds])
         return [[self._simulated(policy, i, i, int(seed)) for seed in seeds] for i in range(len(self))]
 
-    def segments(self, policy: Policy, seed: int, indices: Indices) -> Array:
+    def segments(self, policy: PolicyArgument, seed: int, indices: Indices) -> Array:
         """Return the cost of each segment (m^2), (runs, segments): the sum of e^2 + w (change of command)^2.
 
         It is infinite in the segment in which a run failed, and NaN in later ones. The arguments are those of `drive`.
@@ -219,16 +212,14 @@ class RunSet:
             counts.append(mpc.scheduler_counts)
         return {name: np.array([count[name] for count in counts]) for name in counts[0]}
 
-    def _run(self, policy: Policy, seed: int, indices: Indices, segmented: bool = False) -> Outcome:
-        controller = policy.controller if isinstance(policy, ControllerTunings) else policy
-        batch = self._cached_batch(controller) if _is_controller(controller) else self._mpc_batch
-        tuning, scheduler = batch.tuning, batch.scheduler
-        if isinstance(policy, Schedule):
-            self._warn_of(policy)
-            scheduler = policy
-        elif not _is_controller(policy):
-            scheduler = None
-            tuning = _tunings(policy)
+    def _run(self, policy: PolicyArgument, seed: int, indices: Indices, segmented: bool = False) -> Outcome:
+        controller, tunings, scheduler = policy_of(policy)
+        batch = self._mpc_batch if controller is None else self._cached_batch(controller)
+        if scheduler is not None:
+            self._warn_of(scheduler)
+        elif tunings is None:
+            scheduler = batch.scheduler
+        tuning = batch.tuning if tunings is None else np.asarray(tunings, dtype=float)
         outcome = batch.run(
             indices, np.broadcast_to(tuning, (len(indices), tuning.shape[-1])).copy(),
             np.full(len(indices), seed, np.int64), os.cpu_count() or 1,
@@ -240,41 +231,46 @@ class RunSet:
     def _warn_of(self, schedule: Schedule) -> None:
         self.mpc.warn_of(schedule, load_profile(self.profile).name, self.plant)
 
-    def _runs_compiled(self, policy: Policy) -> bool:
+    def _controller(self, policy: Policy) -> Controller:
+        """Return the controller that a policy drives with or whose tuning it replaces."""
+        return self.mpc if policy.controller is None else policy.controller
+
+    def _runs_compiled(self, policy: PolicyArgument) -> bool:
         """Whether plant, driver and policy run in compiled batches, without calls of Python functions."""
-        policy = policy.controller if isinstance(policy, ControllerTunings) else policy
-        controller = policy if _is_controller(policy) else self.mpc
         if isinstance(self.plant, SteppedPlant) or not isinstance(self.driver, Driver | None):
             return False
-        if interpreted_functions(self.plant, controller):
-            return False
-        return not _is_controller(policy) or _is_compiled(policy)
+        controller = self._controller(policy_of(policy))
+        has_compiled_scheduler = isinstance(controller.scheduler, Schedule | None)
+        return (
+            controller.runs_in_kernel and has_compiled_scheduler and not interpreted_functions(self.plant, controller)
+        )
 
-    def controller_of(self, policy: Policy, row: int = 0) -> Controller:
+    def controller_of(self, policy: PolicyArgument, row: int = 0) -> Controller:
         """Return the controller of a policy: a controller itself, or the MPC with a schedule or a tuning.
 
         If the policy has a tuning for each run, `row` selects one.
         """
-        if _is_controller(policy):
-            return policy
-        if isinstance(policy, Schedule):
-            self._warn_of(policy)
-            mpc = copy.copy(self.mpc)
-            mpc.scheduler = policy
-            mpc.reset()
-            return mpc
-        controller = policy.controller if isinstance(policy, ControllerTunings) else self.mpc
-        tuning = dict(zip(controller.tuning_names, _tuning(policy, row).tolist(), strict=True))
+        record = policy_of(policy)
+        controller, tunings, scheduler = self._controller(record), record.tunings, record.scheduler
+        if scheduler is not None:
+            self._warn_of(scheduler)
+            controller = copy.copy(controller)
+            controller.scheduler = scheduler
+            controller.reset()
+        if tunings is None:
+            return controller
+        rows = np.atleast_2d(np.asarray(tunings, dtype=float))
+        tuning = dict(zip(controller.tuning_names, rows[min(row, len(rows) - 1)].tolist(), strict=True))
         return controller.with_tuning(controller.nearest_tuning(tuning))
 
-    def _simulated_cost(self, policy: Policy, row: int, i: int, seed: int) -> float:
+    def _simulated_cost(self, policy: PolicyArgument, row: int, i: int, seed: int) -> float:
         """Return J (m^2) of run i of the set with one noise seed; `row` as for `controller_of`."""
         run = self._simulated(policy, row, i, seed)
         if run.failed is not None:
             return math.inf
         return float(portable.square(run.error).mean() + self.weight * portable.square(run.command_change).mean())
 
-    def _simulated_segments(self, policy: Policy, row: int, i: int, seed: int) -> Array:
+    def _simulated_segments(self, policy: PolicyArgument, row: int, i: int, seed: int) -> Array:
         """Return the costs of the segments of run i (m^2), (segments,), as the compiled kernels compute them."""
         run = self._simulated(policy, row, i, seed)
         step_costs = portable.square(run.error) + self.weight * portable.square(run.command_change)
@@ -284,7 +280,7 @@ class RunSet:
             segments[first], segments[first + 1 :] = math.inf, math.nan
         return segments
 
-    def _simulated(self, policy: Policy, row: int, i: int, seed: int) -> Trajectory:
+    def _simulated(self, policy: PolicyArgument, row: int, i: int, seed: int) -> Trajectory:
         """Return the trajectory of run i of the set with one noise seed; `row` as for `controller_of`."""
         controller, perception = self.controller_of(policy, row), self.perception
         if isinstance(perception, Perception):  # the same perception errors as in a compiled batch
@@ -295,25 +291,27 @@ class RunSet:
         )  # fmt: skip
 
 
-def _tunings(policy: Policy) -> Array:
-    """Return the tuning (entries,) or the tunings (runs, entries) of a policy."""
-    tunings = policy.tunings if isinstance(policy, ControllerTunings) else policy
-    return tunings.as_array() if isinstance(tunings, Tuning) else np.asarray(tunings, dtype=float)
+def policy_of(policy: Any, where: str = "policy") -> Policy:
+    """Return the record of any `PolicyArgument`.
 
-
-def _tuning(policy: Policy, row: int) -> Array:
-    """Return the tuning (entries,) in a row of a policy's tunings, or in the last row if there are fewer."""
-    rows = np.atleast_2d(_tunings(policy))
-    return np.asarray(rows[min(row, len(rows) - 1)])
-
-
-def _is_controller(policy: Any) -> TypeGuard[Controller]:
-    return isinstance(policy, Controller)
-
-
-def _is_compiled(controller: Controller) -> bool:
-    """Whether a controller runs compiled: a `CompiledController`, or an MPC with compiled solver and scheduler."""
-    return controller.runs_in_kernel and isinstance(controller.scheduler, Schedule | None)
+    Raises
+    ------
+    InvalidInput
+        For anything that cannot drive; the message begins with `where`.
+    """
+    if hasattr(policy, "as_policy"):
+        record: Policy = policy.as_policy()
+        return record
+    try:
+        rows = np.asarray(policy, dtype=float)
+    except (TypeError, ValueError):
+        rows = np.empty(0)
+    if rows.ndim not in (1, 2) or rows.shape[-1] != len(ENTRIES) or not np.isfinite(rows).all():
+        raise InvalidInput(
+            f"{where}: {policy!r}: must be a schedule, a tuning, finite rows of Np, Nc, Q, R, or a controller with a "
+            "method `step`."
+        )
+    return Policy(tunings=rows)
 
 
 def _scheduling_variables(samples: Array) -> Array:

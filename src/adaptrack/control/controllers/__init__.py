@@ -1,66 +1,8 @@
-"""Controllers: what `simulate` drives with. One file each; `check_controller` tells whether one keeps the contract."""
+"""Controllers: what `simulate` drives with. `check_controller` tells whether one keeps the contract.
 
-from adaptrack.control.controllers.base import (
-    Command,
-    CompiledController,
-    Controller,
-    TuningBounds,
-    command_of,
-    step_call,
-)
-from adaptrack.control.controllers.belief import Belief, Uncertainty
-from adaptrack.control.controllers.check import check_controller
-from adaptrack.control.controllers.informed import informed_tuning
-from adaptrack.control.controllers.learned_car import BeliefState, LearnedCar, Learning, load_learned_car
-from adaptrack.control.controllers.limits import Limits, Moves
-from adaptrack.control.controllers.lqr import LQR
-from adaptrack.control.controllers.mpc import MPC, CompiledScheduler, MPCCommand, Scheduler
-from adaptrack.control.controllers.published import published_mpc, released_mpc
-from adaptrack.control.controllers.pure_pursuit import PurePursuit
-from adaptrack.control.controllers.registry import (
-    About,
-    about_controller,
-    get_controller,
-    list_controllers,
-    register_controller,
-)
-from adaptrack.control.controllers.stanley import Stanley
-from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
-from adaptrack.control.controllers.user import UserController
+`__init__.pyi` lists the public names. They are loaded when they are first used.
+"""
 
-__all__ = [
-    "ENTRIES",
-    "LQR",
-    "MPC",
-    "About",
-    "Belief",
-    "BeliefState",
-    "Command",
-    "CompiledController",
-    "CompiledScheduler",
-    "Controller",
-    "LearnedCar",
-    "Learning",
-    "Limits",
-    "MPCCommand",
-    "Moves",
-    "PurePursuit",
-    "Scheduler",
-    "Stanley",
-    "Tuning",
-    "TuningBounds",
-    "Uncertainty",
-    "UserController",
-    "about_controller",
-    "check_controller",
-    "command_of",
-    "get_controller",
-    "informed_tuning",
-    "list_controllers",
-    "load_learned_car",
-    "published_mpc",
-    "read_tuning",
-    "register_controller",
-    "released_mpc",
-    "step_call",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

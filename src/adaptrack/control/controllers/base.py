@@ -16,12 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from adaptrack.base.checked import Positive, checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.registry import PluginCall
-from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers.inputs import change_of_path, number, road_ahead, vector, wheel_angle
 from adaptrack.control.controllers.limits import Limits, LimitsArgument
 from adaptrack.core.controllers.law import law_controller
 from adaptrack.core.kernel import row_of
-from adaptrack.core.models.car import SteeringRow as SteeringRow
 from adaptrack.core.synthesis import laws
 from adaptrack.road.road_ahead import RoadAhead, straight
 
@@ -85,6 +83,30 @@ class TuningBounds(NamedTuple):
     """low and high are factors on the controller's own value; else they are values"""
 
 
+class Policy(NamedTuple):
+    """A way to drive a set of runs: a controller, with its own tuning and scheduler or with others in their place."""
+
+    controller: Any = None
+    """the `Controller`; None: the MPC of the runs"""
+    tunings: Any = None
+    """a tuning (entries,), or one for each run (runs, entries), in the order of `tuning_names`; None: its own"""
+    scheduler: Any = None
+    """a schedule in place of the constant tuning"""
+
+    def as_policy(self) -> Policy:
+        """Return the policy itself."""
+        return self
+
+    @property
+    def adapts(self) -> bool:
+        """Whether the tuning changes between or during runs."""
+        if self.scheduler is not None:
+            return not self.scheduler.is_constant
+        if self.tunings is not None:
+            return np.ndim(self.tunings) == 2 and len(self.tunings) > 1
+        return self.controller is not None and self.controller.scheduler is not None
+
+
 TWO_DECADES = TuningBounds(0.01, 100.0, relative=True)
 """Two decades to either side of the controller's own value."""
 FIXED_TUNING = TuningBounds(1.0, 1.0, relative=True)
@@ -141,6 +163,8 @@ class Controller(ABC):
     """Whether model and estimator are the paper's."""
     has_horizons: bool = False
     """Whether moves are planned over the horizons Np and Nc of a tuning."""
+    is_exportable: bool = False
+    """Whether exports contain its functions (`CONTROLLERS` in `core/build/units.py`)."""
     runs_in_kernel: bool = False
     """Whether loops that are compiled can call it, see `part`."""
     own_part: Any = None
@@ -209,6 +233,14 @@ class Controller(ABC):
     def change_path(self, heading: float, offset: float) -> None:
         """Say that another path lies under the car, by how much (rad, m) heading and offset have grown against it."""
         change_of_path(heading, offset)
+
+    def predicted_path(self, ahead: RoadAhead) -> Array:
+        """(Np, 2) m: where the last step, on that road ahead of the car, predicts it; (0, 2) without a prediction."""
+        return np.zeros((0, 2))
+
+    def as_policy(self) -> Policy:
+        """Return the policy that drives runs with this controller in place of their MPC."""
+        return Policy(self)
 
     def describe(self) -> dict[str, Any]:
         """The configuration, for provenance: plain data."""
@@ -340,6 +372,8 @@ class CompiledController(Controller):
     runs_in_kernel, replaces_vy = True, False
     positive: ClassVar[tuple[str, ...]] = ()
     """Entries of the tuning that must not be zero either."""
+    law_name: ClassVar[str] = ""
+    """Name of the law of a vehicle in `describe`; empty: it is not listed."""
 
     @checked
     def __init__(
@@ -365,7 +399,6 @@ class CompiledController(Controller):
         """Return the law's parameters that follow `core.controllers.contract.COMMON_PARAMETERS`."""
 
     def user_functions(self) -> list[Any]:
-        """See `Controller.user_functions`."""
         return [self.function]
 
     def parameters(self) -> Array:
@@ -393,11 +426,9 @@ class CompiledController(Controller):
         return entries
 
     def part(self, slots: int, room: Room | None = None, *, curved: bool = True, has_vy: bool = True) -> Any:
-        """See `Controller.part`."""
         return law_controller(slots, self, self.packed_tuning(), has_vy)
 
     def reset(self) -> None:
-        """Forget the past: the next step is the first, from steering angle 0."""
         self._parameters = self.parameters()
         self._tuning = self.packed_tuning()
         self._memory = np.zeros(self.memory_size)
@@ -423,13 +454,6 @@ class CompiledController(Controller):
         return self._angle
 
     def applied(self, angle: float) -> None:
-        """Say which angle (rad) was sent to the steering in place of the last command: the next step goes on from it.
-
-        Raises
-        ------
-        InvalidInput
-            When no road wheel can have it.
-        """
         self._angle = wheel_angle("applied: angle", angle)
 
     def step(
@@ -484,13 +508,9 @@ class CompiledController(Controller):
             "period": self.period,
             "limits": {"move": list(self.limits.move), "angle": list(self.limits.angle)},
             "preview": self.preview,
+            **({"law": self.law_name, "vehicle": self.vehicle.name} if self.law_name else {}),
         }
 
     def __copy__(self) -> Self:
         """A controller of its own: memories are never shared."""
         return copy.deepcopy(self)
-
-
-def steering_delay(vehicle: Vehicle) -> float:
-    """Lag and dead time (s) of a car's steering as far as they are known, else `laws.STEERING_DELAY`."""
-    return float(laws.steering_delay(row_of(SteeringRow, vehicle.steering)))

@@ -127,24 +127,14 @@ def assumed_computation(seconds: float | None, profile: Profile, period: float, 
     )
 
 
-def belief_about_steering(
-    vehicle: Vehicle, steering: GivenSteering, profile: Profile, computation: SourcedValue, uses_actuator: bool
-) -> Belief:
-    """The belief about a car's steering: each number from its first source, `ASSUMED_SOURCE` where it has none.
-
-    The sources are `steering` (the caller's), the car file and the profile, in this order; `UNKNOWN`: none of them;
-    computation: `assumed_computation`; uses_actuator: whether the profile's actuator counts: not where only its sensors
-    are taken by default, nor for a controller that learns, for which a profile is the simulated world.
-    """
-    row = kernel.BeliefRow.new(1)[0]
-    kernel.believe_steering(*steering_rows(vehicle, steering, profile, uses_actuator), computation.value, row)
-    return belief_of(row, vehicle, profile, computation)
-
-
 def steering_rows(
     vehicle: Vehicle, steering: GivenSteering, profile: Profile, uses_actuator: bool
 ) -> tuple[Any, Any, Any]:
-    """The steering of the caller, of the car file and of the profile: rows of `core.models.car.SteeringRow`."""
+    """The steering of the caller, of the car file and of the profile: rows of `core.models.car.SteeringRow`.
+
+    uses_actuator: whether the profile's actuator counts: not where only its sensors are taken by default, nor for a
+    controller that learns, for which a profile is the simulated world. `UNKNOWN` as steering: no source counts.
+    """
     if steering == UNKNOWN:
         return row_of(SteeringRow), row_of(SteeringRow), row_of(SteeringRow)
     limit = min(profile.steering.limit, kernel.ANGLE)

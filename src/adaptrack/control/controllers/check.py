@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptrack.base.errors import ContractError, InvalidInput
+from adaptrack.base.errors import InvalidInput
+from adaptrack.base.registry import Contract
 from adaptrack.control.controllers.base import Array, Controller, command_of, step_call
 from adaptrack.core.maths import portable
 from adaptrack.road import Arc, Line, Road
@@ -66,22 +67,19 @@ def check_controller(controller: Controller, symmetric: bool = True, variables: 
 
 def _check_face(controller: Any) -> None:
     """Name, period, methods and description."""
-    kind = type(controller).__name__
-    name = getattr(controller, "name", None)
-    if not isinstance(name, str) or not name:
-        raise ContractError(f"{kind}: it must have a name: found {name!r}.")
-    period = getattr(controller, "period", None)
-    if not isinstance(period, float) or not 0.0 < period < math.inf:
-        raise ContractError(f"Controller {name!r}: `period` must be a positive float in seconds: found {period!r}.")
+    name, period = getattr(controller, "name", None), getattr(controller, "period", None)
+    has_name = isinstance(name, str) and name
+    Contract(type(controller).__name__).require(has_name, "it must have a name", f"found {name!r}")
+    contract = Contract(f"Controller {name!r}")
+    is_positive = isinstance(period, float) and 0.0 < period < math.inf
+    contract.require(is_positive, "`period` must be a positive float in seconds", f"found {period!r}")
     for method in ("reset", "step", "describe"):
-        if not callable(getattr(controller, method, None)):
-            raise ContractError(f"Controller {name!r}: it must have a method `{method}`: found none.")
+        is_method = callable(getattr(controller, method, None))
+        contract.require(is_method, f"it must have a method `{method}`", "found none")
     try:
         json.dumps(dict(controller.describe()))
     except Exception as error:
-        raise ContractError(
-            f"Controller {name!r}: `describe()` must give a dict of plain data, which JSON can hold: {error}."
-        ) from error
+        raise contract.breach("`describe()` must give a dict of plain data, which JSON can hold", error) from error
 
 
 AHEAD_REACH = 4.0
@@ -100,9 +98,7 @@ class _Asking:
         self.move = (low - reach, high + reach)
         self.angle = (-math.pi / 2, math.pi / 2) if limits is None else limits.angle
         self.last = 0.0
-
-    def fail(self, clause: str, evidence: str) -> None:
-        raise ContractError(f"Controller {self.controller.name!r}: {clause}: {evidence}.")
+        self.contract = Contract(f"Controller {controller.name!r}")
 
     def drive(self, questions: list[Question]) -> list[float]:
         """The commands (rad) of a drive from the start."""
@@ -134,37 +130,27 @@ class _Asking:
         except InvalidInput:
             raise
         except Exception as error:
-            self.fail(
-                "a step, also with read-only arrays, must raise nothing but InvalidInput",
-                f"{type(error).__name__} ({error}) at {question_text}",
-            )
-        unchanged = np.array_equal(arrays[0], state, equal_nan=True) and np.array_equal(
-            arrays[1], reference, equal_nan=True
-        )
-        if not unchanged:
-            self.fail("it must not write to its arguments", f"it did at {question_text}")
-        if not (math.isfinite(angle) and math.isfinite(move)):
-            self.fail("a command must be finite", f"angle {angle!r} rad, move {move!r} rad at {question_text}")
-        if abs(move - (angle - self.last)) > COMMAND_TOLERANCE:
-            self.fail(
-                "`move` must be the change of `angle`",
-                f"{move!r} instead of {angle - self.last!r} rad at {question_text}",
-            )
-        if not self.angle[0] - COMMAND_TOLERANCE <= angle <= self.angle[1] + COMMAND_TOLERANCE:
-            self.fail(
-                "a command must keep the limits on the angle", f"{angle!r} rad, limits {self.angle} at {question_text}"
-            )
-        if not self.move[0] - COMMAND_TOLERANCE <= move <= self.move[1] + COMMAND_TOLERANCE:
-            self.fail(
-                "a command must keep the limits on the move", f"{move!r} rad, limits {self.move} at {question_text}"
-            )
+            clause = "a step, also with read-only arrays, must raise nothing but InvalidInput"
+            raise self.contract.breach(clause, f"{type(error).__name__} ({error}) at {question_text}") from error
+        pairs = zip(arrays, (state, reference), strict=True)
+        unchanged = all(np.array_equal(*pair, equal_nan=True) for pair in pairs)
+        self.contract.require(unchanged, "it must not write to its arguments", f"it did at {question_text}")
+        is_finite = math.isfinite(angle) and math.isfinite(move)
+        evidence = f"angle {angle!r} rad, move {move!r} rad at {question_text}"
+        self.contract.require(is_finite, "a command must be finite", evidence)
+        is_change = abs(move - (angle - self.last)) <= COMMAND_TOLERANCE
+        evidence = f"{move!r} instead of {angle - self.last!r} rad at {question_text}"
+        self.contract.require(is_change, "`move` must be the change of `angle`", evidence)
+        for name, value, (low, high) in (("angle", angle, self.angle), ("move", move, self.move)):
+            is_within = low - COMMAND_TOLERANCE <= value <= high + COMMAND_TOLERANCE
+            evidence = f"{value!r} rad, limits {(low, high)} at {question_text}"
+            self.contract.require(is_within, f"a command must keep the limits on the {name}", evidence)
         self.last = angle
         return angle
 
     def expect_equal(self, commands: list[float], expected: list[float], clause: str) -> None:
         difference = float(np.abs(np.subtract(commands, expected)).max())
-        if difference > COMMAND_TOLERANCE:
-            self.fail(clause, f"{commands} against {expected} rad")
+        self.contract.require(difference <= COMMAND_TOLERANCE, clause, f"{commands} against {expected} rad")
 
     def survives(self, question: Question) -> None:
         """A sane step, a broken one, a sane one again."""
@@ -177,7 +163,7 @@ class _Asking:
         try:
             self.step(sane)
         except InvalidInput as error:
-            self.fail("after a broken measurement a sane one must be answered", str(error))
+            raise self.contract.breach("after a broken measurement a sane one must be answered", error) from error
 
 
 def _drives() -> Iterator[list[Question]]:

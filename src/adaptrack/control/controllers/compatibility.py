@@ -38,7 +38,7 @@ def mismatches(
 ) -> list[str]:
     """A sentence with its remedy for each of controller, car and profile that is another than the file names.
 
-    made_for: of a schedule, see `scheduling.files.made_for`; what it does not tell is not compared. model:
+    made_for: of a schedule, see `scheduling.made_for`; what it does not tell is not compared. model:
     `MPC.kind_of_model`; car, profile: their names (`car_of`), None where they are not known; plant_car: the car of the
     plant, where it is known.
     """

@@ -19,12 +19,8 @@ def vector(name: str, values: Any, size: int | tuple[int, ...] | None = None, mo
     """A writeable, contiguous float64 row; masked entries become NaN.
 
     size: how long it may be, None: any length but 0; most: only the first so many are read.
-    A row that is fit already is given back as it is, not copied.
-
-    Raises
-    ------
-    InvalidInput
-        When the values are not real numbers, or the shape is wrong.
+    A row that is fit already is given back as it is, not copied. `InvalidInput` for values that are not real numbers,
+    or a wrong shape.
     """
     row = _row(name, values, (size,) if isinstance(size, int) else size, most)
     return row if row.flags.carray else row.copy()  # contiguous, aligned and writeable
@@ -78,13 +74,7 @@ class KernelInput:
 
 
 def number(name: str, value: Any) -> float:
-    """A real number as a float; beyond the largest one infinity. Truth values and text are none.
-
-    Raises
-    ------
-    InvalidInput
-        When it is no real number.
-    """
+    """A real number as a float; beyond the largest one infinity. `InvalidInput` for anything else, truth values too."""
     if type(value) is float:
         return value
     row = reals(name, value)
@@ -94,13 +84,7 @@ def number(name: str, value: Any) -> float:
 
 
 def finite(name: str, value: Any) -> float:
-    """A finite number.
-
-    Raises
-    ------
-    InvalidInput
-        When it is none.
-    """
+    """A finite number; `InvalidInput` for anything else."""
     result = number(name, value)
     if not np.isfinite(result):
         raise InvalidInput(f"{name} = {format_value(value)}: must be finite.")
@@ -108,13 +92,7 @@ def finite(name: str, value: Any) -> float:
 
 
 def wheel_angle(name: str, value: Any) -> float:
-    """An angle (rad) that road wheels can have: `MOST_WHEEL_ANGLE` to either side at most.
-
-    Raises
-    ------
-    InvalidInput
-        When it is none.
-    """
+    """An angle (rad) that road wheels can have, `MOST_WHEEL_ANGLE` to either side; `InvalidInput` for anything else."""
     angle = finite(name, value)
     if abs(angle) > MOST_WHEEL_ANGLE:
         raise InvalidInput(
@@ -126,10 +104,7 @@ def wheel_angle(name: str, value: Any) -> float:
 def change_of_path(heading: Any, offset: Any) -> tuple[float, float]:
     """By how much heading (rad) and offset (m) have grown against another path: less than `MOST_CHANGE`.
 
-    Raises
-    ------
-    InvalidInput
-        When a number is not finite, or so large that the controller had better begin anew.
+    `InvalidInput` for a number that is not finite, or so large that the controller had better begin anew.
     """
     turned, shifted = finite("change_path: heading", heading), finite("change_path: offset", offset)
     if max(abs(turned), abs(shifted)) >= MOST_CHANGE:

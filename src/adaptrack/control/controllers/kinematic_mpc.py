@@ -61,6 +61,9 @@ class KinematicMPC(CompiledController):
         make no controller.
     """
 
+    name, law_name = "kinematic MPC", "kinematic-mpc"
+    function = staticmethod(kernel.kinematic_mpc)
+    tuning_names, diagnostic_names = kernel.KINEMATIC_TUNING, kernel.KINEMATIC_DIAGNOSTICS
     # of its weights only the ratios to that of the lateral error count
     tuning_bounds: Mapping[str, TuningBounds] = {
         **dict.fromkeys(("lateral_error", "heading_error", "steering_rate", "steering_acceleration"), FIXED_TUNING),
@@ -94,7 +97,6 @@ class KinematicMPC(CompiledController):
         if not 0.0 < self.step_length < math.inf:
             raise InvalidInput(f"KinematicMPC: step = {step!r} s: must be positive and finite.")
         tuning = {**_all_weights(weights), "cutoff": cutoff}
-        self.tuning_names, self.diagnostic_names = kernel.KINEMATIC_TUNING, kernel.KINEMATIC_DIAGNOSTICS
         behind = (self.pose_age + self.belief.delay) / setup.period
         self.memory_size = kernel.memory_size(self.stages, behind)
         super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
@@ -107,14 +109,6 @@ class KinematicMPC(CompiledController):
                 "KinematicMPC: steering, steering_v2: one of them must be positive, so that H is definite."
             )
         return entries
-
-    @property
-    def name(self) -> str:
-        return "kinematic MPC"
-
-    @property
-    def function(self) -> Any:
-        return kernel.kinematic_mpc
 
     def own_parameters(self) -> Array:
         car, belief = self.vehicle, self.belief
@@ -177,10 +171,8 @@ class KinematicMPC(CompiledController):
         return M, np.concatenate([np.full(n, high), np.full(n, -low), most, -least])
 
     def describe(self) -> dict[str, Any]:
-        return {
-            **super().describe(), "law": "kinematic-mpc", "vehicle": self.vehicle.name, "belief": str(self.belief),
-            "pose_age": self.pose_age, "stages": self.stages, "step": self.step_length,
-        }  # fmt: skip
+        horizon = {"stages": self.stages, "step": self.step_length}
+        return super().describe() | {"belief": str(self.belief), "pose_age": self.pose_age} | horizon
 
 
 def kinematic_model(

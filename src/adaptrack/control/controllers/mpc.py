@@ -35,9 +35,7 @@ from adaptrack.control.controllers.tuning import ENTRIES, Tuning, read_tuning
 from adaptrack.control.estimation import NOTHING_MEASURED, Deadbeat, Estimator, get_estimator
 from adaptrack.control.kalman import KalmanFilter
 from adaptrack.control.models import PredictionModel, SingleTrackModel
-from adaptrack.control.qp import QP, QPSolver, QPStatus, Solution, get_qp_solver
-from adaptrack.control.qp.active_set import ActiveSet
-from adaptrack.control.qp.hildreth import Hildreth
+from adaptrack.control.qp import QP, ActiveSet, Hildreth, QPSolver, QPStatus, Solution, get_qp_solver
 from adaptrack.core.controllers import mpc as kernel
 from adaptrack.core.controllers.mpc_step import MPCStep, form_qp, mpc_controller, step
 from adaptrack.core.controllers.receding import apply_move, predict_outputs
@@ -61,7 +59,7 @@ _STATE_SIZES = (4, 5, 6, 7, 8, 9)
 """with or without wheel angle, lateral acceleration, ages and the path's turn (`core.models.contract.MEASUREMENT`)"""
 _NOT_CARRIED = (
     "_lock", "_measured", "_answer", "_learned", "_state", "_reference", "_now", "_resident", "_resident_plan", "_step",
-    "_schedule_step", "_own_part", "functions",
+    "_own_part", "functions",
 )  # fmt: skip
 """Of a controller, by a copy of it: see `MPC._load`."""
 _METHOD = "'auto' serves as well, and Learning() gives one"
@@ -182,8 +180,9 @@ class MPC(Controller):
         For arguments that make no controller: the message says which.
     """
 
+    period: float
     tuning_names = ENTRIES
-    sees_all_sensors = True
+    sees_all_sensors = has_horizons = is_exportable = True
 
     @checked
     def __init__(
@@ -224,12 +223,17 @@ class MPC(Controller):
         self.tuning = parts.tuning if tuning is None else tuning
         self.model, self.estimator, self.belief = parts.model, parts.estimator, parts.belief
         self.learner, self.learns, self.late_signals = parts.learner, parts.learns, parts.late_signals
-        self.vehicle = getattr(self.model, "vehicle", None)
+        self.vehicle, self.period = getattr(self.model, "vehicle", None), self.model.period
         self.estimator.check_fits(self.model)
+        self.needs_whole_state, self.takes_late = self.estimator.function is None, self.estimator.late(self.model)
+        self.position_noise = self.estimator.noise.y if isinstance(self.estimator, KalmanFilter) else 0.0
+        self.is_published = isinstance(self.model, SingleTrackModel) and isinstance(self.estimator, Deadbeat)
+        self.diagnostic_names = _DIAGNOSTICS if self.learner is None else (*_DIAGNOSTICS, *BELIEF_NAMES)
         self.limits = limits or parts.limits
         self.preview = parts.preview if preview is None else bool(preview)
         self.moves = moves or Moves()
         self.solver = get_qp_solver(solver) if isinstance(solver, str) else solver
+        self.runs_in_kernel = isinstance(self.solver, ActiveSet | Hildreth)
         if scheduler is not None and not callable(scheduler):
             raise InvalidInput(f"MPC: scheduler = {scheduler!r}: must be callable, variables -> (Np, Nc, Q, R).")
         entries = tuple(getattr(scheduler, "entries", ENTRIES))
@@ -255,18 +259,6 @@ class MPC(Controller):
         self._furthest = self.longest_horizon + 1 + (delay_steps + 1 if delay_steps else 0)
         if self.moves.kind == "laguerre" and self.most_moves > self.longest_horizon:
             raise InvalidInput("most_moves must not exceed longest_horizon.")
-
-    @property
-    def period(self) -> float:
-        """Control period (s)."""
-        return self.model.period
-
-    @property
-    def diagnostic_names(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Names of the diagnostics of a step: of the QP and of the learned quantities."""
-        if self.learner is None:
-            return _DIAGNOSTICS
-        return (*_DIAGNOSTICS, *BELIEF_NAMES)
 
     @property
     def first_caution(self) -> float:
@@ -307,22 +299,12 @@ class MPC(Controller):
             return f"{scheduled} informed MPC ({moves})".strip()
         return f"{scheduled} MPC ({self.model.name}, {self.estimator.name}, {moves})".strip()
 
-    @property
-    def is_published(self) -> bool:  # type: ignore[override]
-        """Whether model and estimator are the paper's."""
-        return isinstance(self.model, SingleTrackModel) and isinstance(self.estimator, Deadbeat)
-
     def __repr__(self) -> str:
         car, tuning = getattr(self.model, "vehicle", None), self.tuning
         numbers = f"{tuning.Np}/{tuning.Nc}/{tuning.Q:g}/{tuning.R:g}"
         late = f"; late signals: {self.late_signals}" if self.late_signals else ""
         belief = f"; {self.learns}{late}; steering: {self.belief}" if self.belief is not None else ""
         return f"<{self.name} of {getattr(car, 'name', 'a car')}: {numbers}, every {self.period:g} s{belief}>"
-
-    @property
-    def runs_in_kernel(self) -> bool:  # type: ignore[override]
-        """Whether the kernels solve the QP, rather than a back-end called from Python."""
-        return isinstance(self.solver, ActiveSet | Hildreth)
 
     def settings(self, longest: float = math.inf, most: float = math.inf, residuals: bool = True) -> Any:
         """Everything but model and tuning as the kernels expect it (`core.controllers.mpc.MPCSettings`).
@@ -370,15 +352,7 @@ class MPC(Controller):
             most_moves=min(self.most_moves, max(1.0, math.floor(most + 0.5)) if most < math.inf else 1e9),
         )
 
-    has_horizons = True
-
-    @property
-    def needs_whole_state(self) -> bool:  # type: ignore[override]
-        """Whether the whole state of the model must be measured, for lack of an estimator."""
-        return self.estimator.function is None
-
     def user_functions(self) -> list[Any]:
-        """See `Controller.user_functions`."""
         return [self.model.function, self.estimator.function]
 
     def nearest_tuning(self, tuning: Mapping[str, float]) -> dict[str, float]:
@@ -388,26 +362,14 @@ class MPC(Controller):
         return {**tuning, "Np": longest, "Nc": most}
 
     @property
-    def takes_late(self) -> int:  # type: ignore[override]
-        """Control periods by which its Kalman filter takes late samples; -1 without such a filter."""
-        return self.estimator.late(self.model)
-
-    @property
-    def position_noise(self) -> float:  # type: ignore[override]
-        """Standard deviation (m) of the position that its filter assumes; 0 without one."""
-        return self.estimator.noise.y if isinstance(self.estimator, KalmanFilter) else 0.0
-
-    @property
     def learner_memory(self) -> Array:
         """Memory of its learner, as the kernels have it; empty where nothing is learned."""
         return np.asarray(self._mpc.informed.learned[0])
 
     def part(self, slots: int, room: Room | None = None, *, curved: bool = True, has_vy: bool = True) -> Any:
-        """See `Controller.part`."""
         return self.part_of(self.batch(slots, self.settings(*(room or Room())), curved))
 
     def room_for(self, tunings: Array, scheduler: CompiledScheduler | None = None) -> Room:
-        """See `Controller.room_for`."""
         longest, most = tunings[:, 0].max(initial=1), tunings[:, 1].max(initial=1)
         if scheduler is not None:
             longest, most = max(longest, scheduler.largest[0]), max(most, scheduler.largest[1])
@@ -464,11 +426,9 @@ class MPC(Controller):
         return np.concatenate([parameters, self.estimator.tyres]) if parameters.size else parameters
 
     def reset(self) -> None:
-        """Forget the past: the next step is the first, from steering angle 0."""
         self._mpc = self.batch(1, self.settings())
         self._requested = self.tuning.as_array()
         self._plan = self.scheduler.plan(1) if isinstance(self.scheduler, CompiledScheduler) else None
-        self._names = VARIABLE_NAMES
         self._variables = np.zeros(len(VARIABLE_NAMES))
         self._speed, self._without_speed = math.nan, 0
         self._raised = 0
@@ -567,13 +527,6 @@ class MPC(Controller):
         return float(self._mpc.memory[0].command)
 
     def applied(self, angle: float) -> None:
-        """Say which angle (rad) was sent to the steering in place of the last command: the next step goes on from it.
-
-        Raises
-        ------
-        InvalidInput
-            When no road wheel can have it.
-        """
         self._mpc.memory["command"][0] = wheel_angle("applied: angle", angle)
 
     def change_path(self, heading: float, offset: float) -> None:
@@ -763,7 +716,7 @@ class MPC(Controller):
         if numbers.size < values.size:
             values[numbers.size :] = 0.0
         values[: numbers.size] = numbers
-        self._schedule_step(values, self._resident_plan, self._requested)
+        schedule_step(values, self._resident_plan, self._requested)
 
     def _variable_numbers(self, variables: Sequence[float]) -> Array:
         """The variables as numbers; the last three may be left out."""
@@ -772,7 +725,7 @@ class MPC(Controller):
             return vector("variables", variables, (count - 3, count - 2, count - 1, count))
         except InvalidInput as error:
             raise InvalidInput(
-                f"variables: need {count} numbers, {', '.join(self._names)}; the last three may be left out."
+                f"variables: need {count} numbers, {', '.join(VARIABLE_NAMES)}; the last three may be left out."
             ) from error
 
     def _ask(self, variables: Sequence[float]) -> None:
@@ -792,10 +745,6 @@ class MPC(Controller):
                 _log.warning(
                     "adaptrack: the scheduler failed, its last tuning is kept: %s: %s", type(error).__name__, error
                 )
-
-    @cached_property
-    def _schedule_step(self) -> Any:
-        return schedule_step
 
     @cached_property
     def functions(self) -> Any:

@@ -13,8 +13,8 @@ from adaptrack.base.checked import checked, real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle, VehicleArgument
 from adaptrack.control.controllers.base import FIXED_TUNING, TWO_DECADES, Array, CompiledController, TuningBounds
+from adaptrack.control.controllers.laws import GAIN_SPEEDS, WEIGHT_FACTORS, feedback, riccati
 from adaptrack.control.controllers.limits import LimitsArgument
-from adaptrack.control.controllers.lqr import GAIN_SPEEDS, WEIGHT_FACTORS, feedback, riccati
 from adaptrack.control.controllers.setup import LoopSetup
 from adaptrack.control.models import PathModel
 from adaptrack.core.controllers import preview_lqr as kernel
@@ -45,6 +45,9 @@ class PreviewLQR(CompiledController):
         For a weight that is not positive and finite, or arguments that make no controller.
     """
 
+    name, law_name = "preview LQR", "preview-lqr"
+    function = staticmethod(kernel.preview_lqr)
+    diagnostic_names = kernel.PREVIEW_DIAGNOSTICS
     positive: ClassVar[tuple[str, ...]] = ("q_e", "q_heading", "r")
     tuning_bounds: Mapping[str, TuningBounds] = {
         "q_e": TWO_DECADES,
@@ -74,20 +77,11 @@ class PreviewLQR(CompiledController):
         if not setup.period <= real("PreviewLQR", "ahead", ahead) <= 10.0:
             raise InvalidInput(f"PreviewLQR: ahead = {ahead!r} s: must be from a control period to 10.")
         self.previewed = round(ahead / setup.period)
-        self.tuning_names, self.diagnostic_names = kernel.PREVIEW_TUNING, kernel.PREVIEW_DIAGNOSTICS
         self._model = PathModel(vehicle, setup.period, self.belief.lag.value)
         behind = self.belief.delay / setup.period
         self.memory_size = kernel.memory_size(self._model.n, self.previewed, behind)
         tuning = {"q_e": q_e, "q_heading": q_heading, "r": r}
         super().__init__(tuning, period=setup.period, limits=setup.limits, preview=setup.preview)
-
-    @property
-    def name(self) -> str:
-        return "preview LQR"
-
-    @property
-    def function(self) -> Any:
-        return kernel.preview_lqr
 
     def own_parameters(self) -> Array:
         car, t, belief = self.vehicle, self.tuning, self.belief
@@ -112,10 +106,8 @@ class PreviewLQR(CompiledController):
         return preview_gains(A, B[:, 0], steady_turn(self.vehicle, speed, len(A))[0], e, heading, self.previewed)
 
     def describe(self) -> dict[str, Any]:
-        return {
-            **super().describe(), "law": "preview-lqr", "vehicle": self.vehicle.name, "belief": str(self.belief),
-            "pose_age": self.pose_age, "previewed": self.previewed,
-        }  # fmt: skip
+        loop = {"belief": str(self.belief), "pose_age": self.pose_age}
+        return super().describe() | loop | {"previewed": self.previewed}
 
 
 def steady_turn(vehicle: Vehicle, speed: float, n: int) -> tuple[Array, float]:

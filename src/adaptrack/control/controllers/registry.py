@@ -34,36 +34,31 @@ class About:
 
 
 _SHIPPED: dict[str, tuple[str, About]] = {
-    "informed": ("control.controllers.mpc:MPC", About("informed MPC, with steering model", ours=True)),
-    "informed-learning": ("control.variants:learning", About("informed MPC, learning while it drives", ours=True)),
+    "informed": ("mpc:MPC", About("informed MPC, with steering model", ours=True)),
+    "informed-learning": ("presets:learning", About("informed MPC, learning while it drives", ours=True)),
     "informed-from-sheet": (
-        "control.variants:learning_from_sheet",
+        "presets:learning_from_sheet",
         About("informed MPC from mass and wheelbase, learning while it drives", ours=True),
     ),
-    "as-written": ("control.controllers.published:published_mpc", About("MPC of the paper, as written")),
-    "as-released": (
-        "control.controllers.published:released_mpc",
-        About("MPC of the paper, as its authors released it"),
-    ),
-    "nn": ("control.variants:nn", About("MPC of the paper, scheduled by networks", tunable=False)),
-    "anfis": ("control.variants:anfis", About("MPC of the paper, scheduled by ANFIS", tunable=False)),
-    "published": (
-        "control.variants:published",
-        About("MPC of the paper, with its best constant on drives", tunable=False),
-    ),
-    "published-nn": ("control.variants:published_nn", About("published MPC, scheduled by networks", tunable=False)),
-    "pure-pursuit": ("control.controllers.pure_pursuit:PurePursuit", About("pure pursuit")),
-    "stanley": ("control.controllers.stanley:Stanley", About("Stanley, with dead time")),
-    "lqr": ("control.controllers.lqr:LQR", About("LQR with curvature feed-forward")),
-    "preview-lqr": ("control.controllers.preview_lqr:PreviewLQR", About("LQR with optimal preview of the curvature")),
+    "as-written": ("presets:published_mpc", About("MPC of the paper, as written")),
+    "as-released": ("presets:released_mpc", About("MPC of the paper, as its authors released it")),
+    "nn": ("presets:nn", About("MPC of the paper, scheduled by networks", tunable=False)),
+    "anfis": ("presets:anfis", About("MPC of the paper, scheduled by ANFIS", tunable=False)),
+    "published": ("presets:published", About("MPC of the paper, with its best constant on drives", tunable=False)),
+    "published-nn": ("presets:published_nn", About("published MPC, scheduled by networks", tunable=False)),
+    "pure-pursuit": ("laws:PurePursuit", About("pure pursuit")),
+    "stanley": ("laws:Stanley", About("Stanley, with dead time")),
+    "lqr": ("laws:LQR", About("LQR with curvature feed-forward")),
+    "preview-lqr": ("preview_lqr:PreviewLQR", About("LQR with optimal preview of the curvature")),
     "kinematic-mpc": (
-        "control.controllers.kinematic_mpc:KinematicMPC",
+        "kinematic_mpc:KinematicMPC",
         About("kinematic MPC with lag and dead time, Autoware's formulation"),
     ),
 }
+"""By name: the factory, "module:name" in `control.controllers`, and its description."""
 _descriptions: dict[str, About] = {name: description for name, (_, description) in _SHIPPED.items()}
 _registry: Registry[Controller] = Registry(
-    "controller", "register_controller", {name: f"adaptrack.{place}" for name, (place, _) in _SHIPPED.items()},
+    "controller", "register_controller", {name: f"{__package__}.{place}" for name, (place, _) in _SHIPPED.items()},
     ("vehicle",), Controller,
 )  # fmt: skip
 

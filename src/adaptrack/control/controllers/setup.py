@@ -8,9 +8,16 @@ from typing import NamedTuple
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
-from adaptrack.control.controllers.belief import MOST_COMPUTATION, Belief, assumed_computation, belief_about_steering
+from adaptrack.control.controllers.belief import (
+    MOST_COMPUTATION,
+    Belief,
+    assumed_computation,
+    belief_of,
+    steering_rows,
+)
 from adaptrack.control.controllers.informed import DEFAULT_PROFILE
 from adaptrack.control.controllers.limits import Limits
+from adaptrack.core.synthesis import belief as kernel
 from adaptrack.scenario.profile import Profile, load_profile
 
 
@@ -19,6 +26,9 @@ def world_and_belief(
     computation: float | None = None,
 ) -> tuple[Profile, float, Belief]:  # fmt: skip
     """The profile, the control period (s), and what is believed of the steering; arguments as for `MPC`.
+
+    Each number of the steering is that of the caller, the car file or the profile, in this order, else
+    `belief.ASSUMED_SOURCE`.
 
     Raises
     ------
@@ -33,7 +43,9 @@ def world_and_belief(
     if seconds is not None and not 0.0 <= seconds <= MOST_COMPUTATION:
         raise InvalidInput(f"{where}: computation = {seconds!r} s: must be from 0 to {MOST_COMPUTATION:g}.")
     computation_time = assumed_computation(seconds, world, step, uses_actuator=profile is not None)
-    return world, step, belief_about_steering(car, belief, world, computation_time, uses_actuator=profile is not None)
+    row = kernel.BeliefRow.new(1)[0]
+    kernel.believe_steering(*steering_rows(car, belief, world, profile is not None), computation_time.value, row)
+    return world, step, belief_of(row, car, world, computation_time)
 
 
 class LoopSetup(NamedTuple):
@@ -54,13 +66,7 @@ class LoopSetup(NamedTuple):
         cls, where: str, vehicle: Vehicle, profile: str | Profile | None, belief: Steering | None,
         period: float | None, preview: bool | None, limits: Limits | None, computation: float | None = None,
     ) -> LoopSetup:  # fmt: skip
-        """For the controller called `where` in messages; arguments as for `MPC`.
-
-        Raises
-        ------
-        InvalidInput
-            For a belief that is no `Steering`, or a period or computation time out of range.
-        """
+        """For the controller called `where` in messages; arguments as for `MPC`, errors as for `world_and_belief`."""
         world, step, assumed = world_and_belief(where, vehicle, profile, belief, period, computation)
         return cls(
             belief=assumed,

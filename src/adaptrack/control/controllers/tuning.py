@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from adaptrack.base.checked import real, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import CONTROL_HORIZON, PREDICTION_HORIZON, check_limit
+from adaptrack.control.controllers.base import Policy
 from adaptrack.core.controllers.mpc import MPC_TUNING_FIELDS, MPCTuning
 
 Array = NDArray[np.float64]
@@ -55,6 +56,10 @@ class Tuning(_Entries):  # type: ignore[misc]
     def as_array(self) -> Array:
         """[Np, Nc, Q, R] as floats."""
         return np.array(astuple(self), dtype=float)
+
+    def as_policy(self) -> Policy:
+        """Return the policy that drives runs with their MPC and this tuning."""
+        return Policy(tunings=self.as_array())
 
     @classmethod
     def of(cls, values: Iterable[float]) -> Self:

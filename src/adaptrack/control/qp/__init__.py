@@ -10,10 +10,8 @@ from typing import Any
 
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import UnknownName, did_you_mean
-from adaptrack.control.qp.active_set import ActiveSet
-from adaptrack.control.qp.hildreth import Hildreth
 from adaptrack.control.qp.problem import QP, Attempt, QPStatus, Residuals, Solution, kkt_residuals
-from adaptrack.control.qp.solver import QPSolver
+from adaptrack.control.qp.solver import ActiveSet, Hildreth, QPSolver
 
 QP_SOLVERS: dict[str, type[QPSolver]] = {ActiveSet.name: ActiveSet, Hildreth.name: Hildreth}
 

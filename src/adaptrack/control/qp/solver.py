@@ -1,4 +1,4 @@
-"""The contract between the controller and whatever solves its quadratic programme."""
+"""The contract between a controller and the solver of its quadratic programme, and the two methods of the package."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from adaptrack.base.checked import checked
-from adaptrack.control.qp.kernel import Workspace
+from adaptrack.base.checked import Count, NotNegative, checked, whole_number
 from adaptrack.control.qp.problem import QP, Array, Attempt, QPStatus, Residuals, Solution, kkt_residuals
+from adaptrack.core.layout import aligned
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
+from adaptrack.core.maths.vectors import padded
+from adaptrack.core.qp import problem as kernels
+from adaptrack.core.qp.active_set import active_set
+from adaptrack.core.qp.factor import factorise
+from adaptrack.core.qp.hildreth import hildreth
 
 ACCEPTED = 1e-6
 """A solver's "solved" is believed when no scaled residual exceeds this; else the answer is not certified."""
@@ -22,6 +27,79 @@ EXACT_SOLVER = "active-set"
 """The solver that finishes what others leave: `Workspace.solve_exactly` under its name."""
 
 OnUncertified = Literal["exact", "apply", "hold"]
+
+
+class Workspace:
+    """The padded arrays of the kernels, grown when a larger problem comes, and the factor of the last E."""
+
+    def __init__(self) -> None:
+        self._n = self._m = -1
+        self._with_h = False
+
+    def load(self, qp: QP, hildreth: bool = False) -> QPStatus:
+        """Copy the problem in and factorise E: the status of the factorisation."""
+        n, m = qp.n, qp.m
+        if n > self._n or m > self._m or (hildreth and not self._with_h):
+            self._grow(max(n, self._n), max(m, self._m), hildreth or self._with_h)
+        E, Mt = self._E, self._Mt
+        E[:n, :n] = qp.E
+        self._K[:n] = qp.K
+        Mt[:n, :m] = qp.M.T
+        self._gamma[:m] = qp.gamma
+        self.problem = kernels.Problem(n, m, E, self._K, Mt, self._gamma)
+        status, condition = factorise(n, E, self._inverses)
+        self.factor = kernels.factor_of(self._inverses, condition)
+        return QPStatus(status)
+
+    def _grow(self, n: int, m: int, with_h: bool) -> None:
+        self._n, self._m, self._with_h = n, m, with_h
+        inverses, work, rows, index = kernels.workspace_sizes(n, m, with_h)
+        width, depth = padded(n), padded(m)
+        self._E, self._Mt = aligned((n, width)), aligned((n, depth))
+        self._K, self._gamma = aligned((width,)), aligned((depth,))
+        self._inverses = aligned(inverses)
+        self.solution = kernels.SolutionRecord(aligned((width,)), aligned((depth,)))
+        self.scratch = kernels.Scratch(aligned(work), aligned(rows), aligned((index,), np.int64))
+
+    def solve_exactly(self, qp: QP, warm_start: Solution | None = None, max_iterations: int | None = None) -> Attempt:
+        """Solve ``qp`` by the exact method, starting from the active rows of an earlier solution if there is one.
+
+        max_iterations: changes of the active set at most, by default `CHANGES` (n + m).
+        """
+        status = self.load(qp)
+        if status is not QPStatus.SOLVED:
+            return Attempt(status)
+        guess = None if warm_start is None or warm_start.lam.shape != (qp.m,) else warm_start.lam
+        most = kernels.CHANGES * (qp.n + qp.m) if max_iterations is None else max_iterations
+        status, iterations = self.active_set(most, guess)
+        if status is not QPStatus.SOLVED:
+            return Attempt(status, iterations=iterations)
+        return Attempt(status, *self.result(), iterations, certified=True)
+
+    def active_set(self, max_iterations: int, guess: Array | None = None) -> tuple[QPStatus, int]:
+        """Run the exact solver, from the active rows of the multipliers ``guess`` if given: status and iterations."""
+        is_warm = 0
+        if guess is not None:
+            likely = np.flatnonzero(guess > 0.0)[: self.problem.n]
+            is_warm = len(likely)
+            self.scratch.index[:is_warm] = likely
+        status, iterations, _ = active_set(
+            self.problem, self.factor, self.solution, self.scratch, is_warm, False, max_iterations
+        )
+        return QPStatus(status), iterations
+
+    def hildreth(self, max_sweeps: int, tolerance: float, start: Array | None) -> tuple[QPStatus, int]:
+        """Run Hildreth's procedure from the multipliers ``start``, or from zero: status and sweeps."""
+        if start is not None:
+            self.solution.lam[: self.problem.m] = start
+        status, sweeps = hildreth(
+            self.problem, self.factor, self.solution, self.scratch, max_sweeps, tolerance, start is not None
+        )
+        return QPStatus(status), sweeps
+
+    def result(self) -> tuple[Array, Array]:
+        """Copies of x and lam."""
+        return self.solution.x[: self.problem.n].copy(), self.solution.lam[: self.problem.m].copy()
 
 
 class QPSolver(ABC):
@@ -132,3 +210,60 @@ def newton_distance(qp: QP, x: Array, lam: Array) -> float:
     except portable.LinAlgError:  # rows that depend on each other: the shortest of the possible steps
         step = scale * product(portable.pseudo_inverse(kkt * scale[:, None] * scale[None, :]), scale * right)
     return float(np.abs(step[:n]).max())
+
+
+class ActiveSet(QPSolver):
+    """Goldfarb and Idnani's dual active-set method (1983), its result refined in twice the working precision.
+
+    ``max_iterations``: changes of the active set at most, by default `core.qp.problem.CHANGES` (n + m). The method ends
+    by itself, within a few tens for the controller's problems; the cap is for the unforeseen. An MPC in the kernels
+    holds to it, too: a capped step follows the last plan. A warm start begins from its active rows. It is the method
+    that finishes what others leave uncertified; its own such answers leave nothing to apply.
+    """
+
+    name: ClassVar[str] = EXACT_SOLVER
+
+    def __init__(self, max_iterations: int | None = None) -> None:
+        super().__init__(on_uncertified="hold")
+        self.max_iterations = (
+            None if max_iterations is None else whole_number("ActiveSet", "max_iterations", max_iterations)
+        )
+        self._workspace = Workspace()
+
+    def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
+        return self._workspace.solve_exactly(qp, warm_start, self.max_iterations)
+
+
+class Hildreth(QPSolver):
+    """Hildreth's cyclic dual ascent (1957), with the paper's cap and tolerance.
+
+    Parameters
+    ----------
+    max_sweeps : sweeps over all rows; 38 in the authors' code
+    tolerance : stop when a sweep changes the multipliers by less, squared and summed; 1e-7 in the authors' code
+    on_uncertified : see `QPSolver`; ``"apply"`` is what the authors' code does, without saying so. Not certified: cap
+        reached, or rows violated though the multipliers rest
+
+    A warm start begins from its multipliers.
+    """
+
+    name: ClassVar[str] = "hildreth"
+
+    @checked
+    def __init__(
+        self, max_sweeps: Count = 38, tolerance: NotNegative = 1e-7, on_uncertified: OnUncertified = "exact"
+    ) -> None:
+        super().__init__(on_uncertified)
+        self.max_sweeps, self.tolerance = max_sweeps, tolerance
+        self._workspace = Workspace()
+
+    def attempt(self, qp: QP, warm_start: Solution | None = None) -> Attempt:
+        """See `QPSolver.attempt`; ``iterations`` counts sweeps."""
+        status = self._workspace.load(qp, hildreth=True)
+        if status is not QPStatus.SOLVED:
+            return Attempt(status)
+        start = None
+        if warm_start is not None and warm_start.lam.shape == (qp.m,) and np.isfinite(warm_start.lam).all():
+            start = warm_start.lam
+        status, sweeps = self._workspace.hildreth(self.max_sweeps, self.tolerance, start)
+        return Attempt(status, *self._workspace.result(), sweeps, certified=status is QPStatus.SOLVED)

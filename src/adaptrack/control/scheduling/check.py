@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import ContractError
-from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS, read_tuning
+from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
+from adaptrack.control.controllers.tuning import read_tuning as read_tuning
 from adaptrack.control.scheduling.schedule import Schedule
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables
 from adaptrack.core.maths import portable
@@ -24,7 +25,7 @@ def check_scheduler(scheduler: Any, samples: int = 200, seed: int = 0) -> None:
     1 <= Nc <= Np after rounding, Q >= 0 and R > 0, for variables inside, at the corners of and far outside the
     operating domain (`VARIABLES`); and give the same for the same variables. Of a `Schedule` for another controller,
     the answer must be a finite number for each of its entries. Every entry of a `Schedule` is also compared with its
-    own function evaluated by NumPy: no output can reach another's entry.
+    own function evaluated alone: no output can reach another's entry.
 
     Raises
     ------

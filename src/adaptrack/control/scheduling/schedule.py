@@ -8,29 +8,37 @@ code runs in a car's control loop, in `simulate` and in whole batches of runs.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from adaptrack.base.checked import checked, real, reals
-from adaptrack.base.errors import InvalidInput, did_you_mean
+from adaptrack.base.checked import Count, NotNegative, Positive, checked, real, reals
+from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
+from adaptrack.base.files import SHIPPED, write_atomically
 from adaptrack.base.presentation import figure_of, html_of
-from adaptrack.control.controllers import Tuning
-from adaptrack.control.controllers.tuning import ENTRIES, HORIZONS
-from adaptrack.control.scheduling.document import write_document
+from adaptrack.control.controllers import MPC, Tuning
+from adaptrack.control.controllers.base import Policy
+from adaptrack.control.controllers.compatibility import car_of
+from adaptrack.control.controllers.tuning import ENTRIES as ENTRIES
+from adaptrack.control.controllers.tuning import HORIZONS
 from adaptrack.control.scheduling.functions import Function, Number, Pool, Table, load_function, save_function
-from adaptrack.control.scheduling.guard import Guard, StabilityMap
 from adaptrack.control.scheduling.variables import VARIABLES, SchedulingVariables, complete
+from adaptrack.core.library import kernels_hash
 from adaptrack.core.maths import portable
+from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.scheduling import guard as guard_kernel
 from adaptrack.core.scheduling import schedule as kernel
 from adaptrack.core.scheduling.functions import VARIABLE_NAMES
+from adaptrack.scenario.profile import load_profile
 
 Array = NDArray[np.float64]
 
@@ -38,6 +46,9 @@ ENTRY_BOUNDS: dict[str, tuple[float, float]] = {"Np": (1, 60), "Nc": (1, 20), "Q
 """Bounds of the entries of the MPC, where no others are given."""
 MAX_HORIZON = 1000
 """The longest horizon that a schedule may ask for: a controller makes room for it."""
+SCHEDULER_FORMAT, VERSION = "adaptrack-scheduler", 2
+"""Of the files of schedules: JSON with a format, a version and a checksum."""
+_DATA = SHIPPED / "schedulers"
 MOST_ENTRIES = 8
 """Entries of a controller's tuning, at most."""
 
@@ -69,6 +80,100 @@ class Entry:
         object.__setattr__(self, "log10", bool(self.log10))
 
 
+@checked
+@dataclass(frozen=True, eq=False)
+class StabilityMap:
+    """1 - modulus margin of the loop over speed (m/s), friction, Np, Nc and log10 R/Q; see `stability.loop_map`.
+
+    Raises
+    ------
+    InvalidInput
+        When the table has not these five axes.
+    """
+
+    table: Table
+    """above 1 the loop is unstable"""
+    limit: Positive = 0.92
+    """the largest value that is allowed: 1 - the least modulus margin"""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.table, Table) or len(self.table.axes) != 5 or self.table.method != "multilinear":
+            raise InvalidInput("StabilityMap: needs a multilinear table over speed, friction, Np, Nc and log10 R/Q.")
+
+    def pack(self, row: Any, pool: Pool) -> None:
+        """Write it to a guard's record (`core.scheduling.guard.GUARD`) and the packed functions."""
+        row.mapped, row.limit = True, self.limit
+        pool.add(self.table, row)
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class Guard:
+    """Supervision of a scheduler's output before it reaches the MPC.
+
+    Raises
+    ------
+    InvalidInput
+        When a rate of the horizons is not whole.
+    """
+
+    fallback: Tuning
+    """used while the output is not trusted"""
+    rates: tuple[Positive, Positive, Positive] = (5.0, 2.0, 0.3)
+    """largest change of Np, of Nc (both whole numbers) and of log10 R/Q from one step to the next"""
+    slack: NotNegative = 0.25
+    """how far outside the domain an input may lie, in widths of the domain, before the fallback is used"""
+    hold: Count = 20
+    """steps that a fallback lasts, the last one with its cause included"""
+    stability: StabilityMap | None = None
+    """without it the loop's stability is not looked at"""
+    offset_limit: Annotated[Positive, "s^2"] | None = None
+    """the largest |offset| over friction times g, before the fallback is used; without it any offset is allowed
+
+    A tuning that is stable near the reference may not be so where the tyres saturate: an error too large for the grip
+    to take back in time is the first sign of it."""
+
+    def __post_init__(self) -> None:
+        if any(rate != round(rate) for rate in self.rates[:2]):
+            raise InvalidInput(f"Guard: rates = {self.rates!r}: those of Np and Nc must be whole numbers.")
+
+    def pack(self, row: Any, pool: Pool) -> None:
+        """Write it to its record in a packed schedule (`core.scheduling.guard.GUARD`)."""
+        row.used, row.hold, row.slack = True, self.hold, self.slack
+        row.fallback[:] = self.fallback.as_array()
+        row.rates[:], row.ratio_rate = self.rates[:2], self.rates[2]
+        row.offset_limit = math.inf if self.offset_limit is None else self.offset_limit * GRAVITY
+        if self.stability is not None:
+            self.stability.pack(row, pool)
+
+    def saved(self) -> dict[str, Any]:
+        """Return the content of the guard's file (text, numbers, lists), which `loaded` reads back to the bit."""
+        stability = self.stability
+        return {
+            "fallback": self.fallback.as_array().tolist(),
+            "rates": list(self.rates),
+            "slack": self.slack,
+            "hold": self.hold,
+            "offset_limit": self.offset_limit,
+            "stability": stability and {"limit": stability.limit, "table": save_function(stability.table)},
+        }
+
+    @classmethod
+    def loaded(cls, saved: Mapping[str, Any]) -> Self:
+        """The guard that was `saved`; raises `KeyError`, `TypeError`, `ValueError` or `InvalidInput` if it is none."""
+        Np, Nc, Q, R = saved["fallback"]
+        stability = saved["stability"]
+        if stability is not None:
+            table = load_function(stability["table"])
+            if not isinstance(table, Table):
+                raise InvalidInput("the guard's stability map is no table")
+            stability = StabilityMap(table, stability["limit"])
+        return cls(
+            Tuning(int(Np), int(Nc), Q, R), tuple(saved["rates"]), saved["slack"], saved["hold"], stability,
+            saved["offset_limit"],
+        )  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False)
 class Schedule:
     """A scheduler as data: inputs, their domain, and a function for every entry of the tuning.
@@ -94,7 +199,7 @@ class Schedule:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """how it was made"""
     made_for: Mapping[str, Any] = field(default_factory=dict)
-    """the car, profile, controller and kernels that it was made for, as far as they are known; see `files.made_for`"""
+    """the car, profile, controller and kernels that it was made for, as far as they are known; see `made_for`"""
     entries: tuple[str, ...] = ENTRIES
     """names of the controller's tuning entries, in the controller's order"""
 
@@ -158,6 +263,15 @@ class Schedule:
         return self.entries == ENTRIES
 
     @property
+    def is_constant(self) -> bool:
+        """Whether all entries are numbers."""
+        return all(isinstance(entry.function, Number) for entry in self.tuning.values())
+
+    def as_policy(self) -> Policy:
+        """Return the policy that drives runs with their MPC and this schedule."""
+        return Policy(scheduler=self)
+
+    @property
     def largest(self) -> tuple[int, int]:
         """The longest Np and Nc that it can ask for; 0 of a schedule for another controller."""
         if not self.tunes_mpc:
@@ -181,7 +295,7 @@ class Schedule:
 
     def plan(self, slots: int) -> Any:
         """The schedule for the kernels (`core.scheduling.schedule.ScheduleRecord`), memory for `slots` runs fresh."""
-        settings, integers, numbers, scratch = self._packed()
+        settings, integers, numbers, scratch = self._packed
         return kernel.ScheduleRecord(
             settings, np.zeros(slots, guard_kernel.MEMORY), integers, numbers, np.zeros(scratch)
         )
@@ -216,17 +330,14 @@ class Schedule:
         kernel.schedule_all(rows, self.plan(1), tunings)
         return tunings
 
+    @cached_property
     def _packed(self) -> tuple[Any, NDArray[np.int64], Array, int]:
-        """settings, integers, numbers and the length of the scratch, see `core.scheduling.schedule`; packed once."""
-        cached: tuple[Any, NDArray[np.int64], Array, int] | None = self.__dict__.get("_cache")
-        if cached is None:
-            cached = _pack(self)
-            object.__setattr__(self, "_cache", cached)
-        return cached
+        """settings, integers, numbers and the length of the scratch, see `core.scheduling.schedule`."""
+        return _pack(self)
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what is packed: data types that were pickled are slower to pass to a kernel."""
-        return {name: value for name, value in self.__dict__.items() if name != "_cache"}
+        return {name: value for name, value in self.__dict__.items() if name != "_packed"}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it as one JSON file that `load_scheduler` reads back to the bit; it is then called as the file is.
@@ -240,11 +351,14 @@ class Schedule:
         """
         content = replace(self, name=Path(path).stem)._saved()
         try:
-            write_document(path, content)
+            text = json.dumps(content, allow_nan=False, separators=(",", ":"))
         except (TypeError, ValueError) as error:
             raise InvalidInput(
                 f"schedule {self.name!r}: its provenance and made_for must be text and finite numbers: {error}."
             ) from None
+        checksum = hashlib.sha256(text.encode()).hexdigest()
+        document = {"format": SCHEDULER_FORMAT, "version": VERSION, "sha256": checksum, "content": content}
+        write_atomically(path, (json.dumps(document, separators=(",", ":")) + "\n").encode())
 
     def _saved(self) -> dict[str, Any]:
         entries = {name: self.tuning[name] for name in self.entries}
@@ -390,3 +504,95 @@ def _function(entry: str, function: Function | float) -> Function:
     if not math.isfinite(real("Learned", entry, function)):
         raise InvalidInput(f"Learned: {entry} = {function!r}: must be finite.")
     return Number(function)
+
+
+# -- files of schedules ------------------------------------------------------------------------------------------------
+@checked
+def load_scheduler(name_or_path: str | os.PathLike[str]) -> Schedule:
+    """The schedule in a file, or one that ships with the package, by name (`list_schedulers`).
+
+    Its name is that of the file, without the ending.
+
+    Raises
+    ------
+    UnknownName
+        When no scheduler has the name.
+    StorageError
+        When the file cannot be read, is damaged, is not a scheduler, or has a version that this program cannot read.
+    """
+    path = _path(name_or_path)
+    content = _read_content(path)
+    try:
+        schedule = replace(Schedule.loaded(content), name=path.stem)
+        _ = schedule._packed  # numbers too large for the kernels are found here
+    except KeyError as error:
+        raise StorageError(f"{path}: its content makes no scheduler: {error} is missing.") from None
+    except (InvalidInput, TypeError, ValueError, OverflowError, AttributeError) as error:
+        raise StorageError(f"{path}: its content makes no scheduler: {error}.") from None
+    return schedule
+
+
+def list_schedulers() -> list[str]:
+    """The names of the schedulers that ship with the package."""
+    return sorted(path.stem for path in _DATA.glob("*.json"))
+
+
+def made_for(mpc: MPC, profile: str) -> dict[str, Any]:
+    """Return the scope of a schedule for its file: car, profile, controller and kernel version."""
+    described = mpc.describe()
+    return {
+        "car": car_of(mpc.model) or mpc.model.name,
+        "profile": load_profile(profile).name,
+        "controller": {
+            "kind": "MPC",
+            "model": mpc.kind_of_model,
+            **{key: described[key] for key in ("moves", "period", "preview")},
+        },
+        "kernels": kernels_hash(),
+    }
+
+
+def _path(name_or_path: str | os.PathLike[str]) -> Path:
+    path = Path(name_or_path)
+    if not isinstance(name_or_path, str) or path.suffix == ".json" or len(path.parts) != 1:
+        return path
+    path = _DATA / f"{name_or_path}.json"
+    if not path.exists():
+        raise UnknownName(
+            f"no scheduler is named {name_or_path!r}. {did_you_mean(name_or_path, list_schedulers())} "
+            "A file is given by its .json path."
+        )
+    return path
+
+
+def _read_content(path: Path) -> Any:
+    """The content of a scheduler's file, its checksum compared.
+
+    Raises
+    ------
+    StorageError
+        When the file cannot be read, is damaged, is no scheduler, or has a version that this program cannot read.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:  # not UTF-8, or a path that cannot be
+        raise StorageError(f"{path}: cannot be read: {error}.") from None
+    try:
+        file = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise StorageError(f"{path}: not a scheduler file, or damaged: {error}. Train or copy it again.") from None
+    if not isinstance(file, dict) or file.get("format") != SCHEDULER_FORMAT:
+        raise StorageError(f"{path}: not a scheduler file: its format is not {SCHEDULER_FORMAT!r}.")
+    if file.get("version") != VERSION:
+        raise StorageError(
+            f"{path}: version {file.get('version')!r} of the scheduler format; this program reads {VERSION}. "
+            "Train it again, or use the version of adaptrack that wrote it."
+        )
+    content = file.get("content")
+    try:
+        digest = hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
+    except RecursionError:
+        raise StorageError(f"{path}: not a scheduler file: its content is nested too deeply.") from None
+    if digest != file.get("sha256"):
+        raise StorageError(f"{path}: damaged: its content does not match its checksum. Train or copy it again.")
+    return content

@@ -1,4 +1,4 @@
-"""Presets of registered controllers: with a schedule, with learning, with less knowledge of the car.
+"""Presets of the MPC: of the paper, with a schedule, with learning, with less knowledge of the car.
 
 Those that know the car are given its file, and of the steering what the profile says; one that learns is given of the
 steering what the file says alone.
@@ -9,12 +9,43 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.data_sheet import vehicle_from_data_sheet
 from adaptrack.cars.vehicle import Vehicle
-from adaptrack.control.controllers import MPC, Learning, Tuning, published_mpc
+from adaptrack.control.controllers.learned_car import Learning
+from adaptrack.control.controllers.limits import Moves
+from adaptrack.control.controllers.mpc import MPC
+from adaptrack.control.controllers.tuning import Tuning
+from adaptrack.control.models import SingleTrackModel
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.scenario.profile import Profile, load_profile
+
+
+@checked
+def published_mpc(vehicle: Vehicle, tuning: Tuning | None = None, *, period: float = 0.1, **options: Any) -> MPC:
+    """The MPC of the paper as written: eqs. (8)-(17), moves as pulses, `Tuning()` of its table by default.
+
+    It predicts with the single track of `vehicle`, whose wheels are where the command is, and takes the measured state
+    as it is. period: s; options: of `MPC`, but for profile, belief, model and estimator.
+
+    Raises
+    ------
+    InvalidInput
+        For arguments that make no controller.
+    """
+    return MPC(vehicle, tuning, model=SingleTrackModel(vehicle, period), estimator="deadbeat", **options)
+
+
+def released_mpc(vehicle: Vehicle, tuning: Tuning | None = None, **options: Any) -> MPC:
+    """The paper's MPC as its authors released it: it moves by ten Laguerre functions with the pole 0.95.
+
+    Raises
+    ------
+    InvalidInput
+        For arguments that make no controller.
+    """
+    return published_mpc(vehicle, tuning, **{"moves": Moves.laguerre(0.95), **options})
 
 
 def learning(vehicle: Vehicle, *, profile: str | Profile | None = None, **options: Any) -> MPC:
