@@ -19,9 +19,9 @@ from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.cli.app import app
 from adaptrack.identification import CarRanges, random_car
 from adaptrack.identification.calibration import CORRECTIONS, corrected
-from adaptrack.identification.conventions import check_conventions, guessed_ratio
+from adaptrack.identification.hypotheses import Evidence, guessed_ratio, refuse_contradictions
 from adaptrack.identification.likelihood import Likelihood
-from adaptrack.identification.log import log_of
+from adaptrack.identification.log import Log, log_of
 from adaptrack.identification.log_identification import fitted, prepare, reported
 from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of, values_of
 from adaptrack.identification.reading import Reading, read_columns
@@ -75,6 +75,11 @@ def integrated(
         "time": time, "command": command, "speed": pace, "yaw_rate": x[1] + noise * rng.standard_normal(time.size),
         "wheel": x[4], "acceleration": force, "vy": x[0],
     }  # fmt: skip
+
+
+def check_signals(log: Log) -> None:
+    """Refuse a log whose signals contradict each other."""
+    refuse_contradictions(Evidence(wheelbase=CAR.wheelbase, cleaned=log), "signals")
 
 
 @pytest.fixture(scope="module")
@@ -377,7 +382,7 @@ def test_a_wrong_sign_or_unit_is_named_with_the_option_that_mends_it(
 ) -> None:
     wrong_log = log | {signal: log[signal] * factor}
     with pytest.raises(InvalidInput, match=remedy):
-        check_conventions(log_of(wrong_log, CAR.wheelbase), CAR.wheelbase)
+        check_signals(log_of(wrong_log, CAR.wheelbase))
 
 
 @pytest.mark.parametrize(
@@ -387,11 +392,11 @@ def test_a_lateral_acceleration_that_does_not_fit_is_named(factor: float, remedy
     drive = driven(40.0)
     drive["acceleration"] = drive["acceleration"] * factor
     with pytest.raises(InvalidInput, match=remedy):
-        check_conventions(log_of(drive, CAR.wheelbase), CAR.wheelbase)
+        check_signals(log_of(drive, CAR.wheelbase))
 
 
 def test_a_right_log_passes_its_conventions(log: dict[str, np.ndarray]) -> None:
-    check_conventions(log_of(dict(log), CAR.wheelbase), CAR.wheelbase)
+    check_signals(log_of(dict(log), CAR.wheelbase))
 
 
 def test_logs_that_tell_nothing_are_refused(log: dict[str, np.ndarray]) -> None:
@@ -475,7 +480,7 @@ def test_a_gyro_that_is_stuck_is_refused_or_left_out(log: dict[str, np.ndarray])
     cleaned = log_of(log | {"yaw_rate": partly}, CAR.wheelbase)
     assert np.array_equal(np.isnan(cleaned.yaw_rate), (np.arange(1200) >= 300) & (np.arange(1200) < 500))
     assert any("10 s in all: left out, the gyro was stuck" in note for note in cleaned.notes)
-    check_conventions(cleaned, CAR.wheelbase)
+    check_signals(cleaned)
 
 
 def test_a_yaw_rate_that_rests_where_the_car_goes_straight_is_no_stuck_gyro(log: dict[str, np.ndarray]) -> None:
@@ -496,7 +501,7 @@ def test_a_signal_of_many_outliers_is_refused_with_its_column_and_unit(log: dict
 
 def test_a_yaw_rate_that_is_measured_in_some_rows_only_fits_its_steering(log: dict[str, np.ndarray]) -> None:
     now_and_then = np.where(np.arange(1200) % 5 == 0, log["yaw_rate"], math.nan)
-    check_conventions(log_of(log | {"yaw_rate": now_and_then}, CAR.wheelbase), CAR.wheelbase)
+    check_signals(log_of(log | {"yaw_rate": now_and_then}, CAR.wheelbase))
 
 
 @pytest.mark.compiled

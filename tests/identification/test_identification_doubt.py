@@ -9,18 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import odeint
-from tests.identification.test_identification import BIAS, CAR, DEAD_TIME, LAG, PERIOD, driven
+from tests.identification.test_identification import BIAS, CAR, DEAD_TIME, LAG, PERIOD, check_signals, driven
 from typer.testing import CliRunner
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli.app import app
-from adaptrack.identification.computed_columns import drop_computed_columns
 from adaptrack.identification.consistency import Moments, contradictions
-from adaptrack.identification.conventions import check_conventions, check_positions
-from adaptrack.identification.log import log_of
+from adaptrack.identification.hypotheses import Evidence, drop_computed_columns, refuse_contradictions
+from adaptrack.identification.log import SHORTENED, log_of, shorten_log
 from adaptrack.identification.log_identification import prepare
-from adaptrack.identification.long_log import SHORTENED, shorten_log
 from adaptrack.identification.reading import Reading, read_columns
 
 BASE = ("time", "command", "speed", "yaw_rate")
@@ -133,17 +131,17 @@ def test_a_gyro_whose_clock_is_off_is_named_where_the_yaw_shows_it() -> None:
     drive = driven(60.0)
     yaw = np.cumsum(PERIOD * drive["yaw_rate"]) + 1e-3 * np.random.default_rng(2).standard_normal(drive["time"].size)
     log = base() | {"yaw": yaw}
-    check_conventions(log_of(dict(log), CAR.wheelbase), CAR.wheelbase)
+    check_signals(log_of(dict(log), CAR.wheelbase))
     late = log | {"yaw_rate": np.interp(drive["time"] - 0.2, drive["time"], drive["yaw_rate"])}
     with pytest.raises(InvalidInput, match=r"--late yaw_rate=0\.(18|2)"):
-        check_conventions(log_of(late, CAR.wheelbase), CAR.wheelbase)
+        check_signals(log_of(late, CAR.wheelbase))
 
 
 def test_a_yaw_rate_that_runs_ahead_of_the_steering_is_named() -> None:
     drive = base()
     late = drive | {"command": np.interp(drive["time"] - LAG - DEAD_TIME - 0.3, drive["time"], drive["command"])}
     with pytest.raises(InvalidInput, match=r"runs ahead of command.*--late command"):
-        check_conventions(log_of(late, CAR.wheelbase), CAR.wheelbase)
+        check_signals(log_of(late, CAR.wheelbase))
 
 
 def test_a_speed_in_kmh_is_named_where_positions_show_it() -> None:
@@ -152,9 +150,9 @@ def test_a_speed_in_kmh_is_named_where_positions_show_it() -> None:
     values = drive | {
         "x": np.cumsum(PERIOD * drive["speed"] * np.cos(yaw)), "y": np.cumsum(PERIOD * drive["speed"] * np.sin(yaw))
     }  # fmt: skip
-    check_positions(values)
+    refuse_contradictions(Evidence(values), "positions")
     with pytest.raises(InvalidInput, match="--units speed=km/h"):
-        check_positions(values | {"speed": 3.6 * drive["speed"]})
+        refuse_contradictions(Evidence(values | {"speed": 3.6 * drive["speed"]}), "positions")
 
 
 def test_names_in_a_comment_are_read(tmp_path) -> None:
@@ -282,7 +280,7 @@ def test_honest_commands_of_a_car_that_slows_a_little_in_bends_fit_its_yaw_rate(
     command = 0.01 * np.sin(np.outer(time, [0.1, 0.2, 0.3, 0.5, 0.7, 1.0]) + phases).sum(axis=1)
     yaw_rate = 25.0 * held(command, 5) / (CAR.wheelbase + CAR.understeer_gradient * 625.0) + noise
     log = {"time": time, "command": command, "speed": 25.0 - 40.0 * np.abs(command), "yaw_rate": yaw_rate}
-    check_conventions(log_of(log, CAR.wheelbase), CAR.wheelbase)
+    check_signals(log_of(log, CAR.wheelbase))
 
 
 def test_a_long_log_in_means_of_its_samples_keeps_delay_and_turning() -> None:

@@ -23,12 +23,11 @@ from adaptrack.core.identification import drive as kernel
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.identification.conventions import refuse_contradictions
 from adaptrack.identification.estimates import ReportedRow, estimates_at
+from adaptrack.identification.hypotheses import Evidence, refuse_contradictions
 from adaptrack.identification.identified_car import DriveIdentification
 from adaptrack.identification.likelihood import NEARLY, SETTLING, InnovationLikelihood, Scored
 from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, noise_of
-from adaptrack.identification.longitudinal_conventions import compare_longitudinal
 from adaptrack.identification.outliers import find_outliers
 from adaptrack.identification.quantities import Prior, Quantity, kinds_of, values_of
 from adaptrack.identification.reading import Columns, Reading, Source, read_columns
@@ -175,7 +174,7 @@ def drive_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentificati
             "it, --columns force_command=NAME."
         )
     for columns in logs:
-        refuse_contradictions(compare_longitudinal(columns.values, car.mass))
+        refuse_contradictions(Evidence(columns.values, mass=car.mass), "speed")
     rows, seconds = _joined_rows(logs, (command,), MIN_COMPARED_SPEED)
     if command == "force_command":
         rows[kernel.DRIVE_ROW.request] /= car.mass

@@ -23,7 +23,7 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.identification import steering as kernel
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
-from adaptrack.identification.log import Log
+from adaptrack.identification.log import Log, window_mean
 from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SHAPE, Prior, values_of
 from adaptrack.road.smoothing import Smoother
 
@@ -241,7 +241,7 @@ class Likelihood(InnovationLikelihood):
         wind, time, begins = self.filter_results(z)["wind"], self.log.time, self.log.begins
         change = np.zeros_like(wind)
         change[1:] = np.where(begins[1:], 0.0, np.diff(wind) / np.maximum(np.diff(time), 1e-6))
-        power = _window_mean(time, change * change, GUST_WINDOW)
+        power = window_mean(time, change * change, GUST_WINDOW)
         level = power / max(float(np.mean(power)), 1e-12)
         self._rows[self._kernel.LOG_ROW.gusts] = np.sqrt(np.maximum(level, LEAST_GUSTS))
 
@@ -277,13 +277,6 @@ def smooth_wheel(log: Log) -> Array:
             )
             out[rows] = smoother.fitted(float(lengths[smoother.best_scale(lengths)]))[:, 0]
     return out
-
-
-def _window_mean(time: Array, values: Array, half: float) -> Array:
-    """(n,) mean of values within +-half (s) of each time."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    low, high = np.searchsorted(time, time - half), np.searchsorted(time, time + half, side="right")
-    return (total[high] - total[low]) / (high - low)
 
 
 @dataclass(frozen=True)

@@ -21,16 +21,14 @@ from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.identification.calibration import corrected
-from adaptrack.identification.computed_columns import drop_computed_columns
 from adaptrack.identification.consistency import Moments, contradictions, implausible_estimates
-from adaptrack.identification.conventions import check_conventions, check_positions, guessed_ratio
 from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS, PEDALS, drive_of_columns
 from adaptrack.identification.estimates import ReportedRow, estimates_at, slopes_at, values_at
+from adaptrack.identification.hypotheses import Evidence, cleaned_log, drop_computed_columns, refuse_contradictions
 from adaptrack.identification.identified_car import Estimate, Identification, Series, Validation, scale_correlations
 from adaptrack.identification.likelihood import NEARLY, Likelihood, Scored, smooth_wheel
-from adaptrack.identification.log import Log, log_of, noise_of
+from adaptrack.identification.log import Log, noise_of
 from adaptrack.identification.log_combination import combined, shared_by
-from adaptrack.identification.long_log import shorten_log
 from adaptrack.identification.quantities import (
     INDEX,
     QUANTITIES,
@@ -249,16 +247,14 @@ def _prepared(columns: Columns, believed: Vehicle, beliefs: dict[str, Prior], ra
 
     Where the steering ratio is to be found, the first guess of it follows from yaw rate and speed unless it is given.
     """
-    check_positions(columns.values)
+    refuse_contradictions(Evidence(columns.values), "positions")
     values, computed = drop_computed_columns(columns.values, believed.wheelbase)
-    cleaned = shorten_log(log_of(values, believed.wheelbase, columns.notes + computed, columns.commanded))
-    cleaned = replace(cleaned, ratio=columns.ratio)
+    car_ratio = believed.steering.ratio if believed.steering is not None else None
+    columns = replace(columns, values=values, notes=columns.notes + computed)
+    cleaned = cleaned_log(columns, believed.wheelbase, car_ratio or ratio)
     if columns.ratio_unknown:
-        car_ratio = believed.steering.ratio if believed.steering is not None else None
-        ratio = car_ratio or ratio or guessed_ratio(cleaned, believed.wheelbase)
         beliefs["gain"] = Prior(1.0, RATIO_SPREAD[car_ratio is not None])
-        cleaned = replace(cleaned, command=cleaned.command / ratio, ratio=ratio, ratio_unknown=True)
-    check_conventions(cleaned, believed.wheelbase)
+    refuse_contradictions(Evidence(wheelbase=believed.wheelbase, cleaned=cleaned), "signals")
     beliefs |= _noises(cleaned)
     if not cleaned.commanded:
         cleaned = replace(cleaned, command=smooth_wheel(cleaned))

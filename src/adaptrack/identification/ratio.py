@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.core.maths import portable
-from adaptrack.identification.conventions import smoothed
 from adaptrack.identification.identified_car import HARDLY, Estimate
 from adaptrack.identification.likelihood import Likelihood
-from adaptrack.identification.log import Log
+from adaptrack.identification.log import Log, window_mean
 from adaptrack.identification.quantities import INDEX
 
 Array = NDArray[np.float64]
@@ -50,7 +49,7 @@ def bend_time(log: Log) -> float:
     measured = np.isfinite(log.yaw_rate)
     if not measured.any():
         return 0.0
-    turning = np.abs(smoothed(log.time[measured], log.yaw_rate[measured], BEND_HALF_WINDOW)) > BEND_YAW_RATE
+    turning = np.abs(window_mean(log.time[measured], log.yaw_rate[measured], BEND_HALF_WINDOW)) > BEND_YAW_RATE
     return float(np.sum(turning)) / max(float(np.sum(measured)), 1.0) * log.driven_time
 
 
