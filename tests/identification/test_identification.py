@@ -18,11 +18,12 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.cli.app import app
 from adaptrack.identification import CarRanges, random_car
-from adaptrack.identification.calibration import CORRECTIONS, corrected
+from adaptrack.identification.estimates import CORRECTIONS, corrected
 from adaptrack.identification.hypotheses import Evidence, guessed_ratio, refuse_contradictions
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import Log, log_of
-from adaptrack.identification.log_identification import fitted, prepare, reported
+from adaptrack.identification.log_fit import estimates_of, fit_log
+from adaptrack.identification.log_identification import prepare
 from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of, values_of
 from adaptrack.identification.reading import Reading, read_columns
 from adaptrack.road import generate_road
@@ -241,7 +242,7 @@ def test_the_steering_ratio_is_found_from_yaw_rate_or_road_wheels(turning: tuple
     log = {name: drive[name] for name in ("time", "speed", *turning)}
     log["steering_wheel_angle"] = ratio * (drive["wheel"] - BIAS)
     likelihood = prepare(log, CAR)
-    estimate = reported(likelihood, *fitted(likelihood))["ratio"]
+    estimate = estimates_of(fit_log(likelihood))[0]["ratio"]
     assert abs(estimate.value - ratio) < 3.0 * estimate.standard_error
     assert estimate.value == pytest.approx(ratio, rel=0.01 if "wheel" in turning else 0.05)
 
@@ -286,7 +287,7 @@ def test_a_measured_wheel_angle_sharpens_the_split_of_the_delay(answer: at.Ident
     drive = driven(60.0)
     drive["wheel"] = drive["wheel"] + 0.001 * np.random.default_rng(5).standard_normal(drive["time"].size)
     likelihood = prepare({k: drive[k] for k in ("time", "command", "speed", "yaw_rate", "wheel")}, CAR)
-    estimates = reported(likelihood, *fitted(likelihood))
+    estimates = estimates_of(fit_log(likelihood))[0]
     assert estimates["lag"].standard_error < 0.7 * answer["lag"].standard_error
     assert abs(estimates["lag"].value - LAG) < 0.01
 
@@ -321,7 +322,7 @@ def gusty(seed: int) -> dict[str, np.ndarray]:
 @pytest.mark.compiled
 def test_the_delay_lies_in_its_interval_in_gusts_that_are_not_smooth() -> None:
     likelihood = prepare(gusty(4), at.load_vehicle("compact-ev").replace(steering=None))
-    delay = reported(likelihood, *fitted(likelihood))["delay"]
+    delay = estimates_of(fit_log(likelihood))[0]["delay"]
     assert delay.low < 0.13 < delay.high
     assert delay.value == pytest.approx(0.13, abs=0.015)
 
@@ -331,7 +332,7 @@ def test_a_late_gyro_is_found_against_a_wheel_angle_and_does_not_soften_the_tyre
     drive = driven(40.0)
     late = np.interp(drive["time"] - 0.2, drive["time"], drive["yaw_rate"])
     likelihood = prepare({k: drive[k] for k in ("time", "wheel", "speed")} | {"yaw_rate": late}, CAR)
-    estimates = reported(likelihood, *fitted(likelihood))
+    estimates = estimates_of(fit_log(likelihood))[0]
     assert estimates["lateness"].value == pytest.approx(0.2, abs=0.02)
     assert estimates["lateness"].low < 0.2 < estimates["lateness"].high
     assert estimates["front"].low < 2.0 * CAR.stiffness_front < estimates["front"].high
@@ -343,7 +344,7 @@ def test_a_sensor_of_lateral_velocity_before_the_centre_of_gravity_is_found() ->
     noise = 0.02 * np.random.default_rng(4).standard_normal(drive["time"].size)
     log = {k: drive[k] for k in ("time", "command", "speed", "yaw_rate")}
     likelihood = prepare(log | {"vy": drive["vy"] + 1.2 * drive["yaw_rate"] + noise}, CAR)
-    estimates = reported(likelihood, *fitted(likelihood))
+    estimates = estimates_of(fit_log(likelihood))[0]
     assert estimates["vy_ahead"].value == pytest.approx(1.2, abs=0.15)
     assert estimates["rear"].low < 2.0 * CAR.stiffness_rear < estimates["rear"].high
 

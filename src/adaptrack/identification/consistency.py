@@ -1,9 +1,12 @@
-"""Whether what was found can be believed: against what was believed before, physics, and itself.
+"""Whether estimates can be believed: against the prior, physics, and each other; and what a log cannot tell.
 
 Stretches of a log, and logs of one car, each say something of the quantities that belong to the car. Freed of the
 prior, which they share, what they say is independent, and its weighted scatter is chi-square (W. G. Cochran,
 Biometrics 10 (1954) 101-129). Each is granted an error of the model beside that of its noise: tyres warm up, loads
 shift, friction changes.
+
+In a steady turn delta = L r/v + K v r. So a log tells the scale of its angle only as (angle scale x speed scale)/(scale
+of the yaw rate) x true wheelbase/specified wheelbase, and it tells it from K where bends are driven at several speeds.
 """
 
 from __future__ import annotations
@@ -19,8 +22,11 @@ from scipy.stats import chi2
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.identification.identified_car import Estimate
-from adaptrack.identification.quantities import degrees_per_g
+from adaptrack.identification.estimates import Moments
+from adaptrack.identification.identified_car import HARDLY, Estimate, Validation
+from adaptrack.identification.likelihood import Likelihood
+from adaptrack.identification.log import Log, window_mean
+from adaptrack.identification.quantities import INDEX, degrees_per_g
 
 Array = NDArray[np.float64]
 
@@ -40,13 +46,29 @@ MAX_SPREAD_LEFT = 0.8
 AXLE_PLACE_RANGE, UNDERSTEER_RANGE, AXLE_STIFFNESS_RANGE = (0.3, 0.7), (-1.0, 8.0), (1.5, 100.0)
 """Of cars on four wheels: l_f over the wheelbase; understeer gradient, deg/g; cornering stiffness of an axle over its
 load, 1/rad."""
-
-
-class Moments(NamedTuple):
-    """Estimates of the reported quantities from one stretch or log; logarithms of positive quantities, (m,) each."""
-
-    mean: Array
-    variance: Array
+BEND_YAW_RATE, BEND_HALF_WINDOW, MIN_BEND_TIME = 0.03, 2.0, 4.0
+"""rad/s, mean yaw rate of a bend, above that of gusts, lane keeping and offsets; s to either side, over which it is
+averaged; s of bends that a check needs."""
+MAX_GAIN_SIGMA = 0.08
+"""Standard deviation of ln(ratio) up to which a log can confirm or refute a ratio."""
+RATIO_ERROR, RATIO_ERROR_SIGMAS = 0.2, 2.0
+"""Least error of ln(ratio) that is refused, above what sensors and nominal ratios are off by, and in standard
+deviations."""
+LEAST_CORRELATION = 0.3
+"""Of the scale of the steering angle with another estimate, from which it is reported."""
+UNKNOWN_RATIO = "cannot tell the ratio"
+RATIO_LOOSE = 1.1
+"""Factor within which a steering ratio is of use."""
+HIGH_SPEED, LITTLE = 15.0, 0.3
+"""m/s; m/s^2, RMS lateral acceleration below which there is hardly any steering."""
+LOOSE_FACTOR = 1.25
+"""Factor from which a stiffness is loose."""
+TIGHT = 0.2
+"""rad, of the road wheels, from which bends are said to be tight."""
+SPLIT = 0.05
+"""s, half width of the lag's interval from which the split of the delay is said to be open."""
+EVEN_SPEED, COLOURED, POOR, HARD = 0.05, 0.1, 0.5, 4.0
+"""Spread over mean of an even speed; autocorrelation of residuals; share of variance explained; m/s^2."""
 
 
 def implausible_estimates(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
@@ -133,3 +155,131 @@ def _written(name: str, value: float) -> str:
     if name == "understeer_gradient":
         return f"{degrees_per_g(value):.2f} deg/g"
     return f"{portable.exp(min(value, 700.0)):.3g}"
+
+
+# -- steering ratio --------------------------------------------------------------------------------------------------
+class Gain(NamedTuple):
+    """Angle of the road wheels over that in the log."""
+
+    factor: float
+    spread: float
+    """standard deviation of its logarithm, from the log alone"""
+
+
+def bend_time(log: Log) -> float:
+    """Time (s) driven in bends."""
+    measured = np.isfinite(log.yaw_rate)
+    if not measured.any():
+        return 0.0
+    turning = np.abs(window_mean(log.time[measured], log.yaw_rate[measured], BEND_HALF_WINDOW)) > BEND_YAW_RATE
+    return float(np.sum(turning)) / max(float(np.sum(measured)), 1.0) * log.driven_time
+
+
+def gain_of(likelihood: Likelihood, z: Array, covariance: Array) -> Gain:
+    """Gain of a log with a specified ratio, without its prior; covariance: of the free entries of the fit z."""
+    place, prior = INDEX["gain"], float(likelihood.spread[INDEX["gain"]])
+    if place not in likelihood.free:
+        return Gain(1.0, math.inf)
+    row = int(np.searchsorted(likelihood.free, place))
+    precision = max(1.0 / float(covariance[row, row]) - 1.0, 1e-6)
+    mean = prior * float(z[place]) * (1.0 + 1.0 / precision)
+    return Gain(portable.exp(min(max(mean, -5.0), 5.0)), prior / math.sqrt(precision))
+
+
+def check_scale(log: Log, scale: Estimate, gain: Gain, correlations: Mapping[str, float]) -> tuple[str, str]:
+    """Return a contradiction of the specified ratio and a finding on the scale of its angles; either may be empty.
+
+    correlations: of the scale with other estimates
+    """
+    ratio = f"--steering-ratio {log.ratio * scale.value:.3g}"
+    if gain.spread > MAX_GAIN_SIGMA or bend_time(log) < MIN_BEND_TIME:
+        return "", (
+            f"{UNKNOWN_RATIO}: the log cannot confirm that its angles are those of the road wheels, and understeer is "
+            "known with their scale only: drive bends at two speeds"
+        )
+    if abs(portable.log(gain.factor)) > max(RATIO_ERROR, RATIO_ERROR_SIGMAS * gain.spread):
+        low, high = (gain.factor * portable.exp(side * 1.645 * gain.spread) for side in (-1.0, 1.0))
+        return (
+            f"the steering ratio is wrong: the road wheels turn {gain.factor:.2f} [{low:.2f}, {high:.2f}] times as far "
+            f"as the log says: {ratio}, or fit"
+        ), ""
+    if scale.low <= 1.0 <= scale.high:
+        return "", ""
+    related = ", ".join(
+        f"{name} {value:.2f}"
+        for name, value in correlations.items()
+        if name == "understeer_gradient" or abs(value) >= LEAST_CORRELATION
+    )
+    return "", (
+        f"the logged steering angle is {scale.value:.3g} [{scale.low:.3g}, {scale.high:.3g}] times that of yaw rate, "
+        f"speed and wheelbase (correlations: {related}): read logs with {ratio}, and use this ratio "
+        "between car and controller"
+    )
+
+
+def check_fitted_ratio(log: Log, ratio: Estimate) -> tuple[bool, str]:
+    """Return whether a fitted ratio is known, and a message."""
+    seconds = bend_time(log)
+    if seconds < MIN_BEND_TIME:
+        return False, (
+            f"{UNKNOWN_RATIO}: {seconds:.0f} s of bends, {MIN_BEND_TIME:g} s are needed; drive slow bends, or give "
+            "--steering-ratio"
+        )
+    if ratio.spread_left > HARDLY:
+        return False, f"{UNKNOWN_RATIO}: drive slow bends, or give --steering-ratio"
+    factor = ratio.high / ratio.value
+    if factor > RATIO_LOOSE:
+        return True, f"steering ratio known within a factor {factor:.2f}: slow bends (below 10 m/s) tell it"
+    return True, ""
+
+
+# -- what limits estimates --------------------------------------------------------------------------------------------
+def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation) -> tuple[str, ...]:
+    """Sentences: what limits what is known, each with what would help."""
+    sentences = []
+    fast = log.speed > HIGH_SPEED
+    sideways = log.speed * np.nan_to_num(log.yaw_rate)
+    stiff = [estimates["front"], estimates["rear"]]
+    factor = max(estimate.high / estimate.value for estimate in stiff)
+    if factor > LOOSE_FACTOR:
+        idle = not fast.any() or math.sqrt(float(np.mean(portable.square(sideways[fast])))) < LITTLE
+        why = f"hardly any steering above {HIGH_SPEED:g} m/s" if idle else "the log tells little of the tyres"
+        sentences.append(f"{why}: stiffness known within a factor {factor:.2g}")
+        gradient = estimates["understeer_gradient"]
+        if gradient.spread_left < 0.5:
+            within = degrees_per_g(gradient.high - gradient.value)
+            sentences.append(
+                f"what the axles have in common is open, their balance is not: understeer gradient "
+                f"{degrees_per_g(gradient.value):.2g} deg/g within {within:.2g}"
+            )
+    if log.tightest > TIGHT:
+        sentences.append(
+            f"tight bends, wheels at {math.degrees(log.tightest):.0f} degrees: driving and braking forces, which the "
+            "log lacks, turn the car too, so intervals are wider"
+        )
+    if log.commanded:
+        lag = estimates["lag"]
+        if 0.5 * (lag.high - lag.low) > SPLIT:
+            sentences.append(
+                f"lag and dead time are known in sum ({estimates['delay'].value:.3g} s), not how they share it: quick "
+                "steering, or a measured wheel angle, tells them apart"
+            )
+        if not np.isfinite(log.wheel).any():
+            sentences.append(
+                "cannot tell a late yaw rate from late wheels: delay is from the command to the logged yaw rate"
+            )
+    else:
+        sentences.append("no steering command in the log: cannot tell lag and dead time, they keep what was believed")
+    if float(np.std(log.speed)) < EVEN_SPEED * float(np.mean(log.speed)):
+        sentences.append("the speed hardly changes: steering offset, bank and gyro offset are known in sum only")
+    if float(np.percentile(np.abs(sideways), 99)) > HARD:
+        sentences.append(f"driven hard, above {HARD:g} m/s^2: stiffness rests on the tyres' curve too")
+    largest = max(validation.autocorrelation, key=abs)
+    if abs(largest) > COLOURED:
+        sentences.append(f"the residuals are not white (autocorrelation {largest:.2f}): intervals may be too narrow")
+    if not validation.simulated > POOR:
+        sentences.append(
+            f"simulated from the command alone, {100 * validation.simulated:.0f} % of the yaw rate's variance is "
+            "explained: the rest is wind, road, or a wrong column"
+        )
+    return tuple(sentences)

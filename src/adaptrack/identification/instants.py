@@ -18,7 +18,7 @@ from adaptrack.core.maths import portable
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.tracker.records import ACROSS_PENALTY
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.identification.log import LEAST_GAP, Log, log_of
+from adaptrack.identification.log import LEAST_GAP, Log, is_rising, log_of
 from adaptrack.identification.reading import Columns, Reading, read_columns
 from adaptrack.road import Road, fit_road
 from adaptrack.road.road_ahead import foot_near, foot_of_car
@@ -103,9 +103,8 @@ def _trajectory(source: str | os.PathLike[str]) -> Trajectory | None:
 
 def _sample_at(grid: Array, time: Array, values: Array, period: float) -> Array:
     """Values at instants: the sample of an instant, else on the line between its neighbours; NaN in holes."""
-    is_finite = np.isfinite(time) & np.isfinite(values)
-    is_finite[is_finite] = np.diff(np.maximum.accumulate(time[is_finite]), prepend=-np.inf) > 0.0
-    t, v = time[is_finite], values[is_finite]
+    usable = is_rising(np.where(np.isfinite(values), time, math.nan))
+    t, v = time[usable], values[usable]
     if t.size < 2:
         return np.full(grid.size, math.nan)
     after = np.clip(np.searchsorted(t, grid - ON_GRID * period), 1, t.size - 1)

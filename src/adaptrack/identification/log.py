@@ -120,8 +120,7 @@ def log_of(
     _refuse_missing(columns)
     time = columns["time"]
     messages = list(notes)
-    keep = np.isfinite(time)
-    keep[1:] &= np.diff(np.maximum.accumulate(np.where(keep, time, -np.inf))) > 0.0
+    keep = is_rising(time)
     back = np.isfinite(time[1:]) & np.isfinite(time[:-1]) & (np.diff(time) < -1e-9)
     if back.any():
         raise InvalidInput(f"log: time goes back at row {int(np.flatnonzero(back)[0]) + 2}: sort or split the log.")
@@ -237,6 +236,18 @@ def unwrapped(angle: Array, turn: float = 2.0 * math.pi) -> Array:
     return out
 
 
+def is_rising(time: Array) -> NDArray[np.bool_]:
+    """(n,) whether a time is later than all before it; NaN is not."""
+    later = np.isfinite(time)
+    later[later] = np.diff(np.maximum.accumulate(time[later]), prepend=-np.inf) > 0.0
+    return later
+
+
+def segment_starts(begins: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(n,) row with which the segment of each sample begins."""
+    return np.maximum.accumulate(np.where(begins, np.arange(begins.size), 0))
+
+
 def window_mean(time: Array, values: Array, half: float = 0.5) -> Array:
     """(n,) mean within +-half (s) of each sample."""
     total = np.concatenate([[0.0], np.cumsum(values)])
@@ -323,8 +334,7 @@ def _average_rows(log: Log, rows: int) -> Log:
 
 def _group_starts(begins: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
     """First row of each group of rows; groups begin anew with each segment."""
-    start = np.maximum.accumulate(np.where(begins, np.arange(begins.size), 0))
-    return np.flatnonzero((np.arange(begins.size) - start) % rows == 0)
+    return np.flatnonzero((np.arange(begins.size) - segment_starts(begins)) % rows == 0)
 
 
 def _select_turning(log: Log) -> Log:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -148,6 +148,11 @@ class Columns:
     """whether ``command`` is an angle of the steering wheel, whose ratio is to be found"""
     ratio: float = 1.0
     """-, by which steering angles were divided"""
+
+
+def list_sources(logs: Source | Sequence[Source]) -> list[Source]:
+    """A log, or several, as a list."""
+    return [logs] if isinstance(logs, str | os.PathLike | Mapping) else list(logs)
 
 
 def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading: Reading) -> Columns:

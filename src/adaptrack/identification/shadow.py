@@ -36,7 +36,7 @@ from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.instants import InstantSamples, LogSource, ReadLog
 from adaptrack.identification.loop_check import check_loop
-from adaptrack.identification.reading import Reading
+from adaptrack.identification.reading import Reading, list_sources
 from adaptrack.identification.shadow_predictions import (
     LEFT_OUT,
     PREDICTED_QUANTITIES,
@@ -208,9 +208,8 @@ def shadow(
     InvalidInput
         When a log lacks a signal, is too short or hardly steered.
     """
-    sources = [logs] if isinstance(logs, str | os.PathLike | Mapping) else list(logs)
     vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
-    read = [ReadLog.of(source, vehicle, reading or Reading()) for source in sources]
+    read = [ReadLog.of(source, vehicle, reading or Reading()) for source in list_sources(logs)]
     if not read:
         raise InvalidInput("shadow: give one log at least.")
     removable = sorted({name for names in OMITTABLE_SIGNALS for name in names} | {"wheel"})
