@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli.app import app
-from adaptrack.identification.consistency import Moments, contradictions
+from adaptrack.identification.consistency import contradictions
 from adaptrack.identification.hypotheses import Evidence, drop_computed_columns, refuse_contradictions
 from adaptrack.identification.log import SHORTENED, log_of, shorten_log
 from adaptrack.identification.log_identification import prepare
@@ -199,14 +199,14 @@ def test_stretches_that_contradict_each_other_are_said_with_their_level() -> Non
 
 
 def test_chance_is_no_contradiction() -> None:
-    prior, rng = Moments(np.zeros(3), np.ones(3)), np.random.default_rng(11)
-    names = ("front", "rear", "ratio")
+    names, rng = ("front", "rear", "ratio"), np.random.default_rng(11)
+    prior = dict.fromkeys(names, (0.0, 1.0))
     samples = [
-        [Moments(0.05 * rng.standard_normal(3), np.full(3, 0.05**2)) for _ in range(3)] for _ in range(200)
+        [{name: (0.05 * rng.standard_normal(), 0.05**2) for name in names} for _ in range(3)] for _ in range(200)
     ]  # fmt: skip
-    assert sum(bool(contradictions("logs", names, prior, moments)) for moments in samples) <= 4
-    shifted = [Moments(np.array([shift, 0.0, 0.0]), np.full(3, 0.05**2)) for shift in (0.0, 0.0, 1.0)]
-    (reason,) = contradictions("logs", names, prior, shifted)
+    assert sum(bool(contradictions("logs", prior, moments)) for moments in samples) <= 4
+    shifted = [dict.fromkeys(names, (0.0, 0.05**2)) | {"front": (shift, 0.05**2)} for shift in (0.0, 0.0, 1.0)]
+    (reason,) = contradictions("logs", prior, shifted)
     assert "front: 1, 1, 2.7" in reason
 
 

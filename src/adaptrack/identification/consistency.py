@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from itertools import islice
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +24,10 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.identification.estimates import Moments
-from adaptrack.identification.identified_car import HARDLY, Estimate, Validation
-from adaptrack.identification.likelihood import Likelihood
+from adaptrack.identification.hypotheses import INF, Case, explain
+from adaptrack.identification.identified_car import HARDLY, Estimate, Validation, scale_correlations
 from adaptrack.identification.log import Log, window_mean
+from adaptrack.identification.log_fit import Fit
 from adaptrack.identification.quantities import INDEX, degrees_per_g
 
 Array = NDArray[np.float64]
@@ -56,6 +58,8 @@ RATIO_ERROR, RATIO_ERROR_SIGMAS = 0.2, 2.0
 deviations."""
 LEAST_CORRELATION = 0.3
 """Of the scale of the steering angle with another estimate, from which it is reported."""
+RATIO_SPREAD = (0.3, 0.1)
+"""Of the logarithm of a steering ratio that is to be found: guessed from the log, or said by the car's file."""
 UNKNOWN_RATIO = "cannot tell the ratio"
 RATIO_LOOSE = 1.1
 """Factor within which a steering ratio is of use."""
@@ -69,23 +73,45 @@ SPLIT = 0.05
 """s, half width of the lag's interval from which the split of the delay is said to be open."""
 EVEN_SPEED, COLOURED, POOR, HARD = 0.05, 0.1, 0.5, 4.0
 """Spread over mean of an even speed; autocorrelation of residuals; share of variance explained; m/s^2."""
+IMPLAUSIBLE = (
+    Case("deviation", MAX_PRIOR_DEVIATIONS, INF, "{name} {value:.3g} {unit} lies {deviation:.1f} standard deviations "
+         "from {believed}"),
+    Case("reached", MAX_REACH, INF, "the interval of {name}, {low:.3g} to {high:.3g} {unit}, reaches {reached:.1f} "
+         "standard deviations from {believed}"),
+)  # fmt: skip
+"""Of an estimate: the first whose number lies in its range counts."""
+FINDINGS = (
+    Case("stiffness", LOOSE_FACTOR, INF, "{why}: stiffness known within a factor {stiffness:.2g}"),
+    Case("balance", -INF, 0.5, "what the axles have in common is open, their balance is not: understeer gradient "
+         "{gradient:.2g} deg/g within {within:.2g}"),
+    Case("tightest", TIGHT, INF, "tight bends, wheels at {degrees:.0f} degrees: driving and braking forces, which the "
+         "log lacks, turn the car too, so intervals are wider"),
+    Case("lag", SPLIT, INF, "lag and dead time are known in sum ({delay:.3g} s), not how they share it: quick "
+         "steering, or a measured wheel angle, tells them apart"),
+    Case("gyro_clock", 0.0, INF, "cannot tell a late yaw rate from late wheels: delay is from the command to the "
+         "logged yaw rate"),
+    Case("command", -INF, 0.0, "no steering command in the log: cannot tell lag and dead time, they keep what was "
+         "believed"),
+    Case("speed_spread", -INF, EVEN_SPEED, "the speed hardly changes: steering offset, bank and gyro offset are known "
+         "in sum only"),
+    Case("hardest", HARD, INF, f"driven hard, above {HARD:g} m/s^2: stiffness rests on the tyres' curve too"),
+    Case("autocorrelation", COLOURED, INF, "the residuals are not white (autocorrelation {largest:.2f}): intervals may "
+         "be too narrow"),
+    Case("explained", -INF, POOR, "simulated from the command alone, {percent:.0f} % of the yaw rate's variance is "
+         "explained: the rest is wind, road, or a wrong column"),
+)  # fmt: skip
+"""What limits what is known of a car; all whose numbers lie in their ranges count."""
 
 
 def implausible_estimates(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
     """Estimates that lie outside what was believed, or what any car has, in words."""
-    messages = []
-    for estimate in estimates.values():
-        before = f"what was believed ({estimate.before[0]:.3g} to {estimate.before[1]:.3g})"
-        if abs(estimate.shift) > MAX_PRIOR_DEVIATIONS and not estimate.name.startswith(("noise", "gyro")):
-            messages.append(
-                f"{estimate.name} {estimate.value:.3g} {estimate.unit} lies {abs(estimate.shift):.1f} "
-                f"standard deviations from {before}"
-            )
-        elif estimate.reach > MAX_REACH and estimate.name in MODEL_ERRORS:
-            messages.append(
-                f"the interval of {estimate.name}, {estimate.low:.3g} to {estimate.high:.3g} {estimate.unit}, reaches "
-                f"{estimate.reach:.1f} standard deviations from {before}"
-            )
+    messages: list[str] = []
+    for name, estimate in estimates.items():
+        believed = f"what was believed ({estimate.before[0]:.3g} to {estimate.before[1]:.3g})"
+        deviation = math.nan if name.startswith(("noise", "gyro")) else abs(estimate.shift)
+        reached = estimate.reach if name in MODEL_ERRORS else math.nan
+        numbers = vars(estimate) | {"deviation": deviation, "reached": reached, "believed": believed}
+        messages += islice(explain(IMPLAUSIBLE, numbers), 1)
     return messages + _unphysical_quantities(estimates, car)
 
 
@@ -108,19 +134,14 @@ def _unphysical_quantities(estimates: Mapping[str, Estimate], car: Vehicle) -> l
     ]
 
 
-def contradictions(subject: str, names: Sequence[str], prior: Moments, statements: Sequence[Moments]) -> list[str]:
+def contradictions(subject: str, prior: Moments, statements: Sequence[Moments]) -> list[str]:
     """Quantities in which stretches or logs (``subject``) contradict each other, in words.
 
-    names: of the m quantities; those of `MODEL_ERRORS` are compared.
+    Those of `MODEL_ERRORS` are compared.
     """
     tests = []
-    for i, name in enumerate(names):
-        if name not in MODEL_ERRORS:
-            continue
-        freed = [
-            _freed(prior.mean[i], prior.variance[i], statement.mean[i], statement.variance[i])
-            for statement in statements
-        ]
+    for name in [name for name in prior if name in MODEL_ERRORS]:
+        freed = [_freed(*prior[name], *statement[name]) for statement in statements if name in statement]
         informed = [(value, variance) for value, variance in freed if math.isfinite(variance)]
         if len(informed) > 1:
             tests.append((name, np.array(informed).T))
@@ -166,7 +187,7 @@ class Gain(NamedTuple):
     """standard deviation of its logarithm, from the log alone"""
 
 
-def bend_time(log: Log) -> float:
+def _bend_time(log: Log) -> float:
     """Time (s) driven in bends."""
     measured = np.isfinite(log.yaw_rate)
     if not measured.any():
@@ -175,24 +196,44 @@ def bend_time(log: Log) -> float:
     return float(np.sum(turning)) / max(float(np.sum(measured)), 1.0) * log.driven_time
 
 
-def gain_of(likelihood: Likelihood, z: Array, covariance: Array) -> Gain:
-    """Gain of a log with a specified ratio, without its prior; covariance: of the free entries of the fit z."""
-    place, prior = INDEX["gain"], float(likelihood.spread[INDEX["gain"]])
-    if place not in likelihood.free:
+def _gain(fit: Fit) -> Gain:
+    """Gain of a log with a specified ratio, without its prior."""
+    place, prior = INDEX["gain"], float(fit.likelihood.spread[INDEX["gain"]])
+    if place not in fit.likelihood.free:
         return Gain(1.0, math.inf)
-    row = int(np.searchsorted(likelihood.free, place))
-    precision = max(1.0 / float(covariance[row, row]) - 1.0, 1e-6)
-    mean = prior * float(z[place]) * (1.0 + 1.0 / precision)
+    row = int(np.searchsorted(fit.likelihood.free, place))
+    precision = max(1.0 / float(fit.covariance[row, row]) - 1.0, 1e-6)
+    mean = prior * float(fit.z[place]) * (1.0 + 1.0 / precision)
     return Gain(portable.exp(min(max(mean, -5.0), 5.0)), prior / math.sqrt(precision))
 
 
-def check_scale(log: Log, scale: Estimate, gain: Gain, correlations: Mapping[str, float]) -> tuple[str, str]:
+def check_ratio(
+    fit: Fit, estimates: dict[str, Estimate], covariance: Array
+) -> tuple[dict[str, Estimate], list[str], tuple[str, ...]]:
+    """The estimates that may be reported, what contradicts the steering ratio, and findings.
+
+    covariance: of the estimates in their order
+    """
+    log = fit.likelihood.log
+    if not log.ratio_unknown:
+        if "angle_scale" not in estimates:
+            return estimates, [], ()
+        correlations = scale_correlations(estimates, covariance)
+        against, finding = _check_scale(log, estimates["angle_scale"], _gain(fit), correlations)
+        return estimates, [against] if against else [], (finding,) if finding else ()
+    is_known, message = _check_fitted_ratio(log, estimates["ratio"])
+    if is_known or fit.likelihood.spread[INDEX["gain"]] != RATIO_SPREAD[0]:
+        return estimates, [], (message,) if message else ()
+    return {name: estimate for name, estimate in estimates.items() if name != "ratio"}, [message], ()
+
+
+def _check_scale(log: Log, scale: Estimate, gain: Gain, correlations: Mapping[str, float]) -> tuple[str, str]:
     """Return a contradiction of the specified ratio and a finding on the scale of its angles; either may be empty.
 
     correlations: of the scale with other estimates
     """
     ratio = f"--steering-ratio {log.ratio * scale.value:.3g}"
-    if gain.spread > MAX_GAIN_SIGMA or bend_time(log) < MIN_BEND_TIME:
+    if gain.spread > MAX_GAIN_SIGMA or _bend_time(log) < MIN_BEND_TIME:
         return "", (
             f"{UNKNOWN_RATIO}: the log cannot confirm that its angles are those of the road wheels, and understeer is "
             "known with their scale only: drive bends at two speeds"
@@ -217,9 +258,9 @@ def check_scale(log: Log, scale: Estimate, gain: Gain, correlations: Mapping[str
     )
 
 
-def check_fitted_ratio(log: Log, ratio: Estimate) -> tuple[bool, str]:
+def _check_fitted_ratio(log: Log, ratio: Estimate) -> tuple[bool, str]:
     """Return whether a fitted ratio is known, and a message."""
-    seconds = bend_time(log)
+    seconds = _bend_time(log)
     if seconds < MIN_BEND_TIME:
         return False, (
             f"{UNKNOWN_RATIO}: {seconds:.0f} s of bends, {MIN_BEND_TIME:g} s are needed; drive slow bends, or give "
@@ -236,50 +277,26 @@ def check_fitted_ratio(log: Log, ratio: Estimate) -> tuple[bool, str]:
 # -- what limits estimates --------------------------------------------------------------------------------------------
 def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation) -> tuple[str, ...]:
     """Sentences: what limits what is known, each with what would help."""
-    sentences = []
-    fast = log.speed > HIGH_SPEED
-    sideways = log.speed * np.nan_to_num(log.yaw_rate)
-    stiff = [estimates["front"], estimates["rear"]]
-    factor = max(estimate.high / estimate.value for estimate in stiff)
-    if factor > LOOSE_FACTOR:
-        idle = not fast.any() or math.sqrt(float(np.mean(portable.square(sideways[fast])))) < LITTLE
-        why = f"hardly any steering above {HIGH_SPEED:g} m/s" if idle else "the log tells little of the tyres"
-        sentences.append(f"{why}: stiffness known within a factor {factor:.2g}")
-        gradient = estimates["understeer_gradient"]
-        if gradient.spread_left < 0.5:
-            within = degrees_per_g(gradient.high - gradient.value)
-            sentences.append(
-                f"what the axles have in common is open, their balance is not: understeer gradient "
-                f"{degrees_per_g(gradient.value):.2g} deg/g within {within:.2g}"
-            )
-    if log.tightest > TIGHT:
-        sentences.append(
-            f"tight bends, wheels at {math.degrees(log.tightest):.0f} degrees: driving and braking forces, which the "
-            "log lacks, turn the car too, so intervals are wider"
-        )
+    fast, sideways = log.speed > HIGH_SPEED, log.speed * np.nan_to_num(log.yaw_rate)
+    idle = not fast.any() or math.sqrt(float(np.mean(portable.square(sideways[fast])))) < LITTLE
+    stiffness = max(estimates[axle].high / estimates[axle].value for axle in ("front", "rear"))
+    gradient, largest, tightest = (
+        estimates["understeer_gradient"],
+        max(validation.autocorrelation, key=abs),
+        log.tightest,
+    )
+    numbers: dict[str, Any] = {
+        "stiffness": stiffness,
+        "why": f"hardly any steering above {HIGH_SPEED:g} m/s" if idle else "the log tells little of the tyres",
+        "balance": gradient.spread_left if stiffness > LOOSE_FACTOR else math.nan,
+        "gradient": degrees_per_g(gradient.value), "within": degrees_per_g(gradient.high - gradient.value),
+        "tightest": tightest, "degrees": math.degrees(tightest),
+        "gyro_clock": log.commanded and not np.isfinite(log.wheel).any(), "command": log.commanded,
+        "speed_spread": float(np.std(log.speed)) / float(np.mean(log.speed)),
+        "hardest": float(np.percentile(np.abs(sideways), 99)),
+        "autocorrelation": abs(largest), "largest": largest,
+        "explained": float(np.nan_to_num(validation.simulated)), "percent": 100 * validation.simulated,
+    }  # fmt: skip
     if log.commanded:
-        lag = estimates["lag"]
-        if 0.5 * (lag.high - lag.low) > SPLIT:
-            sentences.append(
-                f"lag and dead time are known in sum ({estimates['delay'].value:.3g} s), not how they share it: quick "
-                "steering, or a measured wheel angle, tells them apart"
-            )
-        if not np.isfinite(log.wheel).any():
-            sentences.append(
-                "cannot tell a late yaw rate from late wheels: delay is from the command to the logged yaw rate"
-            )
-    else:
-        sentences.append("no steering command in the log: cannot tell lag and dead time, they keep what was believed")
-    if float(np.std(log.speed)) < EVEN_SPEED * float(np.mean(log.speed)):
-        sentences.append("the speed hardly changes: steering offset, bank and gyro offset are known in sum only")
-    if float(np.percentile(np.abs(sideways), 99)) > HARD:
-        sentences.append(f"driven hard, above {HARD:g} m/s^2: stiffness rests on the tyres' curve too")
-    largest = max(validation.autocorrelation, key=abs)
-    if abs(largest) > COLOURED:
-        sentences.append(f"the residuals are not white (autocorrelation {largest:.2f}): intervals may be too narrow")
-    if not validation.simulated > POOR:
-        sentences.append(
-            f"simulated from the command alone, {100 * validation.simulated:.0f} % of the yaw rate's variance is "
-            "explained: the rest is wind, road, or a wrong column"
-        )
-    return tuple(sentences)
+        numbers |= {"lag": 0.5 * (estimates["lag"].high - estimates["lag"].low), "delay": estimates["delay"].value}
+    return tuple(explain(FINDINGS, numbers))

@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 ReportedRow = tuple[str, str, str, bool, Callable[[Array], float]]
 """Name, unit, meaning, whether it is positive, and how it follows from the quantities."""
+Moments = Mapping[str, tuple[float, float]]
+"""Mean and variance of quantities by name; of logarithms of positive quantities."""
 NORMAL_90 = 1.6448536269514722
 """Half width of a 90 % interval in standard errors."""
 FROM_ZERO = ("delay", "lag", "dead_time", "relaxation")
@@ -39,13 +41,6 @@ FROM_ZERO = ("delay", "lag", "dead_time", "relaxation")
 median, and below the value, they are linear."""
 ESTIMATE_STEP = 1e-4
 """Of the differences, in spreads of the prior."""
-
-
-class Moments(NamedTuple):
-    """Estimates of the reported quantities from one stretch or log; logarithms of positive quantities, (m,) each."""
-
-    mean: Array
-    variance: Array
 
 
 class Correction(NamedTuple):
@@ -174,20 +169,23 @@ def estimates_at(
 def moments_at(
     likelihood: InnovationLikelihood, rows: Sequence[ReportedRow], z: Array, covariance: Array, wheels: float
 ) -> Moments:
-    """Mean and variance of the reported quantities, errors corrected; arguments as of `estimates_at`."""
+    """Moments of the reported quantities, errors corrected; arguments as of `estimates_at`."""
     jacobian, mean = slopes_at(likelihood, rows, z), values_at(likelihood, rows, z)
     spread, before = _standard_errors(jacobian, covariance), np.sqrt((jacobian * jacobian).sum(axis=1))
+    moments = {}
     for i, (name, _, _, positive, _) in enumerate(rows):
         value = portable.exp(mean[i]) if positive else float(mean[i])
-        spread[i] = corrected(name, spread[i], value, positive, before[i], wheels)
-    return Moments(mean, spread * spread)
+        error = corrected(name, spread[i], value, positive, before[i], wheels)
+        moments[name] = float(mean[i]), float(error * error)
+    return moments
 
 
 def prior_moments_at(likelihood: InnovationLikelihood, rows: Sequence[ReportedRow], z: Array) -> Moments:
-    """Mean and variance of the prior of the reported quantities, linearised at a point."""
+    """Moments of the prior of the reported quantities, linearised at a point."""
     jacobian = slopes_at(likelihood, rows, z)
     mean = values_at(likelihood, rows, z) - product(jacobian, z[likelihood.free])
-    return Moments(mean, np.sum(jacobian * jacobian, axis=1))
+    variance = np.sum(jacobian * jacobian, axis=1)
+    return {row[0]: (float(mean[i]), float(variance[i])) for i, row in enumerate(rows)}
 
 
 def _standard_errors(jacobian: Array, covariance: Array) -> Array:

@@ -24,7 +24,16 @@ from numpy.typing import NDArray
 
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
-from adaptrack.identification.estimates import ReportedRow, delay_rows, estimates_at, quantity_row, slopes_at
+from adaptrack.identification.estimates import (
+    Moments,
+    ReportedRow,
+    delay_rows,
+    estimates_at,
+    moments_at,
+    prior_moments_at,
+    quantity_row,
+    slopes_at,
+)
 from adaptrack.identification.identified_car import Estimate
 from adaptrack.identification.likelihood import NEARLY, Likelihood, Scored
 from adaptrack.identification.quantities import INDEX, QUANTITIES, shift_from_zero, understeer
@@ -220,6 +229,17 @@ def estimates_of(fit: Fit) -> tuple[dict[str, Estimate], Array]:
     rows, wheels = reported_rows(likelihood), likelihood.log.tightest
     estimates, jacobian = estimates_at(likelihood, rows, fit.z, fit.covariance, wheels)
     return estimates, product(product(jacobian, fit.covariance), jacobian.T)
+
+
+def moments_of(fit: Fit) -> Moments:
+    """Moments of what is reported of a fit."""
+    likelihood = fit.likelihood
+    return moments_at(likelihood, reported_rows(likelihood), fit.z, fit.covariance, likelihood.log.tightest)
+
+
+def prior_of(fit: Fit) -> Moments:
+    """Moments of the prior of what is reported of a fit."""
+    return prior_moments_at(fit.likelihood, reported_rows(fit.likelihood), fit.z)
 
 
 # -- several logs -----------------------------------------------------------------------------------------------------

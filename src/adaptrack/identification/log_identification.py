@@ -19,18 +19,16 @@ from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
 from adaptrack.identification.consistency import (
     MODEL_ERRORS,
+    RATIO_SPREAD,
     UNKNOWN_RATIO,
-    check_fitted_ratio,
-    check_scale,
+    check_ratio,
     contradictions,
     findings,
-    gain_of,
     implausible_estimates,
 )
 from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS, PEDALS, drive_of_columns
-from adaptrack.identification.estimates import Moments, moments_at, prior_moments_at
 from adaptrack.identification.hypotheses import Evidence, cleaned_log, drop_computed_columns, refuse_contradictions
-from adaptrack.identification.identified_car import Estimate, Identification, Series, Validation, scale_correlations
+from adaptrack.identification.identified_car import Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood, smooth_wheel
 from adaptrack.identification.log import Log, noise_of
 from adaptrack.identification.log_fit import (
@@ -40,7 +38,8 @@ from adaptrack.identification.log_fit import (
     covariance_at,
     estimates_of,
     fit_log,
-    reported_rows,
+    moments_of,
+    prior_of,
     shared_places,
 )
 from adaptrack.identification.quantities import INDEX, Prior, beliefs_of, plain_car
@@ -50,8 +49,6 @@ Array = NDArray[np.float64]
 
 VALIDATION_BLOCK, HELD_OUT_EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
-RATIO_SPREAD = (0.3, 0.1)
-"""Of the logarithm of a steering ratio that is to be found: guessed from the log, or said by the car's file."""
 THIRDS, LEAST_THIRDS = 3, 50.0
 """Stretches of a log that are compared; s of driving from which they are."""
 
@@ -152,8 +149,9 @@ def _alone(fit: Fit, curve: Tyre, computation: float) -> Identification:
     log, car = fit.likelihood.log, fit.likelihood.car
     estimates, spread = estimates_of(fit)
     validation, series = _validated(fit)
-    usable, against, ratio_findings = _ratio(fit, estimates, spread)
-    reasons = implausible_estimates(estimates, car) + against + contradictions("stretches of the log", *_stretches(fit))
+    usable, against, ratio_findings = check_ratio(fit, estimates, spread)
+    moved = contradictions("stretches of the log", prior_of(fit), [moments_of(third) for third in _thirds(fit)])
+    reasons = implausible_estimates(estimates, car) + against + moved
     limits = _rivals_sentence(fit) + findings(log, estimates, validation) + ratio_findings
     rows = [i for i, name in enumerate(estimates) if name in usable]
     return Identification(
@@ -165,7 +163,7 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
     """Identify one car from several logs; quantities of a single log stay with that log."""
     main = max(range(len(fits)), key=lambda i: (len(shared_places(fits[i].likelihood)), alone[i].log.driven_time))
     first = alone[main]
-    reasons = contradictions("logs", *_moments_of_fits(fits, fits[main]))
+    reasons = contradictions("logs", prior_of(fits[main]), [moments_of(fit) for fit in fits])
     log_reasons = [
         f"log {i + 1}: {reason}"
         for i, fit in enumerate(alone)
@@ -177,7 +175,7 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
     against: list[str] = []
     ratio_findings: tuple[str, ...] = ()
     if not first.log.ratio_unknown:
-        _, against, ratio_findings = _ratio(joint, estimates, spread)
+        _, against, ratio_findings = check_ratio(joint, estimates, spread)
     ratio_logs = [i for i, identification in enumerate(alone) if "ratio" in identification.estimates]
     shared = {
         name: estimate
@@ -193,23 +191,6 @@ def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identific
         computation=max(identification.computation for identification in alone),
         reasons=tuple(reasons), alone=tuple(alone),
     )  # fmt: skip
-
-
-def _ratio(
-    fit: Fit, estimates: dict[str, Estimate], spread: Array
-) -> tuple[dict[str, Estimate], list[str], tuple[str, ...]]:
-    """The estimates that may be reported, what contradicts the steering ratio, and findings; spread: covariance."""
-    log = fit.likelihood.log
-    if not log.ratio_unknown:
-        if "angle_scale" not in estimates:
-            return estimates, [], ()
-        gain = gain_of(fit.likelihood, fit.z, fit.covariance)
-        against, finding = check_scale(log, estimates["angle_scale"], gain, scale_correlations(estimates, spread))
-        return estimates, [against] if against else [], (finding,) if finding else ()
-    is_known, message = check_fitted_ratio(log, estimates["ratio"])
-    if is_known or fit.likelihood.spread[INDEX["gain"]] != RATIO_SPREAD[0]:
-        return estimates, [], (message,) if message else ()
-    return {name: estimate for name, estimate in estimates.items() if name != "ratio"}, [message], ()
 
 
 def _prepared(
@@ -274,32 +255,15 @@ def _rivals_sentence(fit: Fit) -> tuple[str, ...]:
     return (f"different cars fit the log equally well ({'; '.join(cars)}): quick steering at speed tells them apart",)
 
 
-# -- consistency ------------------------------------------------------------------------------------------------------
-def _stretches(fit: Fit) -> tuple[list[str], Moments, list[Moments]]:
-    """Names of the reported quantities, prior, and what thirds of a log say, each fitted from the whole log's point."""
+def _thirds(fit: Fit) -> list[Fit]:
+    """Fits of thirds of a long log, each from the whole log's point."""
     log, parts = fit.likelihood.log, []
     ends = np.linspace(0, log.samples, THIRDS + 1).astype(int)
     for first, last in pairwise(ends) if log.driven_time >= LEAST_THIRDS else ():
         part = fit.likelihood.part(slice(first, last))
         z, at = part.fit(fit.z, NEARLY)
         parts.append(Fit(part, z, covariance_at(part, z, at)))
-    return _moments_of_fits(parts, fit)
-
-
-def _moments_of_fits(fits: Sequence[Fit], main: Fit) -> tuple[list[str], Moments, list[Moments]]:
-    """Names of the quantities that a main fit reports, prior, and what each fit says of them."""
-    rows = reported_rows(main.likelihood)
-    prior, statements = prior_moments_at(main.likelihood, rows, main.z), []
-    for fit in fits:
-        fit_rows, wheels = reported_rows(fit.likelihood), fit.likelihood.log.tightest
-        mine = moments_at(fit.likelihood, fit_rows, fit.z, fit.covariance, wheels)
-        place = {row[0]: i for i, row in enumerate(fit_rows)}
-        mean, variance = prior.mean.copy(), prior.variance.copy()
-        for i, (name, *_) in enumerate(rows):
-            if name in place:
-                mean[i], variance[i] = mine.mean[place[name]], mine.variance[place[name]]
-        statements.append(Moments(mean, variance))
-    return [row[0] for row in rows], prior, statements
+    return parts
 
 
 # -- validation -------------------------------------------------------------------------------------------------------
