@@ -79,7 +79,6 @@ def integrated(
 
 
 def check_signals(log: Log) -> None:
-    """Refuse a log whose signals contradict each other."""
     refuse_contradictions(Evidence(wheelbase=CAR.wheelbase, cleaned=log), "signals")
 
 

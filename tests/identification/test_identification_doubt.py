@@ -147,9 +147,8 @@ def test_a_yaw_rate_that_runs_ahead_of_the_steering_is_named() -> None:
 def test_a_speed_in_kmh_is_named_where_positions_show_it() -> None:
     drive = base()
     yaw = np.cumsum(PERIOD * drive["yaw_rate"])
-    values = drive | {
-        "x": np.cumsum(PERIOD * drive["speed"] * np.cos(yaw)), "y": np.cumsum(PERIOD * drive["speed"] * np.sin(yaw))
-    }  # fmt: skip
+    x, y = (np.cumsum(PERIOD * drive["speed"] * direction(yaw)) for direction in (np.cos, np.sin))
+    values = drive | {"x": x, "y": y}
     refuse_contradictions(Evidence(values), "positions")
     with pytest.raises(InvalidInput, match="--units speed=km/h"):
         refuse_contradictions(Evidence(values | {"speed": 3.6 * drive["speed"]}), "positions")
@@ -201,10 +200,9 @@ def test_stretches_that_contradict_each_other_are_said_with_their_level() -> Non
 def test_chance_is_no_contradiction() -> None:
     names, rng = ("front", "rear", "ratio"), np.random.default_rng(11)
     prior = dict.fromkeys(names, (0.0, 1.0))
-    samples = [
-        [{name: (0.05 * rng.standard_normal(), 0.05**2) for name in names} for _ in range(3)] for _ in range(200)
-    ]  # fmt: skip
-    assert sum(bool(contradictions("logs", prior, moments)) for moments in samples) <= 4
+    samples = 0.05 * rng.standard_normal((200, 3, 3))
+    moments = [[{name: (x, 0.05**2) for name, x in zip(names, row, strict=True)} for row in log] for log in samples]
+    assert sum(bool(contradictions("logs", prior, statements)) for statements in moments) <= 4
     shifted = [dict.fromkeys(names, (0.0, 0.05**2)) | {"front": (shift, 0.05**2)} for shift in (0.0, 0.0, 1.0)]
     (reason,) = contradictions("logs", prior, shifted)
     assert "front: 1, 1, 2.7" in reason
@@ -225,7 +223,6 @@ def test_logs_of_one_car_tell_more_than_each_of_them() -> None:
 
 @pytest.mark.compiled
 def test_logs_that_contradict_each_other_end_the_command_with_3_and_write_nothing(tmp_path) -> None:
-    import pyarrow
     import pyarrow.parquet
 
     other = base(40.0, 2)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,14 +179,6 @@ def _written(name: str, value: float) -> str:
 
 
 # -- steering ratio --------------------------------------------------------------------------------------------------
-class Gain(NamedTuple):
-    """Angle of the road wheels over that in the log."""
-
-    factor: float
-    spread: float
-    """standard deviation of its logarithm, from the log alone"""
-
-
 def _bend_time(log: Log) -> float:
     """Time (s) driven in bends."""
     measured = np.isfinite(log.yaw_rate)
@@ -196,15 +188,15 @@ def _bend_time(log: Log) -> float:
     return float(np.sum(turning)) / max(float(np.sum(measured)), 1.0) * log.driven_time
 
 
-def _gain(fit: Fit) -> Gain:
-    """Gain of a log with a specified ratio, without its prior."""
+def _gain(fit: Fit) -> tuple[float, float]:
+    """Angle of the road wheels over that in the log, by the log alone, and the standard deviation of its logarithm."""
     place, prior = INDEX["gain"], float(fit.likelihood.spread[INDEX["gain"]])
     if place not in fit.likelihood.free:
-        return Gain(1.0, math.inf)
+        return 1.0, math.inf
     row = int(np.searchsorted(fit.likelihood.free, place))
     precision = max(1.0 / float(fit.covariance[row, row]) - 1.0, 1e-6)
     mean = prior * float(fit.z[place]) * (1.0 + 1.0 / precision)
-    return Gain(portable.exp(min(max(mean, -5.0), 5.0)), prior / math.sqrt(precision))
+    return portable.exp(min(max(mean, -5.0), 5.0)), prior / math.sqrt(precision)
 
 
 def check_ratio(
@@ -219,7 +211,7 @@ def check_ratio(
         if "angle_scale" not in estimates:
             return estimates, [], ()
         correlations = scale_correlations(estimates, covariance)
-        against, finding = _check_scale(log, estimates["angle_scale"], _gain(fit), correlations)
+        against, finding = _check_scale(fit, estimates["angle_scale"], correlations)
         return estimates, [against] if against else [], (finding,) if finding else ()
     is_known, message = _check_fitted_ratio(log, estimates["ratio"])
     if is_known or fit.likelihood.spread[INDEX["gain"]] != RATIO_SPREAD[0]:
@@ -227,21 +219,22 @@ def check_ratio(
     return {name: estimate for name, estimate in estimates.items() if name != "ratio"}, [message], ()
 
 
-def _check_scale(log: Log, scale: Estimate, gain: Gain, correlations: Mapping[str, float]) -> tuple[str, str]:
+def _check_scale(fit: Fit, scale: Estimate, correlations: Mapping[str, float]) -> tuple[str, str]:
     """Return a contradiction of the specified ratio and a finding on the scale of its angles; either may be empty.
 
     correlations: of the scale with other estimates
     """
+    log, (gain, spread) = fit.likelihood.log, _gain(fit)
     ratio = f"--steering-ratio {log.ratio * scale.value:.3g}"
-    if gain.spread > MAX_GAIN_SIGMA or _bend_time(log) < MIN_BEND_TIME:
+    if spread > MAX_GAIN_SIGMA or _bend_time(log) < MIN_BEND_TIME:
         return "", (
             f"{UNKNOWN_RATIO}: the log cannot confirm that its angles are those of the road wheels, and understeer is "
             "known with their scale only: drive bends at two speeds"
         )
-    if abs(portable.log(gain.factor)) > max(RATIO_ERROR, RATIO_ERROR_SIGMAS * gain.spread):
-        low, high = (gain.factor * portable.exp(side * 1.645 * gain.spread) for side in (-1.0, 1.0))
+    if abs(portable.log(gain)) > max(RATIO_ERROR, RATIO_ERROR_SIGMAS * spread):
+        low, high = (gain * portable.exp(side * 1.645 * spread) for side in (-1.0, 1.0))
         return (
-            f"the steering ratio is wrong: the road wheels turn {gain.factor:.2f} [{low:.2f}, {high:.2f}] times as far "
+            f"the steering ratio is wrong: the road wheels turn {gain:.2f} [{low:.2f}, {high:.2f}] times as far "
             f"as the log says: {ratio}, or fit"
         ), ""
     if scale.low <= 1.0 <= scale.high:

@@ -27,8 +27,8 @@ from adaptrack.identification.estimates import ReportedRow, delay_rows, estimate
 from adaptrack.identification.hypotheses import Evidence, refuse_contradictions
 from adaptrack.identification.identified_car import DriveIdentification
 from adaptrack.identification.likelihood import NEARLY, InnovationLikelihood, Scored
-from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, is_rising, noise_of
-from adaptrack.identification.outliers import find_outliers
+from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, is_rising
+from adaptrack.identification.outliers import find_outliers, noise_of
 from adaptrack.identification.quantities import Prior, Quantity
 from adaptrack.identification.reading import Columns, Reading, Source, list_sources, read_columns
 

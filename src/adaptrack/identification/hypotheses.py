@@ -1,7 +1,7 @@
 """Mistakes that a log may hold: one table of hypotheses, and the engine that evaluates them.
 
 The model of a hypothesis compares signals and returns numbers. Each of its cases says what a range of a number means,
-with the option that mends it. To add a hypothesis, add an entry to `HYPOTHESES`, and a test.
+with the option that mends it. To add a hypothesis, add an entry to `LOG_HYPOTHESES`, and a test.
 
 In slow bends yaw rate and road-wheel angle obey r = v delta/(L + K v^2) (R. Rajamani, *Vehicle Dynamics and Control*,
 2nd ed., section 3.3), lateral acceleration a_y = v r. A factor between both sides tells the wrong unit. The check of a
@@ -36,16 +36,16 @@ from adaptrack.identification.log import Log, log_of, shorten_log, unwrapped, wi
 from adaptrack.identification.reading import Columns
 
 Array = NDArray[np.float64]
-Numbers = Mapping[str, Any]
-"""Numbers by name (NaN: unknown), and words for sentences."""
+Measurements = Mapping[str, Any]
+"""Measurements by name (NaN: unknown), and words for sentences."""
 
 INF = math.inf
-DELAYS = np.arange(0.0, 1.01, 0.1)
+STEERING_DELAYS = np.arange(0.0, 1.01, 0.1)
 GRADIENTS = (0.003, 0.002, 0.005, 0.001, 0.0, 0.008, -0.001, -0.002, 0.012, 0.018, 0.026, 0.036, 0.05)
 """s, between command and yaw rate; rad s^2/m, understeer: all that are tried, usual ones first."""
 BETTER = 0.9
 """Share of what a more usual gradient leaves unexplained that another may leave: at an even speed all fit alike."""
-WINDOW = 0.5
+MEAN_WINDOW = 0.5
 """s to either side, over which signals are averaged before they are compared."""
 LEAST_BOTH = 100
 """Samples in which two signals must be measured before they are compared."""
@@ -56,7 +56,7 @@ CLEAR = 0.6
 LEADS, FOLLOWS, QUICK = np.arange(-0.5, -0.09, 0.05), np.arange(0.0, 1.01, 0.05), 0.15
 """s, by which a yaw rate is tried to run ahead of the steering, and behind; to either side, over which signals are
 smoothed for it."""
-SHIFTS = np.arange(-1.0, 1.01, 0.02)
+CLOCK_SHIFTS = np.arange(-1.0, 1.01, 0.02)
 """s, between two signals of one motion."""
 AHEAD = 0.85
 """Share of what is unexplained behind the steering that a yaw rate ahead of it must leave at most."""
@@ -94,7 +94,7 @@ class Case(NamedTuple):
     """format of the sentence, with the numbers by their names; empty where nothing is wrong"""
 
 
-class Hypothesis(NamedTuple):
+class LogHypothesis(NamedTuple):
     """A comparison of signals, and the mistakes that it may show."""
 
     stage: Literal["positions", "gyro", "columns", "signals", "speed"]
@@ -103,7 +103,7 @@ class Hypothesis(NamedTuple):
     """compared signals"""
     needs: tuple[str, ...]
     """columns without which it is not evaluated"""
-    model: Callable[[Evidence], Numbers]
+    model: Callable[[Evidence], Measurements]
     cases: tuple[Case, ...]
     """contradictions: the first whose number lies in its range counts"""
     possible: tuple[Case, ...] = ()
@@ -117,9 +117,9 @@ class Evidence:
     values: Mapping[str, Array] = field(default_factory=dict)
     """raw columns in SI units, (n,) each"""
     wheelbase: float = math.nan
-    """m"""
+    """of the car (m)"""
     mass: float = math.nan
-    """kg, for a force"""
+    """of the car (kg), for a force"""
     cleaned: Log | None = None
 
     @property
@@ -167,7 +167,7 @@ class Slope(NamedTuple):
 
 
 # -- engine -----------------------------------------------------------------------------------------------------------
-def explain(cases: Iterable[Case], numbers: Numbers) -> Iterator[str]:
+def explain(cases: Iterable[Case], numbers: Measurements) -> Iterator[str]:
     """Sentences of the cases whose number lies in its range."""
     for case in cases:
         if case.low < numbers.get(case.number, math.nan) <= case.high:
@@ -177,7 +177,7 @@ def explain(cases: Iterable[Case], numbers: Numbers) -> Iterator[str]:
 def compare(evidence: Evidence, *stages: str) -> list[Agreement]:
     """Evaluate the hypotheses of some stages, without those whose columns are not logged."""
     agreements = []
-    for hypothesis in HYPOTHESES:
+    for hypothesis in LOG_HYPOTHESES:
         is_due = hypothesis.stage in stages and (hypothesis.stage != "signals" or evidence.cleaned is not None)
         if is_due and evidence.values.keys() >= set(hypothesis.needs):
             numbers = hypothesis.model(evidence)
@@ -263,8 +263,8 @@ def cleaned_log(columns: Columns, wheelbase: float, ratio: float | None = None) 
 
 
 # -- models of positions and signals ----------------------------------------------------------------------------------
-def _positions(evidence: Evidence) -> Numbers:
-    """The way of positions over that by the speed."""
+def _positions(evidence: Evidence) -> Measurements:
+    """Distance by the positions over distance by the speed."""
     values = evidence.values
     if not {"time", "speed", "x", "y"} <= values.keys():
         return {"clear": False}
@@ -276,13 +276,16 @@ def _positions(evidence: Evidence) -> Numbers:
         return {"clear": False}
     instants = values["time"][drives]
     x, y = (
-        np.interp(instants + WINDOW, time, place) - np.interp(instants - WINDOW, time, place)
+        np.interp(instants + MEAN_WINDOW, time, place) - np.interp(instants - MEAN_WINDOW, time, place)
         for place in (values["x"][present][first], values["y"][present][first])
     )
-    return {"clear": True, "factor": float(np.median(portable.hypot(x, y) / (2.0 * WINDOW * np.abs(speed[drives]))))}
+    return {
+        "clear": True,
+        "factor": float(np.median(portable.hypot(x, y) / (2.0 * MEAN_WINDOW * np.abs(speed[drives])))),
+    }
 
 
-def _felt(evidence: Evidence) -> Numbers:
+def _felt(evidence: Evidence) -> Measurements:
     """Lateral acceleration over speed times yaw rate."""
     log, turning = evidence.log, evidence.turning
     both = np.isfinite(log.acceleration) & np.isfinite(log.yaw_rate)
@@ -293,7 +296,7 @@ def _felt(evidence: Evidence) -> Numbers:
     return _slope(log.speed[both] * yaw_rate, acceleration).numbers | {"flipped": flipped}
 
 
-def _yaw_clock(evidence: Evidence) -> Numbers:
+def _yaw_clock(evidence: Evidence) -> Measurements:
     """Time (s) by which the yaw rate is later than the yaw says."""
     log = evidence.log
     both = np.isfinite(log.yaw) & np.isfinite(log.yaw_rate) & ~log.begins
@@ -304,14 +307,14 @@ def _yaw_clock(evidence: Evidence) -> Numbers:
     return {"clear": abs(late) > LATE or correlation >= CLEAR, "late": late, "later": abs(late), "earlier": -late}
 
 
-def _lead(evidence: Evidence) -> Numbers:
-    """What a yaw rate ahead of the steering leaves unexplained, over what one behind it does."""
+def _lead(evidence: Evidence) -> Measurements:
+    """Whether the yaw rate runs ahead of the steering."""
     ahead, behind = (fit_turning(evidence.log, evidence.wheelbase, delays, QUICK) for delays in (LEADS, FOLLOWS))
     leads = ahead.correlation >= CLEAR and 1.0 - ahead.correlation < AHEAD * (1.0 - abs(behind.correlation))
     return {"clear": evidence.turning.numbers["clear"], "leads": leads, "steered": evidence.steered}
 
 
-def _turning(evidence: Evidence) -> Numbers:
+def _turning(evidence: Evidence) -> Measurements:
     """Yaw rate over that of a steady turn."""
     log, numbers = evidence.log, evidence.turning.numbers
     ratio = 1.0 / numbers["factor"]
@@ -324,7 +327,7 @@ def _turning(evidence: Evidence) -> Numbers:
     }  # fmt: skip
 
 
-def fit_turning(log: Log, wheelbase: float, delays: Array = DELAYS, half: float = WINDOW) -> Slope:
+def fit_turning(log: Log, wheelbase: float, delays: Array = STEERING_DELAYS, half: float = MEAN_WINDOW) -> Slope:
     """Yaw rate against v delta/(L + K v^2), at the delay (s) and gradient where they agree best."""
     present = np.isfinite(log.yaw_rate)
     if present.sum() < LEAST_BOTH:
@@ -358,12 +361,12 @@ def _lateness(time: Array, reference: Array, signal: Array) -> Slope:
     signal = window_mean(time, signal)
     inside = (time > time[0] + 1.0) & (time < time[-1] - 1.0)
     fits = [
-        _slope(reference[inside], np.interp(time[inside] + shift, time, signal)).correlation for shift in SHIFTS
+        _slope(reference[inside], np.interp(time[inside] + shift, time, signal)).correlation for shift in CLOCK_SHIFTS
     ]  # fmt: skip
-    best, none = int(np.argmax(fits)), int(np.argmin(np.abs(SHIFTS)))
+    best, none = int(np.argmax(fits)), int(np.argmin(np.abs(CLOCK_SHIFTS)))
     if fits[best] < 0.9 or 1.0 - fits[best] > MENDED * (1.0 - fits[none]):
         return Slope(0.0, fits[none])
-    return Slope(float(SHIFTS[best]), fits[best])
+    return Slope(float(CLOCK_SHIFTS[best]), fits[best])
 
 
 def _slope(x: Array, y: Array) -> Slope:
@@ -377,24 +380,24 @@ def _slope(x: Array, y: Array) -> Slope:
 
 
 # -- models along the road --------------------------------------------------------------------------------------------
-def _change_of_speed(name: str) -> Callable[[Evidence], Numbers]:
+def _change_of_speed(name: str) -> Callable[[Evidence], Measurements]:
     """Model of the change of speed over a signal, of a command at the delay where they agree best."""
     return lambda evidence: _compare_with_speed(
         name, evidence.values, evidence.mass if name == "force_command" else 1.0
     )
 
 
-def _compare_with_speed(name: str, values: Mapping[str, Array], scale: float) -> Numbers:
+def _compare_with_speed(name: str, values: Mapping[str, Array], scale: float) -> Measurements:
     """Compare a signal over a scale with the change of speed; ``slow``: their slow difference (m/s^2)."""
     rows = np.flatnonzero(np.all([np.isfinite(values[column]) for column in ("time", "speed", name)], axis=0))
     if rows.size < LEAST_BOTH:
         return {"clear": False}
     time, first = np.unique(values["time"][rows], return_index=True)
     speed, signal = window_mean(time, values["speed"][rows[first]], 0.1), values[name][rows[first]] / scale
-    after, before = (np.interp(time + shift, time, speed) for shift in (WINDOW, -WINDOW))
-    change = (after - before) / (2.0 * WINDOW)
+    after, before = (np.interp(time + shift, time, speed) for shift in (MEAN_WINDOW, -MEAN_WINDOW))
+    change = (after - before) / (2.0 * MEAN_WINDOW)
     compared = np.minimum(after, before) > LEAST_LONGITUDINAL_SPEED
-    compared &= (time > time[0] + LONGITUDINAL_DELAYS[-1] + WINDOW) & (time < time[-1] - WINDOW)
+    compared &= (time > time[0] + LONGITUDINAL_DELAYS[-1] + MEAN_WINDOW) & (time < time[-1] - MEAN_WINDOW)
     if compared.sum() < LEAST_BOTH:
         return {"clear": False}
     is_measured, best = name == "longitudinal_acceleration", Slope(1.0, 0.0)
@@ -423,7 +426,7 @@ def _partial_slope(x: Array, y: Array, nuisance: Array) -> Slope:
 
 
 # -- models of computed columns ---------------------------------------------------------------------------------------
-def _kinematic_yaw_rate(evidence: Evidence) -> Numbers:
+def _kinematic_yaw_rate(evidence: Evidence) -> Measurements:
     """Whether the yaw rate is that of the kinematic model, v tan(delta)/L."""
     values, steered = evidence.values, evidence.steered
     model = values["speed"] * portable.tan(np.clip(values[steered], -1.5, 1.5)) / evidence.wheelbase
@@ -431,10 +434,10 @@ def _kinematic_yaw_rate(evidence: Evidence) -> Numbers:
     return {"clear": True, "computed": is_equal, "steered": steered}
 
 
-def _column(name: str, model: Callable[[Mapping[str, Array]], Numbers]) -> Callable[[Evidence], Numbers]:
+def _column(name: str, model: Callable[[Mapping[str, Array]], Measurements]) -> Callable[[Evidence], Measurements]:
     """Model of a column that is constant, or computed as a model of all columns finds."""
 
-    def numbers(evidence: Evidence) -> Numbers:
+    def numbers(evidence: Evidence) -> Measurements:
         finite = evidence.values[name][np.isfinite(evidence.values[name])]
         is_constant = finite.size and float(np.ptp(finite)) <= 1e-9 * max(1.0, float(np.abs(finite).max()))
         return {"clear": False, "constant": finite[0] if is_constant else math.nan, **model(evidence.values)}
@@ -442,21 +445,21 @@ def _column(name: str, model: Callable[[Mapping[str, Array]], Numbers]) -> Calla
     return numbers
 
 
-def _computed_acceleration(values: Mapping[str, Array]) -> Numbers:
+def _computed_acceleration(values: Mapping[str, Array]) -> Measurements:
     speed, yaw_rate = values["speed"], values["yaw_rate"]
     rounding = portable.hypot(_rounding(yaw_rate) * _size(speed), _rounding(speed) * _size(yaw_rate))
     delayed = (_delay(speed * yaw_rate, rows) for rows in (0, 1, -1))
     return {"turn": any(_are_equal(values["acceleration"], signal, rounding) for signal in delayed)}
 
 
-def _computed_vy(values: Mapping[str, Array]) -> Numbers:
+def _computed_vy(values: Mapping[str, Array]) -> Measurements:
     vy, speed, yaw_rate = values["vy"], values["speed"], values["yaw_rate"]
     steering = {name: values[name] for name in ("command", "wheel") if name in values}
     numbers = {name: _are_equal(vy, speed * angle, 0.0, scaled=True) for name, angle in steering.items()}
     return numbers | {"turn": _are_equal(vy, yaw_rate, _rounding(yaw_rate), scaled=True)}
 
 
-def _computed_yaw(values: Mapping[str, Array]) -> Numbers:
+def _computed_yaw(values: Mapping[str, Array]) -> Measurements:
     """Whether steps of the yaw are the yaw rate times steps of time, by any common difference formula."""
     yaw_rate, heading = values["yaw_rate"], unwrapped(values["yaw"])
     step, span, rounding = np.diff(heading), np.diff(values["time"]), _rounding(heading)
@@ -466,7 +469,7 @@ def _computed_yaw(values: Mapping[str, Array]) -> Numbers:
     return {"sum": is_sum or _are_equal(step[1:] + step[:-1], yaw_rate[1:-1] * (span[1:] + span[:-1]), rounding)}
 
 
-def _computed_wheel(values: Mapping[str, Array]) -> Numbers:
+def _computed_wheel(values: Mapping[str, Array]) -> Measurements:
     """Delay (s) at which the wheel is the scaled command."""
     command, period = values["command"], float(np.nanmedian(np.diff(values["time"])))
     for rows in range(round(LONGEST_DELAY / period) + 1):
@@ -514,22 +517,22 @@ def _size(x: Array) -> float:
 
 
 # -- table ------------------------------------------------------------------------------------------------------------
-def _by_factor(sentence: str, *meanings: tuple[float, float, str]) -> tuple[Case, ...]:
+def _factor_cases(sentence: str, *meanings: tuple[float, float, str]) -> tuple[Case, ...]:
     """Cases of a factor: from, to, and what it means; empty where both signals agree."""
     return tuple(Case("factor", low, high, meaning and f"{sentence}: {meaning}") for low, high, meaning in meanings)
 
 
-def _along_road(name: str, *meanings: tuple[float, float, str]) -> Hypothesis:
-    """Hypothesis of a signal (a force: over the mass), by the factor of dv/dt over it."""
+def _along_road(name: str, *meanings: tuple[float, float, str]) -> LogHypothesis:
+    """LogHypothesis of a signal (a force: over the mass), by the factor of dv/dt over it."""
     sign = f"{name}: its sign is inverted; it must be positive forward: --flip {name}."
     gravity = (
         f"{name} slowly departs from the change of speed, by {{slow:.2g}} m/s^2, as gravity on slopes of {{slope:.1g}} "
         "% does: possibly it contains gravity; do not use it as dv/dt."
     )
-    return Hypothesis(
+    return LogHypothesis(
         "speed", f"{name.replace('_', ' ')} and speed, whole log", ("time", "speed", name), _change_of_speed(name),
         (Case("factor", -INF, 0.0, sign),
-         *_by_factor(f"{name}: the speed changes at {{factor:.3g}} times the signal", *meanings)),
+         *_factor_cases(f"{name}: the speed changes at {{factor:.3g}} times the signal", *meanings)),
         (Case("slow", LEAST_SLOPE, INF, gravity),),
     )  # fmt: skip
 
@@ -545,57 +548,57 @@ _CLOCK = (
 _STEADY = "the yaw rate is {factor:.3g} times what the steering angle makes of a wheelbase of {wheelbase:g} m"
 _COMPUTED = "it is computed, not measured"
 _CONSTANT = Case("constant", -INF, INF, "is {constant:.4g} in every row")
-HYPOTHESES = (
-    Hypothesis("positions", "positions and speed, whole log", (), _positions, _by_factor(
+LOG_HYPOTHESES = (
+    LogHypothesis("positions", "positions and speed, whole log", (), _positions, _factor_cases(
         "the positions move at {factor:.3g} times the speed",
         (-INF, 1e-3, "x and y are degrees of latitude and longitude, or another column: --columns x=NAME,y=NAME."),
         (0.2, 0.35, f"{_KM_H}."), (0.4, 0.5, f"{_MPH}."), (0.7, 1.4, ""), (0.0, INF, "check their units (--units)."),
     )),
-    Hypothesis("gyro", "yaw_rate", (), _kinematic_yaw_rate, (Case(
+    LogHypothesis("gyro", "yaw_rate", (), _kinematic_yaw_rate, (Case(
         "computed", 0.0, INF,
         f"the yaw rate is speed times the tangent of {{steered}} over a length, to its rounding: {_COMPUTED}, and "
         "tells nothing of the car. Name a column that a gyro measured: --columns yaw_rate=NAME."
     ),)),
-    Hypothesis("columns", "vy", ("vy",), _column("vy", _computed_vy), (
+    LogHypothesis("columns", "vy", ("vy",), _column("vy", _computed_vy), (
         _CONSTANT, Case("turn", 0.0, INF, f"is the yaw rate times a constant: {_COMPUTED}"),
         Case("command", 0.0, INF, f"is speed times command times a constant: {_COMPUTED}"),
         Case("wheel", 0.0, INF, f"is speed times wheel times a constant: {_COMPUTED}"),
     )),
-    Hypothesis("columns", "acceleration", ("acceleration",), _column("acceleration", _computed_acceleration), (
+    LogHypothesis("columns", "acceleration", ("acceleration",), _column("acceleration", _computed_acceleration), (
         _CONSTANT, Case("turn", 0.0, INF, f"is speed times yaw rate to its rounding: {_COMPUTED}"),
     )),
-    Hypothesis("columns", "yaw", ("yaw",), _column("yaw", _computed_yaw), (
+    LogHypothesis("columns", "yaw", ("yaw",), _column("yaw", _computed_yaw), (
         _CONSTANT,
         Case("sum", 0.0, INF, "is the sum of the yaw rate, or the yaw rate its derivative: they are one measurement"),
     )),
-    Hypothesis("columns", "wheel", ("wheel", "command"), _column("wheel", _computed_wheel), (
+    LogHypothesis("columns", "wheel", ("wheel", "command"), _column("wheel", _computed_wheel), (
         _CONSTANT, Case("delay", -INF, 0.0, f"is the command: {_COMPUTED}"),
         Case("delay", 0.0, INF, f"is the command, {{delay:.3g}} s later: {_COMPUTED}"),
     )),
-    Hypothesis("signals", "lateral acceleration and yaw rate, whole log", (), _felt, (
+    LogHypothesis("signals", "lateral acceleration and yaw rate, whole log", (), _felt, (
         Case("factor", -INF, 0.0, "lateral acceleration and yaw rate have opposite signs. Both must be positive to the "
              "left: --flip {flipped}."),
-        *_by_factor(
+        *_factor_cases(
             "the lateral acceleration is {factor:.3g} times speed times yaw rate",
             (0.01, 0.03, f"{_DEGREES_PER_SECOND}."), (0.2, 0.35, f"{_KM_H}."), (0.4, 0.5, f"{_MPH}."),
             (0.07, 0.15, "a lateral acceleration in g: --units acceleration=g."),
         ),
     )),
-    Hypothesis("signals", "yaw and yaw rate, whole log", (), _yaw_clock, (
+    LogHypothesis("signals", "yaw and yaw rate, whole log", (), _yaw_clock, (
         Case("late", LATE, INF, f"yaw_rate is {{later:.2f}} s later {_CLOCK}"),
         Case("late", -INF, -LATE, f"yaw_rate is {{later:.2f}} s earlier {_CLOCK}"),
     )),
-    Hypothesis("signals", "clocks of steering and yaw rate", (), _lead, (Case(
+    LogHypothesis("signals", "clocks of steering and yaw rate", (), _lead, (Case(
         "leads", 0.0, INF,
         "the yaw rate runs ahead of {steered}: their clocks differ. Name the column of its own times, --clock "
         "{steered}=COLUMN, or by how much it is late: --late {steered}=0.3 (s)."
     ),)),
-    Hypothesis("signals", "steering and yaw rate, whole log", (), _turning, (
+    LogHypothesis("signals", "steering and yaw rate, whole log", (), _turning, (
         Case("fastest", FASTEST_CAR, INF, "a speed of {fastest:.0f} m/s: if it is in km/h, say --units speed=km/h."),
         Case("factor", -INF, 0.0, "yaw rate and {steered} have opposite signs. Both must be positive to the left: "
              "--flip {steered} or --flip yaw_rate, whichever is positive to the right in the log."),
         Case("fastest_turn", FASTEST_TURN, INF, f"{_STEADY}: angles in degrees: --units deg{{ratio_option}}"),
-        *_by_factor(
+        *_factor_cases(
             _STEADY,
             (4e-4, 3e-3, "{steered} is the angle of the steering wheel in degrees: --units {steered}=deg "
              "--steering-ratio {in_degrees:.0f} (or fit)"),

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,11 +131,11 @@ class InnovationLikelihood(ABC):
         return z, current
 
     def fit_best(self, starts: Iterable[Array], enough: float = ENOUGH) -> tuple[Array, Scored]:
-        """The most likely of the points that fits from several starts reach, and what is known there."""
+        """Fit from several starts: the most likely point, and its scores."""
         return min((self.fit(z, enough) for z in starts), key=lambda fit: fit[1].objective)
 
     def fit_over(self, names: Collection[str], z: Array) -> Array:
-        """The nearly most likely point from a start, where only the free ones of some quantities move."""
+        """Fit only the quantities of these names from a start, nearly to the most likely point."""
         free = self.free
         self.free = np.array([place for place in free if self.quantities[place].name in names])
         try:
@@ -240,7 +240,7 @@ class Likelihood(InnovationLikelihood):
         return dict(zip(self._kernel.FOUND._fields, self._answer[2 * len(MEASURED_OUTPUTS) :].copy(), strict=True))
 
     def using(self, used: Array) -> Likelihood:
-        """The likelihood with the beliefs and gusts that are here; used: (n,) as of the class."""
+        """A likelihood with these beliefs and gusts, and a selection of samples; used: (n,) 1 where one counts."""
         other = Likelihood(self.log, self.car, self.beliefs, used)
         other._rows[self._kernel.LOG_ROW.gusts] = self._rows[self._kernel.LOG_ROW.gusts]
         return other
@@ -276,8 +276,7 @@ class Likelihood(InnovationLikelihood):
         """The likelihood of a stretch of the log, with the beliefs and gusts that are here."""
         begins = self.log.begins[rows].copy()
         begins[0] = True
-        signals = {name: getattr(self.log, name)[rows] for name in ("time", "command", "speed", *MEASURED_OUTPUTS)}
-        part = Likelihood(replace(self.log, begins=begins, **signals), self.car, self.beliefs)
+        part = Likelihood(self.log.at(rows, begins), self.car, self.beliefs)
         part._rows[self._kernel.LOG_ROW.gusts] = self._rows[self._kernel.LOG_ROW.gusts, rows]
         return part
 

@@ -94,12 +94,10 @@ class Log:
         """s, of all segments"""
         return float(np.sum(np.diff(self.time)[~self.begins[1:]]))
 
-
-def noise_of(values: Array) -> float:
-    """First guess of the noise of a sensor: third differences hold little else. NaN without samples."""
-    third = np.diff(values, 3)
-    third = third[np.isfinite(third)]
-    return float(np.median(np.abs(third))) / 0.6745 / math.sqrt(20.0) if third.size else math.nan
+    def at(self, rows: NDArray[np.int64] | slice, begins: NDArray[np.bool_]) -> Log:
+        """Some samples; begins: whether a segment begins with each."""
+        signals: dict[str, Any] = {name: getattr(self, name)[rows] for name in ("time", *LOG_SIGNALS)}
+        return replace(self, begins=begins, **signals)
 
 
 def log_of(
@@ -317,7 +315,7 @@ def shorten_log(log: Log) -> Log:
 
 def _average_rows(log: Log, rows: int) -> Log:
     """A log with means of some rows each."""
-    first = _group_starts(log.begins, rows)
+    first = np.flatnonzero((np.arange(log.samples) - segment_starts(log.begins)) % rows == 0)
     means: dict[str, Any] = {}
     segment = np.cumsum(log.begins)
     for name in LOG_SIGNALS:
@@ -332,11 +330,6 @@ def _average_rows(log: Log, rows: int) -> Log:
     return replace(log, time=log.time[first], begins=log.begins[first], **means)
 
 
-def _group_starts(begins: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
-    """First row of each group of rows; groups begin anew with each segment."""
-    return np.flatnonzero((np.arange(begins.size) - segment_starts(begins)) % rows == 0)
-
-
 def _select_turning(log: Log) -> Log:
     """The stretches with the largest mean square of the lateral acceleration, `SHORTENED` samples in all."""
     number = np.cumsum(log.begins) * 1_000_000 + np.floor(log.time / STRETCH_LENGTH).astype(np.int64)
@@ -346,5 +339,4 @@ def _select_turning(log: Log) -> Log:
     stretches = order[np.cumsum(sizes[order]) <= SHORTENED]
     rows = np.flatnonzero(np.isin(stretch, stretches))
     begins = log.begins[rows] | (np.diff(rows, prepend=-2) > 1)
-    signals: dict[str, Any] = {name: getattr(log, name)[rows] for name in LOG_SIGNALS}
-    return replace(log, time=log.time[rows], begins=begins, **signals)
+    return log.at(rows, begins)

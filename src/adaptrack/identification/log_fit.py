@@ -305,8 +305,8 @@ def _condition(fit: Fit, mean: Array, information: Array) -> Fit:
     free, covariance = fit.likelihood.free, fit.covariance
     rows, places = _places(fit.likelihood)
     common = portable.inverse(information)[np.ix_(places, places)]
-    own = covariance[np.ix_(rows, rows)]
-    follow = product(covariance[:, rows], portable.inverse(own))
+    shared_block = covariance[np.ix_(rows, rows)]
+    follow = product(covariance[:, rows], portable.inverse(shared_block))
     z = fit.z.copy()
     z[free] += product(follow, mean[places] - z[free][rows])
-    return fit._replace(z=z, covariance=covariance + product(product(follow, common - own), follow.T))
+    return fit._replace(z=z, covariance=covariance + product(product(follow, common - shared_block), follow.T))

@@ -30,7 +30,7 @@ from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS,
 from adaptrack.identification.hypotheses import Evidence, cleaned_log, drop_computed_columns, refuse_contradictions
 from adaptrack.identification.identified_car import Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood, smooth_wheel
-from adaptrack.identification.log import Log, noise_of
+from adaptrack.identification.log import Log
 from adaptrack.identification.log_fit import (
     FIT_STEPS,
     Fit,
@@ -42,6 +42,7 @@ from adaptrack.identification.log_fit import (
     prior_of,
     shared_places,
 )
+from adaptrack.identification.outliers import noise_of
 from adaptrack.identification.quantities import INDEX, Prior, beliefs_of, plain_car
 from adaptrack.identification.reading import Columns, Reading, Source, list_sources, read_columns
 

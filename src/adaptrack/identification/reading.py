@@ -29,7 +29,7 @@ CellArray = NDArray[Any]
 Source = str | os.PathLike[str] | Mapping[str, object]
 """A log: a file, or arrays by name."""
 
-SIGNALS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+SIGNAL_COLUMNS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "time": ("time", ("time", "t", "timestamp", "timestamps", "stamp", "seconds", "sec")),
     "command": ("angle", (
         "command", "steering_command", "steer_command", "steering_cmd", "steer_cmd", "delta_cmd", "cmd_steering",
@@ -102,6 +102,7 @@ LEAST_WRAP = 0.8
 _NOTHING = ("", "nan", "NaN", "NA", "null")
 _NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
+_TIME = re.compile(r"\d{4}-\d\d-\d\d|\d{1,2}:\d\d")
 _PER_UNIT = {1.0: 1_000_000_000, 1e-3: 1_000_000, 1e-6: 1_000, 1e-9: 1}
 """ns in a unit of so many s."""
 _AT_STEERING_WHEEL = re.compile(r"steering_?wheel|swa$|hand_?wheel")
@@ -143,13 +144,15 @@ class Reading:
 
     def __post_init__(self) -> None:
         for name in (*self.columns, *(u for u in self.units if u), *self.flip, *self.clocks, *self.late):
-            if name not in SIGNALS:
-                raise InvalidInput(f"identify: no signal is named {name!r}. {did_you_mean(name, SIGNALS)}")
+            if name not in SIGNAL_COLUMNS:
+                raise InvalidInput(f"identify: no signal is named {name!r}. {did_you_mean(name, SIGNAL_COLUMNS)}")
         for name, unit in self.units.items():
             if not name and unit not in ("deg", "rad"):
                 raise InvalidInput(f"identify: units = {unit!r}: deg or rad for all, or signal=unit.")
-            if name and _SHORT.get(unit, unit) not in _UNITS[SIGNALS[name][0]]:
-                raise InvalidInput(f"identify: {name} in {unit!r}: must be {' or '.join(_UNITS[SIGNALS[name][0]])}.")
+            if name and _SHORT.get(unit, unit) not in _UNITS[SIGNAL_COLUMNS[name][0]]:
+                raise InvalidInput(
+                    f"identify: {name} in {unit!r}: must be {' or '.join(_UNITS[SIGNAL_COLUMNS[name][0]])}."
+                )
         for name, late in self.late.items():
             if not abs(reals(f"identify: late[{name!r}]", late)) <= 10.0:
                 raise InvalidInput(f"identify: {name} is late by {late!r}: must be within 10 s.")
@@ -213,7 +216,11 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
             notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
     for signal in [name for name in ("command", "wheel", "steering_wheel") if name in values]:
         values[signal] = _without_turns(signal, values[signal], notes)
-    _on_one_clock(values, _clocks(table, reading, origin), reading.late, notes)
+    clocks = {
+        signal: _seconds(table.columns[column], _unit("time", column, reading, table.units)[1], origin)
+        for signal, column in reading.clocks.items()
+    }
+    _on_one_clock(values, clocks, reading.late, notes)
     values = _without_repeats(values, notes)
     commanded, unknown = _at_road_wheels(values, mapping, reading.steering_ratio, notes)
     if "time" in values:
@@ -258,14 +265,6 @@ def _read_times(table: LogTable, time: str | None, reading: Reading, where: str)
 def _text_refusal(where: str, signal: str, column: str, cells: CellArray) -> str:
     """The first half of a sentence on a column without numbers."""
     return f"{where}: {signal} is the column {column!r}, which holds no numbers (its first cell: {str(cells[0])!r}); "
-
-
-def _clocks(table: LogTable, reading: Reading, origin: int) -> dict[str, Array]:
-    """Signal -> s since an origin (ns), the times of its own clock."""
-    clocks = {}
-    for signal, column in reading.clocks.items():
-        clocks[signal] = _seconds(table.columns[column], _unit("time", column, reading, table.units)[1], origin)
-    return clocks
 
 
 def _on_one_clock(
@@ -408,7 +407,7 @@ def _assign_columns(table: Mapping[str, CellArray], reading: Reading, where: str
         mapping[signal] = column
     notes: list[str] = []
     plain = {column: _plain(column)[0] for column in table}
-    for signal, (_, names) in SIGNALS.items():
+    for signal, (_, names) in SIGNAL_COLUMNS.items():
         if signal in mapping:
             continue
         for name in names:
@@ -425,7 +424,7 @@ def _assign_columns(table: Mapping[str, CellArray], reading: Reading, where: str
 
 def _unit(signal: str, column: str, reading: Reading, row: Mapping[str, str]) -> tuple[str, float]:
     """The unit of a column and its factor to SI: as requested, else in its name, else in the row of units."""
-    dimension = SIGNALS[signal][0]
+    dimension = SIGNAL_COLUMNS[signal][0]
     units = _UNITS[dimension]
     stated_unit = reading.units.get(signal)
     if stated_unit is None and signal == "steering_wheel":
@@ -448,7 +447,7 @@ def _unit_from_row(signal: str, column: str, cell: str) -> str:
     text = cell.strip("[]() ").lower().replace("²", "2").replace("°", "deg")
     unit = _SHORT.get(text, _SHORT.get(re.sub(r"[^a-z0-9]+", "_", text).strip("_"), ""))
     if text not in ("", "-") and not unit:
-        options = " or ".join(_UNITS[SIGNALS[signal][0]])
+        options = " or ".join(_UNITS[SIGNAL_COLUMNS[signal][0]])
         raise InvalidInput(f"log: {signal} is the column {column!r} in {cell!r}: say --units {signal}={options}.")
     return unit
 
@@ -557,11 +556,7 @@ def _read_units(lines: Sequence[str], delimiter: str) -> list[str]:
     rows = [[cell.strip().strip('"').strip() for cell in line.split(delimiter)] for line in lines[1:3]]
     if len(rows) < 2 or len(rows[0]) < 2 or any(map(_NUMBER.fullmatch, rows[0])):
         return []
-    return rows[0] if any(map(_NUMBER.fullmatch, rows[1])) and not any(map(_looks_like_time, rows[0])) else []
-
-
-def _looks_like_time(cell: str) -> bool:
-    return bool(re.match(r"\d{4}-\d\d-\d\d|\d{1,2}:\d\d", cell))
+    return rows[0] if any(map(_NUMBER.fullmatch, rows[1])) and not any(map(_TIME.match, rows[0])) else []
 
 
 def _read_cells(column: Any) -> CellArray:
