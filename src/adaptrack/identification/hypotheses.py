@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 Measurements = Mapping[str, Any]
 """Measurements by name (NaN: unknown), and words for sentences."""
 
+ColumnModel = Callable[[Mapping[str, Array]], Measurements]
+"""Model that computes numbers of columns by name, (n,) each."""
 INF = math.inf
 STEERING_DELAYS = np.arange(0.0, 1.01, 0.1)
 GRADIENTS = (0.003, 0.002, 0.005, 0.001, 0.0, 0.008, -0.001, -0.002, 0.012, 0.018, 0.026, 0.036, 0.05)
@@ -380,15 +382,9 @@ def _slope(x: Array, y: Array) -> Slope:
 
 
 # -- models along the road --------------------------------------------------------------------------------------------
-def _change_of_speed(name: str) -> Callable[[Evidence], Measurements]:
-    """Model of the change of speed over a signal, of a command at the delay where they agree best."""
-    return lambda evidence: _compare_with_speed(
-        name, evidence.values, evidence.mass if name == "force_command" else 1.0
-    )
-
-
-def _compare_with_speed(name: str, values: Mapping[str, Array], scale: float) -> Measurements:
-    """Compare a signal over a scale with the change of speed; ``slow``: their slow difference (m/s^2)."""
+def _change_of_speed(name: str, evidence: Evidence) -> Measurements:
+    """Change of speed over a signal, of a command at the delay where they agree best, and their slow difference."""
+    values, scale = evidence.values, evidence.mass if name == "force_command" else 1.0
     rows = np.flatnonzero(np.all([np.isfinite(values[column]) for column in ("time", "speed", name)], axis=0))
     if rows.size < LEAST_BOTH:
         return {"clear": False}
@@ -434,15 +430,11 @@ def _kinematic_yaw_rate(evidence: Evidence) -> Measurements:
     return {"clear": True, "computed": is_equal, "steered": steered}
 
 
-def _column(name: str, model: Callable[[Mapping[str, Array]], Measurements]) -> Callable[[Evidence], Measurements]:
-    """Model of a column that is constant, or computed as a model of all columns finds."""
-
-    def numbers(evidence: Evidence) -> Measurements:
-        finite = evidence.values[name][np.isfinite(evidence.values[name])]
-        is_constant = finite.size and float(np.ptp(finite)) <= 1e-9 * max(1.0, float(np.abs(finite).max()))
-        return {"clear": False, "constant": finite[0] if is_constant else math.nan, **model(evidence.values)}
-
-    return numbers
+def _column(name: str, model: ColumnModel, evidence: Evidence) -> Measurements:
+    """Value of a constant column, and the numbers of a model of its computation from other columns."""
+    finite = evidence.values[name][np.isfinite(evidence.values[name])]
+    is_constant = finite.size and float(np.ptp(finite)) <= 1e-9 * max(1.0, float(np.abs(finite).max()))
+    return {"clear": False, "constant": finite[0] if is_constant else math.nan, **model(evidence.values)}
 
 
 def _computed_acceleration(values: Mapping[str, Array]) -> Measurements:
@@ -523,18 +515,22 @@ def _factor_cases(sentence: str, *meanings: tuple[float, float, str]) -> tuple[C
 
 
 def _along_road(name: str, *meanings: tuple[float, float, str]) -> LogHypothesis:
-    """LogHypothesis of a signal (a force: over the mass), by the factor of dv/dt over it."""
+    """Hypothesis on a signal (a force: over the mass), by the factor of dv/dt over it."""
+    subject, model = f"{name.replace('_', ' ')} and speed, whole log", partial(_change_of_speed, name)
     sign = f"{name}: its sign is inverted; it must be positive forward: --flip {name}."
     gravity = (
         f"{name} slowly departs from the change of speed, by {{slow:.2g}} m/s^2, as gravity on slopes of {{slope:.1g}} "
         "% does: possibly it contains gravity; do not use it as dv/dt."
     )
-    return LogHypothesis(
-        "speed", f"{name.replace('_', ' ')} and speed, whole log", ("time", "speed", name), _change_of_speed(name),
-        (Case("factor", -INF, 0.0, sign),
-         *_factor_cases(f"{name}: the speed changes at {{factor:.3g}} times the signal", *meanings)),
-        (Case("slow", LEAST_SLOPE, INF, gravity),),
-    )  # fmt: skip
+    factors = _factor_cases(f"{name}: the speed changes at {{factor:.3g}} times the signal", *meanings)
+    cases, possible = (Case("factor", -INF, 0.0, sign), *factors), (Case("slow", LEAST_SLOPE, INF, gravity),)
+    return LogHypothesis("speed", subject, ("time", "speed", name), model, cases, possible)
+
+
+def _computed(name: str, model: ColumnModel, *cases: Case, needs: tuple[str, ...] = ()) -> LogHypothesis:
+    """Hypothesis on a column that is constant, or computed from other columns."""
+    constant = Case("constant", -INF, INF, "is {constant:.4g} in every row")
+    return LogHypothesis("columns", name, (name, *needs), partial(_column, name, model), (constant, *cases))
 
 
 _KM_H, _MPH = "a speed in km/h: --units speed=km/h", "a speed in mph: --units speed=mph"
@@ -547,7 +543,6 @@ _CLOCK = (
 )
 _STEADY = "the yaw rate is {factor:.3g} times what the steering angle makes of a wheelbase of {wheelbase:g} m"
 _COMPUTED = "it is computed, not measured"
-_CONSTANT = Case("constant", -INF, INF, "is {constant:.4g} in every row")
 LOG_HYPOTHESES = (
     LogHypothesis("positions", "positions and speed, whole log", (), _positions, _factor_cases(
         "the positions move at {factor:.3g} times the speed",
@@ -559,22 +554,23 @@ LOG_HYPOTHESES = (
         f"the yaw rate is speed times the tangent of {{steered}} over a length, to its rounding: {_COMPUTED}, and "
         "tells nothing of the car. Name a column that a gyro measured: --columns yaw_rate=NAME."
     ),)),
-    LogHypothesis("columns", "vy", ("vy",), _column("vy", _computed_vy), (
-        _CONSTANT, Case("turn", 0.0, INF, f"is the yaw rate times a constant: {_COMPUTED}"),
+    _computed(
+        "vy", _computed_vy, Case("turn", 0.0, INF, f"is the yaw rate times a constant: {_COMPUTED}"),
         Case("command", 0.0, INF, f"is speed times command times a constant: {_COMPUTED}"),
         Case("wheel", 0.0, INF, f"is speed times wheel times a constant: {_COMPUTED}"),
-    )),
-    LogHypothesis("columns", "acceleration", ("acceleration",), _column("acceleration", _computed_acceleration), (
-        _CONSTANT, Case("turn", 0.0, INF, f"is speed times yaw rate to its rounding: {_COMPUTED}"),
-    )),
-    LogHypothesis("columns", "yaw", ("yaw",), _column("yaw", _computed_yaw), (
-        _CONSTANT,
+    ),
+    _computed(
+        "acceleration", _computed_acceleration,
+        Case("turn", 0.0, INF, f"is speed times yaw rate to its rounding: {_COMPUTED}"),
+    ),
+    _computed(
+        "yaw", _computed_yaw,
         Case("sum", 0.0, INF, "is the sum of the yaw rate, or the yaw rate its derivative: they are one measurement"),
-    )),
-    LogHypothesis("columns", "wheel", ("wheel", "command"), _column("wheel", _computed_wheel), (
-        _CONSTANT, Case("delay", -INF, 0.0, f"is the command: {_COMPUTED}"),
-        Case("delay", 0.0, INF, f"is the command, {{delay:.3g}} s later: {_COMPUTED}"),
-    )),
+    ),
+    _computed(
+        "wheel", _computed_wheel, Case("delay", -INF, 0.0, f"is the command: {_COMPUTED}"),
+        Case("delay", 0.0, INF, f"is the command, {{delay:.3g}} s later: {_COMPUTED}"), needs=("command",),
+    ),
     LogHypothesis("signals", "lateral acceleration and yaw rate, whole log", (), _felt, (
         Case("factor", -INF, 0.0, "lateral acceleration and yaw rate have opposite signs. Both must be positive to the "
              "left: --flip {flipped}."),

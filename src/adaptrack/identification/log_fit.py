@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +58,8 @@ FIT_STEPS = 11
 """Steps of about equal duration in the fit of a log; its validation takes as long as one of them."""
 MAX_SCALE_CORRELATION = 0.97
 """Of the scale of the steering angle with the understeer gradient, above which a log does not tell them apart."""
+THIRDS, LEAST_THIRDS = 3, 50.0
+"""Stretches of a log that are compared; s of driving from which they are."""
 CAR_QUANTITIES = (
     "delay", "lag_share", "rate", "gain", "front", "rear", "mass", "yaw_inertia", "front_share", "relaxation",
 )  # fmt: skip
@@ -89,7 +92,7 @@ def fit_log(likelihood: Likelihood, tell: Callable[[int], None] = lambda step: N
     z, _ = likelihood.fit(z, NEARLY)
     tell(FIT_STEPS - 1)
     z, at = likelihood.fit(likelihood.widen_gusts(z))
-    covariance, free, moving = covariance_at(likelihood, z, at), likelihood.free, INDEX.keys() - {"rear"}
+    covariance, free, moving = _covariance(likelihood, z, at), likelihood.free, INDEX.keys() - {"rear"}
     if abs(_scale_correlation(likelihood, z, at)) > MAX_SCALE_CORRELATION:
         place = int(np.flatnonzero(free == INDEX["gain"])[0])
         follow = covariance[place] / covariance[place, place]
@@ -161,7 +164,7 @@ def _have_equal_axles(likelihood: Likelihood, z: Array, other: Array) -> bool:
 
 
 # -- covariance -------------------------------------------------------------------------------------------------------
-def covariance_at(likelihood: Likelihood, z: Array, at: Scored) -> Array:
+def _covariance(likelihood: Likelihood, z: Array, at: Scored) -> Array:
     """Covariance of z where it is free, in which the understeer gradient is widened instead of the rear axle.
 
     Both axles are known less well than their balance; widened one by one they would blur it.
@@ -186,6 +189,17 @@ def _scale_correlation(likelihood: Likelihood, z: Array, at: Scored) -> float:
 def _understeer_slopes(likelihood: Likelihood, z: Array) -> Array:
     """Derivatives of the understeer gradient over the free entries of z."""
     return slopes_at(likelihood, [row for row in reported_rows(likelihood) if row[0] == "understeer_gradient"], z)[0]
+
+
+def fit_thirds(fit: Fit) -> list[Fit]:
+    """Fits of thirds of a long log, each from the point of the whole log; none of a short one."""
+    log, parts = fit.likelihood.log, []
+    ends = np.linspace(0, log.samples, THIRDS + 1).astype(int)
+    for first, last in pairwise(ends) if log.driven_time >= LEAST_THIRDS else ():
+        part = fit.likelihood.part(slice(first, last))
+        z, at = part.fit(fit.z, NEARLY)
+        parts.append(Fit(part, z, _covariance(part, z, at)))
+    return parts
 
 
 # -- what is reported -------------------------------------------------------------------------------------------------

@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
@@ -17,31 +16,12 @@ from adaptrack.base.checked import Finite, NotNegative, checked, within
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall, reports_progress
 from adaptrack.cars.vehicle import Tyre, Vehicle, load_tyre, load_vehicle
-from adaptrack.identification.consistency import (
-    MODEL_ERRORS,
-    RATIO_SPREAD,
-    UNKNOWN_RATIO,
-    check_ratio,
-    contradictions,
-    findings,
-    implausible_estimates,
-)
+from adaptrack.identification import consistency, log_fit
 from adaptrack.identification.drive_identification import LONGITUDINAL_COMMANDS, PEDALS, drive_of_columns
 from adaptrack.identification.hypotheses import Evidence, cleaned_log, drop_computed_columns, refuse_contradictions
 from adaptrack.identification.identified_car import Identification, Series, Validation
 from adaptrack.identification.likelihood import NEARLY, Likelihood, smooth_wheel
 from adaptrack.identification.log import Log
-from adaptrack.identification.log_fit import (
-    FIT_STEPS,
-    Fit,
-    combine,
-    covariance_at,
-    estimates_of,
-    fit_log,
-    moments_of,
-    prior_of,
-    shared_places,
-)
 from adaptrack.identification.outliers import noise_of
 from adaptrack.identification.quantities import INDEX, Prior, beliefs_of, plain_car
 from adaptrack.identification.reading import Columns, Reading, Source, list_sources, read_columns
@@ -50,8 +30,6 @@ Array = NDArray[np.float64]
 
 VALIDATION_BLOCK, HELD_OUT_EVERY = 10.0, 4
 """s, length of the stretches of a validation; each fourth one is held out."""
-THIRDS, LEAST_THIRDS = 3, 50.0
-"""Stretches of a log that are compared; s of driving from which they are."""
 
 
 @reports_progress("identify")
@@ -109,7 +87,7 @@ def identify(
     fits = _fits(read, believed, beliefs, show)
     alone: list[Identification] = []
     for fit, columns in zip(fits, read, strict=True):
-        show("validation", FIT_STEPS * len(fits) + len(alone), (FIT_STEPS + 1) * len(fits))
+        show("validation", log_fit.FIT_STEPS * len(fits) + len(alone), (log_fit.FIT_STEPS + 1) * len(fits))
         alone.append(_alone(fit, curve, columns.computation))
     return _with_drive(alone[0] if len(alone) == 1 else _together(fits, alone), read)
 
@@ -127,70 +105,72 @@ def _with_drive(identification: Identification, read: Sequence[Columns]) -> Iden
         return replace(identification, findings=(*identification.findings, finding))
 
 
-def _fits(read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prior], show: ProgressCall) -> list[Fit]:
+def _fits(
+    read: Sequence[Columns], believed: Vehicle, beliefs: Mapping[str, Prior], show: ProgressCall
+) -> list[log_fit.Fit]:
     """Each log by itself; ratios that are to be found are measured from one guess."""
     prepared = [_prepared(columns, believed, beliefs) for columns in read]
     unknown = [likelihood.log.ratio for likelihood in prepared if likelihood.log.ratio_unknown]
     if len(unknown) > 1:
         common = float(np.median(unknown))
         prepared = [_prepared(columns, believed, beliefs, common) for columns in read]
-    fits: list[Fit] = []
+    fits: list[log_fit.Fit] = []
 
     def tell(step: int) -> None:
-        show("fit", FIT_STEPS * len(fits) + step, (FIT_STEPS + 1) * len(read))
+        show("fit", log_fit.FIT_STEPS * len(fits) + step, (log_fit.FIT_STEPS + 1) * len(read))
 
     for likelihood in prepared:
         tell(0)
-        fits.append(fit_log(likelihood, tell))
+        fits.append(log_fit.fit_log(likelihood, tell))
     return fits
 
 
-def _alone(fit: Fit, curve: Tyre, computation: float) -> Identification:
+def _alone(fit: log_fit.Fit, curve: Tyre, computation: float) -> Identification:
     """Identify the car from one log."""
     log, car = fit.likelihood.log, fit.likelihood.car
-    estimates, spread = estimates_of(fit)
+    estimates, spread = log_fit.estimates_of(fit)
     validation, series = _validated(fit)
-    usable, against, ratio_findings = check_ratio(fit, estimates, spread)
-    moved = contradictions("stretches of the log", prior_of(fit), [moments_of(third) for third in _thirds(fit)])
-    reasons = implausible_estimates(estimates, car) + against + moved
-    limits = _rivals_sentence(fit) + findings(log, estimates, validation) + ratio_findings
+    usable, against, ratio_findings = consistency.check_ratio(fit, estimates, spread)
+    thirds = [log_fit.moments_of(third) for third in log_fit.fit_thirds(fit)]
+    moved = consistency.contradictions("stretches of the log", log_fit.prior_of(fit), thirds)
+    reasons = consistency.implausible_estimates(estimates, car) + against + moved
+    limits = _rivals_sentence(fit) + consistency.findings(log, estimates, validation) + ratio_findings
     rows = [i for i, name in enumerate(estimates) if name in usable]
     return Identification(
         usable, spread[np.ix_(rows, rows)], validation, limits, log, car, curve, computation, series, tuple(reasons)
     )
 
 
-def _together(fits: Sequence[Fit], alone: Sequence[Identification]) -> Identification:
+def _together(fits: Sequence[log_fit.Fit], alone: Sequence[Identification]) -> Identification:
     """Identify one car from several logs; quantities of a single log stay with that log."""
-    main = max(range(len(fits)), key=lambda i: (len(shared_places(fits[i].likelihood)), alone[i].log.driven_time))
+    main = max(
+        range(len(fits)), key=lambda i: (len(log_fit.shared_places(fits[i].likelihood)), alone[i].log.driven_time)
+    )
     first = alone[main]
-    reasons = contradictions("logs", prior_of(fits[main]), [moments_of(fit) for fit in fits])
-    log_reasons = [
-        f"log {i + 1}: {reason}"
-        for i, fit in enumerate(alone)
-        for reason in fit.reasons
-        if not reason.startswith(UNKNOWN_RATIO)
-    ]
-    joint = combine(fits, agree=not (reasons or log_reasons))[main]
-    estimates, spread = estimates_of(joint)
+    reasons = consistency.contradictions("logs", log_fit.prior_of(fits[main]), list(map(log_fit.moments_of, fits)))
+    numbered = [(i + 1, reason) for i, identification in enumerate(alone) for reason in identification.reasons]
+    unknown_ratio = consistency.UNKNOWN_RATIO
+    log_reasons = [f"log {number}: {reason}" for number, reason in numbered if not reason.startswith(unknown_ratio)]
+    joint = log_fit.combine(fits, agree=not (reasons or log_reasons))[main]
+    estimates, spread = log_fit.estimates_of(joint)
     against: list[str] = []
     ratio_findings: tuple[str, ...] = ()
     if not first.log.ratio_unknown:
-        _, against, ratio_findings = check_ratio(joint, estimates, spread)
+        _, against, ratio_findings = consistency.check_ratio(joint, estimates, spread)
     ratio_logs = [i for i, identification in enumerate(alone) if "ratio" in identification.estimates]
     shared = {
         name: estimate
         for name, estimate in estimates.items()
-        if name in MODEL_ERRORS and (name != "ratio" or ratio_logs)
+        if name in consistency.MODEL_ERRORS and (name != "ratio" or ratio_logs)
     }
     rows = [i for i, name in enumerate(estimates) if name in shared]
-    open_ratio = [reason for reason in first.reasons if reason.startswith(UNKNOWN_RATIO)] if not ratio_logs else []
-    reasons = [*(reasons or implausible_estimates(shared, first.believed)), *against, *log_reasons, *open_ratio]
+    open_ratio = [reason for reason in first.reasons if reason.startswith(unknown_ratio) and not ratio_logs]
+    reasons = reasons or consistency.implausible_estimates(shared, first.believed)
     return replace(
         first, estimates=shared, covariance=spread[np.ix_(rows, rows)],
-        findings=findings(first.log, estimates, first.validation) + ratio_findings,
+        findings=consistency.findings(first.log, estimates, first.validation) + ratio_findings,
         computation=max(identification.computation for identification in alone),
-        reasons=tuple(reasons), alone=tuple(alone),
+        reasons=(*reasons, *against, *log_reasons, *open_ratio), alone=tuple(alone),
     )  # fmt: skip
 
 
@@ -207,7 +187,7 @@ def _prepared(
     columns = replace(columns, values=values, notes=columns.notes + computed)
     cleaned = cleaned_log(columns, believed.wheelbase, car_ratio or ratio)
     if columns.ratio_unknown:
-        beliefs = {**beliefs, "gain": Prior(1.0, RATIO_SPREAD[car_ratio is not None])}
+        beliefs = {**beliefs, "gain": Prior(1.0, consistency.RATIO_SPREAD[car_ratio is not None])}
     refuse_contradictions(Evidence(wheelbase=believed.wheelbase, cleaned=cleaned), "signals")
     noises = _noises(cleaned)
     if not cleaned.commanded:
@@ -244,7 +224,7 @@ def _noises(log: Log) -> dict[str, Prior]:
     return {f"noise_{name}": Prior(max(noise, 1e-5), 1.5) for name, noise in noises.items() if math.isfinite(noise)}
 
 
-def _rivals_sentence(fit: Fit) -> tuple[str, ...]:
+def _rivals_sentence(fit: log_fit.Fit) -> tuple[str, ...]:
     """A sentence on cars that fit a log equally well; none where there is one."""
     if not fit.rivals:
         return ()
@@ -256,19 +236,8 @@ def _rivals_sentence(fit: Fit) -> tuple[str, ...]:
     return (f"different cars fit the log equally well ({'; '.join(cars)}): quick steering at speed tells them apart",)
 
 
-def _thirds(fit: Fit) -> list[Fit]:
-    """Fits of thirds of a long log, each from the whole log's point."""
-    log, parts = fit.likelihood.log, []
-    ends = np.linspace(0, log.samples, THIRDS + 1).astype(int)
-    for first, last in pairwise(ends) if log.driven_time >= LEAST_THIRDS else ():
-        part = fit.likelihood.part(slice(first, last))
-        z, at = part.fit(fit.z, NEARLY)
-        parts.append(Fit(part, z, covariance_at(part, z, at)))
-    return parts
-
-
 # -- validation -------------------------------------------------------------------------------------------------------
-def _validated(fit: Fit) -> tuple[Validation, Series]:
+def _validated(fit: log_fit.Fit) -> tuple[Validation, Series]:
     """A second fit without every fourth stretch, which predicts them."""
     likelihood, z, log = fit.likelihood, fit.z, fit.likelihood.log
     block = np.floor((log.time - log.time[0]) / VALIDATION_BLOCK).astype(np.int64)

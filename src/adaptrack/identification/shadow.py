@@ -69,12 +69,7 @@ STILL_OPEN = 0.5
 WORSE = 1.1
 """Times the error of a simpler predictor, with 95 %, from which what was learned is doubted."""
 SIMPLER = {"held": "the yaw rate held", "first": "the first belief", "steady": "the steady turn"}
-OMITTABLE_SIGNALS: tuple[tuple[str, ...], ...] = (
-    ("vy",),
-    ("x", "y", "yaw"),
-    ("vy", "x", "y", "yaw"),
-    ("acceleration",),
-)
+OMITTABLE_SIGNALS = (("vy",), ("x", "y", "yaw"), ("vy", "x", "y", "yaw"), ("acceleration",))
 """Signals without which the logs are gone through again where the learned model is not best, or is doubted;"""
 SPOILT = 0.9
 """they are named where fewer logs are doubted, or the error is below so many times that with them."""
