@@ -104,7 +104,7 @@ def quantity_row(quantities: Sequence[Quantity], name: str, meaning: str = "") -
 
 
 def delay_rows(
-    quantities: Sequence[Quantity], prefix: str, lag: str, dead_time: str, positive: bool = True
+    quantities: Sequence[Quantity], prefix: str = "", lag: str = "", dead_time: str = "", positive: bool = True
 ) -> list[ReportedRow]:
     """Rows of lag and dead time of an actuator, with their meanings, from its delay and the share of the lag."""
     delay, share = ([quantity.name for quantity in quantities].index(prefix + name) for name in ("delay", "lag_share"))

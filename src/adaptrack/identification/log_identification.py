@@ -157,14 +157,14 @@ def _together(fits: Sequence[log_fit.Fit], alone: Sequence[Identification]) -> I
     ratio_findings: tuple[str, ...] = ()
     if not first.log.ratio_unknown:
         _, against, ratio_findings = consistency.check_ratio(joint, estimates, spread)
-    ratio_logs = [i for i, identification in enumerate(alone) if "ratio" in identification.estimates]
+    has_ratio = any("ratio" in identification.estimates for identification in alone)
     shared = {
         name: estimate
         for name, estimate in estimates.items()
-        if name in consistency.MODEL_ERRORS and (name != "ratio" or ratio_logs)
+        if name in consistency.MODEL_ERRORS and (name != "ratio" or has_ratio)
     }
     rows = [i for i, name in enumerate(estimates) if name in shared]
-    open_ratio = [reason for reason in first.reasons if reason.startswith(unknown_ratio) and not ratio_logs]
+    open_ratio = [reason for reason in first.reasons if reason.startswith(unknown_ratio) and not has_ratio]
     reasons = reasons or consistency.implausible_estimates(shared, first.believed)
     return replace(
         first, estimates=shared, covariance=spread[np.ix_(rows, rows)],

@@ -172,7 +172,10 @@ class SteeringTest:
                 f"SteeringTest: the wheels do not follow the commands, which explain {max(share, 0.0):.0%} of the "
                 "response: check that the commands reach the steering, their sign, and the sensor's unit."
             )
-        return _steering_fit(likelihood, z, portable.inverse(scored.information))
+        rows, covariance = delay_rows(QUANTITIES, positive=False), portable.inverse(scored.information)
+        slopes, (lag, dead_time) = slopes_at(likelihood, rows, z), values_at(likelihood, rows, z)
+        covariance = portable.product(portable.product(slopes, covariance), slopes.T)
+        return SteeringFit(float(lag), float(dead_time), covariance)
 
     def estimate(self) -> LearnedCar:
         """Return the steering delay as a prior for `Learning(start=...)`; the rest of the car stays unknown.
@@ -213,10 +216,3 @@ def _explained(simulation: Likelihood, z: Array) -> float:
     output, signal = (4, "wheel") if simulation.present["wheel"] else (0, "yaw_rate")
     error, measured = simulation.innovations(z)[0][output], getattr(simulation.log, signal)
     return float(1.0 - np.nanvar(error) / max(float(np.nanvar(measured)), 1e-12))
-
-
-def _steering_fit(likelihood: Likelihood, z: Array, covariance: NDArray[Any]) -> SteeringFit:
-    """Lag and dead time at a point z; covariance: of its free entries."""
-    rows = delay_rows(QUANTITIES, "", "", "", positive=False)
-    slopes, (lag, dead_time) = slopes_at(likelihood, rows, z), values_at(likelihood, rows, z)
-    return SteeringFit(float(lag), float(dead_time), portable.product(portable.product(slopes, covariance), slopes.T))
