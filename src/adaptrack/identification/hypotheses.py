@@ -287,7 +287,7 @@ def _positions(evidence: Evidence) -> Measurements:
     }
 
 
-def _felt(evidence: Evidence) -> Measurements:
+def _lateral_acceleration(evidence: Evidence) -> Measurements:
     """Lateral acceleration over speed times yaw rate."""
     log, turning = evidence.log, evidence.turning
     both = np.isfinite(log.acceleration) & np.isfinite(log.yaw_rate)
@@ -571,7 +571,7 @@ LOG_HYPOTHESES = (
         "wheel", _computed_wheel, Case("delay", -INF, 0.0, f"is the command: {_COMPUTED}"),
         Case("delay", 0.0, INF, f"is the command, {{delay:.3g}} s later: {_COMPUTED}"), needs=("command",),
     ),
-    LogHypothesis("signals", "lateral acceleration and yaw rate, whole log", (), _felt, (
+    LogHypothesis("signals", "lateral acceleration and yaw rate, whole log", (), _lateral_acceleration, (
         Case("factor", -INF, 0.0, "lateral acceleration and yaw rate have opposite signs. Both must be positive to the "
              "left: --flip {flipped}."),
         *_factor_cases(
