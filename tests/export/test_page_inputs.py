@@ -20,7 +20,7 @@ from adaptrack.core.kernel import row_of
 from adaptrack.core.roads import path
 from adaptrack.core.synthesis import car as cars
 from adaptrack.export.page_inputs import SECTIONS, car_fields, page_car
-from adaptrack.identification.reading import ALIASES, Reading, read_columns
+from adaptrack.identification.reading import SIGNAL_COLUMNS, Reading, read_columns
 from programs import find_program
 
 HERE, PAGE = Path(__file__).parents[1] / "page", Path(at.__file__).parent / "export" / "page"
@@ -337,7 +337,7 @@ def drive_history(profile="road"):
 
 @needs_node
 def test_python_reads_the_drive_that_the_page_writes(tmp_path):
-    assert set(GIVEN["drive"]) <= set(ALIASES)
+    assert set(GIVEN["drive"]) <= set(SIGNAL_COLUMNS)
     run, history = drive_history()
     text = ask([("writeDrive", [history, 0], [])])[0]["value"]
     (tmp_path / "drive.csv").write_text(text)

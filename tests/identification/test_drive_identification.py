@@ -14,7 +14,7 @@ from adaptrack.cars.vehicle import BrakeActuator, DriveActuator
 from adaptrack.cli.app import app
 from adaptrack.core.identification import drive as kernel
 from adaptrack.identification import DriveIdentification, identify_drive
-from adaptrack.identification.longitudinal_conventions import compare_longitudinal
+from adaptrack.identification.hypotheses import Evidence, compare
 from adaptrack.road import Comfort, Line, Road, Stop, plan_speed
 from pedal_cars import BRAKE_DEAD_TIME, BRAKE_LAG, DRIVE_DEAD_TIME, DRIVE_LAG, PedalCar
 
@@ -181,7 +181,7 @@ def test_a_longitudinal_signal_contradicts_the_speed_only_where_its_sign_or_unit
 ) -> None:
     contradictions = [
         agreement.contradiction
-        for agreement in compare_longitudinal({"time": _TIME, "speed": _SPEED, signal: values}, CAR.mass)
+        for agreement in compare(Evidence({"time": _TIME, "speed": _SPEED, signal: values}, mass=CAR.mass), "speed")
         if agreement.clear
     ]
     assert len(contradictions) == 1
@@ -191,7 +191,7 @@ def test_a_longitudinal_signal_contradicts_the_speed_only_where_its_sign_or_unit
 
 def test_gravity_in_a_measured_acceleration_is_possible_and_no_contradiction() -> None:
     values = {"time": _TIME, "speed": _SPEED, "longitudinal_acceleration": _CHANGE + _GRAVITY}
-    *_, agreement = compare_longitudinal(values, CAR.mass)
+    *_, agreement = compare(Evidence(values, mass=CAR.mass), "speed")
     assert not agreement.contradiction
     assert "possibly it contains gravity" in agreement.possibility
 

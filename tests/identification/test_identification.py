@@ -18,11 +18,12 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
 from adaptrack.cli.app import app
 from adaptrack.identification import CarRanges, random_car
-from adaptrack.identification.calibration import CORRECTIONS, corrected
-from adaptrack.identification.conventions import check_conventions, guessed_ratio
+from adaptrack.identification.estimates import CORRECTIONS, corrected
+from adaptrack.identification.hypotheses import Evidence, guessed_ratio, refuse_contradictions
 from adaptrack.identification.likelihood import Likelihood
-from adaptrack.identification.log import log_of
-from adaptrack.identification.log_identification import fitted, prepare, reported
+from adaptrack.identification.log import Log, log_of
+from adaptrack.identification.log_fit import estimates_of, fit_log
+from adaptrack.identification.log_identification import prepare
 from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of, values_of
 from adaptrack.identification.reading import Reading, read_columns
 from adaptrack.road import generate_road
@@ -75,6 +76,10 @@ def integrated(
         "time": time, "command": command, "speed": pace, "yaw_rate": x[1] + noise * rng.standard_normal(time.size),
         "wheel": x[4], "acceleration": force, "vy": x[0],
     }  # fmt: skip
+
+
+def check_signals(log: Log) -> None:
+    refuse_contradictions(Evidence(wheelbase=CAR.wheelbase, cleaned=log), "signals")
 
 
 @pytest.fixture(scope="module")
@@ -236,7 +241,7 @@ def test_the_steering_ratio_is_found_from_yaw_rate_or_road_wheels(turning: tuple
     log = {name: drive[name] for name in ("time", "speed", *turning)}
     log["steering_wheel_angle"] = ratio * (drive["wheel"] - BIAS)
     likelihood = prepare(log, CAR)
-    estimate = reported(likelihood, *fitted(likelihood))["ratio"]
+    estimate = estimates_of(fit_log(likelihood))[0]["ratio"]
     assert abs(estimate.value - ratio) < 3.0 * estimate.standard_error
     assert estimate.value == pytest.approx(ratio, rel=0.01 if "wheel" in turning else 0.05)
 
@@ -281,7 +286,7 @@ def test_a_measured_wheel_angle_sharpens_the_split_of_the_delay(answer: at.Ident
     drive = driven(60.0)
     drive["wheel"] = drive["wheel"] + 0.001 * np.random.default_rng(5).standard_normal(drive["time"].size)
     likelihood = prepare({k: drive[k] for k in ("time", "command", "speed", "yaw_rate", "wheel")}, CAR)
-    estimates = reported(likelihood, *fitted(likelihood))
+    estimates = estimates_of(fit_log(likelihood))[0]
     assert estimates["lag"].standard_error < 0.7 * answer["lag"].standard_error
     assert abs(estimates["lag"].value - LAG) < 0.01
 
@@ -316,7 +321,7 @@ def gusty(seed: int) -> dict[str, np.ndarray]:
 @pytest.mark.compiled
 def test_the_delay_lies_in_its_interval_in_gusts_that_are_not_smooth() -> None:
     likelihood = prepare(gusty(4), at.load_vehicle("compact-ev").replace(steering=None))
-    delay = reported(likelihood, *fitted(likelihood))["delay"]
+    delay = estimates_of(fit_log(likelihood))[0]["delay"]
     assert delay.low < 0.13 < delay.high
     assert delay.value == pytest.approx(0.13, abs=0.015)
 
@@ -326,7 +331,7 @@ def test_a_late_gyro_is_found_against_a_wheel_angle_and_does_not_soften_the_tyre
     drive = driven(40.0)
     late = np.interp(drive["time"] - 0.2, drive["time"], drive["yaw_rate"])
     likelihood = prepare({k: drive[k] for k in ("time", "wheel", "speed")} | {"yaw_rate": late}, CAR)
-    estimates = reported(likelihood, *fitted(likelihood))
+    estimates = estimates_of(fit_log(likelihood))[0]
     assert estimates["lateness"].value == pytest.approx(0.2, abs=0.02)
     assert estimates["lateness"].low < 0.2 < estimates["lateness"].high
     assert estimates["front"].low < 2.0 * CAR.stiffness_front < estimates["front"].high
@@ -338,7 +343,7 @@ def test_a_sensor_of_lateral_velocity_before_the_centre_of_gravity_is_found() ->
     noise = 0.02 * np.random.default_rng(4).standard_normal(drive["time"].size)
     log = {k: drive[k] for k in ("time", "command", "speed", "yaw_rate")}
     likelihood = prepare(log | {"vy": drive["vy"] + 1.2 * drive["yaw_rate"] + noise}, CAR)
-    estimates = reported(likelihood, *fitted(likelihood))
+    estimates = estimates_of(fit_log(likelihood))[0]
     assert estimates["vy_ahead"].value == pytest.approx(1.2, abs=0.15)
     assert estimates["rear"].low < 2.0 * CAR.stiffness_rear < estimates["rear"].high
 
@@ -377,7 +382,7 @@ def test_a_wrong_sign_or_unit_is_named_with_the_option_that_mends_it(
 ) -> None:
     wrong_log = log | {signal: log[signal] * factor}
     with pytest.raises(InvalidInput, match=remedy):
-        check_conventions(log_of(wrong_log, CAR.wheelbase), CAR.wheelbase)
+        check_signals(log_of(wrong_log, CAR.wheelbase))
 
 
 @pytest.mark.parametrize(
@@ -387,11 +392,11 @@ def test_a_lateral_acceleration_that_does_not_fit_is_named(factor: float, remedy
     drive = driven(40.0)
     drive["acceleration"] = drive["acceleration"] * factor
     with pytest.raises(InvalidInput, match=remedy):
-        check_conventions(log_of(drive, CAR.wheelbase), CAR.wheelbase)
+        check_signals(log_of(drive, CAR.wheelbase))
 
 
 def test_a_right_log_passes_its_conventions(log: dict[str, np.ndarray]) -> None:
-    check_conventions(log_of(dict(log), CAR.wheelbase), CAR.wheelbase)
+    check_signals(log_of(dict(log), CAR.wheelbase))
 
 
 def test_logs_that_tell_nothing_are_refused(log: dict[str, np.ndarray]) -> None:
@@ -475,7 +480,7 @@ def test_a_gyro_that_is_stuck_is_refused_or_left_out(log: dict[str, np.ndarray])
     cleaned = log_of(log | {"yaw_rate": partly}, CAR.wheelbase)
     assert np.array_equal(np.isnan(cleaned.yaw_rate), (np.arange(1200) >= 300) & (np.arange(1200) < 500))
     assert any("10 s in all: left out, the gyro was stuck" in note for note in cleaned.notes)
-    check_conventions(cleaned, CAR.wheelbase)
+    check_signals(cleaned)
 
 
 def test_a_yaw_rate_that_rests_where_the_car_goes_straight_is_no_stuck_gyro(log: dict[str, np.ndarray]) -> None:
@@ -496,7 +501,7 @@ def test_a_signal_of_many_outliers_is_refused_with_its_column_and_unit(log: dict
 
 def test_a_yaw_rate_that_is_measured_in_some_rows_only_fits_its_steering(log: dict[str, np.ndarray]) -> None:
     now_and_then = np.where(np.arange(1200) % 5 == 0, log["yaw_rate"], math.nan)
-    check_conventions(log_of(log | {"yaw_rate": now_and_then}, CAR.wheelbase), CAR.wheelbase)
+    check_signals(log_of(log | {"yaw_rate": now_and_then}, CAR.wheelbase))
 
 
 @pytest.mark.compiled

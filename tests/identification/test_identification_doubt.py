@@ -9,18 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import odeint
-from tests.identification.test_identification import BIAS, CAR, DEAD_TIME, LAG, PERIOD, driven
+from tests.identification.test_identification import BIAS, CAR, DEAD_TIME, LAG, PERIOD, check_signals, driven
 from typer.testing import CliRunner
 
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli.app import app
-from adaptrack.identification.computed_columns import drop_computed_columns
-from adaptrack.identification.consistency import Moments, contradictions
-from adaptrack.identification.conventions import check_conventions, check_positions
-from adaptrack.identification.log import log_of
+from adaptrack.identification.consistency import contradictions
+from adaptrack.identification.hypotheses import Evidence, drop_computed_columns, refuse_contradictions
+from adaptrack.identification.log import SHORTENED, log_of, shorten_log
 from adaptrack.identification.log_identification import prepare
-from adaptrack.identification.long_log import SHORTENED, shorten_log
 from adaptrack.identification.reading import Reading, read_columns
 
 BASE = ("time", "command", "speed", "yaw_rate")
@@ -133,28 +131,27 @@ def test_a_gyro_whose_clock_is_off_is_named_where_the_yaw_shows_it() -> None:
     drive = driven(60.0)
     yaw = np.cumsum(PERIOD * drive["yaw_rate"]) + 1e-3 * np.random.default_rng(2).standard_normal(drive["time"].size)
     log = base() | {"yaw": yaw}
-    check_conventions(log_of(dict(log), CAR.wheelbase), CAR.wheelbase)
+    check_signals(log_of(dict(log), CAR.wheelbase))
     late = log | {"yaw_rate": np.interp(drive["time"] - 0.2, drive["time"], drive["yaw_rate"])}
     with pytest.raises(InvalidInput, match=r"--late yaw_rate=0\.(18|2)"):
-        check_conventions(log_of(late, CAR.wheelbase), CAR.wheelbase)
+        check_signals(log_of(late, CAR.wheelbase))
 
 
 def test_a_yaw_rate_that_runs_ahead_of_the_steering_is_named() -> None:
     drive = base()
     late = drive | {"command": np.interp(drive["time"] - LAG - DEAD_TIME - 0.3, drive["time"], drive["command"])}
     with pytest.raises(InvalidInput, match=r"runs ahead of command.*--late command"):
-        check_conventions(log_of(late, CAR.wheelbase), CAR.wheelbase)
+        check_signals(log_of(late, CAR.wheelbase))
 
 
 def test_a_speed_in_kmh_is_named_where_positions_show_it() -> None:
     drive = base()
     yaw = np.cumsum(PERIOD * drive["yaw_rate"])
-    values = drive | {
-        "x": np.cumsum(PERIOD * drive["speed"] * np.cos(yaw)), "y": np.cumsum(PERIOD * drive["speed"] * np.sin(yaw))
-    }  # fmt: skip
-    check_positions(values)
+    x, y = (np.cumsum(PERIOD * drive["speed"] * direction(yaw)) for direction in (np.cos, np.sin))
+    values = drive | {"x": x, "y": y}
+    refuse_contradictions(Evidence(values), "positions")
     with pytest.raises(InvalidInput, match="--units speed=km/h"):
-        check_positions(values | {"speed": 3.6 * drive["speed"]})
+        refuse_contradictions(Evidence(values | {"speed": 3.6 * drive["speed"]}), "positions")
 
 
 def test_names_in_a_comment_are_read(tmp_path) -> None:
@@ -201,14 +198,13 @@ def test_stretches_that_contradict_each_other_are_said_with_their_level() -> Non
 
 
 def test_chance_is_no_contradiction() -> None:
-    prior, rng = Moments(np.zeros(3), np.ones(3)), np.random.default_rng(11)
-    names = ("front", "rear", "ratio")
-    samples = [
-        [Moments(0.05 * rng.standard_normal(3), np.full(3, 0.05**2)) for _ in range(3)] for _ in range(200)
-    ]  # fmt: skip
-    assert sum(bool(contradictions("logs", names, prior, moments)) for moments in samples) <= 4
-    shifted = [Moments(np.array([shift, 0.0, 0.0]), np.full(3, 0.05**2)) for shift in (0.0, 0.0, 1.0)]
-    (reason,) = contradictions("logs", names, prior, shifted)
+    names, rng = ("front", "rear", "ratio"), np.random.default_rng(11)
+    prior = dict.fromkeys(names, (0.0, 1.0))
+    samples = 0.05 * rng.standard_normal((200, 3, 3))
+    moments = [[{name: (x, 0.05**2) for name, x in zip(names, row, strict=True)} for row in log] for log in samples]
+    assert sum(bool(contradictions("logs", prior, statements)) for statements in moments) <= 4
+    shifted = [dict.fromkeys(names, (0.0, 0.05**2)) | {"front": (shift, 0.05**2)} for shift in (0.0, 0.0, 1.0)]
+    (reason,) = contradictions("logs", prior, shifted)
     assert "front: 1, 1, 2.7" in reason
 
 
@@ -227,7 +223,6 @@ def test_logs_of_one_car_tell_more_than_each_of_them() -> None:
 
 @pytest.mark.compiled
 def test_logs_that_contradict_each_other_end_the_command_with_3_and_write_nothing(tmp_path) -> None:
-    import pyarrow
     import pyarrow.parquet
 
     other = base(40.0, 2)
@@ -282,7 +277,7 @@ def test_honest_commands_of_a_car_that_slows_a_little_in_bends_fit_its_yaw_rate(
     command = 0.01 * np.sin(np.outer(time, [0.1, 0.2, 0.3, 0.5, 0.7, 1.0]) + phases).sum(axis=1)
     yaw_rate = 25.0 * held(command, 5) / (CAR.wheelbase + CAR.understeer_gradient * 625.0) + noise
     log = {"time": time, "command": command, "speed": 25.0 - 40.0 * np.abs(command), "yaw_rate": yaw_rate}
-    check_conventions(log_of(log, CAR.wheelbase), CAR.wheelbase)
+    check_signals(log_of(log, CAR.wheelbase))
 
 
 def test_a_long_log_in_means_of_its_samples_keeps_delay_and_turning() -> None:

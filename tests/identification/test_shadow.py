@@ -12,7 +12,7 @@ import adaptrack as at
 from adaptrack.base.statistics import block_rms
 from adaptrack.cli.app import app
 from adaptrack.core.estimators.learning import BELIEF_NAMES, memory_of
-from adaptrack.identification.instants import ReadLog
+from adaptrack.identification.observation import ReadLog
 from adaptrack.identification.shadow import Shadow
 from adaptrack.results.console import print_result
 from adaptrack.results.shadow import shadow_result

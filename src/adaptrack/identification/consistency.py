@@ -1,16 +1,20 @@
-"""Whether what was found can be believed: against what was believed before, physics, and itself.
+"""Whether estimates can be believed: against the prior, physics, and each other; and what a log cannot tell.
 
 Stretches of a log, and logs of one car, each say something of the quantities that belong to the car. Freed of the
 prior, which they share, what they say is independent, and its weighted scatter is chi-square (W. G. Cochran,
 Biometrics 10 (1954) 101-129). Each is granted an error of the model beside that of its noise: tyres warm up, loads
 shift, friction changes.
+
+In a steady turn delta = L r/v + K v r. So a log tells the scale of its angle only as (angle scale x speed scale)/(scale
+of the yaw rate) x true wheelbase/specified wheelbase, and it tells it from K where bends are driven at several speeds.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from itertools import islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +23,12 @@ from scipy.stats import chi2
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.identification.identified_car import Estimate
-from adaptrack.identification.quantities import degrees_per_g
+from adaptrack.identification.estimates import Moments
+from adaptrack.identification.hypotheses import INF, Case, explain
+from adaptrack.identification.identified_car import HARDLY, Estimate, Validation, scale_correlations
+from adaptrack.identification.log import Log, window_mean
+from adaptrack.identification.log_fit import Fit
+from adaptrack.identification.quantities import INDEX, degrees_per_g
 
 Array = NDArray[np.float64]
 
@@ -40,30 +48,70 @@ MAX_SPREAD_LEFT = 0.8
 AXLE_PLACE_RANGE, UNDERSTEER_RANGE, AXLE_STIFFNESS_RANGE = (0.3, 0.7), (-1.0, 8.0), (1.5, 100.0)
 """Of cars on four wheels: l_f over the wheelbase; understeer gradient, deg/g; cornering stiffness of an axle over its
 load, 1/rad."""
-
-
-class Moments(NamedTuple):
-    """Estimates of the reported quantities from one stretch or log; logarithms of positive quantities, (m,) each."""
-
-    mean: Array
-    variance: Array
+BEND_YAW_RATE, BEND_HALF_WINDOW, MIN_BEND_TIME = 0.03, 2.0, 4.0
+"""rad/s, mean yaw rate of a bend, above that of gusts, lane keeping and offsets; s to either side, over which it is
+averaged; s of bends that a check needs."""
+MAX_GAIN_SIGMA = 0.08
+"""Standard deviation of ln(ratio) up to which a log can confirm or refute a ratio."""
+RATIO_ERROR, RATIO_ERROR_SIGMAS = 0.2, 2.0
+"""Least error of ln(ratio) that is refused, above what sensors and nominal ratios are off by, and in standard
+deviations."""
+LEAST_CORRELATION = 0.3
+"""Of the scale of the steering angle with another estimate, from which it is reported."""
+RATIO_SPREAD = (0.3, 0.1)
+"""Of the logarithm of a steering ratio that is to be found: guessed from the log, or said by the car's file."""
+UNKNOWN_RATIO = "cannot tell the ratio"
+RATIO_LOOSE = 1.1
+"""Factor within which a steering ratio is of use."""
+HIGH_SPEED, LITTLE = 15.0, 0.3
+"""m/s; m/s^2, RMS lateral acceleration below which there is hardly any steering."""
+LOOSE_FACTOR = 1.25
+"""Factor from which a stiffness is loose."""
+TIGHT = 0.2
+"""rad, of the road wheels, from which bends are said to be tight."""
+SPLIT = 0.05
+"""s, half width of the lag's interval from which the split of the delay is said to be open."""
+EVEN_SPEED, COLOURED, POOR, HARD = 0.05, 0.1, 0.5, 4.0
+"""Spread over mean of an even speed; autocorrelation of residuals; share of variance explained; m/s^2."""
+IMPLAUSIBLE = (
+    Case("deviation", MAX_PRIOR_DEVIATIONS, INF, "{name} {value:.3g} {unit} lies {deviation:.1f} standard deviations "
+         "from {believed}"),
+    Case("reached", MAX_REACH, INF, "the interval of {name}, {low:.3g} to {high:.3g} {unit}, reaches {reached:.1f} "
+         "standard deviations from {believed}"),
+)  # fmt: skip
+"""Of an estimate: the first whose number lies in its range counts."""
+FINDINGS = (
+    Case("stiffness", LOOSE_FACTOR, INF, "{why}: stiffness known within a factor {stiffness:.2g}"),
+    Case("balance", -INF, 0.5, "what the axles have in common is open, their balance is not: understeer gradient "
+         "{gradient:.2g} deg/g within {within:.2g}"),
+    Case("tightest", TIGHT, INF, "tight bends, wheels at {degrees:.0f} degrees: driving and braking forces, which the "
+         "log lacks, turn the car too, so intervals are wider"),
+    Case("lag", SPLIT, INF, "lag and dead time are known in sum ({delay:.3g} s), not how they share it: quick "
+         "steering, or a measured wheel angle, tells them apart"),
+    Case("gyro_clock", 0.0, INF, "cannot tell a late yaw rate from late wheels: delay is from the command to the "
+         "logged yaw rate"),
+    Case("command", -INF, 0.0, "no steering command in the log: cannot tell lag and dead time, they keep what was "
+         "believed"),
+    Case("speed_spread", -INF, EVEN_SPEED, "the speed hardly changes: steering offset, bank and gyro offset are known "
+         "in sum only"),
+    Case("hardest", HARD, INF, f"driven hard, above {HARD:g} m/s^2: stiffness rests on the tyres' curve too"),
+    Case("autocorrelation", COLOURED, INF, "the residuals are not white (autocorrelation {largest:.2f}): intervals may "
+         "be too narrow"),
+    Case("explained", -INF, POOR, "simulated from the command alone, {percent:.0f} % of the yaw rate's variance is "
+         "explained: the rest is wind, road, or a wrong column"),
+)  # fmt: skip
+"""What limits what is known of a car; all whose numbers lie in their ranges count."""
 
 
 def implausible_estimates(estimates: Mapping[str, Estimate], car: Vehicle) -> list[str]:
     """Estimates that lie outside what was believed, or what any car has, in words."""
-    messages = []
-    for estimate in estimates.values():
-        before = f"what was believed ({estimate.before[0]:.3g} to {estimate.before[1]:.3g})"
-        if abs(estimate.shift) > MAX_PRIOR_DEVIATIONS and not estimate.name.startswith(("noise", "gyro")):
-            messages.append(
-                f"{estimate.name} {estimate.value:.3g} {estimate.unit} lies {abs(estimate.shift):.1f} "
-                f"standard deviations from {before}"
-            )
-        elif estimate.reach > MAX_REACH and estimate.name in MODEL_ERRORS:
-            messages.append(
-                f"the interval of {estimate.name}, {estimate.low:.3g} to {estimate.high:.3g} {estimate.unit}, reaches "
-                f"{estimate.reach:.1f} standard deviations from {before}"
-            )
+    messages: list[str] = []
+    for name, estimate in estimates.items():
+        believed = f"what was believed ({estimate.before[0]:.3g} to {estimate.before[1]:.3g})"
+        deviation = math.nan if name.startswith(("noise", "gyro")) else abs(estimate.shift)
+        reached = estimate.reach if name in MODEL_ERRORS else math.nan
+        numbers = vars(estimate) | {"deviation": deviation, "reached": reached, "believed": believed}
+        messages += islice(explain(IMPLAUSIBLE, numbers), 1)
     return messages + _unphysical_quantities(estimates, car)
 
 
@@ -86,19 +134,14 @@ def _unphysical_quantities(estimates: Mapping[str, Estimate], car: Vehicle) -> l
     ]
 
 
-def contradictions(subject: str, names: Sequence[str], prior: Moments, statements: Sequence[Moments]) -> list[str]:
+def contradictions(subject: str, prior: Moments, statements: Sequence[Moments]) -> list[str]:
     """Quantities in which stretches or logs (``subject``) contradict each other, in words.
 
-    names: of the m quantities; those of `MODEL_ERRORS` are compared.
+    Those of `MODEL_ERRORS` are compared.
     """
     tests = []
-    for i, name in enumerate(names):
-        if name not in MODEL_ERRORS:
-            continue
-        freed = [
-            _freed(prior.mean[i], prior.variance[i], statement.mean[i], statement.variance[i])
-            for statement in statements
-        ]
+    for name in [name for name in prior if name in MODEL_ERRORS]:
+        freed = [_freed(*prior[name], *statement[name]) for statement in statements if name in statement]
         informed = [(value, variance) for value, variance in freed if math.isfinite(variance)]
         if len(informed) > 1:
             tests.append((name, np.array(informed).T))
@@ -133,3 +176,120 @@ def _written(name: str, value: float) -> str:
     if name == "understeer_gradient":
         return f"{degrees_per_g(value):.2f} deg/g"
     return f"{portable.exp(min(value, 700.0)):.3g}"
+
+
+# -- steering ratio --------------------------------------------------------------------------------------------------
+def _bend_time(log: Log) -> float:
+    """Time (s) driven in bends."""
+    measured = np.isfinite(log.yaw_rate)
+    if not measured.any():
+        return 0.0
+    turning = np.abs(window_mean(log.time[measured], log.yaw_rate[measured], BEND_HALF_WINDOW)) > BEND_YAW_RATE
+    return float(np.sum(turning)) / max(float(np.sum(measured)), 1.0) * log.driven_time
+
+
+def _gain(fit: Fit) -> tuple[float, float]:
+    """Angle of the road wheels over that in the log, by the log alone, and the standard deviation of its logarithm."""
+    place, prior = INDEX["gain"], float(fit.likelihood.spread[INDEX["gain"]])
+    if place not in fit.likelihood.free:
+        return 1.0, math.inf
+    row = int(np.searchsorted(fit.likelihood.free, place))
+    precision = max(1.0 / float(fit.covariance[row, row]) - 1.0, 1e-6)
+    mean = prior * float(fit.z[place]) * (1.0 + 1.0 / precision)
+    return portable.exp(min(max(mean, -5.0), 5.0)), prior / math.sqrt(precision)
+
+
+def check_ratio(
+    fit: Fit, estimates: dict[str, Estimate], covariance: Array
+) -> tuple[dict[str, Estimate], list[str], tuple[str, ...]]:
+    """The estimates that may be reported, what contradicts the steering ratio, and findings.
+
+    covariance: of the estimates in their order
+    """
+    log = fit.likelihood.log
+    if not log.ratio_unknown:
+        if "angle_scale" not in estimates:
+            return estimates, [], ()
+        correlations = scale_correlations(estimates, covariance)
+        against, finding = _check_scale(fit, estimates["angle_scale"], correlations)
+        return estimates, [against] if against else [], (finding,) if finding else ()
+    is_known, message = _check_fitted_ratio(log, estimates["ratio"])
+    if is_known or fit.likelihood.spread[INDEX["gain"]] != RATIO_SPREAD[0]:
+        return estimates, [], (message,) if message else ()
+    return {name: estimate for name, estimate in estimates.items() if name != "ratio"}, [message], ()
+
+
+def _check_scale(fit: Fit, scale: Estimate, correlations: Mapping[str, float]) -> tuple[str, str]:
+    """Return a contradiction of the specified ratio and a finding on the scale of its angles; either may be empty.
+
+    correlations: of the scale with other estimates
+    """
+    log, (gain, spread) = fit.likelihood.log, _gain(fit)
+    ratio = f"--steering-ratio {log.ratio * scale.value:.3g}"
+    if spread > MAX_GAIN_SIGMA or _bend_time(log) < MIN_BEND_TIME:
+        return "", (
+            f"{UNKNOWN_RATIO}: the log cannot confirm that its angles are those of the road wheels, and understeer is "
+            "known with their scale only: drive bends at two speeds"
+        )
+    if abs(portable.log(gain)) > max(RATIO_ERROR, RATIO_ERROR_SIGMAS * spread):
+        low, high = (gain * portable.exp(side * 1.645 * spread) for side in (-1.0, 1.0))
+        return (
+            f"the steering ratio is wrong: the road wheels turn {gain:.2f} [{low:.2f}, {high:.2f}] times as far "
+            f"as the log says: {ratio}, or fit"
+        ), ""
+    if scale.low <= 1.0 <= scale.high:
+        return "", ""
+    related = ", ".join(
+        f"{name} {value:.2f}"
+        for name, value in correlations.items()
+        if name == "understeer_gradient" or abs(value) >= LEAST_CORRELATION
+    )
+    return "", (
+        f"the logged steering angle is {scale.value:.3g} [{scale.low:.3g}, {scale.high:.3g}] times that of yaw rate, "
+        f"speed and wheelbase (correlations: {related}): read logs with {ratio}, and use this ratio "
+        "between car and controller"
+    )
+
+
+def _check_fitted_ratio(log: Log, ratio: Estimate) -> tuple[bool, str]:
+    """Return whether a fitted ratio is known, and a message."""
+    seconds = _bend_time(log)
+    if seconds < MIN_BEND_TIME:
+        return False, (
+            f"{UNKNOWN_RATIO}: {seconds:.0f} s of bends, {MIN_BEND_TIME:g} s are needed; drive slow bends, or give "
+            "--steering-ratio"
+        )
+    if ratio.spread_left > HARDLY:
+        return False, f"{UNKNOWN_RATIO}: drive slow bends, or give --steering-ratio"
+    factor = ratio.high / ratio.value
+    if factor > RATIO_LOOSE:
+        return True, f"steering ratio known within a factor {factor:.2f}: slow bends (below 10 m/s) tell it"
+    return True, ""
+
+
+# -- what limits estimates --------------------------------------------------------------------------------------------
+def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation) -> tuple[str, ...]:
+    """Sentences: what limits what is known, each with what would help."""
+    fast, sideways = log.speed > HIGH_SPEED, log.speed * np.nan_to_num(log.yaw_rate)
+    idle = not fast.any() or math.sqrt(float(np.mean(portable.square(sideways[fast])))) < LITTLE
+    stiffness = max(estimates[axle].high / estimates[axle].value for axle in ("front", "rear"))
+    gradient, largest, tightest = (
+        estimates["understeer_gradient"],
+        max(validation.autocorrelation, key=abs),
+        log.tightest,
+    )
+    numbers: dict[str, Any] = {
+        "stiffness": stiffness,
+        "why": f"hardly any steering above {HIGH_SPEED:g} m/s" if idle else "the log tells little of the tyres",
+        "balance": gradient.spread_left if stiffness > LOOSE_FACTOR else math.nan,
+        "gradient": degrees_per_g(gradient.value), "within": degrees_per_g(gradient.high - gradient.value),
+        "tightest": tightest, "degrees": math.degrees(tightest),
+        "gyro_clock": log.commanded and not np.isfinite(log.wheel).any(), "command": log.commanded,
+        "speed_spread": float(np.std(log.speed)) / float(np.mean(log.speed)),
+        "hardest": float(np.percentile(np.abs(sideways), 99)),
+        "autocorrelation": abs(largest), "largest": largest,
+        "explained": float(np.nan_to_num(validation.simulated)), "percent": 100 * validation.simulated,
+    }  # fmt: skip
+    if log.commanded:
+        numbers |= {"lag": 0.5 * (estimates["lag"].high - estimates["lag"].low), "delay": estimates["delay"].value}
+    return tuple(explain(FINDINGS, numbers))

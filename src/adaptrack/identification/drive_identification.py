@@ -22,15 +22,14 @@ from adaptrack.core.identification import drive as kernel
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.core.physics.forces import GRAVITY
-from adaptrack.identification.conventions import refuse_contradictions
-from adaptrack.identification.estimates import ReportedRow, estimates_at
+from adaptrack.identification.estimates import ReportedRow, delay_rows, estimates_at, quantity_row
+from adaptrack.identification.hypotheses import Evidence, refuse_contradictions
 from adaptrack.identification.identified_car import DriveIdentification
-from adaptrack.identification.likelihood import NEARLY, SETTLING, InnovationLikelihood, Scored
-from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, noise_of
-from adaptrack.identification.longitudinal_conventions import compare_longitudinal
-from adaptrack.identification.outliers import find_outliers
-from adaptrack.identification.quantities import Prior, Quantity, kinds_of, values_of
-from adaptrack.identification.reading import Columns, Reading, Source, read_columns
+from adaptrack.identification.likelihood import NEARLY, InnovationLikelihood, Scored
+from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, is_rising
+from adaptrack.identification.outliers import find_outliers, noise_of
+from adaptrack.identification.quantities import Prior, Quantity
+from adaptrack.identification.reading import Columns, Reading, Source, list_sources, read_columns
 
 Array = NDArray[np.float64]
 
@@ -67,8 +66,6 @@ DRIVE_QUANTITIES = (
     Quantity("jolt", "m/s^1.5", "positive", "white acceleration of the road"),
     Quantity("noise_speed", "m/s", "positive", "noise of the speed"),
 )  # fmt: skip
-_INDEX = {quantity.name: i for i, quantity in enumerate(DRIVE_QUANTITIES)}
-_KINDS = kinds_of(DRIVE_QUANTITIES)
 
 
 class DriveLikelihood(InnovationLikelihood):
@@ -77,23 +74,16 @@ class DriveLikelihood(InnovationLikelihood):
     rows: (4, n) as `core.identification.drive.DRIVE_ROW`; beliefs: by the names of `DRIVE_QUANTITIES`
     """
 
-    def __init__(self, rows: Array, beliefs: Mapping[str, Prior]) -> None:
-        self.time, self._rows = rows[kernel.DRIVE_ROW.time], np.ascontiguousarray(rows)
-        self._answer = np.empty((len(kernel.DRIVE_ANSWER), self.time.size))
-        self.median, self.spread = np.array([beliefs[quantity.name] for quantity in DRIVE_QUANTITIES]).T.copy()
-        self.free = np.flatnonzero(self.spread > 0.0)
-        begins = rows[kernel.DRIVE_ROW.begins] > 0.0
-        first = self.time[np.maximum.accumulate(np.where(begins, np.arange(self.time.size), 0))]
-        self.innovations(np.zeros(len(DRIVE_QUANTITIES)))
-        self.counts = np.isfinite(self._answer[kernel.DRIVE_ANSWER.innovation]) & (self.time - first >= SETTLING)
+    quantities = DRIVE_QUANTITIES
 
-    def values(self, z: Array) -> Array:
-        """The quantities at a point z, in the order of `DRIVE_QUANTITIES`."""
-        return values_of(z, self.median, self.spread, _KINDS)
+    def __init__(self, rows: Array, beliefs: Mapping[str, Prior]) -> None:
+        super().__init__(rows[kernel.DRIVE_ROW.time], rows[kernel.DRIVE_ROW.begins] > 0.0, beliefs)
+        self._rows, self._answer = np.ascontiguousarray(rows), np.empty((len(kernel.DRIVE_ANSWER), self.time.size))
+        self.counts = np.isfinite(self.innovations(np.zeros(len(DRIVE_QUANTITIES)))[0]) & self.settled
 
     def packed(self, z: Array) -> Array:
         """The quantities at a point z, in the order of `core.identification.drive.DriveQuantities`."""
-        value = dict(zip(_INDEX, self.values(z), strict=True))
+        value = {quantity.name: float(x) for quantity, x in zip(self.quantities, self.values(z), strict=True)}
         for name in ACTUATORS:
             delay, share = value.pop(f"{name}_delay"), value.pop(f"{name}_lag_share")
             value |= {f"{name}_lag": share * delay, f"{name}_dead_time": (1.0 - share) * delay}
@@ -107,27 +97,12 @@ class DriveLikelihood(InnovationLikelihood):
     @property
     def reported(self) -> list[ReportedRow]:
         """Rows of the free quantities that are reported."""
-        free = {DRIVE_QUANTITIES[place].name for place in self.free}
-        actuators = [row for name in ACTUATORS if f"{name}_gain" in free for row in _actuator_rows(name)]
-        return [*actuators, *(_value_row(name) for name in ("drag", "rolling") if name in free)]
-
-
-def _value_row(name: str) -> ReportedRow:
-    """Row of a quantity that is reported as it is."""
-    place = _INDEX[name]
-    quantity = DRIVE_QUANTITIES[place]
-    return name, quantity.unit, quantity.meaning, quantity.kind == "positive", lambda v: float(v[place])
-
-
-def _actuator_rows(name: str) -> list[ReportedRow]:
-    """Rows of drive or brakes."""
-    delay, share = _INDEX[f"{name}_delay"], _INDEX[f"{name}_lag_share"]
-    late = "from a request until it begins to act on the logged speed"
-    return [
-        (f"{name}_lag", "s", "time constant", True, lambda v: float(v[share] * v[delay])),
-        (f"{name}_dead_time", "s", late, True, lambda v: float((1.0 - v[share]) * v[delay])),
-        _value_row(f"{name}_gain"),
-    ]
+        free = [self.quantities[place].name for place in self.free]
+        late, rows = "from a request until it begins to act on the logged speed", []
+        for name in [name for name in ACTUATORS if f"{name}_gain" in free]:
+            rows += delay_rows(self.quantities, f"{name}_", "time constant", late)
+            rows.append(quantity_row(self.quantities, f"{name}_gain"))
+        return rows + [quantity_row(self.quantities, name) for name in ("drag", "rolling") if name in free]
 
 
 def identify_drive(
@@ -157,8 +132,7 @@ def identify_drive(
         When a column is missing, the log is too slow or too short, neither drive nor brakes act in it, the speed
         contradicts the command, or a pedal is hardly used or leaves 0 to 1.
     """
-    sources = [log] if isinstance(log, str | os.PathLike | Mapping) else list(log)
-    columns = [read_columns(source, reading or Reading()) for source in sources]
+    columns = [read_columns(source, reading or Reading()) for source in list_sources(log)]
     return drive_of_columns(columns, car if isinstance(car, Vehicle) else load_vehicle(car))
 
 
@@ -174,7 +148,7 @@ def drive_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentificati
             "it, --columns force_command=NAME."
         )
     for columns in logs:
-        refuse_contradictions(compare_longitudinal(columns.values, car.mass))
+        refuse_contradictions(Evidence(columns.values, mass=car.mass), "speed")
     rows, seconds = _joined_rows(logs, (command,), MIN_COMPARED_SPEED)
     if command == "force_command":
         rows[kernel.DRIVE_ROW.request] /= car.mass
@@ -225,8 +199,8 @@ class PedalRegression:
         self._time, throttle, brake, self._compared, self._begins = log
         is_compared = np.isfinite(self._compared)
         speed = np.interp(self._time, self._time[is_compared], self._compared[is_compared])
-        drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass
-        self._resistance = car.rolling_resistance * GRAVITY + drag * (speed * speed)
+        rolling, drag = _resistance(car)
+        self._resistance = rolling + drag * (speed * speed)
         self.speeds = SPEED_POINTS[: np.searchsorted(SPEED_POINTS, speed.max()) + 1]
         self._shares = np.array([np.interp(speed, self.speeds, point) for point in np.eye(self.speeds.size)])
         ends = np.stack([PEDAL_POINTS[:-1], PEDAL_POINTS[1:]], axis=1)
@@ -280,6 +254,12 @@ class PedalRegression:
         return np.asarray(cumulative_trapezoid(acceleration, self._time, initial=0.0))
 
 
+def _resistance(car: Vehicle) -> tuple[float, float]:
+    """Rolling resistance (m/s^2) and air drag over speed squared (1/m) of a car, over its mass."""
+    drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass
+    return car.rolling_resistance * GRAVITY, drag
+
+
 def _bends(points: Array) -> Array:
     """Matrix that gives the distance of each inner value from the line between its neighbours, (n - 2, n)."""
     gaps = np.diff(points)
@@ -290,8 +270,7 @@ def _bends(points: Array) -> Array:
 def _fit_from_starts(likelihood: DriveLikelihood) -> tuple[Array, Scored]:
     """The most likely point from several delays, and what is known there."""
     delays = np.array([quantity.name.endswith("_delay") for quantity in DRIVE_QUANTITIES]) & (likelihood.spread > 0.0)
-    starts = [likelihood.fit(np.where(delays, shift, 0.0), NEARLY)[0] for shift in DELAY_SHIFTS]
-    return likelihood.fit(min(starts, key=likelihood.objective))
+    return likelihood.fit(likelihood.fit_best((np.where(delays, shift, 0.0) for shift in DELAY_SHIFTS), NEARLY)[0])
 
 
 def _joined_rows(logs: Sequence[Columns], requests: Sequence[str], slowest: float) -> tuple[Array, float]:
@@ -318,8 +297,7 @@ def _rows(values: Mapping[str, Array], requests: Sequence[str], slowest: float) 
         if name not in values or not np.isfinite(values[name]).any():
             raise InvalidInput(f"log: no column for {name}: name it, --columns {name}=NAME.")
     time = values["time"]
-    usable = np.isfinite(time) & np.all([np.isfinite(values[name]) for name in requests], axis=0)
-    usable[1:] &= np.diff(np.maximum.accumulate(np.where(np.isfinite(time), time, -np.inf))) > 0.0
+    usable = is_rising(time) & np.all([np.isfinite(values[name]) for name in requests], axis=0)
     time, speed = values["time"][usable], values["speed"][usable]
     if time.size < 2:
         raise InvalidInput(f"log: {' and '.join(requests)}: {time.size} values with a time: too few.")
@@ -332,8 +310,7 @@ def _rows(values: Mapping[str, Array], requests: Sequence[str], slowest: float) 
 def _beliefs(rows: Array, car: Vehicle, command: str) -> tuple[dict[str, Prior], list[str]]:
     """Prior of every quantity, and what the log cannot tell, in words; an actuator that hardly acts is not free."""
     time, request, speed, _ = rows
-    drag = 0.5 * car.air_density * car.frontal_area * car.drag_coefficient / car.mass
-    rolling = car.rolling_resistance * GRAVITY
+    rolling, drag = _resistance(car)
     share = 1.0 if command == "force_command" else 0.5  # some of it may be compensated behind an acceleration command
     beliefs = {
         "drag": Prior(share * drag, max(drag, 1e-4) * (1.5 - share)), "rolling": Prior(share * rolling, 0.15),

@@ -12,8 +12,8 @@ sum(e' e'^T/S + S' S'^T/(2 S^2)) + I, derivatives by differences (L. Ljung, *Sys
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,17 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.identification import steering as kernel
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
-from adaptrack.identification.log import Log
-from adaptrack.identification.quantities import INDEX, PUSH_TIME, QUANTITIES, SHAPE, Prior, values_of
+from adaptrack.identification.log import Log, segment_starts, window_mean
+from adaptrack.identification.quantities import (
+    INDEX,
+    PUSH_TIME,
+    QUANTITIES,
+    SHAPE,
+    Prior,
+    Quantity,
+    kinds_of,
+    values_of,
+)
 from adaptrack.road.smoothing import Smoother
 
 Array = NDArray[np.float64]
@@ -47,20 +56,26 @@ STRETCH = 10.0
 
 
 class InnovationLikelihood(ABC):
-    """Likelihood of the innovations of a filter along a log, at points z of a standard normal prior."""
+    """Likelihood of the innovations of a filter along a log, at points z of a standard normal prior.
 
-    time: Array
-    """(n,) s, of the samples"""
+    time: (n,) s, of the samples; begins: (n,) whether a segment begins; beliefs: by the names of `quantities`
+    """
+
+    quantities: tuple[Quantity, ...] = QUANTITIES
+    """entries of z"""
     counts: NDArray[np.bool_]
     """(..., n) innovations that count"""
-    median: Array
-    spread: Array
-    free: NDArray[np.intp]
-    """entries of z that are estimated"""
 
-    @abstractmethod
+    def __init__(self, time: Array, begins: NDArray[np.bool_], beliefs: Mapping[str, Prior]) -> None:
+        self.time, self._kinds = time, kinds_of(self.quantities)
+        self.median, self.spread = np.array([beliefs[quantity.name] for quantity in self.quantities]).T.copy()
+        self.free = np.flatnonzero(self.spread > 0.0)
+        """entries of z that are estimated"""
+        self.settled = time - time[segment_starts(begins)] >= SETTLING
+
     def values(self, z: Array) -> Array:
-        """The quantities at a point z, in their units."""
+        """The quantities at a point z, in their units and order."""
+        return values_of(z, self.median, self.spread, self._kinds)
 
     @abstractmethod
     def innovations(self, z: Array) -> tuple[Array, Array]:
@@ -115,6 +130,19 @@ class InnovationLikelihood(ABC):
                     break
         return z, current
 
+    def fit_best(self, starts: Iterable[Array], enough: float = ENOUGH) -> tuple[Array, Scored]:
+        """Fit from several starts: the most likely point, and its scores."""
+        return min((self.fit(z, enough) for z in starts), key=lambda fit: fit[1].objective)
+
+    def fit_over(self, names: Collection[str], z: Array) -> Array:
+        """Fit only the quantities of these names from a start, nearly to the most likely point."""
+        free = self.free
+        self.free = np.array([place for place in free if self.quantities[place].name in names])
+        try:
+            return self.fit(z, NEARLY)[0]
+        finally:
+            self.free = free
+
     def covariance(self, at: Scored, slopes: Array | None = None) -> Array:
         """Covariance of z where it is free: the inverse information, wider where stretches of the log disagree.
 
@@ -148,10 +176,8 @@ class Likelihood(InnovationLikelihood):
 
     def __init__(self, log: Log, car: Vehicle, beliefs: Mapping[str, Prior], used: Array | None = None) -> None:
         """used: (n,) 1 where a sample is taken in and counts; all when left out."""
-        self._kernel = kernel
-        self.log, self.car, self.time = log, car, log.time
-        self.median = np.array([beliefs[quantity.name].median for quantity in QUANTITIES])
-        self.spread = np.array([beliefs[quantity.name].spread for quantity in QUANTITIES])
+        super().__init__(log.time, log.begins, beliefs)
+        self._kernel, self.log, self.car = kernel, log, car
         rows = np.zeros((len(kernel.LOG_ROW), log.samples))
         for name in ("time", "command", "speed", *MEASURED_OUTPUTS):
             rows[kernel.LOG_ROW._fields.index(name)] = getattr(log, name)
@@ -162,10 +188,8 @@ class Likelihood(InnovationLikelihood):
         rows[kernel.LOG_ROW.gusts] = 1.0
         present = np.array([np.isfinite(getattr(log, name)).any() for name in MEASURED_OUTPUTS])
         self.present = {name: bool(is_present) for name, is_present in zip(MEASURED_OUTPUTS, present, strict=True)}
-        settled = log.time - log.time[np.maximum.accumulate(np.where(log.begins, np.arange(log.samples), 0))]
-        counts = (rows[kernel.LOG_ROW.used] > 0.0) & (settled >= SETTLING)
         measured = np.isfinite(rows[kernel.LOG_ROW.yaw_rate : kernel.LOG_ROW.yaw_rate + len(MEASURED_OUTPUTS)])
-        self.counts = measured & counts
+        self.counts = measured & (rows[kernel.LOG_ROW.used] > 0.0) & self.settled
         self.free = np.flatnonzero((self.spread > 0.0) & self._has_a_say())
 
     def _has_a_say(self) -> NDArray[np.bool_]:
@@ -183,10 +207,6 @@ class Likelihood(InnovationLikelihood):
         elif not self.present["wheel"]:
             silent |= {"lateness"}
         return np.array([quantity.name not in silent for quantity in QUANTITIES])
-
-    def values(self, z: Array) -> Array:
-        """The quantities at a point z, in the order of `QUANTITIES`."""
-        return values_of(z, self.median, self.spread)
 
     def packed(self, values: Array) -> Array:
         """The kernel's vector of quantities."""
@@ -219,10 +239,11 @@ class Likelihood(InnovationLikelihood):
         self.innovations(z)
         return dict(zip(self._kernel.FOUND._fields, self._answer[2 * len(MEASURED_OUTPUTS) :].copy(), strict=True))
 
-    def take_gusts(self, other: Likelihood) -> None:
-        """Let the spread of the wind's noise be that of another likelihood of the same log."""
-        self._rows[self._kernel.LOG_ROW.gusts] = other._rows[self._kernel.LOG_ROW.gusts]
-        self.median, self.spread, self.free = other.median.copy(), other.spread.copy(), other.free.copy()
+    def using(self, used: Array) -> Likelihood:
+        """A likelihood with these beliefs and gusts, and a selection of samples; used: (n,) 1 where one counts."""
+        other = Likelihood(self.log, self.car, self.beliefs, used)
+        other._rows[self._kernel.LOG_ROW.gusts] = self._rows[self._kernel.LOG_ROW.gusts]
+        return other
 
     def widen_gusts(self, z: Array) -> Array:
         """Keep the wind's spread at `WIDER` times that of a point; the point there.
@@ -241,7 +262,7 @@ class Likelihood(InnovationLikelihood):
         wind, time, begins = self.filter_results(z)["wind"], self.log.time, self.log.begins
         change = np.zeros_like(wind)
         change[1:] = np.where(begins[1:], 0.0, np.diff(wind) / np.maximum(np.diff(time), 1e-6))
-        power = _window_mean(time, change * change, GUST_WINDOW)
+        power = window_mean(time, change * change, GUST_WINDOW)
         level = power / max(float(np.mean(power)), 1e-12)
         self._rows[self._kernel.LOG_ROW.gusts] = np.sqrt(np.maximum(level, LEAST_GUSTS))
 
@@ -255,8 +276,7 @@ class Likelihood(InnovationLikelihood):
         """The likelihood of a stretch of the log, with the beliefs and gusts that are here."""
         begins = self.log.begins[rows].copy()
         begins[0] = True
-        signals = {name: getattr(self.log, name)[rows] for name in ("time", "command", "speed", *MEASURED_OUTPUTS)}
-        part = Likelihood(replace(self.log, begins=begins, **signals), self.car, self.beliefs)
+        part = Likelihood(self.log.at(rows, begins), self.car, self.beliefs)
         part._rows[self._kernel.LOG_ROW.gusts] = self._rows[self._kernel.LOG_ROW.gusts, rows]
         return part
 
@@ -277,13 +297,6 @@ def smooth_wheel(log: Log) -> Array:
             )
             out[rows] = smoother.fitted(float(lengths[smoother.best_scale(lengths)]))[:, 0]
     return out
-
-
-def _window_mean(time: Array, values: Array, half: float) -> Array:
-    """(n,) mean of values within +-half (s) of each time."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    low, high = np.searchsorted(time, time - half), np.searchsorted(time, time + half, side="right")
-    return (total[high] - total[low]) / (high - low)
 
 
 @dataclass(frozen=True)

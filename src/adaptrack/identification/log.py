@@ -1,9 +1,12 @@
-"""A log of driving in SI units: read, cleaned and cut into segments, its conventions checked."""
+"""A log of driving in SI units, cleaned and cut into segments.
+
+A long log is used in fewer samples: means of neighbouring samples, and the stretches with most lateral acceleration.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +29,10 @@ LEAST_SEGMENT, LEAST_DRIVEN = 3.0, 20.0
 """s, of driving, in one piece and in all."""
 LEAST_ACCELERATION = 0.1
 """m/s^2, RMS of the lateral acceleration that the steering asks for, below which nothing is excited."""
+MAX_SAMPLES, SHORTENED = 15_000, 10_000
+"""Samples up to which a log is used as it is, and at most of a shortened one, whose fit takes up to 45 s."""
+MEAN_PERIOD, STRETCH_LENGTH = 0.05, 30.0
+"""s, between the samples of a longer log, at most; of its stretches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +94,10 @@ class Log:
         """s, of all segments"""
         return float(np.sum(np.diff(self.time)[~self.begins[1:]]))
 
-
-def noise_of(values: Array) -> float:
-    """First guess of the noise of a sensor: third differences hold little else. NaN without samples."""
-    third = np.diff(values, 3)
-    third = third[np.isfinite(third)]
-    return float(np.median(np.abs(third))) / 0.6745 / math.sqrt(20.0) if third.size else math.nan
+    def at(self, rows: NDArray[np.int64] | slice, begins: NDArray[np.bool_]) -> Log:
+        """Some samples; begins: whether a segment begins with each."""
+        signals: dict[str, Any] = {name: getattr(self, name)[rows] for name in ("time", *LOG_SIGNALS)}
+        return replace(self, begins=begins, **signals)
 
 
 def log_of(
@@ -113,8 +118,7 @@ def log_of(
     _refuse_missing(columns)
     time = columns["time"]
     messages = list(notes)
-    keep = np.isfinite(time)
-    keep[1:] &= np.diff(np.maximum.accumulate(np.where(keep, time, -np.inf))) > 0.0
+    keep = is_rising(time)
     back = np.isfinite(time[1:]) & np.isfinite(time[:-1]) & (np.diff(time) < -1e-9)
     if back.any():
         raise InvalidInput(f"log: time goes back at row {int(np.flatnonzero(back)[0]) + 2}: sort or split the log.")
@@ -136,7 +140,7 @@ def log_of(
     fill = _hold_values if commanded else _filled
     data["command"], data["speed"] = fill(time, data["command"], hole), _filled(time, data["speed"], hole)
     _without_stuck(time, data, wheelbase, messages)
-    data["yaw"] = _unwrapped(data["yaw"])
+    data["yaw"] = unwrapped(data["yaw"])
     log = _cut(time, data, max(GAP_PERIODS * period, LEAST_GAP), commanded, messages)
     _refuse_idle(log, wheelbase)
     return log
@@ -222,12 +226,31 @@ def _filled(time: Array, values: Array, longest: float) -> Array:
     return np.where(np.isfinite(values) | near, inside, np.nan)
 
 
-def _unwrapped(yaw: Array) -> Array:
-    """A heading without jumps of 2 pi."""
-    is_known = np.isfinite(yaw)
-    out = np.full_like(yaw, np.nan)
-    out[is_known] = np.unwrap(yaw[is_known])
+def unwrapped(angle: Array, turn: float = 2.0 * math.pi) -> Array:
+    """(n,) angle without its jumps by a turn, in units of that; NaN stays."""
+    is_known = np.isfinite(angle)
+    out = np.full_like(angle, np.nan)
+    out[is_known] = np.unwrap(angle[is_known], period=turn)
     return out
+
+
+def is_rising(time: Array) -> NDArray[np.bool_]:
+    """(n,) whether a time is later than all before it; NaN is not."""
+    later = np.isfinite(time)
+    later[later] = np.diff(np.maximum.accumulate(time[later]), prepend=-np.inf) > 0.0
+    return later
+
+
+def segment_starts(begins: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(n,) row with which the segment of each sample begins."""
+    return np.maximum.accumulate(np.where(begins, np.arange(begins.size), 0))
+
+
+def window_mean(time: Array, values: Array, half: float = 0.5) -> Array:
+    """(n,) mean within +-half (s) of each sample."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    low, high = np.searchsorted(time, time - half), np.searchsorted(time, time + half, side="right")
+    return (total[high] - total[low]) / (high - low)
 
 
 def _cut(time: Array, data: dict[str, Array], gap: float, commanded: bool, notes: list[str]) -> Log:
@@ -268,3 +291,52 @@ def _refuse_idle(log: Log, wheelbase: float) -> None:
             f"log: hardly any steering: it asks for {acceleration:.2g} m/s^2 (RMS); drive bends and lane changes, or "
             "check the unit of the steering column (--units)."
         )
+
+
+# -- long logs ------------------------------------------------------------------------------------------------------
+def shorten_log(log: Log) -> Log:
+    """The log as it is up to `MAX_SAMPLES` samples, else in at most `SHORTENED`, with a note.
+
+    A command is averaged over the time for which the new one is held, other signals about the new instant, so that
+    neither moves against the other.
+    """
+    rows = int(MEAN_PERIOD / log.period + 1e-6)
+    if log.samples <= MAX_SAMPLES:
+        return log
+    if rows > 1:
+        note = f"{log.samples} samples: means of {rows} each are used"
+        log = replace(_average_rows(log, rows), notes=(*log.notes, note))
+    if log.samples <= SHORTENED:
+        return log
+    duration, selection = log.driven_time, _select_turning(log)
+    note = f"of {duration:.0f} s of driving, the {selection.driven_time:.0f} s with most lateral acceleration are used"
+    return replace(selection, notes=(*selection.notes, note))
+
+
+def _average_rows(log: Log, rows: int) -> Log:
+    """A log with means of some rows each."""
+    first = np.flatnonzero((np.arange(log.samples) - segment_starts(log.begins)) % rows == 0)
+    means: dict[str, Any] = {}
+    segment = np.cumsum(log.begins)
+    for name in LOG_SIGNALS:
+        shift = 0 if name == "command" and log.commanded else rows // 2
+        total, count = np.zeros(first.size), np.zeros(first.size)
+        for offset in range(rows):
+            place = np.clip(first + offset - shift, 0, log.samples - 1)
+            value = getattr(log, name)[place]
+            present = np.isfinite(value) & (segment[place] == segment[first])
+            total, count = total + np.where(present, value, 0.0), count + present
+        means[name] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return replace(log, time=log.time[first], begins=log.begins[first], **means)
+
+
+def _select_turning(log: Log) -> Log:
+    """The stretches with the largest mean square of the lateral acceleration, `SHORTENED` samples in all."""
+    number = np.cumsum(log.begins) * 1_000_000 + np.floor(log.time / STRETCH_LENGTH).astype(np.int64)
+    _, stretch, sizes = np.unique(number, return_inverse=True, return_counts=True)
+    sideways = np.nan_to_num(log.speed * log.yaw_rate)
+    order = np.argsort(-np.bincount(stretch, sideways * sideways) / sizes, kind="stable")
+    stretches = order[np.cumsum(sizes[order]) <= SHORTENED]
+    rows = np.flatnonzero(np.isin(stretch, stretches))
+    begins = log.begins[rows] | (np.diff(rows, prepend=-2) > 1)
+    return log.at(rows, begins)

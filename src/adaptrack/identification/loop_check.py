@@ -11,10 +11,8 @@ import numpy as np
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.input_check import Finding, InputCheck
-from adaptrack.identification.conventions import Agreement, compare_positions, compare_signals, guessed_ratio
-from adaptrack.identification.log import check_times, log_of
-from adaptrack.identification.long_log import shorten_log
-from adaptrack.identification.longitudinal_conventions import compare_longitudinal
+from adaptrack.identification.hypotheses import Agreement, Evidence, cleaned_log, compare
+from adaptrack.identification.log import check_times
 from adaptrack.identification.reading import Columns
 
 SIGNALS = ("speed", "yaw_rate", "vy", "acceleration", "wheel", "command", "longitudinal_acceleration")
@@ -73,8 +71,13 @@ def check_loop(columns: Columns, vehicle: Vehicle | None = None) -> LoopCheck:
     if instants.size > 1:
         check_times(instants)
     check, sliding = _run_check(columns, vehicle)
-    agreements, limit = _compare_whole_log(columns, vehicle.wheelbase if vehicle else USUAL_WHEELBASE)
-    agreements += compare_longitudinal(values, vehicle.mass if vehicle else USUAL_MASS)
+    wheelbase, mass = (vehicle.wheelbase, vehicle.mass) if vehicle else (USUAL_WHEELBASE, USUAL_MASS)
+    evidence, limit = Evidence(values, wheelbase, mass), ""
+    try:
+        evidence = replace(evidence, cleaned=cleaned_log(columns, wheelbase))
+    except InvalidInput as error:
+        limit = str(error).removeprefix("log: ")
+    agreements = compare(evidence, "positions", "signals", "speed")
     sentences = tuple(agreement.contradiction for agreement in agreements if agreement.contradiction)
     return LoopCheck(
         sentences + check.suspect, check.findings, tuple(agreements), float(np.ptp(instants)), sliding, limit
@@ -98,15 +101,3 @@ def _run_check(columns: Columns, vehicle: Vehicle | None) -> tuple[InputCheck, f
         sliding += t - before if check.sliding and 0.0 < t - before < 1.0 else 0.0
         before = t
     return check, sliding
-
-
-def _compare_whole_log(columns: Columns, wheelbase: float) -> tuple[list[Agreement], str]:
-    """Agreements of the signals, and why those of the steering could not be compared."""
-    agreements = [compare_positions(columns.values)]
-    try:
-        log = shorten_log(log_of(columns.values, wheelbase, (), columns.commanded))
-        if columns.ratio_unknown:
-            log = replace(log, command=log.command / guessed_ratio(log, wheelbase))
-    except InvalidInput as error:
-        return agreements, str(error).removeprefix("log: ")
-    return agreements + compare_signals(log, wheelbase), ""

@@ -42,6 +42,13 @@ UNDERSTEER, STEERING_RESPONSE_TIME, STEERED_SHARE = 0.003, 1.0, 0.25
 which a gyro is stuck, over its range."""
 
 
+def noise_of(values: Array) -> float:
+    """First guess of the noise of a sensor: third differences hold little else. NaN without samples."""
+    third = np.diff(values, 3)
+    third = third[np.isfinite(third)]
+    return float(np.median(np.abs(third))) / 0.6745 / math.sqrt(20.0) if third.size else math.nan
+
+
 def find_outliers(name: str, time: Array, values: Array) -> Rows:
     """Find the samples (n,) of a signal that are infinite, impossible or far from their neighbours.
 
@@ -153,10 +160,9 @@ def _find_isolated(name: str, time: Array, values: Array) -> Rows:
     trimmed = 1 + max(1, round(LONGEST_OUTLIER / float(np.median(np.diff(time[first])))))
     size = min(2 * max(NEIGHBOURS, math.ceil(2.5 * trimmed)) + 1, x.size - 1)
     low, high = (rank_filter(x, rank, size=size, mode="mirror") for rank in (trimmed, -1 - trimmed))
-    noise = float(np.median(np.abs(np.diff(x, 3)))) / 0.6745 / math.sqrt(20.0)
     step = float(np.diff(np.unique(x)).min())
     extent = (COMMAND_SHARE if name == "command" else SIGNAL_SHARE) * float(high.max() - low.min())
-    least = max(LEAST_DISTANCES[name], NOISE_SIGMAS * max(noise, step), extent)
+    least = max(LEAST_DISTANCES[name], NOISE_SIGMAS * max(noise_of(x), step), extent)
     beyond = np.maximum(x - high, low - x)
     isolated = (beyond > least) & (beyond > NEIGHBOUR_RANGES * (high - low))
     isolated[1:-1] |= _spikes(np.diff(x), trimmed, size, least)

@@ -5,63 +5,73 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.checked import reals
 from adaptrack.base.errors import InvalidInput, did_you_mean
+from adaptrack.base.files import read_arrow_table, read_bytes, table_lines
+from adaptrack.core.maths.portable import product
+from adaptrack.drive.trajectory import TRAJECTORY_FORMAT, Trajectory
+from adaptrack.identification.log import unwrapped
 from adaptrack.identification.outliers import find_samples
-from adaptrack.identification.table import CellArray, LogTable, find_origin, load_table, parse_instants, seconds
+from adaptrack.scenario.profile import list_profiles, load_profile
 
 Array = NDArray[np.float64]
+CellArray = NDArray[Any]
+"""(n,) float64, whole numbers, datetime64[ns], or text where most cells are no numbers."""
 Source = str | os.PathLike[str] | Mapping[str, object]
 """A log: a file, or arrays by name."""
 
-ALIASES: Mapping[str, tuple[str, ...]] = {
-    "time": ("time", "t", "timestamp", "timestamps", "stamp", "seconds", "sec"),
-    "command": (
+SIGNAL_COLUMNS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "time": ("time", ("time", "t", "timestamp", "timestamps", "stamp", "seconds", "sec")),
+    "command": ("angle", (
         "command", "steering_command", "steer_command", "steering_cmd", "steer_cmd", "delta_cmd", "cmd_steering",
         "steering_wheel_command", "u", "cmd", "command_steering_angle", "desired_steering_angle",
-    ),
-    "wheel": (
+    )),
+    "wheel": ("angle", (
         "wheel", "wheel_angle", "road_wheel_angle", "steering", "steering_angle", "steer", "steer_angle", "delta",
         "front_wheel_angle",
+    )),
+    "steering_wheel": (
+        "angle", ("steering_wheel_angle", "steering_wheel", "swa", "hand_wheel_angle", "handwheel_angle")
     ),
-    "steering_wheel": ("steering_wheel_angle", "steering_wheel", "swa", "hand_wheel_angle", "handwheel_angle"),
-    "speed": ("speed", "vx", "v_x", "velocity", "v", "ego_speed", "vehicle_speed", "v_ego", "longitudinal_velocity"),
-    "yaw_rate": (
+    "speed": ("speed", (
+        "speed", "vx", "v_x", "velocity", "v", "ego_speed", "vehicle_speed", "v_ego", "longitudinal_velocity",
+    )),
+    "yaw_rate": ("yaw_rate", (
         "yaw_rate", "yawrate", "r", "gyro_z", "gyroz", "wz", "omega_z", "omega", "psi_dot", "dpsi",
         "angular_velocity_z",
-    ),
-    "vy": ("vy", "v_y", "lateral_velocity"),
-    "acceleration": (
+    )),
+    "vy": ("speed", ("vy", "v_y", "lateral_velocity")),
+    "acceleration": ("acceleration", (
         "acceleration", "lateral_acceleration", "ay", "a_y", "acc_y", "accy", "accel_y", "acceleration_y", "a_lat",
-    ),
-    "acceleration_command": (
+    )),
+    "acceleration_command": ("acceleration", (
         "acceleration_command", "acceleration_cmd", "accel_command", "accel_cmd", "acc_cmd", "desired_acceleration",
         "requested_acceleration", "target_acceleration",
-    ),
+    )),
     "force_command": (
-        "force_command", "force_cmd", "requested_force", "desired_force", "wheel_force_command",
+        "force", ("force_command", "force_cmd", "requested_force", "desired_force", "wheel_force_command")
     ),
-    "throttle": ("throttle", "throttle_pedal", "accelerator", "accelerator_pedal", "gas", "gas_pedal"),
-    "brake": ("brake", "brake_pedal"),
-    "longitudinal_acceleration": (
+    "throttle": ("pedal", ("throttle", "throttle_pedal", "accelerator", "accelerator_pedal", "gas", "gas_pedal")),
+    "brake": ("pedal", ("brake", "brake_pedal")),
+    "longitudinal_acceleration": ("acceleration", (
         "longitudinal_acceleration", "ax", "a_x", "acc_x", "accx", "accel_x", "acceleration_x", "a_long",
-    ),
-    "yaw": ("yaw", "psi", "heading", "yaw_angle"),
-    "x": ("x", "pos_x", "position_x", "east"),
-    "y": ("y", "pos_y", "position_y", "north"),
+    )),
+    "yaw": ("angle", ("yaw", "psi", "heading", "yaw_angle")),
+    "x": ("length", ("x", "pos_x", "position_x", "east")),
+    "y": ("length", ("y", "pos_y", "position_y", "north")),
 }  # fmt: skip
-"""Names by which columns are known, without their unit."""
+"""Dimension of each signal, and names by which its column is known, without their unit."""
 HELD_SIGNALS = ("command", "acceleration_command", "force_command", "throttle", "brake")
 """Commands and pedals: each is in force until the next one."""
-_ANGLES = ("command", "wheel", "steering_wheel", "yaw")
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "angle": {"rad": 1.0, "deg": math.pi / 180.0},
@@ -89,7 +99,23 @@ FROM_ITS_CLOCK, LEAST_HOLE = 3.0, 0.3
 """Periods of its own clock, and s: a signal has no value farther than the larger of them from its samples."""
 LEAST_WRAP = 0.8
 """Least jump of an angle that wraps, in turns: between two samples it turns by less than the rest."""
+_NOTHING = ("", "nan", "NaN", "NA", "null")
+_NUMBER = re.compile(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)", re.IGNORECASE)
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
+_TIME = re.compile(r"\d{4}-\d\d-\d\d|\d{1,2}:\d\d")
+_PER_UNIT = {1.0: 1_000_000_000, 1e-3: 1_000_000, 1e-6: 1_000, 1e-9: 1}
+"""ns in a unit of so many s."""
 _AT_STEERING_WHEEL = re.compile(r"steering_?wheel|swa$|hand_?wheel")
+
+
+class LogTable(NamedTuple):
+    """Columns of one length by their names."""
+
+    columns: dict[str, CellArray]
+    units: dict[str, str]
+    """column -> its cell in the row of units below the names"""
+    computation: float = 0.0
+    """s, of the dead time that lies in the controller's computation, where the file tells"""
 
 
 @dataclass(frozen=True)
@@ -118,13 +144,15 @@ class Reading:
 
     def __post_init__(self) -> None:
         for name in (*self.columns, *(u for u in self.units if u), *self.flip, *self.clocks, *self.late):
-            if name not in ALIASES:
-                raise InvalidInput(f"identify: no signal is named {name!r}. {did_you_mean(name, ALIASES)}")
+            if name not in SIGNAL_COLUMNS:
+                raise InvalidInput(f"identify: no signal is named {name!r}. {did_you_mean(name, SIGNAL_COLUMNS)}")
         for name, unit in self.units.items():
             if not name and unit not in ("deg", "rad"):
                 raise InvalidInput(f"identify: units = {unit!r}: deg or rad for all, or signal=unit.")
-            if name and _SHORT.get(unit, unit) not in _UNITS[_dimension(name)]:
-                raise InvalidInput(f"identify: {name} in {unit!r}: must be {' or '.join(_UNITS[_dimension(name)])}.")
+            if name and _SHORT.get(unit, unit) not in _UNITS[SIGNAL_COLUMNS[name][0]]:
+                raise InvalidInput(
+                    f"identify: {name} in {unit!r}: must be {' or '.join(_UNITS[SIGNAL_COLUMNS[name][0]])}."
+                )
         for name, late in self.late.items():
             if not abs(reals(f"identify: late[{name!r}]", late)) <= 10.0:
                 raise InvalidInput(f"identify: {name} is late by {late!r}: must be within 10 s.")
@@ -150,6 +178,11 @@ class Columns:
     """-, by which steering angles were divided"""
 
 
+def list_sources(logs: Source | Sequence[Source]) -> list[Source]:
+    """A log, or several, as a list."""
+    return [logs] if isinstance(logs, str | os.PathLike | Mapping) else list(logs)
+
+
 def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading: Reading) -> Columns:
     """The signals of a log: a .csv or .parquet file, one of `Trajectory.save`, or arrays by name.
 
@@ -161,7 +194,7 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
         When it is no table of numbers, or names columns that it does not have.
     """
     where = "log" if isinstance(source, Mapping) else os.fspath(source)
-    table = _table_from_arrays(source) if isinstance(source, Mapping) else load_table(Path(source))
+    table = _table_from_arrays(source) if isinstance(source, Mapping) else _load_table(Path(source))
     mapping, notes = _assign_columns(table.columns, reading, where)
     origin = _read_times(table, mapping.get("time"), reading, where)
     values = {}
@@ -170,7 +203,7 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
         sign = -1.0 if signal in reading.flip or (signal == "steering_wheel" and "wheel" in reading.flip) else 1.0
         cells = table.columns[column]
         if signal == "time":
-            values[signal] = seconds(cells, factor, origin)
+            values[signal] = _seconds(cells, factor, origin)
         elif cells.dtype.kind in "fiu":
             values[signal] = cells * factor * sign
         elif signal in NEEDED_SIGNALS or signal in reading.columns:
@@ -181,9 +214,13 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
             continue
         if unit not in ("s", "rad", "m/s", "rad/s", "m/s^2", "m", "N", "-") or sign < 0.0:
             notes.append(f"{signal} is read from {column!r} in {unit}" + (", flipped" if sign < 0.0 else ""))
-    for signal in set(_ANGLES) & values.keys() - {"yaw"}:
+    for signal in [name for name in ("command", "wheel", "steering_wheel") if name in values]:
         values[signal] = _without_turns(signal, values[signal], notes)
-    _on_one_clock(values, _clocks(table, reading, origin), reading.late, notes)
+    clocks = {
+        signal: _seconds(table.columns[column], _unit("time", column, reading, table.units)[1], origin)
+        for signal, column in reading.clocks.items()
+    }
+    _on_one_clock(values, clocks, reading.late, notes)
     values = _without_repeats(values, notes)
     commanded, unknown = _at_road_wheels(values, mapping, reading.steering_ratio, notes)
     if "time" in values:
@@ -216,26 +253,18 @@ def _read_times(table: LogTable, time: str | None, reading: Reading, where: str)
             raise InvalidInput(f"{where}: has no column {column!r}. {did_you_mean(column, table.columns)}")
         cells = table.columns[column]
         if cells.dtype.kind == "U":
-            table.columns[column] = parse_instants(cells)
+            table.columns[column] = _parse_instants(cells)
         if table.columns[column].dtype.kind == "U":
             remedy = "give seconds, ISO 8601 (2024-05-01T10:00:00.05), or name another column: --columns time=NAME."
             raise InvalidInput(_text_refusal(where, "time", column, cells) + remedy)
     if not clocks:
         return 0
-    return find_origin(table.columns[clocks[0]], _unit("time", clocks[0], reading, table.units)[1])
+    return _find_origin(table.columns[clocks[0]], _unit("time", clocks[0], reading, table.units)[1])
 
 
 def _text_refusal(where: str, signal: str, column: str, cells: CellArray) -> str:
     """The first half of a sentence on a column without numbers."""
     return f"{where}: {signal} is the column {column!r}, which holds no numbers (its first cell: {str(cells[0])!r}); "
-
-
-def _clocks(table: LogTable, reading: Reading, origin: int) -> dict[str, Array]:
-    """Signal -> s since an origin (ns), the times of its own clock."""
-    clocks = {}
-    for signal, column in reading.clocks.items():
-        clocks[signal] = seconds(table.columns[column], _unit("time", column, reading, table.units)[1], origin)
-    return clocks
 
 
 def _on_one_clock(
@@ -296,14 +325,12 @@ def _resampled(signal: str, time: Array, clock: Array, values: Array) -> Array:
 
 def _without_turns(signal: str, angle: Array, notes: list[str]) -> Array:
     """A steering angle that wraps, without its jumps by a turn: of 2 pi, or of 360 where its unit is left out."""
-    is_finite = np.isfinite(angle)
-    x = angle[is_finite]
+    x = angle[np.isfinite(angle)]
     for turn in (2.0 * math.pi, 360.0):
         jumps = np.abs(np.diff(x)) > LEAST_WRAP * turn
         if jumps.any() and np.ptp(x) <= 1.01 * turn:
             notes.append(f"{signal} jumps by a turn {int(jumps.sum())} times: it is unwrapped")
-            out = np.full_like(angle, math.nan)
-            out[is_finite] = np.unwrap(x, period=turn)
+            out = unwrapped(angle, turn)
             return np.asarray(out - turn * np.round(np.nanmedian(out) / turn))
     return angle
 
@@ -380,7 +407,7 @@ def _assign_columns(table: Mapping[str, CellArray], reading: Reading, where: str
         mapping[signal] = column
     notes: list[str] = []
     plain = {column: _plain(column)[0] for column in table}
-    for signal, names in ALIASES.items():
+    for signal, (_, names) in SIGNAL_COLUMNS.items():
         if signal in mapping:
             continue
         for name in names:
@@ -395,19 +422,9 @@ def _assign_columns(table: Mapping[str, CellArray], reading: Reading, where: str
     return mapping, notes
 
 
-def _dimension(signal: str) -> str:
-    if signal in _ANGLES:
-        return "angle"
-    dimensions = {
-        "x": "length", "y": "length", "vy": "speed", "acceleration_command": "acceleration",
-        "longitudinal_acceleration": "acceleration", "force_command": "force", "throttle": "pedal", "brake": "pedal",
-    }  # fmt: skip
-    return dimensions.get(signal, signal)
-
-
 def _unit(signal: str, column: str, reading: Reading, row: Mapping[str, str]) -> tuple[str, float]:
     """The unit of a column and its factor to SI: as requested, else in its name, else in the row of units."""
-    dimension = _dimension(signal)
+    dimension = SIGNAL_COLUMNS[signal][0]
     units = _UNITS[dimension]
     stated_unit = reading.units.get(signal)
     if stated_unit is None and signal == "steering_wheel":
@@ -430,6 +447,135 @@ def _unit_from_row(signal: str, column: str, cell: str) -> str:
     text = cell.strip("[]() ").lower().replace("²", "2").replace("°", "deg")
     unit = _SHORT.get(text, _SHORT.get(re.sub(r"[^a-z0-9]+", "_", text).strip("_"), ""))
     if text not in ("", "-") and not unit:
-        options = " or ".join(_UNITS[_dimension(signal)])
+        options = " or ".join(_UNITS[SIGNAL_COLUMNS[signal][0]])
         raise InvalidInput(f"log: {signal} is the column {column!r} in {cell!r}: say --units {signal}={options}.")
     return unit
+
+
+# -- tables in files --------------------------------------------------------------------------------------------------
+def _load_table(path: Path) -> LogTable:
+    """The table in a CSV or Parquet file, or in one of `Trajectory.save`."""
+    content = read_bytes(path)
+    return _parquet(path, content) if content[:4] == b"PAR1" else _csv(path, content)
+
+
+def _find_origin(times: CellArray, factor: float) -> int:
+    """ns, the first of times that are whole numbers or instants; 0 for others.
+
+    factor: s, the unit of whole numbers
+    """
+    if times.dtype.kind == "M":
+        times, factor = _nanoseconds(times)[~np.isnat(times)], 1e-9
+    return int(times[0]) * _PER_UNIT[factor] if times.dtype.kind in "iu" and times.size else 0
+
+
+def _seconds(times: CellArray, factor: float, origin: int) -> Array:
+    """Times in s since an origin (ns), which is taken off before whole numbers beyond 2^53 are rounded.
+
+    factor: s, the unit of the times; instants have their own.
+    """
+    if times.dtype.kind == "M":
+        return np.where(np.isnat(times), np.nan, _seconds(_nanoseconds(times), 1e-9, origin))
+    base, remainder = divmod(origin, _PER_UNIT[factor])
+    if times.dtype.kind not in "iu" or abs(base) >= 2**62:
+        return np.asarray(times * factor - 1e-9 * origin, dtype=np.float64)
+    return np.asarray((times - base) * factor - 1e-9 * remainder, dtype=np.float64)
+
+
+def _nanoseconds(instants: CellArray) -> NDArray[np.int64]:
+    """Instants in ns."""
+    return instants.astype("datetime64[ns]").astype(np.int64)
+
+
+def _parse_instants(text: CellArray) -> CellArray:
+    """Times of day in s, or instants, from text in ISO 8601; the text where a cell is neither."""
+    try:
+        dates = [datetime.fromisoformat(cell.strip().replace(",", ".")) for cell in text]
+        utc = [date if date.tzinfo else date.replace(tzinfo=UTC) for date in dates]
+        return np.array([date.astimezone(UTC).replace(tzinfo=None) for date in utc], dtype="datetime64[ns]")
+    except ValueError:
+        clocks = [_CLOCK.fullmatch(cell.strip()) for cell in text]
+    hands = [(match[1], match[2], match[3].replace(",", ".")) for match in clocks if match]
+    if len(hands) < text.size:
+        return text
+    return product(np.array(hands, dtype=np.float64), np.array([3600.0, 60.0, 1.0]))
+
+
+def _parquet(path: Path, content: bytes) -> LogTable:
+    table = read_arrow_table(content, str(path))
+    if any(TRAJECTORY_FORMAT.encode() in value for value in (table.schema.metadata or {}).values()):
+        run = Trajectory.load(path)
+        names = {"time": run.t, "command": run.command, "speed": run.vx, "yaw_rate": run.yaw_rate,
+                 "wheel": run.steering, "acceleration": run.lateral_acceleration}  # fmt: skip
+        if "requested_force" in run.diagnostics:
+            names["force_command"] = run.diagnostics["requested_force"]
+        return LogTable(
+            {name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, {}, _computation(run)
+        )
+    return LogTable({name: _read_cells(table.column(i)) for i, name in enumerate(table.column_names)}, {})
+
+
+def _computation(run: Trajectory) -> float:
+    """s, delay of the profile that a trajectory was driven in, where it is a shipped one."""
+    name = getattr(run, "meta", {}).get("profile")
+    return load_profile(name).delay * float(getattr(run, "period", 0.0)) if name in list_profiles() else 0.0
+
+
+def _csv(path: Path, content: bytes) -> LogTable:
+    import pyarrow
+    import pyarrow.csv
+
+    numbered, remarks = table_lines(str(path), content, "replace")
+    lines = [line for _, line in numbered]
+    if lines and _NUMBER.fullmatch(re.split(r"[,;|\t]", lines[0])[0].strip()):  # the names stand in a remark above
+        lines[:0] = [text for number, text in remarks if number < numbered[0][0]][-1:]
+    if len(lines) < 2:
+        raise InvalidInput(f"{path}: a header and rows of numbers are needed.")
+    delimiter = max(",;\t|", key=lines[0].count)
+    units = _read_units(lines, delimiter)
+    if units:
+        del lines[1]
+    point = "," if delimiter == ";" and "." not in lines[1] else "."
+    try:
+        table = pyarrow.csv.read_csv(
+            pyarrow.BufferReader("\n".join(lines).encode()),
+            # Without threads: one that still reads after an error, while Python exits, would abort the process.
+            read_options=pyarrow.csv.ReadOptions(use_threads=False),
+            parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
+            convert_options=pyarrow.csv.ConvertOptions(decimal_point=point, null_values=list(_NOTHING)),
+        )
+    except pyarrow.ArrowException as error:
+        raise InvalidInput(f"{path}: not a table: {error}.") from None
+    names = [name.strip().strip('"') for name in table.column_names]
+    columns = {name: _read_cells(table.column(i)) for i, name in enumerate(names)}
+    return LogTable(columns, dict(zip(names, units, strict=False)))
+
+
+def _read_units(lines: Sequence[str], delimiter: str) -> list[str]:
+    """The cells below the names where none of them is a number, but cells of the next row are; else none."""
+    rows = [[cell.strip().strip('"').strip() for cell in line.split(delimiter)] for line in lines[1:3]]
+    if len(rows) < 2 or len(rows[0]) < 2 or any(map(_NUMBER.fullmatch, rows[0])):
+        return []
+    return rows[0] if any(map(_NUMBER.fullmatch, rows[1])) and not any(map(_TIME.match, rows[0])) else []
+
+
+def _read_cells(column: Any) -> CellArray:
+    """An Arrow column as an array; text of which most is numbers as these, the rest as NaN."""
+    import pyarrow
+
+    kind = column.type
+    if pyarrow.types.is_duration(kind):
+        nanoseconds = column.cast(pyarrow.duration("ns")).cast(pyarrow.int64())
+        column, kind = nanoseconds.cast(pyarrow.timestamp("ns")), pyarrow.timestamp("ns")
+    if pyarrow.types.is_timestamp(kind) or pyarrow.types.is_date(kind):
+        return column.cast(pyarrow.timestamp("ns"), safe=False).to_numpy().astype("datetime64[ns]")
+    if pyarrow.types.is_integer(kind) and not column.null_count:
+        return np.asarray(column.to_numpy())
+    if pyarrow.types.is_string(kind) or pyarrow.types.is_large_string(kind) or pyarrow.types.is_time(kind):
+        text = np.array([str(cell.as_py() or "") for cell in column])
+        numbers = np.array([float(cell) if _NUMBER.fullmatch(cell.strip()) else np.nan for cell in text])
+        return numbers if np.isfinite(numbers).mean() > 0.5 else text
+    try:
+        return np.asarray(column.cast(pyarrow.float64(), safe=False).to_numpy(), dtype=np.float64)
+    except (pyarrow.ArrowException, ValueError):
+        return np.full(len(column), np.nan)

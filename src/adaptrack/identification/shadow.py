@@ -1,7 +1,7 @@
 """Shadow mode: the estimator and the learner of a controller run over logs of a driver and steer nothing.
 
 At every control instant they are given what the log measured, and its command (or, without one, the measured wheel
-angle) as the one applied. What they predict (`observing`) is compared with what came; intervals are those of a
+angle) as the one applied. What they predict (`observation`) is compared with what came; intervals are those of a
 bootstrap over blocks of `INTERVAL_BLOCK`.
 """
 
@@ -34,17 +34,19 @@ from adaptrack.core.maths import portable
 from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN
 from adaptrack.drive.prediction import TIMES
-from adaptrack.identification.instants import InstantSamples, LogSource, ReadLog
 from adaptrack.identification.loop_check import check_loop
-from adaptrack.identification.reading import Reading
-from adaptrack.identification.shadow_predictions import (
+from adaptrack.identification.observation import (
     LEFT_OUT,
     PREDICTED_QUANTITIES,
     PREDICTORS,
+    InstantSamples,
+    LogSource,
     Observer,
     Predicted,
+    ReadLog,
     predicted,
 )
+from adaptrack.identification.reading import Reading, list_sources
 from adaptrack.road import Road, load_road
 from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario.profile import Profile, load_profile
@@ -67,12 +69,7 @@ STILL_OPEN = 0.5
 WORSE = 1.1
 """Times the error of a simpler predictor, with 95 %, from which what was learned is doubted."""
 SIMPLER = {"held": "the yaw rate held", "first": "the first belief", "steady": "the steady turn"}
-OMITTABLE_SIGNALS: tuple[tuple[str, ...], ...] = (
-    ("vy",),
-    ("x", "y", "yaw"),
-    ("vy", "x", "y", "yaw"),
-    ("acceleration",),
-)
+OMITTABLE_SIGNALS = (("vy",), ("x", "y", "yaw"), ("vy", "x", "y", "yaw"), ("acceleration",))
 """Signals without which the logs are gone through again where the learned model is not best, or is doubted;"""
 SPOILT = 0.9
 """they are named where fewer logs are doubted, or the error is below so many times that with them."""
@@ -208,9 +205,8 @@ def shadow(
     InvalidInput
         When a log lacks a signal, is too short or hardly steered.
     """
-    sources = [logs] if isinstance(logs, str | os.PathLike | Mapping) else list(logs)
     vehicle = car if isinstance(car, Vehicle) else load_vehicle(car)
-    read = [ReadLog.of(source, vehicle, reading or Reading()) for source in sources]
+    read = [ReadLog.of(source, vehicle, reading or Reading()) for source in list_sources(logs)]
     if not read:
         raise InvalidInput("shadow: give one log at least.")
     removable = sorted({name for names in OMITTABLE_SIGNALS for name in names} | {"wheel"})
@@ -341,13 +337,17 @@ def _summarise_log(
     expected = {key: values for key, values in records.items() if isinstance(key, tuple)}
     measured = {name: records[name] for name in PREDICTED_QUANTITIES}
     predictions = tuple(_compared(time, records["command"], measured, expected, mpc.period))
-    bounds = _at_bounds(records)
+    bounds = {
+        f"{name.replace('_', ' ')} at the end of its range": records["belief_at_bound"] == i + 1
+        for i, name in enumerate(kernel.QUANTITIES_BOUNDED)
+    }
     contradictory = {"the belief fits no car within its ranges": records["belief_state"] == BeliefState.CONTRADICTORY}
     silent = {
         f"{name.replace('_', ' ')} left out by the filter": records["left out"] == i + 1
         for i, name in enumerate(SENSORS)
     }
-    contradictions = list(_contradictions(read, mpc.vehicle))
+    sentences = check_loop(read.columns, mpc.vehicle).contradictions
+    contradictions = [Warned(sentence.rstrip("."), math.nan, 0.0) for sentence in sentences]
     late = time > time[-1] - IN_THE_END
     doubts = [contradiction.what for contradiction in contradictions]
     doubts += _lasting_messages(contradictory, late, MAX_CONTRADICTED_SHARE)
@@ -366,12 +366,6 @@ def _summarise_log(
         before=first.learner.learned(first.known),
         learned=ours.learner.learned(ours.known),
     )  # fmt: skip
-
-
-def _contradictions(read: ReadLog, car: Vehicle) -> Iterator[Warned]:
-    """Inputs that contradict each other."""
-    for sentence in check_loop(read.columns, car).contradictions:
-        yield Warned(sentence.rstrip("."), math.nan, 0.0)
 
 
 def _compared(
@@ -393,14 +387,6 @@ def _compared(
                     PREDICTORS, block_rms(squared[:, chosen], block[chosen]), strict=True
                 ):
                     yield Prediction(predictor, quantity, ahead, part, rms, ours)
-
-
-def _at_bounds(records: Mapping[Any, Array]) -> dict[str, Flags]:
-    """(n,) whether the belief is at a bound, by which that is in words."""
-    return {
-        f"{name.replace('_', ' ')} at the end of its range": records["belief_at_bound"] == i + 1
-        for i, name in enumerate(kernel.QUANTITIES_BOUNDED)
-    }
 
 
 def _lasting_messages(flags: Mapping[str, Flags], late: Flags, share: float) -> list[str]:

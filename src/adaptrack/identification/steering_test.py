@@ -21,11 +21,11 @@ from adaptrack.control.controllers import LearnedCar
 from adaptrack.core.estimators.learning import LEARNED, QUANTITIES_BOUNDED, STIFFNESS_BOUND
 from adaptrack.core.maths import portable
 from adaptrack.core.synthesis.learner import MAX_BALANCE_RANGE, MAX_BIAS_RANGE, MAX_STIFFNESS_RANGE, UNIFORM_SIGMA
-from adaptrack.identification.estimates import ReportedRow, slopes_at, values_at
+from adaptrack.identification.estimates import delay_rows, slopes_at, values_at
 from adaptrack.identification.likelihood import Likelihood
 from adaptrack.identification.log import LONGEST_PERIOD, Log
-from adaptrack.identification.quantities import INDEX, QUANTITIES, Prior, beliefs_of, shift_from_zero
-from adaptrack.identification.starts import START_DELAYS
+from adaptrack.identification.log_fit import START_DELAYS, starting_point
+from adaptrack.identification.quantities import QUANTITIES, Prior, beliefs_of
 
 Array = NDArray[np.float64]
 
@@ -165,15 +165,17 @@ class SteeringTest:
         }
         priors |= {"gain": GAIN_PRIOR, "wind_mean": Prior(0.0, 0.0)}
         likelihood = Likelihood(log, self.car, priors)
-        fits = [likelihood.fit(_start(likelihood, delay)) for delay in START_DELAYS]
-        z, scored = min(fits, key=lambda fit: fit[1].objective)
-        share = _explained(Likelihood(log, self.car, priors, log.begins.astype(float)), z)
+        z, scored = likelihood.fit_best(starting_point(likelihood, "delay", delay) for delay in START_DELAYS)
+        share = _explained(likelihood.using(log.begins.astype(float)), z)
         if not share >= MIN_EXPLAINED:
             raise InvalidInput(
                 f"SteeringTest: the wheels do not follow the commands, which explain {max(share, 0.0):.0%} of the "
                 "response: check that the commands reach the steering, their sign, and the sensor's unit."
             )
-        return _steering_fit(likelihood, z, portable.inverse(scored.information))
+        rows, covariance = delay_rows(QUANTITIES, positive=False), portable.inverse(scored.information)
+        slopes, (lag, dead_time) = slopes_at(likelihood, rows, z), values_at(likelihood, rows, z)
+        covariance = portable.product(portable.product(slopes, covariance), slopes.T)
+        return SteeringFit(float(lag), float(dead_time), covariance)
 
     def estimate(self) -> LearnedCar:
         """Return the steering delay as a prior for `Learning(start=...)`; the rest of the car stays unknown.
@@ -209,26 +211,8 @@ def _log_of(rows: Array) -> Log:
     )  # fmt: skip
 
 
-def _start(likelihood: Likelihood, delay: float) -> Array:
-    """A starting point z with a delay (s)."""
-    z, place = np.zeros(len(QUANTITIES)), INDEX["delay"]
-    z[place] = shift_from_zero(delay / likelihood.median[place]) / likelihood.spread[place]
-    return z
-
-
 def _explained(simulation: Likelihood, z: Array) -> float:
     """Share of the variance of the wheel angle, or else of the yaw rate, that the commands explain at a point z."""
     output, signal = (4, "wheel") if simulation.present["wheel"] else (0, "yaw_rate")
     error, measured = simulation.innovations(z)[0][output], getattr(simulation.log, signal)
     return float(1.0 - np.nanvar(error) / max(float(np.nanvar(measured)), 1e-12))
-
-
-def _steering_fit(likelihood: Likelihood, z: Array, covariance: NDArray[Any]) -> SteeringFit:
-    """Lag and dead time at a point z; covariance: of its free entries."""
-    delay, share = INDEX["delay"], INDEX["lag_share"]
-    rows: list[ReportedRow] = [
-        ("lag", "s", "", False, lambda v: float(v[share] * v[delay])),
-        ("dead_time", "s", "", False, lambda v: float((1.0 - v[share]) * v[delay])),
-    ]
-    slopes, (lag, dead_time) = slopes_at(likelihood, rows, z), values_at(likelihood, rows, z)
-    return SteeringFit(float(lag), float(dead_time), portable.product(portable.product(slopes, covariance), slopes.T))

@@ -24,8 +24,8 @@ from adaptrack.control.controllers.learned_car import WITHIN
 from adaptrack.core.estimators.learning import LEARNED
 from adaptrack.core.maths import portable
 from adaptrack.drive.prediction import TIMES
+from adaptrack.identification.observation import PREDICTORS
 from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
-from adaptrack.identification.shadow_predictions import PREDICTORS
 from adaptrack.results.learned_picture import LABELS
 from adaptrack.results.marks import add_degrees, draw_dots, draw_ribbon
 from adaptrack.results.run_pictures import thin_curve, turning_part
