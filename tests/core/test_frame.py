@@ -11,7 +11,7 @@ from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.core.simulation import frame
 from adaptrack.core.simulation import run as kernel
 from adaptrack.core.simulation.frame import FRAME
-from adaptrack.core.simulation.run import TRACE_SIGNALS, Shown
+from adaptrack.core.simulation.run import TRACE_SIGNALS, Frames
 from adaptrack.core.simulation.world import OFF_ROAD, RUNNING
 from adaptrack.drive.batch import Batch
 from adaptrack.road import Arc, Line, Road
@@ -31,8 +31,8 @@ def run_of(controller, scenario, profile="road", traced=False, **options):
     part, settings = run.controller, run.controller.mpc.settings
     width = len(FRAME) + part.answer.shape[1] - 1 + (0 if part.plans else part.tuning.shape[1])
     widths = width, 2 * int(settings.longest_horizon), int(settings.most_moves)
-    shown = Shown(*(np.full((n, columns), np.nan) for columns in widths))
-    run = run._replace(show=address_of(frame.show_period), shown=shown)
+    frames = Frames(*(np.full((n, columns), np.nan) for columns in widths))
+    run = run._replace(show=address_of(frame.show_period), frames=frames)
     run.inputs.seeds[:], run.vehicles.start[:], run.controller.tuning[:] = 3, batch.starts[0], batch.tuning
     kernel.begin(1, Resident(run))
     return run, n
@@ -42,7 +42,7 @@ def frames_of(run, pieces):
     """The frames of a drive that is driven in pieces of so many periods."""
     first = int(run.memory.drives["instant"][0])
     periods = sum(kernel.roll_on(count, 1, run) for count in pieces)
-    return [table[first : first + periods] for table in run.shown]
+    return [table[first : first + periods] for table in run.frames]
 
 
 def pieces_of(n):

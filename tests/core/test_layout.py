@@ -85,7 +85,7 @@ def test_the_sizes_that_kernels_say_are_those_that_python_lays(name):
     run = batch.run_record(3, int(batch.substeps[0]), Room(), 4, 50, batch.scheduler)
     (settings,) = mpc.MPCSettings.new(1, **run.controller.mpc.settings._asdict())
     settings.learns, settings.curved, settings.feeds_forward = 0, 0, 0
-    table = np.full((layout.arrays_of(kernel.Run), layout.SIZES), -1)
+    table = np.full((layout.arrays_of(kernel.RunRecord), layout.SIZES), -1)
     assert kernel.write_sizes(settings, sizes_of(run), table) == len(table)
     for row, laid in zip(table.tolist(), arrays(run), strict=True):
         assert tuple(row[: laid.ndim]) == laid.shape

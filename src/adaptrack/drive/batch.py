@@ -275,7 +275,7 @@ class Batch:
         self, slots: int, steps: int, room: Room, segments: int = 0, periods: int = 0,
         scheduler: CompiledScheduler | None = None, **given: Any,
     ) -> Any:  # fmt: skip
-        """Allocate the kernels' arrays for up to `slots` runs (`core.simulation.run.Run`).
+        """Allocate the kernels' arrays for up to `slots` runs (`core.simulation.run.RunRecord`).
 
         Parameters
         ----------
@@ -396,7 +396,7 @@ class Batch:
         return BatchRuns(result, _joined(traces, runs) if traces else kernel.no_trace(), guard_counts, segments)
 
     def _drive(self, chunk: NDArray[np.int64], inputs: _BatchInputs, room: Room, previous_record: Any) -> Any:
-        """Drive the runs of one chunk and return their `core.simulation.run.Run`.
+        """Drive the runs of one chunk and return their `core.simulation.run.RunRecord`.
 
         previous_record: record of an earlier chunk, or None. Its arrays are reused if their sizes match and its results
         are no longer needed.

@@ -266,7 +266,7 @@ class ClosedLoop:
         A command that is not finite ends the run and returns False.
         """
         self.answer[COMMON_ANSWER.command] = command
-        self._drives["asked"] = ANSWERED
+        self._drives["caller_state"] = ANSWERED
         self.roll_on(2)
         return math.isfinite(command)
 

@@ -264,7 +264,7 @@ class World:
         self, inputs: Any, vehicles: Any, settings: Any, controller: Any, *, needs_variables: bool, trace: Any = None,
         segments: int = 0, asks: bool = False, **given: Any,
     ) -> Any:  # fmt: skip
-        """Allocate new runs with their controllers (`core.simulation.run.Run`), one run per vehicle.
+        """Allocate new runs with their controllers (`core.simulation.run.RunRecord`), one run per vehicle.
 
         Parameters
         ----------

@@ -51,7 +51,7 @@ turning, estimator or learner. On a road ``curved`` is 1 and ``feeds_forward`` 0
    otherwise ``plant_parameters`` of the steering that this assumes, and of ``sensor_variances`` those of ``sensors``.
    ``longitudinal_begin``.
 3. ``prescribed_speed`` of the run is ``external_forces``, `control_planned_speed` its ``control_speed``, and there is
-   room for ``speeds_ahead`` in ``speeds``. `roll_on` drives; what is seen is in ``shown``, by `show_period`.
+   room for ``speeds_ahead`` in ``speeds``. `roll_on` drives; what is seen is in ``frames``, by `show_period`.
 
 **A law** (`pure-pursuit`, `stanley`, `lqr`): ``common`` is a row of `synthesis.laws.Common`; ``size`` numbers are made
 by the kernel that ``made_by`` names, from car and common, of the LQR from its first three tuning entries as well; of

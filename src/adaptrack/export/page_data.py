@@ -44,7 +44,7 @@ from adaptrack.scenario import load_scenario
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 RECORDS = (
-    run.Run, run.RunSizes, road.Centreline, station_table.AlongRecord, speed.Planning,
+    run.RunRecord, run.RunSizes, road.Centreline, station_table.AlongRecord, speed.Planning,
     drive.RoadDriveRecord, Order, MPCNumbers, laws.Common, CarRow, car.KnownWithinRow,
     SteeringRow, plant.TyreRow, plant.Actuator, plant.BodyRow, plant.OutlineRow, Longitudinal,
     speed_path.PlanArrays,

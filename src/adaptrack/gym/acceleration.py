@@ -89,7 +89,7 @@ class AccelerationInput:
         vehicle
             Data sheet of the cars.
         run
-            Batch or run, `core.simulation.run.Run`.
+            Batch or run, `core.simulation.run.RunRecord`.
         """
         loop, signals = run.memory.drives, run.inputs.signals
         place = np.where(loop["located"] > 0, loop["place"], np.minimum(loop["sample"], signals.shape[2] - 1))

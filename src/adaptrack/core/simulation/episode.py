@@ -10,7 +10,7 @@ from ..estimators.learning import BELIEF_NAMES, BELIEFS_OFFSET
 from ..kernel import Place, exported, float64, inlined, matrix, record, rows, void
 from ..scheduling.functions import VARIABLE_COLUMNS
 from .observation import ObservationSpace, bounded, keep, write_observation
-from .run import Run, begin_slot, roll_on
+from .run import RunRecord, begin_slot, roll_on
 from .world import ANSWERED, RUNNING
 
 EPISODE = record(
@@ -30,7 +30,7 @@ EPISODE_RUNS, EPISODE_FAILED, EPISODE_ARRIVED = range(3)
 Episodes = record(
     "Episodes",
     (
-        ("run", Run), ("states", rows(EPISODE)), ("space", ObservationSpace), ("observations", matrix),
+        ("run", RunRecord), ("states", rows(EPISODE)), ("space", ObservationSpace), ("observations", matrix),
         ("failure_cost", float64),
     ),
 )  # fmt: skip
@@ -56,7 +56,7 @@ def drive_on(episodes):
     slots = episodes.states.size
     for slot in range(slots):
         if episodes.states[slot].over == EPISODE_RUNS:
-            episodes.run.memory.drives[slot].asked = ANSWERED
+            episodes.run.memory.drives[slot].caller_state = ANSWERED
     roll_on(2, slots, episodes.run)  # until all have come to their next instant
     for slot in range(slots):
         if episodes.states[slot].over == EPISODE_RUNS:

@@ -1,6 +1,6 @@
 """What of a drive is shown: a row of numbers a control period, the path that the MPC predicts, the moves that it plans.
 
-A run whose `show` is the address of `show_period` has these of its last instants in `shown` (`run.Shown`).
+A run whose `show` is the address of `show_period` has these of its last instants in `frames` (`run.Frames`).
 """
 
 from __future__ import annotations
@@ -144,19 +144,19 @@ def _write_speed_numbers(longitudinal, row):
 
 @exported(SHOW)
 def show_period(slot, run):
-    """Write what is shown of a period, its command known, the car not yet moved; see `run.Shown`.
+    """Write what is shown of a period, its command known, the car not yet moved; see `run.Frames`.
 
     numbers: see FRAME; behind a speed control the rows end with SPEED_FRAME. predicted: x and y (m) in turn of where
     the car will be 1, 2, ..., Np periods after the dead time. moves: rad, changes of the command that are planned,
     those for the road included. Both are NaN behind the horizons, of control laws, and where a step found no solution.
     """
-    shown, k = run.shown, run.memory.drives[slot].instant - 1
-    place = k % len(shown.numbers)
-    row, width = shown.numbers[place], shown.numbers.shape[1]
+    frames, k = run.frames, run.memory.drives[slot].instant - 1
+    place = k % len(frames.numbers)
+    row, width = frames.numbers[place], frames.numbers.shape[1]
     if run.longitudinal.sample.size > 0:
         width -= len(SPEED_FRAME)
         _write_speed_numbers(run.longitudinal, row[width:])
     _write_numbers(k, slot, run, row[:width])
     planned = run.inputs.signals[run.inputs.scenario[slot], SIGNAL.speed, k:]
     speeds = run.speeds if run.speeds.size > 0 else planned
-    _write_plan(slot, run, speeds, shown.predicted[place], shown.moves[place])
+    _write_plan(slot, run, speeds, frames.predicted[place], frames.moves[place])

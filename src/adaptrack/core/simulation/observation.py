@@ -9,7 +9,7 @@ from ..maths.bits import whole
 from ..maths.exact import clip, floor
 from ..models.contract import MEASUREMENT
 from ..roads.road import line_of, point_at
-from .run import Run
+from .run import RunRecord
 from .world import SIGNAL
 
 OBSERVATION = columns(
@@ -73,7 +73,7 @@ def write_observation(slot, run, space, row):
     bounded(row, space)
 
 
-@exported(void(Place(Run), Place(ObservationSpace), vector))
+@exported(void(Place(RunRecord), Place(ObservationSpace), vector))
 def write_one_observation(run, space, row):
     """`write_observation`, of the only slot."""
     write_observation(0, run, space, row)

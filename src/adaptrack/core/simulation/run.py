@@ -149,42 +149,44 @@ Trace = record(
 )
 """Of every instant of each run."""
 
-Shown = record(
-    "Shown",
+Frames = record(
+    "Frames",
     (
-        ("numbers", matrix, "shown", "columns"), ("predicted", matrix, "shown", "points"),
-        ("moves", matrix, "shown", "moves"),
+        ("numbers", matrix, "frames", "columns"), ("predicted", matrix, "frames", "points"),
+        ("moves", matrix, "frames", "moves"),
     ),
 )  # fmt: skip
 """What `frame.show_period` writes of the last instants: instant k in row k modulo the number of rows."""
 
-RUN = (
-    ("settings", LoopSettings),
-    ("features", Features),
-    ("vehicles", Vehicles),
-    ("inputs", RunInputs),
-    ("variable_estimator", VariableEstimator),
-    ("measured", matrix, "slots", len(MEASUREMENT)),
-    ("variables", matrix, "slots", len(VARIABLE_COLUMNS)),
-    ("memory", Memory),
-    ("result", rows(RESULT), "slots"),
-    ("cost_limit", vector, "slots"),  # squared error plus weight times squared move that stop a run; NaN: none
-    ("weight", float64),  # m^2/rad^2, of squared moves in a cost
-    ("segment", int64),  # periods of a segment; 0: none is counted
-    ("segments", matrix, "slots", "segments"),  # cost of each segment of a run
-    ("trace", Trace),
-    ("controller", ControllerPart),
-    ("control_speed", int64),  # address, see `CONTROL_SPEED`; 0: there is no speed control
-    ("longitudinal", Longitudinal),  # of `control_planned_speed`, for one slot; else empty
-    ("speeds", vector, "speeds"),  # m/s, room for the speeds from now on that it allows
-    ("show", int64),  # address of `frame.show_period`; 0: nothing is shown
-    ("shown", Shown),
+RunRecord = record(
+    "RunRecord",
+    (
+        ("settings", LoopSettings),
+        ("features", Features),
+        ("vehicles", Vehicles),
+        ("inputs", RunInputs),
+        ("variable_estimator", VariableEstimator),
+        ("measured", matrix, "slots", len(MEASUREMENT)),
+        ("variables", matrix, "slots", len(VARIABLE_COLUMNS)),
+        ("memory", Memory),
+        ("result", rows(RESULT), "slots"),
+        ("cost_limit", vector, "slots"),  # squared error plus weight times squared move that stop a run; NaN: none
+        ("weight", float64),  # m^2/rad^2, of squared moves in a cost
+        ("segment", int64),  # periods of a segment; 0: none is counted
+        ("segments", matrix, "slots", "segments"),  # cost of each segment of a run
+        ("trace", Trace),
+        ("controller", ControllerPart),
+        ("control_speed", int64),  # address, see `CONTROL_SPEED`; 0: there is no speed control
+        ("longitudinal", Longitudinal),  # of `control_planned_speed`, for one slot; else empty
+        ("speeds", vector, "speeds"),  # m/s, room for the speeds from now on that it allows
+        ("show", int64),  # address of `frame.show_period`; 0: nothing is shown
+        ("frames", Frames),
+    ),
 )
-Run = record("Run", RUN)
 """A batch of runs with their controllers."""
-CONTROL_SPEED = void(Place(Run))
+CONTROL_SPEED = void(Place(RunRecord))
 """``control_speed(run)``: request the forces of the only slot (`world.EXTERNAL_FORCES`) before its controller steps."""
-SHOW = void(int64, Place(Run))
+SHOW = void(int64, Place(RunRecord))
 """``show(slot, run)``: take what is to be seen of a period, before the car moves."""
 _call_control_speed, _call_show = Caller(CONTROL_SPEED), Caller(SHOW)
 
@@ -197,13 +199,13 @@ CHOSEN_SIZES = (
     "segments",  # of each run
     "traced", "answers",  # instants and columns of a trace; 0: none
     "requested",  # forces that are remembered, 2 (whole periods of the longer dead time + 2)
-    "speeds", "shown", "columns", "points", "moves",  # of a run that is shown
+    "speeds", "frames", "columns", "points", "moves",  # of a run that is shown
 )  # fmt: skip
 DERIVED_SIZES = ("work_states", "estimator_slots", "sent", "traced_slots")
 RUN_SIZES = (*CHOSEN_SIZES, *DERIVED_SIZES)
 RunSizes = record("RunSizes", (*RUN_SIZES, ("controller", ControllerSizes)), integers=RUN_SIZES)
-"""The sizes of a `Run`: first those that are chosen, then those that follow from them."""
-_write_sizes = sizer(Run, RunSizes)
+"""The sizes of a `RunRecord`: first those that are chosen, then those that follow from them."""
+_write_sizes = sizer(RunRecord, RunSizes)
 
 
 @inlined
@@ -217,7 +219,7 @@ def _complete_sizes(sizes):
 
 @exported(int64(Row(mpc.MPCSettings), Row(RunSizes), int_matrix), name="run_sizes")
 def write_sizes(settings, sizes, table):
-    """Write the sizes of the arrays of a `Run` and how many there are, see `layout`.
+    """Write the sizes of the arrays of a `RunRecord` and how many there are, see `layout`.
 
     Completed are the sizes, and the settings where an MPC drives.
     """
@@ -229,10 +231,10 @@ def write_sizes(settings, sizes, table):
 
 
 def new_run(sizes: dict[str, int], **given: Any) -> Any:
-    """A `Run` of zeros but for the fields that are given; sizes: `RunSizes` that are not 0."""
+    """A `RunRecord` of zeros but for the fields that are given; sizes: `RunSizes` that are not 0."""
     (row,) = RunSizes.new(1, **sizes)
     _complete_sizes(row)
-    return allocate(Run, row, **given)
+    return allocate(RunRecord, row, **given)
 
 
 def no_trace() -> Any:
@@ -256,7 +258,7 @@ def _arrive(slot, run):
     Where the caller is asked, it goes on at the instant at which it ends, too: that the caller may look at it.
     """
     drive = run.memory.drives[slot]
-    if drive.asked == NOT_ASKED:
+    if drive.caller_state == NOT_ASKED:
         if run.features.window > 0:
             drive.sample, drive.place, drive.departed, drive.standing = 0, 0, 0, 0
         _sense_instant(slot, run)
@@ -321,14 +323,14 @@ def _estimate_friction_and_wind(slot, run):
 def _prepare(slot, run):
     """Let the speed control request the forces; ask the caller. Whether the controller is to answer now."""
     drive = run.memory.drives[slot]
-    if drive.asked == NOT_ASKED:
+    if drive.caller_state == NOT_ASKED:
         if run.control_speed != 0 and drive.ended == RUNNING:
             _call_control_speed(run.control_speed, run)
         if run.features.asks > 0:
-            drive.asked = ASKED
-    if drive.asked == ASKED:
+            drive.caller_state = ASKED
+    if drive.caller_state == ASKED:
         return False
-    drive.asked = NOT_ASKED
+    drive.caller_state = NOT_ASKED
     return drive.ended == RUNNING
 
 
@@ -451,7 +453,7 @@ def begin_slot(slot, run):
     begin_controller(slot, run.memory.drives[slot].command, run.controller)
 
 
-@exported(void(int64, Place(Run)), name="begin_runs")
+@exported(void(int64, Place(RunRecord)), name="begin_runs")
 def begin(slots, run):
     """Everything as it is before the first instant, for the first `slots` slots.
 
@@ -508,7 +510,7 @@ def _drive_slot(slot, run):
     return answered and drive.ended == RUNNING
 
 
-@exported(int64(int64, int64, Place(Run)))
+@exported(int64(int64, int64, Place(RunRecord)))
 def roll_on(count, slots, run):
     """Up to so many further periods of the first `slots` runs, from where `begin` or the last call left each.
 

@@ -1,6 +1,6 @@
 """The pieces of a simulated control period: where the car is, whether its run has failed, sensors, driver, steering.
 
-`run` has them in their order. They take a slot and its run (`run.Run`), in which they read and write by name.
+`run` has them in their order. They take a slot and its run (`run.RunRecord`), in which they read and write by name.
 """
 
 from __future__ import annotations
@@ -89,10 +89,10 @@ LOOP_MEMORY = record(
         "pose_station",  # m, measured position along the road at the time of the measured pose; without a road x
         "station_estimate",  # m, the same carried forward to the present instant
         "path_heading",  # rad, heading of the road at this estimate
-        "asked",  # NOT_ASKED, or what the caller has to do or has done at this instant
+        "caller_state",  # NOT_ASKED, or what the caller has to do or has done at this instant
         "cost",  # m^2, of the last period
     ),
-    integers=("instant", "sample", "arrived", "ended", "located", "place", "standing", "departed", "asked"),
+    integers=("instant", "sample", "arrived", "ended", "located", "place", "standing", "departed", "caller_state"),
 )  # fmt: skip
 """What the loop remembers of each slot: its scalars."""
 
@@ -641,6 +641,6 @@ def forget(slot, memory):
     drive.curvature, drive.drive_force, drive.brake_force, drive.standing, drive.departed = 0.0, 0.0, 0.0, 0, 0
     drive.requested_force, drive.requested_hold = 0.0, 0.0
     drive.speed_age, drive.pose_station, drive.station_estimate, drive.path_heading = 0.0, 0.0, 0.0, 0.0
-    drive.asked, drive.cost = NOT_ASKED, 0.0
+    drive.caller_state, drive.cost = NOT_ASKED, 0.0
     memory.sent[slot, :], memory.requested[slot, :] = 0.0, 0.0
     memory.past[slot, :, :] = 0.0

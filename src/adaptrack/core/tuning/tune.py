@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 from ..kernel import Place, exported, int64, int_vector, matrix, record, several, vector
-from ..simulation.run import Run, begin, roll_on
+from ..simulation.run import RunRecord, begin, roll_on
 from ..simulation.world import RUNNING, STOPPED
 from .swarm import LEADER_COST, Particles, decode, learn, move
 from .swarm import begin as begin_swarm
 
-Trial = record("Trial", (("run", Run), ("noise", int_vector)))
+Trial = record("Trial", (("run", RunRecord), ("noise", int_vector)))
 """What a tuning is tried on: a batch of runs, whose slots are the most at a time, and the noise seeds over which a cost
 is the mean."""
 

@@ -15,7 +15,7 @@ from ..maths.trigonometric import cos, sin
 from ..models.contract import MEASUREMENT
 from ..plants.contract import ENVIRONMENT, MOTION_STATES, OBSERVED, PLANT_STATE, observe, state_at
 from ..roads.road import line_of, point_at
-from ..simulation.run import Run, begin_slot, roll_on
+from ..simulation.run import RunRecord, begin_slot, roll_on
 from ..simulation.world import ANSWERED, RUNNING, SIGNAL, STATE_NOT_FINITE
 from .contract import NO_DELAY, UNIT_FAILED, outside
 
@@ -88,7 +88,7 @@ _OUTPUT = _INPUT + len(CAR_INPUTS)
 CarUnit = record(
     "CarUnit",
     (
-        ("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("run", Run),
+        ("values", vector), ("kinds", int_vector), ("least", vector), ("most", vector), ("run", RunRecord),
     ),
 )  # fmt: skip
 """A unit of co-simulation (see `contract`), its values by `CAR_VALUE`; the run: one slot, one scenario, whose signals
@@ -187,5 +187,5 @@ def car_step(car):
         run.memory.sent[0, 0] = command
     _open_window(car)
     run.controller.answer[0, COMMON_ANSWER.command] = command
-    drive.asked, drive.ended = ANSWERED, RUNNING
+    drive.caller_state, drive.ended = ANSWERED, RUNNING
     return _sense(car)

@@ -88,7 +88,7 @@ function ready(own, controller, made) {
   const parts = laid(controller, made.of, own.world.settings.noise_vy < Infinity);
   const answerColumns = parts.said.map((name) => (written.frame.includes(name) ? `answered_${name}` : name));
   const columns = [...written.frame, ...answerColumns, ...(own.speed ? written.speed_frame : [])];
-  const run = memory.make("simulation.run.Run", runOf({ ...own, controller, parts, columns }, made));
+  const run = memory.make("simulation.run.RunRecord", runOf({ ...own, controller, parts, columns }, made));
   if (own.speed) own.speed.record = run.longitudinal;
   if (!controller.law) memory.call("mpc_prepare", run.controller.mpc);
   memory.call("begin_runs", 1, run);
@@ -121,7 +121,7 @@ function runOf({ controller, parts, plant, speed: control, columns, world }, { c
     dead_whole: memory.call("dead_periods", world.delay, written.bounds.dead_time[1], world.period)[0] + 1,
     past: world.remembered, requested: world.requested,
     speeds: control ? written.speed_control.speeds_ahead : 0,
-    shown: SHOWN, columns: columns.length,
+    frames: SHOWN, columns: columns.length,
     points: 2 * parts.settings.longest_horizon, moves: parts.settings.most_moves,
     controller: {
       ...parts.sizes,
@@ -232,7 +232,7 @@ function advanceCar(own, count) {
     const first = own.run.memory.drives.row(0).instant, chunk = Math.min(count - periods, pulledFor(own), SHOWN);
     const advanced = memory.call("roll_on", chunk, 1, own.run);
     for (const [table, width] of Object.entries(widths)) {
-      const { values } = own.run.shown[table];
+      const { values } = own.run.frames[table];
       for (let k = 0; k < advanced; k++) {
         const from = ((first + k) % SHOWN) * width;
         rows[table].set(values.subarray(from, from + width), (periods + k) * width);

@@ -707,14 +707,14 @@ function lent(record) {
 
 /** All that a run is made of; sizes: those that are chosen; settings: of the MPC, which are completed. */
 function runOfSizes(settings, chosen, values) {
-  const count = arraysOf("simulation.run.Run"), table = mine(memory.array("I", [count, 4]));
+  const count = arraysOf("simulation.run.RunRecord"), table = mine(memory.array("I", [count, 4]));
   const sizes = mine(memory.row("simulation.run.RunSizes"));
   setSizes(sizes, chosen);
   const status = memory.call("run_sizes", settings, sizes, table);
   if (status !== count) throw new Error(`a run has ${count} arrays, and ${status} are known`);
   const rows = Array.from({ length: count }, (_, k) => [...table.values.subarray(4 * k, 4 * k + 4)].map(Number));
   const { controller } = values, mpc = { ...controller.mpc, settings: settings.$numbers };
-  return shaped("simulation.run.Run", rows, { ...values, controller: { ...controller, mpc } });
+  return shaped("simulation.run.RunRecord", rows, { ...values, controller: { ...controller, mpc } });
 }
 function setSizes(sizes, chosen) {
   for (const [field, value] of Object.entries(chosen)) {
