@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
-from typer import Option
+from typing import TYPE_CHECKING, Any
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import command, repeat_command_with, say_next
+from adaptrack.cli.next_step import choose, command, repeat_command_with, say_next
+from adaptrack.cli.options import argument, json_flag, option, option_group
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
@@ -43,63 +41,26 @@ PARAMETER_COLUMNS = (
 DERIVED = (Column("what", "derived quantity"), Column("value", "value"), Column("unit", "unit"))
 
 
-@dataclass(frozen=True, kw_only=True)
+@option_group
 class CarOptions:
     """Options of `adaptrack car`."""
 
-    name: Annotated[
-        str | None, typer.Argument(metavar="[CAR]", help="Car to show: see `list cars`, or a .toml file.")
-    ] = None
-    mass: Annotated[float | None, Option("--mass", metavar="KG", help="Mass of a new car (kg); needs --wheelbase.")] = (
-        None
+    name: str | None = argument("[CAR]", "Car to show: see `list cars`, or a .toml file.")
+    mass: float | None = option("KG", "Mass of a new car (kg); needs --wheelbase.")
+    wheelbase: float | None = option("M", "Wheelbase of a new car (m); needs --mass.")
+    load: float | None = option("KG", "Mass of people and luggage (kg): 75 for a driver, 136 with luggage.")
+    body_style: BodyStyleName = option(None, "Body of a new car; truck: pickup, van or SUV.", BodyStyleName.car)
+    drive: DrivenAxle | None = option(None, "Driven axle of a new car; by default front drive is assumed.")
+    yaw_inertia: float | None = option("I", "Yaw inertia (kg m^2), if known.", hidden=True)
+    lf: float | None = option("M", "Centre of gravity to front axle, if known.", hidden=True)
+    stiffness_front: float | None = option("C", "Stiffness of one front tyre (N/rad), if known.", hidden=True)
+    stiffness_rear: float | None = option("C", "Stiffness of one rear tyre (N/rad), if known.", hidden=True)
+    tir: Path | None = option("FILE", "Tyre property file in format MF 5.2, 6.1, 6.2 or PAC2002.")
+    tyre_table: Path | None = option(
+        "FILE", ".csv file of axle forces with columns slip_rad, force_front_N, force_rear_N."
     )
-    wheelbase: Annotated[
-        float | None, Option("--wheelbase", metavar="M", help="Wheelbase of a new car (m); needs --mass.")
-    ] = None
-    load: Annotated[
-        float | None,
-        Option(
-            "--load",
-            metavar="KG",
-            help="Mass of people and luggage (kg): 75 for a driver, 136 with luggage.",
-        ),
-    ] = None
-    body_style: Annotated[
-        BodyStyleName, Option("--body-style", help="Body of a new car; truck: pickup, van or SUV.")
-    ] = BodyStyleName.car
-    drive: Annotated[
-        DrivenAxle | None, Option("--drive", help="Driven axle of a new car; by default front drive is assumed.")
-    ] = None
-    yaw_inertia: Annotated[
-        float | None, Option("--yaw-inertia", metavar="I", hidden=True, help="Yaw inertia (kg m^2), if known.")
-    ] = None
-    lf: Annotated[
-        float | None, Option("--lf", metavar="M", hidden=True, help="Centre of gravity to front axle, if known.")
-    ] = None
-    stiffness_front: Annotated[
-        float | None,
-        Option("--stiffness-front", metavar="C", hidden=True, help="Stiffness of one front tyre (N/rad), if known."),
-    ] = None
-    stiffness_rear: Annotated[
-        float | None,
-        Option("--stiffness-rear", metavar="C", hidden=True, help="Stiffness of one rear tyre (N/rad), if known."),
-    ] = None
-    tir: Annotated[
-        Path | None, Option("--tir", metavar="FILE", help="Tyre property file in format MF 5.2, 6.1, 6.2 or PAC2002.")
-    ] = None
-    tyre_table: Annotated[
-        Path | None,
-        Option(
-            "--tyre-table",
-            metavar="FILE",
-            help=".csv file of axle forces with columns slip_rad, force_front_N, force_rear_N.",
-        ),
-    ] = None
-    out: Annotated[
-        Path | None,
-        Option("--out", metavar="FILE", help="Car file to write (.toml); a tyre file is written to the same folder."),
-    ] = None
-    as_json: options.Json = False
+    out: Path | None = option("FILE", "Car file to write (.toml); a tyre file is written to the same folder.")
+    as_json: bool = json_flag()
 
     @property
     def known_values(self) -> dict[str, float]:
@@ -151,13 +112,14 @@ def _write(
 
 def _next_step(arguments: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
     """Suggest the next command for a car, with the reason."""
-    is_changed = arguments.tir is not None or arguments.tyre_table is not None
-    if arguments.out is None and (arguments.name is None or is_changed):
-        return "to keep the car", repeat_command_with("--out", "my-car.toml")
-    file = arguments.out if arguments.out is not None else arguments.name
-    if vehicle.estimated:
-        return "to learn the estimated values while driving", command("drive", "country", "--vehicle", file, "--learn")
-    return "to drive it", command("drive", "country", "--vehicle", file)
+    out, is_changed = arguments.out, arguments.tir is not None or arguments.tyre_table is not None
+    drive = command("drive", "country", "--vehicle", arguments.name if out is None else out)
+    return choose(
+        (out is None and (arguments.name is None or is_changed), "to keep the car",
+         repeat_command_with("--out", "my-car.toml")),
+        (vehicle.estimated, "to learn the estimated values while driving", f"{drive} --learn"),
+        (True, "to drive it", drive),
+    )  # fmt: skip
 
 
 def _vehicle(arguments: CarOptions) -> Vehicle | None:

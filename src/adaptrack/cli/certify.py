@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
-from typer import Option
 
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import options, show
 from adaptrack.cli.controllers import INFORMED_NAME, STANDARD_NAME
-from adaptrack.cli.next_step import command, next_line, option_words, repeat_command_with
+from adaptrack.cli.next_step import choose, command, next_line, option_words, repeat_command_with
+from adaptrack.cli.options import argument, flag, json_flag, option, option_group
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
     from adaptrack.analysis.certify import Certificate
     from adaptrack.analysis.feasibility import Feasibility
-    from adaptrack.base.result import Result
     from adaptrack.cars.vehicle import Vehicle
     from adaptrack.control.controllers import MPC
     from adaptrack.control.scheduling import Schedule
@@ -38,46 +37,27 @@ BEST_COLUMNS = (
 """Columns of the table of the best tuning at each speed and friction."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@option_group
 class CertifyOptions:
     """Options of `adaptrack certify`."""
 
-    scheduler: Annotated[
-        str | None,
-        typer.Argument(metavar="[SCHEDULE]", help="See `list schedules`, or a .json file; default: constant tuning."),
-    ] = None
-    controller: Annotated[
-        str | None,
-        Option(
-            "--controller",
-            metavar="NAME",
-            help="informed: MPC with steering model and state estimator; standard: published MPC. Default: informed, "
-            "or the controller for which the schedule was made.",
-        ),
-    ] = None
-    profile: options.ProfileOption = "road"
+    scheduler: str | None = argument("[SCHEDULE]", "See `list schedules`, or a .json file; default: constant tuning.")
+    controller: str | None = option(
+        "NAME",
+        "informed: MPC with steering model and state estimator; standard: published MPC. Default: informed, or the "
+        "controller for which the schedule was made.",
+    )
+    profile: str = options.profile_option("road")
     car: options.CarAndPlant
-    speed: Annotated[
-        tuple[float, float] | None, Option("--speed", metavar="LOW HIGH", help="Lowest and highest speed (m/s).")
-    ] = None
-    friction: Annotated[
-        tuple[float, float] | None, Option("--friction", metavar="LOW HIGH", help="Lowest and highest friction.")
-    ] = None
-    mismatch: Annotated[
-        bool,
-        Option(
-            "--mismatch",
-            help="Also certify cars that differ from the model: lag by 0.1 s, dead time by one period, stiffness by a "
-            "factor of 1.6, mass by 30 %.",
-        ),
-    ] = False
-    feasible: Annotated[
-        bool, Option("--feasible", help="Instead, find the best tuning at each speed and friction.")
-    ] = False
-    out: Annotated[
-        Path | None, Option("--out", metavar="FOLDER", help="Folder for the page with maps of the margins.")
-    ] = None
-    as_json: options.Json = False
+    speed: tuple[float, float] | None = option("LOW HIGH", "Lowest and highest speed (m/s).")
+    friction: tuple[float, float] | None = option("LOW HIGH", "Lowest and highest friction.")
+    mismatch: bool = flag(
+        "Also certify cars that differ from the model: lag by 0.1 s, dead time by one period, stiffness by a factor of "
+        "1.6, mass by 30 %."
+    )
+    feasible: bool = flag("Instead, find the best tuning at each speed and friction.")
+    out: Path | None = option("FOLDER", "Folder for the page with maps of the margins.")
+    as_json: bool = json_flag()
 
     @property
     def domain(self) -> dict[str, tuple[float, float]]:
@@ -117,7 +97,7 @@ def certify(arguments: CertifyOptions) -> None:
         return
     certificate = _certificate(schedule, plant, mpc, profile, arguments.domain, arguments.mismatch, out)
     result = certificate_result(certificate, options.command_line(), next_line(*_next_step(arguments, certificate)))
-    show.say_result(result, arguments.as_json, None if out is None else _write_page(out, result))
+    show.write_and_say(result, out, arguments.as_json)
     if not certificate.passed:
         _print_worst_point(certificate)
         raise typer.Exit(UNSTABLE)
@@ -125,19 +105,17 @@ def certify(arguments: CertifyOptions) -> None:
 
 def _next_step(arguments: CertifyOptions, certificate: Certificate) -> tuple[str, str]:
     """Suggest the next command after a certificate, with the reason."""
-    if not certificate.passed:
-        options = replace(arguments, scheduler=None, out=None)
-        return "to find the speeds and frictions with a stable tuning", command(
-            "certify", "--feasible", *option_words(options)
-        )
-    if not arguments.mismatch:
-        return "to certify cars that differ from their model", repeat_command_with("--mismatch")
-    if arguments.out is None:
-        return "to see the margins on a page", repeat_command_with("--out", "certificate")
-    names = {"--scheduler": arguments.scheduler, "--controller": arguments.controller}
-    controller = [word for name, value in names.items() if value is not None for word in (name, value)]
-    profile = ("--profile", arguments.profile)
-    return "to drive it", command("drive", "general-trajectory", *option_words(arguments.car), *profile, *controller)
+    car, controller = option_words(arguments.car), option_words(arguments, "controller")
+    scheduler = () if arguments.scheduler is None else ("--scheduler", arguments.scheduler)
+    drive = ("drive", "general-trajectory", *car, "--profile", arguments.profile, *scheduler, *controller)
+    feasible = option_words(replace(arguments, out=None))
+    return choose(
+        (not certificate.passed, "to find the speeds and frictions with a stable tuning",
+         command("certify", "--feasible", *feasible)),
+        (not arguments.mismatch, "to certify cars that differ from their model", repeat_command_with("--mismatch")),
+        (arguments.out is None, "to see the margins on a page", repeat_command_with("--out", "certificate")),
+        (True, "to drive it", command(*drive)),
+    )  # fmt: skip
 
 
 def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule | None) -> MPC:
@@ -166,19 +144,11 @@ def _certificate(
     from adaptrack.analysis.certify import certify as compute_certificate
     from adaptrack.analysis.linearisation import usual_mismatches
 
-    if out is not None:
-        options.make_page_folder(out)
+    options.make_page_folder(out)
     mismatches = usual_mismatches(mpc.period) if mismatch else ()
     tunings = mpc.tuning if schedule is None else schedule
     with show.progress("certify") as advance:
         return compute_certificate(tunings, plant, mpc, profile, domain=domain, mismatches=mismatches, progress=advance)
-
-
-def _write_page(out: Path, result: Result) -> Path:
-    from adaptrack.results.page import write_result
-
-    with show.progress("write the page"):
-        return write_result(out, result)
 
 
 def _print_worst_point(certificate: Certificate) -> None:

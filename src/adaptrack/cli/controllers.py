@@ -4,55 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from typer import Option
+from typing import TYPE_CHECKING, Any
 
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.cli import options, show
+from adaptrack.cli import show
+from adaptrack.cli.options import option, option_group
 
 if TYPE_CHECKING:
+    from adaptrack.analysis.certify import Certificate
     from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.control.controllers import Controller, Learning, Moves, Tuning
+    from adaptrack.control.controllers import MPC, Controller, Learning, Moves, Tuning
     from adaptrack.control.scheduling import Schedule
     from adaptrack.scenario.profile import Profile
 
 INFORMED_NAME, STANDARD_NAME, AS_WRITTEN, AS_RELEASED = "informed", "standard", "as-written", "as-released"
+CERTIFIED_LEVELS = (9, 3)
+"""Numbers of speeds and frictions in the certificate for a different car."""
 
 
-@dataclass(frozen=True)
+class MovesName(StrEnum):
+    """Parametrisations of the moves."""
+
+    pulse = "pulse"
+    laguerre = "laguerre"
+
+
+@option_group
 class PublishedOptions:
     """Options for tuning and move parametrisation of the published and the informed MPC."""
 
-    np_: Annotated[
-        int | None, Option("--np", hidden=True, help="Prediction horizon (periods); default of standard: 35.")
-    ] = None
-    nc: Annotated[
-        int | None, Option("--nc", hidden=True, help="Control horizon (periods); default of standard: 8.")
-    ] = None
-    q: Annotated[
-        float | None, Option("--q", hidden=True, help="Weight of the tracking error (1/m^2); standard: 10.")
-    ] = None
-    r: Annotated[float | None, Option("--r", hidden=True, help="Weight of the moves (1/rad^2); standard: 0.01.")] = None
-    moves: Annotated[
-        options.MovesName, Option("--moves", hidden=True, help="pulse: eq. (10); laguerre: Laguerre functions.")
-    ] = options.MovesName.pulse
-    laguerre_pole: Annotated[
-        float, Option("--laguerre-pole", hidden=True, help="Pole a of the Laguerre functions.")
-    ] = 0.95
-    laguerre_terms: Annotated[int, Option("--laguerre-terms", hidden=True, help="Number of Laguerre functions.")] = 10
-    solver: Annotated[
-        str, Option("--solver", metavar="NAME", hidden=True, help="QP solver: active-set or hildreth")
-    ] = "active-set"
-    preview: Annotated[
-        bool | None,
-        Option(
-            "--preview/--no-preview",
-            hidden=True,
-            help="Whether controllers know the reference ahead; default: on roads, or if set in the profile.",
-        ),
-    ] = None
+    np_: int | None = option(
+        None, "Prediction horizon (periods); default of standard: 35.", names=["--np"], hidden=True
+    )
+    nc: int | None = option(None, "Control horizon (periods); default of standard: 8.", hidden=True)
+    q: float | None = option(None, "Weight of the tracking error (1/m^2); standard: 10.", hidden=True)
+    r: float | None = option(None, "Weight of the moves (1/rad^2); standard: 0.01.", hidden=True)
+    moves: MovesName = option(None, "pulse: eq. (10); laguerre: Laguerre functions.", MovesName.pulse, hidden=True)
+    laguerre_pole: float = option(None, "Pole a of the Laguerre functions.", 0.95, hidden=True)
+    laguerre_terms: int = option(None, "Number of Laguerre functions.", 10, hidden=True)
+    solver: str = option("NAME", "QP solver: active-set or hildreth", "active-set", hidden=True)
+    preview: bool | None = option(
+        None,
+        "Whether controllers know the reference ahead; default: on roads, or if set in the profile.",
+        names=["--preview/--no-preview"],
+        hidden=True,
+    )
 
     @property
     def tuning(self) -> dict[str, Any]:
@@ -179,17 +177,6 @@ def make_tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controlle
     return tuning.label(file), tuning.make(settings.car, settings.profile, *loop)
 
 
-def certify_tuned(file: Path, controller: Any, settings: ControllerSettings, plant: Any, allow_unstable: bool) -> None:
-    """Certify the constant tuning of an MPC that was found for a different car, see `new_car`."""
-    from adaptrack.cli.new_car import judge
-    from adaptrack.tuning.constant_file import load_tuning
-
-    made_for, car = load_tuning(file).vehicle, settings.car
-    if made_for != car.name and controller.has_horizons:
-        clause = f"{file}, found for the car {made_for!r}, on {car.name!r}"
-        judge(clause, controller.tuning, (controller, plant, car, settings.profile), allow_unstable)
-
-
 def make_learning(learn: bool, file: Path | None) -> Learning | None:
     """Return the learning settings of the informed controller, which start from `file` if it exists; None without."""
     from adaptrack.control.controllers import Learning, load_learned_car
@@ -207,3 +194,65 @@ def save_learned(file: Path | None, controllers: Sequence[tuple[str, Controller]
         if controller.learner is not None:
             controller.learned().to_toml(file)  # type: ignore[attr-defined]
             show.say(f"Learned: {file}", aside=aside)
+
+
+# -- certificates for a different car ---------------------------------------------------------------------------------
+def certify_meeting(label: str, mpc: MPC, plant: Any, car: Vehicle, world: Profile, allowed: bool) -> None:
+    """Certify a scheduled MPC whose schedule was made for a different car than the modelled or the simulated one.
+
+    label: name of the schedule in messages; allowed: whether an unstable loop is only a warning. Schedules without a
+    car, or for this car, are not certified.
+
+    Raises
+    ------
+    InvalidInput
+        When a loop is unstable when driving straight and `allowed` is False.
+    """
+    from adaptrack.control.controllers.compatibility import car_of
+    from adaptrack.control.scheduling import Schedule
+
+    schedule = mpc.scheduler
+    if not isinstance(schedule, Schedule):
+        return
+    made_for = schedule.made_for.get("car")
+    other_cars = [name for name in dict.fromkeys((car_of(mpc.model), car_of(plant))) if name not in (None, made_for)]
+    if made_for is not None and other_cars:
+        clause = f"scheduler {label!r}, made for the car {made_for!r}, on {' and '.join(map(repr, other_cars))}"
+        _judge(clause, schedule, (mpc, plant, car, world), allowed)
+
+
+def certify_tuned(file: Path, controller: Any, settings: ControllerSettings, plant: Any, allow_unstable: bool) -> None:
+    """Certify the constant tuning of an MPC that was found for a different car, see `certify_meeting`."""
+    from adaptrack.tuning.constant_file import load_tuning
+
+    made_for, car = load_tuning(file).vehicle, settings.car
+    if made_for != car.name and controller.has_horizons:
+        clause = f"{file}, found for the car {made_for!r}, on {car.name!r}"
+        _judge(clause, controller.tuning, (controller, plant, car, settings.profile), allow_unstable)
+
+
+def _judge(clause: str, tuning: Schedule | Tuning, loop: tuple[MPC, Any, Vehicle, Profile], allowed: bool) -> None:
+    """Certify a schedule or a tuning over the domain of a car and print the verdict; clause: start of the message.
+
+    Raises
+    ------
+    InvalidInput
+        When the loop is unstable when driving straight and `allowed` is False.
+    """
+    certificate = _certificate(tuning, *loop)
+    clause += f": certificate over the domain of {loop[2].name!r}: {certificate.verdict}"
+    if not certificate.passed and not allowed:
+        raise InvalidInput(f"{clause} To drive it anyway, use --allow-failed.")
+    show.say(f"Warning, {clause}", aside=True)
+
+
+def _certificate(tuning: Schedule | Tuning, mpc: MPC, plant: Any, car: Vehicle, world: Profile) -> Certificate:
+    from adaptrack.analysis.certify import certify
+    from adaptrack.analysis.stability import linear_twin
+
+    domain = {"speed": car.domain.speed, "friction": car.domain.friction}
+    with show.progress("certify for this car") as advance:
+        return certify(
+            tuning, linear_twin(plant, car, car.domain), mpc, world.without_sample_ages, domain=domain,
+            levels=CERTIFIED_LEVELS, progress=advance,
+        )  # fmt: skip

@@ -1,19 +1,19 @@
-"""`adaptrack export c`: export a controller as a C library that needs neither Python nor adaptrack."""
+"""`adaptrack export`: export controllers as a C library, as FMUs, and as a page for the browser."""
 
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
-from typer import Option
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli import road as roads
 from adaptrack.cli.next_step import next_line
+from adaptrack.cli.options import flag, json_flag, option, option_group
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
@@ -26,43 +26,22 @@ app = typer.Typer(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@option_group
 class ExportedController:
     """Options for the exported controller and the road of its recorded drive."""
 
-    controller: Annotated[
-        str | None,
-        Option("--controller", metavar="NAME", help="Controller: see `list controllers`; default: informed."),
-    ] = None
-    tuning: Annotated[Path | None, Option("--tuning", metavar="FILE", help="Tuning file of `tune`.")] = None
-    scheduler: Annotated[
-        str | None,
-        Option("--scheduler", metavar="NAME", help="Schedule: see `list schedules`, or a .json file of `paper train`."),
-    ] = None
+    controller: str | None = option("NAME", "Controller: see `list controllers`; default: informed.")
+    tuning: Path | None = option("FILE", "Tuning file of `tune`.")
+    scheduler: str | None = options.scheduler_option()
     car: options.CarAndPlant
-    road: Annotated[str, Option("--road", metavar="ROAD", help=f"Road of the recorded drive: {roads.ROADS_HELP}")] = (
-        "country"
-    )
-    road_seed: Annotated[int | None, Option("--road-seed", metavar="N", help="Seed of a generated road.")] = None
-    speed: Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned.")] = (
-        None
-    )
-    speed_control: Annotated[
-        bool,
-        Option("--speed-control", help="Export the speed control too: acceleration, force, stops at planned places."),
-    ] = False
-    assumed_friction: options.AssumedFriction = None
-    profile: options.ProfileOption = "road"
-    learn: Annotated[
-        bool,
-        Option(
-            "--learn",
-            help="Let the informed controller learn; default if the car file has no lag and dead time.",
-        ),
-    ] = False
-    learned: Annotated[
-        Path | None, Option("--learned", metavar="FILE", help="Like --learn, starting from this TOML file.")
-    ] = None
+    road: str = option("ROAD", f"Road of the recorded drive: {roads.ROADS_HELP}", "country")
+    road_seed: int | None = option("N", "Seed of a generated road.")
+    speed: float | None = option("V", "Constant speed (m/s); default: planned.")
+    speed_control: bool = flag("Export the speed control too: acceleration, force, stops at planned places.")
+    assumed_friction: str | None = options.assumed_friction_option()
+    profile: str = options.profile_option("road")
+    learn: bool = flag("Let the informed controller learn; default if the car file has no lag and dead time.")
+    learned: Path | None = option("FILE", "Like --learn, starting from this TOML file.")
 
     def checked_road(self, car: Vehicle, world: Profile) -> roads.CheckedRoad:
         """Load and check the road and its speed plan."""
@@ -118,54 +97,29 @@ class ExportedController:
 
     def _has_unknown_delay(self, car: Vehicle) -> bool:
         """Whether neither the options nor the car file determine the steering delay; the profile only simulates one."""
-        if (
-            self.tuning is not None
-            or self.learned is not None
-            or self.scheduler
-            or self.controller not in (None, "informed")
-        ):
+        if self.tuning or self.learned or self.scheduler or self.controller not in (None, "informed"):
             return False
         return car.steering is None or car.steering.lag is None or car.steering.dead_time is None
 
 
-@dataclass(frozen=True, kw_only=True)
+# -- C library --------------------------------------------------------------------------------------------------------
+@option_group
 class ExportOptions:
     """Options of `adaptrack export c`."""
 
-    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for the library.")]
+    out: Path = option("FOLDER", "Folder for the library.", ...)
     exported: ExportedController
-    computation: Annotated[
-        float,
-        Option(
-            "--computation",
-            metavar="S",
-            min=0.0,
-            max=1.0,
-            help="Time from calling the library until it returns the command (s).",
-        ),
-    ] = 0.0
-    target: Annotated[
-        list[str] | None,
-        Option("--target", metavar="NAME", help="Target processor; default: this computer; may be repeated."),
-    ] = None
-    objects: Annotated[
-        Path | None,
-        Option(
-            "--objects",
-            metavar="FOLDER",
-            help="Folder with kernels of other processors; `make targets` builds them in a source checkout.",
-        ),
-    ] = None
-    room: Annotated[
-        tuple[int, int] | None,
-        Option(
-            "--room",
-            metavar="NP NC",
-            hidden=True,
-            help="Largest horizons of constants that the library may load later.",
-        ),
-    ] = None
-    as_json: options.Json = False
+    computation: float = option(
+        "S", "Time from calling the library until it returns the command (s).", 0.0, min=0.0, max=1.0
+    )
+    target: list[str] | None = option("NAME", "Target processor; default: this computer; may be repeated.")
+    objects: Path | None = option(
+        "FOLDER", "Folder with kernels of other processors; `make targets` builds them in a source checkout."
+    )
+    room: tuple[int, int] | None = option(
+        "NP NC", "Largest horizons of constants that the library may load later.", hidden=True
+    )
+    as_json: bool = json_flag()
 
 
 @app.command("c")
@@ -214,3 +168,109 @@ def export_c(arguments: ExportOptions) -> None:
         show.say(f"Warning: on the recorded drive, {files.failed}. Lower --speed, or choose a different --road.")
     show.say_backups(files.backups)
     show.say(next_line("to verify that it matches Python", shlex.join(["make", "-C", str(files.folder), "check"])))
+
+
+# -- FMUs -------------------------------------------------------------------------------------------------------------
+class Interface(StrEnum):
+    """Versions of the Functional Mock-up Interface."""
+
+    second = "2.0"
+    third = "3.0"
+
+
+@option_group
+class FMUOptions:
+    """Options of `adaptrack export fmu`."""
+
+    out: Path = option("FOLDER", "Folder for car.fmu and controller.fmu.", ...)
+    exported: ExportedController
+    fmi: Interface = option(None, "Version of the Functional Mock-up Interface.", Interface.third)
+    prescribed_speed: bool = options.prescribed_speed_flag()
+    as_json: bool = json_flag()
+
+
+@app.command("fmu")
+@options.grouped
+def export_fmu(arguments: FMUOptions) -> None:
+    """Export a controller and a car as two FMUs for co-simulation.
+
+    The FMUs need neither Python nor adaptrack. You need no compiler for the export.
+    """
+    from adaptrack.drive.world import Driver
+    from adaptrack.export.fmu import binaries, write_fmu
+    from adaptrack.export.units import car_unit, controller_unit
+    from adaptrack.scenario import RoadDrive
+    from adaptrack.scenario.profile import load_profile
+
+    car, plant = arguments.exported.car.load()
+    world = load_profile(arguments.exported.profile)
+    controller = arguments.exported.make(car, world)
+    checked = arguments.exported.checked_road(car, world)
+    route = RoadDrive(checked.road, checked.plan)
+    speed = arguments.exported.make_speed_control(car)
+    driver = speed or (None if arguments.prescribed_speed else Driver())
+    preview = driver.preview if isinstance(driver, Driver) else None
+    units = (
+        controller_unit(controller, checked.road, checked.plan, speed_preview=preview, speed=speed),
+        car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
+    )
+    systems = list(binaries())
+    options.make_folder(arguments.out)
+    files = [arguments.out / f"{unit.name}.fmu" for unit in units]
+    with show.replacing(*files, aside=arguments.as_json):
+        for unit, file in zip(units, files, strict=True):
+            write_fmu(unit, file, arguments.fmi.value)
+    if arguments.as_json:
+        names = list(map(str, files))
+        show.say_json({"files": names, "fmi": arguments.fmi, "period": controller.period, "systems": systems})
+        return
+    show.say(f"FMI {arguments.fmi.value}, for {' and '.join(systems)}, a step is {controller.period:g} s")
+    for unit, file in zip(units, files, strict=True):
+        show.say(f"{file}: {unit.title}, {file.stat().st_size:,} bytes")
+
+
+# -- page -------------------------------------------------------------------------------------------------------------
+@option_group
+class PageOptions:
+    """Options of `adaptrack export page`: the file and the initial settings of the page."""
+
+    out: Path = option("FILE", "HTML file of the page.", ...)
+    vehicle: str = options.vehicle_option("midsize-sedan")
+    road: str = option(
+        "ROAD",
+        "motorway, country, town, mountain, lap, oval, or a file: .csv of x, y (m), .toml, .xodr, .xml.",
+        "mountain",
+    )
+    speed: float | None = options.speed_option()
+    lateral_acceleration: float | None = options.lateral_acceleration_option()
+    profile: str = option("NAME", "paper, road, production or production-bus.", "road")
+    controller: list[str] | None = option(
+        "NAME", "One or two of informed, learning, published, lqr, ...; default: informed."
+    )
+    seed: int = options.noise_seed_option()
+    as_json: bool = json_flag()
+
+
+@app.command("page")
+@options.grouped
+def export_page(arguments: PageOptions) -> None:
+    """Export an interactive simulation as one HTML file.
+
+    The page runs the kernels of adaptrack in the browser, without Python and without a network connection. The options
+    are the initial settings; you can change all of them on the page.
+    """
+    from adaptrack.export.page_file import export_page as export
+
+    options.make_place(arguments.out)
+    with show.replacing(arguments.out, aside=arguments.as_json):
+        page = export(
+            arguments.out, vehicle=arguments.vehicle, road=arguments.road, speed=arguments.speed,
+            lateral_acceleration=arguments.lateral_acceleration, profile=arguments.profile,
+            controllers=arguments.controller or ["informed"], seed=arguments.seed,
+        )  # fmt: skip
+    size = page.stat().st_size
+    if arguments.as_json:
+        show.say_json({"file": str(page), "bytes": size})
+        return
+    show.say(f"{page}: {size:,} bytes")
+    show.say(next_line("to drive, open it in a browser", shlex.quote(str(page))))

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
-from typer import Option
+from typing import TYPE_CHECKING, Any
 
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.cli import options, show
 from adaptrack.cli import road as roads
-from adaptrack.cli import show
+from adaptrack.cli.next_step import option_words
 
 if TYPE_CHECKING:
     from adaptrack.cars.vehicle import Vehicle
@@ -49,43 +47,25 @@ class DrivenPlaces:
                 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@options.option_group
 class PlaceOptions:
     """Options for the scenarios or the road, and for the profile."""
 
-    names: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="SCENARIO|ROAD...",
-            help=f"Scenarios (see `list scenarios`, .toml, .csv), or one road: {roads.ROADS_HELP}",
-        ),
-    ]
-    profile: Annotated[
-        str | None,
-        Option(
-            "--profile",
-            metavar="NAME",
-            help="paper: ideal, default for scenarios; road: lag, noise, delay, default for roads; or a .toml file.",
-        ),
-    ] = None
-    option: Annotated[
-        list[str] | None,
-        Option("--option", "-o", metavar="KEY=VALUE", help="Option of a scenario, such as speed=20."),
-    ] = None
+    names: list[str] = options.argument(
+        "SCENARIO|ROAD...", f"Scenarios (see `list scenarios`, .toml, .csv), or one road: {roads.ROADS_HELP}", ...
+    )
+    profile: str | None = options.option(
+        "NAME", "paper: ideal, default for scenarios; road: lag, noise, delay, default for roads; or a .toml file."
+    )
+    option: list[str] | None = options.option(
+        "KEY=VALUE", "Option of a scenario, such as speed=20.", names=["--option", "-o"]
+    )
     route: roads.RoadOptions
-    laps: Annotated[int | None, Option("--laps", metavar="N", min=1, help="Number of laps on a closed road.")] = None
-    wind: Annotated[
-        float | None, Option("--wind", metavar="V", hidden=True, help="On a road: wind along the world y axis (m/s).")
-    ] = None
-    start_offset: Annotated[
-        float | None,
-        Option(
-            "--start-offset",
-            metavar="M",
-            hidden=True,
-            help="On a road: initial offset from the centre line, to the left (m).",
-        ),
-    ] = None
+    laps: int | None = options.option("N", "Number of laps on a closed road.", min=1)
+    wind: float | None = options.option("V", "On a road: wind along the world y axis (m/s).", hidden=True)
+    start_offset: float | None = options.option(
+        "M", "On a road: initial offset from the centre line, to the left (m).", hidden=True
+    )
 
     def load(self, car: Vehicle, holdable: HoldableSpeed | None = None) -> DrivenPlaces:
         """Load the scenarios or the road; holdable: speeds with sufficient margins, to limit the speed plan.
@@ -123,7 +103,7 @@ class PlaceOptions:
     def _road_words(self) -> list[str]:
         """Options on the command line that apply only to roads."""
         values = {"--laps": self.laps, "--wind": self.wind, "--start-offset": self.start_offset}
-        flags = [word for word in self.route.words if word.startswith("--")]
+        flags = [word for word in option_words(self.route) if word.startswith("--")]
         return [*flags, *(name for name, value in values.items() if value is not None)]
 
     def _refuse(self, words: Sequence[str], kind: str, owner: str) -> None:
