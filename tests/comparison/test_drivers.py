@@ -20,7 +20,7 @@ from adaptrack.drive.drivers import check_forces, list_drivers, make_driver, reg
 from adaptrack.drive.speed_measures import STOP_DISTANCE, speed_measures
 from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.drive.world import Driver
-from adaptrack.results.compare_drivers import DRIVER_COLUMNS, compare_drivers_result
+from adaptrack.results.compare import DRIVER_COLUMNS, compare_drivers_result
 from adaptrack.results.page import render_result
 from adaptrack.road import Arc, Line, Road, Stop, plan_speed
 from adaptrack.road.speed import constant_speed

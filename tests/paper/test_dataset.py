@@ -16,8 +16,8 @@ from adaptrack.paper.data_set_summary import SUMMARY_TARGETS, describe, flatness
 from adaptrack.paper.operating_points import fold, grid, mirrored, sobol
 from adaptrack.results import dataset as pictures
 from adaptrack.results.dataset import dataset_result
-from adaptrack.results.draw import panel_figure
 from adaptrack.results.page import write_result
+from adaptrack.results.style import panel_figure
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
 ARRAYS = [field.name for field in dataclasses.fields(DataSet) if field.name != "provenance"]

@@ -12,8 +12,8 @@ from adaptrack.comparison.table import Comparison, ContenderRole
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Guarded, Learned, StabilityMap, Table
 from adaptrack.results import evaluation, style, write_result
-from adaptrack.results.draw import describe_panel, panel_figure
 from adaptrack.results.evaluation import evaluation_result, regret_maps, surfaces_picture, view_rows
+from adaptrack.results.style import describe_panel, panel_figure
 from adaptrack.results.words import number
 from pictures import pictures
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -198,3 +199,8 @@ def strict(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def to_json(result: Result) -> str:
+    """The record of a result as one line of strict JSON: null for what is not finite."""
+    return json.dumps(strict(result.record), allow_nan=False)

@@ -174,8 +174,6 @@ def _with_tyre(vehicle: Vehicle, fit: TyreFit | None, written: list[Path]) -> Ve
 
 # -- output ----------------------------------------------------------------------------------------------------
 def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_json: bool) -> None:
-    from adaptrack.results.answers import car_answer
-
     if as_json:
         from adaptrack.export.page_inputs import page_car
 
@@ -209,6 +207,19 @@ def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_j
         _say_fit(fit)
     for path in written:
         show.say(f"Written: {path}")
+
+
+def car_answer(vehicle: Vehicle) -> str:
+    """Mass, wheelbase and understeer gradient of a car, and the number of estimated values."""
+    from adaptrack.core.physics.forces import GRAVITY
+
+    gradient = math.degrees(1.0) * GRAVITY * vehicle.understeer_gradient
+    kind = f"understeers by {gradient:.2g} °/g"
+    if gradient < 0.0:
+        kind = f"oversteers by {-gradient:.2g} °/g, unstable from {vehicle.critical_speed:.3g} m/s on"
+    guesses = len(vehicle.estimated)
+    estimated = f"; {guesses} of its numbers are estimated" if guesses else ""
+    return f"{vehicle.name}: {vehicle.mass:.5g} kg, wheelbase {vehicle.wheelbase:.3g} m, {kind}{estimated}."
 
 
 def _say_fit(fit: TyreFit) -> None:

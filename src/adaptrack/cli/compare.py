@@ -86,8 +86,7 @@ def compare(settings: CompareOptions) -> None:
 # -- roads ------------------------------------------------------------------------------------------------------------
 def _compare_on_roads(settings: CompareOptions) -> Result:
     from adaptrack.comparison.run import run_comparison
-    from adaptrack.results.compare import compare_result
-    from adaptrack.results.compare_drivers import compare_drivers_result
+    from adaptrack.results.compare import compare_drivers_result, compare_result
 
     task = _load_task(settings)
     loops, seconds = sum(map(task.loops, task.cells)), max(60.0, task.seconds(task.cells))

@@ -229,8 +229,8 @@ def plot(arguments: PlotOptions) -> None:
     """Draw the course, curvature and planned speed of a road as PNG."""
     from adaptrack.base.files import write_atomically
     from adaptrack.cars.vehicle import load_vehicle
-    from adaptrack.results.draw import picture_png
     from adaptrack.results.road import road_picture
+    from adaptrack.results.style import picture_png
 
     options.make_place(arguments.out)
     checked = arguments.route.look(arguments.road, load_vehicle(arguments.vehicle))

@@ -26,7 +26,6 @@ from adaptrack.base.result import (
 )
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.core.maths import portable
-from adaptrack.results.answers import certificate_answer
 from adaptrack.results.marks import ColourScale, draw_dots, draw_heat_map, draw_ribbon, edges_around
 from adaptrack.results.words import INPUT_LABELS, number
 
@@ -35,6 +34,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+THIN_MODULUS = 0.25
+"""Modulus margin below which an answer calls it thin; textbooks ask for at least 0.5."""
 _WORST = 8
 """Number of worst points in the page's table, for driving straight and for the hard turn."""
 _STROKES: dict[Driving, Stroke] = {"straight": Stroke(SERIES[0]), "turn": Stroke(SERIES[1], "long")}
@@ -94,7 +95,7 @@ def certificate_result(certificate: Certificate, command: str = "", next_step: s
     return Result(
         kind="certificate",
         title=f"Certificate of {certificate.scheduler}: {certificate.plant}, profile {certificate.profile}",
-        answer=certificate_answer(certificate),
+        answer=_answer(certificate),
         record={**certificate.summary(), "rows": certificate.rows()},
         tables=[*_console_tables(certificate), *_margin_tables(certificate), _worst(certificate)],
         notes=[f"Steering model of the controller: {certificate.belief}."] if certificate.belief else [],
@@ -111,6 +112,22 @@ def certificate_result(certificate: Certificate, command: str = "", next_step: s
         command=command,
         next_step=next_step,
     )  # fmt: skip
+
+
+def _answer(certificate: Certificate) -> str:
+    """The verdict; for a stable loop preceded by its smallest margins when driving straight."""
+    if not certificate.passed:
+        return certificate.verdict
+    (worst,), delay = certificate.worst_points(1), float(certificate.counted.straight.delay.min())
+    modulus, at = worst["modulus_margin"], f"at {worst['speed']:.3g} m/s on friction {worst['friction']:.2g}"
+    thin = []
+    if delay < certificate.period:
+        thin.append(f"{1000.0 * delay:.0f} ms of delay, where a control period is {1000.0 * certificate.period:.0f} ms")
+    if modulus < THIN_MODULUS:
+        thin.append(f"a modulus margin of {modulus:.2g} {at}, where 0.5 is usual")
+    if thin:
+        return f"Stable, but with thin margins: {' and '.join(thin)}. {certificate.verdict}"
+    return f"Stable; the smallest modulus margin is {modulus:.2g}, {at}. {certificate.verdict}"
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------

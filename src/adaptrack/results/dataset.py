@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import (
     BACKGROUND_STROKE,
     REFERENCE_STROKE,
@@ -36,12 +35,10 @@ from adaptrack.results.marks import (
     include_y,
     set_log_scale,
 )
-from adaptrack.results.notebook import html
 from adaptrack.results.words import number, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -102,7 +99,7 @@ def dataset_result(dataset: DataSet) -> Result:
 
 def _pictures(dataset: DataSet) -> list[Picture]:
     """Pictures of gain, optimum and spread; none if every run failed."""
-    rows = _searched(dataset)
+    rows = comparable_rows(dataset)
     if rows is None:
         return []
     return [
@@ -115,41 +112,10 @@ def _pictures(dataset: DataSet) -> list[Picture]:
     ]  # fmt: skip
 
 
-def _searched(dataset: DataSet) -> DataSet | None:
+def comparable_rows(dataset: DataSet) -> DataSet | None:
     """The rows that a swarm searched and whose costs can be compared; None without any."""
     chosen = dataset.computed & dataset.comparable
     return dataset.rows(chosen) if chosen.any() else None
-
-
-def dataset_figure(dataset: DataSet) -> Figure:
-    """Histograms of the best tunings, and the cost of the standard tuning over the best, by speed.
-
-    Raises
-    ------
-    InvalidInput
-        When the run failed with every tuning.
-    """
-    from adaptrack.results.draw import print_figure
-
-    rows = _searched(dataset)
-    if rows is None:
-        raise InvalidInput(f"data set {dataset.name!r}: every run failed, so there is nothing to draw.")
-    panels = [*(histogram(target) for target in targets(rows)), gain_panel(rows)]
-    return print_figure(Picture("dataset", "", panels, row_height=2.1))
-
-
-def dataset_html(dataset: DataSet) -> str:
-    """A data set in a notebook."""
-    searched = dataset.rows(dataset.computed)
-    rows = {
-        "Operating points": f"{number(len(dataset))}, of which {number(len(searched))} searched by swarms",
-        "Library": f"{number(len(dataset.library))} tunings",
-        **dict(zip(("Speed", "Lateral reference", "Friction", "Side wind"), map(span, dataset.operating_points.T),
-                   strict=True)),
-        "Failed with every tuning": number(int(np.isinf(searched.best_costs).sum())),
-    }  # fmt: skip
-    figure = None if _searched(dataset) is None else dataset_figure(dataset)
-    return html(f"Data set {dataset.name}", rows, figure, "The best tunings, and the gain over the standard tuning")
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------

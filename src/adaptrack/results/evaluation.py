@@ -17,7 +17,7 @@ from adaptrack.comparison.table import Comparison, finite
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 from adaptrack.core.maths import portable
 from adaptrack.paper.evaluation import BEST_CONSTANT, POINT_OPTIMUM
-from adaptrack.results.comparison_pictures import ratios_picture
+from adaptrack.results.compare import ratios_picture
 from adaptrack.results.marks import ColourScale, draw_heat_map
 from adaptrack.results.words import INPUT_LABELS, counted, data_text, number, plain, span, title_of
 

@@ -1,11 +1,11 @@
-"""Objects in a notebook: their numbers in HTML, and a picture."""
+"""Objects as figures, and in a notebook: their numbers in HTML, and a picture (see `base.presentation`)."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
+from functools import partial, singledispatch
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import (
     BACKGROUND_STROKE,
     MUTED,
@@ -26,15 +27,18 @@ from adaptrack.base.result import (
     strokes,
 )
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.comparison.table import Comparison
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 from adaptrack.drive.metrics import Metrics, compute_metrics
 from adaptrack.drive.trajectory import Trajectory
+from adaptrack.paper.data_set import DataSet
 from adaptrack.results import style
-from adaptrack.results.draw import panel_figure, print_figure
+from adaptrack.results.compare import ratios_picture
+from adaptrack.results.dataset import comparable_rows, gain_panel, histogram, targets
 from adaptrack.results.marks import draw_dots, set_log_scale, write_beside
-from adaptrack.results.record import DrawnCar, DriveRecord, on_road
-from adaptrack.results.road_pictures import above_picture
+from adaptrack.results.record import DrawnCar, DriveRecord, above_picture, on_road
 from adaptrack.results.run_pictures import tracking_picture
+from adaptrack.results.style import panel_figure, print_figure
 from adaptrack.results.words import (
     INPUT_LABELS,
     controller_name,
@@ -42,6 +46,7 @@ from adaptrack.results.words import (
     legible,
     number,
     ratio_with_interval,
+    span,
     title_of,
 )
 from adaptrack.road import Road
@@ -49,6 +54,32 @@ from adaptrack.road import Road
 Array = NDArray[np.float64]
 
 
+@singledispatch
+def figure_of(value: Any, *arguments: Any) -> Figure:
+    """The object as a figure.
+
+    Raises
+    ------
+    TypeError
+        When nothing draws its type.
+    """
+    raise TypeError(f"{type(value).__name__} has no figure.")
+
+
+@singledispatch
+def html_of(value: Any) -> str:
+    """The object in a notebook.
+
+    Raises
+    ------
+    TypeError
+        When no form is known for its type.
+    """
+    raise TypeError(f"{type(value).__name__} has no form for notebooks.")
+
+
+# -- runs -------------------------------------------------------------------------------------------------------------
+@figure_of.register
 def run_figure(run: Trajectory, road: Road | None = None) -> Figure:
     """Signals over time; with a road: from above, and error, steering and speed along it.
 
@@ -66,6 +97,7 @@ def run_figure(run: Trajectory, road: Road | None = None) -> Figure:
     return print_figure(Picture("run", "", panels, columns=1, row_height=1.35))
 
 
+@html_of.register
 def run_html(run: Trajectory) -> str:
     """Name, measures and picture of a run, with nothing from outside."""
     title = f"{title_of(run.name_of('scenario'))}, {controller_name(run.name_of('controller'))}"
@@ -73,6 +105,7 @@ def run_html(run: Trajectory) -> str:
     return html(title, duration | _measures(compute_metrics(run)), run_figure(run), f"{title}: signals over time")
 
 
+@html_of.register
 def metrics_html(metrics: Metrics) -> str:
     """The main measures of a run, and all measures behind a fold."""
     every = {name.replace("_", " "): written(value) for name, value in metrics.as_row().items()}
@@ -80,6 +113,8 @@ def metrics_html(metrics: Metrics) -> str:
     return html(title, _measures(metrics)) + f"<details><summary>All measures</summary>{html('', every)}</details>"
 
 
+# -- cars and schedules -----------------------------------------------------------------------------------------------
+@html_of.register
 def vehicle_html(car: Vehicle) -> str:
     """A car's numbers with their units, and the car from above."""
     fields = type(car).model_fields
@@ -91,6 +126,7 @@ def vehicle_html(car: Vehicle) -> str:
     return html(f"{car.name}: {car.description}", rows, vehicle_figure(car), f"{car.name} from above")
 
 
+@figure_of.register
 def vehicle_figure(car: Vehicle) -> Figure:
     """The car from above to scale: body, wheels, centre of mass, axles."""
     title = data_text(f"{car.name}, {number(car.mass)} kg")
@@ -112,6 +148,7 @@ def _draw_vehicle(axes: Axes, car: Vehicle) -> None:
     axes.set_aspect("equal", adjustable="datalim")
 
 
+@figure_of.register
 def schedule_figure(schedule: Schedule) -> Figure:
     """Each tuning entry over the first input, for three values of the second; the others in the middle of theirs."""
     low, high = schedule.domain.T
@@ -152,6 +189,7 @@ def _variables(schedule: Schedule, points: Array) -> Array:
     return rows
 
 
+@html_of.register
 def schedule_html(schedule: Schedule) -> str:
     """Inputs with their domain, entries with their bounds, and the tuning in pictures."""
     rows = {}
@@ -165,15 +203,58 @@ def schedule_html(schedule: Schedule) -> str:
     return html(schedule.name, rows, schedule_figure(schedule), f"The tuning of {schedule.name}")
 
 
-def comparison_html(title: str, rows: Sequence[Mapping[str, Any]], figure: Figure) -> str:
+# -- data sets --------------------------------------------------------------------------------------------------------
+@figure_of.register
+def dataset_figure(dataset: DataSet) -> Figure:
+    """Histograms of the best tunings, and the cost of the standard tuning over the best, by speed.
+
+    Raises
+    ------
+    InvalidInput
+        When the run failed with every tuning.
+    """
+    rows = comparable_rows(dataset)
+    if rows is None:
+        raise InvalidInput(f"data set {dataset.name!r}: every run failed, so there is nothing to draw.")
+    panels = [*(histogram(target) for target in targets(rows)), gain_panel(rows)]
+    return print_figure(Picture("dataset", "", panels, row_height=2.1))
+
+
+@html_of.register
+def dataset_html(dataset: DataSet) -> str:
+    """A data set in a notebook."""
+    searched = dataset.rows(dataset.computed)
+    rows = {
+        "Operating points": f"{number(len(dataset))}, of which {number(len(searched))} searched by swarms",
+        "Library": f"{number(len(dataset.library))} tunings",
+        **dict(zip(("Speed", "Lateral reference", "Friction", "Side wind"), map(span, dataset.operating_points.T),
+                   strict=True)),
+        "Failed with every tuning": number(int(np.isinf(searched.best_costs).sum())),
+    }  # fmt: skip
+    figure = None if comparable_rows(dataset) is None else dataset_figure(dataset)
+    return html(f"Data set {dataset.name}", rows, figure, "The best tunings, and the gain over the standard tuning")
+
+
+# -- comparisons ------------------------------------------------------------------------------------------------------
+@figure_of.register
+def comparison_figure(comparison: Comparison) -> Figure:
+    """Each contender's cost over the reference's, with its 95 % interval."""
+    picture = ratios_picture(comparison, str)
+    return panel_figure(picture.panels[0], picture.size)
+
+
+@html_of.register
+def comparison_html(comparison: Comparison) -> str:
     """Contenders, the cheapest first: cost over the reference's with its interval, and failed runs."""
-    rows_of = {
+    title = repr(comparison)[1:-1]
+    rows = {
         row["contender"]: f"{ratio_with_interval(row)}; failed in {number(row['failures'])}"
-        for row in sorted(rows, key=lambda row: row["regret_geomean"])
+        for row in sorted(comparison.rows(), key=lambda row: row["regret_geomean"])
     }
-    return html(title, rows_of, figure, title)
+    return html(title, rows, comparison_figure(comparison), title)
 
 
+# -- HTML -------------------------------------------------------------------------------------------------------------
 def html(title: str, rows: Mapping[str, str], figure: Figure | None = None, description: str = "") -> str:
     """A title, names with their values, and a picture, with nothing from outside."""
     left = 'style="text-align: left"'

@@ -18,10 +18,9 @@ from markupsafe import Markup
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.files import PAGE_FILE, check_replaceable
-from adaptrack.base.html import content_policy
+from adaptrack.base.presentation import content_policy, printable
 from adaptrack.base.result import DASHES, Column, Panel, Result, ResultTable, Stroke
-from adaptrack.base.text import printable
-from adaptrack.results import draw, style
+from adaptrack.results import style
 from adaptrack.results.words import (
     capital,
     clock,
@@ -65,7 +64,7 @@ def write_result(
             continue
         if not re.fullmatch(r"[\w.-]+\.png", picture.file) or picture.file in files:
             raise InvalidInput(f"report: {picture.file!r} is not a name for a PNG file, or is used twice on this page.")
-        files[picture.file] = draw.picture_png(picture) if png else b""
+        files[picture.file] = style.picture_png(picture) if png else b""
     page = render_result(result, png=png, embedded=embedded).encode()
     _write_files(Path(out_dir), (files if png else {}) | {PAGE_FILE: page})
     return Path(out_dir) / PAGE_FILE
@@ -99,8 +98,8 @@ def _environment() -> jinja2.Environment:
     counter = itertools.count(1)
 
     def inline(panel: Panel, size: tuple[float, float] | None = None) -> Markup:
-        figure = draw.panel_figure(panel, size)
-        return Markup(style.inline_svg(figure, f"p{next(counter)}", draw.describe_panel(panel)))
+        figure = style.panel_figure(panel, size)
+        return Markup(style.inline_svg(figure, f"p{next(counter)}", style.describe_panel(panel)))
 
     environment.filters |= {
         "inline": inline, "anchor": slug,

@@ -16,12 +16,19 @@ import numpy as np
 from markupsafe import Markup
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.text import printable
+from adaptrack.base.presentation import printable
 from adaptrack.core.maths import portable
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.results.marks import deviation_colours
-from adaptrack.results.record import SPEED_SIGNALS, Array, DriveRecord
-from adaptrack.results.road_pictures import Drives, offset_scale, outline_stations, road_span
+from adaptrack.results.record import (
+    SPEED_SIGNALS,
+    Array,
+    DriveRecord,
+    Drives,
+    offset_scale,
+    outline_stations,
+    road_span,
+)
 from adaptrack.road import Road
 
 PERIOD = 0.05

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -21,9 +21,8 @@ from adaptrack.base.result import (
     Stroke,
 )
 from adaptrack.core.maths import portable
-from adaptrack.results.answers import road_answer
 from adaptrack.results.marks import ColourScale, draw_coloured_line, draw_dots
-from adaptrack.results.words import data_text
+from adaptrack.results.words import data_text, length
 from adaptrack.road import Finding, Road, SpeedPlan
 
 if TYPE_CHECKING:
@@ -67,7 +66,7 @@ def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -
     return Result(
         kind="road",
         title=road.name,
-        answer=road_answer(summary, len(barred)),
+        answer=_answer(summary, len(barred)),
         record={
             **summary, "drivable": not barred, "notes": list(road.notes), "limits": limits_record(plan),
             "rows": [asdict(finding) for finding in findings],
@@ -77,6 +76,19 @@ def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -
         pictures=[road_picture(road, plan, findings)],
         failed=bool(barred),
     )  # fmt: skip
+
+
+def _answer(summary: Mapping[str, Any], barred: int) -> str:
+    """Drivability, length, bends and speeds of a road; barred: number of places that cannot be driven."""
+    radius = summary["smallest_radius"]
+    bends = "straight" if radius is None else f"tightest radius {length(radius)}"
+    speeds = " to ".join(dict.fromkeys(f"{summary[end]:.3g}" for end in ("slowest", "fastest"))) + " m/s"
+    slopes = [100.0 * summary[name] for name in ("least_grade", "largest_grade")]
+    grades = f", grades {slopes[0]:.2g} to {slopes[1]:.2g} %" if any(slopes) else ""
+    description = f"{length(summary['length'])}, {bends}{grades}, {speeds}, {summary['duration']:.0f} s"
+    if barred:
+        return f"The road cannot be driven at {barred} {'place' if barred == 1 else 'places'} ({description})."
+    return f"The road can be driven: {description}."
 
 
 def limits_record(plan: SpeedPlan) -> dict[str, Any]:

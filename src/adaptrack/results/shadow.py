@@ -26,9 +26,8 @@ from adaptrack.core.maths import portable
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
 from adaptrack.identification.shadow_predictions import PREDICTORS
-from adaptrack.results.learned_picture import LABELS
 from adaptrack.results.marks import add_degrees, draw_dots, draw_ribbon
-from adaptrack.results.run_pictures import thin_curve, turning_part
+from adaptrack.results.run_pictures import LABELS, thin_curve, turning_part
 from adaptrack.results.words import capital, listed, number
 
 if TYPE_CHECKING:
