@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from adaptrack.cars.plant import SteppedPlant
     from adaptrack.cars.vehicle import Vehicle as Car
 
-T = TypeVar("T")
+Group = TypeVar("Group")
 
 EXIT_FAILED = 3
 """The exit code when a run failed, or when measurements contradict each other."""
@@ -52,7 +52,7 @@ def _declare(default: Any, **settings: Any) -> Any:
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
-def option_group(cls: type[T]) -> type[T]:
+def option_group(cls: type[Group]) -> type[Group]:
     """Make a class of options: its fields are declared by `option`, `flag` and `argument`, or are other groups."""
     return dataclasses.dataclass(frozen=True, kw_only=True)(cls)
 

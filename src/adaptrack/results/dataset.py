@@ -26,15 +26,7 @@ from adaptrack.core.maths import portable
 from adaptrack.paper.campaign_config import STANDARD_ROW
 from adaptrack.paper.data_set import DataSet
 from adaptrack.paper.data_set_summary import describe
-from adaptrack.results.marks import (
-    ColourScale,
-    draw_bars,
-    draw_heat_map,
-    draw_ribbon,
-    edges_around,
-    include_y,
-    set_log_scale,
-)
+from adaptrack.results import marks
 from adaptrack.results.words import number, span
 
 if TYPE_CHECKING:
@@ -169,7 +161,7 @@ def histogram(target: TuningTarget) -> Panel:
     counts, _ = np.histogram(target.values, edges)
 
     def draw(axes: Axes) -> None:
-        draw_bars(axes, edges, 100.0 * counts / target.values.size)
+        marks.draw_bars(axes, edges, 100.0 * counts / target.values.size)
         axes.axvline(target.standard, linewidth=1.0, **REFERENCE_STROKE.look)
         axes.set(xlabel=target.label, ylabel="Operating points (%)")
         axes.margins(x=0.03)
@@ -187,11 +179,11 @@ def gain_panel(rows: DataSet) -> Panel:
 
     def draw(axes: Axes) -> None:
         axes.axhline(1.0, linewidth=0.7, **BACKGROUND_STROKE.look)
-        draw_ribbon(axes, middles, low, high)
+        marks.draw_ribbon(axes, middles, low, high)
         axes.plot(middles, median, **Stroke().look, marker="o", markersize=3.5)
         axes.set(xlabel="Speed (m/s)", ylabel="Cost ratio (–)")
         axes.margins(x=0.02)
-        set_log_scale(axes, "y", include_y(axes, 1.0))
+        marks.set_log_scale(axes, "y", marks.include_y(axes, 1.0))
 
     description = f"Cost of the standard tuning over the swarm's best, by speed: medians {span(median)}."
     return Panel("Standard over best", draw, description)
@@ -214,10 +206,10 @@ def _map(rows: DataSet, target: TuningTarget, label: str, values: Array) -> Pane
     for line, column in set(zip(lines.tolist(), columns.tolist(), strict=True)):
         medians[line, column] = np.median(target.values[(lines == line) & (columns == column)])
     low, high = float(target.values.min()), float(target.values.max())
-    scale = ColourScale(low, high if high > low else low + 1.0, integer=target.integer)
+    scale = marks.ColourScale(low, high if high > low else low + 1.0, integer=target.integer)
 
     def draw(axes: Axes) -> None:
-        draw_heat_map(axes, x_edges, y_edges, medians, scale)
+        marks.draw_heat_map(axes, x_edges, y_edges, medians, scale)
         axes.set(xlabel="Speed (m/s)", ylabel=label)
 
     return Panel(target.label, draw, f"Medians {span(medians)}.")
@@ -226,7 +218,7 @@ def _map(rows: DataSet, target: TuningTarget, label: str, values: Array) -> Pane
 def _bin_edges(values: Array) -> Array:
     """Edges around each of a few levels, else of equal widths."""
     levels = np.unique(values)
-    return edges_around(levels) if len(levels) <= MAX_LEVELS else np.linspace(levels[0], levels[-1], BINS + 1)
+    return marks.edges_around(levels) if len(levels) <= MAX_LEVELS else np.linspace(levels[0], levels[-1], BINS + 1)
 
 
 def _bin_numbers(values: Array, edges: Array) -> NDArray[np.int64]:

@@ -23,29 +23,8 @@ from adaptrack.drive.metrics import Metrics, compute_metrics, published_mse
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.speed_measures import StopMeasure, measure_stops, speed_measures
 from adaptrack.drive.trajectory import Trajectory
+from adaptrack.results import run_pictures, words
 from adaptrack.results.record import DEFAULT_DRAWN_CAR, DrawnCar, DriveRecord, above_picture, on_road
-from adaptrack.results.run_pictures import (
-    CREEPING,
-    conditions_picture,
-    error_panel,
-    learned_picture,
-    learned_quantities,
-    prepare_runs,
-    speed_control_picture,
-    speed_picture,
-    tracking_picture,
-)
-from adaptrack.results.words import (
-    controller_name,
-    counted,
-    few,
-    legible,
-    length,
-    number,
-    slug,
-    span,
-    title_of,
-)
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.scenario.profile import load_profile
 
@@ -123,7 +102,7 @@ def drive_result(
     scenarios = group_runs([run if isinstance(run, Run) else Run(run) for run in runs])
     labelled_runs = [run for group in scenarios.values() for run in group]
     line_styles = strokes(run.label for run in labelled_runs)
-    stems = dict(zip(scenarios, safe_names(map(slug, scenarios)), strict=True))
+    stems = dict(zip(scenarios, safe_names(map(words.slug, scenarios)), strict=True))
     failed = [_failure(run) for run in labelled_runs if run.metrics.failed]
     first = labelled_runs[0].trajectory
     return Result(
@@ -142,7 +121,7 @@ def drive_result(
         values={
             "scenarios": [_section(name, group, stems[name]) for name, group in scenarios.items()],
             "failed_runs": failed, "shown": labelled_runs, "records": _records(labelled_runs),
-            "limits": {"slow": MIN_JUDGED_SPEED, "distance": DISTANCE, "creeping": CREEPING,
+            "limits": {"slow": MIN_JUDGED_SPEED, "distance": DISTANCE, "creeping": run_pictures.CREEPING,
                        "road_weight": load_profile("road").move_weight},
         },
         command=command,
@@ -192,7 +171,7 @@ def group_runs(runs: Sequence[Run]) -> dict[str, list[Shown]]:
 
 def _labelled(runs: Sequence[Run]) -> list[Shown]:
     """Prepare the runs of one scenario, with distinct labels."""
-    labels = [legible(run.label) or controller_name(run.trajectory.name_of("controller")) for run in runs]
+    labels = [words.legible(run.label) or words.controller_name(run.trajectory.name_of("controller")) for run in runs]
     return [
         _prepare_run(f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label, run)
         for i, (label, run) in enumerate(zip(labels, runs, strict=True))
@@ -214,7 +193,7 @@ def _prepare_run(label: str, run: Run) -> Shown:
 def _title(scenarios: Mapping[str, Sequence[Shown]]) -> str:
     """Return the names of scenarios and controllers, or their number if there are many."""
     labels = dict.fromkeys(run.label for group in scenarios.values() for run in group)
-    return f"{few([title_of(name) for name in scenarios], 'scenario')}: {few(labels, 'controller')}"
+    return f"{words.few([words.title_of(name) for name in scenarios], 'scenario')}: {words.few(labels, 'controller')}"
 
 
 def _answer(runs: Sequence[Shown]) -> str:
@@ -224,13 +203,13 @@ def _answer(runs: Sequence[Shown]) -> str:
     if not completed:
         return failed
     best = min(completed, key=lambda run: run.metrics.mse)
-    errors = f"{length(best.metrics.rms_error)} RMS error, largest {length(best.metrics.max_abs_error)}."
+    errors = f"{words.length(best.metrics.rms_error)} RMS error, largest {words.length(best.metrics.max_abs_error)}."
     if best.following:
         errors += f" {_speed_answer(best)}"
     if len(runs) == 1:
         return errors
     if len({run.trajectory.name_of("scenario") for run in runs}) > 1:
-        return f"Largest error {length(max(run.metrics.max_abs_error for run in completed))}. {failed}"
+        return f"Largest error {words.length(max(run.metrics.max_abs_error for run in completed))}. {failed}"
     return f"{best.label}: {errors} {failed}"
 
 
@@ -240,17 +219,17 @@ def _speed_answer(run: Shown) -> str:
     missed = sum(map(math.isnan, errors))
     parts = [] if speed is None else [f"{speed:.2g} m/s RMS speed error"]
     if errors and missed:
-        parts.append(f"{missed} of {counted(len(errors), 'stop')} passed without standing")
+        parts.append(f"{missed} of {words.counted(len(errors), 'stop')} passed without standing")
     elif errors:
-        parts.append(f"{counted(len(errors), 'stop')}, largest error {length(max(errors))}")
+        parts.append(f"{words.counted(len(errors), 'stop')}, largest error {words.length(max(errors))}")
     parts += [] if lost is None else [f"{abs(lost):.2g} s {'late' if lost >= 0.0 else 'early'}"]
     return f"{'; '.join(parts)}." if parts else ""
 
 
 def _failure(run: Shown) -> dict[str, str]:
     """Return name, time and reason of a failed run."""
-    where = "" if run.drive is None else f", at s = {number(float(run.drive.station[-1]), 4)} m"
-    name = f"{title_of(run.trajectory.name_of('scenario'))}, {run.label}"
+    where = "" if run.drive is None else f", at s = {words.number(float(run.drive.station[-1]), 4)} m"
+    name = f"{words.title_of(run.trajectory.name_of('scenario'))}, {run.label}"
     return {"name": name, "at": f"{run.metrics.failed_at:.1f} s{where}", "because": run.metrics.failed_because}
 
 
@@ -258,7 +237,7 @@ def _failure_headline(failed: Sequence[Mapping[str, str]], runs: int) -> str:
     """Return the start of the page's heading; empty if no run failed."""
     if failed and runs == 1:
         return f"Failed at {failed[0]['at']}: the vehicle {failed[0]['because']}"
-    return f"{number(len(failed))} of {number(runs)} runs failed" if failed else ""
+    return f"{words.number(len(failed))} of {words.number(runs)} runs failed" if failed else ""
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
@@ -273,13 +252,13 @@ def _pictures(
     groups = {name: {run.label: run.trajectory for run in group} for name, group in scenarios.items()}
     drives = _drives([run for group in scenarios.values() for run in group])
     first = next(iter(groups.values()))
-    error = replace(error_panel(prepare_runs(first, line_styles)), title="")
+    error = replace(run_pictures.error_panel(run_pictures.prepare_runs(first, line_styles)), title="")
     key = [(label, line_styles[label]) for label in first] if len(first) > 1 else []
     pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key)]
     if not any(run.road for runs in groups.values() for run in runs.values()):
         figure = "6" if len(scenarios) > 1 else _paper_figure(first, "speed")
-        speeds = {title_of(name): runs for name, runs in groups.items()}
-        pictures.append(speed_picture(speeds, line_styles, _cite(SPEED_CAPTION, figure)))
+        speeds = {words.title_of(name): runs for name, runs in groups.items()}
+        pictures.append(run_pictures.speed_picture(speeds, line_styles, _cite(SPEED_CAPTION, figure)))
     for name, runs in groups.items():
         pictures += _signal_pictures(runs, line_styles, stems[name])
     return pictures
@@ -288,15 +267,15 @@ def _pictures(
 def _signal_pictures(runs: Mapping[str, Trajectory], line_styles: Strokes, stem: str) -> list[Picture]:
     """Draw tracking, conditions and learned quantities of the runs of one scenario or road."""
     caption = _cite(TRACKING_CAPTION, _paper_figure(runs, "tracking"))
-    pictures = [tracking_picture(runs, line_styles, f"{stem}-tracking", caption)]
+    pictures = [run_pictures.tracking_picture(runs, line_styles, f"{stem}-tracking", caption)]
     if any("governed_speed" in run.diagnostics for run in runs.values()):
-        pictures.append(speed_control_picture(runs, line_styles, f"{stem}-speed"))
+        pictures.append(run_pictures.speed_control_picture(runs, line_styles, f"{stem}-speed"))
     caption = _cite(CONDITIONS_CAPTION, _paper_figure(runs, "conditions"))
-    conditions = conditions_picture(runs, line_styles, f"{stem}-conditions", caption)
+    conditions = run_pictures.conditions_picture(runs, line_styles, f"{stem}-conditions", caption)
     if conditions.panels[2:] or not any(run.road for run in runs.values()):
         pictures.append(conditions)
-    if any(learned_quantities(run) for run in runs.values()):
-        pictures.append(learned_picture(runs, line_styles, f"{stem}-learned"))
+    if any(run_pictures.learned_quantities(run) for run in runs.values()):
+        pictures.append(run_pictures.learned_picture(runs, line_styles, f"{stem}-learned"))
     return pictures
 
 
@@ -315,21 +294,24 @@ def _section(name: str, group: Sequence[Shown], stem: str) -> dict[str, Any]:
     runs, drive = [run.trajectory for run in group], group[0].drive
     wind = np.concatenate([run.wind for run in runs])
     first = runs[0]
+    periods = f"{words.number(len(first))} control periods of {first.period:g} s"
     conditions = {
         "Plant": ", ".join(filter(None, (first.name_of("plant"), first.name_of("tyre")))),
-        "Duration": f"{number(first.duration)} s, {number(len(first))} control periods of {first.period:g} s",
-        "Speed": f"{span(np.concatenate([run.vx for run in runs]))} m/s",
-        "Friction": span(np.concatenate([run.friction for run in runs])),
-        "Lateral wind": f"{span(wind[:, 1])} m/s",
-        "Longitudinal wind": f"{span(wind[:, 0])} m/s",
+        "Duration": f"{words.number(first.duration)} s, {periods}",
+        "Speed": f"{words.span(np.concatenate([run.vx for run in runs]))} m/s",
+        "Friction": words.span(np.concatenate([run.friction for run in runs])),
+        "Lateral wind": f"{words.span(wind[:, 1])} m/s",
+        "Longitudinal wind": f"{words.span(wind[:, 0])} m/s",
     }
     if drive is not None:
-        conditions["Road"] = f"{number(drive.road.length, 4)} m{', closed' if drive.road.closed else ''}"
+        conditions["Road"] = f"{words.number(drive.road.length, 4)} m{', closed' if drive.road.closed else ''}"
         conditions |= {f"Road, note {i}": note for i, note in enumerate(drive.road.notes, 1)}
         outline = drive.shape.outline
         estimated = ", ".join(name.replace("_", " ") for name in outline.estimated) or "nothing"
-        conditions["Car outline"] = f"{number(outline.length)} by {number(outline.width)} m; estimated: {estimated}"
-    return {"name": name, "title": title_of(name), "conditions": list(conditions.items()), "stem": stem}
+        conditions["Car outline"] = (
+            f"{words.number(outline.length)} by {words.number(outline.width)} m; estimated: {estimated}"
+        )
+    return {"name": name, "title": words.title_of(name), "conditions": list(conditions.items()), "stem": stem}
 
 
 def _records(runs: Sequence[Shown]) -> str:
@@ -506,12 +488,15 @@ def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:
     for name, runs in scenarios.items():
         mse, paper = f"mse {name}", f"paper {name}"
         measured = {row["label"]: row for row in run_rows(runs)}
-        columns.append(Column(mse, title_of(name), "MSE, m²", 3))
+        columns.append(Column(mse, words.title_of(name), "MSE, m²", 3))
         if any(row["paper"] is not None for row in measured.values()):
             columns.append(Column(paper, "MSE in paper", "m²", "given"))
         for i, label in enumerate(labels):
             row = measured.get(label, {"mse": None, "paper": None, "failed": False, "best": False})
-            rows[i] |= {mse: f"{number(row['mse'])} (failed)" if row["failed"] else row["mse"], paper: row["paper"]}
+            rows[i] |= {
+                mse: f"{words.number(row['mse'])} (failed)" if row["failed"] else row["mse"],
+                paper: row["paper"],
+            }
             best |= {(i, mse)} if row["best"] else set()
             failed |= {(i, mse)} if row["failed"] else set()
     return ResultTable(

@@ -95,13 +95,6 @@ def name_rows(axes: Axes, names: Sequence[str]) -> None:
     axes.grid(axis="y", visible=False)
 
 
-def set_whole_ticks(axes: Axes) -> None:
-    """Write only whole numbers on the y axis."""
-    from matplotlib.ticker import MaxNLocator
-
-    axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=TICK_STEPS))
-
-
 def write_plainly(value: float, _: Any = None) -> str:
     """Write a number of an axis as readers do, not as a power of ten."""
     return f"{value:g}".replace("-", "−")

@@ -20,20 +20,7 @@ from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.files import PAGE_FILE, check_replaceable
 from adaptrack.base.presentation import content_policy, printable
 from adaptrack.base.result import DASHES, Column, Panel, Result, ResultTable, Stroke
-from adaptrack.results import style
-from adaptrack.results.words import (
-    capital,
-    clock,
-    counted,
-    entry,
-    few,
-    listed,
-    number,
-    percent,
-    slug,
-    span,
-    title_of,
-)
+from adaptrack.results import style, words
 
 
 def write_result(
@@ -77,7 +64,7 @@ def render_result(result: Result, *, png: bool = False, embedded: Mapping[str, M
     scripts = re.findall(r"<script>(.*?)</script>", "".join((embedded or {}).values()), re.DOTALL)
     return template.render(
         result=result, record=result.record, v=result.values, title=result.title, failed=result.headline,
-        created=clock(result.created), version=__version__, png=png, titles=[],
+        created=words.clock(result.created), version=__version__, png=png, titles=[],
         policy=Markup(content_policy(scripts)),
         pictures={picture.name: picture for picture in result.pictures},
         tables={table.name: table for table in result.tables},
@@ -101,12 +88,11 @@ def _environment() -> jinja2.Environment:
         figure = style.panel_figure(panel, size)
         return Markup(style.inline_svg(figure, f"p{next(counter)}", style.describe_panel(panel)))
 
+    formats = ("entry", "number", "percent", "listed", "counted", "capital", "title_of", "span", "few")
+    environment.filters |= {name: getattr(words, name) for name in formats}
     environment.filters |= {
-        "inline": inline, "anchor": slug,
-        "entry": entry, "words": _holds_words, "colour": lambda stroke: style.themed(stroke.colour),
-        "dashes": _dashes,
-        "number": number, "percent": percent, "listed": listed, "counted": counted, "capital": capital,
-        "title_of": title_of, "span": span, "few": few,
+        "inline": inline, "anchor": words.slug, "words": _holds_words, "dashes": _dashes,
+        "colour": lambda stroke: style.themed(stroke.colour),
     }  # fmt: skip
     return environment
 

@@ -30,17 +30,7 @@ from adaptrack.core.kernel import Field, fields_of
 from adaptrack.core.maths import portable
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.results.marks import (
-    add_degrees,
-    add_line_key,
-    draw_dots,
-    draw_ribbon,
-    include_y,
-    name_rows,
-    set_log_scale,
-    set_whole_ticks,
-    write_remark,
-)
+from adaptrack.results import marks
 from adaptrack.results.words import capital, data_text, plain, span
 
 if TYPE_CHECKING:
@@ -192,10 +182,10 @@ def _assumed_friction(lines: Lines) -> Panel:
     def draw(axes: Axes) -> None:
         _draw_shared(axes, lines, lambda run: run.friction.mean(axis=1))
         for line in lines:
-            draw_ribbon(axes, line.x, low(line.run), high(line.run), line.stroke.colour)
+            marks.draw_ribbon(axes, line.x, low(line.run), high(line.run), line.stroke.colour)
             _draw_curve(axes, line, low(line.run))
             _draw_curve(axes, line, high(line.run))
-        include_y(axes, 0.0, 1.0)
+        marks.include_y(axes, 0.0, 1.0)
 
     title = "Friction: assumed interval, true (black)"
     return _panel(title, "Friction (–)", lines, lambda run: np.concatenate([low(run), high(run)]), draw)
@@ -218,7 +208,7 @@ def _limits_band(lines: Lines) -> Panel:
                 if np.isfinite(code[first]):
                     bottom = rows.index(int(code[first])) - 0.4 + k * height
                     axes.broken_barh([(start, max(end - start, 0.0))], (bottom, height), color=line.stroke.colour)
-        name_rows(axes, [limits[row] for row in rows])
+        marks.name_rows(axes, [limits[row] for row in rows])
 
     panel = _panel("Speed limited by", "", lines, codes, draw)
     shares = "; ".join(
@@ -250,7 +240,7 @@ def _signal(
         if limits:
             axes.set_ylim(limits)
         _draw_crosses(axes, lines, value)
-        write_remark(axes, ",  ".join(filter(None, (start, remark))))
+        marks.write_remark(axes, ",  ".join(filter(None, (start, remark))))
 
     return _panel(title, label, lines, value, draw)
 
@@ -267,9 +257,9 @@ def _steering(lines: Lines) -> Panel:
             _draw_curve(axes, lines[0], command, BACKGROUND_STROKE, linewidth=0.8, drawstyle="steps-post")
         for line in holding:
             is_held = line.run.held
-            draw_dots(axes, line.x[is_held], line.run.steering[is_held], line.stroke.colour, "square", 3.0)
+            marks.draw_dots(axes, line.x[is_held], line.run.steering[is_held], line.stroke.colour, "square", 3.0)
         signal.draw(axes)
-        add_degrees(axes)
+        marks.add_degrees(axes)
 
     return replace(signal, draw=draw)
 
@@ -298,7 +288,7 @@ def _gust(lines: Lines) -> Panel:
         _draw_shared(axes, lines, lambda run: run.wind[:, 1])
         if any(line.run.wind[:, 0].any() for line in lines):
             _draw_shared(axes, lines, lambda run: run.wind[:, 0], longitudinal)
-            add_line_key(axes, [("lateral", SHARED_STROKE), ("longitudinal", longitudinal)])
+            marks.add_line_key(axes, [("lateral", SHARED_STROKE), ("longitudinal", longitudinal)])
 
     return _panel("Lateral gust", "Wind speed (m/s)", lines, lambda run: run.wind[:, 1], draw)
 
@@ -312,9 +302,9 @@ def _friction(lines: Lines) -> Panel:
     def draw(axes: Axes) -> None:
         for wheel, _, stroke in wheels:
             _draw_shared(axes, lines, lambda run, wheel=wheel: run.friction[:, wheel], stroke)  # type: ignore[misc]
-        include_y(axes, 0.45, 1.0)
+        marks.include_y(axes, 0.45, 1.0)
         if len(wheels) > 1:
-            add_line_key(axes, [(name, stroke) for _, name, stroke in wheels])
+            marks.add_line_key(axes, [(name, stroke) for _, name, stroke in wheels])
 
     return _panel("Road friction", "Friction coefficient (–)", lines, lambda run: run.friction, draw)
 
@@ -323,11 +313,13 @@ def _horizons(lines: Lines) -> Panel:
     top = 1.08 * max(float(line.run.tuning["Np"].max()) for line in lines if "Np" in line.run.tuning)
 
     def draw(axes: Axes) -> None:
+        from matplotlib.ticker import MaxNLocator
+
         _draw_tuning(axes, lines, "Np")
         _draw_tuning(axes, lines, "Nc", "dotted")
         axes.set_ylim(0.0, top)
-        set_whole_ticks(axes)
-        add_line_key(axes, [("$N_p$", SHARED_STROKE), ("$N_c$", Stroke(INK, "dotted"))])
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=marks.TICK_STEPS))
+        marks.add_line_key(axes, [("$N_p$", SHARED_STROKE), ("$N_c$", Stroke(INK, "dotted"))])
 
     return _panel("Horizons", "Control periods (–)", lines, tuning_signal("Nc", "Np"), draw)
 
@@ -343,8 +335,8 @@ def _weights(lines: Lines) -> Panel:
     def draw(axes: Axes) -> None:
         _draw_tuning(axes, lines, "Q")
         _draw_tuning(axes, lines, "R", "dotted")
-        set_log_scale(axes, "y", limits)
-        add_line_key(axes, [("$Q$", SHARED_STROKE), ("$R$", Stroke(INK, "dotted"))])
+        marks.set_log_scale(axes, "y", limits)
+        marks.add_line_key(axes, [("$Q$", SHARED_STROKE), ("$R$", Stroke(INK, "dotted"))])
 
     return _panel("Weights", "$Q$ (1/m²), $R$ (1/rad²)", lines, tuning_signal("Q", "R"), draw)
 
@@ -571,7 +563,7 @@ def _draw_learned(axes: Axes, curves: Sequence[tuple[DrawnRun, Learnt]], label: 
     for line, learnt in curves:
         keep = thin_curve(learnt.mean)
         time = line.run.t[keep]
-        draw_ribbon(axes, time, learnt.low[keep], learnt.high[keep], line.stroke.colour)
+        marks.draw_ribbon(axes, time, learnt.low[keep], learnt.high[keep], line.stroke.colour)
         axes.plot(time, learnt.mean[keep], **line.stroke.look)
         if learnt.truth is not None:
             axes.plot(line.run.t, learnt.truth, **REFERENCE_STROKE.look, linewidth=1.0)
