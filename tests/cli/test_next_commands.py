@@ -34,6 +34,9 @@ VAN = ("--vehicle", "van", "--profile", "road")
 STANLEY = ("--controller", "stanley", "--seeds", "1")
 LOG = ("--columns", "yaw_rate=gyro", "--units", "yaw_rate=deg/s", "--flip", "yaw_rate")
 SHORT = ("drive", "town", "--length", "300", *CAR)
+SHORT_SEARCH = (
+    "--length", "300", "--controller", "stanley", "--runs", "40", "--plant", "single-track", "--out", "tuned",
+)  # fmt: skip
 TOO_FAST = ("--lateral-acceleration", "4", "--start-offset", "1.9", "--controller", "stanley")
 
 
@@ -221,22 +224,7 @@ PROPOSALS = [
     ),
     Proposal(
         "drive with it",
-        (
-            "tune",
-            "van",
-            "--road",
-            "town:2",
-            "--length",
-            "300",
-            "--controller",
-            "stanley",
-            "--runs",
-            "40",
-            "--plant",
-            "single-track",
-            "--out",
-            "tuned",
-        ),
+        ("tune", "van", "--road", "town:2", *SHORT_SEARCH),
         ("--road-seed", "2", "--length", "300.0", "--plant", "single-track", "--vehicle", "van"),
         "drive town",
     ),
@@ -295,6 +283,8 @@ def reasons() -> frozenset[str]:
             elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("choose", "next_line", "say_next"):
                 values = [part.elts[1] for part in node.args if isinstance(part, ast.Tuple)] or node.args[:1]
                 texts |= {_text(value) for value in values if isinstance(value, ast.Constant | ast.JoinedStr)}
+            elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "with_command":
+                texts |= {_text(part.elts[0]) for part in ast.walk(node) if isinstance(part, ast.Tuple)}
     return frozenset(texts)
 
 

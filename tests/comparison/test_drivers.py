@@ -128,7 +128,7 @@ def test_drivers_are_compared_on_the_same_runs_without_a_rank_and_continue_where
     assert measures[0] != measures[1] != measures[2]
     assert max(row["stop_error"] for row in rows) < 0.5
     assert not any("rank" in row for row in rows)
-    result = compare_drivers_result(comparison, command="adaptrack compare")
+    result = compare_drivers_result(comparison)
     assert "speed-control" in render_result(result)
     assert {len(table.rows) for table in result.tables if table.brief} == {len(names)}
 

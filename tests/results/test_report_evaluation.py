@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -58,7 +59,8 @@ def report(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch, pictures(drawn=True):
         patch.setattr(style, "PNG_DPI", 20)
         patch.setattr(evaluation, "SURFACE_NODES", (9, 7))
-        result = evaluation_result(VIEWS, {"nn": schedule(), "anfis": schedule((10.0, 0.0))}, command="evaluate <now>")
+        result = evaluation_result(VIEWS, {"nn": schedule(), "anfis": schedule((10.0, 0.0))})
+        result = replace(result, command="evaluate <now>")
         return write_result(tmp_path_factory.mktemp("evaluation") / "out", result)
 
 

@@ -12,7 +12,7 @@ import typer
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import options, show
 from adaptrack.cli.controllers import INFORMED_NAME, STANDARD_NAME
-from adaptrack.cli.next_step import choose, command, next_line, option_words, repeat_command_with
+from adaptrack.cli.next_step import choose, command, option_words, repeat_command_with, with_command
 from adaptrack.cli.options import argument, flag, json_flag, option, option_group
 from adaptrack.cli.show import Column
 
@@ -96,7 +96,7 @@ def certify(arguments: CertifyOptions) -> None:
         _print_feasible(plant, mpc, profile, arguments.domain, arguments.mismatch, arguments.as_json)
         return
     certificate = _certificate(schedule, plant, mpc, profile, arguments.domain, arguments.mismatch, out)
-    result = certificate_result(certificate, options.command_line(), next_line(*_next_step(arguments, certificate)))
+    result = with_command(certificate_result(certificate), _next_step(arguments, certificate))
     show.write_and_say(result, out, arguments.as_json)
     if not certificate.passed:
         _print_worst_point(certificate)

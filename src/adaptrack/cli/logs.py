@@ -10,7 +10,14 @@ import typer
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import choose, command, next_line, option_words, repeat_command_with, say_next
+from adaptrack.cli.next_step import (
+    choose,
+    command,
+    option_words,
+    repeat_command_with,
+    say_next,
+    with_command,
+)
 from adaptrack.cli.options import EXIT_FAILED, argument, flag, json_flag, option, option_group
 
 if TYPE_CHECKING:
@@ -226,7 +233,7 @@ def shadow(arguments: ShadowOptions) -> None:
             without=parts(arguments.without), profile=arguments.profile, computation=arguments.computation,
             progress=advance,
         )  # fmt: skip
-    result = shadow_result(report, options.command_line(), next_line(*_after_shadow(arguments, report)))
+    result = with_command(shadow_result(report), _after_shadow(arguments, report))
     show.write_and_say(result, arguments.out, arguments.as_json)
     if not report.believable:
         raise typer.Exit(EXIT_FAILED)

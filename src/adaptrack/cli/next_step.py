@@ -6,10 +6,13 @@ import dataclasses
 import re
 import shlex
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from adaptrack.cli import show
-from adaptrack.cli.options import option_names
+from adaptrack.cli.options import command_line, option_names
+
+if TYPE_CHECKING:
+    from adaptrack.base.result import Result
 
 
 def next_line(why: str, line: str) -> str:
@@ -20,6 +23,11 @@ def next_line(why: str, line: str) -> str:
 def say_next(why: str, line: str) -> None:
     """Print the next command with its reason."""
     show.say(next_line(why, line))
+
+
+def with_command(result: Result, next_step: tuple[str, str] | None = None) -> Result:
+    """Return a result with the current command line and the next command, from its reason and its command line."""
+    return dataclasses.replace(result, command=command_line(), next_step=next_line(*next_step) if next_step else "")
 
 
 def choose(*proposals: tuple[object, str, str]) -> tuple[str, str]:

@@ -14,7 +14,7 @@ import typer
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import DRIVES, MAX_SEED, OPERATING_POINTS, WORKERS, RequestLimit, check_limit
 from adaptrack.cli import interrupt, options, show
-from adaptrack.cli.next_step import choose, command, next_line, option_words, replace_option, say_next
+from adaptrack.cli.next_step import choose, command, next_line, option_words, replace_option, say_next, with_command
 from adaptrack.cli.options import argument, flag, json_flag, option, option_group
 from adaptrack.cli.show import Column
 
@@ -79,8 +79,7 @@ def reproduce(arguments: ReproduceOptions) -> None:
         (arguments.quick, "to train as long as the paper", command("paper", "reproduce", *longer)),
         (True, "to drive a road", command("drive", "country", "--out", "drive")),
     )
-    result = replace(reproduction_result(reproduction, options.command_line()), next_step=next_line(*next_step))
-    show.write_and_say(result, arguments.out, arguments.as_json)
+    show.write_and_say(with_command(reproduction_result(reproduction), next_step), arguments.out, arguments.as_json)
 
 
 # -- campaign ---------------------------------------------------------------------------------------------------------
@@ -305,10 +304,10 @@ def evaluate(arguments: EvaluateOptions) -> None:
     options.make_page_folder(arguments.out)
     with show.progress("evaluate") as advance:
         views = _views(arguments, task, schedules, advance)
-    result = evaluation_result(views, schedules, command=options.command_line())
-    if not views["drives"]:
-        step = next_line("to evaluate them on long drives", replace_option("--drives", 200))
-        result = replace(result, next_step=step)
+    longer = replace_option("--drives", 200)
+    result = with_command(
+        evaluation_result(views, schedules), None if views["drives"] else ("to evaluate them on long drives", longer)
+    )
     show.write_and_say(result, arguments.out, arguments.as_json)
 
 

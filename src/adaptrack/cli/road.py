@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ import typer
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import choose, command, next_line, option_words, replace_option, say_next
+from adaptrack.cli.next_step import choose, command, option_words, replace_option, say_next, with_command
 from adaptrack.cli.options import argument, json_flag, option, option_group
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def check(arguments: CheckOptions) -> None:
 
     checked = arguments.route.look(arguments.road, load_vehicle(arguments.vehicle))
     result = road_result(checked.road, checked.plan, checked.findings)
-    show.say_result(replace(result, next_step=next_line(*_next_step(arguments, checked))), arguments.as_json)
+    show.say_result(with_command(result, _next_step(arguments, checked)), arguments.as_json)
     if not checked.drivable:
         raise typer.Exit(NOT_DRIVABLE)
 

@@ -79,11 +79,8 @@ _DOWN = ColourScale(0.0, 1.0, "Gain margin down (factor)", reversed=True)
 _DELAY = ColourScale(1.0, 1000.0, "Delay margin (ms)", log=True)
 
 
-def certificate_result(certificate: Certificate, command: str = "", next_step: str = "") -> Result:
-    """Return the result of a certificate; its record holds the summary and every point.
-
-    command: command line that repeats it; next_step: suggested next command.
-    """
+def certificate_result(certificate: Certificate) -> Result:
+    """Return the result of a certificate; its record holds the summary and every point."""
     sweeps = _sweeps(certificate)
     worst, turn = extremes(certificate.counted.straight), int(certificate.counted.unstable_in_turn.sum())
     maps = [
@@ -109,8 +106,6 @@ def certificate_result(certificate: Certificate, command: str = "", next_step: s
             "unguarded": None if certificate.guarded is None else int(certificate.bare.unstable.sum()),
             "fallback": None if certificate.guarded is None else float(certificate.fallback.mean()),
         },
-        command=command,
-        next_step=next_step,
     )  # fmt: skip
 
 

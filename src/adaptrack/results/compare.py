@@ -99,11 +99,8 @@ _NOTE = (
 )
 
 
-def compare_result(compared: Compared, *, command: str = "", next_step: str = "") -> Result:
-    """The result of a comparison; its record holds a row of each contender in each profile, and every cell.
-
-    command: the command line that makes it again; next_step: what to do next, with the command.
-    """
+def compare_result(compared: Compared) -> Result:
+    """The result of a comparison; its record holds a row of each contender in each profile, and every cell."""
     comparisons, task = compared.profile_comparisons, compared.task
     rows = {profile: profile_rows(compared, profile) for profile in comparisons}
     last = list(comparisons)[-1]
@@ -123,8 +120,6 @@ def compare_result(compared: Compared, *, command: str = "", next_step: str = ""
             "profiles": list(rows), "reference": comparisons[last].reference, "task": task,
             "contenders": [(name, about_contender(name).words) for name in task.contenders],
         },
-        command=command,
-        next_step=next_step,
     )  # fmt: skip
 
 
@@ -355,8 +350,8 @@ DRIVER_COLUMNS = (
 )
 
 
-def compare_drivers_result(compared: Compared, *, command: str = "", next_step: str = "") -> Result:
-    """The result of a comparison of drivers; arguments as for `compare_result`."""
+def compare_drivers_result(compared: Compared) -> Result:
+    """The result of a comparison of drivers; its record is that of `compare_result`."""
     task = compared.task
     rows = {condition: driver_rows(comparison) for condition, comparison in compared.profile_comparisons.items()}
     meanings = " ".join(f"{column.title}: {column.meaning}." for column in DRIVER_COLUMNS)
@@ -373,8 +368,6 @@ def compare_drivers_result(compared: Compared, *, command: str = "", next_step: 
             f"Cars: {listed(task.cars)}. Roads: {listed(task.roads)}. Noise seeds: {listed([*map(str, task.seeds)])}.",
         ],
         pictures=[_drivers_picture(condition, rows[condition]) for condition in rows],
-        command=command,
-        next_step=next_step,
     )
 
 

@@ -275,7 +275,7 @@ INPUT_CHECK_COLUMNS = (
 )
 
 
-def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = (), command: str = "") -> Result:
+def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = ()) -> Result:
     """Return the result with the contradictions of a log and all comparisons."""
     rows = [
         _comparison_row(finding.compared, finding.seconds, bool(finding.label), finding.seconds > LEAST)
@@ -300,7 +300,6 @@ def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = (), comman
         tables=[ResultTable("console", f"{check.seconds:.0f} s of {log}", INPUT_CHECK_COLUMNS, rows, brief=True)],
         notes=[*check.contradictions[1:], *check.possibilities, *(f"{note}." for note in notes), *sliding],
         failed=bool(check.contradictions),
-        command=command,
     )  # fmt: skip
 
 

@@ -44,7 +44,7 @@ _CORNERS = ((2, SERIES[2], 1.6), (3, SERIES[2], 1.6), (0, SERIES[0], 0.7), (1, S
 """Corners of the outline with colour and width (pt): the rear ones, then the front ones over them."""
 
 
-def lane_change_result(name: str, runs: Sequence[EntrySpeed], *, command: str = "", next_step: str = "") -> Result:
+def lane_change_result(name: str, runs: Sequence[EntrySpeed]) -> Result:
     """Entry speeds of a lane change of `LANE_CHANGES`, and a picture for each car and profile."""
     rows = [run.row for run in runs]
     fastest = max(rows, key=lambda row: row["clean"] or 0.0)
@@ -62,8 +62,6 @@ def lane_change_result(name: str, runs: Sequence[EntrySpeed], *, command: str = 
             lane_change_picture(_fastest_runs(group), f"{file}.png")
             for file, group in zip(files, tests.values(), strict=True)
         ],
-        command=command,
-        next_step=next_step,
     )
 
 

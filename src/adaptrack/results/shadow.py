@@ -63,7 +63,7 @@ LEARNED_CAR_COLUMNS = (
 )
 
 
-def shadow_result(shadow: Shadow, command: str = "", next_step: str = "") -> Result:
+def shadow_result(shadow: Shadow) -> Result:
     """Return the logs of shadow mode as a result."""
     several = len(shadow.logs) > 1
     return Result(
@@ -76,8 +76,6 @@ def shadow_result(shadow: Shadow, command: str = "", next_step: str = "") -> Res
         pictures=[_predicted(shadow.logs), _believed(shadow.logs), *_commands(shadow.logs)],
         failed=not shadow.believable,
         headline="" if shadow.believable else "Implausible",
-        command=command,
-        next_step=next_step,
     )
 
 
