@@ -14,7 +14,6 @@ import pytest
 import typer
 
 from adaptrack import cli, scenario
-from adaptrack.cli import interrupt
 from adaptrack.drive import simulate
 from adaptrack.drive.trajectory import Trajectory
 
@@ -85,7 +84,7 @@ def test_every_command_answers_ctrl_c_with_what_is_kept(run_command, monkeypatch
     assert words.format(out=tmp_path) in err
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)) == before
     run_command("--version")
-    assert interrupt.progress_note() == "Nothing was written.", "the next command forgets the note"
+    assert cli._progress_note == "Nothing was written.", "the next command forgets the note"
 
 
 def test_ctrl_c_between_runs_tells_which_trajectories_are_there(run_command, monkeypatch, tmp_path):

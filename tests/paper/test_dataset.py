@@ -240,9 +240,9 @@ def test_a_cell_of_a_map_is_the_median_of_its_operating_points():
 
 def test_a_gain_is_the_median_ratio_of_the_costs_in_each_bin():
     points = grid(speed=(5.0, 10.0), y_ref=(4.0,), friction=(0.5, 0.9), wind=(0.0,))
-    data = wild(4, operating_points=points, costs=np.ones(4), standard_costs=[2.0, 4.0, 8.0, 8.0])
+    data = wild(4, operating_points=points, costs=np.ones(4), standard_costs=[2.0, 4.0, 80.0, 80.0])
     line = panel_figure(pictures.gain_panel(data)).axes[0].lines[1]
-    assert (list(line.get_xdata()), list(line.get_ydata())) == ([5.0, 10.0], [3.0, 8.0])
+    assert (list(line.get_xdata()), list(line.get_ydata())) == ([5.0, 10.0], [3.0, 80.0])
 
 
 @pytest.mark.parametrize("lost", [False, True])

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cli import interrupt, options, show
+from adaptrack.cli import note_progress, options, show
 from adaptrack.cli.next_step import choose, command, drive_words, option_words, with_command
 from adaptrack.cli.options import argument, json_flag, option, option_group
 from adaptrack.cli.road import ROADS_HELP
@@ -93,9 +93,9 @@ def _compare_on_roads(settings: CompareOptions) -> Result:
     size = f"{len(task.cells)} combinations, about {loops:,} simulated runs, about {show.duration(seconds)} on one core"
     show.say(f"adaptrack: {task.name}: {size}", aside=True)
     if settings.out is None:
-        interrupt.note_progress("Results are only saved with --out.")
+        note_progress("Results are only saved with --out.")
     else:
-        interrupt.note_progress(f"Finished runs are in {settings.out}: run the command again to continue.")
+        note_progress(f"Finished runs are in {settings.out}: run the command again to continue.")
     with show.progress("compare") as advance:
         compared = run_comparison(task, settings.out, progress=advance)
     make_result = compare_drivers_result if task.drivers else compare_result

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cli import controllers, interrupt, options, show
+from adaptrack.cli import controllers, note_progress, options, show
 from adaptrack.cli.next_step import choose, command, next_line, option_words, repeat_command_with, replace_option
 from adaptrack.cli.options import flag, json_flag, option, option_group
 from adaptrack.cli.places import DrivenPlaces, PlaceOptions
@@ -190,7 +190,7 @@ def _drive(settings: DriveSettings, loop: DrivenLoop, friction: tuple[float, flo
             )  # fmt: skip
             if out is not None:
                 run.save(out / f"{file}.parquet")
-            interrupt.note_progress(f"{i} of {len(pairs)} runs were finished; {where}. Run the command again.")
+            note_progress(f"{i} of {len(pairs)} runs were finished; {where}. Run the command again.")
             measures = compute_metrics(run, model=controller.model, outline=loop.car.outline)
             road, plan = (None, None) if places.road is None else (places.road.road, places.road.plan)
             yield Run(run, label, measures, road, loop.car, paths, None if driver is None else plan)

@@ -13,7 +13,7 @@ import typer
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import DRIVES, MAX_SEED, OPERATING_POINTS, WORKERS, RequestLimit, check_limit
-from adaptrack.cli import interrupt, options, show
+from adaptrack.cli import note_progress, options, show
 from adaptrack.cli.next_step import choose, command, next_line, option_words, replace_option, say_next, with_command
 from adaptrack.cli.options import argument, flag, json_flag, option, option_group
 from adaptrack.cli.show import Column
@@ -114,7 +114,7 @@ def campaign(arguments: CampaignOptions) -> None:
     data: str | Path = arguments.name
     if arguments.out is not None:
         config = load_campaign(arguments.name)
-        interrupt.note_progress(f"Finished parts are in {arguments.out}: run the command again to continue.")
+        note_progress(f"Finished parts are in {arguments.out}: run the command again to continue.")
         with show.progress("campaign") as advance:
             data = run_campaign(
                 config, arguments.out, workers=arguments.workers, cluster=arguments.cluster, progress=advance
@@ -188,7 +188,7 @@ def train(arguments: TrainOptions) -> None:
         schedule = replace(trained_schedule(trained, dataset), made_for=purpose_of(dataset))
         check_scheduler(schedule)
     schedule.save(out)
-    interrupt.note_progress(f"The schedule is in {out}.")
+    note_progress(f"The schedule is in {out}.")
     rows = trained.quality
     if arguments.as_json:
         show.say_json({"scheduler": str(out), "data": dataset.name, "model": model, "targets": targets, "rows": rows})
@@ -235,7 +235,7 @@ def adapt(arguments: AdaptOptions) -> None:
 
     campaign = load_campaign(arguments.campaign).with_profile(arguments.profile)
     options.make_folder(arguments.out)
-    interrupt.note_progress(f"Finished parts and schedules are in {arguments.out}: run the command again to continue.")
+    note_progress(f"Finished parts and schedules are in {arguments.out}: run the command again to continue.")
     with show.progress("adapt") as advance:
         schedules = learn(campaign, arguments.out, workers=arguments.workers, progress=advance)
     rows = [_best_round(name, schedule) for name, schedule in schedules.items() if "history" in schedule.provenance]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cli import interrupt, options, show
+from adaptrack.cli import note_progress, options, show
 from adaptrack.cli.next_step import command, drive_words, option_words, with_command
 from adaptrack.cli.options import argument, json_flag, option, option_group
 from adaptrack.cli.road import ROADS_HELP
@@ -55,7 +55,7 @@ def tune(settings: TuneOptions) -> None:
     options.load_plugins(settings.plugin)
     _check_options(settings)
     options.make_folder(settings.out)
-    interrupt.note_progress("An interrupted search saves nothing.")
+    note_progress("An interrupted search saves nothing.")
     result = _tune_on_roads(settings) if settings.road else _tune_car(settings)
     show.say_result(result, settings.as_json)
     if result.failed:

@@ -305,7 +305,7 @@ def _map(
         draw_heat_map(axes, edges_around(certificate.speeds), edges_around(certificate.frictions), cells, bar)
         i, j = np.nonzero(np.zeros(values.shape, bool) if unstable is None else unstable)
         crosses = certificate.speeds[i], certificate.frictions[j]
-        draw_dots(axes, *crosses, SERIES[1], "cross", 4.5, scalex=False, scaley=False)
+        draw_dots(axes, *crosses, SERIES[1], "x", 4.5, markeredgewidth=1.5, scalex=False, scaley=False)
         axes.set(xlabel="Speed (m/s)", ylabel="Friction (–)")
 
     return Panel(scale.label, draw, f"{number(low)} to {number(high)}.")

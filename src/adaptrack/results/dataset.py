@@ -183,7 +183,8 @@ def gain_panel(rows: DataSet) -> Panel:
         axes.plot(middles, median, **Stroke().look, marker="o", markersize=3.5)
         axes.set(xlabel="Speed (m/s)", ylabel="Cost ratio (–)")
         axes.margins(x=0.02)
-        marks.set_log_scale(axes, "y", marks.include_y(axes, 1.0))
+        bottom, top = marks.include_y(axes, 1.0)
+        marks.set_log_scale(axes, "y", (bottom if bottom > 0.0 else min(1.0, low.min()) / 1.1, top))
 
     description = f"Cost of the standard tuning over the swarm's best, by speed: medians {span(median)}."
     return Panel("Standard over best", draw, description)

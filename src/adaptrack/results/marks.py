@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from adaptrack.base.result import BACKGROUND_STROKE, INK, MUTED, SERIES, Panel, Stroke
+from adaptrack.base.result import BACKGROUND_STROKE, INK, SERIES, Panel, Stroke
 from adaptrack.core.maths import portable
 from adaptrack.results.words import data_text, legible, number
 
@@ -25,20 +25,13 @@ if TYPE_CHECKING:
 TICK_STEPS = (1, 2, 5, 10)
 """Steps between the ticks of an axis, times a power of ten: whole numbers stay whole."""
 
-_MARKERS: dict[str, dict[str, Any]] = {
-    "ring": {"marker": "o", "fillstyle": "none"},
-    "square": {"marker": "s", "fillstyle": "none"},
-    "cross": {"marker": "x", "markeredgewidth": 1.5},
-}
-
 
 # -- curves and points ------------------------------------------------------------------------------------------------
 def draw_dots(
     axes: Axes, x: ArrayLike, y: ArrayLike, colour: str = SERIES[0], marker: str = "o", size: float = 5.0, **look: Any
 ) -> None:
-    """Draw single points; marker: ring, square, cross, or one of matplotlib's; size: pt."""
-    style: dict[str, Any] = {"color": colour, "linestyle": "", "markersize": size, "zorder": 5}
-    axes.plot(x, y, **style | _MARKERS.get(marker, {"marker": marker}) | look)
+    """Draw single points; size: pt."""
+    axes.plot(x, y, color=colour, linestyle="", marker=marker, markersize=size, zorder=5, **look)
 
 
 def draw_ribbon(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str = SERIES[0]) -> None:
@@ -62,11 +55,6 @@ def write_beside(axes: Axes, x: float, y: float, text: str, offset: tuple[float,
 
 
 # -- titles, keys and scales ------------------------------------------------------------------------------------------
-def write_remark(axes: Axes, text: str) -> None:
-    """Write small words above a panel, at the right."""
-    axes.set_title(text, loc="right", fontsize=7.5, fontweight="normal", color=MUTED)
-
-
 def add_line_key(axes: Axes, entries: Iterable[tuple[str, Stroke]]) -> None:
     """Add a key of line styles in ink, at the right above the panel, level with its title."""
     from matplotlib.lines import Line2D

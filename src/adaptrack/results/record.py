@@ -310,7 +310,7 @@ def _draw_from_above(axes: Axes, drive: DriveRecord, scale: ColourScale, ends: t
     write_beside(axes, x, y, "start")
     if drive.failed:
         x, y = float(drive.x[-1]), float(drive.y[-1])
-        draw_dots(axes, [x], [y], INK, "cross", 8.0)
+        draw_dots(axes, [x], [y], INK, "x", 8.0, markeredgewidth=1.5)
         write_beside(axes, x, y, "failed", (6.0, -10.0))
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="datalim")

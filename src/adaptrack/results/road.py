@@ -182,11 +182,12 @@ def _draw_from_above(axes: Axes, road: Road, plan: SpeedPlan, s: np.ndarray, bar
     scale = ColourScale(slowest, max(fastest, slowest + 0.1), "Speed (m/s)")
     draw_coloured_line(axes, points.x, points.y, speed[:-1], scale)
     places = [road.at(0.5 * (finding.start + finding.end)) for finding in barred]
-    draw_dots(axes, [float(place.x) for place in places], [float(place.y) for place in places], SERIES[1], "cross", 8.0)
+    x, y = [float(place.x) for place in places], [float(place.y) for place in places]
+    draw_dots(axes, x, y, SERIES[1], "x", 8.0, markeredgewidth=1.5)
     arrow = 0.03 * portable.hypot(float(np.ptp(points.x)), float(np.ptp(points.y)))
     start = road.at(0.0)
-    x, y, heading = float(start.x), float(start.y), float(start.heading)
-    tip = x + arrow * portable.cos(heading), y + arrow * portable.sin(heading)
-    axes.annotate("", tip, (x, y), arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 1.5})
+    tail, heading = (float(start.x), float(start.y)), float(start.heading)
+    tip = tail[0] + arrow * portable.cos(heading), tail[1] + arrow * portable.sin(heading)
+    axes.annotate("", tip, tail, arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 1.5})
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="datalim")

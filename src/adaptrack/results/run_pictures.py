@@ -15,6 +15,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.result import (
     BACKGROUND_STROKE,
     INK,
+    MUTED,
     REFERENCE_STROKE,
     SHARED_STROKE,
     Dash,
@@ -240,7 +241,8 @@ def _signal(
         if limits:
             axes.set_ylim(limits)
         _draw_crosses(axes, lines, value)
-        marks.write_remark(axes, ",  ".join(filter(None, (start, remark))))
+        remarks = ",  ".join(filter(None, (start, remark)))
+        axes.set_title(remarks, loc="right", fontsize=7.5, fontweight="normal", color=MUTED)
 
     return _panel(title, label, lines, value, draw)
 
@@ -257,7 +259,8 @@ def _steering(lines: Lines) -> Panel:
             _draw_curve(axes, lines[0], command, BACKGROUND_STROKE, linewidth=0.8, drawstyle="steps-post")
         for line in holding:
             is_held = line.run.held
-            marks.draw_dots(axes, line.x[is_held], line.run.steering[is_held], line.stroke.colour, "square", 3.0)
+            held = line.x[is_held], line.run.steering[is_held]
+            marks.draw_dots(axes, *held, line.stroke.colour, "s", 3.0, fillstyle="none")
         signal.draw(axes)
         marks.add_degrees(axes)
 
