@@ -318,7 +318,7 @@ def _next_step(arguments: DriveOptions, loop: DrivenLoop, rows: Sequence[dict[st
     on_road, profile = checked is not None, option_words(place, "profile")
     is_off_lane = any(row["failed"] or (row.get("in_lane") or 0.0) < 1.0 for row in rows)
     check = command("road", "check", place.names[0], "--vehicle", arguments.car.vehicle, *option_words(place.route))
-    best = min(rows, key=lambda row: row["mse"])["controller"]
+    best = min(rows, key=lambda row: math.inf if row["mse"] is None else row["mse"])["controller"]
     road, plant = _comparable_road(arguments) if on_road else None, arguments.car.plant
     words = [
         *profile, *option_words(place.route, "length"), *option_words(arguments.drive, "prescribed_speed"),
