@@ -6,10 +6,10 @@ import re
 import numpy as np
 from matplotlib.figure import Figure
 
-from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, select_entries, strokes, to_json
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, select_entries, to_json
 from adaptrack.results import style
 from adaptrack.results.console import print_result
-from adaptrack.results.marks import include_y
+from adaptrack.results.marks import include_y, strokes
 from adaptrack.results.page import render_result
 from pictures import pictures
 
@@ -96,4 +96,4 @@ def test_an_axis_reaches_what_it_includes():
 
 
 def test_strokes_stay_distinct_for_eighteen_labels():
-    assert len(set(strokes(f"c{i}" for i in range(18)).values())) == 18
+    assert len({tuple(stroke.values()) for stroke in strokes(f"c{i}" for i in range(18)).values()}) == 18

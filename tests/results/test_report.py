@@ -13,13 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.base.result import SERIES, Column, Panel, Picture, Result, ResultTable
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
 from adaptrack.results import page, style, words, write_drive_page, write_result
 from adaptrack.results.drive import Run, drive_result, group_runs
 from adaptrack.results.evaluation import shared_scale
-from adaptrack.results.marks import ColourScale, Dot, caption_notes, draw_heat_map, log_ticks, set_log_scale
+from adaptrack.results.marks import SERIES, ColourScale, Dot, caption_notes, draw_heat_map, log_ticks, set_log_scale
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from pictures import pictures
 

@@ -11,17 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.result import (
-    BACKGROUND_STROKE,
-    REFERENCE_STROKE,
-    Column,
-    Panel,
-    Picture,
-    Result,
-    ResultTable,
-    Row,
-    Stroke,
-)
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row
 from adaptrack.core.maths import portable
 from adaptrack.paper.campaign_config import STANDARD_ROW
 from adaptrack.paper.data_set import DataSet
@@ -162,7 +152,7 @@ def histogram(target: TuningTarget) -> Panel:
 
     def draw(axes: Axes) -> None:
         marks.draw_bars(axes, edges, 100.0 * counts / target.values.size)
-        axes.axvline(target.standard, linewidth=1.0, **REFERENCE_STROKE.look)
+        axes.axvline(target.standard, linewidth=1.0, **marks.REFERENCE_STROKE)
         axes.set(xlabel=target.label, ylabel="Operating points (%)")
         axes.margins(x=0.03)
 
@@ -178,9 +168,9 @@ def gain_panel(rows: DataSet) -> Panel:
     low, median, high = np.array([np.quantile(gain[members], (0.25, 0.5, 0.75)) for members in by_bin]).T
 
     def draw(axes: Axes) -> None:
-        axes.axhline(1.0, linewidth=0.7, **BACKGROUND_STROKE.look)
+        axes.axhline(1.0, linewidth=0.7, **marks.BACKGROUND_STROKE)
         marks.draw_ribbon(axes, middles, low, high)
-        axes.plot(middles, median, **Stroke().look, marker="o", markersize=3.5)
+        axes.plot(middles, median, color=marks.SERIES[0], marker="o", markersize=3.5)
         axes.set(xlabel="Speed (m/s)", ylabel="Cost ratio (–)")
         axes.margins(x=0.02)
         bottom, top = marks.include_y(axes, 1.0)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import safe_names
-from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, Stroke, select_entries, strokes
+from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.drive.failure import DISTANCE, MIN_JUDGED_SPEED
 from adaptrack.drive.metrics import Metrics, compute_metrics, published_mse
@@ -24,6 +24,7 @@ from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.speed_measures import StopMeasure, measure_stops, speed_measures
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.results import run_pictures, words
+from adaptrack.results.marks import Stroke, strokes
 from adaptrack.results.record import DEFAULT_DRAWN_CAR, DrawnCar, DriveRecord, above_picture, on_road
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.scenario.profile import load_profile

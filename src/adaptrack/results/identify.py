@@ -10,29 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from adaptrack.base.files import write_atomically
-from adaptrack.base.result import (
-    MUTED,
-    SERIES,
-    Column,
-    Panel,
-    Picture,
-    Result,
-    ResultTable,
-    Row,
-    Stroke,
-    select_entries,
-)
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.identification import DriveIdentification, Estimate, Identification
 from adaptrack.identification.loop_check import LEAST, LoopCheck
 from adaptrack.identification.quantities import degrees_per_g
-from adaptrack.results.marks import ColourScale, draw_bars, draw_dots, draw_heat_map
+from adaptrack.results.marks import DASHED, MUTED, SERIES, ColourScale, draw_bars, draw_dots, draw_heat_map, make_stroke
 from adaptrack.results.run_pictures import turning_part
 from adaptrack.results.words import capital, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_MEASURED, _SIMULATED, _BOUND = Stroke(SERIES[0]), Stroke(SERIES[1]), Stroke(MUTED, "dashed")
+_MEASURED, _SIMULATED, _BOUND = make_stroke(SERIES[0]), make_stroke(SERIES[1]), make_stroke(MUTED, DASHED)
 _SECONDS = 30.0
 """Length of the part of the log in the first picture (s)."""
 _UNITS = {"N/rad": ("kN/rad", 1e-3), "rad": ("°", 180.0 / math.pi), "rad s^2/m": ("°/g", degrees_per_g(1.0)),
@@ -193,8 +182,8 @@ def _measured_and_simulated(identification: Identification) -> Picture:
     part = turning_part(series.time, series.measured, _SECONDS)
 
     def draw(axes: Axes) -> None:
-        axes.plot(series.time[part], series.measured[part], **_MEASURED.look, linewidth=0.9)
-        axes.plot(series.time[part], series.simulated[part], **_SIMULATED.look)
+        axes.plot(series.time[part], series.measured[part], **_MEASURED, linewidth=0.9)
+        axes.plot(series.time[part], series.simulated[part], **_SIMULATED)
         axes.set(xlabel="Time (s)", ylabel="Yaw rate (rad/s)")
 
     panel = Panel(
@@ -238,7 +227,7 @@ def _residuals(identification: Identification) -> Picture:
 
 def _draw_bounds(axes: Axes, bound: float) -> None:
     for level in (-bound, bound):
-        axes.axhline(level, linewidth=0.8, **_BOUND.look)
+        axes.axhline(level, linewidth=0.8, **_BOUND)
 
 
 def _excited(identification: Identification) -> Picture:

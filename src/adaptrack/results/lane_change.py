@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adaptrack.base.files import safe_names
-from adaptrack.base.result import BACKGROUND_STROKE, INK, SERIES, Column, Panel, Picture, Result, ResultTable
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable
 from adaptrack.comparison.entry_speed import LANE_CHANGES, EntrySpeed
-from adaptrack.results.marks import draw_dots
+from adaptrack.results.marks import BACKGROUND_STROKE, INK, SERIES, draw_dots
 from adaptrack.results.words import data_text
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def _draw_run(axes: Axes, run: EntrySpeed) -> None:
     start, end = track.gates[0].start - ROAD_BEFORE, track.gates[-1].end + ROAD_BEHIND
     for gate in track.gates:
         for side in (gate.right, gate.left):
-            axes.plot([gate.start, gate.end], [side, side], **BACKGROUND_STROKE.look, linewidth=0.7)
+            axes.plot([gate.start, gate.end], [side, side], **BACKGROUND_STROKE, linewidth=0.7)
     draw_dots(axes, track.cones[:, 0], track.cones[:, 1], SERIES[1], "^", 4.0)
     for poses in run.poses:
         corners = outline.corners_at(*poses.T)

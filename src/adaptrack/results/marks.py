@@ -6,13 +6,13 @@ Importing this module does not load matplotlib: results are made also where noth
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from adaptrack.base.result import BACKGROUND_STROKE, INK, SERIES, Panel, Stroke
+from adaptrack.base.result import Panel
 from adaptrack.core.maths import portable
 from adaptrack.results.words import data_text, legible, number
 
@@ -22,8 +22,42 @@ if TYPE_CHECKING:
     from matplotlib.ticker import FixedLocator
     from numpy.typing import ArrayLike, NDArray
 
+INK = "#1d2733"
+"""Colour of text, ticks and the reference path."""
+MUTED = "#66717e"
+"""Colour of frames and of lines in the background."""
+PALE = "#dce1e7"
+"""Colour of grid lines and of the road's surface."""
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Colours of contenders from the set of Okabe and Ito, which colour-blind readers can distinguish."""
+DASHED, LONG_DASHES, DOTTED, DASH_DOT = (0, (4, 2)), (0, (5, 1.5)), (0, (1.5, 1.5)), (0, (5, 1.5, 1, 1.5))
+"""Line styles in matplotlib's notation: offset and dash lengths in line widths."""
+
+Stroke = Mapping[str, Any]
+"""Colour and line style of the lines of one contender, the same in every picture: keyword arguments of matplotlib."""
+REFERENCE_STROKE: Stroke = {"color": INK, "linestyle": DASHED}
+"""Stroke of the reference path."""
+SHARED_STROKE: Stroke = {"color": INK, "linestyle": "-"}
+"""Stroke of signals that all runs share (gust, friction)."""
+BACKGROUND_STROKE: Stroke = {"color": MUTED, "linestyle": "-"}
+"""Stroke of lines behind the main curves."""
+
 TICK_STEPS = (1, 2, 5, 10)
 """Steps between the ticks of an axis, times a power of ten: whole numbers stay whole."""
+
+
+# -- strokes ----------------------------------------------------------------------------------------------------------
+def make_stroke(colour: str = SERIES[0], linestyle: Any = "-") -> Stroke:
+    """Return a stroke."""
+    return {"color": colour, "linestyle": linestyle}
+
+
+def strokes(labels: Iterable[str]) -> dict[str, Stroke]:
+    """Return one stroke per distinct label, in order; strokes repeat after three times the number of colours."""
+    styles, n = ("-", LONG_DASHES, DOTTED), len(SERIES)
+    return {
+        label: make_stroke(SERIES[i % n], styles[i // n % len(styles)]) for i, label in enumerate(dict.fromkeys(labels))
+    }
 
 
 # -- curves and points ------------------------------------------------------------------------------------------------
@@ -60,8 +94,7 @@ def add_line_key(axes: Axes, entries: Iterable[tuple[str, Stroke]]) -> None:
     from matplotlib.lines import Line2D
 
     handles = [
-        Line2D([], [], color=INK, linestyle=stroke.look["linestyle"], label=name, linewidth=1.2)
-        for name, stroke in entries
+        Line2D([], [], color=INK, linestyle=stroke["linestyle"], label=name, linewidth=1.2) for name, stroke in entries
     ]
     axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.015), ncols=len(handles), columnspacing=1.2)
 
@@ -274,7 +307,7 @@ def dots_panel(
 
     def draw(axes: Axes) -> None:
         if level is not None:
-            axes.axvline(level, linewidth=0.9, **BACKGROUND_STROKE.look)
+            axes.axvline(level, linewidth=0.9, **BACKGROUND_STROKE)
         for row, dot in enumerate(rows):
             _draw_dot(axes, dot, row, edge)
         low, high, log = _limits(rows, [] if level is None else [level])

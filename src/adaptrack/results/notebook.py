@@ -15,27 +15,16 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.result import (
-    BACKGROUND_STROKE,
-    MUTED,
-    PALE,
-    SERIES,
-    SHARED_STROKE,
-    Panel,
-    Picture,
-    Stroke,
-    strokes,
-)
+from adaptrack.base.result import Panel, Picture
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.comparison.table import Comparison
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 from adaptrack.drive.metrics import Metrics, compute_metrics
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.paper.data_set import DataSet
-from adaptrack.results import style, words
+from adaptrack.results import marks, style, words
 from adaptrack.results.compare import ratios_picture
 from adaptrack.results.dataset import comparable_rows, gain_panel, histogram, targets
-from adaptrack.results.marks import draw_dots, set_log_scale, write_beside
 from adaptrack.results.record import DrawnCar, DriveRecord, above_picture, on_road
 from adaptrack.results.run_pictures import tracking_picture
 from adaptrack.results.style import panel_figure, print_figure
@@ -127,14 +116,14 @@ def vehicle_figure(car: Vehicle) -> Figure:
 
 def _draw_vehicle(axes: Axes, car: Vehicle) -> None:
     outline, shape = car.outline.corners[[0, 1, 3, 2]], DrawnCar.of(car)
-    axes.fill(*outline.T, edgecolor=MUTED, facecolor=PALE, linewidth=1.0, zorder=1)
+    axes.fill(*outline.T, edgecolor=marks.MUTED, facecolor=marks.PALE, linewidth=1.0, zorder=1)
     for x, track in ((shape.lf, shape.track_front), (-shape.lr, shape.track_rear)):
         sides = (-track / 2, track / 2)
-        axes.plot([x, x], sides, **BACKGROUND_STROKE.look, linewidth=1.0)
+        axes.plot([x, x], sides, **marks.BACKGROUND_STROKE, linewidth=1.0)
         for y in sides:
-            axes.plot([x - 0.32, x + 0.32], [y, y], **SHARED_STROKE.look, linewidth=5.0)
-    draw_dots(axes, [0.0], [0.0], SERIES[1], size=6.0)
-    write_beside(axes, 0.0, 0.0, "centre of mass", (6.0, 5.0))
+            axes.plot([x - 0.32, x + 0.32], [y, y], **marks.SHARED_STROKE, linewidth=5.0)
+    marks.draw_dots(axes, [0.0], [0.0], marks.SERIES[1], size=6.0)
+    marks.write_beside(axes, 0.0, 0.0, "centre of mass", (6.0, 5.0))
     axes.set(xlabel="x (m), forward", ylabel="y (m), left")
     axes.margins(0.06)
     axes.set_aspect("equal", adjustable="datalim")
@@ -148,7 +137,7 @@ def schedule_figure(schedule: Schedule) -> Figure:
     levels = np.linspace(low[1], high[1], 3) if second else np.zeros(1)
     x = np.linspace(low[0], high[0], 200)
     label, unit = words.INPUT_LABELS[first]
-    level_strokes = strokes(
+    level_strokes = marks.strokes(
         f"{words.INPUT_LABELS[name][0]} {words.number(float(level))}" for name in second for level in levels
     )
     tunings = []
@@ -160,11 +149,11 @@ def schedule_figure(schedule: Schedule) -> Figure:
         tunings.append(schedule.batch(_variables(schedule, points)))
 
     def draw(axes: Axes, k: int, log: bool) -> None:
-        for tuning, stroke in zip(tunings, list(level_strokes.values()) or [Stroke()], strict=True):
-            axes.plot(x, tuning[:, k], **stroke.look)
+        for tuning, stroke in zip(tunings, list(level_strokes.values()) or [marks.make_stroke()], strict=True):
+            axes.plot(x, tuning[:, k], **stroke)
         axes.set_xlabel(f"{label} ({unit})")
         if log:
-            set_log_scale(axes, "y")
+            marks.set_log_scale(axes, "y")
 
     panels = [
         Panel(

@@ -19,8 +19,9 @@ from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.files import PAGE_FILE, check_replaceable
 from adaptrack.base.presentation import content_policy, printable
-from adaptrack.base.result import DASHES, Column, Panel, Result, ResultTable, Stroke
+from adaptrack.base.result import Column, Panel, Result, ResultTable
 from adaptrack.results import style, words
+from adaptrack.results.marks import Stroke
 
 
 def write_result(
@@ -92,7 +93,7 @@ def _environment() -> jinja2.Environment:
     environment.filters |= {name: getattr(words, name) for name in formats}
     environment.filters |= {
         "inline": inline, "anchor": words.slug, "words": _holds_words, "dashes": _dashes,
-        "colour": lambda stroke: style.themed(stroke.colour),
+        "colour": lambda stroke: style.themed(stroke["color"]),
     }  # fmt: skip
     return environment
 
@@ -111,7 +112,7 @@ def _printable(value: Any) -> Any:
 
 def _dashes(stroke: Stroke) -> str:
     """The SVG dash pattern of a stroke 2 wide; empty for a solid line."""
-    pattern = DASHES[stroke.dash]
+    pattern = stroke["linestyle"]
     return "" if pattern == "-" else " ".join(f"{2 * length:g}" for length in pattern[1])
 
 

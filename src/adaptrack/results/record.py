@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.result import BACKGROUND_STROKE, INK, PALE, Panel, Picture
+from adaptrack.base.result import Panel, Picture
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.loop.period import TRACE_SIGNALS
@@ -22,7 +22,7 @@ from adaptrack.core.maths import portable
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.results.marks import ColourScale, draw_coloured_line, draw_dots, write_beside
+from adaptrack.results import marks
 from adaptrack.results.words import data_text, span
 from adaptrack.road import Road
 from adaptrack.road.road_ahead import foot_near
@@ -267,7 +267,7 @@ def above_picture(drives: Drives) -> Picture:
     check_one_road(records)
     ends, high = road_span(records), offset_scale(records)
     beyond = max(drive.max_offset for drive in records) > high
-    scale = ColourScale(0.0, high, "|e| (m)", deviation=True, beyond="max" if beyond else "neither")
+    scale = marks.ColourScale(0.0, high, "|e| (m)", deviation=True, beyond="max" if beyond else "neither")
     panels = [
         Panel(
             "" if alone else data_text(label), partial(_draw_from_above, drive=drive, scale=scale, ends=ends),
@@ -296,21 +296,21 @@ def _row_height(drives: Sequence[DriveRecord], width: float, tallest: float) -> 
     return min(max(0.75 * width * y_range / max(x_range, 1.0) + 0.8, 0.45 * width), tallest)
 
 
-def _draw_from_above(axes: Axes, drive: DriveRecord, scale: ColourScale, ends: tuple[float, float]) -> None:
+def _draw_from_above(axes: Axes, drive: DriveRecord, scale: marks.ColourScale, ends: tuple[float, float]) -> None:
     left, right = drive.road.edges(outline_stations(drive.road, *ends))
     surface = np.concatenate([left, right[::-1]])
-    axes.fill(*surface.T, facecolor=PALE, edgecolor="none", linewidth=0.6, zorder=1)
+    axes.fill(*surface.T, facecolor=marks.PALE, edgecolor="none", linewidth=0.6, zorder=1)
     for edge in (left, right):
-        axes.plot(*edge.T, **BACKGROUND_STROKE.look, linewidth=0.6)
+        axes.plot(*edge.T, **marks.BACKGROUND_STROKE, linewidth=0.6)
     pick = np.unique(np.linspace(0, len(drive) - 1, PIECES + 1).astype(int))
     worst = np.maximum.reduceat(np.abs(drive.offset), pick[:-1])
-    draw_coloured_line(axes, drive.x[pick], drive.y[pick], worst, scale)
+    marks.draw_coloured_line(axes, drive.x[pick], drive.y[pick], worst, scale)
     x, y = float(drive.x[0]), float(drive.y[0])
-    draw_dots(axes, [x], [y], INK, size=4.0)
-    write_beside(axes, x, y, "start")
+    marks.draw_dots(axes, [x], [y], marks.INK, size=4.0)
+    marks.write_beside(axes, x, y, "start")
     if drive.failed:
         x, y = float(drive.x[-1]), float(drive.y[-1])
-        draw_dots(axes, [x], [y], INK, "x", 8.0, markeredgewidth=1.5)
-        write_beside(axes, x, y, "failed", (6.0, -10.0))
+        marks.draw_dots(axes, [x], [y], marks.INK, "x", 8.0, markeredgewidth=1.5)
+        marks.write_beside(axes, x, y, "failed", (6.0, -10.0))
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="datalim")

@@ -7,9 +7,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, strokes
+from adaptrack.base.result import Column, Picture, Result, ResultTable, Row
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.paper.reproduce import PAPER_TESTS, Reproduction
+from adaptrack.results.marks import strokes
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from adaptrack.results.words import number, title_of
 

@@ -17,8 +17,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import AutoLocator, MaxNLocator
 
 from adaptrack.base.presentation import printable
-from adaptrack.base.result import INK, MUTED, PALE, SERIES, Panel, Picture, Stroke
-from adaptrack.results.marks import TICK_STEPS
+from adaptrack.base.result import Panel, Picture
+from adaptrack.results.marks import INK, MUTED, PALE, SERIES, TICK_STEPS, Stroke
 from adaptrack.results.words import data_text, lettered, plain
 
 _THEME = {INK: "ink", MUTED: "muted", PALE: "grid"} | {colour: f"series-{i}" for i, colour in enumerate(SERIES)}
@@ -112,7 +112,7 @@ class ShownFigure(Figure):
 def legend_above(figure: Figure, key: Sequence[tuple[str, Stroke]]) -> None:
     """Add a legend in rows above all panels."""
     key = [(data_text(label), stroke) for label, stroke in key]
-    handles = [Line2D([], [], **stroke.look, linewidth=1.6, label=label) for label, stroke in key]
+    handles = [Line2D([], [], **stroke, linewidth=1.6, label=label) for label, stroke in key]
 
     def width(columns: int) -> int:
         """The width of the legend in letters; it is filled column by column."""
