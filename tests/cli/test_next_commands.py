@@ -277,13 +277,14 @@ def reasons() -> frozenset[str]:
     texts = set()
     for file in FOLDER.glob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
+            called = getattr(node.func, "id", "") if isinstance(node, ast.Call) else ""
             if isinstance(node, ast.FunctionDef) and node.name == "_next_step":
                 values = [part.value for part in ast.walk(node) if isinstance(part, ast.Return)]
                 texts |= {_text(value.elts[0]) for value in values if isinstance(value, ast.Tuple)}
-            elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("choose", "next_line", "say_next"):
+            elif called in ("choose_step", "next_line", "say_next"):
                 values = [part.elts[1] for part in node.args if isinstance(part, ast.Tuple)] or node.args[:1]
                 texts |= {_text(value) for value in values if isinstance(value, ast.Constant | ast.JoinedStr)}
-            elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "with_command":
+            elif called == "add_command":
                 texts |= {_text(part.elts[0]) for part in ast.walk(node) if isinstance(part, ast.Tuple)}
     return frozenset(texts)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import choose, command, repeat_command_with, say_next
+from adaptrack.cli.next_step import choose_step, command, repeat_command_with, say_next
 from adaptrack.cli.options import argument, json_flag, option, option_group
 from adaptrack.cli.show import Column
 
@@ -114,7 +114,7 @@ def _next_step(arguments: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
     """Suggest the next command for a car, with the reason."""
     out, is_changed = arguments.out, arguments.tir is not None or arguments.tyre_table is not None
     drive = command("drive", "country", "--vehicle", arguments.name if out is None else out)
-    return choose(
+    return choose_step(
         (out is None and (arguments.name is None or is_changed), "to keep the car",
          repeat_command_with("--out", "my-car.toml")),
         (vehicle.estimated, "to learn the estimated values while driving", f"{drive} --learn"),

@@ -12,7 +12,7 @@ import typer
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import options, show
 from adaptrack.cli.controllers import INFORMED_NAME, STANDARD_NAME
-from adaptrack.cli.next_step import choose, command, option_words, repeat_command_with, with_command
+from adaptrack.cli.next_step import add_command, choose_step, command, option_words, repeat_command_with
 from adaptrack.cli.options import argument, flag, json_flag, option, option_group
 from adaptrack.cli.show import Column
 
@@ -96,7 +96,7 @@ def certify(arguments: CertifyOptions) -> None:
         _print_feasible(plant, mpc, profile, arguments.domain, arguments.mismatch, arguments.as_json)
         return
     certificate = _certificate(schedule, plant, mpc, profile, arguments.domain, arguments.mismatch, out)
-    result = with_command(certificate_result(certificate), _next_step(arguments, certificate))
+    result = add_command(certificate_result(certificate), _next_step(arguments, certificate))
     show.write_and_say(result, out, arguments.as_json)
     if not certificate.passed:
         _print_worst_point(certificate)
@@ -109,7 +109,7 @@ def _next_step(arguments: CertifyOptions, certificate: Certificate) -> tuple[str
     scheduler = () if arguments.scheduler is None else ("--scheduler", arguments.scheduler)
     drive = ("drive", "general-trajectory", *car, "--profile", arguments.profile, *scheduler, *controller)
     feasible = option_words(replace(arguments, out=None))
-    return choose(
+    return choose_step(
         (not certificate.passed, "to find the speeds and frictions with a stable tuning",
          command("certify", "--feasible", *feasible)),
         (not arguments.mismatch, "to certify cars that differ from their model", repeat_command_with("--mismatch")),

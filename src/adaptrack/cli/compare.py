@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import note_progress, options, show
-from adaptrack.cli.next_step import choose, command, drive_words, option_words, with_command
+from adaptrack.cli.next_step import add_command, choose_step, command, drive_words, option_words
 from adaptrack.cli.options import argument, json_flag, option, option_group
 from adaptrack.cli.road import ROADS_HELP
 
@@ -99,7 +99,7 @@ def _compare_on_roads(settings: CompareOptions) -> Result:
     with show.progress("compare") as advance:
         compared = run_comparison(task, settings.out, progress=advance)
     make_result = compare_drivers_result if task.drivers else compare_result
-    return with_command(make_result(compared), _next_step(settings, compared))
+    return add_command(make_result(compared), _next_step(settings, compared))
 
 
 def _load_task(settings: CompareOptions) -> ComparisonConfig:
@@ -132,7 +132,7 @@ def _next_step(settings: CompareOptions, compared: Compared) -> tuple[str, str]:
     best = standing_rows(comparison)[0]
     where = "--controller", best["contender"], "--profile", condition.partition(", friction ")[0]
     tune = ("tune", car, "--road", task.roads[0], *plant_words, *where, *plugins, "--out", "tuned")
-    return choose(
+    return choose_step(
         (best["tuning"] == "tuned", "tune it for a road", command(*tune)),
         (True, "drive it", command(*drive, *where)),
     )
@@ -161,4 +161,4 @@ def _compare_lane_change(settings: CompareOptions) -> Result:
         ):  # fmt: skip
             runs.append(run)
     drive = command("drive", "country", "--vehicle", (settings.vehicle or ["paper"])[0])
-    return with_command(lane_change_result(name, runs), ("drive a road", drive))
+    return add_command(lane_change_result(name, runs), ("drive a road", drive))

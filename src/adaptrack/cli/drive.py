@@ -13,7 +13,7 @@ import typer
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import controllers, note_progress, options, show
-from adaptrack.cli.next_step import choose, command, next_line, option_words, repeat_command_with, replace_option
+from adaptrack.cli.next_step import choose_step, command, next_line, option_words, repeat_command_with, replace_option
 from adaptrack.cli.options import flag, json_flag, option, option_group
 from adaptrack.cli.places import DrivenPlaces, PlaceOptions
 from adaptrack.cli.road import drive_slower
@@ -326,7 +326,7 @@ def _next_step(arguments: DriveOptions, loop: DrivenLoop, rows: Sequence[dict[st
     ]  # fmt: skip
     tuned = ["--vehicle", f"{arguments.car.vehicle}/{plant}", "--tuning", *(arguments.tuning or [])[:1], *words]
     tune = [arguments.car.vehicle, "--road", road, "--plant", plant, "--controller", best, *words, "--out", "tuned"]
-    return choose(
+    return choose_step(
         (is_off_lane and checked and not checked.drivable, "to see the places that cannot be driven", check),
         (is_off_lane and on_road, "to stay in the lane, drive more slowly", drive_slower(place.route)),
         (arguments.drive.out is None, "to see the drive on a page", repeat_command_with("--out", "drive")),

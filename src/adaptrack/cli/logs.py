@@ -11,12 +11,12 @@ import typer
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.next_step import (
-    choose,
+    add_command,
+    choose_step,
     command,
     option_words,
     repeat_command_with,
     say_next,
-    with_command,
 )
 from adaptrack.cli.options import EXIT_FAILED, argument, flag, json_flag, option, option_group
 
@@ -172,7 +172,7 @@ def _identify_drive(arguments: IdentifyOptions, reading: Reading) -> None:
             identified.to_toml(out)
         show.say(f"Car: {out}", aside=arguments.as_json)
     if not arguments.as_json:
-        say_next(*choose(
+        say_next(*choose_step(
             (out is None, "to keep the car", repeat_command_with("--out", "my-car.toml")),
             (True, "to drive it", command("drive", "country", "--vehicle", out, "--speed-control")),
         ))  # fmt: skip
@@ -189,7 +189,7 @@ def _after_identify(
     car = () if arguments.car is None else ("--vehicle", arguments.car)
     check = command("check-loop", log, *car, *option_words(arguments.log_columns))
     keep = ("--out", "my-car.toml")
-    return choose(
+    return choose_step(
         ((has_findings or refused) and arguments.page is None, "to see the contradictions on a page",
          repeat_command_with("--page", "identified.html")),
         (is_implausible, "to find signals that contradict each other", check),
@@ -233,7 +233,7 @@ def shadow(arguments: ShadowOptions) -> None:
             without=parts(arguments.without), profile=arguments.profile, computation=arguments.computation,
             progress=advance,
         )  # fmt: skip
-    result = with_command(shadow_result(report), _after_shadow(arguments, report))
+    result = add_command(shadow_result(report), _after_shadow(arguments, report))
     show.write_and_say(result, arguments.out, arguments.as_json)
     if not report.believable:
         raise typer.Exit(EXIT_FAILED)
@@ -243,7 +243,7 @@ def _after_shadow(arguments: ShadowOptions, report: Shadow) -> tuple[str, str]:
     """Suggest the next command after a shadow run, with the reason."""
     car = ("--car", arguments.vehicle, *option_words(arguments.log_columns), *option_words(arguments, "computation"))
     identify_logs = ("identify", *arguments.log, *car)
-    return choose(
+    return choose_step(
         (report.spoiling, "to leave out the contradictory signals",
          repeat_command_with("--without", ",".join(report.spoiling))),
         (arguments.out is None, "to see the estimates over time", repeat_command_with("--out", "shadow")),

@@ -25,12 +25,12 @@ def say_next(why: str, line: str) -> None:
     show.say(next_line(why, line))
 
 
-def with_command(result: Result, next_step: tuple[str, str] | None = None) -> Result:
+def add_command(result: Result, next_step: tuple[str, str] | None = None) -> Result:
     """Return a result with the current command line and the next command, from its reason and its command line."""
     return dataclasses.replace(result, command=command_line(), next_step=next_line(*next_step) if next_step else "")
 
 
-def choose(*proposals: tuple[object, str, str]) -> tuple[str, str]:
+def choose_step(*proposals: tuple[object, str, str]) -> tuple[str, str]:
     """Return reason and command of the first proposal whose condition, its first element, is true."""
     return next((why, line) for condition, why, line in proposals if condition)
 

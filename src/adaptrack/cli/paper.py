@@ -14,7 +14,7 @@ import typer
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import DRIVES, MAX_SEED, OPERATING_POINTS, WORKERS, RequestLimit, check_limit
 from adaptrack.cli import note_progress, options, show
-from adaptrack.cli.next_step import choose, command, next_line, option_words, replace_option, say_next, with_command
+from adaptrack.cli.next_step import add_command, choose_step, command, next_line, option_words, replace_option, say_next
 from adaptrack.cli.options import argument, flag, json_flag, option, option_group
 from adaptrack.cli.show import Column
 
@@ -75,11 +75,11 @@ def reproduce(arguments: ReproduceOptions) -> None:
     with show.progress("reproduce") as advance:
         reproduction = repeat_experiment(dataset, quick=arguments.quick, seed=arguments.seed, progress=advance)
     longer = option_words(replace(arguments, out=Path(f"{arguments.out}-whole"), quick=False, as_json=False))
-    next_step = choose(
+    next_step = choose_step(
         (arguments.quick, "to train as long as the paper", command("paper", "reproduce", *longer)),
         (True, "to drive a road", command("drive", "country", "--out", "drive")),
     )
-    show.write_and_say(with_command(reproduction_result(reproduction), next_step), arguments.out, arguments.as_json)
+    show.write_and_say(add_command(reproduction_result(reproduction), next_step), arguments.out, arguments.as_json)
 
 
 # -- campaign ---------------------------------------------------------------------------------------------------------
@@ -305,7 +305,7 @@ def evaluate(arguments: EvaluateOptions) -> None:
     with show.progress("evaluate") as advance:
         views = _views(arguments, task, schedules, advance)
     longer = replace_option("--drives", 200)
-    result = with_command(
+    result = add_command(
         evaluation_result(views, schedules), None if views["drives"] else ("to evaluate them on long drives", longer)
     )
     show.write_and_say(result, arguments.out, arguments.as_json)

@@ -11,7 +11,7 @@ import typer
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import choose, command, option_words, replace_option, say_next, with_command
+from adaptrack.cli.next_step import add_command, choose_step, command, option_words, replace_option, say_next
 from adaptrack.cli.options import argument, json_flag, option, option_group
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def check(arguments: CheckOptions) -> None:
 
     checked = arguments.route.look(arguments.road, load_vehicle(arguments.vehicle))
     result = road_result(checked.road, checked.plan, checked.findings)
-    show.say_result(with_command(result, _next_step(arguments, checked)), arguments.as_json)
+    show.say_result(add_command(result, _next_step(arguments, checked)), arguments.as_json)
     if not checked.drivable:
         raise typer.Exit(NOT_DRIVABLE)
 
@@ -198,7 +198,7 @@ def _next_step(arguments: CheckOptions, checked: CheckedRoad) -> tuple[str, str]
     """Suggest the next command for a road, with the reason."""
     words = (arguments.road, "--vehicle", arguments.vehicle, *option_words(arguments.route))
     is_too_fast = all(finding.drivable or finding.kind in ("grip", "steering-rate") for finding in checked.findings)
-    return choose(
+    return choose_step(
         (checked.drivable, "to drive it", command("drive", *words)),
         (is_too_fast, "to check it at lower speed", drive_slower(arguments.route)),
         (True, "to see the places that cannot be driven", command("road", "plot", *words)),

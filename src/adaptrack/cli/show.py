@@ -34,10 +34,10 @@ def say_result(result: Result, as_json: bool, page: Path | None = None) -> None:
 
 def write_and_say(result: Result, out: Path | None, as_json: bool) -> None:
     """Write the page of a result to a folder, unless `out` is None, and print the result."""
-    from adaptrack.results.page import write_result
-
     page = None
     if out is not None:
+        from adaptrack.results.page import write_result  # matplotlib, which a result without a page does not need
+
         with progress("write the page"):
             page = write_result(out, result)
     say_result(result, as_json, page)

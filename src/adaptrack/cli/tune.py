@@ -9,7 +9,7 @@ import typer
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import note_progress, options, show
-from adaptrack.cli.next_step import command, drive_words, option_words, with_command
+from adaptrack.cli.next_step import add_command, command, drive_words, option_words
 from adaptrack.cli.options import argument, json_flag, option, option_group
 from adaptrack.cli.road import ROADS_HELP
 
@@ -96,7 +96,7 @@ def _tune_car(settings: TuneOptions) -> Result:
     ).to_toml(tuning_file)  # fmt: skip
     drive = _drive_command(settings, ["country"], car_file, tuning_file)
     files = {"car_file": str(car_file), "tuning_file": str(tuning_file)}
-    return with_command(tuned_car_result(tuned, files), ("drive with it", drive))
+    return add_command(tuned_car_result(tuned, files), ("drive with it", drive))
 
 
 def _tune_on_roads(settings: TuneOptions) -> Result:
@@ -119,7 +119,7 @@ def _tune_on_roads(settings: TuneOptions) -> Result:
     tuned.file.to_toml(file)
     road = drive_words((settings.road or ["country"])[0], settings.length)
     drive = _drive_command(settings, road, settings.car, file)
-    return with_command(tuned_roads_result(tuned, str(file)), ("drive with it", drive))
+    return add_command(tuned_roads_result(tuned, str(file)), ("drive with it", drive))
 
 
 def _drive_command(settings: TuneOptions, road: list[str], car: str | Path, tuning: Path) -> str:

@@ -253,8 +253,8 @@ def _steering(lines: Lines) -> Panel:
             _draw_curve(axes, lines[0], command, marks.BACKGROUND_STROKE, linewidth=0.8, drawstyle="steps-post")
         for line in holding:
             is_held = line.run.held
-            held = line.x[is_held], line.run.steering[is_held]
-            marks.draw_dots(axes, *held, line.stroke["color"], "s", 3.0, fillstyle="none")
+            points = line.x[is_held], line.run.steering[is_held]
+            marks.draw_dots(axes, *points, line.stroke["color"], "s", 3.0, fillstyle="none")
         signal.draw(axes)
         marks.add_degrees(axes)
 
