@@ -8,6 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.next_step import choose_step, command, repeat_command_with, say_next
@@ -16,7 +17,6 @@ from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
     from adaptrack.cars.tyre_fit import TyreFit
-    from adaptrack.cars.vehicle import Vehicle
 
 
 class BodyStyleName(StrEnum):
@@ -93,8 +93,8 @@ def car(arguments: CarOptions) -> None:
 
 
 def _write(
-    vehicle: Vehicle | None, fit: TyreFit | None, out: Path | None, as_json: bool
-) -> tuple[Vehicle | None, list[Path]]:
+    vehicle: at.Vehicle | None, fit: TyreFit | None, out: Path | None, as_json: bool
+) -> tuple[at.Vehicle | None, list[Path]]:
     """Write the files of a car and a tyre; return the car with the tyre, and the files."""
     written: list[Path] = []
     with show.replacing(*([] if out is None else [out, out.with_name(f"{out.stem}-tyre.toml")]), aside=as_json):
@@ -110,7 +110,7 @@ def _write(
     return vehicle, written
 
 
-def _next_step(arguments: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
+def _next_step(arguments: CarOptions, vehicle: at.Vehicle) -> tuple[str, str]:
     """Suggest the next command for a car, with the reason."""
     out, is_changed = arguments.out, arguments.tir is not None or arguments.tyre_table is not None
     drive = command("drive", "country", "--vehicle", arguments.name if out is None else out)
@@ -122,18 +122,15 @@ def _next_step(arguments: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
     )  # fmt: skip
 
 
-def _vehicle(arguments: CarOptions) -> Vehicle | None:
+def _vehicle(arguments: CarOptions) -> at.Vehicle | None:
     """Load the named car, or estimate one from a data sheet; None without either."""
-    from adaptrack.cars.data_sheet import vehicle_from_data_sheet
-    from adaptrack.cars.vehicle import load_vehicle
-
     name, mass, wheelbase, load = arguments.name, arguments.mass, arguments.wheelbase, arguments.load
     if name is not None:
         if (mass, wheelbase, load, arguments.drive) != (None,) * 4 or arguments.known_values:
             raise InvalidInput(
                 f"{name} is an existing car: leave out --mass, --wheelbase and the other options of a new car."
             )
-        return load_vehicle(name)
+        return at.load_vehicle(name)
     if mass is None and wheelbase is None:
         if arguments.known_values or load is not None or arguments.drive is not None:
             raise InvalidInput("a new car needs --mass and --wheelbase.")
@@ -143,26 +140,22 @@ def _vehicle(arguments: CarOptions) -> Vehicle | None:
             f"a new car needs --mass and --wheelbase: --{'mass' if mass is None else 'wheelbase'} is missing."
         )
     new = "new-car" if arguments.out is None else arguments.out.stem
-    return vehicle_from_data_sheet(
+    return at.vehicle_from_data_sheet(
         new, mass, wheelbase, load=load or 0.0, body_style=str(arguments.body_style),
         driven_axle=None if arguments.drive is None else arguments.drive.value, **arguments.known_values,
     )  # fmt: skip
 
 
-def _fit(tir: Path | None, table: Path | None, vehicle: Vehicle | None) -> TyreFit | None:
+def _fit(tir: Path | None, table: Path | None, vehicle: at.Vehicle | None) -> TyreFit | None:
     """Fit a tyre to a file or a table; None without either."""
     if tir is not None:
-        from adaptrack.cars.tyre_file import read_tyre_file
-
-        return read_tyre_file(tir).to_tyre()
+        return at.read_tyre_file(tir).to_tyre()
     if table is not None:
-        from adaptrack.cars.tyre_table import tyre_from_table
-
-        return tyre_from_table(table, None if vehicle is None else vehicle.static_loads)
+        return at.tyre_from_table(table, None if vehicle is None else vehicle.static_loads)
     return None
 
 
-def _with_tyre(vehicle: Vehicle, fit: TyreFit | None, written: list[Path]) -> Vehicle:
+def _with_tyre(vehicle: at.Vehicle, fit: TyreFit | None, written: list[Path]) -> at.Vehicle:
     """Return the car with a new tyre and its stiffness."""
     if fit is None:
         return vehicle
@@ -173,7 +166,7 @@ def _with_tyre(vehicle: Vehicle, fit: TyreFit | None, written: list[Path]) -> Ve
 
 
 # -- output ----------------------------------------------------------------------------------------------------
-def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_json: bool) -> None:
+def _say(vehicle: at.Vehicle | None, fit: TyreFit | None, written: list[Path], as_json: bool) -> None:
     if as_json:
         from adaptrack.export.page_inputs import page_car
 
@@ -209,7 +202,7 @@ def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_j
         show.say(f"Written: {path}")
 
 
-def car_answer(vehicle: Vehicle) -> str:
+def car_answer(vehicle: at.Vehicle) -> str:
     """Mass, wheelbase and understeer gradient of a car, and the number of estimated values."""
     from adaptrack.core.physics.forces import GRAVITY
 
@@ -234,11 +227,9 @@ def _say_fit(fit: TyreFit) -> None:
         show.say("\n".join(textwrap.wrap(sentence, 78, initial_indent="- ", subsequent_indent="  ")))
 
 
-def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
+def numbers(vehicle: at.Vehicle) -> list[dict[str, Any]]:
     """Return a row for each parameter of a car."""
-    from adaptrack.cars.tolerances import KnownWithin
-
-    tolerances = vehicle.known_within or KnownWithin()
+    tolerances = vehicle.known_within or at.KnownWithin()
     rows = []
     for section, record in (("", vehicle), ("steering", vehicle.steering), ("body", vehicle.body)):
         for key, field in () if record is None else type(record).model_fields.items():
@@ -254,14 +245,14 @@ def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
     return rows
 
 
-def _source(vehicle: Vehicle, section: str, key: str) -> str:
+def _source(vehicle: at.Vehicle, section: str, key: str) -> str:
     if key in vehicle.estimated:
         return "estimated"
     is_default = not section and type(vehicle).model_fields[key].default == getattr(vehicle, key)
     return "default" if is_default and key not in vehicle.model_fields_set else "given"
 
 
-def derived(vehicle: Vehicle, fit: TyreFit | None = None) -> list[dict[str, Any]]:
+def derived(vehicle: at.Vehicle, fit: TyreFit | None = None) -> list[dict[str, Any]]:
     """Return the quantities that follow from the car's parameters, a row each."""
     per_g = math.degrees(1.0) * 9.80665
     low, high = (per_g * gradient_end for gradient_end in vehicle.understeer_range)
@@ -291,7 +282,5 @@ def _speed(value: float) -> str:
     return f"{value:.4g}" if math.isfinite(value) else "none"
 
 
-def _tyre(vehicle: Vehicle) -> Any:
-    from adaptrack.cars.vehicle import load_tyre
-
-    return load_tyre(vehicle.tyre)
+def _tyre(vehicle: at.Vehicle) -> Any:
+    return at.load_tyre(vehicle.tyre)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import options, show
 from adaptrack.cli.controllers import INFORMED_NAME, STANDARD_NAME
@@ -19,9 +20,6 @@ from adaptrack.cli.show import Column
 if TYPE_CHECKING:
     from adaptrack.analysis.certify import Certificate
     from adaptrack.analysis.feasibility import Feasibility
-    from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.control.controllers import MPC
-    from adaptrack.control.scheduling import Schedule
 
 UNSTABLE = 1
 """Exit code if the loop is unstable when driving straight, or if no tuning is stable at some speed and friction."""
@@ -76,20 +74,17 @@ def certify(arguments: CertifyOptions) -> None:
     With --feasible, the command instead finds the best tuning at each speed and friction. The exit code is then 1 if
     the best modulus margin is below 0.1 anywhere.
     """
-    from adaptrack.cars.plant import SteppedPlant
-    from adaptrack.control.scheduling import load_scheduler
     from adaptrack.results.certificate import certificate_result
-    from adaptrack.scenario.profile import load_profile
 
     scheduler, profile, out = arguments.scheduler, arguments.profile, arguments.out
     car, plant = arguments.car.load()
-    schedule = None if scheduler is None else load_scheduler(scheduler)
-    if isinstance(plant, SteppedPlant):
+    schedule = None if scheduler is None else at.load_scheduler(scheduler)
+    if isinstance(plant, at.SteppedPlant):
         raise InvalidInput(
             f"--plant {arguments.car.plant}: this plant has no equations that a certificate can linearise."
         )
     mpc = _controller(arguments.controller, car, profile, schedule)
-    mpc.warn_of(schedule, load_profile(profile).name, plant)
+    mpc.warn_of(schedule, at.load_profile(profile).name, plant)
     if arguments.feasible:
         if scheduler is not None or out is not None:
             raise InvalidInput("--feasible: leave out the schedule and --out; it tests all tunings and writes no page.")
@@ -118,27 +113,25 @@ def _next_step(arguments: CertifyOptions, certificate: Certificate) -> tuple[str
     )  # fmt: skip
 
 
-def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule | None) -> MPC:
+def _controller(name: str | None, car: at.Vehicle, profile: str, schedule: at.Schedule | None) -> at.MPC:
     """Make the MPC of this name with horizons that are long enough for the schedule."""
-    from adaptrack.control.controllers import MPC, published_mpc
     from adaptrack.control.controllers.compatibility import is_for_published
-    from adaptrack.scenario.profile import load_profile
 
     if name is None:
         name = STANDARD_NAME if schedule is not None and is_for_published(schedule.made_for) else INFORMED_NAME
     longest, most = (60, 20) if schedule is None else schedule.largest
     sizes: dict[str, Any] = {"longest_horizon": max(60, longest), "most_moves": max(20, most)}
     if name == INFORMED_NAME:
-        return MPC(car, profile=profile, **sizes)
+        return at.MPC(car, profile=profile, **sizes)
     if name != STANDARD_NAME:
         raise UnknownName(
             f"no controller to certify is named {name!r}. {did_you_mean(name, [INFORMED_NAME, STANDARD_NAME])}"
         )
-    return published_mpc(car, period=load_profile(profile).period, **sizes)
+    return at.published_mpc(car, period=at.load_profile(profile).period, **sizes)
 
 
 def _certificate(
-    schedule: Schedule | None, plant: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]],
+    schedule: at.Schedule | None, plant: Any, mpc: at.MPC, profile: str, domain: dict[str, tuple[float, float]],
     mismatch: bool, out: Path | None,
 ) -> Certificate:  # fmt: skip
     from adaptrack.analysis.certify import certify as compute_certificate
@@ -153,16 +146,17 @@ def _certificate(
 
 def _print_worst_point(certificate: Certificate) -> None:
     """Print the verdict of a failed certificate and its worst point."""
-    at = max(certificate.worst_points(len(certificate.points)), key=lambda point: point["radius"] or math.inf)
+    point = max(certificate.worst_points(len(certificate.points)), key=lambda point: point["radius"] or math.inf)
+    tuning = ", ".join(f"{name} = {point[name]:g}" for name in ("Np", "Nc", "Q", "R"))
     show.say_failed(
-        f"{certificate.verdict} Worst: {at['speed']:g} m/s on friction {at['friction']:g}, with Np = {at['Np']:g}, "
-        f"Nc = {at['Nc']:g}, Q = {at['Q']:g}, R = {at['R']:g}: spectral radius {at['radius'] or math.inf:.4f}.",
+        f"{certificate.verdict} Worst: {point['speed']:g} m/s on friction {point['friction']:g}, with {tuning}: "
+        f"spectral radius {point['radius'] or math.inf:.4f}.",
         aside=True,
     )
 
 
 def _print_feasible(
-    plant: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]], mismatch: bool, as_json: bool
+    plant: Any, mpc: at.MPC, profile: str, domain: dict[str, tuple[float, float]], mismatch: bool, as_json: bool
 ) -> None:
     """Print the best tuning at each speed and friction; exit code 1 if no tuning is good enough somewhere."""
     from adaptrack.analysis.feasibility import feasibility

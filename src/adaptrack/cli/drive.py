@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import controllers, note_progress, options, show
 from adaptrack.cli.next_step import choose_step, command, next_line, option_words, repeat_command_with, replace_option
@@ -20,10 +21,6 @@ from adaptrack.cli.road import drive_slower
 
 if TYPE_CHECKING:
     from adaptrack.base.result import Result, ResultTable
-    from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.control.controllers import Controller
-    from adaptrack.control.speed_control import SpeedControl
-    from adaptrack.drive.world import Driver
     from adaptrack.results import Run
     from adaptrack.road.holdable_speed import HoldableSpeed
 
@@ -98,26 +95,24 @@ def drive(arguments: DriveOptions) -> None:
 class DrivenLoop:
     """Car model of the controllers, simulated plant, scenarios or road, and controllers with their labels."""
 
-    car: Vehicle
+    car: at.Vehicle
     plant: Any
     places: DrivenPlaces
-    drivers: Sequence[tuple[str, Controller]]
+    drivers: Sequence[tuple[str, at.Controller]]
 
 
 # -- controllers and runs ---------------------------------------------------------------------------------------------
 def _make_controllers(
-    arguments: DriveOptions, places: DrivenPlaces, car: Vehicle, plant: Any
-) -> list[tuple[str, Controller]]:
+    arguments: DriveOptions, places: DrivenPlaces, car: at.Vehicle, plant: Any
+) -> list[tuple[str, at.Controller]]:
     """Make the controllers with their labels; certify those that were made for a different car."""
-    from adaptrack.control.scheduling import load_scheduler
-
     world, published, scheduler = places.profile, arguments.published, arguments.scheduler
     preview = True if places.road is not None else world.preview
     settings = controllers.ControllerSettings(
         car=car, profile=world, tuning=published.tuning, moves=published.make_moves(), solver=published.solver,
         period=world.period if arguments.drive.period is None else arguments.drive.period,
         preview=preview if published.preview is None else published.preview,
-        schedule=None if scheduler is None else load_scheduler(scheduler),
+        schedule=None if scheduler is None else at.load_scheduler(scheduler),
         label="" if scheduler is None else Path(scheduler).stem if scheduler.endswith(".json") else scheduler,
         learning=controllers.make_learning(arguments.drive.learn, arguments.drive.learned),
     )  # fmt: skip
@@ -143,7 +138,7 @@ def _held_speeds(arguments: DriveOptions) -> HoldableSpeed | None:
 
 def _make_driver(
     settings: DriveSettings, loop: DrivenLoop, friction: tuple[float, float] | None
-) -> Driver | SpeedControl | None:
+) -> at.Driver | at.SpeedControl | None:
     """Return what moves the car along its plan; None for a prescribed speed.
 
     Raises
@@ -151,7 +146,6 @@ def _make_driver(
     InvalidInput
         When a speed control is requested without a road, or with a prescribed speed.
     """
-    from adaptrack.control.speed_control import SpeedControl
     from adaptrack.drive.world import ROAD_DRIVER
 
     if not settings.speed_control:
@@ -160,7 +154,7 @@ def _make_driver(
         raise InvalidInput(
             "--speed-control: moves a car along a road by forces: name a road, without --prescribed-speed."
         )
-    return SpeedControl(loop.car) if friction is None else SpeedControl(loop.car, friction=friction)
+    return at.SpeedControl(loop.car) if friction is None else at.SpeedControl(loop.car, friction=friction)
 
 
 def _drive(settings: DriveSettings, loop: DrivenLoop, friction: tuple[float, float] | None) -> Iterator[Run]:
@@ -169,14 +163,11 @@ def _drive(settings: DriveSettings, loop: DrivenLoop, friction: tuple[float, flo
     friction: interval that driver and schedules assume, these its lower end; None for that of the road.
     """
     from adaptrack.base.files import safe_names
-    from adaptrack.control.estimation import Perception
-    from adaptrack.drive.metrics import compute_metrics
     from adaptrack.drive.predicted_paths import PredictedPaths
-    from adaptrack.drive.simulate import simulate
     from adaptrack.results import Run
 
     places, out = loop.places, settings.out
-    perception = None if friction is None else Perception(friction=friction[0])
+    perception = None if friction is None else at.Perception(friction=friction[0])
     driver = _make_driver(settings, loop, friction)
     pairs = [(drive, *labelled) for drive in places.drives for labelled in loop.drivers]
     files = safe_names(f"{drive.name}-{label}" for drive, label, _ in pairs)
@@ -184,14 +175,14 @@ def _drive(settings: DriveSettings, loop: DrivenLoop, friction: tuple[float, flo
     with show.progress("drive", len(pairs)) as advance:
         for i, (file, (drive, label, controller)) in enumerate(zip(files, pairs, strict=True), 1):
             paths = None if out is None or places.road is None else PredictedPaths()
-            run = simulate(
+            run = at.simulate(
                 loop.plant, controller, drive, profile=places.profile, driver=driver, perception=perception,
                 seed=settings.seed, predicted=paths, progress=partial(advance, f"{drive.name}, {label}"),
             )  # fmt: skip
             if out is not None:
                 run.save(out / f"{file}.parquet")
             note_progress(f"{i} of {len(pairs)} runs were finished; {where}. Run the command again.")
-            measures = compute_metrics(run, model=controller.model, outline=loop.car.outline)
+            measures = at.compute_metrics(run, model=controller.model, outline=loop.car.outline)
             road, plan = (None, None) if places.road is None else (places.road.road, places.road.plan)
             yield Run(run, label, measures, road, loop.car, paths, None if driver is None else plan)
 
@@ -276,7 +267,7 @@ def _learned_table(label: str, controller: Any) -> ResultTable:
     return ResultTable(f"{label} learned", title, columns, [row._asdict() for row in car.intervals], brief=True)
 
 
-def _steering_notes(label: str, controller: Controller, loop: DrivenLoop) -> list[str]:
+def _steering_notes(label: str, controller: at.Controller, loop: DrivenLoop) -> list[str]:
     """Describe the controller's steering model, and the simulated steering if it differs."""
     belief, profile = controller.belief, loop.places.profile
     if belief is None:
@@ -353,7 +344,7 @@ def _comparable_road(arguments: DriveOptions) -> str | None:
 
 def _is_tunable(name: str, loop: DrivenLoop) -> bool:
     """Whether `tune` accepts a driven controller by its label."""
-    from adaptrack.control.controllers import about_controller, list_controllers
+    from adaptrack.control.controllers import about_controller
     from adaptrack.tuning.spaces import is_tunable
 
-    return name in list_controllers() and about_controller(name).tunable and is_tunable(dict(loop.drivers)[name])
+    return name in at.list_controllers() and about_controller(name).tunable and is_tunable(dict(loop.drivers)[name])

@@ -5,21 +5,15 @@ from __future__ import annotations
 import shlex
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli import road as roads
 from adaptrack.cli.next_step import next_line
 from adaptrack.cli.options import flag, json_flag, option, option_group
-
-if TYPE_CHECKING:
-    from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.control.controllers import Controller
-    from adaptrack.control.speed_control import SpeedControl
-    from adaptrack.scenario.profile import Profile
 
 app = typer.Typer(
     help="Export controllers: C library, FMUs, page for the browser.", no_args_is_help=True, rich_markup_mode=None
@@ -43,7 +37,7 @@ class ExportedController:
     learn: bool = flag("Let the informed controller learn; default if the car file has no lag and dead time.")
     learned: Path | None = option("FILE", "Like --learn, starting from this TOML file.")
 
-    def checked_road(self, car: Vehicle, world: Profile) -> roads.CheckedRoad:
+    def checked_road(self, car: at.Vehicle, world: at.Profile) -> roads.CheckedRoad:
         """Load and check the road and its speed plan."""
         return self._road_options.look(self.road, car, world)
 
@@ -51,7 +45,7 @@ class ExportedController:
     def _road_options(self) -> roads.RoadOptions:
         return roads.RoadOptions(speed=self.speed, road_seed=self.road_seed, assumed_friction=self.assumed_friction)
 
-    def make_speed_control(self, car: Vehicle) -> SpeedControl | None:
+    def make_speed_control(self, car: at.Vehicle) -> at.SpeedControl | None:
         """Make the speed control; None without --speed-control.
 
         Raises
@@ -59,16 +53,14 @@ class ExportedController:
         InvalidInput
             When a friction is assumed without it.
         """
-        from adaptrack.control.speed_control import SpeedControl
-
         friction = self._road_options.assumed_interval
         if self.speed_control:
-            return SpeedControl(car) if friction is None else SpeedControl(car, friction=friction)
+            return at.SpeedControl(car) if friction is None else at.SpeedControl(car, friction=friction)
         if friction is not None:
             raise InvalidInput("--assumed-friction: is an assumption of the speed control; add --speed-control.")
         return None
 
-    def make(self, car: Vehicle, world: Profile, computation: float | None = None) -> Controller:
+    def make(self, car: at.Vehicle, world: at.Profile, computation: float | None = None) -> at.Controller:
         """Make the controller; computation: computation time (s), by default that of the profile.
 
         Raises
@@ -77,7 +69,6 @@ class ExportedController:
             When the options contradict each other.
         """
         from adaptrack.cli.controllers import ControllerSettings, make_controller, make_learning, make_tuned
-        from adaptrack.control.scheduling import load_scheduler
 
         if self.tuning is not None and (self.controller or self.scheduler):
             raise InvalidInput(
@@ -88,14 +79,14 @@ class ExportedController:
         settings = ControllerSettings(
             car, world, world.period, preview=True,
             learning=make_learning(self.learn or self._has_unknown_delay(car), self.learned),
-            schedule=None if self.scheduler is None else load_scheduler(self.scheduler),
+            schedule=None if self.scheduler is None else at.load_scheduler(self.scheduler),
             label=self.scheduler or "", computation=computation,
         )  # fmt: skip
         if self.tuning is not None:
             return make_tuned(self.tuning, settings)[1]
         return make_controller(self.controller or settings.default_name, settings)[1]
 
-    def _has_unknown_delay(self, car: Vehicle) -> bool:
+    def _has_unknown_delay(self, car: at.Vehicle) -> bool:
         """Whether neither the options nor the car file determine the steering delay; the profile only simulates one."""
         if self.tuning or self.learned or self.scheduler or self.controller not in (None, "informed"):
             return False
@@ -133,13 +124,11 @@ def export_c(arguments: ExportOptions) -> None:
     """
     from dataclasses import asdict
 
-    from adaptrack.export.c_library import export_c as export
     from adaptrack.export.c_library import kernel_files
     from adaptrack.export.tracking import refuse
-    from adaptrack.scenario.profile import load_profile
 
     car, plant = arguments.exported.car.load()
-    world = load_profile(arguments.exported.profile)
+    world = at.load_profile(arguments.exported.profile)
     controller = arguments.exported.make(car, world, arguments.computation)
     speed = arguments.exported.make_speed_control(car)
     refuse(controller)
@@ -147,7 +136,7 @@ def export_c(arguments: ExportOptions) -> None:
     options.make_folder(arguments.out)
     checked = arguments.exported.checked_road(car, world)
     with show.progress("record a drive"):
-        files = export(
+        files = at.export_c(
             controller, arguments.out, targets=arguments.target or (), road=checked.road, plan=checked.plan,
             plant=plant, profile=world, room=arguments.room, objects=arguments.objects, speed=speed,
         )  # fmt: skip
@@ -196,20 +185,17 @@ def export_fmu(arguments: FMUOptions) -> None:
 
     The FMUs need neither Python nor adaptrack. You need no compiler for the export.
     """
-    from adaptrack.drive.world import Driver
     from adaptrack.export.fmu import binaries, write_fmu
     from adaptrack.export.units import car_unit, controller_unit
-    from adaptrack.scenario import RoadDrive
-    from adaptrack.scenario.profile import load_profile
 
     car, plant = arguments.exported.car.load()
-    world = load_profile(arguments.exported.profile)
+    world = at.load_profile(arguments.exported.profile)
     controller = arguments.exported.make(car, world)
     checked = arguments.exported.checked_road(car, world)
-    route = RoadDrive(checked.road, checked.plan)
+    route = at.RoadDrive(checked.road, checked.plan)
     speed = arguments.exported.make_speed_control(car)
-    driver = speed or (None if arguments.prescribed_speed else Driver())
-    preview = driver.preview if isinstance(driver, Driver) else None
+    driver = speed or (None if arguments.prescribed_speed else at.Driver())
+    preview = driver.preview if isinstance(driver, at.Driver) else None
     units = (
         controller_unit(controller, checked.road, checked.plan, speed_preview=preview, speed=speed),
         car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
@@ -259,11 +245,9 @@ def export_page(arguments: PageOptions) -> None:
     The page runs the kernels of adaptrack in the browser, without Python and without a network connection. The options
     are the initial settings; you can change all of them on the page.
     """
-    from adaptrack.export.page_file import export_page as export
-
     options.make_place(arguments.out)
     with show.replacing(arguments.out, aside=arguments.as_json):
-        page = export(
+        page = at.export_page(
             arguments.out, vehicle=arguments.vehicle, road=arguments.road, speed=arguments.speed,
             lateral_acceleration=arguments.lateral_acceleration, profile=arguments.profile,
             controllers=arguments.controller or ["informed"], seed=arguments.seed,

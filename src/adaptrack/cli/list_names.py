@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import adaptrack as at
 from adaptrack.base.errors import UnknownName, did_you_mean
 from adaptrack.cli import options, show
 from adaptrack.cli.next_step import command, option_words, say_next
@@ -14,15 +15,11 @@ Descriptions = dict[str, str]
 
 
 def _cars() -> Descriptions:
-    from adaptrack.cars.vehicle import list_vehicles, load_vehicle
-
-    return {name: load_vehicle(name).description for name in list_vehicles()}
+    return {name: at.load_vehicle(name).description for name in at.list_vehicles()}
 
 
 def _tyres() -> Descriptions:
-    from adaptrack.cars.vehicle import list_tyres, load_tyre
-
-    return {name: load_tyre(name).description for name in list_tyres()}
+    return {name: at.load_tyre(name).description for name in at.list_tyres()}
 
 
 def _roads() -> Descriptions:
@@ -32,22 +29,20 @@ def _roads() -> Descriptions:
 
 
 def _scenarios() -> Descriptions:
-    from adaptrack.scenario import list_scenarios, scenario_options
+    from adaptrack.scenario import scenario_options
 
-    texts = list_scenarios().items()
+    texts = at.list_scenarios().items()
     return {name: f"{text} Options: {', '.join(scenario_options(name)) or 'none'}." for name, text in texts}
 
 
 def _profiles() -> Descriptions:
-    from adaptrack.scenario.profile import list_profiles, load_profile
-
-    return {name: load_profile(name).description for name in list_profiles()}
+    return {name: at.load_profile(name).description for name in at.list_profiles()}
 
 
 def _controllers() -> Descriptions:
-    from adaptrack.control.controllers import about_controller, list_controllers
+    from adaptrack.control.controllers import about_controller
 
-    entries = {name: about_controller(name) for name in list_controllers()}
+    entries = {name: about_controller(name) for name in at.list_controllers()}
     return {name: f"{entry.words}{'' if entry.tunable else '; fixed tuning'}" for name, entry in entries.items()}
 
 
@@ -58,9 +53,7 @@ def _drivers() -> Descriptions:
 
 
 def _schedules() -> Descriptions:
-    from adaptrack.control.scheduling import list_schedulers, load_scheduler
-
-    schedules = {name: load_scheduler(name) for name in list_schedulers()}
+    schedules = {name: at.load_scheduler(name) for name in at.list_schedulers()}
     return {
         name: f"for the car {schedule.made_for.get('car')}, inputs {', '.join(schedule.inputs)}"
         for name, schedule in schedules.items()

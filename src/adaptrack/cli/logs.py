@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import typer
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.next_step import (
@@ -21,7 +22,6 @@ from adaptrack.cli.next_step import (
 from adaptrack.cli.options import EXIT_FAILED, argument, flag, json_flag, option, option_group
 
 if TYPE_CHECKING:
-    from adaptrack.identification import Reading
     from adaptrack.identification.shadow import Shadow
 
 
@@ -44,15 +44,13 @@ class ColumnOptions:
     late: list[str] | None = option("SIGNAL=S,...", "Time by which a signal lags its stamps (s), such as yaw_rate=0.2.")
 
     @property
-    def reading(self) -> Reading:
+    def reading(self) -> at.Reading:
         """Return the options as a `Reading` for `identify`."""
-        from adaptrack.identification import Reading
-
         columns = dict(_pair("--columns", part) for part in parts(self.columns))
         units = dict(("", part) if "=" not in part else _pair("--units", part) for part in parts(self.units))
         clocks = dict(_pair("--clock", part) for part in parts(self.clock))
         late = {name: _seconds(name, part) for name, part in (_pair("--late", part) for part in parts(self.late))}
-        return Reading(columns, units, tuple(parts(self.flip)), _ratio(self.steering_ratio), clocks, late)
+        return at.Reading(columns, units, tuple(parts(self.flip)), _ratio(self.steering_ratio), clocks, late)
 
 
 def _ratio(text: str | None) -> float | Literal["fit"] | None:
@@ -115,7 +113,6 @@ def identify(arguments: IdentifyOptions) -> None:
 
     The exit code is 3 if estimates of logs, or of parts of a log, contradict each other or the initial car.
     """
-    from adaptrack.identification import identify as fit
     from adaptrack.identification.consistency import implausible_estimates
     from adaptrack.results.identify import identification_result, write_identification_page
 
@@ -131,7 +128,7 @@ def identify(arguments: IdentifyOptions) -> None:
         return
     options.make_place(page)
     with show.progress("identify") as advance:
-        identified = fit(
+        identified = at.identify(
             list(arguments.logs), arguments.car, mass=arguments.mass, wheelbase=arguments.wheelbase, reading=reading,
             computation=arguments.computation, progress=advance,
         )  # fmt: skip
@@ -140,7 +137,7 @@ def identify(arguments: IdentifyOptions) -> None:
         show.say_failed(f"not consistent: {reason}.", aside=as_json)
     refused = not (identified.consistent or arguments.anyway)
     is_implausible = refused and any(
-        implausible_estimates(fit.estimates, fit.believed) for fit in (identified, *identified.alone)
+        implausible_estimates(result.estimates, result.believed) for result in (identified, *identified.alone)
     )
     if out is not None and not refused:
         with show.replacing(out, out.with_name(f"{out.stem}-tyre.toml"), aside=as_json):
@@ -157,7 +154,7 @@ def identify(arguments: IdentifyOptions) -> None:
         raise typer.Exit(EXIT_FAILED)
 
 
-def _identify_drive(arguments: IdentifyOptions, reading: Reading) -> None:
+def _identify_drive(arguments: IdentifyOptions, reading: at.Reading) -> None:
     """Identify drive, brakes and resistance only."""
     from adaptrack.identification import identify_drive
     from adaptrack.results.identify import drive_identification_result
@@ -223,12 +220,11 @@ def shadow(arguments: ShadowOptions) -> None:
     predicted yaw rate and position, and the warnings of the controller. The exit code is 3 if the learned values are
     implausible because measurements contradict them.
     """
-    from adaptrack.identification.shadow import shadow as run
     from adaptrack.results.shadow import shadow_result
 
     options.make_page_folder(arguments.out)
     with show.progress("shadow", len(arguments.log)) as advance:
-        report = run(
+        report = at.shadow(
             arguments.log, arguments.vehicle, path=arguments.path, reading=arguments.log_columns.reading,
             without=parts(arguments.without), profile=arguments.profile, computation=arguments.computation,
             progress=advance,
@@ -273,13 +269,12 @@ def check_loop(arguments: CheckLoopOptions) -> None:
     acceleration possibly contains gravity. The exit code is 3 if signals contradict each other, and 2 if no signals
     could be compared.
     """
-    from adaptrack.cars.vehicle import load_vehicle
     from adaptrack.identification.loop_check import check_loop as check_log
     from adaptrack.identification.reading import read_columns
     from adaptrack.results.identify import check_result
 
     columns = read_columns(arguments.log, arguments.log_columns.reading)
-    check = check_log(columns, None if arguments.vehicle is None else load_vehicle(arguments.vehicle))
+    check = check_log(columns, None if arguments.vehicle is None else at.load_vehicle(arguments.vehicle))
     if not check.contradictions and not check.compared:
         reason = check.limit or "no two signals are related."
         raise InvalidInput(

@@ -10,17 +10,13 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform, get_args, get_type_hints
+from typing import Annotated, Any, TypeVar, dataclass_transform, get_args, get_type_hints
 
 import typer
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.registry import import_plugin
-
-if TYPE_CHECKING:
-    from adaptrack.cars.plant import Plant as PlantOf
-    from adaptrack.cars.plant import SteppedPlant
-    from adaptrack.cars.vehicle import Vehicle as Car
 
 Group = TypeVar("Group")
 
@@ -163,14 +159,11 @@ class CarAndPlant:
     tyre: str | None = option("TYRE", "Tyre: see `list tyres`, or a .toml file; default: the car's.", hidden=True)
     plugin: list[str] | None = plugin_option()
 
-    def load(self) -> tuple[Car, PlantOf | SteppedPlant]:
+    def load(self) -> tuple[at.Vehicle, at.Plant | at.SteppedPlant]:
         """Load the car model of the controller and make the simulated plant, after importing the plugins."""
-        from adaptrack.cars.plant import get_plant
-        from adaptrack.cars.vehicle import load_vehicle
-
         load_plugins(self.plugin)
-        car = load_vehicle(self.vehicle)
-        return car, get_plant(self.plant, car, self.tyre)
+        car = at.load_vehicle(self.vehicle)
+        return car, at.get_plant(self.plant, car, self.tyre)
 
 
 def load_plugins(modules: Sequence[str] | None) -> None:

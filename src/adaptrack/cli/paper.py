@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.limits import DRIVES, MAX_SEED, OPERATING_POINTS, WORKERS, RequestLimit, check_limit
 from adaptrack.cli import note_progress, options, show
@@ -19,7 +20,6 @@ from adaptrack.cli.options import argument, flag, json_flag, option, option_grou
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
-    from adaptrack.control.scheduling import Schedule
     from adaptrack.paper.learning_task import LearningTask
     from adaptrack.results.evaluation import Views
 
@@ -173,7 +173,6 @@ def train(arguments: TrainOptions) -> None:
 
     The quality is measured on held-out operating points. Boosted trees show the best quality that can be expected.
     """
-    from adaptrack.control.scheduling import check_scheduler
     from adaptrack.paper.data_set import load_dataset
     from adaptrack.paper.schedules import purpose_of, trained_schedule
     from adaptrack.paper.training import train as train_models
@@ -186,7 +185,7 @@ def train(arguments: TrainOptions) -> None:
     with show.progress("train") as advance:
         trained = train_models(dataset, model, targets, seed=arguments.seed, progress=advance)
         schedule = replace(trained_schedule(trained, dataset), made_for=purpose_of(dataset))
-        check_scheduler(schedule)
+        at.check_scheduler(schedule)
     schedule.save(out)
     note_progress(f"The schedule is in {out}.")
     rows = trained.quality
@@ -248,7 +247,7 @@ def adapt(arguments: AdaptOptions) -> None:
     say_next("to evaluate them on new runs", line)
 
 
-def _best_round(contender: str, schedule: Schedule) -> dict[str, object]:
+def _best_round(contender: str, schedule: at.Schedule) -> dict[str, object]:
     best = min(schedule.provenance["history"], key=lambda entry: entry["score"])
     return {"contender": contender, **best}
 
@@ -311,7 +310,7 @@ def evaluate(arguments: EvaluateOptions) -> None:
     show.write_and_say(result, arguments.out, arguments.as_json)
 
 
-def _views(arguments: EvaluateOptions, task: LearningTask, schedules: dict[str, Schedule], progress: Any) -> Views:
+def _views(arguments: EvaluateOptions, task: LearningTask, schedules: dict[str, at.Schedule], progress: Any) -> Views:
     from adaptrack.paper.evaluation import evaluate_on_drives, evaluate_on_operating_points, evaluate_on_tests
 
     points, drives, seed = arguments.operating_points, arguments.drives, arguments.seed
@@ -326,7 +325,9 @@ def _views(arguments: EvaluateOptions, task: LearningTask, schedules: dict[str, 
     }
 
 
-def _add_schedules(task: LearningTask, schedules: dict[str, Schedule], names: Sequence[str]) -> dict[str, Schedule]:
+def _add_schedules(
+    task: LearningTask, schedules: dict[str, at.Schedule], names: Sequence[str]
+) -> dict[str, at.Schedule]:
     """Add schedules by name or file, and check that all schedules were made for the task.
 
     Raises
@@ -334,13 +335,10 @@ def _add_schedules(task: LearningTask, schedules: dict[str, Schedule], names: Se
     InvalidInput
         When a schedule was made for a different controller, car or profile, or when two have the same name.
     """
-    from adaptrack.control.scheduling import check_scheduler, load_scheduler
-    from adaptrack.scenario.profile import load_profile
-
-    profile, checked = load_profile(task.profile).name, dict(schedules)
+    profile, checked = at.load_profile(task.profile).name, dict(schedules)
     for name in names:
-        schedule = load_scheduler(name)
-        check_scheduler(schedule)
+        schedule = at.load_scheduler(name)
+        at.check_scheduler(schedule)
         if schedule.name in (*checked, "optimum"):
             raise InvalidInput(f"--scheduler {name}: a schedule with this name exists already: rename the file.")
         checked[schedule.name] = schedule

@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING
 
 import typer
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli.next_step import add_command, choose_step, command, option_words, replace_option, say_next
 from adaptrack.cli.options import argument, json_flag, option, option_group
 
 if TYPE_CHECKING:
-    from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.road import Finding, Road, SpeedPlan, Stop
+    from adaptrack.road import Finding, SpeedPlan, Stop
     from adaptrack.road.holdable_speed import HoldableSpeed
-    from adaptrack.scenario.profile import Profile
 
 app = typer.Typer(help="Check and draw roads from files or generators.", no_args_is_help=True, rich_markup_mode=None)
 
@@ -116,7 +115,7 @@ class RoadOptions:
         return low, max(high, default=low)
 
     def look(
-        self, name: str, car: Vehicle, profile: str | Profile = "road", holdable: HoldableSpeed | None = None
+        self, name: str, car: at.Vehicle, profile: str | at.Profile = "road", holdable: HoldableSpeed | None = None
     ) -> CheckedRoad:
         """Load a road by its name, plan the speed along it for a car, and check both.
 
@@ -127,7 +126,7 @@ class RoadOptions:
         InvalidInput
             When --speed is combined with --speed-column, --lateral-acceleration, --stop or --start.
         """
-        from adaptrack.road import Comfort, check_road, load_road, plan_speed
+        from adaptrack.road import Comfort
         from adaptrack.road.speed import constant_speed, speed_limit_plan
 
         if self.speed is not None and self.lateral_acceleration is not None:
@@ -144,7 +143,7 @@ class RoadOptions:
             "seed": self.road_seed, "length": self.length,
             "speed_column": self.speed_column,
         }  # fmt: skip
-        road = load_road(name, **{key: value for key, value in settings.items() if value is not None})
+        road = at.load_road(name, **{key: value for key, value in settings.items() if value is not None})
         comfort = Comfort() if self.lateral_acceleration is None else Comfort(lateral=self.lateral_acceleration)
         if self.speed is not None:
             plan = constant_speed(road, self.speed)
@@ -152,22 +151,23 @@ class RoadOptions:
             plan = speed_limit_plan(road)
         else:
             assumed = road if self.assumed is None else road.replace(friction=self.assumed)
-            plan = plan_speed(
+            plan = at.plan_speed(
                 assumed, car, comfort, start=self.start, stops=self.stops, holds=self._holds(car, profile, holdable)
             )
-        return CheckedRoad(road, plan, check_road(road, car, plan))
+        return CheckedRoad(road, plan, at.check_road(road, car, plan))
 
-    def _holds(self, car: Vehicle, profile: str | Profile, holdable: HoldableSpeed | None) -> HoldableSpeed | None:
+    def _holds(
+        self, car: at.Vehicle, profile: str | at.Profile, holdable: HoldableSpeed | None
+    ) -> HoldableSpeed | None:
         """Return the speeds with sufficient stability margins; None if they do not limit the plan."""
         if self.margins is None or holdable is not None:
             return None if self.margins is False else holdable
         if not self.margins:
             return None
         from adaptrack.analysis.holdable import holdable_speed
-        from adaptrack.control.controllers import MPC
 
         with show.progress("stability margins of the controller"):
-            return holdable_speed(car, MPC(car, profile=profile), profile)
+            return holdable_speed(car, at.MPC(car, profile=profile), profile)
 
 
 @option_group
@@ -184,10 +184,9 @@ class CheckOptions:
 @options.grouped
 def check(arguments: CheckOptions) -> None:
     """Check whether a car can drive a road; exit code 1 if not."""
-    from adaptrack.cars.vehicle import load_vehicle
     from adaptrack.results.road import road_result
 
-    checked = arguments.route.look(arguments.road, load_vehicle(arguments.vehicle))
+    checked = arguments.route.look(arguments.road, at.load_vehicle(arguments.vehicle))
     result = road_result(checked.road, checked.plan, checked.findings)
     show.say_result(add_command(result, _next_step(arguments, checked)), arguments.as_json)
     if not checked.drivable:
@@ -228,12 +227,11 @@ class PlotOptions:
 def plot(arguments: PlotOptions) -> None:
     """Draw the course, curvature and planned speed of a road as PNG."""
     from adaptrack.base.files import write_atomically
-    from adaptrack.cars.vehicle import load_vehicle
     from adaptrack.results.road import road_picture
     from adaptrack.results.style import picture_png
 
     options.make_place(arguments.out)
-    checked = arguments.route.look(arguments.road, load_vehicle(arguments.vehicle))
+    checked = arguments.route.look(arguments.road, at.load_vehicle(arguments.vehicle))
     write_atomically(arguments.out, picture_png(road_picture(checked.road, checked.plan, checked.findings)))
     show.say(f"Picture: {arguments.out}")
     say_next(
@@ -245,7 +243,7 @@ def plot(arguments: PlotOptions) -> None:
 class CheckedRoad:
     """Road, speed plan and findings of the check."""
 
-    road: Road
+    road: at.Road
     plan: SpeedPlan
     findings: list[Finding]
 

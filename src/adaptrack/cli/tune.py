@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import note_progress, options, show
 from adaptrack.cli.next_step import add_command, command, drive_words, option_words
@@ -79,12 +80,11 @@ def _check_options(settings: TuneOptions) -> None:
 
 def _tune_car(settings: TuneOptions) -> Result:
     from adaptrack.results.tuning import tuned_car_result
-    from adaptrack.tuning.car import tune as tune_car
     from adaptrack.tuning.constant_file import ConstantTuning
 
     speed, friction = _pair("--speed", settings.speed), _pair("--friction", settings.friction)
     with show.progress("tune") as advance:
-        tuned = tune_car(
+        tuned = at.tune(
             settings.car, settings.profile, plant=settings.plant, speed=speed, friction=friction, progress=advance
         )
     car, summary = tuned.controller.model.vehicle.replace(domain=tuned.domain), tuned.summary()
@@ -100,15 +100,12 @@ def _tune_car(settings: TuneOptions) -> Result:
 
 
 def _tune_on_roads(settings: TuneOptions) -> Result:
-    from adaptrack.cars.plant import get_plant
-    from adaptrack.cars.vehicle import load_vehicle
     from adaptrack.comparison.config import ControllerSetting
     from adaptrack.comparison.tune_on_roads import tune_on_roads
     from adaptrack.results.tuning import tuned_roads_result
-    from adaptrack.scenario.profile import load_profile
 
-    car = load_vehicle(settings.car)
-    setting = ControllerSetting(car, get_plant(settings.plant, car), load_profile(settings.profile))
+    car = at.load_vehicle(settings.car)
+    setting = ControllerSetting(car, at.get_plant(settings.plant, car), at.load_profile(settings.profile))
     name = settings.controller or "informed"
     with show.progress(f"tune {name}") as advance:
         tuned = tune_on_roads(
