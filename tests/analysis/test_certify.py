@@ -226,7 +226,7 @@ def test_the_page_shows_the_verdict_the_maps_and_the_worst_points(scrambled, sta
     bare = certify(scrambled, PLANT, PUBLISHED, "road", levels=FEW)
     with pictures(drawn=True):
         text = write_result(
-            tmp_path / "guarded", certificate_result(guarded, "adaptrack certify mine.json")
+            tmp_path / "guarded", replace(certificate_result(guarded), command="adaptrack certify mine.json")
         ).read_text()
     assert "Passed" in text
     assert "adaptrack certify mine.json" in text

@@ -6,11 +6,10 @@ import re
 import numpy as np
 from matplotlib.figure import Figure
 
-from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, select_entries, strokes
-from adaptrack.results import draw
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, select_entries, to_json
+from adaptrack.results import style
 from adaptrack.results.console import print_result
-from adaptrack.results.json import to_json
-from adaptrack.results.marks import include_y
+from adaptrack.results.marks import include_y, strokes
 from adaptrack.results.page import render_result
 from pictures import pictures
 
@@ -82,7 +81,7 @@ def test_a_page_with_a_headline_says_it_before_the_title():
 
 
 def test_neighbours_in_print_write_what_they_share_once():
-    figure = draw.print_figure(Picture("p", "c", [panel(), panel(), panel()], columns=2))
+    figure = style.print_figure(Picture("p", "c", [panel(), panel(), panel()], columns=2))
     assert [axes.get_title("left") for axes in figure.axes] == ["(a) A panel", "(b) A panel", "(c) A panel"]
     assert [axes.get_ylabel() for axes in figure.axes] == ["y (m)", "", "y (m)"]
     assert [axes.get_xlabel() for axes in figure.axes] == ["", "x (m)", "x (m)"]
@@ -97,4 +96,4 @@ def test_an_axis_reaches_what_it_includes():
 
 
 def test_strokes_stay_distinct_for_eighteen_labels():
-    assert len(set(strokes(f"c{i}" for i in range(18)).values())) == 18
+    assert len({tuple(stroke.values()) for stroke in strokes(f"c{i}" for i in range(18)).values()}) == 18

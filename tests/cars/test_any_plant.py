@@ -201,9 +201,7 @@ def test_a_plant_that_a_worker_cannot_find_is_named_with_the_remedy():
 @pytest.fixture
 def tune_paper(monkeypatch, registered, tmp_path):
     """`adaptrack tune paper` with a short search."""
-    monkeypatch.setattr(
-        "adaptrack.tuning.car.tune", lambda *arguments, **options: tune(*arguments, effort=SMALL, **options)
-    )
+    monkeypatch.setattr("adaptrack.tune", lambda *arguments, **options: tune(*arguments, effort=SMALL, **options))
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["adaptrack", "tune", "paper", "--out", str(tmp_path / "out"), *arguments])

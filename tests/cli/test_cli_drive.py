@@ -166,7 +166,7 @@ def test_a_file_with_a_scenarios_keys_or_columns_is_a_scenario_otherwise_a_road_
 
 
 def test_a_name_of_a_scenario_and_of_a_road_is_refused(monkeypatch):
-    monkeypatch.setattr("adaptrack.scenario.list_scenarios", lambda: {"town": ""})
+    monkeypatch.setattr("adaptrack.list_scenarios", lambda: {"town": ""})
     with pytest.raises(InvalidInput, match="is the name of both a scenario and a road"):
         is_road("town")
     with pytest.raises(UnknownName, match="no scenario or road is named 'twon'"):

@@ -13,9 +13,8 @@ import time
 import pytest
 import typer
 
-from adaptrack import cli, scenario
-from adaptrack.cli import interrupt
-from adaptrack.drive import simulate
+import adaptrack as at
+from adaptrack import cli
 from adaptrack.drive.trajectory import Trajectory
 
 
@@ -64,7 +63,7 @@ def press_ctrl_c(*arguments, **options):
 @pytest.mark.parametrize(
     ("command", "stopped_in", "words"),
     [
-        ("drive step", "adaptrack.scenario.load_scenario", "Nothing was written"),
+        ("drive step", "adaptrack.load_scenario", "Nothing was written"),
         ("paper reproduce --out {out}", "adaptrack.paper.data_set.load_dataset", "Nothing was written"),
         ("paper adapt --out {out}", "adaptrack.paper.adaptation.adapt", "{out}: run the command again to continue"),
         (
@@ -85,15 +84,13 @@ def test_every_command_answers_ctrl_c_with_what_is_kept(run_command, monkeypatch
     assert words.format(out=tmp_path) in err
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)) == before
     run_command("--version")
-    assert interrupt.progress_note() == "Nothing was written.", "the next command forgets the note"
+    assert cli._progress_note == "Nothing was written.", "the next command forgets the note"
 
 
 def test_ctrl_c_between_runs_tells_which_trajectories_are_there(run_command, monkeypatch, tmp_path):
-    saved, drive = [], simulate.simulate
+    saved, drive = [], at.simulate
     monkeypatch.setattr(Trajectory, "save", lambda self, path: saved.append(path))
-    monkeypatch.setattr(
-        simulate, "simulate", lambda *args, **options: press_ctrl_c() if saved else drive(*args, **options)
-    )
+    monkeypatch.setattr(at, "simulate", lambda *args, **options: press_ctrl_c() if saved else drive(*args, **options))
     code, _, err = run_command("drive", "step", "sine", "-o", "duration=0.3", "--out", tmp_path)
     assert code == 130
     assert f"1 of 2 runs were finished; their trajectories are in {tmp_path}" in err
@@ -120,7 +117,7 @@ def test_ctrl_c_that_a_finalizer_swallows_is_heard_a_moment_later(run_command, m
 
     hook = sys.unraisablehook
     monkeypatch.setattr(cli, "REPEAT", 0.05)
-    monkeypatch.setattr(scenario, "list_scenarios", release)
+    monkeypatch.setattr(at, "list_scenarios", release)
     assert run_command("list", "scenarios") == (130, "", "adaptrack: interrupted. Nothing was written.\n")
     assert sys.unraisablehook is hook
 
@@ -129,7 +126,7 @@ def test_an_end_of_file_within_a_command_is_no_ctrl_c(run_command, monkeypatch):
     def torn():
         raise EOFError("Ran out of input")
 
-    monkeypatch.setattr(scenario, "list_scenarios", torn)
+    monkeypatch.setattr(at, "list_scenarios", torn)
     with pytest.raises(typer.Abort) as fault:  # a fault, with its traceback
         run_command("list", "scenarios")
     assert isinstance(fault.value.__cause__, EOFError)
@@ -138,7 +135,7 @@ def test_an_end_of_file_within_a_command_is_no_ctrl_c(run_command, monkeypatch):
 def test_no_command_asks_matplotlib_for_a_window_system(run_command, monkeypatch):
     backends = []
     monkeypatch.setenv("MPLBACKEND", "nonsense")  # the import of matplotlib would refuse it
-    monkeypatch.setattr(scenario, "list_scenarios", lambda: backends.append(os.environ.get("MPLBACKEND")) or {})
+    monkeypatch.setattr(at, "list_scenarios", lambda: backends.append(os.environ.get("MPLBACKEND")) or {})
     assert run_command("list", "scenarios")[0] == 0
     assert backends == [None]
 

@@ -14,9 +14,9 @@ import pytest
 
 from adaptrack.base import progress
 from adaptrack.base.progress import TrackedWork
-from adaptrack.cli import show, train
+from adaptrack.cli import paper, show
 from adaptrack.cli.show import Column
-from adaptrack.results import certificate, compare, drive_tables
+from adaptrack.results import certificate, compare, drive
 from adaptrack.results.console import written
 
 NAMES = {
@@ -35,7 +35,7 @@ def typical(columns):
 
 @pytest.mark.parametrize(
     "columns",
-    [drive_tables.DRIVE_COLUMNS, train.QUALITY_COLUMNS, compare.RANKING_COLUMNS, certificate.CERTIFICATE_COLUMNS],
+    [drive.DRIVE_COLUMNS, paper.QUALITY_COLUMNS, compare.RANKING_COLUMNS, certificate.CERTIFICATE_COLUMNS],
 )
 def test_tables_name_their_units_and_fit_80_columns(monkeypatch, capsys, columns):
     monkeypatch.setenv("COLUMNS", "80")

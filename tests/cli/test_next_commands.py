@@ -20,8 +20,7 @@ from tests.project.test_snippets import parse
 
 import adaptrack.cli
 from adaptrack.cars.vehicle import load_vehicle
-from adaptrack.cli import compare, shadow
-from adaptrack.cli.columns import ColumnOptions
+from adaptrack.cli import compare, logs
 from adaptrack.cli.next_step import drive_words
 from adaptrack.comparison import table
 from adaptrack.paper import adaptation
@@ -35,6 +34,9 @@ VAN = ("--vehicle", "van", "--profile", "road")
 STANLEY = ("--controller", "stanley", "--seeds", "1")
 LOG = ("--columns", "yaw_rate=gyro", "--units", "yaw_rate=deg/s", "--flip", "yaw_rate")
 SHORT = ("drive", "town", "--length", "300", *CAR)
+SHORT_SEARCH = (
+    "--length", "300", "--controller", "stanley", "--runs", "40", "--plant", "single-track", "--out", "tuned",
+)  # fmt: skip
 TOO_FAST = ("--lateral-acceleration", "4", "--start-offset", "1.9", "--controller", "stanley")
 
 
@@ -222,22 +224,7 @@ PROPOSALS = [
     ),
     Proposal(
         "drive with it",
-        (
-            "tune",
-            "van",
-            "--road",
-            "town:2",
-            "--length",
-            "300",
-            "--controller",
-            "stanley",
-            "--runs",
-            "40",
-            "--plant",
-            "single-track",
-            "--out",
-            "tuned",
-        ),
+        ("tune", "van", "--road", "town:2", *SHORT_SEARCH),
         ("--road-seed", "2", "--length", "300.0", "--plant", "single-track", "--vehicle", "van"),
         "drive town",
     ),
@@ -290,11 +277,15 @@ def reasons() -> frozenset[str]:
     texts = set()
     for file in FOLDER.glob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.FunctionDef) and node.name in ("_next_step", "_slower"):
+            called = getattr(node.func, "id", "") if isinstance(node, ast.Call) else ""
+            if isinstance(node, ast.FunctionDef) and node.name == "_next_step":
                 values = [part.value for part in ast.walk(node) if isinstance(part, ast.Return)]
                 texts |= {_text(value.elts[0]) for value in values if isinstance(value, ast.Tuple)}
-            elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("next_line", "say_next"):
-                texts |= {_text(node.args[0])} if isinstance(node.args[0], ast.Constant | ast.JoinedStr) else set()
+            elif called in ("choose_step", "next_line", "say_next"):
+                values = [part.elts[1] for part in node.args if isinstance(part, ast.Tuple)] or node.args[:1]
+                texts |= {_text(value) for value in values if isinstance(value, ast.Constant | ast.JoinedStr)}
+            elif called == "add_command":
+                texts |= {_text(part.elts[0]) for part in ast.walk(node) if isinstance(part, ast.Tuple)}
     return frozenset(texts)
 
 
@@ -397,9 +388,9 @@ def test_a_road_of_a_comparison_is_driven_with_its_seed_comfort_and_length(road,
 
 
 def test_a_log_whose_beliefs_are_doubted_is_identified_with_its_columns() -> None:
-    columns = ColumnOptions(columns=["yaw_rate=gyro"], units=["yaw_rate=deg/s"])
-    options = shadow.ShadowOptions(log=[Path("log.csv")], vehicle="van", log_columns=columns, out=Path("page"))
-    reason, line = shadow._next_step(options, SimpleNamespace(spoiling=(), believable=False))
+    columns = logs.ColumnOptions(columns=["yaw_rate=gyro"], units=["yaw_rate=deg/s"])
+    options = logs.ShadowOptions(log=[Path("log.csv")], vehicle="van", log_columns=columns, out=Path("page"))
+    reason, line = logs._after_shadow(options, SimpleNamespace(spoiling=(), believable=False))
     assert reason == "to identify the car from the log"
     assert line == "adaptrack identify log.csv --car van --columns yaw_rate=gyro --units yaw_rate=deg/s"
     parse(shlex.split(line)[1:])

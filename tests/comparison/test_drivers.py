@@ -20,7 +20,7 @@ from adaptrack.drive.drivers import check_forces, list_drivers, make_driver, reg
 from adaptrack.drive.speed_measures import STOP_DISTANCE, speed_measures
 from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.drive.world import Driver
-from adaptrack.results.compare_drivers import DRIVER_COLUMNS, compare_drivers_result
+from adaptrack.results.compare import DRIVER_COLUMNS, compare_drivers_result
 from adaptrack.results.page import render_result
 from adaptrack.road import Arc, Line, Road, Stop, plan_speed
 from adaptrack.road.speed import constant_speed
@@ -128,7 +128,7 @@ def test_drivers_are_compared_on_the_same_runs_without_a_rank_and_continue_where
     assert measures[0] != measures[1] != measures[2]
     assert max(row["stop_error"] for row in rows) < 0.5
     assert not any("rank" in row for row in rows)
-    result = compare_drivers_result(comparison, command="adaptrack compare")
+    result = compare_drivers_result(comparison)
     assert "speed-control" in render_result(result)
     assert {len(table.rows) for table in result.tables if table.brief} == {len(names)}
 

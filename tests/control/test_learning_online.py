@@ -21,8 +21,8 @@ from adaptrack.control.tracker import Tracker
 from adaptrack.core.estimators import learning as kernel
 from adaptrack.core.synthesis.learner import PUBLISHED_MEDIAN as MIDDLE_OF_NOBODY
 from adaptrack.drive.simulate import rollout, simulate
-from adaptrack.results.draw import print_figure
-from adaptrack.results.learned_picture import learned_picture, learned_quantities
+from adaptrack.results.run_pictures import learned_picture, learned_quantities
+from adaptrack.results.style import print_figure
 from adaptrack.road import generate_road, plan_speed
 from adaptrack.scenario import RoadDrive, Scenario, random_drive
 from adaptrack.scenario.profile import load_profile

@@ -75,7 +75,7 @@ def test_a_car_with_the_name_of_a_shipped_one_and_other_numbers_is_another_car(c
 @pytest.fixture(autouse=True)
 def few_points(monkeypatch):
     """Few points of the certificate."""
-    monkeypatch.setattr("adaptrack.cli.new_car.LEVELS", (2, 2))
+    monkeypatch.setattr("adaptrack.cli.controllers.CERTIFIED_LEVELS", (2, 2))
 
 
 def drive_shortly(car, scheduler):

@@ -16,7 +16,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export import page_file
 from adaptrack.export.page_setup import road_of
-from adaptrack.results.road_pictures import offset_scale
+from adaptrack.results.record import offset_scale
 from browsers import BROWSERS
 from pages import READY, STATE, differing, drive, export_page, open_page, serve
 from programs import find_program

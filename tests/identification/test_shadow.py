@@ -1,6 +1,7 @@
 """Shadow mode: what a log of a driver says of the belief; nothing is steered."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyarrow
@@ -211,7 +212,7 @@ def test_intervals_hold_the_error_and_are_wider_for_errors_that_follow_each_othe
 
 def test_the_answer_comes_first_and_fits_80_columns(watched, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    print_result(shadow_result(Shadow(CAR, 0.05, (watched,)), next_step="Next, ..."))
+    print_result(replace(shadow_result(Shadow(CAR, 0.05, (watched,))), next_step="Next, ..."))
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("Learned delay 0.1")
     assert lines[1] == "Best prediction of the yaw rate 1 s ahead: learned model."

@@ -15,8 +15,8 @@ from adaptrack.paper.data_set import SUMMARY_TARGETS, DataSet, describe, flatnes
 from adaptrack.paper.operating_points import fold, grid, mirrored, sobol
 from adaptrack.results import dataset as pictures
 from adaptrack.results.dataset import dataset_result
-from adaptrack.results.draw import panel_figure
 from adaptrack.results.page import write_result
+from adaptrack.results.style import panel_figure
 
 BOX = {"speed": (3.0, 30.0), "y_ref": (-15.0, 15.0), "friction": (0.3, 1.0), "wind": (-30.0, 30.0)}
 ARRAYS = [field.name for field in dataclasses.fields(DataSet) if field.name != "provenance"]
@@ -239,9 +239,9 @@ def test_a_cell_of_a_map_is_the_median_of_its_operating_points():
 
 def test_a_gain_is_the_median_ratio_of_the_costs_in_each_bin():
     points = grid(speed=(5.0, 10.0), y_ref=(4.0,), friction=(0.5, 0.9), wind=(0.0,))
-    data = wild(4, operating_points=points, costs=np.ones(4), standard_costs=[2.0, 4.0, 8.0, 8.0])
+    data = wild(4, operating_points=points, costs=np.ones(4), standard_costs=[2.0, 4.0, 80.0, 80.0])
     line = panel_figure(pictures.gain_panel(data)).axes[0].lines[1]
-    assert (list(line.get_xdata()), list(line.get_ydata())) == ([5.0, 10.0], [3.0, 8.0])
+    assert (list(line.get_xdata()), list(line.get_ydata())) == ([5.0, 10.0], [3.0, 80.0])
 
 
 @pytest.mark.parametrize("lost", [False, True])

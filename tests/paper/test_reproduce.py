@@ -4,6 +4,7 @@ import html
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -263,7 +264,7 @@ def test_bold_is_the_smallest_error_of_its_group_that_did_not_fail_and_never_hin
 
 @pytest.fixture(scope="module")
 def result(study):
-    return page.reproduction_result(study, "adaptrack paper reproduce --quick")
+    return replace(page.reproduction_result(study), command="adaptrack paper reproduce --quick")
 
 
 def test_the_headline_counts_the_errors_near_the_papers(study, result):

@@ -12,8 +12,9 @@ import pytest
 from tests.project.test_snippets import parse
 
 from adaptrack.cars.vehicle import load_vehicle
+from adaptrack.cli.car import car_answer
 from adaptrack.cli.next_step import repeat_command_with, replace_option
-from adaptrack.results import answers
+from adaptrack.results import words
 
 pytestmark = pytest.mark.compiled
 
@@ -44,9 +45,9 @@ DRIVE = ("drive", "town", "--length", "300", "--vehicle", "midsize-sedan")
 def test_a_drive_begins_with_how_near_it_stayed_and_ends_with_its_page(lines, tmp_path):
     (row,) = lines(*DRIVE, "--json")["rows"]
     first, *_, last = lines(*DRIVE)
-    rms = answers.length(row["rms_error"])
+    rms = words.length(row["rms_error"])
     along = f"{row['speed_error']:.2g} m/s RMS speed error; {row['time_lost']:.2g} s late."
-    assert first == f"{rms} RMS error, largest {answers.length(row['max_abs_error'])}. {along}"
+    assert first == f"{rms} RMS error, largest {words.length(row['max_abs_error'])}. {along}"
     assert step(last) == [*DRIVE, "--out", "drive"]
     *_, last = lines(*DRIVE, "--out", tmp_path)
     assert step(last)[:4] == ["tune", "midsize-sedan", "--road", "town"]
@@ -57,7 +58,7 @@ def test_the_best_of_several_controllers_is_named_first(lines):
     rows = {row["controller"]: row for row in lines(*command, "--json")["rows"]}
     assert rows["informed"]["mse"] < rows["pure-pursuit"]["mse"]
     first = lines(*command)[0]
-    assert first.startswith(f"informed: {answers.length(rows['informed']['rms_error'])} RMS error, largest ")
+    assert first.startswith(f"informed: {words.length(rows['informed']['rms_error'])} RMS error, largest ")
     assert first.endswith("0 of 2 runs failed.")
 
 
@@ -102,13 +103,13 @@ def test_thin_margins_are_called_thin_though_the_loop_is_stable(lines):
 def test_a_length_is_said_in_the_unit_in_which_one_says_it():
     values = (0.0004, 0.016, 0.9, 1.25, 76.0, 2510.0, math.nan)
     texts = ["0.4 mm", "1.6 cm", "90 cm", "1.25 m", "76 m", "2.51 km", "unknown"]
-    assert list(map(answers.length, values)) == texts
+    assert list(map(words.length, values)) == texts
 
 
 def test_a_car_that_oversteers_says_from_which_speed_it_is_unstable():
     car = load_vehicle("midsize-sedan")
     car = car.replace(stiffness_rear=0.5 * car.stiffness_rear)
-    assert f"unstable from {car.critical_speed:.3g} m/s on" in answers.car_answer(car)
+    assert f"unstable from {car.critical_speed:.3g} m/s on" in car_answer(car)
 
 
 def test_a_command_line_is_repeated_with_more_words_or_another_value(monkeypatch):

@@ -13,14 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.base.result import SERIES, Column, Panel, Picture, Result, ResultTable
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable
 from adaptrack.drive.metrics import compute_metrics
 from adaptrack.drive.trajectory import Origin, Trajectory, provenance
-from adaptrack.results import draw, page, style, words, write_drive_page, write_result
-from adaptrack.results.dots import Dot, caption_notes
+from adaptrack.results import page, style, words, write_drive_page, write_result
 from adaptrack.results.drive import Run, drive_result, group_runs
 from adaptrack.results.evaluation import shared_scale
-from adaptrack.results.marks import ColourScale, draw_heat_map, log_ticks, set_log_scale
+from adaptrack.results.marks import SERIES, ColourScale, Dot, caption_notes, draw_heat_map, log_ticks, set_log_scale
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from pictures import pictures
 
@@ -90,7 +89,7 @@ def lost(run, at=100):
 
 def figure_of(picture, *runs):
     """A picture of runs, drawn for print."""
-    return draw.print_figure(picture(*runs))
+    return style.print_figure(picture(*runs))
 
 
 class Outline(html.parser.HTMLParser):
@@ -271,7 +270,7 @@ def test_two_pictures_cannot_share_a_file(tmp_path):
 
 def test_a_page_without_png_files_shows_the_same_pictures_and_draws_nothing_for_print(tmp_path, monkeypatch):
     both = write_result(tmp_path / "both", said("a", line("a.png"))).read_text()
-    monkeypatch.setattr(draw, "print_figure", lambda picture: pytest.fail("drawn for print"))
+    monkeypatch.setattr(style, "print_figure", lambda picture: pytest.fail("drawn for print"))
     alone = write_result(tmp_path / "alone", said("a", line("a.png")), png=False).read_text()
     assert os.listdir(tmp_path / "alone") == ["index.html"]
     assert sorted(os.listdir(tmp_path / "both")) == ["a.png", "index.html"]
@@ -325,7 +324,7 @@ def test_legends_cover_no_curve():
 @pytest.mark.parametrize("height", [1e-7, 1.0, 3e8])
 def test_a_title_stays_clear_of_the_factor_above_its_axis(height):
     title = "A title that is long enough to lie above the y axis"
-    figure = draw.panel_figure(Panel(title, lambda axes: axes.plot([0.0, height]), ""))
+    figure = style.panel_figure(Panel(title, lambda axes: axes.plot([0.0, height]), ""))
     figure.dpi = 72  # that of an SVG, in which the places below are counted
     style.inline_svg(figure, "p1", "a line")
     (axes,) = figure.axes
@@ -442,16 +441,16 @@ def test_a_logarithmic_axis_has_round_numbers_however_short_it_is(low, high, tic
 def test_a_printed_figure_has_all_panels_and_writes_what_neighbours_share_once():
     titles = {"One": "Share (%)", "Two": "Share (%)", "Three": "Cost (m²)"}
     panels = [Panel(title, lambda axes, label=label: axes.set_ylabel(label), "") for title, label in titles.items()]
-    figure = draw.print_figure(Picture("any", "", panels, columns=2))
+    figure = style.print_figure(Picture("any", "", panels, columns=2))
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) One", "(b) Two", "(c) Three"]
     assert [axes.get_ylabel() for axes in figure.axes] == ["Share (%)", "", "Cost (m²)"]
-    (alone,) = draw.print_figure(Picture("any", "", panels[:1])).axes
+    (alone,) = style.print_figure(Picture("any", "", panels[:1])).axes
     assert alone.get_title(loc="left") == "One"
 
 
 def test_the_words_of_a_panel_hold_no_marks_of_mathematics():
     panel = Panel(r"$\log_{10} R/Q$", print, r"Over $|y_\mathrm{ref}|$: 3 to 4.")
-    assert draw.describe_panel(panel) == "log10 R/Q. Over |y_ref|: 3 to 4."
+    assert style.describe_panel(panel) == "log10 R/Q. Over |y_ref|: 3 to 4."
 
 
 def test_the_colours_of_several_maps_span_all_their_numbers():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from adaptrack.comparison.table import Comparison, ContenderRole
 from adaptrack.control.controllers import Tuning
 from adaptrack.control.scheduling import Guarded, Learned, StabilityMap, Table
 from adaptrack.results import evaluation, style, write_result
-from adaptrack.results.draw import describe_panel, panel_figure
 from adaptrack.results.evaluation import evaluation_result, regret_maps, surfaces_picture, view_rows
+from adaptrack.results.style import describe_panel, panel_figure
 from adaptrack.results.words import number
 from pictures import pictures
 
@@ -58,7 +59,8 @@ def report(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch, pictures(drawn=True):
         patch.setattr(style, "PNG_DPI", 20)
         patch.setattr(evaluation, "SURFACE_NODES", (9, 7))
-        result = evaluation_result(VIEWS, {"nn": schedule(), "anfis": schedule((10.0, 0.0))}, command="evaluate <now>")
+        result = evaluation_result(VIEWS, {"nn": schedule(), "anfis": schedule((10.0, 0.0))})
+        result = replace(result, command="evaluate <now>")
         return write_result(tmp_path_factory.mktemp("evaluation") / "out", result)
 
 

@@ -33,7 +33,7 @@ from pydantic.fields import FieldInfo
 from adaptrack.base.checked import allowed
 from adaptrack.base.errors import ConfigError, InvalidInput, StorageError, did_you_mean, format_value, nearest
 from adaptrack.base.limits import TABLE_ROWS, check_limit
-from adaptrack.base.text import printable as printable
+from adaptrack.base.presentation import printable as printable
 
 Model = TypeVar("Model", bound=BaseModel)
 SHIPPED = Path(__file__).parents[1] / "data"

@@ -1,18 +1,61 @@
-"""The figure and the notebook form of an object. The drawing code is imported when it is first used."""
+"""Presentation of objects: figure and notebook form, printable text, and the security policy of pages."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import importlib
+import unicodedata
+from collections.abc import Iterable
 from typing import Any
 
-_DRAWING_MODULE = "adaptrack.results.presentation"
+_DRAWING_MODULE = "adaptrack.results.notebook"
+"""Drawing code, which is imported when it is first used."""
 
 
-def figure_of(result: Any, *options: Any) -> Any:
+def figure_of(value: Any, *arguments: Any) -> Any:
     """Return the matplotlib figure of an object."""
-    return importlib.import_module(_DRAWING_MODULE).figure_of(result, *options)
+    return importlib.import_module(_DRAWING_MODULE).figure_of(value, *arguments)
 
 
-def html_of(result: Any) -> str:
+def html_of(value: Any) -> str:
     """Return the HTML form of an object for a notebook."""
-    return str(importlib.import_module(_DRAWING_MODULE).html_of(result))
+    return str(importlib.import_module(_DRAWING_MODULE).html_of(value))
+
+
+def printable(text: str, keep: str = "") -> str:
+    r"""Return text in which unprintable characters are replaced by escapes such as ``\x1b``.
+
+    Parameters
+    ----------
+    text
+        Any text.
+    keep
+        Control characters that are not replaced, such as line ends.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c in keep or not _is_control(c) else ascii(c)[1:-1] for c in text)
+
+
+def _is_control(character: str) -> bool:
+    """Whether a character is unprintable: a control, format, surrogate, private, unassigned or line-end character."""
+    return unicodedata.category(character) in {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
+
+
+def content_policy(scripts: Iterable[str], script_sources: str = "", *directives: str) -> str:
+    """Return the Content-Security-Policy of a page that runs these inline scripts only and loads nothing.
+
+    Parameters
+    ----------
+    scripts
+        Text of each inline script.
+    script_sources
+        Additional sources of scripts, separated by blanks.
+    directives
+        Additional directives of the policy.
+    """
+    hashes = [f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in scripts]
+    sources = " ".join([*hashes, *script_sources.split()]) or "'none'"
+    always = "style-src 'unsafe-inline'; img-src data: blob:; form-action 'none'; base-uri 'none'"
+    return "; ".join(["default-src 'none'", f"script-src {sources}", *directives, always])

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from adaptrack.base.errors import ContractError, InvalidInput, UnknownName, did_you_mean, format_value
-from adaptrack.base.text import printable
+from adaptrack.base.presentation import printable
 
 MemberType = TypeVar("MemberType")
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -68,55 +69,6 @@ def select_entries(
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
-INK = "#1d2733"
-"""Colour of text, ticks and the reference path."""
-MUTED = "#66717e"
-"""Colour of frames and of lines in the background."""
-PALE = "#dce1e7"
-"""Colour of grid lines and of the road's surface."""
-SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Colours of contenders from the set of Okabe and Ito, which colour-blind readers can distinguish."""
-
-Dash = Literal["solid", "dashed", "long", "dotted", "dash-dot"]
-DASHES: Mapping[Dash, Any] = {
-    "solid": "-", "dashed": (0, (4, 2)), "long": (0, (5, 1.5)), "dotted": (0, (1.5, 1.5)),
-    "dash-dot": (0, (5, 1.5, 1, 1.5)),
-}  # fmt: skip
-"""Line styles in matplotlib's notation: offset and dash lengths in line widths."""
-
-
-@dataclass(frozen=True)
-class Stroke:
-    """Colour and dash pattern of the lines of one contender, the same in every picture of a result."""
-
-    colour: str = SERIES[0]
-    dash: Dash = "solid"
-
-    @property
-    def look(self) -> dict[str, Any]:
-        """The stroke as keyword arguments of matplotlib's lines."""
-        return {"color": self.colour, "linestyle": DASHES[self.dash]}
-
-
-REFERENCE_STROKE = Stroke(INK, "dashed")
-"""Stroke of the reference path."""
-SHARED_STROKE = Stroke(INK)
-"""Stroke of signals that all runs share (gust, friction)."""
-BACKGROUND_STROKE = Stroke(MUTED)
-"""Stroke of lines behind the main curves."""
-
-_DASH_CYCLE: tuple[Dash, ...] = ("solid", "long", "dotted")
-"""Dash patterns for the first, second and third pass through the colours of `SERIES`."""
-
-
-def strokes(labels: Iterable[str]) -> dict[str, Stroke]:
-    """Return one stroke per distinct label, in order; strokes repeat after three times the number of colours."""
-    return {
-        label: Stroke(SERIES[i % len(SERIES)], _DASH_CYCLE[i // len(SERIES) % len(_DASH_CYCLE)])
-        for i, label in enumerate(dict.fromkeys(labels))
-    }
-
-
 @dataclass(frozen=True)
 class Panel:
     """One pair of axes in a picture."""
@@ -137,8 +89,8 @@ class Picture:
     name: str
     caption: str
     panels: Sequence[Panel]
-    key: Sequence[tuple[str, Stroke]] = ()
-    """Legend: label and stroke of each contender."""
+    key: Sequence[tuple[str, Mapping[str, Any]]] = ()
+    """Legend: label and line of each contender; a line is its `color` and `linestyle` as matplotlib names them."""
     file: str = ""
     """Name of the PNG file for print; empty if none is written."""
     columns: int = 2
@@ -198,3 +150,8 @@ def strict(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def to_json(result: Result) -> str:
+    """The record of a result as one line of strict JSON: null for what is not finite."""
+    return json.dumps(strict(result.record), allow_nan=False)

@@ -27,7 +27,6 @@ from types import FrameType
 from typing import Any
 
 from adaptrack.base.errors import AdaptrackError, StorageError
-from adaptrack.cli import interrupt
 
 DONE, ERROR, INTERRUPTED, PIPE_CLOSED = 0, 2, 130, 141
 
@@ -41,11 +40,20 @@ _NO_OUTPUT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 """Error numbers of the system if standard output cannot be written."""
 
 
+_progress_note = ""
+
+
+def note_progress(text: str) -> None:
+    """Set the note that Ctrl-C prints: the results that are already written, and how to continue."""
+    global _progress_note
+    _progress_note = text
+
+
 def main() -> int:
     """Run the command line and return the exit code."""
     gc.set_threshold(COLLECT_AFTER)
     _prepare_output()
-    interrupt.note_progress("Nothing was written.")
+    note_progress("Nothing was written.")
     with _noting_ctrl_c() as pressed:
         try:
             _check_surroundings()
@@ -54,7 +62,7 @@ def main() -> int:
             # An import that Ctrl-C hits may end in any exception, not only in KeyboardInterrupt.
             code = INTERRUPTED if pressed else _reported(error)
     if code == INTERRUPTED:
-        print(f"adaptrack: interrupted. {interrupt.progress_note()}", file=sys.stderr)
+        print(f"adaptrack: interrupted. {_progress_note}", file=sys.stderr)
     return code
 
 

@@ -8,22 +8,7 @@ import typer
 import typer.core
 
 from adaptrack import __version__
-from adaptrack.cli import (
-    car,
-    certify,
-    check_loop,
-    compare,
-    drive,
-    export,
-    export_fmu,
-    export_page,
-    identify,
-    list_names,
-    paper,
-    road,
-    shadow,
-    tune,
-)
+from adaptrack.cli import car, certify, compare, drive, export, list_names, logs, paper, road, tune
 
 PANELS: dict[str, tuple[str, ...]] = {
     "Drive": ("drive",),
@@ -82,19 +67,10 @@ def _options(
 
 
 for command in (
-    drive.drive,
-    identify.identify,
-    shadow.shadow,
-    check_loop.check_loop,
-    car.car,
-    tune.tune,
-    certify.certify,
-    compare.compare,
-):
+    drive.drive, logs.identify, logs.shadow, logs.check_loop, car.car, tune.tune, certify.certify, compare.compare,
+):  # fmt: skip
     app.command()(command)
 app.command("list")(list_names.list_names)
 app.add_typer(paper.app, name="paper")
-export.app.command("fmu")(export_fmu.export_fmu)
-export.app.command("page")(export_page.export_page)
 app.add_typer(export.app, name="export")
 app.add_typer(road.app, name="road")

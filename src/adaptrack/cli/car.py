@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-from typer import Option
-
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import command, repeat_command_with, say_next
+from adaptrack.cli.next_step import choose_step, command, repeat_command_with, say_next
+from adaptrack.cli.options import argument, json_flag, option, option_group
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
     from adaptrack.cars.tyre_fit import TyreFit
-    from adaptrack.cars.vehicle import Vehicle
 
 
 class BodyStyleName(StrEnum):
@@ -43,63 +41,26 @@ PARAMETER_COLUMNS = (
 DERIVED = (Column("what", "derived quantity"), Column("value", "value"), Column("unit", "unit"))
 
 
-@dataclass(frozen=True, kw_only=True)
+@option_group
 class CarOptions:
     """Options of `adaptrack car`."""
 
-    name: Annotated[
-        str | None, typer.Argument(metavar="[CAR]", help="Car to show: see `list cars`, or a .toml file.")
-    ] = None
-    mass: Annotated[float | None, Option("--mass", metavar="KG", help="Mass of a new car (kg); needs --wheelbase.")] = (
-        None
+    name: str | None = argument("[CAR]", "Car to show: see `list cars`, or a .toml file.")
+    mass: float | None = option("KG", "Mass of a new car (kg); needs --wheelbase.")
+    wheelbase: float | None = option("M", "Wheelbase of a new car (m); needs --mass.")
+    load: float | None = option("KG", "Mass of people and luggage (kg): 75 for a driver, 136 with luggage.")
+    body_style: BodyStyleName = option(None, "Body of a new car; truck: pickup, van or SUV.", BodyStyleName.car)
+    drive: DrivenAxle | None = option(None, "Driven axle of a new car; by default front drive is assumed.")
+    yaw_inertia: float | None = option("I", "Yaw inertia (kg m^2), if known.", hidden=True)
+    lf: float | None = option("M", "Centre of gravity to front axle, if known.", hidden=True)
+    stiffness_front: float | None = option("C", "Stiffness of one front tyre (N/rad), if known.", hidden=True)
+    stiffness_rear: float | None = option("C", "Stiffness of one rear tyre (N/rad), if known.", hidden=True)
+    tir: Path | None = option("FILE", "Tyre property file in format MF 5.2, 6.1, 6.2 or PAC2002.")
+    tyre_table: Path | None = option(
+        "FILE", ".csv file of axle forces with columns slip_rad, force_front_N, force_rear_N."
     )
-    wheelbase: Annotated[
-        float | None, Option("--wheelbase", metavar="M", help="Wheelbase of a new car (m); needs --mass.")
-    ] = None
-    load: Annotated[
-        float | None,
-        Option(
-            "--load",
-            metavar="KG",
-            help="Mass of people and luggage (kg): 75 for a driver, 136 with luggage.",
-        ),
-    ] = None
-    body_style: Annotated[
-        BodyStyleName, Option("--body-style", help="Body of a new car; truck: pickup, van or SUV.")
-    ] = BodyStyleName.car
-    drive: Annotated[
-        DrivenAxle | None, Option("--drive", help="Driven axle of a new car; by default front drive is assumed.")
-    ] = None
-    yaw_inertia: Annotated[
-        float | None, Option("--yaw-inertia", metavar="I", hidden=True, help="Yaw inertia (kg m^2), if known.")
-    ] = None
-    lf: Annotated[
-        float | None, Option("--lf", metavar="M", hidden=True, help="Centre of gravity to front axle, if known.")
-    ] = None
-    stiffness_front: Annotated[
-        float | None,
-        Option("--stiffness-front", metavar="C", hidden=True, help="Stiffness of one front tyre (N/rad), if known."),
-    ] = None
-    stiffness_rear: Annotated[
-        float | None,
-        Option("--stiffness-rear", metavar="C", hidden=True, help="Stiffness of one rear tyre (N/rad), if known."),
-    ] = None
-    tir: Annotated[
-        Path | None, Option("--tir", metavar="FILE", help="Tyre property file in format MF 5.2, 6.1, 6.2 or PAC2002.")
-    ] = None
-    tyre_table: Annotated[
-        Path | None,
-        Option(
-            "--tyre-table",
-            metavar="FILE",
-            help=".csv file of axle forces with columns slip_rad, force_front_N, force_rear_N.",
-        ),
-    ] = None
-    out: Annotated[
-        Path | None,
-        Option("--out", metavar="FILE", help="Car file to write (.toml); a tyre file is written to the same folder."),
-    ] = None
-    as_json: options.Json = False
+    out: Path | None = option("FILE", "Car file to write (.toml); a tyre file is written to the same folder.")
+    as_json: bool = json_flag()
 
     @property
     def known_values(self) -> dict[str, float]:
@@ -132,8 +93,8 @@ def car(arguments: CarOptions) -> None:
 
 
 def _write(
-    vehicle: Vehicle | None, fit: TyreFit | None, out: Path | None, as_json: bool
-) -> tuple[Vehicle | None, list[Path]]:
+    vehicle: at.Vehicle | None, fit: TyreFit | None, out: Path | None, as_json: bool
+) -> tuple[at.Vehicle | None, list[Path]]:
     """Write the files of a car and a tyre; return the car with the tyre, and the files."""
     written: list[Path] = []
     with show.replacing(*([] if out is None else [out, out.with_name(f"{out.stem}-tyre.toml")]), aside=as_json):
@@ -149,29 +110,27 @@ def _write(
     return vehicle, written
 
 
-def _next_step(arguments: CarOptions, vehicle: Vehicle) -> tuple[str, str]:
+def _next_step(arguments: CarOptions, vehicle: at.Vehicle) -> tuple[str, str]:
     """Suggest the next command for a car, with the reason."""
-    is_changed = arguments.tir is not None or arguments.tyre_table is not None
-    if arguments.out is None and (arguments.name is None or is_changed):
-        return "to keep the car", repeat_command_with("--out", "my-car.toml")
-    file = arguments.out if arguments.out is not None else arguments.name
-    if vehicle.estimated:
-        return "to learn the estimated values while driving", command("drive", "country", "--vehicle", file, "--learn")
-    return "to drive it", command("drive", "country", "--vehicle", file)
+    out, is_changed = arguments.out, arguments.tir is not None or arguments.tyre_table is not None
+    drive = command("drive", "country", "--vehicle", arguments.name if out is None else out)
+    return choose_step(
+        (out is None and (arguments.name is None or is_changed), "to keep the car",
+         repeat_command_with("--out", "my-car.toml")),
+        (vehicle.estimated, "to learn the estimated values while driving", f"{drive} --learn"),
+        (True, "to drive it", drive),
+    )  # fmt: skip
 
 
-def _vehicle(arguments: CarOptions) -> Vehicle | None:
+def _vehicle(arguments: CarOptions) -> at.Vehicle | None:
     """Load the named car, or estimate one from a data sheet; None without either."""
-    from adaptrack.cars.data_sheet import vehicle_from_data_sheet
-    from adaptrack.cars.vehicle import load_vehicle
-
     name, mass, wheelbase, load = arguments.name, arguments.mass, arguments.wheelbase, arguments.load
     if name is not None:
         if (mass, wheelbase, load, arguments.drive) != (None,) * 4 or arguments.known_values:
             raise InvalidInput(
                 f"{name} is an existing car: leave out --mass, --wheelbase and the other options of a new car."
             )
-        return load_vehicle(name)
+        return at.load_vehicle(name)
     if mass is None and wheelbase is None:
         if arguments.known_values or load is not None or arguments.drive is not None:
             raise InvalidInput("a new car needs --mass and --wheelbase.")
@@ -181,26 +140,22 @@ def _vehicle(arguments: CarOptions) -> Vehicle | None:
             f"a new car needs --mass and --wheelbase: --{'mass' if mass is None else 'wheelbase'} is missing."
         )
     new = "new-car" if arguments.out is None else arguments.out.stem
-    return vehicle_from_data_sheet(
+    return at.vehicle_from_data_sheet(
         new, mass, wheelbase, load=load or 0.0, body_style=str(arguments.body_style),
         driven_axle=None if arguments.drive is None else arguments.drive.value, **arguments.known_values,
     )  # fmt: skip
 
 
-def _fit(tir: Path | None, table: Path | None, vehicle: Vehicle | None) -> TyreFit | None:
+def _fit(tir: Path | None, table: Path | None, vehicle: at.Vehicle | None) -> TyreFit | None:
     """Fit a tyre to a file or a table; None without either."""
     if tir is not None:
-        from adaptrack.cars.tyre_file import read_tyre_file
-
-        return read_tyre_file(tir).to_tyre()
+        return at.read_tyre_file(tir).to_tyre()
     if table is not None:
-        from adaptrack.cars.tyre_fit import tyre_from_table
-
-        return tyre_from_table(table, None if vehicle is None else vehicle.static_loads)
+        return at.tyre_from_table(table, None if vehicle is None else vehicle.static_loads)
     return None
 
 
-def _with_tyre(vehicle: Vehicle, fit: TyreFit | None, written: list[Path]) -> Vehicle:
+def _with_tyre(vehicle: at.Vehicle, fit: TyreFit | None, written: list[Path]) -> at.Vehicle:
     """Return the car with a new tyre and its stiffness."""
     if fit is None:
         return vehicle
@@ -211,9 +166,7 @@ def _with_tyre(vehicle: Vehicle, fit: TyreFit | None, written: list[Path]) -> Ve
 
 
 # -- output ----------------------------------------------------------------------------------------------------
-def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_json: bool) -> None:
-    from adaptrack.results.answers import car_answer
-
+def _say(vehicle: at.Vehicle | None, fit: TyreFit | None, written: list[Path], as_json: bool) -> None:
     if as_json:
         from adaptrack.export.page_inputs import page_car
 
@@ -249,6 +202,19 @@ def _say(vehicle: Vehicle | None, fit: TyreFit | None, written: list[Path], as_j
         show.say(f"Written: {path}")
 
 
+def car_answer(vehicle: at.Vehicle) -> str:
+    """Mass, wheelbase and understeer gradient of a car, and the number of estimated values."""
+    from adaptrack.core.physics.forces import GRAVITY
+
+    gradient = math.degrees(1.0) * GRAVITY * vehicle.understeer_gradient
+    kind = f"understeers by {gradient:.2g} °/g"
+    if gradient < 0.0:
+        kind = f"oversteers by {-gradient:.2g} °/g, unstable from {vehicle.critical_speed:.3g} m/s on"
+    guesses = len(vehicle.estimated)
+    estimated = f"; {guesses} of its numbers are estimated" if guesses else ""
+    return f"{vehicle.name}: {vehicle.mass:.5g} kg, wheelbase {vehicle.wheelbase:.3g} m, {kind}{estimated}."
+
+
 def _say_fit(fit: TyreFit) -> None:
     import textwrap
 
@@ -261,11 +227,9 @@ def _say_fit(fit: TyreFit) -> None:
         show.say("\n".join(textwrap.wrap(sentence, 78, initial_indent="- ", subsequent_indent="  ")))
 
 
-def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
+def numbers(vehicle: at.Vehicle) -> list[dict[str, Any]]:
     """Return a row for each parameter of a car."""
-    from adaptrack.cars.vehicle import KnownWithin
-
-    tolerances = vehicle.known_within or KnownWithin()
+    tolerances = vehicle.known_within or at.KnownWithin()
     rows = []
     for section, record in (("", vehicle), ("steering", vehicle.steering), ("body", vehicle.body)):
         for key, field in () if record is None else type(record).model_fields.items():
@@ -281,14 +245,14 @@ def numbers(vehicle: Vehicle) -> list[dict[str, Any]]:
     return rows
 
 
-def _source(vehicle: Vehicle, section: str, key: str) -> str:
+def _source(vehicle: at.Vehicle, section: str, key: str) -> str:
     if key in vehicle.estimated:
         return "estimated"
     is_default = not section and type(vehicle).model_fields[key].default == getattr(vehicle, key)
     return "default" if is_default and key not in vehicle.model_fields_set else "given"
 
 
-def derived(vehicle: Vehicle, fit: TyreFit | None = None) -> list[dict[str, Any]]:
+def derived(vehicle: at.Vehicle, fit: TyreFit | None = None) -> list[dict[str, Any]]:
     """Return the quantities that follow from the car's parameters, a row each."""
     per_g = math.degrees(1.0) * 9.80665
     low, high = (per_g * gradient_end for gradient_end in vehicle.understeer_range)
@@ -318,7 +282,5 @@ def _speed(value: float) -> str:
     return f"{value:.4g}" if math.isfinite(value) else "none"
 
 
-def _tyre(vehicle: Vehicle) -> Any:
-    from adaptrack.cars.vehicle import load_tyre
-
-    return load_tyre(vehicle.tyre)
+def _tyre(vehicle: at.Vehicle) -> Any:
+    return at.load_tyre(vehicle.tyre)

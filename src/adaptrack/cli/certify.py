@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
-from typer import Option
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.cli import options, show
 from adaptrack.cli.controllers import INFORMED_NAME, STANDARD_NAME
-from adaptrack.cli.next_step import command, next_line, option_words, repeat_command_with
+from adaptrack.cli.next_step import add_command, choose_step, command, option_words, repeat_command_with
+from adaptrack.cli.options import argument, flag, json_flag, option, option_group
 from adaptrack.cli.show import Column
 
 if TYPE_CHECKING:
     from adaptrack.analysis.certify import Certificate
     from adaptrack.analysis.feasibility import Feasibility
-    from adaptrack.base.result import Result
-    from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.control.controllers import MPC
-    from adaptrack.control.scheduling import Schedule
 
 UNSTABLE = 1
 """Exit code if the loop is unstable when driving straight, or if no tuning is stable at some speed and friction."""
@@ -38,46 +35,27 @@ BEST_COLUMNS = (
 """Columns of the table of the best tuning at each speed and friction."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@option_group
 class CertifyOptions:
     """Options of `adaptrack certify`."""
 
-    scheduler: Annotated[
-        str | None,
-        typer.Argument(metavar="[SCHEDULE]", help="See `list schedules`, or a .json file; default: constant tuning."),
-    ] = None
-    controller: Annotated[
-        str | None,
-        Option(
-            "--controller",
-            metavar="NAME",
-            help="informed: MPC with steering model and state estimator; standard: published MPC. Default: informed, "
-            "or the controller for which the schedule was made.",
-        ),
-    ] = None
-    profile: options.ProfileOption = "road"
+    scheduler: str | None = argument("[SCHEDULE]", "See `list schedules`, or a .json file; default: constant tuning.")
+    controller: str | None = option(
+        "NAME",
+        "informed: MPC with steering model and state estimator; standard: published MPC. Default: informed, or the "
+        "controller for which the schedule was made.",
+    )
+    profile: str = options.profile_option("road")
     car: options.CarAndPlant
-    speed: Annotated[
-        tuple[float, float] | None, Option("--speed", metavar="LOW HIGH", help="Lowest and highest speed (m/s).")
-    ] = None
-    friction: Annotated[
-        tuple[float, float] | None, Option("--friction", metavar="LOW HIGH", help="Lowest and highest friction.")
-    ] = None
-    mismatch: Annotated[
-        bool,
-        Option(
-            "--mismatch",
-            help="Also certify cars that differ from the model: lag by 0.1 s, dead time by one period, stiffness by a "
-            "factor of 1.6, mass by 30 %.",
-        ),
-    ] = False
-    feasible: Annotated[
-        bool, Option("--feasible", help="Instead, find the best tuning at each speed and friction.")
-    ] = False
-    out: Annotated[
-        Path | None, Option("--out", metavar="FOLDER", help="Folder for the page with maps of the margins.")
-    ] = None
-    as_json: options.Json = False
+    speed: tuple[float, float] | None = option("LOW HIGH", "Lowest and highest speed (m/s).")
+    friction: tuple[float, float] | None = option("LOW HIGH", "Lowest and highest friction.")
+    mismatch: bool = flag(
+        "Also certify cars that differ from the model: lag by 0.1 s, dead time by one period, stiffness by a factor of "
+        "1.6, mass by 30 %."
+    )
+    feasible: bool = flag("Instead, find the best tuning at each speed and friction.")
+    out: Path | None = option("FOLDER", "Folder for the page with maps of the margins.")
+    as_json: bool = json_flag()
 
     @property
     def domain(self) -> dict[str, tuple[float, float]]:
@@ -96,28 +74,25 @@ def certify(arguments: CertifyOptions) -> None:
     With --feasible, the command instead finds the best tuning at each speed and friction. The exit code is then 1 if
     the best modulus margin is below 0.1 anywhere.
     """
-    from adaptrack.cars.plant import SteppedPlant
-    from adaptrack.control.scheduling import load_scheduler
     from adaptrack.results.certificate import certificate_result
-    from adaptrack.scenario.profile import load_profile
 
     scheduler, profile, out = arguments.scheduler, arguments.profile, arguments.out
     car, plant = arguments.car.load()
-    schedule = None if scheduler is None else load_scheduler(scheduler)
-    if isinstance(plant, SteppedPlant):
+    schedule = None if scheduler is None else at.load_scheduler(scheduler)
+    if isinstance(plant, at.SteppedPlant):
         raise InvalidInput(
             f"--plant {arguments.car.plant}: this plant has no equations that a certificate can linearise."
         )
     mpc = _controller(arguments.controller, car, profile, schedule)
-    mpc.warn_of(schedule, load_profile(profile).name, plant)
+    mpc.warn_of(schedule, at.load_profile(profile).name, plant)
     if arguments.feasible:
         if scheduler is not None or out is not None:
             raise InvalidInput("--feasible: leave out the schedule and --out; it tests all tunings and writes no page.")
         _print_feasible(plant, mpc, profile, arguments.domain, arguments.mismatch, arguments.as_json)
         return
     certificate = _certificate(schedule, plant, mpc, profile, arguments.domain, arguments.mismatch, out)
-    result = certificate_result(certificate, options.command_line(), next_line(*_next_step(arguments, certificate)))
-    show.say_result(result, arguments.as_json, None if out is None else _write_page(out, result))
+    result = add_command(certificate_result(certificate), _next_step(arguments, certificate))
+    show.write_and_say(result, out, arguments.as_json)
     if not certificate.passed:
         _print_worst_point(certificate)
         raise typer.Exit(UNSTABLE)
@@ -125,74 +100,63 @@ def certify(arguments: CertifyOptions) -> None:
 
 def _next_step(arguments: CertifyOptions, certificate: Certificate) -> tuple[str, str]:
     """Suggest the next command after a certificate, with the reason."""
-    if not certificate.passed:
-        options = replace(arguments, scheduler=None, out=None)
-        return "to find the speeds and frictions with a stable tuning", command(
-            "certify", "--feasible", *option_words(options)
-        )
-    if not arguments.mismatch:
-        return "to certify cars that differ from their model", repeat_command_with("--mismatch")
-    if arguments.out is None:
-        return "to see the margins on a page", repeat_command_with("--out", "certificate")
-    names = {"--scheduler": arguments.scheduler, "--controller": arguments.controller}
-    controller = [word for name, value in names.items() if value is not None for word in (name, value)]
-    profile = ("--profile", arguments.profile)
-    return "to drive it", command("drive", "general-trajectory", *option_words(arguments.car), *profile, *controller)
+    car, controller = option_words(arguments.car), option_words(arguments, "controller")
+    scheduler = () if arguments.scheduler is None else ("--scheduler", arguments.scheduler)
+    drive = ("drive", "general-trajectory", *car, "--profile", arguments.profile, *scheduler, *controller)
+    feasible = option_words(replace(arguments, out=None))
+    return choose_step(
+        (not certificate.passed, "to find the speeds and frictions with a stable tuning",
+         command("certify", "--feasible", *feasible)),
+        (not arguments.mismatch, "to certify cars that differ from their model", repeat_command_with("--mismatch")),
+        (arguments.out is None, "to see the margins on a page", repeat_command_with("--out", "certificate")),
+        (True, "to drive it", command(*drive)),
+    )  # fmt: skip
 
 
-def _controller(name: str | None, car: Vehicle, profile: str, schedule: Schedule | None) -> MPC:
+def _controller(name: str | None, car: at.Vehicle, profile: str, schedule: at.Schedule | None) -> at.MPC:
     """Make the MPC of this name with horizons that are long enough for the schedule."""
-    from adaptrack.control.controllers import MPC, published_mpc
     from adaptrack.control.controllers.compatibility import is_for_published
-    from adaptrack.scenario.profile import load_profile
 
     if name is None:
         name = STANDARD_NAME if schedule is not None and is_for_published(schedule.made_for) else INFORMED_NAME
     longest, most = (60, 20) if schedule is None else schedule.largest
     sizes: dict[str, Any] = {"longest_horizon": max(60, longest), "most_moves": max(20, most)}
     if name == INFORMED_NAME:
-        return MPC(car, profile=profile, **sizes)
+        return at.MPC(car, profile=profile, **sizes)
     if name != STANDARD_NAME:
         raise UnknownName(
             f"no controller to certify is named {name!r}. {did_you_mean(name, [INFORMED_NAME, STANDARD_NAME])}"
         )
-    return published_mpc(car, period=load_profile(profile).period, **sizes)
+    return at.published_mpc(car, period=at.load_profile(profile).period, **sizes)
 
 
 def _certificate(
-    schedule: Schedule | None, plant: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]],
+    schedule: at.Schedule | None, plant: Any, mpc: at.MPC, profile: str, domain: dict[str, tuple[float, float]],
     mismatch: bool, out: Path | None,
 ) -> Certificate:  # fmt: skip
     from adaptrack.analysis.certify import certify as compute_certificate
     from adaptrack.analysis.linearisation import usual_mismatches
 
-    if out is not None:
-        options.make_page_folder(out)
+    options.make_page_folder(out)
     mismatches = usual_mismatches(mpc.period) if mismatch else ()
     tunings = mpc.tuning if schedule is None else schedule
     with show.progress("certify") as advance:
         return compute_certificate(tunings, plant, mpc, profile, domain=domain, mismatches=mismatches, progress=advance)
 
 
-def _write_page(out: Path, result: Result) -> Path:
-    from adaptrack.results.page import write_result
-
-    with show.progress("write the page"):
-        return write_result(out, result)
-
-
 def _print_worst_point(certificate: Certificate) -> None:
     """Print the verdict of a failed certificate and its worst point."""
-    at = max(certificate.worst_points(len(certificate.points)), key=lambda point: point["radius"] or math.inf)
+    point = max(certificate.worst_points(len(certificate.points)), key=lambda point: point["radius"] or math.inf)
+    tuning = ", ".join(f"{name} = {point[name]:g}" for name in ("Np", "Nc", "Q", "R"))
     show.say_failed(
-        f"{certificate.verdict} Worst: {at['speed']:g} m/s on friction {at['friction']:g}, with Np = {at['Np']:g}, "
-        f"Nc = {at['Nc']:g}, Q = {at['Q']:g}, R = {at['R']:g}: spectral radius {at['radius'] or math.inf:.4f}.",
+        f"{certificate.verdict} Worst: {point['speed']:g} m/s on friction {point['friction']:g}, with {tuning}: "
+        f"spectral radius {point['radius'] or math.inf:.4f}.",
         aside=True,
     )
 
 
 def _print_feasible(
-    plant: Any, mpc: MPC, profile: str, domain: dict[str, tuple[float, float]], mismatch: bool, as_json: bool
+    plant: Any, mpc: at.MPC, profile: str, domain: dict[str, tuple[float, float]], mismatch: bool, as_json: bool
 ) -> None:
     """Print the best tuning at each speed and friction; exit code 1 if no tuning is good enough somewhere."""
     from adaptrack.analysis.feasibility import feasibility

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
-from typer import Option
+from typing import TYPE_CHECKING, Any
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cli import interrupt, options, show
-from adaptrack.cli.next_step import command, drive_words, next_line
+from adaptrack.cli import note_progress, options, show
+from adaptrack.cli.next_step import add_command, choose_step, command, drive_words, option_words
+from adaptrack.cli.options import argument, json_flag, option, option_group
 from adaptrack.cli.road import ROADS_HELP
 
 if TYPE_CHECKING:
@@ -29,70 +26,37 @@ class LaneChangeName(StrEnum):
     iso3888_2 = "iso3888-2"
 
 
-@dataclass(frozen=True, kw_only=True)
+@option_group
 class CompareOptions:
     """Options of `adaptrack compare`."""
 
-    road: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="ROAD", show_default=False,
-            help="Test roads. country:3 is the country road with seed 3; lap:1@6 is driven with up to 6 m/s² lateral "
-            f"acceleration. Also a scenario, {ROADS_HELP}",
-        ),
-    ] = None  # fmt: skip
-    controller: Annotated[
-        list[str] | None,
-        Option("--controller", metavar="NAME", help="Controller: see `list controllers`; may be repeated."),
-    ] = None
-    tuning: Annotated[
-        list[str] | None,
-        Option("--tuning", metavar="FILE", help="Tuning file of `tune`; may be repeated."),
-    ] = None
-    vehicle: Annotated[
-        list[str] | None,
-        Option(
-            "--vehicle",
-            metavar="CAR[/PLANT]",
-            help="Car: see `list cars`, or a .toml file. PLANT: dual-track (default) or single-track. May be repeated.",
-        ),
-    ] = None
-    profile: Annotated[
-        list[str] | None,
-        Option("--profile", metavar="NAME", help="See `list profiles`, or a .toml file; may be repeated."),
-    ] = None
-    driver: Annotated[
-        list[str] | None,
-        Option("--driver", metavar="NAME", help="Driver of the speed, by forces: see `list drivers`; may be repeated."),
-    ] = None
-    budget: Annotated[
-        int | None, Option("--budget", metavar="N", min=0, help="Simulated runs per tuning search; 0: no search.")
-    ] = None
-    length: Annotated[
-        float | None, Option("--length", metavar="M", hidden=True, help="Length of generated roads (m); default: 2000.")
-    ] = None
-    seeds: Annotated[
-        int | None,
-        Option("--seeds", metavar="N", hidden=True, min=1, max=1000, help="Number of noise seeds in the test."),
-    ] = None
-    config: Annotated[
-        str | None,
-        Option(
-            "--config", metavar="NAME",
-            help="See `list comparisons`, or a .toml file; default: `quick`; with ROAD `roads`, --driver `drivers`.",
-        ),
-    ] = None  # fmt: skip
-    prescribed_speed: options.PrescribedSpeed = False
-    lane_change: Annotated[
-        LaneChangeName | None,
-        Option("--lane-change", help="Find the highest entry speed of this lane change without touching a cone."),
-    ] = None
-    out: Annotated[
-        Path | None,
-        Option("--out", metavar="FOLDER", help="Folder for the page and all runs; a repeated command continues in it."),
-    ] = None
-    plugin: options.Plugin = None
-    as_json: options.Json = False
+    road: list[str] | None = argument(
+        "ROAD",
+        "Test roads. country:3 is the country road with seed 3; lap:1@6 is driven with up to 6 m/s² lateral "
+        f"acceleration. Also a scenario, {ROADS_HELP}",
+        show_default=False,
+    )
+    controller: list[str] | None = option("NAME", "Controller: see `list controllers`; may be repeated.")
+    tuning: list[str] | None = option("FILE", "Tuning file of `tune`; may be repeated.")
+    vehicle: list[str] | None = option(
+        "CAR[/PLANT]",
+        "Car: see `list cars`, or a .toml file. PLANT: dual-track (default) or single-track. May be repeated.",
+    )
+    profile: list[str] | None = option("NAME", "See `list profiles`, or a .toml file; may be repeated.")
+    driver: list[str] | None = option("NAME", "Driver of the speed, by forces: see `list drivers`; may be repeated.")
+    budget: int | None = option("N", "Simulated runs per tuning search; 0: no search.", min=0)
+    length: float | None = options.road_length_option()
+    seeds: int | None = option("N", "Number of noise seeds in the test.", hidden=True, min=1, max=1000)
+    config: str | None = option(
+        "NAME", "See `list comparisons`, or a .toml file; default: `quick`; with ROAD `roads`, --driver `drivers`."
+    )
+    prescribed_speed: bool = options.prescribed_speed_flag()
+    lane_change: LaneChangeName | None = option(
+        None, "Find the highest entry speed of this lane change without touching a cone."
+    )
+    out: Path | None = option("FOLDER", "Folder for the page and all runs; a repeated command continues in it.")
+    plugin: list[str] | None = options.plugin_option()
+    as_json: bool = json_flag()
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -113,33 +77,29 @@ def compare(settings: CompareOptions) -> None:
     tunes each controller. A controller ranks above another if the 95 % interval of their error ratio
     excludes 1; drivers have no rank. Failed runs are counted in the table; the exit code is 0.
     """
-    from adaptrack.results.page import write_result
-
     options.load_plugins(settings.plugin)
     options.make_page_folder(settings.out)
     result = _compare_on_roads(settings) if settings.lane_change is None else _compare_lane_change(settings)
-    page = None if settings.out is None else write_result(settings.out, result)
-    show.say_result(result, settings.as_json, page)
+    show.write_and_say(result, settings.out, settings.as_json)
 
 
 # -- roads ------------------------------------------------------------------------------------------------------------
 def _compare_on_roads(settings: CompareOptions) -> Result:
     from adaptrack.comparison.run import run_comparison
-    from adaptrack.results.compare import compare_result
-    from adaptrack.results.compare_drivers import compare_drivers_result
+    from adaptrack.results.compare import compare_drivers_result, compare_result
 
     task = _load_task(settings)
     loops, seconds = sum(map(task.loops, task.cells)), max(60.0, task.seconds(task.cells))
     size = f"{len(task.cells)} combinations, about {loops:,} simulated runs, about {show.duration(seconds)} on one core"
     show.say(f"adaptrack: {task.name}: {size}", aside=True)
     if settings.out is None:
-        interrupt.note_progress("Results are only saved with --out.")
+        note_progress("Results are only saved with --out.")
     else:
-        interrupt.note_progress(f"Finished runs are in {settings.out}: run the command again to continue.")
+        note_progress(f"Finished runs are in {settings.out}: run the command again to continue.")
     with show.progress("compare") as advance:
         compared = run_comparison(task, settings.out, progress=advance)
     make_result = compare_drivers_result if task.drivers else compare_result
-    return make_result(compared, command=options.command_line(), next_step=next_line(*_next_step(settings, compared)))
+    return add_command(make_result(compared), _next_step(settings, compared))
 
 
 def _load_task(settings: CompareOptions) -> ComparisonConfig:
@@ -161,22 +121,21 @@ def _next_step(settings: CompareOptions, compared: Compared) -> tuple[str, str]:
     """Suggest to drive or tune the best controller of the last profile on the first road with the first car."""
     from adaptrack.comparison.table import standing_rows
 
-    task, plugins = compared.task, [word for name in settings.plugin or () for word in ("--plugin", name)]
-    car, plant = task.cars[0], list[str]()
+    task, car, plant = compared.task, compared.task.cars[0], ""
     if re.search(r"/[\w-]+$", car):
-        car, _, name = car.rpartition("/")
-        plant = ["--plant", name]
-    drive = ("drive", *drive_words(task.roads[0], settings.length), "--vehicle", car, *plant, *plugins)
+        car, _, plant = car.rpartition("/")
+    plant_words, plugins = (("--plant", plant) if plant else ()), option_words(settings, "plugin")
+    drive = ("drive", *drive_words(task.roads[0], settings.length), "--vehicle", car, *plant_words, *plugins)
     if task.drivers:
         return "drive with the speed control", command(*drive, "--profile", task.profiles[-1], "--speed-control")
     condition, comparison = list(compared.profile_comparisons.items())[-1]
     best = standing_rows(comparison)[0]
     where = "--controller", best["contender"], "--profile", condition.partition(", friction ")[0]
-    if best["tuning"] == "tuned":
-        return "tune it for a road", command(
-            "tune", car, "--road", task.roads[0], *plant, *where, *plugins, "--out", "tuned"
-        )
-    return "drive it", command(*drive, *where)
+    tune = ("tune", car, "--road", task.roads[0], *plant_words, *where, *plugins, "--out", "tuned")
+    return choose_step(
+        (best["tuning"] == "tuned", "tune it for a road", command(*tune)),
+        (True, "drive it", command(*drive, *where)),
+    )
 
 
 # -- lane changes -----------------------------------------------------------------------------------------------------
@@ -186,14 +145,9 @@ def _compare_lane_change(settings: CompareOptions) -> Result:
 
     name = str(settings.lane_change)
     unused = {
-        "ROAD": settings.road,
-        "--tuning": settings.tuning,
-        "--config": settings.config,
-        "--length": settings.length,
-        "--seeds": settings.seeds,
-        "--budget": settings.budget,
-        "--driver": settings.driver,
-    }
+        "ROAD": settings.road, "--tuning": settings.tuning, "--config": settings.config, "--length": settings.length,
+        "--seeds": settings.seeds, "--budget": settings.budget, "--driver": settings.driver,
+    }  # fmt: skip
     options_without_use = [option for option, value in unused.items() if value]
     if options_without_use:
         raise InvalidInput(
@@ -207,4 +161,4 @@ def _compare_lane_change(settings: CompareOptions) -> Result:
         ):  # fmt: skip
             runs.append(run)
     drive = command("drive", "country", "--vehicle", (settings.vehicle or ["paper"])[0])
-    return lane_change_result(name, runs, command=options.command_line(), next_step=next_line("drive a road", drive))
+    return add_command(lane_change_result(name, runs), ("drive a road", drive))

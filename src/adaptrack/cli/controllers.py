@@ -4,55 +4,50 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from typer import Option
-
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
-from adaptrack.cli import options, show
+from adaptrack.cli import show
+from adaptrack.cli.options import option, option_group
 
 if TYPE_CHECKING:
-    from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.control.controllers import Controller, Learning, Moves, Tuning
-    from adaptrack.control.scheduling import Schedule
-    from adaptrack.scenario.profile import Profile
+    from adaptrack.analysis.certify import Certificate
 
 INFORMED_NAME, STANDARD_NAME, AS_WRITTEN, AS_RELEASED = "informed", "standard", "as-written", "as-released"
+CERTIFIED_LEVELS = (9, 3)
+"""Numbers of speeds and frictions in the certificate for a different car."""
 
 
-@dataclass(frozen=True)
+class MovesName(StrEnum):
+    """Parametrisations of the moves."""
+
+    pulse = "pulse"
+    laguerre = "laguerre"
+
+
+@option_group
 class PublishedOptions:
     """Options for tuning and move parametrisation of the published and the informed MPC."""
 
-    np_: Annotated[
-        int | None, Option("--np", hidden=True, help="Prediction horizon (periods); default of standard: 35.")
-    ] = None
-    nc: Annotated[
-        int | None, Option("--nc", hidden=True, help="Control horizon (periods); default of standard: 8.")
-    ] = None
-    q: Annotated[
-        float | None, Option("--q", hidden=True, help="Weight of the tracking error (1/m^2); standard: 10.")
-    ] = None
-    r: Annotated[float | None, Option("--r", hidden=True, help="Weight of the moves (1/rad^2); standard: 0.01.")] = None
-    moves: Annotated[
-        options.MovesName, Option("--moves", hidden=True, help="pulse: eq. (10); laguerre: Laguerre functions.")
-    ] = options.MovesName.pulse
-    laguerre_pole: Annotated[
-        float, Option("--laguerre-pole", hidden=True, help="Pole a of the Laguerre functions.")
-    ] = 0.95
-    laguerre_terms: Annotated[int, Option("--laguerre-terms", hidden=True, help="Number of Laguerre functions.")] = 10
-    solver: Annotated[
-        str, Option("--solver", metavar="NAME", hidden=True, help="QP solver: active-set or hildreth")
-    ] = "active-set"
-    preview: Annotated[
-        bool | None,
-        Option(
-            "--preview/--no-preview",
-            hidden=True,
-            help="Whether controllers know the reference ahead; default: on roads, or if set in the profile.",
-        ),
-    ] = None
+    np_: int | None = option(
+        None, "Prediction horizon (periods); default of standard: 35.", names=["--np"], hidden=True
+    )
+    nc: int | None = option(None, "Control horizon (periods); default of standard: 8.", hidden=True)
+    q: float | None = option(None, "Weight of the tracking error (1/m^2); standard: 10.", hidden=True)
+    r: float | None = option(None, "Weight of the moves (1/rad^2); standard: 0.01.", hidden=True)
+    moves: MovesName = option(None, "pulse: eq. (10); laguerre: Laguerre functions.", MovesName.pulse, hidden=True)
+    laguerre_pole: float = option(None, "Pole a of the Laguerre functions.", 0.95, hidden=True)
+    laguerre_terms: int = option(None, "Number of Laguerre functions.", 10, hidden=True)
+    solver: str = option("NAME", "QP solver: active-set or hildreth", "active-set", hidden=True)
+    preview: bool | None = option(
+        None,
+        "Whether controllers know the reference ahead; default: on roads, or if set in the profile.",
+        names=["--preview/--no-preview"],
+        hidden=True,
+    )
 
     @property
     def tuning(self) -> dict[str, Any]:
@@ -62,31 +57,29 @@ class PublishedOptions:
         values = zip(ENTRIES, (self.np_, self.nc, self.q, self.r), strict=True)
         return {name: value for name, value in values if value is not None}
 
-    def make_moves(self) -> Moves:
+    def make_moves(self) -> at.Moves:
         """Return the move parametrisation for the MPC."""
-        from adaptrack.control.controllers import Moves
-
-        return Moves(self.moves.value, self.laguerre_pole, self.laguerre_terms)
+        return at.Moves(self.moves.value, self.laguerre_pole, self.laguerre_terms)
 
 
 @dataclass(frozen=True)
 class ControllerSettings:
     """Car, profile and options of a controller."""
 
-    car: Vehicle
-    profile: Profile
+    car: at.Vehicle
+    profile: at.Profile
     period: float
     """Control period (s)."""
     preview: bool
     tuning: dict[str, Any] = field(default_factory=dict)
     """Tuning entries on the command line, by name."""
-    moves: Moves | None = None
+    moves: at.Moves | None = None
     """Parametrisation of the moves; None for pulses."""
     solver: str = "active-set"
-    schedule: Schedule | None = None
+    schedule: at.Schedule | None = None
     label: str = ""
     """Name of the schedule in tables, as on the command line."""
-    learning: Learning | None = None
+    learning: at.Learning | None = None
     computation: float | None = None
     """Computation time (s); None for that of the profile."""
 
@@ -105,12 +98,12 @@ class ControllerSettings:
         """Largest control horizon of the MPC (periods)."""
         return max(20, 0 if self.schedule is None else self.schedule.largest[1])
 
-    def tuned(self, base: Tuning) -> Tuning:
+    def tuned(self, base: at.Tuning) -> at.Tuning:
         """Return the tuning with the entries of the command line."""
         return replace(base, **self.tuning)
 
 
-def make_controller(name: str, settings: ControllerSettings) -> tuple[str, Controller]:
+def make_controller(name: str, settings: ControllerSettings) -> tuple[str, at.Controller]:
     """Return the label and the controller of a name: an MPC or a registered controller.
 
     Raises
@@ -120,20 +113,18 @@ def make_controller(name: str, settings: ControllerSettings) -> tuple[str, Contr
     InvalidInput
         When the options contradict each other.
     """
-    from adaptrack.control.controllers import Moves, Tuning, get_controller, list_controllers, published_mpc
-
-    chosen = settings.moves or Moves.pulses()
-    moves = {STANDARD_NAME: chosen, AS_WRITTEN: Moves.pulses(), AS_RELEASED: Moves.laguerre(0.95, chosen.terms)}
-    registered = [other for other in list_controllers() if other not in moves]
+    chosen = settings.moves or at.Moves.pulses()
+    moves = {STANDARD_NAME: chosen, AS_WRITTEN: at.Moves.pulses(), AS_RELEASED: at.Moves.laguerre(0.95, chosen.terms)}
+    registered = [other for other in at.list_controllers() if other not in moves]
     if name in registered:
         optional = {key: getattr(settings, key) for key in ("period", "preview", "computation")}
         arguments = _informed_arguments(settings, chosen) if name == INFORMED_NAME else _no_schedule(name, settings)
         label = settings.label if settings.schedule is not None else name
-        return label, get_controller(name, settings.car, profile=settings.profile, optional=optional, **arguments)
+        return label, at.get_controller(name, settings.car, profile=settings.profile, optional=optional, **arguments)
     if name not in moves:
         raise UnknownName(f"no controller is named {name!r}. {did_you_mean(name, [*moves, *registered])}")
-    tuning = settings.tuned(Tuning())
-    mpc = published_mpc(
+    tuning = settings.tuned(at.Tuning())
+    mpc = at.published_mpc(
         settings.car, tuning, period=settings.period, moves=moves[name], preview=settings.preview,
         solver=settings.solver, scheduler=settings.schedule, most_moves=max(tuning.Nc, settings.most_moves),
     )  # fmt: skip
@@ -142,7 +133,7 @@ def make_controller(name: str, settings: ControllerSettings) -> tuple[str, Contr
     return settings.label if name == STANDARD_NAME else f"{settings.label}-{name}", mpc
 
 
-def _informed_arguments(settings: ControllerSettings, moves: Moves) -> dict[str, Any]:
+def _informed_arguments(settings: ControllerSettings, moves: at.Moves) -> dict[str, Any]:
     """Return the arguments of the informed MPC in addition to those of every controller."""
     from adaptrack.control.controllers import informed_tuning
     from adaptrack.control.controllers.compatibility import is_for_published
@@ -168,7 +159,7 @@ def _no_schedule(name: str, settings: ControllerSettings) -> dict[str, Any]:
     return {}
 
 
-def make_tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controller]:
+def make_tuned(file: Path, settings: ControllerSettings) -> tuple[str, at.Controller]:
     """Return the label and the controller of a tuning file; warn if it was made for different conditions."""
     from adaptrack.tuning.constant import load_tuning
 
@@ -179,27 +170,14 @@ def make_tuned(file: Path, settings: ControllerSettings) -> tuple[str, Controlle
     return tuning.label(file), tuning.make(settings.car, settings.profile, *loop)
 
 
-def certify_tuned(file: Path, controller: Any, settings: ControllerSettings, plant: Any, allow_unstable: bool) -> None:
-    """Certify the constant tuning of an MPC that was found for a different car, see `new_car`."""
-    from adaptrack.cli.new_car import judge
-    from adaptrack.tuning.constant import load_tuning
-
-    made_for, car = load_tuning(file).vehicle, settings.car
-    if made_for != car.name and controller.has_horizons:
-        clause = f"{file}, found for the car {made_for!r}, on {car.name!r}"
-        judge(clause, controller.tuning, (controller, plant, car, settings.profile), allow_unstable)
-
-
-def make_learning(learn: bool, file: Path | None) -> Learning | None:
+def make_learning(learn: bool, file: Path | None) -> at.Learning | None:
     """Return the learning settings of the informed controller, which start from `file` if it exists; None without."""
-    from adaptrack.control.controllers import Learning, load_learned_car
-
     if not (learn or file is not None):
         return None
-    return Learning(start=load_learned_car(file) if file is not None and file.exists() else None)
+    return at.Learning(start=at.load_learned_car(file) if file is not None and file.exists() else None)
 
 
-def save_learned(file: Path | None, controllers: Sequence[tuple[str, Controller]], aside: bool) -> None:
+def save_learned(file: Path | None, controllers: Sequence[tuple[str, at.Controller]], aside: bool) -> None:
     """Write the learned car of the informed controller to a file for the next drive, unless `file` is None."""
     if file is None:
         return
@@ -207,3 +185,68 @@ def save_learned(file: Path | None, controllers: Sequence[tuple[str, Controller]
         if controller.learner is not None:
             controller.learned().to_toml(file)  # type: ignore[attr-defined]
             show.say(f"Learned: {file}", aside=aside)
+
+
+# -- certificates for a different car ---------------------------------------------------------------------------------
+def certify_meeting(label: str, mpc: at.MPC, plant: Any, car: at.Vehicle, world: at.Profile, allowed: bool) -> None:
+    """Certify a scheduled MPC whose schedule was made for a different car than the modelled or the simulated one.
+
+    label: name of the schedule in messages; allowed: whether an unstable loop is only a warning. Schedules without a
+    car, or for this car, are not certified.
+
+    Raises
+    ------
+    InvalidInput
+        When a loop is unstable when driving straight and `allowed` is False.
+    """
+    from adaptrack.control.controllers.compatibility import car_of
+
+    schedule = mpc.scheduler
+    if not isinstance(schedule, at.Schedule):
+        return
+    made_for = schedule.made_for.get("car")
+    other_cars = [name for name in dict.fromkeys((car_of(mpc.model), car_of(plant))) if name not in (None, made_for)]
+    if made_for is not None and other_cars:
+        clause = f"scheduler {label!r}, made for the car {made_for!r}, on {' and '.join(map(repr, other_cars))}"
+        _judge(clause, schedule, (mpc, plant, car, world), allowed)
+
+
+def certify_tuned(file: Path, controller: Any, settings: ControllerSettings, plant: Any, allow_unstable: bool) -> None:
+    """Certify the constant tuning of an MPC that was found for a different car, see `certify_meeting`."""
+    from adaptrack.tuning.constant import load_tuning
+
+    made_for, car = load_tuning(file).vehicle, settings.car
+    if made_for != car.name and controller.has_horizons:
+        clause = f"{file}, found for the car {made_for!r}, on {car.name!r}"
+        _judge(clause, controller.tuning, (controller, plant, car, settings.profile), allow_unstable)
+
+
+def _judge(
+    clause: str, tuning: at.Schedule | at.Tuning, loop: tuple[at.MPC, Any, at.Vehicle, at.Profile], allowed: bool
+) -> None:
+    """Certify a schedule or a tuning over the domain of a car and print the verdict; clause: start of the message.
+
+    Raises
+    ------
+    InvalidInput
+        When the loop is unstable when driving straight and `allowed` is False.
+    """
+    certificate = _certificate(tuning, *loop)
+    clause += f": certificate over the domain of {loop[2].name!r}: {certificate.verdict}"
+    if not certificate.passed and not allowed:
+        raise InvalidInput(f"{clause} To drive it anyway, use --allow-failed.")
+    show.say(f"Warning, {clause}", aside=True)
+
+
+def _certificate(
+    tuning: at.Schedule | at.Tuning, mpc: at.MPC, plant: Any, car: at.Vehicle, world: at.Profile
+) -> Certificate:
+    from adaptrack.analysis.certify import certify
+    from adaptrack.analysis.stability import linear_twin
+
+    domain = {"speed": car.domain.speed, "friction": car.domain.friction}
+    with show.progress("certify for this car") as advance:
+        return certify(
+            tuning, linear_twin(plant, car, car.domain), mpc, world.without_sample_ages, domain=domain,
+            levels=CERTIFIED_LEVELS, progress=advance,
+        )  # fmt: skip

@@ -7,56 +7,56 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
-from typer import Option
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cli import controllers, interrupt, options, show
-from adaptrack.cli.next_step import command, next_line, option_words, repeat_command_with, replace_option
+from adaptrack.cli import controllers, note_progress, options, show
+from adaptrack.cli.next_step import choose_step, command, next_line, option_words, repeat_command_with, replace_option
+from adaptrack.cli.options import flag, json_flag, option, option_group
 from adaptrack.cli.places import DrivenPlaces, PlaceOptions
+from adaptrack.cli.road import drive_slower
 
 if TYPE_CHECKING:
     from adaptrack.base.result import Result, ResultTable
-    from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.cli.road import CheckedRoad
-    from adaptrack.control.controllers import Controller
-    from adaptrack.control.speed_control import SpeedControl
-    from adaptrack.drive.world import Driver
     from adaptrack.results import Run
     from adaptrack.road.holdable_speed import HoldableSpeed
-
-SPEED_REDUCTION = 0.7
-"""Factor on the speed or lateral acceleration in the command suggested after a failure."""
 
 STIFFNESS_MISMATCH = 1.25
 """Ratio of tyre stiffness to model stiffness from which the notes of a failed run mention it."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@option_group
+class DriveSettings:
+    """Options for the simulation of a closed loop and for the saved files."""
+
+    prescribed_speed: bool = options.prescribed_speed_flag()
+    speed_control: bool = flag("Road: control the speed, with governor and stops.")
+    period: float | None = option("S", "Control period (s); default: the profile's.", hidden=True)
+    learn: bool = flag("Learn steering delay and bias, and tyre stiffness.")
+    learned: Path | None = option("FILE", "Like --learn; start from this TOML file and update it.")
+    seed: int = options.noise_seed_option()
+    out: Path | None = option("FOLDER", "Folder for the page and the trajectories.")
+    png: bool = flag("With --out: also write the pictures as PNG files.", hidden=True)
+    allow_failed: bool = flag("Exit with code 0 after a failed run, and also drive unstable loops.", hidden=True)
+    as_json: bool = json_flag()
+
+
+@option_group
 class DriveOptions:
     """Options of `adaptrack drive`."""
 
-    controller: Annotated[
-        list[str] | None,
-        Option(
-            "--controller",
-            metavar="NAME",
-            help="See `list controllers`; also standard (published MPC); may be repeated; default: informed.",
-        ),
-    ] = None
-    tuning: Annotated[
-        list[Path] | None, Option("--tuning", metavar="FILE", help="Tuning file of `tune`; may be repeated.")
-    ] = None
-    scheduler: Annotated[
-        str | None,
-        Option("--scheduler", metavar="NAME", help="Schedule: see `list schedules`, or a .json file of `paper train`."),
-    ] = None
+    controller: list[str] | None = option(
+        "NAME", "See `list controllers`; also standard (published MPC); may be repeated; default: informed."
+    )
+    tuning: list[Path] | None = option("FILE", "Tuning file of `tune`; may be repeated.")
+    scheduler: str | None = options.scheduler_option()
     car: options.CarAndPlant
     place: PlaceOptions
     published: controllers.PublishedOptions
-    drive: options.DriveSettings
+    drive: DriveSettings
 
 
 @options.grouped
@@ -70,7 +70,8 @@ def drive(arguments: DriveOptions) -> None:
 
     settings = arguments.drive
     car, plant = arguments.car.load()
-    settings.make_places()
+    options.make_page_folder(settings.out, settings.png)
+    options.make_place(settings.learned)
     places = arguments.place.load(car, _held_speeds(arguments))
     loop = DrivenLoop(car, plant, places, _make_controllers(arguments, places, car, plant))
     places.warn(car)
@@ -94,27 +95,24 @@ def drive(arguments: DriveOptions) -> None:
 class DrivenLoop:
     """Car model of the controllers, simulated plant, scenarios or road, and controllers with their labels."""
 
-    car: Vehicle
+    car: at.Vehicle
     plant: Any
     places: DrivenPlaces
-    drivers: Sequence[tuple[str, Controller]]
+    drivers: Sequence[tuple[str, at.Controller]]
 
 
 # -- controllers and runs ---------------------------------------------------------------------------------------------
 def _make_controllers(
-    arguments: DriveOptions, places: DrivenPlaces, car: Vehicle, plant: Any
-) -> list[tuple[str, Controller]]:
+    arguments: DriveOptions, places: DrivenPlaces, car: at.Vehicle, plant: Any
+) -> list[tuple[str, at.Controller]]:
     """Make the controllers with their labels; certify those that were made for a different car."""
-    from adaptrack.cli.new_car import certify_meeting
-    from adaptrack.control.scheduling import load_scheduler
-
     world, published, scheduler = places.profile, arguments.published, arguments.scheduler
     preview = True if places.road is not None else world.preview
     settings = controllers.ControllerSettings(
         car=car, profile=world, tuning=published.tuning, moves=published.make_moves(), solver=published.solver,
         period=world.period if arguments.drive.period is None else arguments.drive.period,
         preview=preview if published.preview is None else published.preview,
-        schedule=None if scheduler is None else load_scheduler(scheduler),
+        schedule=None if scheduler is None else at.load_scheduler(scheduler),
         label="" if scheduler is None else Path(scheduler).stem if scheduler.endswith(".json") else scheduler,
         learning=controllers.make_learning(arguments.drive.learn, arguments.drive.learned),
     )  # fmt: skip
@@ -124,7 +122,7 @@ def _make_controllers(
     ]
     for label, controller in drivers:
         if controller.has_horizons:
-            certify_meeting(label, controller, plant, car, world, arguments.drive.allow_failed)
+            controllers.certify_meeting(label, controller, plant, car, world, arguments.drive.allow_failed)
     for file in dict.fromkeys(arguments.tuning or []):
         drivers.append(controllers.make_tuned(file, settings))
         controllers.certify_tuned(file, drivers[-1][1], settings, plant, arguments.drive.allow_failed)
@@ -139,8 +137,8 @@ def _held_speeds(arguments: DriveOptions) -> HoldableSpeed | None:
 
 
 def _make_driver(
-    settings: options.DriveSettings, loop: DrivenLoop, friction: tuple[float, float] | None
-) -> Driver | SpeedControl | None:
+    settings: DriveSettings, loop: DrivenLoop, friction: tuple[float, float] | None
+) -> at.Driver | at.SpeedControl | None:
     """Return what moves the car along its plan; None for a prescribed speed.
 
     Raises
@@ -148,7 +146,6 @@ def _make_driver(
     InvalidInput
         When a speed control is requested without a road, or with a prescribed speed.
     """
-    from adaptrack.control.speed_control import SpeedControl
     from adaptrack.drive.world import ROAD_DRIVER
 
     if not settings.speed_control:
@@ -157,23 +154,20 @@ def _make_driver(
         raise InvalidInput(
             "--speed-control: moves a car along a road by forces: name a road, without --prescribed-speed."
         )
-    return SpeedControl(loop.car) if friction is None else SpeedControl(loop.car, friction=friction)
+    return at.SpeedControl(loop.car) if friction is None else at.SpeedControl(loop.car, friction=friction)
 
 
-def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: tuple[float, float] | None) -> Iterator[Run]:
+def _drive(settings: DriveSettings, loop: DrivenLoop, friction: tuple[float, float] | None) -> Iterator[Run]:
     """Simulate all drives with all controllers; save each trajectory at once.
 
     friction: interval that driver and schedules assume, these its lower end; None for that of the road.
     """
     from adaptrack.base.files import safe_names
-    from adaptrack.control.estimation import Perception
-    from adaptrack.drive.metrics import compute_metrics
     from adaptrack.drive.predicted_paths import PredictedPaths
-    from adaptrack.drive.simulate import simulate
     from adaptrack.results import Run
 
     places, out = loop.places, settings.out
-    perception = None if friction is None else Perception(friction=friction[0])
+    perception = None if friction is None else at.Perception(friction=friction[0])
     driver = _make_driver(settings, loop, friction)
     pairs = [(drive, *labelled) for drive in places.drives for labelled in loop.drivers]
     files = safe_names(f"{drive.name}-{label}" for drive, label, _ in pairs)
@@ -181,14 +175,14 @@ def _drive(settings: options.DriveSettings, loop: DrivenLoop, friction: tuple[fl
     with show.progress("drive", len(pairs)) as advance:
         for i, (file, (drive, label, controller)) in enumerate(zip(files, pairs, strict=True), 1):
             paths = None if out is None or places.road is None else PredictedPaths()
-            run = simulate(
+            run = at.simulate(
                 loop.plant, controller, drive, profile=places.profile, driver=driver, perception=perception,
                 seed=settings.seed, predicted=paths, progress=partial(advance, f"{drive.name}, {label}"),
             )  # fmt: skip
             if out is not None:
                 run.save(out / f"{file}.parquet")
-            interrupt.note_progress(f"{i} of {len(pairs)} runs were finished; {where}. Run the command again.")
-            measures = compute_metrics(run, model=controller.model, outline=loop.car.outline)
+            note_progress(f"{i} of {len(pairs)} runs were finished; {where}. Run the command again.")
+            measures = at.compute_metrics(run, model=controller.model, outline=loop.car.outline)
             road, plan = (None, None) if places.road is None else (places.road.road, places.road.plan)
             yield Run(run, label, measures, road, loop.car, paths, None if driver is None else plan)
 
@@ -273,7 +267,7 @@ def _learned_table(label: str, controller: Any) -> ResultTable:
     return ResultTable(f"{label} learned", title, columns, [row._asdict() for row in car.intervals], brief=True)
 
 
-def _steering_notes(label: str, controller: Controller, loop: DrivenLoop) -> list[str]:
+def _steering_notes(label: str, controller: at.Controller, loop: DrivenLoop) -> list[str]:
     """Describe the controller's steering model, and the simulated steering if it differs."""
     belief, profile = controller.belief, loop.places.profile
     if belief is None:
@@ -311,32 +305,28 @@ def _stiffness_notes(loop: DrivenLoop) -> list[str]:
 
 def _next_step(arguments: DriveOptions, loop: DrivenLoop, rows: Sequence[dict[str, Any]]) -> tuple[str, str]:
     """Suggest the next command after the runs, with the reason."""
-    places = loop.places
+    place, checked, car = arguments.place, loop.places.road, option_words(arguments.car)
+    on_road, profile = checked is not None, option_words(place, "profile")
     is_off_lane = any(row["failed"] or (row.get("in_lane") or 0.0) < 1.0 for row in rows)
-    if places.road is not None and is_off_lane:
-        return _slower(arguments, places.road)
-    if arguments.drive.out is None:
-        return "to see the drive on a page", repeat_command_with("--out", "drive")
-    if places.road is None:
-        return "to drive a road", command("drive", "country", *option_words(arguments.car))
-    profile = () if arguments.place.profile is None else ("--profile", arguments.place.profile)
-    if arguments.scheduler is not None:
-        return "to certify the scheduler", command(
-            "certify", arguments.scheduler, *option_words(arguments.car), *profile
-        )
-    best = min(rows, key=lambda row: row["mse"])["controller"]
-    road, plant = _comparable_road(arguments), arguments.car.plant
-    if road is None or not (arguments.tuning or _is_tunable(best, loop)):
-        return "to drive with another seed of the noise", replace_option("--seed", arguments.drive.seed + 1)
-    length = () if arguments.place.route.length is None else ("--length", arguments.place.route.length)
-    driver = ("--prescribed-speed",) if arguments.drive.prescribed_speed else ()
-    plugins = [word for name in arguments.car.plugin or () for word in ("--plugin", name)]
-    words = (*profile, *length, *driver, *plugins)
-    if arguments.tuning:
-        tuned = ("--vehicle", f"{arguments.car.vehicle}/{plant}", "--tuning", arguments.tuning[0])
-        return "to test the tuning with different noise", command("compare", road, *tuned, *words)
-    chosen = ("--plant", plant, "--controller", best, *words, "--out", "tuned")
-    return f"to tune {best} for this road", command("tune", arguments.car.vehicle, "--road", road, *chosen)
+    check = command("road", "check", place.names[0], "--vehicle", arguments.car.vehicle, *option_words(place.route))
+    best = min(rows, key=lambda row: math.inf if row["mse"] is None else row["mse"])["controller"]
+    road, plant = _comparable_road(arguments) if on_road else None, arguments.car.plant
+    words = [
+        *profile, *option_words(place.route, "length"), *option_words(arguments.drive, "prescribed_speed"),
+        *option_words(arguments.car, "plugin"),
+    ]  # fmt: skip
+    tuned = ["--vehicle", f"{arguments.car.vehicle}/{plant}", "--tuning", *(arguments.tuning or [])[:1], *words]
+    tune = [arguments.car.vehicle, "--road", road, "--plant", plant, "--controller", best, *words, "--out", "tuned"]
+    return choose_step(
+        (is_off_lane and checked and not checked.drivable, "to see the places that cannot be driven", check),
+        (is_off_lane and on_road, "to stay in the lane, drive more slowly", drive_slower(place.route)),
+        (arguments.drive.out is None, "to see the drive on a page", repeat_command_with("--out", "drive")),
+        (not on_road, "to drive a road", command("drive", "country", *car)),
+        (arguments.scheduler, "to certify the scheduler", command("certify", arguments.scheduler, *car, *profile)),
+        (road and arguments.tuning, "to test the tuning with different noise", command("compare", road, *tuned)),
+        (road and _is_tunable(best, loop), f"to tune {best} for this road", command("tune", *tune)),
+        (True, "to drive with another seed of the noise", replace_option("--seed", arguments.drive.seed + 1)),
+    )
 
 
 def _comparable_road(arguments: DriveOptions) -> str | None:
@@ -354,21 +344,7 @@ def _comparable_road(arguments: DriveOptions) -> str | None:
 
 def _is_tunable(name: str, loop: DrivenLoop) -> bool:
     """Whether `tune` accepts a driven controller by its label."""
-    from adaptrack.control.controllers import about_controller, list_controllers
+    from adaptrack.control.controllers import about_controller
     from adaptrack.tuning.pso import is_tunable
 
-    return name in list_controllers() and about_controller(name).tunable and is_tunable(dict(loop.drivers)[name])
-
-
-def _slower(arguments: DriveOptions, road: CheckedRoad) -> tuple[str, str]:
-    """Suggest to check a road that the car cannot drive, or to drive more slowly."""
-    route = arguments.place.route
-    if not road.drivable:
-        words = (arguments.place.names[0], "--vehicle", arguments.car.vehicle, *route.words)
-        return "to see the places that cannot be driven", command("road", "check", *words)
-    if route.speed is not None:
-        return "to stay in the lane, drive more slowly", replace_option(
-            "--speed", round(SPEED_REDUCTION * route.speed, 1)
-        )
-    comfort = SPEED_REDUCTION * (3.0 if route.lateral_acceleration is None else route.lateral_acceleration)
-    return "to stay in the lane, drive more slowly", replace_option("--lateral-acceleration", round(comfort, 2))
+    return name in at.list_controllers() and about_controller(name).tunable and is_tunable(dict(loop.drivers)[name])

@@ -1,70 +1,43 @@
-"""`adaptrack export c`: export a controller as a C library that needs neither Python nor adaptrack."""
+"""`adaptrack export`: export controllers as a C library, as FMUs, and as a page for the browser."""
 
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
 import typer
-from typer import Option
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
 from adaptrack.cli import road as roads
 from adaptrack.cli.next_step import next_line
-
-if TYPE_CHECKING:
-    from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.control.controllers import Controller
-    from adaptrack.control.speed_control import SpeedControl
-    from adaptrack.scenario.profile import Profile
+from adaptrack.cli.options import flag, json_flag, option, option_group
 
 app = typer.Typer(
     help="Export controllers: C library, FMUs, page for the browser.", no_args_is_help=True, rich_markup_mode=None
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@option_group
 class ExportedController:
     """Options for the exported controller and the road of its recorded drive."""
 
-    controller: Annotated[
-        str | None,
-        Option("--controller", metavar="NAME", help="Controller: see `list controllers`; default: informed."),
-    ] = None
-    tuning: Annotated[Path | None, Option("--tuning", metavar="FILE", help="Tuning file of `tune`.")] = None
-    scheduler: Annotated[
-        str | None,
-        Option("--scheduler", metavar="NAME", help="Schedule: see `list schedules`, or a .json file of `paper train`."),
-    ] = None
+    controller: str | None = option("NAME", "Controller: see `list controllers`; default: informed.")
+    tuning: Path | None = option("FILE", "Tuning file of `tune`.")
+    scheduler: str | None = options.scheduler_option()
     car: options.CarAndPlant
-    road: Annotated[str, Option("--road", metavar="ROAD", help=f"Road of the recorded drive: {roads.ROADS_HELP}")] = (
-        "country"
-    )
-    road_seed: Annotated[int | None, Option("--road-seed", metavar="N", help="Seed of a generated road.")] = None
-    speed: Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned.")] = (
-        None
-    )
-    speed_control: Annotated[
-        bool,
-        Option("--speed-control", help="Export the speed control too: acceleration, force, stops at planned places."),
-    ] = False
-    assumed_friction: options.AssumedFriction = None
-    profile: options.ProfileOption = "road"
-    learn: Annotated[
-        bool,
-        Option(
-            "--learn",
-            help="Let the informed controller learn; default if the car file has no lag and dead time.",
-        ),
-    ] = False
-    learned: Annotated[
-        Path | None, Option("--learned", metavar="FILE", help="Like --learn, starting from this TOML file.")
-    ] = None
+    road: str = option("ROAD", f"Road of the recorded drive: {roads.ROADS_HELP}", "country")
+    road_seed: int | None = option("N", "Seed of a generated road.")
+    speed: float | None = option("V", "Constant speed (m/s); default: planned.")
+    speed_control: bool = flag("Export the speed control too: acceleration, force, stops at planned places.")
+    assumed_friction: str | None = options.assumed_friction_option()
+    profile: str = options.profile_option("road")
+    learn: bool = flag("Let the informed controller learn; default if the car file has no lag and dead time.")
+    learned: Path | None = option("FILE", "Like --learn, starting from this TOML file.")
 
-    def checked_road(self, car: Vehicle, world: Profile) -> roads.CheckedRoad:
+    def checked_road(self, car: at.Vehicle, world: at.Profile) -> roads.CheckedRoad:
         """Load and check the road and its speed plan."""
         return self._road_options.look(self.road, car, world)
 
@@ -72,7 +45,7 @@ class ExportedController:
     def _road_options(self) -> roads.RoadOptions:
         return roads.RoadOptions(speed=self.speed, road_seed=self.road_seed, assumed_friction=self.assumed_friction)
 
-    def make_speed_control(self, car: Vehicle) -> SpeedControl | None:
+    def make_speed_control(self, car: at.Vehicle) -> at.SpeedControl | None:
         """Make the speed control; None without --speed-control.
 
         Raises
@@ -80,16 +53,14 @@ class ExportedController:
         InvalidInput
             When a friction is assumed without it.
         """
-        from adaptrack.control.speed_control import SpeedControl
-
         friction = self._road_options.assumed_interval
         if self.speed_control:
-            return SpeedControl(car) if friction is None else SpeedControl(car, friction=friction)
+            return at.SpeedControl(car) if friction is None else at.SpeedControl(car, friction=friction)
         if friction is not None:
             raise InvalidInput("--assumed-friction: is an assumption of the speed control; add --speed-control.")
         return None
 
-    def make(self, car: Vehicle, world: Profile, computation: float | None = None) -> Controller:
+    def make(self, car: at.Vehicle, world: at.Profile, computation: float | None = None) -> at.Controller:
         """Make the controller; computation: computation time (s), by default that of the profile.
 
         Raises
@@ -98,7 +69,6 @@ class ExportedController:
             When the options contradict each other.
         """
         from adaptrack.cli.controllers import ControllerSettings, make_controller, make_learning, make_tuned
-        from adaptrack.control.scheduling import load_scheduler
 
         if self.tuning is not None and (self.controller or self.scheduler):
             raise InvalidInput(
@@ -109,63 +79,38 @@ class ExportedController:
         settings = ControllerSettings(
             car, world, world.period, preview=True,
             learning=make_learning(self.learn or self._has_unknown_delay(car), self.learned),
-            schedule=None if self.scheduler is None else load_scheduler(self.scheduler),
+            schedule=None if self.scheduler is None else at.load_scheduler(self.scheduler),
             label=self.scheduler or "", computation=computation,
         )  # fmt: skip
         if self.tuning is not None:
             return make_tuned(self.tuning, settings)[1]
         return make_controller(self.controller or settings.default_name, settings)[1]
 
-    def _has_unknown_delay(self, car: Vehicle) -> bool:
+    def _has_unknown_delay(self, car: at.Vehicle) -> bool:
         """Whether neither the options nor the car file determine the steering delay; the profile only simulates one."""
-        if (
-            self.tuning is not None
-            or self.learned is not None
-            or self.scheduler
-            or self.controller not in (None, "informed")
-        ):
+        if self.tuning or self.learned or self.scheduler or self.controller not in (None, "informed"):
             return False
         return car.steering is None or car.steering.lag is None or car.steering.dead_time is None
 
 
-@dataclass(frozen=True, kw_only=True)
+# -- C library --------------------------------------------------------------------------------------------------------
+@option_group
 class ExportOptions:
     """Options of `adaptrack export c`."""
 
-    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for the library.")]
+    out: Path = option("FOLDER", "Folder for the library.", ...)
     exported: ExportedController
-    computation: Annotated[
-        float,
-        Option(
-            "--computation",
-            metavar="S",
-            min=0.0,
-            max=1.0,
-            help="Time from calling the library until it returns the command (s).",
-        ),
-    ] = 0.0
-    target: Annotated[
-        list[str] | None,
-        Option("--target", metavar="NAME", help="Target processor; default: this computer; may be repeated."),
-    ] = None
-    objects: Annotated[
-        Path | None,
-        Option(
-            "--objects",
-            metavar="FOLDER",
-            help="Folder with kernels of other processors; `make targets` builds them in a source checkout.",
-        ),
-    ] = None
-    room: Annotated[
-        tuple[int, int] | None,
-        Option(
-            "--room",
-            metavar="NP NC",
-            hidden=True,
-            help="Largest horizons of constants that the library may load later.",
-        ),
-    ] = None
-    as_json: options.Json = False
+    computation: float = option(
+        "S", "Time from calling the library until it returns the command (s).", 0.0, min=0.0, max=1.0
+    )
+    target: list[str] | None = option("NAME", "Target processor; default: this computer; may be repeated.")
+    objects: Path | None = option(
+        "FOLDER", "Folder with kernels of other processors; `make targets` builds them in a source checkout."
+    )
+    room: tuple[int, int] | None = option(
+        "NP NC", "Largest horizons of constants that the library may load later.", hidden=True
+    )
+    as_json: bool = json_flag()
 
 
 @app.command("c")
@@ -179,13 +124,11 @@ def export_c(arguments: ExportOptions) -> None:
     """
     from dataclasses import asdict
 
-    from adaptrack.export.c_library import export_c as export
     from adaptrack.export.c_library import kernel_files
     from adaptrack.export.tracking import refuse
-    from adaptrack.scenario.profile import load_profile
 
     car, plant = arguments.exported.car.load()
-    world = load_profile(arguments.exported.profile)
+    world = at.load_profile(arguments.exported.profile)
     controller = arguments.exported.make(car, world, arguments.computation)
     speed = arguments.exported.make_speed_control(car)
     refuse(controller)
@@ -193,7 +136,7 @@ def export_c(arguments: ExportOptions) -> None:
     options.make_folder(arguments.out)
     checked = arguments.exported.checked_road(car, world)
     with show.progress("record a drive"):
-        files = export(
+        files = at.export_c(
             controller, arguments.out, targets=arguments.target or (), road=checked.road, plan=checked.plan,
             plant=plant, profile=world, room=arguments.room, objects=arguments.objects, speed=speed,
         )  # fmt: skip
@@ -214,3 +157,104 @@ def export_c(arguments: ExportOptions) -> None:
         show.say(f"Warning: on the recorded drive, {files.failed}. Lower --speed, or choose a different --road.")
     show.say_backups(files.backups)
     show.say(next_line("to verify that it matches Python", shlex.join(["make", "-C", str(files.folder), "check"])))
+
+
+# -- FMUs -------------------------------------------------------------------------------------------------------------
+class Interface(StrEnum):
+    """Versions of the Functional Mock-up Interface."""
+
+    second = "2.0"
+    third = "3.0"
+
+
+@option_group
+class FMUOptions:
+    """Options of `adaptrack export fmu`."""
+
+    out: Path = option("FOLDER", "Folder for car.fmu and controller.fmu.", ...)
+    exported: ExportedController
+    fmi: Interface = option(None, "Version of the Functional Mock-up Interface.", Interface.third)
+    prescribed_speed: bool = options.prescribed_speed_flag()
+    as_json: bool = json_flag()
+
+
+@app.command("fmu")
+@options.grouped
+def export_fmu(arguments: FMUOptions) -> None:
+    """Export a controller and a car as two FMUs for co-simulation.
+
+    The FMUs need neither Python nor adaptrack. You need no compiler for the export.
+    """
+    from adaptrack.export.fmu import binaries, write_fmu
+    from adaptrack.export.units import car_unit, controller_unit
+
+    car, plant = arguments.exported.car.load()
+    world = at.load_profile(arguments.exported.profile)
+    controller = arguments.exported.make(car, world)
+    checked = arguments.exported.checked_road(car, world)
+    route = at.RoadDrive(checked.road, checked.plan)
+    speed = arguments.exported.make_speed_control(car)
+    driver = speed or (None if arguments.prescribed_speed else at.Driver())
+    preview = driver.preview if isinstance(driver, at.Driver) else None
+    units = (
+        controller_unit(controller, checked.road, checked.plan, speed_preview=preview, speed=speed),
+        car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
+    )
+    systems = list(binaries())
+    options.make_folder(arguments.out)
+    files = [arguments.out / f"{unit.name}.fmu" for unit in units]
+    with show.replacing(*files, aside=arguments.as_json):
+        for unit, file in zip(units, files, strict=True):
+            write_fmu(unit, file, arguments.fmi.value)
+    if arguments.as_json:
+        names = list(map(str, files))
+        show.say_json({"files": names, "fmi": arguments.fmi, "period": controller.period, "systems": systems})
+        return
+    show.say(f"FMI {arguments.fmi.value}, for {' and '.join(systems)}, a step is {controller.period:g} s")
+    for unit, file in zip(units, files, strict=True):
+        show.say(f"{file}: {unit.title}, {file.stat().st_size:,} bytes")
+
+
+# -- page -------------------------------------------------------------------------------------------------------------
+@option_group
+class PageOptions:
+    """Options of `adaptrack export page`: the file and the initial settings of the page."""
+
+    out: Path = option("FILE", "HTML file of the page.", ...)
+    vehicle: str = options.vehicle_option("midsize-sedan")
+    road: str = option(
+        "ROAD",
+        "motorway, country, town, mountain, lap, oval, or a file: .csv of x, y (m), .toml, .xodr, .xml.",
+        "mountain",
+    )
+    speed: float | None = options.speed_option()
+    lateral_acceleration: float | None = options.lateral_acceleration_option()
+    profile: str = option("NAME", "paper, road, production or production-bus.", "road")
+    controller: list[str] | None = option(
+        "NAME", "One or two of informed, learning, published, lqr, ...; default: informed."
+    )
+    seed: int = options.noise_seed_option()
+    as_json: bool = json_flag()
+
+
+@app.command("page")
+@options.grouped
+def export_page(arguments: PageOptions) -> None:
+    """Export an interactive simulation as one HTML file.
+
+    The page runs the kernels of adaptrack in the browser, without Python and without a network connection. The options
+    are the initial settings; you can change all of them on the page.
+    """
+    options.make_place(arguments.out)
+    with show.replacing(arguments.out, aside=arguments.as_json):
+        page = at.export_page(
+            arguments.out, vehicle=arguments.vehicle, road=arguments.road, speed=arguments.speed,
+            lateral_acceleration=arguments.lateral_acceleration, profile=arguments.profile,
+            controllers=arguments.controller or ["informed"], seed=arguments.seed,
+        )  # fmt: skip
+    size = page.stat().st_size
+    if arguments.as_json:
+        show.say_json({"file": str(page), "bytes": size})
+        return
+    show.say(f"{page}: {size:,} bytes")
+    show.say(next_line("to drive, open it in a browser", shlex.quote(str(page))))

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated
 
-import typer
-
+import adaptrack as at
 from adaptrack.base.errors import UnknownName, did_you_mean
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import command, say_next
+from adaptrack.cli.next_step import command, option_words, say_next
+from adaptrack.cli.options import argument, json_flag, option_group
 
 Descriptions = dict[str, str]
 """Descriptions by name."""
 
 
 def _cars() -> Descriptions:
-    from adaptrack.cars.vehicle import list_vehicles, load_vehicle
-
-    return {name: load_vehicle(name).description for name in list_vehicles()}
+    return {name: at.load_vehicle(name).description for name in at.list_vehicles()}
 
 
 def _tyres() -> Descriptions:
-    from adaptrack.cars.vehicle import list_tyres, load_tyre
-
-    return {name: load_tyre(name).description for name in list_tyres()}
+    return {name: at.load_tyre(name).description for name in at.list_tyres()}
 
 
 def _roads() -> Descriptions:
@@ -34,22 +29,20 @@ def _roads() -> Descriptions:
 
 
 def _scenarios() -> Descriptions:
-    from adaptrack.scenario import list_scenarios, scenario_options
+    from adaptrack.scenario import scenario_options
 
-    texts = list_scenarios().items()
+    texts = at.list_scenarios().items()
     return {name: f"{text} Options: {', '.join(scenario_options(name)) or 'none'}." for name, text in texts}
 
 
 def _profiles() -> Descriptions:
-    from adaptrack.scenario.profile import list_profiles, load_profile
-
-    return {name: load_profile(name).description for name in list_profiles()}
+    return {name: at.load_profile(name).description for name in at.list_profiles()}
 
 
 def _controllers() -> Descriptions:
-    from adaptrack.control.controllers import about_controller, list_controllers
+    from adaptrack.control.controllers import about_controller
 
-    entries = {name: about_controller(name) for name in list_controllers()}
+    entries = {name: about_controller(name) for name in at.list_controllers()}
     return {name: f"{entry.words}{'' if entry.tunable else '; fixed tuning'}" for name, entry in entries.items()}
 
 
@@ -60,9 +53,7 @@ def _drivers() -> Descriptions:
 
 
 def _schedules() -> Descriptions:
-    from adaptrack.control.scheduling import list_schedulers, load_scheduler
-
-    schedules = {name: load_scheduler(name) for name in list_schedulers()}
+    schedules = {name: at.load_scheduler(name) for name in at.list_schedulers()}
     return {
         name: f"for the car {schedule.made_for.get('car')}, inputs {', '.join(schedule.inputs)}"
         for name, schedule in schedules.items()
@@ -89,16 +80,20 @@ COMMANDS: dict[str, tuple[Callable[[], Descriptions], str]] = {
 """For each kind of names: the function that describes them, and a command that uses one."""
 
 
+@option_group
+class ListOptions:
+    """Options of `adaptrack list`."""
+
+    kind: str | None = argument("KIND", f"{', '.join(COMMANDS)}; default: all kinds.")
+    plugin: list[str] | None = options.plugin_option()
+    as_json: bool = json_flag()
+
+
 @options.grouped
-def list_names(
-    kind: Annotated[
-        str | None, typer.Argument(metavar="KIND", help=f"{', '.join(COMMANDS)}; default: all kinds.")
-    ] = None,
-    plugin: options.Plugin = None,
-    as_json: options.Json = False,
-) -> None:
+def list_names(arguments: ListOptions) -> None:
     """List the names of cars, roads, controllers and other arguments."""
-    options.load_plugins(plugin)
+    options.load_plugins(arguments.plugin)
+    kind, as_json = arguments.kind, arguments.as_json
     if kind is None:
         rows = [{"kind": kind, "names": ", ".join(describe())} for kind, (describe, _) in COMMANDS.items()]
         show.listing("Names", rows, as_json)
@@ -109,5 +104,4 @@ def list_names(
     rows = [{"name": name, "description": text} for name, text in describe().items()]
     show.listing(f"{len(rows)} {kind}", rows, as_json)
     if rows and not as_json:
-        plugins = [word for name in plugin or () for word in ("--plugin", name)]
-        say_next("use one", command(*words.split(), rows[0]["name"], *plugins))
+        say_next("use one", command(*words.split(), rows[0]["name"], *option_words(arguments, "plugin")))

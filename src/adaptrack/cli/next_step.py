@@ -6,11 +6,13 @@ import dataclasses
 import re
 import shlex
 import sys
-from typing import Any, get_args, get_type_hints
-
-from typer.models import OptionInfo
+from typing import TYPE_CHECKING, Any
 
 from adaptrack.cli import show
+from adaptrack.cli.options import command_line, option_names
+
+if TYPE_CHECKING:
+    from adaptrack.base.result import Result
 
 
 def next_line(why: str, line: str) -> str:
@@ -21,6 +23,16 @@ def next_line(why: str, line: str) -> str:
 def say_next(why: str, line: str) -> None:
     """Print the next command with its reason."""
     show.say(next_line(why, line))
+
+
+def add_command(result: Result, next_step: tuple[str, str] | None = None) -> Result:
+    """Return a result with the current command line and the next command, from its reason and its command line."""
+    return dataclasses.replace(result, command=command_line(), next_step=next_line(*next_step) if next_step else "")
+
+
+def choose_step(*proposals: tuple[object, str, str]) -> tuple[str, str]:
+    """Return reason and command of the first proposal whose condition, its first element, is true."""
+    return next((why, line) for condition, why, line in proposals if condition)
 
 
 def command(*words: object) -> str:
@@ -42,25 +54,24 @@ def replace_option(name: str, value: object) -> str:
     return repeat_command_with(name, value)
 
 
-def option_words(options: Any) -> list[str]:
-    """Return the options of a dataclass that differ from their defaults, as words of a command line."""
-    hints, words = get_type_hints(type(options), include_extras=True), list[str]()
-    for field in dataclasses.fields(options):
-        value, hint = getattr(options, field.name), hints[field.name]
+def option_words(group: Any, *names: str) -> list[str]:
+    """Return the options of a group that differ from their defaults, as words of a command line.
+
+    names: fields of these options; all if there are none.
+    """
+    words = list[str]()
+    for field in dataclasses.fields(group):
+        value = getattr(group, field.name)
         if dataclasses.is_dataclass(value):
-            words += option_words(value)
-            continue
-        # Typer keeps the flag of an annotated option as its default
-        flag = next((str(part.default) for part in get_args(hint) if isinstance(part, OptionInfo)), None)
-        if flag is None or value is None or value == field.default:
-            continue
-        on, _, off = flag.partition("/")
-        if isinstance(value, bool):
-            words.append(on if value else off)
-        elif isinstance(value, list):
-            words += [word for entry in value for word in (on, str(entry))]
-        else:
-            words += [on, *map(str, value if isinstance(value, tuple) else (value,))]
+            words += option_words(value, *names)
+        elif value not in (None, field.default) and option_names(field) and (not names or field.name in names):
+            on, _, off = option_names(field)[0].partition("/")
+            if isinstance(value, bool):
+                words.append(on if value else off)
+            elif isinstance(value, list):
+                words += [word for entry in value for word in (on, str(entry))]
+            else:
+                words += [on, *map(str, value if isinstance(value, tuple) else (value,))]
     return words
 
 

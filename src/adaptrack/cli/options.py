@@ -1,4 +1,4 @@
-"""Options that several commands share, and functions that evaluate them."""
+"""Declaration of options as fields of classes, options that several commands share, and their evaluation."""
 
 from __future__ import annotations
 
@@ -8,235 +8,105 @@ import inspect
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, TypeVar, dataclass_transform, get_args, get_type_hints
 
 import typer
-from typer import Option
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.base.limits import WORKERS, RequestLimit, check_limit
 from adaptrack.base.registry import import_plugin
 
-if TYPE_CHECKING:
-    from adaptrack.cars.plant import Plant as PlantOf
-    from adaptrack.cars.plant import SteppedPlant
-    from adaptrack.cars.vehicle import Vehicle as Car
-
+Group = TypeVar("Group")
 
 EXIT_FAILED = 3
-"""The exit code when a run failed."""
+"""The exit code when a run failed, or when measurements contradict each other."""
 
 
-class MovesName(StrEnum):
-    """Parametrisations of the moves."""
+# -- declarations -----------------------------------------------------------------------------------------------------
+def option(metavar: str | None, help: str, default: Any = None, *, names: Sequence[str] = (), **settings: Any) -> Any:
+    """Declare an option as a field of an `option_group`.
 
-    pulse = "pulse"
-    laguerre = "laguerre"
-
-
-class ModelName(StrEnum):
-    """Models that learn a tuning."""
-
-    nn = "nn"
-    anfis = "anfis"
-
-
-class TargetsName(StrEnum):
-    """Quantities that a model learns."""
-
-    paper = "paper"
-    ratio = "ratio"
-
-
-def at_most(limit: RequestLimit, least: int = 1) -> Callable[[typer.CallbackParam, int | None], int | None]:
-    """Return an option callback that raises InvalidInput for counts outside `least` to the limit."""
-
-    def check(option: typer.CallbackParam, value: int | None) -> int | None:
-        if value is not None:
-            name = max(option.opts, key=len)
-            if value < least:
-                raise InvalidInput(f"{name} = {value}: must be a whole number, at least {least}.")
-            check_limit(name, value, limit)
-        return value
-
-    return check
-
-
-VehicleOption = Annotated[str, Option("--vehicle", metavar="CAR", help="Car: see `list cars`, or a .toml file.")]
-PlantOption = Annotated[
-    str,
-    Option(
-        "--plant", metavar="NAME", hidden=True, help="Simulated plant: single-track, dual-track, or a registered plant."
-    ),
-]
-Plugin = Annotated[
-    list[str] | None,
-    Option(
-        "--plugin", metavar="MODULE", hidden=True, help="Python module that registers further names; may be repeated."
-    ),
-]
-TyreOption = Annotated[
-    str | None,
-    Option("--tyre", metavar="TYRE", hidden=True, help="Tyre: see `list tyres`, or a .toml file; default: the car's."),
-]
-ProfileOption = Annotated[
-    str,
-    Option(
-        "--profile",
-        metavar="NAME",
-        help="Simulated steering and sensors. paper: ideal; road: lag, noise, delay; or a .toml file.",
-    ),
-]
-Speed = Annotated[float | None, Option("--speed", metavar="V", help="Constant speed (m/s); default: planned speed.")]
-AssumedFriction = Annotated[
-    str | None,
-    Option(
-        "--assumed-friction", metavar="MU|LOW:HIGH", hidden=True,
-        help="Assumed friction; plan and driver use the lower end of an interval, a speed control narrows it while "
-        "driving. Default: the road's, of an exported speed control 0.9.",
-    ),
-]  # fmt: skip
-LateralAcceleration = Annotated[
-    float | None,
-    Option("--lateral-acceleration", metavar="A", help="Lateral acceleration limit (m/s²); default: 3."),
-]
-OtherProfile = Annotated[
-    str | None, Option("--profile", metavar="NAME", help="Profile; default: that of the campaign.")
-]
-Png = Annotated[bool, Option("--png", hidden=True, help="With --out: also write the pictures as PNG files.")]
-Json = Annotated[bool, Option("--json", help="Print the result as JSON.")]
-Data = Annotated[
-    str, Option("--data", metavar="NAME", help="Data set: paper-grid, road-sobol, a file, or the folder of a campaign.")
-]
-Page = Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and its pictures.")]
-LearningSeed = Annotated[int, Option("--seed", min=0, help="Seed of the held-out set and the initial weights.")]
-Workers = Annotated[
-    int | None,
-    Option(
-        "--workers",
-        metavar="N",
-        hidden=True,
-        callback=at_most(WORKERS),
-        help="Worker processes; default: one per core.",
-    ),
-]
-
-
-@dataclasses.dataclass(frozen=True)
-class CarAndPlant:
-    """Options for the car model of the controller and the simulated plant."""
-
-    vehicle: VehicleOption = "paper"
-    plant: PlantOption = "dual-track"
-    tyre: TyreOption = None
-    plugin: Plugin = None
-
-    def load(self) -> tuple[Car, PlantOf | SteppedPlant]:
-        """Load car and plant, after importing the plugins."""
-        load_plugins(self.plugin)
-        return car_and_plant(self.vehicle, self.plant, self.tyre)
-
-
-PrescribedSpeed = Annotated[
-    bool,
-    Option("--prescribed-speed", hidden=True, help="Follow the planned speed exactly, without forces along the road."),
-]
-
-
-@dataclasses.dataclass(frozen=True)
-class DriveSettings:
-    """Options for the simulation of a closed loop and for the saved files."""
-
-    prescribed_speed: PrescribedSpeed = False
-    speed_control: Annotated[
-        bool,
-        Option("--speed-control", help="Road: control the speed, with governor and stops."),
-    ] = False
-    period: Annotated[
-        float | None, Option("--period", metavar="S", hidden=True, help="Control period (s); default: the profile's.")
-    ] = None
-    learn: Annotated[bool, Option("--learn", help="Learn steering delay and bias, and tyre stiffness.")] = False
-    learned: Annotated[
-        Path | None,
-        Option("--learned", metavar="FILE", help="Like --learn; start from this TOML file and update it."),
-    ] = None
-    seed: Annotated[int, Option("--seed", hidden=True, help="Seed of the sensor noise.")] = 0
-    out: Annotated[Path | None, Option("--out", metavar="FOLDER", help="Folder for the page and the trajectories.")] = (
-        None
-    )
-    png: Png = False
-    allow_failed: Annotated[
-        bool,
-        Option(
-            "--allow-failed",
-            hidden=True,
-            help="Exit with code 0 after a failed run, and also drive unstable loops.",
-        ),
-    ] = False
-    as_json: Json = False
-
-    def make_places(self) -> None:
-        """Make the folders of all output files, or raise `StorageError`."""
-        make_page_folder(self.out, self.png)
-        make_place(self.learned)
-
-
-def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Convert a command with dataclass parameters to a typer command with one option per dataclass field.
-
-    Dataclasses may be nested. Rarely used options are declared hidden. `--help` omits them. Commands with hidden
-    options also get the option `--help-all`, which shows them.
+    default: ``...`` if the option is required; names: by default that of the field; settings: as for `typer.Option`.
     """
-    hints = get_type_hints(command, include_extras=True)
-    declared: list[inspect.Parameter] = []
-    for name, parameter in inspect.signature(command).parameters.items():
-        if dataclasses.is_dataclass(hints[name]):
-            declared += _fields(hints[name])
-        else:
-            declared.append(_declared(name, hints[name], parameter.default))
-    if any(_is_hidden(option.annotation) for option in declared):
-        declared.append(_declared("help_all", HelpAll, False))
+    return _declare(default, names=tuple(names), metavar=metavar, help=help, **settings)
+
+
+def flag(help: str, **settings: Any) -> Any:
+    """Declare an option without a value; arguments as for `option`."""
+    return option(None, help, False, **settings)
+
+
+def argument(metavar: str, help: str, default: Any = None, **settings: Any) -> Any:
+    """Declare a positional argument; arguments as for `option`, settings as for `typer.Argument`."""
+    return _declare(default, names=None, metavar=metavar, help=help, **settings)
+
+
+def _declare(default: Any, **settings: Any) -> Any:
+    return dataclasses.field(default=dataclasses.MISSING if default is ... else default, metadata=settings)
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+def option_group(cls: type[Group]) -> type[Group]:
+    """Make a class of options: its fields are declared by `option`, `flag` and `argument`, or are other groups."""
+    return dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+
+
+def option_names(field: dataclasses.Field[Any]) -> tuple[str, ...]:
+    """Names of the option of a field, such as ``--lateral-acceleration``; none for an argument."""
+    names = field.metadata["names"]
+    return () if names is None else names or (f"--{field.name.replace('_', '-')}",)
+
+
+def grouped(command: Callable[[Any], None]) -> Callable[..., None]:
+    """Convert a command with an option group as its parameter to a typer command with one option per field.
+
+    Rarely used options are declared hidden. `--help` omits them. Commands with hidden options also get the option
+    `--help-all`, which shows them.
+    """
+    (group,) = (hint for name, hint in get_type_hints(command).items() if name != "return")
+    declared = _parameters(group)
+    if any(get_args(parameter.annotation)[1].hidden for parameter in declared):
+        declared.append(_parameter("help_all", HelpAll, False))
 
     def run(**values: Any) -> None:
-        values.pop("help_all", None)
-        command(**{name: _read_value(hint, name, values) for name, hint in hints.items() if name != "return"})
+        command(_read_group(group, values))
 
     functools.update_wrapper(run, command)
     run.__signature__ = inspect.Signature(declared)  # type: ignore[attr-defined]
-    run.__annotations__ = {option.name: option.annotation for option in declared}
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in declared}
     return run
 
 
-def _declared(name: str, hint: Any, default: Any) -> inspect.Parameter:
+def _parameters(group: Any) -> list[inspect.Parameter]:
+    """Return the options of a group, with its groups expanded in place."""
+    hints, parameters = get_type_hints(group), list[inspect.Parameter]()
+    for field in dataclasses.fields(group):
+        if dataclasses.is_dataclass(hints[field.name]):
+            parameters += _parameters(hints[field.name])
+            continue
+        settings = {key: value for key, value in field.metadata.items() if key != "names"}
+        names = option_names(field)
+        info = typer.Option(*names, **settings) if names else typer.Argument(**settings)
+        parameters.append(_parameter(field.name, Annotated[hints[field.name], info], field.default))
+    return parameters
+
+
+def _parameter(name: str, hint: Any, default: Any) -> inspect.Parameter:
     if default is dataclasses.MISSING:
         default = inspect.Parameter.empty
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 
-def _fields(record: Any) -> list[inspect.Parameter]:
-    """Return the options of a dataclass, with nested dataclasses expanded in place."""
-    hints = get_type_hints(record, include_extras=True)
-    parameters: list[inspect.Parameter] = []
-    for field in dataclasses.fields(record):
-        inner = dataclasses.is_dataclass(hints[field.name])
-        parameters += _fields(hints[field.name]) if inner else [_declared(field.name, hints[field.name], field.default)]
-    return parameters
-
-
-def _read_value(hint: Any, name: str, values: dict[str, Any]) -> Any:
-    """Take the value of a parameter from the parsed values; for a dataclass, build it from them."""
-    if not dataclasses.is_dataclass(hint):
-        return values.pop(name)
-    hints = get_type_hints(hint, include_extras=True)
-    return hint(
-        **{field.name: _read_value(hints[field.name], field.name, values) for field in dataclasses.fields(hint)}
-    )  # type: ignore[operator]
-
-
-def _is_hidden(hint: Any) -> bool:
-    return any(isinstance(part, typer.models.OptionInfo) and part.hidden for part in get_args(hint))
+def _read_group(group: Any, values: dict[str, Any]) -> Any:
+    """Build a group of options from the parsed values."""
+    hints = get_type_hints(group)
+    return group(**{
+        field.name: _read_group(hints[field.name], values) if dataclasses.is_dataclass(hints[field.name])
+        else values[field.name]
+        for field in dataclasses.fields(group)
+    })  # fmt: skip
 
 
 def _show_all(context: typer.Context, is_requested: bool) -> None:
@@ -250,8 +120,50 @@ def _show_all(context: typer.Context, is_requested: bool) -> None:
 
 HelpAll = Annotated[
     bool,
-    Option("--help-all", is_eager=True, callback=_show_all, help="Show this message with all options."),
+    typer.Option("--help-all", is_eager=True, callback=_show_all, help="Show this message with all options."),
 ]
+
+
+# -- shared options ---------------------------------------------------------------------------------------------------
+vehicle_option = partial(option, "CAR", "Car: see `list cars`, or a .toml file.")
+plant_option = partial(
+    option, "NAME", "Simulated plant: single-track, dual-track, or a registered plant.", "dual-track", hidden=True
+)
+plugin_option = partial(option, "MODULE", "Python module that registers further names; may be repeated.", hidden=True)
+profile_option = partial(
+    option, "NAME", "Simulated steering and sensors. paper: ideal; road: lag, noise, delay; or a .toml file."
+)
+scheduler_option = partial(option, "NAME", "Schedule: see `list schedules`, or a .json file of `paper train`.")
+speed_option = partial(option, "V", "Constant speed (m/s); default: planned speed.")
+assumed_friction_option = partial(
+    option,
+    "MU|LOW:HIGH",
+    "Assumed friction; plan and driver use the lower end of an interval, a speed control narrows it while driving. "
+    "Default: the road's, of an exported speed control 0.9.",
+    hidden=True,
+)
+lateral_acceleration_option = partial(option, "A", "Lateral acceleration limit (m/s²); default: 3.")
+road_length_option = partial(option, "M", "Length of generated roads (m); default: 2000.", hidden=True)
+noise_seed_option = partial(option, None, "Seed of the sensor noise.", 0, hidden=True)
+prescribed_speed_flag = partial(flag, "Follow the planned speed exactly, without forces along the road.", hidden=True)
+page_option = partial(option, "FOLDER", "Folder for the page and its pictures.")
+json_flag = partial(flag, "Print the result as JSON.", names=["--json"])
+
+
+@option_group
+class CarAndPlant:
+    """Options for the car model of the controller and the simulated plant."""
+
+    vehicle: str = vehicle_option("paper")
+    plant: str = plant_option()
+    tyre: str | None = option("TYRE", "Tyre: see `list tyres`, or a .toml file; default: the car's.", hidden=True)
+    plugin: list[str] | None = plugin_option()
+
+    def load(self) -> tuple[at.Vehicle, at.Plant | at.SteppedPlant]:
+        """Load the car model of the controller and make the simulated plant, after importing the plugins."""
+        load_plugins(self.plugin)
+        car = at.load_vehicle(self.vehicle)
+        return car, at.get_plant(self.plant, car, self.tyre)
 
 
 def load_plugins(modules: Sequence[str] | None) -> None:
@@ -269,15 +181,7 @@ def load_plugins(modules: Sequence[str] | None) -> None:
         import_plugin(name, InvalidInput(missing))
 
 
-def car_and_plant(vehicle: str, plant: str, tyre: str | None) -> tuple[Car, PlantOf | SteppedPlant]:
-    """Load the car model of the controller and make the simulated plant."""
-    from adaptrack.cars.plant import get_plant
-    from adaptrack.cars.vehicle import load_vehicle
-
-    car = load_vehicle(vehicle)
-    return car, get_plant(plant, car, tyre)
-
-
+# -- output files -----------------------------------------------------------------------------------------------------
 def make_folder(path: Path) -> None:
     """Make a folder and check that files can be written to it.
 

@@ -5,20 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-from typer import Option
-
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.cli import options, show
 from adaptrack.cli import road as roads
-from adaptrack.cli import show
+from adaptrack.cli.next_step import option_words
 
 if TYPE_CHECKING:
-    from adaptrack.cars.vehicle import Vehicle
     from adaptrack.road.holdable_speed import HoldableSpeed
-    from adaptrack.scenario import RoadDrive, Scenario
-    from adaptrack.scenario.profile import Profile
 
 BEYOND_DOMAIN = 1.25
 """Factor on the highest speed of a car's domain; faster scenarios cause a warning."""
@@ -30,11 +26,11 @@ _ROAD_ENDINGS = (".csv", ".txt", ".toml", ".xml", ".xodr")
 class DrivenPlaces:
     """Scenarios, or one drive along a road, with their profile."""
 
-    drives: Sequence[Scenario | RoadDrive]
-    profile: Profile
+    drives: Sequence[at.Scenario | at.RoadDrive]
+    profile: at.Profile
     road: roads.CheckedRoad | None = None
 
-    def warn(self, car: Vehicle) -> None:
+    def warn(self, car: at.Vehicle) -> None:
         """Warn of places that the car cannot drive, and of scenarios much faster than the car's domain."""
         if self.road is not None:
             self.road.warn()
@@ -49,45 +45,27 @@ class DrivenPlaces:
                 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@options.option_group
 class PlaceOptions:
     """Options for the scenarios or the road, and for the profile."""
 
-    names: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="SCENARIO|ROAD...",
-            help=f"Scenarios (see `list scenarios`, .toml, .csv), or one road: {roads.ROADS_HELP}",
-        ),
-    ]
-    profile: Annotated[
-        str | None,
-        Option(
-            "--profile",
-            metavar="NAME",
-            help="paper: ideal, default for scenarios; road: lag, noise, delay, default for roads; or a .toml file.",
-        ),
-    ] = None
-    option: Annotated[
-        list[str] | None,
-        Option("--option", "-o", metavar="KEY=VALUE", help="Option of a scenario, such as speed=20."),
-    ] = None
+    names: list[str] = options.argument(
+        "SCENARIO|ROAD...", f"Scenarios (see `list scenarios`, .toml, .csv), or one road: {roads.ROADS_HELP}", ...
+    )
+    profile: str | None = options.option(
+        "NAME", "paper: ideal, default for scenarios; road: lag, noise, delay, default for roads; or a .toml file."
+    )
+    option: list[str] | None = options.option(
+        "KEY=VALUE", "Option of a scenario, such as speed=20.", names=["--option", "-o"]
+    )
     route: roads.RoadOptions
-    laps: Annotated[int | None, Option("--laps", metavar="N", min=1, help="Number of laps on a closed road.")] = None
-    wind: Annotated[
-        float | None, Option("--wind", metavar="V", hidden=True, help="On a road: wind along the world y axis (m/s).")
-    ] = None
-    start_offset: Annotated[
-        float | None,
-        Option(
-            "--start-offset",
-            metavar="M",
-            hidden=True,
-            help="On a road: initial offset from the centre line, to the left (m).",
-        ),
-    ] = None
+    laps: int | None = options.option("N", "Number of laps on a closed road.", min=1)
+    wind: float | None = options.option("V", "On a road: wind along the world y axis (m/s).", hidden=True)
+    start_offset: float | None = options.option(
+        "M", "On a road: initial offset from the centre line, to the left (m).", hidden=True
+    )
 
-    def load(self, car: Vehicle, holdable: HoldableSpeed | None = None) -> DrivenPlaces:
+    def load(self, car: at.Vehicle, holdable: HoldableSpeed | None = None) -> DrivenPlaces:
         """Load the scenarios or the road; holdable: speeds with sufficient margins, to limit the speed plan.
 
         Raises
@@ -95,22 +73,19 @@ class PlaceOptions:
         InvalidInput
             When scenarios and roads are mixed, several roads are given, or an option does not apply.
         """
-        from adaptrack.scenario import RoadDrive, load_scenario
-        from adaptrack.scenario.profile import load_profile
-
         are_roads = [is_road(name) for name in self.names]
         if any(are_roads) and len(are_roads) > 1:
             raise InvalidInput("drive: give several scenarios or one road; `compare` drives several roads.")
-        profile = load_profile(self.profile or ("road" if are_roads[0] else "paper"))
+        profile = at.load_profile(self.profile or ("road" if are_roads[0] else "paper"))
         if not are_roads[0]:
             self._refuse(self._road_words, "a scenario", "roads; a scenario takes --option speed=20")
             scenario_values = scenario_options(self.option or [])
             return DrivenPlaces(
-                [load_scenario(name, domain=car.domain, **scenario_values) for name in self.names], profile
+                [at.load_scenario(name, domain=car.domain, **scenario_values) for name in self.names], profile
             )
         self._refuse(["--option"] if self.option else [], "a road", "scenarios; a road takes --speed")
         checked = self.route.look(self.names[0], car, profile, holdable)
-        drive = RoadDrive(
+        drive = at.RoadDrive(
             checked.road,
             checked.plan,
             laps=self.laps or 1,
@@ -123,7 +98,7 @@ class PlaceOptions:
     def _road_words(self) -> list[str]:
         """Options on the command line that apply only to roads."""
         values = {"--laps": self.laps, "--wind": self.wind, "--start-offset": self.start_offset}
-        flags = [word for word in self.route.words if word.startswith("--")]
+        flags = [word for word in option_words(self.route) if word.startswith("--")]
         return [*flags, *(name for name, value in values.items() if value is not None)]
 
     def _refuse(self, words: Sequence[str], kind: str, owner: str) -> None:
@@ -142,7 +117,6 @@ def is_road(name: str) -> bool:
         When a file or name may be both.
     """
     from adaptrack.road.generate import ROAD_KINDS
-    from adaptrack.scenario import list_scenarios
 
     ending = Path(name).suffix.lower()
     if ending in (".csv", ".toml") and Path(name).is_file():
@@ -155,7 +129,7 @@ def is_road(name: str) -> bool:
         return not marks[0]
     if ending in _ROAD_ENDINGS:
         return True
-    scenarios = list(list_scenarios())
+    scenarios = list(at.list_scenarios())
     if name in scenarios and name in ROAD_KINDS:
         raise InvalidInput(f"{name}: is the name of both a scenario and a road; write the one you mean to a file.")
     if name not in scenarios and name not in ROAD_KINDS:
@@ -168,9 +142,8 @@ def _toml_marks(file: Path) -> tuple[list[str], list[str]]:
     """Return the keys of a file that only scenarios have, and those that only roads have."""
     from adaptrack.base.files import read_toml
     from adaptrack.road.toml import RoadFile
-    from adaptrack.scenario import Scenario
 
-    keys, scenario, road = set(read_toml(file)), set(Scenario.model_fields), set(RoadFile.model_fields)
+    keys, scenario, road = set(read_toml(file)), set(at.Scenario.model_fields), set(RoadFile.model_fields)
     return sorted(keys & (scenario - road)), sorted(keys & (road - scenario))
 
 

@@ -2,110 +2,65 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
-from typer import Option
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import command, next_line, replace_option, say_next
+from adaptrack.cli.next_step import add_command, choose_step, command, option_words, replace_option, say_next
+from adaptrack.cli.options import argument, json_flag, option, option_group
 
 if TYPE_CHECKING:
-    from adaptrack.cars.vehicle import Vehicle
-    from adaptrack.road import Finding, Road, SpeedPlan, Stop
+    from adaptrack.road import Finding, SpeedPlan, Stop
     from adaptrack.road.holdable_speed import HoldableSpeed
-    from adaptrack.scenario.profile import Profile
 
 app = typer.Typer(help="Check and draw roads from files or generators.", no_args_is_help=True, rich_markup_mode=None)
 
 NOT_DRIVABLE = 1
 """Exit code if the car cannot drive some place of the road."""
 
+SPEED_REDUCTION = 0.7
+"""Factor on the speed or lateral acceleration in the command suggested after a failure."""
+
 ROADS_HELP = "a name from `list roads`, or a file: .csv of x, y (m), .toml, OpenDRIVE (.xodr), CommonRoad (.xml)."
-RoadName = Annotated[str, typer.Argument(metavar="ROAD", help=f"Road: {ROADS_HELP}")]
+road_argument = partial(argument, "ROAD", f"Road: {ROADS_HELP}")
 
 
-@dataclass(frozen=True)
+@option_group
 class RoadOptions:
     """Options of all commands with a road: how to read the road and how fast to drive."""
 
-    speed: options.Speed = None
-    lateral_acceleration: options.LateralAcceleration = None
-    speed_column: Annotated[
-        str | None,
-        Option(
-            "--speed-column",
-            metavar="NAME",
-            hidden=True,
-            help=".csv: column of speeds to drive (m/s), limited by --lateral-acceleration.",
-        ),
-    ] = None
-    max_deviation: Annotated[
-        float | None,
-        Option(
-            "--max-deviation",
-            metavar="M",
-            hidden=True,
-            help=".csv: largest distance of the road from a point (m); default: from the noise of the points.",
-        ),
-    ] = None
-    closed: Annotated[
-        bool | None, Option("--closed/--open", hidden=True, help=".csv: closed lap or open road; default: detected.")
-    ] = None
-    road_id: Annotated[
-        str | None,
-        Option(
-            "--road",
-            metavar="ID",
-            hidden=True,
-            help=".xodr: identifier of the road; .xml: identifiers of the lanelets.",
-        ),
-    ] = None
-    lane: Annotated[
-        int | None,
-        Option("--lane", metavar="N", hidden=True, help=".xodr: lane whose middle is driven, such as -1."),
-    ] = None
-    road_seed: Annotated[
-        int | None, Option("--road-seed", metavar="N", help="Seed of a generated road; default: 0.")
-    ] = None
-    length: Annotated[
-        float | None, Option("--length", metavar="M", help="Length of a generated road (m); default: 2000.")
-    ] = None
+    speed: float | None = options.speed_option()
+    lateral_acceleration: float | None = options.lateral_acceleration_option()
+    speed_column: str | None = option(
+        "NAME", ".csv: column of speeds to drive (m/s), limited by --lateral-acceleration.", hidden=True
+    )
+    max_deviation: float | None = option(
+        "M", ".csv: largest distance of the road from a point (m); default: from the noise of the points.", hidden=True
+    )
+    closed: bool | None = option(
+        None, ".csv: closed lap or open road; default: detected.", names=["--closed/--open"], hidden=True
+    )
+    road_id: str | None = option(
+        "ID", ".xodr: identifier of the road; .xml: identifiers of the lanelets.", names=["--road"], hidden=True
+    )
+    lane: int | None = option("N", ".xodr: lane whose middle is driven, such as -1.", hidden=True)
+    road_seed: int | None = option("N", "Seed of a generated road; default: 0.")
+    length: float | None = option("M", "Length of a generated road (m); default: 2000.")
 
-    margins: Annotated[
-        bool | None,
-        Option(
-            "--margins/--no-margins",
-            help="Limit the planned speed to keep the stability margins of the controller.",
-        ),
-    ] = None
-    assumed_friction: options.AssumedFriction = None
-    stop: Annotated[
-        list[str] | None,
-        Option("--stop", metavar="S:SECONDS", hidden=True, help="Stop at S (m) for SECONDS (300:5); may be repeated."),
-    ] = None
-    start: Annotated[
-        float | None,
-        Option("--start", metavar="V", min=0.0, hidden=True, help="Speed at the start (m/s); 0: from standstill."),
-    ] = None
-
-    @property
-    def words(self) -> list[str]:
-        """Return the road options of the command line with their values."""
-        words: list[str] = []
-        for name, value in vars(self).items():
-            flag = "--road" if name == "road_id" else f"--{name.replace('_', '-')}"
-            if isinstance(value, bool):
-                flag = flag if value or name != "closed" else "--open"
-                words.append(flag if value or name == "closed" else f"--no-{name}")
-            elif value is not None:
-                words += [
-                    word for entry in (value if isinstance(value, list) else [value]) for word in (flag, str(entry))
-                ]
-        return words
+    margins: bool | None = option(
+        None,
+        "Limit the planned speed to keep the stability margins of the controller.",
+        names=["--margins/--no-margins"],
+    )
+    assumed_friction: str | None = options.assumed_friction_option()
+    stop: list[str] | None = option("S:SECONDS", "Stop at S (m) for SECONDS (300:5); may be repeated.", hidden=True)
+    start: float | None = option("V", "Speed at the start (m/s); 0: from standstill.", hidden=True, min=0.0)
 
     @property
     def stops(self) -> list[Stop]:
@@ -132,8 +87,7 @@ class RoadOptions:
     @property
     def assumed(self) -> float | None:
         """Friction for which the speed is planned, the lower end of an interval; None: that of the road."""
-        interval = self.assumed_interval
-        return None if interval is None else interval[0]
+        return None if self.assumed_interval is None else self.assumed_interval[0]
 
     @property
     def assumed_interval(self) -> tuple[float, float] | None:
@@ -161,7 +115,7 @@ class RoadOptions:
         return low, max(high, default=low)
 
     def look(
-        self, name: str, car: Vehicle, profile: str | Profile = "road", holdable: HoldableSpeed | None = None
+        self, name: str, car: at.Vehicle, profile: str | at.Profile = "road", holdable: HoldableSpeed | None = None
     ) -> CheckedRoad:
         """Load a road by its name, plan the speed along it for a car, and check both.
 
@@ -172,7 +126,7 @@ class RoadOptions:
         InvalidInput
             When --speed is combined with --speed-column, --lateral-acceleration, --stop or --start.
         """
-        from adaptrack.road import Comfort, check_road, load_road, plan_speed
+        from adaptrack.road import Comfort
         from adaptrack.road.speed import constant_speed, speed_limit_plan
 
         if self.speed is not None and self.lateral_acceleration is not None:
@@ -189,7 +143,7 @@ class RoadOptions:
             "seed": self.road_seed, "length": self.length,
             "speed_column": self.speed_column,
         }  # fmt: skip
-        road = load_road(name, **{key: value for key, value in settings.items() if value is not None})
+        road = at.load_road(name, **{key: value for key, value in settings.items() if value is not None})
         comfort = Comfort() if self.lateral_acceleration is None else Comfort(lateral=self.lateral_acceleration)
         if self.speed is not None:
             plan = constant_speed(road, self.speed)
@@ -197,69 +151,75 @@ class RoadOptions:
             plan = speed_limit_plan(road)
         else:
             assumed = road if self.assumed is None else road.replace(friction=self.assumed)
-            plan = plan_speed(
+            plan = at.plan_speed(
                 assumed, car, comfort, start=self.start, stops=self.stops, holds=self._holds(car, profile, holdable)
             )
-        return CheckedRoad(road, plan, check_road(road, car, plan))
+        return CheckedRoad(road, plan, at.check_road(road, car, plan))
 
-    def _holds(self, car: Vehicle, profile: str | Profile, holdable: HoldableSpeed | None) -> HoldableSpeed | None:
+    def _holds(
+        self, car: at.Vehicle, profile: str | at.Profile, holdable: HoldableSpeed | None
+    ) -> HoldableSpeed | None:
         """Return the speeds with sufficient stability margins; None if they do not limit the plan."""
         if self.margins is None or holdable is not None:
             return None if self.margins is False else holdable
         if not self.margins:
             return None
         from adaptrack.analysis.holdable import holdable_speed
-        from adaptrack.control.controllers import MPC
 
         with show.progress("stability margins of the controller"):
-            return holdable_speed(car, MPC(car, profile=profile), profile)
+            return holdable_speed(car, at.MPC(car, profile=profile), profile)
 
 
-@dataclass(frozen=True, kw_only=True)
+@option_group
 class CheckOptions:
     """Options of `adaptrack road check`."""
 
-    road: RoadName
-    vehicle: options.VehicleOption = "paper"
+    road: str = road_argument(...)
+    vehicle: str = options.vehicle_option("paper")
     route: RoadOptions
-    as_json: options.Json = False
+    as_json: bool = json_flag()
 
 
 @app.command()
 @options.grouped
 def check(arguments: CheckOptions) -> None:
     """Check whether a car can drive a road; exit code 1 if not."""
-    from adaptrack.cars.vehicle import load_vehicle
     from adaptrack.results.road import road_result
 
-    checked = arguments.route.look(arguments.road, load_vehicle(arguments.vehicle))
+    checked = arguments.route.look(arguments.road, at.load_vehicle(arguments.vehicle))
     result = road_result(checked.road, checked.plan, checked.findings)
-    show.say_result(replace(result, next_step=next_line(*_next_step(arguments, checked))), arguments.as_json)
+    show.say_result(add_command(result, _next_step(arguments, checked)), arguments.as_json)
     if not checked.drivable:
         raise typer.Exit(NOT_DRIVABLE)
 
 
 def _next_step(arguments: CheckOptions, checked: CheckedRoad) -> tuple[str, str]:
     """Suggest the next command for a road, with the reason."""
-    route, setting = arguments.route, ("--vehicle", arguments.vehicle, *arguments.route.words)
-    if checked.drivable:
-        return "to drive it", command("drive", arguments.road, *setting)
-    if all(finding.drivable or finding.kind in ("grip", "steering-rate") for finding in checked.findings):
-        if route.speed is not None:
-            return "to check it at lower speed", replace_option("--speed", round(0.7 * route.speed, 1))
-        comfort = 3.0 if route.lateral_acceleration is None else route.lateral_acceleration
-        return "to check it at lower speed", replace_option("--lateral-acceleration", round(0.7 * comfort, 2))
-    return "to see the places that cannot be driven", command("road", "plot", arguments.road, *setting)
+    words = (arguments.road, "--vehicle", arguments.vehicle, *option_words(arguments.route))
+    is_too_fast = all(finding.drivable or finding.kind in ("grip", "steering-rate") for finding in checked.findings)
+    return choose_step(
+        (checked.drivable, "to drive it", command("drive", *words)),
+        (is_too_fast, "to check it at lower speed", drive_slower(arguments.route)),
+        (True, "to see the places that cannot be driven", command("road", "plot", *words)),
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
+def drive_slower(route: RoadOptions) -> str:
+    """Return the current command line with a lower speed or lateral acceleration."""
+    if route.speed is not None:
+        return replace_option("--speed", round(SPEED_REDUCTION * route.speed, 1))
+    comfort = 3.0 if route.lateral_acceleration is None else route.lateral_acceleration
+    return replace_option("--lateral-acceleration", round(SPEED_REDUCTION * comfort, 2))
+
+
+@option_group
 class PlotOptions:
     """Options of `adaptrack road plot`."""
 
-    road: RoadName
-    vehicle: options.VehicleOption = "paper"
+    road: str = road_argument(...)
+    vehicle: str = options.vehicle_option("paper")
     route: RoadOptions
-    out: Annotated[Path, Option("--out", metavar="FILE", help="PNG file of the picture.")] = Path("road.png")
+    out: Path = option("FILE", "PNG file of the picture.", Path("road.png"))
 
 
 @app.command()
@@ -267,22 +227,23 @@ class PlotOptions:
 def plot(arguments: PlotOptions) -> None:
     """Draw the course, curvature and planned speed of a road as PNG."""
     from adaptrack.base.files import write_atomically
-    from adaptrack.cars.vehicle import load_vehicle
-    from adaptrack.results.draw import picture_png
     from adaptrack.results.road import road_picture
+    from adaptrack.results.style import picture_png
 
     options.make_place(arguments.out)
-    checked = arguments.route.look(arguments.road, load_vehicle(arguments.vehicle))
+    checked = arguments.route.look(arguments.road, at.load_vehicle(arguments.vehicle))
     write_atomically(arguments.out, picture_png(road_picture(checked.road, checked.plan, checked.findings)))
     show.say(f"Picture: {arguments.out}")
-    say_next("to drive it", command("drive", arguments.road, "--vehicle", arguments.vehicle, *arguments.route.words))
+    say_next(
+        "to drive it", command("drive", arguments.road, "--vehicle", arguments.vehicle, *option_words(arguments.route))
+    )
 
 
 @dataclass(frozen=True)
 class CheckedRoad:
     """Road, speed plan and findings of the check."""
 
-    road: Road
+    road: at.Road
     plan: SpeedPlan
     findings: list[Finding]
 

@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from adaptrack.base.presentation import printable as escaped
 from adaptrack.base.progress import TrackedWork, call_until, registered_work
 from adaptrack.base.progress import duration as duration
-from adaptrack.base.result import Column, Result, ResultTable
-from adaptrack.base.text import printable as escaped
+from adaptrack.base.result import Column, Result, ResultTable, to_json
 from adaptrack.results.console import print_result, print_table, say, say_failed
 
 __all__ = ["Column", "say", "say_failed"]
@@ -25,13 +25,22 @@ TableRows = Sequence[Mapping[str, Any]]
 def say_result(result: Result, as_json: bool, page: Path | None = None) -> None:
     """Print a result as text or JSON; page: path of its page, printed to standard error with JSON."""
     if as_json:
-        from adaptrack.results.json import to_json
-
         print(to_json(result))
         if page is not None:
             say(f"Page: {page}", aside=True)
     else:
         print_result(result, page)
+
+
+def write_and_say(result: Result, out: Path | None, as_json: bool) -> None:
+    """Write the page of a result to a folder, unless `out` is None, and print the result."""
+    page = None
+    if out is not None:
+        from adaptrack.results.page import write_result  # matplotlib, which a result without a page does not need
+
+        with progress("write the page"):
+            page = write_result(out, result)
+    say_result(result, as_json, page)
 
 
 def say_json(values: Any) -> None:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
 import typer
-from typer import Argument, Option
 
+import adaptrack as at
 from adaptrack.base.errors import InvalidInput
-from adaptrack.cli import interrupt, options, show
-from adaptrack.cli.next_step import command, drive_words, next_line
-from adaptrack.cli.options import EXIT_FAILED
+from adaptrack.cli import note_progress, options, show
+from adaptrack.cli.next_step import add_command, command, drive_words, option_words
+from adaptrack.cli.options import argument, json_flag, option, option_group
 from adaptrack.cli.road import ROADS_HELP
 
 if TYPE_CHECKING:
@@ -22,49 +21,25 @@ TUNING_FILE = "tuning.toml"
 """Name of the tuning file in the output folder."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@option_group
 class TuneOptions:
     """Options of `adaptrack tune`."""
 
-    car: Annotated[str, Argument(metavar="CAR", help="Car: see `list cars`, or a .toml file.")]
-    out: Annotated[Path, Option("--out", metavar="FOLDER", help="Folder for the tuning and the car file.")]
-    road: Annotated[
-        list[str] | None,
-        Option(
-            "--road",
-            metavar="ROAD",
-            help=f"Tune on this road; may be repeated: country:3 (country with seed 3), a scenario, {ROADS_HELP}",
-        ),
-    ] = None
-    profile: options.ProfileOption = "road"
-    speed: Annotated[
-        str | None,
-        Option("--speed", metavar="LOW..HIGH", help="Speed range of random drives (m/s); default: that of the car."),
-    ] = None
-    friction: Annotated[
-        str | None,
-        Option("--friction", metavar="LOW..HIGH", help="Friction range of random drives; default: that of the car."),
-    ] = None
-    controller: Annotated[
-        str | None,
-        Option("--controller", metavar="NAME", help="With --road: see `list controllers`; default: informed."),
-    ] = None
-    length: Annotated[
-        float | None, Option("--length", metavar="M", hidden=True, help="Length of generated roads (m); default: 2000.")
-    ] = None
-    runs: Annotated[
-        int | None,
-        Option(
-            "--runs",
-            metavar="N",
-            min=1,
-            help="With --road: simulated runs of the search; default: enough for 300 tunings.",
-        ),
-    ] = None
-    prescribed_speed: options.PrescribedSpeed = False
-    plant: options.PlantOption = "dual-track"
-    plugin: options.Plugin = None
-    as_json: options.Json = False
+    car: str = argument("CAR", "Car: see `list cars`, or a .toml file.", ...)
+    out: Path = option("FOLDER", "Folder for the tuning and the car file.", ...)
+    road: list[str] | None = option(
+        "ROAD", f"Tune on this road; may be repeated: country:3 (country with seed 3), a scenario, {ROADS_HELP}"
+    )
+    profile: str = options.profile_option("road")
+    speed: str | None = option("LOW..HIGH", "Speed range of random drives (m/s); default: that of the car.")
+    friction: str | None = option("LOW..HIGH", "Friction range of random drives; default: that of the car.")
+    controller: str | None = option("NAME", "With --road: see `list controllers`; default: informed.")
+    length: float | None = options.road_length_option()
+    runs: int | None = option("N", "With --road: simulated runs of the search; default: enough for 300 tunings.", min=1)
+    prescribed_speed: bool = options.prescribed_speed_flag()
+    plant: str = options.plant_option()
+    plugin: list[str] | None = options.plugin_option()
+    as_json: bool = json_flag()
 
 
 @options.grouped
@@ -81,11 +56,11 @@ def tune(settings: TuneOptions) -> None:
     options.load_plugins(settings.plugin)
     _check_options(settings)
     options.make_folder(settings.out)
-    interrupt.note_progress("An interrupted search saves nothing.")
+    note_progress("An interrupted search saves nothing.")
     result = _tune_on_roads(settings) if settings.road else _tune_car(settings)
     show.say_result(result, settings.as_json)
     if result.failed:
-        raise typer.Exit(EXIT_FAILED)
+        raise typer.Exit(options.EXIT_FAILED)
 
 
 def _check_options(settings: TuneOptions) -> None:
@@ -96,27 +71,20 @@ def _check_options(settings: TuneOptions) -> None:
         raise InvalidInput(
             f"tune {settings.car}: is a road; give the car first: tune CAR --road {settings.car} --out FOLDER."
         )
-    unused: dict[str, Any]
-    if settings.road:
-        unused, remedy = {"--speed": settings.speed, "--friction": settings.friction}, "leave out --road"
-    else:
-        unused, remedy = (
-            {"--controller": settings.controller, "--runs": settings.runs, "--length": settings.length},
-            "name roads with --road",
-        )
-    options_without_use = [option for option, value in unused.items() if value is not None]
-    if options_without_use:
-        raise InvalidInput(f"tune: {options_without_use[0]} does not apply: {remedy}.")
+    names = ("speed", "friction") if settings.road else ("controller", "runs", "length")
+    remedy = "leave out --road" if settings.road else "name roads with --road"
+    unused = [name for name in names if getattr(settings, name) is not None]
+    if unused:
+        raise InvalidInput(f"tune: --{unused[0]} does not apply: {remedy}.")
 
 
 def _tune_car(settings: TuneOptions) -> Result:
     from adaptrack.results.tuning import tuned_car_result
-    from adaptrack.tuning.car import tune as tune_car
     from adaptrack.tuning.constant import ConstantTuning
 
     speed, friction = _pair("--speed", settings.speed), _pair("--friction", settings.friction)
     with show.progress("tune") as advance:
-        tuned = tune_car(
+        tuned = at.tune(
             settings.car, settings.profile, plant=settings.plant, speed=speed, friction=friction, progress=advance
         )
     car, summary = tuned.controller.model.vehicle.replace(domain=tuned.domain), tuned.summary()
@@ -128,44 +96,33 @@ def _tune_car(settings: TuneOptions) -> Result:
     ).to_toml(tuning_file)  # fmt: skip
     drive = _drive_command(settings, ["country"], car_file, tuning_file)
     files = {"car_file": str(car_file), "tuning_file": str(tuning_file)}
-    return tuned_car_result(tuned, files, next_line("drive with it", drive))
+    return add_command(tuned_car_result(tuned, files), ("drive with it", drive))
 
 
 def _tune_on_roads(settings: TuneOptions) -> Result:
-    from adaptrack.cars.plant import get_plant
-    from adaptrack.cars.vehicle import load_vehicle
     from adaptrack.comparison.config import ControllerSetting
     from adaptrack.comparison.tune_on_roads import tune_on_roads
     from adaptrack.results.tuning import tuned_roads_result
-    from adaptrack.scenario.profile import load_profile
 
-    car = load_vehicle(settings.car)
-    setting = ControllerSetting(car, get_plant(settings.plant, car), load_profile(settings.profile))
+    car = at.load_vehicle(settings.car)
+    setting = ControllerSetting(car, at.get_plant(settings.plant, car), at.load_profile(settings.profile))
     name = settings.controller or "informed"
     with show.progress(f"tune {name}") as advance:
         tuned = tune_on_roads(
-            setting,
-            settings.road or (),
-            name,
-            length=settings.length or 2000.0,
-            loops=settings.runs,
-            prescribed_speed=settings.prescribed_speed,
-            command=options.command_line(),
-            progress=advance,
-        )
+            setting, settings.road or (), name, length=settings.length or 2000.0, loops=settings.runs,
+            prescribed_speed=settings.prescribed_speed, command=options.command_line(), progress=advance,
+        )  # fmt: skip
     file = settings.out / TUNING_FILE
     tuned.file.to_toml(file)
     road = drive_words((settings.road or ["country"])[0], settings.length)
     drive = _drive_command(settings, road, settings.car, file)
-    return tuned_roads_result(tuned, str(file), next_line("drive with it", drive))
+    return add_command(tuned_roads_result(tuned, str(file)), ("drive with it", drive))
 
 
 def _drive_command(settings: TuneOptions, road: list[str], car: str | Path, tuning: Path) -> str:
     """Return the command that drives a road with a tuning."""
-    plugins = [word for name in settings.plugin or () for word in ("--plugin", name)]
-    plant = () if settings.plant == "dual-track" else ("--plant", settings.plant)
-    driver = ("--prescribed-speed",) if settings.prescribed_speed else ()
-    words = ("--vehicle", car, "--profile", settings.profile, *plant, *driver, *plugins, "--tuning", tuning)
+    loop = option_words(settings, "plant", "prescribed_speed", "plugin")
+    words = ("--vehicle", car, "--profile", settings.profile, *loop, "--tuning", tuning)
     return command("drive", *road, *words)
 
 

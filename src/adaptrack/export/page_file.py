@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from adaptrack.base.checked import checked
 from adaptrack.base.errors import InvalidInput, StorageError, UnknownName, did_you_mean
 from adaptrack.base.files import write_atomically
-from adaptrack.base.html import content_policy
+from adaptrack.base.presentation import content_policy
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
 from adaptrack.drive.world import World

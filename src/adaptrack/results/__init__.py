@@ -1,13 +1,12 @@
 """Renderings of a `Result` (base/result.py): console, JSON, notebook, page; the only room that imports matplotlib.
 
-* `console` prints the answer, the brief tables, the notes and the next step; `json` writes the record.
-* `page` writes the page of a result by the template of its kind (`templates/`).
-* `draw` lays out the figures of a picture, `marks` draws curves, maps and scales on axes, `style` sets fonts and
-  colours and writes PNG and SVG.
-* `drive`, `compare`, `evaluation`, `lane_change`, `tuning`, `identify`, `shadow`, `check_loop`, `road`, `certificate`,
-  `dataset` and `reproduce` make results from objects of the other rooms. `run_pictures`, `road_pictures` and
-  `learned_picture` show runs, `drive_tables` their measures; `answers` holds sentences, `words` formats numbers.
-* `notebook` shows objects in a notebook, `shown` registers which form belongs to which type.
+* `console` prints the answer, the brief tables, the notes and the next step; `page` writes the page of a result by the
+  template of its kind (`templates/`).
+* `style` lays out the figures of a picture and writes PNG and SVG; `marks` draws curves, maps, dots and scales on axes.
+* `drive`, `compare`, `evaluation`, `lane_change`, `tuning`, `identify`, `shadow`, `road`, `certificate`, `dataset` and
+  `reproduce` make results from objects of the other rooms. `run_pictures` shows runs, `record` the road from above,
+  `replay` the drive; `words` formats numbers and names.
+* `notebook` has the figure and the notebook form of each type.
 
 The public names are loaded when they are first used.
 """

@@ -12,22 +12,10 @@ from numpy.typing import NDArray
 
 from adaptrack.analysis.certify import DRIVING_CASES, Certificate, Driving, Sweep
 from adaptrack.analysis.stability import Margins
-from adaptrack.base.result import (
-    SERIES,
-    SHARED_STROKE,
-    Column,
-    Panel,
-    Picture,
-    Result,
-    ResultTable,
-    Row,
-    Stroke,
-    select_entries,
-)
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.control.scheduling import SchedulingVariables
 from adaptrack.core.maths import portable
-from adaptrack.results.answers import certificate_answer
-from adaptrack.results.marks import ColourScale, draw_dots, draw_heat_map, draw_ribbon, edges_around
+from adaptrack.results import marks
 from adaptrack.results.words import INPUT_LABELS, number
 
 if TYPE_CHECKING:
@@ -35,9 +23,14 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+THIN_MODULUS = 0.25
+"""Modulus margin below which an answer calls it thin; textbooks ask for at least 0.5."""
 _WORST = 8
 """Number of worst points in the page's table, for driving straight and for the hard turn."""
-_STROKES: dict[Driving, Stroke] = {"straight": Stroke(SERIES[0]), "turn": Stroke(SERIES[1], "long")}
+_STROKES: dict[Driving, marks.Stroke] = {
+    "straight": marks.make_stroke(marks.SERIES[0]),
+    "turn": marks.make_stroke(marks.SERIES[1], marks.LONG_DASHES),
+}
 _NAMES: dict[Driving, str] = {"straight": "Driving straight", "turn": "In a hard turn"}
 _TITLES: dict[Driving, str] = {
     "straight": "driving straight (verdict)", "turn": "in a hard turn (warning only)"
@@ -71,18 +64,15 @@ MISMATCH_COLUMNS = (
     *CERTIFICATE_COLUMNS[2:],
 )
 
-_RADIUS = ColourScale(0.8, 1.02, "Spectral radius (–)", reversed=True)
-_MODULUS = ColourScale(0.0, 1.0, "Modulus margin (–)")
-_UP = ColourScale(1.0, 20.0, "Gain margin up (factor)", log=True)
-_DOWN = ColourScale(0.0, 1.0, "Gain margin down (factor)", reversed=True)
-_DELAY = ColourScale(1.0, 1000.0, "Delay margin (ms)", log=True)
+_RADIUS = marks.ColourScale(0.8, 1.02, "Spectral radius (–)", reversed=True)
+_MODULUS = marks.ColourScale(0.0, 1.0, "Modulus margin (–)")
+_UP = marks.ColourScale(1.0, 20.0, "Gain margin up (factor)", log=True)
+_DOWN = marks.ColourScale(0.0, 1.0, "Gain margin down (factor)", reversed=True)
+_DELAY = marks.ColourScale(1.0, 1000.0, "Delay margin (ms)", log=True)
 
 
-def certificate_result(certificate: Certificate, command: str = "", next_step: str = "") -> Result:
-    """Return the result of a certificate; its record holds the summary and every point.
-
-    command: command line that repeats it; next_step: suggested next command.
-    """
+def certificate_result(certificate: Certificate) -> Result:
+    """Return the result of a certificate; its record holds the summary and every point."""
     sweeps = _sweeps(certificate)
     worst, turn = certificate.counted.straight.extremes, int(certificate.counted.unstable_in_turn.sum())
     maps = [
@@ -94,7 +84,7 @@ def certificate_result(certificate: Certificate, command: str = "", next_step: s
     return Result(
         kind="certificate",
         title=f"Certificate of {certificate.scheduler}: {certificate.plant}, profile {certificate.profile}",
-        answer=certificate_answer(certificate),
+        answer=_answer(certificate),
         record={**certificate.summary(), "rows": certificate.rows()},
         tables=[*_console_tables(certificate), *_margin_tables(certificate), _worst(certificate)],
         notes=[f"Steering model of the controller: {certificate.belief}."] if certificate.belief else [],
@@ -108,9 +98,23 @@ def certificate_result(certificate: Certificate, command: str = "", next_step: s
             "unguarded": None if certificate.guarded is None else int(certificate.bare.unstable.sum()),
             "fallback": None if certificate.guarded is None else float(certificate.fallback.mean()),
         },
-        command=command,
-        next_step=next_step,
     )  # fmt: skip
+
+
+def _answer(certificate: Certificate) -> str:
+    """The verdict; for a stable loop preceded by its smallest margins when driving straight."""
+    if not certificate.passed:
+        return certificate.verdict
+    (worst,), delay = certificate.worst_points(1), float(certificate.counted.straight.delay.min())
+    modulus, at = worst["modulus_margin"], f"at {worst['speed']:.3g} m/s on friction {worst['friction']:.2g}"
+    thin = []
+    if delay < certificate.period:
+        thin.append(f"{1000.0 * delay:.0f} ms of delay, where a control period is {1000.0 * certificate.period:.0f} ms")
+    if modulus < THIN_MODULUS:
+        thin.append(f"a modulus margin of {modulus:.2g} {at}, where 0.5 is usual")
+    if thin:
+        return f"Stable, but with thin margins: {' and '.join(thin)}. {certificate.verdict}"
+    return f"Stable; the smallest modulus margin is {modulus:.2g}, {at}. {certificate.verdict}"
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
@@ -213,9 +217,9 @@ def _modulus(certificate: Certificate, least: float) -> Picture:
                 len(certificate.speeds), -1
             )
             low, high = margin.min(axis=1), margin.max(axis=1)
-            draw_ribbon(axes, certificate.speeds, low, high, stroke.colour)
-            axes.plot(certificate.speeds, low, **stroke.look, **dots)
-        axes.axhline(0.0, linewidth=0.9, **SHARED_STROKE.look)
+            marks.draw_ribbon(axes, certificate.speeds, low, high, stroke["color"])
+            axes.plot(certificate.speeds, low, **stroke, **dots)
+        axes.axhline(0.0, linewidth=0.9, **marks.SHARED_STROKE)
         axes.set(xlabel="Speed (m/s)", ylabel="Modulus margin (–)")
 
     panel = Panel("Modulus margin over the speed", draw, f"Driving straight: at least {number(least)}.")
@@ -255,18 +259,18 @@ def _tunings(certificate: Certificate) -> Picture:
         finite = cells[np.isfinite(cells)]
         low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
         middle, span = (low + high) / 2.0, max(high - low, 2.0 if integer else 0.2)
-        scale = ColourScale(middle - span / 2.0, middle + span / 2.0, symbol, integer=integer)
+        scale = marks.ColourScale(middle - span / 2.0, middle + span / 2.0, symbol, integer=integer)
         panels.append(_map(certificate, scale, cells))
     caption = "The scheduler's tuning: median over all other scheduling variables."
     if certificate.guarded is not None:
         share = 100.0 * certificate.cells(certificate.fallback).mean(axis=2)
-        panels.append(_map(certificate, ColourScale(0.0, 100.0, "Fallback tuning (% of points)"), share))
+        panels.append(_map(certificate, marks.ColourScale(0.0, 100.0, "Fallback tuning (% of points)"), share))
         caption = f"{caption[:-1]}, including the fallback of the guard; and share of points with the fallback."
     return Picture("tunings", caption, panels, file="tunings.png", columns=len(panels) if len(panels) < 4 else 2,
                    row_height=2.0)  # fmt: skip
 
 
-def _narrow_scale(scale: ColourScale, values: Array) -> ColourScale:
+def _narrow_scale(scale: marks.ColourScale, values: Array) -> marks.ColourScale:
     """Narrow a scale to the 2nd to 98th percentile of the values, within its bounds."""
     finite = values[np.isfinite(values)]
     if not finite.size:
@@ -279,7 +283,7 @@ def _narrow_scale(scale: ColourScale, values: Array) -> ColourScale:
 
 
 def _map(
-    certificate: Certificate, scale: ColourScale, values: Array, unstable: NDArray[np.bool_] | None = None
+    certificate: Certificate, scale: marks.ColourScale, values: Array, unstable: NDArray[np.bool_] | None = None
 ) -> Panel:
     """A map of values over speed and friction, crossed where unstable; both (speeds, frictions)."""
     low, high = float(values.min()), float(values.max())
@@ -290,10 +294,12 @@ def _map(
 
     def draw(axes: Axes) -> None:
         cells = np.clip(values, scale.low, scale.high).T
-        draw_heat_map(axes, edges_around(certificate.speeds), edges_around(certificate.frictions), cells, bar)
+        marks.draw_heat_map(
+            axes, marks.edges_around(certificate.speeds), marks.edges_around(certificate.frictions), cells, bar
+        )
         i, j = np.nonzero(np.zeros(values.shape, bool) if unstable is None else unstable)
         crosses = certificate.speeds[i], certificate.frictions[j]
-        draw_dots(axes, *crosses, SERIES[1], "cross", 4.5, scalex=False, scaley=False)
+        marks.draw_dots(axes, *crosses, marks.SERIES[1], "x", 4.5, markeredgewidth=1.5, scalex=False, scaley=False)
         axes.set(xlabel="Speed (m/s)", ylabel="Friction (–)")
 
     return Panel(scale.label, draw, f"{number(low)} to {number(high)}.")

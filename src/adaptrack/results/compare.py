@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adaptrack.base.result import MUTED, SERIES, Column, Panel, Picture, Result, ResultTable, Row, select_entries
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.comparison.config import about_contender
 from adaptrack.comparison.run import Compared
-from adaptrack.comparison.table import Comparison, standing_rows
+from adaptrack.comparison.table import Comparison, driver_rows, standing_rows
 from adaptrack.control.controllers import about_controller
 from adaptrack.core.maths import portable
-from adaptrack.results.dots import Dot, caption_notes, dots_panel
-from adaptrack.results.marks import draw_dots, name_rows, set_log_scale
-from adaptrack.results.words import counted, data_text, number, span
+from adaptrack.results import marks
+from adaptrack.results.words import counted, data_text, listed, number, slug, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_OURS, _PAPERS_COLOUR, _OTHERS = SERIES[0], SERIES[1], MUTED
+_OURS, _PAPERS_COLOUR, _OTHERS = marks.SERIES[0], marks.SERIES[1], marks.MUTED
 """Colours of our controllers, the paper's, and all others."""
 COLOURS = "Blue: ours; orange: the paper's; grey: others."
 _PAPERS = ("as-written", "as-released", "nn", "anfis", "published")
@@ -87,11 +87,8 @@ _NOTE = (
 )
 
 
-def compare_result(compared: Compared, *, command: str = "", next_step: str = "") -> Result:
-    """The result of a comparison; its record holds a row of each contender in each profile, and every cell.
-
-    command: the command line that makes it again; next_step: what to do next, with the command.
-    """
+def compare_result(compared: Compared) -> Result:
+    """The result of a comparison; its record holds a row of each contender in each profile, and every cell."""
     comparisons, task = compared.profile_comparisons, compared.task
     rows = {profile: profile_rows(compared, profile) for profile in comparisons}
     last = list(comparisons)[-1]
@@ -111,8 +108,6 @@ def compare_result(compared: Compared, *, command: str = "", next_step: str = ""
             "profiles": list(rows), "reference": comparisons[last].reference, "task": task,
             "contenders": [(name, about_contender(name).words) for name in task.contenders],
         },
-        command=command,
-        next_step=next_step,
     )  # fmt: skip
 
 
@@ -248,14 +243,14 @@ def _left_out_table(compared: Compared) -> list[ResultTable]:
 def _ratios(profile: str, rows: Sequence[Row], reference: str) -> Picture:
     """A dot and its interval for each contender, the best first."""
     dots = [
-        Dot(row["label"], row["rms_ratio"], row["rms_low"], row["rms_high"], contender_colour(row["contender"]),
+        marks.Dot(row["label"], row["rms_ratio"], row["rms_low"], row["rms_high"], contender_colour(row["contender"]),
             row["failures"] > 0)
         for row in rows
     ]  # fmt: skip
     label = f"RMS error / RMS error of {reference}"
     caption = f"Profile {profile}: {label}, with 95 % intervals. {COLOURS}"
-    panel, size = dots_panel(dots, data_text(label), label, level=1.0)
-    return Picture("verdict", caption + caption_notes(dots), [panel], (), "ratios.png", 1, size[1], size)
+    panel, size = marks.dots_panel(dots, data_text(label), label, level=1.0)
+    return Picture("verdict", caption + marks.caption_notes(dots), [panel], (), "ratios.png", 1, size[1], size)
 
 
 def _work(rows: Mapping[str, Sequence[Row]]) -> Picture:
@@ -276,15 +271,15 @@ def _draw_work(axes: Axes, rows: Sequence[Row]) -> None:
     rates, errors = [row["steering_rate"] for row in rows], [row["rms_error"] for row in rows]
     for row, rate, error, height in zip(rows, rates, errors, _label_heights(errors), strict=True):
         colour, at_left = contender_colour(row["contender"]), rate > max(rates) / 1.5  # far right: named on its left
-        draw_dots(axes, [rate], [error], colour)
+        marks.draw_dots(axes, [rate], [error], colour)
         axes.annotate(
             data_text(row["contender"]), (rate, error), (rate / 1.06 if at_left else 1.06 * rate, height),
             ha="right" if at_left else "left", va="center", fontsize=6.5, color=colour,
             arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.4, "shrinkB": 2},
         )  # fmt: skip
     axes.set(xlabel="Steering rate (rad/s)", ylabel="RMS error (m)")
-    set_log_scale(axes, "x", (0.8 * min(rates), 1.6 * max(rates)))
-    set_log_scale(axes, "y", (0.8 * min(errors), 1.6 * max(errors)))
+    marks.set_log_scale(axes, "x", (0.8 * min(rates), 1.6 * max(rates)))
+    marks.set_log_scale(axes, "y", (0.8 * min(errors), 1.6 * max(errors)))
 
 
 def _label_heights(values: Sequence[float]) -> list[float]:
@@ -320,12 +315,117 @@ def _entry_panel(table: Comparison, profile: str, speeds: Mapping[str, Mapping[s
     def draw(axes: Axes) -> None:
         for place, (contender, values) in enumerate(rows):
             colour, mean = contender_colour(table.role(contender).controller), float(values.mean())
-            draw_dots(axes, values, np.full(len(values), place), colour, size=3.5, alpha=0.6)
+            marks.draw_dots(axes, values, np.full(len(values), place), colour, size=3.5, alpha=0.6)
             axes.plot([mean, mean], [place - 0.35, place + 0.35], color=colour, linewidth=2.0)
         fastest = max(float(values.max()) for _, values in rows) or 1.0
         axes.set(xlabel=f"Entry speed (km/h), profile {profile}", xlim=(-0.02 * fastest, 1.04 * fastest))
-        name_rows(axes, [data_text(contender) for contender, _ in rows])
+        marks.name_rows(axes, [data_text(contender) for contender, _ in rows])
 
     best, values = rows[0]
     mean = number(float(values.mean()))
     return Panel("", draw, f"Entry speeds in profile {profile}; highest mean: {best}, {mean} km/h.")
+
+
+# -- drivers ----------------------------------------------------------------------------------------------------------
+DRIVER_COLUMNS = (
+    Column("failures", "failed", "runs", meaning="failed runs"),
+    Column("time_lost", "late", "s", 2, "mean delay at the end of a run"),
+    Column("speed_error", "speed", "m/s", 2, "RMS difference from the speed planned for the place"),
+    Column("rms_error", "path", "m", 2, "RMS distance from the centre line"),
+    Column("longitudinal_jerk", "jerk", "m/s³", 2, "largest longitudinal jerk of a run (UN R79), 95 % of the runs"),
+    Column("used_grip", "grip", "-", 2, "largest acceleration divided by true friction times gravity"),
+    Column("stop_error", "stop", "m", 2, "largest distance from a stop at which a car stood; 8 m: it did not stand"),
+)
+
+
+def compare_drivers_result(compared: Compared) -> Result:
+    """The result of a comparison of drivers; its record is that of `compare_result`."""
+    task = compared.task
+    rows = {condition: driver_rows(comparison) for condition, comparison in compared.profile_comparisons.items()}
+    meanings = " ".join(f"{column.title}: {column.meaning}." for column in DRIVER_COLUMNS)
+    return Result(
+        kind="compare-drivers",
+        title=f"{counted(len(task.contenders), 'controller')} with {counted(len(task.drivers), 'driver')} on "
+        f"{counted(len(task.cars), 'car')} and {counted(len(task.roads), 'road')}",
+        answer="\n".join(_drivers_headline(condition, rows[condition]) for condition in rows),
+        record=comparison_record(compared, rows),
+        tables=[*(table for name in rows for table in _driver_tables(name, rows[name])), *failure_tables(compared)],
+        notes=[
+            "Smaller is better in every column, and no column outranks another. All columns but the first describe the "
+            f"runs that did not fail. {meanings}",
+            f"Cars: {listed(task.cars)}. Roads: {listed(task.roads)}. Noise seeds: {listed([*map(str, task.seeds)])}.",
+        ],
+        pictures=[_drivers_picture(condition, rows[condition]) for condition in rows],
+    )
+
+
+def _drivers_headline(condition: str, rows: Sequence[Row]) -> str:
+    failed, runs = (sum(row[name] for row in rows) for name in ("failures", "runs"))
+    return f"Profile {condition}: {failed} of {counted(runs, 'run')} failed."
+
+
+def _driver_tables(condition: str, rows: Sequence[Row]) -> list[ResultTable]:
+    """A table of the drivers for each controller, or of the controllers if there is one driver."""
+    name, group = ("controller", "driver") if len({row["driver"] for row in rows}) == 1 else ("driver", "controller")
+    tables = []
+    for member in dict.fromkeys(row[group] for row in rows):
+        table_rows = [{**row, "label": row[name]} for row in rows if row[group] == member]
+        columns = [column for column in DRIVER_COLUMNS if any(row[column.name] is not None for row in table_rows)]
+        complete_rows = [dict.fromkeys(row) if row["failures"] else row for row in table_rows]
+        tables.append(
+            ResultTable(
+                f"{condition} {member}",
+                f"Profile {condition}, {group} {member}; {counted(table_rows[0]['runs'], 'run')} each",
+                [Column("label", name), *columns], table_rows,
+                best=best_cells(complete_rows, {column.name: min for column in columns}),
+                alert=select_entries(table_rows, ["failures"], lambda row: row["failures"] > 0), brief=True,
+            )
+        )  # fmt: skip
+    return tables
+
+
+def _drivers_picture(condition: str, rows: Sequence[Row]) -> Picture:
+    """A panel for each measure with a dot for each driver, in the colour of the controller."""
+    colours, panels = marks.strokes(row["controller"] for row in rows), []
+    for column in [column for column in DRIVER_COLUMNS if any(row[column.name] for row in rows)]:
+        values = [math.nan if row[column.name] is None else row[column.name] for row in rows]
+        dots = [
+            marks.Dot(row["driver"], value, colour=colours[row["controller"]]["color"], failed=row["failures"] > 0)
+            for row, value in zip(rows, values, strict=True)
+        ]
+        panel, size = marks.dots_panel(dots, f"{column.title} ({column.unit})", f"{column.meaning} ({column.unit})")
+        panels.append(panel)
+    caption = f"Profile {condition}. Smaller is better in every panel.{marks.caption_notes(dots)}"
+    return Picture(condition, caption, panels, [*colours.items()], f"drivers-{slug(condition)}.png", 2, size[1], size)
+
+
+# -- costs of contenders ----------------------------------------------------------------------------------------------
+_ADAPTIVE, _CONSTANT, _HINDSIGHT = marks.SERIES[0], marks.SERIES[1], marks.MUTED
+"""Colours of contenders that adapt their tuning, that keep one, and that need hindsight."""
+
+
+def ratios_picture(comparison: Comparison, called: Callable[[str], str]) -> Picture:
+    """Each contender's cost over the reference's, with its 95 % interval; called: names contenders as tables do."""
+    dots = _cost_dots(comparison, called)
+    label = f"Cost / {called(comparison.reference)}"
+    panel, size = marks.dots_panel(dots, data_text(label), f"{label}, geometric mean and 95 % interval", level=1.0)
+    caption = (
+        f"{label}, geometric mean with its 95 % interval. Blue: adapts its tuning; orange: keeps one; grey: needs "
+        f"hindsight.{marks.caption_notes(dots)}"
+    )
+    return Picture("verdict", caption, [panel], size=size)
+
+
+def _cost_dots(comparison: Comparison, called: Callable[[str], str]) -> list[marks.Dot]:
+    """A dot for each contender, the cheapest first; the reference only if there is no other."""
+    rows = sorted(comparison.rows(), key=lambda row: row["regret_geomean"])
+    return [
+        marks.Dot(called(row["contender"]), row["regret_geomean"], row["regret_low"], row["regret_high"],
+            _role_colour(comparison, row["contender"]), row["failures"] > 0)
+        for row in rows if row["contender"] != comparison.reference
+    ] or [marks.Dot(called(comparison.reference), 1.0)]  # fmt: skip
+
+
+def _role_colour(comparison: Comparison, contender: str) -> str:
+    role = comparison.role(contender)
+    return _HINDSIGHT if role.hindsight else _ADAPTIVE if role.adapts else _CONSTANT

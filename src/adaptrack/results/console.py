@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from adaptrack.base.presentation import printable
 from adaptrack.base.result import Column, Result, ResultTable, Row
-from adaptrack.base.text import printable
 
 if TYPE_CHECKING:
     from rich.console import Console

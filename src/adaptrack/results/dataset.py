@@ -11,36 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import InvalidInput
-from adaptrack.base.result import (
-    BACKGROUND_STROKE,
-    REFERENCE_STROKE,
-    Column,
-    Panel,
-    Picture,
-    Result,
-    ResultTable,
-    Row,
-    Stroke,
-)
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row
 from adaptrack.core.maths import portable
 from adaptrack.paper.campaign_config import STANDARD_ROW
 from adaptrack.paper.data_set import DataSet, describe
-from adaptrack.results.marks import (
-    ColourScale,
-    draw_bars,
-    draw_heat_map,
-    draw_ribbon,
-    edges_around,
-    include_y,
-    set_log_scale,
-)
-from adaptrack.results.notebook import html
+from adaptrack.results import marks
 from adaptrack.results.words import number, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -101,7 +80,7 @@ def dataset_result(dataset: DataSet) -> Result:
 
 def _pictures(dataset: DataSet) -> list[Picture]:
     """Pictures of gain, optimum and spread; none if every run failed."""
-    rows = _searched(dataset)
+    rows = comparable_rows(dataset)
     if rows is None:
         return []
     return [
@@ -114,41 +93,10 @@ def _pictures(dataset: DataSet) -> list[Picture]:
     ]  # fmt: skip
 
 
-def _searched(dataset: DataSet) -> DataSet | None:
+def comparable_rows(dataset: DataSet) -> DataSet | None:
     """The rows that a swarm searched and whose costs can be compared; None without any."""
     chosen = dataset.computed & dataset.comparable
     return dataset.rows(chosen) if chosen.any() else None
-
-
-def dataset_figure(dataset: DataSet) -> Figure:
-    """Histograms of the best tunings, and the cost of the standard tuning over the best, by speed.
-
-    Raises
-    ------
-    InvalidInput
-        When the run failed with every tuning.
-    """
-    from adaptrack.results.draw import print_figure
-
-    rows = _searched(dataset)
-    if rows is None:
-        raise InvalidInput(f"data set {dataset.name!r}: every run failed, so there is nothing to draw.")
-    panels = [*(histogram(target) for target in targets(rows)), gain_panel(rows)]
-    return print_figure(Picture("dataset", "", panels, row_height=2.1))
-
-
-def dataset_html(dataset: DataSet) -> str:
-    """A data set in a notebook."""
-    searched = dataset.rows(dataset.computed)
-    rows = {
-        "Operating points": f"{number(len(dataset))}, of which {number(len(searched))} searched by swarms",
-        "Library": f"{number(len(dataset.library))} tunings",
-        **dict(zip(("Speed", "Lateral reference", "Friction", "Side wind"), map(span, dataset.operating_points.T),
-                   strict=True)),
-        "Failed with every tuning": number(int(np.isinf(searched.best_costs).sum())),
-    }  # fmt: skip
-    figure = None if _searched(dataset) is None else dataset_figure(dataset)
-    return html(f"Data set {dataset.name}", rows, figure, "The best tunings, and the gain over the standard tuning")
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
@@ -202,8 +150,8 @@ def histogram(target: TuningTarget) -> Panel:
     counts, _ = np.histogram(target.values, edges)
 
     def draw(axes: Axes) -> None:
-        draw_bars(axes, edges, 100.0 * counts / target.values.size)
-        axes.axvline(target.standard, linewidth=1.0, **REFERENCE_STROKE.look)
+        marks.draw_bars(axes, edges, 100.0 * counts / target.values.size)
+        axes.axvline(target.standard, linewidth=1.0, **marks.REFERENCE_STROKE)
         axes.set(xlabel=target.label, ylabel="Operating points (%)")
         axes.margins(x=0.03)
 
@@ -219,12 +167,13 @@ def gain_panel(rows: DataSet) -> Panel:
     low, median, high = np.array([np.quantile(gain[members], (0.25, 0.5, 0.75)) for members in by_bin]).T
 
     def draw(axes: Axes) -> None:
-        axes.axhline(1.0, linewidth=0.7, **BACKGROUND_STROKE.look)
-        draw_ribbon(axes, middles, low, high)
-        axes.plot(middles, median, **Stroke().look, marker="o", markersize=3.5)
+        axes.axhline(1.0, linewidth=0.7, **marks.BACKGROUND_STROKE)
+        marks.draw_ribbon(axes, middles, low, high)
+        axes.plot(middles, median, color=marks.SERIES[0], marker="o", markersize=3.5)
         axes.set(xlabel="Speed (m/s)", ylabel="Cost ratio (–)")
         axes.margins(x=0.02)
-        set_log_scale(axes, "y", include_y(axes, 1.0))
+        bottom, top = marks.include_y(axes, 1.0)
+        marks.set_log_scale(axes, "y", (bottom if bottom > 0.0 else min(1.0, low.min()) / 1.1, top))
 
     description = f"Cost of the standard tuning over the swarm's best, by speed: medians {span(median)}."
     return Panel("Standard over best", draw, description)
@@ -247,10 +196,10 @@ def _map(rows: DataSet, target: TuningTarget, label: str, values: Array) -> Pane
     for line, column in set(zip(lines.tolist(), columns.tolist(), strict=True)):
         medians[line, column] = np.median(target.values[(lines == line) & (columns == column)])
     low, high = float(target.values.min()), float(target.values.max())
-    scale = ColourScale(low, high if high > low else low + 1.0, integer=target.integer)
+    scale = marks.ColourScale(low, high if high > low else low + 1.0, integer=target.integer)
 
     def draw(axes: Axes) -> None:
-        draw_heat_map(axes, x_edges, y_edges, medians, scale)
+        marks.draw_heat_map(axes, x_edges, y_edges, medians, scale)
         axes.set(xlabel="Speed (m/s)", ylabel=label)
 
     return Panel(target.label, draw, f"Medians {span(medians)}.")
@@ -259,7 +208,7 @@ def _map(rows: DataSet, target: TuningTarget, label: str, values: Array) -> Pane
 def _bin_edges(values: Array) -> Array:
     """Edges around each of a few levels, else of equal widths."""
     levels = np.unique(values)
-    return edges_around(levels) if len(levels) <= MAX_LEVELS else np.linspace(levels[0], levels[-1], BINS + 1)
+    return marks.edges_around(levels) if len(levels) <= MAX_LEVELS else np.linspace(levels[0], levels[-1], BINS + 1)
 
 
 def _bin_numbers(values: Array, edges: Array) -> NDArray[np.int64]:

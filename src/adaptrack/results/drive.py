@@ -2,54 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import safe_names
-from adaptrack.base.result import Picture, Result, Row, Stroke, strokes
+from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.drive.failure import DISTANCE, MIN_JUDGED_SPEED
-from adaptrack.drive.metrics import Metrics, compute_metrics
+from adaptrack.drive.metrics import Metrics, compute_metrics, published_mse
 from adaptrack.drive.predicted_paths import PredictedPaths
-from adaptrack.drive.speed_measures import measure_stops, speed_measures
+from adaptrack.drive.speed_measures import StopMeasure, measure_stops, speed_measures
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.results.answers import length
-from adaptrack.results.drive_tables import (
-    Shown,
-    console_table,
-    overview_table,
-    scenario_tables,
-)
-from adaptrack.results.learned_picture import learned_picture, learned_quantities
-from adaptrack.results.record import DEFAULT_DRAWN_CAR, DrawnCar, DriveRecord, on_road
-from adaptrack.results.road_pictures import above_picture
-from adaptrack.results.run_pictures import (
-    CREEPING,
-    conditions_picture,
-    error_panel,
-    prepare_runs,
-    speed_control_picture,
-    speed_picture,
-    tracking_picture,
-)
-from adaptrack.results.words import (
-    controller_name,
-    counted,
-    few,
-    legible,
-    number,
-    slug,
-    span,
-    title_of,
-)
+from adaptrack.results import run_pictures, words
+from adaptrack.results.marks import Stroke, strokes
+from adaptrack.results.record import DEFAULT_DRAWN_CAR, DrawnCar, DriveRecord, above_picture, on_road
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.scenario.profile import load_profile
 
@@ -87,6 +63,20 @@ class Run:
     """Plan that a driver followed along the road; with it, the page has speed error, lost time and stops."""
 
 
+@dataclass(frozen=True)
+class Shown:
+    """A run with its label and its measures."""
+
+    label: str
+    trajectory: Trajectory
+    metrics: Metrics
+    drive: DriveRecord | None = None
+    """The run along its road, for the map and the replay."""
+    following: Row = field(default_factory=dict)
+    """Measures of how the speed plan was followed (`speed_measures`); empty where no driver followed one."""
+    stops: Sequence[StopMeasure] = ()
+
+
 def drive_result(
     runs: Sequence[Run | Trajectory], rows: Sequence[Row] = (), *, title: str = "", command: str = ""
 ) -> Result:
@@ -113,7 +103,7 @@ def drive_result(
     scenarios = group_runs([run if isinstance(run, Run) else Run(run) for run in runs])
     labelled_runs = [run for group in scenarios.values() for run in group]
     line_styles = strokes(run.label for run in labelled_runs)
-    stems = dict(zip(scenarios, safe_names(map(slug, scenarios)), strict=True))
+    stems = dict(zip(scenarios, safe_names(map(words.slug, scenarios)), strict=True))
     failed = [_failure(run) for run in labelled_runs if run.metrics.failed]
     first = labelled_runs[0].trajectory
     return Result(
@@ -132,7 +122,7 @@ def drive_result(
         values={
             "scenarios": [_section(name, group, stems[name]) for name, group in scenarios.items()],
             "failed_runs": failed, "shown": labelled_runs, "records": _records(labelled_runs),
-            "limits": {"slow": MIN_JUDGED_SPEED, "distance": DISTANCE, "creeping": CREEPING,
+            "limits": {"slow": MIN_JUDGED_SPEED, "distance": DISTANCE, "creeping": run_pictures.CREEPING,
                        "road_weight": load_profile("road").move_weight},
         },
         command=command,
@@ -182,7 +172,7 @@ def group_runs(runs: Sequence[Run]) -> dict[str, list[Shown]]:
 
 def _labelled(runs: Sequence[Run]) -> list[Shown]:
     """Prepare the runs of one scenario, with distinct labels."""
-    labels = [legible(run.label) or controller_name(run.trajectory.name_of("controller")) for run in runs]
+    labels = [words.legible(run.label) or words.controller_name(run.trajectory.name_of("controller")) for run in runs]
     return [
         _prepare_run(f"{label} no. {labels[:i].count(label) + 1}" if labels.count(label) > 1 else label, run)
         for i, (label, run) in enumerate(zip(labels, runs, strict=True))
@@ -204,7 +194,7 @@ def _prepare_run(label: str, run: Run) -> Shown:
 def _title(scenarios: Mapping[str, Sequence[Shown]]) -> str:
     """Return the names of scenarios and controllers, or their number if there are many."""
     labels = dict.fromkeys(run.label for group in scenarios.values() for run in group)
-    return f"{few([title_of(name) for name in scenarios], 'scenario')}: {few(labels, 'controller')}"
+    return f"{words.few([words.title_of(name) for name in scenarios], 'scenario')}: {words.few(labels, 'controller')}"
 
 
 def _answer(runs: Sequence[Shown]) -> str:
@@ -214,13 +204,13 @@ def _answer(runs: Sequence[Shown]) -> str:
     if not completed:
         return failed
     best = min(completed, key=lambda run: run.metrics.mse)
-    errors = f"{length(best.metrics.rms_error)} RMS error, largest {length(best.metrics.max_abs_error)}."
+    errors = f"{words.length(best.metrics.rms_error)} RMS error, largest {words.length(best.metrics.max_abs_error)}."
     if best.following:
         errors += f" {_speed_answer(best)}"
     if len(runs) == 1:
         return errors
     if len({run.trajectory.name_of("scenario") for run in runs}) > 1:
-        return f"Largest error {length(max(run.metrics.max_abs_error for run in completed))}. {failed}"
+        return f"Largest error {words.length(max(run.metrics.max_abs_error for run in completed))}. {failed}"
     return f"{best.label}: {errors} {failed}"
 
 
@@ -230,17 +220,17 @@ def _speed_answer(run: Shown) -> str:
     missed = sum(map(math.isnan, errors))
     parts = [] if speed is None else [f"{speed:.2g} m/s RMS speed error"]
     if errors and missed:
-        parts.append(f"{missed} of {counted(len(errors), 'stop')} passed without standing")
+        parts.append(f"{missed} of {words.counted(len(errors), 'stop')} passed without standing")
     elif errors:
-        parts.append(f"{counted(len(errors), 'stop')}, largest error {length(max(errors))}")
+        parts.append(f"{words.counted(len(errors), 'stop')}, largest error {words.length(max(errors))}")
     parts += [] if lost is None else [f"{abs(lost):.2g} s {'late' if lost >= 0.0 else 'early'}"]
     return f"{'; '.join(parts)}." if parts else ""
 
 
 def _failure(run: Shown) -> dict[str, str]:
     """Return name, time and reason of a failed run."""
-    where = "" if run.drive is None else f", at s = {number(float(run.drive.station[-1]), 4)} m"
-    name = f"{title_of(run.trajectory.name_of('scenario'))}, {run.label}"
+    where = "" if run.drive is None else f", at s = {words.number(float(run.drive.station[-1]), 4)} m"
+    name = f"{words.title_of(run.trajectory.name_of('scenario'))}, {run.label}"
     return {"name": name, "at": f"{run.metrics.failed_at:.1f} s{where}", "because": run.metrics.failed_because}
 
 
@@ -248,7 +238,7 @@ def _failure_headline(failed: Sequence[Mapping[str, str]], runs: int) -> str:
     """Return the start of the page's heading; empty if no run failed."""
     if failed and runs == 1:
         return f"Failed at {failed[0]['at']}: the vehicle {failed[0]['because']}"
-    return f"{number(len(failed))} of {number(runs)} runs failed" if failed else ""
+    return f"{words.number(len(failed))} of {words.number(runs)} runs failed" if failed else ""
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
@@ -263,13 +253,13 @@ def _pictures(
     groups = {name: {run.label: run.trajectory for run in group} for name, group in scenarios.items()}
     drives = _drives([run for group in scenarios.values() for run in group])
     first = next(iter(groups.values()))
-    error = replace(error_panel(prepare_runs(first, line_styles)), title="")
+    error = replace(run_pictures.error_panel(run_pictures.prepare_runs(first, line_styles)), title="")
     key = [(label, line_styles[label]) for label in first] if len(first) > 1 else []
     pictures = [above_picture(drives) if drives else Picture("verdict", ERROR_CAPTION, [error], key)]
     if not any(run.road for runs in groups.values() for run in runs.values()):
         figure = "6" if len(scenarios) > 1 else _paper_figure(first, "speed")
-        speeds = {title_of(name): runs for name, runs in groups.items()}
-        pictures.append(speed_picture(speeds, line_styles, _cite(SPEED_CAPTION, figure)))
+        speeds = {words.title_of(name): runs for name, runs in groups.items()}
+        pictures.append(run_pictures.speed_picture(speeds, line_styles, _cite(SPEED_CAPTION, figure)))
     for name, runs in groups.items():
         pictures += _signal_pictures(runs, line_styles, stems[name])
     return pictures
@@ -278,15 +268,15 @@ def _pictures(
 def _signal_pictures(runs: Mapping[str, Trajectory], line_styles: Strokes, stem: str) -> list[Picture]:
     """Draw tracking, conditions and learned quantities of the runs of one scenario or road."""
     caption = _cite(TRACKING_CAPTION, _paper_figure(runs, "tracking"))
-    pictures = [tracking_picture(runs, line_styles, f"{stem}-tracking", caption)]
+    pictures = [run_pictures.tracking_picture(runs, line_styles, f"{stem}-tracking", caption)]
     if any("governed_speed" in run.diagnostics for run in runs.values()):
-        pictures.append(speed_control_picture(runs, line_styles, f"{stem}-speed"))
+        pictures.append(run_pictures.speed_control_picture(runs, line_styles, f"{stem}-speed"))
     caption = _cite(CONDITIONS_CAPTION, _paper_figure(runs, "conditions"))
-    conditions = conditions_picture(runs, line_styles, f"{stem}-conditions", caption)
+    conditions = run_pictures.conditions_picture(runs, line_styles, f"{stem}-conditions", caption)
     if conditions.panels[2:] or not any(run.road for run in runs.values()):
         pictures.append(conditions)
-    if any(learned_quantities(run) for run in runs.values()):
-        pictures.append(learned_picture(runs, line_styles, f"{stem}-learned"))
+    if any(run_pictures.learned_quantities(run) for run in runs.values()):
+        pictures.append(run_pictures.learned_picture(runs, line_styles, f"{stem}-learned"))
     return pictures
 
 
@@ -305,21 +295,24 @@ def _section(name: str, group: Sequence[Shown], stem: str) -> dict[str, Any]:
     runs, drive = [run.trajectory for run in group], group[0].drive
     wind = np.concatenate([run.wind for run in runs])
     first = runs[0]
+    periods = f"{words.number(len(first))} control periods of {first.period:g} s"
     conditions = {
         "Plant": ", ".join(filter(None, (first.name_of("plant"), first.name_of("tyre")))),
-        "Duration": f"{number(first.duration)} s, {number(len(first))} control periods of {first.period:g} s",
-        "Speed": f"{span(np.concatenate([run.vx for run in runs]))} m/s",
-        "Friction": span(np.concatenate([run.friction for run in runs])),
-        "Lateral wind": f"{span(wind[:, 1])} m/s",
-        "Longitudinal wind": f"{span(wind[:, 0])} m/s",
+        "Duration": f"{words.number(first.duration)} s, {periods}",
+        "Speed": f"{words.span(np.concatenate([run.vx for run in runs]))} m/s",
+        "Friction": words.span(np.concatenate([run.friction for run in runs])),
+        "Lateral wind": f"{words.span(wind[:, 1])} m/s",
+        "Longitudinal wind": f"{words.span(wind[:, 0])} m/s",
     }
     if drive is not None:
-        conditions["Road"] = f"{number(drive.road.length, 4)} m{', closed' if drive.road.closed else ''}"
+        conditions["Road"] = f"{words.number(drive.road.length, 4)} m{', closed' if drive.road.closed else ''}"
         conditions |= {f"Road, note {i}": note for i, note in enumerate(drive.road.notes, 1)}
         outline = drive.shape.outline
         estimated = ", ".join(name.replace("_", " ") for name in outline.estimated) or "nothing"
-        conditions["Car outline"] = f"{number(outline.length)} by {number(outline.width)} m; estimated: {estimated}"
-    return {"name": name, "title": title_of(name), "conditions": list(conditions.items()), "stem": stem}
+        conditions["Car outline"] = (
+            f"{words.number(outline.length)} by {words.number(outline.width)} m; estimated: {estimated}"
+        )
+    return {"name": name, "title": words.title_of(name), "conditions": list(conditions.items()), "stem": stem}
 
 
 def _records(runs: Sequence[Shown]) -> str:
@@ -328,3 +321,214 @@ def _records(runs: Sequence[Shown]) -> str:
         f"{i}. {run.label}, {run.trajectory.name_of('scenario')}": run.trajectory.meta for i, run in enumerate(runs, 1)
     }
     return json.dumps(records, indent=1, ensure_ascii=False)
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+_CONTROLLER = Column("label", "Controller")
+_CORNER_ERROR = "largest distance of a corner of the car from the path, minus half the width of the car"
+_BOLD = "Bold: smallest value of the runs that did not fail."
+
+TRACKING_COLUMNS = (
+    Column("mse", "MSE", "m²", 3),
+    Column("paper", "MSE in paper", "m²", "given"),
+    Column("ratio", "MSE", "/ paper", 3, "MSE divided by that of the paper"),
+    Column("rms_error", "RMS error", "m", 3),
+    Column("p95_error", "95 % error", "m", 3, "95th percentile of the error"),
+    Column("max_abs_error", "Max. error", "m", 3),
+    Column(
+        "max_corner_error",
+        "Max. corner error",
+        "m",
+        3,
+        "largest distance of a corner from the path, minus half the width",
+    ),
+    Column("in_lane", "In lane", "% of time", "percent"),
+    Column("outcome", "Failed"),
+)
+EFFORT_COLUMNS = (
+    _CONTROLLER,
+    Column("heading_rms", "RMS heading error", "rad (°)", "degrees"),
+    Column("heading_max", "Max. heading error", "rad (°)", "degrees"),
+    Column("steering_rms", "RMS command", "rad (°)", "degrees"),
+    Column("steering_rate_rms", "RMS command rate", "rad/s (°/s)", "degrees"),
+    Column("reversals", "Steering reversals", "1/min", 3),
+    Column("lateral_acceleration_rms", "RMS lateral acceleration", "m/s²", 3),
+    Column("lateral_acceleration_max", "Max. lateral acceleration", "m/s²", 3),
+    Column("jerk_rms", "RMS lateral jerk", "m/s³", 3),
+    Column("jerk_r79", "Max. jerk by UN R79", "m/s³", 3),
+    Column("cost", "Cost J", "m²", 3),
+)
+SOLVER_COLUMNS = (
+    _CONTROLLER,
+    Column("at_change_limit", "Limit on Δu active", "% of steps", "percent"),
+    Column("at_angle_limit", "Limit on u active", "% of steps", "percent"),
+    Column("at_output_limit", "Limit on y active", "% of steps", "percent"),
+    Column("qp_solved", "Solved QPs"),
+    Column("qp_capped", "QPs at iteration limit"),
+    Column("qp_failed", "Failed QPs"),
+    Column("held", "No new command", "steps"),
+    Column("dead_reckoning", "No position measured", "steps"),
+    Column("dead_reckoning_max", "Longest time without position", "s", 3),
+    Column("qp_residual_max", "Max. KKT residual", "", "power"),
+    Column("qp_iterations_mean", "Mean QP iterations", "", 3),
+    Column("prediction_error_half", "RMS prediction error, 0.5 s", "m", 3),
+    Column("prediction_error_one", "RMS prediction error, 1 s", "m", 3),
+    Column("step_us_p50", "Median step time", "µs", 3),
+    Column("step_us_p99", "99 % step time", "µs", 3),
+    Column("step_us_p999", "99.9 % step time", "µs", 3),
+    Column("step_us_max", "Max. step time", "µs", 3),
+)
+SPEED_COLUMNS = (
+    _CONTROLLER,
+    Column("speed_error", "RMS speed error", "m/s", 3, "difference from the speed planned for the place"),
+    Column("time_lost", "Late at the end", "s", 3, "delay against the plan at the place where the run ends"),
+    Column("stop_error", "Max. stop error", "m", 3, "largest distance from a stop; 8 m: passed without standing"),
+    Column("longitudinal_jerk", "Max. longitudinal jerk", "m/s³", 3, "by UN R79"),
+    Column("used_grip", "Max. used grip", "", 3, "acceleration divided by true friction times gravity"),
+)
+STOP_COLUMNS = (
+    _CONTROLLER,
+    Column("place", "Stop", "at s, m", 4),
+    Column(
+        "error", "Error", "m", 2, "where the car first stood, minus the place of the stop; a dash: it did not stand"
+    ),
+    Column("stood", "Stood", "s", 3),
+    Column("seconds", "Planned", "s", 3),
+)
+OPTIONAL_COLUMNS = (
+    "paper", "ratio", "p95_error", "max_corner_error", "in_lane", "reversals", "jerk_r79", "dead_reckoning",
+    "dead_reckoning_max", "prediction_error_half", "prediction_error_one",
+)  # fmt: skip
+"""Columns that are omitted if no run has a value."""
+BELIEF_STATE_COLUMNS = (
+    _CONTROLLER,
+    Column("belief_learning", "Learning", "% of time", "percent"),
+    Column("belief_settled", "Settled", "% of time", "percent"),
+    Column("belief_at_bound", "At a bound", "% of time", "percent"),
+    Column("belief_contradictory", "Contradictory", "% of time", "percent"),
+    Column("belief_state", "State at the end"),
+)
+DRIVE_COLUMNS = (
+    Column("scenario", "drive"),
+    Column("controller", "controller"),
+    Column("rms_error", "RMS error", "m", 3),
+    Column("max_abs_error", "max error", "m", 3),
+    Column("max_corner_error", "corners", "m", 3, _CORNER_ERROR),
+    Column("in_lane", "in lane", "%", "percent", "share of time with all corners in the lane"),
+    Column("result", "result"),
+)
+_TROUBLES = ("qp_capped", "qp_failed", "held")
+"""Counts that should be zero."""
+
+
+def run_rows(runs: Sequence[Shown]) -> list[dict[str, Any]]:
+    """Return a row for each run of a scenario with its measures, its tuning and the paper's MSE."""
+    errors = [run.metrics.mse for run in runs if not run.metrics.failed]
+    smallest = min(errors) if errors and len(runs) > 1 else None
+    return [_row(run) | {"best": not run.metrics.failed and run.metrics.mse == smallest} for run in runs]
+
+
+def _row(run: Shown) -> dict[str, Any]:
+    metrics, paper = run.metrics, published_mse(run.trajectory)
+    row = {field.name: getattr(metrics, field.name) for field in dataclasses.fields(metrics)}
+    if "qp_status" not in run.trajectory.diagnostics:  # the controller solves no QP
+        row |= dict.fromkeys(("qp_solved", "qp_capped", "qp_failed"))
+    return row | {
+        "label": run.label, "paper": paper, "ratio": None if paper is None else metrics.mse / paper,
+        "dead_reckoning": metrics.dead_reckoning or None,
+        "outcome": f"at {metrics.failed_at:.1f} s" if metrics.failed else "no",
+        "tuning": {name: _range(_driven_values(run.trajectory, name)) for name in run.trajectory.tuning},
+    }  # fmt: skip
+
+
+def scenario_tables(name: str, runs: Sequence[Shown]) -> list[ResultTable]:
+    """Return tables of tracking, effort, solver and learning state of the runs of one scenario or road."""
+    entries = _entries(runs)
+    rows = [row | {f"tuning {key}": row["tuning"].get(key) for key in entries} for row in run_rows(runs)]
+    bold = select_entries(rows, ["mse", "rms_error"], lambda row: row["best"])
+    failed = select_entries(rows, ["outcome"], lambda row: row["failed"])
+    tracking = [_CONTROLLER, *_with_values(TRACKING_COLUMNS, rows)]
+    tracking += [Column(f"tuning {key}", key, unit, "given") for key, unit in entries.items()]
+    troubles = [select_entries(rows, [key], lambda row, key=key: bool(row[key])) for key in _TROUBLES]
+    tables = [
+        ResultTable(f"{name} tracking", "Tracking", tracking, rows, _BOLD if bold else "", best=bold, alert=failed),
+        ResultTable(f"{name} effort", "Heading, effort and comfort", _with_values(EFFORT_COLUMNS, rows), rows),
+        ResultTable(f"{name} solver", "Limits, solver and step time", _with_values(SOLVER_COLUMNS, rows), rows,
+                    "A dash means that the value was not measured.", alert=frozenset().union(*troubles)),
+    ]  # fmt: skip
+    followers = [run for run in runs if run.following]
+    speeds = [{"label": run.label, **run.following} for run in followers]
+    stops = [{"label": run.label, **stop._asdict()} for run in followers for stop in run.stops]
+    tables += [ResultTable(f"{name} speed", "Speed", SPEED_COLUMNS, speeds)] if speeds else []
+    tables += [ResultTable(f"{name} stops", "Stops", STOP_COLUMNS, stops)] if stops else []
+    learners = [row for row in rows if row["belief_state"]]
+    if learners:
+        title = "Learning state, share of time"
+        tables.append(ResultTable(f"{name} belief", title, BELIEF_STATE_COLUMNS, learners))
+    return tables
+
+
+def _with_values(columns: Sequence[Column], rows: Sequence[Row]) -> list[Column]:
+    """Return the columns without optional columns that have no value."""
+    return [
+        column
+        for column in columns
+        if column.name not in OPTIONAL_COLUMNS or any(_exists(row[column.name]) for row in rows)
+    ]
+
+
+def _exists(value: Any) -> bool:
+    return value is not None and not (isinstance(value, float) and math.isnan(value))
+
+
+def overview_table(scenarios: Mapping[str, Sequence[Shown]]) -> ResultTable:
+    """Return a table of the MSE of every controller on every scenario, and the paper's MSE."""
+    labels = list(dict.fromkeys(run.label for runs in scenarios.values() for run in runs))
+    rows: list[dict[str, Any]] = [{"label": label} for label in labels]
+    columns, best, failed = [_CONTROLLER], set(), set()
+    for name, runs in scenarios.items():
+        mse, paper = f"mse {name}", f"paper {name}"
+        measured = {row["label"]: row for row in run_rows(runs)}
+        columns.append(Column(mse, words.title_of(name), "MSE, m²", 3))
+        if any(row["paper"] is not None for row in measured.values()):
+            columns.append(Column(paper, "MSE in paper", "m²", "given"))
+        for i, label in enumerate(labels):
+            row = measured.get(label, {"mse": None, "paper": None, "failed": False, "best": False})
+            rows[i] |= {
+                mse: f"{words.number(row['mse'])} (failed)" if row["failed"] else row["mse"],
+                paper: row["paper"],
+            }
+            best |= {(i, mse)} if row["best"] else set()
+            failed |= {(i, mse)} if row["failed"] else set()
+    return ResultTable(
+        "overview", "Mean square error (MSE)", columns, rows, _BOLD if best else "", best=frozenset(best),
+        alert=frozenset(failed),
+    )  # fmt: skip
+
+
+def console_table(title: str, rows: Sequence[Row]) -> ResultTable:
+    """Return the table for the console; rows: measures of each run with `scenario` and `controller`."""
+    empty = dict.fromkeys(column.name for column in DRIVE_COLUMNS)  # a run of one instant has no path measures
+    table_rows = [{**empty, **row, "result": "failed" if row["failed"] else "ok"} for row in rows]
+    return ResultTable("console", title, DRIVE_COLUMNS, table_rows, brief=True)
+
+
+def _entries(runs: Iterable[Shown]) -> dict[str, str]:
+    """Return the tuning entries of the runs with their units in typographic form."""
+    powers = str.maketrans("-23", "–²³")
+    units = {name: run.trajectory.units[f"tuning.{name}"] for run in runs for name in run.trajectory.tuning}
+    return {name: "" if unit == "-" else unit.replace("^", "").translate(powers) for name, unit in units.items()}
+
+
+def _driven_values(run: Trajectory, name: str) -> NDArray[Any]:
+    """Return the finite values of a tuning entry at instants with a command."""
+    values = np.asarray(run.tuning.get(name, np.full(len(run), np.nan)), dtype=float)[np.isfinite(run.command)]
+    return values[np.isfinite(values)]
+
+
+def _range(values: NDArray[Any]) -> float | tuple[float, float] | None:
+    """Return the value of a constant tuning entry, or the range of a variable one; whole numbers as int."""
+    if not values.size:
+        return None
+    low, high = (int(end) if end.is_integer() else end for end in (float(values.min()), float(values.max())))
+    return low if low == high else (low, high)

@@ -17,7 +17,7 @@ from adaptrack.comparison.table import Comparison
 from adaptrack.control.scheduling import Schedule, SchedulingVariables
 from adaptrack.core.maths import portable
 from adaptrack.paper.evaluation import BEST_CONSTANT, POINT_OPTIMUM
-from adaptrack.results.comparison_pictures import ratios_picture
+from adaptrack.results.compare import ratios_picture
 from adaptrack.results.marks import ColourScale, draw_heat_map
 from adaptrack.results.words import INPUT_LABELS, counted, data_text, number, plain, span, title_of
 
@@ -55,7 +55,7 @@ SURFACE_NODES = (64, 44)
 OUTPUT_LABELS = (("$N_p$", "periods"), ("$N_c$", "periods"), (r"$\log_{10} R/Q$", "R/Q in m²/rad²"))
 
 
-def evaluation_result(views: Views, schedules: Mapping[str, Schedule], *, command: str = "") -> Result:
+def evaluation_result(views: Views, schedules: Mapping[str, Schedule]) -> Result:
     """An evaluation of schedules as a result; its record holds one row for each contender in each view.
 
     schedules: by contender; the networks and fuzzy systems are drawn.
@@ -79,7 +79,6 @@ def evaluation_result(views: Views, schedules: Mapping[str, Schedule], *, comman
             "views": [name for name in views if views[name]],
             "failed_cost": f"{portable.square(comparison.failure.distance):g}",
         },
-        command=command,
     )  # fmt: skip
 
 

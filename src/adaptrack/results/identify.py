@@ -1,4 +1,4 @@
-"""Result of an identification: estimates, residuals, and excitation of the log."""
+"""Results of an identification and of a check for contradictory inputs."""
 
 from __future__ import annotations
 
@@ -10,28 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from adaptrack.base.files import write_atomically
-from adaptrack.base.result import (
-    MUTED,
-    SERIES,
-    Column,
-    Panel,
-    Picture,
-    Result,
-    ResultTable,
-    Row,
-    Stroke,
-    select_entries,
-)
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.identification import DriveIdentification, Estimate, Identification
+from adaptrack.identification.loop_check import LEAST, LoopCheck
 from adaptrack.identification.quantities import degrees_per_g
-from adaptrack.results.marks import ColourScale, draw_bars, draw_dots, draw_heat_map
+from adaptrack.results.marks import DASHED, MUTED, SERIES, ColourScale, draw_bars, draw_dots, draw_heat_map, make_stroke
 from adaptrack.results.run_pictures import turning_part
 from adaptrack.results.words import capital, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_MEASURED, _SIMULATED, _BOUND = Stroke(SERIES[0]), Stroke(SERIES[1]), Stroke(MUTED, "dashed")
+_MEASURED, _SIMULATED, _BOUND = make_stroke(SERIES[0]), make_stroke(SERIES[1]), make_stroke(MUTED, DASHED)
 _SECONDS = 30.0
 """Length of the part of the log in the first picture (s)."""
 _UNITS = {"N/rad": ("kN/rad", 1e-3), "rad": ("°", 180.0 / math.pi), "rad s^2/m": ("°/g", degrees_per_g(1.0)),
@@ -192,8 +182,8 @@ def _measured_and_simulated(identification: Identification) -> Picture:
     part = turning_part(series.time, series.measured, _SECONDS)
 
     def draw(axes: Axes) -> None:
-        axes.plot(series.time[part], series.measured[part], **_MEASURED.look, linewidth=0.9)
-        axes.plot(series.time[part], series.simulated[part], **_SIMULATED.look)
+        axes.plot(series.time[part], series.measured[part], **_MEASURED, linewidth=0.9)
+        axes.plot(series.time[part], series.simulated[part], **_SIMULATED)
         axes.set(xlabel="Time (s)", ylabel="Yaw rate (rad/s)")
 
     panel = Panel(
@@ -237,7 +227,7 @@ def _residuals(identification: Identification) -> Picture:
 
 def _draw_bounds(axes: Axes, bound: float) -> None:
     for level in (-bound, bound):
-        axes.axhline(level, linewidth=0.8, **_BOUND.look)
+        axes.axhline(level, linewidth=0.8, **_BOUND)
 
 
 def _excited(identification: Identification) -> Picture:
@@ -264,3 +254,44 @@ def _excited(identification: Identification) -> Picture:
         "Excitation of the log. Stiffness needs steering at high speed; the delay needs quick steering at any speed."
     )
     return Picture("excited", caption, panels)
+
+
+# -- contradictory inputs ---------------------------------------------------------------------------------------------
+INPUT_CHECK_COLUMNS = (
+    Column("compared", "compared signals"),
+    Column("seconds", "time", "s", meaning="driving time in which both signals could be compared"),
+    Column("verdict", "verdict"),
+)
+
+
+def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = ()) -> Result:
+    """Return the result with the contradictions of a log and all comparisons."""
+    rows = [
+        _comparison_row(finding.compared, finding.seconds, bool(finding.label), finding.seconds > LEAST)
+        for finding in check.findings
+    ] + [
+        _comparison_row(
+            agreement.compared, check.seconds * agreement.clear, bool(agreement.contradiction), agreement.clear
+        )
+        for agreement in check.agreements
+    ]  # fmt: skip
+    sliding = (f"The car slid for {check.sliding:.1f} s.",) if check.sliding else ()
+    answer = f"No contradictions in {check.compared} of {len(rows)} comparisons; the others lack a log column or bends."
+    if check.contradictions:
+        answer = f"Inputs contradict each other. {check.contradictions[0]}"
+    return Result(
+        kind="check-loop",
+        title=f"Inputs of a loop: {log}",
+        answer=answer,
+        record={"log": log, "seconds": check.seconds, "sliding": check.sliding,
+                "contradictions": list(check.contradictions), "possibilities": list(check.possibilities),
+                "compared": rows},
+        tables=[ResultTable("console", f"{check.seconds:.0f} s of {log}", INPUT_CHECK_COLUMNS, rows, brief=True)],
+        notes=[*check.contradictions[1:], *check.possibilities, *(f"{note}." for note in notes), *sliding],
+        failed=bool(check.contradictions),
+    )  # fmt: skip
+
+
+def _comparison_row(compared: str, seconds: float, contradicts: bool, clear: bool) -> dict[str, str | float]:
+    verdict = "contradictory" if contradicts else "consistent" if clear else "unknown"
+    return {"compared": compared, "seconds": seconds, "verdict": verdict}

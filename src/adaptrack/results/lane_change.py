@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from adaptrack.base.files import safe_names
-from adaptrack.base.result import BACKGROUND_STROKE, INK, SERIES, Column, Panel, Picture, Result, ResultTable
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable
 from adaptrack.comparison.entry_speed import LANE_CHANGES, EntrySpeed
-from adaptrack.results.marks import draw_dots
+from adaptrack.results.marks import BACKGROUND_STROKE, INK, SERIES, draw_dots
 from adaptrack.results.words import data_text
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ _CORNERS = ((2, SERIES[2], 1.6), (3, SERIES[2], 1.6), (0, SERIES[0], 0.7), (1, S
 """Corners of the outline with colour and width (pt): the rear ones, then the front ones over them."""
 
 
-def lane_change_result(name: str, runs: Sequence[EntrySpeed], *, command: str = "", next_step: str = "") -> Result:
+def lane_change_result(name: str, runs: Sequence[EntrySpeed]) -> Result:
     """Entry speeds of a lane change of `LANE_CHANGES`, and a picture for each car and profile."""
     rows = [run.row for run in runs]
     fastest = max(rows, key=lambda row: row["clean"] or 0.0)
@@ -62,8 +62,6 @@ def lane_change_result(name: str, runs: Sequence[EntrySpeed], *, command: str = 
             lane_change_picture(_fastest_runs(group), f"{file}.png")
             for file, group in zip(files, tests.values(), strict=True)
         ],
-        command=command,
-        next_step=next_step,
     )
 
 
@@ -115,7 +113,7 @@ def _draw_run(axes: Axes, run: EntrySpeed) -> None:
     start, end = track.gates[0].start - ROAD_BEFORE, track.gates[-1].end + ROAD_BEHIND
     for gate in track.gates:
         for side in (gate.right, gate.left):
-            axes.plot([gate.start, gate.end], [side, side], **BACKGROUND_STROKE.look, linewidth=0.7)
+            axes.plot([gate.start, gate.end], [side, side], **BACKGROUND_STROKE, linewidth=0.7)
     draw_dots(axes, track.cones[:, 0], track.cones[:, 1], SERIES[1], "^", 4.0)
     for poses in run.poses:
         corners = outline.corners_at(*poses.T)

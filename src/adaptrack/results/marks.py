@@ -1,18 +1,20 @@
-"""Curves, maps, scales and keys on matplotlib's axes, as several pictures need them.
+"""Curves, maps, scales, keys and dots with intervals on matplotlib's axes, as several pictures need them.
 
 Importing this module does not load matplotlib: results are made also where nothing is drawn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from adaptrack.base.result import INK, MUTED, SERIES, Stroke
+from adaptrack.base.result import Panel
 from adaptrack.core.maths import portable
+from adaptrack.results.words import data_text, legible, number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,23 +22,50 @@ if TYPE_CHECKING:
     from matplotlib.ticker import FixedLocator
     from numpy.typing import ArrayLike, NDArray
 
+INK = "#1d2733"
+"""Colour of text, ticks and the reference path."""
+MUTED = "#66717e"
+"""Colour of frames and of lines in the background."""
+PALE = "#dce1e7"
+"""Colour of grid lines and of the road's surface."""
+SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+"""Colours of contenders from the set of Okabe and Ito, which colour-blind readers can distinguish."""
+DASHED, LONG_DASHES, DOTTED, DASH_DOT = (0, (4, 2)), (0, (5, 1.5)), (0, (1.5, 1.5)), (0, (5, 1.5, 1, 1.5))
+"""Line styles in matplotlib's notation: offset and dash lengths in line widths."""
+
+Stroke = Mapping[str, Any]
+"""Colour and line style of the lines of one contender, the same in every picture: keyword arguments of matplotlib."""
+REFERENCE_STROKE: Stroke = {"color": INK, "linestyle": DASHED}
+"""Stroke of the reference path."""
+SHARED_STROKE: Stroke = {"color": INK, "linestyle": "-"}
+"""Stroke of signals that all runs share (gust, friction)."""
+BACKGROUND_STROKE: Stroke = {"color": MUTED, "linestyle": "-"}
+"""Stroke of lines behind the main curves."""
+
 TICK_STEPS = (1, 2, 5, 10)
 """Steps between the ticks of an axis, times a power of ten: whole numbers stay whole."""
 
-_MARKERS: dict[str, dict[str, Any]] = {
-    "ring": {"marker": "o", "fillstyle": "none"},
-    "square": {"marker": "s", "fillstyle": "none"},
-    "cross": {"marker": "x", "markeredgewidth": 1.5},
-}
+
+# -- strokes ----------------------------------------------------------------------------------------------------------
+def make_stroke(colour: str = SERIES[0], linestyle: Any = "-") -> Stroke:
+    """Return a stroke."""
+    return {"color": colour, "linestyle": linestyle}
+
+
+def strokes(labels: Iterable[str]) -> dict[str, Stroke]:
+    """Return one stroke per distinct label, in order; strokes repeat after three times the number of colours."""
+    styles, n = ("-", LONG_DASHES, DOTTED), len(SERIES)
+    return {
+        label: make_stroke(SERIES[i % n], styles[i // n % len(styles)]) for i, label in enumerate(dict.fromkeys(labels))
+    }
 
 
 # -- curves and points ------------------------------------------------------------------------------------------------
 def draw_dots(
     axes: Axes, x: ArrayLike, y: ArrayLike, colour: str = SERIES[0], marker: str = "o", size: float = 5.0, **look: Any
 ) -> None:
-    """Draw single points; marker: ring, square, cross, or one of matplotlib's; size: pt."""
-    style: dict[str, Any] = {"color": colour, "linestyle": "", "markersize": size, "zorder": 5}
-    axes.plot(x, y, **style | _MARKERS.get(marker, {"marker": marker}) | look)
+    """Draw single points; size: pt."""
+    axes.plot(x, y, color=colour, linestyle="", marker=marker, markersize=size, zorder=5, **look)
 
 
 def draw_ribbon(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str = SERIES[0]) -> None:
@@ -60,18 +89,12 @@ def write_beside(axes: Axes, x: float, y: float, text: str, offset: tuple[float,
 
 
 # -- titles, keys and scales ------------------------------------------------------------------------------------------
-def write_remark(axes: Axes, text: str) -> None:
-    """Write small words above a panel, at the right."""
-    axes.set_title(text, loc="right", fontsize=7.5, fontweight="normal", color=MUTED)
-
-
 def add_line_key(axes: Axes, entries: Iterable[tuple[str, Stroke]]) -> None:
     """Add a key of line styles in ink, at the right above the panel, level with its title."""
     from matplotlib.lines import Line2D
 
     handles = [
-        Line2D([], [], color=INK, linestyle=stroke.look["linestyle"], label=name, linewidth=1.2)
-        for name, stroke in entries
+        Line2D([], [], color=INK, linestyle=stroke["linestyle"], label=name, linewidth=1.2) for name, stroke in entries
     ]
     axes.legend(handles=handles, loc="lower right", bbox_to_anchor=(1.0, 1.015), ncols=len(handles), columnspacing=1.2)
 
@@ -91,13 +114,6 @@ def name_rows(axes: Axes, names: Sequence[str]) -> None:
     axes.yaxis.set_major_formatter(FixedFormatter(list(names)))
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.grid(axis="y", visible=False)
-
-
-def set_whole_ticks(axes: Axes) -> None:
-    """Write only whole numbers on the y axis."""
-    from matplotlib.ticker import MaxNLocator
-
-    axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=TICK_STEPS))
 
 
 def write_plainly(value: float, _: Any = None) -> str:
@@ -250,3 +266,109 @@ def _add_bar(axes: Axes, scale: ColourScale) -> None:
     bar.ax.minorticks_off()
     bar.ax.tick_params(labelsize=7.5)
     bar.outline.set_linewidth(0.5)
+
+
+# -- dots with intervals ----------------------------------------------------------------------------------------------
+PICTURE_WIDTH = 5.2
+"""inch, of the picture: its letters can be read on a telephone and are not too large beside a verdict"""
+_ROW_HEIGHT, _AXIS_HEIGHT, _MIN_HEIGHT = 0.21, 0.75, 1.6
+"""inch: of a name, of the axis with its label, of the whole picture"""
+MAX_DOTS = 14
+"""Names that fit a first screen."""
+EDGE_RATIO = 3.0
+"""Ratio to the median above which a dot is drawn at the edge."""
+_NAME_LETTERS = 40
+"""Letters of a name beside the axis."""
+
+
+class Dot(NamedTuple):
+    """A number with its interval."""
+
+    name: str
+    value: float
+    low: float = math.nan
+    """Lower end of the interval; NaN if unknown."""
+    high: float = math.nan
+    colour: str = SERIES[0]
+    failed: bool = False
+    """Drawn as a cross."""
+
+
+def dots_panel(
+    dots: Sequence[Dot], label: str, words: str = "", level: float | None = None
+) -> tuple[Panel, tuple[float, float]]:
+    """The dots from the top down on one axis, which is logarithmic where they span more than a factor of five.
+
+    label: of the axis; words: before the numbers in the alternative text; level: where an upright line is drawn.
+    Returns the panel and its size on the page (inch).
+    """
+    rows = _first_dots(dots)
+    edge = _edge(rows)
+
+    def draw(axes: Axes) -> None:
+        if level is not None:
+            axes.axvline(level, linewidth=0.9, **BACKGROUND_STROKE)
+        for row, dot in enumerate(rows):
+            _draw_dot(axes, dot, row, edge)
+        low, high, log = _limits(rows, [] if level is None else [level])
+        axes.set_xlabel(label)
+        if log:
+            set_log_scale(axes, "x", (low, high))
+        else:
+            axes.set_xlim(low, high)
+        name_rows(axes, [data_text(legible(dot.name, _NAME_LETTERS)) for dot in rows])
+
+    panel = Panel("", draw, f"{words or label}. {'; '.join(map(_describe, rows))}.")
+    return panel, (PICTURE_WIDTH, max(_MIN_HEIGHT, _AXIS_HEIGHT + _ROW_HEIGHT * len(rows)))
+
+
+def _draw_dot(axes: Axes, dot: Dot, row: int, edge: float) -> None:
+    if dot.value > edge:
+        text = f"{number(dot.value)}{', failed' if dot.failed else ''} "
+        place = axes.get_yaxis_transform()
+        axes.text(0.965, row, text, color=INK, fontsize=7.5, ha="right", va="center", transform=place)
+        axes.plot(0.985, row, ">", color=INK, markersize=5.0, transform=place)
+        return
+    if dot.low < dot.high:
+        axes.plot([dot.low, dot.high], [row, row], color=dot.colour, linewidth=2.2, alpha=0.55)
+    draw_dots(axes, [dot.value], [row], dot.colour, "X" if dot.failed else "o")
+
+
+def caption_notes(dots: Sequence[Dot]) -> str:
+    """The sentences of a caption that explain crosses, arrows and omitted dots."""
+    rows = _first_dots(dots)
+    near = [dot for dot in rows if dot.value <= _edge(rows)]
+    notes = [
+        (any(dot.failed for dot in near), "Cross: failed runs."),
+        (len(near) < len(rows), "Arrow: beyond the axis."),
+        (len(rows) < len(dots), f"The first {len(rows)} of {len(dots)}; the table has all."),
+    ]
+    return "".join(f" {note}" for applies, note in notes if applies)
+
+
+def _first_dots(dots: Sequence[Dot]) -> list[Dot]:
+    """As many finite dots as fit; the page's table has all."""
+    return [dot for dot in dots if math.isfinite(dot.value)][:MAX_DOTS]
+
+
+def _edge(dots: Sequence[Dot]) -> float:
+    """The value above which a dot would flatten all others: `EDGE_RATIO` times the median."""
+    return EDGE_RATIO * float(np.median([dot.value for dot in dots])) if dots else math.inf
+
+
+def _limits(dots: Sequence[Dot], levels: Sequence[float]) -> tuple[float, float, bool]:
+    """The ends of the axis, and whether it is logarithmic."""
+    edge = _edge(dots)
+    near = [dot for dot in dots if dot.value <= edge]
+    ends = [end for dot in near for end in (dot.value, dot.low, min(dot.high, edge)) if math.isfinite(end)]
+    ends += levels
+    low, high = min(ends, default=0.0), max(ends, default=1.0)
+    if low > 0.0 and high > 5.0 * low:
+        return low / 1.15, high * 1.15, True
+    margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
+    return low - margin, high + margin, False
+
+
+def _describe(dot: Dot) -> str:
+    interval = f", {number(dot.low)} to {number(dot.high)}" if dot.low < dot.high else ""
+    return f"{dot.name}: {number(dot.value)}{interval}{', failed' if dot.failed else ''}"

@@ -18,23 +18,10 @@ from markupsafe import Markup
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.files import PAGE_FILE, check_replaceable
-from adaptrack.base.html import content_policy
-from adaptrack.base.result import DASHES, Column, Panel, Result, ResultTable, Stroke
-from adaptrack.base.text import printable
-from adaptrack.results import draw, style
-from adaptrack.results.words import (
-    capital,
-    clock,
-    counted,
-    entry,
-    few,
-    listed,
-    number,
-    percent,
-    slug,
-    span,
-    title_of,
-)
+from adaptrack.base.presentation import content_policy, printable
+from adaptrack.base.result import Column, Panel, Result, ResultTable
+from adaptrack.results import style, words
+from adaptrack.results.marks import Stroke
 
 
 def write_result(
@@ -65,7 +52,7 @@ def write_result(
             continue
         if not re.fullmatch(r"[\w.-]+\.png", picture.file) or picture.file in files:
             raise InvalidInput(f"report: {picture.file!r} is not a name for a PNG file, or is used twice on this page.")
-        files[picture.file] = draw.picture_png(picture) if png else b""
+        files[picture.file] = style.picture_png(picture) if png else b""
     page = render_result(result, png=png, embedded=embedded).encode()
     _write_files(Path(out_dir), (files if png else {}) | {PAGE_FILE: page})
     return Path(out_dir) / PAGE_FILE
@@ -78,7 +65,7 @@ def render_result(result: Result, *, png: bool = False, embedded: Mapping[str, M
     scripts = re.findall(r"<script>(.*?)</script>", "".join((embedded or {}).values()), re.DOTALL)
     return template.render(
         result=result, record=result.record, v=result.values, title=result.title, failed=result.headline,
-        created=clock(result.created), version=__version__, png=png, titles=[],
+        created=words.clock(result.created), version=__version__, png=png, titles=[],
         policy=Markup(content_policy(scripts)),
         pictures={picture.name: picture for picture in result.pictures},
         tables={table.name: table for table in result.tables},
@@ -99,15 +86,14 @@ def _environment() -> jinja2.Environment:
     counter = itertools.count(1)
 
     def inline(panel: Panel, size: tuple[float, float] | None = None) -> Markup:
-        figure = draw.panel_figure(panel, size)
-        return Markup(style.inline_svg(figure, f"p{next(counter)}", draw.describe_panel(panel)))
+        figure = style.panel_figure(panel, size)
+        return Markup(style.inline_svg(figure, f"p{next(counter)}", style.describe_panel(panel)))
 
+    formats = ("entry", "number", "percent", "listed", "counted", "capital", "title_of", "span", "few")
+    environment.filters |= {name: getattr(words, name) for name in formats}
     environment.filters |= {
-        "inline": inline, "anchor": slug,
-        "entry": entry, "words": _holds_words, "colour": lambda stroke: style.themed(stroke.colour),
-        "dashes": _dashes,
-        "number": number, "percent": percent, "listed": listed, "counted": counted, "capital": capital,
-        "title_of": title_of, "span": span, "few": few,
+        "inline": inline, "anchor": words.slug, "words": _holds_words, "dashes": _dashes,
+        "colour": lambda stroke: style.themed(stroke["color"]),
     }  # fmt: skip
     return environment
 
@@ -126,7 +112,7 @@ def _printable(value: Any) -> Any:
 
 def _dashes(stroke: Stroke) -> str:
     """The SVG dash pattern of a stroke 2 wide; empty for a solid line."""
-    pattern = DASHES[stroke.dash]
+    pattern = stroke["linestyle"]
     return "" if pattern == "-" else " ".join(f"{2 * length:g}" for length in pattern[1])
 
 

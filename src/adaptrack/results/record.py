@@ -1,26 +1,34 @@
-"""A run along its road for the road from above and the replay: pose, offset, steering, speed."""
+"""A run along its road (pose, offset, steering, speed), and the road from above with the driven line."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Self
+from functools import partial
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
+from adaptrack.base.result import Panel, Picture
 from adaptrack.cars.outline import Outline
 from adaptrack.cars.vehicle import Vehicle
+from adaptrack.core.maths import portable
 from adaptrack.core.simulation.run import TRACE_SIGNALS
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory
+from adaptrack.results import marks
+from adaptrack.results.words import data_text, span
 from adaptrack.road import Road
 from adaptrack.road.road_ahead import foot_near
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 SPEED_SIGNALS = (
@@ -183,3 +191,126 @@ def on_road(run: Trajectory, road: Road) -> Trajectory:
     feet[:, 2] = np.remainder(run.psi - feet[:, 2] + np.pi, 2.0 * np.pi) - np.pi
     names = (*TRACE_SIGNALS._fields[TRACE_SIGNALS.station :], "curvature")
     return dataclasses.replace(run, road=dict(zip(names, feet.T, strict=True)))
+
+
+# -- the road from above ----------------------------------------------------------------------------------------------
+Drives = Mapping[str, DriveRecord]
+"""Label -> drive, in the order of the legend."""
+
+PIECES = 1500
+"""Pieces of the coloured line."""
+
+SAGITTA, LONGEST_CHORD = 0.01, 20.0
+"""m: largest distance of a drawn edge's chord from its arc, and the longest chord."""
+
+ON_PAGE, IN_COLUMNS, IN_PRINT = (5.2, 4.0), (2.7, 4.0), (7.2, 5.0)
+"""inch, width and largest height of the road from above: alone on the page, one of several, and a printed figure."""
+
+
+def check_one_road(drives: Sequence[DriveRecord]) -> None:
+    """Refuse drives that are not on one road.
+
+    Raises
+    ------
+    InvalidInput
+        When there is no drive, or they are not on one road.
+    """
+    if not drives:
+        raise InvalidInput("a page or picture of drives needs at least one.")
+    if any(drive.road is not drives[0].road for drive in drives):
+        raise InvalidInput("drives on one page must share their road: give all of them the same Road object.")
+
+
+def offset_scale(drives: Sequence[DriveRecord]) -> float:
+    """The |e| (m) at the end of the colours: a round number above the largest of the drives that did not fail.
+
+    Where all failed, above their 95th percentiles, since a car that left the road may be anywhere; at least 0.05.
+    """
+    completed = [drive.max_offset for drive in drives if not drive.failed]
+    high = max(0.05, *(completed or [drive.p95_offset for drive in drives]))
+    decade = portable.power(10.0, math.floor(portable.log10(high)))
+    steps = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+    return next(step * decade for step in steps if step * decade >= high * (1.0 - 1e-9))
+
+
+def outline_stations(road: Road, start: float, end: float) -> Array:
+    """Arc lengths (m) from `start` to `end` at which the road's edges are drawn: closer together in bends.
+
+    Chords of an arc of curvature kappa that lie within `SAGITTA` of it are sqrt(8 SAGITTA/kappa) long.
+    """
+    s = np.linspace(start, end, max(3, math.ceil(end - start) + 1))
+    density = np.maximum(np.sqrt(np.abs(road.at(s).curvature) / (8.0 * SAGITTA)), 1.0 / LONGEST_CHORD)
+    count = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(s))])
+    evenly = np.interp(np.linspace(0.0, count[-1], max(3, math.ceil(count[-1]) + 1)), count, s)
+    changes = np.array([*road.width_left.s, *road.width_right.s])
+    return np.union1d(evenly, changes[(changes > start) & (changes < end)])
+
+
+def road_span(drives: Sequence[DriveRecord]) -> tuple[float, float]:
+    """Start and end (m) of the drawn part of the road, including drives beyond the ends of an open one."""
+    road = drives[0].road
+    if road.closed:
+        return 0.0, road.length
+    low, high = (float(pick([pick(drive.station) for drive in drives])) for pick in (np.min, np.max))
+    return min(0.0, low), max(road.length, high)
+
+
+def above_picture(drives: Drives) -> Picture:
+    """The road from above with the driven line coloured by |e|; a panel a drive, two in a row.
+
+    Raises
+    ------
+    InvalidInput
+        As `check_one_road`.
+    """
+    records, alone = list(drives.values()), len(drives) == 1
+    check_one_road(records)
+    ends, high = road_span(records), offset_scale(records)
+    beyond = max(drive.max_offset for drive in records) > high
+    scale = marks.ColourScale(0.0, high, "|e| (m)", deviation=True, beyond="max" if beyond else "neither")
+    panels = [
+        Panel(
+            "" if alone else data_text(label), partial(_draw_from_above, drive=drive, scale=scale, ends=ends),
+            f"The road from above with the driven line. {label}: |e| up to {span(np.array([drive.max_offset]))} m.",
+        )
+        for label, drive in drives.items()
+    ]  # fmt: skip
+    caption = (
+        "The road from above, the driven line coloured by the offset |e| of the centre of mass from the centre line. "
+        "Cross: failed."
+    )
+    width, tallest = ON_PAGE if alone else IN_COLUMNS
+    columns = 1 if alone else 2
+    return Picture(
+        "above", caption, panels, file="above.png", columns=columns,
+        row_height=_row_height(records, IN_PRINT[0] / columns, IN_PRINT[1]),
+        size=(width, _row_height(records, width, tallest)),
+    )  # fmt: skip
+
+
+def _row_height(drives: Sequence[DriveRecord], width: float, tallest: float) -> float:
+    """inch, of a panel of that width (inch) that the road fills, within bounds."""
+    road = drives[0].road
+    points = road.at(outline_stations(road, *road_span(drives)))
+    x_range, y_range = (float(np.ptp(values)) for values in points[:2])
+    return min(max(0.75 * width * y_range / max(x_range, 1.0) + 0.8, 0.45 * width), tallest)
+
+
+def _draw_from_above(axes: Axes, drive: DriveRecord, scale: marks.ColourScale, ends: tuple[float, float]) -> None:
+    left, right = drive.road.edges(outline_stations(drive.road, *ends))
+    surface = np.concatenate([left, right[::-1]])
+    axes.fill(*surface.T, facecolor=marks.PALE, edgecolor="none", linewidth=0.6, zorder=1)
+    for edge in (left, right):
+        axes.plot(*edge.T, **marks.BACKGROUND_STROKE, linewidth=0.6)
+    pick = np.unique(np.linspace(0, len(drive) - 1, PIECES + 1).astype(int))
+    worst = np.maximum.reduceat(np.abs(drive.offset), pick[:-1])
+    marks.draw_coloured_line(axes, drive.x[pick], drive.y[pick], worst, scale)
+    x, y = float(drive.x[0]), float(drive.y[0])
+    marks.draw_dots(axes, [x], [y], marks.INK, size=4.0)
+    marks.write_beside(axes, x, y, "start")
+    if drive.failed:
+        x, y = float(drive.x[-1]), float(drive.y[-1])
+        marks.draw_dots(axes, [x], [y], marks.INK, "x", 8.0, markeredgewidth=1.5)
+        marks.write_beside(axes, x, y, "failed", (6.0, -10.0))
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+    axes.set_aspect("equal", adjustable="datalim")

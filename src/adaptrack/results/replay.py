@@ -16,12 +16,11 @@ import numpy as np
 from markupsafe import Markup
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.text import printable
+from adaptrack.base.presentation import printable
 from adaptrack.core.maths import portable
 from adaptrack.drive.predicted_paths import PredictedPaths
+from adaptrack.results import record
 from adaptrack.results.marks import deviation_colours
-from adaptrack.results.record import SPEED_SIGNALS, Array, DriveRecord
-from adaptrack.results.road_pictures import Drives, offset_scale, outline_stations, road_span
 from adaptrack.road import Road
 
 PERIOD = 0.05
@@ -33,7 +32,7 @@ REPLAY_UNITS = {
 }  # fmt: skip
 """The columns of a replay and the units to which they are rounded (s, m, rad, m/s)."""
 
-SPEED_SIGNAL_UNITS = dict.fromkeys(SPEED_SIGNALS, 1e-3)
+SPEED_SIGNAL_UNITS = dict.fromkeys(record.SPEED_SIGNALS, 1e-3)
 """The same of a drive with a speed control (m/s, m/s^2, -)."""
 
 PREDICTED_UNIT = 1e-2
@@ -47,7 +46,7 @@ STYLE = "viewer.css"
 """Files of `adaptrack/export/page` that draw a drive on both pages."""
 
 
-def replay(drives: Drives) -> Markup:
+def replay(drives: record.Drives) -> Markup:
     """The replay of drives on one road, as a part of a page. A page holds one.
 
     Raises
@@ -78,12 +77,12 @@ def replay(drives: Drives) -> Markup:
     )
 
 
-def replay_data(drives: Drives) -> dict[str, Any]:
+def replay_data(drives: record.Drives) -> dict[str, Any]:
     """Return the data of the replay: the road's edges, the colour scale, and each car with outline and columns."""
     records = list(drives.values())
     return {
-        "road": _road(records[0].road, road_span(records)),
-        "top": offset_scale(records),
+        "road": _road(records[0].road, record.road_span(records)),
+        "top": record.offset_scale(records),
         "shades": _shades(),
         "period": round(float(np.median(np.diff(records[0].time[sample_indices(records[0])]))), 6),
         "cars": [_car(label, drive) for label, drive in drives.items()],
@@ -98,7 +97,7 @@ def _shades() -> list[str]:
     return [to_hex(colours(share)) for share in np.linspace(0.0, 1.0, SHADES)]
 
 
-def pack_column(values: Array, unit: float) -> dict[str, Any]:
+def pack_column(values: record.Array, unit: float) -> dict[str, Any]:
     """A column as its first value and the first differences, in whole units, little-endian, in 1, 2 or 4 bytes each.
 
     Raises
@@ -115,7 +114,7 @@ def pack_column(values: Array, unit: float) -> dict[str, Any]:
     return {"first": int(units[0]), "unit": unit, "size": size, "bytes": coded}
 
 
-def sample_indices(drive: DriveRecord) -> np.ndarray:
+def sample_indices(drive: record.DriveRecord) -> np.ndarray:
     """The indices of the instants that the replay holds: the first of each `PERIOD`, and the last of all."""
     due = np.floor((drive.time - drive.time[0]) / PERIOD + 1e-6)
     return np.unique([*np.flatnonzero(np.diff(due, prepend=-1.0) > 0.0), len(drive) - 1])
@@ -130,7 +129,7 @@ def _shared(name: str) -> str:
 
 
 def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
-    s = outline_stations(road, *ends)
+    s = record.outline_stations(road, *ends)
     left, right = road.edges(s)
     points = road.at(s)
     lines = {"x": points.x, "y": points.y, "left_x": left[:, 0], "left_y": left[:, 1]} | {
@@ -139,7 +138,7 @@ def _road(road: Road, ends: tuple[float, float]) -> dict[str, Any]:
     return {"name": road.name, "closed": road.closed} | {name: pack_column(line, 1e-2) for name, line in lines.items()}
 
 
-def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
+def _car(label: str, drive: record.DriveRecord) -> dict[str, Any]:
     keep = sample_indices(drive)
     columns = {name: getattr(drive, name)[keep] for name in REPLAY_UNITS}
     columns["yaw"] = np.unwrap(drive.yaw)[keep]
@@ -158,7 +157,7 @@ def _car(label: str, drive: DriveRecord) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _predicted(paths: PredictedPaths, drive: DriveRecord, keep: np.ndarray) -> dict[str, Any] | None:
+def _predicted(paths: PredictedPaths, drive: record.DriveRecord, keep: np.ndarray) -> dict[str, Any] | None:
     """Predicted paths in the car's axes, from the last sample at or before each, where their numbers change slowly."""
     usable = np.isfinite(paths.points).all(axis=(1, 2)) & (paths.time <= drive.time[-1] + 1e-9)
     at, rows = np.unique(

@@ -7,9 +7,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from adaptrack.base.result import Column, Picture, Result, ResultTable, Row, strokes
+from adaptrack.base.result import Column, Picture, Result, ResultTable, Row
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.paper.reproduce import PAPER_TESTS, Reproduction
+from adaptrack.results.marks import strokes
 from adaptrack.results.run_pictures import conditions_picture, speed_picture, tracking_picture
 from adaptrack.results.words import number, title_of
 
@@ -65,8 +66,8 @@ SHARE_COLUMNS = (
 )
 
 
-def reproduction_result(reproduction: Reproduction, command: str = "") -> Result:
-    """The paper's experiment as a result; command: the command line that repeats it."""
+def reproduction_result(reproduction: Reproduction) -> Result:
+    """The paper's experiment as a result."""
     published = [row for row in _select(reproduction.rows, "released") if row["paper_mse"] is not None]
     near = [row for row in published if row["ratio"] is not None and abs(row["ratio"] - 1.0) <= MSE_TOLERANCE]
     failed = sum(row["failed"] for row in reproduction.rows)
@@ -96,7 +97,6 @@ def reproduction_result(reproduction: Reproduction, command: str = "") -> Result
             "tuning": "/".join(f"{value:.3g}" for value in reproduction.constant.tuning.as_array()),
             "records": json.dumps([run.meta for _, run in reproduction.runs], indent=1, ensure_ascii=False),
         },
-        command=command,
         created=max(str(run.meta.get("created", "")) for _, run in reproduction.runs),
     )  # fmt: skip
 

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adaptrack.base.result import (
-    BACKGROUND_STROKE,
-    INK,
-    MUTED,
-    SERIES,
-    Column,
-    Panel,
-    Picture,
-    Result,
-    ResultTable,
-    Stroke,
-)
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable
 from adaptrack.core.maths import portable
-from adaptrack.results.answers import road_answer
-from adaptrack.results.marks import ColourScale, draw_coloured_line, draw_dots
-from adaptrack.results.words import data_text
+from adaptrack.results import marks
+from adaptrack.results.words import data_text, length
 from adaptrack.road import Finding, Road, SpeedPlan
 
 if TYPE_CHECKING:
@@ -67,7 +55,7 @@ def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -
     return Result(
         kind="road",
         title=road.name,
-        answer=road_answer(summary, len(barred)),
+        answer=_answer(summary, len(barred)),
         record={
             **summary, "drivable": not barred, "notes": list(road.notes), "limits": limits_record(plan),
             "rows": [asdict(finding) for finding in findings],
@@ -77,6 +65,19 @@ def road_result(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) -
         pictures=[road_picture(road, plan, findings)],
         failed=bool(barred),
     )  # fmt: skip
+
+
+def _answer(summary: Mapping[str, Any], barred: int) -> str:
+    """Drivability, length, bends and speeds of a road; barred: number of places that cannot be driven."""
+    radius = summary["smallest_radius"]
+    bends = "straight" if radius is None else f"tightest radius {length(radius)}"
+    speeds = " to ".join(dict.fromkeys(f"{summary[end]:.3g}" for end in ("slowest", "fastest"))) + " m/s"
+    slopes = [100.0 * summary[name] for name in ("least_grade", "largest_grade")]
+    grades = f", grades {slopes[0]:.2g} to {slopes[1]:.2g} %" if any(slopes) else ""
+    description = f"{length(summary['length'])}, {bends}{grades}, {speeds}, {summary['duration']:.0f} s"
+    if barred:
+        return f"The road cannot be driven at {barred} {'place' if barred == 1 else 'places'} ({description})."
+    return f"The road can be driven: {description}."
 
 
 def limits_record(plan: SpeedPlan) -> dict[str, Any]:
@@ -129,24 +130,24 @@ def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) 
     barred = [finding for finding in findings if not finding.drivable]
 
     def draw_curvature(axes: Axes) -> None:
-        axes.plot(s, road.at(s).curvature, **Stroke().look)
+        axes.plot(s, road.at(s).curvature, color=marks.SERIES[0])
         label_station(axes, "Curvature (1/m)")
 
     def draw_grade(axes: Axes) -> None:
-        axes.plot(s, 100.0 * road.along("grade", s), **Stroke().look)
+        axes.plot(s, 100.0 * road.along("grade", s), color=marks.SERIES[0])
         label_station(axes, "Grade (%)")
 
     def draw_speed(axes: Axes) -> None:
-        axes.plot(s, plan.at(s), **Stroke().look)
+        axes.plot(s, plan.at(s), color=marks.SERIES[0])
         if road.speed_limit is not None:
-            axes.plot(s, road.along("speed_limit", s), **Stroke(MUTED, "dashed").look)
+            axes.plot(s, road.along("speed_limit", s), color=marks.MUTED, linestyle=marks.DASHED)
         label_station(axes, "Speed (m/s)")
         axes.set_ylim(bottom=0.0)
 
     def label_station(axes: Axes, label: str) -> None:
         for finding in barred:
             end = max(finding.end, finding.start + 0.003 * road.length)
-            axes.axvspan(finding.start, end, color=SERIES[1], alpha=0.3, linewidth=0.0)
+            axes.axvspan(finding.start, end, color=marks.SERIES[1], alpha=0.3, linewidth=0.0)
         axes.set(xlabel="Distance along the road (m)", xlim=(0.0, road.length), ylabel=label)
 
     lap = "lap of " if road.closed else ""
@@ -165,16 +166,17 @@ def road_picture(road: Road, plan: SpeedPlan, findings: Sequence[Finding] = ()) 
 def _draw_from_above(axes: Axes, road: Road, plan: SpeedPlan, s: np.ndarray, barred: Sequence[Finding]) -> None:
     points, speed = road.at(s), plan.at(s)
     for edge in road.edges(s):
-        axes.plot(*edge.T, **BACKGROUND_STROKE.look, linewidth=0.5)
+        axes.plot(*edge.T, **marks.BACKGROUND_STROKE, linewidth=0.5)
     slowest, fastest = float(speed.min()), float(speed.max())
-    scale = ColourScale(slowest, max(fastest, slowest + 0.1), "Speed (m/s)")
-    draw_coloured_line(axes, points.x, points.y, speed[:-1], scale)
+    scale = marks.ColourScale(slowest, max(fastest, slowest + 0.1), "Speed (m/s)")
+    marks.draw_coloured_line(axes, points.x, points.y, speed[:-1], scale)
     places = [road.at(0.5 * (finding.start + finding.end)) for finding in barred]
-    draw_dots(axes, [float(place.x) for place in places], [float(place.y) for place in places], SERIES[1], "cross", 8.0)
+    x, y = [float(place.x) for place in places], [float(place.y) for place in places]
+    marks.draw_dots(axes, x, y, marks.SERIES[1], "x", 8.0, markeredgewidth=1.5)
     arrow = 0.03 * portable.hypot(float(np.ptp(points.x)), float(np.ptp(points.y)))
     start = road.at(0.0)
-    x, y, heading = float(start.x), float(start.y), float(start.heading)
-    tip = x + arrow * portable.cos(heading), y + arrow * portable.sin(heading)
-    axes.annotate("", tip, (x, y), arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 1.5})
+    tail, heading = (float(start.x), float(start.y)), float(start.heading)
+    tip = tail[0] + arrow * portable.cos(heading), tail[1] + arrow * portable.sin(heading)
+    axes.annotate("", tip, tail, arrowprops={"arrowstyle": "-|>", "color": marks.INK, "linewidth": 1.5})
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="datalim")

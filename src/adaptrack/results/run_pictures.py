@@ -1,4 +1,4 @@
-"""Signals of runs: over time as in the paper's figures 6 to 10, along a road over the station."""
+"""Signals of runs, over time as in the paper's figures 6 to 10 or along a road, and learned quantities."""
 
 from __future__ import annotations
 
@@ -6,40 +6,22 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack.base.errors import InvalidInput
-from adaptrack.base.result import (
-    BACKGROUND_STROKE,
-    INK,
-    REFERENCE_STROKE,
-    SHARED_STROKE,
-    Dash,
-    Panel,
-    Picture,
-    Stroke,
-    strokes,
-)
+from adaptrack.base.result import Panel, Picture
 from adaptrack.control.controllers.tuning import ENTRIES
 from adaptrack.control.speed_control import SpeedLimit
+from adaptrack.core.estimators.learning import LEARNED, LOGARITHMIC
+from adaptrack.core.kernel import Field, fields_of
 from adaptrack.core.maths import portable
 from adaptrack.drive.failure import find_failure
 from adaptrack.drive.trajectory import Trajectory
-from adaptrack.results.marks import (
-    add_degrees,
-    add_line_key,
-    draw_dots,
-    draw_ribbon,
-    include_y,
-    name_rows,
-    set_log_scale,
-    set_whole_ticks,
-    write_remark,
-)
-from adaptrack.results.words import data_text, plain, span
+from adaptrack.results import marks
+from adaptrack.results.words import capital, data_text, plain, span
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,7 +46,7 @@ class DrawnRun:
 
     label: str
     run: Trajectory
-    stroke: Stroke
+    stroke: marks.Stroke
     failed: bool
     end: float
     """s, end of the scenario, also for a run that failed before"""
@@ -78,8 +60,8 @@ class DrawnRun:
 Lines = Sequence[DrawnRun]
 
 
-def prepare_runs(runs: Runs, line_styles: Mapping[str, Stroke] | None = None) -> list[DrawnRun]:
-    """The runs with their strokes, those that failed cut at the instant of the failure.
+def prepare_runs(runs: Runs, line_styles: Mapping[str, marks.Stroke] | None = None) -> list[DrawnRun]:
+    """The runs with their marks.strokes, those that failed cut at the instant of the failure.
 
     Raises
     ------
@@ -88,7 +70,7 @@ def prepare_runs(runs: Runs, line_styles: Mapping[str, Stroke] | None = None) ->
     """
     if not runs:
         raise InvalidInput("figure: at least one run is needed.")
-    line_styles = line_styles or strokes(runs)
+    line_styles = line_styles or marks.strokes(runs)
     missing = [label for label in runs if label not in line_styles]
     if missing:
         raise InvalidInput(f"figure: no stroke for {', '.join(map(repr, missing))}.")
@@ -140,7 +122,7 @@ def speed_panel(lines: Lines, title: str = "Speed") -> Panel:
     def draw(axes: Axes) -> None:
         for line in lines:
             _draw_curve(axes, line, line.run.vx)
-        _draw_shared(axes, lines, lambda run: run.road.get("planned_speed", run.v_ref), REFERENCE_STROKE)
+        _draw_shared(axes, lines, lambda run: run.road.get("planned_speed", run.v_ref), marks.REFERENCE_STROKE)
         if all(np.nanmin(line.run.vx, initial=0.0) >= 0.0 for line in lines):
             axes.set_ylim(bottom=0.0)
         _draw_crosses(axes, lines, speed)
@@ -170,7 +152,12 @@ def speed_control_panels(lines: Lines) -> list[Panel]:
     def draw_speeds(axes: Axes) -> None:
         speed.draw(axes)
         for line in lines:
-            _draw_curve(axes, line, _diagnostic("governed_speed")(line.run), Stroke(line.stroke.colour, "dotted"))
+            _draw_curve(
+                axes,
+                line,
+                _diagnostic("governed_speed")(line.run),
+                marks.make_stroke(line.stroke["color"], marks.DOTTED),
+            )
 
     acceleration = _signal(
         "Longitudinal acceleration", "Long. acc. (m/s²)", lines, _diagnostic("longitudinal_acceleration")
@@ -190,10 +177,10 @@ def _assumed_friction(lines: Lines) -> Panel:
     def draw(axes: Axes) -> None:
         _draw_shared(axes, lines, lambda run: run.friction.mean(axis=1))
         for line in lines:
-            draw_ribbon(axes, line.x, low(line.run), high(line.run), line.stroke.colour)
+            marks.draw_ribbon(axes, line.x, low(line.run), high(line.run), line.stroke["color"])
             _draw_curve(axes, line, low(line.run))
             _draw_curve(axes, line, high(line.run))
-        include_y(axes, 0.0, 1.0)
+        marks.include_y(axes, 0.0, 1.0)
 
     title = "Friction: assumed interval, true (black)"
     return _panel(title, "Friction (–)", lines, lambda run: np.concatenate([low(run), high(run)]), draw)
@@ -215,8 +202,8 @@ def _limits_band(lines: Lines) -> Panel:
                 start, end = float(line.x[first]), float(line.x[min(last, len(line.run) - 1)])
                 if np.isfinite(code[first]):
                     bottom = rows.index(int(code[first])) - 0.4 + k * height
-                    axes.broken_barh([(start, max(end - start, 0.0))], (bottom, height), color=line.stroke.colour)
-        name_rows(axes, [limits[row] for row in rows])
+                    axes.broken_barh([(start, max(end - start, 0.0))], (bottom, height), color=line.stroke["color"])
+        marks.name_rows(axes, [limits[row] for row in rows])
 
     panel = _panel("Speed limited by", "", lines, codes, draw)
     shares = "; ".join(
@@ -240,15 +227,16 @@ def _signal(
 
     def draw(axes: Axes) -> None:
         if reference is None:
-            axes.axhline(0.0, linewidth=0.7, **BACKGROUND_STROKE.look)
+            axes.axhline(0.0, linewidth=0.7, **marks.BACKGROUND_STROKE)
         for line in lines:
             _draw_curve(axes, line, value(line.run))
         if reference is not None:
-            _draw_shared(axes, lines, reference, REFERENCE_STROKE)
+            _draw_shared(axes, lines, reference, marks.REFERENCE_STROKE)
         if limits:
             axes.set_ylim(limits)
         _draw_crosses(axes, lines, value)
-        write_remark(axes, ",  ".join(filter(None, (start, remark))))
+        remarks = ",  ".join(filter(None, (start, remark)))
+        axes.set_title(remarks, loc="right", fontsize=7.5, fontweight="normal", color=marks.MUTED)
 
     return _panel(title, label, lines, value, draw)
 
@@ -262,12 +250,13 @@ def _steering(lines: Lines) -> Panel:
     def draw(axes: Axes) -> None:
         if len(lines) == 1:
             command = lines[0].run.command
-            _draw_curve(axes, lines[0], command, BACKGROUND_STROKE, linewidth=0.8, drawstyle="steps-post")
+            _draw_curve(axes, lines[0], command, marks.BACKGROUND_STROKE, linewidth=0.8, drawstyle="steps-post")
         for line in holding:
             is_held = line.run.held
-            draw_dots(axes, line.x[is_held], line.run.steering[is_held], line.stroke.colour, "square", 3.0)
+            points = line.x[is_held], line.run.steering[is_held]
+            marks.draw_dots(axes, *points, line.stroke["color"], "s", 3.0, fillstyle="none")
         signal.draw(axes)
-        add_degrees(axes)
+        marks.add_degrees(axes)
 
     return replace(signal, draw=draw)
 
@@ -289,30 +278,31 @@ def condition_panels(lines: Lines) -> list[Panel]:
 
 
 def _gust(lines: Lines) -> Panel:
-    longitudinal = Stroke(INK, "dashed")
+    longitudinal = marks.make_stroke(marks.INK, marks.DASHED)
 
     def draw(axes: Axes) -> None:
-        axes.axhline(0.0, linewidth=0.7, **BACKGROUND_STROKE.look)
+        axes.axhline(0.0, linewidth=0.7, **marks.BACKGROUND_STROKE)
         _draw_shared(axes, lines, lambda run: run.wind[:, 1])
         if any(line.run.wind[:, 0].any() for line in lines):
             _draw_shared(axes, lines, lambda run: run.wind[:, 0], longitudinal)
-            add_line_key(axes, [("lateral", SHARED_STROKE), ("longitudinal", longitudinal)])
+            marks.add_line_key(axes, [("lateral", marks.SHARED_STROKE), ("longitudinal", longitudinal)])
 
     return _panel("Lateral gust", "Wind speed (m/s)", lines, lambda run: run.wind[:, 1], draw)
 
 
 def _friction(lines: Lines) -> Panel:
-    dashes: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dash-dot")
+    dashes = ("-", marks.DASHED, marks.DOTTED, marks.DASH_DOT)
     wheels = [
-        (wheel, name, Stroke(INK, dash)) for dash, (wheel, name) in zip(dashes, _distinct_wheels(lines), strict=False)
+        (wheel, name, marks.make_stroke(marks.INK, dash))
+        for dash, (wheel, name) in zip(dashes, _distinct_wheels(lines), strict=False)
     ]
 
     def draw(axes: Axes) -> None:
         for wheel, _, stroke in wheels:
             _draw_shared(axes, lines, lambda run, wheel=wheel: run.friction[:, wheel], stroke)  # type: ignore[misc]
-        include_y(axes, 0.45, 1.0)
+        marks.include_y(axes, 0.45, 1.0)
         if len(wheels) > 1:
-            add_line_key(axes, [(name, stroke) for _, name, stroke in wheels])
+            marks.add_line_key(axes, [(name, stroke) for _, name, stroke in wheels])
 
     return _panel("Road friction", "Friction coefficient (–)", lines, lambda run: run.friction, draw)
 
@@ -321,11 +311,15 @@ def _horizons(lines: Lines) -> Panel:
     top = 1.08 * max(float(line.run.tuning["Np"].max()) for line in lines if "Np" in line.run.tuning)
 
     def draw(axes: Axes) -> None:
+        from matplotlib.ticker import MaxNLocator
+
         _draw_tuning(axes, lines, "Np")
-        _draw_tuning(axes, lines, "Nc", "dotted")
+        _draw_tuning(axes, lines, "Nc", marks.DOTTED)
         axes.set_ylim(0.0, top)
-        set_whole_ticks(axes)
-        add_line_key(axes, [("$N_p$", SHARED_STROKE), ("$N_c$", Stroke(INK, "dotted"))])
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=6, steps=marks.TICK_STEPS))
+        marks.add_line_key(
+            axes, [("$N_p$", marks.SHARED_STROKE), ("$N_c$", marks.make_stroke(marks.INK, marks.DOTTED))]
+        )
 
     return _panel("Horizons", "Control periods (–)", lines, tuning_signal("Nc", "Np"), draw)
 
@@ -340,9 +334,9 @@ def _weights(lines: Lines) -> Panel:
 
     def draw(axes: Axes) -> None:
         _draw_tuning(axes, lines, "Q")
-        _draw_tuning(axes, lines, "R", "dotted")
-        set_log_scale(axes, "y", limits)
-        add_line_key(axes, [("$Q$", SHARED_STROKE), ("$R$", Stroke(INK, "dotted"))])
+        _draw_tuning(axes, lines, "R", marks.DOTTED)
+        marks.set_log_scale(axes, "y", limits)
+        marks.add_line_key(axes, [("$Q$", marks.SHARED_STROKE), ("$R$", marks.make_stroke(marks.INK, marks.DOTTED))])
 
     return _panel("Weights", "$Q$ (1/m²), $R$ (1/rad²)", lines, tuning_signal("Q", "R"), draw)
 
@@ -358,10 +352,10 @@ def tuning_signal(*names: str) -> RunSignal:
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------
-def _draw_curve(axes: Axes, line: DrawnRun, values: Array, stroke: Stroke | None = None, **look: Any) -> None:
+def _draw_curve(axes: Axes, line: DrawnRun, values: Array, stroke: marks.Stroke | None = None, **look: Any) -> None:
     """Draw a signal of a run over its horizontal axis."""
     keep = thin_curve(values)
-    axes.plot(line.x[keep], values[keep], **(stroke or line.stroke).look, **look)
+    axes.plot(line.x[keep], values[keep], **(stroke or line.stroke), **look)
 
 
 def thin_curve(values: Array, most: int = CURVE_POINTS) -> NDArray[np.int64]:
@@ -382,17 +376,17 @@ def turning_part(time: Array, yaw_rate: Array, seconds: float) -> slice:
     return slice(first, int(ends[first]))
 
 
-def _draw_shared(axes: Axes, lines: Lines, value: RunSignal, stroke: Stroke = SHARED_STROKE) -> None:
+def _draw_shared(axes: Axes, lines: Lines, value: RunSignal, stroke: marks.Stroke = marks.SHARED_STROKE) -> None:
     """Draw a signal of the scenario, which all runs share, from the longest run."""
     longest = max(lines, key=lambda line: len(line.run))
     _draw_curve(axes, longest, value(longest.run), stroke, linewidth=1.0)
 
 
-def _draw_tuning(axes: Axes, lines: Lines, name: str, dash: Dash = "solid") -> None:
+def _draw_tuning(axes: Axes, lines: Lines, name: str, linestyle: Any = "-") -> None:
     """Draw a tuning entry of all runs that have it, as steps."""
     for line in lines:
         if name in line.run.tuning:
-            stroke = Stroke(line.stroke.colour, dash)
+            stroke = marks.make_stroke(line.stroke["color"], linestyle)
             _draw_curve(axes, line, line.run.tuning[name], stroke, drawstyle="steps-post")
 
 
@@ -404,7 +398,7 @@ def _draw_crosses(axes: Axes, lines: Lines, value: RunSignal) -> None:
         if line.failed and finite.size:
             last = finite[-1]
             x, y = np.clip(line.x[last], *axes.get_xlim()), np.clip(values[last], *axes.get_ylim())
-            look: dict[str, Any] = {"color": line.stroke.colour, "markersize": 6.0, "markeredgewidth": 1.8}
+            look: dict[str, Any] = {"color": line.stroke["color"], "markersize": 6.0, "markeredgewidth": 1.8}
             axes.plot([x], [y], "x", scalex=False, scaley=False, clip_on=False, **look)
 
 
@@ -453,22 +447,22 @@ def _extent(values: Array) -> tuple[float, float] | None:
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
 def speed_picture(
-    scenarios: Mapping[str, Runs], line_styles: Mapping[str, Stroke] | None = None, caption: str = ""
+    scenarios: Mapping[str, Runs], line_styles: Mapping[str, marks.Stroke] | None = None, caption: str = ""
 ) -> Picture:
     """Fig. 6: the speed profile of each scenario (dashed), and the speeds that were driven."""
-    line_styles = line_styles or strokes(label for runs in scenarios.values() for label in runs)
+    line_styles = line_styles or marks.strokes(label for runs in scenarios.values() for label in runs)
     lines = {name: prepare_runs(runs, line_styles) for name, runs in scenarios.items()}
     panels = [speed_panel(group, data_text(name)) for name, group in lines.items()]
-    key = {"Profile": REFERENCE_STROKE} | {line.label: line.stroke for group in lines.values() for line in group}
+    key = {"Profile": marks.REFERENCE_STROKE} | {line.label: line.stroke for group in lines.values() for line in group}
     return Picture("speed", caption, panels, list(key.items()), "speed.png", row_height=2.3)
 
 
 def tracking_picture(
-    runs: Runs, line_styles: Mapping[str, Stroke] | None = None, name: str = "tracking", caption: str = ""
+    runs: Runs, line_styles: Mapping[str, marks.Stroke] | None = None, name: str = "tracking", caption: str = ""
 ) -> Picture:
     """Figs. 8 and 10: `tracking_panels`, over time, or over the station along a road."""
     lines = prepare_runs(runs, line_styles)
-    key = [("Reference", REFERENCE_STROKE), *((line.label, line.stroke) for line in lines)]
+    key = [("Reference", marks.REFERENCE_STROKE), *((line.label, line.stroke) for line in lines)]
     columns = 1 if any(run.road for run in runs.values()) else 2
     return Picture(
         name, caption, tracking_panels(lines), key, f"{name}.png", columns, row_height=1.7 if columns == 1 else 2.25
@@ -476,11 +470,11 @@ def tracking_picture(
 
 
 def speed_control_picture(
-    runs: Runs, line_styles: Mapping[str, Stroke] | None = None, name: str = "speed-control"
+    runs: Runs, line_styles: Mapping[str, marks.Stroke] | None = None, name: str = "speed-control"
 ) -> Picture:
     """`speed_control_panels` over the station along a road."""
     lines = prepare_runs(runs, line_styles)
-    key = [("Reference", REFERENCE_STROKE), *((line.label, line.stroke) for line in lines)]
+    key = [("Reference", marks.REFERENCE_STROKE), *((line.label, line.stroke) for line in lines)]
     caption = (
         "Speed control: speeds, longitudinal acceleration, used grip, assumed friction, and what limits the speed."
     )
@@ -488,9 +482,91 @@ def speed_control_picture(
 
 
 def conditions_picture(
-    runs: Runs, line_styles: Mapping[str, Stroke] | None = None, name: str = "conditions", caption: str = ""
+    runs: Runs, line_styles: Mapping[str, marks.Stroke] | None = None, name: str = "conditions", caption: str = ""
 ) -> Picture:
     """Figs. 7 and 9: gust, friction, horizons Nc and Np, weights Q and R, as far as the runs have them."""
     lines = prepare_runs(runs, line_styles)
     key = [(line.label, line.stroke) for line in lines]
     return Picture(name, caption, condition_panels(lines), key, f"{name}.png")
+
+
+# -- learned quantities -----------------------------------------------------------------------------------------------
+_LABELS = {"friction": "μ (–)", "bank": "Acceleration (m/s²)"} | dict.fromkeys(LOGARITHMIC[:2], "Factor (–)")
+
+
+def _label(quantity: Field) -> tuple[str, str, str]:
+    """Title, label and unit of a learned quantity."""
+    unit = quantity.unit.replace("^2", "²")
+    return capital(quantity.meaning), _LABELS.get(quantity.name, f"{capital(quantity.name)} ({unit})"), unit
+
+
+LABELS = {quantity.name: _label(quantity) for quantity in fields_of(LEARNED)}
+"""Learned quantities by name: title, label and unit."""
+DRAWN = ("delay", *(name for name in LABELS if name not in ("delay", "dead_time", "balance")))
+
+
+class Learnt(NamedTuple):
+    """Course of a learned quantity over a drive, arrays (n,)."""
+
+    mean: Array
+    low: Array
+    """Mean minus one standard deviation."""
+    high: Array
+    """Mean plus one standard deviation."""
+    truth: Array | None = None
+    """True value; None outside simulation."""
+
+
+def learned_quantities(run: Trajectory) -> dict[str, Learnt]:
+    """The learned quantities of a run by name; empty for a controller that does not learn."""
+    truth = {name: np.full(len(run), value) for name, value in run.meta.get("truth", {}).items()}
+    if truth:
+        truth["friction"] = run.friction.mean(axis=1)
+    learned = {}
+    for key, mean in run.diagnostics.items():
+        name, sigma = key.removeprefix("belief_"), run.diagnostics.get(f"{key}_sigma")
+        if name == key or sigma is None:
+            continue
+        if name in LOGARITHMIC:
+            low, high = mean * portable.exp(-sigma), mean * portable.exp(sigma)
+        else:
+            low, high = mean - sigma, mean + sigma
+        learned[name] = Learnt(mean, low, high, truth.get(name))
+    return learned
+
+
+def learned_picture(
+    runs: Runs, line_styles: Mapping[str, marks.Stroke] | None = None, name: str = "learned"
+) -> Picture:
+    """Draw the learned quantities over time with their standard deviation and, in simulation, their true values.
+
+    Raises
+    ------
+    InvalidInput
+        When no controller learns.
+    """
+    lines = prepare_runs(runs, line_styles)
+    learned = {line.label: learned_quantities(line.run) for line in lines}
+    learners = [line for line in lines if learned[line.label]]
+    if not learners:
+        raise InvalidInput("a picture of learned quantities needs a controller that learns: MPC(car, learning=...).")
+    panels = []
+    for quantity in DRAWN:
+        title, label, unit = LABELS[quantity]
+        curves = [(line, learned[line.label][quantity]) for line in learners]
+        ends = [f"{line.label}: {learnt.mean[-1]:.3g} {unit} at the end" for line, learnt in curves]
+        panels.append(Panel(title, partial(_draw_learned, curves=curves, label=label), "; ".join(ends)))
+    caption = "Quantities learned while driving. Band: ± one standard deviation. Dashed: true value in the simulation."
+    key = [*((line.label, line.stroke) for line in learners), ("True value", marks.REFERENCE_STROKE)]
+    return Picture(name, caption, panels, key, f"{name}.png", row_height=1.9)
+
+
+def _draw_learned(axes: Axes, curves: Sequence[tuple[DrawnRun, Learnt]], label: str) -> None:
+    for line, learnt in curves:
+        keep = thin_curve(learnt.mean)
+        time = line.run.t[keep]
+        marks.draw_ribbon(axes, time, learnt.low[keep], learnt.high[keep], line.stroke["color"])
+        axes.plot(time, learnt.mean[keep], **line.stroke)
+        if learnt.truth is not None:
+            axes.plot(line.run.t, learnt.truth, **marks.REFERENCE_STROKE, linewidth=1.0)
+    axes.set(xlabel="Time (s)", ylabel=label)

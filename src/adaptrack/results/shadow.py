@@ -9,26 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from adaptrack.base.result import (
-    BACKGROUND_STROKE,
-    REFERENCE_STROKE,
-    Column,
-    Panel,
-    Picture,
-    Result,
-    ResultTable,
-    select_entries,
-    strokes,
-)
+from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, select_entries
 from adaptrack.control.controllers.learned_car import WITHIN
 from adaptrack.core.estimators.learning import LEARNED
 from adaptrack.core.maths import portable
 from adaptrack.drive.prediction import TIMES
 from adaptrack.identification.observation import PREDICTORS
 from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
-from adaptrack.results.learned_picture import LABELS
-from adaptrack.results.marks import add_degrees, draw_dots, draw_ribbon
-from adaptrack.results.run_pictures import thin_curve, turning_part
+from adaptrack.results.marks import BACKGROUND_STROKE, REFERENCE_STROKE, add_degrees, draw_dots, draw_ribbon, strokes
+from adaptrack.results.run_pictures import LABELS, thin_curve, turning_part
 from adaptrack.results.words import capital, listed, number
 
 if TYPE_CHECKING:
@@ -64,7 +53,7 @@ LEARNED_CAR_COLUMNS = (
 )
 
 
-def shadow_result(shadow: Shadow, command: str = "", next_step: str = "") -> Result:
+def shadow_result(shadow: Shadow) -> Result:
     """Return the logs of shadow mode as a result."""
     several = len(shadow.logs) > 1
     return Result(
@@ -77,8 +66,6 @@ def shadow_result(shadow: Shadow, command: str = "", next_step: str = "") -> Res
         pictures=[_predicted(shadow.logs), _believed(shadow.logs), *_commands(shadow.logs)],
         failed=not shadow.believable,
         headline="" if shadow.believable else "Implausible",
-        command=command,
-        next_step=next_step,
     )
 
 
@@ -207,8 +194,8 @@ def _draw_predicted(axes: Axes, log: ShadowLog) -> None:
     for name in reversed(PREDICTORS):
         values = log.predicted[name, "yaw_rate", LATER][part]
         finite = np.isfinite(values)
-        axes.plot(log.time[part][finite], values[finite], **PREDICTOR_STROKES[name].look, linewidth=1.0)
-    axes.plot(log.time[part], log.measured["yaw_rate"][part], **REFERENCE_STROKE.look, linewidth=1.0)
+        axes.plot(log.time[part][finite], values[finite], **PREDICTOR_STROKES[name], linewidth=1.0)
+    axes.plot(log.time[part], log.measured["yaw_rate"][part], **REFERENCE_STROKE, linewidth=1.0)
     axes.set(xlabel="Time (s)", ylabel="Yaw rate (rad/s)")
 
 
@@ -229,15 +216,15 @@ def _believed(logs: Sequence[ShadowLog]) -> Picture:
 def _draw_believed(axes: Axes, logs: Sequence[ShadowLog], name: str, label: str) -> None:
     starts, stroke = np.concatenate([[0.0], np.cumsum([log.time[-1] for log in logs])]), PREDICTOR_STROKES["learned"]
     for start in starts[1:-1]:
-        axes.axvline(start, linewidth=0.8, **BACKGROUND_STROKE.look)
+        axes.axvline(start, linewidth=0.8, **BACKGROUND_STROKE)
     for log, start in zip(logs, starts[:-1], strict=True):
         keep = thin_curve(log.beliefs[f"belief_{name}"])
         mean, sigma = (log.beliefs[f"belief_{name}{end}"][keep] for end in ("", "_sigma"))
         logarithmic = name in ("stiffness", "balance")
         factor, spread = (portable.exp(WITHIN * sigma), 0.0) if logarithmic else (1.0, WITHIN * sigma)
         time = start + log.time[keep]
-        draw_ribbon(axes, time, mean / factor - spread, mean * factor + spread, stroke.colour)
-        axes.plot(time, mean, **stroke.look)
+        draw_ribbon(axes, time, mean / factor - spread, mean * factor + spread, stroke["color"])
+        axes.plot(time, mean, **stroke)
     axes.set(xlabel="Time (s)", ylabel=label)
 
 
@@ -257,7 +244,7 @@ def _commands(logs: Sequence[ShadowLog]) -> list[Picture]:
 
 def _draw_commands(axes: Axes, log: ShadowLog) -> None:
     part = turning_part(log.time, log.measured["yaw_rate"], SHOWN_SECONDS)
-    axes.plot(log.time[part], log.command[part], **BACKGROUND_STROKE.look)
+    axes.plot(log.time[part], log.command[part], **BACKGROUND_STROKE)
     draw_dots(axes, log.time[part], log.proposed[part], marker=".", size=1.6)
     axes.set(xlabel="Time (s)", ylabel="Angle (rad)")
     add_degrees(axes)

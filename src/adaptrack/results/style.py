@@ -1,4 +1,4 @@
-"""The style of all pictures: fonts, lines, grid; figures as PNG or SVG. No pyplot, no global state."""
+"""Pictures as matplotlib figures in one style, as PNG or SVG. No pyplot, no global state."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import AutoLocator, MaxNLocator
 
-from adaptrack.base.result import INK, MUTED, PALE, SERIES, Stroke
-from adaptrack.base.text import printable
-from adaptrack.results.marks import TICK_STEPS
-from adaptrack.results.words import data_text
+from adaptrack.base.presentation import printable
+from adaptrack.base.result import Panel, Picture
+from adaptrack.results.marks import INK, MUTED, PALE, SERIES, TICK_STEPS, Stroke
+from adaptrack.results.words import data_text, lettered, plain
 
 _THEME = {INK: "ink", MUTED: "muted", PALE: "grid"} | {colour: f"series-{i}" for i, colour in enumerate(SERIES)}
 """The CSS variable behind each colour that a page may redefine."""
@@ -112,7 +112,7 @@ class ShownFigure(Figure):
 def legend_above(figure: Figure, key: Sequence[tuple[str, Stroke]]) -> None:
     """Add a legend in rows above all panels."""
     key = [(data_text(label), stroke) for label, stroke in key]
-    handles = [Line2D([], [], **stroke.look, linewidth=1.6, label=label) for label, stroke in key]
+    handles = [Line2D([], [], **stroke, linewidth=1.6, label=label) for label, stroke in key]
 
     def width(columns: int) -> int:
         """The width of the legend in letters; it is filled column by column."""
@@ -189,3 +189,65 @@ def themed(colour: str) -> str:
 
 def _attribute(text: str) -> str:
     return text.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
+
+
+# -- pictures ---------------------------------------------------------------------------------------------------------
+def panel_figure(panel: Panel, size: tuple[float, float] | None = None) -> Figure:
+    """Draw one panel for the page; all panels without a size (inch) have their axes at the same place."""
+    if size is not None:
+        with styled():
+            figure = ShownFigure(figsize=size)
+            _show(figure.subplots(), panel, panel.title)
+        return figure
+    width, height = PANEL_SIZE
+    left, right, bottom, top = 0.74, 0.1, 0.45, 0.28  # inch
+    box = {"left": left / width, "right": 1 - right / width, "bottom": bottom / height, "top": 1 - top / height}
+    with styled(), mpl.rc_context({"figure.constrained_layout.use": False}):
+        figure = ShownFigure(figsize=PANEL_SIZE)
+        axes = figure.subplots(gridspec_kw=box)
+        _show(axes, panel, panel.title)
+        axes.yaxis.set_label_coords(-0.6 / (width - left - right), 0.5)
+    return figure
+
+
+def describe_panel(panel: Panel) -> str:
+    """The alternative text of a panel."""
+    return plain(f"{panel.title}. {panel.description}" if panel.title else panel.description)
+
+
+def print_figure(picture: Picture) -> Figure:
+    """Draw all panels of a picture in one figure, for print; labels that neighbours share are written once."""
+    panels, columns = picture.panels, min(picture.columns, len(picture.panels))
+    rows = -(-len(panels) // columns)
+    heights = [max(panel.height for panel in panels[i * columns : (i + 1) * columns]) for i in range(rows)]
+    with styled():
+        figure = ShownFigure(figsize=(PAGE_WIDTH, picture.row_height * sum(heights)))
+        axes = list(figure.subplots(rows, columns, squeeze=False, height_ratios=heights).flat)
+        for i, panel in enumerate(panels):
+            _show(axes[i], panel, panel.title if len(panels) == 1 else lettered(i, panel.title))
+        _share_labels(axes[: len(panels)], columns)
+        for spare in axes[len(panels) :]:
+            spare.remove()
+        figure.align_ylabels(axes[: len(panels)])
+        if picture.key:
+            legend_above(figure, picture.key)
+    return figure
+
+
+def picture_png(picture: Picture) -> bytes:
+    """All panels of a picture as a PNG file."""
+    return png(print_figure(picture))
+
+
+def _show(axes: Axes, panel: Panel, title: str) -> None:
+    axes.set_title(title)
+    panel.draw(axes)
+
+
+def _share_labels(axes: Sequence[Axes], columns: int) -> None:
+    x_labels, y_labels = [ax.get_xlabel() for ax in axes], [ax.get_ylabel() for ax in axes]
+    for i, ax in enumerate(axes):
+        if i % columns and y_labels[i] == y_labels[i - 1]:
+            ax.set_ylabel("")
+        if i + columns < len(axes) and x_labels[i] == x_labels[i + columns]:
+            ax.set_xlabel("")

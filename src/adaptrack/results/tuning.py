@@ -23,7 +23,7 @@ ACCEPTANCE_NOTE = "The search replaces the default only if it is better with 95 
 STAND_IN_NOTE = "The plant has no linear model: the certificate uses the car model of the controller."
 
 
-def tuned_car_result(tuned: TunedCar, files: Mapping[str, str], next_step: str) -> Result:
+def tuned_car_result(tuned: TunedCar, files: Mapping[str, str]) -> Result:
     """Return the result for the constant tuning of a car; files: paths of car file and tuning file."""
     record = tuned.summary()
     rows = [
@@ -47,11 +47,10 @@ def tuned_car_result(tuned: TunedCar, files: Mapping[str, str], next_step: str) 
         ],
         notes=[*notes, *(f"{name.replace('_', ' ')}: {path}" for name, path in files.items())],
         failed=not tuned.passed,
-        next_step=next_step,
     )
 
 
-def tuned_roads_result(tuned: TunedOnRoads, file: str, next_step: str) -> Result:
+def tuned_roads_result(tuned: TunedOnRoads, file: str) -> Result:
     """Return the result for the tuning of a controller on selected roads, tested with different noise."""
     search, judgement, name = tuned.search, tuned.judgement, tuned.file.controller
     over, rows = judgement.ratio("tuned", "default"), standing_rows(judgement)
@@ -76,5 +75,4 @@ def tuned_roads_result(tuned: TunedOnRoads, file: str, next_step: str) -> Result
             ResultTable("entries", "Tuning", columns, entries, at_bounds, brief=True),
         ],
         notes=[*notes, f"tuning file: {file}"],
-        next_step=next_step,
     )

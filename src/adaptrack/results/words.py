@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptrack.base.presentation import printable
 from adaptrack.base.result import Column
-from adaptrack.base.text import printable
 from adaptrack.control.scheduling.variables import VARIABLES
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -84,6 +84,17 @@ def percent(share: float) -> str:
     if share == 0.0 or math.isnan(share):
         return number(share)
     return "< 0.1" if share < 0.001 else f"{100 * share:.1f}"
+
+
+def length(metres: float) -> str:
+    """Write a length in mm, cm, m or km, to two or three digits."""
+    if not math.isfinite(metres):
+        return "unknown"
+    if metres < 0.01:
+        return f"{1000.0 * metres:.2g} mm"
+    if metres < 0.995:
+        return f"{100.0 * metres:.2g} cm"
+    return f"{metres:.3g} m" if metres < 1000.0 else f"{metres / 1000.0:.3g} km"
 
 
 def span(values: NDArray[Any], digits: int = 3, to: str = " to ") -> str:
