@@ -30,30 +30,32 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 """around the table in a page"""
 
 CEILINGS: Mapping[str, int] = {
-    "base": 2270,
-    "core": 26080,
-    "cars": 2320,
-    "road": 4830,
-    "scenario": 1980,
-    "control": 8360,
-    "drive": 3080,
-    "analysis": 2050,
-    "identification": 5350,
-    "tuning": 1720,
-    "comparison": 2330,
-    "paper": 4620,
-    "export": 3520,
-    "gym": 1450,
-    "results": 5670,
-    "cli": 4240,
-    "adaptrack": 50,
-    "JavaScript, templates, C": 9720,
+    "base": 2250,
+    "core": 25860,
+    "cars": 2200,
+    "road": 4710,
+    "scenario": 1900,
+    "control": 7800,
+    "drive": 3120,
+    "analysis": 1950,
+    "identification": 5140,
+    "tuning": 1680,
+    "comparison": 2110,
+    "paper": 4290,
+    "export": 3530,
+    "gym": 1440,
+    "results": 5380,
+    "cli": 3550,
+    "adaptrack": 40,
+    "JavaScript, templates, C": 9710,
     "tests": 42480,
-    "benchmarks, tools, experiments, examples": 15220,
+    "benchmarks, tools, experiments, examples": 15210,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 
 `tests/project/test_ceilings.py` holds them; raising one is a decision with a reason in docs/design.md."""
+SOURCE_LINES = 76_880
+"""Most lines of all rooms together: one room may grow only by what another one loses."""
 
 
 class Module(NamedTuple):

@@ -148,7 +148,7 @@ class Controller(ABC):
     sees_all_sensors: bool = False
     """Whether `step` is given all that is measured (`core.models.contract.MEASUREMENT`), not four numbers only."""
     replaces_vy: bool = True
-    """Whether it takes a lateral velocity of NaN, which is not measured. Other controllers are given 0."""
+    """Whether a lateral velocity that is not measured is passed on as NaN; other controllers are given 0."""
     scheduler: Any = None
     """Scheduler that changes the tuning while driving; None without one."""
     model: Any = None
