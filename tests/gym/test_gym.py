@@ -22,7 +22,7 @@ from adaptrack.gym import (  # noqa: E402
     PathTrackingEnv,
     PathTrackingVectorEnv,
 )
-from adaptrack.gym.spaces import make_mpc  # noqa: E402
+from adaptrack.gym.mpc_tuning import make_mpc  # noqa: E402
 from episodes import STEP, same_as_alone  # noqa: E402
 from foreign_loop import example  # noqa: E402
 
