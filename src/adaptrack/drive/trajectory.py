@@ -360,37 +360,18 @@ TRAJECTORY_COLUMNS = tuple(
 """Arrays of every `Trajectory`, in the order of its fields and of the columns in a file."""
 
 
-@dataclass(frozen=True)
-class Origin:
-    """Scenario, plant and controller of a run; each is a name, or a table with ``name`` and the parameters in use."""
-
-    scenario: Any
-    plant: Any
-    tyre: Any
-    vehicle: Any
-    profile: str
-    seed: int | None
-    """Seed of the sensor noise."""
-    preview: bool
-    """Whether the controller knew the reference ahead."""
-    controller: Any
-    tuning: Any
-
-
-def provenance(origin: Origin, created: str | datetime, **entries: Any) -> dict[str, Any]:
-    """Return the provenance of a result for the `meta` of a `Trajectory`: its origin and the software versions.
+def provenance(created: str | datetime, **entries: Any) -> dict[str, Any]:
+    """Return the provenance of a result for the `meta` of a `Trajectory`: its entries and the software versions.
 
     Parameters
     ----------
-    origin
-        Scenario, plant and controller.
     created
         Time of creation; an argument, so that the result does not depend on the system clock.
     **entries
-        Further entries, such as ``moves``, ``qp_solver`` or ``command``.
+        Scenario, plant and controller of the run, each a name or a table with ``name`` and the parameters in use, and
+        further entries, such as ``seed``, ``moves``, ``qp_solver`` or ``command``.
     """
     return {
-        **vars(origin),
         **entries,
         "versions": {
             "adaptrack": __version__,

@@ -126,7 +126,7 @@ class AgentScheduler:
 
 
 class _MPCTuning:
-    """What one car and many have in common: the spaces of an agent that tunes an MPC, and the MPC."""
+    """Spaces of an agent that tunes an MPC, and this MPC, for one car and for many."""
 
     task: Task
     names: tuple[str, ...]

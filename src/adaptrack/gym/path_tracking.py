@@ -142,7 +142,7 @@ class AccelerationInput:
 
 
 class _PathTracking:
-    """What one car and many have in common: the spaces of an agent that steers, and the controller it replaces."""
+    """Spaces of an agent that steers, and the controller that it replaces, for one car and for many."""
 
     task: Task
     names: tuple[str, ...]
