@@ -42,7 +42,7 @@ def wild(n=50, seed=1):
     arrays = {}
     for column in TRAJECTORY_COLUMNS:
         shape = (n, len(column.parts)) if column.parts else (n,)
-        top = 20 if column.kind == "real" else 15
+        top = 20 if column.dtype.kind == "f" else 15
         arrays[column.name] = (rng.normal(size=shape) * 10.0 ** rng.integers(-20, top, shape)).astype(column.dtype)
     arrays["t"] = 0.05 * np.arange(n) + 3.0
     residual = rng.normal(size=n)

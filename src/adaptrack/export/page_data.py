@@ -434,15 +434,17 @@ def _field(kind: Any, records: dict[str, Any]) -> tuple[str, Any, int]:
 
 def calls(names: Iterable[str]) -> dict[str, list[str]]:
     """Return the argument and result types of each kernel: "f", "i" numbers, "r" a record, "1" to "4" arrays."""
-    return {name: _call(EXPORTED[name].signature) for name in names}
+    signatures = {name: EXPORTED[name].signature for name in names}
+    return {
+        name: ["".join(map(_letter, signature.types)), "".join(map(_letter, signature.returns))]
+        for name, signature in signatures.items()
+    }
 
 
-def _call(signature: Any) -> list[str]:
-    letters = "".join(
-        _LETTERS[kind.name] if isinstance(kind, Scalar) else str(kind.ndim) if isinstance(kind, Array) else "r"
-        for kind in signature.types
-    )
-    return [letters, "".join(_LETTERS[kind.name] for kind in signature.returns)]
+def _letter(kind: Any) -> str:
+    if isinstance(kind, Scalar):
+        return _LETTERS[kind.name]
+    return str(kind.ndim) if isinstance(kind, Array) else "r"
 
 
 # -- values -----------------------------------------------------------------------------------------------------------
