@@ -17,7 +17,8 @@ from adaptrack.control.controllers import MPC, Controller, Learning, published_m
 from adaptrack.core.public import BELIEF_NAMES, drive_on, portable, write_variables
 from adaptrack.core.public import LEARNED as BELIEFS_OFFSET
 from adaptrack.drive.batch import Batch
-from adaptrack.gym.episode_run import BELIEF_STATE, CLIP_DISTANCE, CarBlock, EpisodeRun, SingleCarEnv, VectorEnv, box
+from adaptrack.drive.closed_loop import ClosedLoop
+from adaptrack.gym.environment import BELIEF_STATE, CLIP_DISTANCE, CarBlock, SingleCarEnv, VectorEnv, box, is_over
 from adaptrack.gym.task import Episode, Task
 
 Array = NDArray[np.float64]
@@ -220,17 +221,17 @@ class MPCTuningEnv(_MPCTuning, SingleCarEnv):
         self._belief = initial_belief(self._mpc)
         return self._mpc
 
-    def _drive(self, run: EpisodeRun, action: Array) -> float:
+    def _drive(self, loop: ClosedLoop, action: Array) -> float:
         assert self._scheduler is not None
         self._scheduler.tuning = tuple(self.tunings.entries(action).tolist())
-        loop, cost = run.loop, 0.0
+        cost = 0.0
         for _ in range(self.every):
             sensed = loop.sensed
             preview: dict[str, Any] = {} if loop.road is None else {"road": loop.road_ahead(sensed.speed)}
             command = self._mpc.step(sensed.measured, sensed.speed, sensed.reference, sensed.variables, **preview)
             self._belief = command.learned or self._belief
-            cost += run.drive_period(command.angle)
-            if run.over:
+            cost += self._drive_period(loop, command.angle)
+            if is_over(loop):
                 break
         return cost
 
@@ -239,8 +240,8 @@ class MPCTuningEnv(_MPCTuning, SingleCarEnv):
         """The state of the learned quantities for ``info``, empty if the controller does not learn."""
         return {} if self._mpc.learner is None else {BELIEF_STATE: int(self._belief[BELIEF_NAMES.index(BELIEF_STATE)])}
 
-    def _write_observation(self, run: EpisodeRun) -> None:
-        variables = run.loop.sensed.variables
+    def _write_observation(self, loop: ClosedLoop) -> None:
+        variables = loop.sensed.variables
         inputs = np.array([*variables._replace(offset=-variables.offset), *self._belief])
         space, present = self.observation_space, np.isfinite(inputs)
         self._observation[:] = np.clip(np.where(present, inputs, self._observation), space.low, space.high)  # type: ignore[attr-defined]

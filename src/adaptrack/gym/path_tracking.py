@@ -31,8 +31,9 @@ from adaptrack.core.public import (
     write_observations,
     write_one_observation,
 )
+from adaptrack.drive.closed_loop import ClosedLoop
 from adaptrack.drive.world import RequestedForces
-from adaptrack.gym.episode_run import CLIP_DISTANCE, CarBlock, EpisodeRun, SingleCarEnv, VectorEnv, box
+from adaptrack.gym.environment import CLIP_DISTANCE, CarBlock, SingleCarEnv, VectorEnv, box
 from adaptrack.gym.task import Episode, ExternalCommands, Task
 
 Array = NDArray[np.float64]
@@ -301,19 +302,19 @@ class PathTrackingEnv(_PathTracking, SingleCarEnv):
         self._acceleration[:] = 0.0
         self._vehicle = episode.vehicle
 
-    def _drive(self, run: EpisodeRun, action: Array) -> float:
+    def _drive(self, loop: ClosedLoop, action: Array) -> float:
         command, *accelerations = action.tolist()
         speed_cost = 0.0
         if self._speed is not None:
             speed_cost = float(
-                self._speed.request(np.array(accelerations), self._acceleration, self._vehicle, run.loop.run)[0]
+                self._speed.request(np.array(accelerations), self._acceleration, self._vehicle, loop.run)[0]
             )
-        return run.drive_period(command, speed_cost)
+        return self._drive_period(loop, command, speed_cost)
 
-    def _write_observation(self, run: EpisodeRun) -> None:
-        write_one_observation(run.loop.resident, self._bounds, self._observation)
+    def _write_observation(self, loop: ClosedLoop) -> None:
+        write_one_observation(loop.resident, self._bounds, self._observation)
         if self._speed is not None:
-            self._speed.observe(self._acceleration, run.loop.run, self._observation[None])
+            self._speed.observe(self._acceleration, loop.run, self._observation[None])
 
 
 class PathTrackingVectorEnv(_PathTracking, VectorEnv):

@@ -1,4 +1,4 @@
-"""Runs of episodes and the base classes of the environments: one car, or many cars in compiled batches."""
+"""Base classes of the environments: one car, or many cars in compiled batches."""
 
 from __future__ import annotations
 
@@ -68,68 +68,6 @@ def check_action(action: Any, space: spaces.Box) -> Array:
     return np.clip(values, space.low, space.high)
 
 
-class EpisodeRun:
-    """A simulated run whose commands the environment passes in, one per control period, with its accumulated cost.
-
-    Parameters
-    ----------
-    task
-        Task of the environment.
-    episode
-        Car, road, profile and noise seed of the episode.
-    controller
-        Controller of the car, whose settings the simulation needs. The environment calls it and passes on its commands.
-    """
-
-    def __init__(self, task: Task, episode: Episode, controller: Controller) -> None:
-        world = World.of(
-            episode.plant, controller, episode.profile, task.driver, task.perception, task.failure
-        )  # fmt: skip
-        self.loop = ClosedLoop(world, episode.drive, episode.noise_seed)
-        self._failure_cost = task.cost_of_failure(world.failure.distance)
-        self._total = 0.0
-
-    @property
-    def terminated(self) -> bool:
-        """Whether a failure has ended the episode."""
-        return self.loop.ended
-
-    @property
-    def truncated(self) -> bool:
-        """Whether the episode has come to the end of its drive."""
-        return self.loop.instant == self.loop.signals.n and not self.terminated
-
-    @property
-    def over(self) -> bool:
-        """Whether the episode has ended."""
-        return self.terminated or self.truncated
-
-    def drive_period(self, command: float, speed_cost: float = 0.0) -> float:
-        """Drive one control period with a command (rad) and return its cost e^2 + w (change of command)^2 (m^2).
-
-        A failure adds the failure cost of every remaining instant.
-
-        Parameters
-        ----------
-        speed_cost
-            Cost of speed and acceleration in this period (m^2), if the agent commands the acceleration.
-        """
-        loop = self.loop
-        loop.send(command)
-        cost = speed_cost + loop.cost
-        cost += (loop.signals.n - loop.instant) * self._failure_cost if self.terminated else 0.0
-        self._total += cost
-        return cost
-
-    @property
-    def info(self) -> dict[str, Any]:
-        """The ``info`` of ``step``: empty before the end, then the reason of a failure and the cost J (m^2)."""
-        if not self.over:
-            return {}
-        reason, _ = self.loop.failure
-        return {"failed": reason or "", "J": math.inf if reason else self._total / self.loop.signals.n}
-
-
 class SingleCarEnv(gymnasium.Env):
     """A car that an agent drives alone."""
 
@@ -137,42 +75,64 @@ class SingleCarEnv(gymnasium.Env):
     task: Task
     names: tuple[str, ...]
     """Names of the columns of an observation."""
+    _loop: ClosedLoop | None = None
+    """Simulated run of the episode, whose commands the environment sends."""
 
     def __init__(self, agent: tuple[spaces.Box, spaces.Box], render_mode: str | None) -> None:
         (self.action_space, self.observation_space), self.render_mode = agent, render_mode
-        self._run: EpisodeRun | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Start an episode, see `gymnasium.Env.reset`; options: `noise_seed`, `car_seed`, `road`."""
         super().reset(seed=seed)
-        episode = self.task.draw(self.np_random, options)
-        self._run = EpisodeRun(self.task, episode, self._controller(episode))
+        task, episode = self.task, self.task.draw(self.np_random, options)
+        world = World.of(
+            episode.plant, self._controller(episode), episode.profile, task.driver, task.perception, task.failure
+        )  # fmt: skip
+        self._loop = ClosedLoop(world, episode.drive, episode.noise_seed)
+        self._failure_cost, self._total = task.cost_of_failure(world.failure.distance), 0.0
         self._observation = np.zeros(len(self.names))
         self._begin(episode)
-        return self._observe(self._run), episode.info | self._belief_info
+        self._write_observation(self._loop)
+        return self._observation.copy(), episode.info | self._belief_info
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Drive one step, see `gymnasium.Env.step`."""
-        run = self._run
-        if run is None or run.over:
+        loop = self._loop
+        if loop is None or is_over(loop):
             raise gymnasium.error.ResetNeeded("call reset() first: no run has begun, or it is over.")
-        cost = self._drive(run, check_action(action, self.action_space))  # type: ignore[arg-type]
-        return self._observe(run), -cost, run.terminated, run.truncated, run.info | self._belief_info
+        cost = self._drive(loop, check_action(action, self.action_space))  # type: ignore[arg-type]
+        self._write_observation(loop)
+        info = self._outcome(loop) if is_over(loop) else {}
+        truncated = is_over(loop) and not loop.ended
+        return self._observation.copy(), -cost, loop.ended, truncated, info | self._belief_info
 
-    def _observe(self, run: EpisodeRun) -> Array:
-        self._write_observation(run)
-        return self._observation.copy()
+    def _drive_period(self, loop: ClosedLoop, command: float, speed_cost: float = 0.0) -> float:
+        """Drive one control period with a command (rad) and return its cost e^2 + w (change of command)^2 (m^2).
+
+        A failure adds the failure cost of every remaining instant. speed_cost: cost of speed and acceleration in this
+        period (m^2), if the agent commands the acceleration.
+        """
+        loop.send(command)
+        cost = speed_cost + loop.cost
+        cost += (loop.signals.n - loop.instant) * self._failure_cost if loop.ended else 0.0
+        self._total += cost
+        return cost
+
+    def _outcome(self, loop: ClosedLoop) -> dict[str, Any]:
+        """The ``info`` of the last step: the reason of a failure and the cost J (m^2)."""
+        reason, _ = loop.failure
+        return {"failed": reason or "", "J": math.inf if reason else self._total / loop.signals.n}
 
     @abstractmethod
     def _controller(self, episode: Episode) -> Controller:
-        """Return the controller of an episode's car."""
+        """Return the controller of an episode's car; the environment calls it, or commands in its place."""
 
     @abstractmethod
-    def _drive(self, run: EpisodeRun, action: Array) -> float:
+    def _drive(self, loop: ClosedLoop, action: Array) -> float:
         """Drive one step with an action within its space, and return the cost (m^2)."""
 
     @abstractmethod
-    def _write_observation(self, run: EpisodeRun) -> None:
+    def _write_observation(self, loop: ClosedLoop) -> None:
         """Write the observation into the environment's array, which holds the previous one."""
 
     def _begin(self, episode: Episode) -> None:
@@ -182,6 +142,11 @@ class SingleCarEnv(gymnasium.Env):
     def _belief_info(self) -> dict[str, Any]:
         """The state of the learned quantities for ``info``, empty if the controller does not learn."""
         return {}
+
+
+def is_over(loop: ClosedLoop) -> bool:
+    """Whether the episode of a run has ended, by a failure or at the end of its drive."""
+    return loop.ended or loop.instant == loop.signals.n
 
 
 class CarBlock(NamedTuple):
