@@ -102,9 +102,9 @@ class SingleCarEnv(gymnasium.Env):
             raise gymnasium.error.ResetNeeded("call reset() first: no run has begun, or it is over.")
         cost = self._drive(loop, check_action(action, self.action_space))  # type: ignore[arg-type]
         self._write_observation(loop)
-        info = self._outcome(loop) if is_over(loop) else {}
-        truncated = is_over(loop) and not loop.ended
-        return self._observation.copy(), -cost, loop.ended, truncated, info | self._belief_info
+        failed, over = loop.ended, is_over(loop)
+        info = self._outcome(loop) if over else {}
+        return self._observation.copy(), -cost, failed, over and not failed, info | self._belief_info
 
     def _drive_period(self, loop: ClosedLoop, command: float, speed_cost: float = 0.0) -> float:
         """Drive one control period with a command (rad) and return its cost e^2 + w (change of command)^2 (m^2).
