@@ -8,7 +8,6 @@ same trajectory.
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -218,9 +217,7 @@ def rollouts(batch: Batch, seeds: Sequence[int], threads: int | None = None) -> 
     scenario_indices = np.repeat(np.arange(count), len(seeds))
     run_seeds = np.tile(np.array(seeds, dtype=np.int64), count)
     tunings = np.repeat(batch.tuning[None], len(scenario_indices), axis=0)
-    runs = batch.run(
-        scenario_indices, tunings, run_seeds, threads or os.cpu_count() or 1, traced=True, scheduler=batch.scheduler
-    )  # fmt: skip
+    runs = batch.run(scenario_indices, tunings, run_seeds, threads, traced=True, scheduler=batch.scheduler)
     trajectories = [
         _batch_trajectory(batch, runs, i, int(k), int(seed))
         for i, (k, seed) in enumerate(zip(scenario_indices, run_seeds, strict=True))
