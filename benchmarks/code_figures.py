@@ -36,25 +36,25 @@ CEILINGS: Mapping[str, int] = {
     "road": 4710,
     "scenario": 1900,
     "control": 7800,
-    "drive": 3120,
+    "drive": 3080,
     "analysis": 1950,
     "identification": 5140,
     "tuning": 1680,
     "comparison": 2110,
     "paper": 4290,
-    "export": 3530,
-    "gym": 1440,
+    "export": 3460,
+    "gym": 1320,
     "results": 5380,
     "cli": 3550,
     "adaptrack": 40,
     "JavaScript, templates, C": 9710,
-    "tests": 42480,
+    "tests": 42450,
     "benchmarks, tools, experiments, examples": 15210,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 
 `tests/project/test_ceilings.py` holds them; raising one is a decision with a reason in docs/design.md."""
-SOURCE_LINES = 76_880
+SOURCE_LINES = 76_650
 """Most lines of all rooms together: one room may grow only by what another one loses."""
 
 

@@ -228,8 +228,7 @@ def fmu_units(at: Any) -> Named:
 def page(at: Any) -> Named:
     """Frames of drives of the page, by its own scripts and kernels of WebAssembly."""
     from adaptrack.export.page_data import page_data
-    from adaptrack.export.page_file import ENGINE, _together
-    from adaptrack.export.page_kernels import page_kernels
+    from adaptrack.export.page_file import ENGINE, _together, page_kernels
 
     if shutil.which("node") is None:
         yield "Node", MISSING

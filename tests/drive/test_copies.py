@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 import pickle
 import subprocess
 import sys
@@ -133,7 +134,7 @@ def test_pickles_loaded_in_a_new_process_go_on_to_the_same_bits(tmp_path):
         "tracker, env = pickle.load(open('under-way', 'rb'))\n"
         "print(repr(test_copies.track_road(tracker, 40)), test_copies.take_actions(env))"
     )
-    home = {"PYTHONPATH": str(Path(__file__).parents[1])}
+    home = {"PYTHONPATH": os.pathsep.join(map(str, (Path(at.__file__).parents[1], Path(__file__).parent)))}
     new = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=home, capture_output=True, text=True)
     assert new.stdout == f"{track_road(tracker, 40)!r} {take_actions(env)}\n", new.stderr
 

@@ -11,12 +11,19 @@ from hypothesis import strategies as st
 
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.outline import Outline
+from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Body, load_vehicle
-from adaptrack.drive.failure import FailureLimits
+from adaptrack.control.controllers import MPC, Tuning, published_mpc
+from adaptrack.control.models import PathModel
+from adaptrack.drive.failure import FailureLimits, Reason, find_failure
 from adaptrack.drive.metrics import PathRecord, compute_metrics, path_metrics, published_mse
+from adaptrack.drive.prediction import prediction_error, run_prediction_error
+from adaptrack.drive.signal_statistics import r79, r79_signals, reversal_rate
+from adaptrack.drive.simulate import rollout
 from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory
 from adaptrack.road import Arc, Line
 from adaptrack.road.road import Road
+from adaptrack.scenario import RoadDrive
 
 NAN, INF = float("nan"), float("inf")
 BOX = Outline(front=2.0, rear=2.5, width=1.8)
@@ -277,3 +284,133 @@ def test_known_measures_have_a_line_with_title_and_unit():
 def test_arguments_that_make_no_sense_are_refused(make, words):
     with pytest.raises(InvalidInput, match=words):
         make()
+
+
+# -- failures ---------------------------------------------------------------------------------------------------------
+def test_a_run_has_failed_beyond_the_limit_not_on_it():
+    assert find_failure(record(Y=5.0)) is None
+    left = np.array([0.0, 1.0, 4.0, 5.1, 6.0, 0.0, 0.0, 0.0])
+    failed = find_failure(record(Y=left))
+    assert (failed.step, failed.time) == (3, pytest.approx(0.3))
+    assert failed.clause == "left the road (more than 5 m from the reference)"
+    assert find_failure(record(Y=left), FailureLimits(distance=7.0)) is None
+
+
+def test_a_large_step_is_judged_once_it_has_arrived_and_has_failed_from_its_start_if_never():
+    approach = np.array([0.0, 2.0, 6.0, 9.5, 12.0, 14.0, 14.5, 14.0])
+    assert find_failure(record(Y=approach, y_ref=14.0)) is None
+    runaway = np.array([0.0, 2.0, 6.0, 9.5, 12.0, 14.0, 18.0, 19.5])
+    assert find_failure(record(Y=runaway, y_ref=14.0)).step == 7
+    failed = find_failure(record(Y=0.0, y_ref=14.0))
+    assert (failed.step, failed.clause) == (0, "never came within 5 m of the reference")
+
+
+def test_a_spin_is_a_failure_at_driving_speed_only_and_the_first_event_gives_the_reason():
+    sideways = np.array([0.0, 0.0, 9.0, 11.0, 11.0, 11.0, 11.0, 11.0])
+    first = record(vy=[0, 0, 20, 20, NAN, NAN, NAN, NAN], Y=[0, 0, 0, 6, 7, 8, 9, 10])
+    for run, step in ((record(vy=sideways), 3), (record(vy=-sideways), 3), (first, 2)):
+        failed = find_failure(run)
+        assert failed.step == step
+        assert failed.clause.startswith("spun")
+    assert find_failure(record(vx=0.05, vy=0.5)) is None
+    assert find_failure(record(vx=-10.0)).step == 0  # going backwards
+
+
+@pytest.mark.parametrize("limits", [{"distance": 0.0}, {"distance": NAN}, {"sideslip": -1.0}, {"sideslip": "wide"}])
+def test_a_limit_that_makes_no_sense_is_refused(limits):
+    with pytest.raises(InvalidInput, match="FailureLimits: "):
+        FailureLimits(**limits)
+
+
+def test_what_the_loop_knew_counts_when_it_came_first():
+    Y = np.array([0.0, 1.0, 3.0, 4.0, NAN, NAN, NAN, NAN])  # the loop saw 5.2 m at the end of the fourth period
+    failed = find_failure(record(Y=Y, failed="off-road", failed_at=0.4))
+    assert (failed.step, failed.reason) == (4, Reason.OFF_ROAD)
+    late = find_failure(record(Y=[0, 0, 6, 6, 6, 6, 6, 6], failed="spun", failed_at=0.5))
+    assert (late.step, late.reason) == (2, Reason.OFF_ROAD)
+    failure = find_failure(record(failed="battery empty", failed_at=0.8))
+    assert (failure.step, failure.clause) == (7, "was stopped by its simulation: battery empty")
+
+
+# -- statistics of signals --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("frequency", [0.1, 0.25, 0.5, 1.0])
+def test_a_sine_is_weakened_as_a_butterworth_of_fourth_order_does(frequency):
+    t = np.arange(0, 60, 0.01)
+    filtered, jerk = r79_signals(t, 2.0 * np.sin(2 * np.pi * frequency * t))
+    gain = 2.0 / math.sqrt(1 + (frequency / 0.5) ** 8)
+    assert np.abs(filtered[3000:]).max() == pytest.approx(gain, rel=2e-3)
+    mean_of_slope = 2 * math.sin(math.pi * frequency * 0.5) / 0.5  # of a unit sine over 0.5 s
+    assert np.abs(jerk[3000:]).max() == pytest.approx(gain * mean_of_slope, rel=2e-3)
+
+
+def test_a_steady_acceleration_has_no_jerk_and_a_ramp_its_slope():
+    assert r79(T, np.full(T.size, 3.0)) == pytest.approx((3.0, 0.0), abs=1e-9)
+    _, jerk = r79_signals(T, 0.5 * T)
+    assert jerk[-1] == pytest.approx(0.5, rel=1e-6)
+
+
+def test_the_sampling_of_the_record_hardly_matters():
+    slow, fast = (np.arange(0, 30, step) for step in (0.05, 0.01))
+    assert r79(slow, np.sin(slow)) == pytest.approx(r79(fast, np.sin(fast)), rel=2e-3)
+
+
+@pytest.mark.parametrize(("amplitude", "counted"), [(1.4, 0.0), (1.6, 24.0)])
+def test_a_sine_reverses_twice_a_cycle_when_it_swings_by_more_than_the_gap(amplitude, counted):
+    angle = math.radians(amplitude) * np.sin(2 * np.pi * 0.2 * np.arange(0, 300, 0.05))
+    rates = reversal_rate(np.arange(0, 300, 0.05), angle)  # peak to peak 2.8 and 3.2 degrees, gap 3
+    assert rates == pytest.approx(counted, abs=0.3)
+
+
+def test_what_is_faster_than_the_filter_is_not_steering():
+    slow = math.radians(5) * np.sin(2 * np.pi * 0.1 * T)
+    fast = math.radians(5) * np.sin(2 * np.pi * 5.0 * T)
+    assert reversal_rate(T, slow + fast) == reversal_rate(T, slow)
+    assert reversal_rate(T, fast) == 0.0
+
+
+def test_a_cut_off_beyond_half_the_sampling_is_refused():
+    with pytest.raises(InvalidInput, match="below half the rate"):
+        reversal_rate(T, T, cut_off=20.0)
+
+
+# -- open-loop errors of a prediction model ---------------------------------------------------------------------------
+MODEL = PathModel(load_vehicle("midsize-sedan"), period=0.05, lag=0.2, dead_time=0.1)
+
+
+def drive(rng, n=200, late=2):
+    """A drive of the model itself along a bend, its commands acting `late` periods later."""
+    v, u, x = np.linspace(15, 20, n), 0.02 * rng.standard_normal(n), np.zeros((n, MODEL.n))
+    for k in range(n - 1):
+        a, b, e = (np.zeros(shape) for shape in ((MODEL.n, MODEL.n), MODEL.n, MODEL.n))
+        MODEL.function(v[k], 0.05, MODEL.parameters(), a, b, e)
+        x[k + 1] = a @ x[k] + b * (u[k - late] if k >= late else 0.0) + e * 0.01 * v[k]
+    return x, u, v
+
+
+def test_a_model_foretells_itself_and_an_output_that_is_off_is_off_by_as_much(rng):
+    x, u, v = drive(rng)
+    errors = prediction_error(MODEL, x, u, v, curvatures=0.01)
+    assert errors == {0.5: pytest.approx(0.0, abs=1e-12), 1.0: pytest.approx(0.0, abs=1e-12)}
+    assert prediction_error(MODEL, x, u, v)[1.0] > 0.5  # a bend that is not told
+    shifted = prediction_error(MODEL, x, u, v, curvatures=0.01, outputs=x @ MODEL.output + 0.3)
+    assert shifted[0.5] == pytest.approx(0.3)
+    with pytest.raises(InvalidInput, match="within the record"):
+        prediction_error(MODEL, x[:20], u[:20], v[:20])
+    with pytest.raises(InvalidInput, match="states"):
+        prediction_error(MODEL, x[:, :2], u, v)
+
+
+@pytest.mark.parametrize("model", ["path", "single-track"])
+def test_a_model_foretells_a_gentle_drive_along_a_bend_far_better_than_not_turning_would(model):
+    car = load_vehicle("midsize-sedan")
+    road = Road.from_segments([Arc(length=300.0, curvature=0.005)], name="bend")
+    mpc = MPC(car, profile="paper") if model == "path" else published_mpc(car, Tuning(30, 10, 1.0, 100.0), preview=True)
+    run = rollout(DualTrack(car), mpc, RoadDrive(road, 15.0))
+    errors = run_prediction_error(run, mpc.model)
+    turned_away = 0.5 * 0.005 * 15.0**2  # m, of a car that goes straight on for 1 s
+    assert 0.0 < errors[0.5] < errors[1.0] < 0.15 * turned_away
+    assert compute_metrics(run, model=mpc.model).prediction_error_one == errors[1.0]
+    assert math.isnan(compute_metrics(run).prediction_error_one)
+    short = run_prediction_error(run.between(0.0, 0.8), mpc.model)
+    assert math.isfinite(short[0.5])
+    assert math.isnan(short[1.0])

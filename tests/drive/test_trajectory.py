@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from adaptrack import __version__
 from adaptrack.base.errors import InvalidInput, StorageError
-from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Origin, Trajectory, provenance
+from adaptrack.drive.trajectory import TRAJECTORY_COLUMNS, Trajectory, provenance
 
 
 def record(n=8, period=0.1, **changes):
@@ -42,7 +42,7 @@ def wild(n=50, seed=1):
     arrays = {}
     for column in TRAJECTORY_COLUMNS:
         shape = (n, len(column.parts)) if column.parts else (n,)
-        top = 20 if column.kind == "real" else 15
+        top = 20 if column.dtype.kind == "f" else 15
         arrays[column.name] = (rng.normal(size=shape) * 10.0 ** rng.integers(-20, top, shape)).astype(column.dtype)
     arrays["t"] = 0.05 * np.arange(n) + 3.0
     residual = rng.normal(size=n)
@@ -240,11 +240,8 @@ def test_a_failed_save_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatc
 
 def test_provenance_names_the_software_and_takes_the_callers_clock():
     meta = provenance(
-        Origin(scenario={"name": "step", "duration": 18.0}, plant="dual-track", tyre="magic-formula", vehicle="paper",
-               profile="paper", seed=0, preview=False, controller="standard",
-               tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01}),
-        datetime(2026, 1, 2, 3, 4, tzinfo=UTC),
-        moves="pulses",
+        datetime(2026, 1, 2, 3, 4, tzinfo=UTC), scenario={"name": "step", "duration": 18.0}, plant="dual-track",
+        tyre="magic-formula", controller="standard", tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01}, moves="pulses",
     )  # fmt: skip
     run = record(meta=meta)
     assert run.meta["created"] == "2026-01-02T03:04:00+00:00"

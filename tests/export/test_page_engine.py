@@ -36,8 +36,7 @@ def parts():
     """Worker, kernels and data of the page; skips where they are not there."""
     find_program("node")
     from adaptrack.export.page_data import page_data
-    from adaptrack.export.page_file import ENGINE, _together
-    from adaptrack.export.page_kernels import page_kernels
+    from adaptrack.export.page_file import ENGINE, _together, page_kernels
 
     try:
         return _together(ENGINE), page_kernels(), json.dumps(page_data(), allow_nan=False)

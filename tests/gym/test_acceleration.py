@@ -34,9 +34,9 @@ def speeds_under(env, accelerations):
     env.reset(seed=1)
     vx = []
     for acceleration in accelerations:
-        vx.append(float(env._run.loop.run.vehicles.block[3 * 32]))
+        vx.append(float(env._loop.run.vehicles.block[3 * 32]))
         env.step([0.0, acceleration])
-    return np.array([*vx, float(env._run.loop.run.vehicles.block[3 * 32])])
+    return np.array([*vx, float(env._loop.run.vehicles.block[3 * 32])])
 
 
 @pytest.mark.parametrize("acceleration", [-2.0, 0.0, 1.5])
@@ -84,12 +84,12 @@ def test_planned_speeds_ahead_are_those_of_the_plan_also_beyond_a_stop_that_is_p
     plan = plan_speed(road, car, stops=[Stop(60.0, 2.0)])
     env = PathTrackingEnv(road=at.RoadDrive(road, plan), profile="paper", acceleration=True, distances=(0.0, 30.0))
     observation, _ = env.reset(seed=1)
-    run = env._run.loop.run
+    run = env._loop.run
     while run.memory.drives["station"][0] < 200.0:
         station = float(run.memory.drives["station"][0])
         assert observation[-2:] == pytest.approx(plan.at(np.array([station, station + 30.0])), abs=0.5)
         observation, *_ = env.step([0.0, 1.0])
-    signals = env._run.loop.signals
+    signals = env._loop.signals
     assert signals.station[run.memory.drives["place"][0]] == pytest.approx(200.0, abs=5.0)
 
 
@@ -130,7 +130,7 @@ def test_the_offset_is_positive_to_the_left_of_the_path_in_both_environments():
     scenario = STEP.replace(duration=1.0)
     for env in (PathTrackingEnv(road=scenario), MPCTuningEnv(road=scenario)):
         observation, _ = env.reset(seed=1)
-        run = env._run.loop.run
+        run = env._loop.run
         expected = run.measured[0, 3] - run.inputs.signals[0, 0, 0]
         assert observation[env.names.index("offset")] == expected
 

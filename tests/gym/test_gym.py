@@ -22,7 +22,7 @@ from adaptrack.gym import (  # noqa: E402
     PathTrackingEnv,
     PathTrackingVectorEnv,
 )
-from adaptrack.gym.spaces import make_mpc  # noqa: E402
+from adaptrack.gym.mpc_tuning import make_mpc  # noqa: E402
 from episodes import STEP, same_as_alone  # noqa: E402
 from foreign_loop import example  # noqa: E402
 
@@ -170,7 +170,7 @@ def test_a_car_that_leaves_the_road_has_failed_and_pays_for_the_rest_of_it():
     assert flags == (True, False)
     assert info == {"failed": info["failed"], "J": math.inf}
     assert info["failed"] in ("off-road", "spun")
-    left = env._run.loop.signals.n - len(rewards)
+    left = env._loop.signals.n - len(rewards)
     assert rewards[-1] == pytest.approx(-25.0 * left, abs=25.0)
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step([0.0])

@@ -15,7 +15,7 @@ from matplotlib.text import Text
 from adaptrack.base.errors import InvalidInput, StorageError
 from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable
 from adaptrack.drive.metrics import compute_metrics
-from adaptrack.drive.trajectory import Origin, Trajectory, provenance
+from adaptrack.drive.trajectory import Trajectory, provenance
 from adaptrack.results import page, style, words, write_drive_page, write_result
 from adaptrack.results.drive import Run, drive_result, group_runs
 from adaptrack.results.evaluation import shared_scale
@@ -30,18 +30,16 @@ def drive(controller="standard", scenario="triple-lane-change", *, scale=1.0, n=
     wave = np.sin(0.9 * t)
     horizon = np.round(30 + 15 * wave).astype(int) if adapt else np.full(n, 35)
     record = provenance(
-        Origin(
-            scenario=scenario,
-            plant="dual-track",
-            tyre="constant-stiffness",
-            vehicle="paper",
-            profile="paper",
-            seed=7,
-            preview=False,
-            controller=controller,
-            tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01},
-        ),
         "2026-01-02T03:04:05+00:00",
+        scenario=scenario,
+        plant="dual-track",
+        tyre="constant-stiffness",
+        vehicle="paper",
+        profile="paper",
+        seed=7,
+        preview=False,
+        controller=controller,
+        tuning={"Np": 35, "Nc": 8, "Q": 10.0, "R": 0.01},
     )
     return Trajectory(
         t=t,

@@ -140,14 +140,8 @@ def rollout_batch(
     seed_array = np.array(seeds, dtype=np.int64)
     if seed_array.shape not in ((), (runs,)):
         raise InvalidInput(f"seeds: need one, or one for each of the {runs} runs; got shape {seed_array.shape}.")
-    batch_result = batch.run(
-        index,
-        tuning_rows,
-        np.broadcast_to(seed_array, (runs,)).copy(),
-        threads or os.cpu_count() or 1,
-        scheduler=batch.scheduler,
-    )
-    return batch_result.summary()
+    run_seeds = np.broadcast_to(seed_array, (runs,)).copy()
+    return batch.run(index, tuning_rows, run_seeds, threads, scheduler=batch.scheduler).summary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,8 +332,9 @@ class Batch:
         return chunks
 
     def run(
-        self, scenario_indices: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64], threads: int,
-        traced: bool = False, segment: int = 0, weight: float = 0.0, scheduler: CompiledScheduler | None = None,
+        self, scenario_indices: NDArray[np.int64], tunings: Array, seeds: NDArray[np.int64],
+        threads: int | None = None, traced: bool = False, segment: int = 0, weight: float = 0.0,
+        scheduler: CompiledScheduler | None = None,
     ) -> BatchRuns:  # fmt: skip
         """Drive run i with scenario ``scenario_indices[i]``, ``tunings[i]`` and ``seeds[i]``.
 
@@ -350,7 +345,7 @@ class Batch:
         tunings : (runs, entries) array
             Tuning of each run; a scheduler replaces it in the first period.
         threads
-            Number of threads.
+            Number of threads; None for one per core.
         traced
             Whether to record the signals at every control instant, about 200 bytes per instant and run.
         segment
@@ -360,7 +355,7 @@ class Batch:
         scheduler
             Scheduler of the MPC; None for fixed tunings.
         """
-        runs, n = len(scenario_indices), int(self.periods.max())
+        threads, runs, n = threads or os.cpu_count() or 1, len(scenario_indices), int(self.periods.max())
         inputs = _BatchInputs(scenario_indices, tunings, seeds, segment, weight, n if traced else 0, scheduler)
         room = Room() if traced else self.controller.room_for(tunings, scheduler)
         result, counts = kernel.RESULT.new(runs), np.zeros((len(guard_kernel.COUNTS), runs), np.int64)

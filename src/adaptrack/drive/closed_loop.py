@@ -167,25 +167,45 @@ class ClosedLoop:
             np.array([n]),
         )  # fmt: skip
         self._calls_back: list[CallBack] = []
+        self._car: _SteppedVehicle | None = None
         part = python_part(controller, None if step is None else self._called_back(lambda *_: step(), STEP))
         self.speed_control: SpeedController | None = None
         """Speed control of the run, if it has one."""
         self._follower: SpeedFollower | None = None
         self._request: SpeedCommand | None = None
-        self.run = world.run(
+        self._unconnected = world.run(
             inputs, self._vehicles(start), world.settings(world.substeps(float(self.signals.speed.max()))), part,
             needs_variables=True, asks=step is None, weight=world.profile.move_weight,
             trace=kernel.traces(1, n, part.answer.shape[1]) if traced else None,
             **self._speed_part(scenario, controller),
         )  # fmt: skip
         if isinstance(world.perception, FrictionWindEstimator):
-            world.perception.reset(self.run.variable_estimator.memory)
-        self.resident = Resident(self.run)
-        """`run` in the memory of the kernels."""
+            world.perception.reset(self._unconnected.variable_estimator.memory)
+        self._connect()
         self._drives, self._references = self.run.memory.drives, inputs.signals[0, SIGNAL.y_ref]
         kernel.begin(1, self.resident)
         if step is None:
             self.roll_on(1)
+
+    def _connect(self) -> None:
+        """Let the run call the plant and the driver in Python."""
+        run = self._unconnected
+        if self._car is not None:
+            advance = self._called_back(self._car.advance, contract.ADVANCE)
+            run = run._replace(vehicles=run.vehicles._replace(advance=address_of(advance)))
+        if self._follower is not None:
+            ask = self._called_back(self._ask_follower, kernel.CONTROL_SPEED)
+            run = run._replace(control_speed=address_of(ask))
+        self.run = run
+        self.resident = Resident(run)
+        """`run` in the memory of the kernels."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_calls_back": [], "run": None, "resident": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._connect()
 
     def _called_back(self, function: Callable[..., None], signature: Signature) -> CallBack:
         """Let the run call a function; if it raises an error, the run ends."""
@@ -205,8 +225,8 @@ class ClosedLoop:
         plant = self.world.plant
         if not isinstance(plant, SteppedPlant):
             return vehicle_batch(plant.compiled, plant.packed(), start[None])
-        car = _SteppedVehicle(self.world, start)
-        return car.batch._replace(advance=address_of(self._called_back(car.advance, contract.ADVANCE)))
+        self._car = _SteppedVehicle(self.world, start)
+        return self._car.batch
 
     def _speed_part(self, scenario: Scenario | RoadDrive, controller: Controller | None) -> dict[str, Any]:
         """Fields of the run that let a speed control, or a driver of your own, request the forces.
@@ -226,7 +246,7 @@ class ClosedLoop:
             )
         if not isinstance(driver, SpeedControl):
             self._follower = _follower(driver, scenario, self.world.period)
-            return {"control_speed": address_of(self._called_back(self._ask_follower, kernel.CONTROL_SPEED))}
+            return {}
         control = self.speed_control = SpeedController(driver, scenario.road, scenario.plan, self.world.period)
         if controller is not None:
             control.estimate_friction(controller)

@@ -31,15 +31,6 @@ class Reason(StrEnum):
     SPUN = "spun"
     NOT_FINITE = "not-finite"
 
-    @property
-    def sentence(self) -> str:
-        """Sentence that explains the reason."""
-        return {
-            Reason.OFF_ROAD: "The vehicle left the road, or never reached its reference.",
-            Reason.SPUN: "The vehicle spun: it slid more sideways than a driver can catch.",
-            Reason.NOT_FINITE: "The vehicle reached a state, or the controller gave a command, that is not finite.",
-        }[self]
-
 
 @checked
 @dataclass(frozen=True)

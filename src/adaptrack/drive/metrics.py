@@ -24,6 +24,7 @@ from adaptrack.control.models import PredictionModel
 from adaptrack.drive.failure import MIN_JUDGED_SPEED, FailureLimits, find_failure, state_is_finite
 from adaptrack.drive.prediction import TIMES, run_prediction_error
 from adaptrack.drive.signal_statistics import (
+    finite_length,
     largest_known,
     largest_magnitude,
     mean_square,
@@ -194,9 +195,8 @@ def compute_metrics(
         error = trajectory.error if state_is_finite(trajectory).all() else np.full(len(trajectory), np.nan)
         heading_error = trajectory.heading_error[~(trajectory.vx < MIN_JUDGED_SPEED)]  # NaN speeds stay in
         jerk = np.diff(trajectory.lateral_acceleration) / trajectory.period
-    mse = mean_square(error)
+    motion = _motion_measures(error, heading_error, trajectory.command, trajectory.lateral_acceleration, jerk)
     activity = mean_square(trajectory.command_change)
-    acceleration = trajectory.lateral_acceleration
     prediction_errors = dict.fromkeys(TIMES, math.nan) if model is None else run_prediction_error(trajectory, model)
     record = None if outline is None else PathRecord.from_trajectory(trajectory)
 
@@ -207,25 +207,33 @@ def compute_metrics(
         failed_at=failed.time if failed else math.nan,
         failed_reason=str(failed.reason) if failed else "",
         failed_because=failed.clause if failed else "",
-        mse=mse,
-        rms_error=math.sqrt(mse),
-        max_abs_error=largest_magnitude(error),
-        heading_rms=math.sqrt(mean_square(heading_error)),
-        heading_max=largest_magnitude(heading_error),
-        steering_rms=math.sqrt(mean_square(trajectory.command)),
+        **motion,
         steering_rate_rms=math.sqrt(activity) / trajectory.period,
         steering_activity=activity,
-        lateral_acceleration_rms=math.sqrt(mean_square(acceleration)),
-        lateral_acceleration_max=largest_magnitude(acceleration),
-        jerk_rms=math.sqrt(mean_square(jerk)),
         prediction_error_half=prediction_errors[0.5],
         prediction_error_one=prediction_errors[1.0],
-        cost=mse + move_weight * activity if move_weight else mse,
+        cost=motion["mse"] + move_weight * activity if move_weight else motion["mse"],
         belief_state=last_belief_state(trajectory),
         **belief_shares(trajectory),
         **_step_measures(trajectory),
         **({} if record is None or outline is None else _path_measures(record, outline, LANE_WIDTH, STEERING_RATIO)),
     )
+
+
+def _motion_measures(error: Array, heading: Array, command: Array, acceleration: Array, jerk: Array) -> dict[str, Any]:
+    """Return the measures of tracking, command, lateral acceleration and jerk by their names in `Metrics`."""
+    mse = mean_square(error)
+    return {
+        "mse": mse,
+        "rms_error": math.sqrt(mse),
+        "max_abs_error": largest_magnitude(error),
+        "heading_rms": math.sqrt(mean_square(heading)),
+        "heading_max": largest_magnitude(heading),
+        "steering_rms": math.sqrt(mean_square(command)),
+        "lateral_acceleration_rms": math.sqrt(mean_square(acceleration)),
+        "lateral_acceleration_max": largest_magnitude(acceleration),
+        "jerk_rms": math.sqrt(mean_square(jerk)),
+    }
 
 
 def _step_measures(trajectory: Trajectory) -> dict[str, Any]:
@@ -312,8 +320,7 @@ class PathRecord:
         for column in dataclasses.fields(cls):
             if column.name not in columns:
                 columns[column.name] = getattr(run, names.get(column.name, column.name))
-        is_finite = np.isfinite(np.stack(list(columns.values()))).all(axis=0)
-        end = len(run) if is_finite.all() else int(is_finite.argmin())
+        end = finite_length(*columns.values())
         return None if end < 2 else cls(**{name: values[:end] for name, values in columns.items()})
 
     @property
@@ -348,21 +355,12 @@ def path_metrics(
         jerk = np.diff(record.lateral_acceleration) / np.diff(record.t)
         command = np.asarray(record.command)
         command_rate = np.diff(command) / np.diff(record.t)
-    mse = mean_square(record.offset)
     return Metrics(
         steps=record.t.size,
         driven=record.t.size,
-        mse=mse,
-        rms_error=math.sqrt(mse),
-        max_abs_error=largest_magnitude(record.offset),
-        heading_rms=math.sqrt(mean_square(heading)),
-        heading_max=largest_magnitude(heading),
-        steering_rms=math.sqrt(mean_square(command)),
+        **_motion_measures(record.offset, heading, command, record.lateral_acceleration, jerk),
         steering_rate_rms=math.sqrt(mean_square(command_rate)),
         steering_activity=mean_square(np.diff(command)),
-        lateral_acceleration_rms=math.sqrt(mean_square(record.lateral_acceleration)),
-        lateral_acceleration_max=largest_magnitude(record.lateral_acceleration),
-        jerk_rms=math.sqrt(mean_square(jerk)),
         **_path_measures(record, outline, lane_width, STEERING_RATIO if steering_ratio is None else steering_ratio),
     )
 

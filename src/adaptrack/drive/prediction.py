@@ -13,6 +13,7 @@ from adaptrack.control.models import MEASURED_STATES, PredictionModel
 from adaptrack.core.maths import portable
 from adaptrack.core.maths.portable import product
 from adaptrack.drive.failure import MIN_JUDGED_SPEED
+from adaptrack.drive.signal_statistics import finite_length, mean_square
 from adaptrack.drive.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -33,8 +34,7 @@ def run_prediction_error(run: Trajectory, model: PredictionModel) -> dict[float,
         return dict.fromkeys(TIMES, math.nan)
     states = np.stack([_state(run, name) for name in model.states], axis=-1)
     curvature = run.road.get("curvature", np.zeros(len(run)))
-    complete = np.isfinite(np.column_stack([states, run.command, run.vx, curvature])).all(axis=1)
-    end = len(run) if complete.all() else int(complete.argmin())
+    end = finite_length(states, run.command, run.vx, curvature)
     dead_periods = round(model.dead_time / model.period)
     times = [time for time in TIMES if 1 <= round(time / model.period) < end - dead_periods]
     errors = dict.fromkeys(TIMES, math.nan)
@@ -120,7 +120,7 @@ def prediction_error(
         step = b[state_rows] * u[command_rows, None] + e[state_rows] * turn[state_rows, None]
         predicted = product(a[state_rows], predicted[:count, :, None])[..., 0] + step
         if k in steps.values():
-            errors[k] = _rms(product(predicted, model.output) - y[dead_periods + k :])
+            errors[k] = math.sqrt(mean_square(product(predicted, model.output) - y[dead_periods + k :]))
     return {time: errors[count] for time, count in steps.items()}
 
 
@@ -129,11 +129,8 @@ def _discretised(model: PredictionModel, speeds: Array) -> tuple[Array, Array]:
     unique_speeds, rows = np.unique(speeds, return_inverse=True)
     if not (np.isfinite(unique_speeds) & (unique_speeds > 0.0)).all():
         raise InvalidInput("prediction_error: speeds must be positive and finite; leave out standstill.")
-    a, b, e = (
-        np.zeros((unique_speeds.size, model.n, model.n)),
-        np.zeros((unique_speeds.size, model.n)),
-        np.zeros(model.n),
-    )
+    n = model.n
+    a, b, e = np.zeros((unique_speeds.size, n, n)), np.zeros((unique_speeds.size, n)), np.zeros(n)
     for k, speed in enumerate(unique_speeds.tolist()):
         model.function(speed, model.period, model.parameters(), a[k], b[k], e)
     return a[rows], b[rows]
@@ -149,8 +146,3 @@ def _path_turn_input(model: PredictionModel, speeds: Array) -> Array:
         change[:, names.index("yaw")] = -model.period
         change[:, names.index("y")] = -0.5 * speeds * portable.square(model.period)
     return change
-
-
-def _rms(values: Array) -> float:
-    """Root mean square of an array; infinite if a value is not finite."""
-    return float(np.sqrt(np.mean(np.square(values)))) if np.isfinite(values).all() else math.inf

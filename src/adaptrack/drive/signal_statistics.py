@@ -40,6 +40,12 @@ def largest_known(values: Array) -> float:
     return float(np.max(measured)) if measured.size else math.nan
 
 
+def finite_length(*signals: Array) -> int:
+    """Number of instants before the first one at which a signal, (n,) or (n, m), is not finite."""
+    is_finite = np.asarray(np.isfinite(np.column_stack(signals)).all(axis=1))
+    return is_finite.size if is_finite.all() else int(is_finite.argmin())
+
+
 def percentile_95(values: Array) -> float:
     """95th percentile of the magnitudes; infinite if a value is not finite."""
     return float(np.percentile(np.abs(values), 95.0)) if np.isfinite(values).all() else math.inf

@@ -8,7 +8,6 @@ same trajectory.
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -31,7 +30,7 @@ from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
 from adaptrack.drive.closed_loop import ClosedLoop, failure_of
 from adaptrack.drive.failure import DISTANCE, FailureLimits
 from adaptrack.drive.predicted_paths import PredictedPaths
-from adaptrack.drive.trajectory import Origin, Trajectory, provenance
+from adaptrack.drive.trajectory import Trajectory, provenance
 from adaptrack.drive.world import Driver, LongitudinalDriver, PerceptionSource, World, warn_once
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
@@ -218,9 +217,7 @@ def rollouts(batch: Batch, seeds: Sequence[int], threads: int | None = None) -> 
     scenario_indices = np.repeat(np.arange(count), len(seeds))
     run_seeds = np.tile(np.array(seeds, dtype=np.int64), count)
     tunings = np.repeat(batch.tuning[None], len(scenario_indices), axis=0)
-    runs = batch.run(
-        scenario_indices, tunings, run_seeds, threads or os.cpu_count() or 1, traced=True, scheduler=batch.scheduler
-    )  # fmt: skip
+    runs = batch.run(scenario_indices, tunings, run_seeds, threads, traced=True, scheduler=batch.scheduler)
     trajectories = [
         _batch_trajectory(batch, runs, i, int(k), int(seed))
         for i, (k, seed) in enumerate(zip(scenario_indices, run_seeds, strict=True))
@@ -305,7 +302,7 @@ def _trajectory(
 ) -> Trajectory:
     n, state, plant = signals.n, record.state, world.plant
     is_driven = np.isfinite(record.command[:, 0])
-    description = controller.describe()
+    description, failure_distance = controller.describe(), FailureLimits.of(plant).distance
     road = {}
     if isinstance(scenario, RoadDrive):
         first = TRACE_SIGNALS.station
@@ -347,29 +344,21 @@ def _trajectory(
         failed=record.failed,
         failed_at=record.failed_at,
         meta=provenance(
-            Origin(
-                scenario=scenario.name,
-                plant=plant.name,
-                tyre=plant.tyre_name,
-                vehicle=getattr(getattr(plant, "vehicle", None), "name", plant.name),
-                profile=world.profile.name,
-                seed=seed,
-                preview=bool(description.get("preview", False)),
-                controller=controller.name,
-                tuning=description.get("tuning", {}),
-            ),
             datetime.now(UTC),
+            scenario=scenario.name,
+            plant=plant.name,
+            tyre=plant.tyre_name,
+            vehicle=getattr(getattr(plant, "vehicle", None), "name", plant.name),
+            profile=world.profile.name,
+            seed=seed,
+            preview=bool(description.get("preview", False)),
+            controller=controller.name,
+            tuning=description.get("tuning", {}),
             move_weight=world.profile.move_weight,
             control=description,
             speed="driver" if world.has_driver(scenario) else "profile",
             scheduler_counts=record.counted,
-            **_failure_distance(plant),
+            **({} if failure_distance == DISTANCE else {"failure_distance": failure_distance}),
             **_true_values(world, controller),
         ),
     )
-
-
-def _failure_distance(plant: Plant | SteppedPlant) -> dict[str, float]:
-    """Return the failure distance (m) of the car as an entry of the provenance, if it differs from the default."""
-    plant_limit = FailureLimits.of(plant).distance
-    return {} if plant_limit == DISTANCE else {"failure_distance": plant_limit}

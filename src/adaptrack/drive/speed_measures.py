@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from adaptrack.core.maths import portable
 from adaptrack.core.public import GRAVITY, STANDING_SPEED
 from adaptrack.drive.failure import MIN_JUDGED_SPEED
-from adaptrack.drive.signal_statistics import mean_square, r79
+from adaptrack.drive.signal_statistics import finite_length, mean_square, r79
 from adaptrack.drive.trajectory import Trajectory
 from adaptrack.road import Road, SpeedPlan
 
@@ -54,7 +54,7 @@ def speed_measures(run: Trajectory, road: Road, plan: SpeedPlan) -> dict[str, An
         - `used_grip`: largest acceleration of the centre of gravity divided by true friction times gravity;
         - `stop_error`: largest distance from a stop at which the car first stood (m), `STOP_DISTANCE` without standing.
     """
-    end = _finite_length(run)
+    end = finite_length(run.road["station"], run.vx, run.lateral_acceleration)
     if end < 2:
         return dict.fromkeys(SPEED_MEASURES)
     t, station, speed = run.t[:end], run.road["station"][:end], run.vx[:end]
@@ -77,7 +77,7 @@ def speed_measures(run: Trajectory, road: Road, plan: SpeedPlan) -> dict[str, An
 
 def measure_stops(run: Trajectory, plan: SpeedPlan) -> list[StopMeasure]:
     """Return the stops of a plan that the car reached on all laps, by place."""
-    end = _finite_length(run)
+    end = finite_length(run.road["station"], run.vx, run.lateral_acceleration)
     if not end or not plan.stops:
         return []
     station, speed, length, stops = run.road["station"][:end], run.vx[:end], float(plan.s[-1]), []
@@ -91,9 +91,3 @@ def measure_stops(run: Trajectory, plan: SpeedPlan) -> list[StopMeasure]:
             elif station[-1] > place + STOP_DISTANCE:
                 stops.append(StopMeasure(place, stop.seconds, math.nan, stood))
     return stops
-
-
-def _finite_length(run: Trajectory) -> int:
-    """Return the number of instants before the first one that is not finite."""
-    is_finite = np.isfinite(run.road["station"]) & np.isfinite(run.vx) & np.isfinite(run.lateral_acceleration)
-    return len(run) if is_finite.all() else int(is_finite.argmin())

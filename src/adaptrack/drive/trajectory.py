@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,7 @@ TRAJECTORY_FORMAT = "adaptrack trajectory"
 TRAJECTORY_FORMAT_VERSION = 2
 """Version of the file format; it increases when a column is added, removed or renamed, or changes its unit."""
 
+_REAL, _WHOLE, _TRUTH = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
@@ -53,17 +54,12 @@ class StoredArray:
 
     unit: str
     """SI unit; ``-`` for dimensionless quantities."""
-    kind: Literal["real", "whole", "truth"] = "real"
+    dtype: np.dtype = _REAL
     """Element type: ``float64``, ``int64`` or ``bool``."""
     parts: tuple[str, ...] = ()
     """Suffixes of the m columns in a file, for an array (n, m)."""
     name: str = ""
     """The attribute of `Trajectory`."""
-
-    @property
-    def dtype(self) -> np.dtype:
-        """Element type of the array in a `Trajectory` and in a file."""
-        return np.dtype({"real": np.float64, "whole": np.int64, "truth": np.bool_}[self.kind])
 
     @property
     def stored_names(self) -> tuple[str, ...]:
@@ -119,7 +115,7 @@ class Trajectory:
     """Wind velocity along world X and Y (m/s), (n, 2)."""
     lateral_acceleration: Annotated[Array, StoredArray("m/s^2")]
     """Lateral acceleration of the centre of gravity in the body frame (m/s²), (n,)."""
-    held: Annotated[Array, StoredArray("-", "truth")]
+    held: Annotated[Array, StoredArray("-", _TRUTH)]
     """Whether the controller had no usable solution and kept a safe steering angle, bool (n,)."""
     step_time: Annotated[Array, StoredArray("s")]
     """Computation time of the control step (s), (n,); NaN if not measured."""
@@ -360,37 +356,18 @@ TRAJECTORY_COLUMNS = tuple(
 """Arrays of every `Trajectory`, in the order of its fields and of the columns in a file."""
 
 
-@dataclass(frozen=True)
-class Origin:
-    """Scenario, plant and controller of a run; each is a name, or a table with ``name`` and the parameters in use."""
-
-    scenario: Any
-    plant: Any
-    tyre: Any
-    vehicle: Any
-    profile: str
-    seed: int | None
-    """Seed of the sensor noise."""
-    preview: bool
-    """Whether the controller knew the reference ahead."""
-    controller: Any
-    tuning: Any
-
-
-def provenance(origin: Origin, created: str | datetime, **entries: Any) -> dict[str, Any]:
-    """Return the provenance of a result for the `meta` of a `Trajectory`: its origin and the software versions.
+def provenance(created: str | datetime, **entries: Any) -> dict[str, Any]:
+    """Return the provenance of a result for the `meta` of a `Trajectory`: its entries and the software versions.
 
     Parameters
     ----------
-    origin
-        Scenario, plant and controller.
     created
         Time of creation; an argument, so that the result does not depend on the system clock.
     **entries
-        Further entries, such as ``moves``, ``qp_solver`` or ``command``.
+        Scenario, plant and controller of the run, each a name or a table with ``name`` and the parameters in use, and
+        further entries, such as ``seed``, ``moves``, ``qp_solver`` or ``command``.
     """
     return {
-        **vars(origin),
         **entries,
         "versions": {
             "adaptrack": __version__,
@@ -422,15 +399,14 @@ def _checked(column: StoredArray, values: Any, steps: int) -> Array:
 
 def _storable_arrays(group: str, group_arrays: Mapping[str, Any], steps: int) -> Mapping[str, Array]:
     """Convert arrays by name to the types that a file can store, or raise InvalidInput."""
-    kinds: dict[str, Literal["real", "whole", "truth"]] = {"f": "real", "i": "whole", "u": "whole", "b": "truth"}
-    arrays = {}
+    dtypes, arrays = {"f": _REAL, "i": _WHOLE, "u": _WHOLE, "b": _TRUTH}, {}
     for name, values in group_arrays.items():
         if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII):
             raise InvalidInput(f"trajectory: {group}: {name!r} must be a name of letters, digits and _.")
-        kind = kinds.get(np.asarray(values).dtype.kind)
-        if kind is None:
+        dtype = dtypes.get(np.asarray(values).dtype.kind)
+        if dtype is None:
             raise InvalidInput(f"trajectory: `{group}[{name!r}]` must hold numbers or truth values.")
-        arrays[name] = _checked(StoredArray("-", kind, name=f"{group}[{name!r}]"), values, steps)
+        arrays[name] = _checked(StoredArray("-", dtype, name=f"{group}[{name!r}]"), values, steps)
     return arrays
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import struct
+import textwrap
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,21 +23,18 @@ from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLi
 from adaptrack.core import library
 from adaptrack.core.input_check.record import MISTAKES
 from adaptrack.core.kernel import Array as KernelArray
+from adaptrack.core.kernel import Field, fields_of
 from adaptrack.core.roads import path, road
+from adaptrack.core.speed.friction import FRICTION_MEMORY
 from adaptrack.core.speed.path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, PlanArrays, speed_path_words
+from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.core.tracker.records import TrackerRecord
-from adaptrack.core.tracker.signals import TRACKER_SAMPLE
+from adaptrack.core.tracker.signals import STATUS, TRACKED, TRACKER_SAMPLE
 from adaptrack.core.tracker.step import Tracking
 from adaptrack.export import bounds
 from adaptrack.export.block import Block
-from adaptrack.export.c_signals import signal_texts
 from adaptrack.export.recorded_drive import Recorded, record_drive
-from adaptrack.export.tracking import (
-    SpeedPart,
-    refuse,
-    speed_part,
-    tracking_block,
-)
+from adaptrack.export.tracking import SpeedPart, refuse, speed_part, tracking_block
 from adaptrack.road import Road, SpeedPlan, load_road, plan_speed
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -52,6 +50,13 @@ STEP_KERNEL = "tracker_step"
 CONSTANTS_FILE = "constants.bin"
 MAX_C_POINTS = 100_000
 """Of a path or a plan."""
+C_TYPES = {"status": "adaptrack_status", "suspect": "uint64_t", "speed_state": "adaptrack_speed_state",
+           "limited_by": "adaptrack_speed_limit"}  # fmt: skip
+"""Types of whole numbers that are not int."""
+MEMBER_NAMES = {"belief_state": "belief", "belief_at_bound": "at_bound"}
+"""Names of members that differ from those of the signals."""
+C_WIDTH = 120
+"""Characters in a line of C."""
 
 
 @dataclass(frozen=True)
@@ -340,28 +345,18 @@ def _speed_places(block: Block, places: Mapping[str, int]) -> list[str]:
 def _words(before: str, kind: Any, at: int) -> Iterator[tuple[str, int]]:
     """The word at which each field of a record begins, as `core.kernel.Resident` lays it."""
     for name, field_kind in kind.kinds.items():
-        if isinstance(field_kind, KernelArray):
-            yield f"{before}{name}", at
-            at += 1 + field_kind.ndim
-        elif hasattr(field_kind, "kinds"):
-            inner = list(_words(f"{before}{name}_", field_kind, at))
-            yield from inner
-            at += words_of(field_kind)
+        if hasattr(field_kind, "kinds"):
+            yield from _words(f"{before}{name}_", field_kind, at)
         else:
             yield f"{before}{name}", at
-            at += 1
+        at += words_of(field_kind)
 
 
 def words_of(kind: Any) -> int:
-    """How many words a record takes."""
-    return sum(
-        1 + field_kind.ndim
-        if isinstance(field_kind, KernelArray)
-        else words_of(field_kind)
-        if hasattr(field_kind, "kinds")
-        else 1
-        for field_kind in kind.kinds.values()
-    )
+    """How many words a record, an array or a number takes."""
+    if hasattr(kind, "kinds"):
+        return sum(map(words_of, kind.kinds.values()))
+    return 1 + kind.ndim if isinstance(kind, KernelArray) else 1
 
 
 def _parts(block: Block) -> str:
@@ -391,6 +386,79 @@ def _constants(block: Block) -> str:
             "const unsigned char adaptrack_constants[ADAPTRACK_CONSTANTS_SIZE] = {", ",\n".join(lines), "};", "",
         ]
     )  # fmt: skip
+
+
+# -- sample, status and answer ----------------------------------------------------------------------------------------
+def signal_texts() -> dict[str, str]:
+    """Return the texts of the C sources that follow from the signals, by their marks."""
+    tracked, requests = fields_of(TRACKED), fields_of(SPEED_REQUEST)
+    first, later = tracked[: TRACKED.first_top_speed], tracked[TRACKED.first_top_speed :]
+    comma = [","] * (len(STATUS) - 1) + [""]
+    return {
+        "SAMPLE": _members(fields_of(TRACKER_SAMPLE), "double"),
+        "UNKNOWN": ", ".join(["NAN"] * len(TRACKER_SAMPLE)),
+        "STATUSES": _remarked(
+            (f"ADAPTRACK_STATUS_{field.name.upper()} = {i}{comma[i]}", field)
+            for i, field in enumerate(fields_of(STATUS))
+        ),
+        "ANSWER": _members([*sorted(first, key=_is_whole), *later]),  # an order that programs rely on
+        "REQUESTS": _members(requests),
+        "READ_ANSWER": "\n".join(
+            f"    answer->{_name(field)} = {_tracked(i, field)};" for i, field in enumerate(tracked)
+        ),
+        "READ_REQUESTS": "\n".join(
+            f"    answer->{field.name} = {_requested(i, field)};" for i, field in enumerate(requests)
+        ),
+        "ANSWER_NUMBERS": _answer_numbers(tracked),
+        "REQUEST_NUMBERS": _answer_numbers(requests),
+    }
+
+
+def _is_whole(field: Field) -> bool:
+    return isinstance(field.default, int)
+
+
+def _name(field: Field) -> str:
+    return MEMBER_NAMES.get(field.name, field.name)
+
+
+def _type(field: Field) -> str:
+    return C_TYPES.get(field.name, "int" if _is_whole(field) else "double")
+
+
+def _members(fields: Iterable[Field], kind: str = "") -> str:
+    return _remarked((f"{kind or _type(field)} {_name(field)};", field) for field in fields)
+
+
+def _remarked(lines: Iterable[tuple[str, Field]]) -> str:
+    """Lines of C, each with unit and meaning of a field behind it; these remarks begin in one column."""
+    lines, texts = list(lines), []
+    begin = 5 + max(len(code) for code, _ in lines)
+    for code, field in lines:
+        remark = ", ".join(filter(None, (field.unit, field.meaning)))
+        rows = textwrap.wrap(f"{remark} */", C_WIDTH - begin - 3)
+        texts.append(f"    {code}".ljust(begin) + "/* " + ("\n" + " " * (begin + 3)).join(rows))
+    return "\n".join(texts)
+
+
+def _tracked(i: int, field: Field) -> str:
+    """A number of the kernel's row `tracked` as a member."""
+    if not _is_whole(field):
+        return f"tracked[{i}]"
+    return f"bits(tracked[{i}])" if _type(field) == "uint64_t" else f"({_type(field)})small(tracked[{i}])"
+
+
+def _requested(i: int, field: Field) -> str:
+    """A request as a member: of the memory of the speed control, which begins with requests, or of the friction."""
+    if i >= SPEED_REQUEST.friction_low:
+        return f"friction[{FRICTION_MEMORY._fields.index(field.name.removeprefix('friction_'))}]"
+    return f"({_type(field)})memory[{i}].whole" if _is_whole(field) else f"memory[{i}].number"
+
+
+def _answer_numbers(fields: Iterable[Field]) -> str:
+    """The members of an answer as numbers of an array."""
+    values = (f"{'(double)' * _is_whole(field)}answer->{_name(field)}," for field in fields)
+    return textwrap.indent(textwrap.fill(" ".join(values), C_WIDTH - 8), " " * 8)
 
 
 # -- the recorded minute ----------------------------------------------------------------------------------------------

@@ -115,22 +115,12 @@ def linked(system: System, kernels: bytes, command: list[str]) -> bytes:
         options = [option.format(exports="exports") for option in system.options]
         if "ziglang" in command:  # without a library it has no headers of one either
             options = [option for option in options if option != "-nostdlib"]
-        arguments = [
-            *command,
-            *FLAGS,
-            *options,
-            "-shared",
-            *names,
-            "units.c",
-            "kernels.o",
-            "-o",
-            f"made.{system.ending}",
-            "-s",
-        ]
+        library_name = f"made.{system.ending}"
+        arguments = [*command, *FLAGS, *options, "-shared", *names, "units.c", "kernels.o", "-o", library_name, "-s"]
         process = subprocess.run(arguments, cwd=work, capture_output=True, text=True)
         if process.returncode != 0:
             raise InvalidInput(f"{' '.join(arguments)}: {process.stderr}")
-        return (work / f"made.{system.ending}").read_bytes()
+        return (work / library_name).read_bytes()
 
 
 def manifest() -> dict[str, Any] | None:

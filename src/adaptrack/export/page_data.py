@@ -1,26 +1,107 @@
 """What Python writes into the page: how the kernels' records lie in memory, and what is data, never a formula.
 
 Of JSON alone; what it has no number for is text ("NaN", "Infinity", "-Infinity"), arrays are base64.
+
+    layouts     of each record its 8-byte words: {"words": count, "fields": {name: [first word, kind, more]}}
+    calls       of each kernel its arguments and what it returns, a letter or a digit each
+    image       a record with all that it holds, as numbers of JSON and arrays of base64
+
+Kind of a field: "f" a float64, "i" an int64, "F" and "I" an array of these (more: its dimensions; its words are the
+place and the sizes), "R" an array of rows (more: the record), "W" so many float64 in a row (more: their count),
+"r" a record (more: which), "S" so many records in a row (more: [which, count]).
+
+The numbers of controllers and worlds are copies, without formulas. Python writes them once, per profile
+(`world_numbers`) and kind of controller (`controller_numbers`); of the car there is what a user gives. A row of a
+record is a table by the names of its fields; an unknown number is NaN. The program lays rows in its memory (`numbers by
+name`), copies into them what is named here, and calls, in this order:
+
+**A car.** Its numbers by name are the keys of a car file, those left out with the defaults of `page_inputs.car_fields`.
+
+1. From a sheet: a row of `models.car.CarRow` with ``mass`` and what else the sheet says, NaN elsewhere, an empty
+   `synthesis.car.KnownWithinRow`; ``complete_car(wheelbase, load, truck, car, within)``. Every other number has its
+   default; the tyre is that of the default. From a file: `KnownWithinRow` is a copy of the section ``known_within``
+   with ``is_given = 1``, or all NaN with ``is_given = 0`` where there is none.
+2. `CarRow` is a copy by name; ``car_flaw(car)`` must answer `OK`. So are `synthesis.plant.TyreRow` (``linear`` and
+   ``stiffness_load`` are numbers: the places of the words in `page_inputs.car_fields`; ``shape_factor`` is the file's
+   ``shape``) and `BodyRow`. ``outline_of(body, car, outline)`` must answer `OK`.
+
+**A world.** The profile's `world_numbers`.
+
+1. ``plant_parameters(car, tyre, actuator, parameters)``; ``plant_law(tyre)`` chooses among ``plants`` which
+   functions the `plants.contract.Vehicles` hold.
+2. ``plant_substeps(car, tyre, 1, period, top speed of the drive)`` -> ``substeps`` of `simulation.world.LoopSettings`;
+   ``dead_periods(delay, actuator.dead_time, period)`` -> ``dead_whole``, ``dead_share``. The rest of Settings are
+   copies: of ``settings``, of the actuator (``steering_lag``, ``steering_limit``, ``steering_bias``), of the car
+   (``mass``, ``engine_power``, ``traction_limit``, ``brake_limit``) and of the domain (``failure_distance``).
+3. ``drive_start(line, offset, turned, pose)`` of `core.planning.drive`, then the speed there: the first four of the 12
+   entries of ``start``; the others are zero.
+
+When the truth changes while it drives, 1 and 2 are called again with a changed actuator.
+
+**An informed MPC** (`informed`, `learning`): from ``order`` of `controller_numbers`.
+
+1. Into the row of `synthesis.mpc.Order`: ``car`` and ``within`` of the car; ``file``: lag, dead_time, rate and
+   limit of the section ``steering``, NaN where it has none; ``caller``: what a caller believes of lag and dead time.
+2. ``informed_numbers(order, numbers)`` must answer `OK`; it writes a row of `synthesis.mpc.MPCNumbers`: tuning, model,
+   states, turning, estimator, learner of the `Mpc`. A tuning of the caller's then takes the place of ``tuning``.
+   ``learner_memory`` writes ``fresh``, as many numbers as ``learned``.
+3. ``settings`` of `controller_numbers` go into ``numbers.settings``; ``longest_horizon`` and ``most_moves`` are those
+   of ``settings``, or Np and Nc where these are larger.
+4. ``learns`` is ``settings.learns``; on a road ``curved`` and ``feeds_forward`` are 1. ``functions`` names the members.
+
+**The published MPC** (`published`, and with a schedule): ``published_numbers(car, period, numbers)``; there is no
+turning, estimator or learner. On a road ``curved`` is 1 and ``feeds_forward`` 0.
+
+**A speed control**: `speed_numbers`.
+
+1. ``settings`` in a row of `speed_control.SpeedSettings`, completed by the period, the car and what ``resistance``
+   and ``usable_friction`` answer.
+2. ``write_speed_path`` of the plan, then a `core.tracker.longitudinal.Longitudinal` with ``bank`` hypotheses each of
+   drive and brakes and ``speed_requests``; ``horizon_cells`` counts the cells ahead. ``top_speed`` of its sample is
+   inf, or ``first_top_speed`` of a learner. Its estimate of the friction has no hypotheses without an informed MPC;
+   otherwise ``plant_parameters`` of the steering that this assumes, and of ``sensor_variances`` those of ``sensors``.
+   ``longitudinal_begin``.
+3. ``prescribed_speed`` of the run is ``external_forces``, `control_planned_speed` its ``control_speed``, and there is
+   room for ``speeds_ahead`` in ``speeds``. `roll_on` drives; what is seen is in ``frames``, by `show_period`.
+
+**A law** (`pure-pursuit`, `stanley`, `lqr`): ``common`` is a row of `synthesis.laws.Common`; ``size`` numbers are made
+by the kernel that ``made_by`` names, from car and common, of the LQR from its first three tuning entries as well; of
+``tuning`` the entry that is NaN is ``steering_delay(file)``.
 """
 
 from __future__ import annotations
 
+import base64
+import inspect
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
 from adaptrack.base.limits import CONTROL_HORIZON, MAX_SPEED, PREDICTION_HORIZON
-from adaptrack.cars.vehicle import SteeringActuator, list_vehicles, load_vehicle
+from adaptrack.cars.plant import DualTrack
+from adaptrack.cars.vehicle import SteeringActuator, Vehicle, list_vehicles, load_vehicle
+from adaptrack.control.controllers import LQR, MPC, CompiledController, Learning, PurePursuit, Stanley, published_mpc
+from adaptrack.control.controllers.informed import order_of
 from adaptrack.control.scheduling import load_scheduler
+from adaptrack.control.speed_control import (
+    ASSUMED_KNOWLEDGE,
+    FRICTION_COUNT,
+    FRICTION_SENSORS,
+    LONGEST_STEERING_DELAY,
+    SpeedControl,
+    speed_banks,
+)
 from adaptrack.core.build.page import CALLED
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators import learning
-from adaptrack.core.kernel import Field, columns, fields_of, size_of
+from adaptrack.core.kernel import EXPORTED, Array, Field, Scalar, columns, fields_of, float64, int64, size_of
 from adaptrack.core.models.car import PLANT_PARAMETERS, CarRow, SingleTrackCar, SteeringRow
 from adaptrack.core.models.contract import MEASUREMENT
+from adaptrack.core.physics.tyre import TYRE_NAMES
 from adaptrack.core.planning import drive, speed, station_table
 from adaptrack.core.planning.cells import PLAN
 from adaptrack.core.plants.contract import PLANT_INPUT, PLANT_STATE, PLANT_STATES, SLOTS
@@ -28,20 +109,20 @@ from adaptrack.core.roads import path, road  # noqa: F401 (kernels that the page
 from adaptrack.core.scheduling.schedule import no_schedule
 from adaptrack.core.simulation import run
 from adaptrack.core.simulation.frame import FRAME, SPEED_FRAME
-from adaptrack.core.simulation.world import SIGNAL
+from adaptrack.core.simulation.world import EXTERNAL_FORCES, SIGNAL
 from adaptrack.core.speed import path as speed_path
 from adaptrack.core.synthesis import car, laws, plant
 from adaptrack.core.synthesis.mpc import ORDER_FAULTS, MPCNumbers, Order
 from adaptrack.core.tracker.longitudinal import Longitudinal
-from adaptrack.export.page_controllers import controller_numbers, speed_numbers, world_numbers
+from adaptrack.drive.closed_loop import LONGEST_SPEEDS_AHEAD
+from adaptrack.drive.world import World
 from adaptrack.export.page_inputs import car_fields, page_car, plain
-from adaptrack.export.page_layout import calls, image, layouts, packed
 from adaptrack.export.page_setup import GENERATED, PAGE_ROADS, PAPER_ROADS, controller_of, page_road
 from adaptrack.road import Comfort, Line, Road
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.road.speed import PLAN_SPACING
 from adaptrack.scenario import load_scenario
-from adaptrack.scenario.profile import list_profiles, load_profile
+from adaptrack.scenario.profile import Profile, list_profiles, load_profile
 
 RECORDS = (
     run.RunRecord, run.RunSizes, road.Centreline, station_table.AlongRecord, speed.Planning,
@@ -76,6 +157,21 @@ INPUTS = columns(
     Field("mass", "", 1.0, "The factor on the mass", "[0.5, 2]"),
 )
 """What is set on the page, with its bounds."""
+INFORMED_KINDS = ("informed", "learning")
+MADE_BY = {
+    "pure-pursuit": (PurePursuit, laws.pure_pursuit_parameters, laws.PURSUIT),
+    "stanley": (Stanley, laws.stanley_parameters, laws.STANLEY),
+    "lqr": (LQR, laws.lqr_parameters, laws.LQR_NUMBERS),
+}
+"""Laws by kind: the controller, the kernel that makes its parameters, and how many these are."""
+CAR_FIELDS, DRIVE_FIELDS = ("car", "within", "caller", "file"), ("substeps", "dead_whole", "dead_share")
+_WRITTEN = (
+    "period", "delay", "ahead", "error_max", "move_min", "move_max", "angle_min", "angle_max", "informed", "learns",
+    "curved", "feeds_forward",
+)  # fmt: skip
+"""Of the settings of an MPC, what kernels write, or the road decides."""
+CORE_PACKAGE = "adaptrack.core."
+_LETTERS = {"float64": "f", "int64": "i", "boolean": "i", "void": ""}
 
 
 def page_data() -> dict[str, Any]:
@@ -110,14 +206,8 @@ def _sizes() -> dict[str, int]:
 
 def _comfort() -> dict[str, float]:
     """Bounds of a speed plan besides road and car (`core.planning.speed.SpeedBounds`)."""
-    defaults = {
-        "start": math.nan,
-        "end": math.nan,
-        "top_speed": math.nan,
-        "no_limit": MAX_SPEED.most,
-        "spacing": PLAN_SPACING,
-    }
-    return {**Comfort().model_dump(), **defaults}
+    unknown = dict.fromkeys(("start", "end", "top_speed"), math.nan)
+    return {**Comfort().model_dump(), **unknown, "no_limit": MAX_SPEED.most, "spacing": PLAN_SPACING}
 
 
 def _straight() -> Road:
@@ -134,18 +224,14 @@ def _along(road: Road) -> dict[str, float]:
 def _controller(kind: str, profile: str) -> dict[str, Any]:
     """The constants of a kind of controller in a profile, its schedule and the names of what it says."""
     base, _, scheduled = kind.partition("-")
-    law = kind in ("pure-pursuit", "stanley", "lqr")
     world = load_profile(profile)
     if base == "published" and not math.isfinite(world.noise_vy):
         return {
             "refused": f"The profile “{profile}” has no sensor for the lateral velocity, which the paper's MPC needs: "
             "choose the informed MPC."
         }
-    plain = kind if law else base
-    controller, numbers = (
-        controller_of({"kind": plain}, load_vehicle("paper"), world),
-        controller_numbers(plain, profile),
-    )
+    base = kind if kind in MADE_BY else base
+    controller, numbers = controller_of({"kind": base}, _any_car(), world), controller_numbers(base, profile)
     return {
         **numbers, "words": CONTROLLER_KINDS[kind],
         "schedule": f"road-{scheduled}" if base == "published" and scheduled else None,
@@ -193,3 +279,199 @@ def _words() -> dict[str, Any]:
                   for field in fields_of(INPUTS) if field.meaning},
         "controller": ["", *(f"The controller cannot be made: {fault}" for fault in ORDER_FAULTS.values())],
     }  # fmt: skip
+
+
+# -- controllers and worlds -------------------------------------------------------------------------------------------
+def world_numbers(profile: str | Profile) -> dict[str, Any]:
+    """A profile for a program without Python, see the module.
+
+    ``period`` (s), ``delay`` (periods), ``actuator`` (`synthesis.plant.Actuator`), ``settings``
+    (`simulation.world.LoopSettings`, all that is not of car or drive), ``remembered`` (instants whose samples are
+    kept), ``requested`` (forces that are remembered), ``speed_requests`` (those of a speed control) and ``plants``, the
+    names of the functions for each answer of ``plant_law``.
+    """
+    profile_world, car = load_profile(profile), _any_car()
+    world = World.of(DualTrack(car), MPC(car, profile=profile_world), profile_world, None, None, None)
+    settings = world.settings(1)._asdict()
+    requested = 2 * (2 + max(settings["drive_whole"], settings["brake_whole"]))
+    speed = SpeedControl(car).settings(world.period, Comfort())
+    theirs = (*DRIVE_FIELDS, "failure_distance", *(key for key in settings if key.startswith("steering_")))
+    for key in (*theirs, *world.plant.powertrain):
+        del settings[key]
+    plants = [
+        {member: f"dual_track_{tyre}_{member}" for member in ("advance", "observe")} for tyre in TYRE_NAMES.values()
+    ]
+    return {
+        "period": profile_world.period, "delay": profile_world.delay, "actuator": profile_world.steering.model_dump(),
+        "settings": settings, "remembered": world.remembered, "plants": plants, "requested": requested,
+        "speed_requests": speed_banks(speed, world.period).requests.size,
+    }  # fmt: skip
+
+
+def speed_numbers() -> dict[str, Any]:
+    """A speed control for a program without Python, see the module; all that is not of car, plan or period."""
+    settings = SpeedControl(_any_car()).settings(1.0, Comfort())
+    names = ("accelerate", "brake", "emergency", "stop_jerk", "governor", "guard", "gain", "patience")
+    return {
+        "settings": {name: getattr(settings, name) for name in names}, "bank": speed_banks(settings, 1.0).drive.size,
+        "speeds_ahead": LONGEST_SPEEDS_AHEAD, "spacing": speed_path.PLACE_SPACING, "external_forces": EXTERNAL_FORCES,
+        "knowledge": ASSUMED_KNOWLEDGE, "frictions": FRICTION_COUNT, "sensors": FRICTION_SENSORS,
+        "longest_delay": LONGEST_STEERING_DELAY,
+    }  # fmt: skip
+
+
+def controller_numbers(kind: str, profile: str | Profile, preview: bool | None = None) -> dict[str, Any]:
+    """A controller of a kind (`INFORMED_KINDS`, ``published``, `MADE_BY`) for a program without Python, see the module.
+
+    preview: whether the reference is known ahead; None: as the profile says.
+    """
+    world = load_profile(profile)
+    preview = world.preview if preview is None else preview
+    if kind in MADE_BY:
+        return _law_numbers(kind, world, preview)
+    car = _any_car()
+    if kind == "published":
+        mpc = published_mpc(car, period=world.period, preview=preview)
+        return {"settings": _other_settings(mpc, _WRITTEN), "functions": _functions(mpc)}
+    if kind not in INFORMED_KINDS:
+        kinds = (*INFORMED_KINDS, "published", *MADE_BY)
+        raise UnknownName(f"no kind of controller is named {kind!r}. {did_you_mean(kind, kinds)}")
+    learning: Any = Learning() if kind == "learning" else "auto"
+    order, *_ = order_of(car, world, (None, None, learning), None, None, preview)
+    mpc = MPC(car, profile=world, learning=learning, preview=preview)
+    left = _row(order)
+    for part in CAR_FIELDS:
+        del left[part]
+    return {"order": left, "settings": _other_settings(mpc, (*_WRITTEN, "preview")), "functions": _functions(mpc)}
+
+
+def _any_car() -> Vehicle:
+    """A car none of whose numbers is read."""
+    return load_vehicle("paper")
+
+
+def _other_settings(mpc: MPC, written: tuple[str, ...]) -> dict[str, Any]:
+    return {key: value for key, value in mpc.settings()._asdict().items() if key not in written}
+
+
+def _functions(mpc: MPC) -> dict[str, str | None]:
+    """The names of the members whose addresses `core.controllers.mpc.Functions` holds."""
+    return {"discretise": _name(mpc.model.function), "estimate": _name(mpc.estimator.function)}
+
+
+def _name(function: Any) -> str | None:
+    return None if function is None else getattr(function, "name", function.__name__)
+
+
+def _law_numbers(kind: str, profile: Profile, preview: bool) -> dict[str, Any]:
+    law, kernel, size = MADE_BY[kind]
+    controller: CompiledController = law(_any_car(), period=profile.period, preview=preview)
+    (low, high), (least, most) = controller.limits.move, controller.limits.angle
+    arguments = inspect.signature(law).parameters
+    tuning = {
+        name: math.nan if arguments[name].default is None else controller.tuning[name]
+        for name in controller.tuning_names
+    }
+    return {
+        "common": {
+            "period": controller.period, "move_min": low, "move_max": high, "angle_min": least, "angle_max": most,
+        },
+        "tuning": tuning, "made_by": _name(kernel), "size": size, "function": _name(controller.function),
+        "memory": controller.memory_size, "diagnostics": list(controller.diagnostic_names), "preview": preview,
+    }  # fmt: skip
+
+
+def _row(row: Any) -> dict[str, Any]:
+    """A row of a record as tables in one another."""
+    names = row.dtype.names
+    return {name: _row(row[name]) if row.dtype[name].names else row[name].tolist() for name in names}
+
+
+# -- layouts ----------------------------------------------------------------------------------------------------------
+def name_of(kind: Any) -> str:
+    """A record by its file and its name: "loop.LoopSettings"."""
+    return f"{kind.__module__.removeprefix(CORE_PACKAGE)}.{kind.__name__}"
+
+
+def layouts(kinds: Iterable[Any]) -> dict[str, Any]:
+    """The layouts of records and of all that lie in them, by `name_of`."""
+    records: dict[str, Any] = {}
+    for kind in kinds:
+        _add(kind, records)
+    return records
+
+
+def _add(kind: Any, records: dict[str, Any]) -> int:
+    """Words of a record, whose layout is then known."""
+    name = name_of(kind)
+    if name in records:
+        return int(records[name]["words"])
+    place, fields = 0, {}
+    for field, field_kind in kind.kinds.items():
+        letter, nested, words = _field(field_kind, records)
+        fields[field] = [place, letter] if nested is None else [place, letter, nested]
+        place += words
+    records[name] = {"words": place, "fields": fields}
+    return place
+
+
+def _field(kind: Any, records: dict[str, Any]) -> tuple[str, Any, int]:
+    """Letter, further say and words of a field."""
+    if isinstance(kind, tuple):
+        of, *shape = kind
+        count = math.prod(shape)
+        if isinstance(of, Scalar):
+            return "W", count, count
+        return "S", [name_of(of), count], count * _add(of, records)
+    if isinstance(kind, Scalar):
+        return _LETTERS[kind.name], None, 1
+    if isinstance(kind, Array):
+        if isinstance(kind.of, Scalar):
+            return _LETTERS[kind.of.name].upper(), kind.ndim, 1 + kind.ndim
+        _add(kind.of, records)
+        return "R", name_of(kind.of), 2
+    return "r", name_of(kind), _add(kind, records)
+
+
+def calls(names: Iterable[str]) -> dict[str, list[str]]:
+    """Return the argument and result types of each kernel: "f", "i" numbers, "r" a record, "1" to "4" arrays."""
+    signatures = {name: EXPORTED[name].signature for name in names}
+    return {
+        name: ["".join(map(_letter, signature.types)), "".join(map(_letter, signature.returns))]
+        for name, signature in signatures.items()
+    }
+
+
+def _letter(kind: Any) -> str:
+    if isinstance(kind, Scalar):
+        return _LETTERS[kind.name]
+    return str(kind.ndim) if isinstance(kind, Array) else "r"
+
+
+# -- values -----------------------------------------------------------------------------------------------------------
+def packed(values: Any) -> dict[str, Any]:
+    """An array for JSON: its bytes in base64, and its shape; of whole numbers as such."""
+    array = np.ascontiguousarray(values)
+    is_integer = array.dtype.kind in "iub"
+    content = array.astype(np.int64 if is_integer else np.float64, copy=False)
+    return {"i8" if is_integer else "f8": base64.b64encode(content.tobytes()).decode(), "shape": list(array.shape)}
+
+
+def image(record: Any) -> dict[str, Any]:
+    """A record with all that it holds; what is zero throughout is given by its shape alone."""
+    functions = {kernel.address: name for name, kernel in EXPORTED.items() if "address" in vars(kernel)}
+    return {field: _value(kind, getattr(record, field), functions) for field, kind in record.kinds.items()}
+
+
+def _value(kind: Any, value: Any, functions: dict[int, str]) -> Any:
+    if hasattr(kind, "kinds"):
+        return {field: _value(inner, getattr(value, field), functions) for field, inner in kind.kinds.items()}
+    if isinstance(kind, Array):
+        if not value.tobytes().strip(b"\0"):
+            return {"shape": list(value.shape)}
+        if isinstance(kind.of, Scalar):
+            return packed(value)
+        return {"words": base64.b64encode(np.ascontiguousarray(value).tobytes()).decode(), "shape": list(value.shape)}
+    if kind == int64 and value in functions:
+        return {"function": functions[value]}
+    return packed(np.array([value], np.float64)) if kind == float64 else int(value)

@@ -27,16 +27,18 @@ from adaptrack.base.files import write_atomically
 from adaptrack.base.presentation import content_policy
 from adaptrack.cars.plant import DualTrack
 from adaptrack.cars.vehicle import Vehicle, list_vehicles, load_vehicle
+from adaptrack.core import library
 from adaptrack.drive.world import World
 from adaptrack.export.page_data import CONTROLLER_KINDS, INPUTS, page_data
 from adaptrack.export.page_inputs import MAX_PAGE_POINTS, page_car
-from adaptrack.export.page_kernels import page_kernels
 from adaptrack.export.page_setup import PAGE_ROADS, controller_of, drive_of
 from adaptrack.road import check_road, load_road
 from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 PAGE_SOURCES = Path(__file__).parent / "page"
+PAGE_TARGET = "wasm32-page"
+"""The name of what is exported for pages."""
 ENGINE = ("memory.js", "inputs.js", "makers.js", "engine.js")
 """Files of the worker, in the order in which they stand in its script; all other scripts are the page's."""
 FIRST_SCRIPTS, LAST_SCRIPTS = ("start.js",), ("app.js",)
@@ -196,6 +198,22 @@ def page_parts() -> PageParts:
     with _quiet():
         data = page_data()
     return PageParts(_text("page.html"), css, _together(page), _together(ENGINE), page_kernels(), data)
+
+
+def page_kernels() -> bytes:
+    """Return the module, compiled now where it is not there.
+
+    Raises
+    ------
+    InvalidInput
+        When it is not there and cannot be compiled.
+    """
+    try:
+        return library.exported(PAGE_TARGET).read_bytes()
+    except library.UNUSABLE as error:
+        raise InvalidInput(
+            f"the kernels for WebAssembly are not there ({error}): run {library.BUILD} --export {PAGE_TARGET}."
+        ) from None
 
 
 @contextlib.contextmanager

@@ -13,10 +13,9 @@ try:
 except ModuleNotFoundError:
     raise MissingExtra("adaptrack.gym needs Gymnasium: python -m pip install 'adaptrack[gym]'") from None
 
-from adaptrack.gym.mpc_tuning import MPCTuningEnv
-from adaptrack.gym.path_tracking import PathTrackingEnv
+from adaptrack.gym.mpc_tuning import MPCTuningEnv, MPCTuningVectorEnv
+from adaptrack.gym.path_tracking import PathTrackingEnv, PathTrackingVectorEnv
 from adaptrack.gym.task import Task
-from adaptrack.gym.vector import MPCTuningVectorEnv, PathTrackingVectorEnv
 
 __all__ = ["MPCTuningEnv", "MPCTuningVectorEnv", "PathTrackingEnv", "PathTrackingVectorEnv", "Task"]
 

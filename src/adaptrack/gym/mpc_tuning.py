@@ -1,22 +1,117 @@
-"""Environment in which an agent chooses the tuning of a car's MPC while the MPC drives."""
+"""Environments in which an agent chooses the tuning of a car's MPC while the MPC drives, one car or many.
+
+A belief consists of the steering parameters that an MPC assumes, or of the quantities that it learns while driving.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import whole_number
-from adaptrack.core.public import BELIEF_NAMES
-from adaptrack.gym.episode_run import EpisodeRun, require_running
-from adaptrack.gym.spaces import BELIEF_STATE, Tunings, box, check_action, initial_belief, make_mpc, variable_bounds
-from adaptrack.gym.task import Task
+from adaptrack.base.checked import reals, whole_number
+from adaptrack.base.errors import InvalidInput, UnknownName, did_you_mean
+from adaptrack.control.controllers import MPC, Controller, Learning, published_mpc
+from adaptrack.core.public import BELIEF_NAMES, drive_on, portable, write_variables
+from adaptrack.core.public import LEARNED as BELIEFS_OFFSET
+from adaptrack.drive.batch import Batch
+from adaptrack.drive.closed_loop import ClosedLoop
+from adaptrack.gym.environment import BELIEF_STATE, CLIP_DISTANCE, CarBlock, SingleCarEnv, VectorEnv, box, is_over
+from adaptrack.gym.task import Episode, Task
 
 Array = NDArray[np.float64]
 TUNING_PERIODS = 10
 """Default number of control periods between two actions."""
+VARIABLE_BOUNDS = {
+    "speed": (0.0, 100.0), "y_ref": (-1000.0, 1000.0), "friction": (0.0, 2.0), "wind": (-100.0, 100.0),
+    "change": (0.0, 1000.0), "acceleration": (0.0, 100.0), "offset": (-CLIP_DISTANCE, CLIP_DISTANCE),
+}  # fmt: skip
+"""Bounds of the scheduling variables of an MPC, SI units."""
+BELIEF_BOUNDS = {"belief_lag": (0.0, 10.0), "belief_delay": (0.0, 10.0)}
+"""Bounds of the steering lag and of the time until a command begins to act (s), as the controller assumes them."""
+LEARNED_BOUNDS = (-100.0, 100.0)
+"""Bounds of every learned quantity and standard deviation, SI units."""
+RATIO_DECADES = 2.0
+"""Largest difference between the log10 R/Q of an action and that of the controller's default tuning."""
+ENVIRONMENT_CONTROLLERS = ("informed", "informed-learning", "as-written")
+"""Controllers that an agent tunes; `as-written` is the published MPC."""
+
+
+def make_mpc(kind: str, vehicle: Any, profile: Any, scheduler: Any = None) -> MPC:
+    """Return an MPC with preview of the road.
+
+    Parameters
+    ----------
+    kind
+        One of `ENVIRONMENT_CONTROLLERS`.
+    vehicle, profile
+        Car and profile for which the MPC is built.
+    scheduler
+        Scheduler of the tuning; None for the default tuning.
+
+    Raises
+    ------
+    UnknownName
+        When there is no such controller.
+    """
+    arguments: dict[str, Any] = {"period": profile.period, "preview": True, "scheduler": scheduler}
+    if kind == "as-written":
+        return published_mpc(vehicle, **arguments)
+    if kind not in ENVIRONMENT_CONTROLLERS:
+        raise UnknownName(f"no controller to tune is named {kind!r}. {did_you_mean(kind, ENVIRONMENT_CONTROLLERS)}")
+    return MPC(vehicle, profile=profile, learning=Learning() if kind == "informed-learning" else None, **arguments)
+
+
+class Tunings:
+    """Conversion between tunings of an MPC and actions within +-1."""
+
+    def __init__(self, mpc: MPC) -> None:
+        log_ratio = portable.log10(mpc.tuning.R / mpc.tuning.Q)
+        self.low = np.array([1.0, 1.0, log_ratio - RATIO_DECADES])
+        self.high = np.array([mpc.longest_horizon, mpc.most_moves, log_ratio + RATIO_DECADES])
+        self.box = box([(-1.0, 1.0)] * 3)
+
+    def of(self, actions: Array) -> Array:
+        """Return Np, Nc and log10 R/Q (..., 3) of actions (..., 3)."""
+        return self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
+
+    def entries(self, actions: Array) -> Array:
+        """Return Np, Nc, Q and R (..., 4) of actions (..., 3), the same bits for one action as for many."""
+        tunings = self.of(actions)
+        ones = np.ones_like(tunings[..., 2:])
+        return np.concatenate([tunings[..., :2], ones, portable.power(10.0 * ones, tunings[..., 2:])], axis=-1)
+
+    def action(self, Np: float, Nc: float, ratio: float) -> Array:
+        """Return the action (3,) for Np and Nc (control periods) and ratio = log10 R/Q.
+
+        Raises
+        ------
+        InvalidInput
+            For values outside the bounds `low` and `high`.
+        """
+        tuning = reals("Np, Nc, log10 R/Q", [Np, Nc, ratio])
+        if not ((tuning >= self.low) & (tuning <= self.high)).all():
+            raise InvalidInput(f"Np, Nc, log10 R/Q = {tuning}: must lie between {self.low} and {self.high}.")
+        return 2.0 * (tuning - self.low) / (self.high - self.low) - 1.0
+
+
+def variable_bounds(mpc: MPC) -> dict[str, tuple[float, float]]:
+    """Return the observation bounds of an agent that tunes an MPC, by column name.
+
+    The scheduling variables come first, then the learned or assumed quantities of the MPC.
+    """
+    if mpc.learner is not None:
+        return {**VARIABLE_BOUNDS, **dict.fromkeys(BELIEF_NAMES, LEARNED_BOUNDS)}
+    return {**VARIABLE_BOUNDS, **(BELIEF_BOUNDS if mpc.belief is not None else {})}
+
+
+def initial_belief(mpc: Controller) -> tuple[float, ...]:
+    """Return the initial values of the columns after the scheduling variables, see `variable_bounds`."""
+    if mpc.learner is not None:
+        return tuple(mpc.learner.fresh()[BELIEFS_OFFSET : BELIEFS_OFFSET + len(BELIEF_NAMES)].tolist())
+    return () if mpc.belief is None else (mpc.belief.lag.value, mpc.belief.delay)
 
 
 class AgentScheduler:
@@ -31,7 +126,28 @@ class AgentScheduler:
         return self.tuning
 
 
-class MPCTuningEnv(gymnasium.Env):
+class _MPCTuning:
+    """Spaces of an agent that tunes an MPC, and this MPC, for one car and for many."""
+
+    task: Task
+    names: tuple[str, ...]
+    _scheduler: AgentScheduler | None = None
+
+    def _set_agent(self, controller: str, every: int, task: dict[str, Any]) -> tuple[spaces.Box, spaces.Box]:
+        """Set task, tunings and names of the columns; return the action and observation space of one car."""
+        self.task, self.controller = Task(**task), controller
+        self.every = whole_number("MPCTuning", "every", every)
+        vehicle, _, profile = self.task.base_car()
+        mpc = make_mpc(controller, vehicle, profile)
+        bounds = variable_bounds(mpc)
+        self.names, self.tunings = tuple(bounds), Tunings(mpc)
+        return self.tunings.box, box(list(bounds.values()))
+
+    def _controller(self, episode: Episode) -> MPC:
+        return make_mpc(self.controller, episode.vehicle, episode.profile, self._scheduler)
+
+
+class MPCTuningEnv(_MPCTuning, SingleCarEnv):
     """`adaptrack/MPCTuning-v0`: choose horizons and weights of a car's MPC at intervals of `every` periods.
 
     The MPC drives as in `adaptrack.simulate`; the agent takes the place of its scheduler. QP, prediction model and
@@ -94,55 +210,86 @@ class MPCTuningEnv(gymnasium.Env):
         For invalid arguments, options or actions.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
-
     def __init__(
         self, *, controller: str = "informed", every: int = TUNING_PERIODS, render_mode: str | None = None, **task: Any
     ) -> None:
-        self.task, self.controller, self.render_mode = Task(**task), controller, render_mode
-        self.every = whole_number("MPCTuning", "every", every)
-        vehicle, _, profile = self.task.base_car()
-        mpc = make_mpc(controller, vehicle, profile)
-        bounds = variable_bounds(mpc)
-        self.names = tuple(bounds)
-        self.tunings = Tunings(mpc)
-        self.action_space, self.observation_space = self.tunings.box, box(list(bounds.values()))
-        self._run: EpisodeRun | None = None
+        super().__init__(self._set_agent(controller, every, task), render_mode)
         self._scheduler = AgentScheduler()
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Start an episode, see `gymnasium.Env.reset`; options: `noise_seed`, `car_seed`, `road`."""
-        super().reset(seed=seed)
-        episode = self.task.draw(self.np_random, options)
-        self._mpc = make_mpc(self.controller, episode.vehicle, episode.profile, self._scheduler)
-        self._run = EpisodeRun(self.task, episode, self._mpc)
+    def _controller(self, episode: Episode) -> MPC:
+        self._mpc = super()._controller(episode)
         self._belief = initial_belief(self._mpc)
-        self._observation = np.zeros(len(self.names))
-        return self._observe(self._run), episode.info | self._belief_info
+        return self._mpc
 
-    def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Drive `every` control periods with a tuning, see `gymnasium.Env.step`."""
-        run = require_running(self._run)
-        self._scheduler.tuning = tuple(self.tunings.entries(check_action(action, self.tunings.box)).tolist())
-        loop, cost = run.loop, 0.0
+    def _drive(self, loop: ClosedLoop, action: Array) -> float:
+        assert self._scheduler is not None
+        self._scheduler.tuning = tuple(self.tunings.entries(action).tolist())
+        cost = 0.0
         for _ in range(self.every):
             sensed = loop.sensed
             preview: dict[str, Any] = {} if loop.road is None else {"road": loop.road_ahead(sensed.speed)}
             command = self._mpc.step(sensed.measured, sensed.speed, sensed.reference, sensed.variables, **preview)
             self._belief = command.learned or self._belief
-            cost += run.drive_period(command.angle)
-            if run.over:
+            cost += self._drive_period(loop, command.angle)
+            if is_over(loop):
                 break
-        return self._observe(run), -cost, run.terminated, run.truncated, run.info | self._belief_info
+        return cost
 
     @property
     def _belief_info(self) -> dict[str, Any]:
         """The state of the learned quantities for ``info``, empty if the controller does not learn."""
         return {} if self._mpc.learner is None else {BELIEF_STATE: int(self._belief[BELIEF_NAMES.index(BELIEF_STATE)])}
 
-    def _observe(self, run: EpisodeRun) -> Array:
-        variables = run.loop.sensed.variables
+    def _write_observation(self, loop: ClosedLoop) -> None:
+        variables = loop.sensed.variables
         inputs = np.array([*variables._replace(offset=-variables.offset), *self._belief])
         space, present = self.observation_space, np.isfinite(inputs)
-        self._observation = np.clip(np.where(present, inputs, self._observation), space.low, space.high)  # type: ignore[attr-defined]
-        return self._observation.copy()
+        self._observation[:] = np.clip(np.where(present, inputs, self._observation), space.low, space.high)  # type: ignore[attr-defined]
+
+
+class MPCTuningVectorEnv(_MPCTuning, VectorEnv):
+    """`adaptrack/MPCTuning-v0` for many cars at once, compiled.
+
+    Blocks, new episodes and the agreement with single-car runs are as in `PathTrackingVectorEnv`.
+
+    Parameters
+    ----------
+    num_envs, threads
+        As in `PathTrackingVectorEnv`.
+    controller, every, task
+        As in `MPCTuningEnv`, except that a user's plant must not be written in Python.
+
+    Raises
+    ------
+    InvalidInput
+        For invalid arguments, options or actions.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 64,
+        *,
+        threads: int = 1,
+        controller: str = "informed",
+        every: int = TUNING_PERIODS,
+        **task: Any,
+    ) -> None:
+        super().__init__(num_envs, threads, self._set_agent(controller, every, task))
+        self._longest_horizons = float(self.tunings.high[0]), float(self.tunings.high[1])
+        if BELIEF_STATE not in self.names:
+            self._step_columns = len(VARIABLE_BOUNDS)
+
+    def _constant_columns(self, batch: Batch) -> tuple[float, ...]:
+        return () if batch.controller.learner is not None else initial_belief(batch.controller)
+
+    def _store_actions(self, actions: Array) -> None:
+        tunings = self.tunings.entries(actions)
+        for block in self._blocks:
+            block.episodes.run.controller.tuning[:] = tunings[block.slots]
+
+    def _drive(self, block: CarBlock) -> None:
+        for _ in range(self.every):
+            drive_on(block.resident)
+
+    def _write_observations(self, block: CarBlock) -> None:
+        write_variables(block.resident)

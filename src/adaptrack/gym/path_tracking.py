@@ -1,55 +1,195 @@
-"""Environment in which an agent steers a car along its road."""
+"""Environments in which an agent steers a car along its road, one car or many, and may command its acceleration."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
-import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from adaptrack.core.public import ObservationSpace, Resident, write_one_observation
-from adaptrack.gym.acceleration import (
-    ACCELERATION_WEIGHT,
-    SPEED_WEIGHT,
-    AccelerationInput,
-    acceleration_bounds,
-    task_of,
+from adaptrack.base.checked import NotNegative, checked, reals
+from adaptrack.base.errors import InvalidInput
+from adaptrack.cars.vehicle import Vehicle
+from adaptrack.control.controllers import Controller
+from adaptrack.control.controllers.setup import LoopSetup
+from adaptrack.core.public import (
+    EPISODE_RUNS,
+    GRAVITY,
+    HOLDING_DECELERATION,
+    MIN_APPROACH_SPEED,
+    PLANT_STATE,
+    SIGNAL,
+    SLOTS,
+    STANDING_SPEED,
+    ObservationSpace,
+    Resident,
+    drive_on,
+    write_observations,
+    write_one_observation,
 )
-from adaptrack.gym.episode_run import EpisodeRun, require_running
-from adaptrack.gym.spaces import (
-    DISTANCES,
-    box,
-    check_action,
-    check_distances,
-    command_bounds,
-    observation_bounds,
-    observation_names,
-)
-from adaptrack.gym.task import ExternalCommands, Task
+from adaptrack.drive.closed_loop import ClosedLoop
+from adaptrack.drive.world import RequestedForces
+from adaptrack.gym.environment import CLIP_DISTANCE, CarBlock, SingleCarEnv, VectorEnv, box
+from adaptrack.gym.task import Episode, ExternalCommands, Task
 
 Array = NDArray[np.float64]
 
+OBSERVATION_BOUNDS = {
+    "offset": (-CLIP_DISTANCE, CLIP_DISTANCE), "heading_error": (-math.pi, math.pi), "yaw_rate": (-10.0, 10.0),
+    "speed": (0.0, 100.0), "wheel_angle": (-math.pi / 2, math.pi / 2), "command": (-math.pi / 2, math.pi / 2),
+    "pose_age": (0.0, 600.0),
+}  # fmt: skip
+"""Bounds of the columns of `core.simulation.observation.OBSERVATION`, SI units."""
+PREVIEW_BOUNDS = {"reference": (-CLIP_DISTANCE, CLIP_DISTANCE), "curvature": (-1.0, 1.0)}
+"""Bounds of a previewed reference (m) and of a previewed curvature (1/m)."""
+DISTANCES = (0.0, 5.0, 10.0, 20.0, 40.0)
+"""Default preview distances (m)."""
+ACCELERATION_BOUNDS, PLANNED_SPEED_BOUNDS = (-100.0, 100.0), (0.0, 100.0)
+"""Bounds of the last commanded acceleration (m/s^2) and of a planned speed (m/s) in an observation."""
+SPEED_WEIGHT, ACCELERATION_WEIGHT = 0.01, 0.001
+"""Default weights of the cost, s^2 and s^4: 1 m/s of speed error costs as much as an offset of 0.1 m."""
 
-def joint_spaces(
-    task: Task, distances: Array, speed: AccelerationInput | None
-) -> tuple[spaces.Box, spaces.Box, tuple[str, ...]]:
-    """Return the action and observation space of an agent that steers, and the names of its observed columns.
 
-    Parameters
-    ----------
-    speed
-        Acceleration input of an agent that also commands the acceleration.
-    """
-    actions, bounds, names = [command_bounds(task)], observation_bounds(distances), observation_names(distances)
-    if speed is None:
-        return box(actions), box(bounds), names
-    return box([*actions, acceleration_bounds(task)]), box([*bounds, *speed.bounds]), (*names, *speed.names)
+def check_distances(distances: Sequence[float]) -> Array:
+    """Return the preview distances (m) as an array; `InvalidInput` unless they are finite and not negative."""
+    metres = np.atleast_1d(reals("distances", distances)).copy()
+    if not (np.isfinite(metres).all() and (metres >= 0.0).all()):
+        raise InvalidInput(f"distances = {metres.tolist()!r} m: must be finite and not negative.")
+    return metres
 
 
-class PathTrackingEnv(gymnasium.Env):
+@checked
+@dataclass(frozen=True)
+class AccelerationInput:
+    """Accelerations that agents command to the cars of a batch or run: requests, cost and observed columns."""
+
+    distances: Any
+    """(n,) m, preview distances of the planned speed"""
+    speed_weight: Annotated[NotNegative, "s^2"] = SPEED_WEIGHT
+    """of the squared speed error in the cost"""
+    acceleration_weight: Annotated[NotNegative, "s^4"] = ACCELERATION_WEIGHT
+    """of the squared change of the acceleration in the cost"""
+
+    @property
+    def columns(self) -> list[tuple[str, tuple[float, float]]]:
+        """Names and bounds of the columns at the end of an observation."""
+        planned = [(f"planned_speed_{distance:g}m", PLANNED_SPEED_BOUNDS) for distance in self.distances]
+        return [("acceleration", ACCELERATION_BOUNDS), *planned]
+
+    def request(self, accelerations: Array, last: Array, vehicle: Vehicle, run: Any) -> Array:
+        """Request the accelerations (slots,) in m/s^2 of drive and brakes, and return the costs (slots,) in m^2.
+
+        The force is mass times the acceleration, plus slope and driving resistance as the data sheet gives them. Where
+        no driving is requested, the brakes hold a standing car. On a slope they also hold it until the drive does.
+
+        Parameters
+        ----------
+        last
+            Accelerations of the period before, which this method replaces.
+        vehicle
+            Data sheet of the cars.
+        run
+            Batch or run, `core.simulation.run.RunRecord`.
+        """
+        loop, signals = run.memory.drives, run.inputs.signals
+        place = np.where(loop["located"] > 0, loop["place"], np.minimum(loop["sample"], signals.shape[2] - 1))
+        grade = signals[run.inputs.scenario, SIGNAL.grade, place]
+        slope = GRAVITY * grade / np.sqrt(1.0 + grade * grade)
+        speed, mass = loop["speed"], run.settings.mass
+        drag = 0.5 * vehicle.air_density * vehicle.frontal_area * vehicle.drag_coefficient
+        rolling = vehicle.rolling_resistance * GRAVITY * np.clip(2.0 * speed, 0.0, 1.0)
+        force = mass * (accelerations + rolling + slope) + drag * speed * np.abs(speed)
+        stands, drives = np.abs(speed) < STANDING_SPEED, accelerations > 0.0
+        holding = np.where(
+            drives, mass * slope - loop["drive_force"], mass * (np.abs(slope) + HOLDING_DECELERATION - accelerations)
+        )  # fmt: skip
+        loop["requested_force"] = np.where(stands & ~drives, 0.0, force)
+        loop["requested_hold"] = np.where(stands, np.maximum(holding, 0.0), 0.0)
+        true_speed = run.vehicles.block[PLANT_STATE.vx * SLOTS :][: loop.size]
+        speed_error = true_speed - self._planned_speeds(loop["station"], np.zeros(1), run)[:, 0]
+        change = accelerations - last
+        last[:] = accelerations
+        return self.speed_weight * speed_error * speed_error + self.acceleration_weight * change * change
+
+    def observe(self, last: Array, run: Any, observations: Array) -> None:
+        """Write the last columns of the observations (slots, columns): last acceleration and planned speeds ahead."""
+        first = observations.shape[1] - 1 - len(self.distances)
+        observations[:, first] = np.clip(last, *ACCELERATION_BOUNDS)
+        speeds = self._planned_speeds(run.memory.drives["station_estimate"], self.distances, run)
+        np.copyto(observations[:, first + 1 :], np.clip(speeds, *PLANNED_SPEED_BOUNDS), where=np.isfinite(speeds))
+
+    def _planned_speeds(self, stations: Array, distances: Array, run: Any) -> Array:
+        """Return the planned speeds (slots, n) in m/s at distances (n,) ahead of the cars' stations (slots,), in m.
+
+        Without a road the plan is a function of time, and the car comes to a distance with its present speed.
+        """
+        loop, inputs = run.memory.drives, run.inputs
+        speeds = np.empty((loop.size, len(distances)))
+        for scenario in np.unique(inputs.scenario):
+            cars = np.flatnonzero(inputs.scenario == scenario)
+            plan = inputs.signals[scenario]
+            if inputs.roads.of[scenario] >= 0:
+                places, grid = stations[cars, None] + distances, plan[SIGNAL.station]
+            else:
+                approach = np.maximum(loop["speed"][cars], MIN_APPROACH_SPEED) * run.settings.period
+                places = loop["instant"][cars, None] + distances / approach[:, None]
+                grid = np.arange(plan.shape[1], dtype=np.float64)
+            speeds[cars] = np.interp(places, grid, plan[SIGNAL.speed])
+        return speeds
+
+
+class _PathTracking:
+    """Spaces of an agent that steers, and the controller that it replaces, for one car and for many."""
+
+    task: Task
+    names: tuple[str, ...]
+    distances: Array
+    _speed: AccelerationInput | None
+    """Acceleration input of an agent that also commands the acceleration."""
+
+    def _set_agent(
+        self,
+        distances: Sequence[float],
+        acceleration: bool,
+        speed_weight: float,
+        acceleration_weight: float,
+        task: dict[str, Any],
+    ) -> tuple[spaces.Box, spaces.Box]:
+        """Set task, distances and names of the columns; return the action and observation space of one car.
+
+        Raises
+        ------
+        InvalidInput
+            When a driver is given although the agent commands the acceleration.
+        """
+        if acceleration and "driver" in task:
+            raise InvalidInput("driver: with acceleration=True the agent commands the speed: leave the driver out.")
+        self.distances = check_distances(distances)
+        speed = AccelerationInput(self.distances, speed_weight, acceleration_weight)
+        self._speed = speed if acceleration else None
+        self.task = Task(**task, driver=RequestedForces()) if acceleration else Task(**task)
+        vehicle, plant, profile = self.task.base_car()
+        steering = LoopSetup.of("PathTracking", vehicle, profile, None, None, None, None).limits.angle
+        actions, columns = [steering], [*OBSERVATION_BOUNDS.items()]
+        for signal, bounds in PREVIEW_BOUNDS.items():
+            columns += [(f"{signal}_{distance:g}m", bounds) for distance in self.distances]
+        if acceleration:
+            powertrain = plant.powertrain
+            largest = max(powertrain["brake_limit"], powertrain["traction_limit"]) / powertrain["mass"]
+            actions.append((-largest, largest))
+            columns += speed.columns
+        self.names = tuple(name for name, _ in columns)
+        return box(actions), box([bounds for _, bounds in columns])
+
+    def _controller(self, episode: Episode) -> Controller:
+        return ExternalCommands(episode.profile.period)
+
+
+class PathTrackingEnv(_PathTracking, SingleCarEnv):
     """`adaptrack/PathTracking-v0`: steer a car along its road in the simulation of `adaptrack.simulate`.
 
     A step is one control period of the profile. Plant, steering actuator, sensors, dead time and failure rule are those
@@ -141,8 +281,6 @@ class PathTrackingEnv(gymnasium.Env):
     all machines of the same kind. Without a seed each episode draws new noise.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
-
     def __init__(
         self,
         *,
@@ -153,41 +291,93 @@ class PathTrackingEnv(gymnasium.Env):
         render_mode: str | None = None,
         **task: Any,
     ) -> None:
-        self.task, self.render_mode = task_of(acceleration, task), render_mode
-        self.distances = check_distances(distances)
-        speed = AccelerationInput(self.distances, speed_weight, acceleration_weight)
-        self._speed = speed if acceleration else None
-        self.action_space, self.observation_space, self.names = joint_spaces(self.task, self.distances, self._speed)
-        self._run: EpisodeRun | None = None
+        agent = self._set_agent(distances, acceleration, speed_weight, acceleration_weight, task)
+        super().__init__(agent, render_mode)
         self._acceleration = np.zeros(1)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Start an episode, see `gymnasium.Env.reset`; options: `noise_seed`, `car_seed`, `road`."""
-        super().reset(seed=seed)
-        episode = self.task.draw(self.np_random, options)
-        self._run = run = EpisodeRun(self.task, episode, ExternalCommands(episode.profile.period))
+    def _begin(self, episode: Episode) -> None:
         space = self.observation_space
         bounds = ObservationSpace(self.distances, space.low.copy(), space.high.copy())  # type: ignore[attr-defined]
         self._bounds = Resident(bounds)
-        self._observation = np.zeros(len(self.names))
         self._acceleration[:] = 0.0
         self._vehicle = episode.vehicle
-        return self._observe(run), episode.info
 
-    def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Drive one control period, see `gymnasium.Env.step`."""
-        run = require_running(self._run)
-        command, *accelerations = check_action(action, self.action_space).tolist()  # type: ignore[arg-type]
+    def _drive(self, loop: ClosedLoop, action: Array) -> float:
+        command, *accelerations = action.tolist()
         speed_cost = 0.0
         if self._speed is not None:
             speed_cost = float(
-                self._speed.request(np.array(accelerations), self._acceleration, self._vehicle, run.loop.run)[0]
+                self._speed.request(np.array(accelerations), self._acceleration, self._vehicle, loop.run)[0]
             )
-        cost = run.drive_period(command, speed_cost)
-        return self._observe(run), -cost, run.terminated, run.truncated, run.info
+        return self._drive_period(loop, command, speed_cost)
 
-    def _observe(self, run: EpisodeRun) -> Array:
-        write_one_observation(run.loop.resident, self._bounds, self._observation)
+    def _write_observation(self, loop: ClosedLoop) -> None:
+        write_one_observation(loop.resident, self._bounds, self._observation)
         if self._speed is not None:
-            self._speed.observe(self._acceleration, run.loop.run, self._observation[None])
-        return self._observation.copy()
+            self._speed.observe(self._acceleration, loop.run, self._observation[None])
+
+
+class PathTrackingVectorEnv(_PathTracking, VectorEnv):
+    """`adaptrack/PathTracking-v0` for many cars at once, compiled. Each car is specified as in `PathTrackingEnv`.
+
+    On a single road, car i has the same run, to the bit, as `PathTrackingEnv` with its seed. With several roads, runs
+    may differ from those of `PathTrackingEnv` for two reasons:
+
+    - The road with the highest speed determines the number of integration steps on all roads.
+    - Each road has its own perception errors of friction and wind (`perception`).
+
+    A car whose episode has ended starts a new episode in the next step. That step ignores its action and gives reward 0
+    (`AutoresetMode.NEXT_STEP`).
+
+    Parameters
+    ----------
+    num_envs
+        Number of cars.
+    threads
+        Number of threads that share the blocks of 32 cars. With random cars each block contains one car only, which
+        takes longer.
+    distances, acceleration, speed_weight, acceleration_weight, task
+        As in `PathTrackingEnv`, except that a user's plant must not be written in Python.
+
+    Raises
+    ------
+    InvalidInput
+        For invalid arguments, options or actions.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 64,
+        *,
+        threads: int = 1,
+        distances: Sequence[float] = DISTANCES,
+        acceleration: bool = False,
+        speed_weight: float = SPEED_WEIGHT,
+        acceleration_weight: float = ACCELERATION_WEIGHT,
+        **task: Any,
+    ) -> None:
+        agent = self._set_agent(distances, acceleration, speed_weight, acceleration_weight, task)
+        super().__init__(num_envs, threads, agent)
+        self._actions = np.zeros((self.num_envs, *self.single_action_space.shape))  # type: ignore[misc]
+        self._accelerations = np.zeros(self.num_envs)
+
+    def _schedule_start(self, block: CarBlock, car: int, episode: Episode) -> None:
+        super()._schedule_start(block, car, episode)
+        self._accelerations[car] = 0.0
+
+    def _store_actions(self, actions: Array) -> None:
+        self._actions[:] = actions
+
+    def _drive(self, block: CarBlock) -> None:
+        if self._speed is not None:
+            states, last = self._episode_states[block.slots], self._accelerations[block.slots]
+            cost = self._speed.request(self._actions[block.slots, 1], last, block.vehicle, block.episodes.run)
+            states["cost"] += np.where(states["over"] == EPISODE_RUNS, cost, 0.0)
+        block.episodes.run.controller.answer[:, 0] = self._actions[block.slots, 0]
+        drive_on(block.resident)
+
+    def _write_observations(self, block: CarBlock) -> None:
+        write_observations(block.resident)
+        if self._speed is not None:
+            run, last = block.episodes.run, self._accelerations[block.slots]
+            self._speed.observe(last, run, self._observations[block.slots])

@@ -1,4 +1,4 @@
-"""Vector environments (`gymnasium.vector.VectorEnv`) that drive many cars at once in compiled batches."""
+"""Base classes of the environments: one car, or many cars in compiled batches."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from adaptrack.base.checked import whole_number
+from adaptrack.base.checked import reals, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import Controller
@@ -29,30 +30,123 @@ from adaptrack.core.public import (
     Episodes,
     ObservationSpace,
     Resident,
-    drive_on,
     renew,
-    write_observations,
-    write_variables,
 )
 from adaptrack.drive.batch import Batch
-from adaptrack.drive.world import reason_of
-from adaptrack.gym.acceleration import ACCELERATION_WEIGHT, SPEED_WEIGHT, AccelerationInput, task_of
-from adaptrack.gym.mpc_tuning import TUNING_PERIODS
-from adaptrack.gym.path_tracking import joint_spaces
-from adaptrack.gym.spaces import (
-    BELIEF_STATE,
-    DISTANCES,
-    Tunings,
-    box,
-    check_action,
-    check_distances,
-    initial_belief,
-    make_mpc,
-    variable_bounds,
-)
-from adaptrack.gym.task import Episode, ExternalCommands, Task
+from adaptrack.drive.closed_loop import ClosedLoop
+from adaptrack.drive.world import World, reason_of
+from adaptrack.gym.task import Episode, Task
 
 Array = NDArray[np.float64]
+
+
+CLIP_DISTANCE = 100.0
+"""m, bound of offsets and of the previewed reference in an observation."""
+BELIEF_STATE = "belief_state"
+"""Name of the state of the learned quantities (`BeliefState`), among the diagnostics of an MPC and in ``info``."""
+
+
+def box(bounds: Sequence[tuple[float, float]]) -> spaces.Box:
+    """Return a float64 box from (low, high) of each entry."""
+    low, high = np.array(bounds, dtype=np.float64).T
+    return spaces.Box(low.copy(), high.copy(), dtype=np.float64)
+
+
+def check_action(action: Any, space: spaces.Box) -> Array:
+    """Return an action as an array, clipped to the bounds of its space.
+
+    Raises
+    ------
+    InvalidInput
+        For an action that is not numeric, not finite or of a different shape than the space.
+    """
+    values = reals("action", action)
+    if values.shape != space.shape:
+        raise InvalidInput(f"action: shape {values.shape}, expected {space.shape}.")
+    if not np.isfinite(values).all():
+        raise InvalidInput(f"action = {values}: must be finite; look at what the policy computes.")
+    return np.clip(values, space.low, space.high)
+
+
+class SingleCarEnv(gymnasium.Env):
+    """A car that an agent drives alone."""
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - gymnasium's own form
+    task: Task
+    names: tuple[str, ...]
+    """Names of the columns of an observation."""
+    _loop: ClosedLoop | None = None
+    """Simulated run of the episode, whose commands the environment sends."""
+
+    def __init__(self, agent: tuple[spaces.Box, spaces.Box], render_mode: str | None) -> None:
+        (self.action_space, self.observation_space), self.render_mode = agent, render_mode
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Start an episode, see `gymnasium.Env.reset`; options: `noise_seed`, `car_seed`, `road`."""
+        super().reset(seed=seed)
+        task, episode = self.task, self.task.draw(self.np_random, options)
+        world = World.of(
+            episode.plant, self._controller(episode), episode.profile, task.driver, task.perception, task.failure
+        )  # fmt: skip
+        self._loop = ClosedLoop(world, episode.drive, episode.noise_seed)
+        self._failure_cost, self._total = task.cost_of_failure(world.failure.distance), 0.0
+        self._observation = np.zeros(len(self.names))
+        self._begin(episode)
+        self._write_observation(self._loop)
+        return self._observation.copy(), episode.info | self._belief_info
+
+    def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Drive one step, see `gymnasium.Env.step`."""
+        loop = self._loop
+        if loop is None or is_over(loop):
+            raise gymnasium.error.ResetNeeded("call reset() first: no run has begun, or it is over.")
+        cost = self._drive(loop, check_action(action, self.action_space))  # type: ignore[arg-type]
+        self._write_observation(loop)
+        failed, over = loop.ended, is_over(loop)
+        info = self._outcome(loop) if over else {}
+        return self._observation.copy(), -cost, failed, over and not failed, info | self._belief_info
+
+    def _drive_period(self, loop: ClosedLoop, command: float, speed_cost: float = 0.0) -> float:
+        """Drive one control period with a command (rad) and return its cost e^2 + w (change of command)^2 (m^2).
+
+        A failure adds the failure cost of every remaining instant. speed_cost: cost of speed and acceleration in this
+        period (m^2), if the agent commands the acceleration.
+        """
+        loop.send(command)
+        cost = speed_cost + loop.cost
+        cost += (loop.signals.n - loop.instant) * self._failure_cost if loop.ended else 0.0
+        self._total += cost
+        return cost
+
+    def _outcome(self, loop: ClosedLoop) -> dict[str, Any]:
+        """The ``info`` of the last step: the reason of a failure and the cost J (m^2)."""
+        reason, _ = loop.failure
+        return {"failed": reason or "", "J": math.inf if reason else self._total / loop.signals.n}
+
+    @abstractmethod
+    def _controller(self, episode: Episode) -> Controller:
+        """Return the controller of an episode's car; the environment calls it, or commands in its place."""
+
+    @abstractmethod
+    def _drive(self, loop: ClosedLoop, action: Array) -> float:
+        """Drive one step with an action within its space, and return the cost (m^2)."""
+
+    @abstractmethod
+    def _write_observation(self, loop: ClosedLoop) -> None:
+        """Write the observation into the environment's array, which holds the previous one."""
+
+    def _begin(self, episode: Episode) -> None:
+        """Begin an episode."""
+
+    @property
+    def _belief_info(self) -> dict[str, Any]:
+        """The state of the learned quantities for ``info``, empty if the controller does not learn."""
+        return {}
+
+
+def is_over(loop: ClosedLoop) -> bool:
+    """Whether the episode of a run has ended, by a failure or at the end of its drive."""
+    return loop.ended or loop.instant == loop.signals.n
 
 
 class CarBlock(NamedTuple):
@@ -70,7 +164,7 @@ class CarBlock(NamedTuple):
     """Packed form of `episodes` for kernels, `core.kernel.Resident`."""
 
 
-class _VectorEnv(VectorEnv):
+class VectorEnv(gymnasium.vector.VectorEnv):
     """Cars in blocks of up to 32, each at its own instant of its episode.
 
     A car whose episode has ended starts a new episode in the next step.
@@ -80,12 +174,21 @@ class _VectorEnv(VectorEnv):
         "render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP,
     }  # fmt: skip
 
-    def __init__(self, num_envs: int, threads: int, task: Task) -> None:
-        self.num_envs, self.task = whole_number("num_envs", "num_envs", num_envs), task
+    task: Task
+    distances = np.zeros(0)
+    names: tuple[str, ...]
+    """Names of the columns of an observation."""
+    _longest_horizons = (1.0, 1.0)
+    """Largest Np and Nc of an action, control periods."""
+
+    def __init__(self, num_envs: int, threads: int, agent: tuple[spaces.Box, spaces.Box]) -> None:
+        self.num_envs = whole_number("num_envs", "num_envs", num_envs)
         self.threads = whole_number("vector environment", "threads", threads)
-        if isinstance(task.perception, FrictionWindEstimator):
+        if isinstance(self.task.perception, FrictionWindEstimator):
             raise InvalidInput("perception: a FrictionWindEstimator needs Python at every step: one car at a time.")
-        self._set_spaces()
+        self.single_action_space, self.single_observation_space = agent
+        self._step_columns = len(self.names)
+        """Number of leading columns of an observation that change at every step; the others are constant."""
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._episode_states = EPISODE.new(self.num_envs)
@@ -113,13 +216,6 @@ class _VectorEnv(VectorEnv):
         states, observations = self._episode_states[block.slots], self._observations[block.slots]
         episodes = block.episodes._replace(states=states, observations=observations)
         return block._replace(episodes=episodes, resident=Resident(episodes))
-
-    names: tuple[str, ...]
-    """Names of the columns of an observation."""
-
-    @abstractmethod
-    def _set_spaces(self) -> None:
-        """Set the action and observation space of one car, and the names of the columns."""
 
     @abstractmethod
     def _controller(self, episode: Episode) -> Controller:
@@ -248,7 +344,7 @@ class _VectorEnv(VectorEnv):
         )  # fmt: skip
         episodes = Episodes(
             run, self._episode_states[slots],
-            ObservationSpace(self._distances, space.low.copy(), space.high.copy()),  # type: ignore[attr-defined]
+            ObservationSpace(self.distances, space.low.copy(), space.high.copy()),  # type: ignore[attr-defined]
             self._observations[slots], task.cost_of_failure(batch.world.failure.distance),
         )  # fmt: skip
         return CarBlock(slots, batch, episode.vehicle, episodes, Resident(episodes))
@@ -270,149 +366,6 @@ class _VectorEnv(VectorEnv):
                 cost = math.inf if reason else float(self._episode_states["total"][car] / run.inputs.periods[slot])
                 self._add_info(infos, {"failed": reason or "", "J": cost}, int(car))
 
-    _distances = np.zeros(0)
-    _longest_horizons = (1.0, 1.0)
-    """Largest Np and Nc of an action, control periods."""
-    _step_columns = 0
-    """Number of leading columns of an observation that change at every step; the others are constant."""
-
     def _constant_columns(self, batch: Batch) -> tuple[float, ...]:
         """Return the values of the constant columns at the end of an observation."""
         return ()
-
-
-class PathTrackingVectorEnv(_VectorEnv):
-    """`adaptrack/PathTracking-v0` for many cars at once, compiled. Each car is specified as in `PathTrackingEnv`.
-
-    On a single road, car i has the same run, to the bit, as `PathTrackingEnv` with its seed. With several roads, runs
-    may differ from those of `PathTrackingEnv` for two reasons:
-
-    - The road with the highest speed determines the number of integration steps on all roads.
-    - Each road has its own perception errors of friction and wind (`perception`).
-
-    A car whose episode has ended starts a new episode in the next step. That step ignores its action and gives reward 0
-    (`AutoresetMode.NEXT_STEP`).
-
-    Parameters
-    ----------
-    num_envs
-        Number of cars.
-    threads
-        Number of threads that share the blocks of 32 cars. With random cars each block contains one car only, which
-        takes longer.
-    distances, acceleration, speed_weight, acceleration_weight, task
-        As in `PathTrackingEnv`, except that a user's plant must not be written in Python.
-
-    Raises
-    ------
-    InvalidInput
-        For invalid arguments, options or actions.
-    """
-
-    def __init__(
-        self,
-        num_envs: int = 64,
-        *,
-        threads: int = 1,
-        distances: Sequence[float] = DISTANCES,
-        acceleration: bool = False,
-        speed_weight: float = SPEED_WEIGHT,
-        acceleration_weight: float = ACCELERATION_WEIGHT,
-        **task: Any,
-    ) -> None:
-        self._distances = check_distances(distances)
-        speed = AccelerationInput(self._distances, speed_weight, acceleration_weight)
-        self._speed = speed if acceleration else None
-        super().__init__(num_envs, threads, task_of(acceleration, task))
-        self._actions = np.zeros((self.num_envs, *self.single_action_space.shape))  # type: ignore[misc]
-        self._accelerations = np.zeros(self.num_envs)
-
-    def _set_spaces(self) -> None:
-        self.single_action_space, self.single_observation_space, self.names = joint_spaces(
-            self.task, self._distances, self._speed
-        )
-        self._step_columns = len(self.names)
-
-    def _controller(self, episode: Episode) -> Controller:
-        return ExternalCommands(episode.profile.period)
-
-    def _schedule_start(self, block: CarBlock, car: int, episode: Episode) -> None:
-        super()._schedule_start(block, car, episode)
-        self._accelerations[car] = 0.0
-
-    def _store_actions(self, actions: Array) -> None:
-        self._actions[:] = actions
-
-    def _drive(self, block: CarBlock) -> None:
-        if self._speed is not None:
-            states, last = self._episode_states[block.slots], self._accelerations[block.slots]
-            cost = self._speed.request(self._actions[block.slots, 1], last, block.vehicle, block.episodes.run)
-            states["cost"] += np.where(states["over"] == EPISODE_RUNS, cost, 0.0)
-        block.episodes.run.controller.answer[:, 0] = self._actions[block.slots, 0]
-        drive_on(block.resident)
-
-    def _write_observations(self, block: CarBlock) -> None:
-        write_observations(block.resident)
-        if self._speed is not None:
-            run, last = block.episodes.run, self._accelerations[block.slots]
-            self._speed.observe(last, run, self._observations[block.slots])
-
-
-class MPCTuningVectorEnv(_VectorEnv):
-    """`adaptrack/MPCTuning-v0` for many cars at once, compiled.
-
-    Blocks, new episodes and the agreement with single-car runs are as in `PathTrackingVectorEnv`.
-
-    Parameters
-    ----------
-    num_envs, threads
-        As in `PathTrackingVectorEnv`.
-    controller, every, task
-        As in `MPCTuningEnv`, except that a user's plant must not be written in Python.
-
-    Raises
-    ------
-    InvalidInput
-        For invalid arguments, options or actions.
-    """
-
-    def __init__(
-        self,
-        num_envs: int = 64,
-        *,
-        threads: int = 1,
-        controller: str = "informed",
-        every: int = TUNING_PERIODS,
-        **task: Any,
-    ) -> None:
-        self.controller, self.every = controller, whole_number("MPCTuning", "every", every)
-        super().__init__(num_envs, threads, Task(**task))
-
-    def _set_spaces(self) -> None:
-        vehicle, _, profile = self.task.base_car()
-        mpc = make_mpc(self.controller, vehicle, profile)
-        bounds = variable_bounds(mpc)
-        self.names = tuple(bounds)
-        self.tunings = Tunings(mpc)
-        self.single_action_space = self.tunings.box
-        self.single_observation_space = box(list(bounds.values()))
-        self._longest_horizons = float(self.tunings.high[0]), float(self.tunings.high[1])
-        self._step_columns = len(bounds) - (0 if mpc.learner is not None else len(initial_belief(mpc)))
-
-    def _controller(self, episode: Episode) -> Controller:
-        return make_mpc(self.controller, episode.vehicle, episode.profile)
-
-    def _constant_columns(self, batch: Batch) -> tuple[float, ...]:
-        return () if batch.controller.learner is not None else initial_belief(batch.controller)
-
-    def _store_actions(self, actions: Array) -> None:
-        tunings = self.tunings.entries(actions)
-        for block in self._blocks:
-            block.episodes.run.controller.tuning[:] = tunings[block.slots]
-
-    def _drive(self, block: CarBlock) -> None:
-        for _ in range(self.every):
-            drive_on(block.resident)
-
-    def _write_observations(self, block: CarBlock) -> None:
-        write_variables(block.resident)
