@@ -203,7 +203,10 @@ def unchecked(path: Path) -> list[str]:
         if isinstance(node, ast.FunctionDef):
             parameters = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
             annotations = [argument.annotation for argument in parameters]
-        elif isinstance(node, ast.ClassDef) and not any("Record" in names_in(base) for base in node.bases):
+        elif isinstance(node, ast.ClassDef) and not any(
+            names_in(base) & {"Record", "Regressor"}
+            for base in node.bases  # which checks them when it is trained
+        ):
             annotations = [line.annotation for line in node.body if isinstance(line, ast.AnnAssign)]
         else:
             continue
