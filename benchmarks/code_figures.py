@@ -48,7 +48,7 @@ CEILINGS: Mapping[str, int] = {
     "cli": 3550,
     "adaptrack": 40,
     "JavaScript, templates, C": 9710,
-    "tests": 42450,
+    "tests": 42480,
     "benchmarks, tools, experiments, examples": 15210,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.

@@ -10,6 +10,7 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.plant import DualTrack, SingleTrack, UserPlant
 from adaptrack.cars.vehicle import GRAVITY, SteeringActuator, load_vehicle
 from adaptrack.control.controllers import Limits, Moves, Tuning, published_mpc
+from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.estimation import FrictionWindEstimator, Perception
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.scheduling import Constant, Lookup, SchedulingVariables
@@ -290,6 +291,17 @@ def test_both_drivers_batches_and_the_rule_for_records_agree_on_why_and_when_a_r
         assert np.array_equal(driven_on.Y[: failure.step + 1], run.Y[: failure.step + 1])
         afterwards = find_failure(driven_on)
         assert (afterwards.step, afterwards.reason) == (failure.step, reason)
+
+
+def test_a_compiled_run_tells_tuning_from_diagnostics_of_one_name():
+    """Both have `heading_error`: the weight, and the error itself."""
+    controller = KinematicMPC(CAR)
+    assert set(controller.tuning_names) & set(controller.diagnostic_names)
+    step = load_scenario("step", duration=3.0)
+    run, again = (drive(DualTrack(CAR), controller, step) for drive in (simulate, rollout))
+    for group in ("tuning", "diagnostics"):
+        for name, values in getattr(run, group).items():
+            assert np.array_equal(values, getattr(again, group)[name], equal_nan=True), name
 
 
 def test_a_run_that_failed_is_judged_at_each_instant_and_not_after_the_last():

@@ -118,6 +118,16 @@ def test_a_drive_of_the_page_is_the_drive_of_the_package(name, ask):
     assert [len(car["x"]) for car in cars] == [len(there["x"]) for there in expected]
 
 
+def test_a_drive_begins_with_what_its_controller_assumes_of_the_steering(ask):
+    setup = page_drives.SETUPS["informed"]
+    _, started = ask(drive(setup)[0])
+    controller = page_setup.controller_of(
+        setup["controllers"][0], page_setup.car_of(setup["car"]), load_profile(setup["profile"])
+    )  # fmt: skip
+    assumed = {name: controller.belief.steering[name] for name in ("lag", "dead_time")}
+    assert started["cars"][0]["belief"] == assumed
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in page_drives.SETUPS if name.startswith("speed control")])
 def test_drives_by_a_speed_control_are_those_of_the_package_from_every_seed(name, ask):

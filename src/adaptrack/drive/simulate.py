@@ -231,11 +231,12 @@ def _batch_trajectory(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) 
     trace = runs.trace
     record = _Recorder(n, controller, trace.state[i, :n].copy(), trace.signals[i, :n].copy())
     result, answer = runs.result[i], trace.answer[i, :n]
-    columns = dict(zip(controller.answer_names, answer[:, 3:].T, strict=True))
+    columns = dict(zip(controller.answer_columns, answer[:, 3:].T, strict=True))
     record.command[:] = answer[:, :3]
-    for table, names in ((record.tuning, record.tuning_names), (record.diagnostics, record.diagnostic_names)):
-        for column, name in zip(table.T, names, strict=True):
-            column[:] = columns[name]
+    for j, name in enumerate(record.tuning_names):
+        record.tuning[:, j] = columns["tuning", name]
+    for j, name in enumerate(record.diagnostic_names):
+        record.diagnostics[:, j] = columns["diagnostics", name]
     record.failed, record.failed_at = failure_of(int(result.ended), float(result.ended_at))
     record.counted = {name: int(values[i]) for name, values in runs.counts.items()}
     return _trajectory(batch.world, controller, batch.scenarios[k], batch.signals[k], seed, record)

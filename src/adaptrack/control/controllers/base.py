@@ -7,6 +7,7 @@ import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from itertools import product
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Self
 
@@ -260,9 +261,9 @@ class Controller(ABC):
         raise InvalidInput(f"controller {self.name!r} is not compiled.")
 
     @property
-    def answer_names(self) -> tuple[str, ...]:
-        """Names of what a compiled loop traces behind `core.controllers.part.COMMON_ANSWER`."""
-        return (*self.diagnostic_names, *self.tuning_names)
+    def answer_columns(self) -> tuple[tuple[str, str], ...]:
+        """Group and name of each column that a compiled loop traces behind `core.controllers.part.COMMON_ANSWER`."""
+        return (*product(["diagnostics"], self.diagnostic_names), *product(["tuning"], self.tuning_names))
 
     def checked_tunings(self, tunings: ArrayLike) -> Array:
         """Return tunings as an array (runs, entries) after a check of their shape and values.

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from functools import cached_property
+from itertools import product
 from math import isfinite
 from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
@@ -376,9 +377,9 @@ class MPC(Controller):
         return Room(float(longest), float(most), residuals=False)
 
     @property
-    def answer_names(self) -> tuple[str, ...]:
-        """See `Controller.answer_names`; its answer begins with the tuning."""
-        return (*self.tuning_names, *self.diagnostic_names)
+    def answer_columns(self) -> tuple[tuple[str, str], ...]:
+        """See `Controller.answer_columns`; its answer begins with the tuning."""
+        return (*product(["tuning"], self.tuning_names), *product(["diagnostics"], self.diagnostic_names))
 
     def checked_tunings(self, tunings: ArrayLike) -> Array:
         """See `Controller.checked_tunings`."""

@@ -205,7 +205,7 @@ const namedTuning = (car) =>
 /** What a controller believes of the steering at first: lag, dead time (s); null where it does not say. */
 function beliefOf({ controller }) {
   if (!controller.parts) return null;
-  const { lag, dead_time } = controller.parts.belief;
+  const { lag, dead_time } = controller.parts.belief.steering;
   return { lag, dead_time };
 }
 const truthOf = ({ actuator }) => ({ lag: actuator.lag, dead_time: actuator.dead_time, bias: actuator.bias });
