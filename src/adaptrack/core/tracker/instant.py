@@ -8,7 +8,7 @@ from ..controllers.contract import wrapped
 from ..estimators.kalman import SENSOR_COUNT
 from ..input_check.call import check_call
 from ..input_check.record import SAMPLE, memory_of
-from ..kernel import Place, exported, inlined, int64, local, void
+from ..kernel import inlined, local
 from ..maths.exact import clip
 from ..models.contract import MEASUREMENT
 from ..roads.road import CLOSED, foot_near, point_at
@@ -36,7 +36,6 @@ from .records import (
     LONGEST_GAP,
     REQUEST,
     STANDSTILL_SPEED,
-    TrackerRecord,
 )
 from .signals import (
     BEYOND_END,
@@ -58,33 +57,29 @@ CARRIED = 0.25
 """Periods, by which what moves the car may be carried: by then it is another."""
 
 
-@exported(int64(Place(TrackerRecord)))
-def tracker_prepare(tracker):
-    """Go on to the next instant of a call: 1 and what the controller is given there; 0 when the call is over.
+@inlined
+def begin_instant(tracker):
+    """Go on to the next instant of a call: True and what the controller is given there; False when the call is over.
 
     Written are `measured`, `ahead`, `speeds` and, first of all to be done, `request`; at the end `tracked`. A
     controller that knows no sensors takes the first four of `measured`.
     """
     m = tracker.memory[0]
-    if m.waiting > 0:
-        return 1
     if m.due == 0:
-        if m.open > 0:
-            _end(tracker, m)
-        return 0
+        _end(tracker, m)
+        return False
     sampled = m.due == 1  # instants without a call are gone through on the estimate
     if m.first == 0:
         _advance(tracker, m, sampled)
-    m.first, m.waiting = 0, 1
+    m.first = 0
     _measure(tracker, m, sampled)
     _expect_speeds(tracker, m)
-    return 1
+    return True
 
 
 @inlined
 def _end(tracker, m):
     """The end of a call: what its inputs say of each other, and what it gives."""
-    m.open = 0
     if m.rejection == 0:
         aligned = _aligned()
         _align(tracker.sample, aligned)
@@ -223,16 +218,11 @@ def _expect_speeds(tracker, m):
     ahead[INSTANT.count] = EXPECTED_SPEEDS
 
 
-@exported(void(Place(TrackerRecord)))
-def tracker_conclude(tracker):
-    """Take in the controller's answer (`tracker.answer`) at an instant; nothing where none is waited for.
-
-    A command that is no number holds the last one.
-    """
+@inlined
+def conclude_instant(tracker):
+    """Take in the controller's answer (`tracker.answer`); a command that is no number holds the last one."""
     m, answer = tracker.memory[0], tracker.answer
-    if m.waiting == 0:
-        return
-    m.waiting, previous = 0, m.command
+    previous = m.command
     usable = math.isfinite(answer[CONTROLLER_ANSWER.command])
     m.command = answer[CONTROLLER_ANSWER.command] if usable else previous
     m.belief_state, m.belief_at_bound = (

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..input_check.record import MISTAKES, SUBJECTS, memory_of, report
-from ..kernel import Place, exported, fields_of, float64, inlined, packer, record, rows, vector, void
+from ..kernel import Place, exported, fields_of, inlined, packer, record, rows, vector, void
 from ..layout import empty
 from ..maths.bits import whole
 from ..maths.exact import clip, square
@@ -233,12 +233,6 @@ def speed_control_step(longitudinal):
     """One control period, see `speed_control`."""
     sample, memory, settings = longitudinal.sample[0], longitudinal.memory[0], longitudinal.settings
     speed_control(sample, settings, longitudinal.path, memory, longitudinal.banks, longitudinal.ahead)
-
-
-@exported(void(vector, float64, float64, vector, Place(Longitudinal)))
-def narrow_friction_step(measured, speed, command, learned, longitudinal):
-    """Narrow the friction before a step of the controller, see `narrow_friction`."""
-    narrow_friction(measured, speed, command, learned, longitudinal)
 
 
 @exported(void(Place(TrackerRecord), vector, Place(Longitudinal)))

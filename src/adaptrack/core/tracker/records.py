@@ -62,8 +62,6 @@ MEMORY = record(
         "instant",  # the present control instant
         "due",  # instants still to be gone through in this call
         "first",  # 1: of these the first is the first of all
-        "waiting",  # 1: for the controller's command
-        "open",  # 1: the call is not over
         "rejection",  # REPEATED or NO_TIME of the call at hand, else 0
         "answered",  # 1: the call at hand gave a new command or status
         "fresh",  # 1: a new position is in the measurement
@@ -80,7 +78,7 @@ MEMORY = record(
         "ended_top_speed",  # m/s, first top speed that ended when the delay of the steering was learned; 0: none
     ),
     integers=(
-        "started", "instant", "due", "first", "waiting", "open", "status", "rejection", "answered", "fresh", "jumps",
+        "started", "instant", "due", "first", "status", "rejection", "answered", "fresh", "jumps",
     ),
 )  # fmt: skip
 """What a tracker remembers: all of it."""

@@ -10,7 +10,7 @@ from ..kernel import Caller, Place, exported, inlined, int64, local, record, vec
 from ..loop import period_of
 from ..maths.bits import whole
 from ..scheduling.functions import VARIABLE_COLUMNS
-from .instant import tracker_conclude, tracker_prepare
+from .instant import begin_instant, conclude_instant
 from .longitudinal import Longitudinal
 from .records import CONTROLLER_ANSWER, INSTANT, TrackerRecord
 from .signals import NO_BELIEF, TRACKER_SAMPLE
@@ -35,7 +35,7 @@ _reference = local(1)
 @inlined
 def _arrive(slot, tracking):
     """At the next control instant of a call; False at its end."""
-    return tracker_prepare(tracking.tracker) > 0
+    return begin_instant(tracking.tracker)
 
 
 @inlined
@@ -57,7 +57,7 @@ def _prepare(slot, tracking):
 @inlined
 def _depart(slot, tracking):
     """Take in the answer: the caller has it at the end of the call."""
-    tracker_conclude(tracking.tracker)
+    conclude_instant(tracking.tracker)
 
 
 @inlined

@@ -68,7 +68,7 @@ def tracker_engage(angle, near, tracker):
     m = tracker.memory[0]
     begin_anew(tracker, m, angle)
     hint(m, near)
-    m.open, m.answered, m.rejection = 0, 0, 0
+    m.answered, m.rejection = 0, 0
     tracker.request[REQUEST.late], tracker.tracked[TRACKED.suspect] = math.nan, 0.0
     begin_check(tracker.check)
     write_tracked(tracker, m)
@@ -79,7 +79,7 @@ def tracker_engage(angle, near, tracker):
 def tracker_take(tracker):
     """Take in the call in `tracker.sample`, see TRACKER_SAMPLE."""
     m, sample = tracker.memory[0], tracker.sample
-    m.open, m.due, m.first, m.waiting, m.answered = 1, 0, 0, 0, 0
+    m.due, m.first, m.answered = 0, 0, 0
     tracker.request[REQUEST.late] = math.nan
     _leave_out_absurd(sample)
     t, at = sample[TRACKER_SAMPLE.t], sample[TRACKER_SAMPLE.now]
@@ -205,7 +205,7 @@ def tracker_follow(near, tracker):
     """
     m = tracker.memory[0]
     hint(m, near)
-    m.due, m.waiting, m.open = 0, 0, 0
+    m.due = 0
     if m.started == 0:
         return
     if has_path(tracker):
