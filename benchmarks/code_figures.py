@@ -31,11 +31,11 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 
 CEILINGS: Mapping[str, int] = {
     "base": 2250,
-    "core": 25960,
+    "core": 25940,
     "cars": 2200,
     "road": 4710,
     "scenario": 1900,
-    "control": 7800,
+    "control": 7790,
     "drive": 3080,
     "analysis": 1950,
     "identification": 5140,
@@ -48,13 +48,13 @@ CEILINGS: Mapping[str, int] = {
     "cli": 3550,
     "adaptrack": 40,
     "JavaScript, templates, C": 9710,
-    "tests": 42480,
+    "tests": 42470,
     "benchmarks, tools, experiments, examples": 15210,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 
 `tests/project/test_ceilings.py` holds them; raising one is a decision with a reason in docs/design.md."""
-SOURCE_LINES = 76_750
+SOURCE_LINES = 76_720
 """Most lines of all rooms together: one room may grow only by what another one loses."""
 
 

@@ -371,10 +371,6 @@ class SpeedController:
         self._controller = controller
         self._load(self.record._replace(friction=friction))
 
-    def narrow_friction(self, measured: Array, speed: float, command: float) -> None:
-        """Narrow the friction before a step of the controller, see `core.speed.friction.narrow_friction`."""
-        tracked_kernel.narrow_friction_step(measured, speed, command, self._learned, self._resident)
-
     def narrow_behind(self, tracker: Any) -> None:
         """Narrow the friction at a control instant of a tracker (resident), before a step of its controller."""
         tracked_kernel.narrow_tracked_friction(tracker, self._learned, self._resident)
@@ -475,9 +471,3 @@ class SpeedController:
     def acknowledge_fault(self) -> None:
         """End a fault of brakes or drive, and the distrust of the measured speed: the car drives on."""
         tracked_kernel.longitudinal_acknowledge(self._resident)
-
-    def speeds_ahead(self, speed: float, count: int) -> Array:
-        """(count,) m/s, governed speeds at the coming control instants, the first one the present speed (m/s)."""
-        speeds = np.empty(count)
-        kernel.governed_speeds(speed, self._period, self.record.path.spacing, self.record.ahead, speeds)
-        return speeds

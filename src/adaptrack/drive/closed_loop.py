@@ -27,8 +27,7 @@ from adaptrack.core.kernel import Resident, Signature, address_of
 from adaptrack.core.maths import portable
 from adaptrack.core.member import CallBack
 from adaptrack.core.models.contract import MEASUREMENT
-from adaptrack.core.plants import contract
-from adaptrack.core.plants import user as stepped
+from adaptrack.core.plants import contract, user
 from adaptrack.core.plants.contract import vehicle_batch
 from adaptrack.core.simulation import run as kernel
 from adaptrack.core.simulation.world import ANSWERED, RUNNING, SIGNAL, STATE_NOT_FINITE
@@ -60,7 +59,7 @@ class _SteppedVehicle:
         )
         self._mass = world.plant.powertrain["mass"]
         actuator = np.array([self._steering.lag, self._steering.limit])
-        self.batch = contract.vehicle_batch(stepped.STEPPED, actuator, np.append(start, 0.0)[None])
+        self.batch = contract.vehicle_batch(user.STEPPED, actuator, np.append(start, 0.0)[None])
         world.plant.reset(start.copy())
 
     @property
@@ -109,7 +108,7 @@ class _SteppedVehicle:
             state[contract.PLANT_STATE.steering] = after if self._steering.lag > 0.0 else 0.0
         turn = 0.5 * (before[3] * before[5] + state[3] * state[5])
         change = state[4] - before[4]
-        self.batch.states[0, stepped.LATERAL_ACCELERATION] = change / (steps * h) + turn - demand[names.bank]
+        self.batch.states[0, user.LATERAL_ACCELERATION] = change / (steps * h) + turn - demand[names.bank]
 
 
 @dataclass(frozen=True, slots=True)

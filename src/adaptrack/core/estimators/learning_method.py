@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Field, defaults, record
+from ..kernel import Field, record
 
 MAX_HYPOTHESES = 12
 """Of the lag and of the dead time."""
@@ -89,4 +89,3 @@ LearningMethod = record("LearningMethod", (
     Field("delay_grip_use", "", 0.8, "share of the grip beyond which the delay is not learned"),
 ))  # fmt: skip
 """Settings and constants of the learner."""
-DEFAULT_METHOD = defaults(LearningMethod)

@@ -63,8 +63,9 @@ from ..plants.contract import (
 from ..qp import problem as qp
 from ..roads.road import Roads
 from ..scheduling.functions import VARIABLE_COLUMNS
+from ..speed.friction import narrow_friction
 from ..speed.speed_control import governed_speeds
-from ..tracker.longitudinal import Longitudinal, narrow_friction_step, speed_control_step
+from ..tracker.longitudinal import Longitudinal, speed_control_step
 from .world import (
     ASKED,
     NEVER_ARRIVED,
@@ -343,7 +344,7 @@ def control_planned_speed(run):
     longitudinal = run.longitudinal
     drive, measured, learned = run.memory.drives[0], run.measured[0], run.controller.mpc.informed.learned[0]
     sample, memory = longitudinal.sample[0], longitudinal.memory[0]
-    narrow_friction_step(measured, drive.speed, drive.command, learned, longitudinal)
+    narrow_friction(measured, drive.speed, drive.command, learned, longitudinal)
     sample.station, sample.station_age, sample.offset = drive.station_estimate, 0.0, 0.0
     sample.speed, sample.speed_age, sample.is_guided, sample.periods = drive.speed, 0.0, 1.0, 1.0
     sample.yaw_rate = measured[MEASUREMENT.yaw_rate]

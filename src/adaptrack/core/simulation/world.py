@@ -60,7 +60,7 @@ LoopSettings = record(
 
 DRIVER_FORCES, PRESCRIBED, PRESCRIBED_WITHOUT_ROAD, EXTERNAL_FORCES = range(4)
 """What moves a car: the forces that its driver requests; a speed that it follows exactly; that in scenarios without a
-road, and forces on roads; forces that a speed controller outside the loop requests."""
+road, and forces on roads; forces that a speed control, or the caller, requests."""
 
 LOOP_MEMORY = record(
     "Own",
@@ -178,7 +178,7 @@ def is_prescribed(slot, run):
 
 @inlined
 def waits_at_stops(slot, run):
-    """Whether the driver of the loop counts the seconds at a stop; a speed controller outside counts them itself."""
+    """Whether the driver of the loop counts the seconds at a stop; a speed control counts them itself."""
     return not is_prescribed(slot, run) and run.settings.prescribed_speed != EXTERNAL_FORCES
 
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Field, columns, exported, fields_of, float64, inlined, int64, record, vector, void
+from ..kernel import Field, columns, fields_of, float64, inlined, int64, record, vector
 from ..maths.bits import whole
 from ..maths.exact import clip, floor, sqrt, square
 from ..maths.exponential import power
@@ -856,7 +856,7 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     remember_request(memory.force, memory.hold, settings.mass, banks.requests)
 
 
-@exported(void(float64, float64, float64, vector, vector))
+@inlined
 def governed_speeds(speed, period, spacing, ahead, speeds):
     """Write the speeds (m/s) at the coming control instants of a car that passes the cells ahead as they are governed.
 

@@ -115,7 +115,7 @@ def _open_window(car):
 
 
 @inlined
-def _sense(car):
+def _go_on(car):
     """Go on to the next instant, and write the outputs there; the status."""
     values, run = car.values, car.run
     drive, block, measured = run.memory.drives[0], run.vehicles.block, run.measured[0]
@@ -167,7 +167,7 @@ def car_begin(car):
     run.inputs.signals[0, SIGNAL.station, 0] = values[CAR_VALUE.start_station]
     begin_slot(0, run)
     values[CAR_VALUE.ended] = float(RUNNING)
-    return _sense(car)
+    return _go_on(car)
 
 
 @exported(int64(Place(CarUnit)))
@@ -188,4 +188,4 @@ def car_step(car):
     _open_window(car)
     run.controller.answer[0, COMMON_ANSWER.command] = command
     drive.caller_state, drive.ended = ANSWERED, RUNNING
-    return _sense(car)
+    return _go_on(car)
