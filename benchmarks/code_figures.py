@@ -31,11 +31,11 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 
 CEILINGS: Mapping[str, int] = {
     "base": 2250,
-    "core": 25940,
+    "core": 25900,
     "cars": 2200,
     "road": 4710,
     "scenario": 1900,
-    "control": 7790,
+    "control": 7820,
     "drive": 3080,
     "analysis": 1950,
     "identification": 5140,
@@ -54,7 +54,7 @@ CEILINGS: Mapping[str, int] = {
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 
 `tests/project/test_ceilings.py` holds them; raising one is a decision with a reason in docs/design.md."""
-SOURCE_LINES = 76_720
+SOURCE_LINES = 76_700
 """Most lines of all rooms together: one room may grow only by what another one loses."""
 
 

@@ -11,14 +11,7 @@ import typer
 import adaptrack as at
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cli import options, show
-from adaptrack.cli.next_step import (
-    add_command,
-    choose_step,
-    command,
-    option_words,
-    repeat_command_with,
-    say_next,
-)
+from adaptrack.cli.next_step import add_command, choose_step, command, option_words, repeat_command_with, say_next
 from adaptrack.cli.options import EXIT_FAILED, argument, flag, json_flag, option, option_group
 
 if TYPE_CHECKING:

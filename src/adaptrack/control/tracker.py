@@ -23,8 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from adaptrack.base.checked import Bound, Finite, Hint, checked, real, reals
 from adaptrack.base.errors import InvalidInput, format_value
-from adaptrack.control.controllers import BeliefState, Controller, command_of, step_call
+from adaptrack.control.controllers import BeliefState, Controller
 from adaptrack.control.controllers.belief import SourcedValue
+from adaptrack.control.controllers.called_back import CalledController, python_part
 from adaptrack.control.controllers.inputs import MOST_WHEEL_ANGLE
 from adaptrack.control.controllers.learned_car import bounded_quantity
 from adaptrack.control.controllers.mpc import CompiledScheduler
@@ -32,10 +33,8 @@ from adaptrack.control.estimation import Perception
 from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController, patience_of
-from adaptrack.core.controllers.part import APPLY, COMMON_ANSWER, REQUEST, STEP, ControllerPart, ControllerSizes
-from adaptrack.core.estimators.learning import BELIEF_NAMES
+from adaptrack.core.controllers.part import APPLY, REQUEST, STEP
 from adaptrack.core.kernel import Resident, address_of, direct, fields_of
-from adaptrack.core.layout import allocate
 from adaptrack.core.maths import portable
 from adaptrack.core.member import CallBack
 from adaptrack.core.tracker import records
@@ -179,6 +178,7 @@ class Tracker:
                 "controller with a constant tuning."
             )
         self.controller: Any = controller
+        self._called = CalledController(controller)
         self._warned: set[object] = set()
         self._times: list[tuple[float, float]] = []
         self.timing: Timing | None = None
@@ -218,13 +218,13 @@ class Tracker:
         self._calls = {kernel: direct(kernel, tracking) for kernel in (tracker_step, tracker_apply)}
 
     def _call(self, kernel: Any) -> None:
-        """Call a kernel, raise what a controller in Python has raised, and let a control law know its command."""
+        """Call a kernel, raise what a controller in Python has raised, and let a compiled one know its command."""
         if self._part is not self.controller.own_part:  # it has been reset
             self._load(self._kernel)
         self._calls[kernel]()
         for called_back in self._calls_back:
             called_back.raise_error()
-        if self._part is not None and not self._part.plans:
+        if self._part is not None:
             self.controller.applied(float(self._kernel.memory[0].command))
 
     def __getstate__(self) -> dict[str, Any]:
@@ -417,29 +417,22 @@ class Tracker:
 
     def _do_requests(self, *_: Any) -> None:
         """Apply the requests of the kernels to a controller in Python."""
-        is_restart, is_applied, is_path_change, turn, shift, _ = self._kernel.request.tolist()
+        is_restart, is_path_change, turn, shift, _ = self._kernel.request.tolist()
         if is_restart:
-            self.controller.restart()
+            self._called.restart()
         if is_path_change:
             self.controller.change_path(turn, shift)
-        if is_applied:
-            self.controller.applied(float(self._kernel.memory[0].command))
 
     def _control(self, *_: Any) -> None:
         """One step of a controller in Python."""
-        kernel, controller = self._kernel, self.controller
+        kernel, called = self._kernel, self._called
         speed, *_ = kernel.ahead.tolist()
-        state = kernel.measured if controller.sees_all_sensors else kernel.measured[:4]
-        ahead = {"road": self._road_ahead()} if controller.sees_road else {}
+        road = {"road": self._road_ahead()} if self.controller.sees_road else {}
         if self._speed is not None:
             self._speed.narrow_behind(self._resident)
-        call = step_call(controller)
-        answered = call(controller.step, state.copy(), speed, np.zeros(1), **ahead)
-        answer = command_of(answered, float(kernel.memory[0].command), call)
-        output = self._python.answer[0]
-        output[: len(COMMON_ANSWER)] = answer.angle, answer.move, answer.held
-        if controller.learner is not None:
-            output[len(COMMON_ANSWER) :] = answered.learned
+        before = float(kernel.memory[0].command)
+        answered = called.step(before, kernel.measured.copy(), speed, np.zeros(1), **road)
+        called.write(answered, before, self._python.answer[0])
 
     def _road_ahead(self) -> RoadAhead:
         """The path ahead of the car at its last control instant, with the speeds that are expected."""
@@ -574,25 +567,6 @@ def join(tracker: Any, part: Any, longitudinal: Any = None) -> Any:
         address_of(None if longitudinal is None else longitudinal_step),
         no_speed_control() if longitudinal is None else longitudinal,
     )  # fmt: skip
-
-
-def python_part(controller: Controller | None, step: CallBack | None, request: CallBack | None = None) -> Any:
-    """A controller in Python as a part of compiled loops, for one slot.
-
-    Its answer says what it has learned, if it learns. controller, step: None if the caller of the loop is the
-    controller.
-    """
-    learns = controller is not None and controller.learner is not None
-    (sizes,) = ControllerSizes.new(1, slots=1, answer=len(COMMON_ANSWER) + (len(BELIEF_NAMES) if learns else 0))
-    sizes.mpc.slots = 1
-    part = allocate(
-        ControllerPart, sizes, request=address_of(request), step=address_of(step), takes_late=-1,
-        beliefs=len(COMMON_ANSWER) if learns else 0,
-    )  # fmt: skip
-    if controller is None:
-        return part
-    informed = part.mpc.informed._replace(learned=controller.learner_memory[None])
-    return part._replace(mpc=part.mpc._replace(informed=informed))
 
 
 class SpeedTarget:

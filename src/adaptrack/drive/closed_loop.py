@@ -18,10 +18,10 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.base.registry import PluginCall
 from adaptrack.cars.plant import SteppedPlant
 from adaptrack.control.controllers import Controller
+from adaptrack.control.controllers.called_back import python_part
 from adaptrack.control.estimation import FrictionWindEstimator
 from adaptrack.control.scheduling.variables import SchedulingVariables
 from adaptrack.control.speed_control import SpeedCommand, SpeedControl, SpeedController
-from adaptrack.control.tracker import python_part
 from adaptrack.core.controllers.part import COMMON_ANSWER, STEP
 from adaptrack.core.kernel import Resident, Signature, address_of
 from adaptrack.core.maths import portable

@@ -19,7 +19,9 @@ from pydantic import Field
 
 from adaptrack.base.checked import Hint, Natural, checked
 from adaptrack.cars.plant import Plant, SteppedPlant
-from adaptrack.control.controllers import Controller, command_of, step_call
+from adaptrack.control.controllers import Controller
+from adaptrack.control.controllers.base import Command
+from adaptrack.control.controllers.called_back import CalledController
 from adaptrack.control.qp import QPStatus
 from adaptrack.control.speed_control import SpeedCommand, SpeedController, SpeedLimit, SpeedState
 from adaptrack.core.controllers.part import COMMON_ANSWER
@@ -47,12 +49,15 @@ DriveArgument = Annotated[
 
 
 class _Recorder:
-    """Record of one run with a row for each control instant. state and signals: see `core.simulation.run.Trace`."""
+    """Record of one run with a row for each control instant.
 
-    def __init__(self, n: int, controller: Controller, state: Array, signals: Array) -> None:
-        self.state, self.signals, self.step_call = state, signals, step_call(controller)
+    state, signals, answer: see `core.simulation.run.Trace`.
+    """
+
+    def __init__(self, n: int, controller: Controller, state: Array, signals: Array, answer: Array) -> None:
+        self.state, self.signals = state, signals
         self.tuning_names, self.diagnostic_names = controller.tuning_names, controller.diagnostic_names
-        self.command = np.full((n, 3), np.nan)  # command, its change, held
+        self.command = answer[:, : len(COMMON_ANSWER)]  # command, its change, held
         self.fixed_tuning = controller.packed_tuning()
         self.tuning = np.full((n, len(self.tuning_names)), np.nan)
         self.diagnostics = np.full((n, len(self.diagnostic_names)), np.nan)
@@ -62,10 +67,9 @@ class _Recorder:
         self.failed_at = math.nan
         self.counted: dict[str, int] = {}
 
-    def record(self, k: int, answer: Any, previous_command: float) -> float:
-        """Record the controller's answer in step k and return its command (rad). previous_command: rad."""
-        angle, _, is_held, tuning, diagnostics = command_of(answer, previous_command, self.step_call)
-        self.command[k] = angle, angle - previous_command, is_held
+    def record(self, k: int, answer: Command) -> None:
+        """Record tuning and diagnostics of the controller's answer in step k."""
+        tuning, diagnostics = answer.tuning, answer.diagnostics
         if len(self.tuning_names):
             self.tuning[k] = tuning if len(tuning) else self.fixed_tuning
         if len(self.diagnostic_names):
@@ -73,7 +77,6 @@ class _Recorder:
             self.diagnostics[k] = (
                 [diagnostics.get(name, math.nan) for name in self.diagnostic_names] if is_mapping else diagnostics
             )
-        return angle
 
 
 @checked
@@ -127,6 +130,7 @@ def simulate(
     has_no_vy = not controller.replaces_vy and math.isinf(world.profile.noise_vy)
     controller.reset()
     controller.user = object()  # a tracker with this controller refuses to go on
+    called = CalledController(controller)
 
     def step() -> None:
         """Step the controller at an instant."""
@@ -135,28 +139,24 @@ def simulate(
             record.requests[k] = _request_row(loop.request, loop.speed_control)
         if has_no_vy:
             instant.measured[MEASUREMENT.vy] = 0.0  # the car has no sensor for the lateral velocity
-        # only some controllers use the wheel angle and the accelerometer
-        measured = instant.measured if controller.sees_all_sensors else instant.measured[:4]
+        before = loop.command
         start_time = time.perf_counter()
         uses_road = loop.road is not None and controller.sees_road
         road_ahead: dict[str, Any] = {"road": loop.road_ahead(instant.speed)} if uses_road else {}
-        answer = record.step_call(
-            controller.step, measured, instant.speed, instant.reference, instant.variables, **road_ahead
+        answered = called.step(
+            before, instant.measured, instant.speed, instant.reference, instant.variables, **road_ahead
         )
         record.times[k] = time.perf_counter() - start_time
-        command = record.record(k, answer, loop.command)
-        loop.answer[: len(COMMON_ANSWER)] = record.command[k]
-        if controller.learner is not None:
-            loop.answer[len(COMMON_ANSWER) :] = getattr(answer, "learned", math.nan)
-        if predicted is not None and record.command[k, 2] < 0.5:
+        answer = called.write(answered, before, loop.answer)
+        record.record(k, answer)
+        if predicted is not None and not answer.held:
             predicted.record(k * world.period, controller, road_ahead.get("road"))
-        if not math.isfinite(command):
-            warn_once(f"adaptrack: the run ends: {record.step_call.refusal(answer)}")
+        if not math.isfinite(answer.angle):
+            warn_once(f"adaptrack: the run ends: {called.call.refusal(answered)}")
 
     loop = ClosedLoop(world, scenario, seed, controller, step, traced=True)
     signals, trace = loop.signals, loop.run.trace
-    record = _Recorder(signals.n, controller, trace.state[0], trace.signals[0])
-    controller.applied(loop.command)
+    record = _Recorder(signals.n, controller, trace.state[0], trace.signals[0], trace.answer[0])
     for k in range(0, signals.n, PROGRESS_PERIODS):
         if progress is not None:
             progress(k, signals.n)
@@ -229,10 +229,10 @@ def _batch_trajectory(batch: Batch, runs: BatchRuns, i: int, k: int, seed: int) 
     """Return the trajectory of run i of a batch, which drives scenario k."""
     controller, n = batch.controller, batch.signals[k].n
     trace = runs.trace
-    record = _Recorder(n, controller, trace.state[i, :n].copy(), trace.signals[i, :n].copy())
     result, answer = runs.result[i], trace.answer[i, :n]
+    state, signals = trace.state[i, :n].copy(), trace.signals[i, :n].copy()
+    record = _Recorder(n, controller, state, signals, answer)
     columns = dict(zip(controller.answer_columns, answer[:, 3:].T, strict=True))
-    record.command[:] = answer[:, :3]
     for j, name in enumerate(record.tuning_names):
         record.tuning[:, j] = columns["tuning", name]
     for j, name in enumerate(record.diagnostic_names):

@@ -29,14 +29,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from adaptrack.base.checked import Count, Natural, NotNegative, Positive, Share, checked, whole_number
 from adaptrack.base.errors import InvalidInput
 from adaptrack.base.files import write_atomically
-from adaptrack.control.scheduling.functions import (
-    BELL_CENTRE,
-    BELL_SLOPE,
-    BELL_WIDTH,
-    Sugeno,
-    bell_exponent,
-    distance,
-)
+from adaptrack.control.scheduling.functions import BELL_CENTRE, BELL_SLOPE, BELL_WIDTH, Sugeno, bell_exponent, distance
 from adaptrack.core.maths import portable
 from adaptrack.paper.regressor import Regressor, Samples, mean
 

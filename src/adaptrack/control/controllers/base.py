@@ -427,7 +427,7 @@ class CompiledController(Controller):
         return entries
 
     def part(self, slots: int, room: Room | None = None, *, curved: bool = True, has_vy: bool = True) -> Any:
-        return law_controller(slots, self, self.packed_tuning(), has_vy)
+        return law_controller(slots, self, has_vy)
 
     def reset(self) -> None:
         self._parameters = self.parameters()

@@ -410,7 +410,7 @@ class MPC(Controller):
         """
         if not self.runs_in_kernel:
             raise InvalidInput(f"QP solver {self.solver.name!r} of {self.name!r} is not compiled: use 'active-set'.")
-        return mpc_controller(mpc, self.functions, self.packed_tuning(), self.takes_late)
+        return mpc_controller(self, mpc)
 
     def batch(self, slots: int, settings: Any, curved: bool = False) -> Any:
         """Fresh compiled controllers for `slots` runs, on curved roads or not (`core.controllers.mpc.Mpc`)."""

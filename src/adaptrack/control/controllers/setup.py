@@ -8,13 +8,7 @@ from typing import NamedTuple
 from adaptrack.base.checked import real
 from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Steering, Vehicle
-from adaptrack.control.controllers.belief import (
-    MOST_COMPUTATION,
-    Belief,
-    assumed_computation,
-    belief_of,
-    steering_rows,
-)
+from adaptrack.control.controllers.belief import MOST_COMPUTATION, Belief, assumed_computation, belief_of, steering_rows
 from adaptrack.control.controllers.informed import DEFAULT_PROFILE
 from adaptrack.control.controllers.limits import Limits
 from adaptrack.core.synthesis import belief as kernel

@@ -8,20 +8,10 @@ from typing import Any
 import numpy as np
 
 from ..kernel import address_of, exported, inlined
-from ..layout import allocate
 from ..models.contract import MEASUREMENT
 from ..roads.road import RoadAheadRecord, line_of
 from .contract import Situation, call_law, write_situation
-from .part import (
-    APPLY,
-    BEGIN,
-    COMMON_ANSWER,
-    REQUEST,
-    STEP,
-    ControllerPart,
-    ControllerSizes,
-    complete_controller_sizes,
-)
+from .part import APPLY, BEGIN, COMMON_ANSWER, REQUEST, STEP, controller_part
 
 _COMMAND = 0
 """Where a law answers its command; its diagnostics are behind."""
@@ -39,8 +29,8 @@ def _forget(slot, law):
 
 
 @exported(APPLY)
-def request_of_law(slot, request, command, controller):
-    """Restart a law, which knows of its own command and of the path only what a step tells it."""
+def request_of_law(slot, request, controller):
+    """Restart a law, which knows of the path only what a step tells it."""
     if request[REQUEST.restart] > 0.5:
         _forget(slot, controller.law)
 
@@ -73,20 +63,20 @@ def step_law(slot, speed, command, station, road, measured, reference, speeds, r
         recorded[i] = diagnostics[i]
 
 
-def law_controller(slots: int, law: Any, tuning: Any, has_vy: bool = True) -> Any:
+def law_controller(slots: int, law: Any, has_vy: bool = True) -> Any:
     """A `part.ControllerPart` of a `CompiledController` for `slots` slots, before its first step."""
     diagnostics, parameters = law.diagnostic_names, np.array(law.parameters(), float)
-    (sizes,) = ControllerSizes.new(
-        1, slots=slots, answer=len(COMMON_ANSWER) + len(diagnostics), law_parameters=parameters.size,
-        law_memory=law.memory_size, law_answer=1 + len(diagnostics), tuning=len(tuning),
+    sizes = {
+        "answer": len(COMMON_ANSWER) + len(diagnostics), "law_parameters": parameters.size,
+        "law_memory": law.memory_size, "law_answer": 1 + len(diagnostics),
+    }  # fmt: skip
+    part = controller_part(
+        law, slots, sizes, law.packed_tuning(), begin=address_of(begin_law), request=address_of(request_of_law),
+        step=address_of(step_law),
     )  # fmt: skip
-    sizes.mpc.slots = slots
-    complete_controller_sizes(sizes)
-    controller = allocate(ControllerPart, sizes)
-    controller.law.parameters[:], controller.tuning[:], controller.first_tuning[:] = parameters, tuning, tuning
-    return controller._replace(
-        begin=address_of(begin_law), request=address_of(request_of_law), step=address_of(step_law), takes_late=-1,
-        law=controller.law._replace(
+    part.law.parameters[:] = parameters
+    return part._replace(
+        law=part.law._replace(
             function=address_of(law.function), held=1 + diagnostics.index("held") if "held" in diagnostics else 0,
             preview=int(law.preview), has_vy=int(has_vy),
         ),

@@ -18,12 +18,11 @@ from ..kernel import (
     vector,
     void,
 )
-from ..layout import allocate
 from ..maths.bits import whole
 from ..roads.road import bend_ahead
 from . import informed, published
 from .mpc import MPC_ANSWER, MPC_PLACE, Functions, Mpc, change_path, delay_of, forget, restart
-from .part import APPLY, BEGIN, REQUEST, STEP, ControllerPart, ControllerSizes
+from .part import APPLY, BEGIN, REQUEST, STEP, controller_part
 
 STEP_INPUT = columns("speed", "count")
 """What a step is given: v_x (m/s), and how many numbers of y_ref count."""
@@ -50,20 +49,19 @@ def begin_mpc(slot, command, controller):
 
 
 @exported(APPLY)
-def request_of_mpc(slot, request, command, controller):
+def request_of_mpc(slot, request, controller):
     """Do what a tracker asks of an MPC."""
     if request[REQUEST.restart] > 0.5:
         restart(slot, controller.mpc)
     if request[REQUEST.change] > 0.5:
         change_path(slot, request[REQUEST.turned], request[REQUEST.shifted], controller.takes_late, controller.mpc)
-    if request[REQUEST.apply] > 0.5:
-        controller.mpc.memory[slot].command = command
 
 
 @exported(STEP)
 def step_mpc(slot, speed, command, station, road, measured, reference, speeds, roads, controller):
     """One control period of an MPC, which sees the road ahead where it is made for curved roads."""
     mpc, settings = controller.mpc, controller.mpc.settings
+    mpc.memory[slot].command = command
     for i in range(mpc.measured.size):
         mpc.measured[i] = measured[i]
     if settings.curved > 0 and road >= 0:
@@ -78,17 +76,13 @@ def step_mpc(slot, speed, command, station, road, measured, reference, speeds, r
         controller.answer[slot, i] = mpc.answer[slot, i]
 
 
-def mpc_controller(mpc: Any, functions: Any, tuning: Any, takes_late: int = -1) -> Any:
-    """A `part.ControllerPart` of MPCs (`mpc.batch`), before its first step; takes_late: see there."""
-    slots = len(mpc.memory)
-    (sizes,) = ControllerSizes.new(1, slots=slots, answer=mpc.answer.shape[1], tuning=len(tuning))
-    controller = allocate(
-        ControllerPart, sizes, begin=address_of(begin_mpc), request=address_of(request_of_mpc),
-        step=address_of(step_mpc), beliefs=len(MPC_ANSWER) if mpc.settings.learns else 0, plans=1,
-        takes_late=takes_late, mpc=mpc, functions=functions,
+def mpc_controller(controller: Any, mpc: Any) -> Any:
+    """A `part.ControllerPart` of an `MPC` with the record of a batch (`mpc.batch`), before its first step."""
+    return controller_part(
+        controller, len(mpc.memory), {"answer": mpc.answer.shape[1]}, controller.packed_tuning(),
+        begin=address_of(begin_mpc), request=address_of(request_of_mpc), step=address_of(step_mpc),
+        beliefs=len(MPC_ANSWER) if mpc.settings.learns else 0, plans=1, mpc=mpc, functions=controller.functions,
     )  # fmt: skip
-    controller.tuning[:], controller.first_tuning[:] = tuning, tuning
-    return controller
 
 
 @exported(void(Place(MPCStep)), name="mpc_step")

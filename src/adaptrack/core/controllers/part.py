@@ -11,7 +11,11 @@ with `COMMON_ANSWER`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from ..kernel import Caller, Place, columns, float64, inlined, int64, matrix, record, vector, void
+from ..layout import allocate
 from ..roads.road import Roads
 from ..scheduling.schedule import ScheduleRecord, begin_schedule, schedule
 from .contract import SITUATION
@@ -22,12 +26,14 @@ COMMON_ANSWER = columns("command", "command_change", "held")
 """
 REQUEST = columns(
     "restart",  # 1: begin anew; what was learned of the car stays
-    "apply",  # 1: the command in force (`TRACKED.command`) is not the controller's own
     "change",  # 1: another path lies under the car, by
     "turned", "shifted",  # rad, m: so much have heading and offset grown
     "late",  # s, age of a sample that is later than the controller's filter takes; NaN: none
 )  # fmt: skip
-"""What a tracker asks of its controller before its next step, in this order; who has done it sets it to zero."""
+"""What a tracker asks of its controller before its next step, in this order; who has done it sets it to zero.
+
+The command in force is no request: each step is told it.
+"""
 
 Law = record(
     "Law",
@@ -75,14 +81,14 @@ ControllerSizes = record("ControllerSizes", (("mpc", MPCSizes), *_CHOSEN, *_DERI
 _PLACE = Place(ControllerPart)
 BEGIN = void(int64, float64, _PLACE)
 """``begin(slot, command, controller)``; command: rad, that a vehicle has at its start"""
-APPLY = void(int64, vector, float64, _PLACE)
-"""``request(slot, requests, command, controller)``; command: rad, in force"""
+APPLY = void(int64, vector, _PLACE)
+"""``request(slot, requests, controller)``"""
 STEP = void(int64, float64, float64, float64, int64, vector, vector, vector, Place(Roads), _PLACE)
 """``step(slot, speed, command, station, road, measured, reference, speeds, roads, controller)``
 
-speed: m/s, as measured; command: rad, the last one; station: m, of the car's foot on the road; road: which of `roads`,
--1: none; measured: `MEASUREMENT`; reference: y_ref (m) now and at the instants that follow; speeds: m/s, planned for
-the instants from now on, empty without a road."""
+speed: m/s, as measured; command: rad, in force, which need not be the controller's own; station: m, of the car's foot
+on the road; road: which of `roads`, -1: none; measured: `MEASUREMENT`; reference: y_ref (m) now and at the instants
+that follow; speeds: m/s, planned for the instants from now on, empty without a road."""
 _call_begin, _call_request, _call_step = Caller(BEGIN), Caller(APPLY), Caller(STEP)
 
 
@@ -94,6 +100,21 @@ def complete_controller_sizes(sizes):
     sizes.answer = max(sizes.answer, sizes.mpc.answers)
 
 
+def controller_part(controller: Any, slots: int, sizes: Mapping[str, int], tuning: Any = (), **values: Any) -> Any:
+    """A `ControllerPart` of a controller for `slots` slots before its first step, with what all controllers have.
+
+    controller: of `adaptrack.control`, None: the caller of the loop; sizes: of its arrays, by their names in
+    `ControllerSizes`; values: other fields.
+    """
+    (row,) = ControllerSizes.new(1, slots=slots, tuning=len(tuning), **sizes)
+    row.mpc.slots = slots
+    complete_controller_sizes(row)
+    takes_late = -1 if controller is None else controller.takes_late
+    part = allocate(ControllerPart, row, takes_late=takes_late, **values)
+    part.tuning[:], part.first_tuning[:] = tuning, tuning
+    return part
+
+
 @inlined
 def begin_controller(slot, command, controller):
     """Let a controller forget everything; command: rad, that a vehicle has at its start."""
@@ -102,15 +123,15 @@ def begin_controller(slot, command, controller):
 
 
 @inlined
-def apply_requests(slot, request, command, controller):
-    """Do what a tracker asks of a controller; command: rad, in force."""
-    if request[REQUEST.restart] + request[REQUEST.change] + request[REQUEST.apply] > 0.5:
-        _call_request(controller.request, slot, request, command, controller)
+def apply_requests(slot, request, controller):
+    """Do what a tracker asks of a controller."""
+    if request[REQUEST.restart] + request[REQUEST.change] > 0.5:
+        _call_request(controller.request, slot, request, controller)
     if request[REQUEST.restart] > 0.5:
         begin_schedule(slot, controller.schedule)
         for i in range(controller.first_tuning.size):
             controller.tuning[slot, i] = controller.first_tuning[i]
-    request[REQUEST.restart] = request[REQUEST.change] = request[REQUEST.apply] = 0.0
+    request[REQUEST.restart] = request[REQUEST.change] = 0.0
 
 
 @inlined

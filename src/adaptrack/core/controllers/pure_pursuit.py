@@ -7,15 +7,7 @@ import math
 from ..kernel import exported, record, unpacker, viewer
 from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2, cos, sin
-from .contract import (
-    COMMON_PARAMETERS,
-    LAW_SIGNATURE,
-    MIN_LAW_SPEED,
-    all_finite,
-    limited,
-    path_at,
-    read_situation,
-)
+from .contract import COMMON_PARAMETERS, LAW_SIGNATURE, MIN_LAW_SPEED, all_finite, limited, path_at, read_situation
 
 PURSUIT_TUNING = ("lookahead_time", "lookahead_min")
 PARAMETERS = (

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
-
-from ..kernel import exported, fma, inlined, vector, void
+from ..kernel import fma, inlined
 from ..maths.exact import clip
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
 from ..physics.forces import (
@@ -17,9 +15,9 @@ from ..physics.forces import (
     steering_rate,
     wind_load,
 )
-from ..physics.tyre import LEAST_LOAD, LINEAR_TYRE, TYRE_NAMES, friction_ellipse, lateral_force
-from .contract import ADVANCE, OBSERVE, CompiledPlant, PlantState
-from .runge_kutta import advance_all, observe_one, slope_of
+from ..physics.tyre import LEAST_LOAD, LINEAR_TYRE, friction_ellipse, lateral_force
+from .contract import PlantState
+from .runge_kutta import plants_on_tyres
 
 
 @inlined
@@ -122,24 +120,4 @@ def right_hand_side(x, u, c, law):
     )
 
 
-@cache
-def compiled(law: int) -> CompiledPlant:
-    """The plant on tyres that follow a law, see `tyre`."""
-
-    @exported(void(vector, vector, vector, vector), name=f"dual_track_{TYRE_NAMES[law]}_derivative")
-    def derivative(x, u, parameters, dx):
-        slope_of(right_hand_side, x, u, parameters, dx, law)
-
-    @exported(ADVANCE, name=f"dual_track_{TYRE_NAMES[law]}_advance")
-    def advance(member, parameters, block, states, work, slots, substeps, h):
-        advance_all(right_hand_side, parameters, block, slots, (substeps, h), law)
-
-    @exported(OBSERVE, name=f"dual_track_{TYRE_NAMES[law]}_observe")
-    def observe(member, parameters, block, states, work, slot, observed):
-        observe_one(right_hand_side, parameters, block, slot, observed, law)
-
-    return CompiledPlant(derivative, advance, observe)
-
-
-for _law in TYRE_NAMES:
-    compiled(_law)
+compiled = plants_on_tyres("dual_track", right_hand_side)

@@ -6,10 +6,27 @@ of straight arithmetic for each law that is used.
 
 from __future__ import annotations
 
-from ..kernel import inlined, packer, stepper, unpacker
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+from ..kernel import exported, inlined, packer, stepper, unpacker, vector, void
 from ..models.car import unpack
 from ..physics.forces import stops, wheel_angle
-from .contract import GROUP, OBSERVED, PLANT_INPUTS, PLANT_STATE, PLANT_STATES, SLOTS, PlantInput, PlantState
+from ..physics.tyre import TYRE_NAMES
+from .contract import (
+    ADVANCE,
+    GROUP,
+    OBSERVE,
+    OBSERVED,
+    PLANT_INPUTS,
+    PLANT_STATE,
+    PLANT_STATES,
+    SLOTS,
+    CompiledPlant,
+    PlantInput,
+    PlantState,
+)
 
 _along = stepper(PlantState)
 _state, _input, _set_slope = unpacker(PlantState), unpacker(PlantInput), packer(PlantState)
@@ -61,23 +78,31 @@ def _fill_group(block, slots):
     return padded_slots
 
 
-@inlined
-def advance_all(right_hand_side, parameters, block, slots, steps, law):
-    """Advance the first `slots` vehicles of a built-in plant, see `contract.ADVANCE`; steps: (substeps, h)."""
-    _sweep(right_hand_side, block, _fill_group(block, slots), steps, unpack(parameters), law)
+def plants_on_tyres(name: str, right_hand_side: Any) -> Callable[[int], CompiledPlant]:
+    """A function that gives a built-in plant on tyres of a law (`physics.tyre`); those of all laws are made at once."""
 
+    @cache
+    def compiled(law: int) -> CompiledPlant:
+        before = f"{name}_{TYRE_NAMES[law]}"
 
-@inlined
-def observe_one(right_hand_side, parameters, block, slot, observed, law):
-    """Lateral acceleration and front-wheel angle of a built-in plant's vehicle, see `contract.OBSERVE`."""
-    c = unpack(parameters)
-    x, u = _state_of(block, slot), _input_of(block, _INPUT + slot)
-    slope = right_hand_side(x, u, c, law)
-    observed[OBSERVED.lateral_acceleration] = slope.vy + x.vx * x.yaw_rate - u.bank
-    observed[OBSERVED.wheel_angle] = wheel_angle(x.steering, u.command, c.steering_lag, c.steering_limit)
+        @exported(void(vector, vector, vector, vector), name=f"{before}_derivative")
+        def derivative(x, u, parameters, dx):
+            _set_slope(dx, 0, right_hand_side(_state(x), _input(u), unpack(parameters), law))
 
+        @exported(ADVANCE, name=f"{before}_advance")
+        def advance(member, parameters, block, states, work, slots, substeps, h):
+            _sweep(right_hand_side, block, _fill_group(block, slots), (substeps, h), unpack(parameters), law)
 
-@inlined
-def slope_of(right_hand_side, x, u, parameters, dx, law):
-    """Write dx/dt (STATES,) of a built-in plant at state x (STATES,) and input u (INPUTS,)."""
-    _set_slope(dx, 0, right_hand_side(_state(x), _input(u), unpack(parameters), law))
+        @exported(OBSERVE, name=f"{before}_observe")
+        def observe(member, parameters, block, states, work, slot, observed):
+            c = unpack(parameters)
+            x, u = _state_of(block, slot), _input_of(block, _INPUT + slot)
+            slope = right_hand_side(x, u, c, law)
+            observed[OBSERVED.lateral_acceleration] = slope.vy + x.vx * x.yaw_rate - u.bank
+            observed[OBSERVED.wheel_angle] = wheel_angle(x.steering, u.command, c.steering_lag, c.steering_limit)
+
+        return CompiledPlant(derivative, advance, observe)
+
+    for law in TYRE_NAMES:
+        compiled(law)
+    return compiled

@@ -15,14 +15,7 @@ import math
 from ..kernel import inlined
 from ..maths.exact import clip, sqrt, square
 from ..maths.exponential import exp
-from .learning import (
-    DISTURBANCE_SIGMA,
-    INNOVATION_BOUND,
-    LEARNING_SPEED,
-    SPEED_DRIFT,
-    SPEED_NOISE,
-    SPEED_NOISE_SHARE,
-)
+from .learning import DISTURBANCE_SIGMA, INNOVATION_BOUND, LEARNING_SPEED, SPEED_DRIFT, SPEED_NOISE, SPEED_NOISE_SHARE
 
 NO_FAULT, BRAKES_FAIL, DRIVE_STICKS = range(3)
 """Faults."""

@@ -28,15 +28,7 @@ from .pose import (
     time_of,
     write_tracked,
 )
-from .records import (
-    CONTROLLER_ANSWER,
-    EXPECTED_SPEEDS,
-    INSTANT,
-    LONGEST_CARRY,
-    LONGEST_GAP,
-    REQUEST,
-    STANDSTILL_SPEED,
-)
+from .records import CONTROLLER_ANSWER, EXPECTED_SPEEDS, INSTANT, LONGEST_CARRY, LONGEST_GAP, REQUEST, STANDSTILL_SPEED
 from .signals import (
     BEYOND_END,
     CAR_SLIDES,

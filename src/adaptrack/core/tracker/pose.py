@@ -119,7 +119,6 @@ def hold(tracker, m, angle):
     """Let an angle (rad) be the command before, as far as the controller's limits go."""
     settings = tracker.settings[0]
     m.command = clip(angle, settings.angle_min, settings.angle_max)
-    tracker.request[REQUEST.apply] = 1.0
 
 
 @inlined

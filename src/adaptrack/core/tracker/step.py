@@ -40,8 +40,7 @@ def _arrive(slot, tracking):
 
 @inlined
 def _apply_requests(slot, tracking):
-    tracker = tracking.tracker
-    apply_requests(slot, tracker.request, tracker.memory[0].command, tracking.controller)
+    apply_requests(slot, tracking.tracker.request, tracking.controller)
 
 
 @inlined
