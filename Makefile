@@ -8,20 +8,15 @@ LOCKED_ONLY := --no-deps --only-binary :all: --require-hashes
 
 .DEFAULT_GOAL := help
 KERNELS := src/adaptrack/core/built/manifest.json
-.PHONY: help install install-extras run test test-slow test-slow-part test-interpreted coverage lint format docs wheel targets try-wheel bench lock clean
+.PHONY: help install install-extras run test test-slow test-slow-part test-interpreted coverage lint format docs wheel try-wheel bench lock clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1|/' | column -t -s '|'
 
 install: $(INSTALLED) $(KERNELS) ## create .venv, install the locked packages and adaptrack into it, and compile the kernels
 
-$(KERNELS): requirements.lock pyproject.toml src/adaptrack/__init__.py $(shell find src/adaptrack/core -name '*.py') | $(INSTALLED)
-	@command -v ld ld.lld > /dev/null || { \
-	  echo 'No linker here: taking that of the package ziglang for this build.'; mkdir -p build; \
-	  sed -n '/^ziglang==/,/[^\\]$$/p' requirements-extras.lock > build/linker.txt; \
-	  $(PIP) install --no-deps --require-hashes --target build/linker -r build/linker.txt; }
-	@PYTHONPATH=build/linker $(BIN)/python -m adaptrack.core.build
-	@rm -rf build/linker
+$(KERNELS): requirements.lock pyproject.toml src/adaptrack/__init__.py $(shell find src/adaptrack/core -name '*.py' -o -path '*/build/*.[ch]') | $(INSTALLED)
+	@$(BIN)/python -m adaptrack.core.build
 
 $(INSTALLED): requirements.lock pyproject.toml src/adaptrack/__init__.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "adaptrack needs Python 3.11 or newer, and this is %s: try make PYTHON=python3.12 ..." % sys.version.split()[0])'
@@ -77,9 +72,6 @@ wheel: install ## build a wheel with kernels for every processor of this kind: d
 	rm -rf dist
 	$(BIN)/python -m hatchling build --target wheel
 
-targets: install ## build what other programs take in, for every processor: dist/adaptrack-targets-*.tar.gz
-	$(BIN)/python -m adaptrack.core.build --export all --archive dist
-
 TRIED := build/try
 try-wheel: ## drive with the wheel in dist/ in an environment of its own, which PYTHON chooses; no compiler, no checkout
 	test -n "$(wildcard dist/adaptrack-*.whl)" || { echo 'No wheel in dist/: make wheel'; exit 1; }
@@ -101,8 +93,8 @@ LOCKED := --extra compile --extra cluster --extra docs --extra dev
 
 lock: ## renew requirements.lock and requirements-extras.lock from pyproject.toml
 	$(COMPILE) $(LOCKED) --output-file requirements.lock
-	$(COMPILE) --extra bench --extra commonroad --extra fmu --extra gym --extra link --constraints requirements.lock --output-file requirements-extras.lock
+	$(COMPILE) --extra bench --extra commonroad --extra fmu --extra gym --constraints requirements.lock --output-file requirements-extras.lock
 
 clean: ## remove everything that can be made again
-	rm -rf .venv* build dist results docs/_build src/adaptrack/core/built src/adaptrack/export/built .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv* build dist results docs/_build src/adaptrack/core/built .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

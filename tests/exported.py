@@ -8,17 +8,14 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import adaptrack.export
-from adaptrack.core import library
 from adaptrack.core.kernel import EXPORTED
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE
-from adaptrack.export.c_library import own_target
+from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from programs import find_program
 
 SOURCES = Path(adaptrack.export.__file__).parent / "c"
-TARGET = own_target()
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror"]
 (OK, BAD_ARGUMENT, TOO_SMALL, NOT_READY, BUSY, DAMAGED, OTHER_VERSION, OTHER_KIND, OTHER_SIZES, OTHER_CONSTANTS,
  OTHER_PATH, ARITHMETIC, BAD_PATH, OUT_OF_ORDER) = range(14)  # fmt: skip
@@ -34,12 +31,11 @@ class Reader(ctypes.Structure):
 
 
 @cache
-def _library(folder):
-    shared_object = Path(folder) / "block.so"
+def _library(folder, options):
+    shared_object = Path(folder) / f"block{''.join(options)}.so"
     source = SOURCES / "adaptrack_block.c"
-    subprocess.run(
-        [find_program("gcc"), *STRICT, "-O1", "-shared", "-fPIC", str(source), "-o", str(shared_object)], check=True
-    )
+    command = [find_program("gcc"), *STRICT, *options, "-shared", "-fPIC", str(source), "-o", str(shared_object)]
+    subprocess.run(command, check=True)
     library = ctypes.CDLL(str(shared_object))
     library.adaptrack_block_state_size.restype = library.adaptrack_block_memory.restype = ctypes.c_size_t
     library.adaptrack_block_record.restype = ctypes.c_void_p
@@ -47,10 +43,13 @@ def _library(folder):
 
 
 class Memory:
-    """A block laid by the C sources into memory of this process, its functions those of the process."""
+    """A block laid by the C sources into memory of this process, its functions those of the process.
 
-    def __init__(self, block, folder, size=None):
-        self.library, self.block = _library(str(folder)), block
+    options: of the compiler.
+    """
+
+    def __init__(self, block, folder, size=None, options=("-O1",)):
+        self.library, self.block = _library(str(folder), options), block
         names = block.functions
         self._functions = (Function * max(len(names), 1))(
             *[Function(zlib.crc32(name.encode()), EXPORTED[name].address) for name in names]
@@ -115,9 +114,9 @@ class Exported:
 
     def __init__(self, folder, controller):
         self.folder, self.controller = folder, controller
-        sources = [*sorted((folder / "src").glob("*.c")), folder / "lib" / TARGET / "adaptrack_kernels.o"]
-        command = [find_program("gcc"), *STRICT, "-O1", "-shared", "-fPIC", f"-I{folder}/include",
-                   f"-I{folder}/src", *map(str, sources), "-o", str(folder / "tracker.so")]  # fmt: skip
+        sources = map(str, sorted((folder / "src").glob("*.c")))
+        command = [find_program("gcc"), *STRICT, "-O0", *EXACT_OPTIONS, "-shared", "-fPIC", f"-I{folder}/include",
+                   *sources, "-o", str(folder / "tracker.so")]  # fmt: skip
         process = subprocess.run(command, capture_output=True, text=True)
         assert process.returncode == 0, process.stderr
         self.c = ctypes.CDLL(str(folder / "tracker.so"))
@@ -188,12 +187,3 @@ class CTracker:
         return all(
             (margin == 0xA5A5A5A5A5A5A5A5).all() for margin in (self.raw[: self.MARGIN], self.raw[-self.MARGIN :])
         )
-
-
-def skip_without_exports():
-    """Skip a test where the kernels that are exported, or the compiler, are not there."""
-    find_program("gcc")
-    try:
-        library.exported(TARGET)
-    except library.UNUSABLE:
-        pytest.skip(f"the kernels that are exported have not been compiled: {library.BUILD}")

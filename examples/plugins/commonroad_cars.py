@@ -29,7 +29,7 @@ from adaptrack.base.errors import ConfigError, InvalidInput, MissingExtra, Unkno
 from adaptrack.base.files import read_toml
 from adaptrack.cars.plant import UserPlant, flattened, register_plant
 from adaptrack.cars.vehicle import Body, Tyre, Vehicle
-from adaptrack.core.public import compiled_foreign, compiles, layout_of
+from adaptrack.core.public import compiles, layout_of
 
 Array = NDArray[np.float64]
 Source = Any
@@ -161,7 +161,7 @@ def commonroad_plant(model: str, source: Source, air: Vehicle | None = None) -> 
     UnknownName
         When there is no such model.
     MissingExtra
-        When numba is not installed, or kernels are interpreted; else as `commonroad_parameters`.
+        When the compiler is not installed, or kernels are interpreted; else as `commonroad_parameters`.
     ConfigError, StorageError
         As `commonroad_parameters`.
     """
@@ -267,7 +267,7 @@ def _right_hand_side(model: str) -> Callable[..., None]:
         function, around = _package("vehicle_dynamics_std").vehicle_dynamics_std, kernel.drift_right_hand_side
     else:
         function, around = _package("vehicle_dynamics_mb").vehicle_dynamics_mb, kernel.mb_right_hand_side
-    return around(compiled_foreign(function, PACKAGE), layout_of(tables), places)
+    return around(function, layout_of(tables), places)
 
 
 # -- rolling straight ahead -------------------------------------------------------------------------------------------

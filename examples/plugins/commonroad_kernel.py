@@ -17,20 +17,14 @@ import numpy as np
 from adaptrack.core.public import (
     MOTION_STATES,
     PLANT_INPUT,
-    Caller,
     PlantState,
-    address_of,
     atan2,
     clip,
     columns,
     cos,
-    float64,
     inlined,
-    member,
     sin,
     sqrt,
-    vector,
-    void,
     wind_load,
 )
 
@@ -60,20 +54,15 @@ MB_PLACES = tuple(getattr(MB, name) for name in (*_MOTION, *MB_STATES))
 """Where each of our states stands among theirs; their steering angle is none of ours."""
 
 
-DYNAMICS = void(vector, float64, vector, vector)
-"""``dynamics(x, acceleration, p, f)``: one of their models on vectors, p the parameters in the order of the layout."""
-_call = Caller(DYNAMICS)
-
-
 def _dynamics(function, layout):
-    """Return the address of one of their models (`DYNAMICS`): a function that calls it is compiled without it."""
+    """One of their models on vectors, p the parameters in the order of the layout."""
 
     def dynamics(x, acceleration, p, f):
         slopes = function(x, (0.0, acceleration), p.view(layout)[0].car)
         for i in range(f.size):
             f[i] = slopes[i]
 
-    return address_of(member(dynamics, DYNAMICS))
+    return dynamics
 
 
 @inlined
@@ -105,10 +94,11 @@ def drift_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) -
     layout: of the parameters, a record `car` of theirs and a record `air` as `wind_load` takes it; places: of
     p_dx1 and p_dy1 in the vector of the parameters.
     """
-    theirs, n = _dynamics(function, layout), len(STD)
+    theirs, n, count = _dynamics(function, layout), len(STD), layout.itemsize // 8
 
     def right_hand_side(x, u, environment, p, dx):
-        own, z, f = p.copy(), np.empty(n), np.empty(n)
+        own, z, f = np.empty(count), np.empty(n), np.empty(n)
+        own[:] = p
         _set_friction(environment, own, places)
         given = own.view(layout)[0]
         yaw, vx, vy, mass = x[OWN.yaw], x[OWN.vx], x[OWN.vy], given.car.m
@@ -117,7 +107,7 @@ def drift_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) -
         z[STD.speed], z[STD.yaw], z[STD.yaw_rate] = speed, yaw, x[OWN.yaw_rate]
         z[STD.sideslip] = sideslip
         z[STD.wheel_speed_front], z[STD.wheel_speed_rear] = x[OWN.wheel_speed_front], x[OWN.wheel_speed_rear]
-        _call(theirs, z, _requested(u, mass), own, f)
+        theirs(z, _requested(u, mass), own, f)
         wind_x, wind_y = environment[AROUND.wind_x], environment[AROUND.wind_y]
         side, moment, drag = wind_load(yaw, vx, vy, wind_x, wind_y, given.air)
         c, s = cos(sideslip), sin(sideslip)
@@ -134,16 +124,18 @@ def drift_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) -
 def mb_right_hand_side(function: Any, layout: Any, places: tuple[int, int]) -> Any:
     """The right-hand side around their multi-body model; arguments as for `drift_right_hand_side`."""
     theirs, where, ours, n = _dynamics(function, layout), np.array(MB_PLACES), len(MB_PLACES), len(MB)
+    count = layout.itemsize // 8
 
     def right_hand_side(x, u, environment, p, dx):
-        own, z, f = p.copy(), np.empty(n), np.empty(n)
+        own, z, f = np.empty(count), np.empty(n), np.empty(n)
+        own[:] = p
         _set_friction(environment, own, places)
         given = own.view(layout)[0]
         car = given.car
         z[MB.steering] = u[PLANT_INPUT.steering]
         for i in range(ours):
             z[where[i]] = x[i]
-        _call(theirs, z, _requested(u, car.m), own, f)
+        theirs(z, _requested(u, car.m), own, f)
         wind_x, wind_y, bank = environment[AROUND.wind_x], environment[AROUND.wind_y], environment[AROUND.bank]
         side, moment, drag = wind_load(x[OWN.yaw], x[OWN.vx], x[OWN.vy], wind_x, wind_y, given.air)
         f[MB.vx] -= drag / car.m

@@ -1,4 +1,4 @@
-"""MPPI, a controller of others as a plug-in: `--plugin mppi --controller mppi`. Needs numba, which compiles its law."""
+"""MPPI, a controller of others as a plug-in: `--plugin mppi --controller mppi`. Needs adaptrack[compile]."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class MPPI(CompiledController):
     Raises
     ------
     MissingExtra
-        When numba is not installed, or kernels are interpreted.
+        When the compiler is not installed, or kernels are interpreted.
     InvalidInput
         For arguments that make no controller.
     """

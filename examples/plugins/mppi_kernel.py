@@ -97,7 +97,8 @@ _PATH_X, _PATH_Y, _COS, _SIN, _COURSE_COS, _COURSE_SIN = range(6)
 _FOR_SAMPLES = 3
 """A family of draws of its own, see `core.maths.random`."""
 
-Places = record("Places", ("plan", "path", "cost", "rows", "noise", "end"))
+_PLACES = ("plan", "path", "cost", "rows", "noise", "end")
+Places = record("Places", _PLACES, integers=_PLACES)
 State = record("State", ("x", "y", "yaw", "vy", "r", "wheels"))
 Step = record("Step", ("time", "speed", "follow", "middle", "most", "side", "side_turn", "turn_side", "turn"))
 """Of one step of the model: its length (s); v (m/s); what the wheels do of their way to the command, the mean of that

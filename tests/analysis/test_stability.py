@@ -191,7 +191,12 @@ def test_the_relaxation_of_its_tyres_makes_the_vans_loop_unstable_unless_the_mod
 def wandering(x, u, environment, p, dx):
     """A car whose own state runs away, unseen."""
     vy, r, vx = x[4], x[5], x[3]
-    dx[0], dx[1], dx[2], dx[3] = vx * np.cos(x[2]) - vy * np.sin(x[2]), vx * np.sin(x[2]) + vy * np.cos(x[2]), r, 0.0
+    dx[0], dx[1], dx[2], dx[3] = (
+        vx * math.cos(x[2]) - vy * math.sin(x[2]),
+        vx * math.sin(x[2]) + vy * math.cos(x[2]),
+        r,
+        0.0,
+    )
     front, rear = p[0] * (u[0] - (vy + 1.2 * r) / vx), p[1] * (-(vy - 1.6 * r) / vx)
     dx[4], dx[5] = (front + rear) / p[2] - vx * r, (1.2 * front - 1.6 * rear) / 2875.0
     dx[6] = x[6] + vy

@@ -7,15 +7,12 @@ import pytest
 
 from adaptrack.cars.plant import DualTrack, SingleTrack
 from adaptrack.cars.vehicle import SteeringActuator, Tyre, load_tyre, load_vehicle
-from adaptrack.core.models.car import unpack
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.plants.contract import PLANT_STATES, SLOTS, vehicle_batch
-from inlined import entry
 from references import vehicle as reference
 
 pytestmark = pytest.mark.kernels
 
-unpack = entry(unpack)
 
 PAPER, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
 VACUUM = {"frontal_area": 0.0}  # even still air pushes a car that drifts

@@ -16,14 +16,10 @@ from adaptrack.core.physics.tyre import (
     lateral_force,
     tyre_law,
 )
-from inlined import entry
 from references.vehicle import cornering_stiffness, tyre_force
 
 pytestmark = pytest.mark.kernels
 
-unpack = entry(unpack)
-friction_ellipse = entry(friction_ellipse)
-lateral_force = entry(lateral_force)
 
 LOADS = (800.0, 2500.0, 4850.0, 7000.0)
 FRICTIONS = (0.3, 0.9)

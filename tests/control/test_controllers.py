@@ -30,17 +30,14 @@ from adaptrack.control.controllers.kinematic_mpc import KinematicMPC
 from adaptrack.control.controllers.laws import GAIN_SPEEDS, error_model
 from adaptrack.control.controllers.preview_lqr import PreviewLQR
 from adaptrack.control.tracker import Tracker
-from adaptrack.core.controllers.contract import path_at, wrapped
+from adaptrack.core.controllers.contract import path_at
 from adaptrack.drive.simulate import simulate
 from adaptrack.road import generate_road
 from adaptrack.road.road_ahead import straight
 from adaptrack.scenario import RoadDrive, load_scenario
-from inlined import entry
 
 pytestmark = pytest.mark.kernels
 
-path_at = entry(path_at)
-wrapped = entry(wrapped)
 
 CAR, SEDAN = load_vehicle("paper"), load_vehicle("midsize-sedan")
 

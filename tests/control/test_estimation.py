@@ -28,12 +28,10 @@ from adaptrack.drive.failure import FailureLimits
 from adaptrack.drive.simulate import simulate
 from adaptrack.scenario import Scenario, load_scenario
 from adaptrack.scenario.profile import load_profile
-from inlined import entry
 from small_controllers import Scripted
 
 pytestmark = pytest.mark.kernels
 
-unpack = entry(unpack)
 
 CAR = load_vehicle("paper")
 PAPER, ROAD = load_profile("paper"), load_profile("road")
@@ -155,9 +153,9 @@ def test_the_replica_turns_the_wheels_as_the_actuator_does():
     trajectory, _ = drive(road(5.0, duration=4.0), Watched(jerky), SILENT_ROAD, estimator=estimator)
     assert np.abs(np.array(angles) - trajectory.steering).max() < 2e-3
     c = unpack(estimator.packed())
-    assert entry(kernel.steered)(0.0, 0.4, 0.3, c) == pytest.approx(0.15)  # at the rate limit
-    assert entry(kernel.steered)(0.0, 0.05, 0.3, c) == pytest.approx(0.05 * (1.0 - math.exp(-2.0)))  # below it
-    assert entry(kernel.steered)(0.0, 2.0, 50.0, c) == pytest.approx(math.pi / 6)
+    assert kernel.steered(0.0, 0.4, 0.3, c) == pytest.approx(0.15)  # at the rate limit
+    assert kernel.steered(0.0, 0.05, 0.3, c) == pytest.approx(0.05 * (1.0 - math.exp(-2.0)))  # below it
+    assert kernel.steered(0.0, 2.0, 50.0, c) == pytest.approx(math.pi / 6)
 
 
 # -- wind -------------------------------------------------------------------------------------------------------------

@@ -5,11 +5,10 @@ import pytest
 
 from adaptrack.core.estimators import extended_kalman as kernel
 from adaptrack.core.maths.vectors import padded
-from inlined import entry
 
 pytestmark = pytest.mark.kernels
 
-carry, scatter, bounded, correct = map(entry, (kernel.carry, kernel.scatter, kernel.bounded, kernel.correct))
+carry, scatter, bounded, correct = kernel.carry, kernel.scatter, kernel.bounded, kernel.correct
 every_size = pytest.mark.parametrize(("n", "m"), [(5, 2), (8, 8)])
 
 

@@ -15,7 +15,6 @@ from adaptrack.core.controllers import kinematic_mpc as kernel
 from adaptrack.core.controllers.contract import planned_speed
 from adaptrack.road import Arc, Clothoid, Line, Road
 from adaptrack.road.road_ahead import RoadAhead, straight
-from inlined import entry
 from references.daqp import Daqp
 from references.kinematic_mpc import cost, derivatives
 
@@ -130,7 +129,7 @@ def test_on_a_bend_every_stage_has_its_own_curvature_and_planned_speed():
 
 
 def test_the_speeds_of_a_plan_are_shifted_to_the_present_one_and_its_last_one_holds():
-    find, road = entry(planned_speed), RoadAhead(BENDING, 0.0, np.array([10.0, 12.0, 8.0])).packed
+    find, road = planned_speed, RoadAhead(BENDING, 0.0, np.array([10.0, 12.0, 8.0])).packed
     assert [find(road, t, 11.0, 0.1) for t in (-0.2, 0.0, 0.15, 0.2, 5.0)] == [11.0, 11.0, 13.0, 9.0, 9.0]
     assert find(road, 0.2, 2.0, 0.1) == 1.0  # no slower than walking
     assert find(straight(), 5.0, 7.0, 0.1) == 7.0
@@ -181,7 +180,7 @@ def test_told_of_the_dead_time_it_damps_a_car_that_it_cannot_hold_without():
 def test_the_filter_is_the_butterworth_filter_of_second_order(share, rng):
     command = rng.normal(size=60)
     expected = lfilter(*butter(2, 2.0 * share), command)
-    run, state = entry(kernel.filtered), [0.0, 0.0]
+    run, state = kernel.filtered, [0.0, 0.0]
     padded = [0.0, 0.0, *command.tolist()]
     for k in range(2, len(padded)):
         state.append(run(padded[k], padded[k - 1], padded[k - 2], state[-1], state[-2], share))

@@ -26,7 +26,6 @@ from adaptrack.results.style import print_figure
 from adaptrack.road import generate_road, plan_speed
 from adaptrack.scenario import RoadDrive, Scenario, random_drive
 from adaptrack.scenario.profile import load_profile
-from inlined import entry
 
 pytestmark = pytest.mark.kernels
 
@@ -73,7 +72,7 @@ def test_wheels_follow_a_lag_behind_a_rate_limit_and_the_slope_is_the_derivative
     def turn(lag):
         hypothesis = first_hypothesis(mpc)
         hypothesis.x[kernel.STEERING_LAG] = lag
-        entry(kernel._steer)(hypothesis, time, rate, command)
+        kernel._steer(hypothesis, time, rate, command)
         return hypothesis
 
     def rates(t, x):
@@ -98,13 +97,13 @@ def test_in_gentle_driving_the_prediction_is_that_of_the_path_model(speed):
     block = np.zeros((3, 3))
     block[:2, :2], block[:2, 2] = a[np.ix_([0, 2], [0, 2])], inputs[[0, 2], 0]
     exact = (expm(block * PERIOD) @ [2e-3, 1e-3, angle])[:2]
-    entry(kernel._predict_state)(hypothesis, speed, 0.0, PERIOD, numbers(mpc), np.zeros((2, 16)))
+    kernel._predict_state(hypothesis, speed, 0.0, PERIOD, numbers(mpc), np.zeros((2, 16)))
     np.testing.assert_allclose(hypothesis.x[[kernel.LATERAL_VELOCITY, kernel.YAW_RATE]], exact, rtol=3e-4, atol=1e-9)
 
 
 def test_rows_of_the_prediction_are_its_derivatives():
     mpc = learner()
-    p, step = numbers(mpc), entry(kernel._predict_state)
+    p, step = numbers(mpc), kernel._predict_state
 
     def after(state, change):
         hypothesis, rows = first_hypothesis(mpc), np.zeros((2, 16))
@@ -219,7 +218,7 @@ def test_a_variance_returns_no_faster_than_driving_reduces_it(gain, time):
     mpc, hypothesis = learner(), first_hypothesis(learner())
     hypothesis.covariance[kernel.STIFFNESS_SCALE, kernel.STIFFNESS_SCALE] = 1e-2
     hypothesis.gain[kernel.STIFFNESS_SCALE] = gain
-    entry(kernel._grow)(kernel.STIFFNESS_SCALE, 0.5, hypothesis, numbers(mpc))
+    kernel._grow(kernel.STIFFNESS_SCALE, 0.5, hypothesis, numbers(mpc))
     growth = hypothesis.covariance[kernel.STIFFNESS_SCALE, kernel.STIFFNESS_SCALE] - 1e-2
     assert growth == pytest.approx(PERIOD / time * (0.25 - 1e-2))
 

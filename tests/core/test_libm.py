@@ -10,21 +10,20 @@ import sys
 from fractions import Fraction
 
 import mpmath as mp
-import numba
 import numpy as np
 import pytest
 
-from adaptrack.core.kernel import INTERPRETED, fma
+from adaptrack.core.kernel import INTERPRETED, float64, fma, vector
 from adaptrack.core.maths import bits, exact, trigonometric
-from inlined import entry
+from adaptrack.core.member import member
 from references import elementary
 
 pytestmark = pytest.mark.kernels
 
 
 FUNCTIONS = {name: function for name, function in elementary.FUNCTIONS.items() if function.arguments}
-ENTRIES = {name: elementary.entry_of(function) for name, function in elementary.FUNCTIONS.items()}
-ENTRIES |= {"soft_fma": exact.soft_fma, "whole_fma": exact.whole_fma, "soft_ceil": entry(exact.soft_ceil)}
+ENTRIES = {name: function.kernel for name, function in elementary.FUNCTIONS.items()}
+ENTRIES |= {"soft_fma": exact.soft_fma, "whole_fma": exact.whole_fma, "soft_ceil": exact.soft_ceil}
 INF, NAN = math.inf, math.nan
 ULPS = 4096.0 if INTERPRETED else 1.0  # the interpreter's multiply-add rounds twice: 1e-12 is left
 LARGEST, LEAST = sys.float_info.max, 5e-324
@@ -129,7 +128,7 @@ def test_odd_functions_are_odd_and_the_cosine_even_to_the_last_bit(name, rng):
 
 @pytest.mark.compiled
 def test_a_ratio_that_has_an_arctangent_has_the_one_that_its_quotient_has(rng):
-    function = entry(trigonometric.arctangent_of_ratio)
+    function = trigonometric.arctangent_of_ratio
     for y, x in zip((few_bits(rng, 1000, 5)).tolist(), np.exp2(rng.uniform(-1000, 1000, 1000)).tolist(), strict=True):
         y *= x
         with mp.workprec(elementary.PRECISION):
@@ -201,26 +200,25 @@ def check_multiply_adds(rng, count):
     """Every soft multiply-add, one number or eight at a time, against the processor's."""
     soft, careful, eight = exact.soft_fma, exact.careful_fma, exact.soft_fma8
 
-    @numba.njit(error_model="numpy")
     def same_float(x, y):
         return (x != x and y != y) or (x == y and math.copysign(1.0, x) == math.copysign(1.0, y))
 
-    @numba.njit(error_model="numpy")
     def first_difference(a, b, c, eighth):
         for i in range(a.size):
             if i % 8 == 0 and i + 8 <= a.size:
                 eight(a[i : i + 8], b[i : i + 8], c[i : i + 8], eighth)
             x = fma(a[i], b[i], c[i])
             if not (same_float(x, soft(a[i], b[i], c[i])) and same_float(x, careful(a[i], b[i], c[i]))):
-                return i
+                return float(i)
             if i < a.size // 8 * 8 and not same_float(x, eighth[i % 8]):
-                return i
-        return -1
+                return float(i)
+        return -1.0
 
+    first_difference = member(first_difference, float64(vector, vector, vector, vector))
     grid = [column.ravel().copy() for column in np.meshgrid(SPECIAL, SPECIAL, SPECIAL)]
     for triples in [*hard_cases(rng, count), grid]:
         difference = first_difference(*map(np.ascontiguousarray, triples), np.zeros(8))
-        assert difference == -1, [values[difference] for values in triples]
+        assert difference == -1.0, [values[int(difference)] for values in triples]
 
 
 @pytest.mark.compiled
@@ -230,7 +228,7 @@ def test_the_soft_multiply_adds_are_those_of_the_processor(count, rng):
 
 
 def test_roots_and_whole_numbers_soft_or_not_are_those_of_the_processor(rng):
-    sqrt, floor, ceil = map(entry, (exact.sqrt, exact.floor, exact.ceil))
+    sqrt, floor, ceil = exact.sqrt, exact.floor, exact.ceil
     halves, squares = rng.integers(-20, 20, 200) / 2.0, rng.integers(1, 2**26, 200).astype(float) ** 2
     for x in [*any_bits(rng, 2000), *rng.uniform(-(2.0**54), 2.0**54, 500), *halves, *squares, *SPECIAL]:
         x = float(x)
@@ -243,7 +241,7 @@ def test_roots_and_whole_numbers_soft_or_not_are_those_of_the_processor(rng):
 
 
 def test_a_whole_number_is_found_in_every_float(rng):
-    integer = entry(bits.whole)
+    integer = bits.whole
     for x in rng.uniform(-(2.0**62), 2.0**62, 1000).tolist() + few_bits(rng, 1000, 70).tolist():
         assert integer(x) == (int(x) if abs(x) < 2.0**62 else int(math.copysign(2**62, x)))
     assert [integer(x) for x in (NAN, INF, -INF, 1e300, -0.0, 0.999, -1.5)] == [0, 2**62, -(2**62), 2**62, 0, 0, -1]
@@ -262,19 +260,19 @@ def test_a_float_becomes_an_integer_in_one_place_alone(project):
 
 
 def test_bits_make_the_float_that_they_came_from(rng):
-    bits_of, float_of = entry(bits.bits_of), entry(bits.float_of)
+    bits_of, float_of = bits.bits_of, bits.float_of
     for x in [*any_bits(rng, 1000).tolist(), *SPECIAL]:
         assert bits_of(x) == struct.unpack("q", struct.pack("d", x))[0] or x != x
         assert same(float_of(bits_of(x)), x)
 
 
 def test_a_number_is_scaled_by_a_power_of_two():
-    scaled = entry(bits.scaled)
+    scaled = bits.scaled
     assert [scaled(3.0, k) for k in (-1074, 0, 1000, -2044, 2044)] == [3 * LEAST, 3.0, 3 * 2.0**1000, 0.0, INF]
 
 
 def test_clipping_keeps_what_lies_between_the_bounds(rng):
-    clip = entry(exact.clip)
+    clip = exact.clip
     for x in rng.normal(size=200).tolist():
         assert clip(x, -0.5, 0.25) == min(max(x, -0.5), 0.25)
     assert [clip(x, -1.0, 2.0) for x in (INF, -INF)] == [2.0, -1.0]

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from adaptrack.core.maths import matrix_exponential as kernel
-from inlined import entry
 
 pytestmark = pytest.mark.kernels
 
 WIDTH = 8
-phi_functions, integrals = entry(kernel.phi_functions), entry(kernel.integrals)
+phi_functions, integrals = kernel.phi_functions, kernel.integrals
 every_size = pytest.mark.parametrize("n", [2, 3, 4])
 every_norm = pytest.mark.parametrize("norm", [1e-8, 1e-3, 0.4, 3.0, 40.0, 1e4])
 

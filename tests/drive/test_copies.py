@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import os
 import pickle
 import subprocess
@@ -52,7 +53,7 @@ class Rolling(at.SteppedPlant):
 def right_hand_side(x, u, environment, p, dx):
     """A car that turns as its wheels say."""
     dx[:] = 0.0
-    dx[0], dx[1], dx[2] = x[3] * np.cos(x[2]), x[3] * np.sin(x[2]), x[5]
+    dx[0], dx[1], dx[2] = x[3] * math.cos(x[2]), x[3] * math.sin(x[2]), x[5]
     dx[5] = 5.0 * (x[3] * u[0] / p[0] - x[5])
 
 

@@ -1,5 +1,8 @@
 """A record of the core, as bytes, is that record in the memory of a C program; nothing damaged is laid."""
 
+import platform
+import subprocess
+
 import numpy as np
 import pytest
 
@@ -8,7 +11,9 @@ import exported
 from adaptrack.core.controllers.mpc_step import MPCStep
 from adaptrack.core.kernel import INTERPRETED
 from adaptrack.export.block import ArrayRole, ArrayStart, pack
+from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from exported import Memory
+from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
 ROLES = {"mpc.states": ArrayRole.FIXED, "mpc.informed.fresh": ArrayRole.FIXED, "mpc.informed.learner": ArrayRole.FIXED,
@@ -43,6 +48,10 @@ def test_constants_of_other_sizes_are_refused_under_way(folder):
     memory.lay()
     shorter = block_of(learning=None, longest_horizon=40)
     assert memory.renew(shorter.content) == exported.OTHER_SIZES
+
+
+def gcc_version():
+    return subprocess.run([find_program("gcc"), "-dumpfullversion"], capture_output=True, text=True, check=True).stdout
 
 
 def hostile(content, rng, count):
@@ -92,3 +101,16 @@ def test_another_version_kind_or_memory_is_refused_and_nothing_is_written(folder
     assert memory.renew(block.content) == exported.NOT_READY
     assert memory.restore(bytes(64)) == exported.NOT_READY
     assert (memory.raw == before).all()
+
+
+REORDERS = ("-O3", "-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math")
+
+
+@pytest.mark.parametrize("options", [("-O2", "-mfma", "-ffp-contract=fast"), REORDERS, ("-O2", "-mfma")])
+def test_a_compiler_that_fuses_or_reorders_operations_is_refused_at_the_start(options, folder):
+    if platform.machine() != "x86_64":
+        pytest.skip("gives options for x86-64")
+    if options == ("-O2", "-mfma") and int(gcc_version().split(".")[0]) > 12:
+        pytest.skip("this GCC fuses nothing in C99")
+    assert Memory(block_of(), folder, options=options).lay() == exported.ARITHMETIC
+    assert Memory(block_of(), folder, options=("-O3", "-mfma", *EXACT_OPTIONS)).lay() == exported.OK

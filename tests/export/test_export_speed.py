@@ -19,7 +19,7 @@ from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
 from adaptrack.export.c_library import export_c
 from adaptrack.road import Comfort, Stop, plan_speed, road_through
-from exported import TARGET, Answer, CPath, CTracker, Exported, Sample
+from exported import Answer, CPath, CTracker, Exported, Sample
 from programs import find_program
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="what is exported is compiled")]
@@ -95,7 +95,6 @@ class CSpeedTracker(CTracker):
 
 @pytest.fixture(scope="module", params=CONTROLS)
 def library(request, tmp_path_factory):
-    exported.skip_without_exports()
     folder = tmp_path_factory.mktemp(request.param)
     controller = {
         "informed": lambda: at.MPC(CAR, profile="road"),
@@ -234,7 +233,7 @@ def test_a_plan_of_a_different_path_or_faster_than_the_export_allows_is_refused(
 
 
 def test_the_recorded_drive_of_the_folder_does_not_differ(library):
-    command = ["make", "-C", str(library.folder), "check", "build/" + TARGET + "/times", "CFLAGS=-O1 -Werror"]
+    command = ["make", "-C", str(library.folder), "check", "build/times", "CFLAGS=-O1 -Werror"]
     process = subprocess.run(command, capture_output=True, text=True)
     assert process.returncode == 0, process.stdout + process.stderr
     assert " steps, 0 differ" in process.stdout
@@ -256,7 +255,7 @@ def test_cpp_drives_with_a_plan(library, tmp_path):
         "    return answer.force < 0.0 && answer.limited_by != ADAPTRACK_LIMIT_FAULT ? 0 : 3;\n}\n"
     )
     subprocess.run(["make", "-C", str(library.folder), "lib"], check=True, capture_output=True)
-    archive = library.folder / "build" / TARGET / "libadaptrack.a"
+    archive = library.folder / "build" / "libadaptrack.a"
     command = [find_program("g++"), "-std=c++17", "-Wall", "-Wextra", "-Werror", f"-I{library.folder}/include",
                str(source), str(archive), "-o", str(tmp_path / "drive")]  # fmt: skip
     process = subprocess.run(command, capture_output=True, text=True)

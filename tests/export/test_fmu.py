@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import shutil
 import subprocess
 import sys
 import zipfile
@@ -26,6 +25,7 @@ from adaptrack.core.units import car as kernel
 from adaptrack.core.units import controller as controller_kernel
 from adaptrack.export import fmu_build
 from adaptrack.export.fmu import constants, write_fmu
+from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.units import car_unit, controller_unit
 from adaptrack.road import Arc, Stop
 from exported import STRICT
@@ -460,27 +460,34 @@ def test_the_sources_keep_to_c99_and_to_the_types_of_the_standard(with_headers, 
 
 
 # -- without FMPy -----------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("system", ["linux", pytest.param("windows", marks=pytest.mark.slow)])
-def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder, tmp_path):
-    platform = fmu_build.SYSTEMS[system]
-    binary = fmu_build.FMU_FOLDER / f"fmu-{system}.{platform.ending}"
-    if not binary.exists():
-        pytest.skip(f"the binary for {system} is not built")
-    wine = [] if system == "linux" else [find_program("wine64")]
-    unit, driver = car_unit(PLANT, profile="production"), tmp_path / ("driver.exe" if wine else "driver")
-    libraries = [] if wine else ["-ldl"]
+EMULATED = {
+    "linux": ("gcc",),
+    "linux-aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"),
+    "windows": ("x86_64-w64-mingw32-gcc", "wine64"),
+}
+"""The compiler of a program for a platform, and the command that runs it here."""
+
+
+@pytest.mark.parametrize(
+    "name", ["linux", *(pytest.param(name, marks=pytest.mark.slow) for name in ("linux-aarch64", "windows"))]
+)
+def test_each_platforms_binary_drives_as_the_kernels_do_to_the_bit(name, folder, tmp_path):
+    compiler, *emulator = EMULATED[name]
+    if emulator:
+        emulator[0] = find_program(emulator[0])
+    unit, driver = car_unit(PLANT, profile="production"), tmp_path / ("driver.exe" if name == "windows" else "driver")
+    libraries = [] if name == "windows" else ["-ldl"]
     source = Path(__file__).parents[1] / "processors" / "fmu_driver.c"
-    subprocess.run(
-        [find_program(platform.compilers[0]), "-O1", str(source), "-o", str(driver), "-lm", *libraries], check=True
-    )
+    subprocess.run([find_program(compiler), "-O1", str(source), "-o", str(driver), "-lm", *libraries], check=True)
     block = constants(unit)
     (tmp_path / "constants.bin").write_bytes(block.content)
-    place = "." if wine else str(tmp_path)
-    shutil.copy(binary, tmp_path / binary.name)
-    library = binary.name if wine else str(tmp_path / binary.name)
+    place = "." if name == "windows" else str(tmp_path)
+    library = f"fmu.{fmu_build.PLATFORMS[name].ending}"
+    (tmp_path / library).write_bytes(fmu_build.binary(name))
+    library = library if name == "windows" else str(tmp_path / library)
     token = f"{{{zlib.crc32(block.content):08x}}}"
     arguments = [library, place, token, repr(unit.period), "200", str(kernel.CAR_VALUE.command)]
-    process = subprocess.run([*wine, str(driver), *arguments], cwd=tmp_path, capture_output=True, text=True)
+    process = subprocess.run([*emulator, str(driver), *arguments], cwd=tmp_path, capture_output=True, text=True)
     assert process.returncode == 0, process.stderr
     resident = Resident(unit.record)
     kernel.car_begin(resident)
@@ -490,6 +497,41 @@ def test_each_systems_binary_drives_as_the_kernels_do_to_the_bit(system, folder,
     expected = unit.record.values[kernel.CAR_VALUE.measured_x : kernel.CAR_VALUE.ended]
     bits = [0 if math.isnan(value) else int(np.float64(value).view(np.uint64)) for value in expected]
     assert [int(word, 16) for word in process.stdout.split()] == bits
+
+
+@pytest.mark.slow
+def test_an_fmu_has_sources_and_a_binary_for_each_platform_that_is_asked_for(folder, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    files = zipfile.ZipFile(
+        at.export_fmu(PLANT, folder / "all.fmu", platforms=["linux", "windows", "macos"])
+    ).namelist()
+    assert [name for name in files if name.startswith("binaries/")] == [
+        "binaries/x86_64-linux/adaptrack_car.so", "binaries/x86_64-windows/adaptrack_car.dll",
+        "binaries/aarch64-darwin/adaptrack_car.dylib",
+    ]  # fmt: skip
+    assert {"sources/head.h", "sources/records.h", "sources/plants.c", "sources/fmu.c"} <= set(files)
+    cached = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("fmu-*")}
+    at.export_fmu(PLANT, folder / "again.fmu", platforms=["linux", "windows", "macos"])
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("fmu-*")} == cached
+
+
+def test_the_exports_refuse_an_unknown_platform_and_a_missing_compiler(folder, monkeypatch):
+    with pytest.raises(at.InvalidInput, match=r"platform 'linus'.*linux"):
+        at.export_fmu(PLANT, folder / "no.fmu", platforms=["linus"])
+    monkeypatch.setattr(fmu_build.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(at.InvalidInput, match=r"ziglang.*is not installed; run: .*adaptrack\[compile\]"):
+        at.export_fmu(PLANT, folder / "no.fmu")
+    assert not (folder / "no.fmu").exists()
+
+
+@pytest.mark.needs("gcc")
+def test_a_compiler_of_the_user_makes_the_binary_from_the_sources_of_the_fmu(folder, tmp_path):
+    zipfile.ZipFile(car(folder)).extractall(tmp_path)
+    sources = map(str, (tmp_path / "sources").glob("*.c"))
+    options = ["-std=c99", "-O1", *EXACT_OPTIONS, "-Wall", "-Wextra", "-Wno-unknown-pragmas", "-Werror"]
+    run = subprocess.run([find_program("gcc"), *options, "-shared", "-fPIC", *sources, "-o", str(tmp_path / "car.so")],
+                         capture_output=True, text=True)  # fmt: skip
+    assert run.returncode == 0, run.stderr
 
 
 def test_the_command_writes_both(folder, monkeypatch, capsys):

@@ -257,7 +257,7 @@ def test_get_plant_refuses_another_car_another_body_and_a_tyre():
         at.get_plant(name, commonroad_vehicle(1), "passenger-car")
 
 
-def test_without_their_package_or_numba_the_remedy_is_named(monkeypatch):
+def test_without_their_package_or_a_compiler_the_remedy_is_named(monkeypatch):
     monkeypatch.setattr(commonroad_cars, "compiles", lambda: False)
     with pytest.raises(MissingExtra, match=r"pip install 'adaptrack\[compile\]'"):
         commonroad_plant(DRIFT, 1)

@@ -17,7 +17,6 @@ from adaptrack.control.controllers.limits import Limits
 from adaptrack.drive.simulate import rollout, simulate
 from adaptrack.road import Arc, Line, Road
 from adaptrack.scenario import RoadDrive, load_scenario
-from inlined import entry
 from mppi import MPPI
 
 pytestmark = pytest.mark.slow
@@ -29,7 +28,7 @@ HAIRPIN = Road.from_segments(
 )
 WIDE = Limits(move=(-1.0, 1.0), angle=(-1.5, 1.5))
 SMALL = {"samples": 64, "horizon": 0.5}
-step_of, moved = entry(kernel.step_of), entry(kernel.moved)
+step_of, moved = kernel.step_of, kernel.moved
 
 
 def states_under(controller: MPPI, state: kernel.State, commands: list[float], speed: float) -> list[kernel.State]:
@@ -164,7 +163,7 @@ def test_nonsense_is_refused_by_name(option, value):
         MPPI(CAR, **{option: value})
 
 
-def test_without_numba_the_remedy_is_named(monkeypatch):
+def test_without_a_compiler_the_remedy_is_named(monkeypatch):
     mppi._compiled_law.cache_clear()
     monkeypatch.setattr(mppi, "compiles", lambda: False)
     with pytest.raises(MissingExtra, match=r"pip install 'adaptrack\[compile\]'"):

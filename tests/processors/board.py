@@ -12,10 +12,10 @@ import numpy as np
 
 from adaptrack import MPC, DualTrack, Learning, SpeedControl, load_road, load_vehicle, plan_speed, published_mpc
 from adaptrack.control.qp import ActiveSet
-from adaptrack.core import library
 from adaptrack.core.controllers.mpc import MPC_ANSWER
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.export.c_library import export_c
+from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.recorded_drive import record_drive
 from adaptrack.export.tracking import speed_part, tracking_block
 from adaptrack.scenario.profile import load_profile
@@ -55,17 +55,9 @@ BOARDS = {
 }
 
 
-def missing(target, tools=TOOLS):
+def missing(tools=TOOLS):
     """The first of what it takes that is not there; None: nothing."""
-    for tool in tools:
-        reason = try_program(tool)[1]
-        if reason:
-            return reason
-    try:
-        library.export_of(target)
-    except library.UNUSABLE:
-        return f"not compiled: {library.BUILD} --export {target}"
-    return None
+    return next(filter(None, (try_program(tool)[1] for tool in tools)), None)
 
 
 @dataclass(frozen=True)
@@ -92,13 +84,12 @@ class Ran:
 class Program:
     """An export of a controller with samples, and the program that drives it.
 
-    samples: (calls, numbers of a sample, or the first of them); way: road and plan; target: a further one, of `BOARDS`.
+    samples: (calls, numbers of a sample, or the first of them); way: road and plan.
     """
 
-    def __init__(self, controller, samples, way, folder, target=None, speed=None):
+    def __init__(self, controller, samples, way, folder, speed=None):
         self.folder, self.count = folder, len(samples)
-        self.made = export_c(controller, folder / "made", targets=[_own(), *([target] if target else [])],
-                             road=way[0], plan=way[1], speed=speed)  # fmt: skip
+        self.made = export_c(controller, folder / "made", road=way[0], plan=way[1], speed=speed)
         samples = np.asarray(samples)
         rows = np.full((self.count, len(CALL)), np.nan)
         rows[:, : samples.shape[1]] = samples
@@ -107,17 +98,13 @@ class Program:
         block = tracking_block(controller, speed=part)
         answer = block.words.get("controller.mpc.answer", 0)
         at = answer + MPC_ANSWER.qp_iterations if answer else 0
-        self.given = ["-std=gnu11", "-O2", "-ffunction-sections", "-fdata-sections", f"-DQP_ITERATIONS={at}",
+        self.given = ["-std=gnu11", *EXACT_OPTIONS, "-ffunction-sections", "-fdata-sections", f"-DQP_ITERATIONS={at}",
                       *[f"-I{self.made.folder}/{folder}" for folder in (".", "include", "src")], str(HERE / "board.c"),
                       *map(str, sorted((self.made.folder / "src").glob("*.c")))]  # fmt: skip
 
-    def kernels(self, target):
-        return str(self.made.folder / "lib" / target / "adaptrack_kernels.o")
-
-    def here(self, target=None, compiler="gcc", under=()):
+    def here(self, compiler="gcc", under=()):
         """Drive on this machine, under another program where one is given: answers (calls, WORDS)."""
-        kernels = self.kernels(_own() if target is None else target)
-        _do([compiler, "-g", *self.given, "-DHOST", kernels, "-o", "here.exe"], self.folder)
+        _do([compiler, "-g", "-O1", *self.given, "-DHOST", "-o", "here.exe"], self.folder)
         _do([*under, str(self.folder / "here.exe"), "samples", "told"], self.folder)
         return np.fromfile(self.folder / "told", np.int64).reshape(-1, WORDS)
 
@@ -132,9 +119,9 @@ class Program:
         expected, board, folder = self.here(), BOARDS[target], self.folder
         for name, text in HEADERS.items():
             (folder / name).write_text(text)
-        _do(["arm-none-eabi-gcc", *board.options, *self.given, f"-I{folder}", "-ffreestanding", "-nostdlib",
+        _do(["arm-none-eabi-gcc", *board.options, "-Os", *self.given, f"-I{folder}", "-ffreestanding", "-nostdlib",
              "-fno-tree-loop-distribute-patterns", f"-DTIMER={board.timer:#x}", f"-DSAMPLES={board.samples:#x}",
-             f"-DANSWERS={board.samples + (1 << 23):#x}", self.kernels(target), "-lgcc",
+             f"-DANSWERS={board.samples + (1 << 23):#x}", "-lgcc",
              f"-Wl,--gc-sections,--defsym=CODE={board.code:#x},--defsym=RAM={board.ram:#x},-T,{HERE / 'board.ld'}",
              "-Wl,-Map=map", "-o", "program"], folder)  # fmt: skip
         _do(["qemu-system-arm", "-machine", board.machine, "-nographic", "-monitor", "none", "-serial", "none",
@@ -149,11 +136,6 @@ class Program:
             int(counts[-1]), _code(folder / "program"), self.made.constants_size, self.made.memory_size,
             _sizes(folder / "program")["path"],
         )  # fmt: skip
-
-
-def _own():
-    name = library.processor()
-    return "x86-64-v3" if name == "x86-64-v4" else name
 
 
 def differing(first, there):
@@ -203,7 +185,7 @@ def driven(controller, road, plan, vehicle, rng, disturbed, speed=None):
     rows, begun = [], 0.0
     for wild in np.linspace(0.0, 3.0, 22):
         calls = record.samples[: record.driven_calls : max(1, round(step))].copy()
-        calls[:, CALL.motion_t] = np.nan
+        calls[:, CALL.motion_time] = np.nan
         calls[:, :2] += begun
         begun += calls[-1, 1] - calls[0, 1] + 10.0
         if disturbed:
@@ -231,7 +213,7 @@ def main():
         for disturbed in (False, True):
             calls = driven(controller, road, plan, vehicle, np.random.default_rng(0), disturbed, speed)
             with tempfile.TemporaryDirectory() as folder:
-                built_program = Program(controller, calls, (road, plan), Path(folder), "cortex-m7", speed)
+                built_program = Program(controller, calls, (road, plan), Path(folder), speed)
                 ran = built_program.on("cortex-m7")
             is_many = ran.iterations >= 3
             slope = (

@@ -81,7 +81,7 @@ def options_of(command):
     return options.union(*map(options_of, getattr(command, "commands", {}).values()))
 
 
-OPTIONS = options_of(PROGRAM) | {"--help", "--export", "--archive", "--ink", "--grid"}
+OPTIONS = options_of(PROGRAM) | {"--help", "--ink", "--grid"}
 """Of the program and of `python -m adaptrack.core.build`; and variables of CSS."""
 
 
@@ -123,7 +123,7 @@ def test_every_name_in_a_sentence_of_the_package_exists():
     [
         "jumps; Road.smoothed rounds it", "give smoothed(road)", "take MPC(car, prophile='road')", "add --lern",
         "run: adaptrack tun country", "see `paper campain`", "go on with `adaptrack drive --budget 3`",
-        "see docs/lane.md", "pip install 'adaptrack[rods]'", "an archive of `make targetts`",
+        "see docs/lane.md", "pip install 'adaptrack[rods]'", "the state of `make targetts`",
     ],
 )  # fmt: skip
 def test_advice_that_does_not_exist_is_noticed(text):

@@ -15,7 +15,7 @@ import pytest
 import adaptrack
 from adaptrack.core.library import processor, source_hashes
 
-HEAVY = ("numba", "llvmlite", "numpy", "scipy", "sklearn", "matplotlib", "pydantic", "pandas", "pyarrow", "typer")
+HEAVY = ("ziglang", "numpy", "scipy", "sklearn", "matplotlib", "pydantic", "pandas", "pyarrow", "typer")
 
 
 LIGHT = {
@@ -25,12 +25,12 @@ LIGHT = {
         "sys.argv = ['adaptrack', '--help']\n"
         "try: runpy.run_module('adaptrack', run_name='__main__')\n"
         "except SystemExit as end: assert not end.code",
-        ("numba", "scipy", "sklearn", "matplotlib", "pandas", "pyarrow"),
+        ("scipy", "sklearn", "matplotlib", "pandas", "pyarrow"),
     ),
     "car and scenario": (
         "from adaptrack.cars.vehicle import load_vehicle; load_vehicle('paper')\n"
         "from adaptrack.scenario import load_scenario; load_scenario('general-trajectory')",
-        ("numba", "llvmlite", "scipy", "matplotlib", "sklearn"),
+        ("ziglang", "scipy", "matplotlib", "sklearn"),
     ),
     "controllers and the page of a run": (
         "import adaptrack.control.controllers, adaptrack.results.page, adaptrack.results.drive, matplotlib",
@@ -102,22 +102,19 @@ def test_locks_pin_and_hash_every_declared_package(project):
 
     configuration = tomllib.loads((project / "pyproject.toml").read_text())["project"]
     optional = configuration["optional-dependencies"]
-    extra = itertools.chain(*(optional.pop(name) for name in ("bench", "commonroad", "fmu", "gym", "link")))
+    extra = itertools.chain(*(optional.pop(name) for name in ("bench", "commonroad", "fmu", "gym")))
     declared = itertools.chain(configuration["dependencies"], *optional.values())
     for packages, pins in ((declared, first), (extra, extras)):
         assert {re.match(r"[a-z0-9-]+", package)[0] for package in packages} - {"adaptrack"} <= pins.keys()
 
 
-@pytest.mark.parametrize("name", ["numba", "llvmlite"])
-def test_what_the_builder_uses_private_parts_of_is_capped_at_the_minor_version_of_the_lock(project, name):
+def test_the_compiler_is_the_one_of_the_lock_wherever_it_is_declared(project):
     configuration = tomllib.loads((project / "pyproject.toml").read_text())
-    pinned = re.search(rf"^{name}==(\d+)\.(\d+)\.", (project / "requirements.lock").read_text(), re.MULTILINE)
-    major, minor = map(int, pinned.groups())
-    declared = f"{name}>={major}.{minor},<{major}.{minor + 1}"
-    assert declared in configuration["project"]["optional-dependencies"]["compile"]
-    assert declared in configuration["build-system"]["requires"]
+    pinned = re.search(r"^ziglang==[\d.]+", (project / "requirements.lock").read_text(), re.MULTILINE)[0]
+    assert configuration["project"]["optional-dependencies"]["compile"] == [pinned]
+    assert pinned in configuration["build-system"]["requires"]
     needed = configuration["project"]["dependencies"]  # who only drives installs no compiler
-    assert not [package for package in needed if package.startswith(name)]
+    assert not [package for package in needed if package.startswith("ziglang")]
 
 
 @pytest.mark.slow  # the kernels for every processor of this kind
@@ -132,7 +129,9 @@ def test_wheel_holds_every_module_and_data_file_and_the_libraries_of_these_sourc
     source = project / "src"
     files = {p.relative_to(source).as_posix() for p in (source / "adaptrack").rglob("*") if p.is_file()}
     family = processor().removesuffix("-v3").removesuffix("-v4")  # libraries for others may have been made here
-    libraries = (entry["file"] for name, entry in manifest["libraries"].items() if name.startswith(family))
+    libraries = (
+        entry["file"] for name, entry in manifest["libraries"].items() if name.startswith((family, "wasm32-page"))
+    )
     built = {f"adaptrack/core/built/{file}" for file in libraries}
     assert {name for name in files if "__pycache__" not in name and "/core/built/" not in name} | built <= packed
     assert {name for name in packed if "/core/built/kernels-" in name} == built

@@ -204,6 +204,8 @@ def test_every_command_fits_the_program(page, command):
     elif command[0] == "python" and command[1:3] != ["-m", "pip"]:
         module = command[1] == "-m"
         script = PROJECT / (command[2].replace(".", "/") + ".py" if module else command[1])
+        if module and command[2] == "adaptrack.core.build":
+            script = PROJECT / "src/adaptrack/core/build/library.py"
         source = (script / "__main__.py" if script.is_dir() else script).read_text()
         assert all(f'"{option}"' in source for option in command[2:] if option.startswith("--"))
     else:

@@ -17,7 +17,6 @@ from tools.fuzz.speed.faults import CROSS, HIDDEN, LISTS, VISIBLE
 from tools.fuzz.speed.ways import Answer, Libraries
 from tools.fuzz.speed.world import World
 
-import exported
 from adaptrack.core.kernel import INTERPRETED
 
 pytestmark = [pytest.mark.compiled, pytest.mark.skipif(INTERPRETED, reason="thousands of control steps")]
@@ -54,7 +53,6 @@ def test_requests_are_finite_and_within_the_limits_of_the_car_whatever_comes_in(
 
 
 def test_the_c_library_and_the_tracker_request_the_same_in_a_drive_with_a_fault_to_the_bit(libraries):
-    exported.skip_without_exports()
     drive = drive_with("absurd stamps")
     outcome = soak.Run(drive, soak.make_way(drive, "both", libraries)).finish()
     assert outcome.figures.steps == STEPS or outcome.is_lost

@@ -8,10 +8,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import mpmath as mp
-import numba
 import numpy as np
 
-from adaptrack.core.kernel import INTERPRETED, Exported
 from adaptrack.core.maths import exact, exponential, trigonometric
 
 PRECISION = 240  # bits
@@ -164,11 +162,3 @@ def worst(function: Function, entry: Callable[..., float], arguments: tuple[np.n
     with mp.workprec(PRECISION):
         points = list(zip(*(column.tolist() for column in arguments), strict=True))
         return max((ulps(entry(*at), function.oracle(*map(mp.mpf, at))), at) for at in points)
-
-
-def entry_of(function: Function) -> Callable[..., float]:
-    """What Python may call."""
-    kernel = function.kernel
-    if INTERPRETED or isinstance(kernel, Exported):
-        return kernel
-    return numba.njit(lambda *arguments: kernel(*arguments), error_model="numpy")

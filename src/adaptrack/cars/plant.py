@@ -249,7 +249,7 @@ class UserPlant(Plant):
     """A plant of one's own: one right-hand side and its parameters.
 
     right_hand_side(x, u, environment, p, dx) writes dx/dt into dx and returns nothing. It is a
-    `CFunction`, or Python: compiled where numba is installed (``adaptrack[compile]``), else called back; it may use
+    `CFunction`, or Python: compiled with ``adaptrack[compile]``, else called back, with the same bits; it may use
     floats, loops, `math` and array elements. x: (n,) beginning with `MOTION_STATES`; u: steering angle of the front
     wheels (rad), longitudinal force requested of the wheels (N), prescribed dv_x/dt (m/s^2); environment: friction
     front-left, front-right, rear-left, rear-right, wind along X and Y (m/s), pull of a banked road to the left (m/s^2);
@@ -264,7 +264,7 @@ class UserPlant(Plant):
     InvalidInput
         When a parameter is not finite.
     ContractError
-        When numba cannot compile the right-hand side.
+        When the right-hand side cannot be compiled; the message states file, line and remedy.
     """
 
     right_hand_side: MemberFunction
@@ -310,7 +310,7 @@ class UserPlant(Plant):
             compiled = compile_plant(self.right_hand_side, layout_of(self.parameters) if nested else None)
         except Exception as error:
             raise ContractError(
-                f"UserPlant {self.label!r}: numba cannot compile its right-hand side as "
+                f"UserPlant {self.label!r}: cannot compile its right-hand side as "
                 f"f(x, u, environment, p, dx) on float64 arrays: {error}"
             ) from error
         object.__setattr__(self, "_compiled", compiled)

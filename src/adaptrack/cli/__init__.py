@@ -178,10 +178,10 @@ def _noting_ctrl_c() -> Iterator[list[int]]:
 
 
 def _importing(frame: FrameType | None) -> bool:
-    """Whether the call stack contains an import or a compilation by numba."""
+    """Whether the call stack contains an import."""
     while frame is not None:
         name = frame.f_code.co_filename
-        if "importlib._bootstrap" in name or f"{os.sep}numba{os.sep}" in name:
+        if "importlib._bootstrap" in name:
             return True
         frame = frame.f_back
     return False

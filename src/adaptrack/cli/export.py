@@ -103,10 +103,6 @@ class ExportOptions:
     computation: float = option(
         "S", "Time from calling the library until it returns the command (s).", 0.0, min=0.0, max=1.0
     )
-    target: list[str] | None = option("NAME", "Target processor; default: this computer; may be repeated.")
-    objects: Path | None = option(
-        "FOLDER", "Folder with kernels of other processors; `make targets` builds them in a source checkout."
-    )
     room: tuple[int, int] | None = option(
         "NP NC", "Largest horizons of constants that the library may load later.", hidden=True
     )
@@ -118,13 +114,12 @@ class ExportOptions:
 def export_c(arguments: ExportOptions) -> None:
     """Export a controller as a C library.
 
-    The folder contains a C header, compiled kernels, the constants of the controller, and a recorded drive of one
-    minute. The command make check in the folder verifies that the library repeats this drive. You need no compiler for
-    the export. The library needs neither Python nor adaptrack.
+    The folder contains C99 sources, the constants of the controller, and a recorded drive of one minute. The command
+    make check in the folder compiles the sources and verifies that they repeat this drive. The export itself needs no
+    compiler. The library needs neither Python nor adaptrack.
     """
     from dataclasses import asdict
 
-    from adaptrack.export.c_library import kernel_files
     from adaptrack.export.tracking import refuse
 
     car, plant = arguments.exported.car.load()
@@ -132,18 +127,17 @@ def export_c(arguments: ExportOptions) -> None:
     controller = arguments.exported.make(car, world, arguments.computation)
     speed = arguments.exported.make_speed_control(car)
     refuse(controller)
-    kernel_files(arguments.target or (), arguments.objects)
     options.make_folder(arguments.out)
     checked = arguments.exported.checked_road(car, world)
     with show.progress("record a drive"):
         files = at.export_c(
-            controller, arguments.out, targets=arguments.target or (), road=checked.road, plan=checked.plan,
-            plant=plant, profile=world, room=arguments.room, objects=arguments.objects, speed=speed,
+            controller, arguments.out, road=checked.road, plan=checked.plan, plant=plant, profile=world,
+            room=arguments.room, speed=speed,
         )  # fmt: skip
     if arguments.as_json:
         show.say_json({**asdict(files), "folder": str(files.folder), "backups": list(map(str, files.backups))})
         return
-    show.say(f"{controller.name} for {', '.join(files.targets)}: {files.folder}")
+    show.say(f"{controller.name}: {files.folder}")
     show.say(
         f"Constants {files.constants_size:,} bytes, tracker {files.memory_size:,}, saved state {files.state_size:,}."
     )
@@ -174,6 +168,9 @@ class FMUOptions:
     out: Path = option("FOLDER", "Folder for car.fmu and controller.fmu.", ...)
     exported: ExportedController
     fmi: Interface = option(None, "Version of the Functional Mock-up Interface.", Interface.third)
+    platform: list[str] | None = option(
+        "NAME", "Platform of a binary: linux, linux-aarch64, windows, macos; default: this one; may be repeated."
+    )
     prescribed_speed: bool = options.prescribed_speed_flag()
     as_json: bool = json_flag()
 
@@ -183,11 +180,15 @@ class FMUOptions:
 def export_fmu(arguments: FMUOptions) -> None:
     """Export a controller and a car as two FMUs for co-simulation.
 
-    The FMUs need neither Python nor adaptrack. You need no compiler for the export.
+    The FMUs need neither Python nor adaptrack. The compiler of the package ziglang makes their binaries, at the first
+    export for a platform.
     """
-    from adaptrack.export.fmu import binaries, write_fmu
+    from adaptrack.export import fmu_build
+    from adaptrack.export.fmu import write_fmu
     from adaptrack.export.units import car_unit, controller_unit
 
+    platforms = tuple(dict.fromkeys(arguments.platform or (fmu_build.own_platform(),)))
+    fmu_build.check_platforms(platforms)
     car, plant = arguments.exported.car.load()
     world = at.load_profile(arguments.exported.profile)
     controller = arguments.exported.make(car, world)
@@ -200,17 +201,19 @@ def export_fmu(arguments: FMUOptions) -> None:
         controller_unit(controller, checked.road, checked.plan, speed_preview=preview, speed=speed),
         car_unit(plant, route, profile=world, driver=driver, period=controller.period),  # type: ignore[arg-type]
     )
-    systems = list(binaries())
     options.make_folder(arguments.out)
     files = [arguments.out / f"{unit.name}.fmu" for unit in units]
+    with show.progress("compile"):
+        for platform in platforms:
+            fmu_build.binary(platform)
     with show.replacing(*files, aside=arguments.as_json):
         for unit, file in zip(units, files, strict=True):
-            write_fmu(unit, file, arguments.fmi.value)
+            write_fmu(unit, file, arguments.fmi.value, platforms)
     if arguments.as_json:
         names = list(map(str, files))
-        show.say_json({"files": names, "fmi": arguments.fmi, "period": controller.period, "systems": systems})
+        show.say_json({"files": names, "fmi": arguments.fmi, "period": controller.period, "platforms": platforms})
         return
-    show.say(f"FMI {arguments.fmi.value}, for {' and '.join(systems)}, a step is {controller.period:g} s")
+    show.say(f"FMI {arguments.fmi.value}, for {' and '.join(platforms)}, a step is {controller.period:g} s")
     for unit, file in zip(units, files, strict=True):
         show.say(f"{file}: {unit.title}, {file.stat().st_size:,} bytes")
 

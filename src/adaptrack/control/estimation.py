@@ -130,7 +130,7 @@ class UserEstimator(Estimator):
     Raises
     ------
     ContractError
-        When numba cannot compile the function.
+        When the function cannot be compiled; the message states file, line and remedy.
     """
 
     function = None
@@ -147,7 +147,7 @@ class UserEstimator(Estimator):
             self.function = compile_estimator(estimate)
         except Exception as error:
             raise ContractError(
-                f"UserEstimator {label!r}: numba cannot compile its function as "
+                f"UserEstimator {label!r}: cannot compile its function as "
                 f"f(speed, measured, command, a, b, parameters, memory, x, d) on float64 numbers and arrays: {error}"
             ) from error
 

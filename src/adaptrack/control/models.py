@@ -258,7 +258,7 @@ class UserModel(PredictionModel):
     InvalidInput
         For states that are not measured.
     ContractError
-        When numba cannot compile the function.
+        When the function cannot be compiled; the message states file, line and remedy.
     """
 
     name, function = "user", None
@@ -287,7 +287,7 @@ class UserModel(PredictionModel):
             self.function = compile_model(discretise)
         except Exception as error:
             raise ContractError(
-                f"{where}: numba cannot compile its function as f(speed, period, parameters, a, b, e) on float64 "
+                f"{where}: cannot compile its function as f(speed, period, parameters, a, b, e) on float64 "
                 f"numbers and arrays: {error}"
             ) from error
 

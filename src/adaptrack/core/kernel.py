@@ -16,6 +16,7 @@ import importlib
 import math
 import struct
 import sys
+import threading
 from collections import namedtuple
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
@@ -28,8 +29,6 @@ from . import library
 
 OK = 0
 """Status with which a kernel reports success; each kernel numbers its failures from 1."""
-SYMBOL = "kernel."
-"""Prefix of the symbol under which an exported kernel is called by other kernels, by numba's calling convention."""
 INTERPRETED = library.WAY == "interpreted"
 """Whether kernels run as plain Python."""
 
@@ -281,19 +280,19 @@ def unpacker(kind: Any, stride: int = 1) -> Any:
     apart.
     """
     entries = ", ".join(f"p[{at}]" for at in _entries(kind, stride))
-    return written(f"def written(p, first=0):\n    return kind({entries})", kind)
+    return written(f"unpack_{kind.__name__}", "p, first=0", [f"return kind({entries})"], kind)
 
 
 def packer(kind: Any, stride: int = 1) -> Any:
     """An inlined function ``pack(p, first, value)``: writes a record where `unpacker`'s reads it."""
-    lines = [f"    p[{at}] = value.{name}" for name, at in zip(kind._fields, _entries(kind, stride), strict=True)]
-    return written("\n".join(["def written(p, first, value):", *lines]), kind)
+    lines = [f"p[{at}] = value.{name}" for name, at in zip(kind._fields, _entries(kind, stride), strict=True)]
+    return written(f"pack_{kind.__name__}", "p, first, value", lines, kind)
 
 
 def copier(kind: Any) -> Any:
     """An inlined function ``copy(source, target)``: copies the numbers of a row to a different row."""
-    lines = [f"    target.{name} = source.{name}" for name in kind._fields]
-    return written("\n".join(["def written(source, target):", *lines]), kind)
+    lines = [f"target.{name} = source.{name}" for name in kind._fields]
+    return written(f"copy_{kind.__name__}", "source, target", lines, kind)
 
 
 def bounds_checker(fields: Iterable[Field], optional: bool = False) -> Any:
@@ -311,13 +310,13 @@ def bounds_checker(fields: Iterable[Field], optional: bool = False) -> Any:
         test = f"not ({' or '.join(f'{number} {opposites[sign]} {end}' for number, sign, end in tests)})"
     else:
         test = " and ".join(map(" ".join, tests))
-    return written(f"def written(row):\n    return {test}")
+    return written("is_within", "row", [f"return {test}"])
 
 
 def default_setter(kind: Any) -> Any:
     """An inlined function ``set_defaults(target)``: writes the defaults of a record of settings to a row."""
-    lines = [f"    target.{place} = {value!r}" for place, value in _default_entries(kind)]
-    return written("\n".join(["def written(target):", *lines]), kind)
+    lines = [f"target.{place} = {value!r}" for place, value in _default_entries(kind)]
+    return written(f"set_defaults_of_{kind.__name__}", "target", lines, kind)
 
 
 def _default_entries(kind: Any) -> Iterable[tuple[str, float]]:
@@ -335,18 +334,26 @@ def _default_entries(kind: Any) -> Iterable[tuple[str, float]]:
 def stepper(kind: Any) -> Any:
     """An inlined function ``step(x, h, slope)``: the record x + h slope."""
     entries = ", ".join(f"fma(h, slope.{name}, x.{name})" for name in kind._fields)
-    return written(f"def written(x, h, slope):\n    return kind({entries})", kind)
+    return written(f"step_{kind.__name__}", "x, h, slope", [f"return kind({entries})"], kind)
 
 
 def _entries(kind: Any, stride: int) -> list[str]:
     return [f"{stride * i} + first" for i in range(len(kind._fields))]
 
 
-def written(text: str, kind: Any = None) -> Any:
-    """An inlined function that a text defines as ``written``; the text may use a record by the name ``kind``."""
-    scope: dict[str, Any] = {"kind": kind, "fma": fma, "inf": math.inf, "nan": math.nan}
+def written(name: str, arguments: str, lines: Iterable[str], kind: Any = None, **scope: Any) -> Any:
+    """An inlined function that is written as text; it may use names of a scope, and a record by the name ``kind``."""
+    text = "\n    ".join([f"def {name}({arguments}):", *lines])
+    scope |= {
+        "__name__": getattr(kind, "__module__", __name__),
+        "kind": kind,
+        "fma": fma,
+        "inf": math.inf,
+        "nan": math.nan,
+    }
     exec(text, scope)
-    return inlined(scope["written"])
+    scope[name].source_text = text  # `build.translate` reads it
+    return inlined(scope[name])
 
 
 def local(*shape: int) -> Any:
@@ -388,7 +395,7 @@ def _words(record: Any) -> Iterable[int]:
 class Known:
     """A function that kernels may call.
 
-    kind: what it is to the compiler, see `build.numba_functions.type_of`; of: the type or shape that goes with it;
+    kind: what it is to the compiler, see `build.translate`; of: the type or shape that goes with it;
     interpreted: what stands for it in Python.
     """
 
@@ -398,10 +405,6 @@ class Known:
 
     def __call__(self, *arguments: Any) -> Any:
         return self._python(*arguments)
-
-    @cached_property
-    def _numba_type_(self) -> Any:
-        return library.compiler().type_of(self)
 
 
 class Exported(Known):
@@ -518,9 +521,18 @@ def direct(kernel: Any, record: Any) -> Any:
     return run
 
 
+CALLED_BACK = threading.local()
+"""Its attribute ``now``: whether this thread is in a user's function that a kernel has called back."""
+
+
 @primitive
 def fma(a: float, b: float, c: float) -> float:
-    """``a*b + c`` with a single rounding (IEEE 754-2008, section 5.4.1); in plain Python rounded twice."""
+    """``a*b + c`` with a single rounding (IEEE 754-2008, section 5.4.1).
+
+    In plain Python it is rounded twice, but in a user's function that is called back, whose bits are the compiled ones.
+    """
+    if getattr(CALLED_BACK, "now", False):
+        return float(_import_kernel("adaptrack.core.maths.exact", "soft_fma").call(a, b, c))
     return a * b + c
 
 

@@ -39,12 +39,12 @@ def sizer(kind: Any, sizes_kind: Any) -> Any:
 
     kind: the record; sizes_kind: the record of its sizes.
     """
-    lines = ["def written(sizes, table):"]
+    lines = []
     shapes = list(_shapes(kind, sizes_kind, "sizes."))
     for row, shape in enumerate(shapes):
         padded = [*shape, *["0"] * (SIZES - len(shape))]
-        lines += [f"    table[{row}, {column}] = {size}" for column, size in enumerate(padded)]
-    return written("\n".join([*lines, f"    return {len(shapes)}"]))
+        lines += [f"table[{row}, {column}] = {size}" for column, size in enumerate(padded)]
+    return written(f"sizes_of_{kind.__name__}", "sizes, table", [*lines, f"return {len(shapes)}"], kind)
 
 
 def _shapes(kind: Any, sizes_kind: Any, before: str) -> Iterator[list[str]]:

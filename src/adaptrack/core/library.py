@@ -1,7 +1,7 @@
 """The library of compiled kernels: found, proved to be whole and of these sources, and loaded.
 
 ``ADAPTRACK_KERNELS`` says how kernels are run: ``library``, the default; ``jit``, compiled at run time (which needs
-numba); ``interpreted``, as the Python that they are.
+the package ziglang); ``interpreted``, as the Python that they are.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ PACKAGE_FOLDER = Path(__file__).parents[1]
 BUILT_FOLDER = PACKAGE_FOLDER / "core" / "built"
 MANIFEST = "manifest.json"
 BUILD = "python -m adaptrack.core.build"
-COMPILER = "adaptrack.core.build.numba_functions"
-"""What compiles kernels at run time. It is made with the kernels' types, and few processes need it: found by name."""
-
+PAGE = "wasm32-page"
+"""The WebAssembly module with the kernels of the driving page, among the libraries that `build.library` makes."""
+COMPILER = "adaptrack.core.build.run_time"
+"""What compiles kernels at run time; few processes need it: found by name."""
 
 UNUSABLE = (OSError, ValueError, LookupError, TypeError, AttributeError)
 """What `manifest`, `whole` and `Library` raise where there is none, or a damaged one."""
@@ -44,7 +45,8 @@ class NoKernels(ImportError):
 @cache
 def source_hashes() -> dict[str, str]:
     """SHA-256 of every file that the library is made of, kernels and their builder, by its place in the package."""
-    files = sorted((PACKAGE_FOLDER / "core").rglob("*.py"))
+    core = PACKAGE_FOLDER / "core"
+    files = sorted([*core.rglob("*.py"), *core.glob("build/*.[ch]")])
     return {
         file.relative_to(PACKAGE_FOLDER).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest() for file in files
     }
@@ -78,29 +80,28 @@ def processor() -> str:
 
 
 def can_compile() -> bool:
-    """Whether numba is there."""
-    return find_spec("numba") is not None
+    """Whether kernels and users' functions can be compiled: the package ziglang, a compiler for C, is there."""
+    return find_spec("ziglang") is not None
 
 
 def compiler() -> Any:
-    """The module `COMPILER`; ImportError without numba."""
+    """The module `COMPILER`; ImportError where a package is missing that it needs."""
     return importlib.import_module(COMPILER)
 
 
-def manifest(folder: Path | None = None) -> dict[str, Any]:
+def manifest() -> dict[str, Any]:
     """Return the record of the build: files and their hashes by processor, sources and their hashes by kernel.
 
-    folder: also of an archive that `make targets` packs. Raises OSError where there is none, ValueError where it is
-    damaged.
+    Raises OSError where there is none, ValueError where it is damaged.
     """
-    path = (folder or BUILT_FOLDER) / MANIFEST
+    path = BUILT_FOLDER / MANIFEST
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is damaged: not JSON in UTF-8 ({type(error).__name__})") from None
     if not isinstance(content, dict) or not isinstance(content.get("sources"), dict):
         raise ValueError(f"{path} is damaged: 'sources' is missing or not a table")
-    for name in ("libraries", "exports", "kernels"):
+    for name in ("libraries", "kernels"):
         table = content.setdefault(name, {})
         if not (isinstance(table, dict) and all(_is_entry(name, entry) for entry in table.values())):
             raise ValueError(f"{path} is damaged: the entries of {name!r} are not those that a build writes")
@@ -114,36 +115,31 @@ def _is_entry(name: str, entry: Any) -> bool:
     return isinstance(entry, dict) and all(isinstance(entry.get(key), str) for key in ("file", "sha256"))
 
 
-def export_of(target: str, folder: Path | None = None) -> Path:
-    """The object file for a target that other programs take in; folder: also of an archive that `make targets` packs.
+def page_module() -> Path:
+    """The WebAssembly module with the kernels of the driving page, built now where it is not there.
 
-    Raises one of `UNUSABLE` where it is not there, is damaged or is of other kernels than these.
-    """
-    folder = folder or BUILT_FOLDER
-    listed = manifest(folder)
-    if listed["sources"] != source_hashes():
-        raise ValueError(f"{folder}: is of other kernels than {kernels_hash()}")
-    return verified_file(listed["exports"][target], folder)
-
-
-def exported(target: str) -> Path:
-    """Return the object file for a target that other programs take in, compiled now where it is not there.
-
-    Raises one of `UNUSABLE` where it cannot be compiled: without numba, in a read-only installation, for no target.
+    Raises one of `UNUSABLE` where it cannot be built: without the compiler for C, in a read-only installation.
     """
     try:
-        return export_of(target)
+        return _page_module()
     except UNUSABLE:
         if not (can_compile() and os.access(PACKAGE_FOLDER, os.W_OK)):
             raise
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(PACKAGE_FOLDER.parent), *sys.path])}
-    subprocess.run([sys.executable, "-m", *BUILD.split()[2:], "--export", target], env=environment)
-    return export_of(target)
+    subprocess.run([sys.executable, *BUILD.split()[1:], PAGE], env=environment)  # it says what goes wrong
+    return _page_module()
 
 
-def verified_file(entry: dict[str, str], folder: Path | None = None) -> Path:
+def _page_module() -> Path:
+    listed = manifest()
+    if listed["sources"] != source_hashes():
+        raise ValueError(f"{BUILT_FOLDER}: is of other kernels than {kernels_hash()}")
+    return verified_file(listed["libraries"][PAGE])
+
+
+def verified_file(entry: dict[str, str]) -> Path:
     """The file of a library of the manifest, proved to be as it was built."""
-    path = (folder or BUILT_FOLDER) / entry["file"]
+    path = BUILT_FOLDER / entry["file"]
     if hashlib.sha256(path.read_bytes()).hexdigest() != entry["sha256"]:
         raise ValueError(f"{path}: is not what was built: damaged, cut short or of another build")
     return path
@@ -153,7 +149,7 @@ class Library:
     """The library of this processor, and which sources have been edited since it was built."""
 
     def __init__(self) -> None:
-        built, name = manifest(), processor()
+        built, name = manifest(), os.environ.get("ADAPTRACK_PROCESSOR") or processor()
         if name not in built["libraries"]:
             raise ValueError(f"no library for {name}")
         self.path = verified_file(built["libraries"][name])
@@ -203,7 +199,9 @@ def find(name: str) -> int | None:
     if not why and isinstance(library, Library):
         return library.address(name)
     if not can_compile():
-        raise NoKernels(f"{why}, and numba, which compiles kernels, is not installed. Run: {BUILD}")
+        raise NoKernels(
+            f"{why}, and the compiler is not installed: python -m pip install 'adaptrack[compile]'. Then run: {BUILD}"
+        )
     if WAY == "library":
         _say_once(f"{why}: what depends on it is compiled now, in this process. To compile it once: {BUILD}")
     return None

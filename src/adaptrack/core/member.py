@@ -1,4 +1,4 @@
-"""A user's functions that kernels call: Python, compiled where numba is installed and else called back; or C."""
+"""Users' functions that kernels call: in Python, compiled where a compiler is there, else called back; or in C."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from . import library
-from .kernel import INTERPRETED, Array, Exported, Scalar, Signature, float64, void
+from .kernel import CALLED_BACK, INTERPRETED, Array, Exported, Scalar, Signature, float64, void
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ MemberFunction = Callable[..., None] | CFunction
 
 
 def compiles() -> bool:
-    """Whether functions in Python are compiled: numba is there, and kernels are not interpreted."""
+    """Whether functions in Python are compiled: a compiler is there, and kernels are not interpreted."""
     return not INTERPRETED and library.can_compile()
 
 
@@ -66,7 +66,9 @@ class UserFunction(Exported):
     @property
     def calls_python(self) -> bool:
         """Whether each call goes back to Python: one car can wait for that, a batch cannot."""
-        return not isinstance(self.function, CFunction) and not compiles()
+        if isinstance(self.function, CFunction):
+            return False
+        return not (compiles() and library.compiler().has_source(self.function))
 
     @cached_property
     def address(self) -> int:
@@ -147,7 +149,9 @@ def _called_back(member: UserFunction) -> Any:
         arguments: list[Any] = []
         try:
             arguments += _values(kinds, iter(words))
-            answer = function(*arguments)
+            with np.errstate(all="ignore"):  # compiled, a division by zero is infinite and says nothing
+                CALLED_BACK.now = True
+                answer = function(*arguments)
             return None if nothing else float(answer or 0.0)
         except KeyboardInterrupt:  # heard again when the kernel has returned
             threading.Timer(0.01, _thread.interrupt_main).start()
@@ -155,6 +159,8 @@ def _called_back(member: UserFunction) -> Any:
             if not warned:
                 logging.getLogger("adaptrack").warning("adaptrack: %s raised %r", member.name, error)
             warned = True
+        finally:
+            CALLED_BACK.now = False
         if len(arguments) > last:
             arguments[last][...] = math.nan
         return None if nothing else math.nan

@@ -17,7 +17,7 @@ quadratic programmes   `qp` (the problem and its arrays), `factorise`, `active_s
 counted random         `counted_uniform`, `counted_normal`: the same number for the same counters, in any order; by hand
                        `random_bits` of counters, and a `random_unit` of bits
 a plant                `MOTION_STATES` and `PlantState`, the input of a right-hand side (`PLANT_INPUT`), `wind_load`,
-                       `layout_of` parameters, `compiled_foreign` (functions of other packages)
+                       `layout_of` parameters
 a simulated run        episodes of a batch: `Episodes`, `renew`, `drive_on`; what an agent observes: `ObservationSpace`,
                        `write_one_observation`, `write_observations`, `write_variables`; rows of the signals and of the
                        state of a plant, `SIGNAL` and `PLANT_STATE`
@@ -84,7 +84,6 @@ from .models.contract import MEASUREMENT
 from .physics.forces import GRAVITY, STANDING_SPEED, wind_load
 from .plants.contract import MOTION_STATES, PLANT_STATE, SLOTS
 from .plants.contract import PlantState as PlantState
-from .plants.foreign import compiled_foreign
 from .plants.user import U as PLANT_INPUT
 from .plants.user import layout_of
 from .qp import problem as qp
@@ -142,7 +141,6 @@ __all__ = [
     "ceil",
     "clip",
     "columns",
-    "compiled_foreign",
     "compiles",
     "cos",
     "counted_normal",

@@ -19,6 +19,7 @@ from adaptrack.cars.plant import DualTrack, Plant, SingleTrack
 from adaptrack.control.controllers import CompiledScheduler, Controller
 from adaptrack.control.controllers.base import Room
 from adaptrack.core.kernel import Resident
+from adaptrack.core.member import compiles
 from adaptrack.core.plants.contract import SLOTS, vehicle_batch
 from adaptrack.core.scheduling import guard as guard_kernel
 from adaptrack.core.simulation import run as kernel
@@ -213,7 +214,7 @@ def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[li
 
 
 def interpreted_functions(plant: Any, controller: Controller) -> list[str]:
-    """Return the names of user functions that run in Python because numba is not installed to compile them."""
+    """Return the names of user functions that run in Python because they are not compiled."""
     members = [plant.compiled.member] if isinstance(plant, Plant) else []
     members += controller.user_functions()
     return [member.name for member in members if getattr(member, "calls_python", False)]
@@ -248,9 +249,12 @@ class Batch:
         """Raise an error if a component of the runs cannot be compiled."""
         controller = self.controller
         if names := interpreted_functions(self.world.plant, controller):
+            remedy = "To compile them: python -m pip install 'adaptrack[compile]'."
+            if compiles():
+                remedy = "Their source cannot be read: write each to a file as `def name(...):`."
             raise MissingExtra(
-                f"{', '.join(names)}: batches of runs need compiled functions. To compile them, install numba: "
-                "python -m pip install 'adaptrack[compile]'. Or use simulate(...) or `adaptrack drive`."
+                f"{', '.join(names)}: batches of runs need compiled functions. {remedy} "
+                "Or use simulate(...) or `adaptrack drive`."
             )
         has_compiled_scheduler = self.scheduler is None or isinstance(self.scheduler, CompiledScheduler)
         if not (controller.runs_in_kernel and has_compiled_scheduler and isinstance(self.world.plant, Plant)):

@@ -6,7 +6,7 @@ import os
 import struct
 import textwrap
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,24 +15,21 @@ import numpy as np
 
 from adaptrack import __version__
 from adaptrack.base.checked import checked
-from adaptrack.base.errors import InvalidInput, StorageError, did_you_mean
+from adaptrack.base.errors import StorageError
 from adaptrack.base.files import keep_replaced, write_atomically
 from adaptrack.cars.plant import DualTrack, Plant, SteppedPlant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SPEED_ACTIONS, SpeedControl, SpeedLimit, SpeedState
 from adaptrack.core import library
 from adaptrack.core.input_check.record import MISTAKES
-from adaptrack.core.kernel import Array as KernelArray
 from adaptrack.core.kernel import Field, fields_of
 from adaptrack.core.roads import path, road
-from adaptrack.core.speed.friction import FRICTION_MEMORY
-from adaptrack.core.speed.path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, PlanArrays, speed_path_words
+from adaptrack.core.speed.path import PLACE_SPACING, PLAN_MEMORY_TOO_SMALL, speed_path_words
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
-from adaptrack.core.tracker.records import TrackerRecord
 from adaptrack.core.tracker.signals import STATUS, TRACKED, TRACKER_SAMPLE
-from adaptrack.core.tracker.step import Tracking
 from adaptrack.export import bounds
 from adaptrack.export.block import Block
+from adaptrack.export.kernel_sources import EXACT_OPTIONS, kernel_sources
 from adaptrack.export.recorded_drive import Recorded, record_drive
 from adaptrack.export.tracking import SpeedPart, refuse, speed_part, tracking_block
 from adaptrack.road import Road, SpeedPlan, load_road, plan_speed
@@ -45,8 +42,12 @@ FOLDERS = {
     ".": ("main.c", "times.c", "adaptrack_replay.h", "Makefile", "CMakeLists.txt", "README.md", "LICENSE"),
 }
 """Where the files that are the same for all go."""
-KERNELS_FILE = "adaptrack_kernels.o"
-STEP_KERNEL = "tracker_step"
+CALLED = ("tracker_step", "tracker_engage", "tracker_follow", "path_words", "path_through")
+"""Kernels that `adaptrack.c` calls; with a speed control also `SPEED_CALLED`."""
+SIZES_KERNEL = "mpc_sizes"
+"""Kernel that `adaptrack_bounds.c` calls for the constants of an MPC."""
+SPEED_CALLED = ("longitudinal_begin", "longitudinal_follow", "longitudinal_release", "longitudinal_acknowledge",
+                "speed_path_words", "write_speed_path", "horizon_cells")  # fmt: skip
 CONSTANTS_FILE = "constants.bin"
 MAX_C_POINTS = 100_000
 """Of a path or a plan."""
@@ -64,7 +65,6 @@ class CExport:
     """Files and sizes of an export to C."""
 
     folder: Path
-    targets: tuple[str, ...]
     constants_size: int
     """Size of the constants (bytes)."""
     memory_size: int
@@ -84,18 +84,16 @@ def export_c(
     controller: Controller,
     folder: str | os.PathLike[str],
     *,
-    targets: Sequence[str] = (),
     road: Road | str = "country",
     plan: SpeedPlan | None = None,
     plant: Plant | SteppedPlant | None = None,
     profile: str | Profile = "road",
     furthest: float = 10.0,
     room: tuple[int, int] | None = None,
-    objects: str | os.PathLike[str] | None = None,
     speed: SpeedControl | None = None,
 ) -> CExport:
-    """Write a C library of a controller with its tracker: header, compiled kernels, constants, sources around them, and
-    a recorded minute that shows that it drives as it does here.
+    """Write the C sources of a controller with its tracker, its constants, and a recorded minute that shows that the
+    compiled library drives as the controller does here.
 
     The folder needs neither this package nor Python. What the controller has learned so far travels along.
 
@@ -105,8 +103,6 @@ def export_c(
         Informed, learning, the paper's with their schedules, LQR, Stanley, pure pursuit.
     folder : path
         New or empty, or an earlier export.
-    targets : names
-        Processors, see `list_targets`; by default this one.
     road, plan, plant, profile
         What the recorded minute is driven on: a road or its name, the speed along it, the car (by default the
         controller's, dual track), sensors.
@@ -114,8 +110,6 @@ def export_c(
         m, from the path, beyond which a status says so.
     room : (int, int), optional
         Of an MPC: the largest Np and Nc that constants which are loaded later may have; by default its own.
-    objects : path, optional
-        Folder of an unpacked archive of `make targets`, for targets that the package does not hold.
     speed : SpeedControl, optional
         Speed control behind the tracker. Its comfort is that of the plan. It follows plans up to the highest speed of
         the plan or of the car's domain, the larger of the two.
@@ -123,7 +117,7 @@ def export_c(
     Raises
     ------
     InvalidInput
-        When the controller cannot be exported, or the object file of a target is not there; before anything is written.
+        When the controller cannot be exported; before anything is written.
     StorageError
         When something cannot be written.
     """
@@ -133,64 +127,18 @@ def export_c(
     speed_plan = plan_speed(way, controller.vehicle) if plan is None else plan
     part = None if speed is None else speed_part(speed, controller, speed_plan, speed.car.domain.speed[1])
     block = tracking_block(controller, room, furthest, part)
-    files = kernel_files(targets, objects)
     driven_car = DualTrack(controller.vehicle) if plant is None else plant
     recorded = record_drive(controller, driven_car, way, speed_plan, world, furthest=furthest, speed=part)
-    name = next(iter(files))
-    texts = _texts(controller, block, recorded, name, tuple(files), part)
+    texts = _texts(controller, block, recorded, part)
     target = Path(folder)
     contents = {target / place: content for place, content in {**texts, CONSTANTS_FILE: block.content}.items()}
-    contents |= {target / "lib" / name / KERNELS_FILE: file.read_bytes() for name, file in files.items()}
     with keep_replaced(*contents) as backups:
         for file, content in contents.items():
             _write(file, content)
     return CExport(
-        target, tuple(files), len(block.content), block.laid_size, block.saved_size, len(recorded.samples),
+        target, len(block.content), block.laid_size, block.saved_size, len(recorded.samples),
         recorded.failed, tuple(backups),
     )  # fmt: skip
-
-
-# -- object files -----------------------------------------------------------------------------------------------------
-def list_targets(objects: str | os.PathLike[str] | None = None) -> list[str]:
-    """The processors for which object files are at hand; objects: as for `export_c`."""
-    return sorted(_exports(objects))
-
-
-def _exports(objects: str | os.PathLike[str] | None) -> dict[str, Any]:
-    folder = library.BUILT_FOLDER if objects is None else Path(objects)
-    try:
-        return dict(library.manifest(folder)["exports"])
-    except library.UNUSABLE:
-        return {}
-
-
-def own_target() -> str:
-    """The target that this processor runs."""
-    name = library.processor()
-    return "x86-64-v3" if name == "x86-64-v4" else name
-
-
-def kernel_files(targets: Sequence[str], objects: str | os.PathLike[str] | None = None) -> dict[str, Path]:
-    """Return the object file of the kernels for each target, this processor's without any; a missing one is compiled.
-
-    Raises
-    ------
-    InvalidInput
-        When one is not at hand, or is of other kernels.
-    """
-    folder = library.BUILT_FOLDER if objects is None else Path(objects)
-    paths = {}
-    for name in dict.fromkeys(targets or [own_target()]):
-        try:
-            paths[name] = library.exported(name) if objects is None else library.export_of(name, folder)
-        except library.UNUSABLE as error:
-            available = list_targets(objects)
-            near = did_you_mean(name, available) if available else "None is there."
-            raise InvalidInput(
-                f"export: no kernels for {name!r} in {folder} ({error}). {near} All of them: make targets, unpack its "
-                f"archive, --objects FOLDER; or {library.BUILD} --export {name}."
-            ) from error
-    return paths
 
 
 # -- texts ------------------------------------------------------------------------------------------------------------
@@ -198,19 +146,19 @@ def _texts(
     controller: Controller,
     block: Block,
     recorded: Recorded,
-    target: str,
-    targets: Sequence[str],
     speed: SpeedPart | None,
 ) -> dict[str, bytes]:
     """The files that are text, by their places in the folder."""
     words = {
-        "TARGET": target, "TARGETS": ", ".join(targets), "VERSION": __version__, "CONTROLLER": repr(controller),
+        "VERSION": __version__, "CONTROLLER": repr(controller),
         "CONSTANTS_SIZE": f"{len(block.content):,}", "SIZE": f"{block.laid_size:,}",
         "STATE_SIZE": f"{block.saved_size:,}", "PERIOD": f"{controller.period:g}",
         "STEPS": f"{len(recorded.samples):,}", "KERNELS": library.kernels_hash(), "ACTIONS": _actions(),
-        **signal_texts(),
+        "EXACT": " ".join(EXACT_OPTIONS), **signal_texts(),
     }  # fmt: skip
-    texts = {}
+    sizes = (SIZES_KERNEL,) if "step_mpc" in block.functions else ()
+    called = (*CALLED, *(SPEED_CALLED if speed else ()), *sizes, *block.functions)
+    texts = {f"src/{name}": text for name, text in kernel_sources(called).items()}
     for folder, names in FOLDERS.items():
         for name in names:
             texts[f"{folder}/{name}"] = _filled((C_SOURCES / name).read_text(encoding="utf-8"), words)
@@ -291,72 +239,26 @@ def _printable(text: str) -> str:
 
 
 def _parts_header(block: Block) -> str:
-    """Places in records and rows, as the kernels' own files have them."""
-    words = dict(_words("", TrackerRecord, 0))
-    places = dict(_words("", Tracking, 0))
-    assert all(places[f"tracker_{name}"] == at for name, at in words.items())
-    lines = [
-        f"    ADAPTRACK_{name.upper()} = {at}," for name, at in words.items() if name.startswith(("path_", "plan_"))
-    ]
-    lines += [f"    ADAPTRACK_PATH_END = {words['plan_speed'] + 2},"]
-    lines += [f"    ADAPTRACK_{name.upper()}_AT = {words[name]}," for name in ("sample", "tracked")]
-    lines += [
-        f"    ADAPTRACK_ROAD_LENGTH = {road.LENGTH},",
-        f"    ADAPTRACK_ROAD_SPACING = {road.HEADING_SPACING},",
-        f"    ADAPTRACK_ROAD_NUMBERS = {len(road.LINE_NUMBERS)},",
-        f"    ADAPTRACK_PIECE_COLUMNS = {road.PIECE_COLUMNS},",
-        f"    ADAPTRACK_PATH_TOO_SMALL = {path.TOO_SMALL},",
-    ]
-    lines += _speed_places(block, places)
-    numbers = bounds.places(block)
+    """Numbers of the kernels that the interface needs, and places in constants."""
+    numbers = {
+        "ROAD_LENGTH": road.LENGTH, "ROAD_SPACING": road.HEADING_SPACING, "ROAD_NUMBERS": len(road.LINE_NUMBERS),
+        "PIECE_COLUMNS": road.PIECE_COLUMNS, "PATH_TOO_SMALL": path.TOO_SMALL,
+    }  # fmt: skip
+    if bounds.has_speed_control(block):
+        cells = next(array.sizes[0] for array in block.arrays if array.name == "longitudinal.ahead")
+        numbers |= {"LONGITUDINAL_CELLS": cells, "PLAN_MEMORY_TOO_SMALL": PLAN_MEMORY_TOO_SMALL}
+    numbers |= bounds.places(block)
+    lines = [f"#define ADAPTRACK_{name} {value}" for name, value in numbers.items()]
     return "\n".join(
         [
-            "/* adaptrack: places in the records of the kernels. Written by adaptrack.export. */",
+            "/* adaptrack: numbers of the kernels, and places in constants. Written by adaptrack.export. */",
             "#ifndef ADAPTRACK_PARTS_H", "#define ADAPTRACK_PARTS_H", '#include "adaptrack_bounds.h"', "",
-            "enum {", *lines, "};", *[f"#define ADAPTRACK_{name} {value}" for name, value in numbers.items()], "",
+            *lines, f"#define ADAPTRACK_PLAN_SPACING {PLACE_SPACING!r} /* m */", "",
             "extern const adaptrack_array adaptrack_arrays[];", "extern const adaptrack_bound adaptrack_bounds[];",
             "extern const adaptrack_initial adaptrack_initials[];", "extern const adaptrack_equal adaptrack_equals[];",
-            "extern const uint32_t adaptrack_links[];",
-            "extern const adaptrack_reader adaptrack_parts;",
-            "void adaptrack_parts_step(void *record);", "#endif", "",
+            "extern const uint32_t adaptrack_links[];", "extern const adaptrack_reader adaptrack_parts;", "#endif", "",
         ]
     )  # fmt: skip
-
-
-def _speed_places(block: Block, places: Mapping[str, int]) -> list[str]:
-    """Places of the speed control in the record, in its memory and in the arrays of a plan; none without one."""
-    if not bounds.has_speed_control(block):
-        return []
-    before = "longitudinal_"
-    numbers = {
-        "LONGITUDINAL": places[f"{before}sample"], "LONGITUDINAL_MEMORY_AT": places[f"{before}memory"],
-        "LONGITUDINAL_BRAKE": places[f"{before}settings_brake"], "LONGITUDINAL_AHEAD": places[f"{before}ahead"],
-        "LONGITUDINAL_FRICTION_AT": places[f"{before}friction_memory"],
-        "LONGITUDINAL_CELLS": next(array.sizes[0] for array in block.arrays if array.name == "longitudinal.ahead"),
-        "LONGITUDINAL_PATH_END": places[f"{before}banks_drive"], "PLAN_ARRAYS_WORDS": words_of(PlanArrays),
-        **{name.upper(): at for name, at in places.items() if name.startswith(f"{before}path_")},
-        **{f"PLAN_ARRAYS_{name.upper()}": at for name, at in _words("", PlanArrays, 0)},
-        "PLAN_MEMORY_TOO_SMALL": PLAN_MEMORY_TOO_SMALL,
-    }  # fmt: skip
-    lines = [f"    ADAPTRACK_{name} = {number}," for name, number in numbers.items()]
-    return [*lines, f"#define ADAPTRACK_PLAN_SPACING {PLACE_SPACING!r} /* m */"]
-
-
-def _words(before: str, kind: Any, at: int) -> Iterator[tuple[str, int]]:
-    """The word at which each field of a record begins, as `core.kernel.Resident` lays it."""
-    for name, field_kind in kind.kinds.items():
-        if hasattr(field_kind, "kinds"):
-            yield from _words(f"{before}{name}_", field_kind, at)
-        else:
-            yield f"{before}{name}", at
-        at += words_of(field_kind)
-
-
-def words_of(kind: Any) -> int:
-    """How many words a record, an array or a number takes."""
-    if hasattr(kind, "kinds"):
-        return sum(map(words_of, kind.kinds.values()))
-    return 1 + kind.ndim if isinstance(kind, KernelArray) else 1
 
 
 def _parts(block: Block) -> str:
@@ -368,11 +270,10 @@ def _parts(block: Block) -> str:
         [
             "/* adaptrack: the kernels that the constants call. Written by adaptrack.export. */",
             '#include "adaptrack_parts.h"', "", "#include <math.h>", "", *declarations,
-            f"extern void adaptrack_{STEP_KERNEL}(void *tracking);", "",
+            "",
             "static const adaptrack_function FUNCTIONS[] = {", *rows, "};",
             f"const adaptrack_reader adaptrack_parts = {{UINT64_C({header.kernels:#018x}), {header.kind:#010x}u, "
             f"FUNCTIONS, {len(rows)}, adaptrack_check_bounds}};", "", *bounds.tables(block), "",
-            f"void adaptrack_parts_step(void *record) {{ adaptrack_{STEP_KERNEL}(record); }}", "",
         ]
     )  # fmt: skip
 
@@ -449,10 +350,10 @@ def _tracked(i: int, field: Field) -> str:
 
 
 def _requested(i: int, field: Field) -> str:
-    """A request as a member: of the memory of the speed control, which begins with requests, or of the friction."""
+    """A request as a member: of the memory of the speed control, or of that of the friction."""
     if i >= SPEED_REQUEST.friction_low:
-        return f"friction[{FRICTION_MEMORY._fields.index(field.name.removeprefix('friction_'))}]"
-    return f"({_type(field)})memory[{i}].whole" if _is_whole(field) else f"memory[{i}].number"
+        return f"friction->{field.name.removeprefix('friction_')}"
+    return f"{f'({_type(field)})' if _is_whole(field) else ''}memory->{field.name}"
 
 
 def _answer_numbers(fields: Iterable[Field]) -> str:

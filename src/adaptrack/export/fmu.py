@@ -1,21 +1,20 @@
 """A car of the simulated world, or a controller, as a Functional Mock-up Unit (FMI 2.0 and 3.0, co-simulation).
 
-What lies in it: the description, a shared library for each system, the constants of the unit, its C sources. The
-library was built with the package; what tells one FMU from another are its description and its constants.
+What lies in it: the description, a shared library for each platform, the constants of the unit, its C sources. All FMUs
+share library and sources; what tells one from another are its description and its constants.
 """
 
 from __future__ import annotations
 
-import hashlib
 import io
 import math
 import os
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 from xml.etree import ElementTree as ET
 
 from adaptrack.base.checked import Bound, Positive, checked
@@ -24,7 +23,6 @@ from adaptrack.base.files import write_atomically
 from adaptrack.cars.plant import Plant
 from adaptrack.control.controllers import Controller
 from adaptrack.control.speed_control import SpeedControl
-from adaptrack.core import library
 from adaptrack.drive.world import Driver
 from adaptrack.export import fmu_build
 from adaptrack.export.block import Block, pack
@@ -47,7 +45,6 @@ VERSIONS = ("2.0", "3.0")
 _BASE_UNITS = {"1": {}, "s": {"s": 1}, "m": {"m": 1}, "rad": {"rad": 1}, "N": {"kg": 1, "m": 1, "s": -2}}
 _TYPES = {"2.0": {REAL: "Real", WHOLE_VALUE: "Integer", TRUTH: "Boolean"},
           "3.0": {REAL: "Float64", WHOLE_VALUE: "Int64", TRUTH: "Boolean"}}  # fmt: skip
-REMEDY = f"run: python -m {fmu_build.__name__}"
 _LARGEST_INTEGER = 2.0**31 - 1
 _DATE = (1980, 1, 1, 0, 0, 0)
 """Of the files in an archive, so that the same unit gives the same bytes."""
@@ -60,6 +57,7 @@ def export_fmu(
     route: Scenario | RoadDrive | None = None,
     *,
     version: Literal["2.0", "3.0"] = "3.0",
+    platforms: Sequence[str] = (),
     profile: str | Profile = "road",
     driver: Driver | SpeedControl | None = None,
     period: Positive | None = None,
@@ -69,34 +67,41 @@ def export_fmu(
 
     part: a plant, or a controller that is compiled ahead of time; route: of a car where it starts, and the road from
     which its offset counts; of a controller the road that it follows, with its plan; version: of the interface;
-    profile, period: of a car, as for `simulate`; period: by default the profile's; driver: of a car, as for `simulate`:
-    with a `SpeedControl` its inputs ``force`` and ``hold`` move it; of a controller: a `SpeedControl` that it runs;
+    platforms: those that it has a binary for, of `fmu_build.PLATFORMS`, by default this one; profile,
+    period: of a car, as for `simulate`; period: by default the profile's; driver: of a car, as for `simulate`: with a
+    `SpeedControl` its inputs ``force`` and ``hold`` move it; of a controller: a `SpeedControl` that it runs;
     furthest: of a controller, m, from the path, beyond which a status says so.
 
     Raises
     ------
     InvalidInput
-        When it cannot be exported, or there are no binaries of these kernels.
+        When it cannot be exported, or a binary cannot be compiled.
     StorageError
         When the file cannot be written.
     """
     if isinstance(part, Plant):
-        return write_fmu(car_unit(part, route, profile=profile, driver=driver, period=period), path, version)
+        unit = car_unit(part, route, profile=profile, driver=driver, period=period)
+        return write_fmu(unit, path, version, platforms)
     if not isinstance(route, RoadDrive):
         raise InvalidInput("export_fmu: route: a controller follows a road: give a RoadDrive.")
     # a `Driver` is a part of a simulated car: `controller_unit` refuses it
     unit = controller_unit(part, route.road, route.plan, furthest=furthest, speed=driver)  # type: ignore[arg-type]
-    return write_fmu(unit, path, version)
+    return write_fmu(unit, path, version, platforms)
 
 
 @checked
-def write_fmu(unit: Unit, path: str | os.PathLike[str], version: Literal["2.0", "3.0"] = "3.0") -> Path:
-    """Write a unit as an FMU; its path.
+def write_fmu(
+    unit: Unit,
+    path: str | os.PathLike[str],
+    version: Literal["2.0", "3.0"] = "3.0",
+    platforms: Sequence[str] = (),
+) -> Path:
+    """Write a unit as an FMU; its path. platforms: as of `export_fmu`.
 
     Raises
     ------
     InvalidInput
-        When the unit holds a function that is none of the package's, or there are no binaries of these kernels.
+        When the unit holds a function that is none of the package's, or a binary cannot be compiled.
     StorageError
         When the file cannot be written.
     """
@@ -109,9 +114,8 @@ def write_fmu(unit: Unit, path: str | os.PathLike[str], version: Literal["2.0", 
     files = {
         "modelDescription.xml": description(unit, token, version),
         "resources/constants.bin": block.content,
-        **dict(_binaries(name, version)),
-        **{f"sources/{source.name}": source.read_bytes() for source in fmu_build.FMU_SOURCES},
-        "sources/units.c": fmu_build.units_header().encode(),
+        **dict(_binaries(name, version, platforms)),
+        **{f"sources/{source}": text.encode() for source, text in fmu_build.sources().items()},
         "documentation/index.html": _page(unit).encode(),
         "documentation/licenses/license.txt": fmu_build.LICENSE.read_bytes(),
     }
@@ -142,31 +146,11 @@ def constants(unit: Unit) -> Block:
     return block
 
 
-def _binaries(name: str, version: str) -> Iterator[tuple[str, bytes]]:
+def _binaries(name: str, version: str, platforms: Sequence[str]) -> Iterator[tuple[str, bytes]]:
     """Places and contents of the shared libraries."""
-    for system, entry in binaries().items():
-        system_binaries = fmu_build.SYSTEMS[system]
-        content = (fmu_build.FMU_FOLDER / f"fmu-{system}.{system_binaries.ending}").read_bytes()
-        if hashlib.sha256(content).hexdigest() != entry["sha256"]:
-            raise InvalidInput(f"export fmu: fmu-{system}.{system_binaries.ending} is damaged; {REMEDY}")
-        yield f"binaries/{system_binaries.folders[VERSIONS.index(version)]}/{name}.{system_binaries.ending}", content
-
-
-def binaries() -> dict[str, Any]:
-    """Return the systems for which this installation has binaries, with their entries; built now where there are none.
-
-    Raises
-    ------
-    InvalidInput
-        When there are none of these kernels and they cannot be built.
-    """
-    manifest = fmu_build.manifest()
-    if manifest is None and library.can_compile():
-        fmu_build.build()
-        manifest = fmu_build.manifest()
-    if manifest is None:
-        raise InvalidInput(f"export fmu: this installation has no binaries for FMUs of these kernels; {REMEDY}")
-    return dict(manifest["binaries"])
+    for platform in dict.fromkeys(platforms or (fmu_build.own_platform(),)):
+        content, chosen = fmu_build.binary(platform), fmu_build.PLATFORMS[platform]
+        yield f"binaries/{chosen.folders[VERSIONS.index(version)]}/{name}.{chosen.ending}", content
 
 
 # -- the description --------------------------------------------------------------------------------------------------

@@ -1,74 +1,92 @@
-"""The binaries of FMUs, made before an FMU is exported: kernels, the C layer of the interface, and nothing of Python.
+"""The binaries of FMUs: kernels, the C layer of the interface, and nothing of Python.
 
-``python -m adaptrack.export.fmu_build`` writes one shared library for each system into `FMU_FOLDER`. It holds all units
-and both versions of the interface; which unit an FMU is, its constants say. So `adaptrack export fmu` copies it, and in
-a checkout makes it first where it is missing.
+A shared library for each platform holds all units and both versions of the interface; which unit an FMU is, its
+constants say. It is compiled by zig's clang from the sources that the FMU carries, and kept in a cache by their hash.
 """
 
 from __future__ import annotations
 
 import hashlib
+import importlib.metadata
 import importlib.util
-import json
-import shutil
+import os
+import platform
 import subprocess
 import sys
 import tempfile
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
 
-from adaptrack.base.errors import InvalidInput
+from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.files import write_atomically
 from adaptrack.core import library
+from adaptrack.core.build.compile import compiler
 from adaptrack.core.build.units import PLANTS, TRACKERS, UNIT_KERNELS
+from adaptrack.export.kernel_sources import EXACT_OPTIONS, kernel_sources
 
 HERE = Path(__file__).parent
-FMU_FOLDER = HERE / "built"
-FMU_MANIFEST = "fmu.json"
 FMU_SOURCES = (
     *(HERE / "fmu_c" / name for name in ("fmu.c", "fmi2.c", "fmi3.c", "fmu.h")),
     *(HERE / "c" / name for name in ("adaptrack_block.c", "adaptrack_block.h", "adaptrack_error.h")),
 )
+WINDOWS_SOURCE = HERE / "fmu_c" / "windows.c"
 LICENSE = HERE / "c" / "LICENSE"
 UNIT_MEMBERS = (*TRACKERS, *PLANTS)
 """Kernels whose addresses a unit's record may hold."""
-FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-fno-stack-protector", "-DADAPTRACK_NEEDS_AVX2")
+OPTIONS = (
+    "-std=c99", "-O3", "-g0", *EXACT_OPTIONS, "-Wall", "-Wextra", "-Wconversion", "-fno-stack-protector",
+    "-fvisibility=hidden", "-ffunction-sections", "-fdata-sections",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
-class System:
-    """A system that FMUs have a binary for.
+class Platform:
+    """A system and processor that FMUs have a binary for.
 
-    target: of `core.build`; folders: in an FMU of version 2.0 and 3.0; compilers: the first that is installed; zig: the
-    target of the package ziglang, which stands for them; options: of compiler and linker.
+    target: as zig names it; folders: in an FMU of version 2.0 and 3.0; options: of the compiler; linked: of the linker.
     """
 
     target: str
     folders: tuple[str, str]
     ending: str
-    compilers: tuple[str, ...]
-    zig: str
-    options: tuple[str, ...]
+    options: tuple[str, ...] = ("-fPIC",)
+    linked: tuple[str, ...] = ("-Wl,-dead_strip",)
 
 
-SYSTEMS = {
-    "linux": System(
-        "x86-64-v3", ("linux64", "x86_64-linux"), "so", ("gcc", "clang"), "x86_64-linux-gnu.2.17",
-        # names of C's library without a version, so that musl has them as well
-        ("-fPIC", "-fvisibility=hidden", "-nostdlib", "-Wl,--gc-sections,-z,noexecstack,--version-script={exports}"),
-    ),
-    "windows": System(
-        "windows-x86-64-v3", ("win64", "x86_64-windows"), "dll", ("x86_64-w64-mingw32-gcc",), "x86_64-windows-gnu",
-        ("-Wl,--gc-sections",),
-    ),
+AVX2 = ("-mcpu=x86_64_v3", "-DADAPTRACK_NEEDS_AVX2")
+# names of C's library without a version, so that musl has them as well
+ANY_LIBC = ("-nostdlib", "-Wl,--gc-sections,-z,noexecstack")
+PLATFORMS = {
+    "linux": Platform("x86_64-linux-gnu.2.17", ("linux64", "x86_64-linux"), "so", ("-fPIC", *AVX2), ANY_LIBC),
+    "linux-aarch64": Platform("aarch64-linux-gnu.2.17", ("aarch64-linux", "aarch64-linux"), "so", linked=ANY_LIBC),
+    "windows": Platform("x86_64-windows-gnu", ("win64", "x86_64-windows"), "dll", AVX2,
+                        ("-nostdlib", "-lucrtbase", "-lkernel32", "-Wl,--gc-sections")),
+    "macos": Platform("aarch64-macos", ("darwin64", "aarch64-darwin"), "dylib"),
 }  # fmt: skip
-FMU_VERSION_SCRIPT = "{ global: fmi2*; fmi3*; local: *; };\n"
+"""By name; x86-64 with AVX2 and FMA unless the name has a processor, macOS on Apple's processors."""
 
 
-def units_header() -> str:
-    """``units.h``: the kernels of the units as a table, and the hash by which constants know them."""
+def own_platform() -> str:
+    """The platform of this process; it may be none of `PLATFORMS`."""
+    system = {"win32": "windows", "darwin": "macos"}.get(sys.platform, sys.platform)
+    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
+    default = "aarch64" if system == "macos" else "x86_64"
+    return system if machine == default else f"{system}-{machine}"
+
+
+@cache
+def sources() -> dict[str, str]:
+    """The sources of a binary by their names, which an FMU carries."""
+    kernels = kernel_sources([*UNIT_MEMBERS, *sum(UNIT_KERNELS.values(), ())])
+    return kernels | {source.name: source.read_text(encoding="utf-8") for source in FMU_SOURCES} | {
+        "fmu_units.c": _units_table()}  # fmt: skip
+
+
+def _units_table() -> str:
+    """The kernels of the units as a table, and the hash by which constants know them."""
     declared = "".join(f"extern void adaptrack_{member}(void);\n" for member in UNIT_MEMBERS)
     declared += "".join(
         f"extern int64_t adaptrack_{kernel}(void *);\n" for pair in UNIT_KERNELS.values() for kernel in pair
@@ -86,90 +104,68 @@ def units_header() -> str:
     )
 
 
-def compiler(system: System) -> list[str] | None:
-    """The command of a C compiler for a system, None where none is installed."""
-    for name in system.compilers:
-        if shutil.which(name):
-            return [name]
-    if importlib.util.find_spec("ziglang") is not None:
-        return [sys.executable, "-m", "ziglang", "cc", "-target", system.zig]
-    return None
+def cache_folder() -> Path:
+    """The user's folder for compiled binaries, in ``XDG_CACHE_HOME`` or ``LOCALAPPDATA`` if they are set."""
+    base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    return (Path(base) if base else Path.home() / ".cache") / "adaptrack"
 
 
-def linked(system: System, kernels: bytes, command: list[str]) -> bytes:
-    """The shared library of an object of kernels and the C sources.
+def check_platforms(names: tuple[str, ...]) -> None:
+    """Check that FMUs can have binaries for these platforms.
 
     Raises
     ------
     InvalidInput
-        When the compiler refuses.
+        When a name is no platform, or the compiler is not installed.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        work = Path(folder)
-        for source in FMU_SOURCES:
-            shutil.copy(source, work)
-        (work / "units.c").write_text(units_header())
-        (work / "kernels.o").write_bytes(kernels)
-        (work / "exports").write_text(FMU_VERSION_SCRIPT)
-        names = [source.name for source in FMU_SOURCES if source.suffix == ".c"]
-        options = [option.format(exports="exports") for option in system.options]
-        if "ziglang" in command:  # without a library it has no headers of one either
-            options = [option for option in options if option != "-nostdlib"]
-        library_name = f"made.{system.ending}"
-        arguments = [*command, *FLAGS, *options, "-shared", *names, "units.c", "kernels.o", "-o", library_name, "-s"]
-        process = subprocess.run(arguments, cwd=work, capture_output=True, text=True)
-        if process.returncode != 0:
-            raise InvalidInput(f"{' '.join(arguments)}: {process.stderr}")
-        return (work / library_name).read_bytes()
+    for name in names:
+        if name not in PLATFORMS:
+            raise InvalidInput(f"platform {name!r}: {did_you_mean(name, list(PLATFORMS))}")
+    if importlib.util.find_spec("ziglang") is None:
+        raise InvalidInput(
+            "export fmu: the package ziglang, whose compiler makes the binaries, is not installed; run: "
+            "python -m pip install 'adaptrack[compile]'."
+        )
 
 
-def manifest() -> dict[str, Any] | None:
-    """Return what was built of these kernels and C sources; None where there is nothing or something older."""
-    try:
-        content = json.loads((FMU_FOLDER / FMU_MANIFEST).read_text(encoding="utf-8"))
-        current = content["kernels"] == library.kernels_hash() and content["sources"] == sources_hash()
-        entries = {name: {"sha256": str(entry["sha256"])} for name, entry in content["binaries"].items()}
-    except (*library.UNUSABLE, RecursionError):
-        return None
-    return {"binaries": entries} if current else None
+def binary(name: str) -> bytes:
+    """The shared library for a platform; it is compiled where the cache does not hold it.
 
-
-def build() -> None:
-    """Make the binaries of those systems whose kernels and compiler are at hand; say which are left out.
-
-    The kernels for this system are compiled where they are missing.
+    Raises
+    ------
+    InvalidInput
+        See `check_platforms`; also when the compiler refuses the sources.
     """
-    FMU_FOLDER.mkdir(exist_ok=True)
-    binaries: dict[str, Any] = {}
-    native = "windows" if sys.platform == "win32" else "linux"
-    for name, system in SYSTEMS.items():
-        command = compiler(system)
-        try:
-            kernels = library.exported(system.target) if name == native else library.export_of(system.target)
-        except library.UNUSABLE as error:
-            _say(f"no kernels ({error}): {library.BUILD} --export {system.target}", name)
-            continue
-        if command is None:
-            _say(f"no C compiler: install {' or '.join(system.compilers)}, or the package ziglang", name)
-            continue
-        content = linked(system, kernels.read_bytes(), command)
-        write_atomically(FMU_FOLDER / f"fmu-{name}.{system.ending}", content)
-        binaries[name] = {"sha256": hashlib.sha256(content).hexdigest()}
-        _say(f"{len(content) // 1000} kB, by {command[0]}", name)
-    if not binaries:
-        return
-    manifest = {"kernels": library.kernels_hash(), "sources": sources_hash(), "binaries": binaries}
-    write_atomically(FMU_FOLDER / FMU_MANIFEST, json.dumps(manifest, indent=1).encode())
+    check_platforms((name,))
+    chosen = PLATFORMS[name]
+    texts = dict(sources())
+    if "windows" in chosen.target:
+        texts[WINDOWS_SOURCE.name] = WINDOWS_SOURCE.read_text(encoding="utf-8")
+    version = importlib.metadata.version("ziglang")
+    parts = repr((version, chosen, OPTIONS, sorted(texts.items())))
+    path = cache_folder() / f"fmu-{name}-{hashlib.sha256(parts.encode()).hexdigest()[:32]}.{chosen.ending}"
+    if not path.is_file():
+        content = _compiled(chosen, texts)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, content)
+    return path.read_bytes()
 
 
-def _say(text: str, name: str) -> None:
-    print(f"  FMUs for {name}: {text}", file=sys.stderr)
+def _compiled(chosen: Platform, texts: dict[str, str]) -> bytes:
+    """The shared library of sources, several compiled at a time."""
+    command = [*compiler(), "-target", chosen.target]
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
+        for name, text in texts.items():
+            Path(folder, name).write_text(text, encoding="utf-8")
+        names = sorted((name for name in texts if name.endswith(".c")), key=lambda name: -len(texts[name]))
+        compiled = [*command, *chosen.options, *OPTIONS]
+        list(pool.map(lambda name: _run([*compiled, "-c", name, "-o", f"{name}.o"], folder), names))
+        objects = [f"{name}.o" for name in sorted(names)]
+        _run([*command, "-shared", "-s", *objects, *chosen.linked, "-o", "made"], folder)
+        return Path(folder, "made").read_bytes()
 
 
-def sources_hash() -> str:
-    """SHA-256 of the C sources."""
-    return hashlib.sha256(b"".join(source.read_bytes() for source in FMU_SOURCES)).hexdigest()
-
-
-if __name__ == "__main__":
-    build()
+def _run(command: list[str], folder: str) -> None:
+    process = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    if process.returncode != 0:
+        raise InvalidInput(f"{' '.join(command)}: {process.stderr}")

@@ -94,7 +94,7 @@ from adaptrack.control.speed_control import (
     SpeedControl,
     speed_banks,
 )
-from adaptrack.core.build.page import CALLED
+from adaptrack.core.build.units import PAGE_CALLS
 from adaptrack.core.controllers import mpc
 from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.estimators import learning
@@ -177,7 +177,7 @@ _LETTERS = {"float64": "f", "int64": "i", "boolean": "i", "void": ""}
 def page_data() -> dict[str, Any]:
     """All of it."""
     return plain({
-        "layouts": layouts(RECORDS), "calls": calls(CALLED), "sizes": _sizes(),
+        "layouts": layouts(RECORDS), "calls": calls(PAGE_CALLS), "sizes": _sizes(),
         "bounds": {field.name: field.ends for field in fields_of(INPUTS)},
         "words": _words(),
         "cars": {name: page_car(load_vehicle(name)) for name in list_vehicles()}, "inputs": car_fields(),

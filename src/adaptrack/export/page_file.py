@@ -37,8 +37,6 @@ from adaptrack.scenario import RoadDrive
 from adaptrack.scenario.profile import list_profiles, load_profile
 
 PAGE_SOURCES = Path(__file__).parent / "page"
-PAGE_TARGET = "wasm32-page"
-"""The name of what is exported for pages."""
 ENGINE = ("memory.js", "inputs.js", "makers.js", "engine.js")
 """Files of the worker, in the order in which they stand in its script; all other scripts are the page's."""
 FIRST_SCRIPTS, LAST_SCRIPTS = ("start.js",), ("app.js",)
@@ -209,10 +207,11 @@ def page_kernels() -> bytes:
         When it is not there and cannot be compiled.
     """
     try:
-        return library.exported(PAGE_TARGET).read_bytes()
+        return library.page_module().read_bytes()
     except library.UNUSABLE as error:
         raise InvalidInput(
-            f"the kernels for WebAssembly are not there ({error}): run {library.BUILD} --export {PAGE_TARGET}."
+            f"the kernels for WebAssembly are not there ({error}): install the compiler (pip install ziglang) and run "
+            f"{library.BUILD} {library.PAGE}."
         ) from None
 
 

@@ -269,7 +269,7 @@ class UserController(CompiledController):
     Raises
     ------
     ContractError
-        When numba cannot compile the law.
+        When the law cannot be compiled; the message states file, line and remedy.
     """
 
     name, function = "user", None
@@ -308,7 +308,7 @@ class UserController(CompiledController):
             self.function = compile_law(law)
         except Exception as error:
             raise ContractError(
-                f"{where}: numba cannot compile its law as "
+                f"{where}: cannot compile its law as "
                 f"f(situation, reference, road, tuning, parameters, memory, answer) on float64 arrays: {error}"
             ) from error
         super().__init__(tuning or {}, period=period, limits=limits, preview=preview)

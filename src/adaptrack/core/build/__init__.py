@@ -1,1 +1,1 @@
-"""The builder: kernels become machine code, one library for each processor. The only files that import numba."""
+"""The builder: kernels become C, and a library for each processor."""

@@ -1,14 +1,26 @@
-"""Which files a kernel depends on: its own and the compiler's, and those that these import."""
+"""All kernels, and the files that each depends on: its own and the compiler's, and those that these import."""
 
 from __future__ import annotations
 
 import ast
+import importlib
+import pkgutil
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from .. import library
+from ..kernel import EXPORTED
 
-COMPILER_FILE = Path(__file__).with_name("numba_functions.py")
+COMPILER_FILE = Path(__file__).with_name("translate.py")
+
+
+def kernels_of(package: str = "adaptrack.core") -> dict[str, Any]:
+    """Return every exported kernel of a package by its name, after the import of all its modules."""
+    for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+        if not module.name.startswith("adaptrack.core.build"):
+            importlib.import_module(module.name)
+    return {name: kernel for name, kernel in EXPORTED.items() if kernel.function.__module__.startswith(f"{package}.")}
 
 
 @cache

@@ -1,4 +1,4 @@
-"""The kernels that FMUs call, beside those of an exported controller."""
+"""The kernels that other programs call: FMUs, in addition to those of an exported controller, and the driving page."""
 
 UNIT_KERNELS = {
     "CarUnit": ("car_begin", "car_step"),
@@ -19,3 +19,29 @@ PLANTS = tuple(
     for member in ("advance", "observe")
 )
 """Members that a car has the address of."""
+PAGE_CALLS = (
+    # a run, and what is shown of it
+    "run_sizes", "mpc_prepare", "begin_runs", "roll_on",
+    # roads
+    "path_words", "path_through", "path_parts", "heading_count", "headings_along", "points_at", "road_edges",
+    # cars and plants
+    "complete_car", "car_flaw", "outline_of", "overhangs", "plant_parameters", "plant_substeps",
+    "plant_law", "dead_periods", "steering_delay", "understeer_gradient", "rear_slip_gradient",
+    # controllers
+    "informed_numbers", "published_numbers", "learner_memory",
+    "pure_pursuit_parameters", "stanley_parameters", "lqr_parameters",
+    # speed controls
+    "resistance", "usable_friction", "first_top_speed", "longitudinal_begin", "begin_friction", "sensor_variances",
+    "horizon_cells", "speed_path_words", "write_speed_path",
+    # speeds and drives
+    "plan_places", "plan_along_road", "plan_constant", "drive_periods", "drive_samples", "drive_start",
+    "complete_samples",
+)  # fmt: skip
+"""The kernels that the driving page calls by name."""
+PAGE_MEMBERS = (
+    *CONTROLLERS,
+    *(plant for plant in PLANTS if plant.startswith("dual_track")),
+    "control_planned_speed", "show_period",
+)  # fmt: skip
+"""Members whose addresses the records of the page hold."""
+PAGE_KERNELS = (*PAGE_CALLS, *PAGE_MEMBERS)

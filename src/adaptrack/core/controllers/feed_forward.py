@@ -59,7 +59,7 @@ def bend_size(horizon, period, turning, lag):
 def _requested(place, bend):
     """Y'' T^2 (m) at so many periods ahead, a straight line between instants; beyond what is known its end."""
     p = clip(place, 1.0, bend.size - 2.0)
-    i = min(whole(p), bend.size - 3)
+    i = max(1, min(whole(p), bend.size - 3))  # a place that is no number has none
     y = bend_at(bend, i - 1)
     near = y.before - 2.0 * y.present + y.after
     curvature = y.present - 2.0 * y.after + y.beyond

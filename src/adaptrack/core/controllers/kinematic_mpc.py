@@ -28,7 +28,7 @@ import math
 
 import numpy as np
 
-from ..kernel import exported, inlined, record, shaped, size_of, unpacker, viewer
+from ..kernel import cube, exported, inlined, int_vector, matrix, record, shaped, size_of, unpacker, vector, viewer
 from ..maths.bits import whole
 from ..maths.exact import clip, sqrt, square
 from ..maths.exponential import exp
@@ -124,7 +124,8 @@ SCALAR_P, SCALAR_Q, SCALAR_R, A, B_E, B_THETA, B_DELTA, W_E, W_THETA, Q_E, Q_THE
 G_E, G_THETA, G_DELTA, X_E, X_THETA = range(13, 18)
 
 KinematicWorkspace = record("KinematicWorkspace", (
-    "stage", "hessian", "gradient", "factor", "bounds", "solution", "multipliers", "work", "rows", "index",
+    ("stage", matrix), ("hessian", matrix), ("gradient", vector), ("factor", cube), ("bounds", vector),
+    ("solution", vector), ("multipliers", vector), ("work", cube), ("rows", matrix), ("index", int_vector),
 ))  # fmt: skip
 
 

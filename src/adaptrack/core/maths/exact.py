@@ -18,6 +18,8 @@ from .vectors import VECTOR_WIDTH, load, store
 _FRACTION = 2**52 - 1
 _LIMB = 54  # bits of a digit of long numbers
 _DIGIT = 2**54 - 1
+_HALF = 27  # bits of half a digit
+_HALF_DIGIT = 2**27 - 1
 
 
 @primitive
@@ -124,11 +126,10 @@ def _length(m):
 @inlined
 def _product(a, b):
     """(high, low) with a b = high 2^54 + low, of whole numbers below 2^53."""
-    half, mask = 27, 2**27 - 1
-    a1, a0, b1, b0 = a >> half, a & mask, b >> half, b & mask
+    a1, a0, b1, b0 = a >> _HALF, a & _HALF_DIGIT, b >> _HALF, b & _HALF_DIGIT
     middle = a1 * b0 + a0 * b1
-    low = a0 * b0 + ((middle & mask) << half)
-    return a1 * b1 + (middle >> half) + (low >> _LIMB), low & _DIGIT
+    low = a0 * b0 + ((middle & _HALF_DIGIT) << _HALF)
+    return a1 * b1 + (middle >> _HALF) + (low >> _LIMB), low & _DIGIT
 
 
 @inlined

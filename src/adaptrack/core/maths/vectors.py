@@ -11,7 +11,7 @@ Rows are padded to a multiple of `VECTOR_WIDTH` (`padded`), and what stands in t
 
 Arithmetic is strict: each operation rounds once, `total` adds in a fixed order, so results do not depend on the
 machine's vector width (processors without AVX-512 run the same operations in two or four halves).
-Here they work on NumPy arrays of length eight, as they do in plain Python; for the compiler see `build.operations`.
+Here they work on NumPy arrays of length eight, as they do in plain Python; for the compiler see `build/head.h`.
 """
 
 from __future__ import annotations

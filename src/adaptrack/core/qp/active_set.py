@@ -61,7 +61,7 @@ where it is `HOPELESS_SIZE`, a contradiction may be rounding as well."""
 ILL_CONDITIONED = 1e13
 """Where the bound on the condition number exceeds this, refinement may end before x is accurate."""
 
-Violation = record("Violation", ("row", "size", "length"))
+Violation = record("Violation", ("row", "size", "length"), integers=("row",))
 """A violated row of M (-1: none), M_j x - gamma_j and M_j M_j'."""
 
 

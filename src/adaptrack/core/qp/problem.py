@@ -51,23 +51,23 @@ one call of `active_set` to the next; ``rows`` carries nothing."""
 ScratchParts = record(
     "ScratchParts",
     (
-        "T",  # T E T' = I; T N = [R; 0] for the active rows N
-        "inverse_r",  # row i is column i of R^-1
-        "normals",  # row i is the i-th active row of M
-        "a",  # the row of M that is to become active
-        "d",  # T a
-        "z",  # step of x per unit of its multiplier
-        "r",  # minus the step of u
-        "u",  # multipliers of the active rows
-        "residual",  # -(K + E x + N u)
-        "step",
-        "active_bounds",  # gamma of the active rows
-        "ratios",  # u/r where r > 0
-        "slack",  # M x - bounds
-        "bounds",  # gamma, or inf while the row is active
-        "diagonal",  # of Hildreth's H
-        "gradient",  # of the dual
-        "index",  # the active rows
+        ("T", matrix),  # T E T' = I; T N = [R; 0] for the active rows N
+        ("inverse_r", matrix),  # row i is column i of R^-1
+        ("normals", matrix),  # row i is the i-th active row of M
+        ("a", vector),  # the row of M that is to become active
+        ("d", vector),  # T a
+        ("z", vector),  # step of x per unit of its multiplier
+        ("r", vector),  # minus the step of u
+        ("u", vector),  # multipliers of the active rows
+        ("residual", vector),  # -(K + E x + N u)
+        ("step", vector),
+        ("active_bounds", vector),  # gamma of the active rows
+        ("ratios", vector),  # u/r where r > 0
+        ("slack", vector),  # M x - bounds
+        ("bounds", vector),  # gamma, or inf while the row is active
+        ("diagonal", vector),  # of Hildreth's H
+        ("gradient", vector),  # of the dual
+        ("index", int_vector),  # the active rows
     ),
 )
 """The parts of `Scratch` by name."""

@@ -8,7 +8,21 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import columns, exported, float64, inlined, int64, int_vector, record, shaped, unpacker, vector
+from ..kernel import (
+    boolean,
+    columns,
+    exported,
+    float64,
+    inlined,
+    int64,
+    int_matrix,
+    int_vector,
+    matrix,
+    record,
+    shaped,
+    unpacker,
+    vector,
+)
 from ..maths.bits import left, right, whole
 from ..maths.exact import clip
 from ..maths.exponential import exp, log, log1p
@@ -27,28 +41,31 @@ MAX_DISTANCE_WIDTHS = 1e150
 NEGLIGIBLE = 50.0
 """A rule this much weaker than the strongest, by its logarithm, adds less than rounding does: e^-50 = 2e-22."""
 
-NetworkRecord = record(
-    "NetworkRecord", ("relu", "layers", "inputs", "widths", "out_low", "out_span", "low", "inverse_span", "neurons")
-)
+NetworkRecord = record("NetworkRecord", (
+    ("relu", boolean), ("layers", int64), ("inputs", int64), ("widths", int_vector), "out_low", "out_span",
+    ("low", vector), ("inverse_span", vector), ("neurons", vector),
+))  # fmt: skip
 """relu: of the output; layers: their number; inputs: D; widths (layers,): of the layers; low, inverse_span (D,): of the
 inputs; neurons: the weights of each neuron and then its bias, layer after layer."""
-SugenoRecord = record(
-    "SugenoRecord",
-    ("inputs", "functions", "rules", "owner", "bell", "antecedents", "inverse_width", "slope", "centre", "log_weight",
-     "slopes", "constant"),
-)  # fmt: skip
+SugenoRecord = record("SugenoRecord", (
+    ("inputs", int64), ("functions", int64), ("rules", int64), ("owner", int_vector), ("bell", int_vector),
+    ("antecedents", int_matrix), ("inverse_width", vector), ("slope", vector), ("centre", vector),
+    ("log_weight", vector), ("slopes", matrix), ("constant", vector),
+))  # fmt: skip
 """inputs, functions, rules: their numbers D, M and R; owner, bell (M,): the input of a membership function, and whether
 it is a bell; antecedents (R, D): the functions of a rule (-1: any); inverse_width, slope, centre (M,); log_weight
 (R,): of a rule; slopes (R, D), constant (R,): its consequent."""
-TableRecord = record("TableRecord", ("inputs", "sizes", "nodes", "values"))
+TableRecord = record("TableRecord", (("inputs", int64), ("sizes", int_vector), ("nodes", vector), ("values", vector)))
 """inputs: D; sizes (D,): of the axes; nodes: of one axis after the other; values: at them, the last axis fastest."""
 
 _FUNCTION = float64(vector, int_vector, vector, vector)
 
-_net_sizes = unpacker(record("_NetSizes", ("relu", "layers", "inputs")))
+_net_sizes = unpacker(record("_NetSizes", ("relu", "layers", "inputs"), integers=("relu", "layers", "inputs")))
 _output_scale = unpacker(record("_OutputScale", ("low", "span")))
-_rule_sizes = unpacker(record("_RuleSizes", ("inputs", "functions", "rules")))
-_table_sizes = unpacker(record("_TableSizes", ("inputs",)))
+_rule_sizes = unpacker(
+    record("_RuleSizes", ("inputs", "functions", "rules"), integers=("inputs", "functions", "rules"))
+)
+_table_sizes = unpacker(record("_TableSizes", ("inputs",), integers=("inputs",)))
 
 
 @inlined

@@ -61,7 +61,7 @@ ScheduleRecord = record(
         ("scratch", vector, "scratch"),  # of the functions, and `SCHEDULE_SCRATCH` more; 0: no schedule
     ),
 )  # fmt: skip
-_Scratch = record("_Scratch", ("x", "values", "work"))
+_Scratch = record("_Scratch", (("x", vector), ("values", vector), ("work", vector)))
 
 SCHEDULE_SCRATCH = len(VARIABLE_COLUMNS) + MAX_ENTRIES + MAP_AXES
 """Reals of scratch that a schedule needs beside those of its functions."""

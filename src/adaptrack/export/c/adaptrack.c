@@ -3,31 +3,38 @@
 
 #include "adaptrack_block.h"
 #include "adaptrack_parts.h"
+#include "records.h"
 
 /* -- kernels ------------------------------------------------------------------------------------------------------ */
-typedef union {
-    double number;
-    int64_t whole;
-} word;
-extern int64_t adaptrack_tracker_engage(double wheel_angle, double near, void *tracker);
-extern void adaptrack_tracker_follow(double near, void *tracker);
+typedef struct tracker_step_Tracking tracking;
+extern void adaptrack_tracker_step(tracking *);
+extern int64_t adaptrack_tracker_engage(double wheel_angle, double near, struct tracker_records_TrackerRecord *);
+extern void adaptrack_tracker_follow(double near, struct tracker_records_TrackerRecord *);
 extern int64_t adaptrack_path_words(const double *points, int64_t count, int64_t two, int64_t closed);
+extern void adaptrack_path_through(const double *points, int64_t count, int64_t two, int64_t closed, double noise,
+                                   double *memory, int64_t size, adaptrack_word answers[2]);
 #if ADAPTRACK_SPEED_CONTROL
-extern void adaptrack_longitudinal_follow(void *longitudinal);
-extern void adaptrack_longitudinal_begin(void *longitudinal);
-extern void adaptrack_longitudinal_release(void *longitudinal);
-extern void adaptrack_longitudinal_acknowledge(void *longitudinal);
+typedef struct tracker_longitudinal_Longitudinal longitudinal;
+extern void adaptrack_longitudinal_follow(longitudinal *);
+extern void adaptrack_longitudinal_begin(longitudinal *);
+extern void adaptrack_longitudinal_release(longitudinal *);
+extern void adaptrack_longitudinal_acknowledge(longitudinal *);
 extern int64_t adaptrack_speed_path_words(double length, int64_t closed, int64_t stops);
-extern void adaptrack_write_speed_path(void *arrays, double *memory, int64_t size, word answers[2]);
+extern void adaptrack_write_speed_path(struct speed_path_PlanArrays *, double *memory, int64_t size,
+                                       adaptrack_word answers[2]);
 extern int64_t adaptrack_horizon_cells(double top_speed, double braking, double spacing);
 #endif
-extern void adaptrack_path_through(const double *points, int64_t count, int64_t two, int64_t closed, double noise,
-                                   double *memory, int64_t size, word answers[2]);
 
-/* Place in the record's words; its tracker is at the beginning. */
-static uint64_t *record_of(void *tracker) { return (uint64_t *)adaptrack_block_record(tracker); }
+static tracking *record_of(void *tracker) { return (tracking *)adaptrack_block_record(tracker); }
 
-static double *numbers_at(const uint64_t *record, size_t place) { return (double *)(uintptr_t)record[place]; }
+/* Numbers of the caller, which the kernels only read. */
+static struct vector vector_at(const double *numbers, int64_t count) {
+    return vector_of((double *)(uintptr_t)numbers, count);
+}
+
+static struct matrix matrix_at(const double *numbers, int64_t rows, int64_t columns) {
+    return matrix_of((double *)(uintptr_t)numbers, rows, columns);
+}
 
 /* -- a path: a head, then as the kernel makes it: numbers of the road, pieces, where they begin, headings ------- */
 typedef struct {
@@ -36,7 +43,7 @@ typedef struct {
     uint32_t closed;
     int64_t pieces;
     int64_t headings;
-    uint64_t of; /* 0: the road of the only scenario */
+    int64_t of; /* 0: the road of the only scenario */
     uint64_t reserved[3];
 } path_head; /* 64 bytes, a cache line */
 typedef char path_head_has_64_bytes[sizeof(path_head) == 64 ? 1 : -1];
@@ -59,7 +66,7 @@ adaptrack_error adaptrack_path(const double *points, size_t count, int closed, d
                                size_t path_size, size_t *flaw) {
     path_head *head = (path_head *)path;
     double *memory;
-    word answers[2];
+    adaptrack_word answers[2];
     if (!points || !path || (uintptr_t)path % 8u != 0) return ADAPTRACK_BAD_ARGUMENT;
     if (flaw) *flaw = count;
     if (adaptrack_arithmetic() != ADAPTRACK_OK) return ADAPTRACK_ARITHMETIC;
@@ -122,23 +129,16 @@ static adaptrack_error check_plan(const adaptrack_plan *plan, const path_head *h
 }
 #endif
 
-static void put_array(uint64_t *record, size_t place, const double *at, int64_t size) {
-    record[place] = (uint64_t)(uintptr_t)at;
-    record[place + 1] = (uint64_t)size;
-}
-
 /* Let the record's road and plan be those of the caller. */
-static void put_path(uint64_t *record, const path_head *head, const speed_table *plan) {
+static void put_path(struct tracker_records_TrackerRecord *tracker, const path_head *head, const speed_table *plan) {
     const double *memory = road_of(head), *start = memory + NUMBERS + COLUMNS * head->pieces;
-    record[ADAPTRACK_PATH_OF] = (uint64_t)(uintptr_t)&head->of, record[ADAPTRACK_PATH_OF + 1] = 1;
-    record[ADAPTRACK_PATH_NUMBERS] = (uint64_t)(uintptr_t)memory;
-    record[ADAPTRACK_PATH_NUMBERS + 1] = 1, record[ADAPTRACK_PATH_NUMBERS + 2] = NUMBERS;
-    put_array(record, ADAPTRACK_PATH_START, start, head->pieces + 1);
-    record[ADAPTRACK_PATH_PIECES] = (uint64_t)(uintptr_t)(memory + NUMBERS);
-    record[ADAPTRACK_PATH_PIECES + 1] = (uint64_t)head->pieces, record[ADAPTRACK_PATH_PIECES + 2] = COLUMNS;
-    put_array(record, ADAPTRACK_PATH_HEADINGS, start + head->pieces + 1, head->headings);
-    put_array(record, ADAPTRACK_PLAN_S, plan->s, (int64_t)plan->count);
-    put_array(record, ADAPTRACK_PLAN_SPEED, plan->speed, (int64_t)plan->count);
+    tracker->path.of = whole_vector_of((int64_t *)(uintptr_t)&head->of, 1);
+    tracker->path.numbers = matrix_at(memory, 1, NUMBERS);
+    tracker->path.start = vector_at(start, head->pieces + 1);
+    tracker->path.pieces = matrix_at(memory + NUMBERS, head->pieces, COLUMNS);
+    tracker->path.headings = vector_at(start + head->pieces + 1, head->headings);
+    tracker->plan.s = vector_at(plan->s, (int64_t)plan->count);
+    tracker->plan.speed = vector_at(plan->speed, (int64_t)plan->count);
 }
 
 /* -- a plan: a head, places and speeds, then what the kernel writes ----------------------------------------------- */
@@ -153,29 +153,12 @@ typedef struct {
 } plan_head;       /* 64 bytes, a cache line */
 typedef char plan_head_has_64_bytes[sizeof(plan_head) == 64 ? 1 : -1];
 static const uint64_t PLAN = 0x6e616c706b726461u; /* "adrkplan" */
-enum {
-    PATH_WORDS = ADAPTRACK_PATH_END - ADAPTRACK_PATH_OF,
-    CALLER_WORDS = PATH_WORDS + ADAPTRACK_LONGITUDINAL_PATH_END - ADAPTRACK_LONGITUDINAL_PATH_SQUARE + 1
-};
-
-/* Words of the record that the caller's path and plan decide; the last one: how far the governor looks ahead. */
-static size_t caller_word(size_t i) {
-    if (i < PATH_WORDS) return ADAPTRACK_PATH_OF + i;
-    return i + 1 < CALLER_WORDS ? ADAPTRACK_LONGITUDINAL_PATH_SQUARE + i - PATH_WORDS : ADAPTRACK_LONGITUDINAL_AHEAD + 1u;
-}
-
 static const plan_head *plan_of(const void *plan) {
     const plan_head *head = (const plan_head *)plan;
     return plan && (uintptr_t)plan % 8u == 0 && head->mark == PLAN ? head : 0;
 }
 
 static uint32_t plan_id(const void *memory) { return plan_of(memory)->id; }
-
-static uint64_t bits_of(double number) {
-    word content;
-    content.number = number;
-    return (uint64_t)content.whole;
-}
 
 /* How many numbers a plan takes besides its head. */
 static size_t plan_numbers(const path_head *path, const adaptrack_speeds *speeds) {
@@ -204,11 +187,11 @@ adaptrack_error adaptrack_speed_plan(const void *path, const adaptrack_speeds *s
                                      adaptrack_flaw *flaw) {
     const path_head *road = head_of(path);
     plan_head *head = (plan_head *)plan;
-    uint64_t arrays[ADAPTRACK_PLAN_ARRAYS_WORDS];
+    struct speed_path_PlanArrays arrays;
     double *numbers;
     const double *line;
     size_t tables, count;
-    word answers[2];
+    adaptrack_word answers[2];
     if (flaw) flaw->array = ADAPTRACK_PLAN_NO_FLAW, flaw->index = 0;
     if (!road) return ADAPTRACK_BAD_PATH;
     if (!are_tables(speeds) || !plan || (uintptr_t)plan % 8u != 0) return ADAPTRACK_BAD_ARGUMENT;
@@ -218,23 +201,20 @@ adaptrack_error adaptrack_speed_plan(const void *path, const adaptrack_speeds *s
     head->mark = 0;
     numbers = (double *)(void *)(head + 1);
     line = road_of(road);
-    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_LINE_START, line + NUMBERS + COLUMNS * road->pieces, road->pieces + 1);
-    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_LINE_PIECES, line + NUMBERS, road->pieces);
-    arrays[ADAPTRACK_PLAN_ARRAYS_LINE_PIECES + 2] = COLUMNS;
-    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_LINE_NUMBERS, line, NUMBERS);
-    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_S, speeds->s, (int64_t)count);
-    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_SPEED, speeds->speed, (int64_t)count);
-    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_GRADE_S, speeds->grade.s, (int64_t)speeds->grade.count);
-    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_GRADE_VALUE, speeds->grade.value, (int64_t)speeds->grade.count);
-    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_BANK_S, speeds->bank.s, (int64_t)speeds->bank.count);
-    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_BANK_VALUE, speeds->bank.value, (int64_t)speeds->bank.count);
-    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_STOPS, speeds->stops, (int64_t)speeds->stop_count);
-    put_array(arrays, ADAPTRACK_PLAN_ARRAYS_SECONDS, speeds->seconds, (int64_t)speeds->stop_count);
-    arrays[ADAPTRACK_PLAN_ARRAYS_GRADE_STEPS] = arrays[ADAPTRACK_PLAN_ARRAYS_BANK_STEPS] = 0;
-    arrays[ADAPTRACK_PLAN_ARRAYS_STOPS_AT_END] = speeds->stays_at_end != 0;
+    arrays.line.start = vector_at(line + NUMBERS + COLUMNS * road->pieces, road->pieces + 1);
+    arrays.line.pieces = matrix_at(line + NUMBERS, road->pieces, COLUMNS);
+    arrays.line.numbers = vector_at(line, NUMBERS);
+    arrays.s = vector_at(speeds->s, (int64_t)count), arrays.speed = vector_at(speeds->speed, (int64_t)count);
+    arrays.grade.s = vector_at(speeds->grade.s, (int64_t)speeds->grade.count);
+    arrays.grade.value = vector_at(speeds->grade.value, (int64_t)speeds->grade.count);
+    arrays.bank.s = vector_at(speeds->bank.s, (int64_t)speeds->bank.count);
+    arrays.bank.value = vector_at(speeds->bank.value, (int64_t)speeds->bank.count);
+    arrays.stops = vector_at(speeds->stops, (int64_t)speeds->stop_count);
+    arrays.seconds = vector_at(speeds->seconds, (int64_t)speeds->stop_count);
+    arrays.grade.steps = arrays.bank.steps = 0, arrays.stops_at_end = speeds->stays_at_end != 0;
     head->length = line[ADAPTRACK_ROAD_LENGTH], head->closed = (int64_t)road->closed, head->count = (int64_t)count;
     head->cells = (adaptrack_speed_path_words(head->length, head->closed, 0) - 2) / 4;
-    adaptrack_write_speed_path(arrays, numbers + tables, (int64_t)(plan_numbers(road, speeds) - tables), answers);
+    adaptrack_write_speed_path(&arrays, numbers + tables, (int64_t)(plan_numbers(road, speeds) - tables), answers);
     if (answers[0].whole == ADAPTRACK_PLAN_MEMORY_TOO_SMALL) return ADAPTRACK_TOO_SMALL;
     if (answers[0].whole != 0) {
         if (flaw) flaw->array = (adaptrack_plan_array)answers[0].whole, flaw->index = (size_t)answers[1].whole;
@@ -252,38 +232,35 @@ adaptrack_error adaptrack_speed_plan(const void *path, const adaptrack_speeds *s
 }
 
 /* Let the record's speed control follow a plan from its start. */
-static adaptrack_error put_plan(uint64_t *record, const void *memory) {
+static adaptrack_error put_plan(tracking *record, const void *memory) {
     const plan_head *head = plan_of(memory);
     const double *numbers = (const double *)(const void *)(head + 1) + 2 * head->count;
     const double *stops = numbers + 4 * head->cells;
-    const double spacing = head->length / (double)(head->closed ? head->cells : head->cells - 1);
-    const double brake = ((const word *)(const void *)record)[ADAPTRACK_LONGITUDINAL_BRAKE].number;
-    const int64_t horizon = adaptrack_horizon_cells(head->top_speed, brake, ADAPTRACK_PLAN_SPACING);
+    struct speed_speed_control_SpeedPath *path = &record->longitudinal.path;
+    const int64_t horizon =
+        adaptrack_horizon_cells(head->top_speed, record->longitudinal.settings.brake, ADAPTRACK_PLAN_SPACING);
     if (horizon > ADAPTRACK_LONGITUDINAL_CELLS) return ADAPTRACK_BAD_PLAN;
-    put_array(record, ADAPTRACK_LONGITUDINAL_PATH_SQUARE, numbers, head->cells);
-    put_array(record, ADAPTRACK_LONGITUDINAL_PATH_CURVATURE, numbers + head->cells, head->cells);
-    put_array(record, ADAPTRACK_LONGITUDINAL_PATH_SLOPE, numbers + 2 * head->cells, head->cells);
-    put_array(record, ADAPTRACK_LONGITUDINAL_PATH_BANK, numbers + 3 * head->cells, head->cells);
-    put_array(record, ADAPTRACK_LONGITUDINAL_PATH_STOPS, stops, head->stops);
-    put_array(record, ADAPTRACK_LONGITUDINAL_PATH_SECONDS, stops + head->stops, head->stops);
-    record[ADAPTRACK_LONGITUDINAL_PATH_SPACING] = bits_of(spacing);
-    record[ADAPTRACK_LONGITUDINAL_PATH_LENGTH] = bits_of(head->length);
-    record[ADAPTRACK_LONGITUDINAL_PATH_CLOSED] = (uint64_t)head->closed;
-    record[ADAPTRACK_LONGITUDINAL_AHEAD + 1] = (uint64_t)horizon;
-    adaptrack_longitudinal_follow(record + ADAPTRACK_LONGITUDINAL);
+    path->square = vector_at(numbers, head->cells);
+    path->curvature = vector_at(numbers + head->cells, head->cells);
+    path->slope = vector_at(numbers + 2 * head->cells, head->cells);
+    path->bank = vector_at(numbers + 3 * head->cells, head->cells);
+    path->stops = vector_at(stops, head->stops);
+    path->seconds = vector_at(stops + head->stops, head->stops);
+    path->spacing = head->length / (double)(head->closed ? head->cells : head->cells - 1);
+    path->length = head->length, path->closed = head->closed;
+    record->longitudinal.ahead.size[0] = horizon;
+    adaptrack_longitudinal_follow(&record->longitudinal);
     return ADAPTRACK_OK;
 }
 
-static void read_requests(const uint64_t *record, adaptrack_answer *answer) {
-    const word *memory = (const word *)(const void *)numbers_at(record, ADAPTRACK_LONGITUDINAL_MEMORY_AT);
-    const double *friction = numbers_at(record, ADAPTRACK_LONGITUDINAL_FRICTION_AT);
+static void read_requests(const tracking *record, adaptrack_answer *answer) {
+    const struct speed_speed_control_SpeedMemory *memory = record->longitudinal.memory.data;
+    const struct speed_friction_FrictionMemory *friction = record->longitudinal.friction.memory.data;
 @READ_REQUESTS@
 }
 #else
-enum { CALLER_WORDS = ADAPTRACK_PATH_END - ADAPTRACK_PATH_OF };
-static size_t caller_word(size_t i) { return ADAPTRACK_PATH_OF + i; }
 static uint32_t plan_id(const void *memory) { return memory ? 1u : 0u; }
-static adaptrack_error put_plan(uint64_t *record, const void *memory) {
+static adaptrack_error put_plan(tracking *record, const void *memory) {
     return record && !memory ? ADAPTRACK_OK : ADAPTRACK_BAD_ARGUMENT;
 }
 #endif
@@ -329,18 +306,25 @@ const char *adaptrack_error_name(adaptrack_error error) {
 adaptrack_error adaptrack_init(void *tracker, size_t tracker_size, const void *constants, size_t size) {
     adaptrack_error error = adaptrack_block_lay(&adaptrack_parts, tracker, tracker_size, constants, size);
 #if ADAPTRACK_SPEED_CONTROL
-    if (error == ADAPTRACK_OK) adaptrack_longitudinal_begin(record_of(tracker) + ADAPTRACK_LONGITUDINAL);
+    if (error == ADAPTRACK_OK) adaptrack_longitudinal_begin(&record_of(tracker)->longitudinal);
 #endif
     return error;
 }
 
 adaptrack_error adaptrack_load(void *tracker, const void *constants, size_t size) {
-    uint64_t words[CALLER_WORDS];
+    tracking *record;
+    struct roads_road_Roads path; /* that of the caller stays, and so does its plan */
+    struct tracker_records_PlanRecord plan;
+    struct speed_speed_control_SpeedPath speed_path;
+    int64_t cells;
     adaptrack_error error = adaptrack_block_take(tracker);
     if (error != ADAPTRACK_OK) return error;
-    for (size_t i = 0; i < CALLER_WORDS; i++) words[i] = record_of(tracker)[caller_word(i)];
+    record = record_of(tracker);
+    path = record->tracker.path, plan = record->tracker.plan;
+    speed_path = record->longitudinal.path, cells = record->longitudinal.ahead.size[0];
     error = adaptrack_block_renew(&adaptrack_parts, tracker, constants, size);
-    for (size_t i = 0; i < CALLER_WORDS; i++) record_of(tracker)[caller_word(i)] = words[i];
+    record->tracker.path = path, record->tracker.plan = plan;
+    record->longitudinal.path = speed_path, record->longitudinal.ahead.size[0] = cells;
     adaptrack_block_give(tracker);
     return error;
 }
@@ -349,7 +333,7 @@ adaptrack_error adaptrack_engage(void *tracker, double wheel_angle, double near)
     adaptrack_error error = adaptrack_block_take(tracker);
     if (error != ADAPTRACK_OK) return error;
     if (adaptrack_arithmetic() != ADAPTRACK_OK) error = ADAPTRACK_ARITHMETIC;
-    else if (adaptrack_tracker_engage(wheel_angle, near, record_of(tracker)) == 0) error = ADAPTRACK_BAD_ARGUMENT;
+    else if (adaptrack_tracker_engage(wheel_angle, near, &record_of(tracker)->tracker) == 0) error = ADAPTRACK_BAD_ARGUMENT;
     adaptrack_block_give(tracker);
     return error;
 }
@@ -362,8 +346,8 @@ static adaptrack_error follow(void *tracker, const path_head *head, double near,
     if (adaptrack_arithmetic() != ADAPTRACK_OK) error = ADAPTRACK_ARITHMETIC;
     else error = put_plan(record_of(tracker), memory);
     if (error == ADAPTRACK_OK) {
-        put_path(record_of(tracker), head, plan);
-        adaptrack_tracker_follow(near, record_of(tracker));
+        put_path(&record_of(tracker)->tracker, head, plan);
+        adaptrack_tracker_follow(near, &record_of(tracker)->tracker);
         ((adaptrack_head *)tracker)->path = path_id(head, plan) ^ plan_id(memory);
         ((adaptrack_head *)tracker)->points = head->id;
     }
@@ -383,10 +367,10 @@ adaptrack_error adaptrack_follow_plan(void *tracker, const void *path, double ne
     return follow(tracker, head, near, &table, plan);
 }
 
-static adaptrack_error tell_speed_control(void *tracker, void (*kernel)(void *longitudinal)) {
+static adaptrack_error tell_speed_control(void *tracker, void (*kernel)(longitudinal *)) {
     adaptrack_error error = adaptrack_block_take(tracker);
     if (error != ADAPTRACK_OK) return error;
-    kernel(record_of(tracker) + ADAPTRACK_LONGITUDINAL);
+    kernel(&record_of(tracker)->longitudinal);
     adaptrack_block_give(tracker);
     return ADAPTRACK_OK;
 }
@@ -424,10 +408,10 @@ static adaptrack_error check_path(void *tracker) {
     const adaptrack_head *own = (const adaptrack_head *)tracker;
     const path_head *head;
     if (own->path == 0) return ADAPTRACK_OUT_OF_ORDER;
-    head = (const path_head *)(uintptr_t)record_of(tracker)[ADAPTRACK_PATH_NUMBERS] - 1;
+    head = (const path_head *)(const void *)record_of(tracker)->tracker.path.numbers.data - 1;
     if (head->mark != PATH || head->id != own->points) return ADAPTRACK_BAD_PATH;
 #if ADAPTRACK_SPEED_CONTROL
-    if (((const plan_head *)(uintptr_t)record_of(tracker)[ADAPTRACK_PLAN_S] - 1)->mark != PLAN)
+    if (((const plan_head *)(const void *)record_of(tracker)->tracker.plan.s.data - 1)->mark != PLAN)
         return ADAPTRACK_BAD_PLAN;
 #endif
     return ADAPTRACK_OK;
@@ -443,10 +427,10 @@ adaptrack_error adaptrack_step(void *tracker, const adaptrack_sample *sample, ad
     error = adaptrack_arithmetic();
     if (error == ADAPTRACK_OK) error = check_path(tracker);
     if (error == ADAPTRACK_OK) {
-        row = numbers_at(record_of(tracker), ADAPTRACK_SAMPLE_AT);
+        row = record_of(tracker)->tracker.sample.data;
         for (size_t i = 0; i < sizeof *sample / sizeof *row; i++) row[i] = signals[i];
-        adaptrack_parts_step(record_of(tracker));
-        read_answer(numbers_at(record_of(tracker), ADAPTRACK_TRACKED_AT), answer);
+        adaptrack_tracker_step(record_of(tracker));
+        read_answer(record_of(tracker)->tracker.tracked.data, answer);
 #if ADAPTRACK_SPEED_CONTROL
         read_requests(record_of(tracker), answer);
 #endif

@@ -189,6 +189,8 @@ static void connect(const adaptrack_reader *reader, const adaptrack_block *b, ui
     }
 }
 
+static int is_compiled_exactly(void);
+
 adaptrack_error adaptrack_block_lay(const adaptrack_reader *reader, void *memory, size_t memory_size,
                                      const void *constants, size_t size) {
     adaptrack_block b;
@@ -200,6 +202,7 @@ adaptrack_error adaptrack_block_lay(const adaptrack_reader *reader, void *memory
     if (memory_size < sizeof *head || (memory_size - sizeof *head) / 8u < b.words) return ADAPTRACK_TOO_SMALL;
     status = adaptrack_arithmetic();
     if (status != ADAPTRACK_OK) return status;
+    if (!is_compiled_exactly()) return ADAPTRACK_ARITHMETIC;
     fill(&b, words_of(memory), 0, b.words);
     connect(reader, &b, words_of(memory));
     head->busy = 0, head->path = 0, head->points = 0, head->reserved[0] = 0, head->reserved[1] = 0;
@@ -286,6 +289,24 @@ adaptrack_error adaptrack_arithmetic(void) {
     volatile double one = 1.0, smallest = DBL_MIN, step = DBL_EPSILON;
     volatile double half = smallest * 0.5, up = one + 0.75 * step, low = one + 0.25 * step, below = -one - 0.25 * step;
     return half > 0.0 && up == one + step && low == one && below == -one ? ADAPTRACK_OK : ADAPTRACK_ARITHMETIC;
+}
+
+/* Products and a sum of n numbers, which differ where a compiler fuses or reorders operations. */
+static void compute(const double *x, const double *terms, int n, double *y) {
+    const double first = x[0] * x[2] - x[4], second = x[1] * x[3] + x[5];
+    double sum = 0.0;
+    for (int i = 0; i < n; i++) sum += terms[i];
+    y[0] = first, y[1] = second, y[2] = sum;
+}
+
+/* Whether the compiler left each operation as it is written: it must be told so, see the options in the Makefile. */
+static int is_compiled_exactly(void) {
+    static const double X[6] = {1.0 + 0x1p-30, 1.0 + 0x1p-29, 1.0 - 0x1p-30, 1.0 - 0x1p-29, 1.0, -1.0};
+    static const double TERMS[8] = {1.0, 0x1p-60, -1.0, 0x1p-60, 0.0, 0.0, 0.0, 0.0};
+    void (*volatile opaque)(const double *, const double *, int, double *) = compute;
+    double y[3];
+    opaque(X, TERMS, 8, y);
+    return y[0] == 0.0 && y[1] == 0.0 && y[2] == 0x1p-60;
 }
 
 #if defined(__GNUC__)

@@ -3,6 +3,7 @@
 
 #include "adaptrack_config.h"
 #include "adaptrack_parts.h"
+#include "records.h"
 
 enum { CACHE_LINE = 8, MOST_WORDS = 1 << 26 };
 #define BOUND(holds) \
@@ -52,6 +53,15 @@ static uint64_t words_of(const adaptrack_block *b, uint32_t i) {
 
 static uint32_t aligned(uint32_t place) { return place + (CACHE_LINE - place % CACHE_LINE) % CACHE_LINE; }
 
+typedef struct tracker_step_Tracking tracking;
+
+/* Whether the words of a part of the record are zero: the caller gives it. */
+static int are_zero(const adaptrack_block *b, size_t begin, size_t size) {
+    for (size_t i = begin / 8u; i < (begin + size) / 8u; i++)
+        if (word_at(b, (uint32_t)i).bits != 0) return 0;
+    return 1;
+}
+
 /* Every array lies where its size and role put it, one behind the other, and they fill the memory. */
 static adaptrack_error check_places(const adaptrack_block *b) {
     uint32_t end = b->record;
@@ -80,10 +90,10 @@ static adaptrack_error check_links(const adaptrack_block *b) {
     if (b->links != ADAPTRACK_LINKS) return ADAPTRACK_OTHER_KIND;
     for (uint32_t i = 0; i < 2 * ADAPTRACK_LINKS; i++)
         if (adaptrack_block_number(b->link, i) != adaptrack_links[i]) return ADAPTRACK_OTHER_KIND;
-    for (uint32_t i = ADAPTRACK_PATH_OF; i < ADAPTRACK_PATH_END; i++) BOUND(word_at(b, i).bits == 0);
+    BOUND(are_zero(b, offsetof(tracking, tracker.path), sizeof(struct roads_road_Roads)));
+    BOUND(are_zero(b, offsetof(tracking, tracker.plan), sizeof(struct tracker_records_PlanRecord)));
 #if ADAPTRACK_SPEED_CONTROL
-    for (uint32_t i = ADAPTRACK_LONGITUDINAL_PATH_SQUARE; i < ADAPTRACK_LONGITUDINAL_PATH_END; i++)
-        BOUND(word_at(b, i).bits == 0);
+    BOUND(are_zero(b, offsetof(tracking, longitudinal.path), sizeof(struct speed_speed_control_SpeedPath)));
 #endif
     return ADAPTRACK_OK;
 }

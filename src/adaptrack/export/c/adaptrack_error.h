@@ -22,7 +22,8 @@ typedef enum {
     ADAPTRACK_OTHER_SIZES = 8,     /* constants of other horizons or parts: adaptrack_init takes them */
     ADAPTRACK_OTHER_CONSTANTS = 9, /* the state was saved under other constants */
     ADAPTRACK_OTHER_PATH = 10,     /* the state was saved on another path */
-    ADAPTRACK_ARITHMETIC = 11,     /* rounding is not to nearest, or subnormal numbers count as zero */
+    ADAPTRACK_ARITHMETIC = 11,     /* rounding is not to nearest, subnormal numbers count as zero, or the compiler has
+                                      fused, reordered or replaced operations: see the options in the Makefile */
     ADAPTRACK_BAD_PATH = 12,       /* the points make no path, or the memory holds none */
     ADAPTRACK_OUT_OF_ORDER = 13,   /* a call that has to wait for another one first */
     ADAPTRACK_BAD_PLAN = 14        /* speeds, slopes or stops make no plan, or the memory holds none */

@@ -21,7 +21,7 @@ static const char *const SAYS[] = {
     "constants or state are damaged", "resources/constants.bin is of another version of adaptrack",
     "resources/constants.bin is of another kind", "resources/constants.bin has other sizes",
     "the state was saved under other constants", "the state was saved on another path",
-    "the processor does not round to nearest, or takes subnormal numbers for zero"};
+    "the processor does not round to nearest or takes subnormal numbers for zero, or the compiler reordered operations"};
 
 fmu_status fmu_refuse(const fmu *f, const char *format, ...) {
     char text[320];
