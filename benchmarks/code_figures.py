@@ -31,7 +31,7 @@ MARKS = ("<!-- code figures -->\n", "<!-- end of code figures -->\n")
 
 CEILINGS: Mapping[str, int] = {
     "base": 2250,
-    "core": 25900,
+    "core": 26510,
     "cars": 2200,
     "road": 4710,
     "scenario": 1900,
@@ -42,19 +42,19 @@ CEILINGS: Mapping[str, int] = {
     "tuning": 1680,
     "comparison": 2110,
     "paper": 4290,
-    "export": 3460,
+    "export": 3360,
     "gym": 1320,
     "results": 5380,
     "cli": 3550,
     "adaptrack": 40,
-    "JavaScript, templates, C": 9710,
-    "tests": 42470,
-    "benchmarks, tools, experiments, examples": 15210,
+    "JavaScript, templates, C": 10200,
+    "tests": 42700,
+    "benchmarks, tools, experiments, examples": 15360,
 }
 """Most lines of each room, of JavaScript, templates and C, of the tests and of `PROGRAMS`.
 
 `tests/project/test_ceilings.py` holds them; raising one is a decision with a reason in docs/design.md."""
-SOURCE_LINES = 76_700
+SOURCE_LINES = 77_210
 """Most lines of all rooms together: one room may grow only by what another one loses."""
 
 

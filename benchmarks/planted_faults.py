@@ -80,22 +80,15 @@ from .kernel import primitive
 def mark(i):
     in_python(i)
 '''
-MARK_FOR_THE_COMPILER = '''
-
-
-@intrinsic
-def mark(typingctx, i):
-    """A store to a constant address."""
-    from planted_marks import ADDRESS
-
-    def codegen(context, builder, signature, args):
-        word, byte = ir.IntType(64), ir.IntType(8)
-        place = builder.add(args[0], ir.Constant(word, ADDRESS))
-        builder.store(ir.Constant(byte, 1), builder.inttoptr(place, byte.as_pointer()))
-        return context.get_dummy_value()
-
-    return types.void(types.int64), codegen
-'''
+MARK_IN_C = """
+/* A store to a constant address. */
+static inline void mark1(int64_t i) {
+    ((volatile unsigned char *)(intptr_t)0x200000000000)[i] = 1;
+}
+"""
+MARK_FOR_THE_TRANSLATOR = """
+PRIMITIVES["mark"] = ("mark1", NOTHING)
+"""
 
 WATCHING = '''\
 """A plugin of pytest: which marks each test sets, itself or by what was made once for it and others."""
@@ -438,8 +431,11 @@ def tests_of(slot: Slot, faults: Sequence[Fault], processes: int) -> dict[str, A
     slot.copy()
     mark_lines(slot.tree, faults)
     (slot.tree / PACKAGE / "core/planted_marks.py").write_text(KERNEL_MARKS)
-    with (slot.tree / PACKAGE / "core/build/operations.py").open("a") as operations:
-        operations.write(MARK_FOR_THE_COMPILER)
+    head = slot.tree / PACKAGE / "core/build/head.h"
+    before, end, after = head.read_text().rpartition("#endif")
+    head.write_text(before + MARK_IN_C + end + after)
+    with (slot.tree / PACKAGE / "core/build/translate.py").open("a") as translator:
+        translator.write(MARK_FOR_THE_TRANSLATOR)
     begun = time.monotonic()
     process = slot.start("planted_watching", WATCHING, "-n", str(processes), "--dist", "worksteal")
     try:

@@ -28,7 +28,8 @@ from adaptrack.control.controllers import LQR, MPC, Controller, Learning, PurePu
 from adaptrack.control.scheduling import load_scheduler
 from adaptrack.export.block import BLOCK_HEADER, PRELUDE, Block
 from adaptrack.export.bounds import numbers_of
-from adaptrack.export.c_library import KERNELS_FILE, export_c, own_target
+from adaptrack.export.c_library import export_c
+from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.tracking import tracking_block
 
 CAR = "midsize-sedan"
@@ -121,17 +122,8 @@ class Library:
         self.constants = (folder / "constants.bin").read_bytes()
         program = folder / "tracker.so"
         sources = [*sorted((folder / "src").glob("*.c")), folder / "main.c"]
-        sources += [folder / "lib" / own_target() / KERNELS_FILE]
-        words = [
-            "-shared",
-            "-fPIC",
-            "-O1",
-            f"-I{folder}/include",
-            f"-I{folder}",
-            *map(str, sources),
-            "-o",
-            str(program),
-        ]
+        includes = [f"-I{folder}/include", f"-I{folder}"]
+        words = ["-shared", "-fPIC", "-O1", *EXACT_OPTIONS, *includes, *map(str, sources), "-o", str(program)]
         run = subprocess.run(["cc", *words], capture_output=True, text=True)
         if run.returncode != 0:
             raise InvalidInput(f"cc does not link {folder}: {run.stderr}")

@@ -16,7 +16,8 @@ from adaptrack.base.errors import InvalidInput
 from adaptrack.control.speed_control import SpeedLimit, SpeedState
 from adaptrack.control.tracker import Status, Tracker
 from adaptrack.core.tracker.signals import STATUS
-from adaptrack.export.c_library import KERNELS_FILE, export_c, own_target
+from adaptrack.export.c_library import export_c
+from adaptrack.export.kernel_sources import EXACT_OPTIONS
 from adaptrack.export.tracking import speed_part, tracking_block
 from tools.fuzz.speed.drives import TOP_SPEED, Drive, Route, Variant
 from tools.fuzz.speed.faults import Sample
@@ -134,8 +135,8 @@ class Library:
         route = drive.routes[0]
         export_c(drive.controller(), folder, plan=None, speed=drive.speed_control)
         program = folder / "tracker.so"
-        sources = [*sorted((folder / "src").glob("*.c")), folder / "lib" / own_target() / KERNELS_FILE]
-        command = ["gcc", "-std=c99", "-O2", "-shared", "-fPIC", f"-I{folder}/include", *map(str, sources), "-o"]
+        options = ["-std=c99", "-O2", *EXACT_OPTIONS, "-shared", "-fPIC", f"-I{folder}/include"]
+        command = ["gcc", *options, *map(str, sorted((folder / "src").glob("*.c"))), "-o"]
         run = subprocess.run([*command, str(program)], capture_output=True, text=True)
         if run.returncode != 0:
             raise InvalidInput(f"gcc does not link {folder}: {run.stderr}")
