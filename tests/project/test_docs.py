@@ -53,6 +53,12 @@ def test_every_name_that_a_page_imports_is_described(page):
             assert getattr(importlib.import_module(module), name) in objects, f"{module}.{name}"
 
 
+def test_the_first_reading_names_eight_files_of_at_most_3000_lines():
+    files = re.findall(r"^\| \d\. `([\w/]+\.py)` \|", (DOCS / "first-reading.md").read_text(), re.MULTILINE)
+    assert len(files) == 8
+    assert sum(len((PROJECT / "src/adaptrack" / file).read_text().splitlines()) for file in files) <= 3000
+
+
 # -- links ------------------------------------------------------------------------------------------------------------
 LINKING = [PROJECT / "README.md", PROJECT / "CONTRIBUTING.md", *PAGES, *sorted(PROJECT.glob("examples/**/*.md"))]
 
