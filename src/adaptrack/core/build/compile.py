@@ -62,6 +62,8 @@ PROCESSORS = {
 }
 SOFT_KERNELS = ("soft_fma", "soft_fma8", "soft_floor", "soft_ceil")
 """Kernels that the head calls for a processor without these instructions."""
+LACKING = ("x86-64", "riscv64", "wasm32")
+"""Ends of the names of processors without one of these instructions."""
 MODULE_STACK = 2**18
 """bytes of the stack of a WebAssembly module"""
 
@@ -77,7 +79,8 @@ class CompileError(RuntimeError):
     """The compiler or the linker refuses the kernels; the message is its own."""
 
 
-MEMORY = Path(__file__).with_name("memory.c")
+MEMORY_FILE, DLL_FILE = (Path(__file__).with_name(name) for name in ("memory.c", "dll.c"))
+"""What every library holds, and what a DLL for Windows holds in addition."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,8 @@ def compile_objects(
 ) -> tuple[list[Path], int]:
     """Objects of all files, several at a time; those that are there are not made again. And how many were made."""
     options = (*(option for option in OPTIONS if option != "-g0"), *SANITIZED) if is_sanitized else OPTIONS
-    files = {**files, MEMORY.stem: PlainFile(MEMORY.stem, MEMORY.read_text(encoding="utf-8"))}
+    paths_by_hand = (MEMORY_FILE, DLL_FILE) if "windows" in PROCESSORS[processor].triple else (MEMORY_FILE,)
+    files = {**files, **{path.stem: PlainFile(path.stem, path.read_text(encoding="utf-8")) for path in paths_by_hand}}
     paths = {name: cache / object_name(file, processor, options) for name, file in files.items()}
     missing = [name for name, path in paths.items() if not path.exists()]
     for path in paths.values():

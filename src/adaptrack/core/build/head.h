@@ -84,16 +84,16 @@ INLINED double abs1(double x) { return float_of(bits_of(x) & INT64_MAX); }
 INLINED double copysign1(double x, double y) { return float_of((bits_of(x) & INT64_MAX) | (bits_of(y) & INT64_MIN)); }
 #endif
 #ifdef SOFT_FMA
-double adaptrack_soft_fma(double a, double b, double c);
-void adaptrack_soft_fma8(double *a, int64_t a_0, double *b, int64_t b_0, double *c, int64_t c_0, double *y,
-                         int64_t y_0);
+EXPORTED double adaptrack_soft_fma(double a, double b, double c);
+EXPORTED void adaptrack_soft_fma8(double *a, int64_t a_0, double *b, int64_t b_0, double *c, int64_t c_0, double *y,
+                                  int64_t y_0);
 INLINED double fma1(double a, double b, double c) { return adaptrack_soft_fma(a, b, c); }
 #else
 INLINED double fma1(double a, double b, double c) { return __builtin_fma(a, b, c); }
 #endif
 #ifdef SOFT_ROUNDING
-double adaptrack_soft_floor(double x);
-double adaptrack_soft_ceil(double x);
+EXPORTED double adaptrack_soft_floor(double x);
+EXPORTED double adaptrack_soft_ceil(double x);
 INLINED double floor1(double x) { return adaptrack_soft_floor(x); }
 INLINED double ceil1(double x) { return adaptrack_soft_ceil(x); }
 #else
@@ -101,7 +101,7 @@ INLINED double floor1(double x) { return __builtin_floor(x); }
 INLINED double ceil1(double x) { return __builtin_ceil(x); }
 #endif
 #ifdef SOFT_SQRT
-double adaptrack_soft_sqrt(double x);
+EXPORTED double adaptrack_soft_sqrt(double x);
 INLINED double sqrt1(double x) { return adaptrack_soft_sqrt(x); }
 #else
 INLINED double sqrt1(double x) { return __builtin_sqrt(x); }

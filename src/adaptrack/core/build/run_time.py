@@ -32,7 +32,7 @@ from ..maths import exact
 from ..member import UserFunction
 from .c_files import CFile, c_files
 from .c_types import DOUBLE, INT64, NOTHING, PREFIX, ArrayOf, argument_type
-from .compile import OPTIONS, SOFT_KERNELS, compile_objects, link, object_name
+from .compile import LACKING, OPTIONS, SOFT_KERNELS, compile_objects, link, object_name
 from .scopes import source_of
 from .translate import FUNCTIONS, KernelError, Program, Translation, call_real
 from .values import Operand, StaticValue, Value, data_text
@@ -218,7 +218,7 @@ def compiled_now(kernel: Exported) -> int:
         program = UserProgram()
         kernel = _called_as_kernel(kernel, program)
     kernels = {kernel.name: kernel}
-    if _processor().endswith("x86-64"):  # it lacks instructions that the head then calls kernels for
+    if _processor().endswith(LACKING):
         kernels |= {name: getattr(exact, name) for name in SOFT_KERNELS}
     files = c_files(kernels, program=program)
     called: set[str] = set()
@@ -317,11 +317,16 @@ def _library(name: str, files: dict[str, CFile]) -> Path:
     return path
 
 
+def cache_path() -> Path:
+    """The user's folder for what is compiled, in ``XDG_CACHE_HOME`` or ``LOCALAPPDATA`` if they are set."""
+    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or Path.home() / ".cache"
+    return Path(home) / "adaptrack"
+
+
 @cache
 def folder() -> Path:
     """The folder in which libraries are kept: the user's cache, or one for this process where that is read-only."""
-    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or Path.home() / ".cache"
-    place = Path(home) / "adaptrack"
+    place = cache_path()
     try:
         place.mkdir(parents=True, exist_ok=True, mode=0o700)
         with tempfile.TemporaryFile(dir=place):
