@@ -11,6 +11,7 @@ import inspect
 import re
 import textwrap
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -67,39 +68,44 @@ def c_files(
     rooms: dict[str, list[Instance]] = {}
     for name in sorted(translated, key=lambda name: _position(translated[name])):
         rooms.setdefault(room_of(program.kernels[name]), []).append(translated[name])
-    return {room: CFile(room, instances) for room, instances in sorted(rooms.items())}
+    return {room: _Writer(instances, program.checks_indices).file(room) for room, instances in sorted(rooms.items())}
 
 
 def _position(instance: Instance) -> tuple[str, int, str]:
     return instance.function.__module__, instance.function.__code__.co_firstlineno, instance.name
 
 
+@dataclass(frozen=True)
 class CFile:
     """A file in C; kinds: types whose structs it needs."""
 
-    def __init__(self, name: str, kernels: Iterable[Instance]) -> None:
-        self.name = name
+    name: str
+    text: str
+    kinds: Iterable[Any] = ()
+
+
+class _Writer:
+    """Writes a file in C: kernels, and each function behind all that it needs."""
+
+    def __init__(self, kernels: list[Instance], counts_calls: bool) -> None:
+        self.counts_calls = counts_calls
         self.kinds: dict[Any, None] = {}
-        self._names: dict[Any, str] = {}
-        self._taken: set[str] = set()
+        self._names: dict[Any, str] = {instance: instance.name for instance in kernels}
+        self._taken = set(self._names.values())
         self._declarations: dict[str, None] = {}
         self._numbers: list[str] = []
         self._adapters: list[str] = []
         self._functions: list[str] = []
-        kernels = list(kernels)
-        for instance in kernels:
-            self._taken.add(instance.name)
-            self._names[instance] = instance.name
         for instance in kernels:
             self._declare(instance.kernel)  # type: ignore[arg-type]
         for instance in kernels:
             self._add(instance)
-        self.text = self._joined()
 
-    def _joined(self) -> str:
+    def file(self, name: str) -> CFile:
+        """The file of this name."""
         parts = [f'#include "{HEAD_FILE.name}"', f'#include "{RECORDS_FILE}"', "", *self._declarations, ""]
         parts += [*self._numbers, "", *self._adapters, *self._functions]
-        return "\n".join(parts).rstrip() + "\n"
+        return CFile(name, "\n".join(parts).rstrip() + "\n", tuple(self.kinds))
 
     def _name(self, item: Any, name: str) -> str:
         """A name that nothing else in the file has."""
@@ -140,7 +146,7 @@ class CFile:
         remark = comment(inspect.getdoc(instance.function) or "")
         begin = "INLINED" if instance.kernel is None else "EXPORTED"
         lines = [_wrapped(line) for line in filled(instance.body).splitlines()]
-        if instance.kernel is not None and instance.program_checks:
+        if instance.kernel is not None and self.counts_calls:
             self._numbers.append(f"EXPORTED int64_t calls_of_{instance.kernel.name};")
             lines.insert(0, f"    calls_of_{instance.kernel.name}++;")
         self._functions.append("\n".join([f"{remark}{_wrapped(f'{begin} {filled(instance.head)}')} {{", *lines, "}\n"]))
@@ -194,7 +200,7 @@ class CFile:
         self._adapters.append("\n".join([f"{_wrapped(head)} {{", *map(_wrapped, lines), "}\n"]))
 
 
-def records(files: Iterable[Any]) -> str:
+def records(files: Iterable[CFile]) -> str:
     """The header with the structs that files need."""
     kinds = dict.fromkeys(kind for file in files for kind in file.kinds)
     texts = [definition(kind) for kind in kinds]
@@ -202,7 +208,7 @@ def records(files: Iterable[Any]) -> str:
     return "\n".join([begin, *(text for text in texts if text), "#endif\n"])
 
 
-def texts(files: Mapping[str, Any]) -> dict[str, str]:
+def texts(files: Mapping[str, CFile]) -> dict[str, str]:
     """The files in C by their names, with the header of their records and the head."""
     sources = {f"{name}.c": file.text for name, file in files.items()}
     return {HEAD_FILE.name: HEAD_FILE.read_text(encoding="utf-8"), RECORDS_FILE: records(files.values()), **sources}

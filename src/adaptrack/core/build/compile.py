@@ -67,7 +67,6 @@ LACKING = ("x86-64", "riscv64", "wasm32")
 MODULE_STACK = 2**18
 """bytes of the stack of a WebAssembly module"""
 
-
 SANITIZED = (
     "-fsanitize=shift,integer-divide-by-zero,float-cast-overflow,bool,null,unreachable,return,bounds",
     "-fsanitize-trap=all", "-DADAPTRACK_CHECKS", "-g",
@@ -83,28 +82,19 @@ MEMORY_FILE, DLL_FILE = (Path(__file__).with_name(name) for name in ("memory.c",
 """What every library holds, and what a DLL for Windows holds in addition."""
 
 
-@dataclass(frozen=True)
-class PlainFile:
-    """A file that is written by hand."""
-
-    name: str
-    text: str
-    kinds: tuple[()] = ()
-
-
 def compiler(tool: str = "cc") -> list[str]:
     """The command of the compiler, or of another tool of its package."""
     return [sys.executable, "-m", "ziglang", tool]
 
 
-def write_sources(files: Mapping[str, CFile | PlainFile], folder: Path) -> None:
+def write_sources(files: Mapping[str, CFile], folder: Path) -> None:
     """Write the files in C, the header of their records and the head."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts(files).items():
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def object_name(file: CFile | PlainFile, processor: str, options: tuple[str, ...]) -> str:
+def object_name(file: CFile, processor: str, options: tuple[str, ...]) -> str:
     """The name of an object: of its file, and a hash of all that it is made of."""
     parts = [version("ziglang"), HEAD_FILE.read_text(encoding="utf-8"), records([file]), file.text, processor,
              repr(PROCESSORS[processor]), *options]  # fmt: skip
@@ -112,12 +102,12 @@ def object_name(file: CFile | PlainFile, processor: str, options: tuple[str, ...
 
 
 def compile_objects(
-    files: Mapping[str, CFile | PlainFile], processor: str, cache: Path, is_sanitized: bool = False
+    files: Mapping[str, CFile], processor: str, cache: Path, is_sanitized: bool = False
 ) -> tuple[list[Path], int]:
     """Objects of all files, several at a time; those that are there are not made again. And how many were made."""
     options = (*(option for option in OPTIONS if option != "-g0"), *SANITIZED) if is_sanitized else OPTIONS
-    paths_by_hand = (MEMORY_FILE, DLL_FILE) if "windows" in PROCESSORS[processor].triple else (MEMORY_FILE,)
-    files = {**files, **{path.stem: PlainFile(path.stem, path.read_text(encoding="utf-8")) for path in paths_by_hand}}
+    for path in (MEMORY_FILE, DLL_FILE) if "windows" in PROCESSORS[processor].triple else (MEMORY_FILE,):
+        files = {**files, path.stem: CFile(path.stem, path.read_text(encoding="utf-8"))}
     paths = {name: cache / object_name(file, processor, options) for name, file in files.items()}
     missing = [name for name, path in paths.items() if not path.exists()]
     for path in paths.values():

@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from types import FunctionType
@@ -222,9 +222,9 @@ def compiled_now(kernel: Exported) -> int:
         kernels |= {name: getattr(exact, name) for name in SOFT_KERNELS}
     files = c_files(kernels, program=program)
     called: set[str] = set()
-    for file in files.values():
+    for room, file in files.items():
         names = sorted(set(re.findall(r"\bpython_(\w+)\(", file.text)) & {*_MATH})
-        file.text = _declarations(names) + _LIST_IN_C * ("struct list" in file.text) + file.text
+        files[room] = replace(file, text=_declarations(names) + _LIST_IN_C * ("struct list" in file.text) + file.text)
         called |= {*names}
     functions = ctypes.CDLL(str(_library(name, files)))
     for name in called:

@@ -104,7 +104,6 @@ class Instance:
         self.needs: dict[Any, int] = {}
         self.kinds: dict[Any, None] = {}
         self.head, self.body = "", ""
-        self.program_checks = False
 
     @property
     def name(self) -> str:
@@ -1248,7 +1247,6 @@ class Program:
         key = ("exported", kernel.name)
         if key not in self.instances:
             instance = Instance(kernel.function, map(argument_type, kernel.signature.arguments), kernel)
-            instance.program_checks = self.checks_indices
             instance.returned = returned_type(kernel.signature)
             self.translate(instance)
             self.instances[key] = instance
