@@ -16,30 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from ..kernel import Exported
-from .c_types import (
-    BOOL,
-    NOTHING,
-    PREFIX,
-    ArrayOf,
-    TupleOf,
-    add_with_parts,
-    argument_type,
-    declare_c,
-    definition,
-    returned_type,
-)
+from .c_types import PREFIX, add_with_parts, argument_type, declare_c, definition, returned_type
 from .scopes import comment
-from .translate import (
-    Adapter,
-    Instance,
-    Program,
-    answer,
-    c_function,
-    c_parameter,
-    c_result,
-    parameter_names,
-    prototype,
-)
+from .translate import FunctionType, Instance, Program, c_parameter, c_result, prototype
 from .values import NamedNumber, NumberTable, literal
 
 HEAD_FILE = Path(__file__).with_name("head.h")
@@ -94,7 +73,7 @@ class _Writer:
         self._taken = set(self._names.values())
         self._declarations: dict[str, None] = {}
         self._numbers: list[str] = []
-        self._adapters: list[str] = []
+        self._types: list[str] = []
         self._functions: list[str] = []
         for instance in kernels:
             self._declare(instance.kernel)  # type: ignore[arg-type]
@@ -104,7 +83,7 @@ class _Writer:
     def file(self, name: str) -> CFile:
         """The file of this name."""
         parts = [f'#include "{HEAD_FILE.name}"', f'#include "{RECORDS_FILE}"', "", *self._declarations, ""]
-        parts += [*self._numbers, "", *self._adapters, *self._functions]
+        parts += [*self._numbers, "", *self._types, "", *self._functions]
         return CFile(name, "\n".join(parts).rstrip() + "\n", tuple(self.kinds))
 
     def _name(self, item: Any, name: str) -> str:
@@ -124,8 +103,11 @@ class _Writer:
                 continue
             if isinstance(item, Instance):
                 self._add(item)
-            elif isinstance(item, Adapter):
-                self._add_adapter(item)
+            elif isinstance(item, Exported):
+                self._names[item] = PREFIX + item.name
+                self._declare(item)
+            elif isinstance(item, FunctionType):
+                self._add_type(item)
             elif isinstance(item, NamedNumber):
                 name = self._name(item, item.name)
                 self._numbers.append(f"static const {declare_c(item.kind, name)} = {item.text};")
@@ -156,48 +138,15 @@ class _Writer:
         for kind in kernel.signature.types:
             add_with_parts(argument_type(kind), self.kinds)
 
-    def _add_adapter(self, adapter: Adapter) -> None:
-        """A function with arrays and several results as structs, around one with words; none where none is needed."""
-        returned = returned_type(adapter.signature)
-        kinds = [argument_type(kind) for kind in adapter.signature.types]
-        if adapter.kernel is not None:
-            self._declare(adapter.kernel)
-            function, names, parameters = PREFIX + adapter.name, parameter_names(adapter.kernel), []
-            if (
-                not isinstance(returned, TupleOf)
-                and returned != BOOL
-                and not any(isinstance(kind, ArrayOf) for kind in kinds)
-            ):
-                self._names[adapter] = function
-                return
-            name = self._name(adapter, f"call_{adapter.name}")
-        else:
-            words = [word for kind in kinds for word in c_parameter(kind, "")[0]]
-            types = ", ".join(re.sub(r"\w*$", "", word).strip() for word in words)
-            function = f"(({declare_c(c_result(returned), '(*)')}({types}))(intptr_t)function)"
-            names, parameters = [f"a{i}" for i in range(len(kinds))], ["int64_t function"]
-            name = self._name(adapter, adapter.name)
-        for kind in (returned, *kinds):
+    def _add_type(self, item: FunctionType) -> None:
+        """The type of functions that are called by their addresses."""
+        kinds = [argument_type(kind) for kind in item.signature.types]
+        for kind in kinds:
             add_with_parts(kind, self.kinds)
-        arguments = []
-        for kind, argument in zip(kinds, names, strict=True):
-            parameters.append(declare_c(kind, argument))
-            if isinstance(kind, ArrayOf):
-                arguments += [f"{argument}.data", *(f"{argument}.size[{i}]" for i in range(kind.ndim))]
-            else:
-                arguments.append(argument)
-        if isinstance(returned, TupleOf):
-            numbers = ", ".join(answer(i, kind) for i, kind in enumerate(returned.of))
-            lines = [
-                f"    adaptrack_word answers[{len(returned.of)}];",
-                f"    {function}({', '.join([*arguments, 'answers'])});",
-                f"    return ({returned.c}){{{numbers}}};",
-            ]
-        else:
-            call = f"{function}({', '.join(arguments)}){' != 0' if returned == BOOL else ''}"
-            lines = [f"    {'' if returned == NOTHING else 'return '}{call};"]
-        head = f"INLINED {c_function(returned, name, parameters)}"
-        self._adapters.append("\n".join([f"{_wrapped(head)} {{", *map(_wrapped, lines), "}\n"]))
+        words = [word for kind in kinds for word in c_parameter(kind, "")[0]]
+        parameters = [re.sub(r"\w*$", "", word).strip() for word in words]
+        pointer = declare_c(c_result(returned_type(item.signature)), f"(*{self._name(item, item.name)})")
+        self._types.append(_wrapped(f"typedef {pointer}({', '.join(parameters)});"))
 
 
 def records(files: Iterable[CFile]) -> str:

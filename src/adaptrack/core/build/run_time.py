@@ -35,7 +35,7 @@ from .c_types import DOUBLE, INT64, NOTHING, PREFIX, ArrayOf, argument_type
 from .compile import LACKING, OPTIONS, SOFT_KERNELS, compile_objects, link, object_name
 from .scopes import source_of
 from .translate import FUNCTIONS, KernelError, Program, Translation, call_real
-from .values import Operand, StaticValue, Value, data_text
+from .values import Operand, StaticValue, Value
 
 UNUSED_DAYS = 30
 """days after which a library is deleted that no process has loaded"""
@@ -172,7 +172,7 @@ class UserTranslation(Translation):
         if not (isinstance(layout, np.dtype) and layout.names):
             return super()._array_view(array, node)
         row = argument_type(Row(_record_of(layout, "Parameters"))).record
-        return self.make_array(ArrayOf(row, 1), f"({row.c} *){data_text(self.hold(array))}", [1])
+        return self.make_array(ArrayOf(row, 1), f"({row.c} *){self.hold(array).data}", [1])
 
 
 class UserProgram(Program):

@@ -54,8 +54,8 @@ from .values import (
     StaticValue,
     Value,
     cast_to,
-    data_text,
     describe,
+    formula,
     is_fixed,
     is_number,
     is_row_of_numbers,
@@ -63,7 +63,6 @@ from .values import (
     literal,
     loaded,
     place_of,
-    size_text,
 )
 
 
@@ -73,12 +72,11 @@ class KernelError(RuntimeError):
 
 # -- functions --------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Adapter:
-    """A function of a file that calls a C function: an exported kernel, or an address (then `signature` alone)."""
+class FunctionType:
+    """The type of the functions that a `Caller` calls by their addresses."""
 
     name: str
     signature: Signature
-    kernel: Any = None
 
 
 @dataclass
@@ -93,7 +91,7 @@ class CVariable:
 class Instance:
     """A function for certain types of its arguments, as text of C.
 
-    In the text stand `@N@` for the names of `needs`: functions, adapters and constants. A file gives these names.
+    In the text stand `@N@` for the names of `needs` (functions, their types, constants), which a file gives.
     """
 
     def __init__(self, function: Any, arguments: Iterable[Any], kernel: Exported | None = None) -> None:
@@ -233,13 +231,17 @@ class Translation:
 
     def temporary(self, value: Value) -> Value:
         """A value that is computed now."""
+        name = self._fresh("t")
+        self.compute(value, f"{self.declare(value.kind, name, is_constant=True)} = ")
+        return Value(name, value.kind)
+
+    def compute(self, value: Value, before: str = "") -> None:
+        """Compute a part of the present statement before it."""
         if self.is_conditional:
             raise self.error(
                 "an operand that may not be evaluated has to be computed beforehand: assign it to a variable first."
             )
-        name = self._fresh("t")
-        self.emit(f"{self.declare(value.kind, name, is_constant=True)} = {value.text};")
-        return Value(name, value.kind)
+        self.emit(f"{before}{value.text};")
 
     def declare(self, kind: Any, name: str, is_constant: bool = False) -> str:
         """A declaration; its struct is needed."""
@@ -304,8 +306,7 @@ class Translation:
         values = self.values(parts)
         kind = TupleOf(tuple(value.kind for value in values))
         self.instance.kinds[kind] = None
-        return Value(f"({kind.c}){{{', '.join(value.text for value in values)}}}", kind,
-                     writes=any(value.writes for value in values))  # fmt: skip
+        return formula(f"({kind.c}){{{', '.join(value.text for value in values)}}}", kind, Level.ATOM, *values)
 
     def make_record(self, kind: Any, fields: Iterable[Operand]) -> Value:
         """A record; its fields have the types that it states."""
@@ -319,7 +320,7 @@ class Translation:
                 types = f"{describe(stated)}, not {describe(value.kind)}"
                 raise self.error(f"{kind.__name__}.{name} is {types}: state its type in the record.")
             texts.append(f".{c_identifier(name)} = {self.convert(value, stated).text}")
-        return Value(f"({record.c}){{{', '.join(texts)}}}", record, writes=any(value.writes for value in values))
+        return formula(f"({record.c}){{{', '.join(texts)}}}", record, Level.ATOM, *values)
 
     def convert(self, value: Value, kind: Any) -> Value:
         """A value as one of a type."""
@@ -327,7 +328,7 @@ class Translation:
             return value
         if value.kind in NUMBER_KINDS and kind in NUMBER_KINDS:
             if kind == BOOL:
-                return Value(f"{value.at(Level.ORDER)} != 0", BOOL, Level.EQUAL, writes=value.writes)
+                return formula(f"{value.at(Level.ORDER)} != 0", BOOL, Level.EQUAL, value)
             if re.fullmatch(r"-?\d+", value.text) and kind == DOUBLE:
                 return replace(value, text=f"{value.text}.0", kind=DOUBLE)
             if value.kind == BOOL and kind == INT64:
@@ -338,7 +339,7 @@ class Translation:
         if isinstance(kind, PlaceOf) and value.kind == kind.record:
             if not (value.text.startswith("(struct") or re.fullmatch(r"\w+", value.text)):
                 value = self.temporary(value)
-            return replace(place_of(value.text, kind.record), writes=value.writes)
+            return formula(f"&{value.text}", kind, Level.UNARY, value)
         if isinstance(value.kind, TupleOf) and isinstance(kind, TupleOf):
             value = self.hold(value)
             parts = [self.convert(Value(f"{value.text}.v{i}", part), target)
@@ -401,7 +402,7 @@ class Translation:
         if len(values) != len(kinds):
             raise self.error(f"returns {len(values)} numbers: the signature states {len(kinds)}.")
         for i, (value, kind) in enumerate(zip(values, kinds, strict=True)):
-            self.emit(f"{answer(i, kind)} = {self.convert(value, kind).text};")
+            self.emit(f"{word_text('answers', i, kind)} = {self.convert(value, kind).text};")
         self.emit("return;")
 
     def write_If(self, node: ast.If) -> None:
@@ -462,7 +463,7 @@ class Translation:
         if isinstance(elements, Value) and isinstance(elements.kind, ArrayOf) and elements.kind.ndim == 1:
             elements = self.hold(elements)
             counter = self._fresh("k")
-            self.emit(f"for (int64_t {counter} = 0; {counter} < {size_text(elements, 0)}; {counter}++) {{")
+            self.emit(f"for (int64_t {counter} = 0; {counter} < {elements.size(0)}; {counter}++) {{")
             with self.nested(node.body):
                 element = self.element(elements, [Value(counter, INT64)])
                 self.assign(node.target, element)
@@ -579,7 +580,7 @@ class Translation:
             raise self.error(f"{describe(vector.kind)} has no parts: take its elements by their places.")
         vector = self.hold(vector)
         return [
-            Value(f"{size_text(vector, 0)} == {count} ? {data_text(vector)}[{i}] : NOT_A_NUMBER", DOUBLE, Level.CHOICE)
+            Value(f"{vector.size(0)} == {count} ? {vector.data}[{i}] : NOT_A_NUMBER", DOUBLE, Level.CHOICE)
             for i in range(count)
         ]
 
@@ -592,12 +593,12 @@ class Translation:
         """Write a number, or the elements of an array, to a whole array."""
         array, value = self.hold(array), self.hold(value)
         counter, kind = self._fresh("k"), array.kind
-        count = " * ".join(size_text(array, i) for i in range(kind.ndim))
+        count = " * ".join(array.size(i) for i in range(kind.ndim))
         stride = f" * {array.text}.stride" if kind.is_strided else ""
-        source = self.convert(value, kind.of).text if value.kind in NUMBER_KINDS else f"{data_text(value)}[{counter}]"
+        source = self.convert(value, kind.of).text if value.kind in NUMBER_KINDS else f"{value.data}[{counter}]"
         self.instance.writes = True
         self.emit(f"for (int64_t {counter} = 0; {counter} < {count}; {counter}++) {{")
-        self.emit(f"    {data_text(array)}[{counter}{stride}] = {source};")
+        self.emit(f"    {array.data}[{counter}{stride}] = {source};")
         self.emit("}")
 
     def _assign_to_name(self, name: str, result: Operand) -> None:
@@ -693,14 +694,14 @@ class Translation:
         """A sign or a negation."""
         if isinstance(node.op, ast.Not):
             test = self.condition(node.operand)
-            return Value(f"!{test.at(Level.UNARY)}", BOOL, Level.UNARY, writes=test.writes)
+            return formula(f"!{test.at(Level.UNARY)}", BOOL, Level.UNARY, test)
         result = self.expression(node.operand)
         if isinstance(result, StaticValue):
             return StaticValue(_OPERATORS[type(node.op)](result.value))
         if not isinstance(node.op, ast.USub) or result.kind not in (INT64, DOUBLE):
             raise self.error(f"no such sign of {describe(result.kind)}.", node)
         text = f"({result.text})" if result.text.startswith("-") else result.at(Level.UNARY)
-        return Value(f"-{text}", result.kind, Level.UNARY, writes=result.writes)
+        return formula(f"-{text}", result.kind, Level.UNARY, result)
 
     def evaluate_BinOp(self, node: ast.BinOp) -> Operand:
         """The result of an operator of arithmetic."""
@@ -711,7 +712,6 @@ class Translation:
         if isinstance(left, StaticValue) and isinstance(right, StaticValue):
             return StaticValue(_OPERATORS[operation](left.value, right.value))
         a, b = self.values([left, right])
-        writes = a.writes or b.writes
         if isinstance(a.kind, TupleOf) and isinstance(b.kind, TupleOf) and operation is ast.Add:
             return self.make_tuple([*self.parts(a), *self.parts(b)])
         if EIGHT in (a.kind, b.kind):
@@ -728,7 +728,7 @@ class Translation:
             raise self.error("a shift by more than 63 bits is not defined: use `maths.bits.left` or `right`.")
         if BITS in (a.kind, b.kind):
             a, b = (value if value.kind == BITS else cast_to(BITS, value) for value in (a, b))
-            return self._binary_of(operation, a, b, BITS, writes)
+            return self._binary_of(operation, a, b, BITS)
         kind = join_kinds(a.kind, b.kind)
         if kind not in NUMBER_KINDS:
             raise self.error(f"no arithmetic of {describe(a.kind)} and {describe(b.kind)}: they are no numbers.")
@@ -746,16 +746,16 @@ class Translation:
                 raise self.error("bits are those of whole numbers: use `bits_of`.")
             if operation is ast.LShift:
                 return self.apply("shifted_left", (a, b), INT64)
-            return self._binary_of(operation, a, b, kind if operation is not ast.RShift else INT64, writes)
+            return self._binary_of(operation, a, b, kind if operation is not ast.RShift else INT64)
         kind = INT64 if kind == BOOL else kind
-        return self._binary_of(operation, self.convert(a, kind), self.convert(b, kind), kind, writes)
+        return self._binary_of(operation, self.convert(a, kind), self.convert(b, kind), kind)
 
     @staticmethod
-    def _binary_of(operation: type[ast.operator], a: Value, b: Value, kind: Any, writes: bool) -> Value:
+    def _binary_of(operation: type[ast.operator], a: Value, b: Value, kind: Any) -> Value:
         sign, level = _SIGNS[operation]
         if level in (Level.BIT, Level.SHIFTED):  # compilers ask for parentheses
-            return Value(f"{a.at(Level.UNARY)} {sign} {b.at(Level.UNARY)}", kind, level, writes=writes)
-        return Value(f"{a.at(level)} {sign} {b.at(level - 1)}", kind, level, writes=writes)
+            return formula(f"{a.at(Level.UNARY)} {sign} {b.at(Level.UNARY)}", kind, level, a, b)
+        return formula(f"{a.at(level)} {sign} {b.at(level - 1)}", kind, level, a, b)
 
     def _power(self, base: Value, exponent: Operand) -> Value:
         if not (isinstance(exponent, StaticValue) and exponent.value == 2):
@@ -780,10 +780,10 @@ class Translation:
             if DOUBLE in (a.kind, b.kind):
                 a, b = self.convert(a, DOUBLE), self.convert(b, DOUBLE)
             text = f"{a.at(Level.SUM)} {_SYMBOLS[type(op)]} {b.at(Level.SUM)}"
-            tests.append(Value(text, BOOL, level, writes=a.writes or b.writes))
+            tests.append(formula(text, BOOL, level, a, b))
         if len(tests) == 1:
             return tests[0]
-        return Value(" && ".join(test.text for test in tests), BOOL, Level.AND, writes=any(t.writes for t in tests))
+        return formula(" && ".join(test.text for test in tests), BOOL, Level.AND, *tests)
 
     def _is_in(self, item: Operand, among: Operand, is_negated: bool) -> Value:
         if not isinstance(among, StaticValue):
@@ -800,7 +800,7 @@ class Translation:
             tests += [self.condition(operand) for operand in node.values[1:]]
         level, joint = (Level.AND, " && ") if isinstance(node.op, ast.And) else (Level.OR, " || ")
         text = joint.join(test.at(Level.EQUAL) for test in tests)
-        return Value(text, BOOL, level, writes=any(test.writes for test in tests))
+        return formula(text, BOOL, level, *tests)
 
     def condition(self, node: ast.expr) -> Value:
         """An expression as a condition."""
@@ -819,7 +819,7 @@ class Translation:
                 raise self.error(f"{describe(a.kind)} or {describe(b.kind)}: both must have one type.", node)
             a, b = self.convert(a, kind), self.convert(b, kind)
         text = " : ".join(value.at(Level.OR) for value in (a, b))
-        return Value(f"{test.at(Level.OR)} ? {text}", kind, Level.CHOICE, writes=test.writes or a.writes or b.writes)
+        return formula(f"{test.at(Level.OR)} ? {text}", kind, Level.CHOICE, test, a, b)
 
     def evaluate_Attribute(self, node: ast.Attribute) -> Operand:
         """A field of a record, a size of an array, a name of a module."""
@@ -831,7 +831,7 @@ class Translation:
         if isinstance(kind, ArrayOf):
             owner = self.hold(owner)
             if node.attr == "size":
-                sizes = [size_text(owner, i) for i in range(kind.ndim)]
+                sizes = [owner.size(i) for i in range(kind.ndim)]
                 return Value(" * ".join(sizes), INT64, Level.PRODUCT if len(sizes) > 1 else Level.ATOM)
             if node.attr == "shape" and not owner.embedded[0]:
                 return Value(f"{owner.text}.size", ShapeOf(kind.ndim))
@@ -927,7 +927,7 @@ class Translation:
         """An index; a negative number that is written out counts from the end."""
         if index.kind not in (INT64, BOOL):
             raise self.error(f"an index is a whole number, not {describe(index.kind)}: use `maths.bits.whole`.")
-        size = size_text(array, dimension)
+        size = array.size(dimension)
         if re.fullmatch(r"-\d+", index.text):
             index = Value(f"{size} - {index.text[1:]}", INT64, Level.SUM)
         if self.program.checks_indices:
@@ -939,7 +939,7 @@ class Translation:
         array = self.hold(array)
         kind, place = array.kind, self._at(indices[0], array, 0)
         for dimension, index in enumerate(indices[1:], 1):
-            index, size = self._at(index, array, dimension), size_text(array, dimension)
+            index, size = self._at(index, array, dimension), array.size(dimension)
             before = Value(f"{place.at(Level.PRODUCT)} * {size}", INT64, Level.PRODUCT)
             if place.text == "0":
                 place = index
@@ -948,7 +948,7 @@ class Translation:
             else:
                 place = Value(f"{before.text} + {index.at(Level.SUM)}", INT64, Level.SUM)
         text = f"{place.at(Level.PRODUCT)} * {array.text}.stride" if kind.is_strided else place.text
-        text = f"{data_text(array)}[{text}]"
+        text = f"{array.data}[{text}]"
         if isinstance(kind.of, RecordOf):
             return place_of(text, kind.of)
         return Value(text, kind.of)
@@ -989,7 +989,7 @@ class Translation:
         (argument,) = self.arguments(node.args)
         if not (isinstance(argument, StaticValue) and argument.value is np.int64 and array.kind == ArrayOf(DOUBLE, 1)):
             raise self.error("only a vector is viewed, as np.int64.", node)
-        return self.make_array(ArrayOf(INT64, 1), f"(int64_t *){data_text(array)}", [size_text(array, 0)])
+        return self.make_array(ArrayOf(INT64, 1), f"(int64_t *){array.data}", [array.size(0)])
 
     def call_inlined(self, function: Known, results: list[Operand], node: ast.Call) -> Operand:
         """A function that is a part of this one; numbers are passed, all else that is known is built in."""
@@ -1009,23 +1009,39 @@ class Translation:
         return self.apply(self.instance.need(called), values, called.returned, called.writes)
 
     def call_exported(self, function: Exported, results: list[Operand], node: ast.Call) -> Operand:
-        """A kernel of the library: its C function, or an adapter with arrays and several results as ours."""
+        """A kernel of the library: its C function."""
         self.program.kernels.setdefault(function.name, function)
-        adapter = Adapter(function.name, function.signature, function)
-        return self._call_adapter(adapter, [], results, self.program.kernel(function).writes)
+        writes = self.program.kernel(function).writes
+        return self._call_function(self.instance.need(function), function.signature, self.values(results), writes)
 
     def call_caller(self, function: Known, results: list[Operand], node: ast.Call) -> Operand:
         """A call of an address."""
-        adapter = Adapter(ast.unparse(node.func).rsplit(".", 1)[-1].strip("_"), function.of)
-        return self._call_adapter(adapter, [INT64], results, True)
+        address, *values = self.values(results)
+        name = ast.unparse(node.func).rsplit(".", 1)[-1].strip("_").removeprefix("call_")
+        kind = self.instance.need(FunctionType(f"{name}_function", function.of))
+        return self._call_function(f"(({kind})(intptr_t){address.at(Level.UNARY)})", function.of, values, True)
 
-    def _call_adapter(self, adapter: Adapter, first: list[Any], results: list[Operand], writes: bool) -> Value:
-        kinds = [*first, *(argument_type(kind) for kind in adapter.signature.types)]
-        values = self.values(results)
-        values = [self.convert(value, kind) for value, kind in zip(values, kinds, strict=True)]
+    def _call_function(self, name: str, signature: Signature, values: list[Value], writes: bool) -> Value:
+        """A call of a C function: an array is its place and its sizes, several results are written to words."""
+        arguments: list[Value] = []
+        for value, kind in zip(values, map(argument_type, signature.types), strict=True):
+            value = self.convert(value, kind)
+            if isinstance(kind, ArrayOf):
+                value = self.hold(value)
+                arguments += [Value(value.data, kind)]
+                arguments += [Value(value.size(i), INT64) for i in range(kind.ndim)]
+            else:
+                arguments.append(value)
         self.instance.writes |= writes
-        self.instance.kinds.update(dict.fromkeys(kinds))
-        return self.apply(self.instance.need(adapter), values, returned_type(adapter.signature), writes)
+        returned = returned_type(signature)
+        if not isinstance(returned, TupleOf):
+            call = self.apply(name, arguments, c_result(returned), writes)
+            return self.convert(call, returned)
+        words = self._fresh("words")
+        self.storage.append(f"adaptrack_word {words}[{len(returned.of)}];")
+        call = self.apply(name, [*arguments, Value(words, NOTHING)], NOTHING, writes)
+        self.compute(call)
+        return self.make_tuple(Value(word_text(words, i, kind), kind) for i, kind in enumerate(returned.of))
 
     def call_view(self, function: Known, results: list[Operand], node: ast.Call) -> Operand:
         """The record that lies in a vector from a place on."""
@@ -1035,8 +1051,8 @@ class Translation:
         self.instance.kinds[record] = None
         at = place.at(Level.SUM)
         if self.program.checks_indices:
-            at = f"checked_span({place.text}, {size_of(function.of)}, {size_text(vector, 0)})"
-        text = data_text(vector) + ("" if at == "0" else f" + {at}")
+            at = f"checked_span({place.text}, {size_of(function.of)}, {vector.size(0)})"
+        text = vector.data + ("" if at == "0" else f" + {at}")
         text = f"({text})" if " " in text else text
         return Value(f"({record.c} *){text}", PlaceOf(record), Level.UNARY)
 
@@ -1048,52 +1064,59 @@ class Translation:
         return self.make_array(kind, f"filled_with_zeros({name}, {count})", function.of)
 
     def call_primitive(self, function: Known, results: list[Operand], node: ast.Call) -> Operand:
-        """An operation of the head."""
-        name = function.function.__name__
-        values = self.values(results)
-        if name == "shaped":
-            kind = ArrayOf(values[0].kind.of, len(values) - 1)
-            array = self.hold(values[0])
-            return self.make_array(kind, data_text(array), [size.text for size in values[1:]])
-        if name in ("load", "store", "spread"):
-            return self._vector_at(name, values, node)
-        if name == "column":
-            array = self.hold(values[0])
-            indices = ", ".join(value.text for value in values[1:])
-            return self.call_c("column8", f"{data_text(array)}, {size_text(array, 1)}, {indices}", EIGHT)
-        if name == "totals":
-            (rows,) = values
-            rows = self.hold(rows)
-            return self.call_c("totals8", ", ".join(f"{rows.text}.v{i}" for i in range(VECTOR_WIDTH)), EIGHT)
+        """An operation of the head: on one number, or on eight."""
+        name, values = function.function.__name__, self.values(results)
+        rule = getattr(self, f"compute_{name}", None)
+        if rule is not None:
+            result: Operand = rule(values)
+            return result
         if name not in PRIMITIVES:
             raise self.error(f"the compiler does not know the primitive {name}.", node)
         is_of_eight = any(value.kind == EIGHT for value in values)
-        c_name, returned = PRIMITIVES[name]
-        if returned is None:
-            c_name, returned = (f"{c_name}8", EIGHT) if is_of_eight else (f"{c_name}1", DOUBLE)
-        elif name == "usual_sum":
-            c_name = f"{c_name}{8 if is_of_eight else 1}"
+        returned = PRIMITIVES[name] or (EIGHT if is_of_eight else DOUBLE)
         if returned == DOUBLE and not is_of_eight and name != "float_of":
             values = [self.convert(value, DOUBLE) for value in values]
-        return self.apply(c_name, values, returned)
+        width = 8 if is_of_eight or returned == EIGHT else 1
+        return self.apply(f"{name.removesuffix('8')}{width}", values, returned)
 
-    def _vector_at(self, name: str, values: list[Value], node: ast.Call) -> Value:
-        """Eight numbers of an array from a place on, or one number in all eight entries."""
-        array = self.hold(values[0])
-        indices = values[1:] if name != "store" else values[1:-1]
-        if not isinstance(array.kind, ArrayOf) or array.kind.ndim != len(indices):
-            raise self.error(f"{name} takes an index for each dimension of an array.", node)
-        if self.program.checks_indices and name != "spread":
-            size = size_text(array, len(indices) - 1)
-            indices[-1] = Value(f"checked_span({indices[-1].text}, {VECTOR_WIDTH}, {size})", INT64)
-        element = self.element(array, indices).text
-        if name == "spread":
-            return self.call_c("splat8", element, EIGHT)
-        place = f"&{element}"
-        if name == "load":
-            return self.call_c("load8", place, EIGHT)
+    def compute_shaped(self, values: list[Value]) -> Value:
+        """The numbers of a vector as an array of more dimensions."""
+        vector = self.hold(values[0])
+        return self.make_array(ArrayOf(vector.kind.of, len(values) - 1), vector.data, [v.text for v in values[1:]])
+
+    def compute_load(self, values: list[Value]) -> Value:
+        """Eight numbers of an array from a place on."""
+        return self.call_c("load8", f"&{self._span(values, VECTOR_WIDTH)}", EIGHT)
+
+    def compute_store(self, values: list[Value]) -> Value:
+        """Eight numbers to an array from a place on."""
         self.instance.writes = True
-        return self.call_c("store8", f"{place}, {values[-1].text}", NOTHING, True)
+        return self.call_c("store8", f"&{self._span(values[:-1], VECTOR_WIDTH)}, {values[-1].text}", NOTHING, True)
+
+    def compute_spread(self, values: list[Value]) -> Value:
+        """One number of an array in all eight entries."""
+        return self.call_c("splat8", self._span(values, 1), EIGHT)
+
+    def _span(self, values: list[Value], count: int) -> str:
+        """The first of so many numbers of an array, behind which the values are its indices."""
+        array, indices = self.hold(values[0]), values[1:]
+        if not isinstance(array.kind, ArrayOf) or array.kind.ndim != len(indices):
+            raise self.error("load, store and spread take an index for each dimension of an array.")
+        if self.program.checks_indices and count > 1:
+            checked = f"checked_span({indices[-1].text}, {count}, {array.size(len(indices) - 1)})"
+            indices[-1] = Value(checked, INT64)
+        return self.element(array, indices).text
+
+    def compute_column(self, values: list[Value]) -> Value:
+        """Eight numbers of a column of a matrix."""
+        matrix = self.hold(values[0])
+        indices = ", ".join(value.text for value in values[1:])
+        return self.call_c("column8", f"{matrix.data}, {matrix.size(1)}, {indices}", EIGHT)
+
+    def compute_totals(self, values: list[Value]) -> Value:
+        """Eight sums of eight numbers."""
+        rows = self.hold(values[0])
+        return self.call_c("totals8", ", ".join(f"{rows.text}.v{i}" for i in range(VECTOR_WIDTH)), EIGHT)
 
 
 # -- functions of Python's --------------------------------------------------------------------------------------------
@@ -1143,7 +1166,7 @@ def _length(translation: Translation, results: list[Operand]) -> Operand:
     assert isinstance(result, Value)
     kind = result.kind
     if isinstance(kind, ArrayOf):
-        return Value(size_text(translation.hold(result), 0), INT64)
+        return Value(translation.hold(result).size(0), INT64)
     if isinstance(kind, TupleOf):
         return StaticValue(len(kind.of))
     record = kind.record if isinstance(kind, PlaceOf) else kind
@@ -1165,18 +1188,15 @@ FUNCTIONS: dict[Any, Any] = {
 }
 """What kernels may call of Python's functions."""
 
-PRIMITIVES: dict[str, tuple[str, Any]] = {
-    "fma": ("fma1", DOUBLE), "sqrt": ("sqrt1", DOUBLE), "floor": ("floor1", DOUBLE), "ceil": ("ceil1", DOUBLE),
-    "bits_of": ("bits_of", INT64), "float_of": ("float_of", DOUBLE),
-    "upper_half": ("upper_half", None), "to_odd": ("to_odd", None), "usual_sum": ("usual_sum", BOOL),
-    "zeros": ("zeros8", EIGHT), "splat": ("splat8", EIGHT), "add": ("add8", EIGHT), "sub": ("sub8", EIGHT),
-    "mul": ("mul8", EIGHT), "div": ("div8", EIGHT), "fma8": ("fma8", EIGHT), "lesser": ("lesser8", EIGHT),
-    "larger": ("larger8", EIGHT), "where_positive": ("where_positive8", EIGHT), "with_entry": ("with_entry8", EIGHT),
-    "keep_first": ("keep_first8", EIGHT), "keep_last": ("keep_last8", EIGHT), "total": ("total8", DOUBLE),
-    "largest": ("largest8", DOUBLE), "smallest": ("smallest8", DOUBLE), "first_equal": ("first_equal8", INT64),
-    "all_below_infinity": ("all_below_infinity8", BOOL),
+PRIMITIVES: dict[str, Any] = {
+    **dict.fromkeys(("fma", "sqrt", "floor", "ceil", "float_of", "total", "largest", "smallest"), DOUBLE),
+    **dict.fromkeys(("zeros", "splat", "add", "sub", "mul", "div", "fma8", "lesser", "larger", "where_positive",
+                     "with_entry", "keep_first", "keep_last"), EIGHT),
+    **dict.fromkeys(("bits_of", "first_equal"), INT64),
+    **dict.fromkeys(("usual_sum", "all_below_infinity"), BOOL),
+    **dict.fromkeys(("upper_half", "to_odd")),
 }  # fmt: skip
-"""Functions of the head by the names of the primitives, and what they return; None: one number, or eight."""
+"""What the functions of the head return that have the name of a primitive, and 1 or 8; None: what they are given."""
 
 _OPERATORS: dict[Any, Any] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
@@ -1332,9 +1352,9 @@ def c_result(kind: Any) -> Any:
     return NOTHING if isinstance(kind, TupleOf) else INT64 if kind == BOOL else kind
 
 
-def answer(i: int, kind: Any) -> str:
+def word_text(words: str, i: int, kind: Any) -> str:
     """One of several numbers that a kernel returns."""
-    return f"answers[{i}].{'number' if kind == DOUBLE else 'whole'}"
+    return f"{words}[{i}].{'number' if kind == DOUBLE else 'whole'}"
 
 
 def parameter_names(kernel: Exported) -> list[str]:
