@@ -38,7 +38,6 @@ from .c_types import (
     CNumber,
     PlaceOf,
     RecordOf,
-    ShapeOf,
     TupleOf,
     argument_type,
     c_identifier,
@@ -60,6 +59,7 @@ from .values import (
     is_number,
     is_row_of_numbers,
     join_kinds,
+    known,
     literal,
     loaded,
     place_of,
@@ -145,11 +145,7 @@ class Translation:
         self.c_names: dict[Any, str] = {}
         self.is_conditional = False
         self.temporaries = 0
-        self.comments = sorted(line for line in self.source.comments if self._is_within(line))
-
-    def _is_within(self, line: int) -> bool:
-        node = self.source.node
-        return node.body[0].lineno <= line <= (node.end_lineno or 0)
+        self.comments = sorted(self.source.comments)
 
     # -- errors and text ----------------------------------------------------------------------------------------------
     def error(self, text: str, node: ast.AST | None = None) -> KernelError:
@@ -162,21 +158,31 @@ class Translation:
         self.lines.append("    " * self.depth + text)
 
     @contextmanager
-    def nested(self, block: Any) -> Iterator[None]:
-        """Statements of an inner block."""
-        outer, self.block = self.block, block
+    def nested(self, block: Any) -> Iterator[list[str]]:
+        """Collect the lines of an inner block."""
+        outer = self.block, self.lines
+        self.block, self.lines = block, []
         self.depth += 1
-        yield
+        yield self.lines
         self.depth -= 1
-        self.block = outer
+        self.block, self.lines = outer
 
     def inner_lines(self, block: list[ast.stmt]) -> list[str]:
         """The lines of an inner block."""
-        outer, self.lines = self.lines, []
-        with self.nested(block):
+        with self.nested(block) as lines:
             self.statements(block)
-        inner, self.lines = self.lines, outer
-        return inner
+        return lines
+
+    def write_round(self, head: str, node: ast.For, element: Operand | None) -> None:
+        """The body of a loop behind its head; an element is assigned to the target first."""
+        self.emit(f"{head}{{")
+        with self.nested(node.body) as lines:
+            self.statement = node
+            if element is not None:
+                self.assign(node.target, element)
+            self.statements(node.body)
+        self.lines += lines
+        self.emit("}")
 
     @contextmanager
     def conditional(self) -> Iterator[None]:
@@ -286,20 +292,16 @@ class Translation:
         return [self.temporary(value) if i <= last and not is_fixed(value) else value
                 for i, value in enumerate(values)]  # fmt: skip
 
-    def call_c(self, name: str, arguments: str, kind: Any, writes: bool = False) -> Value:
+    def apply(self, name: str, operands: Iterable[Value | str], kind: Any, writes: bool = False) -> Value:
         """A call of a function in C."""
         self.instance.kinds[kind] = None
-        return Value(f"{name}({arguments})", kind, writes=writes)
-
-    def apply(self, name: str, values: Sequence[Value], kind: Any, writes: bool = False) -> Value:
-        """A call of a function in C with values."""
-        return self.call_c(
-            name, ", ".join(value.text for value in values), kind, writes or any(v.writes for v in values)
-        )
+        values = [Value(operand, kind) if isinstance(operand, str) else operand for operand in operands]
+        text = f"{name}({', '.join(value.text for value in values)})"
+        return Value(text, kind, writes=writes or any(value.writes for value in values))
 
     def make_array(self, kind: ArrayOf, data: str, sizes: Iterable[Any]) -> Value:
         """An array of numbers that lie somewhere."""
-        return self.call_c(f"{kind.name}_of", ", ".join([data, *map(str, sizes)]), kind)
+        return self.apply(f"{kind.name}_of", [data, *map(str, sizes)], kind)
 
     def make_tuple(self, parts: Iterable[Operand]) -> Value:
         """Several values as one."""
@@ -363,8 +365,7 @@ class Translation:
 
     def _comments_before(self, line: int) -> None:
         while self.comments and self.comments[0] <= line:
-            text = self.source.comments[self.comments.pop(0)]
-            self.emit(f"/* {text.replace('*/', '* /').replace('/*', '/ *')} */")
+            self.emit(self.source.comments[self.comments.pop(0)])
 
     def write_Pass(self, node: ast.Pass) -> None:
         """Write nothing."""
@@ -425,17 +426,12 @@ class Translation:
         """A loop; the condition is computed in it where it takes statements."""
         if node.orelse:
             raise self.error("a kernel has no else of a loop: use a variable.", node)
-        outer, self.lines = self.lines, []
-        self.depth += 1
-        test = self.condition(node.test)
-        self.depth -= 1
-        inner, self.lines = self.lines, outer
-        if inner:
-            self.emit("for (;;) {")
-            self.lines += inner
+        with self.nested(node.body) as computed:
+            test = self.condition(node.test)
+        self.emit("for (;;) {" if computed else f"while ({test.text}) {{")
+        self.lines += computed
+        if computed:
             self.emit(f"    if (!{test.at(Level.UNARY)}) break;")
-        else:
-            self.emit(f"while ({test.text}) {{")
         self.lines += self.inner_lines(node.body)
         self.emit("}")
 
@@ -463,23 +459,15 @@ class Translation:
         if isinstance(elements, Value) and isinstance(elements.kind, ArrayOf) and elements.kind.ndim == 1:
             elements = self.hold(elements)
             counter = self._fresh("k")
-            self.emit(f"for (int64_t {counter} = 0; {counter} < {elements.size(0)}; {counter}++) {{")
-            with self.nested(node.body):
-                element = self.element(elements, [Value(counter, INT64)])
-                self.assign(node.target, element)
-                self.statements(node.body)
-            self.emit("}")
+            head = f"for (int64_t {counter} = 0; {counter} < {elements.size(0)}; {counter}++) "
+            self.write_round(head, node, self.element(elements, [Value(counter, INT64)]))
             return
         if any(leaves_loop(statement) for statement in node.body):
             raise self.error("a loop over a tuple has no break or continue: it is written out.", node)
+        comments = self.comments
         for part in self.parts(elements):
-            remaining, self.statement = list(self.comments), node
-            self.emit("{")
-            with self.nested(node.body):
-                self.assign(node.target, part)
-                self.statements(node.body)
-            self.emit("}")
-            self.comments = remaining
+            self.comments = list(comments)
+            self.write_round("", node, part)
 
     def _fresh(self, name: str) -> str:
         """A name that the function does not have."""
@@ -506,12 +494,8 @@ class Translation:
             counter = self.new_variable(name, INT64, (id(node), name), node.body).c
         else:
             counter = self._fresh("k")
-        self.emit(f"for (int64_t {counter} = {first.text}; {counter} {sign} {end.at(Level.SUM)}; {counter}{change}) {{")
-        with self.nested(node.body):
-            if not is_counter:
-                self.assign_name(name, Value(counter, INT64), declares=(id(node), name) in self.source.declares)
-            self.statements(node.body)
-        self.emit("}")
+        head = f"for (int64_t {counter} = {first.text}; {counter} {sign} {end.at(Level.SUM)}; {counter}{change}) "
+        self.write_round(head, node, None if is_counter else Value(counter, INT64))
 
     def write_Assign(self, node: ast.Assign) -> None:
         """Assignments; the right side is computed first."""
@@ -677,10 +661,8 @@ class Translation:
     def parts(self, result: Operand) -> list[Operand]:
         """The elements of a tuple, the fields of a record, the sizes of an array."""
         if isinstance(result, StaticValue):
-            return [StaticValue(part) for part in result.value]
+            return [known(part) for part in result.value]
         kind = result.kind
-        if isinstance(kind, ShapeOf):
-            return [Value(f"{result.text}[{i}]", INT64) for i in range(kind.ndim)]
         if isinstance(kind, TupleOf):
             result = self.hold(result)
             return [Value(f"{result.text}.v{i}", part) for i, part in enumerate(kind.of)]
@@ -833,8 +815,8 @@ class Translation:
             if node.attr == "size":
                 sizes = [owner.size(i) for i in range(kind.ndim)]
                 return Value(" * ".join(sizes), INT64, Level.PRODUCT if len(sizes) > 1 else Level.ATOM)
-            if node.attr == "shape" and not owner.embedded[0]:
-                return Value(f"{owner.text}.size", ShapeOf(kind.ndim))
+            if node.attr == "shape":
+                return StaticValue(tuple(Value(owner.size(i), INT64) for i in range(kind.ndim)))
         record = kind.record if isinstance(kind, PlaceOf) else kind
         if not isinstance(record, RecordOf) or node.attr not in record.kind._fields:
             raise self.error(f"{describe(kind)} has no {node.attr}: name one of its fields.", node)
@@ -866,14 +848,14 @@ class Translation:
             results = [self.expression(index) for index in indices]
             if all(isinstance(result, StaticValue) for result in results):
                 at = tuple(result.value for result in results)  # type: ignore[union-attr]
-                return StaticValue(owner.value[at if len(at) > 1 else at[0]])
+                return known(owner.value[at if len(at) > 1 else at[0]])
             if is_row_of_numbers(owner.value):
                 kind = DOUBLE if any(isinstance(part, float) for part in owner.value) else INT64
                 token = self.instance.need(NumberTable(kind, tuple(map(float if kind == DOUBLE else int, owner.value))))
                 return Value(f"{token}[{self.value(results[0]).text}]", kind)
             owner = self.value(owner)
         kind = owner.kind
-        if isinstance(kind, ShapeOf | TupleOf | RecordOf | PlaceOf):
+        if isinstance(kind, TupleOf | RecordOf | PlaceOf):
             return self._part(owner, self.expression(indices[0]), node)
         if not isinstance(kind, ArrayOf):
             raise self.error(f"{describe(kind)} has no elements.", node)
@@ -882,8 +864,6 @@ class Translation:
     def _part(self, owner: Value, index: Operand, node: ast.AST) -> Operand:
         """A part of a tuple or a record of numbers by its place."""
         if isinstance(index, StaticValue) or not isinstance(owner.kind, TupleOf | RecordOf):
-            if isinstance(owner.kind, ShapeOf):
-                return Value(f"{owner.text}[{self.value(index).text}]", INT64)
             return self.parts(owner)[index.value]  # type: ignore[union-attr]
         kinds = set(owner.kind.of if isinstance(owner.kind, TupleOf) else owner.kind.fields.values())
         if len(kinds) != 1 or not kinds <= {DOUBLE, INT64}:
@@ -900,9 +880,7 @@ class Translation:
         slices = [isinstance(index, ast.Slice) for index in indices]
         if slices == [True, False] and kind == ArrayOf(DOUBLE, 2) and is_full_slice(indices[0]):
             index = self.value(self.expression(indices[1]))
-            return self.call_c(
-                "matrix_column", f"{array.text}, {self._at(index, array, 1).text}", ArrayOf(DOUBLE, 1, True)
-            )
+            return self.apply("matrix_column", [array, self._at(index, array, 1)], ArrayOf(DOUBLE, 1, True))
         count = slices.index(True) if True in slices else len(indices)
         if any(not is_full_slice(index) for index in indices[count + 1 :]):
             raise self.error("a slice comes last: take rows first.", node)
@@ -910,8 +888,7 @@ class Translation:
         if count == kind.ndim:
             return self.element(array, scalars)
         for scalar in scalars:
-            row = array.kind.row
-            array = self.call_c(f"{array.kind.name}_row", f"{array.text}, {self._at(scalar, array, 0).text}", row)
+            array = self.apply(f"{array.kind.name}_row", [array, self._at(scalar, array, 0)], array.kind.row)
         if count < len(indices) and not is_full_slice(indices[count]):
             array = self._sliced(array, indices[count])  # type: ignore[arg-type]
         return array
@@ -919,9 +896,9 @@ class Translation:
     def _sliced(self, array: Value, bounds: ast.Slice) -> Value:
         if bounds.step is not None:
             raise self.error("a slice has no step: write a loop.")
-        lower = "0" if bounds.lower is None else self.value(self.expression(bounds.lower)).text
-        upper = "INT64_MAX" if bounds.upper is None else self.value(self.expression(bounds.upper)).text
-        return self.call_c(f"{array.kind.name}_slice", f"{array.text}, {lower}, {upper}", array.kind)
+        lower = "0" if bounds.lower is None else self.value(self.expression(bounds.lower))
+        upper = "INT64_MAX" if bounds.upper is None else self.value(self.expression(bounds.upper))
+        return self.apply(f"{array.kind.name}_slice", [array, lower, upper], array.kind)
 
     def _at(self, index: Value, array: Value, dimension: int) -> Value:
         """An index; a negative number that is written out counts from the end."""
@@ -1023,24 +1000,21 @@ class Translation:
 
     def _call_function(self, name: str, signature: Signature, values: list[Value], writes: bool) -> Value:
         """A call of a C function: an array is its place and its sizes, several results are written to words."""
-        arguments: list[Value] = []
+        arguments: list[Value | str] = []
         for value, kind in zip(values, map(argument_type, signature.types), strict=True):
             value = self.convert(value, kind)
             if isinstance(kind, ArrayOf):
                 value = self.hold(value)
-                arguments += [Value(value.data, kind)]
-                arguments += [Value(value.size(i), INT64) for i in range(kind.ndim)]
+                arguments += [value.data, *map(value.size, range(kind.ndim))]
             else:
                 arguments.append(value)
         self.instance.writes |= writes
         returned = returned_type(signature)
         if not isinstance(returned, TupleOf):
-            call = self.apply(name, arguments, c_result(returned), writes)
-            return self.convert(call, returned)
+            return self.convert(self.apply(name, arguments, c_result(returned), writes), returned)
         words = self._fresh("words")
         self.storage.append(f"adaptrack_word {words}[{len(returned.of)}];")
-        call = self.apply(name, [*arguments, Value(words, NOTHING)], NOTHING, writes)
-        self.compute(call)
+        self.compute(self.apply(name, [*arguments, words], NOTHING, writes))
         return self.make_tuple(Value(word_text(words, i, kind), kind) for i, kind in enumerate(returned.of))
 
     def call_view(self, function: Known, results: list[Operand], node: ast.Call) -> Operand:
@@ -1086,16 +1060,16 @@ class Translation:
 
     def compute_load(self, values: list[Value]) -> Value:
         """Eight numbers of an array from a place on."""
-        return self.call_c("load8", f"&{self._span(values, VECTOR_WIDTH)}", EIGHT)
+        return self.apply("load8", [f"&{self._span(values, VECTOR_WIDTH)}"], EIGHT)
 
     def compute_store(self, values: list[Value]) -> Value:
         """Eight numbers to an array from a place on."""
         self.instance.writes = True
-        return self.call_c("store8", f"&{self._span(values[:-1], VECTOR_WIDTH)}, {values[-1].text}", NOTHING, True)
+        return self.apply("store8", [f"&{self._span(values[:-1], VECTOR_WIDTH)}", values[-1]], NOTHING, True)
 
     def compute_spread(self, values: list[Value]) -> Value:
         """One number of an array in all eight entries."""
-        return self.call_c("splat8", self._span(values, 1), EIGHT)
+        return self.apply("splat8", [self._span(values, 1)], EIGHT)
 
     def _span(self, values: list[Value], count: int) -> str:
         """The first of so many numbers of an array, behind which the values are its indices."""
@@ -1110,13 +1084,12 @@ class Translation:
     def compute_column(self, values: list[Value]) -> Value:
         """Eight numbers of a column of a matrix."""
         matrix = self.hold(values[0])
-        indices = ", ".join(value.text for value in values[1:])
-        return self.call_c("column8", f"{matrix.data}, {matrix.size(1)}, {indices}", EIGHT)
+        return self.apply("column8", [matrix.data, matrix.size(1), *values[1:]], EIGHT)
 
     def compute_totals(self, values: list[Value]) -> Value:
         """Eight sums of eight numbers."""
         rows = self.hold(values[0])
-        return self.call_c("totals8", ", ".join(f"{rows.text}.v{i}" for i in range(VECTOR_WIDTH)), EIGHT)
+        return self.apply("totals8", [f"{rows.text}.v{i}" for i in range(VECTOR_WIDTH)], EIGHT)
 
 
 # -- functions of Python's --------------------------------------------------------------------------------------------

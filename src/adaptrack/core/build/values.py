@@ -62,13 +62,21 @@ class Value:
 
 @dataclass(frozen=True)
 class StaticValue:
-    """A value that is known when a kernel is translated; name: of a number, under which the source knows it."""
+    """A value that is known when a kernel is translated, or a tuple whose parts are expressions.
+
+    name: of a number, under which the source knows it.
+    """
 
     value: Any
     name: str = ""
 
 
 Operand = Value | StaticValue
+
+
+def known(value: Any) -> Operand:
+    """A part of a known value; an expression is itself."""
+    return value if isinstance(value, Value) else StaticValue(value)
 
 
 def is_number(value: Any) -> bool:
@@ -176,4 +184,4 @@ def describe(kind: Any) -> str:
         return f"a record {kind.record.kind.__name__} in its place"
     if isinstance(kind, RecordOf):
         return f"a record {kind.kind.__name__}"
-    return f"{len(kind.of)} values" if isinstance(kind, TupleOf) else "a shape"
+    return f"{len(kind.of)} values"
