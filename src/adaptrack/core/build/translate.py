@@ -277,7 +277,7 @@ class Translation:
                 return self.make_record(type(constant), self.parts(result))
             return self.make_tuple(self.parts(result))
         if isinstance(constant, np.ndarray):
-            kind = ArrayOf(INT64 if constant.dtype.kind == "i" else DOUBLE, constant.ndim)
+            kind = ArrayOf(INT64 if constant.dtype.kind in "bi" else DOUBLE, constant.ndim)
             token = self.instance.need(NumberTable(kind.of, tuple(constant.ravel().tolist())))
             array = self.make_array(kind, f"({kind.of.c} *){token}", constant.shape)
             return replace(array, embedded=(token, constant.shape))
@@ -850,9 +850,7 @@ class Translation:
                 at = tuple(result.value for result in results)  # type: ignore[union-attr]
                 return known(owner.value[at if len(at) > 1 else at[0]])
             if is_row_of_numbers(owner.value):
-                kind = DOUBLE if any(isinstance(part, float) for part in owner.value) else INT64
-                token = self.instance.need(NumberTable(kind, tuple(map(float if kind == DOUBLE else int, owner.value))))
-                return Value(f"{token}[{self.value(results[0]).text}]", kind)
+                owner = StaticValue(np.array(owner.value))
             owner = self.value(owner)
         kind = owner.kind
         if isinstance(kind, TupleOf | RecordOf | PlaceOf):
