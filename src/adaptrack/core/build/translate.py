@@ -587,7 +587,7 @@ class Translation:
 
     def _assign_to_name(self, name: str, result: Operand) -> None:
         key = (id(self.statement), name)
-        if isinstance(result, StaticValue):
+        if isinstance(result, StaticValue) and result.is_known:
             once = self.source.stores[name] == 1
             if not is_number(result.value) and (once or not is_row_of_numbers(result.value)):
                 self.constants[name] = result
@@ -973,7 +973,9 @@ class Translation:
         if missing:
             results = results + [StaticValue(ast.literal_eval(value)) for value in parameters.defaults[-missing:]]
         arguments = [
-            result if isinstance(result, StaticValue) and not is_number(result.value) else self.value(result)
+            result
+            if isinstance(result, StaticValue) and result.is_known and not is_number(result.value)
+            else self.value(result)
             for result in results
         ]
         called = self.program.instance(function.function, [

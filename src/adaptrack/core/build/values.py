@@ -70,6 +70,11 @@ class StaticValue:
     value: Any
     name: str = ""
 
+    @property
+    def is_known(self) -> bool:
+        """Whether no part is an expression."""
+        return not (isinstance(self.value, tuple) and any(isinstance(part, Value) for part in self.value))
+
 
 Operand = Value | StaticValue
 
