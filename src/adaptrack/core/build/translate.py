@@ -132,7 +132,8 @@ class Translation:
 
     def __init__(self, program: Program, instance: Instance, kinds: dict[Any, Any]) -> None:
         self.program, self.instance, self.source = program, instance, instance.source
-        self.remembered = kinds
+        self.kinds = kinds
+        """types of variables by their keys"""
         self.changed = False
         self.lines: list[str] = []
         self.depth = 1
@@ -220,7 +221,7 @@ class Translation:
 
     def widen(self, variable: CVariable, kind: Any) -> Any:
         """The type of a variable that also holds a value of this type."""
-        previous = self.remembered.get(variable.key)
+        previous = self.kinds.get(variable.key)
         both = join_kinds(previous, kind)
         if both is None:
             raise self.error(
@@ -228,12 +229,8 @@ class Translation:
             )
         if previous is not None and both != previous:
             self.changed = True
-        self.remembered[variable.key] = both
+        self.kinds[variable.key] = both
         return both
-
-    def kind_of(self, variable: CVariable) -> Any:
-        """The type of a variable."""
-        return self.remembered[variable.key]
 
     def temporary(self, value: Value) -> Value:
         """A value that is computed now."""
@@ -586,34 +583,30 @@ class Translation:
         self.emit("}")
 
     def _assign_to_name(self, name: str, result: Operand) -> None:
-        key = (id(self.statement), name)
+        """Give a value to a variable; declare it where this is its first statement, or where its type changes."""
         if isinstance(result, StaticValue) and result.is_known:
             once = self.source.stores[name] == 1
             if not is_number(result.value) and (once or not is_row_of_numbers(result.value)):
                 self.constants[name] = result
                 return
-        self.assign_name(name, self.value(result), declares=key in self.source.declares)
-
-    def assign_name(self, name: str, value: Value, declares: bool) -> None:
-        """Give a value to a variable; declare it where this is its first statement, or where its type changes."""
+        value = self.value(result)
         if value.kind == NOTHING:
             raise self.error(f"{name} is assigned the result of a function that returns nothing: call it alone.")
-        variable = self.variables.get(name)
-        key = (id(self.statement), name)
+        variable, key = self.variables.get(name), (id(self.statement), name)
+        declares = key in self.source.declares
         if not declares and variable is not None and name not in self.constants and variable.block is self.block:
-            declares = value.kind != self.kind_of(variable)
+            declares = value.kind != self.kinds[variable.key]
         if declares:
-            kind = self.widen(self.new_variable(name, value.kind, key, self.block), value.kind)
-            text = self.declare(kind, self.variables[name].c)
-        else:
-            if variable is None:
-                variable = self.new_variable(name, value.kind, ("function", name), self.source.node.body)
-            kind = self.widen(variable, value.kind)
-            self.constants.pop(name, None)
-            if variable.key[0] == "function":
-                self.hoisted[variable.c] = kind
-            text = variable.c
-        right_side = self.convert(value, kind).text
+            variable = self.new_variable(name, value.kind, key, self.block)
+        elif variable is None:
+            variable = self.new_variable(name, value.kind, ("function", name), self.source.node.body)
+        kind = self.widen(variable, value.kind)
+        self.constants.pop(name, None)
+        if variable.key[0] == "function":
+            self.hoisted[variable.c] = kind
+        text, right_side = variable.c, self.convert(value, kind).text
+        if declares:
+            text = self.declare(kind, text)
         if right_side != text:
             self.emit(f"{text} = {right_side};")
 
@@ -636,7 +629,7 @@ class Translation:
             return self.constants[node.id]
         if node.id in self.variables:
             variable = self.variables[node.id]
-            return Value(variable.c, self.kind_of(variable))
+            return Value(variable.c, self.kinds[variable.key])
         if node.id in self.source.stores:
             raise self.error(f"{node.id} is read before it is assigned: assign it first.", node)
         return self.instance.lookup(node.id)
@@ -1272,7 +1265,7 @@ class Program:
         translation.statements(node.body)
         words, opening = [], []
         for kind, variable in parameters:
-            final, c = translation.kind_of(variable), variable.c
+            final, c = translation.kinds[variable.key], variable.c
             if instance.kernel is not None:
                 parameter_words, value = c_parameter(kind, c)
             elif final == kind:
