@@ -23,7 +23,7 @@ from .values import NamedNumber, NumberTable, literal
 
 HEAD_FILE = Path(__file__).with_name("head.h")
 RECORDS_FILE = "records.h"
-SOFTWARE = ("soft_fma", "soft_fma8", "soft_floor", "soft_ceil", "soft_sqrt")
+SOFT_KERNELS = ("soft_fma", "soft_fma8", "soft_floor", "soft_ceil", "soft_sqrt")
 """Kernels that the head calls where a processor lacks an instruction."""
 _WIDTH = 118
 

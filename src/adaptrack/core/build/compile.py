@@ -60,10 +60,8 @@ PROCESSORS = {
     "macos-aarch64": Processor("aarch64-macos"),
     "wasm32": Processor("wasm32-freestanding", "generic+simd128", ("-Os",)),  # as fast as with -O3, a third smaller
 }
-SOFT_KERNELS = ("soft_fma", "soft_fma8", "soft_floor", "soft_ceil")
-"""Kernels that the head calls for a processor without these instructions."""
 LACKING = ("x86-64", "riscv64", "wasm32")
-"""Ends of the names of processors without one of these instructions."""
+"""Ends of the names of processors without an instruction, for which the head calls one of `SOFT_KERNELS`."""
 MODULE_STACK = 2**18
 """bytes of the stack of a WebAssembly module"""
 

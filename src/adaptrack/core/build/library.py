@@ -29,8 +29,8 @@ def build(processors: list[str], checks_indices: bool = False, sources: Path | N
 
     Raises KernelError for a kernel beyond the subset, CompileError where the compiler refuses one.
     """
-    from .c_files import CFile, c_files
-    from .compile import SOFT_KERNELS, CompileError, compile_objects, link, link_module, write_sources
+    from .c_files import SOFT_KERNELS, CFile, c_files
+    from .compile import CompileError, compile_objects, link, link_module, write_sources
     from .header import header
     from .sources import kernels_of, sources_of
     from .units import PAGE_KERNELS

@@ -30,9 +30,9 @@ from .. import library
 from ..kernel import Exported, Known, Row, inlined, record, viewer, void, written
 from ..maths import exact
 from ..member import UserFunction
-from .c_files import CFile, c_files
+from .c_files import SOFT_KERNELS, CFile, c_files
 from .c_types import DOUBLE, INT64, NOTHING, PREFIX, ArrayOf, argument_type
-from .compile import LACKING, OPTIONS, SOFT_KERNELS, compile_objects, link, object_name
+from .compile import LACKING, OPTIONS, compile_objects, link, object_name
 from .scopes import source_of
 from .translate import FUNCTIONS, KernelError, Program, Translation, call_real
 from .values import Operand, StaticValue, Value
