@@ -70,6 +70,9 @@ SANITIZED = (
     "-fsanitize-trap=all", "-DADAPTRACK_CHECKS", "-g",
 )  # fmt: skip
 """Options with which the process ends where the language leaves open what happens; a debugger shows the line."""
+GCC_SANITIZERS = ("-march=native", "-Os", "-g1", "-w", "-fsanitize=address,undefined,float-cast-overflow",
+                  "-fsanitize-recover=all")  # fmt: skip
+"""Options with which GCC reports each access beyond an array, and each operation that is not defined, with its line."""
 
 
 class CompileError(RuntimeError):
@@ -134,6 +137,14 @@ def link(objects: list[Path], processor: str, path: Path, is_stripped: bool = Tr
     options = ["-shared", "-nostdlib", *(["-s"] if is_stripped else [])]
     options += [*target.linked, "-o", str(path)]
     _run([*compiler(), "-target", target.triple, f"-mcpu={target.cpu}", *options, *map(str, objects)])
+
+
+def link_by_gcc(files: Mapping[str, CFile], path: Path) -> None:
+    """Write the library of this processor with GCC's sanitizers; zig has no run-time library for those of clang."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_sources(files, Path(folder))
+        sources = [str(Path(folder, f"{name}.c")) for name in files]
+        _run(["gcc", *OPTIONS, *_LINUX, *GCC_SANITIZERS, "-shared", *sources, "-o", str(path)])
 
 
 def link_module(objects: list[Path], kernels: Iterable[str], path: Path) -> None:

@@ -292,7 +292,8 @@ def _c_library() -> ctypes.CDLL:
 
 def _processor() -> str:
     """The processor for which functions are compiled."""
-    return (os.environ.get("ADAPTRACK_PROCESSOR") or library.processor()).removesuffix("-checked")
+    name = os.environ.get("ADAPTRACK_PROCESSOR") or library.processor()
+    return re.sub("-(checked|sanitized)$", "", name)
 
 
 def _library(name: str, files: dict[str, CFile]) -> Path:
