@@ -20,7 +20,13 @@ if kernel.INTERPRETED:
 
 import adaptrack as at
 from adaptrack.control.controllers import preview_lqr
+from adaptrack.core.controllers import informed, mpc_step
+from adaptrack.core.layout import empty
+from adaptrack.core.tracker import longitudinal
+from adaptrack.core.units import controller as unit
 from adaptrack.drive.simulate import rollout
+from adaptrack.export.units import controller_unit
+from adaptrack.road import Arc, Line, Road
 
 preview_lqr.GAIN_SPEEDS = preview_lqr.GAIN_SPEEDS[
     ::10
@@ -49,11 +55,55 @@ def steps(controller, count, rng):
     return np.array(answers)
 
 
+def numbers(values):
+    """Every number of a record, or of a list of arrays; no addresses."""
+    arrays = [value for value in values if isinstance(value, np.ndarray)]
+    flat = [array.view(np.float64) if array.dtype.names else array.astype(float).ravel() for array in arrays]
+    inner = [numbers(value) for value in values if isinstance(value, tuple)]
+    return np.concatenate([*flat, *inner, [value for value in values if type(value) is float]])
+
+
+def mpc_kernels(controller, count, rng):
+    """`steps` of an MPC at unknown states, speeds and tunings, too; and its estimator without a QP."""
+    mpc, functions = controller._mpc, controller.functions
+    states = rng.normal(scale=0.2, size=(count, mpc.measured.size))
+    states[:, 4:] = np.nan
+    speeds, answers = rng.uniform(1.0, 25.0, count), np.zeros((count, mpc.answer.shape[1]))
+    tunings = np.column_stack([rng.integers(8, 20, count), rng.integers(1, 5, count), rng.uniform(1, 20, (count, 2))])
+    states[1, 0] = speeds[2] = tunings[-1, 0] = np.nan
+    record = kernel.Resident(mpc)
+    mpc_step.steps(states, speeds, rng.normal(scale=0.2, size=(count, 1)), tunings, record, functions, answers)
+    yield numbers([answers, *mpc.model, mpc.memory, *mpc.informed])
+    for _ in range(count if mpc.settings.informed > 0 else 0):
+        mpc.measured[:] = rng.normal(scale=0.1, size=mpc.measured.size)
+        informed._estimate_alone(0, float(rng.uniform(1.0, 30.0)), record, functions)
+        yield numbers([*mpc.model, mpc.memory, *mpc.informed])
+
+
+def other_kernels(controller, car, count, rng):
+    """The beginning of a controller as a unit, and the end of a fault of the speed control."""
+    road = Road.from_segments([Line(length=80.0), Arc(length=60.0, curvature=0.01)])
+    record = controller_unit(controller, road, at.plan_speed(road, car)).record
+    for angle in [np.nan, *rng.normal(scale=0.3, size=count)]:
+        record.values[unit.STEERING_VALUE.start_wheel_angle] = angle
+        yield np.array([unit.steering_begin(kernel.Resident(record)), *numbers(record)])
+        speed_control = empty(longitudinal.Longitudinal)
+        speed_control = speed_control._replace(memory=np.zeros(1, speed_control.memory.dtype))
+        memory = speed_control.memory.view(np.float64)
+        memory[:] = rng.normal(size=memory.size)
+        longitudinal.longitudinal_acknowledge(kernel.Resident(speed_control))
+        yield memory
+
+
 def main(file, count, runs, seconds):
     rng = np.random.default_rng(1)
     slow = {"kinematic-mpc": 10}  # times as long a step as the others
     results = {name: steps(controller, max(count // slow.get(name, 1), 2), rng) for name, controller in controllers()}
     car = at.load_vehicle("midsize-sedan")
+    for name, controller in controllers():
+        if isinstance(controller, at.MPC):
+            results |= {f"{name} alone {i}": values for i, values in enumerate(mpc_kernels(controller, 4, rng))}
+            results |= {f"{name} unit {i}": values for i, values in enumerate(other_kernels(controller, car, 2, rng))}
     for i in range(runs):
         for profile in ("paper", "road", "production"):
             drive = at.random_drive(i, seconds)

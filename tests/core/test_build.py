@@ -9,9 +9,11 @@ from types import SimpleNamespace
 import pytest
 
 from adaptrack.core import library
-from adaptrack.core.build import compile, sources
+from adaptrack.core.build import c_files, compile, sources
 from adaptrack.core.build import library as builder
 from adaptrack.core.build.units import CONTROLLERS, PAGE_KERNELS, PLANTS, TRACKERS, UNIT_KERNELS
+from adaptrack.core.kernel import INTERPRETED
+from adaptrack.core.maths import exact
 
 
 def enter(folder, libraries, hashes):
@@ -30,7 +32,7 @@ def quick(tmp_path, monkeypatch):
     (folder / "cache").mkdir(parents=True)
     monkeypatch.setattr(library, "BUILT_FOLDER", folder)
     monkeypatch.setattr(
-        sources, "kernels_of", lambda: dict.fromkeys(compile.SOFT_KERNELS, SimpleNamespace(function=enter))
+        sources, "kernels_of", lambda: dict.fromkeys(c_files.SOFT_KERNELS, SimpleNamespace(function=enter))
     )
     monkeypatch.setattr("adaptrack.core.build.c_files.c_files", lambda kernels, checks: {})
     monkeypatch.setattr("adaptrack.core.build.header.header", lambda kernels: "")
@@ -96,6 +98,16 @@ def test_what_is_built_on_a_system_holds_what_its_processor_asks_for(monkeypatch
     monkeypatch.setattr(library, "sys", SimpleNamespace(platform=system))
     monkeypatch.setattr(library.platform, "machine", lambda: machine)
     assert library.processor() in compile.PROCESSORS
+
+
+@pytest.mark.skipif(INTERPRETED or not library.can_compile(), reason="needs the compiler for C")
+@pytest.mark.parametrize("processor", ["riscv64", "windows-x86-64"])
+def test_kernels_in_place_of_instructions_link_for_a_processor_that_lacks_them(tmp_path, processor):
+    assert processor.endswith(compile.LACKING)
+    files = c_files.c_files({name: getattr(exact, name) for name in c_files.SOFT_KERNELS})
+    objects, _ = compile.compile_objects(files, processor, tmp_path)
+    compile.link(objects, processor, tmp_path / "kernels.dll")
+    assert b"adaptrack_soft_floor" in (tmp_path / "kernels.dll").read_bytes()
 
 
 def test_every_kernel_that_a_program_may_call_is_there():

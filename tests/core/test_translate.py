@@ -125,6 +125,27 @@ def test_an_operand_that_writes_is_computed_in_its_turn(tmp_path):
         )
 
 
+def test_sizes_are_those_of_the_array_when_they_are_asked_for(tmp_path):
+    text = body_of(
+        tmp_path,
+        """
+        @inlined
+        def first(sizes):
+            return sizes[0]
+
+        def f(v):
+            sizes = v.shape
+            v = v[1:]
+            (count,) = v.shape
+            return float(sizes[0] + first(v.shape) + count)
+        """,
+        VECTOR,
+    )
+    assert "sizes = (struct tuple_int64_t){v.size[0]};" in text
+    assert "snippet_first((struct tuple_int64_t){v.size[0]})" in text
+    assert "int64_t count = v.size[0];" in text
+
+
 def test_names_comments_and_docstrings_of_the_source_are_in_the_text(tmp_path):
     text = body_of(
         tmp_path,

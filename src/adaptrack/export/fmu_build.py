@@ -23,7 +23,8 @@ from pathlib import Path
 from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.files import write_atomically
 from adaptrack.core import library
-from adaptrack.core.build.compile import compiler
+from adaptrack.core.build.compile import DLL_FILE, compiler
+from adaptrack.core.build.run_time import cache_path
 from adaptrack.core.build.units import PLANTS, TRACKERS, UNIT_KERNELS
 from adaptrack.export.kernel_sources import EXACT_OPTIONS, kernel_sources
 
@@ -32,7 +33,7 @@ FMU_SOURCES = (
     *(HERE / "fmu_c" / name for name in ("fmu.c", "fmi2.c", "fmi3.c", "fmu.h")),
     *(HERE / "c" / name for name in ("adaptrack_block.c", "adaptrack_block.h", "adaptrack_error.h")),
 )
-WINDOWS_SOURCE = HERE / "fmu_c" / "windows.c"
+WINDOWS_SOURCES = (DLL_FILE, HERE / "fmu_c" / "windows.c")
 LICENSE = HERE / "c" / "LICENSE"
 UNIT_MEMBERS = (*TRACKERS, *PLANTS)
 """Kernels whose addresses a unit's record may hold."""
@@ -104,12 +105,6 @@ def _units_table() -> str:
     )
 
 
-def cache_folder() -> Path:
-    """The user's folder for compiled binaries, in ``XDG_CACHE_HOME`` or ``LOCALAPPDATA`` if they are set."""
-    base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-    return (Path(base) if base else Path.home() / ".cache") / "adaptrack"
-
-
 def check_platforms(names: tuple[str, ...]) -> None:
     """Check that FMUs can have binaries for these platforms.
 
@@ -140,10 +135,10 @@ def binary(name: str) -> bytes:
     chosen = PLATFORMS[name]
     texts = dict(sources())
     if "windows" in chosen.target:
-        texts[WINDOWS_SOURCE.name] = WINDOWS_SOURCE.read_text(encoding="utf-8")
+        texts |= {source.name: source.read_text(encoding="utf-8") for source in WINDOWS_SOURCES}
     version = importlib.metadata.version("ziglang")
     parts = repr((version, chosen, OPTIONS, sorted(texts.items())))
-    path = cache_folder() / f"fmu-{name}-{hashlib.sha256(parts.encode()).hexdigest()[:32]}.{chosen.ending}"
+    path = cache_path() / f"fmu-{name}-{hashlib.sha256(parts.encode()).hexdigest()[:32]}.{chosen.ending}"
     if not path.is_file():
         content = _compiled(chosen, texts)
         path.parent.mkdir(parents=True, exist_ok=True)

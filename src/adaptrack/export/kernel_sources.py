@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from adaptrack.core.build.c_files import SOFTWARE, c_files, texts
+from adaptrack.core.build.c_files import SOFT_KERNELS, c_files, texts
 from adaptrack.core.kernel import EXPORTED
 
 EXACT_OPTIONS = (
@@ -17,4 +17,4 @@ second option is given. Records lie in arrays of numbers, and whole numbers wrap
 
 def kernel_sources(names: Iterable[str]) -> dict[str, str]:
     """C sources of kernels and of all that they call, by the names of the files."""
-    return texts(c_files({name: EXPORTED[name] for name in (*names, *SOFTWARE)}))
+    return texts(c_files({name: EXPORTED[name] for name in (*names, *SOFT_KERNELS)}))

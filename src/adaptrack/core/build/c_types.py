@@ -122,13 +122,6 @@ class TupleOf:
         return f"struct {self.name}"
 
 
-@dataclass(frozen=True)
-class ShapeOf:
-    """The sizes of an array."""
-
-    ndim: int
-
-
 def plain_name(kind: Any) -> str:
     """A type as a part of a name."""
     if isinstance(kind, PlaceOf):

@@ -60,33 +60,27 @@ PROCESSORS = {
     "macos-aarch64": Processor("aarch64-macos"),
     "wasm32": Processor("wasm32-freestanding", "generic+simd128", ("-Os",)),  # as fast as with -O3, a third smaller
 }
-SOFT_KERNELS = ("soft_fma", "soft_fma8", "soft_floor", "soft_ceil")
-"""Kernels that the head calls for a processor without these instructions."""
+LACKING = ("x86-64", "riscv64", "wasm32")
+"""Ends of the names of processors without an instruction, for which the head calls one of `SOFT_KERNELS`."""
 MODULE_STACK = 2**18
 """bytes of the stack of a WebAssembly module"""
-
 
 SANITIZED = (
     "-fsanitize=shift,integer-divide-by-zero,float-cast-overflow,bool,null,unreachable,return,bounds",
     "-fsanitize-trap=all", "-DADAPTRACK_CHECKS", "-g",
 )  # fmt: skip
 """Options with which the process ends where the language leaves open what happens; a debugger shows the line."""
+GCC_SANITIZERS = ("-march=native", "-Os", "-g1", "-w", "-fsanitize=address,undefined,float-cast-overflow",
+                  "-fsanitize-recover=all")  # fmt: skip
+"""Options with which GCC reports each access beyond an array, and each operation that is not defined, with its line."""
 
 
 class CompileError(RuntimeError):
     """The compiler or the linker refuses the kernels; the message is its own."""
 
 
-MEMORY = Path(__file__).with_name("memory.c")
-
-
-@dataclass(frozen=True)
-class PlainFile:
-    """A file that is written by hand."""
-
-    name: str
-    text: str
-    kinds: tuple[()] = ()
+MEMORY_FILE, DLL_FILE = (Path(__file__).with_name(name) for name in ("memory.c", "dll.c"))
+"""What every library holds, and what a DLL for Windows holds in addition."""
 
 
 def compiler(tool: str = "cc") -> list[str]:
@@ -94,14 +88,14 @@ def compiler(tool: str = "cc") -> list[str]:
     return [sys.executable, "-m", "ziglang", tool]
 
 
-def write_sources(files: Mapping[str, CFile | PlainFile], folder: Path) -> None:
+def write_sources(files: Mapping[str, CFile], folder: Path) -> None:
     """Write the files in C, the header of their records and the head."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts(files).items():
         (folder / name).write_text(text, encoding="utf-8")
 
 
-def object_name(file: CFile | PlainFile, processor: str, options: tuple[str, ...]) -> str:
+def object_name(file: CFile, processor: str, options: tuple[str, ...]) -> str:
     """The name of an object: of its file, and a hash of all that it is made of."""
     parts = [version("ziglang"), HEAD_FILE.read_text(encoding="utf-8"), records([file]), file.text, processor,
              repr(PROCESSORS[processor]), *options]  # fmt: skip
@@ -109,11 +103,12 @@ def object_name(file: CFile | PlainFile, processor: str, options: tuple[str, ...
 
 
 def compile_objects(
-    files: Mapping[str, CFile | PlainFile], processor: str, cache: Path, is_sanitized: bool = False
+    files: Mapping[str, CFile], processor: str, cache: Path, is_sanitized: bool = False
 ) -> tuple[list[Path], int]:
     """Objects of all files, several at a time; those that are there are not made again. And how many were made."""
     options = (*(option for option in OPTIONS if option != "-g0"), *SANITIZED) if is_sanitized else OPTIONS
-    files = {**files, MEMORY.stem: PlainFile(MEMORY.stem, MEMORY.read_text(encoding="utf-8"))}
+    for path in (MEMORY_FILE, DLL_FILE) if "windows" in PROCESSORS[processor].triple else (MEMORY_FILE,):
+        files = {**files, path.stem: CFile(path.stem, path.read_text(encoding="utf-8"))}
     paths = {name: cache / object_name(file, processor, options) for name, file in files.items()}
     missing = [name for name, path in paths.items() if not path.exists()]
     for path in paths.values():
@@ -142,6 +137,14 @@ def link(objects: list[Path], processor: str, path: Path, is_stripped: bool = Tr
     options = ["-shared", "-nostdlib", *(["-s"] if is_stripped else [])]
     options += [*target.linked, "-o", str(path)]
     _run([*compiler(), "-target", target.triple, f"-mcpu={target.cpu}", *options, *map(str, objects)])
+
+
+def link_by_gcc(files: Mapping[str, CFile], path: Path) -> None:
+    """Write the library of this processor with GCC's sanitizers; zig has no run-time library for those of clang."""
+    with tempfile.TemporaryDirectory() as folder:
+        write_sources(files, Path(folder))
+        sources = [str(Path(folder, f"{name}.c")) for name in files]
+        _run(["gcc", *OPTIONS, *_LINUX, *GCC_SANITIZERS, "-shared", *sources, "-o", str(path)])
 
 
 def link_module(objects: list[Path], kernels: Iterable[str], path: Path) -> None:

@@ -62,12 +62,12 @@ typedef union {
 
 /* -- one number ---------------------------------------------------------------------------------------------------- */
 /* the bits of a number, and the number of these bits */
-INLINED int64_t bits_of(double x) {
+INLINED int64_t bits_of1(double x) {
     adaptrack_word word;
     word.number = x;
     return word.whole;
 }
-INLINED double float_of(int64_t bits) {
+INLINED double float_of1(int64_t bits) {
     adaptrack_word word;
     word.whole = bits;
     return word.number;
@@ -80,20 +80,20 @@ INLINED double copysign1(double x, double y) { return __builtin_copysign(x, y); 
 #else
 #define NOT_A_NUMBER NAN
 #define INFINITE INFINITY
-INLINED double abs1(double x) { return float_of(bits_of(x) & INT64_MAX); }
-INLINED double copysign1(double x, double y) { return float_of((bits_of(x) & INT64_MAX) | (bits_of(y) & INT64_MIN)); }
+INLINED double abs1(double x) { return float_of1(bits_of1(x) & INT64_MAX); }
+INLINED double copysign1(double x, double y) { return float_of1((bits_of1(x) & INT64_MAX) | (bits_of1(y) & INT64_MIN)); }
 #endif
 #ifdef SOFT_FMA
-double adaptrack_soft_fma(double a, double b, double c);
-void adaptrack_soft_fma8(double *a, int64_t a_0, double *b, int64_t b_0, double *c, int64_t c_0, double *y,
-                         int64_t y_0);
+EXPORTED double adaptrack_soft_fma(double a, double b, double c);
+EXPORTED void adaptrack_soft_fma8(double *a, int64_t a_0, double *b, int64_t b_0, double *c, int64_t c_0, double *y,
+                                  int64_t y_0);
 INLINED double fma1(double a, double b, double c) { return adaptrack_soft_fma(a, b, c); }
 #else
 INLINED double fma1(double a, double b, double c) { return __builtin_fma(a, b, c); }
 #endif
 #ifdef SOFT_ROUNDING
-double adaptrack_soft_floor(double x);
-double adaptrack_soft_ceil(double x);
+EXPORTED double adaptrack_soft_floor(double x);
+EXPORTED double adaptrack_soft_ceil(double x);
 INLINED double floor1(double x) { return adaptrack_soft_floor(x); }
 INLINED double ceil1(double x) { return adaptrack_soft_ceil(x); }
 #else
@@ -101,7 +101,7 @@ INLINED double floor1(double x) { return __builtin_floor(x); }
 INLINED double ceil1(double x) { return __builtin_ceil(x); }
 #endif
 #ifdef SOFT_SQRT
-double adaptrack_soft_sqrt(double x);
+EXPORTED double adaptrack_soft_sqrt(double x);
 INLINED double sqrt1(double x) { return adaptrack_soft_sqrt(x); }
 #else
 INLINED double sqrt1(double x) { return __builtin_sqrt(x); }
@@ -154,11 +154,11 @@ INLINED double row_at(const double *p, int64_t width, int64_t last, int64_t row,
 
 /* -- parts of a fused multiply-add in software, see maths/exact.py ------------------------------------------------- */
 INLINED double upper_half1(double x) {
-    return float_of((int64_t)(((uint64_t)bits_of(x) + (UINT64_C(1) << 26)) & ~((UINT64_C(1) << 27) - 1)));
+    return float_of1((int64_t)(((uint64_t)bits_of1(x) + (UINT64_C(1) << 26)) & ~((UINT64_C(1) << 27) - 1)));
 }
 INLINED double to_odd1(double x, double remainder) {
-    const int64_t bits = bits_of(x), step = ((bits ^ bits_of(remainder)) >> 63) | 1;
-    return remainder != 0.0 && (bits & 1) == 0 && remainder == remainder ? float_of(bits + step) : x;
+    const int64_t bits = bits_of1(x), step = ((bits ^ bits_of1(remainder)) >> 63) | 1;
+    return remainder != 0.0 && (bits & 1) == 0 && remainder == remainder ? float_of1(bits + step) : x;
 }
 INLINED bool usual_sum1(double a, double b, double c, double y, double beyond) {
     const bool is_small = abs1(a) + abs1(b) + abs1(c) < 0x1p500;

@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from types import FunctionType
@@ -30,12 +30,12 @@ from .. import library
 from ..kernel import Exported, Known, Row, inlined, record, viewer, void, written
 from ..maths import exact
 from ..member import UserFunction
-from .c_files import CFile, c_files
+from .c_files import SOFT_KERNELS, CFile, c_files
 from .c_types import DOUBLE, INT64, NOTHING, PREFIX, ArrayOf, argument_type
-from .compile import OPTIONS, SOFT_KERNELS, compile_objects, link, object_name
+from .compile import LACKING, OPTIONS, compile_objects, link, object_name
 from .scopes import source_of
 from .translate import FUNCTIONS, KernelError, Program, Translation, call_real
-from .values import Operand, StaticValue, Value, data_text
+from .values import Operand, StaticValue, Value
 
 UNUSED_DAYS = 30
 """days after which a library is deleted that no process has loaded"""
@@ -172,7 +172,7 @@ class UserTranslation(Translation):
         if not (isinstance(layout, np.dtype) and layout.names):
             return super()._array_view(array, node)
         row = argument_type(Row(_record_of(layout, "Parameters"))).record
-        return self.make_array(ArrayOf(row, 1), f"({row.c} *){data_text(self.hold(array))}", [1])
+        return self.make_array(ArrayOf(row, 1), f"({row.c} *){self.hold(array).data}", [1])
 
 
 class UserProgram(Program):
@@ -218,13 +218,13 @@ def compiled_now(kernel: Exported) -> int:
         program = UserProgram()
         kernel = _called_as_kernel(kernel, program)
     kernels = {kernel.name: kernel}
-    if _processor().endswith("x86-64"):  # it lacks instructions that the head then calls kernels for
+    if _processor().endswith(LACKING):
         kernels |= {name: getattr(exact, name) for name in SOFT_KERNELS}
     files = c_files(kernels, program=program)
     called: set[str] = set()
-    for file in files.values():
+    for room, file in files.items():
         names = sorted(set(re.findall(r"\bpython_(\w+)\(", file.text)) & {*_MATH})
-        file.text = _declarations(names) + _LIST_IN_C * ("struct list" in file.text) + file.text
+        files[room] = replace(file, text=_declarations(names) + _LIST_IN_C * ("struct list" in file.text) + file.text)
         called |= {*names}
     functions = ctypes.CDLL(str(_library(name, files)))
     for name in called:
@@ -292,7 +292,8 @@ def _c_library() -> ctypes.CDLL:
 
 def _processor() -> str:
     """The processor for which functions are compiled."""
-    return (os.environ.get("ADAPTRACK_PROCESSOR") or library.processor()).removesuffix("-checked")
+    name = os.environ.get("ADAPTRACK_PROCESSOR") or library.processor()
+    return re.sub("-(checked|sanitized)$", "", name)
 
 
 def _library(name: str, files: dict[str, CFile]) -> Path:
@@ -317,11 +318,16 @@ def _library(name: str, files: dict[str, CFile]) -> Path:
     return path
 
 
+def cache_path() -> Path:
+    """The user's folder for what is compiled, in ``XDG_CACHE_HOME`` or ``LOCALAPPDATA`` if they are set."""
+    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or Path.home() / ".cache"
+    return Path(home) / "adaptrack"
+
+
 @cache
 def folder() -> Path:
     """The folder in which libraries are kept: the user's cache, or one for this process where that is read-only."""
-    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or Path.home() / ".cache"
-    place = Path(home) / "adaptrack"
+    place = cache_path()
     try:
         place.mkdir(parents=True, exist_ok=True, mode=0o700)
         with tempfile.TemporaryFile(dir=place):

@@ -26,8 +26,14 @@ class FunctionSource:
         code = function.__code__
         self.file = code.co_filename if text is None else function.__module__
         linecache.checkcache(code.co_filename)
-        functions, self.comments = _parsed(text or "".join(linecache.getlines(code.co_filename)))
+        functions, comments = _parsed(text or "".join(linecache.getlines(code.co_filename)))
         self.node = functions[1 if text is not None else code.co_firstlineno]
+        within = range(self.node.body[0].lineno, (self.node.end_lineno or 0) + 1)
+        self.comments = {
+            line: f"/* {text.replace('*/', '* /').replace('/*', '/ *')} */"
+            for line, text in comments.items()
+            if line in within
+        }
         self.stores = Counter(
             node.id for node in ast.walk(self.node) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
         )

@@ -38,7 +38,6 @@ from .c_types import (
     CNumber,
     PlaceOf,
     RecordOf,
-    ShapeOf,
     TupleOf,
     argument_type,
     c_identifier,
@@ -54,16 +53,16 @@ from .values import (
     StaticValue,
     Value,
     cast_to,
-    data_text,
     describe,
+    formula,
     is_fixed,
     is_number,
     is_row_of_numbers,
     join_kinds,
+    known,
     literal,
     loaded,
     place_of,
-    size_text,
 )
 
 
@@ -73,12 +72,11 @@ class KernelError(RuntimeError):
 
 # -- functions --------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Adapter:
-    """A function of a file that calls a C function: an exported kernel, or an address (then `signature` alone)."""
+class FunctionType:
+    """The type of the functions that a `Caller` calls by their addresses."""
 
     name: str
     signature: Signature
-    kernel: Any = None
 
 
 @dataclass
@@ -93,7 +91,7 @@ class CVariable:
 class Instance:
     """A function for certain types of its arguments, as text of C.
 
-    In the text stand `@N@` for the names of `needs`: functions, adapters and constants. A file gives these names.
+    In the text stand `@N@` for the names of `needs` (functions, their types, constants), which a file gives.
     """
 
     def __init__(self, function: Any, arguments: Iterable[Any], kernel: Exported | None = None) -> None:
@@ -104,7 +102,6 @@ class Instance:
         self.needs: dict[Any, int] = {}
         self.kinds: dict[Any, None] = {}
         self.head, self.body = "", ""
-        self.program_checks = False
 
     @property
     def name(self) -> str:
@@ -135,7 +132,8 @@ class Translation:
 
     def __init__(self, program: Program, instance: Instance, kinds: dict[Any, Any]) -> None:
         self.program, self.instance, self.source = program, instance, instance.source
-        self.remembered = kinds
+        self.kinds = kinds
+        """types of variables by their keys"""
         self.changed = False
         self.lines: list[str] = []
         self.depth = 1
@@ -148,11 +146,7 @@ class Translation:
         self.c_names: dict[Any, str] = {}
         self.is_conditional = False
         self.temporaries = 0
-        self.comments = sorted(line for line in self.source.comments if self._is_within(line))
-
-    def _is_within(self, line: int) -> bool:
-        node = self.source.node
-        return node.body[0].lineno <= line <= (node.end_lineno or 0)
+        self.comments = sorted(self.source.comments)
 
     # -- errors and text ----------------------------------------------------------------------------------------------
     def error(self, text: str, node: ast.AST | None = None) -> KernelError:
@@ -165,21 +159,31 @@ class Translation:
         self.lines.append("    " * self.depth + text)
 
     @contextmanager
-    def nested(self, block: Any) -> Iterator[None]:
-        """Statements of an inner block."""
-        outer, self.block = self.block, block
+    def nested(self, block: Any) -> Iterator[list[str]]:
+        """Collect the lines of an inner block."""
+        outer = self.block, self.lines
+        self.block, self.lines = block, []
         self.depth += 1
-        yield
+        yield self.lines
         self.depth -= 1
-        self.block = outer
+        self.block, self.lines = outer
 
     def inner_lines(self, block: list[ast.stmt]) -> list[str]:
         """The lines of an inner block."""
-        outer, self.lines = self.lines, []
-        with self.nested(block):
+        with self.nested(block) as lines:
             self.statements(block)
-        inner, self.lines = self.lines, outer
-        return inner
+        return lines
+
+    def write_round(self, head: str, node: ast.For, element: Operand | None) -> None:
+        """The body of a loop behind its head; an element is assigned to the target first."""
+        self.emit(f"{head}{{")
+        with self.nested(node.body) as lines:
+            self.statement = node
+            if element is not None:
+                self.assign(node.target, element)
+            self.statements(node.body)
+        self.lines += lines
+        self.emit("}")
 
     @contextmanager
     def conditional(self) -> Iterator[None]:
@@ -217,7 +221,7 @@ class Translation:
 
     def widen(self, variable: CVariable, kind: Any) -> Any:
         """The type of a variable that also holds a value of this type."""
-        previous = self.remembered.get(variable.key)
+        previous = self.kinds.get(variable.key)
         both = join_kinds(previous, kind)
         if both is None:
             raise self.error(
@@ -225,22 +229,22 @@ class Translation:
             )
         if previous is not None and both != previous:
             self.changed = True
-        self.remembered[variable.key] = both
+        self.kinds[variable.key] = both
         return both
-
-    def kind_of(self, variable: CVariable) -> Any:
-        """The type of a variable."""
-        return self.remembered[variable.key]
 
     def temporary(self, value: Value) -> Value:
         """A value that is computed now."""
+        name = self._fresh("t")
+        self.compute(value, f"{self.declare(value.kind, name, is_constant=True)} = ")
+        return Value(name, value.kind)
+
+    def compute(self, value: Value, before: str = "") -> None:
+        """Compute a part of the present statement before it."""
         if self.is_conditional:
             raise self.error(
                 "an operand that may not be evaluated has to be computed beforehand: assign it to a variable first."
             )
-        name = self._fresh("t")
-        self.emit(f"{self.declare(value.kind, name, is_constant=True)} = {value.text};")
-        return Value(name, value.kind)
+        self.emit(f"{before}{value.text};")
 
     def declare(self, kind: Any, name: str, is_constant: bool = False) -> str:
         """A declaration; its struct is needed."""
@@ -270,7 +274,7 @@ class Translation:
                 return self.make_record(type(constant), self.parts(result))
             return self.make_tuple(self.parts(result))
         if isinstance(constant, np.ndarray):
-            kind = ArrayOf(INT64 if constant.dtype.kind == "i" else DOUBLE, constant.ndim)
+            kind = ArrayOf(INT64 if constant.dtype.kind in "bi" else DOUBLE, constant.ndim)
             token = self.instance.need(NumberTable(kind.of, tuple(constant.ravel().tolist())))
             array = self.make_array(kind, f"({kind.of.c} *){token}", constant.shape)
             return replace(array, embedded=(token, constant.shape))
@@ -285,28 +289,23 @@ class Translation:
         return [self.temporary(value) if i <= last and not is_fixed(value) else value
                 for i, value in enumerate(values)]  # fmt: skip
 
-    def call_c(self, name: str, arguments: str, kind: Any, writes: bool = False) -> Value:
+    def apply(self, name: str, operands: Iterable[Value | str], kind: Any, writes: bool = False) -> Value:
         """A call of a function in C."""
         self.instance.kinds[kind] = None
-        return Value(f"{name}({arguments})", kind, writes=writes)
-
-    def apply(self, name: str, values: Sequence[Value], kind: Any, writes: bool = False) -> Value:
-        """A call of a function in C with values."""
-        return self.call_c(
-            name, ", ".join(value.text for value in values), kind, writes or any(v.writes for v in values)
-        )
+        values = [Value(operand, kind) if isinstance(operand, str) else operand for operand in operands]
+        text = f"{name}({', '.join(value.text for value in values)})"
+        return Value(text, kind, writes=writes or any(value.writes for value in values))
 
     def make_array(self, kind: ArrayOf, data: str, sizes: Iterable[Any]) -> Value:
         """An array of numbers that lie somewhere."""
-        return self.call_c(f"{kind.name}_of", ", ".join([data, *map(str, sizes)]), kind)
+        return self.apply(f"{kind.name}_of", [data, *map(str, sizes)], kind)
 
     def make_tuple(self, parts: Iterable[Operand]) -> Value:
         """Several values as one."""
         values = self.values(parts)
         kind = TupleOf(tuple(value.kind for value in values))
         self.instance.kinds[kind] = None
-        return Value(f"({kind.c}){{{', '.join(value.text for value in values)}}}", kind,
-                     writes=any(value.writes for value in values))  # fmt: skip
+        return formula(f"({kind.c}){{{', '.join(value.text for value in values)}}}", kind, Level.ATOM, *values)
 
     def make_record(self, kind: Any, fields: Iterable[Operand]) -> Value:
         """A record; its fields have the types that it states."""
@@ -320,7 +319,7 @@ class Translation:
                 types = f"{describe(stated)}, not {describe(value.kind)}"
                 raise self.error(f"{kind.__name__}.{name} is {types}: state its type in the record.")
             texts.append(f".{c_identifier(name)} = {self.convert(value, stated).text}")
-        return Value(f"({record.c}){{{', '.join(texts)}}}", record, writes=any(value.writes for value in values))
+        return formula(f"({record.c}){{{', '.join(texts)}}}", record, Level.ATOM, *values)
 
     def convert(self, value: Value, kind: Any) -> Value:
         """A value as one of a type."""
@@ -328,7 +327,7 @@ class Translation:
             return value
         if value.kind in NUMBER_KINDS and kind in NUMBER_KINDS:
             if kind == BOOL:
-                return Value(f"{value.at(Level.ORDER)} != 0", BOOL, Level.EQUAL, writes=value.writes)
+                return formula(f"{value.at(Level.ORDER)} != 0", BOOL, Level.EQUAL, value)
             if re.fullmatch(r"-?\d+", value.text) and kind == DOUBLE:
                 return replace(value, text=f"{value.text}.0", kind=DOUBLE)
             if value.kind == BOOL and kind == INT64:
@@ -339,7 +338,7 @@ class Translation:
         if isinstance(kind, PlaceOf) and value.kind == kind.record:
             if not (value.text.startswith("(struct") or re.fullmatch(r"\w+", value.text)):
                 value = self.temporary(value)
-            return replace(place_of(value.text, kind.record), writes=value.writes)
+            return formula(f"&{value.text}", kind, Level.UNARY, value)
         if isinstance(value.kind, TupleOf) and isinstance(kind, TupleOf):
             value = self.hold(value)
             parts = [self.convert(Value(f"{value.text}.v{i}", part), target)
@@ -363,8 +362,7 @@ class Translation:
 
     def _comments_before(self, line: int) -> None:
         while self.comments and self.comments[0] <= line:
-            text = self.source.comments[self.comments.pop(0)]
-            self.emit(f"/* {text.replace('*/', '* /').replace('/*', '/ *')} */")
+            self.emit(self.source.comments[self.comments.pop(0)])
 
     def write_Pass(self, node: ast.Pass) -> None:
         """Write nothing."""
@@ -402,7 +400,7 @@ class Translation:
         if len(values) != len(kinds):
             raise self.error(f"returns {len(values)} numbers: the signature states {len(kinds)}.")
         for i, (value, kind) in enumerate(zip(values, kinds, strict=True)):
-            self.emit(f"{answer(i, kind)} = {self.convert(value, kind).text};")
+            self.emit(f"{word_text('answers', i, kind)} = {self.convert(value, kind).text};")
         self.emit("return;")
 
     def write_If(self, node: ast.If) -> None:
@@ -425,17 +423,12 @@ class Translation:
         """A loop; the condition is computed in it where it takes statements."""
         if node.orelse:
             raise self.error("a kernel has no else of a loop: use a variable.", node)
-        outer, self.lines = self.lines, []
-        self.depth += 1
-        test = self.condition(node.test)
-        self.depth -= 1
-        inner, self.lines = self.lines, outer
-        if inner:
-            self.emit("for (;;) {")
-            self.lines += inner
+        with self.nested(node.body) as computed:
+            test = self.condition(node.test)
+        self.emit("for (;;) {" if computed else f"while ({test.text}) {{")
+        self.lines += computed
+        if computed:
             self.emit(f"    if (!{test.at(Level.UNARY)}) break;")
-        else:
-            self.emit(f"while ({test.text}) {{")
         self.lines += self.inner_lines(node.body)
         self.emit("}")
 
@@ -463,23 +456,15 @@ class Translation:
         if isinstance(elements, Value) and isinstance(elements.kind, ArrayOf) and elements.kind.ndim == 1:
             elements = self.hold(elements)
             counter = self._fresh("k")
-            self.emit(f"for (int64_t {counter} = 0; {counter} < {size_text(elements, 0)}; {counter}++) {{")
-            with self.nested(node.body):
-                element = self.element(elements, [Value(counter, INT64)])
-                self.assign(node.target, element)
-                self.statements(node.body)
-            self.emit("}")
+            head = f"for (int64_t {counter} = 0; {counter} < {elements.size(0)}; {counter}++) "
+            self.write_round(head, node, self.element(elements, [Value(counter, INT64)]))
             return
         if any(leaves_loop(statement) for statement in node.body):
             raise self.error("a loop over a tuple has no break or continue: it is written out.", node)
+        comments = self.comments
         for part in self.parts(elements):
-            remaining, self.statement = list(self.comments), node
-            self.emit("{")
-            with self.nested(node.body):
-                self.assign(node.target, part)
-                self.statements(node.body)
-            self.emit("}")
-            self.comments = remaining
+            self.comments = list(comments)
+            self.write_round("", node, part)
 
     def _fresh(self, name: str) -> str:
         """A name that the function does not have."""
@@ -506,12 +491,8 @@ class Translation:
             counter = self.new_variable(name, INT64, (id(node), name), node.body).c
         else:
             counter = self._fresh("k")
-        self.emit(f"for (int64_t {counter} = {first.text}; {counter} {sign} {end.at(Level.SUM)}; {counter}{change}) {{")
-        with self.nested(node.body):
-            if not is_counter:
-                self.assign_name(name, Value(counter, INT64), declares=(id(node), name) in self.source.declares)
-            self.statements(node.body)
-        self.emit("}")
+        head = f"for (int64_t {counter} = {first.text}; {counter} {sign} {end.at(Level.SUM)}; {counter}{change}) "
+        self.write_round(head, node, None if is_counter else Value(counter, INT64))
 
     def write_Assign(self, node: ast.Assign) -> None:
         """Assignments; the right side is computed first."""
@@ -580,7 +561,7 @@ class Translation:
             raise self.error(f"{describe(vector.kind)} has no parts: take its elements by their places.")
         vector = self.hold(vector)
         return [
-            Value(f"{size_text(vector, 0)} == {count} ? {data_text(vector)}[{i}] : NOT_A_NUMBER", DOUBLE, Level.CHOICE)
+            Value(f"{vector.size(0)} == {count} ? {vector.data}[{i}] : NOT_A_NUMBER", DOUBLE, Level.CHOICE)
             for i in range(count)
         ]
 
@@ -593,43 +574,39 @@ class Translation:
         """Write a number, or the elements of an array, to a whole array."""
         array, value = self.hold(array), self.hold(value)
         counter, kind = self._fresh("k"), array.kind
-        count = " * ".join(size_text(array, i) for i in range(kind.ndim))
+        count = " * ".join(array.size(i) for i in range(kind.ndim))
         stride = f" * {array.text}.stride" if kind.is_strided else ""
-        source = self.convert(value, kind.of).text if value.kind in NUMBER_KINDS else f"{data_text(value)}[{counter}]"
+        source = self.convert(value, kind.of).text if value.kind in NUMBER_KINDS else f"{value.data}[{counter}]"
         self.instance.writes = True
         self.emit(f"for (int64_t {counter} = 0; {counter} < {count}; {counter}++) {{")
-        self.emit(f"    {data_text(array)}[{counter}{stride}] = {source};")
+        self.emit(f"    {array.data}[{counter}{stride}] = {source};")
         self.emit("}")
 
     def _assign_to_name(self, name: str, result: Operand) -> None:
-        key = (id(self.statement), name)
-        if isinstance(result, StaticValue):
+        """Give a value to a variable; declare it where this is its first statement, or where its type changes."""
+        if isinstance(result, StaticValue) and result.is_known:
             once = self.source.stores[name] == 1
             if not is_number(result.value) and (once or not is_row_of_numbers(result.value)):
                 self.constants[name] = result
                 return
-        self.assign_name(name, self.value(result), declares=key in self.source.declares)
-
-    def assign_name(self, name: str, value: Value, declares: bool) -> None:
-        """Give a value to a variable; declare it where this is its first statement, or where its type changes."""
+        value = self.value(result)
         if value.kind == NOTHING:
             raise self.error(f"{name} is assigned the result of a function that returns nothing: call it alone.")
-        variable = self.variables.get(name)
-        key = (id(self.statement), name)
+        variable, key = self.variables.get(name), (id(self.statement), name)
+        declares = key in self.source.declares
         if not declares and variable is not None and name not in self.constants and variable.block is self.block:
-            declares = value.kind != self.kind_of(variable)
+            declares = value.kind != self.kinds[variable.key]
         if declares:
-            kind = self.widen(self.new_variable(name, value.kind, key, self.block), value.kind)
-            text = self.declare(kind, self.variables[name].c)
-        else:
-            if variable is None:
-                variable = self.new_variable(name, value.kind, ("function", name), self.source.node.body)
-            kind = self.widen(variable, value.kind)
-            self.constants.pop(name, None)
-            if variable.key[0] == "function":
-                self.hoisted[variable.c] = kind
-            text = variable.c
-        right_side = self.convert(value, kind).text
+            variable = self.new_variable(name, value.kind, key, self.block)
+        elif variable is None:
+            variable = self.new_variable(name, value.kind, ("function", name), self.source.node.body)
+        kind = self.widen(variable, value.kind)
+        self.constants.pop(name, None)
+        if variable.key[0] == "function":
+            self.hoisted[variable.c] = kind
+        text, right_side = variable.c, self.convert(value, kind).text
+        if declares:
+            text = self.declare(kind, text)
         if right_side != text:
             self.emit(f"{text} = {right_side};")
 
@@ -652,7 +629,7 @@ class Translation:
             return self.constants[node.id]
         if node.id in self.variables:
             variable = self.variables[node.id]
-            return Value(variable.c, self.kind_of(variable))
+            return Value(variable.c, self.kinds[variable.key])
         if node.id in self.source.stores:
             raise self.error(f"{node.id} is read before it is assigned: assign it first.", node)
         return self.instance.lookup(node.id)
@@ -677,10 +654,8 @@ class Translation:
     def parts(self, result: Operand) -> list[Operand]:
         """The elements of a tuple, the fields of a record, the sizes of an array."""
         if isinstance(result, StaticValue):
-            return [StaticValue(part) for part in result.value]
+            return [known(part) for part in result.value]
         kind = result.kind
-        if isinstance(kind, ShapeOf):
-            return [Value(f"{result.text}[{i}]", INT64) for i in range(kind.ndim)]
         if isinstance(kind, TupleOf):
             result = self.hold(result)
             return [Value(f"{result.text}.v{i}", part) for i, part in enumerate(kind.of)]
@@ -694,14 +669,14 @@ class Translation:
         """A sign or a negation."""
         if isinstance(node.op, ast.Not):
             test = self.condition(node.operand)
-            return Value(f"!{test.at(Level.UNARY)}", BOOL, Level.UNARY, writes=test.writes)
+            return formula(f"!{test.at(Level.UNARY)}", BOOL, Level.UNARY, test)
         result = self.expression(node.operand)
         if isinstance(result, StaticValue):
             return StaticValue(_OPERATORS[type(node.op)](result.value))
         if not isinstance(node.op, ast.USub) or result.kind not in (INT64, DOUBLE):
             raise self.error(f"no such sign of {describe(result.kind)}.", node)
         text = f"({result.text})" if result.text.startswith("-") else result.at(Level.UNARY)
-        return Value(f"-{text}", result.kind, Level.UNARY, writes=result.writes)
+        return formula(f"-{text}", result.kind, Level.UNARY, result)
 
     def evaluate_BinOp(self, node: ast.BinOp) -> Operand:
         """The result of an operator of arithmetic."""
@@ -712,7 +687,6 @@ class Translation:
         if isinstance(left, StaticValue) and isinstance(right, StaticValue):
             return StaticValue(_OPERATORS[operation](left.value, right.value))
         a, b = self.values([left, right])
-        writes = a.writes or b.writes
         if isinstance(a.kind, TupleOf) and isinstance(b.kind, TupleOf) and operation is ast.Add:
             return self.make_tuple([*self.parts(a), *self.parts(b)])
         if EIGHT in (a.kind, b.kind):
@@ -729,7 +703,7 @@ class Translation:
             raise self.error("a shift by more than 63 bits is not defined: use `maths.bits.left` or `right`.")
         if BITS in (a.kind, b.kind):
             a, b = (value if value.kind == BITS else cast_to(BITS, value) for value in (a, b))
-            return self._binary_of(operation, a, b, BITS, writes)
+            return self._binary_of(operation, a, b, BITS)
         kind = join_kinds(a.kind, b.kind)
         if kind not in NUMBER_KINDS:
             raise self.error(f"no arithmetic of {describe(a.kind)} and {describe(b.kind)}: they are no numbers.")
@@ -747,16 +721,16 @@ class Translation:
                 raise self.error("bits are those of whole numbers: use `bits_of`.")
             if operation is ast.LShift:
                 return self.apply("shifted_left", (a, b), INT64)
-            return self._binary_of(operation, a, b, kind if operation is not ast.RShift else INT64, writes)
+            return self._binary_of(operation, a, b, kind if operation is not ast.RShift else INT64)
         kind = INT64 if kind == BOOL else kind
-        return self._binary_of(operation, self.convert(a, kind), self.convert(b, kind), kind, writes)
+        return self._binary_of(operation, self.convert(a, kind), self.convert(b, kind), kind)
 
     @staticmethod
-    def _binary_of(operation: type[ast.operator], a: Value, b: Value, kind: Any, writes: bool) -> Value:
+    def _binary_of(operation: type[ast.operator], a: Value, b: Value, kind: Any) -> Value:
         sign, level = _SIGNS[operation]
         if level in (Level.BIT, Level.SHIFTED):  # compilers ask for parentheses
-            return Value(f"{a.at(Level.UNARY)} {sign} {b.at(Level.UNARY)}", kind, level, writes=writes)
-        return Value(f"{a.at(level)} {sign} {b.at(level - 1)}", kind, level, writes=writes)
+            return formula(f"{a.at(Level.UNARY)} {sign} {b.at(Level.UNARY)}", kind, level, a, b)
+        return formula(f"{a.at(level)} {sign} {b.at(level - 1)}", kind, level, a, b)
 
     def _power(self, base: Value, exponent: Operand) -> Value:
         if not (isinstance(exponent, StaticValue) and exponent.value == 2):
@@ -781,10 +755,10 @@ class Translation:
             if DOUBLE in (a.kind, b.kind):
                 a, b = self.convert(a, DOUBLE), self.convert(b, DOUBLE)
             text = f"{a.at(Level.SUM)} {_SYMBOLS[type(op)]} {b.at(Level.SUM)}"
-            tests.append(Value(text, BOOL, level, writes=a.writes or b.writes))
+            tests.append(formula(text, BOOL, level, a, b))
         if len(tests) == 1:
             return tests[0]
-        return Value(" && ".join(test.text for test in tests), BOOL, Level.AND, writes=any(t.writes for t in tests))
+        return formula(" && ".join(test.text for test in tests), BOOL, Level.AND, *tests)
 
     def _is_in(self, item: Operand, among: Operand, is_negated: bool) -> Value:
         if not isinstance(among, StaticValue):
@@ -801,7 +775,7 @@ class Translation:
             tests += [self.condition(operand) for operand in node.values[1:]]
         level, joint = (Level.AND, " && ") if isinstance(node.op, ast.And) else (Level.OR, " || ")
         text = joint.join(test.at(Level.EQUAL) for test in tests)
-        return Value(text, BOOL, level, writes=any(test.writes for test in tests))
+        return formula(text, BOOL, level, *tests)
 
     def condition(self, node: ast.expr) -> Value:
         """An expression as a condition."""
@@ -820,7 +794,7 @@ class Translation:
                 raise self.error(f"{describe(a.kind)} or {describe(b.kind)}: both must have one type.", node)
             a, b = self.convert(a, kind), self.convert(b, kind)
         text = " : ".join(value.at(Level.OR) for value in (a, b))
-        return Value(f"{test.at(Level.OR)} ? {text}", kind, Level.CHOICE, writes=test.writes or a.writes or b.writes)
+        return formula(f"{test.at(Level.OR)} ? {text}", kind, Level.CHOICE, test, a, b)
 
     def evaluate_Attribute(self, node: ast.Attribute) -> Operand:
         """A field of a record, a size of an array, a name of a module."""
@@ -832,10 +806,10 @@ class Translation:
         if isinstance(kind, ArrayOf):
             owner = self.hold(owner)
             if node.attr == "size":
-                sizes = [size_text(owner, i) for i in range(kind.ndim)]
+                sizes = [owner.size(i) for i in range(kind.ndim)]
                 return Value(" * ".join(sizes), INT64, Level.PRODUCT if len(sizes) > 1 else Level.ATOM)
-            if node.attr == "shape" and not owner.embedded[0]:
-                return Value(f"{owner.text}.size", ShapeOf(kind.ndim))
+            if node.attr == "shape":
+                return StaticValue(tuple(Value(owner.size(i), INT64) for i in range(kind.ndim)))
         record = kind.record if isinstance(kind, PlaceOf) else kind
         if not isinstance(record, RecordOf) or node.attr not in record.kind._fields:
             raise self.error(f"{describe(kind)} has no {node.attr}: name one of its fields.", node)
@@ -867,14 +841,12 @@ class Translation:
             results = [self.expression(index) for index in indices]
             if all(isinstance(result, StaticValue) for result in results):
                 at = tuple(result.value for result in results)  # type: ignore[union-attr]
-                return StaticValue(owner.value[at if len(at) > 1 else at[0]])
+                return known(owner.value[at if len(at) > 1 else at[0]])
             if is_row_of_numbers(owner.value):
-                kind = DOUBLE if any(isinstance(part, float) for part in owner.value) else INT64
-                token = self.instance.need(NumberTable(kind, tuple(map(float if kind == DOUBLE else int, owner.value))))
-                return Value(f"{token}[{self.value(results[0]).text}]", kind)
+                owner = StaticValue(np.array(owner.value))
             owner = self.value(owner)
         kind = owner.kind
-        if isinstance(kind, ShapeOf | TupleOf | RecordOf | PlaceOf):
+        if isinstance(kind, TupleOf | RecordOf | PlaceOf):
             return self._part(owner, self.expression(indices[0]), node)
         if not isinstance(kind, ArrayOf):
             raise self.error(f"{describe(kind)} has no elements.", node)
@@ -883,8 +855,6 @@ class Translation:
     def _part(self, owner: Value, index: Operand, node: ast.AST) -> Operand:
         """A part of a tuple or a record of numbers by its place."""
         if isinstance(index, StaticValue) or not isinstance(owner.kind, TupleOf | RecordOf):
-            if isinstance(owner.kind, ShapeOf):
-                return Value(f"{owner.text}[{self.value(index).text}]", INT64)
             return self.parts(owner)[index.value]  # type: ignore[union-attr]
         kinds = set(owner.kind.of if isinstance(owner.kind, TupleOf) else owner.kind.fields.values())
         if len(kinds) != 1 or not kinds <= {DOUBLE, INT64}:
@@ -901,9 +871,7 @@ class Translation:
         slices = [isinstance(index, ast.Slice) for index in indices]
         if slices == [True, False] and kind == ArrayOf(DOUBLE, 2) and is_full_slice(indices[0]):
             index = self.value(self.expression(indices[1]))
-            return self.call_c(
-                "matrix_column", f"{array.text}, {self._at(index, array, 1).text}", ArrayOf(DOUBLE, 1, True)
-            )
+            return self.apply("matrix_column", [array, self._at(index, array, 1)], ArrayOf(DOUBLE, 1, True))
         count = slices.index(True) if True in slices else len(indices)
         if any(not is_full_slice(index) for index in indices[count + 1 :]):
             raise self.error("a slice comes last: take rows first.", node)
@@ -911,8 +879,7 @@ class Translation:
         if count == kind.ndim:
             return self.element(array, scalars)
         for scalar in scalars:
-            row = array.kind.row
-            array = self.call_c(f"{array.kind.name}_row", f"{array.text}, {self._at(scalar, array, 0).text}", row)
+            array = self.apply(f"{array.kind.name}_row", [array, self._at(scalar, array, 0)], array.kind.row)
         if count < len(indices) and not is_full_slice(indices[count]):
             array = self._sliced(array, indices[count])  # type: ignore[arg-type]
         return array
@@ -920,15 +887,15 @@ class Translation:
     def _sliced(self, array: Value, bounds: ast.Slice) -> Value:
         if bounds.step is not None:
             raise self.error("a slice has no step: write a loop.")
-        lower = "0" if bounds.lower is None else self.value(self.expression(bounds.lower)).text
-        upper = "INT64_MAX" if bounds.upper is None else self.value(self.expression(bounds.upper)).text
-        return self.call_c(f"{array.kind.name}_slice", f"{array.text}, {lower}, {upper}", array.kind)
+        lower = "0" if bounds.lower is None else self.value(self.expression(bounds.lower))
+        upper = "INT64_MAX" if bounds.upper is None else self.value(self.expression(bounds.upper))
+        return self.apply(f"{array.kind.name}_slice", [array, lower, upper], array.kind)
 
     def _at(self, index: Value, array: Value, dimension: int) -> Value:
         """An index; a negative number that is written out counts from the end."""
         if index.kind not in (INT64, BOOL):
             raise self.error(f"an index is a whole number, not {describe(index.kind)}: use `maths.bits.whole`.")
-        size = size_text(array, dimension)
+        size = array.size(dimension)
         if re.fullmatch(r"-\d+", index.text):
             index = Value(f"{size} - {index.text[1:]}", INT64, Level.SUM)
         if self.program.checks_indices:
@@ -940,7 +907,7 @@ class Translation:
         array = self.hold(array)
         kind, place = array.kind, self._at(indices[0], array, 0)
         for dimension, index in enumerate(indices[1:], 1):
-            index, size = self._at(index, array, dimension), size_text(array, dimension)
+            index, size = self._at(index, array, dimension), array.size(dimension)
             before = Value(f"{place.at(Level.PRODUCT)} * {size}", INT64, Level.PRODUCT)
             if place.text == "0":
                 place = index
@@ -949,7 +916,7 @@ class Translation:
             else:
                 place = Value(f"{before.text} + {index.at(Level.SUM)}", INT64, Level.SUM)
         text = f"{place.at(Level.PRODUCT)} * {array.text}.stride" if kind.is_strided else place.text
-        text = f"{data_text(array)}[{text}]"
+        text = f"{array.data}[{text}]"
         if isinstance(kind.of, RecordOf):
             return place_of(text, kind.of)
         return Value(text, kind.of)
@@ -990,7 +957,7 @@ class Translation:
         (argument,) = self.arguments(node.args)
         if not (isinstance(argument, StaticValue) and argument.value is np.int64 and array.kind == ArrayOf(DOUBLE, 1)):
             raise self.error("only a vector is viewed, as np.int64.", node)
-        return self.make_array(ArrayOf(INT64, 1), f"(int64_t *){data_text(array)}", [size_text(array, 0)])
+        return self.make_array(ArrayOf(INT64, 1), f"(int64_t *){array.data}", [array.size(0)])
 
     def call_inlined(self, function: Known, results: list[Operand], node: ast.Call) -> Operand:
         """A function that is a part of this one; numbers are passed, all else that is known is built in."""
@@ -999,7 +966,9 @@ class Translation:
         if missing:
             results = results + [StaticValue(ast.literal_eval(value)) for value in parameters.defaults[-missing:]]
         arguments = [
-            result if isinstance(result, StaticValue) and not is_number(result.value) else self.value(result)
+            result
+            if isinstance(result, StaticValue) and result.is_known and not is_number(result.value)
+            else self.value(result)
             for result in results
         ]
         called = self.program.instance(function.function, [
@@ -1010,23 +979,36 @@ class Translation:
         return self.apply(self.instance.need(called), values, called.returned, called.writes)
 
     def call_exported(self, function: Exported, results: list[Operand], node: ast.Call) -> Operand:
-        """A kernel of the library: its C function, or an adapter with arrays and several results as ours."""
+        """A kernel of the library: its C function."""
         self.program.kernels.setdefault(function.name, function)
-        adapter = Adapter(function.name, function.signature, function)
-        return self._call_adapter(adapter, [], results, self.program.kernel(function).writes)
+        writes = self.program.kernel(function).writes
+        return self._call_function(self.instance.need(function), function.signature, self.values(results), writes)
 
     def call_caller(self, function: Known, results: list[Operand], node: ast.Call) -> Operand:
         """A call of an address."""
-        adapter = Adapter(ast.unparse(node.func).rsplit(".", 1)[-1].strip("_"), function.of)
-        return self._call_adapter(adapter, [INT64], results, True)
+        address, *values = self.values(results)
+        name = ast.unparse(node.func).rsplit(".", 1)[-1].strip("_").removeprefix("call_")
+        kind = self.instance.need(FunctionType(f"{name}_function", function.of))
+        return self._call_function(f"(({kind})(intptr_t){address.at(Level.UNARY)})", function.of, values, True)
 
-    def _call_adapter(self, adapter: Adapter, first: list[Any], results: list[Operand], writes: bool) -> Value:
-        kinds = [*first, *(argument_type(kind) for kind in adapter.signature.types)]
-        values = self.values(results)
-        values = [self.convert(value, kind) for value, kind in zip(values, kinds, strict=True)]
+    def _call_function(self, name: str, signature: Signature, values: list[Value], writes: bool) -> Value:
+        """A call of a C function: an array is its place and its sizes, several results are written to words."""
+        arguments: list[Value | str] = []
+        for value, kind in zip(values, map(argument_type, signature.types), strict=True):
+            value = self.convert(value, kind)
+            if isinstance(kind, ArrayOf):
+                value = self.hold(value)
+                arguments += [value.data, *map(value.size, range(kind.ndim))]
+            else:
+                arguments.append(value)
         self.instance.writes |= writes
-        self.instance.kinds.update(dict.fromkeys(kinds))
-        return self.apply(self.instance.need(adapter), values, returned_type(adapter.signature), writes)
+        returned = returned_type(signature)
+        if not isinstance(returned, TupleOf):
+            return self.convert(self.apply(name, arguments, c_result(returned), writes), returned)
+        words = self._fresh("words")
+        self.storage.append(f"adaptrack_word {words}[{len(returned.of)}];")
+        self.compute(self.apply(name, [*arguments, words], NOTHING, writes))
+        return self.make_tuple(Value(word_text(words, i, kind), kind) for i, kind in enumerate(returned.of))
 
     def call_view(self, function: Known, results: list[Operand], node: ast.Call) -> Operand:
         """The record that lies in a vector from a place on."""
@@ -1036,8 +1018,8 @@ class Translation:
         self.instance.kinds[record] = None
         at = place.at(Level.SUM)
         if self.program.checks_indices:
-            at = f"checked_span({place.text}, {size_of(function.of)}, {size_text(vector, 0)})"
-        text = data_text(vector) + ("" if at == "0" else f" + {at}")
+            at = f"checked_span({place.text}, {size_of(function.of)}, {vector.size(0)})"
+        text = vector.data + ("" if at == "0" else f" + {at}")
         text = f"({text})" if " " in text else text
         return Value(f"({record.c} *){text}", PlaceOf(record), Level.UNARY)
 
@@ -1049,52 +1031,58 @@ class Translation:
         return self.make_array(kind, f"filled_with_zeros({name}, {count})", function.of)
 
     def call_primitive(self, function: Known, results: list[Operand], node: ast.Call) -> Operand:
-        """An operation of the head."""
-        name = function.function.__name__
-        values = self.values(results)
-        if name == "shaped":
-            kind = ArrayOf(values[0].kind.of, len(values) - 1)
-            array = self.hold(values[0])
-            return self.make_array(kind, data_text(array), [size.text for size in values[1:]])
-        if name in ("load", "store", "spread"):
-            return self._vector_at(name, values, node)
-        if name == "column":
-            array = self.hold(values[0])
-            indices = ", ".join(value.text for value in values[1:])
-            return self.call_c("column8", f"{data_text(array)}, {size_text(array, 1)}, {indices}", EIGHT)
-        if name == "totals":
-            (rows,) = values
-            rows = self.hold(rows)
-            return self.call_c("totals8", ", ".join(f"{rows.text}.v{i}" for i in range(VECTOR_WIDTH)), EIGHT)
+        """An operation of the head: on one number, or on eight."""
+        name, values = function.function.__name__, self.values(results)
+        rule = getattr(self, f"compute_{name}", None)
+        if rule is not None:
+            result: Operand = rule(values)
+            return result
         if name not in PRIMITIVES:
             raise self.error(f"the compiler does not know the primitive {name}.", node)
         is_of_eight = any(value.kind == EIGHT for value in values)
-        c_name, returned = PRIMITIVES[name]
-        if returned is None:
-            c_name, returned = (f"{c_name}8", EIGHT) if is_of_eight else (f"{c_name}1", DOUBLE)
-        elif name == "usual_sum":
-            c_name = f"{c_name}{8 if is_of_eight else 1}"
+        returned = PRIMITIVES[name] or (EIGHT if is_of_eight else DOUBLE)
         if returned == DOUBLE and not is_of_eight and name != "float_of":
             values = [self.convert(value, DOUBLE) for value in values]
-        return self.apply(c_name, values, returned)
+        width = 8 if is_of_eight or returned == EIGHT else 1
+        return self.apply(f"{name.removesuffix('8')}{width}", values, returned)
 
-    def _vector_at(self, name: str, values: list[Value], node: ast.Call) -> Value:
-        """Eight numbers of an array from a place on, or one number in all eight entries."""
-        array = self.hold(values[0])
-        indices = values[1:] if name != "store" else values[1:-1]
-        if not isinstance(array.kind, ArrayOf) or array.kind.ndim != len(indices):
-            raise self.error(f"{name} takes an index for each dimension of an array.", node)
-        if self.program.checks_indices and name != "spread":
-            size = size_text(array, len(indices) - 1)
-            indices[-1] = Value(f"checked_span({indices[-1].text}, {VECTOR_WIDTH}, {size})", INT64)
-        element = self.element(array, indices).text
-        if name == "spread":
-            return self.call_c("splat8", element, EIGHT)
-        place = f"&{element}"
-        if name == "load":
-            return self.call_c("load8", place, EIGHT)
+    def compute_shaped(self, values: list[Value]) -> Value:
+        """The numbers of a vector as an array of more dimensions."""
+        vector = self.hold(values[0])
+        return self.make_array(ArrayOf(vector.kind.of, len(values) - 1), vector.data, [v.text for v in values[1:]])
+
+    def compute_load(self, values: list[Value]) -> Value:
+        """Eight numbers of an array from a place on."""
+        return self.apply("load8", [f"&{self._span(values, VECTOR_WIDTH)}"], EIGHT)
+
+    def compute_store(self, values: list[Value]) -> Value:
+        """Eight numbers to an array from a place on."""
         self.instance.writes = True
-        return self.call_c("store8", f"{place}, {values[-1].text}", NOTHING, True)
+        return self.apply("store8", [f"&{self._span(values[:-1], VECTOR_WIDTH)}", values[-1]], NOTHING, True)
+
+    def compute_spread(self, values: list[Value]) -> Value:
+        """One number of an array in all eight entries."""
+        return self.apply("splat8", [self._span(values, 1)], EIGHT)
+
+    def _span(self, values: list[Value], count: int) -> str:
+        """The first of so many numbers of an array, behind which the values are its indices."""
+        array, indices = self.hold(values[0]), values[1:]
+        if not isinstance(array.kind, ArrayOf) or array.kind.ndim != len(indices):
+            raise self.error("load, store and spread take an index for each dimension of an array.")
+        if self.program.checks_indices and count > 1:
+            checked = f"checked_span({indices[-1].text}, {count}, {array.size(len(indices) - 1)})"
+            indices[-1] = Value(checked, INT64)
+        return self.element(array, indices).text
+
+    def compute_column(self, values: list[Value]) -> Value:
+        """Eight numbers of a column of a matrix."""
+        matrix = self.hold(values[0])
+        return self.apply("column8", [matrix.data, matrix.size(1), *values[1:]], EIGHT)
+
+    def compute_totals(self, values: list[Value]) -> Value:
+        """Eight sums of eight numbers."""
+        rows = self.hold(values[0])
+        return self.apply("totals8", [f"{rows.text}.v{i}" for i in range(VECTOR_WIDTH)], EIGHT)
 
 
 # -- functions of Python's --------------------------------------------------------------------------------------------
@@ -1144,7 +1132,7 @@ def _length(translation: Translation, results: list[Operand]) -> Operand:
     assert isinstance(result, Value)
     kind = result.kind
     if isinstance(kind, ArrayOf):
-        return Value(size_text(translation.hold(result), 0), INT64)
+        return Value(translation.hold(result).size(0), INT64)
     if isinstance(kind, TupleOf):
         return StaticValue(len(kind.of))
     record = kind.record if isinstance(kind, PlaceOf) else kind
@@ -1166,18 +1154,15 @@ FUNCTIONS: dict[Any, Any] = {
 }
 """What kernels may call of Python's functions."""
 
-PRIMITIVES: dict[str, tuple[str, Any]] = {
-    "fma": ("fma1", DOUBLE), "sqrt": ("sqrt1", DOUBLE), "floor": ("floor1", DOUBLE), "ceil": ("ceil1", DOUBLE),
-    "bits_of": ("bits_of", INT64), "float_of": ("float_of", DOUBLE),
-    "upper_half": ("upper_half", None), "to_odd": ("to_odd", None), "usual_sum": ("usual_sum", BOOL),
-    "zeros": ("zeros8", EIGHT), "splat": ("splat8", EIGHT), "add": ("add8", EIGHT), "sub": ("sub8", EIGHT),
-    "mul": ("mul8", EIGHT), "div": ("div8", EIGHT), "fma8": ("fma8", EIGHT), "lesser": ("lesser8", EIGHT),
-    "larger": ("larger8", EIGHT), "where_positive": ("where_positive8", EIGHT), "with_entry": ("with_entry8", EIGHT),
-    "keep_first": ("keep_first8", EIGHT), "keep_last": ("keep_last8", EIGHT), "total": ("total8", DOUBLE),
-    "largest": ("largest8", DOUBLE), "smallest": ("smallest8", DOUBLE), "first_equal": ("first_equal8", INT64),
-    "all_below_infinity": ("all_below_infinity8", BOOL),
+PRIMITIVES: dict[str, Any] = {
+    **dict.fromkeys(("fma", "sqrt", "floor", "ceil", "float_of", "total", "largest", "smallest"), DOUBLE),
+    **dict.fromkeys(("zeros", "splat", "add", "sub", "mul", "div", "fma8", "lesser", "larger", "where_positive",
+                     "with_entry", "keep_first", "keep_last"), EIGHT),
+    **dict.fromkeys(("bits_of", "first_equal"), INT64),
+    **dict.fromkeys(("usual_sum", "all_below_infinity"), BOOL),
+    **dict.fromkeys(("upper_half", "to_odd")),
 }  # fmt: skip
-"""Functions of the head by the names of the primitives, and what they return; None: one number, or eight."""
+"""What the functions of the head return that have the name of a primitive, and 1 or 8; None: what they are given."""
 
 _OPERATORS: dict[Any, Any] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
@@ -1248,7 +1233,6 @@ class Program:
         key = ("exported", kernel.name)
         if key not in self.instances:
             instance = Instance(kernel.function, map(argument_type, kernel.signature.arguments), kernel)
-            instance.program_checks = self.checks_indices
             instance.returned = returned_type(kernel.signature)
             self.translate(instance)
             self.instances[key] = instance
@@ -1281,7 +1265,7 @@ class Program:
         translation.statements(node.body)
         words, opening = [], []
         for kind, variable in parameters:
-            final, c = translation.kind_of(variable), variable.c
+            final, c = translation.kinds[variable.key], variable.c
             if instance.kernel is not None:
                 parameter_words, value = c_parameter(kind, c)
             elif final == kind:
@@ -1334,9 +1318,9 @@ def c_result(kind: Any) -> Any:
     return NOTHING if isinstance(kind, TupleOf) else INT64 if kind == BOOL else kind
 
 
-def answer(i: int, kind: Any) -> str:
+def word_text(words: str, i: int, kind: Any) -> str:
     """One of several numbers that a kernel returns."""
-    return f"answers[{i}].{'number' if kind == DOUBLE else 'whole'}"
+    return f"{words}[{i}].{'number' if kind == DOUBLE else 'whole'}"
 
 
 def parameter_names(kernel: Exported) -> list[str]:

@@ -50,16 +50,38 @@ class Value:
         """The text where an operand must bind at least as tightly as this."""
         return f"({self.text})" if self.level > level else self.text
 
+    @property
+    def data(self) -> str:
+        """Of an array: the place of its first number."""
+        return self.embedded[0] or f"{self.text}.data"
+
+    def size(self, dimension: int) -> str:
+        """Of an array: the size of a dimension."""
+        return str(self.embedded[1][dimension]) if self.embedded[0] else f"{self.text}.size[{dimension}]"
+
 
 @dataclass(frozen=True)
 class StaticValue:
-    """A value that is known when a kernel is translated; name: of a number, under which the source knows it."""
+    """A value that is known when a kernel is translated, or a tuple whose parts are expressions.
+
+    name: of a number, under which the source knows it.
+    """
 
     value: Any
     name: str = ""
 
+    @property
+    def is_known(self) -> bool:
+        """Whether no part is an expression."""
+        return not (isinstance(self.value, tuple) and any(isinstance(part, Value) for part in self.value))
+
 
 Operand = Value | StaticValue
+
+
+def known(value: Any) -> Operand:
+    """A part of a known value; an expression is itself."""
+    return value if isinstance(value, Value) else StaticValue(value)
 
 
 def is_number(value: Any) -> bool:
@@ -127,14 +149,9 @@ class NumberTable:
     values: tuple[float, ...]
 
 
-def data_text(array: Value) -> str:
-    """The place of the first number of an array."""
-    return array.embedded[0] or f"{array.text}.data"
-
-
-def size_text(array: Value, dimension: int) -> str:
-    """A size of an array."""
-    return str(array.embedded[1][dimension]) if array.embedded[0] else f"{array.text}.size[{dimension}]"
+def formula(text: str, kind: Any, level: int, *operands: Value) -> Value:
+    """An expression of operands; it writes to memory where one of them does."""
+    return Value(text, kind, level, any(operand.writes for operand in operands))
 
 
 def place_of(text: str, record: RecordOf) -> Value:
@@ -146,13 +163,13 @@ def loaded(place: Value) -> Value:
     """The record at a place, as a value."""
     record = place.kind.record
     if place.text.startswith("&"):
-        return Value(place.text[1:], record, writes=place.writes)
-    return Value(f"*{place.at(Level.UNARY)}", record, Level.UNARY, writes=place.writes)
+        return formula(place.text[1:], record, Level.ATOM, place)
+    return formula(f"*{place.at(Level.UNARY)}", record, Level.UNARY, place)
 
 
 def cast_to(kind: CNumber, value: Value) -> Value:
     """A number as one of a type."""
-    return Value(f"({kind.c}){value.at(Level.UNARY)}", kind, Level.UNARY, writes=value.writes)
+    return formula(f"({kind.c}){value.at(Level.UNARY)}", kind, Level.UNARY, value)
 
 
 def is_fixed(value: Value) -> bool:
@@ -172,4 +189,4 @@ def describe(kind: Any) -> str:
         return f"a record {kind.record.kind.__name__} in its place"
     if isinstance(kind, RecordOf):
         return f"a record {kind.kind.__name__}"
-    return f"{len(kind.of)} values" if isinstance(kind, TupleOf) else "a shape"
+    return f"{len(kind.of)} values"
