@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 from ..controllers.part import COMMON_ANSWER, ControllerPart, apply_requests, control
-from ..estimators.learning import BELIEF_COLUMNS
-from ..kernel import Caller, Place, exported, inlined, int64, local, record, vector, void
+from ..estimators.learning import Beliefs
+from ..kernel import Caller, Place, exported, inlined, int64, local, record, vector, viewer, void
 from ..loop import period_of
-from ..maths.bits import whole
 from ..scheduling.functions import VARIABLE_COLUMNS
-from .instant import begin_instant, conclude_instant
+from .instant import begin_instant, conclude_instant, expect_speeds
 from .longitudinal import Longitudinal
-from .records import CONTROLLER_ANSWER, INSTANT, TrackerRecord
-from .signals import NO_BELIEF, TRACKER_SAMPLE
+from .pose import forward
+from .records import TrackerRecord
+from .signals import NO_BELIEF, sample_of
 from .take_call import tracker_take
 
 Tracking = record(
@@ -29,7 +29,7 @@ Tracking = record(
 """A tracker with its controller, and with a speed control where it has one."""
 _narrow_friction = Caller(void(Place(TrackerRecord), vector, Place(Longitudinal)))
 _control_speed = Caller(void(Place(TrackerRecord), Place(Longitudinal)))
-_reference = local(1)
+_reference, _beliefs_at = local(1), viewer(Beliefs)
 
 
 @inlined
@@ -55,43 +55,37 @@ def _prepare(slot, tracking):
 
 @inlined
 def _depart(slot, tracking):
-    """Take in the answer: the caller has it at the end of the call."""
-    conclude_instant(tracking.tracker)
+    """Take in the answer, with what is learned: the caller has it at the end of the call."""
+    m, answer, beliefs = tracking.tracker.memory[0], tracking.controller.answer[slot], tracking.controller.beliefs
+    m.belief_state, m.belief_at_bound, m.delay_sigma = NO_BELIEF, NO_BELIEF, 0.0
+    if beliefs > 0:
+        learned = _beliefs_at(answer, beliefs)
+        m.belief_state, m.belief_at_bound = learned.belief_state, learned.belief_at_bound
+        m.delay_sigma = learned.belief_delay_sigma
+    conclude_instant(tracking.tracker, answer[COMMON_ANSWER.command], answer[COMMON_ANSWER.held] > 0.5)
 
 
 @inlined
 def _write_variables(tracker):
     """Write what a schedule goes by; friction that is not known is the nominal one, such wind none."""
-    sample, variables = tracker.sample, tracker.variables
-    friction, wind = sample[TRACKER_SAMPLE.friction], sample[TRACKER_SAMPLE.wind]
-    variables[VARIABLE_COLUMNS.speed], variables[VARIABLE_COLUMNS.y_ref] = tracker.ahead[INSTANT.speed], 0.0
-    variables[VARIABLE_COLUMNS.friction] = friction if math.isfinite(friction) else tracker.settings[0].nominal_friction
-    variables[VARIABLE_COLUMNS.wind] = wind if math.isfinite(wind) else 0.0
+    sample, variables, m = sample_of(tracker.sample, 0), tracker.variables, tracker.memory[0]
+    nominal = tracker.settings[0].nominal_friction
+    variables[VARIABLE_COLUMNS.speed], variables[VARIABLE_COLUMNS.y_ref] = forward(m), 0.0
+    variables[VARIABLE_COLUMNS.friction] = sample.friction if math.isfinite(sample.friction) else nominal
+    variables[VARIABLE_COLUMNS.wind] = sample.wind if math.isfinite(sample.wind) else 0.0
     variables[VARIABLE_COLUMNS.change] = variables[VARIABLE_COLUMNS.acceleration] = 0.0
-    variables[VARIABLE_COLUMNS.offset] = -tracker.memory[0].offset
+    variables[VARIABLE_COLUMNS.offset] = -m.offset
 
 
 @inlined
 def _control(slot, tracking):
     """The controller's step."""
-    tracker, controller = tracking.tracker, tracking.controller
-    ahead, answer = tracker.ahead, tracker.answer
+    tracker, m = tracking.tracker, tracking.tracker.memory[0]
     _write_variables(tracker)
     control(
-        slot, tracker.variables, ahead[INSTANT.speed], tracker.memory[0].command, ahead[INSTANT.station], 0,
-        tracker.measured, _reference(), tracker.speeds[: whole(ahead[INSTANT.count])], tracker.path, controller,
+        slot, tracker.variables, forward(m), m.command, m.station, 0, tracker.measured, _reference(),
+        tracker.speeds[: expect_speeds(tracker, m)], tracker.path, tracking.controller,
     )  # fmt: skip
-    output = controller.answer[slot]
-    answer[CONTROLLER_ANSWER.command] = output[COMMON_ANSWER.command]
-    answer[CONTROLLER_ANSWER.held] = output[COMMON_ANSWER.held]
-    if controller.beliefs > 0:
-        learned = output[controller.beliefs :]
-        answer[CONTROLLER_ANSWER.belief_state] = learned[BELIEF_COLUMNS.belief_state]
-        answer[CONTROLLER_ANSWER.belief_at_bound] = learned[BELIEF_COLUMNS.belief_at_bound]
-        answer[CONTROLLER_ANSWER.delay_sigma] = learned[BELIEF_COLUMNS.belief_delay_sigma]
-    else:
-        answer[CONTROLLER_ANSWER.belief_state] = answer[CONTROLLER_ANSWER.belief_at_bound] = NO_BELIEF
-        answer[CONTROLLER_ANSWER.delay_sigma] = 0.0
 
 
 _drive_period = period_of(_arrive, _prepare, _control, _depart)
