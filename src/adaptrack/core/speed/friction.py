@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 
-from ..estimators.extended_kalman import bounded, carry, correct, scatter
+from ..estimators.extended_kalman import bounded, carry, correct, scatter, step_motion
 from ..estimators.friction_wind import steered
 from ..estimators.learning import memory_of
 from ..kernel import columns, exported, fields_of, float64, inlined, local, record, rows, vector, void
@@ -181,16 +181,10 @@ def _accelerations(h, angle, motion, c, law, slopes):
     of_front, of_rear = _states(), _states()
     of_front[_Z.vy] = -by_front * speed / (speed * speed + side_f * side_f)
     of_rear[_Z.vy] = -by_rear * speed / (speed * speed + side_r * side_r)
-    of_front[_Z.yaw_rate], of_rear[_Z.yaw_rate] = (
-        c.lf * of_front[_Z.vy],
-        -c.lr * of_rear[_Z.vy],
-    )
+    of_front[_Z.yaw_rate], of_rear[_Z.yaw_rate] = c.lf * of_front[_Z.vy], -c.lr * of_rear[_Z.vy]
     of_front[_Z.bias] = by_front
     of_front[_Z.stiffness], of_rear[_Z.stiffness] = by_front * slip_f, by_rear * slip_r
-    of_front[_Z.balance], of_rear[_Z.balance] = (
-        0.5 * of_front[_Z.stiffness],
-        -0.5 * of_rear[_Z.stiffness],
-    )
+    of_front[_Z.balance], of_rear[_Z.balance] = 0.5 * of_front[_Z.stiffness], -0.5 * of_rear[_Z.stiffness]
     by_mass, by_inertia = 1.0 / c.mass, 1.0 / c.yaw_inertia
     air, twist, _ = wind_load(0.0, speed, x[_Z.vy], 0.0, 0.0, c)
     for j in range(_COUNT):
@@ -225,19 +219,7 @@ def _predict(h, angle, turning, step, motion, c, law):
     push, twist = slopes[_Z.vy, _Z.bias], slopes[_Z.yaw_rate, _Z.bias]
     slopes[_Z.vy, _Z.yaw_rate] -= speed
     slopes[_Z.vy, _Z.side] += 1.0
-    half = 0.5 * step
-    a, b = half * slopes[_Z.vy, _Z.vy], half * slopes[_Z.vy, _Z.yaw_rate]
-    d, e = half * slopes[_Z.yaw_rate, _Z.vy], half * slopes[_Z.yaw_rate, _Z.yaw_rate]
-    scale = 1.0 / ((1.0 - a) * (1.0 - e) - b * d)
-    vv, vr, rv, rr = (1.0 - e) * scale, b * scale, d * scale, (1.0 - a) * scale
-    slide, turn = step * (lateral + motion.pull + x[_Z.side] - speed * x[_Z.yaw_rate]), step * yawing
-    x[_Z.vy] += vv * slide + vr * turn
-    x[_Z.yaw_rate] += rv * slide + rr * turn
-    for j in range(_COUNT):
-        slide, turn = step * slopes[_Z.vy, j], step * slopes[_Z.yaw_rate, j]
-        mixed[_Z.vy, j], mixed[_Z.yaw_rate, j] = vv * slide + vr * turn, rv * slide + rr * turn
-    mixed[_Z.vy, _Z.vy] += 1.0
-    mixed[_Z.yaw_rate, _Z.yaw_rate] += 1.0
+    step_motion(lateral + motion.pull + x[_Z.side] - speed * x[_Z.yaw_rate], yawing, step, slopes, _COUNT, x, mixed)
     shares, sigmas = _states(), _sigmas(knowledge)
     for j in range(_Z.bias, _COUNT):
         shares[j] = exp(-step / (SIDE_TIME if j == _Z.side else KNOWLEDGE_TIME))
@@ -248,16 +230,13 @@ def _predict(h, angle, turning, step, motion, c, law):
     front, rear = TYRE_ERROR * front, TYRE_ERROR * rear
     late = turning * knowledge.delay_sigma  # rad, error of the wheels by that of the delay, which lasts a step
     pushed, twisted = step * late * push, step * late * twist
-    P[_Z.vy, _Z.vy] += (
-        step * (square(DRIFT_VELOCITY) + (front * front + rear * rear) / square(c.mass)) + pushed * pushed
-    )
+    slides = (front * front + rear * rear) / square(c.mass)
+    P[_Z.vy, _Z.vy] += step * (square(DRIFT_VELOCITY) + slides) + pushed * pushed
     both = step * (c.lf * front * front - c.lr * rear * rear) / (c.mass * c.yaw_inertia) + pushed * twisted
     P[_Z.vy, _Z.yaw_rate] += both
     P[_Z.yaw_rate, _Z.vy] += both
-    P[_Z.yaw_rate, _Z.yaw_rate] += (
-        step * (square(DRIFT_YAW_RATE) + (square(c.lf * front) + square(c.lr * rear)) / square(c.yaw_inertia))
-        + twisted * twisted
-    )
+    turns = (square(c.lf * front) + square(c.lr * rear)) / square(c.yaw_inertia)
+    P[_Z.yaw_rate, _Z.yaw_rate] += step * (square(DRIFT_YAW_RATE) + turns) + twisted * twisted
     _copy_covariance(P, h.covariance)
 
 

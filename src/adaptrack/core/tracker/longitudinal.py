@@ -13,10 +13,10 @@ from ..layout import empty
 from ..maths.bits import whole
 from ..maths.exact import clip, square
 from ..roads.road import foot_near, point_at
+from ..speed import speed_control as control
 from ..speed.friction import FrictionEstimate, begin_friction, narrow_friction
 from ..speed.learning import SpeedBanks, begin_bank
 from ..speed.path import MAX_PLAN_SPEED
-from ..speed import speed_control as control
 from ..speed.speed_control import BLIND_GRACE, SPEED_REQUEST
 from .pose import forward, has_position, line, time_of
 from .records import TrackerRecord
@@ -26,7 +26,8 @@ Longitudinal = record(
     "Longitudinal",
     (
         ("sample", rows(control.SPEED_SAMPLE)), ("memory", rows(control.SPEED_MEMORY)),
-        ("settings", control.SpeedSettings), ("path", control.SpeedPath), ("banks", SpeedBanks), ("ahead", vector), ("friction", FrictionEstimate),
+        ("settings", control.SpeedSettings), ("path", control.SpeedPath), ("banks", SpeedBanks), ("ahead", vector),
+        ("friction", FrictionEstimate),
     ),
 )  # fmt: skip
 """A speed control: sample and memory (1,), settings, plan, banks, the governed squares ahead (m^2/s^2), and the
