@@ -12,16 +12,14 @@ import math
 
 from ..estimators import kalman, learning
 from ..estimators.extended_kalman import IMPOSSIBLE_SIGNAL, IMPOSSIBLE_SPEED, call_estimate
-from ..kernel import exported, float64, inlined, int64, several, vector, void
+from ..kernel import exported, float64, inlined, int64, void
 from ..maths.bits import whole
 from ..models import path
 from ..models.contract import MEASUREMENT
 from ..qp import problem as qp
 from .constraints import sample_at
-from .contract import STANDSTILL_SPEED
 from .mpc import MPC_ANSWER, MPC_PLACE, Functions, begin_learning
 from .prediction import compare, complete, discretise, form_model, is_formed, limit_moves, take_tuning
-from .receding import move_on, stand
 
 
 @inlined
@@ -114,7 +112,7 @@ def _widen_first_move(slot, mpc):
             first.move_back = max(-settings.move_min, command - informed.x[i] + ahead)
 
 
-@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC_PLACE, Functions))
+@inlined
 def form_informed(slot, speed, reference, tuning, mpc, functions):
     """The QP of eq. (17); see `mpc_step.form_qp`."""
     settings, memory = mpc.settings, mpc.memory[slot]
@@ -136,13 +134,3 @@ def form_informed(slot, speed, reference, tuning, mpc, functions):
         _widen_first_move(slot, mpc)
     complete(slot, speed, n, mpc)
     return memory.factor_status, n, m
-
-
-@inlined
-def step(slot, speed, reference, tuning, mpc, functions):
-    """One step of a slot. Arguments as for `mpc_step.form_qp`."""
-    status, n, m = form_informed(slot, speed, reference, tuning, mpc, functions)
-    if status == qp.SOLVED and abs(speed) < STANDSTILL_SPEED:
-        stand(slot, mpc)
-    else:
-        move_on(slot, status, n, m, mpc)

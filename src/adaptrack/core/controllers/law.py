@@ -39,15 +39,9 @@ def request_of_law(slot, request, controller):
 def step_law(slot, speed, command, station, road, measured, reference, speeds, roads, controller):
     """One control period of a law; a command that is not finite holds the last one."""
     law, out, answer = controller.law, controller.answer[slot], controller.law.answer
-    now = Situation(
-        measured[MEASUREMENT.vy] if law.has_vy > 0 else 0.0,
-        measured[MEASUREMENT.yaw],
-        measured[MEASUREMENT.yaw_rate],
-        measured[MEASUREMENT.y],
-        speed,
-        command,
-    )
-    write_situation(law.situation, 0, now)
+    vy = measured[MEASUREMENT.vy] if law.has_vy > 0 else 0.0
+    yaw, yaw_rate, y = measured[MEASUREMENT.yaw], measured[MEASUREMENT.yaw_rate], measured[MEASUREMENT.y]
+    write_situation(law.situation, 0, Situation(vy, yaw, yaw_rate, y, speed, command))
     ahead = reference if law.preview > 0 else reference[:1]
     road_ahead = RoadAheadRecord(line_of(road, roads), station, speeds)
     call_law(
