@@ -147,18 +147,9 @@ BELIEF_COLUMNS, Beliefs = columns(*BELIEF_NAMES), record("Beliefs", BELIEF_NAMES
 
 LEARNER_STATES = 11
 (
-    LATERAL_VELOCITY,
-    YAW_RATE,
-    WIND_FORCE,
-    BIAS,
-    BANK,
-    STIFFNESS_SCALE,
-    BALANCE,
-    FRICTION,
-    STEERING_LAG,
-    DEAD_TIME,
+    LATERAL_VELOCITY, YAW_RATE, WIND_FORCE, BIAS, BANK, STIFFNESS_SCALE, BALANCE, FRICTION, STEERING_LAG, DEAD_TIME,
     OFFSET,
-) = range(LEARNER_STATES)
+) = range(LEARNER_STATES)  # fmt: skip
 """Places in x; the dead time with the computation."""
 _ROW = 2 * VECTOR_WIDTH
 """x and the rows of its covariance are padded to so many."""
@@ -391,19 +382,13 @@ def _predict_state(candidate, speed, by_dead_time, h, p, mixed):
     of_front[BALANCE] += middle_front
     of_rear[STIFFNESS_SCALE] += middle_rear
     of_rear[BALANCE] -= middle_rear
-    (
-        mixed[LATERAL_VELOCITY, YAW_RATE],
-        mixed[LATERAL_VELOCITY, WIND_FORCE],
-        mixed[YAW_RATE, WIND_FORCE],
-        mixed[LATERAL_VELOCITY, BANK],
-    ) = -speed, 1.0, p.wind_turn, 1.0
+    mixed[LATERAL_VELOCITY, YAW_RATE], mixed[LATERAL_VELOCITY, WIND_FORCE] = -speed, 1.0
+    mixed[YAW_RATE, WIND_FORCE], mixed[LATERAL_VELOCITY, BANK] = p.wind_turn, 1.0
     for state in range(LEARNER_STATES):
         pull, turn = _accelerations(of_front[state], of_rear[state], p)
         by_vy, by_r = mixed[LATERAL_VELOCITY, state] + pull, mixed[YAW_RATE, state] + turn
-        mixed[LATERAL_VELOCITY, state], mixed[YAW_RATE, state] = (
-            h * (vv * by_vy + vr * by_r),
-            h * (rv * by_vy + rr * by_r),
-        )
+        mixed[LATERAL_VELOCITY, state] = h * (vv * by_vy + vr * by_r)
+        mixed[YAW_RATE, state] = h * (rv * by_vy + rr * by_r)
     mixed[LATERAL_VELOCITY, LATERAL_VELOCITY] += 1.0
     mixed[YAW_RATE, YAW_RATE] += 1.0
     x[LATERAL_VELOCITY] += more_vy
@@ -757,15 +742,13 @@ def _write_beliefs(p, m, memory):
     b.belief_bank, b.belief_friction = bank, exp(friction)
     b.belief_noise = sqrt(m.noise[MEASUREMENT.yaw_rate] / p.variance[MEASUREMENT.yaw_rate])
     b.belief_lag_sigma = _widened(of_lag, method.unmodelled_lag, p.prior_lag, LAG_BOUND, p, m)
-    b.belief_dead_time_sigma = _widened(
-        of_dead_time, method.unmodelled_dead_time, p.prior_dead_time, DEAD_TIME_BOUND, p, m
-    )
+    unmodelled, prior = method.unmodelled_dead_time, p.prior_dead_time
+    b.belief_dead_time_sigma = _widened(of_dead_time, unmodelled, prior, DEAD_TIME_BOUND, p, m)
     b.belief_delay_sigma = _widened(variance, method.unmodelled_delay, p.prior_delay, LAG_BOUND, p, m)
     if b.belief_at_bound == 1.0 + DEAD_TIME_BOUND:
         b.belief_delay_sigma = max(b.belief_delay_sigma, p.prior_delay)
-    b.belief_stiffness_sigma = _widened(
-        of_stiffness, method.unmodelled_stiffness, p.prior_stiffness, STIFFNESS_BOUND, p, m
-    )
+    unmodelled, prior = method.unmodelled_stiffness, p.prior_stiffness
+    b.belief_stiffness_sigma = _widened(of_stiffness, unmodelled, prior, STIFFNESS_BOUND, p, m)
     b.belief_balance_sigma = _widened(4.0 * of_balance, method.unmodelled_balance, p.prior_balance, BALANCE_BOUND, p, m)
     b.belief_bias_sigma = _widened(of_bias, method.unmodelled_bias, p.prior_bias, BIAS_BOUND, p, m)
     b.belief_bank_sigma, b.belief_friction_sigma = sqrt(of_bank), sqrt(of_friction)
@@ -846,11 +829,8 @@ def _test_delay(p, m, memory):
     """
     c, left = m.change, 1.0 - p.change_share
     c.score_lag, c.score_dead_time = left * c.score_lag, left * c.score_dead_time
-    c.information_lag, c.information_both, c.information_dead_time = (
-        left * c.information_lag,
-        left * c.information_both,
-        left * c.information_dead_time,
-    )
+    c.information_lag, c.information_dead_time = left * c.information_lag, left * c.information_dead_time
+    c.information_both = left * c.information_both
     for i in range(whole(p.hypotheses)):
         candidate = hypothesis(i, p.commands, memory)
         w, change = candidate.weight, candidate.change
