@@ -96,9 +96,6 @@ Memory = record(
 """What is remembered; `predicted_path` behind it, then the workspace."""
 memory_of = viewer(Memory)
 KINEMATIC_MEMORY = size_of(Memory)
-First = record("First", ("now", "following"))
-"""What belongs to the first two inputs."""
-first_of = viewer(First)
 
 STAGE = (
     "p", "q", "r", "a", "b_e", "b_theta", "b_delta", "w_e", "w_theta", "q_e", "q_theta", "speed", "reference", "g_e",
@@ -289,14 +286,13 @@ def _add_steering(n, t, p, before, earlier, stage, hessian, gradient):
         if 0 < i < n - 1:
             _add_difference(i - 1, t.steering_acceleration / square(square(h)), (1.0, -2.0, 1.0), hessian)
     rate, bend = t.steering_rate / square(period), t.steering_acceleration / square(square(period))
-    first = first_of(gradient, 0)
     _add_difference(0, rate + bend, (1.0, 0.0, 0.0), hessian)
-    first.now -= rate * before + bend * (2.0 * before - earlier)
+    gradient[0] -= rate * before + bend * (2.0 * before - earlier)
     if n > 1:  # ((u_1 - u_0)/h - (u_0 - before)/period)/h
         outer, near, past = 1.0 / (h * h), -(1.0 / h + 1.0 / period) / h, 1.0 / (h * period)
         _add_difference(0, t.steering_acceleration, (near, outer, 0.0), hessian)
-        first.now += t.steering_acceleration * near * past * before
-        first.following += t.steering_acceleration * outer * past * before
+        gradient[0] += t.steering_acceleration * near * past * before
+        gradient[1] += t.steering_acceleration * outer * past * before
 
 
 @inlined
@@ -346,8 +342,7 @@ def filtered(angle, before, earlier, last, past, share):
 @inlined
 def _sent(p, memory):
     """Return the part of the memory that `predicted_path` uses."""
-    behind = (p.pose_age + p.dead_time) / p.period
-    return memory[KINEMATIC_MEMORY : KINEMATIC_MEMORY + predicted_path.SENT + 2 + predicted_path.count_pieces(behind)]
+    return predicted_path.part_of(KINEMATIC_MEMORY, (p.pose_age + p.dead_time) / p.period, memory)
 
 
 @inlined
@@ -397,10 +392,10 @@ def kinematic_mpc(situation, reference, road, tuning, parameters, memory, answer
         _take_last(s.command, p, memory)
     if contract.all_finite(situation) and contract.all_finite(tuning):
         offset, heading_error, ws = _form(s, reference, road, t, p, memory)
-        feed_forward = first_of(ws.stage[STAGE_REFERENCE], 0).now
+        feed_forward = ws.stage[STAGE_REFERENCE, 0]
         status, iterations = _solve(whole(p.stages), parameters[len(PARAMETERS) :], memory, ws)
         if status == qp.SOLVED:
-            angle = _filter(first_of(ws.solution, 0).now, t.cutoff, p, memory)
+            angle = _filter(ws.solution[0], t.cutoff, p, memory)
     out = answer_of(answer, 0)
     out.command, out.held = contract.limited(angle, s, p)
     state = memory_of(memory, 0)

@@ -33,7 +33,6 @@ from ..kernel import (
     record,
     rows,
     vector,
-    viewer,
     void,
 )
 from ..layout import allocate, sizer
@@ -119,10 +118,6 @@ MPC_ANSWER = columns(
 diagnostics: status, iterations and largest KKT residual (NaN unless requested) of the QP, sum of AT_MOVE, ..., and the
 time (s) for which the estimator has had no position; 0 where the state is taken as measured."""
 AT_MOVE, AT_ANGLE, AT_OUTPUT = 1, 2, 4
-
-Present = record("Present", ("now",))
-"""The first number of what lies ahead."""
-present = viewer(Present)
 
 # -- arrays -----------------------------------------------------------------------------------------------------------
 MPCWorkspace = record("MPCWorkspace", (

@@ -16,7 +16,7 @@ from ..qp import problem as qp
 from ..qp.factor import factorise
 from . import condensing, constraints
 from .feed_forward import expect_moves, road_moves
-from .mpc import MPC_ANSWER, MPC_PLACE, MPC_TUNING, Functions, delay_of, has_output_limits, present
+from .mpc import MPC_ANSWER, MPC_PLACE, MPC_TUNING, Functions, delay_of, has_output_limits
 
 RESPONSE, MAX_REFERENCE_HEADING = 1.0, 0.5
 """s, by which a car without preview follows a moving reference late; rad, a steeper reference has jumped."""
@@ -134,7 +134,7 @@ def _limit_error(slot, horizon, output, reference, mpc):
     follows it `RESPONSE` late, and the limit is larger by that; a jump is no motion of the reference.
     """
     settings, memory, ws = mpc.settings, mpc.memory[slot], mpc.ws
-    limit, target = settings.error_max, present(reference, 0).now
+    limit, target = settings.error_max, reference[0]
     if not limit < math.inf:
         return
     if settings.preview > 0:
@@ -145,9 +145,9 @@ def _limit_error(slot, horizon, output, reference, mpc):
     elif memory.started > 0:
         speed = abs(target - memory.reference) / settings.period
         limit += RESPONSE * speed if speed <= MAX_REFERENCE_HEADING * memory.speed else 0.0
-    memory.reference = present(reference, 0).now
+    memory.reference = reference[0]
     if settings.curved > 0:
-        target += present(mpc.bend, 0).now
+        target += mpc.bend[0]
     gap = target - output
     beyond = gap - clip(gap, -limit, limit)
     if beyond != 0.0:

@@ -80,8 +80,7 @@ def states_of(p):
 @inlined
 def _sent(p, memory):
     """Return the part of the memory that `predicted_path` uses."""
-    count = predicted_path.SENT + 2 + predicted_path.count_pieces(p.dead_time / p.period)
-    return memory[PREVIEW_MEMORY : PREVIEW_MEMORY + count]
+    return predicted_path.part_of(PREVIEW_MEMORY, p.dead_time / p.period, memory)
 
 
 @inlined

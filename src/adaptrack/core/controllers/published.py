@@ -10,8 +10,8 @@ from __future__ import annotations
 from ..kernel import inlined
 from ..models.contract import MEASUREMENT
 from ..qp import problem as qp
+from . import prediction
 from .mpc import MPC_ANSWER
-from .prediction import compare, complete, form_model, is_formed, limit_moves, take_tuning
 
 
 @inlined
@@ -42,13 +42,13 @@ def form_published(slot, speed, reference, tuning, mpc, functions):
     """The QP of eq. (17); see `mpc_step.form_qp`."""
     settings, memory = mpc.settings, mpc.memory[slot]
     mpc.answer[slot, MPC_ANSWER.dead_reckoning] = 0.0
-    status, n, m = take_tuning(slot, tuning, 1.0, mpc)
+    status, n, m = prediction.take_tuning(slot, tuning, 1.0, mpc)
     if status != qp.SOLVED:
         return status, n, m
     speed = max(speed, settings.speed_floor)
-    if not is_formed(slot, speed, mpc):
-        form_model(slot, speed, False, mpc, functions)
-    compare(slot, _increment(slot, mpc), reference, mpc)
-    limit_moves(slot, mpc)
-    complete(slot, speed, n, mpc)
+    if not prediction.is_formed(slot, speed, mpc):
+        prediction.form_model(slot, speed, False, mpc, functions)
+    prediction.compare(slot, _increment(slot, mpc), reference, mpc)
+    prediction.limit_moves(slot, mpc)
+    prediction.complete(slot, speed, n, mpc)
     return memory.factor_status, n, m

@@ -163,7 +163,7 @@ def apply_move(slot, status, iterations, n, m, mpc):
         planned = _planned_move(slot, mpc)
         move = 0.0 if status == qp.NON_FINITE else planned
     out[MPC_ANSWER.qp_residual] = _residual(slot, n, m, mpc) if usable and settings.residuals > 0 else math.nan
-    of_road = batch.present(mpc.feed.moves, 0).now if settings.feeds_forward > 0 and status != qp.NON_FINITE else 0.0
+    of_road = mpc.feed.moves[0] if settings.feeds_forward > 0 and status != qp.NON_FINITE else 0.0
     if usable:
         first = sample_at(ws.bounds, 0)
         move = clip(move, -first.move_back, first.move)

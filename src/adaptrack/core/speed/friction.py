@@ -49,7 +49,7 @@ FRICTION_HYPOTHESIS = record(
     (
         "friction",  # -
         "score",  # logarithm of the weight
-        ("x", (float64, VECTOR_WIDTH)), ("covariance", (float64, _COUNT, _COUNT)),
+        ("x", (float64, VECTOR_WIDTH)), ("covariance", (float64, _COUNT, VECTOR_WIDTH)),
     ),
 )  # fmt: skip
 """A coefficient of friction with its filter."""
@@ -133,7 +133,7 @@ LARGEST_VARIANCE, LARGEST_YAW_ERROR, LARGEST_DEVIATION = 4.0, 0.5, 3.0
 USED_TIME, USED_MARGIN = 0.3, 0.95
 """s, over which used friction is averaged; share that counts."""
 
-_states, _motion, _matrix = local(VECTOR_WIDTH), local(2, VECTOR_WIDTH), local(_COUNT, VECTOR_WIDTH)
+_states, _motion = local(VECTOR_WIDTH), local(2, VECTOR_WIDTH)
 _SLIP_STEP = 1e-5  # rad, of a difference that stands for a derivative
 
 
@@ -196,14 +196,6 @@ def _accelerations(h, angle, motion, c, law, slopes):
 
 
 @inlined
-def _copy_covariance(source, target):
-    """Copy a covariance; rows of hypotheses are not padded, those at work are."""
-    for i in range(_COUNT):
-        for j in range(_COUNT):
-            target[i, j] = source[i, j]
-
-
-@inlined
 def _sigmas(knowledge):
     """Standard deviations of the states from the steering bias on."""
     return knowledge.bias_sigma, knowledge.stiffness_sigma, knowledge.balance_sigma, SIDE_SIGMA
@@ -212,8 +204,7 @@ def _sigmas(knowledge):
 @inlined
 def _predict(h, angle, turning, step, motion, c, law):
     """Carry a filter over a step (s) by the linearised trapezoidal rule; turning: rad/s, of the wheels."""
-    x, P, slopes, mixed = h.x, _matrix(), _motion(), _motion()
-    _copy_covariance(h.covariance, P)
+    x, P, slopes, mixed = h.x, h.covariance, _motion(), _motion()
     speed, knowledge = motion.speed, motion.knowledge
     lateral, yawing, front, rear = _accelerations(h, angle, motion, c, law, slopes)
     push, twist = slopes[_Z.vy, _Z.bias], slopes[_Z.yaw_rate, _Z.bias]
@@ -237,7 +228,6 @@ def _predict(h, angle, turning, step, motion, c, law):
     P[_Z.yaw_rate, _Z.vy] += both
     turns = (square(c.lf * front) + square(c.lr * rear)) / square(c.yaw_inertia)
     P[_Z.yaw_rate, _Z.yaw_rate] += step * (square(DRIFT_YAW_RATE) + turns) + twisted * twisted
-    _copy_covariance(P, h.covariance)
 
 
 @inlined
@@ -245,12 +235,10 @@ def _take_in(value, reading, variance, slope, h):
     """Correct a filter by a sensor; return the log-likelihood. slope: derivatives of its reading by the state."""
     if value != value or not variance < math.inf:
         return 0.0
-    cross, P, innovation = _states(), _matrix(), value - reading
-    _copy_covariance(h.covariance, P)
-    spread = scatter(variance, slope, P, cross)
+    cross, innovation = _states(), value - reading
+    spread = scatter(variance, slope, h.covariance, cross)
     surprise = min(square(innovation) / spread, square(FRICTION_INNOVATION_BOUND))
-    correct(bounded(innovation, spread, FRICTION_INNOVATION_BOUND), spread, cross, h.x, P)
-    _copy_covariance(P, h.covariance)
+    correct(bounded(innovation, spread, FRICTION_INNOVATION_BOUND), spread, cross, h.x, h.covariance)
     return -0.5 * (surprise + log(spread))
 
 
