@@ -294,25 +294,25 @@ def _bound(h, speed, yaw_rate, knowledge):
 def _weigh(distance, memory, bank):
     """Turn scores into weights that have returned to the prior by a distance (m), and find the interval."""
     best, total = -math.inf, 0.0
-    for i in range(bank.size):
-        if bank[i].friction < USED_MARGIN * memory.used:
-            bank[i].score -= distance  # less than what the tyres have used
-        best = max(best, bank[i].score)
-    for i in range(bank.size):
-        total += exp(bank[i].score - best)
+    for h in bank:
+        if h.friction < USED_MARGIN * memory.used:
+            h.score -= distance  # less than what the tyres have used
+        best = max(best, h.score)
+    for h in bank:
+        total += exp(h.score - best)
     mixed, mass, mean = min(distance / RETURN_DISTANCE, 1.0), 0.0, 0.0
     spacing = bank[1].friction - bank[0].friction
     low, high = bank[0].friction, bank[bank.size - 1].friction
-    for i in range(bank.size):
-        weight = (1.0 - mixed) * exp(bank[i].score - best) / total + mixed / bank.size
+    for h in bank:
+        weight = (1.0 - mixed) * exp(h.score - best) / total + mixed / bank.size
         weight = max(weight, LEAST_WEIGHT)
-        bank[i].score = log(weight)
+        h.score = log(weight)
         if mass < TAIL <= mass + weight:
-            low = bank[i].friction + spacing * ((TAIL - mass) / weight - 0.5)
+            low = h.friction + spacing * ((TAIL - mass) / weight - 0.5)
         if mass < 1.0 - TAIL <= mass + weight:
-            high = bank[i].friction + spacing * ((1.0 - TAIL - mass) / weight - 0.5)
+            high = h.friction + spacing * ((1.0 - TAIL - mass) / weight - 0.5)
         mass += weight
-        mean += weight * bank[i].friction
+        mean += weight * h.friction
     first, last = bank[0].friction, bank[bank.size - 1].friction
     low, high = clip((1.0 - MODEL_ERROR) * low, first, last), clip((1.0 + MODEL_ERROR) * high, first, last)
     rising = clip(distance / RISE_DISTANCE, 0.0, 1.0)
@@ -356,8 +356,8 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
         memory.angle = steered(before, commands[place], substep, wheels)
         if runs and memory.running > 0.5:
             turning = (memory.angle - before) / substep
-            for k in range(bank.size):
-                _predict(bank[k], middle, turning, substep, motion, c, law)
+            for h in bank:
+                _predict(h, middle, turning, substep, motion, c, law)
     if not runs:
         memory.running = 0.0
         return
@@ -365,21 +365,19 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
     share = 1.0 - exp(-step / USED_TIME)
     slide = memory.lateral_velocity
     memory.lateral_velocity = 0.0
-    for k in range(bank.size):
-        memory.lateral_velocity += exp(bank[k].score) * bank[k].x[_Z.vy]
+    for h in bank:
+        memory.lateral_velocity += exp(h.score) * h.x[_Z.vy]
     used = sample.lateral_acceleration
     if used != used:
         used = speed * yaw_rate + (memory.lateral_velocity - slide) / step - pull
     memory.pull += share * (sqrt(square(used) + square(force / c.mass)) - memory.pull)
     memory.used = max(memory.pull / GRAVITY, memory.used * (1.0 - distance / RETURN_DISTANCE))
-    for k in range(bank.size):
+    for h in bank:
         if memory.running < 0.5:
-            _begin_filter(bank[k], yaw_rate, knowledge)
+            _begin_filter(h, yaw_rate, knowledge)
         else:
-            bank[k].score += EVIDENCE_SHARE * _correct(
-                bank[k], memory.angle, sample, motion, estimate.variances, c, law
-            )
-            _bound(bank[k], speed, yaw_rate, knowledge)
+            h.score += EVIDENCE_SHARE * _correct(h, memory.angle, sample, motion, estimate.variances, c, law)
+            _bound(h, speed, yaw_rate, knowledge)
     memory.running = 1.0
     _weigh(distance, memory, bank)
 

@@ -332,11 +332,11 @@ def _resistance(speed, slope, settings):
 
 
 @inlined
-def _request(acceleration, speed, now, settings, memory):
+def _request(acceleration, speed, period, settings, memory):
     """Turn an acceleration (m/s^2) into a force (N) within powertrain, brakes and guard; note a bound as the cause."""
-    drive, brakes, lateral = now.drive, now.brakes, now.lateral
+    drive, brakes, lateral = period.drive, period.brakes, period.lateral
     disturbance = brakes.disturbance if memory.is_braking > 0 else drive.disturbance
-    resistance = _resistance(speed, now.slope, settings) - disturbance
+    resistance = _resistance(speed, period.slope, settings) - disturbance
     tyres = acceleration + resistance  # m/s^2, of all tyres
     ratio = drive.ratio if tyres > 0.0 else brakes.ratio
     demand = settings.mass * tyres / ratio
@@ -363,34 +363,34 @@ def _request(acceleration, speed, now, settings, memory):
 
 
 @inlined
-def _hold(beyond, now, settings, memory):
+def _hold(beyond, period, settings, memory):
     """Stand: no drive; brakes that hold the estimated slope, at least any usual one, and more while the car rolls.
 
     beyond: m, of a stop; a car that creeps away from it is held more.
     """
     if memory.hold > 0.0 and abs(memory.speed) > CREEPING_SPEED:
-        memory.rolling += ROLLING_RATE * now.duration
+        memory.rolling += ROLLING_RATE * period.duration
     memory.acceleration, memory.force, memory.target_speed = 0.0, 0.0, 0.0
-    needed = max(abs(now.slope - now.brakes.disturbance), abs(now.slope)) + HOLD_RESERVE
+    needed = max(abs(period.slope - period.brakes.disturbance), abs(period.slope)) + HOLD_RESERVE
     needed += CREEP_STIFFNESS * min(abs(beyond), LARGEST_CREEP)
     at_rest = HOLD_AT_REST
     if memory.speed_state != DRIVING and memory.speed_state != OFF:  # the car has just come to rest: no jolt
-        at_rest = min(at_rest, memory.hold / settings.mass + HOLDING_RATE * now.duration)
-    deceleration = max(needed, at_rest) / min(now.brakes.ratio, 1.0) + memory.rolling
+        at_rest = min(at_rest, memory.hold / settings.mass + HOLDING_RATE * period.duration)
+    deceleration = max(needed, at_rest) / min(period.brakes.ratio, 1.0) + memory.rolling
     memory.hold = min(settings.mass * deceleration, settings.brake_limit)
     memory.is_braking, memory.is_starting, memory.travelled = 1, 0, 0.0
 
 
 @inlined
-def _stand(beyond, now, settings, memory):
+def _stand(beyond, period, settings, memory):
     """Stand so far beyond a stop (m); until the brakes hold, the drive carries an ascent."""
-    brakes, cause = now.brakes, memory.limited_by
+    brakes, cause = period.brakes, memory.limited_by
     is_held = memory.standing > brakes.dead_time + HOLDING_LAGS * brakes.lag + brakes.delay_sigma
     memory.is_braking = 0
-    _request(0.0, 0.0, now, settings, memory)
+    _request(0.0, 0.0, period, settings, memory)
     force = memory.force
-    _hold(beyond, now, settings, memory)
-    memory.force, memory.limited_by = 0.0 if is_held or now.slope <= 0.0 else max(force, 0.0), cause
+    _hold(beyond, period, settings, memory)
+    memory.force, memory.limited_by = 0.0 if is_held or period.slope <= 0.0 else max(force, 0.0), cause
 
 
 @inlined
@@ -472,15 +472,15 @@ def acknowledge(memory):
 
 
 @inlined
-def _yield_to_driver(now, settings, memory, banks):
+def _yield_to_driver(period, settings, memory, banks):
     """Let the requests follow the motion that a driver gives to the car; nothing is learned."""
     memory.speed_state, memory.handover, memory.settled = OFF, math.nan, 0.0
     if memory.speed < STANDING_SPEED:
-        _hold(0.0, now, settings, memory)
+        _hold(0.0, period, settings, memory)
     else:
         memory.hold, memory.rolling, memory.rolled = 0.0, 0.0, 0.0
-        memory.is_braking = 1 if memory.motion + _resistance(memory.speed, now.slope, settings) < 0.0 else 0
-        _request(memory.motion, memory.speed, now, settings, memory)
+        memory.is_braking = 1 if memory.motion + _resistance(memory.speed, period.slope, settings) < 0.0 else 0
+        _request(memory.motion, memory.speed, period, settings, memory)
     memory.limited_by, memory.target_speed = BY_DRIVER, memory.speed
     acknowledge(memory)
     learning.settle_actuators(memory.measured_speed, memory.force / settings.mass, banks)
@@ -497,18 +497,18 @@ def _hand_over(demand, settings, memory):
 
 
 @inlined
-def _stop_unguided(deceleration, now, settings, memory):
+def _stop_unguided(deceleration, period, settings, memory):
     """Brake (m/s^2) to a standstill wherever the car is, and hold it there."""
     memory.handover = 0.0
     if _stands(memory):
-        _hold(0.0, now, settings, memory)
+        _hold(0.0, period, settings, memory)
         memory.speed_state = EMERGENCY if memory.speed_state == EMERGENCY else STOPPING
         if memory.fault != faults.NO_FAULT:
             memory.hold = settings.brake_limit
     else:
         memory.speed_state = EMERGENCY if deceleration > EMERGENCY_RATIO * settings.brake else STOPPING
         memory.target_speed, memory.hold, memory.is_braking = 0.0, 0.0, 1
-        _request(-deceleration, memory.speed, now, settings, memory)
+        _request(-deceleration, memory.speed, period, settings, memory)
     memory.limited_by = BY_FAULT
     if memory.fault != faults.NO_FAULT:
         memory.force = min(memory.force, 0.0)
@@ -526,14 +526,14 @@ def _moved(memory):
 
 
 @inlined
-def _start(way, now, settings, memory):
+def _start(way, period, settings, memory):
     """Push until the car moves, and release the brakes gradually once the drive carries the estimated slope.
 
     way: m, to the next stop. A car that rolls back is held again until the drive pushes more than before. Return
     whether the car has still to start.
     """
     if memory.is_starting == 0:
-        _hold(0.0, now, settings, memory)
+        _hold(0.0, period, settings, memory)
         memory.is_starting, memory.launch = 1, 0.0
     if abs(memory.speed) < STANDING_SPEED:
         memory.start_place = memory.station
@@ -545,23 +545,23 @@ def _start(way, now, settings, memory):
         return False
     is_rolling = memory.speed < -ROLLING_SPEED or (abs(memory.speed) > ROLLING_SPEED and direction < 0)
     hold = memory.hold
-    drive, resistance = now.drive, _resistance(0.0, now.slope, settings) - now.drive.disturbance
+    drive, resistance = period.drive, _resistance(0.0, period.slope, settings) - period.drive.disturbance
     push = max(resistance, 0.0) + START_RESERVE
     memory.limited_by, memory.is_braking = BY_PLAN, 0
-    _request(push + memory.launch - resistance, 0.0, now, settings, memory)
+    _request(push + memory.launch - resistance, 0.0, period, settings, memory)
     carried = push + memory.rolled
     if memory.limited_by != BY_PLAN:  # the drive has no more
         carried = min(carried, FULL_DRIVE_SHARE * drive.ratio * memory.force / settings.mass)
     force, acceleration = memory.force, memory.acceleration
     if is_rolling:
         memory.rolled = max(memory.rolled, memory.launch + ROLLED_RESERVE)
-        _hold(0.0, now, settings, memory)
+        _hold(0.0, period, settings, memory)
         hold, memory.is_starting = memory.hold, 1
     elif not moves and drive.ratio * drive.acting >= carried:
-        hold = max(hold - (GENTLE_RELEASE_RATE if is_gentle else RELEASE_RATE) * now.duration * settings.mass, 0.0)
+        hold = max(hold - (GENTLE_RELEASE_RATE if is_gentle else RELEASE_RATE) * period.duration * settings.mass, 0.0)
     if not moves:
         is_slow = (is_gentle or resistance < -DESCENT) and hold > 0.0 and memory.rolled == 0.0
-        memory.launch = min(memory.launch + LAUNCH_RATE * now.duration, GENTLE_LAUNCH if is_slow else MAX_LAUNCH)
+        memory.launch = min(memory.launch + LAUNCH_RATE * period.duration, GENTLE_LAUNCH if is_slow else MAX_LAUNCH)
     memory.is_braking, memory.force, memory.acceleration, memory.hold = 0, force, acceleration, hold
     return True
 
@@ -576,13 +576,13 @@ def _braking_share(drive, brakes, memory):
 
 
 @inlined
-def _aim(index, way, top_square, resistance, now, settings, path, memory, banks, ahead):
+def _aim(index, way, top_square, resistance, period, settings, path, memory, banks, ahead):
     """Motion to request, for the place at which drive or brakes act.
 
     index, way: of the next stop, and m to it. Return the acceleration (m/s^2), the speed to reach and the coming speed
     (m/s), the coming way to the stop (m), and the cause.
     """
-    drive, brakes, station = now.drive, now.brakes, memory.station
+    drive, brakes, station = period.drive, period.brakes, memory.station
     share = _braking_share(drive, brakes, memory)
     delay = drive.dead_time + share * (brakes.dead_time - drive.dead_time)
     lag = drive.lag + share * (brakes.lag - drive.lag)
@@ -616,47 +616,47 @@ def _aim(index, way, top_square, resistance, now, settings, path, memory, banks,
 
 
 @inlined
-def _follow(index, way, top_square, now, settings, path, memory, banks, ahead):
+def _follow(index, way, top_square, period, settings, path, memory, banks, ahead):
     """Follow the governed speeds and the next stop; write the requests. index, way: of the stop, and m to it."""
     is_near = -math.inf < way < stops.NEAR_STOP and memory.travelled <= stops.ARRIVAL_WAY
     has_arrived = way <= stops.STOP_TOLERANCE < stops.ARRIVAL_WAY < memory.travelled
     if memory.speed < STANDING_SPEED and (is_near or has_arrived):
         memory.speed_state, memory.limited_by, memory.standing = STOPPING, _stop_cause(index, path), 0.0
-        _stand(-way, now, settings, memory)
+        _stand(-way, period, settings, memory)
         return
-    resistance = _resistance(memory.speed, now.slope, settings)
+    resistance = _resistance(memory.speed, period.slope, settings)
     rolls_back = memory.travelled < stops.ARRIVAL_WAY and _moved(memory) < 0
     is_at_start = memory.is_starting > 0 or memory.speed < STANDING_SPEED or rolls_back
-    if is_at_start and _start(way, now, settings, memory):
+    if is_at_start and _start(way, period, settings, memory):
         memory.speed_state, memory.limited_by = DRIVING, BY_PLAN
         return
     acceleration, target, coming_speed, remaining_way, cause = _aim(
-        index, way, top_square, resistance, now, settings, path, memory, banks, ahead
+        index, way, top_square, resistance, period, settings, path, memory, banks, ahead
     )
-    disturbance = now.brakes.disturbance if memory.is_braking > 0 else now.drive.disturbance
+    disturbance = period.brakes.disturbance if memory.is_braking > 0 else period.drive.disturbance
     tyres = acceleration + settings.gain * (target - coming_speed) + resistance - disturbance
     band = STOPPING_BAND if cause in (BY_STOP, BY_PATH_END) else COASTING_BAND
     if (tyres < -band and memory.is_braking == 0) or (tyres > band and memory.is_braking > 0):
         memory.is_braking = 1 - memory.is_braking
         acceleration, target, coming_speed, remaining_way, cause = _aim(
-            index, way, top_square, resistance, now, settings, path, memory, banks, ahead
+            index, way, top_square, resistance, period, settings, path, memory, banks, ahead
         )
     memory.limited_by, memory.target_speed, memory.speed_state = cause, target, DRIVING
-    memory.hold = max(memory.hold - STARTED_RELEASE_RATE * now.duration * settings.mass, 0.0)
+    memory.hold = max(memory.hold - STARTED_RELEASE_RATE * period.duration * settings.mass, 0.0)
     if cause in (BY_STOP, BY_PATH_END):
         memory.speed_state = STOPPING
         is_far = remaining_way > stops.STOP_TOLERANCE
         if is_far and square(coming_speed) > 2.0 * EMERGENCY_RATIO * settings.brake * remaining_way:
             memory.speed_state, memory.hold, memory.handover, memory.is_braking = EMERGENCY, 0.0, 0.0, 1
             needed = 0.5 * square(coming_speed) / max(remaining_way, REACHED)
-            _request(-min(needed, settings.emergency), memory.speed, now, settings, memory)
+            _request(-min(needed, settings.emergency), memory.speed, period, settings, memory)
             return
     demand = acceleration + settings.gain * (target - coming_speed)
     bounded = clip(demand, -COMFORT_RESERVE * settings.brake, COMFORT_RESERVE * settings.accelerate)
     if bounded != demand and memory.limited_by == BY_PLAN:
         memory.limited_by = BY_COMFORT
     bounded = _hand_over(bounded, settings, memory) - faults.probing_deceleration(memory)
-    _request(bounded, memory.speed, now, settings, memory)
+    _request(bounded, memory.speed, period, settings, memory)
 
 
 # -- one period -------------------------------------------------------------------------------------------------------
@@ -795,10 +795,10 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     slope, lateral = _slope_at(sample.grade, path, memory), _sense_lateral(sample.yaw_rate, path, memory, dt)
     _count_creeping(dt, memory)
     _govern(memory.station, top_square, max(brakes.disturbance, 0.0), settings, path, memory, ahead)
-    now = ControlPeriod(dt, slope, lateral, drive, brakes)
+    period = ControlPeriod(dt, slope, lateral, drive, brakes)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (memory.friction * GRAVITY)
     if sample.driver > 0.0:
-        _yield_to_driver(now, settings, memory, banks)
+        _yield_to_driver(period, settings, memory, banks)
         return
     was_off = memory.speed_state == OFF
     needed, delay = 0.0, brakes.lag + brakes.dead_time + BLIND_SIGMAS * brakes.delay_sigma + BLIND_MARGIN
@@ -815,13 +815,13 @@ def speed_control(sample, settings, path, memory, banks, ahead):
         if index == stops.NO_STOP and path.closed == 0 and memory.station > path.length:
             needed = settings.brake  # beyond the end of the path
     if needed > 0.0:
-        _stop_unguided(needed, now, settings, memory)
+        _stop_unguided(needed, period, settings, memory)
         memory.speed_state = OFF if was_off else memory.speed_state
     elif memory.speed_state == WAITING:
         memory.limited_by = _stop_cause(index, path)
-        _stand(-way, now, settings, memory)
+        _stand(-way, period, settings, memory)
     else:
-        _follow(index, way, top_square, now, settings, path, memory, banks, ahead)
+        _follow(index, way, top_square, period, settings, path, memory, banks, ahead)
     learning.remember_request(memory.force, memory.hold, settings.mass, banks.requests)
 
 

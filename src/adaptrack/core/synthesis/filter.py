@@ -89,14 +89,7 @@ Filter = record("Filter", (
 ))  # fmt: skip
 """A Kalman filter of a path model."""
 DEFAULT_DRIFTS = defaults(DriftsRow)
-_copy_single_track = copier(SingleTrackCar)
-_set_defaults = default_setter(Filter)
-
-
-@exported(void(Row(Filter)))
-def usual_filter(filtering):
-    """Write the default values to a filter."""
-    _set_defaults(filtering)
+_copy_single_track, set_filter_defaults = copier(SingleTrackCar), default_setter(Filter)
 
 
 @exported(void(Row(ControllerWorld), Row(Noise)))

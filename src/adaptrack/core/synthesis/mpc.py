@@ -175,7 +175,7 @@ def informed_numbers(order, mpc):
     _copy_uncertainty(order.unsure, mpc.unsure)
     belief.believe_steering(order.caller, order.file, order.actuator, order.world.computation, mpc.belief)
     if order.filter_given == 0:
-        sensing.usual_filter(mpc.filter)
+        sensing.set_filter_defaults(mpc.filter)
         sensing.sensor_noise(order.world, mpc.filter.noise)
         mpc.filter.oldest = order.world.oldest
     is_unknown = belief.is_cautious(mpc.belief)
