@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel import address_of, exported, inlined
+from ..kernel import address_of, exported
 from ..models.contract import MEASUREMENT
 from ..roads.road import RoadAheadRecord, line_of
 from .contract import Situation, call_law, write_situation
@@ -20,19 +20,14 @@ _COMMAND = 0
 @exported(BEGIN)
 def begin_law(slot, command, controller):
     """Let a law forget everything; it is told the command at every step."""
-    _forget(slot, controller.law)
-
-
-@inlined
-def _forget(slot, law):
-    law.memory[slot, :] = 0.0
+    controller.law.memory[slot, :] = 0.0
 
 
 @exported(APPLY)
 def request_of_law(slot, request, controller):
     """Restart a law, which knows of the path only what a step tells it."""
     if request[REQUEST.restart] > 0.5:
-        _forget(slot, controller.law)
+        controller.law.memory[slot, :] = 0.0
 
 
 @exported(STEP)

@@ -71,12 +71,11 @@ def _move_of(settings, sample, solution, moves):
 @inlined
 def _planned_move(slot, mpc):
     """The move that the last plan has for this period, zero behind its end."""
-    settings, memory = mpc.settings, mpc.memory[slot]
+    memory = mpc.memory[slot]
     memory.age += 1
-    last = whole(memory.Np) if settings.laguerre > 0 else memory.planned
-    if memory.planned == 0 or memory.age >= last:
+    if memory.age >= _planned(slot, mpc):
         return 0.0
-    return _move_of(settings, memory.age, mpc.plan[slot], mpc.ws.moves)
+    return _move_of(mpc.settings, memory.age, mpc.plan[slot], mpc.ws.moves)
 
 
 @inlined

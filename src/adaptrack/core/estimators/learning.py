@@ -657,22 +657,17 @@ def _widened(variance, unmodelled, prior, bound, p, m):
 def _find_bound(p, m, memory):
     """1 + the quantity whose mean is at the end of its range, or 0; no delay at all and rigid tyres are no bounds."""
     was, bound = m.beliefs.belief_at_bound, 0.0
-    for quantity in range(len(QUANTITIES_BOUNDED)):
-        if quantity == LAG_BOUND:
-            value, low, high = _mean(STEERING_LAG, p, memory), p.least_lag, p.most_lag
-            low = low if low > SHORTEST_LAG else -math.inf
-        elif quantity == DEAD_TIME_BOUND:
-            value, low, high = _mean(DEAD_TIME, p, memory) - p.computation, p.least_dead_time, p.most_dead_time
-            low = low if low > 0.0 else -math.inf
-        elif quantity == STIFFNESS_BOUND:
-            value, high = _mean(STIFFNESS_SCALE, p, memory), p.most_stiffness
-            value, low = min(value, 0.0) if high > RIGID else value, -high
-        elif quantity == BALANCE_BOUND:
-            value, high = _mean(BALANCE, p, memory), p.most_balance
-            low = -high
-        else:
-            value, high = _mean(BIAS, p, memory), p.method.bias
-            low = -high
+    least_lag = p.least_lag if p.least_lag > SHORTEST_LAG else -math.inf
+    least_dead_time = p.least_dead_time if p.least_dead_time > 0.0 else -math.inf
+    stiffness = _mean(STIFFNESS_SCALE, p, memory)
+    stiffness = min(stiffness, 0.0) if p.most_stiffness > RIGID else stiffness
+    for quantity, value, low, high in (
+        (LAG_BOUND, _mean(STEERING_LAG, p, memory), least_lag, p.most_lag),
+        (DEAD_TIME_BOUND, _mean(DEAD_TIME, p, memory) - p.computation, least_dead_time, p.most_dead_time),
+        (STIFFNESS_BOUND, stiffness, -p.most_stiffness, p.most_stiffness),
+        (BALANCE_BOUND, _mean(BALANCE, p, memory), -p.most_balance, p.most_balance),
+        (BIAS_BOUND, _mean(BIAS, p, memory), -p.method.bias, p.method.bias),
+    ):
         share = BOUND_EXIT_SHARE if was == 1.0 + quantity else BOUND_ENTRY_SHARE
         width = 2.0 * high if low == -math.inf else high - low
         at_end = min(value - low, high - value) < share * width

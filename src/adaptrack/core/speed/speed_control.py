@@ -394,13 +394,6 @@ def _stand(beyond, period, settings, memory):
 
 
 @inlined
-def _count_creeping(dt, memory):
-    """Count the time for which a braked car has a speed of nearly 0."""
-    is_braked = memory.force < 0.0 or memory.hold > 0.0
-    memory.creeping = memory.creeping + dt if is_braked and abs(memory.speed) < CREEPING_SPEED else 0.0
-
-
-@inlined
 def _stands(memory):
     """Whether the car stands, or rolls back."""
     return memory.speed < STANDING_SPEED or memory.creeping > CREEPING_TIME
@@ -793,7 +786,8 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     drive, brakes = _carry_speed(dt, _slope_at(sample.grade, path, memory), settings, memory, banks)
     _locate(sample, before, dt, path, memory)
     slope, lateral = _slope_at(sample.grade, path, memory), _sense_lateral(sample.yaw_rate, path, memory, dt)
-    _count_creeping(dt, memory)
+    is_braked = memory.force < 0.0 or memory.hold > 0.0
+    memory.creeping = memory.creeping + dt if is_braked and abs(memory.speed) < CREEPING_SPEED else 0.0
     _govern(memory.station, top_square, max(brakes.disturbance, 0.0), settings, path, memory, ahead)
     period = ControlPeriod(dt, slope, lateral, drive, brakes)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (memory.friction * GRAVITY)
