@@ -426,7 +426,7 @@ class Tracker:
     def _control(self, *_: Any) -> None:
         """One step of a controller in Python."""
         kernel, called = self._kernel, self._called
-        speed, *_ = kernel.ahead.tolist()
+        speed = max(float(kernel.memory[0].speed), 0.0)
         road = {"road": self._road_ahead()} if self.controller.sees_road else {}
         if self._speed is not None:
             self._speed.narrow_behind(self._resident)
@@ -436,8 +436,9 @@ class Tracker:
 
     def _road_ahead(self) -> RoadAhead:
         """The path ahead of the car at its last control instant, with the speeds that are expected."""
-        _, station, count = self._kernel.ahead.tolist()
-        return RoadAhead(self.path, station, self._kernel.speeds[: int(count)].copy())
+        kernel = self._kernel
+        count = len(kernel.speeds) if kernel.plan.s.size > 1 else 1
+        return RoadAhead(self.path, float(kernel.memory[0].station), kernel.speeds[:count].copy())
 
     def _warn_once(self, subject: object, message: str, *values: object) -> None:
         """Log a warning unless there was one about the subject."""

@@ -44,7 +44,7 @@ from adaptrack.core.estimators.learning import BELIEF_COLUMNS, BELIEF_NAMES, mem
 from adaptrack.core.kernel import Resident, direct
 from adaptrack.core.scheduling.functions import VARIABLE_NAMES
 from adaptrack.core.scheduling.guard import COUNTS
-from adaptrack.core.scheduling.schedule import schedule_step
+from adaptrack.core.scheduling.schedule import schedule
 from adaptrack.road.road_ahead import RoadAhead
 from adaptrack.scenario.profile import Profile, load_profile
 
@@ -717,7 +717,7 @@ class MPC(Controller):
         if numbers.size < values.size:
             values[numbers.size :] = 0.0
         values[: numbers.size] = numbers
-        schedule_step(values, self._resident_plan, self._requested)
+        schedule(0, values, self._resident_plan, self._requested)
 
     def _variable_numbers(self, variables: Sequence[float]) -> Array:
         """The variables as numbers; the last three may be left out."""

@@ -135,11 +135,8 @@ def path_at(reference, road, time, speed, period):
     steps = clip(time / period, 0.0, MAX_REFERENCE_PERIODS)
     i = whole(steps)
     s = steps - i
-    current, following, later = (
-        reference_at(reference, i),
-        reference_at(reference, i + 1),
-        reference_at(reference, i + 2),
-    )
+    current, following = reference_at(reference, i), reference_at(reference, i + 1)
+    later = reference_at(reference, i + 2)
     bend = later - 2.0 * following + current
     slope = following - current - 0.5 * bend
     y = current + s * (slope + 0.5 * s * bend)

@@ -12,16 +12,14 @@ import math
 
 from ..estimators import kalman, learning
 from ..estimators.extended_kalman import IMPOSSIBLE_SIGNAL, IMPOSSIBLE_SPEED, call_estimate
-from ..kernel import exported, float64, inlined, int64, several, vector, void
+from ..kernel import exported, float64, inlined, int64, void
 from ..maths.bits import whole
 from ..models import path
 from ..models.contract import MEASUREMENT
 from ..qp import problem as qp
+from . import prediction
 from .constraints import sample_at
-from .contract import STANDSTILL_SPEED
 from .mpc import MPC_ANSWER, MPC_PLACE, Functions, begin_learning
-from .prediction import compare, complete, discretise, form_model, is_formed, limit_moves, take_tuning
-from .receding import move_on, stand
 
 
 @inlined
@@ -78,7 +76,7 @@ def _estimate(slot, speed, mpc, functions):
 @exported(void(int64, float64, MPC_PLACE, Functions))
 def _estimate_alone(slot, speed, mpc, functions):
     """Let the estimator have the samples of a step without a QP."""
-    discretise(speed, mpc, functions)
+    prediction.discretise(speed, mpc, functions)
     _keep_model(slot, mpc)
     _estimate(slot, speed, mpc, functions)
     mpc.memory[slot].speed = math.nan  # the QP's matrices are of another
@@ -114,35 +112,25 @@ def _widen_first_move(slot, mpc):
             first.move_back = max(-settings.move_min, command - informed.x[i] + ahead)
 
 
-@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC_PLACE, Functions))
+@inlined
 def form_informed(slot, speed, reference, tuning, mpc, functions):
     """The QP of eq. (17); see `mpc_step.form_qp`."""
     settings, memory = mpc.settings, mpc.memory[slot]
     mpc.answer[slot, MPC_ANSWER.dead_reckoning] = 0.0
     speed = _leave_out_absurd(speed, mpc.measured)
     caution = _learn(slot, speed, mpc) if settings.learns > 0 else 1.0
-    status, n, m = take_tuning(slot, tuning, caution, mpc)
+    status, n, m = prediction.take_tuning(slot, tuning, caution, mpc)
     speed = max(speed, settings.speed_floor)
     if status != qp.SOLVED:
         _estimate_alone(slot, speed, mpc, functions)
         return status, n, m
-    if not is_formed(slot, speed, mpc):
-        form_model(slot, speed, True, mpc, functions)
+    if not prediction.is_formed(slot, speed, mpc):
+        prediction.form_model(slot, speed, True, mpc, functions)
         _keep_model(slot, mpc)
     _estimate(slot, memory.speed, mpc, functions)
-    compare(slot, _next_increment(slot, mpc), reference, mpc)
-    limit_moves(slot, mpc)
+    prediction.compare(slot, _next_increment(slot, mpc), reference, mpc)
+    prediction.limit_moves(slot, mpc)
     if settings.ahead > 0.0:
         _widen_first_move(slot, mpc)
-    complete(slot, speed, n, mpc)
+    prediction.complete(slot, speed, n, mpc)
     return memory.factor_status, n, m
-
-
-@inlined
-def step(slot, speed, reference, tuning, mpc, functions):
-    """One step of a slot. Arguments as for `mpc_step.form_qp`."""
-    status, n, m = form_informed(slot, speed, reference, tuning, mpc, functions)
-    if status == qp.SOLVED and abs(speed) < STANDSTILL_SPEED:
-        stand(slot, mpc)
-    else:
-        move_on(slot, status, n, m, mpc)

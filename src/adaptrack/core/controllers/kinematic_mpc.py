@@ -37,19 +37,7 @@ from ..maths.vectors import padded
 from ..qp import problem as qp
 from ..qp.active_set import active_set
 from ..qp.factor import factorise
-from . import predicted_path
-from .contract import (
-    COMMON_PARAMETERS,
-    LAW_SIGNATURE,
-    MIN_LAW_SPEED,
-    STANDSTILL_SPEED,
-    all_finite,
-    limited,
-    path_ahead,
-    planned_speed,
-    read_situation,
-    wrapped,
-)
+from . import contract, predicted_path
 
 KINEMATIC_WEIGHTS = (
     "lateral_error",  # 1/m^2, q_e
@@ -66,7 +54,7 @@ KINEMATIC_WEIGHTS = (
 KINEMATIC_TUNING = (*KINEMATIC_WEIGHTS, "cutoff")
 """The weights, and the cut-off frequency (Hz) of the Butterworth filter on the command; 0: none."""
 PARAMETERS = (
-    *COMMON_PARAMETERS,
+    *contract.COMMON_PARAMETERS,
     "wheelbase",  # m
     "lr",  # m, centre of gravity to rear axle
     "lag",  # s, of the steering
@@ -108,9 +96,6 @@ Memory = record(
 """What is remembered; `predicted_path` behind it, then the workspace."""
 memory_of = viewer(Memory)
 KINEMATIC_MEMORY = size_of(Memory)
-First = record("First", ("now", "following"))
-"""What belongs to the first two inputs."""
-first_of = viewer(First)
 
 STAGE = (
     "p", "q", "r", "a", "b_e", "b_theta", "b_delta", "w_e", "w_theta", "q_e", "q_theta", "speed", "reference", "g_e",
@@ -204,10 +189,10 @@ def _roll(e, theta, reference, road, s, p, sent):
     """The state at the end of the dead time from that at the measurement; and how far (m) the rear axle is then."""
     behind = (p.pose_age + p.dead_time) / p.period
     delta, time = predicted_path.wheels_of(sent, 0).angle, -p.pose_age
-    distance = -p.lr - p.pose_age * max(s.speed, MIN_LAW_SPEED)
+    distance = -p.lr - p.pose_age * max(s.speed, contract.MIN_LAW_SPEED)
     for piece in range(predicted_path.count_pieces(behind), 0, -1):
         h = predicted_path.share_of(piece, behind) * p.period
-        v = planned_speed(road, time, s.speed, p.period)
+        v = contract.planned_speed(road, time, s.speed, p.period)
         curvature = predicted_path.curvature_at(distance + 0.5 * v * h, reference, road, s, p)
         (pe, qe, r, a), (be, bt, bd), (we, wt), _ = discretise_held(v, curvature, h, p)
         u = predicted_path.sent(piece, sent)
@@ -225,7 +210,7 @@ def _write_stages(distance, reference, road, s, t, p, stage):
     """Write the model, the weights and delta_r of every stage."""
     n = whole(p.stages)
     for i in range(n):
-        v = planned_speed(road, p.dead_time + i * p.step, s.speed, p.period)
+        v = contract.planned_speed(road, p.dead_time + i * p.step, s.speed, p.period)
         curvature = predicted_path.curvature_at(distance, reference, road, s, p)
         distance += v * p.step
         free, driven_response, pushed, steady = discretise_held(v, curvature, p.step, p)
@@ -301,14 +286,13 @@ def _add_steering(n, t, p, before, earlier, stage, hessian, gradient):
         if 0 < i < n - 1:
             _add_difference(i - 1, t.steering_acceleration / square(square(h)), (1.0, -2.0, 1.0), hessian)
     rate, bend = t.steering_rate / square(period), t.steering_acceleration / square(square(period))
-    first = first_of(gradient, 0)
     _add_difference(0, rate + bend, (1.0, 0.0, 0.0), hessian)
-    first.now -= rate * before + bend * (2.0 * before - earlier)
+    gradient[0] -= rate * before + bend * (2.0 * before - earlier)
     if n > 1:  # ((u_1 - u_0)/h - (u_0 - before)/period)/h
         outer, near, past = 1.0 / (h * h), -(1.0 / h + 1.0 / period) / h, 1.0 / (h * period)
         _add_difference(0, t.steering_acceleration, (near, outer, 0.0), hessian)
-        first.now += t.steering_acceleration * near * past * before
-        first.following += t.steering_acceleration * outer * past * before
+        gradient[0] += t.steering_acceleration * near * past * before
+        gradient[1] += t.steering_acceleration * outer * past * before
 
 
 @inlined
@@ -358,16 +342,13 @@ def filtered(angle, before, earlier, last, past, share):
 @inlined
 def _sent(p, memory):
     """Return the part of the memory that `predicted_path` uses."""
-    behind = (p.pose_age + p.dead_time) / p.period
-    return (
-        memory[KINEMATIC_MEMORY : KINEMATIC_MEMORY + predicted_path.SENT + 2 + predicted_path.count_pieces(behind)],
-    )
+    return predicted_path.part_of(KINEMATIC_MEMORY, (p.pose_age + p.dead_time) / p.period, memory)
 
 
 @inlined
 def _take_last(command, p, memory):
     """Remember the last command (rad); where it is not what was answered, the inputs go on from it."""
-    (sent,), state = _sent(p, memory), memory_of(memory, 0)
+    sent, state = _sent(p, memory), memory_of(memory, 0)
     if predicted_path.wheels_of(sent, 0).started == 0.0 or abs(command - state.answered) > DISTANT:
         state.before = state.earlier = state.past = clip(command, p.angle_min, p.angle_max)
     predicted_path.take_command(command, (p.pose_age + p.dead_time) / p.period, p.period, p.lag, sent)
@@ -376,12 +357,12 @@ def _take_last(command, p, memory):
 @inlined
 def _form(s, reference, road, t, p, memory):
     """Form the problem; offset, heading error and the workspace."""
-    path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
-    place = -p.pose_age * max(s.speed, MIN_LAW_SPEED) - 0.5 * p.lr
+    path = contract.path_ahead(reference, road, 0.0, s.speed, p.period, memory)
+    place = -p.pose_age * max(s.speed, contract.MIN_LAW_SPEED) - 0.5 * p.lr
     turned = p.lr * predicted_path.curvature_at(place, reference, road, s, p)
-    offset, theta = (s.y - path.y) * cos(path.heading), wrapped(s.yaw - path.heading + turned)
+    offset, theta = (s.y - path.y) * cos(path.heading), contract.wrapped(s.yaw - path.heading + turned)
     rear = offset - p.lr * sin(theta)
-    (sent,), state = _sent(p, memory), memory_of(memory, 0)
+    sent, state = _sent(p, memory), memory_of(memory, 0)
     e, rolled, delta, distance = _roll(rear, theta, reference, road, s, p, sent)
     n, ws = whole(p.stages), _workspace(whole(p.stages), memory)
     _write_stages(distance, reference, road, s, t, p, ws.stage)
@@ -394,32 +375,32 @@ def _form(s, reference, road, t, p, memory):
 @inlined
 def _filter(angle, cutoff, p, memory):
     """The command (rad) for an input (rad), which is remembered."""
-    (sent,), state = _sent(p, memory), memory_of(memory, 0)
+    sent, state = _sent(p, memory), memory_of(memory, 0)
     last = predicted_path.sent(1, sent)
     output = filtered(angle, state.before, state.earlier, last, state.past, cutoff * p.period)
     state.earlier, state.before, state.past = state.before, angle, last
     return output
 
 
-@exported(LAW_SIGNATURE)
+@exported(contract.LAW_SIGNATURE)
 def kinematic_mpc(situation, reference, road, tuning, parameters, memory, answer):
     """The first of the optimal inputs, filtered; see the head of this file."""
-    s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
+    s, t, p = contract.read_situation(situation), read_tuning(tuning), read_parameters(parameters)
     angle = offset = heading_error = feed_forward = math.nan
     status, iterations = qp.NON_FINITE, 0
     if math.isfinite(s.command):
         _take_last(s.command, p, memory)
-    if all_finite(situation) and all_finite(tuning):
+    if contract.all_finite(situation) and contract.all_finite(tuning):
         offset, heading_error, ws = _form(s, reference, road, t, p, memory)
-        feed_forward = first_of(ws.stage[STAGE_REFERENCE], 0).now
+        feed_forward = ws.stage[STAGE_REFERENCE, 0]
         status, iterations = _solve(whole(p.stages), parameters[len(PARAMETERS) :], memory, ws)
         if status == qp.SOLVED:
-            angle = _filter(first_of(ws.solution, 0).now, t.cutoff, p, memory)
+            angle = _filter(ws.solution[0], t.cutoff, p, memory)
     out = answer_of(answer, 0)
-    out.command, out.held = limited(angle, s, p)
+    out.command, out.held = contract.limited(angle, s, p)
     state = memory_of(memory, 0)
     state.answered = out.command
-    if out.held > 0.0 or abs(s.speed) < STANDSTILL_SPEED:
+    if out.held > 0.0 or abs(s.speed) < contract.STANDSTILL_SPEED:
         state.before = state.earlier = state.past = out.command
     out.offset, out.heading_error, out.feed_forward = offset, heading_error, feed_forward
     out.qp_status, out.qp_iterations = status, iterations

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel import address_of, exported, inlined
+from ..kernel import address_of, exported
 from ..models.contract import MEASUREMENT
 from ..roads.road import RoadAheadRecord, line_of
 from .contract import Situation, call_law, write_situation
@@ -20,34 +20,23 @@ _COMMAND = 0
 @exported(BEGIN)
 def begin_law(slot, command, controller):
     """Let a law forget everything; it is told the command at every step."""
-    _forget(slot, controller.law)
-
-
-@inlined
-def _forget(slot, law):
-    law.memory[slot, :] = 0.0
+    controller.law.memory[slot, :] = 0.0
 
 
 @exported(APPLY)
 def request_of_law(slot, request, controller):
     """Restart a law, which knows of the path only what a step tells it."""
     if request[REQUEST.restart] > 0.5:
-        _forget(slot, controller.law)
+        controller.law.memory[slot, :] = 0.0
 
 
 @exported(STEP)
 def step_law(slot, speed, command, station, road, measured, reference, speeds, roads, controller):
     """One control period of a law; a command that is not finite holds the last one."""
     law, out, answer = controller.law, controller.answer[slot], controller.law.answer
-    now = Situation(
-        measured[MEASUREMENT.vy] if law.has_vy > 0 else 0.0,
-        measured[MEASUREMENT.yaw],
-        measured[MEASUREMENT.yaw_rate],
-        measured[MEASUREMENT.y],
-        speed,
-        command,
-    )
-    write_situation(law.situation, 0, now)
+    vy = measured[MEASUREMENT.vy] if law.has_vy > 0 else 0.0
+    yaw, yaw_rate, y = measured[MEASUREMENT.yaw], measured[MEASUREMENT.yaw_rate], measured[MEASUREMENT.y]
+    write_situation(law.situation, 0, Situation(vy, yaw, yaw_rate, y, speed, command))
     ahead = reference if law.preview > 0 else reference[:1]
     road_ahead = RoadAheadRecord(line_of(road, roads), station, speeds)
     call_law(

@@ -9,21 +9,11 @@ from ..maths.bits import whole
 from ..maths.exact import clip
 from ..maths.exponential import log
 from ..maths.trigonometric import cos
-from .contract import (
-    COMMON_PARAMETERS,
-    LAW_SIGNATURE,
-    MIN_LAW_SPEED,
-    all_finite,
-    limited,
-    path_ahead,
-    path_at,
-    read_situation,
-    wrapped,
-)
+from . import contract
 
 LQR_TUNING = ("q_e", "q_heading", "r", "preview_time")
 PARAMETERS = (
-    *COMMON_PARAMETERS,
+    *contract.COMMON_PARAMETERS,
     "wheelbase",  # m
     "lr",  # m, centre of gravity to rear axle
     "understeer",  # rad s^2/m, understeer gradient K: delta = L kappa + K a_y in a steady turn
@@ -64,49 +54,62 @@ def node_below(value, first, step, nodes):
 
 
 @inlined
-def gain_of(state, v, t, p, grid):
-    """The feedback gain on one state at a speed v (m/s) and the present weights, interpolated in the grid."""
+def cell_of(v, t, p):
+    """The cell of the grid at a speed v (m/s) and the present weights: along each axis its node and the share."""
     tiny = 1e-300
     r = max(t.r, tiny)
     i, a = node_below(log(v), p.log_speed, p.log_speed_step, p.speeds)
     j, b = node_below(log(max(t.q_e / r, tiny)), p.log_e, p.log_weight_step, p.weights)
     k, c = node_below(log(max(t.q_heading / r, tiny)), p.log_heading, p.log_weight_step, p.weights)
-    n = whole(p.weights)
+    return i, a, j, b, k, c
+
+
+@inlined
+def corner_of(corner, cell, p):
+    """Node of the grid at one of the eight corners of a cell, and its share in the interpolation."""
+    i, a, j, b, k, c = cell
+    di, dj, dk = corner // 4, corner // 2 % 2, corner % 2
+    share = (a if di > 0 else 1.0 - a) * (b if dj > 0 else 1.0 - b) * (c if dk > 0 else 1.0 - c)
+    return ((i + di) * whole(p.weights) + j + dj) * whole(p.weights) + k + dk, share
+
+
+@inlined
+def gain_of(state, cell, p, grid):
+    """The feedback gain on one state, interpolated in a cell of the grid."""
     gain = 0.0
-    for di in range(2):
-        for dj in range(2):
-            for dk in range(2):
-                share = (a if di else 1.0 - a) * (b if dj else 1.0 - b) * (c if dk else 1.0 - c)
-                gain += share * grid[(((i + di) * n + j + dj) * n + k + dk) * LQR_STATES + state]
+    for corner in range(8):
+        node, share = corner_of(corner, cell, p)
+        gain += share * grid[node * LQR_STATES + state]
     return gain
 
 
-@exported(LAW_SIGNATURE)
+@exported(contract.LAW_SIGNATURE)
 def lqr(situation, reference, road, tuning, parameters, memory, answer):
     """delta = delta_ss - K (x - x_ss): feedback about the steady turn with the curvature of the path.
 
     x = [e, v_y + v psi_e, psi_e, r - v kappa]; x_ss = [0, 0, (rear_slip v^2 - lr) kappa, 0];
     delta_ss = (L + understeer v^2) kappa, with the curvature that the path has `preview_time` ahead.
     """
-    s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
+    s, t, p = contract.read_situation(situation), read_tuning(tuning), read_parameters(parameters)
     angle = offset = heading_error = curvature = feed_forward = math.nan
-    if all_finite(situation) and all_finite(tuning):
-        v = max(s.speed, MIN_LAW_SPEED)
-        path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
-        curvature = path_at(reference, road, t.preview_time, v, p.period).curvature if s.speed >= MIN_LAW_SPEED else 0.0
+    if contract.all_finite(situation) and contract.all_finite(tuning):
+        v = max(s.speed, contract.MIN_LAW_SPEED)
+        path = contract.path_ahead(reference, road, 0.0, s.speed, p.period, memory)
+        ahead = contract.path_at(reference, road, t.preview_time, v, p.period)
+        curvature = ahead.curvature if s.speed >= contract.MIN_LAW_SPEED else 0.0
         feed_forward = (p.wheelbase + p.understeer * v * v) * curvature
         offset = (s.y - path.y) * cos(path.heading)
-        heading_error = wrapped(s.yaw - path.heading)
+        heading_error = contract.wrapped(s.yaw - path.heading)
         steady = (p.rear_slip * v * v - p.lr) * path.curvature
-        grid = parameters[len(PARAMETERS) :]
+        cell, grid = cell_of(v, t, p), parameters[len(PARAMETERS) :]
         angle = (
             feed_forward
-            - gain_of(0, v, t, p, grid) * offset
-            - gain_of(1, v, t, p, grid) * (s.vy + v * heading_error)
-            - gain_of(2, v, t, p, grid) * (heading_error - steady)
-            - gain_of(3, v, t, p, grid) * (s.yaw_rate - v * path.curvature)
+            - gain_of(0, cell, p, grid) * offset
+            - gain_of(1, cell, p, grid) * (s.vy + v * heading_error)
+            - gain_of(2, cell, p, grid) * (heading_error - steady)
+            - gain_of(3, cell, p, grid) * (s.yaw_rate - v * path.curvature)
         )
     out = answer_of(answer, 0)
-    out.command, out.held = limited(angle, s, p)
+    out.command, out.held = contract.limited(angle, s, p)
     out.offset, out.heading_error, out.curvature = offset, heading_error, curvature
     out.feed_forward = feed_forward

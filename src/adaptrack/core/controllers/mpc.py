@@ -33,7 +33,6 @@ from ..kernel import (
     record,
     rows,
     vector,
-    viewer,
     void,
 )
 from ..layout import allocate, sizer
@@ -120,12 +119,8 @@ diagnostics: status, iterations and largest KKT residual (NaN unless requested) 
 time (s) for which the estimator has had no position; 0 where the state is taken as measured."""
 AT_MOVE, AT_ANGLE, AT_OUTPUT = 1, 2, 4
 
-Present = record("Present", ("now",))
-"""The first number of what lies ahead."""
-present = viewer(Present)
-
 # -- arrays -----------------------------------------------------------------------------------------------------------
-_FIELDS = (
+MPCWorkspace = record("MPCWorkspace", (
     ("free", cube, "slots", "states", "horizon"),  # F
     ("step", matrix, "slots", "horizon"),  # response to a unit move
     ("moves", matrix, "variables", "horizon"),  # Laguerre functions, shared by all slots
@@ -143,12 +138,11 @@ _FIELDS = (
     ("qp_work", four_dimensions, "slots", len(qp.PLANE), "qp_work", "padded_variables"),  # kept between steps
     ("qp_rows", matrix, "qp_rows", "padded_rows"),
     ("qp_index", int_matrix, "slots", "qp_index"),  # kept between steps
-)
-MPCWorkspace = record("MPCWorkspace", _FIELDS)
+))  # fmt: skip
 """Every array that a step needs, made once for the longest horizons. Row lengths are padded to multiples of the vector
 width, as the QP routines ask."""
 
-_ESTIMATING = (
+Estimating = record("Estimating", (
     ("x", vector, "estimated"),  # state and
     ("d", vector, "estimated"),  # disturbance
     ("a", cube, "estimated_slots", "states", "states"),  # A and
@@ -158,11 +152,10 @@ _ESTIMATING = (
     ("learner", vector, "learner"),  # parameters of the learner
     ("fresh", vector, "learned"),  # its memory before the first step
     ("learned", matrix, "slots", "learned"),  # its memory
-)
-Estimating = record("Estimating", _ESTIMATING)
+))  # fmt: skip
 """What only the informed MPC has; without entries for the published one."""
 
-_PARTS = (
+Mpc = record("Mpc", (
     ("settings", MPCSettings),
     ("model", Discrete),  # scratch: the model at the present speed
     ("parameters", vector, "parameters"),  # of the model
@@ -176,8 +169,7 @@ _PARTS = (
     ("feed", FeedForward),  # the moves that the road ahead asks for
     ("informed", Estimating),
     ("ws", MPCWorkspace),
-)
-Mpc = record("Mpc", _PARTS)
+))  # fmt: skip
 """A batch of MPCs that share all but tuning and memory."""
 MPC_PLACE = Place(Mpc)
 

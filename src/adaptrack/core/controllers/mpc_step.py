@@ -19,10 +19,15 @@ from ..kernel import (
     void,
 )
 from ..maths.bits import whole
+from ..qp import problem as qp
 from ..roads.road import bend_ahead
-from . import informed, published
-from .mpc import MPC_ANSWER, MPC_PLACE, Functions, Mpc, change_path, delay_of, forget, restart
+from . import mpc as batch
+from .contract import STANDSTILL_SPEED
+from .informed import form_informed
+from .mpc import MPC_PLACE, Functions, Mpc
 from .part import APPLY, BEGIN, REQUEST, STEP, controller_part
+from .published import form_published
+from .receding import move_on, stand
 
 STEP_INPUT = columns("speed", "count")
 """What a step is given: v_x (m/s), and how many numbers of y_ref count."""
@@ -36,25 +41,27 @@ to mpc.measured, so nothing is converted and no address found for a step."""
 @inlined
 def step_with(slot, speed, reference, tuning, mpc, functions):
     """One step of a slot: form the QP, solve it, take the first move. Arguments as for `form_qp`."""
-    if mpc.settings.informed > 0:
-        informed.step(slot, speed, reference, tuning, mpc, functions)
+    status, n, m = form_qp(slot, speed, reference, tuning, mpc, functions)
+    if status == qp.SOLVED and mpc.settings.informed > 0 and abs(speed) < STANDSTILL_SPEED:
+        stand(slot, mpc)
     else:
-        published.step(slot, speed, reference, tuning, mpc, functions)
+        move_on(slot, status, n, m, mpc)
 
 
 @exported(BEGIN)
 def begin_mpc(slot, command, controller):
     """Let an MPC forget everything but the command (rad)."""
-    forget(slot, command, controller.mpc)
+    batch.forget(slot, command, controller.mpc)
 
 
 @exported(APPLY)
 def request_of_mpc(slot, request, controller):
     """Do what a tracker asks of an MPC."""
     if request[REQUEST.restart] > 0.5:
-        restart(slot, controller.mpc)
+        batch.restart(slot, controller.mpc)
     if request[REQUEST.change] > 0.5:
-        change_path(slot, request[REQUEST.turned], request[REQUEST.shifted], controller.takes_late, controller.mpc)
+        turned, shifted = request[REQUEST.turned], request[REQUEST.shifted]
+        batch.change_path(slot, turned, shifted, controller.takes_late, controller.mpc)
 
 
 @exported(STEP)
@@ -66,7 +73,7 @@ def step_mpc(slot, speed, command, station, road, measured, reference, speeds, r
         mpc.measured[i] = measured[i]
     if settings.curved > 0 and road >= 0:
         bend_ahead(
-            station, speeds, max(speed, settings.speed_floor), delay_of(slot, mpc), settings.period, road, roads,
+            station, speeds, max(speed, settings.speed_floor), batch.delay_of(slot, mpc), settings.period, road, roads,
             mpc.bend,
         )  # fmt: skip
     elif settings.curved > 0:
@@ -81,7 +88,7 @@ def mpc_controller(controller: Any, mpc: Any) -> Any:
     return controller_part(
         controller, len(mpc.memory), {"answer": mpc.answer.shape[1]}, controller.packed_tuning(),
         begin=address_of(begin_mpc), request=address_of(request_of_mpc), step=address_of(step_mpc),
-        beliefs=len(MPC_ANSWER) if mpc.settings.learns else 0, plans=1, mpc=mpc, functions=controller.functions,
+        beliefs=len(batch.MPC_ANSWER) if mpc.settings.learns else 0, plans=1, mpc=mpc, functions=controller.functions,
     )  # fmt: skip
 
 
@@ -118,5 +125,5 @@ def form_qp(slot, speed, reference, tuning, mpc, functions):
     when speed or tuning has changed by even one bit, and not otherwise.
     """
     if mpc.settings.informed > 0:
-        return informed.form_informed(slot, speed, reference, tuning, mpc, functions)
-    return published.form_published(slot, speed, reference, tuning, mpc, functions)
+        return form_informed(slot, speed, reference, tuning, mpc, functions)
+    return form_published(slot, speed, reference, tuning, mpc, functions)

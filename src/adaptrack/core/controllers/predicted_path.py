@@ -40,6 +40,12 @@ def count_pieces(behind):
 
 
 @inlined
+def part_of(first, behind, memory):
+    """The part of a memory, from a place on, that holds wheels and commands, `size` numbers."""
+    return memory[first : first + SENT + 2 + count_pieces(behind)]
+
+
+@inlined
 def share_of(piece, behind):
     """For which share of a period the `piece`-th latest command acts behind the start: the oldest one may for less."""
     return min(behind - (piece - 1.0), 1.0)

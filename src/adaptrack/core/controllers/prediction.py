@@ -14,28 +14,9 @@ from ..maths.exact import clip, floor
 from ..models.contract import call_discretise
 from ..qp import problem as qp
 from ..qp.factor import factorise
-from .condensing import (
-    condensed_gradient,
-    condensed_hessian,
-    laguerre_response,
-    pulse_gradient,
-    pulse_hessian,
-    responses,
-    tracking_error,
-)
-from .constraints import (
-    OUTPUT_ROWS,
-    SAMPLE_ROWS,
-    bound_moves,
-    bound_outputs,
-    clear_end,
-    clear_ends,
-    leave_to_free_moves,
-    limit_rows,
-    output_rows,
-)
+from . import condensing, constraints
 from .feed_forward import expect_moves, road_moves
-from .mpc import MPC_ANSWER, MPC_PLACE, MPC_TUNING, Functions, delay_of, has_output_limits, present
+from .mpc import MPC_ANSWER, MPC_PLACE, MPC_TUNING, Functions, delay_of, has_output_limits
 
 RESPONSE, MAX_REFERENCE_HEADING = 1.0, 0.5
 """s, by which a car without preview follows a moving reference late; rad, a steeper reference has jumped."""
@@ -59,9 +40,9 @@ def take_tuning(slot, tuning, caution, mpc):
     moves = _horizon(tuning[MPC_TUNING.Nc], min(float(horizon), float(settings.most_moves)))
     q, r = tuning[MPC_TUNING.Q], tuning[MPC_TUNING.R] * caution
     out[MPC_ANSWER.Np], out[MPC_ANSWER.Nc], out[MPC_ANSWER.Q], out[MPC_ANSWER.R] = horizon, moves, q, r
-    n, m = settings.terms if settings.laguerre > 0 else moves, SAMPLE_ROWS * moves
+    n, m = settings.terms if settings.laguerre > 0 else moves, constraints.SAMPLE_ROWS * moves
     if has_output_limits(settings):
-        n, m = n + 1, m + OUTPUT_ROWS * horizon
+        n, m = n + 1, m + constraints.OUTPUT_ROWS * horizon
     is_finite = math.isfinite(tuning[MPC_TUNING.Np]) and math.isfinite(tuning[MPC_TUNING.Nc])
     if not (is_finite and math.isfinite(q) and math.isfinite(r)):
         return qp.NON_FINITE, n, m
@@ -96,24 +77,24 @@ def form_model(slot, speed, of_next, mpc, functions):
     step, phi = ws.step[slot], ws.phi[slot if laguerre else 0]
     hessian, rows = ws.hessian[slot], ws.rows[slot if limited else 0]
     discretise(speed, mpc, functions)
-    responses(np_, of_next, mpc.model, ws.free[slot], step)
+    condensing.responses(np_, of_next, mpc.model, ws.free[slot], step)
     if laguerre:
-        laguerre_response(np_, moves, step, ws.moves, phi)
-        condensed_hessian(np_, moves, phi, q, r, hessian)
+        condensing.laguerre_response(np_, moves, step, ws.moves, phi)
+        condensing.condensed_hessian(np_, moves, phi, q, r, hessian)
     else:
-        pulse_hessian(np_, moves, step, q, r, hessian)
+        condensing.pulse_hessian(np_, moves, step, q, r, hessian)
     if limited:
         for i in range(moves):
             hessian[i, moves] = 0.0
             hessian[moves, i] = 0.0
         hessian[moves, moves] = 2.0 * settings.output_weight
-        limit_rows(nc, moves, laguerre, ws.moves, rows)
-        for i in range(SAMPLE_ROWS * nc):
+        constraints.limit_rows(nc, moves, laguerre, ws.moves, rows)
+        for i in range(constraints.SAMPLE_ROWS * nc):
             rows[moves, i] = 0.0
-        output_rows(SAMPLE_ROWS * nc, np_, moves, laguerre, step, phi, rows)
-        clear_ends(moves + 1, SAMPLE_ROWS * nc + OUTPUT_ROWS * np_, rows)
+        constraints.output_rows(constraints.SAMPLE_ROWS * nc, np_, moves, laguerre, step, phi, rows)
+        constraints.clear_ends(moves + 1, constraints.SAMPLE_ROWS * nc + constraints.OUTPUT_ROWS * np_, rows)
     n = moves + (1 if limited else 0)
-    clear_ends(n, n, hessian)
+    constraints.clear_ends(n, n, hessian)
     memory.factor_status, memory.condition = factorise(n, hessian, ws.factor[slot])
     memory.has_factor = 0
     memory.speed, memory.Np, memory.Nc, memory.Q, memory.R = speed, np_, nc, q, r
@@ -153,7 +134,7 @@ def _limit_error(slot, horizon, output, reference, mpc):
     follows it `RESPONSE` late, and the limit is larger by that; a jump is no motion of the reference.
     """
     settings, memory, ws = mpc.settings, mpc.memory[slot], mpc.ws
-    limit, target = settings.error_max, present(reference, 0).now
+    limit, target = settings.error_max, reference[0]
     if not limit < math.inf:
         return
     if settings.preview > 0:
@@ -164,9 +145,9 @@ def _limit_error(slot, horizon, output, reference, mpc):
     elif memory.started > 0:
         speed = abs(target - memory.reference) / settings.period
         limit += RESPONSE * speed if speed <= MAX_REFERENCE_HEADING * memory.speed else 0.0
-    memory.reference = present(reference, 0).now
+    memory.reference = reference[0]
     if settings.curved > 0:
-        target += present(mpc.bend, 0).now
+        target += mpc.bend[0]
     gap = target - output
     beyond = gap - clip(gap, -limit, limit)
     if beyond != 0.0:
@@ -180,7 +161,7 @@ def compare(slot, output, reference, mpc):
     ws, np_ = mpc.ws, whole(mpc.answer[slot, MPC_ANSWER.Np])
     _look_ahead(slot, np_, reference, mpc)
     _limit_error(slot, np_, output, reference, mpc)
-    tracking_error(np_, ws.free[slot], ws.change, output, ws.reference, ws.error)
+    condensing.tracking_error(np_, ws.free[slot], ws.change, output, ws.reference, ws.error)
 
 
 # -- K and gamma ------------------------------------------------------------------------------------------------------
@@ -188,7 +169,7 @@ def compare(slot, output, reference, mpc):
 def limit_moves(slot, mpc):
     """Write the limits on the moves to gamma."""
     samples = whole(mpc.answer[slot, MPC_ANSWER.Nc])
-    bound_moves(samples, mpc.memory[slot].command, mpc.settings, mpc.ws.bounds)
+    constraints.bound_moves(samples, mpc.memory[slot].command, mpc.settings, mpc.ws.bounds)
 
 
 @inlined
@@ -199,14 +180,14 @@ def complete(slot, speed, n, mpc):
     if settings.feeds_forward > 0:
         road_moves(np_, speed, settings, mpc.bend, feed)
         expect_moves(np_, ws.step[slot], feed.expected, ws.error)
-        leave_to_free_moves(nc, feed.moves, ws.bounds)
+        constraints.leave_to_free_moves(nc, feed.moves, ws.bounds)
     limited = has_output_limits(settings)
     moves = n - (1 if limited else 0)
     if settings.laguerre > 0:
-        condensed_gradient(np_, moves, ws.phi[slot], q, ws.error, ws.gradient)
+        condensing.condensed_gradient(np_, moves, ws.phi[slot], q, ws.error, ws.gradient)
     else:
-        pulse_gradient(np_, moves, ws.step[slot], q, ws.error, ws.gradient)
+        condensing.pulse_gradient(np_, moves, ws.step[slot], q, ws.error, ws.gradient)
     if limited:
         ws.gradient[moves] = 0.0
-        clear_end(n, ws.gradient)
-        bound_outputs(SAMPLE_ROWS * nc, np_, settings, ws.reference, ws.error, ws.bounds)
+        constraints.clear_end(n, ws.gradient)
+        constraints.bound_outputs(constraints.SAMPLE_ROWS * nc, np_, settings, ws.reference, ws.error, ws.bounds)

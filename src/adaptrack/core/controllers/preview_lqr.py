@@ -23,28 +23,15 @@ import math
 
 from ..kernel import exported, inlined, record, shaped, size_of, unpacker, viewer
 from ..maths.bits import whole
-from ..maths.exponential import log
 from ..maths.trigonometric import cos
 from ..models import path as model
 from ..models.contract import MEASUREMENT
-from . import predicted_path
-from .contract import (
-    COMMON_PARAMETERS,
-    LAW_SIGNATURE,
-    MIN_LAW_SPEED,
-    Direction,
-    all_finite,
-    limited,
-    path_ahead,
-    planned_speed,
-    read_situation,
-    wrapped,
-)
-from .lqr import node_below
+from . import contract, predicted_path
+from .lqr import cell_of, corner_of
 
 PREVIEW_TUNING = ("q_e", "q_heading", "r")
 PARAMETERS = (
-    *COMMON_PARAMETERS,
+    *contract.COMMON_PARAMETERS,
     "wheelbase",  # m
     "lr",  # m, centre of gravity to rear axle
     "understeer",  # rad s^2/m, understeer gradient
@@ -66,7 +53,7 @@ PREVIEW_DIAGNOSTICS = (
 )
 answer_of = viewer(record("Answer", ("command", *PREVIEW_DIAGNOSTICS)))
 OF_THE_MODEL = len(model.Parameters._fields)
-PREVIEW_MEMORY = size_of(Direction)
+PREVIEW_MEMORY = size_of(contract.Direction)
 """Numbers that the memory begins with; `predicted_path` behind them, then scratch."""
 PreviewState = record(
     "PreviewState", [name for name in MEASUREMENT._fields[: MEASUREMENT.lateral_acceleration] if name != "y"]
@@ -93,20 +80,13 @@ def states_of(p):
 @inlined
 def _sent(p, memory):
     """Return the part of the memory that `predicted_path` uses."""
-    return (
-        memory[
-            PREVIEW_MEMORY : PREVIEW_MEMORY
-            + predicted_path.SENT
-            + 2
-            + predicted_path.count_pieces(p.dead_time / p.period)
-        ],
-    )
+    return predicted_path.part_of(PREVIEW_MEMORY, p.dead_time / p.period, memory)
 
 
 @inlined
 def _begin(offset, heading_error, reference, road, s, p, x):
     """Write the state now: the measured pose, moved on by its age with the present motion."""
-    v, n = max(s.speed, MIN_LAW_SPEED), x.size
+    v, n = max(s.speed, contract.MIN_LAW_SPEED), x.size
     w = v * predicted_path.curvature_at(-0.5 * p.pose_age * v, reference, road, s, p)
     turned, state = p.pose_age * (s.yaw_rate - w), state_of(x, 0)
     state.vy, state.yaw, state.yaw_rate = s.vy, heading_error + turned, s.yaw_rate
@@ -117,7 +97,7 @@ def _begin(offset, heading_error, reference, road, s, p, x):
 def _roll(reference, road, s, parameters, memory, x):
     """Let the commands on their way act on x (n,); how far (m) the car is then. Scratch: the end of the memory."""
     p, n = read_parameters(parameters), x.size
-    v, behind, (sent,) = max(s.speed, MIN_LAW_SPEED), p.dead_time / p.period, _sent(p, memory)
+    v, behind, sent = max(s.speed, contract.MIN_LAW_SPEED), p.dead_time / p.period, _sent(p, memory)
     scratch = shaped(memory[memory.size - n * (n + 3) :], n + 3, n)
     a, b, e, following = scratch[:n], scratch[n], scratch[n + 1], scratch[n + 2]
     model_row = parameters[len(PARAMETERS) : len(PARAMETERS) + OF_THE_MODEL]
@@ -127,7 +107,7 @@ def _roll(reference, road, s, parameters, memory, x):
         if h != formed:
             model.discretise(v, h, model_row, a, b, e)
             formed = h
-        planned = planned_speed(road, time, s.speed, p.period)
+        planned = contract.planned_speed(road, time, s.speed, p.period)
         w = v * predicted_path.curvature_at(distance + 0.5 * planned * h, reference, road, s, p)
         u = predicted_path.sent(piece, sent)
         for i in range(n):
@@ -144,8 +124,8 @@ def _roll(reference, road, s, parameters, memory, x):
 @inlined
 def _write_deviations(distance, reference, road, s, p, z):
     """Turn the state into x~ and write the changes of w behind it; z: (states + previewed,). The first w, and U."""
-    n, v, time = states_of(p), max(s.speed, MIN_LAW_SPEED), p.dead_time
-    planned = planned_speed(road, time, s.speed, p.period)
+    n, v, time = states_of(p), max(s.speed, contract.MIN_LAW_SPEED), p.dead_time
+    planned = contract.planned_speed(road, time, s.speed, p.period)
     first = first_deviation = v * predicted_path.curvature_at(
         distance + 0.5 * planned * p.period, reference, road, s, p
     )
@@ -159,7 +139,7 @@ def _write_deviations(distance, reference, road, s, p, z):
     for j in range(whole(p.previewed)):
         distance += planned * p.period
         time += p.period
-        planned = planned_speed(road, time, s.speed, p.period)
+        planned = contract.planned_speed(road, time, s.speed, p.period)
         later = v * predicted_path.curvature_at(distance + 0.5 * planned * p.period, reference, road, s, p)
         z[n + j], first_deviation = later - first_deviation, later
     return first, steering
@@ -168,38 +148,30 @@ def _write_deviations(distance, reference, road, s, p, z):
 @inlined
 def apply_gains(v, t, p, z, grid):
     """The product of gains and z at a speed v (m/s) and the present weights, interpolated in the grid."""
-    tiny = 1e-300
-    r = max(t.r, tiny)
-    i, a = node_below(log(v), p.log_speed, p.log_speed_step, p.speeds)
-    j, b = node_below(log(max(t.q_e / r, tiny)), p.log_e, p.log_weight_step, p.weights)
-    k, c = node_below(log(max(t.q_heading / r, tiny)), p.log_heading, p.log_weight_step, p.weights)
-    n, angle = whole(p.weights), 0.0
-    for di in range(2):
-        for dj in range(2):
-            for dk in range(2):
-                share = (a if di else 1.0 - a) * (b if dj else 1.0 - b) * (c if dk else 1.0 - c)
-                first = (((i + di) * n + j + dj) * n + k + dk) * z.size
-                product = 0.0
-                for g in range(z.size):
-                    product += grid[first + g] * z[g]
-                angle += share * product
+    cell, angle = cell_of(v, t, p), 0.0
+    for corner in range(8):
+        node, share = corner_of(corner, cell, p)
+        product = 0.0
+        for g in range(z.size):
+            product += grid[node * z.size + g] * z[g]
+        angle += share * product
     return angle
 
 
-@exported(LAW_SIGNATURE)
+@exported(contract.LAW_SIGNATURE)
 def preview_lqr(situation, reference, road, tuning, parameters, memory, answer):
     """u = U w_0 - K x~ + sum_j g_j (w_j+1 - w_j); see the head of this file."""
-    s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
+    s, t, p = contract.read_situation(situation), read_tuning(tuning), read_parameters(parameters)
     angle = offset = heading_error = curvature = feed_forward = math.nan
-    (sent,) = _sent(p, memory)
+    sent = _sent(p, memory)
     if math.isfinite(s.command):
         predicted_path.take_command(s.command, p.dead_time / p.period, p.period, p.lag, sent)
-    if all_finite(situation) and all_finite(tuning):
-        n, v = states_of(p), max(s.speed, MIN_LAW_SPEED)
+    if contract.all_finite(situation) and contract.all_finite(tuning):
+        n, v = states_of(p), max(s.speed, contract.MIN_LAW_SPEED)
         last = memory.size - n * (n + 3)
         z = memory[last - n - whole(p.previewed) : last]
-        path = path_ahead(reference, road, 0.0, s.speed, p.period, memory)
-        offset, heading_error = (s.y - path.y) * cos(path.heading), wrapped(s.yaw - path.heading)
+        path = contract.path_ahead(reference, road, 0.0, s.speed, p.period, memory)
+        offset, heading_error = (s.y - path.y) * cos(path.heading), contract.wrapped(s.yaw - path.heading)
         x = z[:n]
         _begin(offset, heading_error, reference, road, s, p, x)
         if n == 5:
@@ -210,6 +182,6 @@ def preview_lqr(situation, reference, road, tuning, parameters, memory, answer):
         grid = parameters[len(PARAMETERS) + OF_THE_MODEL :]
         angle = feed_forward + apply_gains(v, t, p, z, grid)
     out = answer_of(answer, 0)
-    out.command, out.held = limited(angle, s, p)
+    out.command, out.held = contract.limited(angle, s, p)
     out.offset, out.heading_error, out.curvature = offset, heading_error, curvature
     out.feed_forward = feed_forward

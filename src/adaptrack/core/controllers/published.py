@@ -7,12 +7,11 @@ Hildreth's procedure. On a curved road state and output count from the path.
 
 from __future__ import annotations
 
-from ..kernel import exported, float64, inlined, int64, several, vector
+from ..kernel import inlined
 from ..models.contract import MEASUREMENT
 from ..qp import problem as qp
-from .mpc import MPC_ANSWER, MPC_PLACE, Functions
-from .prediction import compare, complete, form_model, is_formed, limit_moves, take_tuning
-from .receding import move_on
+from . import prediction
+from .mpc import MPC_ANSWER
 
 
 @inlined
@@ -38,25 +37,18 @@ def _increment(slot, mpc):
     return command  # the last state is the output
 
 
-@exported(several(int64, int64, int64)(int64, float64, vector, vector, MPC_PLACE, Functions))
+@inlined
 def form_published(slot, speed, reference, tuning, mpc, functions):
     """The QP of eq. (17); see `mpc_step.form_qp`."""
     settings, memory = mpc.settings, mpc.memory[slot]
     mpc.answer[slot, MPC_ANSWER.dead_reckoning] = 0.0
-    status, n, m = take_tuning(slot, tuning, 1.0, mpc)
+    status, n, m = prediction.take_tuning(slot, tuning, 1.0, mpc)
     if status != qp.SOLVED:
         return status, n, m
     speed = max(speed, settings.speed_floor)
-    if not is_formed(slot, speed, mpc):
-        form_model(slot, speed, False, mpc, functions)
-    compare(slot, _increment(slot, mpc), reference, mpc)
-    limit_moves(slot, mpc)
-    complete(slot, speed, n, mpc)
+    if not prediction.is_formed(slot, speed, mpc):
+        prediction.form_model(slot, speed, False, mpc, functions)
+    prediction.compare(slot, _increment(slot, mpc), reference, mpc)
+    prediction.limit_moves(slot, mpc)
+    prediction.complete(slot, speed, n, mpc)
     return memory.factor_status, n, m
-
-
-@inlined
-def step(slot, speed, reference, tuning, mpc, functions):
-    """One step of a slot. Arguments as for `mpc_step.form_qp`."""
-    status, n, m = form_published(slot, speed, reference, tuning, mpc, functions)
-    move_on(slot, status, n, m, mpc)

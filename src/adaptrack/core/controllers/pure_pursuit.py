@@ -7,11 +7,11 @@ import math
 from ..kernel import exported, record, unpacker, viewer
 from ..maths.exponential import hypot
 from ..maths.trigonometric import atan2, cos, sin
-from .contract import COMMON_PARAMETERS, LAW_SIGNATURE, MIN_LAW_SPEED, all_finite, limited, path_at, read_situation
+from . import contract
 
 PURSUIT_TUNING = ("lookahead_time", "lookahead_min")
 PARAMETERS = (
-    *COMMON_PARAMETERS,
+    *contract.COMMON_PARAMETERS,
     "wheelbase",  # m
     "lr",  # m, centre of gravity to rear axle
 )
@@ -28,18 +28,18 @@ Parameters = record("Parameters", PARAMETERS)
 read_tuning, read_parameters = unpacker(Tuning), unpacker(Parameters)
 
 
-@exported(LAW_SIGNATURE)
+@exported(contract.LAW_SIGNATURE)
 def pure_pursuit(situation, reference, road, tuning, parameters, memory, answer):
     """delta = atan(2 L sin(alpha)/l_d), with the target l_d away from the rear axle under the angle alpha.
 
     The target is the point of the path that lies max(lookahead_time v, lookahead_min) ahead of the centre of gravity.
     """
-    s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
+    s, t, p = contract.read_situation(situation), read_tuning(tuning), read_parameters(parameters)
     angle = distance = alpha = math.nan
-    if all_finite(situation) and all_finite(tuning):
-        v = max(s.speed, MIN_LAW_SPEED)
+    if contract.all_finite(situation) and contract.all_finite(tuning):
+        v = max(s.speed, contract.MIN_LAW_SPEED)
         ahead = max(t.lookahead_time * v, t.lookahead_min)
-        target = path_at(reference, road, ahead / v, v, p.period)
+        target = contract.path_at(reference, road, ahead / v, v, p.period)
         x = target.x + p.lr * cos(s.yaw)
         y = target.y - s.y + p.lr * sin(s.yaw)
         forward = x * cos(s.yaw) + y * sin(s.yaw)
@@ -48,5 +48,5 @@ def pure_pursuit(situation, reference, road, tuning, parameters, memory, answer)
         alpha = atan2(sideways, forward)
         angle = atan2(2.0 * p.wheelbase * sin(alpha), distance)
     out = answer_of(answer, 0)
-    out.command, out.held = limited(angle, s, p)
+    out.command, out.held = contract.limited(angle, s, p)
     out.distance, out.alpha = distance, alpha

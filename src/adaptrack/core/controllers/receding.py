@@ -12,20 +12,10 @@ from ..qp import problem as qp
 from ..qp.active_set import active_set
 from ..qp.hildreth import hildreth
 from ..qp.residual import kkt_residual
+from . import mpc as batch
 from .constraints import SAMPLE_ROWS, sample_at
 from .feed_forward import expect_move
-from .mpc import (
-    AT_ANGLE,
-    AT_MOVE,
-    AT_OUTPUT,
-    EXACT_ONLY,
-    HILDRETH_APPLIED,
-    HILDRETH_THEN_EXACT,
-    MPC_ANSWER,
-    MPC_PLACE,
-    has_output_limits,
-    present,
-)
+from .mpc import MPC_ANSWER, MPC_PLACE
 
 LIMIT_TOLERANCE = 1e-9
 """rad, how near to a limit counts as at it."""
@@ -35,7 +25,7 @@ LIMIT_TOLERANCE = 1e-9
 def _qp_in(slot, n, m, mpc):
     """The problem, the solution and the scratch of a slot in the workspace."""
     ws = mpc.ws
-    rows = ws.rows[slot if has_output_limits(mpc.settings) else 0]
+    rows = ws.rows[slot if batch.has_output_limits(mpc.settings) else 0]
     problem = qp.Problem(n, m, ws.hessian[slot], ws.gradient, rows, ws.bounds)
     return (
         problem,
@@ -51,12 +41,12 @@ def _solve_qp(slot, n, m, mpc):
     problem, solution, scratch = _qp_in(slot, n, m, mpc)
     factor = qp.factor_of(mpc.ws.factor[slot], memory.condition)
     status, iterations = qp.CAPPED, 0
-    if settings.solver != EXACT_ONLY:
+    if settings.solver != batch.EXACT_ONLY:
         memory.active = 0
         status, iterations = hildreth(
             problem, factor, solution, scratch, settings.max_sweeps, settings.tolerance, False
         )
-    if settings.solver == EXACT_ONLY or (settings.solver == HILDRETH_THEN_EXACT and status == qp.CAPPED):
+    if settings.solver == batch.EXACT_ONLY or (settings.solver == batch.HILDRETH_THEN_EXACT and status == qp.CAPPED):
         # The rows that were active a period ago are a good guess, and while E stays so does their factor.
         most = settings.max_changes if settings.max_changes > 0 else qp.CHANGES * (n + m)
         status, further, active = active_set(
@@ -81,12 +71,11 @@ def _move_of(settings, sample, solution, moves):
 @inlined
 def _planned_move(slot, mpc):
     """The move that the last plan has for this period, zero behind its end."""
-    settings, memory = mpc.settings, mpc.memory[slot]
+    memory = mpc.memory[slot]
     memory.age += 1
-    last = whole(memory.Np) if settings.laguerre > 0 else memory.planned
-    if memory.planned == 0 or memory.age >= last:
+    if memory.age >= _planned(slot, mpc):
         return 0.0
-    return _move_of(settings, memory.age, mpc.plan[slot], mpc.ws.moves)
+    return _move_of(mpc.settings, memory.age, mpc.plan[slot], mpc.ws.moves)
 
 
 @inlined
@@ -131,13 +120,13 @@ def _limits_reached(slot, move, angle, m, mpc):
     settings, first = mpc.settings, sample_at(mpc.ws.bounds, 0)
     at_limit = 0
     if move <= -first.move_back + LIMIT_TOLERANCE or move >= first.move - LIMIT_TOLERANCE:
-        at_limit |= AT_MOVE
+        at_limit |= batch.AT_MOVE
     if angle <= settings.angle_min + LIMIT_TOLERANCE or angle >= settings.angle_max - LIMIT_TOLERANCE:
-        at_limit |= AT_ANGLE
-    if has_output_limits(settings):
+        at_limit |= batch.AT_ANGLE
+    if batch.has_output_limits(settings):
         for j in range(SAMPLE_ROWS * whole(mpc.answer[slot, MPC_ANSWER.Nc]), m):
             if mpc.ws.multipliers[j] > 0.0:
-                return at_limit | AT_OUTPUT
+                return at_limit | batch.AT_OUTPUT
     return at_limit
 
 
@@ -162,18 +151,18 @@ def apply_move(slot, status, iterations, n, m, mpc):
     finite, and the answer says `held`.
     """
     settings, memory, out, ws = mpc.settings, mpc.memory[slot], mpc.answer[slot], mpc.ws
-    usable = status == qp.SOLVED or (status == qp.CAPPED and settings.solver == HILDRETH_APPLIED)
+    usable = status == qp.SOLVED or (status == qp.CAPPED and settings.solver == batch.HILDRETH_APPLIED)
     move = _move_of(settings, 0, ws.solution, ws.moves) if usable else 0.0
     usable = usable and math.isfinite(move)
     if usable:
         for b in range(0, vectors.padded(n), vectors.VECTOR_WIDTH):
             vectors.store(mpc.plan, slot, b, vectors.load(ws.solution, b))
-        memory.planned, memory.age = n - (1 if has_output_limits(settings) else 0), 0  # the slack is no move
+        memory.planned, memory.age = n - (1 if batch.has_output_limits(settings) else 0), 0  # the slack is no move
     else:
         planned = _planned_move(slot, mpc)
         move = 0.0 if status == qp.NON_FINITE else planned
     out[MPC_ANSWER.qp_residual] = _residual(slot, n, m, mpc) if usable and settings.residuals > 0 else math.nan
-    of_road = present(mpc.feed.moves, 0).now if settings.feeds_forward > 0 and status != qp.NON_FINITE else 0.0
+    of_road = mpc.feed.moves[0] if settings.feeds_forward > 0 and status != qp.NON_FINITE else 0.0
     if usable:
         first = sample_at(ws.bounds, 0)
         move = clip(move, -first.move_back, first.move)
@@ -202,7 +191,15 @@ def stand(slot, mpc):
     """Leave the wheels of a standing car at rest."""
     memory, out = mpc.memory[slot], mpc.answer[slot]
     angle = clip(memory.command, mpc.settings.angle_min, mpc.settings.angle_max)
-    out[MPC_ANSWER.command], out[MPC_ANSWER.command_change], out[MPC_ANSWER.held] = angle, angle - memory.command, 0.0
-    out[MPC_ANSWER.qp_status], out[MPC_ANSWER.qp_iterations], out[MPC_ANSWER.qp_residual] = qp.SOLVED, 0, 0.0
+    out[MPC_ANSWER.command], out[MPC_ANSWER.command_change], out[MPC_ANSWER.held] = (
+        angle,
+        angle - memory.command,
+        0.0,
+    )
+    out[MPC_ANSWER.qp_status], out[MPC_ANSWER.qp_iterations], out[MPC_ANSWER.qp_residual] = (
+        qp.SOLVED,
+        0,
+        0.0,
+    )
     out[MPC_ANSWER.at_limit] = 0.0
     _remember(slot, angle, mpc)

@@ -6,21 +6,11 @@ import math
 
 from ..kernel import exported, inlined, record, unpacker, viewer
 from ..maths.trigonometric import atan2, cos, sin
-from .contract import (
-    COMMON_PARAMETERS,
-    LAW_SIGNATURE,
-    MIN_LAW_SPEED,
-    all_finite,
-    left_of,
-    limited,
-    path_ahead,
-    read_situation,
-    wrapped,
-)
+from . import contract
 
 STANLEY_TUNING = ("gain", "softening", "yaw_rate_gain", "dead_time")
 PARAMETERS = (
-    *COMMON_PARAMETERS,
+    *contract.COMMON_PARAMETERS,
     "lf",  # m, centre of gravity to front axle
     "front_slip",  # rad s^2/m, slip angle of the front tyres per lateral acceleration: m lr/(2 C_f L)
 )
@@ -46,26 +36,26 @@ def predicted(s, time):
     return s.yaw + time * s.yaw_rate, s.y + time * (s.speed * sin(middle) + s.vy * cos(middle))
 
 
-@exported(LAW_SIGNATURE)
+@exported(contract.LAW_SIGNATURE)
 def stanley(situation, reference, road, tuning, parameters, memory, answer):
     """delta = psi_e + front_slip a_y + atan(gain e/(softening + v)) + yaw_rate_gain (r_path - r).
 
     psi_e and e (positive to the left) are the errors of heading and of the front axle after the dead time,
     r_path = v kappa and a_y = v^2 kappa are those of the path there.
     """
-    s, t, p = read_situation(situation), read_tuning(tuning), read_parameters(parameters)
+    s, t, p = contract.read_situation(situation), read_tuning(tuning), read_parameters(parameters)
     angle = offset = heading_error = curvature = math.nan
-    if all_finite(situation) and all_finite(tuning):
-        v = max(s.speed, MIN_LAW_SPEED)
+    if contract.all_finite(situation) and contract.all_finite(tuning):
+        v = max(s.speed, contract.MIN_LAW_SPEED)
         dead_time = max(t.dead_time, 0.0)
         yaw, y = predicted(s, dead_time)
-        path = path_ahead(reference, road, dead_time + p.lf / v, s.speed, p.period, memory)
+        path = contract.path_ahead(reference, road, dead_time + p.lf / v, s.speed, p.period, memory)
         curvature = path.curvature
         offset = (path.y - y - p.lf * sin(yaw)) * cos(path.heading)
         if road.line.start.size > 0:  # the front axle is not where the point of the path is taken
             x = dead_time * s.speed * cos(s.yaw) + p.lf * cos(yaw)
-            offset = left_of(path, x, y + p.lf * sin(yaw))
-        heading_error = wrapped(path.heading - yaw)
+            offset = contract.left_of(path, x, y + p.lf * sin(yaw))
+        heading_error = contract.wrapped(path.heading - yaw)
         angle = (
             heading_error
             + p.front_slip * v * v * curvature
@@ -73,5 +63,5 @@ def stanley(situation, reference, road, tuning, parameters, memory, answer):
             + t.yaw_rate_gain * (v * curvature - s.yaw_rate)
         )
     out = answer_of(answer, 0)
-    out.command, out.held = limited(angle, s, p)
+    out.command, out.held = contract.limited(angle, s, p)
     out.offset, out.heading_error, out.curvature = offset, heading_error, curvature

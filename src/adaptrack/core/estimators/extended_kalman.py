@@ -47,6 +47,27 @@ def compile_estimator(function: Any) -> Any:
 
 
 @inlined
+def step_motion(lateral, yawing, step, slopes, count, x, mixed):
+    """Move v_y and r, the first two states, on by a step (s), and write the first two rows of F (2, .) to `mixed`.
+
+    The linearised trapezoidal rule (I - T/2 A) dx = T f with A = df/dx is stable at any speed. lateral, yawing: f, the
+    rates of v_y (m/s^2) and r (rad/s^2); slopes: their derivatives by `count` states.
+    """
+    half = 0.5 * step
+    a, b, c, d = half * slopes[0, 0], half * slopes[0, 1], half * slopes[1, 0], half * slopes[1, 1]
+    scale = 1.0 / ((1.0 - a) * (1.0 - d) - b * c)
+    vv, vr, rv, rr = (1.0 - d) * scale, b * scale, c * scale, (1.0 - a) * scale  # inverse of I - T/2 A
+    slide, turn = step * lateral, step * yawing
+    x[0] += vv * slide + vr * turn
+    x[1] += rv * slide + rr * turn
+    for j in range(count):
+        slide, turn = step * slopes[0, j], step * slopes[1, j]
+        mixed[0, j], mixed[1, j] = vv * slide + vr * turn, rv * slide + rr * turn
+    mixed[0, 0] += 1.0
+    mixed[1, 1] += 1.0
+
+
+@inlined
 def carry(mixed, shares, covariance, scratch):
     """P = F P F' of states of which the first mix and each other one keeps a share of itself.
 

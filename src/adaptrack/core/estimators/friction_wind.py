@@ -44,7 +44,7 @@ from ..models.car import unpack
 from ..models.contract import MEASUREMENT
 from ..physics.forces import GRAVITY, SLIP_SPEED_FLOOR, wind_load
 from ..physics.tyre import CURVED_MAGIC_FORMULA, LINEAR_TYRE, MAGIC_FORMULA, lateral_force
-from .extended_kalman import IMPOSSIBLE_SIGNAL, carry, correct, scatter
+from .extended_kalman import IMPOSSIBLE_SIGNAL, carry, correct, scatter, step_motion
 
 FrictionWindPrior = record("FrictionWindPrior", (
     Field("nominal_friction", "", 0.65, "median of friction, to which it returns without evidence"),
@@ -189,25 +189,13 @@ def _added_variance(spread, left):
 def _predict(angle, yaw, vx, p, s, m):
     """Carry z and its covariance over one step, under the steering angle, yaw and speed of its middle; s: settings.
 
-    v_y and r by the linearised trapezoidal rule, (I - T/2 A) dx = T f with A = df/dx, stable at any speed; the others
-    by their exact decay. Covariance: Phi P Phi' + Q with the Jacobian Phi of this map.
+    v_y and r by the linearised trapezoidal rule, the others by their exact decay. Covariance: Phi P Phi' + Q with the
+    Jacobian Phi of this map.
     """
     z, P, slopes, mixed = m.z, m.covariance, _motion(), _motion()
     lateral, yawing, front, rear = accelerations(angle, yaw, vx, p, z, slopes)
     slopes[VY_STATE, YAW_RATE_STATE] -= vx  # from here on the row is that of dv_y/dt
-    half = 0.5 * s.step
-    a, b = half * slopes[VY_STATE, VY_STATE], half * slopes[VY_STATE, YAW_RATE_STATE]
-    c, d = half * slopes[YAW_RATE_STATE, VY_STATE], half * slopes[YAW_RATE_STATE, YAW_RATE_STATE]
-    scale = 1.0 / ((1.0 - a) * (1.0 - d) - b * c)
-    vy_v, vy_r, r_v, r_r = (1.0 - d) * scale, b * scale, c * scale, (1.0 - a) * scale  # inverse of I - T/2 A
-    slide, turn = s.step * (lateral - vx * z[YAW_RATE_STATE]), s.step * yawing
-    z[VY_STATE] += vy_v * slide + vy_r * turn
-    z[YAW_RATE_STATE] += r_v * slide + r_r * turn
-    for j in range(N):
-        slide, turn = s.step * slopes[VY_STATE, j], s.step * slopes[YAW_RATE_STATE, j]
-        mixed[VY_STATE, j], mixed[YAW_RATE_STATE, j] = vy_v * slide + vy_r * turn, r_v * slide + r_r * turn
-    mixed[VY_STATE, VY_STATE] += 1.0
-    mixed[YAW_RATE_STATE, YAW_RATE_STATE] += 1.0
+    step_motion(lateral - vx * z[YAW_RATE_STATE], yawing, s.step, slopes, N, z, mixed)
     z[LOG_FRICTION] = s.log_friction + s.friction_left * (z[LOG_FRICTION] - s.log_friction)
     z[WIND_STATE] *= s.wind_left
     z[LOG_STIFFNESS] *= s.stiffness_left

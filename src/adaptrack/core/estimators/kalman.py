@@ -345,11 +345,8 @@ def _read(sensor, tau, turned, p, m, h):
         h[FILTER_STATE.yaw_rate] = -tau
         return tau * turning
     if sensor == MEASUREMENT.y:
-        h[FILTER_STATE.vy], h[FILTER_STATE.yaw], h[FILTER_STATE.yaw_rate] = (
-            -tau,
-            -tau * m.speed,
-            0.5 * tau * tau * m.speed,
-        )
+        h[FILTER_STATE.vy], h[FILTER_STATE.yaw] = -tau, -tau * m.speed
+        h[FILTER_STATE.yaw_rate] = 0.5 * tau * tau * m.speed
         return -0.5 * tau * tau * m.speed * turning
     if sensor == MEASUREMENT.yaw_rate:
         h[FILTER_STATE.offset] = 1.0
@@ -367,9 +364,8 @@ def _correct(instant, arrival, advance, change, p, m, samples):
         if not math.isfinite(samples[instant, sensor]):
             continue
         h, cross = _state(), _state()
-        constant = _read(
-            sensor, samples[instant, FILTER_SAMPLE.earlier], samples[instant, FILTER_SAMPLE.turned], p, m, h
-        )
+        earlier, turned = samples[instant, FILTER_SAMPLE.earlier], samples[instant, FILTER_SAMPLE.turned]
+        constant = _read(sensor, earlier, turned, p, m, h)
         expected = total(mul(load(h, 0), load(m.z, 0))) + constant + m.offset[sensor]
         if advance != 0.0 and not _is_of_pose(sensor):
             expected -= advance / p.period * total(mul(load(h, 0), load(change, 0)))
@@ -459,10 +455,8 @@ def _is_far_off(measured, m):
     """Whether position or heading have been elsewhere for so long that bounded innovations would not bring z back."""
     y, yaw = measured[MEASUREMENT.y], measured[MEASUREMENT.yaw]
     if math.isfinite(y) and math.isfinite(yaw) and m.steps > 0.5:
-        is_outlier = (
-            abs(y - m.z[FILTER_STATE.y]) > MAX_OUTLIER_DISTANCE or abs(yaw - m.z[FILTER_STATE.yaw]) > MAX_OUTLIER_TURN
-        )
-        m.outliers = m.outliers + 1.0 if is_outlier else 0.0
+        distance, turn = abs(y - m.z[FILTER_STATE.y]), abs(yaw - m.z[FILTER_STATE.yaw])
+        m.outliers = m.outliers + 1.0 if distance > MAX_OUTLIER_DISTANCE or turn > MAX_OUTLIER_TURN else 0.0
     return m.outliers >= RESTART_OUTLIERS
 
 
@@ -496,8 +490,6 @@ def kalman(speed, measured, command, a, b, parameters, memory, x, d):
     _steer(m.b, p.bias, push)
     is_valid = m.blind <= p.patience
     for i in range(x.size):
-        state = (
-            i if i < FILTER_STATE.wheel_angle or x.size == path.PATH_STATES else FILTER_STATE.y
-        )  # without lag its angle is no state
+        state = path.state_index(i, x.size)
         x[i], d[i] = z[state] if is_valid else math.nan, push[state]
     return m.blind * p.period

@@ -147,18 +147,9 @@ BELIEF_COLUMNS, Beliefs = columns(*BELIEF_NAMES), record("Beliefs", BELIEF_NAMES
 
 LEARNER_STATES = 11
 (
-    LATERAL_VELOCITY,
-    YAW_RATE,
-    WIND_FORCE,
-    BIAS,
-    BANK,
-    STIFFNESS_SCALE,
-    BALANCE,
-    FRICTION,
-    STEERING_LAG,
-    DEAD_TIME,
+    LATERAL_VELOCITY, YAW_RATE, WIND_FORCE, BIAS, BANK, STIFFNESS_SCALE, BALANCE, FRICTION, STEERING_LAG, DEAD_TIME,
     OFFSET,
-) = range(LEARNER_STATES)
+) = range(LEARNER_STATES)  # fmt: skip
 """Places in x; the dead time with the computation."""
 _ROW = 2 * VECTOR_WIDTH
 """x and the rows of its covariance are padded to so many."""
@@ -391,19 +382,13 @@ def _predict_state(candidate, speed, by_dead_time, h, p, mixed):
     of_front[BALANCE] += middle_front
     of_rear[STIFFNESS_SCALE] += middle_rear
     of_rear[BALANCE] -= middle_rear
-    (
-        mixed[LATERAL_VELOCITY, YAW_RATE],
-        mixed[LATERAL_VELOCITY, WIND_FORCE],
-        mixed[YAW_RATE, WIND_FORCE],
-        mixed[LATERAL_VELOCITY, BANK],
-    ) = -speed, 1.0, p.wind_turn, 1.0
+    mixed[LATERAL_VELOCITY, YAW_RATE], mixed[LATERAL_VELOCITY, WIND_FORCE] = -speed, 1.0
+    mixed[YAW_RATE, WIND_FORCE], mixed[LATERAL_VELOCITY, BANK] = p.wind_turn, 1.0
     for state in range(LEARNER_STATES):
         pull, turn = _accelerations(of_front[state], of_rear[state], p)
         by_vy, by_r = mixed[LATERAL_VELOCITY, state] + pull, mixed[YAW_RATE, state] + turn
-        mixed[LATERAL_VELOCITY, state], mixed[YAW_RATE, state] = (
-            h * (vv * by_vy + vr * by_r),
-            h * (rv * by_vy + rr * by_r),
-        )
+        mixed[LATERAL_VELOCITY, state] = h * (vv * by_vy + vr * by_r)
+        mixed[YAW_RATE, state] = h * (rv * by_vy + rr * by_r)
     mixed[LATERAL_VELOCITY, LATERAL_VELOCITY] += 1.0
     mixed[YAW_RATE, YAW_RATE] += 1.0
     x[LATERAL_VELOCITY] += more_vy
@@ -672,22 +657,17 @@ def _widened(variance, unmodelled, prior, bound, p, m):
 def _find_bound(p, m, memory):
     """1 + the quantity whose mean is at the end of its range, or 0; no delay at all and rigid tyres are no bounds."""
     was, bound = m.beliefs.belief_at_bound, 0.0
-    for quantity in range(len(QUANTITIES_BOUNDED)):
-        if quantity == LAG_BOUND:
-            value, low, high = _mean(STEERING_LAG, p, memory), p.least_lag, p.most_lag
-            low = low if low > SHORTEST_LAG else -math.inf
-        elif quantity == DEAD_TIME_BOUND:
-            value, low, high = _mean(DEAD_TIME, p, memory) - p.computation, p.least_dead_time, p.most_dead_time
-            low = low if low > 0.0 else -math.inf
-        elif quantity == STIFFNESS_BOUND:
-            value, high = _mean(STIFFNESS_SCALE, p, memory), p.most_stiffness
-            value, low = min(value, 0.0) if high > RIGID else value, -high
-        elif quantity == BALANCE_BOUND:
-            value, high = _mean(BALANCE, p, memory), p.most_balance
-            low = -high
-        else:
-            value, high = _mean(BIAS, p, memory), p.method.bias
-            low = -high
+    least_lag = p.least_lag if p.least_lag > SHORTEST_LAG else -math.inf
+    least_dead_time = p.least_dead_time if p.least_dead_time > 0.0 else -math.inf
+    stiffness = _mean(STIFFNESS_SCALE, p, memory)
+    stiffness = min(stiffness, 0.0) if p.most_stiffness > RIGID else stiffness
+    for quantity, value, low, high in (
+        (LAG_BOUND, _mean(STEERING_LAG, p, memory), least_lag, p.most_lag),
+        (DEAD_TIME_BOUND, _mean(DEAD_TIME, p, memory) - p.computation, least_dead_time, p.most_dead_time),
+        (STIFFNESS_BOUND, stiffness, -p.most_stiffness, p.most_stiffness),
+        (BALANCE_BOUND, _mean(BALANCE, p, memory), -p.most_balance, p.most_balance),
+        (BIAS_BOUND, _mean(BIAS, p, memory), -p.method.bias, p.method.bias),
+    ):
         share = BOUND_EXIT_SHARE if was == 1.0 + quantity else BOUND_ENTRY_SHARE
         width = 2.0 * high if low == -math.inf else high - low
         at_end = min(value - low, high - value) < share * width
@@ -757,15 +737,13 @@ def _write_beliefs(p, m, memory):
     b.belief_bank, b.belief_friction = bank, exp(friction)
     b.belief_noise = sqrt(m.noise[MEASUREMENT.yaw_rate] / p.variance[MEASUREMENT.yaw_rate])
     b.belief_lag_sigma = _widened(of_lag, method.unmodelled_lag, p.prior_lag, LAG_BOUND, p, m)
-    b.belief_dead_time_sigma = _widened(
-        of_dead_time, method.unmodelled_dead_time, p.prior_dead_time, DEAD_TIME_BOUND, p, m
-    )
+    unmodelled, prior = method.unmodelled_dead_time, p.prior_dead_time
+    b.belief_dead_time_sigma = _widened(of_dead_time, unmodelled, prior, DEAD_TIME_BOUND, p, m)
     b.belief_delay_sigma = _widened(variance, method.unmodelled_delay, p.prior_delay, LAG_BOUND, p, m)
     if b.belief_at_bound == 1.0 + DEAD_TIME_BOUND:
         b.belief_delay_sigma = max(b.belief_delay_sigma, p.prior_delay)
-    b.belief_stiffness_sigma = _widened(
-        of_stiffness, method.unmodelled_stiffness, p.prior_stiffness, STIFFNESS_BOUND, p, m
-    )
+    unmodelled, prior = method.unmodelled_stiffness, p.prior_stiffness
+    b.belief_stiffness_sigma = _widened(of_stiffness, unmodelled, prior, STIFFNESS_BOUND, p, m)
     b.belief_balance_sigma = _widened(4.0 * of_balance, method.unmodelled_balance, p.prior_balance, BALANCE_BOUND, p, m)
     b.belief_bias_sigma = _widened(of_bias, method.unmodelled_bias, p.prior_bias, BIAS_BOUND, p, m)
     b.belief_bank_sigma, b.belief_friction_sigma = sqrt(of_bank), sqrt(of_friction)
@@ -846,11 +824,8 @@ def _test_delay(p, m, memory):
     """
     c, left = m.change, 1.0 - p.change_share
     c.score_lag, c.score_dead_time = left * c.score_lag, left * c.score_dead_time
-    c.information_lag, c.information_both, c.information_dead_time = (
-        left * c.information_lag,
-        left * c.information_both,
-        left * c.information_dead_time,
-    )
+    c.information_lag, c.information_dead_time = left * c.information_lag, left * c.information_dead_time
+    c.information_both = left * c.information_both
     for i in range(whole(p.hypotheses)):
         candidate = hypothesis(i, p.commands, memory)
         w, change = candidate.weight, candidate.change

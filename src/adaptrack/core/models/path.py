@@ -189,7 +189,7 @@ def turn_in(c, t):
 
 
 @inlined
-def _state_index(i, n):
+def state_index(i, n):
     """Which of `PATH_STATE` is the i-th of n states: without lag there is no wheel angle among them."""
     return i if n == PATH_STATES or i < PATH_STATE.wheel_angle else i + 1
 
@@ -201,6 +201,6 @@ def discretise(speed, period, parameters, a, b, e):
     _hold(speed, period, parameters_of(parameters, 0), f, response)
     for i in range(n):
         for j in range(n):
-            a[i, j] = f[_state_index(i, n), _state_index(j, n)]
-        b[i], e[i] = response[_state_index(i, n)], 0.0
+            a[i, j] = f[state_index(i, n), state_index(j, n)]
+        b[i], e[i] = response[state_index(i, n)], 0.0
     e[PATH_STATE.yaw], e[n - 1] = -period, -0.5 * speed * period * period

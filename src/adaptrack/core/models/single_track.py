@@ -16,7 +16,7 @@ SINGLE_TRACK_STATE = columns("vy", "yaw", "yaw_rate", "y")
 """x_c; the output is the last one."""
 unpack = unpacker(SingleTrackCar)
 
-_Q = columns("vy", "yaw_rate")
+_X, _Q = SINGLE_TRACK_STATE, columns("vy", "yaw_rate")
 _square, _column = local(len(_Q), 8), local(len(_Q))
 
 
@@ -24,19 +24,17 @@ _square, _column = local(len(_Q), 8), local(len(_Q))
 def linearise(speed, parameters, a, b):
     """Eq. (7): write A_c (4, 4) and B_c (4,) at a longitudinal speed (m/s, > 0)."""
     mass, inertia, lf, lr, cf, cr = unpack(parameters)
-    for i in range(len(SINGLE_TRACK_STATE)):
+    for i in range(len(_X)):
         b[i] = 0.0
-        for j in range(len(SINGLE_TRACK_STATE)):
+        for j in range(len(_X)):
             a[i, j] = 0.0
-    a[SINGLE_TRACK_STATE.vy, SINGLE_TRACK_STATE.vy] = -2.0 * (cf + cr) / (mass * speed)
-    a[SINGLE_TRACK_STATE.vy, SINGLE_TRACK_STATE.yaw_rate] = -speed - 2.0 * (cf * lf - cr * lr) / (mass * speed)
-    a[SINGLE_TRACK_STATE.yaw, SINGLE_TRACK_STATE.yaw_rate] = 1.0
-    a[SINGLE_TRACK_STATE.yaw_rate, SINGLE_TRACK_STATE.vy] = -2.0 * (cf * lf - cr * lr) / (inertia * speed)
-    a[SINGLE_TRACK_STATE.yaw_rate, SINGLE_TRACK_STATE.yaw_rate] = (
-        -2.0 * (cf * lf * lf + cr * lr * lr) / (inertia * speed)
-    )
-    a[SINGLE_TRACK_STATE.y, SINGLE_TRACK_STATE.vy], a[SINGLE_TRACK_STATE.y, SINGLE_TRACK_STATE.yaw] = 1.0, speed
-    b[SINGLE_TRACK_STATE.vy], b[SINGLE_TRACK_STATE.yaw_rate] = 2.0 * cf / mass, 2.0 * cf * lf / inertia
+    a[_X.vy, _X.vy] = -2.0 * (cf + cr) / (mass * speed)
+    a[_X.vy, _X.yaw_rate] = -speed - 2.0 * (cf * lf - cr * lr) / (mass * speed)
+    a[_X.yaw, _X.yaw_rate] = 1.0
+    a[_X.yaw_rate, _X.vy] = -2.0 * (cf * lf - cr * lr) / (inertia * speed)
+    a[_X.yaw_rate, _X.yaw_rate] = -2.0 * (cf * lf * lf + cr * lr * lr) / (inertia * speed)
+    a[_X.y, _X.vy], a[_X.y, _X.yaw] = 1.0, speed
+    b[_X.vy], b[_X.yaw_rate] = 2.0 * cf / mass, 2.0 * cf * lf / inertia
 
 
 @inlined
@@ -53,27 +51,21 @@ def discretise(speed, period, parameters, a, b, e):
     """
     m, command = _square(), _column()
     s0, s1, s2, s3 = _square(), _square(), _square(), _square()
-    for i in range(len(SINGLE_TRACK_STATE)):
+    for i in range(len(_X)):
         e[i] = 0.0
     linearise(speed, parameters, a, b)
-    for i, row in ((_Q.vy, SINGLE_TRACK_STATE.vy), (_Q.yaw_rate, SINGLE_TRACK_STATE.yaw_rate)):
+    for i, row in ((_Q.vy, _X.vy), (_Q.yaw_rate, _X.yaw_rate)):
         command[i] = b[row]
-        for j, column in ((_Q.vy, SINGLE_TRACK_STATE.vy), (_Q.yaw_rate, SINGLE_TRACK_STATE.yaw_rate)):
+        for j, column in ((_Q.vy, _X.vy), (_Q.yaw_rate, _X.yaw_rate)):
             m[i, j] = a[row, column]
     integrals(m, period, s0, s1, s2, s3)
-    for j, column in ((_Q.vy, SINGLE_TRACK_STATE.vy), (_Q.yaw_rate, SINGLE_TRACK_STATE.yaw_rate)):
-        (
-            a[SINGLE_TRACK_STATE.vy, column],
-            a[SINGLE_TRACK_STATE.yaw, column],
-            a[SINGLE_TRACK_STATE.yaw_rate, column],
-            a[SINGLE_TRACK_STATE.y, column],
-        ) = _states(s0[:, j], s1[:, j], s2[:, j], speed)
+    for j, column in ((_Q.vy, _X.vy), (_Q.yaw_rate, _X.yaw_rate)):
+        states = _states(s0[:, j], s1[:, j], s2[:, j], speed)
+        a[_X.vy, column], a[_X.yaw, column], a[_X.yaw_rate, column], a[_X.y, column] = states
     q, once, twice = _column(), _column(), _column()
     apply(s1, command, q)
     apply(s2, command, once)
     apply(s3, command, twice)
-    b[SINGLE_TRACK_STATE.vy], b[SINGLE_TRACK_STATE.yaw], b[SINGLE_TRACK_STATE.yaw_rate], b[SINGLE_TRACK_STATE.y] = (
-        _states(q, once, twice, speed)
-    )
-    a[SINGLE_TRACK_STATE.yaw, SINGLE_TRACK_STATE.yaw] = a[SINGLE_TRACK_STATE.y, SINGLE_TRACK_STATE.y] = 1.0
-    a[SINGLE_TRACK_STATE.y, SINGLE_TRACK_STATE.yaw] = speed * period
+    b[_X.vy], b[_X.yaw], b[_X.yaw_rate], b[_X.y] = _states(q, once, twice, speed)
+    a[_X.yaw, _X.yaw] = a[_X.y, _X.y] = 1.0
+    a[_X.y, _X.yaw] = speed * period

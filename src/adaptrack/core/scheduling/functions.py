@@ -20,7 +20,6 @@ from ..kernel import (
     matrix,
     record,
     shaped,
-    unpacker,
     vector,
 )
 from ..maths.bits import left, right, whole
@@ -60,22 +59,14 @@ TableRecord = record("TableRecord", (("inputs", int64), ("sizes", int_vector), (
 
 _FUNCTION = float64(vector, int_vector, vector, vector)
 
-_net_sizes = unpacker(record("_NetSizes", ("relu", "layers", "inputs"), integers=("relu", "layers", "inputs")))
-_output_scale = unpacker(record("_OutputScale", ("low", "span")))
-_rule_sizes = unpacker(
-    record("_RuleSizes", ("inputs", "functions", "rules"), integers=("inputs", "functions", "rules"))
-)
-_table_sizes = unpacker(record("_TableSizes", ("inputs",), integers=("inputs",)))
-
 
 @inlined
 def _network(integers, numbers):
-    sizes, out = _net_sizes(integers), _output_scale(numbers)
-    spans = 2 + sizes.inputs
-    neurons = spans + sizes.inputs
+    relu, layers, inputs = integers[0], integers[1], integers[2]
+    spans, neurons = 2 + inputs, 2 + 2 * inputs
     return NetworkRecord(
-        sizes.relu == 1, sizes.layers, sizes.inputs, integers[3:], out.low, out.span, numbers[2:spans],
-        numbers[spans:neurons], numbers[neurons:],
+        relu == 1, layers, inputs, integers[3:], numbers[0], numbers[1], numbers[2:spans], numbers[spans:neurons],
+        numbers[neurons:],
     )  # fmt: skip
 
 
@@ -104,7 +95,7 @@ def network(x, integers, numbers, neurons):
 
 @inlined
 def _sugeno(integers, numbers):
-    inputs, functions, rules = _rule_sizes(integers)
+    inputs, functions, rules = integers[0], integers[1], integers[2]
     owner, bell = 3, 3 + functions
     antecedents = bell + functions
     weights = 3 * functions
@@ -166,7 +157,7 @@ def sugeno(x, integers, numbers, work):
 
 @inlined
 def _table(integers, numbers):
-    inputs = _table_sizes(integers).inputs
+    inputs = integers[0]
     sizes = integers[1 : 1 + inputs]
     count = 0
     for d in range(inputs):

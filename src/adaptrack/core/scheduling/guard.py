@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import Row, boolean, columns, exported, float64, inlined, int64, int_vector, record, vector, void
+from ..kernel import Row, boolean, columns, exported, float64, inlined, int_vector, record, vector, void
 from ..maths.exact import clip, floor
 from ..maths.exponential import log10, power
 from .functions import VARIABLE_COLUMNS, multilinear
@@ -25,33 +25,32 @@ FALLBACK_STAGES = 5
 
 GUARD = record(
     "Guard",
-    [
-        ("used", int64),
-        ("hold", int64),  # steps that a fallback lasts, the last one with its cause included
-        ("fallback", (float64, 4)),
-        ("rates", (float64, 2)),  # largest change of Np and of Nc per step
-        ("ratio_rate", float64),  # and of log10 R/Q
-        ("slack", float64),  # how far outside the domain an input may lie, in widths of it
-        ("offset_limit", float64),  # m, the largest |offset| over the friction; inf: none
-        ("mapped", int64),  # whether there is a stability map: a table of 1 - modulus margin
-        ("integers", int64),  # where it begins
-        ("numbers", int64),
-        ("limit", float64),  # the largest value of the map that is allowed
-    ],
-)
+    (
+        "used",
+        "hold",  # steps that a fallback lasts, the last one with its cause included
+        ("fallback", (float64, 4)), ("rates", (float64, 2)),  # largest change of Np and of Nc per step
+        "ratio_rate",  # and of log10 R/Q
+        "slack",  # how far outside the domain an input may lie, in widths of it
+        "offset_limit",  # m, the largest |offset| over the friction; inf: none
+        "mapped",  # whether there is a stability map: a table of 1 - modulus margin
+        "integers", "numbers",  # where it begins
+        "limit",  # the largest value of the map that is allowed
+    ),
+    integers=("used", "hold", "mapped", "integers", "numbers"),
+)  # fmt: skip
 COUNTS = ("steps", "clipped", "broken", "rate_limited", "outside", "off_reference", "unstable", "fallback")
 """Counts of steps: all; with an input clipped to the domain; with an input or output that is not a number; with the
 change of tuning limited; with inputs far outside; too far off the reference; with too small a stability margin; on the
 fallback."""
 MEMORY = record(
     "Memory",
-    [
-        *((name, int64) for name in COUNTS),
-        ("left", int64),  # steps of fallback still to go
-        ("holding", int64),  # whether there is a last tuning
-        ("last", (float64, MAX_ENTRIES)),  # the last tuning
-    ],
-)
+    (
+        *COUNTS,
+        "left",  # steps of fallback still to go
+        "holding", ("last", (float64, MAX_ENTRIES)),  # whether there is a last tuning; that
+    ),
+    integers=(*COUNTS, "left", "holding"),
+)  # fmt: skip
 """What a schedule remembers of a run."""
 
 
@@ -63,10 +62,8 @@ def too_near_instability(variables, tuning, guard, integers, numbers, point, wor
     """
     if guard.mapped == 0:
         return False
-    point[MAP_AXIS.speed], point[MAP_AXIS.friction] = (
-        variables[VARIABLE_COLUMNS.speed],
-        variables[VARIABLE_COLUMNS.friction],
-    )
+    point[MAP_AXIS.speed] = variables[VARIABLE_COLUMNS.speed]
+    point[MAP_AXIS.friction] = variables[VARIABLE_COLUMNS.friction]
     point[MAP_AXIS.Np], point[MAP_AXIS.Nc] = tuning[NP_ENTRY], tuning[NC_ENTRY]
     point[MAP_AXIS.log10_ratio] = log10(tuning[R_ENTRY] / tuning[Q_ENTRY]) if tuning[Q_ENTRY] > 0.0 else math.inf
     # not <=: a value that is no number is too near
@@ -111,8 +108,7 @@ def _give_way(share, fallback, tuning):
         tuning[R_ENTRY] = tuning[Q_ENTRY] * ratio * power(fallback[R_ENTRY] / fallback[Q_ENTRY] / ratio, share)
 
 
-@exported(
-    void(vector, vector, boolean, Row(GUARD), Row(MEMORY), int_vector, vector, vector))  # fmt: skip
+@exported(void(vector, vector, boolean, Row(GUARD), Row(MEMORY), int_vector, vector, vector))
 def supervise(variables, tuning, untrusted, guard, memory, integers, numbers, scratch):
     """Replace a tuning (4,) of the MPC by what may be trusted.
 

@@ -13,44 +13,34 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel import Place, exported, float64, inlined, int64, int_vector, matrix, record, rows, vector, void
+from ..kernel import Place, exported, inlined, int64, int_vector, matrix, record, rows, vector, void
 from ..layout import allocate
 from ..maths.exact import clip, floor
 from ..maths.exponential import power
 from .functions import VARIABLE_COLUMNS, evaluate
 from .guard import COUNTS, GUARD, MAP_AXES, MAX_ENTRIES, MEMORY, NC_ENTRY, NP_ENTRY, supervise
 
-SCHEDULE_INPUT = record(
-    "Input",
-    [
-        ("place", int64),  # of the variable in VARIABLES
-        ("low", float64),  # of the domain
-        ("high", float64),
-    ],
-)
+SCHEDULE_INPUT = record("Input", ("place", "low", "high"), integers=("place",))
+"""Place of a variable in `VARIABLE_COLUMNS`, and its domain."""
 ENTRY = record(
     "Entry",
-    [
-        ("kind", int64),  # of its function
-        ("integers", int64),  # where its function begins
-        ("numbers", int64),
-        ("log10", int64),  # whether the function gives log10 of the value
-        ("horizon", int64),  # whether the value is rounded
-        ("low", float64),
-        ("high", float64),
-    ],
-)
+    (
+        "kind", "integers", "numbers",  # kind of its function, and where that begins
+        "log10",  # whether the function gives log10 of the value
+        "horizon",  # whether the value is rounded
+        "low", "high",
+    ),
+    integers=("kind", "integers", "numbers", "log10", "horizon"),
+)  # fmt: skip
 SCHEDULE_SETTINGS = record(
     "Settings",
-    [
-        ("n_inputs", int64),  # 0: no scheduler
-        ("n_entries", int64),
-        ("tunes_mpc", int64),  # whether the entries are Np, Nc, Q, R
-        ("inputs", (SCHEDULE_INPUT, len(VARIABLE_COLUMNS))),
-        ("entries", (ENTRY, MAX_ENTRIES)),
-        ("guard", GUARD),
-    ],
-)
+    (
+        "n_inputs", "n_entries",  # no inputs: no scheduler
+        "tunes_mpc",  # whether the entries are Np, Nc, Q, R
+        ("inputs", (SCHEDULE_INPUT, len(VARIABLE_COLUMNS))), ("entries", (ENTRY, MAX_ENTRIES)), ("guard", GUARD),
+    ),
+    integers=("n_inputs", "n_entries", "tunes_mpc"),
+)  # fmt: skip
 
 ScheduleRecord = record(
     "ScheduleRecord",
@@ -164,9 +154,3 @@ def schedule_all(variables, plan, tunings):
     for i in range(len(variables)):
         memory.left, memory.holding = 0, 0
         schedule(0, variables[i], plan, tunings[i])
-
-
-@exported(void(vector, Place(ScheduleRecord), vector))
-def schedule_step(variables, plan, tuning):
-    """`schedule.schedule` for the only slot of a schedule."""
-    schedule(0, variables, plan, tuning)

@@ -150,10 +150,8 @@ def watch_actuators(speed, resistance, drive, brakes, period, memory):
     v_v, v_d, v_r = v_v + t * v_d + h * v_r, v_d + t * v_r, decay * v_r
     d_d, d_r = d_d + t * d_r, decay * d_r
     r_r = square(decay) * memory.p_rate + (1.0 - square(decay)) * square(GUST_RATE + SLOPE_RATE * speed)
-    braking_change, driving_change = (
-        abs(brakes.acting - memory.braking_before),
-        abs(drive.acting - memory.driving_before),
-    )
+    braking_change = abs(brakes.acting - memory.braking_before)
+    driving_change = abs(drive.acting - memory.driving_before)
     d_d += square(memory.brake_ratio_sigma) * braking_change * (brakes.acting + memory.braking_before)
     d_d += square(max(drive.ratio_sigma, LEAST_RATIO_SIGMA)) * driving_change * (drive.acting + memory.driving_before)
     late = memory.brake_ratio * (brakes.acting_sigma + LEAST_DELAY_SIGMA * braking_change / period)
@@ -165,11 +163,8 @@ def watch_actuators(speed, resistance, drive, brakes, period, memory):
     bound = INNOVATION_BOUND * sqrt(spread)
     e = clip(speed - v, -bound, bound)
     k_v, k_d, k_r = v_v / spread, v_d / spread, v_r / spread
-    memory.p_watched, memory.p_watched_disturbance, memory.p_watched_rate = (
-        v_v - k_v * v_v,
-        v_d - k_v * v_d,
-        v_r - k_v * v_r,
-    )
+    memory.p_watched, memory.p_watched_disturbance = v_v - k_v * v_v, v_d - k_v * v_d
+    memory.p_watched_rate = v_r - k_v * v_r
     memory.p_disturbance, memory.p_disturbance_rate, memory.p_rate = d_d - k_d * v_d, d_r - k_d * v_r, r_r - k_r * v_r
     memory.watched_speed, memory.watched_disturbance, memory.watched_rate = v + k_v * e, d + k_d * e, r + k_r * e
     # signatures

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 
-from ..estimators.extended_kalman import bounded, carry, correct, scatter
+from ..estimators.extended_kalman import bounded, carry, correct, scatter, step_motion
 from ..estimators.friction_wind import steered
 from ..estimators.learning import memory_of
 from ..kernel import columns, exported, fields_of, float64, inlined, local, record, rows, vector, void
@@ -49,7 +49,7 @@ FRICTION_HYPOTHESIS = record(
     (
         "friction",  # -
         "score",  # logarithm of the weight
-        ("x", (float64, VECTOR_WIDTH)), ("covariance", (float64, _COUNT, _COUNT)),
+        ("x", (float64, VECTOR_WIDTH)), ("covariance", (float64, _COUNT, VECTOR_WIDTH)),
     ),
 )  # fmt: skip
 """A coefficient of friction with its filter."""
@@ -133,7 +133,7 @@ LARGEST_VARIANCE, LARGEST_YAW_ERROR, LARGEST_DEVIATION = 4.0, 0.5, 3.0
 USED_TIME, USED_MARGIN = 0.3, 0.95
 """s, over which used friction is averaged; share that counts."""
 
-_states, _motion, _matrix = local(VECTOR_WIDTH), local(2, VECTOR_WIDTH), local(_COUNT, VECTOR_WIDTH)
+_states, _motion = local(VECTOR_WIDTH), local(2, VECTOR_WIDTH)
 _SLIP_STEP = 1e-5  # rad, of a difference that stands for a derivative
 
 
@@ -181,16 +181,10 @@ def _accelerations(h, angle, motion, c, law, slopes):
     of_front, of_rear = _states(), _states()
     of_front[_Z.vy] = -by_front * speed / (speed * speed + side_f * side_f)
     of_rear[_Z.vy] = -by_rear * speed / (speed * speed + side_r * side_r)
-    of_front[_Z.yaw_rate], of_rear[_Z.yaw_rate] = (
-        c.lf * of_front[_Z.vy],
-        -c.lr * of_rear[_Z.vy],
-    )
+    of_front[_Z.yaw_rate], of_rear[_Z.yaw_rate] = c.lf * of_front[_Z.vy], -c.lr * of_rear[_Z.vy]
     of_front[_Z.bias] = by_front
     of_front[_Z.stiffness], of_rear[_Z.stiffness] = by_front * slip_f, by_rear * slip_r
-    of_front[_Z.balance], of_rear[_Z.balance] = (
-        0.5 * of_front[_Z.stiffness],
-        -0.5 * of_rear[_Z.stiffness],
-    )
+    of_front[_Z.balance], of_rear[_Z.balance] = 0.5 * of_front[_Z.stiffness], -0.5 * of_rear[_Z.stiffness]
     by_mass, by_inertia = 1.0 / c.mass, 1.0 / c.yaw_inertia
     air, twist, _ = wind_load(0.0, speed, x[_Z.vy], 0.0, 0.0, c)
     for j in range(_COUNT):
@@ -202,14 +196,6 @@ def _accelerations(h, angle, motion, c, law, slopes):
 
 
 @inlined
-def _copy_covariance(source, target):
-    """Copy a covariance; rows of hypotheses are not padded, those at work are."""
-    for i in range(_COUNT):
-        for j in range(_COUNT):
-            target[i, j] = source[i, j]
-
-
-@inlined
 def _sigmas(knowledge):
     """Standard deviations of the states from the steering bias on."""
     return knowledge.bias_sigma, knowledge.stiffness_sigma, knowledge.balance_sigma, SIDE_SIGMA
@@ -218,26 +204,13 @@ def _sigmas(knowledge):
 @inlined
 def _predict(h, angle, turning, step, motion, c, law):
     """Carry a filter over a step (s) by the linearised trapezoidal rule; turning: rad/s, of the wheels."""
-    x, P, slopes, mixed = h.x, _matrix(), _motion(), _motion()
-    _copy_covariance(h.covariance, P)
+    x, P, slopes, mixed = h.x, h.covariance, _motion(), _motion()
     speed, knowledge = motion.speed, motion.knowledge
     lateral, yawing, front, rear = _accelerations(h, angle, motion, c, law, slopes)
     push, twist = slopes[_Z.vy, _Z.bias], slopes[_Z.yaw_rate, _Z.bias]
     slopes[_Z.vy, _Z.yaw_rate] -= speed
     slopes[_Z.vy, _Z.side] += 1.0
-    half = 0.5 * step
-    a, b = half * slopes[_Z.vy, _Z.vy], half * slopes[_Z.vy, _Z.yaw_rate]
-    d, e = half * slopes[_Z.yaw_rate, _Z.vy], half * slopes[_Z.yaw_rate, _Z.yaw_rate]
-    scale = 1.0 / ((1.0 - a) * (1.0 - e) - b * d)
-    vv, vr, rv, rr = (1.0 - e) * scale, b * scale, d * scale, (1.0 - a) * scale
-    slide, turn = step * (lateral + motion.pull + x[_Z.side] - speed * x[_Z.yaw_rate]), step * yawing
-    x[_Z.vy] += vv * slide + vr * turn
-    x[_Z.yaw_rate] += rv * slide + rr * turn
-    for j in range(_COUNT):
-        slide, turn = step * slopes[_Z.vy, j], step * slopes[_Z.yaw_rate, j]
-        mixed[_Z.vy, j], mixed[_Z.yaw_rate, j] = vv * slide + vr * turn, rv * slide + rr * turn
-    mixed[_Z.vy, _Z.vy] += 1.0
-    mixed[_Z.yaw_rate, _Z.yaw_rate] += 1.0
+    step_motion(lateral + motion.pull + x[_Z.side] - speed * x[_Z.yaw_rate], yawing, step, slopes, _COUNT, x, mixed)
     shares, sigmas = _states(), _sigmas(knowledge)
     for j in range(_Z.bias, _COUNT):
         shares[j] = exp(-step / (SIDE_TIME if j == _Z.side else KNOWLEDGE_TIME))
@@ -248,17 +221,13 @@ def _predict(h, angle, turning, step, motion, c, law):
     front, rear = TYRE_ERROR * front, TYRE_ERROR * rear
     late = turning * knowledge.delay_sigma  # rad, error of the wheels by that of the delay, which lasts a step
     pushed, twisted = step * late * push, step * late * twist
-    P[_Z.vy, _Z.vy] += (
-        step * (square(DRIFT_VELOCITY) + (front * front + rear * rear) / square(c.mass)) + pushed * pushed
-    )
+    slides = (front * front + rear * rear) / square(c.mass)
+    P[_Z.vy, _Z.vy] += step * (square(DRIFT_VELOCITY) + slides) + pushed * pushed
     both = step * (c.lf * front * front - c.lr * rear * rear) / (c.mass * c.yaw_inertia) + pushed * twisted
     P[_Z.vy, _Z.yaw_rate] += both
     P[_Z.yaw_rate, _Z.vy] += both
-    P[_Z.yaw_rate, _Z.yaw_rate] += (
-        step * (square(DRIFT_YAW_RATE) + (square(c.lf * front) + square(c.lr * rear)) / square(c.yaw_inertia))
-        + twisted * twisted
-    )
-    _copy_covariance(P, h.covariance)
+    turns = (square(c.lf * front) + square(c.lr * rear)) / square(c.yaw_inertia)
+    P[_Z.yaw_rate, _Z.yaw_rate] += step * (square(DRIFT_YAW_RATE) + turns) + twisted * twisted
 
 
 @inlined
@@ -266,12 +235,10 @@ def _take_in(value, reading, variance, slope, h):
     """Correct a filter by a sensor; return the log-likelihood. slope: derivatives of its reading by the state."""
     if value != value or not variance < math.inf:
         return 0.0
-    cross, P, innovation = _states(), _matrix(), value - reading
-    _copy_covariance(h.covariance, P)
-    spread = scatter(variance, slope, P, cross)
+    cross, innovation = _states(), value - reading
+    spread = scatter(variance, slope, h.covariance, cross)
     surprise = min(square(innovation) / spread, square(FRICTION_INNOVATION_BOUND))
-    correct(bounded(innovation, spread, FRICTION_INNOVATION_BOUND), spread, cross, h.x, P)
-    _copy_covariance(P, h.covariance)
+    correct(bounded(innovation, spread, FRICTION_INNOVATION_BOUND), spread, cross, h.x, h.covariance)
     return -0.5 * (surprise + log(spread))
 
 
@@ -327,25 +294,25 @@ def _bound(h, speed, yaw_rate, knowledge):
 def _weigh(distance, memory, bank):
     """Turn scores into weights that have returned to the prior by a distance (m), and find the interval."""
     best, total = -math.inf, 0.0
-    for i in range(bank.size):
-        if bank[i].friction < USED_MARGIN * memory.used:
-            bank[i].score -= distance  # less than what the tyres have used
-        best = max(best, bank[i].score)
-    for i in range(bank.size):
-        total += exp(bank[i].score - best)
+    for h in bank:
+        if h.friction < USED_MARGIN * memory.used:
+            h.score -= distance  # less than what the tyres have used
+        best = max(best, h.score)
+    for h in bank:
+        total += exp(h.score - best)
     mixed, mass, mean = min(distance / RETURN_DISTANCE, 1.0), 0.0, 0.0
     spacing = bank[1].friction - bank[0].friction
     low, high = bank[0].friction, bank[bank.size - 1].friction
-    for i in range(bank.size):
-        weight = (1.0 - mixed) * exp(bank[i].score - best) / total + mixed / bank.size
+    for h in bank:
+        weight = (1.0 - mixed) * exp(h.score - best) / total + mixed / bank.size
         weight = max(weight, LEAST_WEIGHT)
-        bank[i].score = log(weight)
+        h.score = log(weight)
         if mass < TAIL <= mass + weight:
-            low = bank[i].friction + spacing * ((TAIL - mass) / weight - 0.5)
+            low = h.friction + spacing * ((TAIL - mass) / weight - 0.5)
         if mass < 1.0 - TAIL <= mass + weight:
-            high = bank[i].friction + spacing * ((1.0 - TAIL - mass) / weight - 0.5)
+            high = h.friction + spacing * ((1.0 - TAIL - mass) / weight - 0.5)
         mass += weight
-        mean += weight * bank[i].friction
+        mean += weight * h.friction
     first, last = bank[0].friction, bank[bank.size - 1].friction
     low, high = clip((1.0 - MODEL_ERROR) * low, first, last), clip((1.0 + MODEL_ERROR) * high, first, last)
     rising = clip(distance / RISE_DISTANCE, 0.0, 1.0)
@@ -389,8 +356,8 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
         memory.angle = steered(before, commands[place], substep, wheels)
         if runs and memory.running > 0.5:
             turning = (memory.angle - before) / substep
-            for k in range(bank.size):
-                _predict(bank[k], middle, turning, substep, motion, c, law)
+            for h in bank:
+                _predict(h, middle, turning, substep, motion, c, law)
     if not runs:
         memory.running = 0.0
         return
@@ -398,21 +365,19 @@ def estimate_friction(sample, knowledge, force, pull, estimate):
     share = 1.0 - exp(-step / USED_TIME)
     slide = memory.lateral_velocity
     memory.lateral_velocity = 0.0
-    for k in range(bank.size):
-        memory.lateral_velocity += exp(bank[k].score) * bank[k].x[_Z.vy]
+    for h in bank:
+        memory.lateral_velocity += exp(h.score) * h.x[_Z.vy]
     used = sample.lateral_acceleration
     if used != used:
         used = speed * yaw_rate + (memory.lateral_velocity - slide) / step - pull
     memory.pull += share * (sqrt(square(used) + square(force / c.mass)) - memory.pull)
     memory.used = max(memory.pull / GRAVITY, memory.used * (1.0 - distance / RETURN_DISTANCE))
-    for k in range(bank.size):
+    for h in bank:
         if memory.running < 0.5:
-            _begin_filter(bank[k], yaw_rate, knowledge)
+            _begin_filter(h, yaw_rate, knowledge)
         else:
-            bank[k].score += EVIDENCE_SHARE * _correct(
-                bank[k], memory.angle, sample, motion, estimate.variances, c, law
-            )
-            _bound(bank[k], speed, yaw_rate, knowledge)
+            h.score += EVIDENCE_SHARE * _correct(h, memory.angle, sample, motion, estimate.variances, c, law)
+            _bound(h, speed, yaw_rate, knowledge)
     memory.running = 1.0
     _weigh(distance, memory, bank)
 

@@ -90,11 +90,10 @@ def begin_bank(lag, dead_time, bank):
 def mean_of_bank(bank):
     """Return the weighted mean of a bank as `ActuatorBelief`."""
     best = -math.inf
-    for i in range(bank.size):
-        best = max(best, bank[i].score)
+    for h in bank:
+        best = max(best, h.score)
     total = lag = dead_time = delay_square = ratio = ratio_square = disturbance = speed = acting = acting_square = 0.0
-    for i in range(bank.size):
-        h = bank[i]
+    for h in bank:
         weight = exp(h.score - best)
         total += weight
         lag += weight * h.lag
@@ -206,8 +205,7 @@ def _run_bank(bank, sign, other, other_sigma, resistance, speed, learns, period,
     A standing car shows nothing: its brakes may hold it against any force. Without a speed (NaN) the actuators act on;
     the filters restart at the next one.
     """
-    for i in range(bank.size):
-        h = bank[i]
+    for h in bank:
         mean = sign * _act(h, period, age, elapsed, requests)
         if speed != speed or h.speed != h.speed or speed <= STANDING_SPEED:
             _restart_speed(h, speed)
@@ -218,16 +216,15 @@ def _run_bank(bank, sign, other, other_sigma, resistance, speed, learns, period,
 @inlined
 def _share_mass(ratio, bank):
     """Assume the ratio of the other actuator, which shares the mass of the car, until a bank has learned its own."""
-    for i in range(bank.size):
-        if bank[i].p_ratio >= square(RATIO_SIGMA):
-            bank[i].ratio = ratio
+    for h in bank:
+        if h.p_ratio >= square(RATIO_SIGMA):
+            h.ratio = ratio
 
 
 @inlined
 def _widen_disturbance(bank):
     """Let the disturbance be as uncertain as at the start."""
-    for i in range(bank.size):
-        h = bank[i]
+    for h in bank:
         explained = square(h.p_ratio_disturbance) / max(h.p_ratio, LEAST_RATIO_VARIANCE)  # by the ratio
         h.p_disturbance = max(h.p_disturbance, explained + square(DISTURBANCE_SIGMA))
 
@@ -317,17 +314,15 @@ def remember_request(force, hold, mass, requests):
 @inlined
 def forget_speeds(banks):
     """Let the filters of both banks restart at the next speed."""
-    for i in range(banks.drive.size):
-        banks.drive[i].speed = math.nan
-    for i in range(banks.brakes.size):
-        banks.brakes[i].speed = math.nan
+    for bank in (banks.drive, banks.brakes):
+        for h in bank:
+            h.speed = math.nan
 
 
 @inlined
 def _settle_bank(bank, acceleration, speed):
     """Let every hypothesis be at a requested acceleration (m/s^2) and at a speed (m/s), as if it had been for long."""
-    for i in range(bank.size):
-        h = bank[i]
+    for h in bank:
         h.filtered = acceleration
         _restart_speed(h, speed)
 

@@ -113,18 +113,14 @@ def _faulty_stop(plan, length):
 @inlined
 def _check(plan, length, closed):
     """`OK`, or which array is faulty, and the number of its entry."""
-    entry = _faulty_stop(plan, length)
-    if entry >= 0:
-        return BAD_STOP, entry
-    entry = _faulty_speed(plan, length, closed)
-    if entry >= 0:
-        return BAD_SPEED, entry
-    entry = _faulty_along(plan.grade, MAX_PLAN_GRADE)
-    if entry >= 0:
-        return BAD_GRADE, entry
-    entry = _faulty_along(plan.bank, MAX_PLAN_BANK)
-    if entry >= 0:
-        return BAD_BANK, entry
+    for status, entry in (
+        (BAD_STOP, _faulty_stop(plan, length)),
+        (BAD_SPEED, _faulty_speed(plan, length, closed)),
+        (BAD_GRADE, _faulty_along(plan.grade, MAX_PLAN_GRADE)),
+        (BAD_BANK, _faulty_along(plan.bank, MAX_PLAN_BANK)),
+    ):
+        if entry >= 0:
+            return status, entry
     return OK, 0
 
 
@@ -143,9 +139,8 @@ def write_speed_path(plan, memory):
     if memory.size < 4 * count + 2 * (stops + 1):
         return PLAN_MEMORY_TOO_SMALL, 0
     spacing = length / (count if closed else count - 1)
-    squares, curvature, slope, bank = (
-        memory[:count], memory[count : 2 * count], memory[2 * count : 3 * count], memory[3 * count : 4 * count]
-    )  # fmt: skip
+    squares, curvature = memory[:count], memory[count : 2 * count]
+    slope, bank = memory[2 * count : 3 * count], memory[3 * count : 4 * count]
     for i in range(count):
         squares[i] = i * spacing
     planned_speeds(plan.s[plan.s.size - 1] if closed else 0.0, plan.s, plan.speed, squares)

@@ -28,29 +28,7 @@ from ..maths.exact import clip, floor, sqrt, square
 from ..maths.exponential import power
 from ..models.car import AXLES, POWERTRAIN
 from ..physics.forces import GRAVITY, LARGEST_BEND_SHARE, LEAST_BRAKING, STANDING_SPEED, axle_limits
-from .faults import (
-    BRAKES_FAIL,
-    DRIVE_STICKS,
-    NO_FAULT,
-    end_fault,
-    forget_faults,
-    is_suspected,
-    probing_deceleration,
-    top_speed_after_fault,
-    watch_actuators,
-)
-from .learning import (
-    LEAST_ACTION,
-    SETTLING_TIME,
-    ActuatorBelief,
-    forget_speeds,
-    learn_actuators,
-    mean_of_bank,
-    predicted_motion,
-    remember_request,
-    repeat_requests,
-    settle_actuators,
-)
+from . import faults, learning, stops
 from .place import (
     LEAST_ELAPSED,
     SPEED_GRACE,
@@ -60,21 +38,6 @@ from .place import (
     is_speed_known,
     predict_place,
     take_motion,
-)
-from .stops import (
-    ARRIVAL_WAY,
-    LEFT_DISTANCE,
-    LEFT_SIGMAS,
-    NEAR_STOP,
-    NO_STOP,
-    SAME_PLACE,
-    STOP_TOLERANCE,
-    forget_served_stop,
-    is_path_end,
-    match_stops,
-    next_stop,
-    stop_at,
-    way_to,
 )
 
 SpeedSettings = record("SpeedSettings", (
@@ -276,6 +239,13 @@ LEAST_RADIUS_SHARE = 0.5
 LEAST_SPEED_AHEAD = 0.3
 """m/s, with which a car is taken to go on at a stop ahead."""
 
+ControlPeriod = record(
+    "ControlPeriod",
+    ("duration", "slope", "lateral", ("drive", learning.ActuatorBelief), ("brakes", learning.ActuatorBelief)),
+)
+"""A control period: s; deceleration by the slope (m/s^2), larger of measured and planned lateral acceleration (m/s^2);
+the beliefs about drive and brakes, at present."""
+
 
 # -- the path ---------------------------------------------------------------------------------------------------------
 @inlined
@@ -325,7 +295,7 @@ def _govern(station, top_square, push, settings, path, memory, ahead):
             tilt = path.bank[cell] if curvature > 0.0 else -path.bank[cell]
             square_speed = min(square_speed, max(bend_grip + tilt, 0.0) / abs(curvature))
         ahead[j] = square_speed
-    way = way_to(memory.stop_place, station, path)
+    way = stops.way_to(memory.stop_place, station, path)
     if memory.speed_state != WAITING and 0.0 < way < (ahead.size - 2) * path.spacing:
         ahead[whole(way / path.spacing) + 2] = 0.0  # beyond the stop: its last metres have a law of their own
     for j in range(ahead.size - 2, -1, -1):
@@ -362,13 +332,11 @@ def _resistance(speed, slope, settings):
 
 
 @inlined
-def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memory):
-    """Turn an acceleration (m/s^2) into a force (N) within powertrain, brakes and guard; note a bound as the cause.
-
-    drive, brakes: `speed_learning.ActuatorBelief`.
-    """
+def _request(acceleration, speed, period, settings, memory):
+    """Turn an acceleration (m/s^2) into a force (N) within powertrain, brakes and guard; note a bound as the cause."""
+    drive, brakes, lateral = period.drive, period.brakes, period.lateral
     disturbance = brakes.disturbance if memory.is_braking > 0 else drive.disturbance
-    resistance = _resistance(speed, slope, settings) - disturbance
+    resistance = _resistance(speed, period.slope, settings) - disturbance
     tyres = acceleration + resistance  # m/s^2, of all tyres
     ratio = drive.ratio if tyres > 0.0 else brakes.ratio
     demand = settings.mass * tyres / ratio
@@ -395,41 +363,34 @@ def _request(acceleration, speed, slope, lateral, drive, brakes, settings, memor
 
 
 @inlined
-def _hold(beyond, slope, brakes, dt, settings, memory):
+def _hold(beyond, period, settings, memory):
     """Stand: no drive; brakes that hold the estimated slope, at least any usual one, and more while the car rolls.
 
     beyond: m, of a stop; a car that creeps away from it is held more.
     """
     if memory.hold > 0.0 and abs(memory.speed) > CREEPING_SPEED:
-        memory.rolling += ROLLING_RATE * dt
+        memory.rolling += ROLLING_RATE * period.duration
     memory.acceleration, memory.force, memory.target_speed = 0.0, 0.0, 0.0
-    needed = max(abs(slope - brakes.disturbance), abs(slope)) + HOLD_RESERVE
+    needed = max(abs(period.slope - period.brakes.disturbance), abs(period.slope)) + HOLD_RESERVE
     needed += CREEP_STIFFNESS * min(abs(beyond), LARGEST_CREEP)
     at_rest = HOLD_AT_REST
     if memory.speed_state != DRIVING and memory.speed_state != OFF:  # the car has just come to rest: no jolt
-        at_rest = min(at_rest, memory.hold / settings.mass + HOLDING_RATE * dt)
-    deceleration = max(needed, at_rest) / min(brakes.ratio, 1.0) + memory.rolling
+        at_rest = min(at_rest, memory.hold / settings.mass + HOLDING_RATE * period.duration)
+    deceleration = max(needed, at_rest) / min(period.brakes.ratio, 1.0) + memory.rolling
     memory.hold = min(settings.mass * deceleration, settings.brake_limit)
     memory.is_braking, memory.is_starting, memory.travelled = 1, 0, 0.0
 
 
 @inlined
-def _stand(beyond, slope, lateral, drive, brakes, dt, settings, memory):
+def _stand(beyond, period, settings, memory):
     """Stand so far beyond a stop (m); until the brakes hold, the drive carries an ascent."""
+    brakes, cause = period.brakes, memory.limited_by
     is_held = memory.standing > brakes.dead_time + HOLDING_LAGS * brakes.lag + brakes.delay_sigma
-    cause = memory.limited_by
     memory.is_braking = 0
-    _request(0.0, 0.0, slope, lateral, drive, brakes, settings, memory)
+    _request(0.0, 0.0, period, settings, memory)
     force = memory.force
-    _hold(beyond, slope, brakes, dt, settings, memory)
-    memory.force, memory.limited_by = 0.0 if is_held or slope <= 0.0 else max(force, 0.0), cause
-
-
-@inlined
-def _count_creeping(dt, memory):
-    """Count the time for which a braked car has a speed of nearly 0."""
-    is_braked = memory.force < 0.0 or memory.hold > 0.0
-    memory.creeping = memory.creeping + dt if is_braked and abs(memory.speed) < CREEPING_SPEED else 0.0
+    _hold(beyond, period, settings, memory)
+    memory.force, memory.limited_by = 0.0 if is_held or period.slope <= 0.0 else max(force, 0.0), cause
 
 
 @inlined
@@ -442,14 +403,14 @@ def _stands(memory):
 @inlined
 def _dwell(dt, path, memory):
     """Count the time at a stop; leave it when it is over, or the stop is no more, or the car was moved away."""
-    index = stop_at(memory.stop_place, SAME_PLACE, path)
-    enough = max(LEFT_DISTANCE, LEFT_SIGMAS * sqrt(memory.p_station))
-    way = way_to(memory.stop_place, memory.station, path)
-    if index == NO_STOP or way > enough or (way < -enough and not is_path_end(index, path)):
+    index = stops.stop_at(memory.stop_place, stops.SAME_PLACE, path)
+    enough = max(stops.LEFT_DISTANCE, stops.LEFT_SIGMAS * sqrt(memory.p_station))
+    way = stops.way_to(memory.stop_place, memory.station, path)
+    if index == stops.NO_STOP or way > enough or (way < -enough and not stops.is_path_end(index, path)):
         memory.speed_state = DRIVING
         return
     memory.standing += dt
-    is_released = memory.is_released > 0 and not is_path_end(index, path)
+    is_released = memory.is_released > 0 and not stops.is_path_end(index, path)
     if memory.standing >= path.seconds[index] or is_released:
         memory.speed_state, memory.served_place = DRIVING, memory.stop_place
 
@@ -461,13 +422,14 @@ def _find_stop(dt, path, memory):
         _dwell(dt, path, memory)
     if memory.speed_state != WAITING:
         memory.is_released = 0
-    forget_served_stop(path, memory)
+    stops.forget_served_stop(path, memory)
     is_stopping = memory.speed_state == STOPPING or memory.speed_state == EMERGENCY
     if memory.speed_state == WAITING:
-        return stop_at(memory.stop_place, SAME_PLACE, path), way_to(memory.stop_place, memory.station, path)
-    index, way = next_stop(is_stopping, path, memory)
-    memory.stop_place = path.stops[index] if index != NO_STOP else math.nan
-    tolerance = STOP_TOLERANCE if memory.travelled > ARRIVAL_WAY else NEAR_STOP
+        index = stops.stop_at(memory.stop_place, stops.SAME_PLACE, path)
+        return index, stops.way_to(memory.stop_place, memory.station, path)
+    index, way = stops.next_stop(is_stopping, path, memory)
+    memory.stop_place = path.stops[index] if index != stops.NO_STOP else math.nan
+    tolerance = stops.STOP_TOLERANCE if memory.travelled > stops.ARRIVAL_WAY else stops.NEAR_STOP
     if is_stopping and way <= tolerance and _stands(memory):
         memory.speed_state, memory.standing = WAITING, 0.0
     return index, way
@@ -476,7 +438,7 @@ def _find_stop(dt, path, memory):
 @inlined
 def _stop_cause(index, path):
     """Cause of a stop."""
-    return BY_PATH_END if is_path_end(index, path) else BY_STOP
+    return BY_PATH_END if stops.is_path_end(index, path) else BY_STOP
 
 
 # -- without guidance -------------------------------------------------------------------------------------------------
@@ -498,23 +460,23 @@ def _blind_deceleration(blind_time, is_guided, delay, settings, memory):
 @inlined
 def acknowledge(memory):
     """End a fault, and the distrust of the measured speed, as a driver or an operator does."""
-    end_fault(memory)
+    faults.end_fault(memory)
     memory.contradiction, memory.is_distrusted, memory.distrust = 0.0, 0, 0
 
 
 @inlined
-def _yield_to_driver(slope, lateral, drive, brakes, dt, settings, memory, banks):
+def _yield_to_driver(period, settings, memory, banks):
     """Let the requests follow the motion that a driver gives to the car; nothing is learned."""
     memory.speed_state, memory.handover, memory.settled = OFF, math.nan, 0.0
     if memory.speed < STANDING_SPEED:
-        _hold(0.0, slope, brakes, dt, settings, memory)
+        _hold(0.0, period, settings, memory)
     else:
         memory.hold, memory.rolling, memory.rolled = 0.0, 0.0, 0.0
-        memory.is_braking = 1 if memory.motion + _resistance(memory.speed, slope, settings) < 0.0 else 0
-        _request(memory.motion, memory.speed, slope, lateral, drive, brakes, settings, memory)
+        memory.is_braking = 1 if memory.motion + _resistance(memory.speed, period.slope, settings) < 0.0 else 0
+        _request(memory.motion, memory.speed, period, settings, memory)
     memory.limited_by, memory.target_speed = BY_DRIVER, memory.speed
     acknowledge(memory)
-    settle_actuators(memory.measured_speed, memory.force / settings.mass, banks)
+    learning.settle_actuators(memory.measured_speed, memory.force / settings.mass, banks)
 
 
 @inlined
@@ -528,25 +490,23 @@ def _hand_over(demand, settings, memory):
 
 
 @inlined
-def _stop_unguided(deceleration, slope, lateral, drive, brakes, dt, settings, memory):
+def _stop_unguided(deceleration, period, settings, memory):
     """Brake (m/s^2) to a standstill wherever the car is, and hold it there."""
     memory.handover = 0.0
     if _stands(memory):
-        _hold(0.0, slope, brakes, dt, settings, memory)
+        _hold(0.0, period, settings, memory)
         memory.speed_state = EMERGENCY if memory.speed_state == EMERGENCY else STOPPING
-        if memory.fault != NO_FAULT:
+        if memory.fault != faults.NO_FAULT:
             memory.hold = settings.brake_limit
     else:
         memory.speed_state = EMERGENCY if deceleration > EMERGENCY_RATIO * settings.brake else STOPPING
         memory.target_speed, memory.hold, memory.is_braking = 0.0, 0.0, 1
-        _request(-deceleration, memory.speed, slope, lateral, drive, brakes, settings, memory)
+        _request(-deceleration, memory.speed, period, settings, memory)
     memory.limited_by = BY_FAULT
-    if memory.fault != NO_FAULT:
+    if memory.fault != faults.NO_FAULT:
         memory.force = min(memory.force, 0.0)
-        memory.speed_state, memory.limited_by = (
-            EMERGENCY,
-            BY_BRAKE_FAULT if memory.fault == BRAKES_FAIL else BY_DRIVE_FAULT,
-        )
+        memory.speed_state = EMERGENCY
+        memory.limited_by = BY_BRAKE_FAULT if memory.fault == faults.BRAKES_FAIL else BY_DRIVE_FAULT
 
 
 # -- along the plan ---------------------------------------------------------------------------------------------------
@@ -559,14 +519,14 @@ def _moved(memory):
 
 
 @inlined
-def _start(way, slope, lateral, drive, brakes, dt, settings, memory):
+def _start(way, period, settings, memory):
     """Push until the car moves, and release the brakes gradually once the drive carries the estimated slope.
 
     way: m, to the next stop. A car that rolls back is held again until the drive pushes more than before. Return
     whether the car has still to start.
     """
     if memory.is_starting == 0:
-        _hold(0.0, slope, brakes, dt, settings, memory)
+        _hold(0.0, period, settings, memory)
         memory.is_starting, memory.launch = 1, 0.0
     if abs(memory.speed) < STANDING_SPEED:
         memory.start_place = memory.station
@@ -578,23 +538,23 @@ def _start(way, slope, lateral, drive, brakes, dt, settings, memory):
         return False
     is_rolling = memory.speed < -ROLLING_SPEED or (abs(memory.speed) > ROLLING_SPEED and direction < 0)
     hold = memory.hold
-    resistance = _resistance(0.0, slope, settings) - drive.disturbance
+    drive, resistance = period.drive, _resistance(0.0, period.slope, settings) - period.drive.disturbance
     push = max(resistance, 0.0) + START_RESERVE
     memory.limited_by, memory.is_braking = BY_PLAN, 0
-    _request(push + memory.launch - resistance, 0.0, slope, lateral, drive, brakes, settings, memory)
+    _request(push + memory.launch - resistance, 0.0, period, settings, memory)
     carried = push + memory.rolled
     if memory.limited_by != BY_PLAN:  # the drive has no more
         carried = min(carried, FULL_DRIVE_SHARE * drive.ratio * memory.force / settings.mass)
     force, acceleration = memory.force, memory.acceleration
     if is_rolling:
         memory.rolled = max(memory.rolled, memory.launch + ROLLED_RESERVE)
-        _hold(0.0, slope, brakes, dt, settings, memory)
+        _hold(0.0, period, settings, memory)
         hold, memory.is_starting = memory.hold, 1
     elif not moves and drive.ratio * drive.acting >= carried:
-        hold = max(hold - (GENTLE_RELEASE_RATE if is_gentle else RELEASE_RATE) * dt * settings.mass, 0.0)
+        hold = max(hold - (GENTLE_RELEASE_RATE if is_gentle else RELEASE_RATE) * period.duration * settings.mass, 0.0)
     if not moves:
         is_slow = (is_gentle or resistance < -DESCENT) and hold > 0.0 and memory.rolled == 0.0
-        memory.launch = min(memory.launch + LAUNCH_RATE * dt, GENTLE_LAUNCH if is_slow else MAX_LAUNCH)
+        memory.launch = min(memory.launch + LAUNCH_RATE * period.duration, GENTLE_LAUNCH if is_slow else MAX_LAUNCH)
     memory.is_braking, memory.force, memory.acceleration, memory.hold = 0, force, acceleration, hold
     return True
 
@@ -604,22 +564,22 @@ def _braking_share(drive, brakes, memory):
     """Share of the brakes in the delay of a request: 1 where they act; at the end of a stop the drive takes over."""
     if memory.is_braking > 0:
         return 1.0
-    return brakes.acting / max(brakes.acting + drive.acting, LEAST_ACTION) if memory.acceleration < 0.0 else 0.0
+    share = brakes.acting / max(brakes.acting + drive.acting, learning.LEAST_ACTION)
+    return share if memory.acceleration < 0.0 else 0.0
 
 
 @inlined
-def _aim(index, way, top_square, resistance, drive, brakes, settings, path, memory, banks, ahead):
+def _aim(index, way, top_square, resistance, period, settings, path, memory, banks, ahead):
     """Motion to request, for the place at which drive or brakes act.
 
     index, way: of the next stop, and m to it. Return the acceleration (m/s^2), the speed to reach and the coming speed
     (m/s), the coming way to the stop (m), and the cause.
     """
-    share, station = _braking_share(drive, brakes, memory), memory.station
-    delay, lag = (
-        drive.dead_time + share * (brakes.dead_time - drive.dead_time),
-        drive.lag + share * (brakes.lag - drive.lag),
-    )
-    coming_speed, coming_way, _, _ = predicted_motion(
+    drive, brakes, station = period.drive, period.brakes, memory.station
+    share = _braking_share(drive, brakes, memory)
+    delay = drive.dead_time + share * (brakes.dead_time - drive.dead_time)
+    lag = drive.lag + share * (brakes.lag - drive.lag)
+    coming_speed, coming_way, _, _ = learning.predicted_motion(
         max(memory.speed, 0.0), 0.0, delay, resistance, drive, brakes, settings.period, banks
     )
     true_ratio = 1.0 + memory.scale  # of the speed over the measured one
@@ -634,7 +594,7 @@ def _aim(index, way, top_square, resistance, drive, brakes, settings, path, memo
         cause = BY_PLAN
     elif target_square >= top_square * 0.999:
         cause = BY_FAULT if memory.on_probation > 0.0 else BY_UNKNOWN_STEERING
-    remaining_way = way - coming_way - (AIMED_DISTANCE if memory.travelled > ARRIVAL_WAY else 0.0)
+    remaining_way = way - coming_way - (AIMED_DISTANCE if memory.travelled > stops.ARRIVAL_WAY else 0.0)
     jerk = settings.stop_jerk / (1.0 + STOP_SOFTENING * brakes.lag)
     caution_way = BRAKE_CAUTION * max(brakes.delay_sigma - KNOWN_DELAY, 0.0) * true_ratio * coming_speed
     stop_speed, stop_acceleration = _stopping_motion(remaining_way - caution_way, lag, jerk, settings)
@@ -649,48 +609,47 @@ def _aim(index, way, top_square, resistance, drive, brakes, settings, path, memo
 
 
 @inlined
-def _follow(index, way, slope, top_square, lateral, drive, brakes, dt, settings, path, memory, banks, ahead):
+def _follow(index, way, top_square, period, settings, path, memory, banks, ahead):
     """Follow the governed speeds and the next stop; write the requests. index, way: of the stop, and m to it."""
-    is_near = -math.inf < way < NEAR_STOP and memory.travelled <= ARRIVAL_WAY
-    if memory.speed < STANDING_SPEED and (is_near or way <= STOP_TOLERANCE < ARRIVAL_WAY < memory.travelled):
+    is_near = -math.inf < way < stops.NEAR_STOP and memory.travelled <= stops.ARRIVAL_WAY
+    has_arrived = way <= stops.STOP_TOLERANCE < stops.ARRIVAL_WAY < memory.travelled
+    if memory.speed < STANDING_SPEED and (is_near or has_arrived):
         memory.speed_state, memory.limited_by, memory.standing = STOPPING, _stop_cause(index, path), 0.0
-        _stand(-way, slope, lateral, drive, brakes, dt, settings, memory)
+        _stand(-way, period, settings, memory)
         return
-    resistance = _resistance(memory.speed, slope, settings)
-    rolls_back = memory.travelled < ARRIVAL_WAY and _moved(memory) < 0
+    resistance = _resistance(memory.speed, period.slope, settings)
+    rolls_back = memory.travelled < stops.ARRIVAL_WAY and _moved(memory) < 0
     is_at_start = memory.is_starting > 0 or memory.speed < STANDING_SPEED or rolls_back
-    if is_at_start and _start(way, slope, lateral, drive, brakes, dt, settings, memory):
+    if is_at_start and _start(way, period, settings, memory):
         memory.speed_state, memory.limited_by = DRIVING, BY_PLAN
         return
     acceleration, target, coming_speed, remaining_way, cause = _aim(
-        index, way, top_square, resistance, drive, brakes, settings, path, memory, banks, ahead
+        index, way, top_square, resistance, period, settings, path, memory, banks, ahead
     )
-    disturbance = brakes.disturbance if memory.is_braking > 0 else drive.disturbance
+    disturbance = period.brakes.disturbance if memory.is_braking > 0 else period.drive.disturbance
     tyres = acceleration + settings.gain * (target - coming_speed) + resistance - disturbance
     band = STOPPING_BAND if cause in (BY_STOP, BY_PATH_END) else COASTING_BAND
     if (tyres < -band and memory.is_braking == 0) or (tyres > band and memory.is_braking > 0):
         memory.is_braking = 1 - memory.is_braking
         acceleration, target, coming_speed, remaining_way, cause = _aim(
-            index, way, top_square, resistance, drive, brakes, settings, path, memory, banks, ahead
+            index, way, top_square, resistance, period, settings, path, memory, banks, ahead
         )
     memory.limited_by, memory.target_speed, memory.speed_state = cause, target, DRIVING
-    memory.hold = max(memory.hold - STARTED_RELEASE_RATE * dt * settings.mass, 0.0)
+    memory.hold = max(memory.hold - STARTED_RELEASE_RATE * period.duration * settings.mass, 0.0)
     if cause in (BY_STOP, BY_PATH_END):
         memory.speed_state = STOPPING
-        is_far = remaining_way > STOP_TOLERANCE
+        is_far = remaining_way > stops.STOP_TOLERANCE
         if is_far and square(coming_speed) > 2.0 * EMERGENCY_RATIO * settings.brake * remaining_way:
             memory.speed_state, memory.hold, memory.handover, memory.is_braking = EMERGENCY, 0.0, 0.0, 1
             needed = 0.5 * square(coming_speed) / max(remaining_way, REACHED)
-            _request(
-                -min(needed, settings.emergency), memory.speed, slope, lateral, drive, brakes, settings, memory
-            )  # fmt: skip
+            _request(-min(needed, settings.emergency), memory.speed, period, settings, memory)
             return
     demand = acceleration + settings.gain * (target - coming_speed)
     bounded = clip(demand, -COMFORT_RESERVE * settings.brake, COMFORT_RESERVE * settings.accelerate)
     if bounded != demand and memory.limited_by == BY_PLAN:
         memory.limited_by = BY_COMFORT
-    bounded = _hand_over(bounded, settings, memory) - probing_deceleration(memory)
-    _request(bounded, memory.speed, slope, lateral, drive, brakes, settings, memory)
+    bounded = _hand_over(bounded, settings, memory) - faults.probing_deceleration(memory)
+    _request(bounded, memory.speed, period, settings, memory)
 
 
 # -- one period -------------------------------------------------------------------------------------------------------
@@ -712,30 +671,30 @@ def _learn(sample, dt, slope, settings, memory, banks):
     memory.measured_speed, memory.speed_age = sample.speed, sample.speed_age
     if is_first:
         before, elapsed, memory.settled = sample.speed, SPEED_GRACE, 0.0
-        forget_speeds(banks)
+        learning.forget_speeds(banks)
     memory.settled += elapsed
-    is_settled, is_believed = memory.settled > SETTLING_TIME, is_speed_known(memory) and not is_speed_doubted(memory)
+    is_settled = memory.settled > learning.SETTLING_TIME
+    is_believed = is_speed_known(memory) and not is_speed_doubted(memory)
     take_motion(sample.acceleration, elapsed, before, memory)
     resistance = _resistance(sample.speed, slope, settings)
     if sample.driver <= 0.0:
         is_held = memory.hold > 0.0 and abs(sample.speed) < CREEPING_SPEED  # a sensor may have this offset
         speed = 0.0 if is_held else sample.speed
-        learn_actuators(
+        learning.learn_actuators(
             speed if is_believed else math.nan, resistance, settings.period, memory.speed_age, elapsed,
-            not is_suspected(memory), is_settled, banks,
+            not faults.is_suspected(memory), is_settled, banks,
         )  # fmt: skip
     if memory.speed_state == OFF or not is_settled or not is_believed:
-        forget_faults(sample.speed, 0.0, memory)
+        faults.forget_faults(sample.speed, 0.0, memory)
     else:
-        watch_actuators(
-            sample.speed, resistance, mean_of_bank(banks.drive), mean_of_bank(banks.brakes), elapsed, memory
-        )  # fmt: skip
+        drive, brakes = learning.mean_of_bank(banks.drive), learning.mean_of_bank(banks.brakes)
+        faults.watch_actuators(sample.speed, resistance, drive, brakes, elapsed, memory)
 
 
 @inlined
 def _at_present(belief, acting):
     """The belief about an actuator whose present action (m/s^2) is `acting`."""
-    return ActuatorBelief(
+    return learning.ActuatorBelief(
         belief.lag, belief.dead_time, belief.delay_sigma, belief.ratio, belief.ratio_sigma, belief.disturbance,
         belief.speed, acting, belief.acting_sigma,
     )  # fmt: skip
@@ -747,7 +706,7 @@ def _carry_speed(dt, slope, settings, memory, banks):
 
     A speed that is too old, or contradicts the positions, goes on by the requested acceleration.
     """
-    drive, brakes = mean_of_bank(banks.drive), mean_of_bank(banks.brakes)
+    drive, brakes = learning.mean_of_bank(banks.drive), learning.mean_of_bank(banks.brakes)
     is_held = memory.hold > 0.0 and memory.measured_speed < STANDING_SPEED
     age = 0.0 if is_held else min(memory.speed_age, SPEED_GRACE)
     speed = brakes.speed if brakes.acting > drive.acting else drive.speed
@@ -756,7 +715,7 @@ def _carry_speed(dt, slope, settings, memory, banks):
     surplus = memory.measured_speed - speed
     speed += surplus / (1.0 + abs(speed) / EXACT_SPEED)
     surplus = memory.measured_speed - speed
-    speed, _, driving, braking = predicted_motion(
+    speed, _, driving, braking = learning.predicted_motion(
         max(speed, 0.0), age, age, _resistance(speed, slope, settings), drive, brakes, settings.period, banks
     )
     if not is_speed_known(memory):
@@ -812,48 +771,52 @@ def speed_control(sample, settings, path, memory, banks, ahead):
     sample: `SPEED_SAMPLE`; its grade replaces that of the path where the car is, not ahead of it; ahead: (n,), at the
     cells from the station on.
     """
-    top_square, periods = square(min(sample.top_speed, top_speed_after_fault(memory))), max(whole(sample.periods), 1)
+    top_square = square(min(sample.top_speed, faults.top_speed_after_fault(memory)))
+    periods = max(whole(sample.periods), 1)
     if memory.friction <= 0.0:
         memory.friction, memory.friction_high = settings.friction, settings.friction_high
         memory.cautious_friction = settings.friction
     dt = periods * settings.period
-    repeat_requests(min(periods - 1, banks.requests.size // 2), banks.requests)
+    learning.repeat_requests(min(periods - 1, banks.requests.size // 2), banks.requests)
     if memory.is_changed > 0:
-        match_stops(path, memory)
+        stops.match_stops(path, memory)
         memory.is_changed = 0
     _learn(sample, dt, _slope_at(sample.grade, path, memory), settings, memory, banks)
     before = memory.place_speed if memory.is_placed > 0 else memory.measured_speed
     drive, brakes = _carry_speed(dt, _slope_at(sample.grade, path, memory), settings, memory, banks)
     _locate(sample, before, dt, path, memory)
     slope, lateral = _slope_at(sample.grade, path, memory), _sense_lateral(sample.yaw_rate, path, memory, dt)
-    _count_creeping(dt, memory)
+    is_braked = memory.force < 0.0 or memory.hold > 0.0
+    memory.creeping = memory.creeping + dt if is_braked and abs(memory.speed) < CREEPING_SPEED else 0.0
     _govern(memory.station, top_square, max(brakes.disturbance, 0.0), settings, path, memory, ahead)
+    period = ControlPeriod(dt, slope, lateral, drive, brakes)
     memory.grip_used = sqrt(square(memory.acceleration) + square(lateral)) / (memory.friction * GRAVITY)
     if sample.driver > 0.0:
-        _yield_to_driver(slope, lateral, drive, brakes, dt, settings, memory, banks)
+        _yield_to_driver(period, settings, memory, banks)
         return
     was_off = memory.speed_state == OFF
     needed, delay = 0.0, brakes.lag + brakes.dead_time + BLIND_SIGMAS * brakes.delay_sigma + BLIND_MARGIN
     if not was_off:
         needed = _blind_deceleration(sample.blind_time, sample.is_guided, delay, settings, memory)
-    if sample.is_guided <= 0.0 or memory.is_placed == 0 or not is_speed_known(memory) or memory.fault != NO_FAULT:
-        pull = max(memory.watched_disturbance, 0.0) if memory.fault == DRIVE_STICKS else 0.0
-        needed = max(needed, settings.emergency if memory.fault == BRAKES_FAIL else settings.brake + pull)
-    index, way = NO_STOP, math.inf
+    is_lost = sample.is_guided <= 0.0 or memory.is_placed == 0 or not is_speed_known(memory)
+    if is_lost or memory.fault != faults.NO_FAULT:
+        pull = max(memory.watched_disturbance, 0.0) if memory.fault == faults.DRIVE_STICKS else 0.0
+        needed = max(needed, settings.emergency if memory.fault == faults.BRAKES_FAIL else settings.brake + pull)
+    index, way = stops.NO_STOP, math.inf
     if needed <= 0.0:
         memory.speed_state = DRIVING if was_off else memory.speed_state
         index, way = _find_stop(dt, path, memory)
-        if index == NO_STOP and path.closed == 0 and memory.station > path.length:
+        if index == stops.NO_STOP and path.closed == 0 and memory.station > path.length:
             needed = settings.brake  # beyond the end of the path
     if needed > 0.0:
-        _stop_unguided(needed, slope, lateral, drive, brakes, dt, settings, memory)
+        _stop_unguided(needed, period, settings, memory)
         memory.speed_state = OFF if was_off else memory.speed_state
     elif memory.speed_state == WAITING:
         memory.limited_by = _stop_cause(index, path)
-        _stand(-way, slope, lateral, drive, brakes, dt, settings, memory)
+        _stand(-way, period, settings, memory)
     else:
-        _follow(index, way, slope, top_square, lateral, drive, brakes, dt, settings, path, memory, banks, ahead)
-    remember_request(memory.force, memory.hold, settings.mass, banks.requests)
+        _follow(index, way, top_square, period, settings, path, memory, banks, ahead)
+    learning.remember_request(memory.force, memory.hold, settings.mass, banks.requests)
 
 
 @inlined

@@ -128,7 +128,7 @@ def caution_of(unsure):
     return min(1.0 + delay * delay, MOST_CAUTION) * unsure.stiffness * (1.0 + unsure.mass)
 
 
-@exported(float64(float64))
+@inlined
 def delay_margin(half):
     """Margin (s) that is added to a delay that is uniform within +- `half` (s)."""
     return (2.0 * QUANTILE - 1.0) * half

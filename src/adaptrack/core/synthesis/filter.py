@@ -89,14 +89,7 @@ Filter = record("Filter", (
 ))  # fmt: skip
 """A Kalman filter of a path model."""
 DEFAULT_DRIFTS = defaults(DriftsRow)
-_copy_single_track = copier(SingleTrackCar)
-_set_defaults = default_setter(Filter)
-
-
-@exported(void(Row(Filter)))
-def usual_filter(filtering):
-    """Write the default values to a filter."""
-    _set_defaults(filtering)
+_copy_single_track, set_filter_defaults = copier(SingleTrackCar), default_setter(Filter)
 
 
 @exported(void(Row(ControllerWorld), Row(Noise)))
@@ -121,23 +114,18 @@ def split_periods(time, period):
     return whole(whole_periods), share if share > 1e-9 else 0.0
 
 
-@inlined
-def _variance(deviation, least):
-    return square(max(deviation, least))
-
-
 @exported(void(Row(Noise), vector))
 def sensor_variances(noise, variances):
     """Write the variances (6,) of the sensors, see `kalman.LEAST_NOISE`; inf: none."""
     least = kalman.LEAST_NOISE
-    variances[0], variances[1] = _variance(noise.vy, least[0]), _variance(noise.yaw, least[1])
-    variances[2], variances[3] = _variance(noise.yaw_rate, least[2]), _variance(noise.y, least[3])
-    variances[4] = _variance(noise.wheel_angle, least[4])
-    variances[5] = _variance(noise.lateral_acceleration, least[5])
+    variances[0], variances[1] = square(max(noise.vy, least[0])), square(max(noise.yaw, least[1]))
+    variances[2], variances[3] = square(max(noise.yaw_rate, least[2])), square(max(noise.y, least[3]))
+    variances[4] = square(max(noise.wheel_angle, least[4]))
+    variances[5] = square(max(noise.lateral_acceleration, least[5]))
 
 
-@exported(several(float64, float64, float64)(Row(DriftsRow), Row(CarRow)))
-def push_drift(drifts, car):
+@inlined
+def _push_drift(drifts, car):
     """Variances of d_y and of d_r that a second adds, and their covariance: side wind pushes and turns."""
     turned = drifts.wind * wind_turn(car)
     return (
@@ -166,19 +154,15 @@ def filter_numbers(filtering, car, period, lag, dead_time, p):
     whole_periods, p.share = split_periods(dead_time, period)
     longest, late = filter_periods(filtering, period, dead_time)
     p.periods, p.longest, p.late = float(whole_periods), float(longest), float(late)
-    p.bound, p.patience, p.distrust, p.trust = (
-        filtering.bound,
-        filtering.patience / period,
-        filtering.distrust,
-        filtering.trust,
-    )
+    p.bound, p.patience = filtering.bound, filtering.patience / period
+    p.distrust, p.trust = filtering.distrust, filtering.trust
     p.forgetting = min(1.0, period / filtering.window[0])
     p.regaining = min(1.0, period / filtering.window[1])
     p.settling = min(1.0, period / filtering.settling)
     sensor_variances(noise, p.variance)
     if not lag > 0.0:
         p.variance[4] = math.inf  # no such state
-    side, turn, both = push_drift(drifts, car)
+    side, turn, both = _push_drift(drifts, car)
     at = kalman.FILTER_STATE
     p.drift[at.vy], p.drift[at.yaw] = square(drifts.vy) * period, square(drifts.yaw) * period
     p.drift[at.yaw_rate], p.drift[at.y] = square(drifts.yaw_rate) * period, square(drifts.y) * period

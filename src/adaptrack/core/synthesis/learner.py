@@ -227,25 +227,18 @@ def learner_size(learner):
 
 
 @inlined
-def _set_sigma(covariance, state, sigma):
-    covariance[state, state] = square(sigma)
-
-
-@inlined
 def _write_variances(learner, covariance):
     """Write the variances of a filter before the first sample."""
     method, first = learner.parameters.method, learner.first
-    _set_sigma(covariance, learning.LATERAL_VELOCITY, 0.3)
-    _set_sigma(covariance, learning.YAW_RATE, 0.1)
-    _set_sigma(covariance, learning.WIND_FORCE, learner.wind * sqrt(0.5 * method.wind_time))
-    _set_sigma(covariance, learning.BIAS, first.belief_bias_sigma)
-    _set_sigma(covariance, learning.BANK, method.bank)
-    _set_sigma(covariance, learning.STIFFNESS_SCALE, first.belief_stiffness_sigma)
-    _set_sigma(covariance, learning.BALANCE, 0.5 * first.belief_balance_sigma)
-    _set_sigma(covariance, learning.FRICTION, method.friction_sigma)
-    _set_sigma(covariance, learning.STEERING_LAG, _grain(learner.lag, learner.lag.half))
-    _set_sigma(covariance, learning.DEAD_TIME, _grain(learner.dead_time, learner.dead_time.half))
-    _set_sigma(covariance, learning.OFFSET, 0.05)
+    for state, sigma in (
+        (learning.LATERAL_VELOCITY, 0.3), (learning.YAW_RATE, 0.1), (learning.OFFSET, 0.05),
+        (learning.WIND_FORCE, learner.wind * sqrt(0.5 * method.wind_time)), (learning.BANK, method.bank),
+        (learning.BIAS, first.belief_bias_sigma), (learning.STIFFNESS_SCALE, first.belief_stiffness_sigma),
+        (learning.BALANCE, 0.5 * first.belief_balance_sigma), (learning.FRICTION, method.friction_sigma),
+        (learning.STEERING_LAG, _grain(learner.lag, learner.lag.half)),
+        (learning.DEAD_TIME, _grain(learner.dead_time, learner.dead_time.half)),
+    ):  # fmt: skip
+        covariance[state, state] = square(sigma)
 
 
 @exported(void(Row(LearnerRow), Row(Filter), vector))

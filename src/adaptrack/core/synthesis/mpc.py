@@ -12,26 +12,9 @@ from ..maths.exponential import hypot
 from ..models import path
 from ..models.car import ACTUATOR, SINGLE_TRACK, WIND, CarRow, LearnedRow, SingleTrackCar, SteeringRow
 from ..models.contract import MEASURED_MOTION, MEASUREMENT
-from .belief import (
-    ANGLE,
-    FROM_EARLIER_DRIVE,
-    MEDIAN_TO_LEARN,
-    MOVE,
-    SLOW_ASSUMED,
-    UNCERTAINTY,
-    BeliefRow,
-    CommandBounds,
-    UncertaintyRow,
-    believe_steering,
-    bound_commands,
-    caution_of,
-    delay_margin,
-    is_cautious,
-    uncertainty_of_car,
-    widen_drifts,
-)  # fmt: skip
+from . import belief
+from . import filter as sensing
 from .car import KnownWithinRow, relaxation_delay
-from .filter import DEFAULT_DRIFTS, Filter, filter_numbers, filter_periods, filter_size, sensor_noise, usual_filter
 from .learner import UNKNOWN_CAR_ROW, LearnerRow, begin_learner, learner_size
 from .tuning import ASSUMED_DELAY_CAUTION, ControllerWorld, tune_informed
 
@@ -44,7 +27,7 @@ Order = record(
         # by the caller, the car's file, the profile
         ("caller", SteeringRow), ("file", SteeringRow), ("actuator", SteeringRow),
         ("world", ControllerWorld),
-        ("unsure", UncertaintyRow), "unsure_given",  # 1: the caller says it
+        ("unsure", belief.UncertaintyRow), "unsure_given",  # 1: the caller says it
         "learning",  # `NEVER`, ...
         "filter_given",  # 1: the filter is the caller's, 0: it is made of `world`
         "longest_horizon", "most_moves",  # Np and Nc at most
@@ -56,10 +39,10 @@ Order = record(
 MPCNumbers = record(
     "MPCNumbers",
     (
-        ("belief", BeliefRow),
-        ("unsure", UncertaintyRow),
-        ("bounds", CommandBounds),
-        ("filter", Filter),
+        ("belief", belief.BeliefRow),
+        ("unsure", belief.UncertaintyRow),
+        ("bounds", belief.CommandBounds),
+        ("filter", sensing.Filter),
         ("learner", LearnerRow),  # not written where nothing is learned
         "lag", "dead_time",  # s, of the prediction model; the dead time with the computation
         ("settings", MPCSettings),  # those of the loop are written, of horizons and solver they stay
@@ -74,11 +57,11 @@ MPCNumbers = record(
 )  # fmt: skip
 """The numbers of an MPC, and what they follow from. The paper's has settings, tuning, model and states alone."""
 
-_copy_uncertainty, _copy_model = copier(UncertaintyRow), copier(path.Parameters)
+_copy_uncertainty, _copy_model = copier(belief.UncertaintyRow), copier(path.Parameters)
 _copy_single_track = copier(SingleTrackCar)
 _PAPER_TUNING = tuple(map(float, PAPER_TUNING))
 _is_car, _is_windy_car = bounds_checker(SINGLE_TRACK), bounds_checker(WIND)
-_is_steering, _is_uncertainty = bounds_checker(ACTUATOR[:-1], optional=True), bounds_checker(UNCERTAINTY)
+_is_steering, _is_uncertainty = bounds_checker(ACTUATOR[:-1], optional=True), bounds_checker(belief.UNCERTAINTY)
 _are_sensors = bounds_checker(MEASURED_MOTION)
 MOST_TIME = 10.0
 """s, of a computation or an age."""
@@ -105,19 +88,18 @@ def _set_fixed_belief(order, mpc):
     Where the lateral velocity is not measured the model's dead time includes `relaxation_delay`: without it the loop of
     a heavy car is unstable at speed. With that sensor the loop is stable without it.
     """
-    belief, unsure, world = mpc.belief, mpc.unsure, order.world
+    unsure, world, steering = mpc.unsure, order.world, mpc.belief.steering
     if order.unsure_given == 0:
-        uncertainty_of_car(order.within, belief, unsure)
-    steering = belief.steering
-    steering.lag += delay_margin(unsure.lag)
-    steering.dead_time += delay_margin(unsure.dead_time)
-    tune_informed(world, caution_of(unsure), order.longest_horizon, order.most_moves, mpc.tuning)
-    if is_cautious(belief):
+        belief.uncertainty_of_car(order.within, mpc.belief, unsure)
+    steering.lag += belief.delay_margin(unsure.lag)
+    steering.dead_time += belief.delay_margin(unsure.dead_time)
+    tune_informed(world, belief.caution_of(unsure), order.longest_horizon, order.most_moves, mpc.tuning)
+    if belief.is_cautious(mpc.belief):
         mpc.tuning[3] *= ASSUMED_DELAY_CAUTION
     if order.filter_given == 0:
-        widen_drifts(unsure, 1 if world.noise_vy < math.inf else 0, mpc.filter.drifts)
-    bound_commands(belief, world.period, mpc.bounds)
-    mpc.lag, mpc.dead_time = steering.lag, belief.computation + steering.dead_time
+        belief.widen_drifts(unsure, 1 if world.noise_vy < math.inf else 0, mpc.filter.drifts)
+    belief.bound_commands(mpc.belief, world.period, mpc.bounds)
+    mpc.lag, mpc.dead_time = steering.lag, mpc.belief.computation + steering.dead_time
     if world.noise_vy == math.inf:
         mpc.dead_time += relaxation_delay(order.car)
 
@@ -126,9 +108,9 @@ def _set_fixed_belief(order, mpc):
 def _widen_unknown_delay(mpc):
     """Widen the uncertainty of an unknown lag or dead time that is declared certain."""
     source, unsure = mpc.belief.source, mpc.unsure
-    if source.lag == SLOW_ASSUMED and unsure.lag == 0.0:
+    if source.lag == belief.SLOW_ASSUMED and unsure.lag == 0.0:
         unsure.lag = UNKNOWN_CAR_ROW.lag
-    if source.dead_time == SLOW_ASSUMED and unsure.dead_time == 0.0:
+    if source.dead_time == belief.SLOW_ASSUMED and unsure.dead_time == 0.0:
         unsure.dead_time = UNKNOWN_CAR_ROW.dead_time
 
 
@@ -136,30 +118,30 @@ def _widen_unknown_delay(mpc):
 def _source_at_start(source, learned_before):
     """The source of a delay with which a controller that learns begins."""
     if learned_before:
-        return FROM_EARLIER_DRIVE
-    return MEDIAN_TO_LEARN if source == SLOW_ASSUMED else source
+        return belief.FROM_EARLIER_DRIVE
+    return belief.MEDIAN_TO_LEARN if source == belief.SLOW_ASSUMED else source
 
 
 @inlined
 def _set_learner(order, mpc):
     """Make the parts of a controller that learns its car."""
-    belief, learner, sensing, world = mpc.belief, mpc.learner, mpc.filter, order.world
+    learner, filtering, world = mpc.learner, mpc.filter, order.world
     _widen_unknown_delay(mpc)
     begin_learner(order, mpc)
     lag, dead_time = learner.first.used_lag, learner.first.used_dead_time
     if order.filter_given == 0:
-        sensing.spread[0], sensing.spread[1] = UNEXPLAINED
+        filtering.spread[0], filtering.spread[1] = UNEXPLAINED
     wheel_drift = order.method.wheel_drift_rate * learner.first.belief_delay_sigma / order.method.sigma_inflation
-    sensing.drifts.wheel_angle = hypot(DEFAULT_DRIFTS.wheel_angle, wheel_drift)
-    sensing.longest = learner.longest
+    filtering.drifts.wheel_angle = hypot(sensing.DEFAULT_DRIFTS.wheel_angle, wheel_drift)
+    filtering.longest = learner.longest
     tune_informed(world, 1.0, order.longest_horizon, order.most_moves, mpc.tuning)
     learned_before = not math.isnan(order.start.lag)
-    steering, source = belief.steering, belief.source
+    steering, source = mpc.belief.steering, mpc.belief.source
     source.lag = _source_at_start(source.lag, learned_before)
     source.dead_time = _source_at_start(source.dead_time, learned_before)
-    bound_commands(belief, world.period, mpc.bounds)
+    belief.bound_commands(mpc.belief, world.period, mpc.bounds)
     steering.lag, steering.dead_time = lag, dead_time
-    mpc.lag, mpc.dead_time = lag, dead_time + belief.computation
+    mpc.lag, mpc.dead_time = lag, dead_time + mpc.belief.computation
 
 
 @inlined
@@ -191,14 +173,13 @@ def informed_numbers(order, mpc):
     if status != OK:
         return status
     _copy_uncertainty(order.unsure, mpc.unsure)
-    believe_steering(order.caller, order.file, order.actuator, order.world.computation, mpc.belief)
+    belief.believe_steering(order.caller, order.file, order.actuator, order.world.computation, mpc.belief)
     if order.filter_given == 0:
-        usual_filter(mpc.filter)
-        sensor_noise(order.world, mpc.filter.noise)
+        sensing.set_filter_defaults(mpc.filter)
+        sensing.sensor_noise(order.world, mpc.filter.noise)
         mpc.filter.oldest = order.world.oldest
-    source = mpc.belief.source
-    unknown = source.lag == SLOW_ASSUMED or source.dead_time == SLOW_ASSUMED
-    if order.learning == ALWAYS or (order.learning == UNLESS_SAID and unknown):
+    is_unknown = belief.is_cautious(mpc.belief)
+    if order.learning == ALWAYS or (order.learning == UNLESS_SAID and is_unknown):
         _set_learner(order, mpc)
         _write_numbers(order, mpc.learner.car, mpc)
         mpc.settings.learns, mpc.learned = 1, learner_size(mpc.learner)
@@ -217,9 +198,9 @@ def _write_numbers(order, car, mpc):
     s.move_min, s.move_max, s.ahead = -bounds.move, bounds.move, bounds.ahead
     s.angle_min, s.angle_max, s.error_max = -bounds.angle, bounds.angle, LARGEST_CORRECTION
     _write_states(mpc.lag > 0.0, mpc)
-    filter_numbers(mpc.filter, car, world.period, mpc.lag, mpc.dead_time, mpc.estimator)
-    longest, late_periods = filter_periods(mpc.filter, world.period, mpc.dead_time)
-    mpc.remembered = filter_size(longest, late_periods)
+    sensing.filter_numbers(mpc.filter, car, world.period, mpc.lag, mpc.dead_time, mpc.estimator)
+    longest, late_periods = sensing.filter_periods(mpc.filter, world.period, mpc.dead_time)
+    mpc.remembered = sensing.filter_size(longest, late_periods)
     _copy_model(mpc.estimator.model, mpc.model)
     path.turn_in(mpc.model, mpc.turning)
     mpc.turning.friction, mpc.turning.shape_factor = mpc.filter.friction, mpc.filter.shape_factor
@@ -248,7 +229,7 @@ def published_numbers(car, period, mpc):
         return LOOP_WRONG
     s = mpc.settings
     s.period, s.delay, s.ahead, s.error_max = period, 0.0, 0.0, math.inf
-    s.move_min, s.move_max, s.angle_min, s.angle_max = -MOVE, MOVE, -ANGLE, ANGLE
+    s.move_min, s.move_max, s.angle_min, s.angle_max = -belief.MOVE, belief.MOVE, -belief.ANGLE, belief.ANGLE
     s.informed, s.learns, mpc.learned, mpc.remembered = 0, 0, 0, 0
     for i in range(len(_PAPER_TUNING)):
         mpc.tuning[i] = _PAPER_TUNING[i]

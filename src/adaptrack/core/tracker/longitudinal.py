@@ -13,28 +13,21 @@ from ..layout import empty
 from ..maths.bits import whole
 from ..maths.exact import clip, square
 from ..roads.road import foot_near, point_at
+from ..speed import speed_control as control
 from ..speed.friction import FrictionEstimate, begin_friction, narrow_friction
 from ..speed.learning import SpeedBanks, begin_bank
 from ..speed.path import MAX_PLAN_SPEED
-from ..speed.speed_control import (
-    BLIND_GRACE,
-    SPEED_MEMORY,
-    SPEED_REQUEST,
-    SPEED_SAMPLE,
-    SpeedPath,
-    SpeedSettings,
-    acknowledge,
-    speed_control,
-)
+from ..speed.speed_control import BLIND_GRACE, SPEED_REQUEST
 from .pose import forward, has_position, line, time_of
-from .records import INSTANT, TrackerRecord
-from .signals import MAX_SIGNAL, TRACKED, TRACKER_SAMPLE
+from .records import TrackerRecord
+from .signals import MAX_SIGNAL, TRACKED, sample_of
 
 Longitudinal = record(
     "Longitudinal",
     (
-        ("sample", rows(SPEED_SAMPLE)), ("memory", rows(SPEED_MEMORY)), ("settings", SpeedSettings),
-        ("path", SpeedPath), ("banks", SpeedBanks), ("ahead", vector), ("friction", FrictionEstimate),
+        ("sample", rows(control.SPEED_SAMPLE)), ("memory", rows(control.SPEED_MEMORY)),
+        ("settings", control.SpeedSettings), ("path", control.SpeedPath), ("banks", SpeedBanks), ("ahead", vector),
+        ("friction", FrictionEstimate),
     ),
 )  # fmt: skip
 """A speed control: sample and memory (1,), settings, plan, banks, the governed squares ahead (m^2/s^2), and the
@@ -151,8 +144,8 @@ def _write_sample(tracker, m, blind_time, action, sample, memory):
 
     Positions and speeds are those that the tracker lets pass; each counts once, at its age.
     """
-    period, call = tracker.settings[0].period, tracker.sample
-    instant_time = time_of(m, period) if m.started > 0 else call[TRACKER_SAMPLE.now]
+    period, call = tracker.settings[0].period, sample_of(tracker.sample, 0)
+    instant_time = time_of(m, period) if m.started > 0 else call.now
     is_blind = action in (FOLLOW_SLOWLY, EMERGENCY_STOP)
     sample.is_guided = 1.0 if action in (FOLLOW, FOLLOW_SLOWLY) else 0.0
     sample.blind_time = blind_time if is_blind else 0.0
@@ -162,14 +155,11 @@ def _write_sample(tracker, m, blind_time, action, sample, memory):
         memory.pose_time = m.sample.t
         age = clip(instant_time - m.sample.t, 0.0, MAX_POSITION_AGE)
         sample.station, sample.station_age = m.station - age * forward(m), age
-    speed = call[TRACKER_SAMPLE.speed]
-    sample.speed = speed if abs(speed) <= MAX_PLAN_SPEED else math.nan
-    age = instant_time - call[TRACKER_SAMPLE.motion_time]
+    sample.speed = call.speed if abs(call.speed) <= MAX_PLAN_SPEED else math.nan
+    age = instant_time - call.motion_time
     sample.speed_age = max(age, 0.0) if age > -EARLY_PERIODS * period else math.inf
-    sample.yaw_rate = call[TRACKER_SAMPLE.yaw_rate]
-    sample.acceleration = call[TRACKER_SAMPLE.longitudinal_acceleration]
-    sample.driver = 1.0 if call[TRACKER_SAMPLE.driver] > 0.5 else 0.0
-    sample.grade = call[TRACKER_SAMPLE.grade]
+    sample.yaw_rate, sample.acceleration = call.yaw_rate, call.longitudinal_acceleration
+    sample.driver, sample.grade = 1.0 if call.driver > 0.5 else 0.0, call.grade
 
 
 @inlined
@@ -197,10 +187,9 @@ def _has_newer_time(time, is_newer, period, memory):
         memory.repeats += 1
         return False
     interval = clip((time - memory.call_time) / (memory.repeats + 1), 0.0, period)
-    memory.call_interval += (
-        CALL_SMOOTHING * (interval - memory.call_interval) if memory.call_interval > 0.0 else interval
-    )
-    memory.call_time, memory.repeats = time, 0
+    if memory.call_interval > 0.0:
+        interval = memory.call_interval + CALL_SMOOTHING * (interval - memory.call_interval)
+    memory.call_time, memory.call_interval, memory.repeats = time, interval, 0
     return True
 
 
@@ -232,7 +221,7 @@ def longitudinal_begin(longitudinal):
 def speed_control_step(longitudinal):
     """One control period, see `speed_control`."""
     sample, memory, settings = longitudinal.sample[0], longitudinal.memory[0], longitudinal.settings
-    speed_control(sample, settings, longitudinal.path, memory, longitudinal.banks, longitudinal.ahead)
+    control.speed_control(sample, settings, longitudinal.path, memory, longitudinal.banks, longitudinal.ahead)
 
 
 @exported(void(Place(TrackerRecord), vector, Place(Longitudinal)))
@@ -244,7 +233,7 @@ def narrow_tracked_friction(tracker, learned, longitudinal):
     m = tracker.memory[0]
     if m.instant == 0:
         longitudinal.friction.memory[0].running = 0.0
-    narrow_friction(tracker.measured, tracker.ahead[INSTANT.speed], m.command, learned, longitudinal)
+    narrow_friction(tracker.measured, forward(m), m.command, learned, longitudinal)
 
 
 @exported(void(Place(TrackerRecord), Place(Longitudinal)))
@@ -255,7 +244,7 @@ def longitudinal_step(tracker, longitudinal):
     tracker's first top speed.
     """
     m, sample, memory = tracker.memory[0], longitudinal.sample[0], longitudinal.memory[0]
-    time = tracker.sample[TRACKER_SAMPLE.now]
+    time = sample_of(tracker.sample, 0).now
     blind_time = time - m.newest
     action = STATUS_ACTIONS[whole(tracker.tracked[TRACKED.status]), 0 if blind_time <= BLIND_GRACE else 1]
     if not _has_newer_time(time, action != NO_ACTION, longitudinal.settings.period, memory):
@@ -290,4 +279,4 @@ def longitudinal_release(longitudinal):
 @exported(void(Place(Longitudinal)))
 def longitudinal_acknowledge(longitudinal):
     """End a fault of brakes or drive, and the distrust of the measured speed; the car drives on."""
-    acknowledge(longitudinal.memory[0])
+    control.acknowledge(longitudinal.memory[0])

@@ -1,4 +1,7 @@
-"""Where the car is: carried by its motion, beside its path; and what a tracker holds of it."""
+"""Pose of the car: carried by its motion, and against its path; and what a tracker holds of it.
+
+A pose is any record with x, y (m) and yaw (rad): the memory of a tracker, a sample.
+"""
 
 from __future__ import annotations
 
@@ -10,52 +13,23 @@ from ..kernel import fields_of, inlined, packer, record
 from ..maths.exact import clip
 from ..maths.trigonometric import cos, sin
 from ..roads.road import CLOSED, LENGTH, foot_near, line_of, nearest, point_at
-from .records import ACROSS_PENALTY, CONTROLLER_ANSWER, REQUEST
+from .records import ACROSS_PENALTY, REQUEST
 from .signals import HELD, MAX_POSITION, NO_BELIEF, TRACKED
-
-PoseRow = record("PoseRow", ("x", "y", "yaw"))
-"""m, m, rad."""
-Beside = record("Beside", ("offset", "heading_error"))
-"""m, rad, of a pose against the path; NaN where it has no foot."""
 
 _write_answer = packer(record("Answer", fields_of(TRACKED)[: TRACKED.suspect]))
 
 
 @inlined
 def carried(pose, time, speed, yaw_rate):
-    """A pose after a time (s) on an arc."""
+    """x, y (m) and yaw (rad) of a pose after a time (s) on an arc."""
     middle, way = pose.yaw + 0.5 * time * yaw_rate, time * speed
-    return PoseRow(pose.x + way * cos(middle), pose.y + way * sin(middle), pose.yaw + time * yaw_rate)
-
-
-@inlined
-def pose_of(m):
-    """Where the car is at the present instant."""
-    return PoseRow(m.x, m.y, m.yaw)
-
-
-@inlined
-def keep_pose(m, pose):
-    """Let the car be there."""
-    m.x, m.y, m.yaw = pose.x, pose.y, pose.yaw
-
-
-@inlined
-def sampled_pose(m):
-    """The position of the sample at hand."""
-    return PoseRow(m.sample.x, m.sample.y, m.sample.yaw)
+    return pose.x + way * cos(middle), pose.y + way * sin(middle), pose.yaw + time * yaw_rate
 
 
 @inlined
 def has_position(m):
     """Whether the sample at hand has a position and its time."""
     return math.isfinite(m.sample.t + (m.sample.x + m.sample.y + m.sample.yaw))
-
-
-@inlined
-def leave_out_position(m):
-    """Go by the rest of the sample at hand."""
-    m.sample.x = m.sample.y = m.sample.yaw = math.nan
 
 
 @inlined
@@ -84,10 +58,10 @@ def has_path(tracker):
 
 
 @inlined
-def path_errors(tracker, pose, near):
-    """Offset and heading error of a pose, by its foot about an arc length (m)."""
-    _, offset, heading, _ = foot_near(pose.x, pose.y, near, line(tracker))
-    return Beside(offset, wrapped(pose.yaw - heading) if offset == offset else math.nan)
+def path_errors(tracker, x, y, yaw, near):
+    """Offset (m) and heading error (rad) of a pose, by its foot about an arc length (m); NaN without a foot."""
+    _, offset, heading, _ = foot_near(x, y, near, line(tracker))
+    return offset, wrapped(yaw - heading) if offset == offset else math.nan
 
 
 @inlined
@@ -102,8 +76,8 @@ def find_on_path(tracker, m):
     centreline = line(tracker)
     m.station = nearest(m.x, m.y, m.yaw, ACROSS_PENALTY, m.near, centreline)
     _, _, m.heading, _ = point_at(m.station, centreline)
-    foot = path_errors(tracker, pose_of(m), m.station)
-    m.offset, m.heading_error, m.near = foot.offset, foot.heading_error, math.nan
+    m.offset, m.heading_error = path_errors(tracker, m.x, m.y, m.yaw, m.station)
+    m.near = math.nan
 
 
 @inlined
@@ -122,12 +96,6 @@ def hold(tracker, m, angle):
 
 
 @inlined
-def nowhere(m):
-    """There is no position to go by."""
-    m.offset = m.heading_error = math.nan
-
-
-@inlined
 def begin_anew(tracker, m, angle):
     """Forget the past, from an angle (rad) that the wheels have."""
     tracker.request[REQUEST.restart], tracker.request[REQUEST.change] = 1.0, 0.0
@@ -141,7 +109,7 @@ def begin_anew(tracker, m, angle):
     m.placed_t = -math.inf
     m.station = m.heading = m.turned = 0.0
     m.belief_state, m.belief_at_bound = NO_BELIEF, NO_BELIEF
-    nowhere(m)
+    m.offset = m.heading_error = math.nan
 
 
 @inlined
@@ -156,7 +124,7 @@ def restart(tracker, m):
 def _first_top_speed(tracker, m):
     """Top speed (m/s) of a car that is not learned yet; it ends for good once the delay of its steering is learned."""
     first = tracker.settings[0].first_top_speed
-    if m.started > 0 and tracker.answer[CONTROLLER_ANSWER.delay_sigma] < KNOWN_DELAY_SIGMA:
+    if m.started > 0 and m.delay_sigma < KNOWN_DELAY_SIGMA:
         m.ended_top_speed = first  # constants of a different learner bring a different speed
     return math.inf if m.ended_top_speed == first else first
 

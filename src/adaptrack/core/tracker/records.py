@@ -9,7 +9,7 @@ import numpy as np
 from ..controllers.contract import STANDSTILL_SPEED as STANDSTILL_SPEED
 from ..controllers.part import REQUEST as REQUEST
 from ..input_check.record import Check
-from ..kernel import columns, fields_of, record, rows, vector
+from ..kernel import fields_of, record, rows, vector
 from ..models.contract import MEASUREMENT
 from ..roads.road import Roads
 from ..scheduling.functions import VARIABLE_COLUMNS
@@ -75,6 +75,7 @@ MEMORY = record(
         "turned",  # rad, heading of the path at the foot less that of a period ago
         "near",  # m, about which a foot is looked for at the beginning; NaN: on the whole path
         ("sample", TrackerSample),  # the sample at hand as it is used
+        "delay_sigma",  # s, standard deviation of the learned delay of the steering; 0 where nothing is learned
         "ended_top_speed",  # m/s, first top speed that ended when the delay of the steering was learned; 0: none
     ),
     integers=(
@@ -82,23 +83,6 @@ MEMORY = record(
     ),
 )  # fmt: skip
 """What a tracker remembers: all of it."""
-
-INSTANT = columns(
-    "speed",  # m/s, of the car, never negative
-    "station",  # m, of its foot on the path
-    "count",  # of the expected speeds that count: the last one holds
-)  # fmt: skip
-"""What a controller is given at an instant, beside what is measured."""
-
-CONTROLLER_ANSWER = columns(
-    "command",  # rad; not finite: the last one is held
-    "held",  # 1: it is no new one
-    "belief_state",  # as in TRACKED
-    "belief_at_bound",  # likewise
-    "delay_sigma",  # s, standard deviation of the learned delay of the steering; 0 where nothing is learned
-)  # fmt: skip
-"""What a controller answers."""
-
 
 PlanRecord = record("PlanRecord", (("s", vector), ("speed", vector)))
 """A planned speed (m/s) at arc lengths (m) from 0 to the path's; between them its square is straight. Empty: none."""
@@ -112,9 +96,7 @@ TrackerRecord = record(
         ("path", Roads),  # of one road; without pieces there is none yet
         ("plan", PlanRecord),
         ("measured", vector),  # (models.contract.MEASURED,)
-        ("speeds", vector),  # (SPEEDS,) m/s, expected at the instants from now on
-        ("ahead", vector),  # (AHEAD,)
-        ("answer", vector),  # (ANSWER,)
+        ("speeds", vector),  # (EXPECTED_SPEEDS,) m/s, expected at the instants from now on
         ("request", vector),  # (REQUEST,)
         ("tracked", vector),  # (TRACKED,)
         ("variables", vector),  # (variables.VARIABLES,) of a schedule
@@ -126,10 +108,7 @@ TrackerRecord = record(
 
 def tracker(settings: Any, path: Any, plan: Any, check: Any) -> Any:
     """A tracker that has to engage first: SETTINGS (1,), a road alone as `Roads`, a `PlanRecord`, a `Check`."""
-    sizes = (
-        len(MEASUREMENT), EXPECTED_SPEEDS, len(INSTANT), len(CONTROLLER_ANSWER), len(REQUEST), len(TRACKED),
-        len(VARIABLE_COLUMNS),
-    )  # fmt: skip
+    sizes = len(MEASUREMENT), EXPECTED_SPEEDS, len(REQUEST), len(TRACKED), len(VARIABLE_COLUMNS)
     return TrackerRecord(
         settings, MEMORY.new(near=np.nan), np.full(len(TRACKER_SAMPLE), np.nan), path,
         plan, *(np.zeros(size) for size in sizes), check,

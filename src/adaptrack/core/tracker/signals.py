@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..kernel import Field, columns, fields_of, record
+from ..kernel import Field, columns, fields_of, record, viewer
 
 MAX_POSITION, MAX_SIGNAL = 1e8, 1e3
 """m, from the origin; SI units: no position, and no speed, rate, acceleration or angle of a car is as large: what is
@@ -42,7 +42,8 @@ TRACKER_SAMPLE = columns(
 MEASURED = TRACKER_SAMPLE._fields[TRACKER_SAMPLE.x : TRACKER_SAMPLE.friction]
 """Signals of the pose and the motion of a car, which every controller may use."""
 TrackerSample = record("TrackerSample", fields_of(TRACKER_SAMPLE))
-"""The same as a record."""
+sample_of = viewer(TrackerSample)
+"""A call as a record."""
 
 
 def _limit(field: Field) -> float:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..controllers.part import COMMON_ANSWER
 from ..kernel import OK, Field, Place, columns, exported, inlined, int64, int_vector, local, record, vector
 from ..maths.bits import whole
@@ -95,6 +97,9 @@ CarUnit = record(
 are as many samples as the driver looks ahead."""
 
 _observed = local(len(OBSERVED))
+_MEASURED = ("pose_age", "vy", "yaw_rate", "wheel_angle", "lateral_acceleration", "motion_age")
+_SOURCES = np.array([(getattr(MEASUREMENT, name), getattr(CAR_VALUE, f"measured_{name}")) for name in _MEASURED])
+"""(signals, 2): places of a measured signal among what is measured, and among the values."""
 
 
 @inlined
@@ -131,13 +136,9 @@ def _go_on(car):
     values[CAR_VALUE.measured_x], values[CAR_VALUE.measured_y] = x - sin(heading) * offset, y + cos(heading) * offset
     values[CAR_VALUE.measured_yaw] = heading + error
     values[CAR_VALUE.measured_offset], values[CAR_VALUE.measured_heading_error] = offset, error
-    values[CAR_VALUE.measured_pose_age] = measured[MEASUREMENT.pose_age]
     values[CAR_VALUE.measured_speed], values[CAR_VALUE.measured_speed_age] = drive.speed, drive.speed_age
-    values[CAR_VALUE.measured_vy] = measured[MEASUREMENT.vy]
-    values[CAR_VALUE.measured_yaw_rate] = measured[MEASUREMENT.yaw_rate]
-    values[CAR_VALUE.measured_wheel_angle] = measured[MEASUREMENT.wheel_angle]
-    values[CAR_VALUE.measured_lateral_acceleration] = measured[MEASUREMENT.lateral_acceleration]
-    values[CAR_VALUE.measured_motion_age] = measured[MEASUREMENT.motion_age]
+    for i in range(len(_SOURCES)):
+        values[_SOURCES[i, 1]] = measured[_SOURCES[i, 0]]
     for j in range(MOTION_STATES):
         values[CAR_VALUE.x + j] = block[state_at(j, 0)]
     observed = _observed()

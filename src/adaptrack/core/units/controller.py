@@ -15,7 +15,7 @@ from ..roads.road import CLOSED
 from ..speed.plan import planned_speeds
 from ..speed.speed_control import SPEED_REQUEST
 from ..tracker.longitudinal import write_requests
-from ..tracker.signals import TRACKED, TRACKER_SAMPLE
+from ..tracker.signals import TRACKED, TRACKER_SAMPLE, sample_of
 from ..tracker.step import Tracking, tracker_step
 from ..tracker.take_call import tracker_engage
 from .contract import outside
@@ -92,27 +92,18 @@ def _value_if(value, flag):
 @inlined
 def _write_sample(values, sample):
     """Write the inputs as a call of the tracker."""
-    time, age = values[STEERING_VALUE.time], values[STEERING_VALUE.age]
-    sample[TRACKER_SAMPLE.t], sample[TRACKER_SAMPLE.now] = time - (age if math.isfinite(age) else 0.0), time
-    sample[TRACKER_SAMPLE.motion_time] = time - _value_if(
-        values[STEERING_VALUE.motion_age], values[STEERING_VALUE.motion_age_known]
-    )
-    sample[TRACKER_SAMPLE.speed] = values[STEERING_VALUE.speed]
+    time, age, call = values[STEERING_VALUE.time], values[STEERING_VALUE.age], sample_of(sample, 0)
+    call.t, call.now, call.speed = time - (age if math.isfinite(age) else 0.0), time, values[STEERING_VALUE.speed]
+    call.motion_time = time - _value_if(values[STEERING_VALUE.motion_age], values[STEERING_VALUE.motion_age_known])
     for i in range(len(_SOURCES)):
         sample[_SOURCES[i, 0]] = _value_if(values[_SOURCES[i, 1]], values[_SOURCES[i, 2]])
 
 
 @inlined
 def _write_outputs(tracker, values):
-    """Write the outputs."""
+    """Write the outputs; where the car is not known the planned speeds stay."""
     for i in range(TRACKED.first_top_speed):
         values[STEERING_VALUE.command + i] = tracker.tracked[i]
-    _write_planned_speeds(tracker, values)
-
-
-@inlined
-def _write_planned_speeds(tracker, values):
-    """Write the planned speeds; where the car is not known they stay."""
     plan, places = tracker.plan, _places()
     speed = max(values[STEERING_VALUE.speed], 0.0)
     places[0] = places[1] = speed
