@@ -124,6 +124,14 @@ def point_at(s, road):
 
 
 @inlined
+def _relation(s, x, y, road):
+    """How far (m) the road's point at s is ahead of a point, offset (m) of the point there, heading and curvature."""
+    px, py, heading, curvature = point_at(s, road)
+    tx, ty = cos(heading), sin(heading)
+    return (px - x) * tx + (py - y) * ty, (y - py) * tx - (x - px) * ty, heading, curvature
+
+
+@inlined
 def downhill(x, y, near, low, high, road):
     """Arc length, offset, heading and curvature of the first foot downhill in distance from the arc length `near`.
 
@@ -133,10 +141,7 @@ def downhill(x, y, near, low, high, road):
     s, reached = near, False
     offset = heading = curvature = 0.0
     for _ in range(MAX_WALK_STEPS):
-        px, py, heading, curvature = point_at(s, road)
-        tx, ty = cos(heading), sin(heading)
-        ahead = (px - x) * tx + (py - y) * ty
-        offset = (y - py) * tx - (x - px) * ty
+        ahead, offset, heading, curvature = _relation(s, x, y, road)
         if ahead > 0.0:
             high = s
         else:
@@ -164,10 +169,8 @@ Ahead = record("Ahead", ("g", "slope"))
 @inlined
 def ahead_at(s, x, y, road):
     """How far (m) the road's point at s is ahead of a point, along its tangent."""
-    px, py, heading, curvature = point_at(s, road)
-    tx, ty = cos(heading), sin(heading)
-    offset = (y - py) * tx - (x - px) * ty
-    return Ahead((px - x) * tx + (py - y) * ty, 1.0 - curvature * offset)
+    ahead, offset, _, curvature = _relation(s, x, y, road)
+    return Ahead(ahead, 1.0 - curvature * offset)
 
 
 @inlined
