@@ -29,8 +29,8 @@ from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.core.simulation.run import TRACE_SIGNALS
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
-from adaptrack.drive.closed_loop import ClosedLoop, failure_of
-from adaptrack.drive.failure import DISTANCE, FailureLimits
+from adaptrack.drive.closed_loop import ClosedLoop
+from adaptrack.drive.failure import DISTANCE, FailureLimits, failure_of
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory, provenance
 from adaptrack.drive.world import Driver, LongitudinalDriver, PerceptionSource, World, warn_once
