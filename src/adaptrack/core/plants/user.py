@@ -43,12 +43,12 @@ _X, _K1, _K2, _K3, _K4, _GIVEN, _AROUND = range(7)  # the rows of `work`
 @inlined
 def _read_inputs(parameters, block, slot, work):
     """Copy speed control and environment of a slot to scratch; returns the command within the steering's limit."""
-    given, limit = contract.input_of(block, slot), parameters[USER_ACTUATOR.limit]
-    work[_GIVEN, U.force], work[_GIVEN, U.acceleration] = given.force, given.acceleration
+    inputs, limit = contract.input_of(block, slot), parameters[USER_ACTUATOR.limit]
+    work[_GIVEN, U.force], work[_GIVEN, U.acceleration] = inputs.force, inputs.acceleration
     for j in range(ENVIRONMENT):
         work[_AROUND, j] = block[contract.input_at(contract.PLANT_INPUT.friction_front_left + j, slot)]
-    work[_AROUND, ENVIRONMENT] = given.grade
-    return clip(given.command, -limit, limit)
+    work[_AROUND, ENVIRONMENT] = inputs.grade
+    return clip(inputs.command, -limit, limit)
 
 
 @inlined
