@@ -188,13 +188,9 @@ class BatchRuns:
 def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[list[Signals], Array]:
     """Sample scenarios at the control instants.
 
-    Returns
-    -------
-    list of Signals
-        Samples of each scenario.
-    (scenarios, SIGNAL, n + 1) array
-        The same samples as the kernels read them (`core.simulation.world.SIGNAL`), where n is the number of periods of
-        the longest scenario. Shorter ones repeat their last sample; a preview beyond their end reads the same values.
+    Return the samples of each scenario, and the same samples as the kernels read them, an array (scenarios,
+    `core.simulation.world.SIGNAL`, n + 1), where n is the number of periods of the longest scenario. Shorter ones
+    repeat their last sample; a preview beyond their end reads the same values.
 
     Raises
     ------
@@ -270,26 +266,13 @@ class Batch:
 
     def run_record(
         self, slots: int, steps: int, room: Room, segments: int = 0, periods: int = 0,
-        scheduler: CompiledScheduler | None = None, **given: Any,
+        scheduler: CompiledScheduler | None = None, **fields: Any,
     ) -> Any:  # fmt: skip
         """Allocate the kernels' arrays for up to `slots` runs (`core.simulation.run.RunRecord`).
 
-        Parameters
-        ----------
-        slots
-            Largest number of runs.
-        steps
-            Integration steps per control period.
-        room
-            Horizons for which a controller has memory.
-        segments
-            Number of segments whose cost is recorded in each run.
-        periods
-            Number of control periods to trace; 0 for no trace.
-        scheduler
-            Scheduler of the MPC; None for a fixed tuning.
-        given
-            Further arguments of `World.run`.
+        steps: integration steps per control period; room: horizons for which a controller has memory; periods: number
+        of control periods to trace, 0 for no trace; scheduler: that of the MPC, None for a fixed tuning; segments,
+        fields: see `World.run`.
         """
         plant, settings = self.world.plant, self.settings[steps]
         assert isinstance(plant, Plant)
@@ -304,25 +287,14 @@ class Batch:
             kernel.RunInputs(self.samples, self.roads, scenario, seeds, np.full(slots, self.periods[0])),
             vehicle_batch(plant.compiled, plant.packed(), np.zeros((slots, self.starts.shape[1]))),
             settings, part, trace=kernel.traces(slots, periods, width) if periods else None, segments=segments,
-            **{"needs_variables": scheduler is not None} | given,
+            **{"needs_variables": scheduler is not None} | fields,
         )  # fmt: skip
 
     def chunks(self, runs: NDArray[np.int64], threads: int = 1) -> list[NDArray[np.int64]]:
         """Split runs into chunks for one kernel call each, with equal duration and integration steps within a chunk.
 
-        A user plant is advanced one run at a time, so its runs are divided evenly among the threads.
-
-        Parameters
-        ----------
-        runs : (runs,) array
-            Scenario index of each run.
-        threads
-            Number of threads.
-
-        Returns
-        -------
-        list of arrays
-            Indices into `runs`.
+        A user plant is advanced one run at a time, so its runs are divided evenly among the threads. runs: (runs,)
+        scenario index of each run. The chunks are indices into `runs`.
         """
         chunks = []
         for steps in self.settings:
@@ -341,22 +313,10 @@ class Batch:
     ) -> BatchRuns:  # fmt: skip
         """Drive run i with scenario ``scenario_indices[i]``, ``tunings[i]`` and ``seeds[i]``.
 
-        Parameters
-        ----------
-        scenario_indices, seeds : (runs,) array
-            Scenario and noise seed of each run.
-        tunings : (runs, entries) array
-            Tuning of each run; a scheduler replaces it in the first period.
-        threads
-            Number of threads; None for one per core.
-        traced
-            Whether to record the signals at every control instant, about 200 bytes per instant and run.
-        segment
-            Length of the segments whose cost is recorded, in control periods; 0 for no segments.
-        weight
-            Weight of the squared moves in the segment costs (m^2/rad^2).
-        scheduler
-            Scheduler of the MPC; None for fixed tunings.
+        tunings: (runs, entries), which a scheduler replaces in the first period; threads: number of threads, None for
+        one per core; traced: whether to record the signals at every control instant, about 200 bytes per instant and
+        run; segment: length of the segments whose cost is recorded, in control periods, 0 for no segments; weight: of
+        the squared moves in the segment costs (m^2/rad^2); scheduler: that of the MPC, None for fixed tunings.
         """
         threads, runs, n = threads or os.cpu_count() or 1, len(scenario_indices), int(self.periods.max())
         room = Room() if traced else self.controller.room_for(tunings, scheduler)

@@ -198,19 +198,7 @@ def rollout(
 def rollouts(batch: Batch, seeds: Sequence[int], threads: int | None = None) -> list[list[Trajectory]]:
     """Simulate each scenario of a batch with each noise seed, as `rollout` does, in parallel.
 
-    Parameters
-    ----------
-    batch
-        Scenarios, plant and controller.
-    seeds
-        Noise seeds.
-    threads
-        Number of threads; None for one per core.
-
-    Returns
-    -------
-    list of lists
-        One list per scenario with one trajectory per seed.
+    The result has one list per scenario with one trajectory per seed. threads: None for one per core.
     """
     count = len(batch.signals)
     scenario_indices = np.repeat(np.arange(count), len(seeds))

@@ -253,37 +253,21 @@ class World:
 
     def run(
         self, inputs: Any, vehicles: Any, settings: Any, controller: Any, *, needs_variables: bool, trace: Any = None,
-        segments: int = 0, asks: bool = False, **given: Any,
+        segments: int = 0, asks: bool = False, **fields: Any,
     ) -> Any:  # fmt: skip
         """Allocate new runs with their controllers (`core.simulation.run.RunRecord`), one run per vehicle.
 
-        Parameters
-        ----------
-        inputs
-            Samples, roads and seeds (`core.simulation.run.RunInputs`).
-        vehicles
-            Batch of vehicles.
-        settings
-            Result of `settings`.
-        controller
-            The controllers (`core.controllers.part.ControllerPart`).
-        needs_variables
-            Whether a scheduler or an agent reads the scheduling variables.
-        trace
-            Memory of the recorded signals (`core.simulation.run.traces`); None to record nothing.
-        segments
-            Number of segments whose cost is recorded in each run.
-        asks
-            Whether the caller is asked before each step of a controller, or is the controller.
-        given
-            Other fields of the record.
+        inputs, vehicles, controller: records of the kernels; settings: the result of `settings`; needs_variables:
+        whether a scheduler or an agent reads the scheduling variables; trace: memory of the recorded signals, None to
+        record nothing; segments: number of segments whose cost is recorded in each run; asks: whether the caller is
+        asked before each step of a controller, or is the controller; fields: other fields of the record.
         """
         slots, past = len(vehicles.start), self.remembered
         estimator = self.perception if needs_variables and isinstance(self.perception, FrictionWindEstimator) else None
         if estimator is not None:
-            given["variable_estimator"] = estimator.packed_for(slots)
+            fields["variable_estimator"] = estimator.packed_for(slots)
         if trace is not None:
-            given["trace"] = trace
+            fields["trace"] = trace
         features = run_kernel.Features(
             late=past > 0, variables=needs_variables, estimates=estimator is not None, traces=trace is not None,
             asks=asks, window=0,
@@ -294,18 +278,13 @@ class World:
         }  # fmt: skip
         return run_kernel.new_run(
             sizes, settings=settings, features=features, vehicles=vehicles, inputs=inputs, controller=controller,
-            cost_limit=np.full(slots, np.nan), **given,
+            cost_limit=np.full(slots, np.nan), **fields,
         )  # fmt: skip
 
     def samples(self, signals: Signals, number: int) -> Array:
         """Convert the samples of a scenario to the rows of the kernels (`core.simulation.world.SIGNAL`), (rows, n + 1).
 
-        Parameters
-        ----------
-        signals
-            Samples of the scenario.
-        number
-            Index of the scenario in its batch; it selects the perception errors.
+        number: index of the scenario in its batch; it selects the perception errors.
         """
         if np.any(signals.grade) and not self.plant.takes_grade:
             raise InvalidInput(

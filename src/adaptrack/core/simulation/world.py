@@ -399,11 +399,11 @@ def look(slot, run):
 
 # -- the vehicle's side -----------------------------------------------------------------------------------------------
 @inlined
-def _planned_speed(instant, speeds):
-    """Speed (m/s) of the plan at an instant (control periods, with a fraction); the last speed after its end."""
-    first = min(whole(instant), speeds.size - 1)
-    near = speeds[first]
-    return near + (instant - floor(instant)) * (speeds[min(first + 1, speeds.size - 1)] - near)
+def value_at(instant, values):
+    """A signal at an instant (control periods, with a fraction); its last value after its end."""
+    first = min(whole(instant), values.size - 1)
+    near = values[first]
+    return near + (instant - floor(instant)) * (values[min(first + 1, values.size - 1)] - near)
 
 
 @inlined
@@ -474,7 +474,7 @@ def _drive(slot, run):
         instant = _instant_of_place(drive, signals[SIGNAL.station])
     ahead = instant + world.driver_preview / world.period
     stop = _stop_ahead(ahead, drive, speeds) if drive.located > 0 else -1
-    target = _planned_speed(ahead, speeds) if stop < 0 else 0.0
+    target = value_at(ahead, speeds) if stop < 0 else 0.0
     sine, _ = forces.slope_sine_and_cosine(plants.input_of(run.vehicles.block, slot).grade)
     requested = world.mass * (
         (target - speed) / world.driver_preview + world.driver_integral * drive.integral + GRAVITY * sine
@@ -489,7 +489,7 @@ def _drive(slot, run):
     strongest = min(traction, min(world.traction_limit, world.engine_power / max(speed, 1.0)))
     force = clip(requested, -min(braking, world.brake_limit), strongest)
     if force == requested:
-        drive.integral += (_planned_speed(instant, speeds) - speed) * world.period
+        drive.integral += (value_at(instant, speeds) - speed) * world.period
     return force
 
 
