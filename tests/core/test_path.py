@@ -76,7 +76,9 @@ def test_a_memory_holds_what_controllers_read_of_a_road():
 def test_a_path_far_from_the_origin_is_the_same_path():
     near, there = line_of(BENDS), line_of(BENDS + 2.0**20)
     assert np.abs(there.start - near.start).max() < 1e-6
-    assert np.abs(there.pieces[:, path.ALONG_COEFFICIENTS :] - near.pieces[:, path.ALONG_COEFFICIENTS :]).max() < 1e-6
+    assert (
+        np.abs(there.pieces[:, kernel.ALONG_COEFFICIENTS :] - near.pieces[:, kernel.ALONG_COEFFICIENTS :]).max() < 1e-6
+    )
 
 
 # -- points that count as one -----------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from adaptrack.control.controllers.base import Room
 from adaptrack.core import library
 from adaptrack.core.controllers.mpc_step import MPCStep
 from adaptrack.core.kernel import INTERPRETED, row_of
-from adaptrack.core.maths.values import FUNCTION_NAMES
+from adaptrack.core.maths.portable import FUNCTION_NAMES
 from adaptrack.core.synthesis import laws
 from adaptrack.core.tracker.signals import TRACKER_SAMPLE as CALL
 from adaptrack.drive.batch import Batch

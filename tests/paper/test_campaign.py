@@ -369,9 +369,9 @@ def test_a_folder_that_cannot_be_created_is_refused(tmp_path):
 
 # -- workers ----------------------------------------------------------------------------------------------------------
 def test_a_worker_with_other_software_is_refused():
-    task = module.TuningTask(CampaignPlan.of(small_campaign()).setup, (("adaptrack", "0.0.1"),))
+    setup, software = CampaignPlan.of(small_campaign()).setup, (("adaptrack", "0.0.1"),)
     with pytest.raises(AdaptrackError, match="a worker runs other software"):
-        module.tune_point(task, 0, np.array([10.0, 2.0, 0.8, 0.0]))
+        module.tune_point(setup, software, 0, np.array([10.0, 2.0, 0.8, 0.0]))
 
 
 @pytest.mark.parametrize(

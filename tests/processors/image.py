@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptrack.core.controllers.mpc_step import step as mpc_step
 from adaptrack.core.kernel import EXPORTED, Array, float64
-from adaptrack.core.maths.values import elementary_values
+from adaptrack.core.maths.portable import elementary_values
 from adaptrack.core.simulation.run import begin as begin_runs
 from adaptrack.core.simulation.run import roll_on
 from adaptrack.core.synthesis.laws import LQR_NUMBERS, lqr_parameters

@@ -144,7 +144,7 @@ def test_a_move_is_eq_18_with_counted_draws():
         run.tell(sphere(x))
         state = state_of(run)
         w, c1, c2 = schedule[g]
-        assert state["progress"][swarm.LAST_W] == w
+        assert state["progress"][swarm.PROGRESS.w] == w
         r = np.array(
             [[[counted_uniform(11, 4, g + 1, i, 2 * d + k) for k in (0, 1)] for d in range(3)] for i in range(5)]
         )
@@ -234,7 +234,7 @@ def test_bests_never_get_worse_and_are_the_costs_of_their_positions():
         assert (state["best_costs"] <= before).all()
         assert np.array_equal(hilly(state["best"]), state["best_costs"])
         before = state["best_costs"]
-        assert state["progress"][swarm.LEADER_COST] == before.min()
+        assert state["progress"][swarm.PROGRESS.leader_cost] == before.min()
         assert np.array_equal(hilly(state["leader"][None]), [before.min()])
 
 
@@ -297,7 +297,7 @@ def test_a_swarm_inside_compiled_code_is_the_same_to_the_last_bit():
 
     results = minimise(added_in_order, space, settings, seed=5, stream=1)
     assert np.array_equal(arrays.leader, results.x)
-    assert arrays.progress[swarm.LEADER_COST] == results.cost
+    assert arrays.progress[swarm.PROGRESS.leader_cost] == results.cost
 
 
 @pytest.mark.parametrize("kind", ["improved", "classic"])

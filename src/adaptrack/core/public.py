@@ -93,11 +93,13 @@ from .simulation.episode import (
     EPISODE_ARRIVED,
     EPISODE_FAILED,
     EPISODE_RUNS,
+    MIN_APPROACH_SPEED,
     Episodes,
+    ObservationSpace,
     drive_on,
     renew,
     write_observations,
+    write_one_observation,
     write_variables,
 )
-from .simulation.observation import MIN_APPROACH_SPEED, ObservationSpace, write_one_observation
 from .simulation.world import HOLDING_DECELERATION, SIGNAL

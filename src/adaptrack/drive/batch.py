@@ -23,8 +23,8 @@ from adaptrack.core.member import compiles
 from adaptrack.core.plants.contract import SLOTS, vehicle_batch
 from adaptrack.core.scheduling import guard as guard_kernel
 from adaptrack.core.simulation import run as kernel
-from adaptrack.drive.failure import FailureLimits
-from adaptrack.drive.world import Driver, PerceptionSource, RequestedForces, World, reason_of
+from adaptrack.drive.failure import FailureLimits, failure_of
+from adaptrack.drive.world import Driver, PerceptionSource, RequestedForces, World
 from adaptrack.road.road_ahead import pack_roads
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile
@@ -169,12 +169,11 @@ class BatchRuns:
         """Return the means, largest values and counts of each run."""
         results = self.result
         steps = np.maximum(results["instants"], 1)
-        reasons = {int(ended): reason_of(int(ended)) for ended in np.unique(results["ended"])}
         return BatchResult(
             mse=results["squared_error"] / steps,
             mean_squared_move=results["squared_move"] / steps,
             max_abs_error=results["largest_error"].copy(),
-            failed=np.array([reasons[ended] for ended in results["ended"].tolist()], dtype=object),
+            failed=np.array([failure_of(ended)[0] for ended in results["ended"].tolist()], dtype=object),
             failed_at=np.where(self.has_failed, results["ended_at"], np.nan),
             steps=results["instants"].copy(),
             qp_capped=results["capped"].copy(),
@@ -189,13 +188,9 @@ class BatchRuns:
 def sampled(world: World, scenarios: Sequence[Scenario | RoadDrive]) -> tuple[list[Signals], Array]:
     """Sample scenarios at the control instants.
 
-    Returns
-    -------
-    list of Signals
-        Samples of each scenario.
-    (scenarios, SIGNAL, n + 1) array
-        The same samples as the kernels read them (`core.simulation.world.SIGNAL`), where n is the number of periods of
-        the longest scenario. Shorter ones repeat their last sample; a preview beyond their end reads the same values.
+    Return the samples of each scenario, and the same samples as the kernels read them, an array (scenarios,
+    `core.simulation.world.SIGNAL`, n + 1), where n is the number of periods of the longest scenario. Shorter ones
+    repeat their last sample; a preview beyond their end reads the same values.
 
     Raises
     ------
@@ -271,26 +266,13 @@ class Batch:
 
     def run_record(
         self, slots: int, steps: int, room: Room, segments: int = 0, periods: int = 0,
-        scheduler: CompiledScheduler | None = None, **given: Any,
+        scheduler: CompiledScheduler | None = None, **fields: Any,
     ) -> Any:  # fmt: skip
         """Allocate the kernels' arrays for up to `slots` runs (`core.simulation.run.RunRecord`).
 
-        Parameters
-        ----------
-        slots
-            Largest number of runs.
-        steps
-            Integration steps per control period.
-        room
-            Horizons for which a controller has memory.
-        segments
-            Number of segments whose cost is recorded in each run.
-        periods
-            Number of control periods to trace; 0 for no trace.
-        scheduler
-            Scheduler of the MPC; None for a fixed tuning.
-        given
-            Further arguments of `World.run`.
+        steps: integration steps per control period; room: horizons for which a controller has memory; periods: number
+        of control periods to trace, 0 for no trace; scheduler: that of the MPC, None for a fixed tuning; segments,
+        fields: see `World.run`.
         """
         plant, settings = self.world.plant, self.settings[steps]
         assert isinstance(plant, Plant)
@@ -305,25 +287,14 @@ class Batch:
             kernel.RunInputs(self.samples, self.roads, scenario, seeds, np.full(slots, self.periods[0])),
             vehicle_batch(plant.compiled, plant.packed(), np.zeros((slots, self.starts.shape[1]))),
             settings, part, trace=kernel.traces(slots, periods, width) if periods else None, segments=segments,
-            **{"needs_variables": scheduler is not None} | given,
+            **{"needs_variables": scheduler is not None} | fields,
         )  # fmt: skip
 
     def chunks(self, runs: NDArray[np.int64], threads: int = 1) -> list[NDArray[np.int64]]:
         """Split runs into chunks for one kernel call each, with equal duration and integration steps within a chunk.
 
-        A user plant is advanced one run at a time, so its runs are divided evenly among the threads.
-
-        Parameters
-        ----------
-        runs : (runs,) array
-            Scenario index of each run.
-        threads
-            Number of threads.
-
-        Returns
-        -------
-        list of arrays
-            Indices into `runs`.
+        A user plant is advanced one run at a time, so its runs are divided evenly among the threads. runs: (runs,)
+        scenario index of each run. The chunks are indices into `runs`.
         """
         chunks = []
         for steps in self.settings:
@@ -342,25 +313,12 @@ class Batch:
     ) -> BatchRuns:  # fmt: skip
         """Drive run i with scenario ``scenario_indices[i]``, ``tunings[i]`` and ``seeds[i]``.
 
-        Parameters
-        ----------
-        scenario_indices, seeds : (runs,) array
-            Scenario and noise seed of each run.
-        tunings : (runs, entries) array
-            Tuning of each run; a scheduler replaces it in the first period.
-        threads
-            Number of threads; None for one per core.
-        traced
-            Whether to record the signals at every control instant, about 200 bytes per instant and run.
-        segment
-            Length of the segments whose cost is recorded, in control periods; 0 for no segments.
-        weight
-            Weight of the squared moves in the segment costs (m^2/rad^2).
-        scheduler
-            Scheduler of the MPC; None for fixed tunings.
+        tunings: (runs, entries), which a scheduler replaces in the first period; threads: number of threads, None for
+        one per core; traced: whether to record the signals at every control instant, about 200 bytes per instant and
+        run; segment: length of the segments whose cost is recorded, in control periods, 0 for no segments; weight: of
+        the squared moves in the segment costs (m^2/rad^2); scheduler: that of the MPC, None for fixed tunings.
         """
         threads, runs, n = threads or os.cpu_count() or 1, len(scenario_indices), int(self.periods.max())
-        inputs = _BatchInputs(scenario_indices, tunings, seeds, segment, weight, n if traced else 0, scheduler)
         room = Room() if traced else self.controller.room_for(tunings, scheduler)
         result, counts = kernel.RESULT.new(runs), np.zeros((len(guard_kernel.COUNTS), runs), np.int64)
         segments = np.full((runs, math.ceil(n / segment) if segment else 0), np.nan)
@@ -370,6 +328,24 @@ class Batch:
         for chunk in chunks:
             waiting.put(chunk)
 
+        def drive(chunk: NDArray[np.int64], previous_record: Any) -> Any:
+            """Drive the runs of a chunk; the arrays of a previous record are reused if their sizes match."""
+            scenarios, size, run = scenario_indices[chunk], len(chunk), previous_record
+            periods, steps = int(self.periods[scenarios[0]]), int(self.substeps[scenarios[0]])
+            count = math.ceil(periods / segment) if segment else 0
+            is_reusable = run is not None and len(run.memory.drives) == size and run.segments.shape[1] == count
+            is_reusable = is_reusable and run.settings is self.settings[steps]
+            if not is_reusable or traced or scheduler is not None:
+                run = self.run_record(
+                    size, steps, room, count, n if traced else 0, scheduler, segment=segment, weight=weight
+                )
+            run.inputs.scenario[:], run.inputs.seeds[:], run.inputs.periods[:] = scenarios, seeds[chunk], periods
+            run.vehicles.start[:], run.controller.tuning[:] = self.starts[scenarios], tunings[chunk]
+            resident = Resident(run)
+            kernel.begin(size, resident)
+            kernel.roll_on(periods, size, resident)
+            return run
+
         def work() -> None:
             outcome = None
             while True:
@@ -377,7 +353,7 @@ class Batch:
                     chunk = waiting.get_nowait()
                 except queue.Empty:
                     return
-                outcome = self._drive(chunk, inputs, room, outcome)
+                outcome = drive(chunk, outcome)
                 result[chunk], segments[chunk, : outcome.segments.shape[1]] = outcome.result, outcome.segments
                 if traced:
                     traces.append((chunk, outcome.trace))
@@ -394,30 +370,6 @@ class Batch:
         guard_counts = {} if scheduler is None else dict(zip(guard_kernel.COUNTS, counts, strict=True))
         return BatchRuns(result, _joined(traces, runs) if traces else kernel.no_trace(), guard_counts, segments)
 
-    def _drive(self, chunk: NDArray[np.int64], inputs: _BatchInputs, room: Room, previous_record: Any) -> Any:
-        """Drive the runs of one chunk and return their `core.simulation.run.RunRecord`.
-
-        previous_record: record of an earlier chunk, or None. Its arrays are reused if their sizes match and its results
-        are no longer needed.
-        """
-        scenarios, size = inputs.scenario_indices[chunk], len(chunk)
-        n = int(self.periods[scenarios[0]])
-        segments = math.ceil(n / inputs.segment) if inputs.segment else 0
-        steps, run = int(self.substeps[scenarios[0]]), previous_record
-        is_reusable = run is not None and len(run.memory.drives) == size and run.settings is self.settings[steps]
-        is_reusable = is_reusable and run.segments.shape[1] == segments
-        if not is_reusable or inputs.traced_periods or inputs.scheduler is not None:
-            run = self.run_record(
-                size, steps, room, segments, inputs.traced_periods, inputs.scheduler, segment=inputs.segment,
-                weight=inputs.weight,
-            )  # fmt: skip
-        run.inputs.scenario[:], run.inputs.seeds[:], run.inputs.periods[:] = scenarios, inputs.seeds[chunk], n
-        run.vehicles.start[:], run.controller.tuning[:] = self.starts[scenarios], inputs.tunings[chunk]
-        resident = Resident(run)
-        kernel.begin(size, resident)
-        kernel.roll_on(n, size, resident)
-        return run
-
 
 def _joined(traces: Sequence[tuple[NDArray[np.int64], Any]], runs: int) -> Any:
     """Join the traces of the chunks into one trace of all runs."""
@@ -427,17 +379,3 @@ def _joined(traces: Sequence[tuple[NDArray[np.int64], Any]], runs: int) -> Any:
         for part, values in zip(joined, trace, strict=True):
             part[chunk] = values
     return joined
-
-
-@dataclass(frozen=True, eq=False)
-class _BatchInputs:
-    """Arguments of `Batch.run` that all its chunks share."""
-
-    scenario_indices: NDArray[np.int64]
-    tunings: Array
-    seeds: NDArray[np.int64]
-    segment: int
-    weight: float
-    traced_periods: int
-    """Number of control periods to trace; 0 for no trace."""
-    scheduler: CompiledScheduler | None

@@ -32,7 +32,8 @@ from adaptrack.core.plants.contract import vehicle_batch
 from adaptrack.core.simulation import run as kernel
 from adaptrack.core.simulation.world import ANSWERED, RUNNING, SIGNAL, STATE_NOT_FINITE
 from adaptrack.core.speed.speed_control import SPEED_REQUEST
-from adaptrack.drive.world import Driver, RequestedForces, SpeedDriver, SpeedFollower, World, reason_of, warn_once
+from adaptrack.drive.failure import failure_of
+from adaptrack.drive.world import Driver, RequestedForces, SpeedDriver, SpeedFollower, World, warn_once
 from adaptrack.road.road_ahead import RoadAhead, pack_roads
 from adaptrack.scenario import RoadDrive, Scenario
 
@@ -338,10 +339,7 @@ class ClosedLoop:
 
     @property
     def failure(self) -> tuple[str | None, float]:
-        """Reason and time (s) of the failure of a finished run; None and NaN if it did not fail.
-
-        A car that never came near its reference has also failed.
-        """
+        """Reason and time (s) of the failure of a finished run; None and NaN if it did not fail."""
         return failure_of(int(self.run.result[0].ended), float(self.run.result[0].ended_at))
 
 
@@ -355,9 +353,3 @@ def _follower(driver: SpeedDriver, drive: RoadDrive, period: float) -> SpeedFoll
     if not callable(getattr(follower, "step", None)):
         raise call.refusal(follower)
     return follower
-
-
-def failure_of(ended: int, at: float) -> tuple[str | None, float]:
-    """Return the reason and time (s) of a failure for the kernels' code `ended`; None and NaN without failure."""
-    reason = reason_of(ended)
-    return reason, at if reason is not None else math.nan

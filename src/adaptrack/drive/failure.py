@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from adaptrack.base.checked import Bound, Hint, checked
 from adaptrack.core.maths import portable
+from adaptrack.core.simulation import world as kernel
 from adaptrack.drive.trajectory import Trajectory
 
 DISTANCE = 5.0
@@ -30,6 +31,22 @@ class Reason(StrEnum):
     OFF_ROAD = "off-road"
     SPUN = "spun"
     NOT_FINITE = "not-finite"
+
+
+_REASONS = {
+    kernel.OFF_ROAD: Reason.OFF_ROAD.value, kernel.NEVER_ARRIVED: Reason.OFF_ROAD.value,
+    kernel.SPUN: Reason.SPUN.value, kernel.STATE_NOT_FINITE: Reason.NOT_FINITE.value,
+}  # fmt: skip
+
+
+def failure_of(ended: int, at: float = math.nan) -> tuple[str | None, float]:
+    """Return the reason and time (s) of the failure that the kernels report as `ended`.
+
+    They are None and NaN for a run that is complete or was stopped at a limit of its cost. A car that never came near
+    its reference has also failed.
+    """
+    reason = _REASONS.get(ended)
+    return reason, at if reason is not None else math.nan
 
 
 @checked

@@ -21,17 +21,9 @@ from adaptrack.base.presentation import html_of
 from adaptrack.cars.outline import Outline
 from adaptrack.control.controllers.learned_car import BeliefState, bounded_quantity
 from adaptrack.control.models import PredictionModel
+from adaptrack.drive import signal_statistics as statistics
 from adaptrack.drive.failure import MIN_JUDGED_SPEED, FailureLimits, find_failure, state_is_finite
 from adaptrack.drive.prediction import TIMES, run_prediction_error
-from adaptrack.drive.signal_statistics import (
-    finite_length,
-    largest_known,
-    largest_magnitude,
-    mean_square,
-    percentile_95,
-    r79,
-    reversal_rate,
-)
 from adaptrack.drive.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -196,7 +188,7 @@ def compute_metrics(
         heading_error = trajectory.heading_error[~(trajectory.vx < MIN_JUDGED_SPEED)]  # NaN speeds stay in
         jerk = np.diff(trajectory.lateral_acceleration) / trajectory.period
     motion = _motion_measures(error, heading_error, trajectory.command, trajectory.lateral_acceleration, jerk)
-    activity = mean_square(trajectory.command_change)
+    activity = statistics.mean_square(trajectory.command_change)
     prediction_errors = dict.fromkeys(TIMES, math.nan) if model is None else run_prediction_error(trajectory, model)
     record = None if outline is None else PathRecord.from_trajectory(trajectory)
 
@@ -222,17 +214,17 @@ def compute_metrics(
 
 def _motion_measures(error: Array, heading: Array, command: Array, acceleration: Array, jerk: Array) -> dict[str, Any]:
     """Return the measures of tracking, command, lateral acceleration and jerk by their names in `Metrics`."""
-    mse = mean_square(error)
+    mse = statistics.mean_square(error)
     return {
         "mse": mse,
         "rms_error": math.sqrt(mse),
-        "max_abs_error": largest_magnitude(error),
-        "heading_rms": math.sqrt(mean_square(heading)),
-        "heading_max": largest_magnitude(heading),
-        "steering_rms": math.sqrt(mean_square(command)),
-        "lateral_acceleration_rms": math.sqrt(mean_square(acceleration)),
-        "lateral_acceleration_max": largest_magnitude(acceleration),
-        "jerk_rms": math.sqrt(mean_square(jerk)),
+        "max_abs_error": statistics.largest_magnitude(error),
+        "heading_rms": math.sqrt(statistics.mean_square(heading)),
+        "heading_max": statistics.largest_magnitude(heading),
+        "steering_rms": math.sqrt(statistics.mean_square(command)),
+        "lateral_acceleration_rms": math.sqrt(statistics.mean_square(acceleration)),
+        "lateral_acceleration_max": statistics.largest_magnitude(acceleration),
+        "jerk_rms": math.sqrt(statistics.mean_square(jerk)),
     }
 
 
@@ -257,12 +249,14 @@ def _step_measures(trajectory: Trajectory) -> dict[str, Any]:
         "qp_failed": int(np.count_nonzero(~has_solution)),
         "held": int(np.count_nonzero(trajectory.held[is_commanded])),
         "dead_reckoning": int(np.count_nonzero((time_without_position > 0.0) & ~trajectory.held[is_commanded])),
-        "dead_reckoning_max": largest_known(diagnostics.get("dead_reckoning", np.empty(0))),
-        "qp_residual_max": largest_known(diagnostics.get("qp_residual", np.full(status.size, math.nan))[has_solution]),
+        "dead_reckoning_max": statistics.largest_known(diagnostics.get("dead_reckoning", np.empty(0))),
+        "qp_residual_max": statistics.largest_known(
+            diagnostics.get("qp_residual", np.full(status.size, math.nan))[has_solution]
+        ),
         "qp_iterations_mean": _mean(iterations),
         "qp_iterations_max": int(np.max(iterations, initial=0)),
         **dict(zip(("step_us_p50", "step_us_p99", "step_us_p999"), quantiles, strict=True)),
-        "step_us_max": largest_known(step_times),
+        "step_us_max": statistics.largest_known(step_times),
     }
 
 
@@ -320,7 +314,7 @@ class PathRecord:
         for column in dataclasses.fields(cls):
             if column.name not in columns:
                 columns[column.name] = getattr(run, names.get(column.name, column.name))
-        end = finite_length(*columns.values())
+        end = statistics.finite_length(*columns.values())
         return None if end < 2 else cls(**{name: values[:end] for name, values in columns.items()})
 
     @property
@@ -359,8 +353,8 @@ def path_metrics(
         steps=record.t.size,
         driven=record.t.size,
         **_motion_measures(record.offset, heading, command, record.lateral_acceleration, jerk),
-        steering_rate_rms=math.sqrt(mean_square(command_rate)),
-        steering_activity=mean_square(np.diff(command)),
+        steering_rate_rms=math.sqrt(statistics.mean_square(command_rate)),
+        steering_activity=statistics.mean_square(np.diff(command)),
         **_path_measures(record, outline, lane_width, STEERING_RATIO if steering_ratio is None else steering_ratio),
     )
 
@@ -373,22 +367,22 @@ def _path_measures(record: PathRecord, outline: Outline, lane_width: float, stee
         corner = np.abs(corners).max(axis=-1)
         jerk = np.diff(acceleration) / np.diff(t)
         inside = corner <= 0.5 * lane_width
-    comfort = r79(t, acceleration) if np.isfinite(acceleration).all() else (math.inf, math.inf)
+    comfort = statistics.r79(t, acceleration) if np.isfinite(acceleration).all() else (math.inf, math.inf)
     return {
         "duration": float(t[-1] - t[0]),
         "distance": float(np.trapezoid(np.abs(record.speed), t)),
         "mean_error": float(np.mean(offset)) if np.isfinite(offset).all() else math.inf,
-        "p95_error": percentile_95(offset),
-        "rms_corner": math.sqrt(mean_square(corner)),
-        "p95_corner": percentile_95(corner),
-        "max_corner": largest_magnitude(corner),
-        "max_corner_error": largest_magnitude(corner) - 0.5 * outline.width,
+        "p95_error": statistics.percentile_95(offset),
+        "rms_corner": math.sqrt(statistics.mean_square(corner)),
+        "p95_corner": statistics.percentile_95(corner),
+        "max_corner": statistics.largest_magnitude(corner),
+        "max_corner_error": statistics.largest_magnitude(corner) - 0.5 * outline.width,
         "in_lane": float(np.mean(inside)),
-        "yaw_rate_max": largest_magnitude(np.asarray(record.yaw_rate)),
-        "wheel_angle_rms": math.sqrt(mean_square(angle)),
-        "reversals": reversal_rate(t, steering_ratio * angle) if np.isfinite(angle).all() else math.inf,
+        "yaw_rate_max": statistics.largest_magnitude(np.asarray(record.yaw_rate)),
+        "wheel_angle_rms": math.sqrt(statistics.mean_square(angle)),
+        "reversals": statistics.reversal_rate(t, steering_ratio * angle) if np.isfinite(angle).all() else math.inf,
         "lateral_acceleration_r79": comfort[0],
-        "jerk_max": largest_magnitude(jerk),
+        "jerk_max": statistics.largest_magnitude(jerk),
         "jerk_r79": comfort[1],
     }
 

@@ -26,11 +26,10 @@ from adaptrack.control.qp import QPStatus
 from adaptrack.control.speed_control import SpeedCommand, SpeedController, SpeedLimit, SpeedState
 from adaptrack.core.controllers.part import COMMON_ANSWER
 from adaptrack.core.models.contract import MEASUREMENT
-from adaptrack.core.plants.contract import PLANT_STATE
 from adaptrack.core.simulation.run import TRACE_SIGNALS
 from adaptrack.drive.batch import Batch, BatchPlant, BatchRuns
-from adaptrack.drive.closed_loop import ClosedLoop, failure_of
-from adaptrack.drive.failure import DISTANCE, FailureLimits
+from adaptrack.drive.closed_loop import ClosedLoop
+from adaptrack.drive.failure import DISTANCE, FailureLimits, failure_of
 from adaptrack.drive.predicted_paths import PredictedPaths
 from adaptrack.drive.trajectory import Trajectory, provenance
 from adaptrack.drive.world import Driver, LongitudinalDriver, PerceptionSource, World, warn_once
@@ -199,19 +198,7 @@ def rollout(
 def rollouts(batch: Batch, seeds: Sequence[int], threads: int | None = None) -> list[list[Trajectory]]:
     """Simulate each scenario of a batch with each noise seed, as `rollout` does, in parallel.
 
-    Parameters
-    ----------
-    batch
-        Scenarios, plant and controller.
-    seeds
-        Noise seeds.
-    threads
-        Number of threads; None for one per core.
-
-    Returns
-    -------
-    list of lists
-        One list per scenario with one trajectory per seed.
+    The result has one list per scenario with one trajectory per seed. threads: None for one per core.
     """
     count = len(batch.signals)
     scenario_indices = np.repeat(np.arange(count), len(seeds))
@@ -248,6 +235,8 @@ _REQUEST_UNITS = {
     "grip_used": "-", "speed_state": "-", "limited_by": "-", "friction_low": "-", "friction_high": "-",
 }  # fmt: skip
 """Signals of a speed controller by their names in `Trajectory.diagnostics`, with their units."""
+_MOTION = ("X", "Y", "psi", "vx", "vy", "yaw_rate")
+"""The first entries of `core.plants.contract.PLANT_STATE` by their names in `Trajectory`."""
 _STATES, _LIMITS = tuple(SpeedState), tuple(SpeedLimit)
 _WHOLE = {"Np", "Nc", "qp_status", "qp_iterations", "at_limit"}
 _UNITS = {
@@ -301,7 +290,7 @@ def _true_values(world: World, controller: Controller) -> dict[str, Any]:
 def _trajectory(
     world: World, controller: Controller, scenario: Scenario | RoadDrive, signals: Signals, seed: int, record: _Recorder
 ) -> Trajectory:
-    n, state, plant = signals.n, record.state, world.plant
+    n, plant, motion = signals.n, world.plant, dict(zip(_MOTION, record.state.T, strict=False))
     is_driven = np.isfinite(record.command[:, 0])
     description, failure_distance = controller.describe(), FailureLimits.of(plant).distance
     road = {}
@@ -314,19 +303,13 @@ def _trajectory(
     diagnostics = _columns_by_name(record.diagnostic_names, record.diagnostics, is_driven)
     if np.isfinite(record.requests).any():
         diagnostics |= dict(zip(_REQUEST_UNITS, record.requests.T, strict=True))
-        vx, vy, yaw_rate = state[:, PLANT_STATE.vx], state[:, PLANT_STATE.vy], state[:, PLANT_STATE.yaw_rate]
-        change = np.gradient(vx, signals.period) if n > 1 else np.zeros(n)
-        diagnostics["longitudinal_acceleration"] = change - vy * yaw_rate
+        change = np.gradient(motion["vx"], signals.period) if n > 1 else np.zeros(n)
+        diagnostics["longitudinal_acceleration"] = change - motion["vy"] * motion["yaw_rate"]
     groups = {"tuning": record.tuning_names, "diagnostics": diagnostics, "road": road}
     recorded = {f"{group}.{name}" for group, names in groups.items() for name in names}
     return Trajectory(
         t=signals.t[:n],
-        X=state[:, PLANT_STATE.x],
-        Y=state[:, PLANT_STATE.y],
-        psi=state[:, PLANT_STATE.yaw],
-        vx=state[:, PLANT_STATE.vx],
-        vy=state[:, PLANT_STATE.vy],
-        yaw_rate=state[:, PLANT_STATE.yaw_rate],
+        **motion,
         steering=record.signals[:, 1],
         command=record.command[:, 0],
         command_change=record.command[:, 1],

@@ -17,18 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptrack import __version__
+from adaptrack.base import files
 from adaptrack.base.checked import Positive, checked
 from adaptrack.base.errors import ConfigError, InvalidInput, MissingExtra
-from adaptrack.base.files import (
-    MAX_NUMBERS,
-    Damaged,
-    ParquetColumn,
-    check_texts,
-    decode_parquet,
-    encode_parquet,
-    read_bytes,
-    write_atomically,
-)
 from adaptrack.base.presentation import figure_of, html_of
 from adaptrack.core.library import kernels_hash
 from adaptrack.core.maths import portable
@@ -306,7 +297,7 @@ class Trajectory:
             When the file cannot be written; an existing file stays unchanged.
         """
         units = self._column_units()
-        stored = [ParquetColumn(name, units[name], values) for name, values in self.columns().items()]
+        stored = [files.ParquetColumn(name, units[name], values) for name, values in self.columns().items()]
         metadata = {
             "adaptrack": __version__,
             "period": self.period,
@@ -315,7 +306,9 @@ class Trajectory:
             "failed_at": None if self.failed is None else self.failed_at,
             "meta": self.meta,
         }
-        write_atomically(path, encode_parquet(TRAJECTORY_FORMAT, TRAJECTORY_FORMAT_VERSION, stored, metadata))
+        files.write_atomically(
+            path, files.encode_parquet(TRAJECTORY_FORMAT, TRAJECTORY_FORMAT_VERSION, stored, metadata)
+        )
 
     @classmethod
     @checked
@@ -329,8 +322,13 @@ class Trajectory:
         """
         required = [name for column in TRAJECTORY_COLUMNS for name in column.stored_names]
         remedy = "run the simulation again or use the release that wrote it"
-        columns, metadata = decode_parquet(
-            read_bytes(path, 8 * MAX_NUMBERS), path, TRAJECTORY_FORMAT, TRAJECTORY_FORMAT_VERSION, remedy, required
+        columns, metadata = files.decode_parquet(
+            files.read_bytes(path, 8 * files.MAX_NUMBERS),
+            path,
+            TRAJECTORY_FORMAT,
+            TRAJECTORY_FORMAT_VERSION,
+            remedy,
+            required,
         )
         try:
             fields: dict[str, Any] = {
@@ -344,7 +342,7 @@ class Trajectory:
             del fields["adaptrack"]
             return cls(**fields)
         except (KeyError, TypeError, ValueError, AttributeError) as error:  # InvalidInput is a ValueError
-            raise Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}") from error
+            raise files.Damaged(f"{os.fspath(path)}: damaged, or edited by another program: {error}") from error
 
 
 TRAJECTORY_COLUMNS = tuple(
@@ -427,7 +425,7 @@ def _as_json(meta: Mapping[str, Any]) -> dict[str, Any]:
         except (TypeError, ValueError, RecursionError) as error:
             raise InvalidInput(f"trajectory: `meta[{key!r}]` cannot be written as JSON: {error}.") from None
     try:
-        check_texts("trajectory: `meta`", meta)
+        files.check_texts("trajectory: `meta`", meta)
     except ConfigError as error:
         raise InvalidInput(str(error)) from None
     return json.loads(json.dumps(dict(meta)))

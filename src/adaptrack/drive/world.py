@@ -28,7 +28,7 @@ from adaptrack.core.simulation import run as run_kernel
 from adaptrack.core.simulation import world as kernel
 from adaptrack.core.simulation.world import SIGNAL
 from adaptrack.core.synthesis.plant import dead_periods
-from adaptrack.drive.failure import FailureLimits, Reason
+from adaptrack.drive.failure import FailureLimits
 from adaptrack.road import Road, SpeedPlan
 from adaptrack.scenario import RoadDrive, Scenario, Signals
 from adaptrack.scenario.profile import Profile, load_profile
@@ -124,13 +124,6 @@ class World:
         InvalidInput
             When arguments do not match each other.
         """
-        if not isinstance(plant, Plant | SteppedPlant):
-            raise InvalidInput(f"plant = {plant!r}: must be a Plant, such as DualTrack(load_vehicle('paper')).")
-        if not isinstance(controller, Controller):
-            raise InvalidInput(
-                f"controller = {controller!r}: must be a Controller, such as MPC(load_vehicle('paper')), or a subclass "
-                "of adaptrack.Controller."
-            )
         if driver is not None and not isinstance(driver, Driver | SpeedControl | SpeedDriver | RequestedForces):
             raise InvalidInput(
                 f"driver = {format_value(driver)}: must be a Driver, a SpeedControl, an object whose method "
@@ -139,8 +132,6 @@ class World:
         profile = load_profile(profile)
         if isinstance(plant, Plant) and getattr(plant, "steering", None) is None:
             plant = plant.with_steering(profile.steering)
-        if failure is not None and not isinstance(failure, FailureLimits):
-            raise InvalidInput(f"failure = {failure!r}: must be a FailureLimits(distance=..., sideslip=...).")
         if isinstance(perception, FrictionWindEstimator) and not math.isclose(perception.period, controller.period):
             raise InvalidInput(
                 f"perception: the estimator's period is {perception.period!r} s, that of the controller "
@@ -201,7 +192,13 @@ class World:
 
     def settings(self, substeps: int) -> Any:
         """Return the `core.simulation.world.LoopSettings` for a number of integration steps per control period."""
-        profile, driver, steering = self.profile, self.driver, self.steering
+        profile, steering, drive, brakes = (
+            self.profile,
+            self.steering,
+            self._actuator("drive"),
+            self._actuator("brakes"),
+        )
+        driver = self.driver if isinstance(self.driver, Driver) else Driver(1.0, 0.0, math.inf)  # or none
         return kernel.LoopSettings(
             period=self.period,
             substeps=substeps,
@@ -212,16 +209,16 @@ class World:
             steering_lag=steering.lag,
             steering_limit=steering.limit,
             steering_bias=steering.bias,
-            driver_preview=driver.preview if isinstance(driver, Driver) else 1.0,
-            driver_integral=driver.integral if isinstance(driver, Driver) else 0.0,
+            driver_preview=driver.preview,
+            driver_integral=driver.integral,
             **self.plant.powertrain,
             failure_distance=self.failure.distance,
             failure_sideslip=self.failure.sideslip,
             **self.plant.axles,
-            guard=driver.guard if isinstance(driver, Driver) else math.inf,
-            **_actuator_settings("drive", self.drive, self.period),
-            creep=self.drive.creep,
-            **_actuator_settings("brake", self.brakes, self.period),
+            guard=driver.guard,
+            **_actuator_settings("drive", drive, self.period),
+            creep=drive.creep,
+            **_actuator_settings("brake", brakes, self.period),
         )
 
     def has_driver(self, scenario: Scenario | RoadDrive) -> bool:
@@ -239,15 +236,9 @@ class World:
             return kernel.EXTERNAL_FORCES
         return kernel.PRESCRIBED_WITHOUT_ROAD if self.driver.roads_only else kernel.DRIVER_FORCES
 
-    @property
-    def drive(self) -> DriveActuator:
-        """Actuator of the drive: that of the car file, otherwise that of the profile."""
-        return getattr(getattr(self.plant, "vehicle", None), "drive", None) or self.profile.drive
-
-    @property
-    def brakes(self) -> BrakeActuator:
-        """Actuator of the brakes: that of the car file, otherwise that of the profile."""
-        return getattr(getattr(self.plant, "vehicle", None), "brakes", None) or self.profile.brakes
+    def _actuator(self, name: str) -> Any:
+        """The actuator of the car file ("drive" or "brakes"), otherwise that of the profile."""
+        return getattr(getattr(self.plant, "vehicle", None), name, None) or getattr(self.profile, name)
 
     @property
     def dead_periods(self) -> tuple[int, float]:
@@ -262,37 +253,21 @@ class World:
 
     def run(
         self, inputs: Any, vehicles: Any, settings: Any, controller: Any, *, needs_variables: bool, trace: Any = None,
-        segments: int = 0, asks: bool = False, **given: Any,
+        segments: int = 0, asks: bool = False, **fields: Any,
     ) -> Any:  # fmt: skip
         """Allocate new runs with their controllers (`core.simulation.run.RunRecord`), one run per vehicle.
 
-        Parameters
-        ----------
-        inputs
-            Samples, roads and seeds (`core.simulation.run.RunInputs`).
-        vehicles
-            Batch of vehicles.
-        settings
-            Result of `settings`.
-        controller
-            The controllers (`core.controllers.part.ControllerPart`).
-        needs_variables
-            Whether a scheduler or an agent reads the scheduling variables.
-        trace
-            Memory of the recorded signals (`core.simulation.run.traces`); None to record nothing.
-        segments
-            Number of segments whose cost is recorded in each run.
-        asks
-            Whether the caller is asked before each step of a controller, or is the controller.
-        given
-            Other fields of the record.
+        inputs, vehicles, controller: records of the kernels; settings: the result of `settings`; needs_variables:
+        whether a scheduler or an agent reads the scheduling variables; trace: memory of the recorded signals, None to
+        record nothing; segments: number of segments whose cost is recorded in each run; asks: whether the caller is
+        asked before each step of a controller, or is the controller; fields: other fields of the record.
         """
         slots, past = len(vehicles.start), self.remembered
         estimator = self.perception if needs_variables and isinstance(self.perception, FrictionWindEstimator) else None
         if estimator is not None:
-            given["variable_estimator"] = estimator.packed_for(slots)
+            fields["variable_estimator"] = estimator.packed_for(slots)
         if trace is not None:
-            given["trace"] = trace
+            fields["trace"] = trace
         features = run_kernel.Features(
             late=past > 0, variables=needs_variables, estimates=estimator is not None, traces=trace is not None,
             asks=asks, window=0,
@@ -303,18 +278,13 @@ class World:
         }  # fmt: skip
         return run_kernel.new_run(
             sizes, settings=settings, features=features, vehicles=vehicles, inputs=inputs, controller=controller,
-            cost_limit=np.full(slots, np.nan), **given,
+            cost_limit=np.full(slots, np.nan), **fields,
         )  # fmt: skip
 
     def samples(self, signals: Signals, number: int) -> Array:
         """Convert the samples of a scenario to the rows of the kernels (`core.simulation.world.SIGNAL`), (rows, n + 1).
 
-        Parameters
-        ----------
-        signals
-            Samples of the scenario.
-        number
-            Index of the scenario in its batch; it selects the perception errors.
+        number: index of the scenario in its batch; it selects the perception errors.
         """
         if np.any(signals.grade) and not self.plant.takes_grade:
             raise InvalidInput(
@@ -369,13 +339,3 @@ def _refuse_missing_sensors(controller: Controller, profile: Profile) -> None:
             "(estimator 'deadbeat'). Use the informed controller, which has one (--controller informed; in Python "
             "MPC(car, profile=...))."
         )
-
-
-def reason_of(ended: int) -> str | None:
-    """Return the name of the failure that ended a run; None if it is complete or was stopped at a limit of its cost."""
-    return {
-        kernel.OFF_ROAD: Reason.OFF_ROAD.value,
-        kernel.NEVER_ARRIVED: Reason.OFF_ROAD.value,
-        kernel.SPUN: Reason.SPUN.value,
-        kernel.STATE_NOT_FINITE: Reason.NOT_FINITE.value,
-    }.get(ended)

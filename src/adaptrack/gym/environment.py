@@ -34,7 +34,8 @@ from adaptrack.core.public import (
 )
 from adaptrack.drive.batch import Batch
 from adaptrack.drive.closed_loop import ClosedLoop
-from adaptrack.drive.world import World, reason_of
+from adaptrack.drive.failure import failure_of
+from adaptrack.drive.world import World
 from adaptrack.gym.task import Episode, Task
 
 Array = NDArray[np.float64]
@@ -362,7 +363,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         for block in self._blocks:
             for car in cars[(cars >= block.slots.start) & (cars < block.slots.stop)]:
                 run, slot = block.episodes.run, car - block.slots.start
-                reason = reason_of(int(run.memory.drives["ended"][slot]))
+                reason, _ = failure_of(int(run.memory.drives["ended"][slot]))
                 cost = math.inf if reason else float(self._episode_states["total"][car] / run.inputs.periods[slot])
                 self._add_info(infos, {"failed": reason or "", "J": cost}, int(car))
 

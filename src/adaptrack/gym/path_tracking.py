@@ -43,7 +43,7 @@ OBSERVATION_BOUNDS = {
     "speed": (0.0, 100.0), "wheel_angle": (-math.pi / 2, math.pi / 2), "command": (-math.pi / 2, math.pi / 2),
     "pose_age": (0.0, 600.0),
 }  # fmt: skip
-"""Bounds of the columns of `core.simulation.observation.OBSERVATION`, SI units."""
+"""Bounds of the columns of `core.simulation.episode.OBSERVATION`, SI units."""
 PREVIEW_BOUNDS = {"reference": (-CLIP_DISTANCE, CLIP_DISTANCE), "curvature": (-1.0, 1.0)}
 """Bounds of a previewed reference (m) and of a previewed curvature (1/m)."""
 DISTANCES = (0.0, 5.0, 10.0, 20.0, 40.0)

@@ -23,24 +23,15 @@ from scipy.spatial import cKDTree
 from adaptrack.analysis.feasibility import Feasibility
 from adaptrack.analysis.stability import linear_twin, loop_map
 from adaptrack.base.checked import checked
-from adaptrack.base.errors import InvalidInput, StorageError
+from adaptrack.base.errors import InvalidInput
 from adaptrack.base.progress import ProgressCall
 from adaptrack.cars.plant import DualTrack, Plant, SingleTrack, SteppedPlant
+from adaptrack.control import scheduling
 from adaptrack.control.controllers import MPC, Tuning
-from adaptrack.control.scheduling import (
-    Constant,
-    Guarded,
-    Lookup,
-    Schedule,
-    SchedulingVariables,
-    StabilityMap,
-    Table,
-    load_scheduler,
-    made_for,
-)
+from adaptrack.control.scheduling import Schedule, SchedulingVariables, StabilityMap, load_scheduler
 from adaptrack.core.maths import portable
 from adaptrack.drive.failure import FailureLimits
-from adaptrack.paper.campaign import run_campaign, software_versions, tuned_mpc
+from adaptrack.paper.campaign import make_folder, run_campaign, software_versions, tuned_mpc
 from adaptrack.paper.campaign_config import CampaignConfig, CampaignPlan, Sobol
 from adaptrack.paper.data_set import DataSet, load_dataset
 from adaptrack.paper.improvement import LEARNED_OUTPUTS, LEARNING_ROUNDS, Learnable, Surfaces, Training, improve
@@ -320,12 +311,9 @@ def software(task: LearningTask) -> dict[str, str]:
 
 
 def _save_schedule(schedule: Schedule, file: Path, task: LearningTask, identity: str) -> None:
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{file.parent}: cannot be made: {error.strerror or error}.") from error
+    make_folder(file.parent)
     twin = ", learned on its twin" if task.evaluated_plant.costly else ""
-    purpose = made_for(task.mpc, task.profile)
+    purpose = scheduling.made_for(task.mpc, task.profile)
     purpose |= {"plant": f"{task.plan.config.plant}{twin}", "tyre": task.plant.tyre_name}
     record = {"identity": identity, "campaign": task.plan.identity, "effort": task.effort._asdict()}
     provenance = {**schedule.provenance, **record, "software": software(task)}
@@ -350,9 +338,9 @@ class Makers:
         if contender == "look-up":
             return self.look_up()
         if contender == "fallback":
-            return Constant(safe_constant(self.training[2][0], self.stability))
+            return scheduling.Constant(safe_constant(self.training[2][0], self.stability))
         runs, _ = self.training[1 if contender == "best constant on drives" else 0]
-        return Constant(as_tuning(best_constant(runs, self.task.effort.constant_tunings)))
+        return scheduling.Constant(as_tuning(best_constant(runs, self.task.effort.constant_tunings)))
 
     @cached_property
     def dataset(self) -> DataSet:
@@ -386,7 +374,7 @@ class Makers:
             start, self.training, self.held_out, rounds=self.task.effort.rounds, seed=LEARNING_SEED, safe=safe,
             progress=lambda steps, total: self.show(model, steps, total),
         )  # fmt: skip
-        guarded = Guarded(improvement.schedule, safe, stability=self.stability, **GUARD_OPTIONS)
+        guarded = scheduling.Guarded(improvement.schedule, safe, stability=self.stability, **GUARD_OPTIONS)
         return replace(guarded, provenance={"history": improvement.history})
 
     def _first_surfaces(self, model: str) -> Surfaces:
@@ -488,7 +476,7 @@ def stability_map(task: LearningTask) -> StabilityMap:
     box = task.box
     axes, values = loop_map(task.linear, task.mpc, prompt, speed=box["speed"], friction=box["friction"], turn=None)
     values[axes[0] < SLOW_SPEED] += SLOW_MARGIN
-    return StabilityMap(Table(axes, values), 1.0 - GUARD_MARGIN)
+    return StabilityMap(scheduling.Table(axes, values), 1.0 - GUARD_MARGIN)
 
 
 # -- look-up table ----------------------------------------------------------------------------------------------------
@@ -509,4 +497,4 @@ def neighbour_lookup(dataset: DataSet, nodes: Mapping[str, ArrayLike]) -> Schedu
     worst = np.nanmax(np.where(np.isfinite(costs), costs, np.nan))
     logs = portable.log(np.where(np.isfinite(costs), costs, worst))
     best = dataset.library[np.argmin(logs[neighbours].mean(axis=1), axis=1)]
-    return Lookup(axes, best.reshape(*grid.shape[:-1], 4), name="look-up")
+    return scheduling.Lookup(axes, best.reshape(*grid.shape[:-1], 4), name="look-up")

@@ -134,16 +134,11 @@ Map = Callable[..., Iterable["TunedPoint"]]
 """The `map` of an executor"""
 
 
+Software = tuple[tuple[str, str], ...]
+"""Versions of the software by name, see `software_versions`"""
+
+
 # -- one operating point ----------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class TuningTask:
-    """Settings that all operating points of a campaign share; pickled for the workers."""
-
-    setup: Setup
-    software: tuple[tuple[str, str], ...]
-    """see `software_versions`"""
-
-
 class TunedPoint(NamedTuple):
     """The best tuning at an operating point, and the cost of the library there."""
 
@@ -162,27 +157,29 @@ def software_versions(setup: Setup) -> dict[str, str]:
 
 
 @lru_cache(maxsize=4)
-def objective_and_library(task: TuningTask) -> tuple[Objective, Array]:
-    """The closed loop and the library of a task, prepared once in each process.
+def objective_and_library(setup: Setup, software: Software) -> tuple[Objective, Array]:
+    """The closed loop and the library of a campaign, prepared once in each process.
+
+    software: of the process that started the campaign.
 
     Raises
     ------
     ContractError
         When this process runs other software than the one that started the campaign.
     """
-    config, software = task.setup.config, tuple(software_versions(task.setup).items())
-    if software != task.software:
-        raise ContractError(f"a worker runs other software than the campaign: {software}, not {task.software}.")
-    return campaign_objective(task.setup), config.library.rows(config.search)
+    config, present = setup.config, tuple(software_versions(setup).items())
+    if present != software:
+        raise ContractError(f"a worker runs other software than the campaign: {present}, not {software}.")
+    return campaign_objective(setup), config.library.rows(config.search)
 
 
-def tune_point(task: TuningTask, stream: int, point: Array) -> TunedPoint:
+def tune_point(setup: Setup, software: Software, stream: int, point: Array) -> TunedPoint:
     """Search the best tuning at an operating point (4,) and evaluate the library there.
 
     stream: the number of the operating point; random numbers depend on it and on the campaign's seed only.
     """
-    config = task.setup.config
-    objective, library = objective_and_library(task)
+    config = setup.config
+    objective, library = objective_and_library(setup, software)
     is_standard = (library == np.array(STANDARD_ROW)).all(axis=1)
     tunings = library if is_standard.any() else np.vstack([library, STANDARD_ROW])
     best = objective.tune(point.tolist(), config.swarm, config.seed, stream, config.search.space())
@@ -316,26 +313,27 @@ def run_campaign(
     if workers is not None and cluster is not None:
         raise InvalidInput("workers and cluster: give one of them; a cluster has its own workers.")
     plan = CampaignPlan.of(config)
-    versions = software_versions(plan.setup)
-    provenance = {"name": config.name, "versions": versions, "settings": plan.settings, "identity": plan.identity}
+    provenance = {
+        "name": config.name, "versions": software_versions(plan.setup), "settings": plan.settings,
+        "identity": plan.identity,
+    }  # fmt: skip
     parts = CampaignParts(plan, Path(out), provenance)
-    _make_folder(parts.file(0).parent)
+    make_folder(parts.file(0).parent)
     missing = parts.missing()
     if missing:
         with _opened_map(workers, cluster) as map_points:
-            _compute(parts, missing, TuningTask(plan.setup, tuple(versions.items())), map_points, progress)
+            _compute(parts, missing, map_points, progress)
     file = parts.folder / "dataset.parquet"
     parts.merged().save(file)
     return file
 
 
-def _compute(
-    parts: CampaignParts, missing: list[int], task: TuningTask, map_points: Map, progress: ProgressCall | None
-) -> None:
+def _compute(parts: CampaignParts, missing: list[int], map_points: Map, progress: ProgressCall | None) -> None:
     """Compute parts, and write each one when its last operating point is there."""
+    tune = partial(tune_point, parts.plan.setup, tuple(parts.provenance["versions"].items()))
     streams = np.concatenate([parts.streams[number] for number in missing])
     points = parts.plan.operating_points[streams]
-    tuned = _counted(map_points(partial(tune_point, task), streams.tolist(), points), len(streams), progress)
+    tuned = _counted(map_points(tune, streams.tolist(), points), len(streams), progress)
     try:
         for number in missing:
             parts.write(number, islice(tuned, len(parts.streams[number])))
@@ -388,7 +386,8 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _make_folder(path: Path) -> None:
+def make_folder(path: Path) -> None:
+    """Create a folder unless it exists; raises `StorageError` when that fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

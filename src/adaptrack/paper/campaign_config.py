@@ -288,15 +288,15 @@ class Setup:
     vehicle: Vehicle
     tyre: Tyre
 
-    def plant(self, name: str | None = None) -> Plant | SteppedPlant:
-        """A plant of the car, by default the campaign's, on the campaign's tyre where it names one; made once.
+    def plant(self) -> Plant | SteppedPlant:
+        """The campaign's plant of the car, on the campaign's tyre where it names one; made once.
 
         Raises
         ------
         UnknownName
             When no plant has this name in this process, or there is no such module.
         """
-        return _plant(self, self.config.plant if name is None else name)
+        return _plant(self)
 
     @property
     def searched_on(self) -> Plant | SteppedPlant:
@@ -306,7 +306,7 @@ class Setup:
 
 
 @lru_cache(maxsize=8)
-def _plant(setup: Setup, name: str) -> Plant | SteppedPlant:
+def _plant(setup: Setup) -> Plant | SteppedPlant:
     """`Setup.plant`, made once, since its maker may start a simulator; plug-ins that register plants come first."""
     for module in setup.config.plugin:
         missing = (
@@ -315,7 +315,7 @@ def _plant(setup: Setup, name: str) -> Plant | SteppedPlant:
         )
         import_plugin(module, UnknownName(missing), _announce)
     try:
-        return get_plant(name, setup.vehicle, setup.tyre if setup.config.tyre is not None else None)
+        return get_plant(setup.config.plant, setup.vehicle, setup.tyre if setup.config.tyre is not None else None)
     except UnknownName as error:
         raise UnknownName(
             f"{error} A plant of one's own is registered by a Python module that every worker can import: name it in "

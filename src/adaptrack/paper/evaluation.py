@@ -20,15 +20,8 @@ from adaptrack.comparison.compare import compare
 from adaptrack.comparison.contenders import Contender
 from adaptrack.comparison.table import Comparison
 from adaptrack.drive.metrics import PAPER_MSE
-from adaptrack.paper.adaptation import (
-    ANYWHERE,
-    FAILURE,
-    HELD_OUT_POINTS,
-    SEGMENT,
-    TRAINING_POINTS,
-    LearningTask,
-    Schedules,
-)
+from adaptrack.paper import adaptation
+from adaptrack.paper.adaptation import FAILURE, LearningTask, Schedules
 from adaptrack.paper.operating_points import sobol
 from adaptrack.tuning.objective import Objective
 from adaptrack.tuning.runs import make_perception, operating_point_runs, paper_test_runs, random_drive_runs
@@ -69,7 +62,7 @@ def evaluate_on_operating_points(
     contenders = _point_contenders(schedules, points)
     reference, plant = BEST_CONSTANT, task.evaluated_plant
     if not isinstance(plant, SteppedPlant) and not plant.costly:
-        constants = np.array([schedules[name](ANYWHERE) for name in (BEST_CONSTANT, "fallback")])
+        constants = np.array([schedules[name](adaptation.ANYWHERE) for name in (BEST_CONSTANT, "fallback")])
         tunings = find_optimum(task, plant, points, seed, constants, progress)
         contenders.append(Contender(POINT_OPTIMUM, tunings, hindsight=True))
         reference = POINT_OPTIMUM
@@ -96,7 +89,7 @@ def evaluate_on_drives(
         name: compare(
             random_drive_runs(
                 task.evaluated_plant, task.mpc, numbers, EVALUATED_DURATION, task.profile, drive_options=roads,
-                segment_seconds=SEGMENT, perception=make_perception(name, task.estimated, task.profile),
+                segment_seconds=adaptation.SEGMENT, perception=make_perception(name, task.estimated, task.profile),
                 failure=FAILURE,
             ),
             _select_contenders(_moving_contenders(schedules), name), EVALUATION_NOISE[:1], BEST_CONSTANT, where,
@@ -126,7 +119,8 @@ def evaluation_points(task: LearningTask, count: int, seed: int) -> Array:
         When something was tuned on them or learned from them.
     """
     first = FIRST_POINTS + seed
-    if first in (getattr(task.plan.config.operating_points, "seed", None), TRAINING_POINTS, HELD_OUT_POINTS):
+    used = adaptation.TRAINING_POINTS, adaptation.HELD_OUT_POINTS
+    if first in (getattr(task.plan.config.operating_points, "seed", None), *used):
         raise InvalidInput(f"seed = {seed}: these operating points were learned from: choose another seed.")
     return sobol(count, task.box, seed=first)
 

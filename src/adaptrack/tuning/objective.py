@@ -145,7 +145,7 @@ class Objective:
             np.empty(swarm.generations),
         )  # fmt: skip
         evaluations, steps = kernels.tune(search, trial)
-        leader_cost = float(search.swarm.progress[swarm_kernel.LEADER_COST])
+        leader_cost = float(search.best[-1])
         # `search.best` contains the lowest cost up to each generation
         return PointTuning(space.values(search.swarm.leader), leader_cost, search.best, evaluations, steps)
 

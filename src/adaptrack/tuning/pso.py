@@ -331,7 +331,7 @@ class SwarmSettings(Record):
         return self.particles * self.generations
 
     def packed(self, space: SearchSpace) -> Array:
-        """Return the settings for the kernels, in the order of `adaptrack.core.tuning.swarm.SWARM_SETTINGS`."""
+        """Return the settings for the kernels, in the order of `adaptrack.core.tuning.swarm.SWARM_SETTING`."""
         smaller, larger = (-1, -1) if space.ordered is None else (space.names.index(name) for name in space.ordered)
         return np.array(
             [
@@ -418,7 +418,7 @@ class Swarm:
     @property
     def best(self) -> Best:
         """The best position up to the present generation, and its cost."""
-        return Best(self.space.values(self._swarm.leader), float(self._swarm.progress[kernel.LEADER_COST]))
+        return Best(self.space.values(self._swarm.leader), float(self._swarm.progress[kernel.PROGRESS.leader_cost]))
 
     @property
     def trace(self) -> Array:
@@ -455,7 +455,7 @@ class Swarm:
                 f"shape ({self.settings.particles},)."
             )
         kernel.learn(values, self._swarm)
-        self._trace[self.generation] = self._swarm.progress[kernel.LEADER_COST]
+        self._trace[self.generation] = self._swarm.progress[kernel.PROGRESS.leader_cost]
         if self.generation < self.settings.generations - 1:
             kernel.move(self.generation, self.seed, self.stream, self._settings, self._space, self._swarm)
         self.generation += 1

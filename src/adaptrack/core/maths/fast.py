@@ -11,6 +11,7 @@ import math
 
 from ..kernel import fma, inlined
 from .exact import floor
+from .polynomial import five, four, six
 
 _TAN_PI_8 = 0.41421356237309503
 _TAN_3PI_8 = 2.414213562373095
@@ -20,23 +21,14 @@ _INVERSE_PI = 1 / math.pi
 _PI_LOW = 1.2246467991473532e-16  # pi - float(pi)
 
 # atan(z)/z as a polynomial in z^2 on |z| <= tan(pi/8); relative error 9.6e-16
-_A0, _A1, _A2, _A3, _A4 = (
-    1.0,
-    -0.3333333333322143,
-    0.19999999978392663,
-    -0.14285712661684793,
-    0.11111048853751296,
-)
-_A5, _A6, _A7, _A8, _A9 = (
-    -0.09089529956562307,
-    0.07673535428183285,
-    -0.0650598296717084,
-    0.05024762118940128,
+_ARCTANGENT = (1.0, -0.3333333333322143, 0.19999999978392663, -0.14285712661684793)
+_ARCTANGENT_END = (
+    0.11111048853751296, -0.09089529956562307, 0.07673535428183285, -0.0650598296717084, 0.05024762118940128,
     -0.025316479573776477,
-)
+)  # fmt: skip
 # sin(y)/y as a polynomial in y^2 on |y| <= pi/2; relative error 1.1e-16
-_S0, _S1, _S2, _S3 = 1.0, -0.16666666666666072, 0.008333333333282756, -0.00019841269824861897
-_S4, _S5, _S6, _S7 = 2.7557316609073673e-06, -2.505188194671259e-08, 1.6048168318165643e-10, -7.374387503862757e-13
+_SINE = (1.0, -0.16666666666666072, 0.008333333333282756, -0.00019841269824861897)
+_SINE_END = (2.7557316609073673e-06, -2.505188194671259e-08, 1.6048168318165643e-10, -7.374387503862757e-13)
 
 
 @inlined
@@ -50,15 +42,7 @@ def fast_arctangent_of_ratio(y: float, x: float) -> float:
     offset = _HALF_PI if steep else (_QUARTER_PI if middle else 0.0)
     z = numerator / denominator
     t = z * z
-    p = fma(t, _A9, _A8)
-    p = fma(t, p, _A7)
-    p = fma(t, p, _A6)
-    p = fma(t, p, _A5)
-    p = fma(t, p, _A4)
-    p = fma(t, p, _A3)
-    p = fma(t, p, _A2)
-    p = fma(t, p, _A1)
-    p = fma(t, p, _A0)
+    p = five(t, *_ARCTANGENT, six(t, *_ARCTANGENT_END))
     return math.copysign(fma(z, p, offset), y)
 
 
@@ -73,13 +57,7 @@ def _sine_of_reduced(k: float, y: float) -> float:
     """sin(k pi + y) for a whole k and |y| <= pi/2."""
     odd = k - 2.0 * floor(0.5 * k)
     t = y * y
-    p = fma(t, _S7, _S6)
-    p = fma(t, p, _S5)
-    p = fma(t, p, _S4)
-    p = fma(t, p, _S3)
-    p = fma(t, p, _S2)
-    p = fma(t, p, _S1)
-    p = fma(t, p, _S0)
+    p = five(t, *_SINE, four(t, *_SINE_END))
     return fma(-2.0 * odd, y, y) * p
 
 

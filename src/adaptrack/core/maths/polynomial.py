@@ -10,9 +10,15 @@ from ..kernel import fma, inlined
 
 
 @inlined
+def four(t, a, b, c, d):
+    """a + b t + c t^2 + d t^3."""
+    return fma(fma(fma(d, t, c), t, b), t, a)
+
+
+@inlined
 def five(t, a, b, c, d, e):
     """a + b t + ... + e t^4."""
-    return fma(fma(fma(fma(e, t, d), t, c), t, b), t, a)
+    return fma(four(t, b, c, d, e), t, a)
 
 
 @inlined

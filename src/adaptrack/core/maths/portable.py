@@ -16,11 +16,35 @@ from typing import Any, Protocol, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import exponential, matrices, trigonometric
-from .values import FUNCTION_NAMES, elementary_values
+from ..kernel import exported, int64, matrix, vector, void, written
+from . import exact, exponential, fast, matrices, trigonometric
 
 Array = NDArray[np.float64]
 LinAlgError = np.linalg.LinAlgError
+
+_ARGUMENTS = {
+    fast.fast_arctangent_of_ratio: "x, y", trigonometric.asin: "x", trigonometric.atan: "x",
+    trigonometric.atan2: "x, y", exact.ceil: "x", trigonometric.cos: "x", fast.fast_cosine: "x", exponential.exp: "x",
+    exact.floor: "x", exact.fmod: "x, y", exponential.hypot: "x, y", exponential.log: "x", exponential.log10: "x",
+    exponential.log1p: "x", exact.modulo: "x, y", exponential.power: "x, y", trigonometric.sin: "x",
+    fast.fast_sine: "x", exact.soft_ceil: "x", exact.soft_floor: "x", exact.soft_fma: "x, y, z", exact.soft_sqrt: "x",
+    exact.sqrt: "x", trigonometric.tan: "x", exponential.tanh: "x",
+}  # fmt: skip
+"""The elementary functions and the names of their arguments; a function has the number of its place."""
+FUNCTION_NAMES = tuple(function.__name__ for function in _ARGUMENTS)
+_value_of = written(
+    "value_of", "function, x, y, z",
+    [f"if function == {i}: return {f.__name__}({names})" for i, (f, names) in enumerate(_ARGUMENTS.items())]
+    + ["return nan"],
+    **{function.__name__: function for function in _ARGUMENTS},
+)  # fmt: skip
+
+
+@exported(void(int64, matrix, vector), name="elementary_values")
+def elementary_values(function, at, values):
+    """Write the values of the function with this index in `FUNCTION_NAMES`; at (3, n): its arguments x, y and z."""
+    for i in range(values.size):
+        values[i] = _value_of(function, at[0, i], at[1, i], at[2, i])
 
 
 _NUMBER = float, int, np.floating

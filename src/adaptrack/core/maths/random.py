@@ -28,30 +28,23 @@ _UNIT = 2.0**-53
 _FOR_NORMALS, _FOR_UNIFORMS = 1, 2  # two families of draws from the same seed
 
 
-def _mix_in_python(z):
+def _output_in_python(state, n):
+    z = (int(state) + int(n) * GOLDEN) & _ALL_BITS
     z = ((z ^ (z >> 30)) * _FIRST) & _ALL_BITS
     z = ((z ^ (z >> 27)) * _SECOND) & _ALL_BITS
     return z ^ (z >> 31)
-
-
-def _output_in_python(state, n):
-    return _mix_in_python((int(state) + int(n) * GOLDEN) & _ALL_BITS)
 
 
 def _unit_in_python(bits):
     return float(bits >> 11) * _UNIT
 
 
-def _mix(z):
-    """The finaliser of SplitMix64: 64 well-mixed bits of 64 bits, one to one."""
+def _output(state, n):
+    """The n-th output of SplitMix64 started at `state`: its finaliser mixes 64 bits one to one."""
+    z = np.uint64(state) + np.uint64(n) * np.uint64(GOLDEN)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(_FIRST)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(_SECOND)
     return z ^ (z >> np.uint64(31))
-
-
-def _output(state, n):
-    """The n-th output of SplitMix64 started at `state`."""
-    return mix(np.uint64(state) + np.uint64(n) * np.uint64(GOLDEN))
 
 
 def _unit(bits):
@@ -59,7 +52,6 @@ def _unit(bits):
     return float(bits >> np.uint64(11)) * _UNIT
 
 
-mix = inlined(_mix, interpreted=_mix_in_python)
 output = inlined(_output, interpreted=_output_in_python)
 unit = inlined(_unit, interpreted=_unit_in_python)
 

@@ -294,19 +294,11 @@ def _sustained(most, car, planning):
 
 # -- the two passes ---------------------------------------------------------------------------------------------------
 @inlined
-def _gained(k, w, ceiling, car, planning):
-    """v^2 at the next place, with the acceleration that is possible at both ends."""
+def _reached(bound, k, w, ceiling, car, planning):
+    """v^2 at the other end of a cell, with the acceleration (`_drive`) or deceleration (`_brake`) possible at both."""
     way = 2.0 * (planning.table[PLAN.s, k + 1] - planning.table[PLAN.s, k])
-    reached = max(min(ceiling, w + way * _drive(k, w, car, planning)), 0.0)
-    return max(min(reached, w + way * _drive(k, reached, car, planning)), 0.0)
-
-
-@inlined
-def _before_braking(k, w, ceiling, car, planning):
-    """v^2 at the place before, with the deceleration that is possible at both ends."""
-    way = 2.0 * (planning.table[PLAN.s, k + 1] - planning.table[PLAN.s, k])
-    reached = max(min(ceiling, w + way * _brake(k, w, car, planning)), 0.0)
-    return max(min(reached, w + way * _brake(k, reached, car, planning)), 0.0)
+    reached = max(min(ceiling, w + way * bound(k, w, car, planning)), 0.0)
+    return max(min(reached, w + way * bound(k, reached, car, planning)), 0.0)
 
 
 @inlined
@@ -326,12 +318,12 @@ def _pass(car, planning):
         if lap > 0:
             _close(w)
         for k in range(w.size - 1):
-            w[k + 1] = min(w[k + 1], _gained(k, w[k], w[k + 1], car, planning))
+            w[k + 1] = min(w[k + 1], _reached(_drive, k, w[k], w[k + 1], car, planning))
     for lap in range(laps):
         if lap > 0:
             _close(w)
         for k in range(w.size - 2, -1, -1):
-            w[k] = min(w[k], _before_braking(k, w[k + 1], w[k], car, planning))
+            w[k] = min(w[k], _reached(_brake, k, w[k + 1], w[k], car, planning))
 
 
 @inlined

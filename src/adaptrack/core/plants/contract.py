@@ -6,8 +6,7 @@ The wind is the velocity of the air in the ground frame.
 A batch has up to `SLOTS` slots, a vehicle in each. Its *block* is a flat vector: a row of `SLOTS` numbers for every
 entry of `PLANT_STATE`, then for every entry of `PLANT_INPUT`. The constant row length lets the compiler prove that rows
 do not overlap, so a loop over slots becomes vector instructions. A slot's arithmetic never depends on how many others
-are in
-use: a run alone and a run in a batch agree to the last bit.
+are in use: a run alone and a run in a batch agree to the last bit.
 
 A plant with states of its own keeps all of them in ``states`` (SLOTS, n); the first six are copied to the block.
 """
@@ -18,7 +17,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel import Caller, address_of, columns, exported, float64, inlined, int64, matrix, record, vector, void
+from ..kernel import (
+    Caller,
+    address_of,
+    columns,
+    exported,
+    float64,
+    inlined,
+    int64,
+    matrix,
+    record,
+    unpacker,
+    vector,
+    void,
+)
 from ..layout import allocate
 
 SLOTS = 32
@@ -123,6 +135,16 @@ def state_at(row, slot):
 def input_at(row, slot):
     """Where an input of a slot stands in a block."""
     return (PLANT_STATES + row) * SLOTS + slot
+
+
+state_of, _input_from = unpacker(PlantState, SLOTS), unpacker(PlantInput, SLOTS)
+"""``state_of(block, slot)``: the state of a slot."""
+
+
+@inlined
+def input_of(block, slot):
+    """The input of a slot."""
+    return _input_from(block, PLANT_STATES * SLOTS + slot)
 
 
 @inlined

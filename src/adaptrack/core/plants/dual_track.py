@@ -5,16 +5,8 @@ from __future__ import annotations
 from ..kernel import fma, inlined
 from ..maths.exact import clip
 from ..maths.fast import fast_arctangent_of_ratio, fast_cosine, fast_sine
-from ..physics.forces import (
-    GRAVITY,
-    SLIP_SPEED_FLOOR,
-    brake_direction,
-    holding_reserve,
-    resistance,
-    slope_sine_and_cosine,
-    steering_rate,
-    wind_load,
-)
+from ..physics import forces
+from ..physics.forces import GRAVITY, SLIP_SPEED_FLOOR
 from ..physics.tyre import LEAST_LOAD, LINEAR_TYRE, friction_ellipse, lateral_force
 from .contract import PlantState
 from .runge_kutta import plants_on_tyres
@@ -38,7 +30,7 @@ def right_hand_side(x, u, c, law):
     delta = clip(u.command, -c.steering_limit, c.steering_limit) if ideal else x.steering
 
     # vertical loads
-    sine, cosine = slope_sine_and_cosine(u.grade)
+    sine, cosine = forces.slope_sine_and_cosine(u.grade)
     wheelbase = c.lf + c.lr
     pitch = (0.5 * c.mass * c.cg_height / wheelbase) * x.felt_ax
     front_static = 0.5 * c.mass * GRAVITY * c.lr / wheelbase * cosine - pitch
@@ -71,10 +63,10 @@ def right_hand_side(x, u, c, law):
     y_rl = lateral_force(b_rl, z_rl, mu_rl, c.stiffness_rear, c, law)
     y_rr = lateral_force(b_rr, z_rr, mu_rr, c.stiffness_rear, c, law)
     sd, cd = fast_sine(delta), fast_cosine(delta)
-    side, moment, drag = wind_load(yaw, vx, vy, u.wind_x, u.wind_y, c)
+    side, moment, drag = forces.wind_load(yaw, vx, vy, u.wind_x, u.wind_y, c)
     pedals_act = u.acceleration != u.acceleration
     drive = u.force + u.brake if pedals_act else 0.0
-    brake = u.brake * brake_direction(vx, u, sine, c) if pedals_act else 0.0
+    brake = u.brake * forces.brake_direction(vx, u, sine, c) if pedals_act else 0.0
     front_half = 0.5 * (c.drive_front * drive - c.brake_front * brake)
     rear_half = 0.5 * ((1.0 - c.drive_front) * drive - (1.0 - c.brake_front) * brake)
     x_fl = clip(front_half, -mu_fl * z_fl, mu_fl * z_fl)
@@ -98,9 +90,9 @@ def right_hand_side(x, u, c, law):
         + 0.5 * c.track_rear * (x_rr - x_rl)
         + moment
     ) * (1.0 / c.yaw_inertia)
-    forces = bx_fl + bx_fr + x_rl + x_rr - resistance(vx, drag, cosine, c)
-    free = forces * (1.0 / c.mass) + vy * r - GRAVITY * sine
-    stands = pedals_act and vx == 0.0 and holding_reserve(u, sine, cosine, c) >= 0.0
+    along = bx_fl + bx_fr + x_rl + x_rr - forces.resistance(vx, drag, cosine, c)
+    free = along * (1.0 / c.mass) + vy * r - GRAVITY * sine
+    stands = pedals_act and vx == 0.0 and forces.holding_reserve(u, sine, cosine, c) >= 0.0
     dvx = (0.0 if stands else free) if pedals_act else u.acceleration
     s, co = fast_sine(yaw), fast_cosine(yaw)
     return PlantState(
@@ -116,7 +108,7 @@ def right_hand_side(x, u, c, law):
         slip_rear_right=rate * (a_rr - x.slip_rear_right) if relaxed else 0.0,
         felt_ax=(dvx - vy * r + GRAVITY * sine - x.felt_ax) * (1.0 / c.load_transfer_time),
         felt_ay=(lateral - x.felt_ay) * (1.0 / c.load_transfer_time),
-        steering=0.0 if ideal else steering_rate(x.steering, u.command, c),
+        steering=0.0 if ideal else forces.steering_rate(x.steering, u.command, c),
     )
 
 

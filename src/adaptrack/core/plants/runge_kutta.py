@@ -14,28 +14,12 @@ from ..kernel import exported, inlined, packer, stepper, unpacker, vector, void
 from ..models.car import unpack
 from ..physics.forces import stops, wheel_angle
 from ..physics.tyre import TYRE_NAMES
-from .contract import (
-    ADVANCE,
-    GROUP,
-    OBSERVE,
-    OBSERVED,
-    PLANT_INPUTS,
-    PLANT_STATE,
-    PLANT_STATES,
-    SLOTS,
-    CompiledPlant,
-    PlantInput,
-    PlantState,
-)
+from . import contract
+from .contract import PLANT_STATE, SLOTS, PlantInput, PlantState
 
 _along = stepper(PlantState)
 _state, _input, _set_slope = unpacker(PlantState), unpacker(PlantInput), packer(PlantState)
-_state_of, _input_of, _set_state = (
-    unpacker(PlantState, SLOTS),
-    unpacker(PlantInput, SLOTS),
-    packer(PlantState, SLOTS),
-)  # of a block
-_INPUT = PLANT_STATES * SLOTS  # where a block's inputs begin
+_set_state = packer(PlantState, SLOTS)  # of a block
 
 
 @inlined
@@ -56,7 +40,7 @@ def _sweep(right_hand_side, block, slots, steps, c, law):
     substeps, h = steps
     for _ in range(substeps):
         for i in range(slots):
-            x, u = _state_of(block, i), _input_of(block, _INPUT + i)
+            x, u = contract.state_of(block, i), contract.input_of(block, i)
             after = _runge_kutta_step(right_hand_side, x, u, h, c, law)
             _set_state(block, i, after)
             rests = stops(x.vx, after.vx, h, u, c)
@@ -71,37 +55,39 @@ def _fill_group(block, slots):
 
     A vehicle alone stays so: where registers hold two numbers, seven others would cost four times as much.
     """
-    padded_slots = slots if slots == 1 else (slots + GROUP - 1) // GROUP * GROUP
+    group = contract.GROUP
+    padded_slots = slots if slots == 1 else (slots + group - 1) // group * group
     for i in range(slots, padded_slots):
-        for row in range(PLANT_STATES + PLANT_INPUTS):
+        for row in range(contract.PLANT_STATES + contract.PLANT_INPUTS):
             block[row * SLOTS + i] = block[row * SLOTS]
     return padded_slots
 
 
-def plants_on_tyres(name: str, right_hand_side: Any) -> Callable[[int], CompiledPlant]:
+def plants_on_tyres(name: str, right_hand_side: Any) -> Callable[[int], contract.CompiledPlant]:
     """A function that gives a built-in plant on tyres of a law (`physics.tyre`); those of all laws are made at once."""
 
     @cache
-    def compiled(law: int) -> CompiledPlant:
+    def compiled(law: int) -> contract.CompiledPlant:
         before = f"{name}_{TYRE_NAMES[law]}"
 
         @exported(void(vector, vector, vector, vector), name=f"{before}_derivative")
         def derivative(x, u, parameters, dx):
             _set_slope(dx, 0, right_hand_side(_state(x), _input(u), unpack(parameters), law))
 
-        @exported(ADVANCE, name=f"{before}_advance")
+        @exported(contract.ADVANCE, name=f"{before}_advance")
         def advance(member, parameters, block, states, work, slots, substeps, h):
             _sweep(right_hand_side, block, _fill_group(block, slots), (substeps, h), unpack(parameters), law)
 
-        @exported(OBSERVE, name=f"{before}_observe")
+        @exported(contract.OBSERVE, name=f"{before}_observe")
         def observe(member, parameters, block, states, work, slot, observed):
             c = unpack(parameters)
-            x, u = _state_of(block, slot), _input_of(block, _INPUT + slot)
+            x, u = contract.state_of(block, slot), contract.input_of(block, slot)
             slope = right_hand_side(x, u, c, law)
-            observed[OBSERVED.lateral_acceleration] = slope.vy + x.vx * x.yaw_rate - u.bank
-            observed[OBSERVED.wheel_angle] = wheel_angle(x.steering, u.command, c.steering_lag, c.steering_limit)
+            observed[contract.OBSERVED.lateral_acceleration] = slope.vy + x.vx * x.yaw_rate - u.bank
+            angle = wheel_angle(x.steering, u.command, c.steering_lag, c.steering_limit)
+            observed[contract.OBSERVED.wheel_angle] = angle
 
-        return CompiledPlant(derivative, advance, observe)
+        return contract.CompiledPlant(derivative, advance, observe)
 
     for law in TYRE_NAMES:
         compiled(law)

@@ -15,18 +15,8 @@ from ..kernel import Caller, columns, exported, inlined, vector, void
 from ..maths.exact import clip
 from ..member import member
 from ..physics.forces import wheel_angle
-from .contract import (
-    ADVANCE,
-    ENVIRONMENT,
-    MOTION_STATES,
-    OBSERVE,
-    OBSERVED,
-    PLANT_INPUT,
-    PLANT_STATE,
-    CompiledPlant,
-    input_at,
-    state_at,
-)
+from . import contract
+from .contract import ENVIRONMENT, OBSERVED, PLANT_STATE, CompiledPlant, state_at
 
 RIGHT_HAND_SIDE = void(vector, vector, vector, vector, vector)
 call_right_hand_side = Caller(RIGHT_HAND_SIDE)
@@ -53,13 +43,12 @@ _X, _K1, _K2, _K3, _K4, _GIVEN, _AROUND = range(7)  # the rows of `work`
 @inlined
 def _read_inputs(parameters, block, slot, work):
     """Copy speed control and environment of a slot to scratch; returns the command within the steering's limit."""
-    work[_GIVEN, U.force] = block[input_at(PLANT_INPUT.force, slot)]
-    work[_GIVEN, U.acceleration] = block[input_at(PLANT_INPUT.acceleration, slot)]
+    inputs, limit = contract.input_of(block, slot), parameters[USER_ACTUATOR.limit]
+    work[_GIVEN, U.force], work[_GIVEN, U.acceleration] = inputs.force, inputs.acceleration
     for j in range(ENVIRONMENT):
-        work[_AROUND, j] = block[input_at(PLANT_INPUT.friction_front_left + j, slot)]
-    work[_AROUND, ENVIRONMENT] = block[input_at(PLANT_INPUT.grade, slot)]
-    limit = parameters[USER_ACTUATOR.limit]
-    return clip(block[input_at(PLANT_INPUT.command, slot)], -limit, limit)
+        work[_AROUND, j] = block[contract.input_at(contract.PLANT_INPUT.friction_front_left + j, slot)]
+    work[_AROUND, ENVIRONMENT] = inputs.grade
+    return clip(inputs.command, -limit, limit)
 
 
 @inlined
@@ -91,49 +80,38 @@ def _runge_kutta_step(member, parameters, x0, angle, command, h, work):
     return angle + rise
 
 
-@exported(ADVANCE, name="user_advance")
+@exported(contract.ADVANCE, name="user_advance")
 def advance(member, parameters, block, states, work, slots, substeps, h):
     """See `contract.ADVANCE`."""
     for i in range(slots):
         command = _read_inputs(parameters, block, i, work)
         angle = block[state_at(PLANT_STATE.steering, i)] if parameters[USER_ACTUATOR.lag] > 0.0 else command
-        braked = block[input_at(PLANT_INPUT.force, i)] < 0.0
+        braked = contract.input_of(block, i).force < 0.0
         for _ in range(substeps):
             speed = states[i, PLANT_STATE.vx]
             angle = _runge_kutta_step(member, parameters, states[i], angle, command, h, work)
             if braked and speed >= 0.0 and states[i, PLANT_STATE.vx] < 0.0:
                 states[i, PLANT_STATE.vx] = 0.0  # brakes do not push a car backwards
-        for j in range(MOTION_STATES):
+        for j in range(contract.MOTION_STATES):
             block[state_at(j, i)] = states[i, j]
         block[state_at(PLANT_STATE.steering, i)] = angle
 
 
-@exported(OBSERVE, name="user_observe")
+@exported(contract.OBSERVE, name="user_observe")
 def observe(member, parameters, block, states, work, slot, observed):
     """See `contract.OBSERVE`."""
     _, n = states.shape
     command = _read_inputs(parameters, block, slot, work)
-    angle = wheel_angle(
-        block[state_at(PLANT_STATE.steering, slot)],
-        command,
-        parameters[USER_ACTUATOR.lag],
-        parameters[USER_ACTUATOR.limit],
-    )
+    steering, limit = block[state_at(PLANT_STATE.steering, slot)], parameters[USER_ACTUATOR.limit]
+    angle = wheel_angle(steering, command, parameters[USER_ACTUATOR.lag], limit)
     work[_GIVEN, U.steering] = angle
     x, slope = work[_X, :n], work[_K1, :n]
     for j in range(n):
         x[j] = states[slot, j]
-    call_right_hand_side(
-        member,
-        x,
-        work[_GIVEN, : len(U)],
-        work[_AROUND, : _environment_size(parameters)],
-        parameters[USER_PARAMETERS:],
-        slope,
-    )
-    observed[OBSERVED.lateral_acceleration] = (
-        slope[PLANT_STATE.vy] + x[PLANT_STATE.vx] * x[PLANT_STATE.yaw_rate] - block[input_at(PLANT_INPUT.bank, slot)]
-    )
+    around = work[_AROUND, : _environment_size(parameters)]
+    call_right_hand_side(member, x, work[_GIVEN, : len(U)], around, parameters[USER_PARAMETERS:], slope)
+    lateral = slope[PLANT_STATE.vy] + x[PLANT_STATE.vx] * x[PLANT_STATE.yaw_rate]
+    observed[OBSERVED.lateral_acceleration] = lateral - contract.input_of(block, slot).bank
     observed[OBSERVED.wheel_angle] = angle
 
 
@@ -155,16 +133,16 @@ def compile_plant(function: Any, layout: Any = None) -> CompiledPlant:
 
 STEPPED_ACTUATOR = columns("lag", "limit")
 """Its parameters: those of the steering, s and rad."""
-LATERAL_ACCELERATION = MOTION_STATES
+LATERAL_ACCELERATION = contract.MOTION_STATES
 """Its own states are the motion, then the lateral acceleration (m/s^2) over the last period."""
 
 
-@exported(OBSERVE, name="stepped_observe")
+@exported(contract.OBSERVE, name="stepped_observe")
 def observe_stepped(member, parameters, block, states, work, slot, observed):
     """See `contract.OBSERVE`."""
     observed[OBSERVED.lateral_acceleration] = states[slot, LATERAL_ACCELERATION]
     observed[OBSERVED.wheel_angle] = wheel_angle(
-        block[state_at(PLANT_STATE.steering, slot)], block[input_at(PLANT_INPUT.command, slot)],
+        block[state_at(PLANT_STATE.steering, slot)], contract.input_of(block, slot).command,
         parameters[STEPPED_ACTUATOR.lag], parameters[STEPPED_ACTUATOR.limit],
     )  # fmt: skip
 

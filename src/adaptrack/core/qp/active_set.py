@@ -39,6 +39,7 @@ from .operations import (
     largest_magnitude,
     magnitude,
     stationarity,
+    trace,
 )
 from .problem import CAPPED, INFEASIBLE, NON_FINITE, SOLVE, SOLVED, work_of
 from .residual import kkt_residual
@@ -96,15 +97,7 @@ def _take_over(problem, factor, guess, is_warm, w):
             w.active_bounds[i] = problem.gamma[w.index[i]]
         return guess
     release_all(problem.n, factor, w)
-    return _adopt(problem, guess, _trace(problem.n, factor.inverse), w)
-
-
-@inlined
-def _trace(n, A):
-    trace = 0.0
-    for i in range(n):
-        trace += A[i, i]
-    return trace
+    return _adopt(problem, guess, trace(problem.n, factor.inverse), w)
 
 
 @inlined
@@ -296,7 +289,7 @@ def _reconsider(problem, q, w):
 @inlined
 def _distance(problem, factor):
     """How large the minimiser without rows may be, up to a factor n."""
-    return _trace(problem.n, factor.inverse) * largest_magnitude(problem.n, problem.K)
+    return trace(problem.n, factor.inverse) * largest_magnitude(problem.n, problem.K)
 
 
 @inlined
@@ -352,7 +345,7 @@ def active_set(problem, factor, solution, scratch, guess, is_warm, max_iteration
             return _verdict(problem, factor, solution, scratch, reach, VIOLATION, 0), 0, 0
         release_all(n, factor, w)
 
-    inverse_trace = _trace(n, factor.inverse)
+    inverse_trace = trace(n, factor.inverse)
     left, tolerance, rounds = max_iterations, VIOLATION, 0
     polished, doubtful = q == 0, False
     while True:

@@ -20,7 +20,7 @@ from ..maths.vectors import (
     with_entry,
     zeros,
 )
-from .operations import CORRECTED, MAX_REFINEMENTS, UNIT_ROUNDING, advance, exact_stationarity
+from .operations import CORRECTED, MAX_REFINEMENTS, UNIT_ROUNDING, advance, exact_stationarity, trace
 from .problem import INVERSE, NON_FINITE, NOT_CONVEX, SOLVED
 
 CONDITION_LIMIT = 1e15
@@ -80,12 +80,7 @@ def factorise(n, E, factor):
             row = with_entry(keep_first(load(inverse, k, b), k - b), k - b, 1.0)
             store(inverse_root, k, b, mul(root, row))
         _eliminate(n, k, inverse)
-    trace = 0.0
-    inverse_trace = 0.0
-    for i in range(n):
-        trace += E[i, i]
-        inverse_trace += inverse[i, i]
-    condition = trace * inverse_trace
+    condition = trace(n, E) * trace(n, inverse)
     if not condition < CONDITION_LIMIT:
         return NOT_CONVEX, condition
     return SOLVED, condition

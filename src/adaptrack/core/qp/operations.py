@@ -45,6 +45,15 @@ def largest_magnitude(n, x):
 
 
 @inlined
+def trace(n, A):
+    """The sum of the diagonal."""
+    sum_of_diagonal = 0.0
+    for i in range(n):
+        sum_of_diagonal += A[i, i]
+    return sum_of_diagonal
+
+
+@inlined
 def advance(n, x, step):
     """x += step; returns (max |step|, max |x|, whether x is finite)."""
     moved = zeros()

@@ -40,32 +40,8 @@ from ..maths.bits import whole
 from ..maths.exact import ceil, floor, sqrt
 from ..maths.exponential import hypot
 from ..maths.trigonometric import arctangent_of_ratio, atan2
+from . import road
 from .noise import noise_of, smooth_points
-from .road import (
-    ACROSS_COEFFICIENTS,
-    ALONG_COEFFICIENTS,
-    CLOSED,
-    COS,
-    COUNT,
-    FIRST_HEADING,
-    FIRST_PIECE,
-    FIRST_START,
-    HALF_LENGTH,
-    HEADING,
-    HEADING_SPACING,
-    LAP_TURN,
-    LENGTH,
-    LINE_NUMBERS,
-    MOST_CURVATURE,
-    PIECE_COLUMNS,
-    POLYNOMIAL_DEGREE,
-    SIN,
-    TURN_COEFFICIENTS,
-    Centreline,
-    X,
-    Y,
-    headings_along,
-)
 
 TOO_FEW, POINT_NOT_FINITE, POINT_TOO_FAR, TOO_SHORT, PATH_KINK, TOO_SMALL = range(1, 7)
 """Statuses of `path_through`: a path; fewer points than `MIN_PATH_POINTS` apart from each other; a number that is not
@@ -98,7 +74,7 @@ JOINT = 1e-6
 NEWTON = 7
 """Steps; each squares the error, which begins within 1."""
 
-NODES = POLYNOMIAL_DEGREE + 1
+NODES = road.POLYNOMIAL_DEGREE + 1
 _GRID = 2**20
 _CHEBYSHEV = [round(-math.cos(math.pi * (k + 0.5) / NODES) * _GRID) for k in range(NODES)]  # of few digits: exact
 _PLACES = np.array([k / _GRID for k in _CHEBYSHEV] + [0.0, -1.0, -0.93, -0.55, 0.21, 0.62, 0.96, 1.0])
@@ -145,17 +121,18 @@ def path_words(points, closed):
 @inlined
 def words_of(count, cells):
     """The numbers of a path of so many pieces, and cells between headings."""
-    return len(LINE_NUMBERS) + PIECE_COLUMNS * count + count + 1 + cells + 1
+    return len(road.LINE_NUMBERS) + road.PIECE_COLUMNS * count + count + 1 + cells + 1
 
 
 @inlined
 def line_in(memory):
     """The centre line, and the table of headings, of the path that a memory holds."""
-    first = len(LINE_NUMBERS)
-    count, cells = whole(memory[COUNT]), cells_of(memory[LENGTH])
-    start = first + PIECE_COLUMNS * count
+    first = len(road.LINE_NUMBERS)
+    count, cells = whole(memory[road.COUNT]), cells_of(memory[road.LENGTH])
+    start = first + road.PIECE_COLUMNS * count
     headings = start + count + 1
-    line = Centreline(memory[start:headings], shaped(memory[first:start], count, PIECE_COLUMNS), memory[:first])
+    pieces = shaped(memory[first:start], count, road.PIECE_COLUMNS)
+    line = road.Centreline(memory[start:headings], pieces, memory[:first])
     return line, memory[headings : headings + cells + 1]
 
 
@@ -364,8 +341,8 @@ def _write_slopes(points, closed, lengths, upper, x, y, border):
 @inlined
 def _value(coefficients, u):
     """A polynomial at u."""
-    value = coefficients[POLYNOMIAL_DEGREE]
-    for k in range(POLYNOMIAL_DEGREE - 1, -1, -1):
+    value = coefficients[road.POLYNOMIAL_DEGREE]
+    for k in range(road.POLYNOMIAL_DEGREE - 1, -1, -1):
         value = value * u + coefficients[k]
     return value
 
@@ -403,7 +380,7 @@ def _write_places(x, y, z):
     for _ in range(NEWTON):
         for k in range(_COUNT):
             way = slope = 0.0
-            for j in range(POLYNOMIAL_DEGREE, -1, -1):
+            for j in range(road.POLYNOMIAL_DEGREE, -1, -1):
                 way = way * z[k] + rate[j] / (j + 1)
                 slope = slope * z[k] + rate[j]
             step[k] = (middle + half * _PLACES[k] - way * z[k]) / slope
@@ -447,28 +424,27 @@ def _write_piece(x1, x2, x3, y1, y2, y3, piece):
             return False
         square = ahead * ahead + aside * aside
         curvature[k] = (ahead * (2.0 * d + 6.0 * u * e) - aside * (2.0 * b + 6.0 * u * c)) / (square * sqrt(square))
-    _interpolate(along, piece[ALONG_COEFFICIENTS:ACROSS_COEFFICIENTS])
-    _interpolate(across, piece[ACROSS_COEFFICIENTS:TURN_COEFFICIENTS])
-    _interpolate(turned, piece[TURN_COEFFICIENTS:PIECE_COLUMNS])
-    piece[ALONG_COEFFICIENTS] = 0.0  # the frame is at the middle
-    piece[ACROSS_COEFFICIENTS] = 0.0
-    piece[TURN_COEFFICIENTS] = 0.0
+    _interpolate(along, piece[road.ALONG_COEFFICIENTS : road.ACROSS_COEFFICIENTS])
+    _interpolate(across, piece[road.ACROSS_COEFFICIENTS : road.TURN_COEFFICIENTS])
+    _interpolate(turned, piece[road.TURN_COEFFICIENTS : road.PIECE_COLUMNS])
+    piece[road.ALONG_COEFFICIENTS] = 0.0  # the frame is at the middle
+    piece[road.ACROSS_COEFFICIENTS] = 0.0
+    piece[road.TURN_COEFFICIENTS] = 0.0
     for k in range(NODES, _COUNT):
         u = _PLACES[k]
-        off_x, off_y = (
-            _value(piece[ALONG_COEFFICIENTS:ACROSS_COEFFICIENTS], u) - along[k],
-            _value(piece[ACROSS_COEFFICIENTS:TURN_COEFFICIENTS], u) - across[k],
-        )
+        off_x = _value(piece[road.ALONG_COEFFICIENTS : road.ACROSS_COEFFICIENTS], u) - along[k]
+        off_y = _value(piece[road.ACROSS_COEFFICIENTS : road.TURN_COEFFICIENTS], u) - across[k]
         if not off_x * off_x + off_y * off_y <= (FIT * reach) * (FIT * reach):
             return False
         bent = 0.0
-        for j in range(POLYNOMIAL_DEGREE, 0, -1):
-            bent = bent * u + j * piece[TURN_COEFFICIENTS + j]
+        for j in range(road.POLYNOMIAL_DEGREE, 0, -1):
+            bent = bent * u + j * piece[road.TURN_COEFFICIENTS + j]
         allowed = CURVATURE_FIT * (abs(curvature[k]) + 0.1) + PIECE_ROUNDING / (2.0 * half)
         if not abs(bent / half - curvature[k]) <= allowed:
             return False
-    piece[HALF_LENGTH], piece[COS], piece[SIN], piece[HEADING] = half, cosine, sine, atan2(sine, cosine)
-    piece[X], piece[Y] = m * (x1 + m * (x2 + m * x3)), m * (y1 + m * (y2 + m * y3))
+    piece[road.HALF_LENGTH], piece[road.COS], piece[road.SIN] = half, cosine, sine
+    piece[road.HEADING] = atan2(sine, cosine)
+    piece[road.X], piece[road.Y] = m * (x1 + m * (x2 + m * x3)), m * (y1 + m * (y2 + m * y3))
     return True
 
 
@@ -476,7 +452,7 @@ def _write_piece(x1, x2, x3, y1, y2, y3, piece):
 @inlined
 def _heading_at(piece, u):
     """rad, of the end of a piece."""
-    return piece[HEADING] + _value(piece[TURN_COEFFICIENTS:PIECE_COLUMNS], u)
+    return piece[road.HEADING] + _value(piece[road.TURN_COEFFICIENTS : road.PIECE_COLUMNS], u)
 
 
 @inlined
@@ -519,11 +495,11 @@ def _write_step(x, y, begin_x, begin_y, end_x, end_y, pieces, first):
                 return PATH_KINK, count
             part, level, w = 2 * part, level + 1, 0.5 * w
             continue
-        piece[X] += p * (begin_x + p * (x2 + p * x3))
-        piece[Y] += p * (begin_y + p * (y2 + p * y3))
+        piece[road.X] += p * (begin_x + p * (x2 + p * x3))
+        piece[road.Y] += p * (begin_y + p * (y2 + p * y3))
         if count > 0:
             jump = _jump(pieces[count - 1], piece)
-            piece[HEADING] -= _turns(jump)
+            piece[road.HEADING] -= _turns(jump)
             if _kinked(jump):
                 return PATH_KINK, count
         count, part = count + 1, part + 1
@@ -558,11 +534,12 @@ def line_numbers(start, pieces, closed, numbers):
     last, most = len(pieces) - 1, 0.0
     for row in range(last + 1):
         slopes = 0.0
-        for j in range(1, POLYNOMIAL_DEGREE + 1):
-            slopes += j * abs(pieces[row, TURN_COEFFICIENTS + j])
-        most = max(most, slopes / pieces[row, HALF_LENGTH])
-    numbers[LENGTH], numbers[CLOSED], numbers[MOST_CURVATURE] = start[last + 1], 1.0 if closed else 0.0, most
-    numbers[LAP_TURN] = -_turns(_jump(pieces[last], pieces[0])) if closed else 0.0
+        for j in range(1, road.POLYNOMIAL_DEGREE + 1):
+            slopes += j * abs(pieces[row, road.TURN_COEFFICIENTS + j])
+        most = max(most, slopes / pieces[row, road.HALF_LENGTH])
+    numbers[road.LENGTH], numbers[road.CLOSED] = start[last + 1], 1.0 if closed else 0.0
+    numbers[road.MOST_CURVATURE] = most
+    numbers[road.LAP_TURN] = -_turns(_jump(pieces[last], pieces[0])) if closed else 0.0
 
 
 @inlined
@@ -585,9 +562,9 @@ def path_through(points, closed, noise, memory):
     number of pieces, for `line_in`; or what is wrong, and the number of the point: nothing that the memory then holds
     is to be used. The path goes through `points_apart`.
     """
-    count = len(points)
+    count, head, columns = len(points), len(road.LINE_NUMBERS), road.PIECE_COLUMNS
     scratch = memory.size - PATH_SCRATCH * count
-    room = min((scratch - len(LINE_NUMBERS)) // PIECE_COLUMNS, (memory.size - words_of(0, 1)) // (PIECE_COLUMNS + 1))
+    room = min((scratch - head) // columns, (memory.size - words_of(0, 1)) // (columns + 1))
     if count >= MIN_PATH_POINTS and room < count:
         return TOO_SMALL, 0
     status, flaw = _flaw(points, closed)
@@ -601,12 +578,12 @@ def path_through(points, closed, noise, memory):
     if not noise >= 0.0:
         noise = noise_of(path_points, closed, lengths)
     if noise > 0.0 and count >= MIN_PATH_POINTS:
-        smooth_points(path_points, closed, noise, memory[len(LINE_NUMBERS) : scratch])
+        smooth_points(path_points, closed, noise, memory[head:scratch])
     status, flaw = _write_steps(path_points, closed, lengths)
     if status != OK:
         return status, flaw
     _write_slopes(path_points, closed, lengths, upper, x, y, border)
-    pieces = shaped(memory[len(LINE_NUMBERS) : len(LINE_NUMBERS) + PIECE_COLUMNS * room], room, PIECE_COLUMNS)
+    pieces = shaped(memory[head : head + columns * room], room, columns)
     n_written = 0
     for k in range(count if closed else count - 1):
         after, h = k + 1 if k + 1 < count else 0, lengths[k]
@@ -616,21 +593,22 @@ def path_through(points, closed, noise, memory):
         if status != OK:
             return status, whole(path_points[k, 2])
         for row in range(first, n_written):
-            pieces[row, X], pieces[row, Y] = path_points[k, 0] + pieces[row, X], path_points[k, 1] + pieces[row, Y]
+            pieces[row, road.X] += path_points[k, 0]
+            pieces[row, road.Y] += path_points[k, 1]
     if closed and _kinked(_jump(pieces[n_written - 1], pieces[0])):
         return PATH_KINK, 0
-    start = memory[len(LINE_NUMBERS) + PIECE_COLUMNS * n_written :]
+    start = memory[head + columns * n_written :]
     start[0] = 0.0
     for row in range(n_written):
-        start[row + 1] = start[row] + 2.0 * pieces[row, HALF_LENGTH]
+        start[row + 1] = start[row] + 2.0 * pieces[row, road.HALF_LENGTH]
     cells = cells_of(start[n_written])
     if words_of(n_written, cells) > memory.size:
         return TOO_SMALL, len(points) - 1
     line_numbers(start[: n_written + 1], pieces[:n_written], closed, memory)
-    memory[FIRST_START] = memory[FIRST_PIECE] = memory[FIRST_HEADING] = 0.0
-    memory[COUNT], memory[HEADING_SPACING] = n_written, start[n_written] / cells
+    memory[road.FIRST_START] = memory[road.FIRST_PIECE] = memory[road.FIRST_HEADING] = 0.0
+    memory[road.COUNT], memory[road.HEADING_SPACING] = n_written, start[n_written] / cells
     line, headings = line_in(memory)
-    headings_along(line, headings)
+    road.headings_along(line, headings)
     return OK, n_written
 
 
@@ -640,12 +618,12 @@ def path_parts(memory):
 
     There is one start more than pieces; the headings go on to the end of a part of `heading_count`.
     """
-    count, first = whole(memory[COUNT]), len(LINE_NUMBERS)
-    start = first + PIECE_COLUMNS * count
+    count, first = whole(memory[road.COUNT]), len(road.LINE_NUMBERS)
+    start = first + road.PIECE_COLUMNS * count
     return count, first, start, start + count + 1
 
 
 @exported(int64(vector))
 def heading_count(numbers):
     """Entries of the table of headings of a road of these numbers (`road.LINE_NUMBERS`)."""
-    return cells_of(numbers[LENGTH]) + 1
+    return cells_of(numbers[road.LENGTH]) + 1

@@ -31,7 +31,9 @@ instants from now on, the last one holding; a straight road has no pieces and no
 LINE_NUMBERS = (
     "length", "closed", "lap_turn", "most_curvature", "first_start", "first_piece", "count", "first_heading", "spacing",
 )  # fmt: skip
-FIRST_START, FIRST_PIECE, COUNT, FIRST_HEADING, HEADING_SPACING = range(4, 9)
+(
+    LENGTH, CLOSED, LAP_TURN, MOST_CURVATURE, FIRST_START, FIRST_PIECE, COUNT, FIRST_HEADING, HEADING_SPACING,
+) = range(len(LINE_NUMBERS))  # fmt: skip
 
 POLYNOMIAL_DEGREE = 11
 HALF_LENGTH, X, Y, COS, SIN, HEADING, ALONG_COEFFICIENTS = range(7)
@@ -40,7 +42,6 @@ TURN_COEFFICIENTS = ACROSS_COEFFICIENTS + POLYNOMIAL_DEGREE + 1
 PIECE_COLUMNS = TURN_COEFFICIENTS + POLYNOMIAL_DEGREE + 1
 """Columns of a piece: half its length (m), the point, direction and heading at its middle; then the coefficients of
 1, u, u^2, ... along and across that direction (m), and of the heading less that at the middle (rad)."""
-LENGTH, CLOSED, LAP_TURN, MOST_CURVATURE = range(4)
 Roads = record(
     "Roads",
     (
@@ -90,11 +91,8 @@ def piece_below(s, start):
 @inlined
 def point_of(u, row, pieces):
     """x, y (m), heading (rad) and curvature (1/m) of a piece at u."""
-    along, across = (
-        pieces[row, ALONG_COEFFICIENTS + POLYNOMIAL_DEGREE],
-        pieces[row, ACROSS_COEFFICIENTS + POLYNOMIAL_DEGREE],
-    )
-    turned, slope = pieces[row, TURN_COEFFICIENTS + POLYNOMIAL_DEGREE], 0.0
+    along, across = pieces[row, ACROSS_COEFFICIENTS - 1], pieces[row, TURN_COEFFICIENTS - 1]  # the last coefficients
+    turned, slope = pieces[row, PIECE_COLUMNS - 1], 0.0
     for k in range(POLYNOMIAL_DEGREE - 1, -1, -1):
         along = along * u + pieces[row, ALONG_COEFFICIENTS + k]
         across = across * u + pieces[row, ACROSS_COEFFICIENTS + k]
@@ -126,6 +124,14 @@ def point_at(s, road):
 
 
 @inlined
+def _relation(s, x, y, road):
+    """How far (m) the road's point at s is ahead of a point, offset (m) of the point there, heading and curvature."""
+    px, py, heading, curvature = point_at(s, road)
+    tx, ty = cos(heading), sin(heading)
+    return (px - x) * tx + (py - y) * ty, (y - py) * tx - (x - px) * ty, heading, curvature
+
+
+@inlined
 def downhill(x, y, near, low, high, road):
     """Arc length, offset, heading and curvature of the first foot downhill in distance from the arc length `near`.
 
@@ -135,10 +141,7 @@ def downhill(x, y, near, low, high, road):
     s, reached = near, False
     offset = heading = curvature = 0.0
     for _ in range(MAX_WALK_STEPS):
-        px, py, heading, curvature = point_at(s, road)
-        tx, ty = cos(heading), sin(heading)
-        ahead = (px - x) * tx + (py - y) * ty
-        offset = (y - py) * tx - (x - px) * ty
+        ahead, offset, heading, curvature = _relation(s, x, y, road)
         if ahead > 0.0:
             high = s
         else:
@@ -166,10 +169,8 @@ Ahead = record("Ahead", ("g", "slope"))
 @inlined
 def ahead_at(s, x, y, road):
     """How far (m) the road's point at s is ahead of a point, along its tangent."""
-    px, py, heading, curvature = point_at(s, road)
-    tx, ty = cos(heading), sin(heading)
-    offset = (y - py) * tx - (x - px) * ty
-    return Ahead((px - x) * tx + (py - y) * ty, 1.0 - curvature * offset)
+    ahead, offset, _, curvature = _relation(s, x, y, road)
+    return Ahead(ahead, 1.0 - curvature * offset)
 
 
 @inlined
@@ -357,13 +358,7 @@ def headings_along(road, headings):
     for k in range(last):
         s = k * spacing
         row = piece_below(s, road.start)
-        u, turned = (
-            (s - road.start[row]) / pieces[row, HALF_LENGTH] - 1.0,
-            pieces[row, TURN_COEFFICIENTS + POLYNOMIAL_DEGREE],
-        )
-        for j in range(POLYNOMIAL_DEGREE - 1, -1, -1):
-            turned = turned * u + pieces[row, TURN_COEFFICIENTS + j]
-        headings[k] = pieces[row, HEADING] + turned
+        _, _, headings[k], _ = point_of((s - road.start[row]) / pieces[row, HALF_LENGTH] - 1.0, row, pieces)
     _, _, headings[last], _ = point_at(length, road)
 
 

@@ -15,7 +15,7 @@ from ..maths.bits import whole
 from ..maths.exact import sqrt
 from ..maths.trigonometric import cos, sin
 from ..planning.drive import instant
-from ..plants.contract import PLANT_INPUT, PLANT_STATE, input_at, state_at
+from ..plants.contract import PLANT_STATE, input_of, state_at, state_of
 from ..roads.road import line_of, points_ahead
 from ..speed.speed_control import cell_at
 from .run import SHOW, TRACE_SIGNALS, write_trace_signals
@@ -75,16 +75,11 @@ def _write_numbers(k, slot, run, row):
     row[FRAME.y_ref] = signals[scenario, SIGNAL.y_ref, sample]
     row[FRAME.v_ref] = signals[scenario, SIGNAL.speed, sample]
     row[FRAME.speed] = drive.speed
-    front = (
-        block[input_at(PLANT_INPUT.friction_front_left, slot)] + block[input_at(PLANT_INPUT.friction_front_right, slot)]
-    )
-    rear = (
-        block[input_at(PLANT_INPUT.friction_rear_left, slot)] + block[input_at(PLANT_INPUT.friction_rear_right, slot)]
-    )
+    around, yaw = input_of(block, slot), row[FRAME.yaw]
+    front = around.friction_front_left + around.friction_front_right
+    rear = around.friction_rear_left + around.friction_rear_right
     row[FRAME.friction] = 0.25 * (front + rear)
-    wind_x, wind_y = block[input_at(PLANT_INPUT.wind_x, slot)], block[input_at(PLANT_INPUT.wind_y, slot)]
-    yaw = row[FRAME.yaw]
-    row[FRAME.wind] = wind_y * cos(yaw) - wind_x * sin(yaw)
+    row[FRAME.wind] = around.wind_y * cos(yaw) - around.wind_x * sin(yaw)
     row[FRAME.guard] = _guarded(slot, run)
     behind, n_answers = row[len(FRAME) :], answer.size - 1
     for j in range(n_answers):
@@ -105,7 +100,7 @@ def _write_path(slot, run, speeds, points):
     if road >= 0 and model.settings.curved > 0:
         for j in range(horizon):
             offsets[j] -= model.bend[j + 1]
-    station = drive.station_estimate if road >= 0 else run.vehicles.block[state_at(PLANT_STATE.x, slot)]
+    station = drive.station_estimate if road >= 0 else state_of(run.vehicles.block, slot).x
     speed = max(drive.speed, model.settings.speed_floor)
     points_ahead(
         station, speeds, speed, mpc.delay_of(slot, model), model.settings.period,

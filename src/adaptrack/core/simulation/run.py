@@ -16,15 +16,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..controllers import mpc
-from ..controllers.part import (
-    COMMON_ANSWER,
-    ControllerPart,
-    ControllerSizes,
-    begin_controller,
-    complete_controller_sizes,
-    control,
-)
+from ..controllers import mpc, part
+from ..controllers.part import COMMON_ANSWER
 from ..estimators import friction_wind
 from ..estimators.learning import BELIEF_COLUMNS, KNOWN_DELAY_SIGMA
 from ..kernel import (
@@ -49,44 +42,15 @@ from ..layout import allocate, sizer
 from ..loop import period_of
 from ..maths.bits import whole
 from ..models.contract import MEASUREMENT
-from ..plants.contract import (
-    PLANT_INPUTS,
-    PLANT_STATES,
-    Vehicles,
-    advance,
-    input_at,
-    observe,
-    place_one,
-    state_at,
-    work_states,
-)
+from ..plants import contract as plants
 from ..qp import problem as qp
 from ..roads.road import Roads
 from ..scheduling.functions import VARIABLE_COLUMNS
 from ..speed.friction import narrow_friction
 from ..speed.speed_control import governed_speeds
 from ..tracker.longitudinal import Longitudinal, speed_control_step
-from .world import (
-    ASKED,
-    NEVER_ARRIVED,
-    NOT_ASKED,
-    RUNNING,
-    SIGNAL,
-    STATE_NOT_FINITE,
-    STOPPED,
-    LoopSettings,
-    Memory,
-    actuate,
-    change_command,
-    forget,
-    judge,
-    locate,
-    look,
-    plan_instant,
-    sense,
-    substeps_around_change,
-    turn_steadily,
-)
+from . import world
+from .world import NOT_ASKED, RUNNING, SIGNAL, STOPPED
 
 FEATURES = (
     "late",  # sensors give what there was some time ago
@@ -117,6 +81,7 @@ RESULT = record(
     integers=("instants", "ended", "capped", "unsolved", "held", "limited", "iterations"),
 )
 """What is measured of each run."""
+_clear_result = world.clearer(RESULT)
 
 RunInputs = record(
     "RunInputs",
@@ -143,7 +108,7 @@ rad)."""
 Trace = record(
     "Trace",
     (
-        ("state", cube, "traced_slots", "traced", PLANT_STATES),
+        ("state", cube, "traced_slots", "traced", plants.PLANT_STATES),
         ("answer", cube, "traced_slots", "traced", "answers"),  # the controller's, then the tuning as used
         ("signals", cube, "traced_slots", "traced", len(TRACE_SIGNALS)),
     ),
@@ -162,21 +127,21 @@ Frames = record(
 RunRecord = record(
     "RunRecord",
     (
-        ("settings", LoopSettings),
+        ("settings", world.LoopSettings),
         ("features", Features),
-        ("vehicles", Vehicles),
+        ("vehicles", plants.Vehicles),
         ("inputs", RunInputs),
         ("variable_estimator", VariableEstimator),
         ("measured", matrix, "slots", len(MEASUREMENT)),
         ("variables", matrix, "slots", len(VARIABLE_COLUMNS)),
-        ("memory", Memory),
+        ("memory", world.Memory),
         ("result", rows(RESULT), "slots"),
         ("cost_limit", vector, "slots"),  # squared error plus weight times squared move that stop a run; NaN: none
         ("weight", float64),  # m^2/rad^2, of squared moves in a cost
         ("segment", int64),  # periods of a segment; 0: none is counted
         ("segments", matrix, "slots", "segments"),  # cost of each segment of a run
         ("trace", Trace),
-        ("controller", ControllerPart),
+        ("controller", part.ControllerPart),
         ("control_speed", int64),  # address, see `CONTROL_SPEED`; 0: there is no speed control
         ("longitudinal", Longitudinal),  # of `control_planned_speed`, for one slot; else empty
         ("speeds", vector, "speeds"),  # m/s, room for the speeds from now on that it allows
@@ -204,7 +169,7 @@ CHOSEN_SIZES = (
 )  # fmt: skip
 DERIVED_SIZES = ("work_states", "estimator_slots", "sent", "traced_slots")
 RUN_SIZES = (*CHOSEN_SIZES, *DERIVED_SIZES)
-RunSizes = record("RunSizes", (*RUN_SIZES, ("controller", ControllerSizes)), integers=RUN_SIZES)
+RunSizes = record("RunSizes", (*RUN_SIZES, ("controller", part.ControllerSizes)), integers=RUN_SIZES)
 """The sizes of a `RunRecord`: first those that are chosen, then those that follow from them."""
 _write_sizes = sizer(RunRecord, RunSizes)
 
@@ -212,7 +177,7 @@ _write_sizes = sizer(RunRecord, RunSizes)
 @inlined
 def _complete_sizes(sizes):
     """Write the sizes that follow from those that are chosen."""
-    sizes.work_states = work_states(sizes.plant_states)
+    sizes.work_states = plants.work_states(sizes.plant_states)
     sizes.estimator_slots = sizes.slots if sizes.estimator_parameters > 0 else 0
     sizes.sent = sizes.dead_whole + 2
     sizes.traced_slots = sizes.slots if sizes.traced > 0 else 0
@@ -227,7 +192,7 @@ def write_sizes(settings, sizes, table):
     _complete_sizes(sizes)
     if sizes.controller.law_answer == 0:
         mpc.complete_sizes(settings, sizes.controller.mpc)
-    complete_controller_sizes(sizes.controller)
+    part.complete_controller_sizes(sizes.controller)
     return _write_sizes(sizes, table)
 
 
@@ -274,14 +239,14 @@ def _sense_instant(slot, run):
     of a car whose state is not finite.
     """
     drive = run.memory.drives[slot]
-    locate(slot, run)
+    world.locate(slot, run)
     if drive.instant < run.inputs.periods[slot]:
         _judge_and_count(slot, run)
-    if drive.ended == STATE_NOT_FINITE:
+    if drive.ended == world.STATE_NOT_FINITE:
         return
-    sense(slot, run)
+    world.sense(slot, run)
     if run.features.variables:
-        look(slot, run)
+        world.look(slot, run)
     if run.features.estimates:
         _estimate_friction_and_wind(slot, run)
 
@@ -292,10 +257,10 @@ def _judge_and_count(slot, run):
     drive, result, block = run.memory.drives[slot], run.result[slot], run.vehicles.block
     k = drive.instant
     drive.error = drive.offset - run.inputs.signals[run.inputs.scenario[slot], SIGNAL.y_ref, drive.sample]
-    drive.ended = judge(slot, run)
+    drive.ended = world.judge(slot, run)
     if run.features.traces:
-        for j in range(PLANT_STATES):
-            run.trace.state[slot, k, j] = block[state_at(j, slot)]
+        for j in range(plants.PLANT_STATES):
+            run.trace.state[slot, k, j] = block[plants.state_at(j, slot)]
     if drive.ended != RUNNING:
         drive.ended_at = k * run.settings.period
         return
@@ -328,8 +293,8 @@ def _prepare(slot, run):
         if run.control_speed != 0 and drive.ended == RUNNING:
             _call_control_speed(run.control_speed, run)
         if run.features.asks > 0:
-            drive.caller_state = ASKED
-    if drive.caller_state == ASKED:
+            drive.caller_state = world.ASKED
+    if drive.caller_state == world.ASKED:
         return False
     drive.caller_state = NOT_ASKED
     return drive.ended == RUNNING
@@ -366,9 +331,9 @@ def _control(slot, run):
         return
     signals, road = run.inputs.signals[scenario], run.inputs.roads.of[scenario]
     planned = signals[SIGNAL.speed]
-    first = plan_instant(slot, run) if road >= 0 else planned.size
+    first = world.plan_instant(slot, run) if road >= 0 else planned.size
     speeds = run.speeds if run.speeds.size > 0 else planned[first:]
-    control(
+    part.control(
         slot, run.variables[slot], drive.speed, drive.command, drive.station_estimate, road, run.measured[slot],
         signals[SIGNAL.y_ref, drive.sample :], speeds, run.inputs.roads, controller,
     )  # fmt: skip
@@ -388,9 +353,9 @@ def _depart(slot, run):
     drive, result, answer = run.memory.drives[slot], run.result[slot], run.controller.answer[slot]
     k, command, change = drive.instant, answer[COMMON_ANSWER.command], answer[COMMON_ANSWER.command_change]
     if not math.isfinite(command):
-        drive.ended, drive.ended_at = STATE_NOT_FINITE, k * run.settings.period
+        drive.ended, drive.ended_at = world.STATE_NOT_FINITE, k * run.settings.period
         return
-    actuate(slot, command, run)
+    world.actuate(slot, command, run)
     if run.features.traces:
         write_trace_signals(slot, run, run.trace.signals[slot, k])
     result.squared_move += change * change
@@ -411,7 +376,7 @@ def _depart(slot, run):
 def write_trace_signals(slot, run, row):
     """Write TRACE_SIGNALS: what is measured under the new input, and where the car is."""
     drive = run.memory.drives[slot]
-    observe(slot, run.vehicles, row)
+    plants.observe(slot, run.vehicles, row)
     row[TRACE_SIGNALS.station], row[TRACE_SIGNALS.offset] = drive.station, drive.offset
     row[TRACE_SIGNALS.heading_error] = drive.heading_error
 
@@ -442,16 +407,14 @@ _drive_period = period_of(_arrive, _prepare, _control, _depart)
 @inlined
 def begin_slot(slot, run):
     """Before the first instant: the vehicle at its start in its steady turn, nothing remembered, nothing counted."""
-    result, vehicles = run.result[slot], run.vehicles
-    result.squared_error, result.squared_move, result.largest_error, result.instants = 0.0, 0.0, 0.0, 0
-    result.ended, result.ended_at, result.capped, result.unsolved, result.held = RUNNING, 0.0, 0, 0, 0
-    result.limited, result.iterations = 0, 0
-    place_one(slot, vehicles.start, vehicles.block, vehicles.states)
-    for j in range(PLANT_INPUTS):
-        vehicles.block[input_at(j, slot)] = 0.0
-    forget(slot, run.memory)
-    turn_steadily(slot, run)
-    begin_controller(slot, run.memory.drives[slot].command, run.controller)
+    vehicles = run.vehicles
+    _clear_result(run.result[slot])
+    plants.place_one(slot, vehicles.start, vehicles.block, vehicles.states)
+    for j in range(plants.PLANT_INPUTS):
+        vehicles.block[plants.input_at(j, slot)] = 0.0
+    world.forget(slot, run.memory)
+    world.turn_steadily(slot, run)
+    part.begin_controller(slot, run.memory.drives[slot].command, run.controller)
 
 
 @exported(void(int64, Place(RunRecord)), name="begin_runs")
@@ -468,12 +431,12 @@ def begin(slots, run):
 @inlined
 def _move(slots, run):
     """Move the vehicles on to the next instant; within the period the next command begins to act."""
-    world = run.settings
-    before, after = substeps_around_change(world)
+    settings = run.settings
+    before, after = world.substeps_around_change(settings)
     if before > 0:
-        advance(slots, before, world.dead_share * world.period / before, run.vehicles)
-        change_command(slots, run)
-    advance(slots, after, (1.0 - world.dead_share) * world.period / after, run.vehicles)
+        plants.advance(slots, before, settings.dead_share * settings.period / before, run.vehicles)
+        world.change_command(slots, run)
+    plants.advance(slots, after, (1.0 - settings.dead_share) * settings.period / after, run.vehicles)
 
 
 @inlined
@@ -481,7 +444,7 @@ def _close(slot, run):
     """Say of a run that is over how it ended: one whose car never came near its reference has failed at once."""
     drive, result = run.memory.drives[slot], run.result[slot]
     if drive.arrived == 0 and drive.ended != STOPPED:
-        drive.ended, drive.ended_at = NEVER_ARRIVED, 0.0
+        drive.ended, drive.ended_at = world.NEVER_ARRIVED, 0.0
     result.ended, result.ended_at = drive.ended, drive.ended_at
     if drive.ended != RUNNING and drive.ended != STOPPED:
         result.squared_error = math.inf
@@ -495,7 +458,7 @@ def _end_slot(k, slot, run):
         first = max(k - 1, 0) // run.segment
         run.segments[slot, first:] = math.nan
         run.segments[slot, first] = math.inf
-    place_one(slot, run.vehicles.start, run.vehicles.block, run.vehicles.states)
+    plants.place_one(slot, run.vehicles.start, run.vehicles.block, run.vehicles.states)
 
 
 @inlined

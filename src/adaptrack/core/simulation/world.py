@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from ..kernel import columns, cube, inlined, local, matrix, record, rows
+from ..kernel import columns, cube, inlined, local, matrix, record, rows, written
 from ..maths.bits import whole
 from ..maths.exact import ceil, clip, floor
 from ..maths.exponential import hypot
@@ -15,17 +15,11 @@ from ..maths.random import counted_normal, counted_uniform
 from ..maths.trigonometric import atan2
 from ..models.car import AXLES, POWERTRAIN
 from ..models.contract import MEASUREMENT, SENSOR_FIELDS
+from ..physics import forces
 from ..physics.force_actuator import ForceActuator, actuator_step
-from ..physics.forces import (
-    GRAVITY,
-    LARGEST_BEND_SHARE,
-    LEAST_BRAKING,
-    STANDING_SPEED,
-    axle_limits,
-    slope_sine_and_cosine,
-    wheel_angle,
-)
-from ..plants.contract import ENVIRONMENT, OBSERVED, PLANT_INPUT, PLANT_STATE, input_at, observe, state_at
+from ..physics.forces import GRAVITY
+from ..plants import contract as plants
+from ..plants.contract import PLANT_INPUT, PLANT_STATE
 from ..roads.road import foot_near, line_of, point_at
 from ..scheduling.functions import VARIABLE_COLUMNS
 from ..tracker.signals import TRACKED
@@ -96,6 +90,14 @@ LOOP_MEMORY = record(
 )  # fmt: skip
 """What the loop remembers of each slot: its scalars."""
 
+
+def clearer(kind):
+    """An inlined function ``clear(row)``: sets all numbers of a row of a record to 0."""
+    return written(f"clear_{kind.__name__}", "row", [f"row.{name} = 0" for name in kind._fields], kind)
+
+
+_clear = clearer(LOOP_MEMORY)
+
 NOT_ASKED, ASKED, ANSWERED = range(3)
 """Of a caller that is asked before each step of a controller: not at this instant; the run waits for it; it goes on."""
 SENSED = 6
@@ -113,7 +115,7 @@ Memory = record(
 )
 """What the loop remembers of each slot; commands, past signals and forces the latest first."""
 _SPEED, _SPEED_FLOOR, _STATION = range(SENSED, SENSED + 3)  # channels of normal numbers, after those of the sensors
-_observed = local(len(OBSERVED))
+_observed = local(len(plants.OBSERVED))
 _JITTER, _DROPOUT, _LENGTH, _MISSING, _BIAS = range(5)  # streams of random numbers
 
 RUNNING, OFF_ROAD, SPUN, STATE_NOT_FINITE, NEVER_ARRIVED, STOPPED = range(6)
@@ -140,24 +142,19 @@ most."""
 @inlined
 def locate(slot, run):
     """Find the car on its road: offset and heading error against the path, the foot and the place in the plan."""
-    drive, block = run.memory.drives[slot], run.vehicles.block
-    signals, scenario = run.inputs.signals, run.inputs.scenario[slot]
+    drive, signals, scenario = run.memory.drives[slot], run.inputs.signals, run.inputs.scenario[slot]
     road = run.inputs.roads.of[scenario]
-    x, y, yaw = (
-        block[state_at(PLANT_STATE.x, slot)],
-        block[state_at(PLANT_STATE.y, slot)],
-        block[state_at(PLANT_STATE.yaw, slot)],
-    )
+    car = plants.state_of(run.vehicles.block, slot)
     if road < 0:
-        drive.offset, drive.heading_error = y, yaw
+        drive.offset, drive.heading_error = car.y, car.yaw
         return
     near = signals[scenario, SIGNAL.station, 0]
     if drive.located > 0:
-        near = drive.station + block[state_at(PLANT_STATE.vx, slot)] * run.settings.period
-    station, offset, heading, drive.curvature = foot_near(x, y, near, line_of(road, run.inputs.roads))
+        near = drive.station + car.vx * run.settings.period
+    station, offset, heading, drive.curvature = foot_near(car.x, car.y, near, line_of(road, run.inputs.roads))
     drive.turned = heading - drive.heading if drive.located > 0 else 0.0
     drive.station, drive.offset, drive.heading, drive.located = station, offset, heading, 1
-    turns = (yaw - heading) / (2.0 * math.pi)
+    turns = (car.yaw - heading) / (2.0 * math.pi)
     drive.heading_error = 2.0 * math.pi * (turns - floor(turns + 0.5))
     _, _, samples = signals.shape
     last, first = samples - 1, drive.departed
@@ -204,16 +201,16 @@ def judge(slot, run):
     the error against the reference beyond the distance, once the vehicle has arrived within it.
     """
     drive, block, world = run.memory.drives[slot], run.vehicles.block, run.settings
+    car = plants.state_of(block, slot)
     within = abs(drive.error) <= world.failure_distance
     if within:
         drive.arrived = 1
     for row in range(PLANT_STATE.yaw_rate + 1):
-        if not math.isfinite(block[state_at(row, slot)]):
+        if not math.isfinite(block[plants.state_at(row, slot)]):
             return STATE_NOT_FINITE
-    if not math.isfinite(block[state_at(PLANT_STATE.steering, slot)]):
+    if not math.isfinite(car.steering):
         return STATE_NOT_FINITE
-    vx, vy = block[state_at(PLANT_STATE.vx, slot)], block[state_at(PLANT_STATE.vy, slot)]
-    if hypot(vx, vy) >= MIN_SPIN_SPEED and abs(atan2(vy, vx)) > world.failure_sideslip:
+    if hypot(car.vx, car.vy) >= MIN_SPIN_SPEED and abs(atan2(car.vy, car.vx)) > world.failure_sideslip:
         return SPUN
     if drive.arrived > 0 and not within:
         return OFF_ROAD
@@ -344,26 +341,23 @@ def _estimate_station(slot, station, age, run):
 @inlined
 def sense(slot, run):
     """Write what the sensors of a slot's vehicle give: `models.contract.MEASUREMENT`, its speed and its station."""
-    drive, block, world, measured = (
-        run.memory.drives[slot], run.vehicles.block, run.settings, run.measured[slot]
-    )  # fmt: skip
+    drive, world, measured = run.memory.drives[slot], run.settings, run.measured[slot]
+    car = plants.state_of(run.vehicles.block, slot)
     k, seed = drive.instant, run.inputs.seeds[slot]
     if world.noise_lateral_acceleration < math.inf:
         observed = _observed()
-        observe(slot, run.vehicles, observed)
-        measured[MEASUREMENT.lateral_acceleration] = observed[OBSERVED.lateral_acceleration]
-    measured[MEASUREMENT.vy] = block[state_at(PLANT_STATE.vy, slot)]
+        plants.observe(slot, run.vehicles, observed)
+        measured[MEASUREMENT.lateral_acceleration] = observed[plants.OBSERVED.lateral_acceleration]
+    measured[MEASUREMENT.vy] = car.vy
     measured[MEASUREMENT.yaw] = drive.heading_error
-    measured[MEASUREMENT.yaw_rate] = block[state_at(PLANT_STATE.yaw_rate, slot)]
+    measured[MEASUREMENT.yaw_rate] = car.yaw_rate
     measured[MEASUREMENT.y] = drive.offset
     measured[MEASUREMENT.turned] = drive.turned
-    measured[MEASUREMENT.wheel_angle] = wheel_angle(
-        block[state_at(PLANT_STATE.steering, slot)], block[input_at(PLANT_INPUT.command, slot)],
-        world.steering_lag, world.steering_limit,
-    )  # fmt: skip
+    command, lag = plants.input_of(run.vehicles.block, slot).command, world.steering_lag
+    measured[MEASUREMENT.wheel_angle] = forces.wheel_angle(car.steering, command, lag, world.steering_limit)
     measured[MEASUREMENT.pose_age], measured[MEASUREMENT.motion_age] = 0.0, 0.0
-    station = drive.station if drive.located > 0 else block[state_at(PLANT_STATE.x, slot)]
-    drive.speed, drive.speed_age, drive.pose_station = block[state_at(PLANT_STATE.vx, slot)], 0.0, station
+    station = drive.station if drive.located > 0 else car.x
+    drive.speed, drive.speed_age, drive.pose_station = car.vx, 0.0, station
     late_station, station_age = station, 0.0
     if run.features.late:
         past = run.memory.past[slot]
@@ -405,11 +399,11 @@ def look(slot, run):
 
 # -- the vehicle's side -----------------------------------------------------------------------------------------------
 @inlined
-def _planned_speed(instant, speeds):
-    """Speed (m/s) of the plan at an instant (control periods, with a fraction); the last speed after its end."""
-    first = min(whole(instant), speeds.size - 1)
-    near = speeds[first]
-    return near + (instant - floor(instant)) * (speeds[min(first + 1, speeds.size - 1)] - near)
+def value_at(instant, values):
+    """A signal at an instant (control periods, with a fraction); its last value after its end."""
+    first = min(whole(instant), values.size - 1)
+    near = values[first]
+    return near + (instant - floor(instant)) * (values[min(first + 1, values.size - 1)] - near)
 
 
 @inlined
@@ -434,7 +428,7 @@ def _stop_ahead(instant, drive, speeds):
 @inlined
 def _wait(stop, speed, drive, speeds):
     """Count the instants for which a car stands at a stop of its plan; after as many as planned it may depart."""
-    if abs(speed) > STANDING_SPEED:
+    if abs(speed) > forces.STANDING_SPEED:
         return
     planned = 0
     while stop + planned + 1 < speeds.size and speeds[stop + planned + 1] <= 0.0:
@@ -452,16 +446,16 @@ def _guarded_limits(friction, slot, run):
     Each axle carries its part of the lateral acceleration that the car has, or that the bend asks of it, whichever is
     larger.
     """
-    world, drive, block = run.settings, run.memory.drives[slot], run.vehicles.block
+    world, drive = run.settings, run.memory.drives[slot]
     if not world.guard < math.inf:
         return math.inf, math.inf
-    vx, r = block[state_at(PLANT_STATE.vx, slot)], block[state_at(PLANT_STATE.yaw_rate, slot)]
-    bank = block[input_at(PLANT_INPUT.bank, slot)]
-    _, cosine = slope_sine_and_cosine(block[input_at(PLANT_INPUT.grade, slot)])
-    grip = friction * GRAVITY * cosine
-    lateral = max(abs(vx * r - bank), min(abs(vx * vx * drive.curvature - bank), LARGEST_BEND_SHARE * grip))
-    driving, braking = axle_limits(friction, world.mass * GRAVITY * cosine, lateral, world)
-    return world.guard * driving, max(world.guard * braking, LEAST_BRAKING * world.mass)
+    car, surroundings = plants.state_of(run.vehicles.block, slot), plants.input_of(run.vehicles.block, slot)
+    vx, bank = car.vx, surroundings.bank
+    _, cosine = forces.slope_sine_and_cosine(surroundings.grade)
+    in_bend = min(abs(vx * vx * drive.curvature - bank), forces.LARGEST_BEND_SHARE * (friction * GRAVITY * cosine))
+    lateral = max(abs(vx * car.yaw_rate - bank), in_bend)
+    driving, braking = forces.axle_limits(friction, world.mass * GRAVITY * cosine, lateral, world)
+    return world.guard * driving, max(world.guard * braking, forces.LEAST_BRAKING * world.mass)
 
 
 @inlined
@@ -474,14 +468,14 @@ def _drive(slot, run):
     while a limit holds.
     """
     drive, world, signals = run.memory.drives[slot], run.settings, run.inputs.signals[run.inputs.scenario[slot]]
-    speed, speeds = run.vehicles.block[state_at(PLANT_STATE.vx, slot)], signals[SIGNAL.speed]
+    speed, speeds = plants.state_of(run.vehicles.block, slot).vx, signals[SIGNAL.speed]
     instant = float(drive.sample)
     if drive.located > 0:
         instant = _instant_of_place(drive, signals[SIGNAL.station])
     ahead = instant + world.driver_preview / world.period
     stop = _stop_ahead(ahead, drive, speeds) if drive.located > 0 else -1
-    target = _planned_speed(ahead, speeds) if stop < 0 else 0.0
-    sine, _ = slope_sine_and_cosine(run.vehicles.block[input_at(PLANT_INPUT.grade, slot)])
+    target = value_at(ahead, speeds) if stop < 0 else 0.0
+    sine, _ = forces.slope_sine_and_cosine(plants.input_of(run.vehicles.block, slot).grade)
     requested = world.mass * (
         (target - speed) / world.driver_preview + world.driver_integral * drive.integral + GRAVITY * sine
     )
@@ -495,7 +489,7 @@ def _drive(slot, run):
     strongest = min(traction, min(world.traction_limit, world.engine_power / max(speed, 1.0)))
     force = clip(requested, -min(braking, world.brake_limit), strongest)
     if force == requested:
-        drive.integral += (_planned_speed(instant, speeds) - speed) * world.period
+        drive.integral += (value_at(instant, speeds) - speed) * world.period
     return force
 
 
@@ -506,7 +500,7 @@ def _move_pedals(request, hold, slot, run):
     hold: N, of the brakes besides the force.
     """
     drive, world, requests = run.memory.drives[slot], run.settings, run.memory.requested[slot]
-    speed = run.vehicles.block[state_at(PLANT_STATE.vx, slot)]
+    speed = plants.state_of(run.vehicles.block, slot).vx
     remembered = requests.size // 2
     for j in range(requests.size - 1, 0, -1):
         requests[j] = requests[j - 1]
@@ -549,29 +543,33 @@ def actuate(slot, command, run):
     """
     drive, block, world = run.memory.drives[slot], run.vehicles.block, run.settings
     signals, scenario, k = run.inputs.signals, run.inputs.scenario[slot], drive.sample
-    vx = block[state_at(PLANT_STATE.vx, slot)]
+    vx = plants.state_of(block, slot).vx
     place = drive.place if drive.located > 0 else k
-    for j in range(ENVIRONMENT):
-        block[input_at(PLANT_INPUT.friction_front_left + j, slot)] = signals[
-            scenario, SIGNAL.friction_front_left + j, place
-        ]
-    block[input_at(PLANT_INPUT.grade, slot)] = signals[scenario, SIGNAL.grade, place]
-    block[input_at(PLANT_INPUT.command, slot)] = _send(command, slot, world, run.memory.sent) + world.steering_bias
+    for j in range(plants.ENVIRONMENT):
+        sample = signals[scenario, SIGNAL.friction_front_left + j, place]
+        block[plants.input_at(PLANT_INPUT.friction_front_left + j, slot)] = sample
+    block[plants.input_at(PLANT_INPUT.grade, slot)] = signals[scenario, SIGNAL.grade, place]
+    block[plants.input_at(PLANT_INPUT.command, slot)] = (
+        _send(command, slot, world, run.memory.sent) + world.steering_bias
+    )
     drive.command = command
     if is_prescribed(slot, run):
         _, _, samples = signals.shape
         following = signals[scenario, SIGNAL.speed, min(k + 1, samples - 1)]
         if drive.located > 0:
             following += _catch_up(following, signals[scenario, SIGNAL.station, k] - drive.station)
-        block[input_at(PLANT_INPUT.force, slot)], block[input_at(PLANT_INPUT.brake, slot)] = 0.0, 0.0
-        block[input_at(PLANT_INPUT.acceleration, slot)] = (following - vx) / world.period
+        block[plants.input_at(PLANT_INPUT.force, slot)], block[plants.input_at(PLANT_INPUT.brake, slot)] = 0.0, 0.0
+        block[plants.input_at(PLANT_INPUT.acceleration, slot)] = (following - vx) / world.period
     else:
         if world.prescribed_speed == EXTERNAL_FORCES:
             driving, braking = _move_pedals(drive.requested_force, drive.requested_hold, slot, run)
         else:
             driving, braking = _move_pedals(_drive(slot, run), 0.0, slot, run)
-        block[input_at(PLANT_INPUT.force, slot)], block[input_at(PLANT_INPUT.brake, slot)] = driving - braking, braking
-        block[input_at(PLANT_INPUT.acceleration, slot)] = math.nan
+        block[plants.input_at(PLANT_INPUT.force, slot)], block[plants.input_at(PLANT_INPUT.brake, slot)] = (
+            driving - braking,
+            braking,
+        )
+        block[plants.input_at(PLANT_INPUT.acceleration, slot)] = math.nan
 
 
 @inlined
@@ -590,9 +588,8 @@ def change_command(slots, run):
     """Let the next command act: with a dead time that is no whole number of periods, within a period."""
     world = run.settings
     for slot in range(slots):
-        run.vehicles.block[input_at(PLANT_INPUT.command, slot)] = (
-            run.memory.sent[slot, world.dead_whole] + world.steering_bias
-        )
+        command = run.memory.sent[slot, world.dead_whole] + world.steering_bias
+        run.vehicles.block[plants.input_at(PLANT_INPUT.command, slot)] = command
 
 
 @inlined
@@ -616,31 +613,24 @@ def turn_steadily(slot, run):
     _, _, _, curvature = point_at(signals[SIGNAL.station, 0], line_of(road, run.inputs.roads))
     if curvature == 0.0 and signals[SIGNAL.bank, 0] == 0.0:
         return
-    vx = block[state_at(PLANT_STATE.vx, slot)]
+    vx = plants.state_of(block, slot).vx
     pull = vx * vx * curvature - signals[SIGNAL.bank, 0]
     slip = world.lr * curvature - world.rear_slip_gradient * pull
     angle = (world.lf + world.lr) * curvature + world.understeer_gradient * pull
     angle = clip(angle, -world.steering_limit, world.steering_limit)
-    block[state_at(PLANT_STATE.yaw, slot)] -= atan2(slip, 1.0)
-    block[state_at(PLANT_STATE.vy, slot)] = vx * slip
-    block[state_at(PLANT_STATE.yaw_rate, slot)] = vx * curvature
+    block[plants.state_at(PLANT_STATE.yaw, slot)] -= atan2(slip, 1.0)
+    block[plants.state_at(PLANT_STATE.vy, slot)] = vx * slip
+    block[plants.state_at(PLANT_STATE.yaw_rate, slot)] = vx * curvature
     for row in range(PLANT_STATE.yaw, PLANT_STATE.yaw_rate + 1):
-        run.vehicles.states[slot, row] = block[state_at(row, slot)]
-    block[state_at(PLANT_STATE.steering, slot)] = angle if world.steering_lag > 0.0 else 0.0
-    block[input_at(PLANT_INPUT.command, slot)] = angle
+        run.vehicles.states[slot, row] = block[plants.state_at(row, slot)]
+    block[plants.state_at(PLANT_STATE.steering, slot)] = angle if world.steering_lag > 0.0 else 0.0
+    block[plants.input_at(PLANT_INPUT.command, slot)] = angle
     memory.sent[slot, :], memory.drives[slot].command = angle, angle
 
 
 @inlined
 def forget(slot, memory):
-    """Back to before the first instant."""
-    drive = memory.drives[slot]
-    drive.instant, drive.sample, drive.arrived, drive.ended = 0, 0, 0, RUNNING
-    drive.command, drive.integral, drive.ended_at = 0.0, 0.0, 0.0
-    drive.station, drive.turned, drive.located, drive.place, drive.blind_until, drive.speed = 0.0, 0.0, 0, 0, 0.0, 0.0
-    drive.curvature, drive.drive_force, drive.brake_force, drive.standing, drive.departed = 0.0, 0.0, 0.0, 0, 0
-    drive.requested_force, drive.requested_hold = 0.0, 0.0
-    drive.speed_age, drive.pose_station, drive.station_estimate, drive.path_heading = 0.0, 0.0, 0.0, 0.0
-    drive.caller_state, drive.cost = NOT_ASKED, 0.0
+    """Set the memory of a slot to its values before the first instant: all numbers 0, `RUNNING` and `NOT_ASKED`."""
+    _clear(memory.drives[slot])
     memory.sent[slot, :], memory.requested[slot, :] = 0.0, 0.0
     memory.past[slot, :, :] = 0.0

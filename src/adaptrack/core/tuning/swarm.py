@@ -15,74 +15,53 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
-from ..kernel import Place, exported, float64, inlined, int64, matrix, record, several, unpacker, vector, void
+from ..kernel import Place, columns, exported, float64, inlined, int64, matrix, record, several, unpacker, vector, void
+from ..layout import allocate
 from ..maths.bits import whole
 from ..maths.exact import ceil, clip, floor
 from ..maths.exponential import exp, power
 from ..maths.random import counted_uniform
 
 # -- settings, fixed over a run ---------------------------------------------------------------------------------------
-SWARM_SETTINGS = (
+SWARM_SETTING = columns(
     "generations",  # G
     "improved",  # 1: inertia and accelerations by eqs. (19) and (20); 0: the constants w, c1 and c2 (classic)
     "w",  # inertia of the classic swarm
-    "w_max",  # eq. (19)
-    "w_min",
-    "lambda1",
-    "lambda2",
+    "w_max", "w_min", "lambda1", "lambda2",  # eq. (19)
     "c1",  # cognitive acceleration, of eq. (20) the initial value
     "c2",  # social acceleration
     "step_1",  # alpha of eq. (20): change of c1 per generation, and minus the change of c2, for g/G <= 20 %
-    "step_2",  # up to 35 %
-    "step_3",  # up to 75 %
-    "step_4",  # after
+    "step_2", "step_3", "step_4",  # up to 35 %, up to 75 %, after
     "velocity_clamp",  # largest velocity, as a share of the dimension's range
-    "smaller",  # dimensions with x[smaller] <= x[larger] at all times; -1: none
-    "larger",
+    "smaller", "larger",  # dimensions with x[smaller] <= x[larger] at all times; -1: none
     "spread",  # in the initial draw x[larger] >= spread*x[smaller]
-)
-(
-    GENERATIONS, IMPROVED, W, W_MAX, W_MIN, LAMBDA1, LAMBDA2, C1, C2, STEP_1, STEP_2, STEP_3, STEP_4, VELOCITY_CLAMP,
-    SMALLER, LARGER, DRAW_SPREAD,
-) = range(len(SWARM_SETTINGS))  # fmt: skip
-
-SPACE = ("low", "high", "whole", "decades")
+)  # fmt: skip
+SPACE = columns("low", "high", "whole", "decades")
 """The search space, (4, dims): bounds of each dimension, 1 where it holds whole numbers, and 1 where a coordinate is
 the decimal logarithm of the value that it stands for (its bounds are logarithms too)."""
-LOW, HIGH, WHOLE_NUMBERS, DECIMAL_LOGARITHM = range(len(SPACE))
 
 # -- the swarm --------------------------------------------------------------------------------------------------------
-PROGRESS = (
+PROGRESS = columns(
     "leader_cost",  # cost of Gb
     "w",  # inertia of the last move, 0 before
-    "c1",  # accelerations of the next move
-    "c2",
+    "c1", "c2",  # accelerations of the next move
+)  # fmt: skip
+Particles = record(
+    "Particles",
+    (
+        ("x", matrix, "particles", "dims"),  # positions, to be evaluated
+        ("v", matrix, "particles", "dims"),  # velocities, in units of x per generation
+        ("best", matrix, "particles", "dims"),  # Pb, each particle's best position so far
+        ("best_costs", vector, "particles"),
+        ("leader", vector, "dims"),  # Gb, the best position so far
+        ("progress", vector, len(PROGRESS)),
+    ),
 )
-LEADER_COST, LAST_W, NEXT_C1, NEXT_C2 = range(len(PROGRESS))
-
-_FIELDS = (
-    ("x", matrix),  # (particles, dims) positions, to be evaluated
-    ("v", matrix),  # (particles, dims) velocities, in units of x per generation
-    ("best", matrix),  # (particles, dims) Pb, each particle's best position so far
-    ("best_costs", vector),  # (particles,)
-    ("leader", vector),  # (dims,) Gb, the best position so far
-    ("progress", vector),  # (PROGRESS,)
-)
-Particles = record("Particles", _FIELDS)
 
 
 def particles(count: int, dims: int) -> Any:
     """The arrays of a swarm, zero: `begin` fills them."""
-    return Particles(
-        x=np.zeros((count, dims)),
-        v=np.zeros((count, dims)),
-        best=np.zeros((count, dims)),
-        best_costs=np.zeros(count),
-        leader=np.zeros(dims),
-        progress=np.zeros(len(PROGRESS)),
-    )
+    return allocate(Particles, {"particles": count, "dims": dims})
 
 
 # -- the paper's equations --------------------------------------------------------------------------------------------
@@ -137,10 +116,10 @@ def place_between(low, high, integers, u):
 def repair(settings, space, x):
     """Bring a position (dims,) into the space: clamp it, round what is whole, lower x[smaller] to x[larger]."""
     for d in range(x.size):
-        x[d] = clip(x[d], space[LOW, d], space[HIGH, d])
-        if space[WHOLE_NUMBERS, d] > 0.5:
+        x[d] = clip(x[d], space[SPACE.low, d], space[SPACE.high, d])
+        if space[SPACE.whole, d] > 0.5:
             x[d] = floor(x[d] + 0.5)
-    smaller, larger = whole(settings[SMALLER]), whole(settings[LARGER])
+    smaller, larger = whole(settings[SWARM_SETTING.smaller]), whole(settings[SWARM_SETTING.larger])
     if smaller >= 0:
         x[smaller] = min(x[smaller], x[larger])
 
@@ -151,7 +130,7 @@ def decode(count, space, x, values):
     _, dims = x.shape
     for i in range(count):
         for d in range(dims):
-            values[i, d] = power(10.0, x[i, d]) if space[DECIMAL_LOGARITHM, d] > 0.5 else x[i, d]
+            values[i, d] = power(10.0, x[i, d]) if space[SPACE.decades, d] > 0.5 else x[i, d]
 
 
 @exported(void(int64, int64, vector, matrix, Place(Particles)), name="begin_swarm")
@@ -161,18 +140,18 @@ def begin(seed, stream, settings, space, swarm):
     Of an ordered pair, x[smaller] is drawn first and x[larger] between spread*x[smaller] and its upper bound.
     """
     count, dims = swarm.x.shape
-    smaller, larger = whole(settings[SMALLER]), whole(settings[LARGER])
+    smaller, larger = whole(settings[SWARM_SETTING.smaller]), whole(settings[SWARM_SETTING.larger])
     for i in range(count):
         x = swarm.x[i]
         for d in range(dims):
-            high = space[HIGH, d]
+            high = space[SPACE.high, d]
             if d == smaller:
-                high = min(high, space[HIGH, larger])
+                high = min(high, space[SPACE.high, larger])
             u = counted_uniform(seed, stream, 0, i, d)
-            x[d] = place_between(space[LOW, d], high, space[WHOLE_NUMBERS, d], u)
+            x[d] = place_between(space[SPACE.low, d], high, space[SPACE.whole, d], u)
         if smaller >= 0:
-            integers, high = space[WHOLE_NUMBERS, larger], space[HIGH, larger]
-            low = min(max(settings[DRAW_SPREAD] * x[smaller], space[LOW, larger]), high)
+            integers, high = space[SPACE.whole, larger], space[SPACE.high, larger]
+            low = min(max(settings[SWARM_SETTING.spread] * x[smaller], space[SPACE.low, larger]), high)
             if integers > 0.5:
                 low = ceil(low)
             x[larger] = place_between(low, high, integers, counted_uniform(seed, stream, 0, i, larger))
@@ -182,8 +161,8 @@ def begin(seed, stream, settings, space, swarm):
         swarm.best_costs[i] = math.inf
     for d in range(dims):
         swarm.leader[d] = swarm.x[0, d]
-    swarm.progress[LEADER_COST], swarm.progress[LAST_W] = math.inf, 0.0
-    swarm.progress[NEXT_C1], swarm.progress[NEXT_C2] = settings[C1], settings[C2]
+    swarm.progress[PROGRESS.leader_cost], swarm.progress[PROGRESS.w] = math.inf, 0.0
+    swarm.progress[PROGRESS.c1], swarm.progress[PROGRESS.c2] = settings[SWARM_SETTING.c1], settings[SWARM_SETTING.c2]
 
 
 @exported(void(vector, Place(Particles)), name="learn_costs")
@@ -199,8 +178,8 @@ def learn(costs, swarm):
             for d in range(dims):
                 swarm.best[i, d] = swarm.x[i, d]
     for i in range(costs.size):
-        if swarm.best_costs[i] < swarm.progress[LEADER_COST]:
-            swarm.progress[LEADER_COST] = swarm.best_costs[i]
+        if swarm.best_costs[i] < swarm.progress[PROGRESS.leader_cost]:
+            swarm.progress[PROGRESS.leader_cost] = swarm.best_costs[i]
             for d in range(dims):
                 swarm.leader[d] = swarm.best[i, d]
 
@@ -212,15 +191,18 @@ def move(g, seed, stream, settings, space, swarm):
     r1 and r2 are drawn for each particle and dimension. The velocity is clamped before it moves the particle; it
     keeps its value where the position is clamped, rounded or repaired.
     """
-    G = whole(settings[GENERATIONS])
-    c1, c2 = swarm.progress[NEXT_C1], swarm.progress[NEXT_C2]
-    if settings[IMPROVED] > 0.5:
-        w = inertia(g, G, settings[W_MAX], settings[W_MIN], settings[LAMBDA1], settings[LAMBDA2])
-        following = accelerations(g, G, c1, c2, settings[STEP_1 : STEP_4 + 1])
-        swarm.progress[NEXT_C1], swarm.progress[NEXT_C2] = following
+    G = whole(settings[SWARM_SETTING.generations])
+    c1, c2 = swarm.progress[PROGRESS.c1], swarm.progress[PROGRESS.c2]
+    if settings[SWARM_SETTING.improved] > 0.5:
+        w = inertia(
+            g, G, settings[SWARM_SETTING.w_max], settings[SWARM_SETTING.w_min], settings[SWARM_SETTING.lambda1],
+            settings[SWARM_SETTING.lambda2],
+        )  # fmt: skip
+        following = accelerations(g, G, c1, c2, settings[SWARM_SETTING.step_1 : SWARM_SETTING.step_4 + 1])
+        swarm.progress[PROGRESS.c1], swarm.progress[PROGRESS.c2] = following
     else:
-        w = settings[W]
-    swarm.progress[LAST_W] = w
+        w = settings[SWARM_SETTING.w]
+    swarm.progress[PROGRESS.w] = w
     by = SwarmCoefficients(w, c1, c2)
     count, dims = swarm.x.shape
     for i in range(count):
@@ -228,7 +210,7 @@ def move(g, seed, stream, settings, space, swarm):
         for d in range(dims):
             r1 = counted_uniform(seed, stream, g + 1, i, 2 * d)
             r2 = counted_uniform(seed, stream, g + 1, i, 2 * d + 1)
-            fastest = settings[VELOCITY_CLAMP] * (space[HIGH, d] - space[LOW, d])
+            fastest = settings[SWARM_SETTING.velocity_clamp] * (space[SPACE.high, d] - space[SPACE.low, d])
             v[d] = clip(velocity(v[d], x[d], swarm.best[i, d], swarm.leader[d], by, r1, r2), -fastest, fastest)
             x[d] += v[d]
         repair(settings, space, x)

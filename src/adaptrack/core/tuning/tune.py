@@ -7,7 +7,7 @@ import math
 from ..kernel import Place, exported, int64, int_vector, matrix, record, several, vector
 from ..simulation.run import RunRecord, begin, roll_on
 from ..simulation.world import RUNNING, STOPPED
-from .swarm import LEADER_COST, Particles, decode, learn, move
+from .swarm import PROGRESS, Particles, decode, learn, move
 from .swarm import begin as begin_swarm
 
 Trial = record("Trial", (("run", RunRecord), ("noise", int_vector)))
@@ -68,7 +68,7 @@ def evaluate(first, slots, candidates, trial):
 def tune(search, trial):
     """One run of the swarm (see `swarm`) over Np, Nc, Q, R; returns (evaluations, control steps done).
 
-    On return search.swarm.leader is the best position and search.swarm.progress[LEADER_COST] its cost. A particle's run
+    On return `search.swarm.leader` is the best position, and the last entry of `search.best` its cost. A particle's run
     is stopped once it cannot improve on that particle's best: the swarm takes the same way as without, in less time.
     """
     steps = 0
@@ -81,7 +81,7 @@ def tune(search, trial):
         for first in range(0, count, slots):
             steps += evaluate(first, min(slots, count - first), candidates, trial)
         learn(candidates.costs, swarm)
-        search.best[g] = swarm.progress[LEADER_COST]
+        search.best[g] = swarm.progress[PROGRESS.leader_cost]
         if g < generations - 1:
             move(g, search.seed, search.stream, search.settings, search.space, swarm)
     return generations * count, steps
