@@ -24,7 +24,7 @@ from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.maths import portable
 from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.identification.estimates import Moments
-from adaptrack.identification.hypotheses import INF, Case, explain
+from adaptrack.identification.hypotheses import INF, Case, find_cases
 from adaptrack.identification.identified_car import HARDLY, Estimate, Validation, scale_correlations
 from adaptrack.identification.log import Log, window_mean
 from adaptrack.identification.log_fit import Fit
@@ -111,7 +111,7 @@ def implausible_estimates(estimates: Mapping[str, Estimate], car: Vehicle) -> li
         deviation = math.nan if name.startswith(("noise", "gyro")) else abs(estimate.shift)
         reached = estimate.reach if name in MODEL_ERRORS else math.nan
         numbers = vars(estimate) | {"deviation": deviation, "reached": reached, "believed": believed}
-        messages += islice(explain(IMPLAUSIBLE, numbers), 1)
+        messages += [case.words for case in islice(find_cases(IMPLAUSIBLE, numbers), 1)]
     return messages + _unphysical_quantities(estimates, car)
 
 
@@ -292,4 +292,4 @@ def findings(log: Log, estimates: Mapping[str, Estimate], validation: Validation
     }  # fmt: skip
     if log.commanded:
         numbers |= {"lag": 0.5 * (estimates["lag"].high - estimates["lag"].low), "delay": estimates["delay"].value}
-    return tuple(explain(FINDINGS, numbers))
+    return tuple(case.words for case in find_cases(FINDINGS, numbers))

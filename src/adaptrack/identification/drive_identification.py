@@ -26,7 +26,7 @@ from adaptrack.identification.estimates import ReportedRow, delay_rows, estimate
 from adaptrack.identification.hypotheses import Evidence, refuse_contradictions
 from adaptrack.identification.identified_car import DriveIdentification
 from adaptrack.identification.likelihood import NEARLY, InnovationLikelihood, Scored
-from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, is_rising
+from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, is_rising, require_columns
 from adaptrack.identification.outliers import find_outliers, noise_of
 from adaptrack.identification.quantities import Prior, Quantity
 from adaptrack.identification.reading import Columns, Reading, Source, list_sources, read_columns
@@ -293,11 +293,8 @@ def _joined_rows(logs: Sequence[Columns], requests: Sequence[str], slowest: floa
 
 def _rows(values: Mapping[str, Array], requests: Sequence[str], slowest: float) -> Array:
     """Rows of one log as `_joined_rows`: of the samples that have a time and all requests."""
-    for name in ("time", "speed"):
-        if name not in values or not np.isfinite(values[name]).any():
-            raise InvalidInput(f"log: no column for {name}: name it, --columns {name}=NAME.")
-    time = values["time"]
-    usable = is_rising(time) & np.all([np.isfinite(values[name]) for name in requests], axis=0)
+    require_columns(values, "time", "speed")
+    usable = is_rising(values["time"]) & np.all([np.isfinite(values[name]) for name in requests], axis=0)
     time, speed = values["time"][usable], values["speed"][usable]
     if time.size < 2:
         raise InvalidInput(f"log: {' and '.join(requests)}: {time.size} values with a time: too few.")

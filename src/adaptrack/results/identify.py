@@ -12,7 +12,7 @@ import numpy as np
 from adaptrack.base.files import write_atomically
 from adaptrack.base.result import Column, Panel, Picture, Result, ResultTable, Row, select_entries
 from adaptrack.identification import DriveIdentification, Estimate, Identification
-from adaptrack.identification.loop_check import LEAST, LoopCheck
+from adaptrack.identification.loop_check import LoopCheck
 from adaptrack.identification.quantities import degrees_per_g
 from adaptrack.results.marks import DASHED, MUTED, SERIES, ColourScale, draw_bars, draw_dots, draw_heat_map, make_stroke
 from adaptrack.results.run_pictures import turning_part
@@ -266,15 +266,7 @@ INPUT_CHECK_COLUMNS = (
 
 def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = ()) -> Result:
     """Return the result with the contradictions of a log and all comparisons."""
-    rows = [
-        _comparison_row(finding.compared, finding.seconds, bool(finding.label), finding.seconds > LEAST)
-        for finding in check.findings
-    ] + [
-        _comparison_row(
-            agreement.compared, check.seconds * agreement.clear, bool(agreement.contradiction), agreement.clear
-        )
-        for agreement in check.agreements
-    ]  # fmt: skip
+    rows = [comparison._asdict() for comparison in check.comparisons]
     sliding = (f"The car slid for {check.sliding:.1f} s.",) if check.sliding else ()
     answer = f"No contradictions in {check.compared} of {len(rows)} comparisons; the others lack a log column or bends."
     if check.contradictions:
@@ -290,8 +282,3 @@ def check_result(check: LoopCheck, log: str, notes: tuple[str, ...] = ()) -> Res
         notes=[*check.contradictions[1:], *check.possibilities, *(f"{note}." for note in notes), *sliding],
         failed=bool(check.contradictions),
     )  # fmt: skip
-
-
-def _comparison_row(compared: str, seconds: float, contradicts: bool, clear: bool) -> dict[str, str | float]:
-    verdict = "contradictory" if contradicts else "consistent" if clear else "unknown"
-    return {"compared": compared, "seconds": seconds, "verdict": verdict}
