@@ -26,8 +26,8 @@ from adaptrack.core.physics.forces import GRAVITY
 from adaptrack.identification.estimates import Moments
 from adaptrack.identification.hypotheses import INF, Case, find_cases
 from adaptrack.identification.identified_car import HARDLY, Estimate, Validation, scale_correlations
+from adaptrack.identification.likelihood import Fit, Likelihood
 from adaptrack.identification.log import Log, window_mean
-from adaptrack.identification.log_fit import Fit
 from adaptrack.identification.quantities import INDEX, degrees_per_g
 
 Array = NDArray[np.float64]
@@ -188,7 +188,7 @@ def _bend_time(log: Log) -> float:
     return float(np.sum(turning)) / max(float(np.sum(measured)), 1.0) * log.driven_time
 
 
-def _gain(fit: Fit) -> tuple[float, float]:
+def _gain(fit: Fit[Likelihood]) -> tuple[float, float]:
     """Angle of the road wheels over that in the log, by the log alone, and the standard deviation of its logarithm."""
     place, prior = INDEX["gain"], float(fit.likelihood.spread[INDEX["gain"]])
     if place not in fit.likelihood.free:
@@ -200,7 +200,7 @@ def _gain(fit: Fit) -> tuple[float, float]:
 
 
 def check_ratio(
-    fit: Fit, estimates: dict[str, Estimate], covariance: Array
+    fit: Fit[Likelihood], estimates: dict[str, Estimate], covariance: Array
 ) -> tuple[dict[str, Estimate], list[str], tuple[str, ...]]:
     """The estimates that may be reported, what contradicts the steering ratio, and findings.
 
@@ -219,7 +219,7 @@ def check_ratio(
     return {name: estimate for name, estimate in estimates.items() if name != "ratio"}, [message], ()
 
 
-def _check_scale(fit: Fit, scale: Estimate, correlations: Mapping[str, float]) -> tuple[str, str]:
+def _check_scale(fit: Fit[Likelihood], scale: Estimate, correlations: Mapping[str, float]) -> tuple[str, str]:
     """Return a contradiction of the specified ratio and a finding on the scale of its angles; either may be empty.
 
     correlations: of the scale with other estimates
