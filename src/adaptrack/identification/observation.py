@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptrack.base.errors import AdaptrackError, InvalidInput
+from adaptrack.base.errors import InvalidInput
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.control.controllers import MPC
 from adaptrack.control.kalman import KalmanFilter
@@ -34,7 +34,6 @@ from adaptrack.core.models.contract import MEASUREMENT
 from adaptrack.core.models.path import PATH_STATES, discretise_disturbed
 from adaptrack.core.tracker.records import ACROSS_PENALTY
 from adaptrack.drive.prediction import TIMES
-from adaptrack.drive.trajectory import Trajectory
 from adaptrack.identification.log import LEAST_GAP, Log, is_rising, log_of
 from adaptrack.identification.reading import Columns, Reading, read_columns
 from adaptrack.road import Road, fit_road
@@ -53,7 +52,10 @@ InstantIndices = NDArray[np.int64]
 Predicted = dict[tuple[str, str, float], Array]
 """(predictor, quantity, s ahead) -> (n,), at the instants that it is for; NaN where nothing was predicted"""
 
-PREDICTORS = ("learned", "held", "first", "steady")
+PREDICTOR_NAMES = {
+    "learned": "learned model", "held": "constant yaw rate", "first": "initial model", "steady": "steady turn",
+}  # fmt: skip
+PREDICTORS = tuple(PREDICTOR_NAMES)
 PREDICTED_QUANTITIES = ("yaw_rate", "y")
 PREDICTION_SPACING = 0.1
 """s, at least, between the instants from which is predicted."""
@@ -75,9 +77,8 @@ class ReadLog:
 
     @classmethod
     def of(cls, source: LogSource, car: Vehicle, reading: Reading) -> ReadLog:
-        run, before = None if isinstance(source, Mapping) else _trajectory(source), None
-        columns = read_columns(source, reading if run is None else Reading())
-        if run is not None:
+        columns, before = read_columns(source, reading), None
+        if (run := columns.run) is not None:
             columns.values.update(vy=run.vy, yaw=run.psi, x=run.X, y=run.Y)
             before = float(run.command[0] - run.command_change[0])
         if columns.ratio_unknown:
@@ -121,14 +122,6 @@ class ReadLog:
                 x, y = (_sample_at(grid, raw[0], values, period) for values in raw[1:])
                 samples = samples.along(_smoothed_path(x, y, speed) if path is None else path, (x, y, yaw))
             yield samples
-
-
-def _trajectory(source: str | os.PathLike[str]) -> Trajectory | None:
-    """The trajectory in a file; None: it is another log."""
-    try:
-        return Trajectory.load(source)
-    except AdaptrackError:
-        return None
 
 
 def _sample_at(grid: Array, time: Array, values: Array, period: float) -> Array:

@@ -114,8 +114,8 @@ class LogTable(NamedTuple):
     columns: dict[str, CellArray]
     units: dict[str, str]
     """column -> its cell in the row of units below the names"""
-    computation: float = 0.0
-    """s, of the dead time that lies in the controller's computation, where the file tells"""
+    run: Trajectory | None = None
+    """from `Trajectory.save`"""
 
 
 @dataclass(frozen=True)
@@ -176,6 +176,8 @@ class Columns:
     """whether ``command`` is an angle of the steering wheel, whose ratio is to be found"""
     ratio: float = 1.0
     """-, by which steering angles were divided"""
+    run: Trajectory | None = None
+    """where the log is one of `Trajectory.save`"""
 
 
 def list_sources(logs: Source | Sequence[Source]) -> list[Source]:
@@ -227,7 +229,8 @@ def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading:
         values["time"] = values["time"] - values["time"][np.isfinite(values["time"])][:1].sum()
     stated_ratio = reading.steering_ratio
     ratio = float(stated_ratio) if isinstance(stated_ratio, int | float) else 1.0
-    return Columns(values, tuple(notes), where, table.computation, commanded, unknown, ratio)
+    late = 0.0 if table.run is None else _computation(table.run)
+    return Columns(values, tuple(notes), where, late, commanded, unknown, ratio, table.run)
 
 
 def _table_from_arrays(source: Mapping[str, object]) -> LogTable:
@@ -509,9 +512,7 @@ def _parquet(path: Path, content: bytes) -> LogTable:
                  "wheel": run.steering, "acceleration": run.lateral_acceleration}  # fmt: skip
         if "requested_force" in run.diagnostics:
             names["force_command"] = run.diagnostics["requested_force"]
-        return LogTable(
-            {name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, {}, _computation(run)
-        )
+        return LogTable({name: np.asarray(values, dtype=np.float64) for name, values in names.items()}, {}, run)
     return LogTable({name: _read_cells(table.column(i)) for i, name in enumerate(table.column_names)}, {})
 
 

@@ -38,6 +38,7 @@ from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.observation import (
     LEFT_OUT,
     PREDICTED_QUANTITIES,
+    PREDICTOR_NAMES,
     PREDICTORS,
     InstantSamples,
     LogSource,
@@ -68,7 +69,6 @@ STILL_OPEN = 0.5
 """Share of the first standard deviation of the delay above which the log has report little of it."""
 WORSE = 1.1
 """Times the error of a simpler predictor, with 95 %, from which what was learned is doubted."""
-SIMPLER = {"held": "the yaw rate held", "first": "the first belief", "steady": "the steady turn"}
 OMITTABLE_SIGNALS = (("vy",), ("x", "y", "yaw"), ("vy", "x", "y", "yaw"), ("acceleration",))
 """Signals without which the logs are gone through again where the learned model is not best, or is doubted;"""
 SPOILT = 0.9
@@ -352,12 +352,12 @@ def _summarise_log(
     doubts = [contradiction.what for contradiction in contradictions]
     doubts += _lasting_messages(contradictory, late, MAX_CONTRADICTED_SHARE)
     doubts += _lasting_messages(silent, np.ones_like(late), 0.5)
-    better = {
+    better = dict.fromkeys(
         prediction.predictor
         for prediction in predictions
         if prediction.quantity == "yaw_rate" and prediction.ours.low > WORSE
-    }
-    doubts += [f"{words} predicts the yaw rate better" for name, words in SIMPLER.items() if name in better]
+    )
+    doubts += [f"the {PREDICTOR_NAMES[name]} predicts the yaw rate better" for name in better]
     return ShadowLog(
         source=read.name, time=time, command=records["command"], proposed=records["proposed"],
         beliefs={name: records[name] for name in kernel.BELIEF_NAMES}, measured=measured, predicted=expected,
