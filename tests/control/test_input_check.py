@@ -19,7 +19,7 @@ from adaptrack.control.input_check import InputCheck
 from adaptrack.control.recording import Recorder
 from adaptrack.control.tracker import Status, Tracker
 from adaptrack.core.estimators.learning import BELIEF_NAMES
-from adaptrack.core.input_check.hypotheses import ABOUT, COMPARISONS, MISTAKE_TABLE, MISTAKES
+from adaptrack.core.input_check.hypotheses import ABOUT, COMPARISON_TABLE, MISTAKE_TABLE, MISTAKES
 from adaptrack.core.tracker.signals import TrackerSample
 from adaptrack.identification.loop_check import check_loop
 from adaptrack.identification.reading import Reading, read_columns
@@ -452,7 +452,7 @@ def test_each_mistake_has_a_sentence_one_subject_and_a_hypothesis_or_a_rule_of_i
     for mistake in MISTAKE_TABLE:
         for for_log in (False, True):
             assert mistake.says(mistake.evidence, for_log).format(1.0, 2.0, 3.0, steered="command").endswith(".")
-    labels = {label - 1 for comparison in COMPARISONS for label, *_ in comparison.hypotheses}
+    labels = {label - 1 for comparison in COMPARISON_TABLE for label, *_ in comparison.hypotheses}
     by_rules = {name for bit, name in enumerate(MISTAKES._fields) if bit not in labels}
     assert by_rules == {
         "time_in_milliseconds", "time_in_microseconds", "time_in_nanoseconds", "speed_of_no_car", "yaw_from_north",
@@ -465,7 +465,7 @@ def test_each_mistake_has_a_sentence_one_subject_and_a_hypothesis_or_a_rule_of_i
 def test_a_mistake_that_windows_and_the_whole_log_show_is_reported_once_with_its_option(recorded):
     _, columns = recorded
     values = columns.values
-    found = check_loop(with_columns(columns, speed=3.6 * values["speed"]), CAR)
-    assert [sentence for sentence in found.contradictions if "km/h" in sentence] == [found.contradictions[0]]
-    assert "the speed is in km/h; --units speed=km/h." in found.contradictions[0]
-    assert sum(row.verdict == "contradictory" for row in found.comparisons) >= 2
+    result = check_loop(with_columns(columns, speed=3.6 * values["speed"]), CAR)
+    assert [sentence for sentence in result.contradictions if "km/h" in sentence] == [result.contradictions[0]]
+    assert "the speed is in km/h; --units speed=km/h." in result.contradictions[0]
+    assert sum(row.verdict == "contradictory" for row in result.comparisons) >= 2

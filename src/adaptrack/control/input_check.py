@@ -14,7 +14,7 @@ import numpy as np
 from adaptrack.cars.vehicle import Vehicle
 from adaptrack.core.input_check import record as kernel
 from adaptrack.core.input_check.call import begin_check, check_call
-from adaptrack.core.input_check.hypotheses import COMPARED, COMPARISONS, MISTAKE_TABLE, MISTAKES, SUBJECT_OF
+from adaptrack.core.input_check.hypotheses import COMPARED, COMPARISON_TABLE, MISTAKE_TABLE, MISTAKES, SUBJECT_OF
 from adaptrack.core.kernel import Resident, row_of
 from adaptrack.core.models.car import CarRow
 
@@ -55,7 +55,7 @@ class InputCheck:
     @property
     def compared(self) -> Iterator[tuple[str, float, bool]]:
         """Yield compared signals, driving time (s) in which they could be compared, and whether a mistake is found."""
-        for comparison in COMPARISONS:
+        for comparison in COMPARISON_TABLE:
             if comparison.signals and (self.vehicle or not comparison.needs_car):
                 place = getattr(COMPARED, comparison.name)
                 yield comparison.signals, float(self._memory.seconds[place]), bool(self._memory.label[place])

@@ -29,7 +29,7 @@ from adaptrack.identification.likelihood import NEARLY, Fit, InnovationLikelihoo
 from adaptrack.identification.log import GAP_PERIODS, LEAST_GAP, check_times, is_rising, require_columns
 from adaptrack.identification.outliers import find_outliers, noise_of
 from adaptrack.identification.quantities import Prior, Quantity, Reported, report_delay, report_quantity
-from adaptrack.identification.reading import Columns, Reading, Source, list_sources, read_columns
+from adaptrack.identification.reading import Columns, Reading, Source, read_logs
 
 Array = NDArray[np.float64]
 
@@ -132,8 +132,7 @@ def identify_drive(
         When a column is missing, the log is too slow or too short, neither drive nor brakes act in it, the speed
         contradicts the command, or a pedal is hardly used or leaves 0 to 1.
     """
-    columns = [read_columns(source, reading or Reading()) for source in list_sources(log)]
-    return drive_of_columns(columns, car if isinstance(car, Vehicle) else load_vehicle(car))
+    return drive_of_columns(read_logs(log, reading), car if isinstance(car, Vehicle) else load_vehicle(car))
 
 
 def drive_of_columns(logs: Sequence[Columns], car: Vehicle) -> DriveIdentification:

@@ -139,8 +139,12 @@ def log_of(
         messages.append("no steering command, only a measured angle: lag and dead time cannot be found")
     _without_outliers(time, data, commanded, messages)
     hole = max(3.0 * period, LEAST_GAP)
-    fill = _hold_values if commanded else _filled
-    data["command"], data["speed"] = fill(time, data["command"], hole), _filled(time, data["speed"], hole)
+    is_known = np.isfinite(data["command"])
+    data["command"] = (
+        hold_values(time, time[is_known], data["command"][is_known], hole)
+        if commanded else _filled(time, data["command"], hole)
+    )  # fmt: skip
+    data["speed"] = _filled(time, data["speed"], hole)
     _without_stuck(time, data, wheelbase, messages)
     data["yaw"] = unwrapped(data["yaw"])
     log = _cut(time, data, max(GAP_PERIODS * period, LEAST_GAP), commanded, messages)
@@ -220,12 +224,10 @@ def _require_steering(columns: Mapping[str, Array]) -> None:
         require_columns(columns, steering[0])
 
 
-def _hold_values(time: Array, values: Array, longest: float) -> Array:
-    """Values, each held until the next one for at most so long (s)."""
-    is_known = np.isfinite(values)
-    last = np.maximum.accumulate(np.where(is_known, np.arange(values.size), -1))
-    last_values = np.where(last >= 0, values[last], np.nan)
-    return np.where(time - np.where(last >= 0, time[last], np.nan) <= longest, last_values, np.nan)
+def hold_values(instants: Array, time: Array, values: Array, longest: float) -> Array:
+    """Values at instants (s), each from its time (s) until the next one, for at most so long (s); else NaN."""
+    last = np.searchsorted(time, instants + 1e-9, side="right") - 1
+    return np.where((last >= 0) & (instants - time[last] <= longest), values[last], np.nan)
 
 
 def _filled(time: Array, values: Array, longest: float) -> Array:

@@ -25,7 +25,7 @@ from adaptrack.identification.likelihood import NEARLY, Fit, Likelihood, smooth_
 from adaptrack.identification.log import Log
 from adaptrack.identification.outliers import noise_of
 from adaptrack.identification.quantities import INDEX, Prior, beliefs_of, plain_car
-from adaptrack.identification.reading import Columns, Reading, Source, list_sources, read_columns
+from adaptrack.identification.reading import Columns, Reading, Source, read_columns, read_logs
 
 Array = NDArray[np.float64]
 
@@ -79,9 +79,7 @@ def identify(
         message names the option that mends it.
     """
     believed, beliefs, curve = _believed(car, mass, wheelbase, priors)
-    read = [read_columns(source, reading or Reading()) for source in list_sources(log)]
-    if not read:
-        raise InvalidInput("identify: no log.")
+    read = read_logs(log, reading)
     if computation is not None:
         read = [replace(columns, computation=computation) for columns in read]
     show: ProgressCall = progress or (lambda *_: None)

@@ -85,15 +85,15 @@ def check_loop(columns: Columns, vehicle: Vehicle | None = None) -> LoopCheck:
         _compared(agreement.compared, seconds * agreement.clear, bool(agreement.contradiction))
         for agreement in agreements
     ]
-    found = {MISTAKES._fields[mistake]: mistake for mistake in check.mistakes}
+    reported = {MISTAKES._fields[mistake]: mistake for mistake in check.mistakes}
     sentences: dict[str, str] = {}  # by the mistake, or the compared signals
     for agreement in agreements:
         if agreement.contradiction:
             sentences.setdefault(agreement.mistake or agreement.compared, agreement.contradiction)
-    for name, mistake in found.items():
+    for name, mistake in reported.items():
         sentences.setdefault(name, check.sentence(mistake, for_log=True, steered=evidence.steered))
     possibilities = [
-        agreement.possibility for agreement in agreements if agreement.possibility and agreement.mistake not in found
+        agreement.possibility for agreement in agreements if agreement.possibility and agreement.mistake not in reported
     ]
     return LoopCheck(tuple(sentences.values()), tuple(possibilities), tuple(comparisons), seconds, sliding, limit)
 

@@ -19,7 +19,7 @@ from adaptrack.base.errors import InvalidInput, did_you_mean
 from adaptrack.base.files import read_arrow_table, read_bytes, table_lines
 from adaptrack.core.maths.portable import product
 from adaptrack.drive.trajectory import TRAJECTORY_FORMAT, Trajectory
-from adaptrack.identification.log import unwrapped
+from adaptrack.identification.log import hold_values, unwrapped
 from adaptrack.identification.outliers import find_samples
 from adaptrack.scenario.profile import list_profiles, load_profile
 
@@ -180,12 +180,15 @@ class Columns:
     """where the log is one of `Trajectory.save`"""
 
 
-def list_sources(logs: Source | Sequence[Source]) -> list[Source]:
-    """A log, or several, as a list."""
-    return [logs] if isinstance(logs, str | os.PathLike | Mapping) else list(logs)
+def read_logs(logs: Source | Sequence[Source], reading: Reading | None = None) -> list[Columns]:
+    """The signals of a log, or of several; errors as `read_columns`, and when there is none."""
+    sources = [logs] if isinstance(logs, str | os.PathLike | Mapping) else list(logs)
+    if not sources:
+        raise InvalidInput("log: give one at least.")
+    return [read_columns(source, reading or Reading()) for source in sources]
 
 
-def read_columns(source: str | os.PathLike[str] | Mapping[str, object], reading: Reading) -> Columns:
+def read_columns(source: Source, reading: Reading) -> Columns:
     """The signals of a log: a .csv or .parquet file, one of `Trajectory.save`, or arrays by name.
 
     Raises
@@ -312,17 +315,16 @@ def _resampled(signal: str, time: Array, clock: Array, values: Array) -> Array:
     if signal == "yaw":
         values = np.unwrap(values)
     at = time[ask]
+    if signal in HELD_SIGNALS:
+        out[ask] = hold_values(at, clock, values, hole)
+        return out
     before = np.clip(np.searchsorted(clock, at + 1e-9, side="right") - 1, 0, clock.size - 1)
     after = np.minimum(before + 1, clock.size - 1)
-    if signal in HELD_SIGNALS:
-        near, samples = (at + 1e-9 >= clock[before]) & (at - clock[before] <= hole), values[before]
-    else:
-        near = (at >= clock[0]) & (at <= clock[-1]) & (clock[after] - clock[before] <= hole)
-        samples = np.interp(at, clock, values)
-        if signal != "speed" and period > 1.5 * float(np.median(np.diff(at))):
-            nearest = np.clip(np.searchsorted(0.5 * (at[1:] + at[:-1]), clock), 0, at.size - 1)
-            near &= np.isin(np.arange(at.size), nearest)
-    out[ask] = np.where(near, samples, np.nan)
+    near = (at >= clock[0]) & (at <= clock[-1]) & (clock[after] - clock[before] <= hole)
+    if signal != "speed" and period > 1.5 * float(np.median(np.diff(at))):
+        nearest = np.clip(np.searchsorted(0.5 * (at[1:] + at[:-1]), clock), 0, at.size - 1)
+        near &= np.isin(np.arange(at.size), nearest)
+    out[ask] = np.where(near, np.interp(at, clock, values), np.nan)
     return out
 
 

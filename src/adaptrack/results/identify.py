@@ -21,7 +21,7 @@ from adaptrack.results.words import capital, number
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Pair = tuple[float, float]
+IntervalEnds = tuple[float, float]
 _MEASURED, _SIMULATED, _BOUND = make_stroke(SERIES[0]), make_stroke(SERIES[1]), make_stroke(MUTED, DASHED)
 _SECONDS = 30.0
 """Length of the part of the log in the first picture (s)."""
@@ -29,8 +29,8 @@ _UNITS = {"N/rad": ("kN/rad", 1e-3), "rad": ("°", 180.0 / math.pi), "rad s^2/m"
           "kg m^2": ("kg m²", 1.0), "m/s^2": ("m/s²", 1.0), "-": ("", 1.0)}  # fmt: skip
 _NAMES = {
     "delay": "Delay of the steering", "lag": "Lag", "dead_time": "Dead time", "front": "Front axle",
-    "rear": "Rear axle", "offset": "Steering offset", "push_mean": "Mean bank acceleration", "lf": "l_f",
-    "rate": "Rate limit of the steering", "ratio": "Steering ratio",
+    "rear": "Rear axle", "offset": "Steering offset", "push_mean": "Mean bank acceleration",
+    "lf": "Front axle to centre of gravity", "rate": "Rate limit of the steering", "ratio": "Steering ratio",
 }  # fmt: skip
 _FIRST = ("delay", "understeer_gradient", "front", "rear", "offset")
 
@@ -95,7 +95,7 @@ def write_identification_page(identification: Identification, path: str | os.Pat
     return Path(path)
 
 
-def quantity_row(name: str, unit: str, value: float, interval: Pair, before: Pair) -> dict[str, Any]:
+def quantity_row(name: str, unit: str, value: float, interval: IntervalEnds, before: IntervalEnds) -> dict[str, Any]:
     """Return a row of `ESTIMATE_COLUMNS` in the units of the page; before: 90 % interval before the log."""
     unit, factor = _UNITS.get(unit, (unit, 1.0))
     return {

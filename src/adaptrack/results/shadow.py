@@ -14,8 +14,7 @@ from adaptrack.control.controllers.learned_car import WITHIN
 from adaptrack.core.estimators.learning import LEARNED
 from adaptrack.core.maths import portable
 from adaptrack.drive.prediction import TIMES
-from adaptrack.identification.observation import PREDICTOR_NAMES, PREDICTORS
-from adaptrack.identification.shadow import Shadow, ShadowLog, Warned
+from adaptrack.identification.shadow import PREDICTOR_NAMES, PREDICTORS, Shadow, ShadowLog, Warned
 from adaptrack.results.identify import ESTIMATE_COLUMNS, quantity_row
 from adaptrack.results.marks import BACKGROUND_STROKE, REFERENCE_STROKE, add_degrees, draw_dots, draw_ribbon, strokes
 from adaptrack.results.run_pictures import LABELS, thin_curve, turning_part

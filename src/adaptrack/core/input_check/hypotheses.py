@@ -27,7 +27,7 @@ class Mistake(NamedTuple):
     evidence: str
     """format of what a loop measured; ``steered``: name of the steering signal"""
     meaning: str
-    """what is wrong; a format, like the rest"""
+    """format of the mistake in words"""
     remedy: str
     """for the caller of a loop"""
     option: str = ""
@@ -199,7 +199,7 @@ def _rows(label, *grids, alternatives=_ALL, evidence=EVIDENCE):
     return [(1.0 + label, *values, *alternatives, evidence) for values in itertools.product(*grids)]
 
 
-class Comparison(NamedTuple):
+class InputComparison(NamedTuple):
     """A comparison of signals, and its hypotheses."""
 
     name: str
@@ -221,32 +221,32 @@ _NEAR_CLOCKS = _rows(_HONEST, NEAR_ONE, (-0.06, -0.03, 0.0, 0.03, 0.06))  # gain
 _AGAINST = _rows(
     MISTAKES.steering_sign, (-0.4, -0.7, -1.0, -1.5, -2.5), _ONE, alternatives=_HONEST_WHEELS, evidence=1.3 * EVIDENCE
 )
-COMPARISONS = (
-    Comparison("way", "positions and speed", [
+COMPARISON_TABLE = (
+    InputComparison("way", "positions and speed", [
         *_NEAR_CLOCKS,
         *_rows(MISTAKES.speed_late, (0.95, 1.0, 1.05), (-0.25, -0.2, -0.15, 0.15, 0.2, 0.25)),
         *_rows(MISTAKES.speed_in_km_h, (1 / 3.6,)),
         *_rows(MISTAKES.speed_in_miles_h, (0.447,)),
         *_rows(MISTAKES.speed_unit, (0.1, 0.6, 1.6, 2.2, 3.6, 10.0)),
     ]),
-    Comparison("course", "positions and yaw", [
+    InputComparison("course", "positions and yaw", [
         *_rows(_HONEST, (0.35, 0.5, 0.7, 0.85, 1.0, 1.2)),
         *_rows(MISTAKES.y_mirrored, (-1.0,), evidence=_MIRRORED),
         *_rows(MISTAKES.yaw_in_degrees, (DEGREE,), evidence=_MIRRORED),
     ], intercept=0.012),
-    Comparison("turn", "yaw and yaw rate", [
+    InputComparison("turn", "yaw and yaw rate", [
         *_NEAR_CLOCKS,
         *_rows(MISTAKES.yaw_rate_sign, (-1.0,)),
         *_rows(MISTAKES.yaw_in_degrees_by_its_rate, (40.0, 57.3)),
         *_rows(MISTAKES.yaw_rate_in_degrees, (DEGREE,)),
         *_rows(MISTAKES.yaw_rate_unit, (0.1, 0.5, 2.0, 5.0, 10.0)),
     ]),
-    Comparison("pull", "lateral acceleration, speed and yaw rate", [
+    InputComparison("pull", "lateral acceleration, speed and yaw rate", [
         *_rows(_HONEST, (0.5, 0.7, 1.0, 1.4, 1.8)),
         *_rows(MISTAKES.lateral_acceleration_sign, (-1.0,), evidence=5.0 * EVIDENCE),
         *_rows(MISTAKES.lateral_acceleration_in_g, (1 / 9.81,), evidence=5.0 * EVIDENCE),
     ], overlap=2.0, intercept=0.5),
-    Comparison("wheel", "command and wheel angle", [  # gain of what the commands ask for; what was before them
+    InputComparison("wheel", "command and wheel angle", [  # gain of what the commands ask for; what was before them
         *_rows(_HONEST, NEAR_ONE, _ONE, alternatives=_HONEST_WHEELS),
         *_rows(MISTAKES.wheel_angle_sign, (-1.0,), _ONE, alternatives=_HONEST_WHEELS),
         *_rows(MISTAKES.wheel_angle_in_degrees, (57.3,), _ONE, alternatives=_HONEST_WHEELS),
@@ -255,40 +255,40 @@ COMPARISONS = (
         *_rows(MISTAKES.command_too_large, (0.85, 1.0, 1.2), _ONE, alternatives=_TIMES_4),
         *_rows(MISTAKES.command_too_large, (0.7, 0.85, 1.0), _ONE, alternatives=_TIMES_57),
     ], BANKS * DELAYS, overlap=2.0, intercept=0.02, before=0.07),
-    Comparison("steering", "command and turning", [  # the same
+    InputComparison("steering", "command and turning", [  # the same
         *_rows(_HONEST, GAINS, _ONE, alternatives=_HONEST_WHEELS),
         *_rows(MISTAKES.command_too_small, (0.0, DEGREE, 0.05), _ONE, alternatives=_HONEST_WHEELS, evidence=_SWING),
         *_rows(MISTAKES.command_too_large, (0.6, 0.8, 1.0, 1.25, 1.6), _ONE, alternatives=_TIMES_4, evidence=_SWING),
         *_rows(MISTAKES.command_too_large, GAINS[:7], _ONE, alternatives=_TIMES_57, evidence=_SWING),
         *_AGAINST,
     ], BANKS * DELAYS, overlap=2.0, intercept=0.06, before=0.07),
-    Comparison("point", "positions and yaw rate", [  # shares of lr and lf, ahead of the rear axle; slip
+    InputComparison("point", "positions and yaw rate", [  # shares of lr and lf, ahead of the rear axle; slip
         *_rows(_HONEST, (0.75, 1.0, 1.25), _NONE, _SLIPS),
         *_rows(MISTAKES.position_of_rear_axle, _NONE, _NONE, _SLIPS),
         *_rows(MISTAKES.position_of_front_axle, _ONE, _ONE, _SLIPS),
     ], needs_car=True),
-    Comparison("lateral", "positions and lateral velocity", [  # gain of v_y; shares of lr and lf, ahead of the centre
+    InputComparison("lateral", "positions and lateral velocity", [  # gain of v_y; shares of lr and lf
         *_rows(_HONEST, (0.8, 1.0, 1.2), (-0.3, 0.0, 0.3)),
         *_rows(MISTAKES.lateral_velocity_sign, (-1.0,)),
         *_rows(MISTAKES.position_of_rear_axle, _ONE, (-1.0,)),
         *_rows(MISTAKES.position_of_front_axle, _ONE, _NONE, _ONE),
     ], needs_car=True),
-    Comparison("forward", "longitudinal acceleration and change of the speed", [  # the signal less dv/dt, over dv/dt
+    InputComparison("forward", "longitudinal acceleration and change of the speed", [  # signal less dv/dt, over dv/dt
         *_rows(_HONEST, (-0.2, -0.1, 0.0, 0.1, 0.2)),
         *_rows(MISTAKES.longitudinal_acceleration_sign, (-1.9, -2.0, -2.1), evidence=SURE),
         *_rows(MISTAKES.longitudinal_acceleration_in_g, (1 / 9.81 - 1.0,), evidence=SURE),
     ], overlap=50.0, intercept=0.3),
-    Comparison("clock", "", [
+    InputComparison("clock", "", [
         *_rows(_HONEST, NEAR_ONE, alternatives=(_CENTRE - _AGREE, _CENTRE + _AGREE + 1)),
         *_rows(MISTAKES.yaw_late, NEAR_ONE[1:4], alternatives=(0, _CENTRE - _APART + 1)),
         *_rows(MISTAKES.yaw_late, NEAR_ONE[1:4], alternatives=(_CENTRE + _APART, SHIFTS)),
     ], SHIFTS),
 )  # fmt: skip
 _UNKNOWN_CAR = [*_rows(_HONEST, _WIDE_GAINS, _ONE, alternatives=_HONEST_WHEELS), *_AGAINST]
-COMPARED = columns(*(comparison.name for comparison in COMPARISONS))
-GRAMS_OF = tuple(comparison.alternatives for comparison in COMPARISONS)
+COMPARED = columns(*(comparison.name for comparison in COMPARISON_TABLE))
+GRAMS_OF = tuple(comparison.alternatives for comparison in COMPARISON_TABLE)
 """Alternatives of each comparison."""
-_TABLES = (*(comparison.hypotheses for comparison in COMPARISONS), _UNKNOWN_CAR)
+_TABLES = (*(comparison.hypotheses for comparison in COMPARISON_TABLE), _UNKNOWN_CAR)
 HYPOTHESES = np.array([row for table in _TABLES for row in table])
 FIRST = tuple(itertools.accumulate(map(len, _TABLES), initial=0))
 """Where the hypotheses of each comparison (`COMPARED`) begin; after them those of the steering of an unknown car."""
@@ -299,5 +299,5 @@ LEAST_EVIDENCE = tuple(
 FIRST_GRAM = tuple(itertools.accumulate(GRAMS_OF, initial=0))
 """Where the sums of each comparison's alternatives begin."""
 RULE = columns("overlap", "intercept", "before")
-RULES = np.array([[getattr(comparison, name) for name in RULE._fields] for comparison in COMPARISONS])
-"""Numbers of each `Comparison`."""
+RULES = np.array([[getattr(comparison, name) for name in RULE._fields] for comparison in COMPARISON_TABLE])
+"""Numbers of each `InputComparison`."""
