@@ -96,9 +96,9 @@ MISTAKE_TABLE = (
     ),
     *_mistakes(
         "point", "x, y: they move sideways in bends",
-        ("position_of_rear_axle", "they are those of the rear axle",
+        ("position_of_rear_axle", "they are positions of the rear axle",
          "give those of the centre of mass, {0:.2f} m ahead of it"),
-        ("position_of_front_axle", "they are those of the front axle",
+        ("position_of_front_axle", "they are positions of the front axle",
          "give those of the centre of mass, {1:.2f} m behind it"),
     ),
     *_mistakes(
@@ -116,8 +116,9 @@ MISTAKE_TABLE = (
     ),
     *_mistakes(
         "steering", "{steered}: the car turns to the other side",
-        ("steering_sign", "the sign of {steered} is inverted, or x, y, yaw, yaw_rate and the path are of a left-handed "
-         "frame (such as NED)", "give commands and angles positive to the left", "--flip {steered} or --flip yaw_rate"),
+        ("steering_sign", "the steering sign ({steered}) is inverted, or x, y, yaw, yaw_rate and the path are of a "
+         "left-handed frame (such as NED)", "give commands and angles positive to the left",
+         "--flip {steered} or --flip yaw_rate"),
     ),
     *_mistakes(
         "steering", "command: the car hardly turns",
